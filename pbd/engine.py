@@ -1,0 +1,63 @@
+"""The one module that sets Taichi up.
+
+Every kernel of the project is written against the ``ti`` that this module exports, so that a maintained
+fork of Taichi can take its place here. Importing the module is cheap: Taichi itself is loaded, but
+no runtime is created before :func:`ensure_initialized`.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+
+os.environ.setdefault("TI_ENABLE_TORCH", "0")  # torch, if installed, would add seconds to the import
+os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+
+import taichi as ti
+
+from pbd.errors import InputError
+
+__all__ = ["ensure_initialized", "ti"]
+
+_lock = threading.Lock()
+_settings: dict[str, object] | None = None
+
+
+def ensure_initialized(arch: str = "cpu", threads: int | None = None) -> None:
+    """Start Taichi once for this process; later calls with the same wishes do nothing.
+
+    ``ti.init`` kills every array of an earlier ``ti.init`` with a bare error, so a call that asks for something
+    else than what runs is refused.
+
+    Args:
+        arch: "cpu" or "cuda".
+        threads: CPU threads; None takes what runs, or ``GUBE_THREADS``, or all cores.
+
+    Raises:
+        InputError: unknown arch, a thread count below one, or a conflict with the running set-up.
+    """
+    global _settings
+    if arch not in ("cpu", "cuda"):
+        raise InputError("unknown arch", key="arch", received=arch, expected="'cpu' or 'cuda'")
+    if threads is not None and threads < 1:
+        raise InputError("bad thread count", key="threads", received=threads, expected="at least 1")
+    with _lock:
+        if _settings is not None:
+            same_threads = threads is None or threads == _settings["threads"]
+            if arch == _settings["arch"] and same_threads:
+                return
+            raise InputError(
+                "Taichi already runs with other settings in this process",
+                received={"arch": arch, "threads": threads},
+                expected=f"{_settings}, or a fresh process",
+            )
+        count = threads or int(os.environ.get("GUBE_THREADS", "0")) or os.cpu_count() or 1
+        ti.init(
+            arch=ti.cpu if arch == "cpu" else ti.cuda,
+            cpu_max_num_threads=count,
+            default_fp=ti.f32,
+            default_ip=ti.i32,
+            offline_cache=True,
+            log_level=ti.ERROR,
+        )
+        _settings = {"arch": arch, "threads": count}
