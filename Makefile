@@ -1,0 +1,43 @@
+# `make demo` and `make test` start from a bare clone: both make .venv from the lock, which is for Python 3.11 to 3.13.
+PYTHON ?= $(firstword $(foreach name,python3.11 python3,$(if $(shell $(name) -c 'import sys; \
+	print((3, 11) <= sys.version_info[:2] <= (3, 13) or "")' 2>/dev/null),$(name))))
+BIN := .venv/bin
+export PYTHONHASHSEED := 0
+
+.PHONY: demo test lint format proofs gpu-proofs lock clean
+
+demo: .venv/ready
+	$(BIN)/gube demo
+
+test: lint
+	$(BIN)/python -m pytest
+
+lint: .venv/ready
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright --pythonpath $(BIN)/python
+
+format: .venv/ready
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+proofs: .venv/ready
+	$(BIN)/python -m pytest -m "proof and not gpu"
+
+gpu-proofs: .venv/ready
+	$(BIN)/python -m pytest -m gpu
+
+.venv/ready: requirements.lock pyproject.toml
+	@test -n "$(PYTHON)" || { echo "gube needs Python 3.11, 3.12 or 3.13 (set PYTHON=...)" >&2; exit 1; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	touch $@
+
+# Needs uv. Keeps the versions that the lock has; add UPGRADE=--upgrade for new ones.
+lock:
+	echo pip | uv pip compile pyproject.toml - --all-extras --generate-hashes --universal --python-version 3.11 \
+		--no-header --no-annotate --no-emit-index-url $(UPGRADE) --output-file requirements.lock
+
+clean:
+	rm -rf .venv build dist out *.egg-info .pytest_cache .ruff_cache .hypothesis
