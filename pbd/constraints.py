@@ -1,0 +1,142 @@
+"""Constraint functions: small, pure, written once and composed by the schedules in ``pbd.kernels``.
+
+Each takes positions and inverse masses by value and returns the corrections. Multipliers start every substep at
+zero (one pass a substep: "Small steps in physics simulation", Macklin et al. 2019), so that the compliance
+term of XPBD (Macklin, Mueller, Chentanez 2016, eq. 18) keeps material stiffness independent of the step.
+"""
+
+from pbd.engine import ti
+
+__all__ = ["contact_correction", "drag_velocity", "hinge_multiplier", "membrane_multipliers", "tether_correction"]
+
+vec3 = ti.math.vec3
+mat3x2 = ti.types.matrix(3, 2, ti.f32)
+SHORTEST = 0.05  # a warp or weft squeezed below this part of its length keeps its direction but not its slope
+
+
+@ti.func
+def membrane_multipliers(side_1: vec3, side_2: vec3, inverse_flat, gram, compliance, squeeze):
+    """Orthotropic plane-stress membrane of one triangle: three constraints solved together.
+
+    The strains are those of Baraff and Witkin 1998 in engineering form: |w_u| - 1, |w_v| - 1 and the cosine between
+    w_u and w_v, with [w_u w_v] = [x1-x0, x2-x0] Dm^-1. To first order they are e11, e22 and 2 e12, so that the energy
+    A/2 e^T D e is linear elasticity; turning the triangle leaves them as they are. The 3 by 3 system
+    (J M^-1 J^T + alpha/h^2) lambda = -C couples warp and weft exactly as the compliance alpha = D^-1/A says.
+
+    Args:
+        side_1, side_2: x1 - x0 and x2 - x0 [m].
+        inverse_flat: Dm^-1 [1/m] as (b00, b01, b10, b11).
+        gram: sums over the corners of w b b^T [1/(kg m2)]: (uu, uv, vv).
+        compliance: alpha/h^2 [1/(kg m2)] as (11, 12, 22, shear).
+        squeeze: factor on the compliance of a warp or weft that is compressed [-].
+
+    Returns:
+        3 by 2 matrix with columns g_u, g_v: corner 1 moves by w1 (b00 g_u + b01 g_v), corner 2 by
+        w2 (b10 g_u + b11 g_v), corner 0 by -w0 ((b00 + b10) g_u + (b01 + b11) g_v).
+    """
+    wu = side_1 * inverse_flat[0] + side_2 * inverse_flat[2]
+    wv = side_1 * inverse_flat[1] + side_2 * inverse_flat[3]
+    length_u = ti.max(wu.norm(), SHORTEST)
+    length_v = ti.max(wv.norm(), SHORTEST)
+    inverse_u, inverse_v = 1.0 / length_u, 1.0 / length_v
+    nu, nv = wu * inverse_u, wv * inverse_v
+    cu, cv, cs = length_u - 1.0, length_v - 1.0, nu.dot(nv)
+    au, av = compliance[0], compliance[2]
+    if cu < 0.0:
+        au *= squeeze
+    if cv < 0.0:
+        av *= squeeze
+    rest = ti.max(1.0 - cs * cs, 0.0)
+    # Directions of the shear constraint; each stands at right angles to its own axis.
+    tu, tv = (nv - cs * nu) * inverse_u, (nu - cs * nv) * inverse_v
+    a00 = gram[0] + au
+    a11 = gram[2] + av
+    a01 = gram[1] * cs + compliance[1]
+    a02 = gram[1] * rest * inverse_v
+    a12 = gram[1] * rest * inverse_u
+    a22 = (
+        rest
+        * (
+            gram[0] * inverse_u * inverse_u
+            - 2.0 * gram[1] * cs * inverse_u * inverse_v
+            + gram[2] * inverse_v * inverse_v
+        )
+        + compliance[3]
+    )
+    # Symmetric 3 by 3 solve by cofactors; the matrix is positive definite.
+    c00, c01, c02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
+    c11, c12, c22 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
+    scale = -1.0 / (a00 * c00 + a01 * c01 + a02 * c02)
+    lu = scale * (c00 * cu + c01 * cv + c02 * cs)
+    lv = scale * (c01 * cu + c11 * cv + c12 * cs)
+    ls = scale * (c02 * cu + c12 * cv + c22 * cs)
+    gu, gv = lu * nu + ls * tu, lv * nv + ls * tv
+    return mat3x2([[gu[0], gv[0]], [gu[1], gv[1]], [gu[2], gv[2]]])
+
+
+@ti.func
+def hinge_multiplier(d1: vec3, d2: vec3, d3: vec3, rows, inverse_sum: ti.f32):
+    """Quadratic hinge, energy |K x|^2 / (2 alpha): multiplier of the vector constraint K x = 0.
+
+    Args:
+        d1, d2, d3: x_j - x_i, x_k - x_i, x_l - x_i [m]; the row sums to zero, so x_i itself drops out (and with it
+            the loss of digits far from the origin).
+        rows: (K_i, K_j, K_k, K_l).
+        inverse_sum: 1 / (sum w K^2 + alpha/h^2).
+
+    Returns:
+        lambda as vec3; vertex a moves by w_a K_a lambda.
+    """
+    return -(rows[1] * d1 + rows[2] * d2 + rows[3] * d3) * inverse_sum
+
+
+@ti.func
+def tether_correction(offset: vec3, length: ti.f32):
+    """Long-range attachment (Kim, Chentanez, Mueller 2012): pulls back what is beyond its length [m]."""
+    distance = offset.norm()
+    correction = vec3(0.0)
+    if distance > length:
+        correction = offset * (length / distance - 1.0)
+    return correction
+
+
+@ti.func
+def contact_correction(gap: ti.f32, normal: vec3, slip: vec3, friction: ti.f32):
+    """Contact by position with Coulomb friction (Mueller et al. 2007; Macklin et al. 2014, eq. 24).
+
+    Args:
+        gap: signed distance to the collider less the thickness [m]; negative is contact.
+        normal: outward, unit.
+        slip: motion against the collider over the substep, before this correction [m].
+        friction: Coulomb coefficient [-].
+
+    Returns:
+        Correction of the position [m]. Sticks (cancels the whole tangential slip) inside the cone.
+    """
+    correction = vec3(0.0)
+    if gap < 0.0:
+        correction = -gap * normal
+        tangential = slip - slip.dot(normal) * normal
+        size = tangential.norm()
+        limit = -gap * friction
+        if size > limit:
+            correction -= tangential * (limit / size)
+        else:
+            correction -= tangential
+    return correction
+
+
+@ti.func
+def drag_velocity(velocity: vec3, normal: vec3, factor: ti.f32):
+    """Air drag of a surface along its normal, stable at any step: v_n' = v_n / (1 + factor |v_n|).
+
+    Args:
+        velocity: against the air [m/s].
+        normal: unit.
+        factor: h rho_air C_d A / (2 m) [s/m].
+
+    Returns:
+        Change of velocity [m/s].
+    """
+    along = velocity.dot(normal)
+    return normal * (along / (1.0 + factor * ti.abs(along)) - along)

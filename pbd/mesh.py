@@ -1,0 +1,218 @@
+"""Cloth meshes: topology, rest metric and areas. Functions on plain arrays, and one dataclass that holds their result."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pbd.errors import InputError
+
+__all__ = [
+    "ClothMesh",
+    "edges_of",
+    "flatten_by_lengths",
+    "flatten_by_surface",
+    "greedy_colors",
+    "hinges_of",
+    "vertex_rings",
+]
+
+
+def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Undirected edges of a triangle mesh.
+
+    Args:
+        faces: int, shape (m, 3).
+
+    Returns:
+        edges (int32, shape (e, 2), each row ascending, rows sorted) and the edge of each face side
+        (int32, shape (m, 3); side s joins corners s and s + 1).
+    """
+    sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
+    edges, inverse = np.unique(np.sort(sides, axis=1), axis=0, return_inverse=True)
+    return edges.astype(np.int32), inverse.reshape(-1, 3).astype(np.int32)
+
+
+def hinges_of(faces: np.ndarray) -> np.ndarray:
+    """Inner edges with the corners that face them: int32, shape (h, 4), rows (i, j, k, l).
+
+    The edge runs i to j in the face of k; l is the corner of the other face.
+
+    Raises:
+        InputError: an edge with more than two faces.
+    """
+    edges, side_edge = edges_of(faces)
+    order = np.argsort(side_edge.ravel(), kind="stable")
+    counts = np.bincount(side_edge.ravel(), minlength=len(edges))
+    if counts.size and counts.max() > 2:
+        bad = edges[np.argmax(counts)]
+        raise InputError("non-manifold edge", key=f"edge {bad[0]}-{bad[1]}", received=int(counts.max()), expected="2")
+    start = np.concatenate([[0], np.cumsum(counts)])[:-1][counts == 2]
+    first, second = order[start], order[start + 1]
+    corner = faces.ravel()
+    face, side = first // 3, first % 3
+    i, j = corner[first], faces[face, (side + 1) % 3]
+    k = faces[face, (side + 2) % 3]
+    other = faces[second // 3, (second % 3 + 2) % 3]
+    return np.stack([i, j, k, other], axis=1).astype(np.int32)
+
+
+def flatten_by_surface(vertices: np.ndarray, faces: np.ndarray, warp: np.ndarray) -> np.ndarray:
+    """Flat rest shape of each face, turned so that its first axis is the warp direction laid into the face.
+
+    Args:
+        vertices: [m], shape (n, 3).
+        faces: int, shape (m, 3).
+        warp: direction in space, shape (3,). Faces that stand across it take a direction at right angles to it.
+
+    Returns:
+        Columns are the sides 0-1 and 0-2 in (warp, weft): [m], shape (m, 2, 2).
+    """
+    corner = vertices[faces]
+    side_1, side_2 = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    normal = np.cross(side_1, side_2)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    warp = np.asarray(warp, float) / np.linalg.norm(warp)
+    spare = np.eye(3)[np.argmin(np.abs(warp))]
+    axis = warp - normal * (normal @ warp)[:, None]
+    across = np.linalg.norm(axis, axis=1) < 0.1
+    axis[across] = spare - normal[across] * (normal[across] @ spare)[:, None]
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    weft = np.cross(normal, axis)
+    dot = lambda a, b: np.einsum("ij,ij->i", a, b)  # noqa: E731
+    row_1 = np.stack([dot(side_1, axis), dot(side_2, axis)], axis=1)
+    row_2 = np.stack([dot(side_1, weft), dot(side_2, weft)], axis=1)
+    return np.stack([row_1, row_2], axis=1)
+
+
+def flatten_by_lengths(flat: np.ndarray, faces: np.ndarray, lengths: np.ndarray, side_edge: np.ndarray) -> np.ndarray:
+    """Give flat faces other side lengths and keep the direction of their first side against the warp.
+
+    Args:
+        flat: [m], shape (m, 2, 2), as :func:`flatten_by_surface` gives.
+        faces: int, shape (m, 3).
+        lengths: of the edges [m], shape (e,).
+        side_edge: int, shape (m, 3), as :func:`edges_of` gives.
+
+    Raises:
+        InputError: lengths that close no triangle; names the face.
+    """
+    a, b, c = (lengths[side_edge[:, s]] for s in range(3))  # sides 0-1, 1-2, 2-0
+    along = (a**2 + c**2 - b**2) / (2.0 * a)
+    height_squared = c**2 - along**2
+    if np.any(height_squared <= 0):
+        face = int(np.argmin(height_squared))
+        raise InputError(
+            "rest lengths close no triangle",
+            key=f"face {face}",
+            received=[float(a[face]), float(b[face]), float(c[face])],
+            expected="each below the sum of the others",
+        )
+    direction = flat[:, :, 0] / np.linalg.norm(flat[:, :, 0], axis=1, keepdims=True)
+    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+    side_1 = direction * a[:, None]
+    side_2 = direction * along[:, None] + normal * np.sqrt(height_squared)[:, None]
+    return np.stack([side_1, side_2], axis=2)
+
+
+def greedy_colors(members: np.ndarray, vertex_count: int) -> np.ndarray:
+    """Colours such that no two rows of one colour share a vertex: int32, shape (c,).
+
+    Args:
+        members: vertices of each constraint, int, shape (c, k).
+        vertex_count: number of vertices.
+    """
+    used = np.zeros(vertex_count, dtype=object)
+    used[:] = 0
+    colors = np.zeros(len(members), np.int32)
+    for row, vertices in enumerate(members.tolist()):
+        taken = 0
+        for vertex in vertices:
+            taken |= used[vertex]
+        color = (~taken & (taken + 1)).bit_length() - 1
+        colors[row] = color
+        for vertex in vertices:
+            used[vertex] |= 1 << color
+    return colors
+
+
+def vertex_rings(faces: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Neighbours of each vertex by edges, as (offsets int32 (n + 1,), indices int32 (2 e,))."""
+    edges, _ = edges_of(faces)
+    both = np.concatenate([edges, edges[:, ::-1]])
+    both = both[np.lexsort((both[:, 1], both[:, 0]))]
+    counts = np.bincount(both[:, 0], minlength=vertex_count)
+    offsets = np.concatenate([[0], np.cumsum(counts)])
+    return offsets.astype(np.int32), both[:, 1].astype(np.int32).copy()
+
+
+@dataclass(frozen=True)
+class ClothMesh:
+    """A triangle mesh with a flat rest shape of every face.
+
+    Attributes:
+        vertices: start positions [m], float64, shape (n, 3).
+        faces: int32, shape (m, 3).
+        flat: rest shape of each face, columns are its sides 0-1 and 0-2 in (warp, weft) [m], shape (m, 2, 2).
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    flat: np.ndarray
+
+    @classmethod
+    def from_surface(cls, vertices: np.ndarray, faces: np.ndarray, warp: tuple = (0.0, 1.0, 0.0)) -> ClothMesh:
+        """The mesh in space is the rest shape; the warp is a direction in space laid into each face."""
+        vertices, faces = np.asarray(vertices, float), np.asarray(faces, np.int32)
+        return cls(vertices, faces, flatten_by_surface(vertices, faces, np.asarray(warp)))
+
+    @classmethod
+    def from_pattern(cls, vertices: np.ndarray, faces: np.ndarray, pattern: np.ndarray) -> ClothMesh:
+        """The flat pattern is the rest shape: corner coordinates (warp, weft) [m], shape (m, 3, 2).
+
+        Mirrored panels keep their lengths; only the sign of the second axis changes.
+        """
+        sides = np.stack([pattern[:, 1] - pattern[:, 0], pattern[:, 2] - pattern[:, 0]], axis=2)
+        flipped = np.linalg.det(sides) < 0
+        sides[flipped, 1] *= -1.0
+        return cls(np.asarray(vertices, float), np.asarray(faces, np.int32), sides)
+
+    def __post_init__(self) -> None:
+        for name in ("vertices", "flat"):
+            bad = np.flatnonzero(~np.isfinite(getattr(self, name)).reshape(len(getattr(self, name)), -1).all(axis=1))
+            if bad.size:
+                raise InputError("value that is not finite", key=f"{name}[{bad[0]}]", expected="finite numbers")
+        if not len(self.faces):
+            raise InputError("empty cloth mesh", key="faces", received=0, expected="at least one face")
+        area = self.face_areas
+        if np.any(area <= 1e-12):
+            face = int(np.argmin(area))
+            raise InputError(
+                "face without area in the rest shape",
+                key=f"face {face}",
+                received=float(area[face]),
+                expected="over 1e-12 m2, wound as its flat shape",
+            )
+
+    @property
+    def face_areas(self) -> np.ndarray:
+        """Rest areas [m2], shape (m,)."""
+        return 0.5 * np.linalg.det(self.flat)
+
+    @property
+    def vertex_areas(self) -> np.ndarray:
+        """A third of the rest areas around each vertex [m2], shape (n,)."""
+        area = np.repeat(self.face_areas / 3.0, 3)
+        return np.bincount(self.faces.ravel(), weights=area, minlength=len(self.vertices))
+
+    def side_lengths(self) -> np.ndarray:
+        """Rest lengths of the sides 0-1, 1-2, 2-0 of each face [m], shape (m, 3)."""
+        side_1, side_2 = self.flat[:, :, 0], self.flat[:, :, 1]
+        return np.stack([np.linalg.norm(s, axis=1) for s in (side_1, side_2 - side_1, side_2)], axis=1)
+
+    def edge_lengths(self) -> tuple[np.ndarray, np.ndarray]:
+        """Edges (int32, shape (e, 2)) and their rest lengths [m], shape (e,); mean of both faces."""
+        edges, side_edge = edges_of(self.faces)
+        total = np.bincount(side_edge.ravel(), weights=self.side_lengths().ravel(), minlength=len(edges))
+        return edges, total / np.bincount(side_edge.ravel(), minlength=len(edges))

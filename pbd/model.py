@@ -1,0 +1,263 @@
+"""What does not change while a garment moves (:class:`Model`) and what does (:class:`State`)."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from pbd.bending import hinge_calibration, hinge_rows
+from pbd.errors import InputError
+from pbd.fabric import Fabric
+from pbd.mesh import ClothMesh, greedy_colors
+from pbd.storage import replacing
+
+__all__ = ["Model", "ModelOptions", "State", "build_model"]
+
+GRID = 1.0  # origins are whole multiples of this power of two [m], so that moving one rounds nothing away
+
+
+@dataclass(frozen=True)
+class ModelOptions:
+    """How a model is made from a mesh and a fabric. Units as stated; the defaults are the fabric itself.
+
+    Attributes:
+        squeeze: factor on the in-plane compliance under compression [-]. A coarse mesh cannot buckle where the real cloth does,
+            so its triangles may shorten instead.
+        bend_scale: factor on the bending stiffness [-].
+        tether_slack: length of a tether over the geodesic distance [-]; 0 leaves tethers out.
+    """
+
+    squeeze: float = 1.0
+    bend_scale: float = 1.0
+    tether_slack: float = 1.03
+
+    def __post_init__(self) -> None:
+        for name in ("squeeze", "bend_scale", "tether_slack"):
+            value = getattr(self, name)
+            if not np.isfinite(value) or value < 0 or (name == "squeeze" and value < 1):
+                expected = "a finite number, at least 1" if name == "squeeze" else "a finite number, at least 0"
+                raise InputError("bad model option", key=name, received=value, expected=expected)
+
+
+@dataclass(frozen=True)
+class Model:
+    """One garment, ready for a solver. Arrays are float32 or int32, C-contiguous; constraints are sorted by colour.
+
+    Attributes:
+        mesh: the cloth mesh.
+        fabric: its fabric.
+        options: how it was built.
+        mass: [kg], float64, shape (n,).
+        inverse_mass: [1/kg], 0 where a vertex is held, shape (n,).
+        held: vertices that follow targets (pins and attachments), int32, shape (p,).
+        triangles: shape (m, 3); triangle_data: inverse flat (4), gram (3), compliance (4), shape (m, 11).
+        triangle_colors, hinge_colors: offsets of the colours, shape (colours + 1,).
+        hinges: shape (h, 4); hinge_data: K row (4), sum of w K^2, compliance, shape (h, 6).
+        tethers: (vertex, held vertex), shape (t, 2); tether_lengths: [m], shape (t,).
+        bend_factor: c of the hinge energy, measured on this mesh [-].
+    """
+
+    mesh: ClothMesh
+    fabric: Fabric
+    options: ModelOptions
+    mass: np.ndarray
+    inverse_mass: np.ndarray
+    held: np.ndarray
+    triangles: np.ndarray
+    triangle_data: np.ndarray
+    triangle_colors: np.ndarray
+    hinges: np.ndarray
+    hinge_data: np.ndarray
+    hinge_colors: np.ndarray
+    tethers: np.ndarray
+    tether_lengths: np.ndarray
+    bend_factor: float
+
+    @property
+    def vertex_count(self) -> int:
+        return len(self.mesh.vertices)
+
+
+def build_model(
+    mesh: ClothMesh,
+    fabric: Fabric,
+    held: np.ndarray | None = None,
+    options: ModelOptions | None = None,
+    bend_factor: float | None = None,
+) -> Model:
+    """Model of a mesh in a fabric.
+
+    Args:
+        mesh: the cloth.
+        fabric: SI values.
+        held: vertices that are moved from outside (pins, attachments to a body), int, shape (p,).
+        options: reduced-model factors and tethers.
+        bend_factor: hinge factor c if it was measured before; None measures it.
+
+    Raises:
+        InputError: a held vertex outside the mesh.
+    """
+    options = options or ModelOptions()
+    count = len(mesh.vertices)
+    held = np.unique(np.asarray([] if held is None else held, np.int32))
+    if held.size and (held[0] < 0 or held[-1] >= count):
+        raise InputError("held vertex outside the mesh", key="held", received=int(held[-1]), expected=f"0..{count - 1}")
+    mass = fabric.areal_density * mesh.vertex_areas
+    if np.any(mass <= 0):
+        vertex = int(np.argmin(mass))
+        raise InputError("vertex in no face", key=f"vertex {vertex}", expected="every vertex in a face")
+    inverse_mass = 1.0 / mass
+    inverse_mass[held] = 0.0
+    if bend_factor is None:
+        bend_factor = hinge_calibration(mesh)
+    triangles, triangle_data, triangle_colors = _membrane(mesh, fabric, inverse_mass)
+    hinges, hinge_data, hinge_colors = _bending(mesh, fabric, inverse_mass, options.bend_scale * bend_factor)
+    tethers, lengths = _tethers(mesh, held, options.tether_slack)
+    return Model(
+        mesh,
+        fabric,
+        options,
+        mass,
+        inverse_mass.astype(np.float32),
+        held,
+        triangles,
+        triangle_data,
+        triangle_colors,
+        hinges,
+        hinge_data,
+        hinge_colors,
+        tethers,
+        lengths,
+        float(bend_factor),
+    )
+
+
+def _by_color(members: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Order of the constraints by colour, and the offsets of the colours."""
+    colors = greedy_colors(members, count)
+    order = np.argsort(colors, kind="stable")
+    offsets = np.concatenate([[0], np.cumsum(np.bincount(colors, minlength=1))])
+    return order, offsets.astype(np.int32)
+
+
+def _membrane(mesh: ClothMesh, fabric: Fabric, inverse_mass: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    order, offsets = _by_color(mesh.faces, len(mesh.vertices))
+    faces = mesh.faces[order]
+    inverse = np.linalg.inv(mesh.flat[order])
+    corner_rows = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)  # (m, 3, 2)
+    gram = np.einsum("mc,mca,mcb->mab", inverse_mass[faces], corner_rows, corner_rows)
+    softness = np.linalg.inv(fabric.membrane_stiffness()) / mesh.face_areas[order][:, None, None]
+    data = np.concatenate(
+        [
+            inverse.reshape(-1, 4),
+            np.stack([gram[:, 0, 0], gram[:, 0, 1], gram[:, 1, 1]], axis=1),
+            np.stack([softness[:, 0, 0], softness[:, 0, 1], softness[:, 1, 1], softness[:, 2, 2]], axis=1),
+        ],
+        axis=1,
+    )
+    return np.ascontiguousarray(faces), data.astype(np.float32), offsets
+
+
+def _bending(
+    mesh: ClothMesh, fabric: Fabric, inverse_mass: np.ndarray, factor: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    hinges, rows, areas, angle = hinge_rows(mesh)
+    # A hinge bends at right angles to its edge; between the axes the stiffness follows the square of a mixed root.
+    along_warp, along_weft = np.sin(angle) ** 2, np.cos(angle) ** 2
+    bend = (np.sqrt(fabric.bend_warp) * along_warp + np.sqrt(fabric.bend_weft) * along_weft) ** 2
+    stiffness = 3.0 * factor * bend / areas
+    sums = (inverse_mass[hinges] * rows**2).sum(axis=1)
+    works = (stiffness > 0) & (sums > 0)
+    hinges, rows, stiffness, sums = hinges[works], rows[works], stiffness[works], sums[works]
+    order, offsets = _by_color(hinges, len(mesh.vertices))
+    data = np.concatenate([rows, sums[:, None], 1.0 / stiffness[:, None]], axis=1)[order]
+    return np.ascontiguousarray(hinges[order]), data.astype(np.float32), offsets
+
+
+def _tethers(mesh: ClothMesh, held: np.ndarray, slack: float) -> tuple[np.ndarray, np.ndarray]:
+    """Each free vertex to the held vertex that is nearest along the cloth."""
+    if not held.size or slack == 0.0:
+        return np.zeros((0, 2), np.int32), np.zeros(0, np.float32)
+    edges, lengths = mesh.edge_lengths()
+    count = len(mesh.vertices)
+    graph = csr_matrix((lengths, (edges[:, 0], edges[:, 1])), (count, count))
+    distance, _, source = dijkstra(graph, directed=False, indices=held, min_only=True, return_predecessors=True)
+    free = np.setdiff1d(np.flatnonzero(np.isfinite(distance)), held)
+    tethers = np.stack([free, source[free]], axis=1).astype(np.int32)
+    return tethers, (slack * distance[free]).astype(np.float32)
+
+
+@dataclass
+class State:
+    """Positions and velocities of a garment about a moving origin, with the memory of its contacts.
+
+    Attributes:
+        origin: of the frame in which ``position`` counts [m], float64, shape (3,); whole multiples of 1 m.
+        position: [m], float32, shape (n, 4); the last column is the inverse mass [1/kg].
+        velocity: in the world [m/s], float32, shape (n, 3).
+        nearest: body vertex nearest to each vertex, -1 for none, int32, shape (n,).
+        contact: distance to the body [m] and velocity of the cloth against it along the body's surface [m/s],
+            float32, shape (n, 4); distance is ``pbd.kernels.FAR`` where nothing is near.
+    """
+
+    origin: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    nearest: np.ndarray
+    contact: np.ndarray = field(repr=False)
+
+    @classmethod
+    def at_rest(cls, model: Model, vertices: np.ndarray | None = None) -> State:
+        """State without motion at given world positions [m], shape (n, 3); None takes the mesh's own."""
+        vertices = np.asarray(model.mesh.vertices if vertices is None else vertices, float)
+        count = model.vertex_count
+        if vertices.shape != (count, 3) or not np.isfinite(vertices).all():
+            raise InputError("bad start positions", key="vertices", received=vertices.shape, expected=f"({count}, 3)")
+        origin = GRID * np.round(vertices.mean(axis=0) / GRID)
+        position = np.concatenate([vertices - origin, model.inverse_mass[:, None]], axis=1).astype(np.float32)
+        contact = np.zeros((count, 4), np.float32)
+        return cls(origin, position, np.zeros((count, 3), np.float32), np.full(count, -1, np.int32), contact)
+
+    def world(self) -> np.ndarray:
+        """World positions [m], float64, shape (n, 3)."""
+        return self.position[:, :3] + self.origin
+
+    def move_origin(self, origin: np.ndarray) -> None:
+        """Count positions from another origin; both are whole multiples of a power of two."""
+        if np.any(origin != self.origin):
+            self.position[:, :3] -= (origin - self.origin).astype(np.float32)
+            self.origin = np.array(origin, float)
+
+    def copy(self) -> State:
+        return State(*(getattr(self, name).copy() for name in self._names))
+
+    _names = ("origin", "position", "velocity", "nearest", "contact")
+
+    def hash(self) -> str:
+        """SHA-256 over every bit of the state."""
+        digest = hashlib.sha256()
+        for name in self._names:
+            digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
+        return digest.hexdigest()
+
+    def save(self, path: str) -> None:
+        """Write the state to an ``.npz`` file, beside it first and then renamed."""
+        with replacing(path) as temporary, open(temporary, "wb") as file:
+            np.savez(file, **{name: getattr(self, name) for name in self._names})
+
+    @classmethod
+    def load(cls, path: str) -> State:
+        """Read what :meth:`save` wrote, bit by bit the same.
+
+        Raises:
+            InputError: no such file, or not a state.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                return cls(*(data[name] for name in cls._names))
+        except (OSError, ValueError, KeyError) as error:
+            raise InputError(f"not a saved state: {error}", file=path, expected="a file of State.save") from error
