@@ -1,0 +1,94 @@
+"""The house stands: imports run one way, and playing loads nothing that only learning needs."""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.data import ROOT
+
+FLOORS = ("pbd", "assets", "wrinkles", "runtime", "precompute")  # ground floor first
+PLAYING = FLOORS[:-1]
+NOT_FOR_PLAYING = ("sklearn", "matplotlib", "pyvista", "dask")
+MODULES = [path for floor in FLOORS for path in sorted((ROOT / floor).rglob("*.py"))]
+
+
+def imports(tree: ast.AST, inside_function: bool = False) -> Iterator[tuple[str, bool]]:
+    """Top-level names that a module imports, each with whether a function holds the import."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name.partition(".")[0], inside_function) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield ("." * node.level or (node.module or "").partition(".")[0], inside_function)
+        else:
+            deeper = inside_function or isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
+            yield from imports(node, deeper)
+
+
+def forbidden(relative: Path, source: str) -> list[str]:
+    """What a module imports against the rules of the house."""
+    floor = FLOORS.index(relative.parts[0])
+    found = []
+    for name, inside_function in imports(ast.parse(source)):
+        reaches_up = name in FLOORS[floor + 1 :]
+        may_reach_up = relative == Path("runtime/command.py") and inside_function
+        if (reaches_up and not may_reach_up) or name in (".", "..", "tests"):
+            found.append(f"imports {name}")
+        if relative.parts[0] in PLAYING and name in NOT_FOR_PLAYING and not inside_function:
+            found.append(f"imports {name} outside a function")
+    return found
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_imports_run_one_way(path: Path) -> None:
+    assert forbidden(path.relative_to(ROOT), path.read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize(
+    ("module", "source", "problem"),
+    [
+        ("pbd/a.py", "import assets", "imports assets"),
+        ("pbd/a.py", "def f():\n    from wrinkles.b import c", "imports wrinkles"),
+        ("assets/a.py", "try:\n    import runtime.player\nexcept ImportError: pass", "imports runtime"),
+        ("runtime/a.py", "def f():\n    import precompute.b", "imports precompute"),
+        ("runtime/command.py", "from precompute import b", "imports precompute"),
+        ("wrinkles/a.py", "from sklearn.linear_model import Ridge", "imports sklearn outside a function"),
+        ("assets/a.py", "from . import b", "imports ."),
+        ("precompute/a.py", "import tests.data", "imports tests"),
+    ],
+)
+def test_a_breach_is_found(module: str, source: str, problem: str) -> None:
+    assert forbidden(Path(module), source) == [problem]
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("runtime/command.py", "def demo():\n    from precompute import demo"),
+        ("wrinkles/a.py", "def fit():\n    import sklearn"),
+        ("precompute/a.py", "import pbd, assets, wrinkles, runtime, sklearn"),
+    ],
+)
+def test_what_is_allowed_passes(module: str, source: str) -> None:
+    assert forbidden(Path(module), source) == []
+
+
+def test_playing_loads_nothing_that_only_learning_needs() -> None:
+    """Also through third parties, which the imports' text does not show."""
+    names = [
+        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        for path in MODULES
+        if path.relative_to(ROOT).parts[0] in PLAYING
+    ]
+    script = (
+        "import importlib, sys\n"
+        f"for name in {names!r}:\n"
+        "    importlib.import_module(name)\n"
+        f"    loaded = [top for top in {(*NOT_FOR_PLAYING, 'precompute')!r} if top in sys.modules]\n"
+        "    if loaded: sys.exit(f'{name} loads {loaded}')\n"
+    )
+    result = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
