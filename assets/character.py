@@ -1,21 +1,25 @@
 """A skinned character: one welded mesh, a tree of joints, weights and clips.
 
 Matrices act on column vectors. A *pose* is an array of skinning matrices ``[rotation | translation]``, shape
-(joints, 3, 4): the joint's transform in the world times its inverse bind matrix. The bind pose is therefore the identity,
-and a vertex moves to the sum over its influences of ``weight * (matrix @ (x, y, z, 1))`` (linear-blend skinning).
+(joints, 3, 4): the joint's transform in the world times its inverse bind matrix. The bind pose is therefore the
+identity, and a vertex moves to the sum over its influences of ``weight * (matrix @ (x, y, z, 1))``, linear-blend
+skinning.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from os import PathLike
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from assets.transform import local_matrices
 from pbd.errors import InputError
 
-__all__ = ["Character", "Clip", "local_matrices", "with_clips"]
+__all__ = ["Character", "Clip", "load_character", "with_clips"]
 
 Floats = NDArray[np.float64]
 
@@ -180,6 +184,26 @@ class Character:
         return self.clips[name]
 
 
+def load_character(path: str | PathLike[str], name: str | None = None) -> Character:
+    """A skinned character with all its clips from a glTF 2.0 file (.glb or .gltf), in metres, Y up.
+
+    Primitives of all skinned meshes are merged. Vertices at one position with the same weights become one, so that
+    texture seams close; parts that touch but move apart stay apart. Of more than four influences the best four stay.
+    Morph targets and meshes without a skin are left out.
+
+    Args:
+        path: the file.
+        name: name for messages; the file's name without its suffix if None.
+
+    Raises:
+        InputError: the file cannot be read, has no skin or no weights, holds values that are not finite, looks like
+            centimetres, or asks for something that is not supported; the message names the element.
+    """
+    from assets.gltf_character import read_character  # needs pygltflib, which building a character does not
+
+    return read_character(Path(path), name)
+
+
 def with_clips(character: Character, other: Character) -> Character:
     """The character with the clips of another file of the same mesh and skeleton added.
 
@@ -213,31 +237,6 @@ def with_clips(character: Character, other: Character) -> Character:
     return replace(character, clips={**character.clips, **other.clips})
 
 
-def local_matrices(translation: Floats, rotation: Floats, scale: Floats) -> Floats:
-    """Matrices ``T R S``, shape (..., 4, 4).
-
-    Args:
-        translation: [m], shape (..., 3).
-        rotation: unit quaternions x, y, z, w [-], shape (..., 4).
-        scale: [-], shape (..., 3).
-    """
-    # All ten products of two components in one multiplication: small arrays pay per numpy call.
-    doubled = 2.0 * rotation[..., _FIRST] * rotation[..., _SECOND]
-    xx, yy, zz, xy, xz, yz, xw, yw, zw = np.moveaxis(doubled, -1, 0)
-    matrix = np.zeros((*rotation.shape[:-1], 4, 4))
-    matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 0, 2] = 1.0 - yy - zz, xy - zw, xz + yw
-    matrix[..., 1, 0], matrix[..., 1, 1], matrix[..., 1, 2] = xy + zw, 1.0 - xx - zz, yz - xw
-    matrix[..., 2, 0], matrix[..., 2, 1], matrix[..., 2, 2] = xz - yw, yz + xw, 1.0 - xx - yy
-    matrix[..., :3, :3] *= scale[..., None, :]
-    matrix[..., :3, 3] = translation
-    matrix[..., 3, 3] = 1.0
-    return matrix
-
-
-_FIRST = np.array([0, 1, 2, 0, 0, 1, 0, 1, 2])
-_SECOND = np.array([0, 1, 2, 1, 2, 2, 3, 3, 3])
-
-
 def _check_shapes(character: Character) -> None:
     vertices, joints = len(character.vertices), len(character.joint_names)
     expected = {
@@ -259,6 +258,10 @@ def _check_shapes(character: Character) -> None:
         if not np.isfinite(array).all():
             row = int(np.argwhere(~np.isfinite(array))[0, 0])
             raise InputError("values that are not finite", key=f"{key}, row {row}")
+    linear = character.root_transform[:3, :3]
+    square = linear @ linear.T
+    if np.abs(square - np.eye(3) * square.trace() / 3.0).max() > 1e-4 * square.trace():
+        raise InputError("a root transform that shears or scales unevenly", key=f"character {character.name}")
     bad = np.flatnonzero(((character.faces < 0) | (character.faces >= vertices)).any(axis=1))
     if bad.size:
         raise InputError(
