@@ -1,0 +1,265 @@
+"""Scene files: TOML in, frozen settings out.
+
+Lengths are metres, times seconds, masses kilograms, Y up. A path is relative to the scene file, and ``${GUBE_DATA}`` in
+it stands for the data folder. Every error of a file is reported at once.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from assets.settings import (
+    Check,
+    Reader,
+    Refused,
+    choice,
+    entry,
+    file_path,
+    indices,
+    number,
+    settings_text,
+    table,
+    tables,
+    text,
+    truth,
+    vector,
+    whole,
+)
+from pbd.errors import InputError
+from pbd.fabric import Fabric
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+__all__ = [
+    "CameraSettings",
+    "CapsuleSettings",
+    "CharacterSettings",
+    "GarmentSettings",
+    "MotionSettings",
+    "PlaneSettings",
+    "Scene",
+    "SolverSettings",
+    "SphereSettings",
+    "TrainingSettings",
+    "WindSettings",
+    "WrinkleSettings",
+    "load_scene",
+    "scene_text",
+]
+
+Vector = tuple[float, float, float]
+
+_CHARACTER_FILE = file_path(".glb", ".gltf", builtins=["builtin:mannequin"])
+
+
+def _read_attach(reader: Reader, value: Any, key: str) -> str | tuple[int, ...]:
+    check = indices() if isinstance(value, list) else choice("top", "none")
+    return check.convert(reader, value, key)
+
+
+def _read_fabric(reader: Reader, value: Any, key: str) -> Fabric | None:
+    if isinstance(value, dict):
+        return reader.table(Fabric, value, key)
+    raise Refused
+
+
+_ATTACH = Check("'top', 'none' or a list of boundary loop numbers", _read_attach)
+_FABRIC = Check("name of a preset, path of a .json file or a table of SI values", _read_fabric)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GarmentSettings:
+    """One piece of clothing.
+
+    Attributes:
+        name: name in figures and files, unique in the scene.
+        mesh: path of the garment's mesh, or "builtin:skirt".
+        pattern: whether the mesh's texture coordinates are a flat pattern [m].
+        fabric: what it is made of.
+        subdivisions: how often the coarse mesh is subdivided for the fine one.
+        attach: boundary vertices that the body carries: "top" (the highest loop), "none", or numbers of loops.
+        attach_vertices: more vertices that the body carries.
+        pins: vertices fixed in space.
+        thickness: distance kept from the body [m]; None for the fabric's own.
+    """
+
+    name: str = entry(text())
+    mesh: Path | str = entry(file_path(builtins=["builtin:skirt"]))
+    pattern: bool = entry(truth(), False)
+    fabric: Fabric = entry(_FABRIC, Fabric())
+    subdivisions: int = entry(whole(at_least=0), 2)
+    attach: str | tuple[int, ...] = entry(_ATTACH, "none")
+    attach_vertices: tuple[int, ...] = entry(indices(), ())
+    pins: tuple[int, ...] = entry(indices(), ())
+    thickness: float | None = entry(number(above=0, unit="m"), None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CharacterSettings:
+    """The body and what it does: a glTF character, or a sequence of vertex positions.
+
+    Attributes:
+        file: path of a glTF file, or "builtin:mannequin".
+        sequence: path of a vertex sequence instead.
+        clip: name of the clip to play; None for the file's first.
+    """
+
+    file: Path | str | None = entry(_CHARACTER_FILE, None)
+    sequence: Path | None = entry(file_path(".npz"), None)
+    clip: str | None = entry(text(), None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionSettings:
+    """One clip of one file."""
+
+    file: Path | str = entry(_CHARACTER_FILE)
+    clip: str = entry(text())
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingSettings:
+    """The motions that the wrinkles are learned from and judged on.
+
+    Attributes:
+        clips: clips to learn from.
+        held_out: clips that nothing is learned from.
+        procedural_seconds: length of procedural motion to learn from as well [s].
+    """
+
+    clips: tuple[MotionSettings, ...] = entry(tables(table(MotionSettings)), ())
+    held_out: tuple[MotionSettings, ...] = entry(tables(table(MotionSettings)), ())
+    procedural_seconds: float = entry(number(at_least=0, unit="s"), 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaneSettings:
+    """A solid half space below a plane through ``point`` [m], with ``normal`` [-] of any length."""
+
+    type: str = entry(choice("plane"), "plane")
+    point: Vector = entry(vector(unit="m"), (0.0, 0.0, 0.0))
+    normal: Vector = entry(vector(not_zero=True), (0.0, 1.0, 0.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SphereSettings:
+    """A solid sphere: ``centre`` [m], ``radius`` [m]."""
+
+    type: str = entry(choice("sphere"), "sphere")
+    centre: Vector = entry(vector(unit="m"))
+    radius: float = entry(number(above=0, unit="m"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class CapsuleSettings:
+    """A solid capsule around the segment from ``start`` to ``end`` [m]: ``radius`` [m]."""
+
+    type: str = entry(choice("capsule"), "capsule")
+    start: Vector = entry(vector(unit="m"))
+    end: Vector = entry(vector(unit="m"))
+    radius: float = entry(number(above=0, unit="m"))
+
+
+_COLLIDERS = {"plane": PlaneSettings, "sphere": SphereSettings, "capsule": CapsuleSettings}
+
+
+def _read_collider(reader: Reader, value: Any, key: str) -> Any:
+    if not isinstance(value, dict):
+        raise Refused
+    kind = reader.value(choice(*_COLLIDERS), value.get("type"), f"{key}.type")
+    return reader.table(_COLLIDERS[kind], value, key) if kind else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class WindSettings:
+    """Uniform wind: ``velocity`` [m/s]."""
+
+    velocity: Vector = entry(vector(unit="m/s"), (0.0, 0.0, 0.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolverSettings:
+    """The run-time solver of the coarse garment.
+
+    Attributes:
+        frame_rate: frames per second [Hz].
+        substeps: solver steps per frame.
+        gravity: acceleration of free fall [m/s2].
+    """
+
+    frame_rate: float = entry(number(above=0, unit="Hz"), 60.0)
+    substeps: int = entry(whole(at_least=1), 15)
+    gravity: Vector = entry(vector(unit="m/s2"), (0.0, -9.81, 0.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrinkleSettings:
+    """What is learned.
+
+    Attributes:
+        hidden_width: width of the shipped network's hidden layers.
+        atoms: atoms of the dictionary.
+        seed: seed of every random choice in learning.
+    """
+
+    hidden_width: int = entry(whole(at_least=1), 64)
+    atoms: int = entry(whole(at_least=1), 128)
+    seed: int = entry(whole(at_least=0), 0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraSettings:
+    """A camera of 16:9: ``position`` and ``target`` [m], vertical ``field_of_view_deg`` [deg]."""
+
+    position: Vector = entry(vector(unit="m"), (0.0, 1.0, 3.0))
+    target: Vector = entry(vector(unit="m"), (0.0, 1.0, 0.0))
+    field_of_view_deg: float = entry(number(above=0, below=180, unit="deg"), 40.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """A resolved scene: every default filled in, every path absolute."""
+
+    garments: tuple[GarmentSettings, ...] = entry(
+        tables(table(GarmentSettings), at_least=1, unique="name"), key="garment"
+    )
+    character: CharacterSettings | None = entry(table(CharacterSettings, one_of=("file", "sequence")), None)
+    training: TrainingSettings = entry(table(TrainingSettings), TrainingSettings())
+    colliders: tuple[PlaneSettings | SphereSettings | CapsuleSettings, ...] = entry(
+        tables(Check("a table", _read_collider)), (), key="collider"
+    )
+    wind: WindSettings = entry(table(WindSettings), WindSettings())
+    solver: SolverSettings = entry(table(SolverSettings), SolverSettings())
+    wrinkles: WrinkleSettings = entry(table(WrinkleSettings), WrinkleSettings())
+    camera: CameraSettings = entry(table(CameraSettings), CameraSettings())
+
+
+def load_scene(path: str | Path) -> Scene:
+    """Read a scene file.
+
+    Raises:
+        InputError: the file cannot be read or is not TOML; or what it says cannot be used, with every such place.
+    """
+    path = Path(path)
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError("cannot be read", file=path, received=error.strerror, expected="a scene file") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"not TOML: {error}", file=path) from error
+    reader = Reader(path)
+    scene = reader.table(Scene, values)
+    if reader.errors:
+        raise InputError.join(reader.errors)
+    return scene
+
+
+def scene_text(scene: Scene) -> str:
+    """The scene as TOML that :func:`load_scene` reads back to the same settings."""
+    return settings_text(scene)

@@ -1,0 +1,212 @@
+from dataclasses import fields, replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from assets.scene import CapsuleSettings, CharacterSettings, Scene, load_scene, scene_text
+from pbd.errors import InputError
+from pbd.fabric import Fabric
+
+SKIRT = '[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\n'
+FULL = """
+[[garment]]
+name = "dress"
+mesh = "dress.obj"
+pattern = true
+fabric = { areal_density = 0.2, bend_warp = 0 }
+subdivisions = 1
+attach = [0, 2]
+attach_vertices = [7]
+pins = [5, 6]
+thickness = 0.002
+
+[[garment]]
+name = "skirt"
+mesh = "builtin:skirt"
+attach = "top"
+
+[character]
+file = "builtin:mannequin"
+clip = "walk"
+
+[training]
+clips = [{ file = "builtin:mannequin", clip = "walk" }]
+held_out = [{ file = "builtin:mannequin", clip = "turn" }]
+procedural_seconds = 20
+
+[[collider]]
+type = "plane"
+
+[[collider]]
+type = "sphere"
+centre = [0, 1, 0]
+radius = 0.1
+
+[[collider]]
+type = "capsule"
+start = [0, 0, 0]
+end = [0, 1, 0]
+radius = 0.1
+
+[wind]
+velocity = [1, 0, 0.5]
+
+[solver]
+frame_rate = 50
+substeps = 10
+gravity = [0, -1.62, 0]
+
+[wrinkles]
+hidden_width = 32
+atoms = 16
+seed = 3
+
+[camera]
+position = [0, 1, 4]
+target = [0, 0.9, 0]
+field_of_view_deg = 35
+"""
+
+
+@pytest.fixture
+def load(tmp_path: Path):
+    """Writes a scene file beside a garment and loads it."""
+    (tmp_path / "dress.obj").touch()
+
+    def write_and_load(text: str) -> Scene:
+        path = tmp_path / "scene.toml"
+        path.write_text(text, encoding="utf-8")
+        return load_scene(path)
+
+    return write_and_load
+
+
+def refused(load, text: str) -> str:
+    with pytest.raises(InputError) as caught:
+        load(text)
+    return str(caught.value)
+
+
+def test_a_short_scene_has_the_defaults(load) -> None:
+    scene = load(SKIRT)
+    (skirt,) = scene.garments
+    assert (skirt.mesh, skirt.subdivisions, skirt.attach, skirt.fabric) == ("builtin:skirt", 2, "none", Fabric())
+    assert scene.character is None
+    assert scene.solver.gravity == (0.0, -9.81, 0.0)
+
+
+def test_every_key_is_read(load, tmp_path: Path) -> None:
+    scene = load(FULL)
+    dress, skirt = scene.garments
+    assert dress.mesh == (tmp_path / "dress.obj").resolve()
+    assert dress.fabric == Fabric(areal_density=0.2, bend_warp=0)
+    assert (dress.pattern, dress.subdivisions, dress.thickness) == (True, 1, 0.002)
+    assert (dress.attach, dress.attach_vertices, dress.pins, skirt.attach) == ((0, 2), (7,), (5, 6), "top")
+    assert scene.character == CharacterSettings(file="builtin:mannequin", clip="walk")
+    assert [motion.clip for motion in scene.training.clips + scene.training.held_out] == ["walk", "turn"]
+    assert [collider.type for collider in scene.colliders] == ["plane", "sphere", "capsule"]
+    assert scene.colliders[2] == CapsuleSettings(start=(0.0, 0.0, 0.0), end=(0.0, 1.0, 0.0), radius=0.1)
+    # No section is left at its defaults: each default would show that its keys went unread.
+    sections = (scene.training, scene.wind, scene.solver, scene.wrinkles, scene.camera)
+    for section in sections:
+        unread = [
+            one.name for one in fields(section) if getattr(section, one.name) == getattr(type(section)(), one.name)
+        ]
+        assert unread == [], type(section)
+
+
+@pytest.mark.parametrize("text", [SKIRT, FULL], ids=["short", "full"])
+def test_the_printed_scene_reads_back(load, text: str) -> None:
+    scene = load(text)
+    assert load(scene_text(scene)) == scene
+
+
+def test_the_printed_scene_shows_defaults_with_units(load) -> None:
+    printed = scene_text(load(SKIRT))
+    assert "gravity = [0.0, -9.81, 0.0]  # [m/s2]" in printed
+    assert "[garment.fabric]\nareal_density = 0.15" in printed
+
+
+@given(name=st.text(st.characters(codec="utf-8", exclude_characters="\x7f"), min_size=1).filter(str.strip))
+def test_any_name_survives_printing(name: str, tmp_path_factory: pytest.TempPathFactory) -> None:
+    path = tmp_path_factory.mktemp("scene") / "scene.toml"
+    path.write_text(SKIRT, encoding="utf-8")
+    scene = load_scene(path)
+    named = replace(scene, garments=(replace(scene.garments[0], name=name),))
+    path.write_text(scene_text(named), encoding="utf-8", newline="")
+    assert load_scene(path) == named
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("", ["garment: missing key"]),
+        ("garment = []", ["garment: bad value", "at least 1"]),
+        (SKIRT + "subdivision = 2", ["garment[0].subdivision: unknown key", "did you mean 'subdivisions'?"]),
+        (SKIRT + "[solvr]", ["solvr: unknown key", "did you mean 'solver'?"]),
+        (SKIRT + SKIRT, ["garment: the same name twice", "'skirt'"]),
+        (SKIRT + "subdivisions = 1.5", ["received 1.5", "a whole number, at least 0"]),
+        (SKIRT + "subdivisions = true", ["received True", "a whole number"]),
+        (SKIRT + 'pattern = "yes"', ["received 'yes'", "true or false"]),
+        (SKIRT + "thickness = 0", ["received 0", "a finite number, above 0 [m]"]),
+        (SKIRT + "thickness = nan", ["received nan"]),
+        (SKIRT + "thickness = inf", ["received inf"]),
+        (SKIRT + 'attach = "topp"', ["received 'topp'", "did you mean 'top'?"]),
+        (SKIRT + "pins = [1, 1]", ["received [1, 1]", "different"]),
+        (SKIRT + "pins = [-1]", ["received [-1]"]),
+        (SKIRT + "fabric = { areal_density = -1 }", ["garment[0].fabric.areal_density", "received -1"]),
+        (SKIRT + "fabric = { shear = nan, thickness = 0 }", ["fabric.shear", "fabric.thickness", "received nan"]),
+        (SKIRT + "fabric = { sheer = 1 }", ["garment[0].fabric.sheer: unknown key", "did you mean 'shear'?"]),
+        (SKIRT + "fabric = 3", ["garment[0].fabric: bad value", "received 3"]),
+        (SKIRT.replace("builtin:skirt", "builtin:skrt"), ["builtin:skrt", "did you mean 'builtin:skirt'?"]),
+        (SKIRT.replace("builtin:skirt", "absent.obj"), ["no such file", "absent.obj"]),
+        (SKIRT.replace("builtin:skirt", "${HOME}/a.obj"), ["unknown variable", "${GUBE_DATA}"]),
+        (SKIRT + "[character]", ["character: missing key", "'file', 'sequence'"]),
+        (SKIRT + '[character]\nfile = "dress.obj"', ["character.file", "received 'dress.obj'", ".glb"]),
+        (SKIRT + "[[collider]]", ["collider[0].type", "'capsule'"]),
+        (SKIRT + '[[collider]]\ntype = "sphere"', ["collider[0].centre: missing key", "collider[0].radius"]),
+        (SKIRT + '[[collider]]\ntype = "plane"\nnormal = [0, 0, 0]', ["collider[0].normal", "not all zero"]),
+        (SKIRT + "[wind]\nvelocity = [1, 2]", ["wind.velocity", "received [1, 2]", "three finite numbers [m/s]"]),
+        (SKIRT + "[camera]\nfield_of_view_deg = 180", ["camera.field_of_view_deg", "below 180 [deg]"]),
+        (SKIRT + "solver = 3\n", ["garment[0].solver: unknown key"]),
+        ("solver = 3\n" + SKIRT, ["solver: bad value", "received 3", "a table"]),
+        ("garment = {", ["not TOML"]),
+    ],
+)
+def test_what_is_refused_and_how_it_is_said(load, text: str, parts: list[str]) -> None:
+    message = refused(load, text)
+    assert "scene.toml" in message
+    for part in parts:
+        assert part in message
+
+
+def test_all_errors_are_reported_at_once(load) -> None:
+    message = refused(
+        load,
+        SKIRT
+        + "thickness = -1\nfabric = { sheer = 1 }\n[character]\nfil = 1\n[solver]\nsubsteps = 0\n[wind]\nspeed = 3",
+    )
+    for key in ("thickness", "fabric.sheer", "character", "character.fil", "solver.substeps", "wind.speed"):
+        assert f"{key}: " in message
+    assert message.startswith("6 problems:")
+
+
+def test_the_data_folder_comes_from_the_environment(load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = tmp_path / "data"
+    data.mkdir()
+    (data / "shirt.obj").touch()
+    text = SKIRT.replace("builtin:skirt", "${GUBE_DATA}/shirt.obj")
+    monkeypatch.setenv("GUBE_DATA", str(data))
+    assert load(text).garments[0].mesh == (data / "shirt.obj").resolve()
+    monkeypatch.delenv("GUBE_DATA")
+    here = tmp_path / "checkout"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    assert "shared/data/shirt.obj" in refused(load, text)
+
+
+def test_a_missing_scene_file_is_bad_input(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="absent.toml: cannot be read"):
+        load_scene(tmp_path / "absent.toml")
