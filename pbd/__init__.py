@@ -1,6 +1,27 @@
 """Cloth, fabrics, colliders and time: the solvers and everything they stand on."""
 
+from pbd.colliders import Body, Capsule, Colliders, Plane, Sphere
 from pbd.engine import ensure_initialized
 from pbd.errors import InputError
+from pbd.fabric import Fabric
+from pbd.mesh import ClothMesh
+from pbd.model import Model, ModelOptions, State, build_model
+from pbd.solver import Solver, SolverOptions
 
-__all__ = ["InputError", "ensure_initialized"]
+__all__ = [
+    "Body",
+    "Capsule",
+    "ClothMesh",
+    "Colliders",
+    "Fabric",
+    "InputError",
+    "Model",
+    "ModelOptions",
+    "Plane",
+    "Sphere",
+    "Solver",
+    "SolverOptions",
+    "State",
+    "build_model",
+    "ensure_initialized",
+]

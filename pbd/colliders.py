@@ -1,0 +1,153 @@
+"""Colliders: planes, spheres, capsules and one animated triangle mesh (a body)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pbd.errors import InputError
+from pbd.kernels import body_normals
+from pbd.mesh import vertex_rings
+
+__all__ = ["Body", "Capsule", "Colliders", "Plane", "Sphere"]
+
+
+def _vector(value: Sequence[float], key: str) -> np.ndarray:
+    vector = np.asarray(value, float)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise InputError("bad vector", key=key, received=value, expected="three finite numbers")
+    return vector
+
+
+@dataclass
+class Plane:
+    """Half space below a plane. ``point`` [m] may be moved between frames; ``normal`` points to the free side."""
+
+    point: Sequence[float]
+    normal: Sequence[float] = (0.0, 1.0, 0.0)
+
+    def row(self) -> np.ndarray:
+        normal = _vector(self.normal, "plane.normal")
+        size = np.linalg.norm(normal)
+        if size == 0:
+            raise InputError("plane without direction", key="plane.normal", received=self.normal, expected="not zero")
+        return np.concatenate([[0.0, 0.0], _vector(self.point, "plane.point"), normal / size])
+
+
+@dataclass
+class Sphere:
+    """Ball; ``centre`` [m] may be moved between frames."""
+
+    centre: Sequence[float]
+    radius: float
+
+    def row(self) -> np.ndarray:
+        _positive_radius(self.radius, "sphere.radius")
+        return np.concatenate([[1.0, self.radius], _vector(self.centre, "sphere.centre"), np.zeros(3)])
+
+
+@dataclass
+class Capsule:
+    """Points within ``radius`` [m] of a segment; both ends [m] may be moved between frames."""
+
+    start: Sequence[float]
+    end: Sequence[float]
+    radius: float
+
+    def row(self) -> np.ndarray:
+        _positive_radius(self.radius, "capsule.radius")
+        ends = _vector(self.start, "capsule.start"), _vector(self.end, "capsule.end")
+        return np.concatenate([[2.0, self.radius], *ends])
+
+
+def _positive_radius(radius: float, key: str) -> None:
+    if not np.isfinite(radius) or radius <= 0:
+        raise InputError("bad radius", key=key, received=radius, expected="a finite number above 0 [m]")
+
+
+class Body:
+    """An animated triangle mesh to collide with: the last two poses of a frame, and its neighbourhoods.
+
+    Args:
+        faces: int, shape (m, 3), counter-clockwise seen from outside.
+        vertex_count: number of vertices.
+
+    Attributes:
+        previous, current: positions about the state's origin at the start and end of the frame [m], float32, shape (n, 3).
+        normals: unit vertex normals of the current pose, float32, shape (n, 3).
+    """
+
+    def __init__(self, faces: np.ndarray, vertex_count: int) -> None:
+        self.faces = np.ascontiguousarray(faces, np.int32)
+        if self.faces.size and (self.faces.min() < 0 or self.faces.max() >= vertex_count):
+            raise InputError(
+                "body face points outside the mesh",
+                key="faces",
+                received=int(self.faces.max()),
+                expected=f"0..{vertex_count - 1}",
+            )
+        self.previous = np.zeros((vertex_count, 3), np.float32)
+        self.current = np.zeros((vertex_count, 3), np.float32)
+        self.normals = np.zeros((vertex_count, 3), np.float32)
+        self.ring_start, self.ring = vertex_rings(self.faces, vertex_count)
+        order = np.argsort(self.faces.ravel(), kind="stable")
+        counts = np.bincount(self.faces.ravel(), minlength=vertex_count)
+        self.fan_start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+        self.fan = (order // 3).astype(np.int32)
+        self.origin = np.zeros(3)
+        self._placed = False
+
+    def advance(self, vertices: np.ndarray) -> None:
+        """Make ``vertices`` [m], float32, shape (n, 3), about ``origin``, the current pose; the last becomes the previous."""
+        self.previous, self.current = self.current, self.previous
+        self.current[:] = vertices
+        self.finish_pose()
+
+    def finish_pose(self) -> None:
+        """Bring normals up to date after ``current`` was written in place."""
+        if not self._placed:
+            self.previous[:] = self.current
+            self._placed = True
+        body_normals(self.current, self.faces, self.normals)
+
+    def place(self, vertices: np.ndarray) -> None:
+        """Put the body somewhere without motion."""
+        self._placed = False
+        self.advance(vertices)
+
+    def move_origin(self, origin: np.ndarray) -> None:
+        """Count from another origin; see :meth:`pbd.State.move_origin`."""
+        if np.any(origin != self.origin):
+            shift = (origin - self.origin).astype(np.float32)
+            self.previous -= shift
+            self.current -= shift
+            self.origin = np.array(origin, float)
+
+
+class Colliders:
+    """What a garment collides with in one step.
+
+    Args:
+        primitives: planes, spheres, capsules in world coordinates.
+        body: animated mesh, or None.
+    """
+
+    def __init__(self, primitives: Sequence[Plane | Sphere | Capsule] = (), body: Body | None = None) -> None:
+        self.primitives = list(primitives)
+        self.body = body
+        self._last: np.ndarray | None = None
+
+    def rows(self, origin: np.ndarray) -> np.ndarray:
+        """Primitives at the start and end of the frame about an origin: float32, shape (k, 14)."""
+        now = np.array([p.row() for p in self.primitives]).reshape(-1, 8)
+        before = self._last if self._last is not None and self._last.shape == now.shape else now
+        self._last = now
+        rows = np.concatenate([before, now[:, 2:]], axis=1)
+        rows[:, 2:5] -= origin
+        rows[:, 8:11] -= origin
+        capsule = rows[:, 0] == 2.0
+        rows[capsule, 5:8] -= origin
+        rows[capsule, 11:14] -= origin
+        return rows.astype(np.float32)

@@ -1,0 +1,468 @@
+"""The serial, fused schedule: one kernel a frame, all substeps inside.
+
+Everything runs in one loop on one thread, in a fixed order, so results do not depend on the thread count. Constraints
+come sorted by colour: an order that sweeps the mesh from one end to the other is unstable.
+"""
+
+from pbd.constraints import (
+    contact_correction,
+    drag_velocity,
+    hinge_multiplier,
+    membrane_multipliers,
+    tether_correction,
+)
+from pbd.engine import ti
+
+__all__ = ["FAR", "MAX_CELLS", "advance", "body_normals", "find_nearest"]
+
+vec3 = ti.math.vec3
+Vec4 = ti.types.ndarray(dtype=ti.math.vec4, ndim=1)
+Vec3 = ti.types.ndarray(dtype=ti.math.vec3, ndim=1)
+Int4 = ti.types.ndarray(dtype=ti.types.vector(4, ti.i32), ndim=1)
+Int3 = ti.types.ndarray(dtype=ti.types.vector(3, ti.i32), ndim=1)
+Int2 = ti.types.ndarray(dtype=ti.types.vector(2, ti.i32), ndim=1)
+Int1 = ti.types.ndarray(dtype=ti.i32, ndim=1)
+Float1 = ti.types.ndarray(dtype=ti.f32, ndim=1)
+Float2 = ti.types.ndarray(dtype=ti.f32, ndim=2)
+
+FAR = 0.04  # bodies are looked for up to this distance from the cloth [m]
+GRID_SIDE = 48
+MAX_CELLS = GRID_SIDE**3
+
+
+@ti.func
+def xyz(p):
+    return vec3(p[0], p[1], p[2])
+
+
+@ti.func
+def closest_on_triangle(p: vec3, a: vec3, b: vec3, c: vec3) -> vec3:
+    """Barycentric coordinates of the point of a triangle closest to p (Ericson 2005, section 5.1.5)."""
+    ab, ac, ap = b - a, c - a, p - a
+    d1, d2 = ab.dot(ap), ac.dot(ap)
+    bp, cp = p - b, p - c
+    d3, d4 = ab.dot(bp), ac.dot(bp)
+    d5, d6 = ab.dot(cp), ac.dot(cp)
+    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+    result = vec3(1.0, 0.0, 0.0)
+    if d1 <= 0.0 and d2 <= 0.0:
+        result = vec3(1.0, 0.0, 0.0)
+    elif d3 >= 0.0 and d4 <= d3:
+        result = vec3(0.0, 1.0, 0.0)
+    elif d6 >= 0.0 and d5 <= d6:
+        result = vec3(0.0, 0.0, 1.0)
+    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        t = d1 / (d1 - d3)
+        result = vec3(1.0 - t, t, 0.0)
+    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        t = d2 / (d2 - d6)
+        result = vec3(1.0 - t, 0.0, t)
+    elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
+        t = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        result = vec3(0.0, 1.0 - t, t)
+    else:
+        s = 1.0 / ti.max(va + vb + vc, 1e-30)
+        result = vec3(va * s, vb * s, vc * s)
+    return result
+
+
+@ti.func
+def descend(
+    p: vec3,
+    start: ti.i32,
+    t: ti.f32,
+    body_0: ti.template(),
+    body_1: ti.template(),
+    ring_start: ti.template(),
+    ring: ti.template(),
+) -> ti.i32:
+    """Body vertex reached from ``start`` by walking to nearer neighbours; the body stands at t in [0, 1] of the frame."""
+    best = start
+    offset = body_0[best] + t * (body_1[best] - body_0[best]) - p
+    distance = offset.dot(offset)
+    moved = True
+    steps = 0
+    while moved and steps < 16:
+        moved = False
+        steps += 1
+        here = best
+        for q in range(ring_start[here], ring_start[here + 1]):
+            other = ring[q]
+            offset = body_0[other] + t * (body_1[other] - body_0[other]) - p
+            candidate = offset.dot(offset)
+            if candidate < distance:
+                distance = candidate
+                best = other
+                moved = True
+    return best
+
+
+@ti.kernel
+def body_normals(vertices: Vec3, faces: Int3, normals: Vec3):
+    """Unit vertex normals of a body, weighted by area."""
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        for i in range(normals.shape[0]):
+            normals[i] = vec3(0.0)
+        for c in range(faces.shape[0]):
+            f = faces[c]
+            x0 = vertices[f[0]]
+            n = (vertices[f[1]] - x0).cross(vertices[f[2]] - x0)
+            for a in ti.static(range(3)):
+                normals[f[a]] += n
+        for i in range(normals.shape[0]):
+            normals[i] /= ti.max(normals[i].norm(), 1e-20)
+
+
+@ti.kernel
+def find_nearest(
+    position: Vec4,
+    nearest: Int1,
+    body: Vec3,
+    ring_start: Int1,
+    ring: Int1,
+    cell_start: Int1,
+    cell_items: Int1,
+):
+    """For every cloth vertex the nearest body vertex within FAR, or the one that it had, followed; else -1.
+
+    A uniform grid over the cloth's box, filled by counting sort. Cells are at least FAR wide, so that 27 of them hold
+    everything within FAR.
+    """
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        low = vec3(1e30)
+        high = vec3(-1e30)
+        for i in range(position.shape[0]):
+            low = ti.min(low, xyz(position[i]))
+            high = ti.max(high, xyz(position[i]))
+        low -= FAR
+        high += FAR
+        size = high - low
+        cell = ti.max(FAR, size.max() / GRID_SIDE * 1.0001)
+        nx = ti.min(int(size[0] / cell) + 1, GRID_SIDE)
+        ny = ti.min(int(size[1] / cell) + 1, GRID_SIDE)
+        nz = ti.min(int(size[2] / cell) + 1, GRID_SIDE)
+        for c in range(nx * ny * nz + 1):
+            cell_start[c] = 0
+        for b in range(body.shape[0]):
+            q = (body[b] - low) / cell
+            if q.min() >= 0.0 and q[0] < nx and q[1] < ny and q[2] < nz:
+                cell_start[(int(q[0]) * ny + int(q[1])) * nz + int(q[2]) + 1] += 1
+        for c in range(nx * ny * nz):
+            cell_start[c + 1] += cell_start[c]
+        total = cell_start[nx * ny * nz]
+        # Filled from the back, cell c starts at cell_start[c + 1] in the end.
+        for r in range(body.shape[0]):
+            b = body.shape[0] - 1 - r
+            q = (body[b] - low) / cell
+            if q.min() >= 0.0 and q[0] < nx and q[1] < ny and q[2] < nz:
+                c = (int(q[0]) * ny + int(q[1])) * nz + int(q[2]) + 1
+                cell_start[c] -= 1
+                cell_items[cell_start[c]] = b
+        cell_start[nx * ny * nz + 1] = total
+
+        for i in range(position.shape[0]):
+            p = xyz(position[i])
+            best = -1
+            distance = FAR * FAR
+            if nearest[i] >= 0:
+                followed = descend(p, nearest[i], 0.0, body, body, ring_start, ring)
+                offset = body[followed] - p
+                if offset.dot(offset) < 4.0 * FAR * FAR:
+                    best = followed
+                    distance = ti.min(distance, offset.dot(offset))
+            q = (p - low) / cell
+            qx, qy, qz = int(q[0]), int(q[1]), int(q[2])
+            for ix in range(ti.max(qx - 1, 0), ti.min(qx + 2, nx)):
+                for iy in range(ti.max(qy - 1, 0), ti.min(qy + 2, ny)):
+                    # Cells along z lie next to one another: one run of items.
+                    row = (ix * ny + iy) * nz + 1
+                    first = cell_start[row + ti.max(qz - 1, 0)]
+                    last = cell_start[row + ti.min(qz + 2, nz)]
+                    for s in range(first, last):
+                        b = cell_items[s]
+                        offset = body[b] - p
+                        candidate = offset.dot(offset)
+                        if candidate < distance:
+                            distance = candidate
+                            best = b
+            nearest[i] = best
+
+
+@ti.func
+def solve_membrane(
+    position: ti.template(), triangles: ti.template(), data: ti.template(), inverse_h2: ti.f32, squeeze: ti.f32
+):
+    for c in range(triangles.shape[0]):
+        i, j, k = triangles[c][0], triangles[c][1], triangles[c][2]
+        p0, p1, p2 = position[i], position[j], position[k]
+        b00, b01, b10, b11 = data[c, 0], data[c, 1], data[c, 2], data[c, 3]
+        g = membrane_multipliers(
+            xyz(p1) - xyz(p0),
+            xyz(p2) - xyz(p0),
+            ti.math.vec4(b00, b01, b10, b11),
+            vec3(data[c, 4], data[c, 5], data[c, 6]),
+            ti.math.vec4(data[c, 7], data[c, 8], data[c, 9], data[c, 10]) * inverse_h2,
+            squeeze,
+        )
+        gu, gv = vec3(g[0, 0], g[1, 0], g[2, 0]), vec3(g[0, 1], g[1, 1], g[2, 1])
+        m1 = p1[3] * (b00 * gu + b01 * gv)
+        m2 = p2[3] * (b10 * gu + b11 * gv)
+        m0 = -p0[3] * ((b00 + b10) * gu + (b01 + b11) * gv)
+        position[i] = ti.math.vec4(p0[0] + m0[0], p0[1] + m0[1], p0[2] + m0[2], p0[3])
+        position[j] = ti.math.vec4(p1[0] + m1[0], p1[1] + m1[1], p1[2] + m1[2], p1[3])
+        position[k] = ti.math.vec4(p2[0] + m2[0], p2[1] + m2[1], p2[2] + m2[2], p2[3])
+
+
+@ti.func
+def moved_by(p, weight: ti.f32, multiplier: vec3):
+    s = p[3] * weight
+    return ti.math.vec4(p[0] + s * multiplier[0], p[1] + s * multiplier[1], p[2] + s * multiplier[2], p[3])
+
+
+@ti.func
+def solve_bending(position: ti.template(), hinges: ti.template(), data: ti.template(), inverse_h2: ti.f32):
+    for c in range(hinges.shape[0]):
+        q = hinges[c]
+        p0, p1, p2, p3 = position[q[0]], position[q[1]], position[q[2]], position[q[3]]
+        rows = ti.math.vec4(data[c, 0], data[c, 1], data[c, 2], data[c, 3])
+        x0 = xyz(p0)
+        multiplier = hinge_multiplier(
+            xyz(p1) - x0, xyz(p2) - x0, xyz(p3) - x0, rows, 1.0 / (data[c, 4] + data[c, 5] * inverse_h2)
+        )
+        position[q[0]] = moved_by(p0, rows[0], multiplier)
+        position[q[1]] = moved_by(p1, rows[1], multiplier)
+        position[q[2]] = moved_by(p2, rows[2], multiplier)
+        position[q[3]] = moved_by(p3, rows[3], multiplier)
+
+
+@ti.func
+def surface_normals(position: ti.template(), triangles: ti.template(), scratch: ti.template()):
+    """Unit vertex normals into columns 3..5 of scratch."""
+    for i in range(position.shape[0]):
+        for a in ti.static(range(3)):
+            scratch[i, 3 + a] = 0.0
+    for c in range(triangles.shape[0]):
+        i, j, k = triangles[c][0], triangles[c][1], triangles[c][2]
+        x0 = xyz(position[i])
+        n = (xyz(position[j]) - x0).cross(xyz(position[k]) - x0)
+        for a in ti.static(range(3)):
+            scratch[i, 3 + a] += n[a]
+            scratch[j, 3 + a] += n[a]
+            scratch[k, 3 + a] += n[a]
+    for i in range(position.shape[0]):
+        n = vec3(scratch[i, 3], scratch[i, 4], scratch[i, 5])
+        n /= ti.max(n.norm(), 1e-20)
+        for a in ti.static(range(3)):
+            scratch[i, 3 + a] = n[a]
+
+
+@ti.func
+def body_point(face, weights: vec3, t: ti.f32, body_0: ti.template(), body_1: ti.template()) -> vec3:
+    """Point of a body face at t in [0, 1] of the frame."""
+    p = vec3(0.0)
+    for a in ti.static(range(3)):
+        b = face[a]
+        p += weights[a] * (body_0[b] + t * (body_1[b] - body_0[b]))
+    return p
+
+
+@ti.func
+def touch_body(
+    p: vec3,
+    i: ti.i32,
+    t: ti.f32,
+    nearest: ti.template(),
+    body_0: ti.template(),
+    body_1: ti.template(),
+    faces: ti.template(),
+    ring_start: ti.template(),
+    ring: ti.template(),
+    fan_start: ti.template(),
+    fan: ti.template(),
+    normals: ti.template(),
+    scratch: ti.template(),
+):
+    """Find again where vertex i touches: body face (column 9), weights (6..8), normal (10..12) of scratch."""
+    b = descend(p, nearest[i], t, body_0, body_1, ring_start, ring)
+    nearest[i] = b
+    best_distance = 1e30
+    best_face = -1
+    best_weights = vec3(0.0)
+    for q in range(fan_start[b], fan_start[b + 1]):
+        f = faces[fan[q]]
+        x0 = body_0[f[0]] + t * (body_1[f[0]] - body_0[f[0]])
+        x1 = body_0[f[1]] + t * (body_1[f[1]] - body_0[f[1]])
+        x2 = body_0[f[2]] + t * (body_1[f[2]] - body_0[f[2]])
+        weights = closest_on_triangle(p, x0, x1, x2)
+        offset = weights[0] * x0 + weights[1] * x1 + weights[2] * x2 - p
+        distance = offset.dot(offset)
+        if distance < best_distance:
+            best_distance = distance
+            best_face = fan[q]
+            best_weights = weights
+    f = faces[best_face]
+    normal = best_weights[0] * normals[f[0]] + best_weights[1] * normals[f[1]] + best_weights[2] * normals[f[2]]
+    normal /= ti.max(normal.norm(), 1e-20)
+    # The smooth normal decides the side; the exact direction to the surface, where there is one, is the contact's.
+    offset = p - body_point(f, best_weights, t, body_0, body_1)
+    size = offset.norm()
+    if size > 1e-4:
+        exact = offset / size
+        along = exact.dot(normal)
+        if along > 0.5:
+            normal = exact
+        elif along < -0.5:
+            normal = -exact
+    scratch[i, 9] = ti.cast(best_face, ti.f32)
+    for a in ti.static(range(3)):
+        scratch[i, 6 + a] = best_weights[a]
+        scratch[i, 10 + a] = normal[a]
+
+
+@ti.func
+def collide_primitives(
+    p: vec3, start: vec3, t: ti.f32, dt_share: ti.f32, primitives: ti.template(), thickness: ti.f32, friction: ti.f32
+):
+    """Correction by planes (0), spheres (1) and capsules (2); rows: kind, radius, a0, b0, a1, b1 (start, end of frame)."""
+    total = vec3(0.0)
+    for c in range(primitives.shape[0]):
+        kind = int(primitives[c, 0])
+        a0 = vec3(primitives[c, 2], primitives[c, 3], primitives[c, 4])
+        b0 = vec3(primitives[c, 5], primitives[c, 6], primitives[c, 7])
+        da = vec3(primitives[c, 8], primitives[c, 9], primitives[c, 10]) - a0
+        db = vec3(primitives[c, 11], primitives[c, 12], primitives[c, 13]) - b0
+        a, b = a0 + t * da, b0 + t * db
+        here = p + total
+        normal = b
+        gap = (here - a).dot(b) - thickness
+        carried = da * dt_share  # motion of the touched point over the substep
+        if kind > 0:
+            centre = a
+            if kind == 2:
+                axis = b - a
+                share = ti.math.clamp((here - a).dot(axis) / ti.max(axis.dot(axis), 1e-20), 0.0, 1.0)
+                centre = a + share * axis
+                carried = (da + share * (db - da)) * dt_share
+            offset = here - centre
+            size = offset.norm()
+            normal = vec3(0.0, 1.0, 0.0)
+            if size > 1e-9:
+                normal = offset / size
+            gap = size - primitives[c, 1] - thickness
+        total += contact_correction(gap, normal, here - start - carried, friction)
+    return total
+
+
+@ti.kernel
+def advance(
+    position: Vec4,
+    velocity: Vec3,
+    scratch: Float2,
+    triangles: Int3,
+    triangle_data: Float2,
+    hinges: Int4,
+    hinge_data: Float2,
+    tethers: Int2,
+    tether_lengths: Float1,
+    held: Int1,
+    target_0: Vec3,
+    target_1: Vec3,
+    drag: Float1,
+    primitives: Float2,
+    nearest: Int1,
+    contact: Vec4,
+    body_0: Vec3,
+    body_1: Vec3,
+    body_normals: Vec3,
+    body_faces: Int3,
+    ring_start: Int1,
+    ring: Int1,
+    fan_start: Int1,
+    fan: Int1,
+    substeps: ti.i32,
+    h: ti.f32,
+    gravity: vec3,
+    wind: vec3,
+    squeeze: ti.f32,
+    thickness: ti.f32,
+    friction: ti.f32,
+    refresh: ti.i32,
+):
+    """Advance a garment by ``substeps`` steps of h [s].
+
+    Per substep: predict, held vertices, membrane, bending, tethers, contact, velocities. Velocity keeps its own digits: it
+    takes (x - prediction)/h, the sum of the corrections, instead of a difference of world positions.
+    """
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        inverse_h = 1.0 / h
+        inverse_h2 = inverse_h * inverse_h
+        count = position.shape[0]
+        share = 1.0 / substeps
+        surface_normals(position, triangles, scratch)
+        for step in range(substeps):
+            t = (step + 1) * share
+            for i in range(count):
+                p = position[i]
+                if p[3] > 0.0:
+                    v = velocity[i] + h * gravity
+                    normal = vec3(scratch[i, 3], scratch[i, 4], scratch[i, 5])
+                    v += drag_velocity(v - wind, normal, h * drag[i])
+                    velocity[i] = v
+                    x = xyz(p) + h * v
+                    position[i] = ti.math.vec4(x[0], x[1], x[2], p[3])
+                    for a in ti.static(range(3)):
+                        scratch[i, a] = x[a]
+            for c in range(held.shape[0]):
+                i = held[c]
+                x = target_0[c] + t * (target_1[c] - target_0[c])
+                position[i] = ti.math.vec4(x[0], x[1], x[2], 0.0)
+
+            solve_membrane(position, triangles, triangle_data, inverse_h2, squeeze)
+            solve_bending(position, hinges, hinge_data, inverse_h2)
+            for c in range(tethers.shape[0]):
+                i = tethers[c][0]
+                p = position[i]
+                m = tether_correction(xyz(p) - xyz(position[tethers[c][1]]), tether_lengths[c])
+                position[i] = ti.math.vec4(p[0] + m[0], p[1] + m[1], p[2] + m[2], p[3])
+
+            find_again = step % refresh == 0
+            for i in range(count):
+                p = position[i]
+                if p[3] > 0.0:
+                    x = xyz(p)
+                    predicted = vec3(scratch[i, 0], scratch[i, 1], scratch[i, 2])
+                    start = predicted - h * velocity[i]
+                    if nearest[i] >= 0:
+                        if find_again:
+                            touch_body(
+                                x, i, t, nearest, body_0, body_1, body_faces,
+                                ring_start, ring, fan_start, fan, body_normals, scratch,
+                            )  # fmt: skip
+                        face = body_faces[int(scratch[i, 9])]
+                        weights = vec3(scratch[i, 6], scratch[i, 7], scratch[i, 8])
+                        normal = vec3(scratch[i, 10], scratch[i, 11], scratch[i, 12])
+                        surface = body_point(face, weights, t, body_0, body_1)
+                        gap = (x - surface).dot(normal) - thickness
+                        if gap < 0.0:
+                            carried = surface - body_point(face, weights, t - share, body_0, body_1)
+                            x += contact_correction(gap, normal, x - start - carried, friction)
+                    x += collide_primitives(x, start, t, share, primitives, thickness, friction)
+                    position[i] = ti.math.vec4(x[0], x[1], x[2], p[3])
+                    velocity[i] += (x - predicted) * inverse_h
+        for c in range(held.shape[0]):
+            velocity[held[c]] = (target_1[c] - target_0[c]) * (inverse_h * share)
+        for i in range(count):
+            contact[i] = ti.math.vec4(FAR, 0.0, 0.0, 0.0)
+            if nearest[i] >= 0 and position[i][3] > 0.0:
+                face = body_faces[int(scratch[i, 9])]
+                weights = vec3(scratch[i, 6], scratch[i, 7], scratch[i, 8])
+                normal = vec3(scratch[i, 10], scratch[i, 11], scratch[i, 12])
+                surface = body_point(face, weights, 1.0, body_0, body_1)
+                carried = (surface - body_point(face, weights, 0.0, body_0, body_1)) * (inverse_h * share)
+                slip = velocity[i] - carried
+                slip -= slip.dot(normal) * normal
+                distance = ti.math.clamp((xyz(position[i]) - surface).dot(normal), -FAR, FAR)
+                contact[i] = ti.math.vec4(distance, slip[0], slip[1], slip[2])

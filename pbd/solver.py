@@ -1,0 +1,147 @@
+"""The default solver: XPBD with small steps, on the serial fused schedule."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pbd import kernels
+from pbd.colliders import Body, Colliders
+from pbd.engine import ensure_initialized
+from pbd.errors import InputError
+from pbd.model import GRID, Model, State
+
+__all__ = ["Solver", "SolverOptions"]
+
+AIR_DENSITY = 1.2  # [kg/m3]
+
+
+@dataclass(frozen=True)
+class SolverOptions:
+    """Options of the solver.
+
+    Attributes:
+        substep: longest substep [s]; a frame is cut into equal substeps not longer than this.
+        gravity: [m/s2].
+        contact_refreshes: times a second that each contact is looked for again along the body's surface [Hz].
+    """
+
+    substep: float = 1.0 / 1200.0
+    gravity: tuple[float, float, float] = (0.0, -9.81, 0.0)
+    contact_refreshes: float = 240.0
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.substep) or self.substep <= 0:
+            raise InputError("bad substep", key="substep", received=self.substep, expected="above 0 [s]")
+        if len(self.gravity) != 3 or not np.isfinite(self.gravity).all():
+            raise InputError("bad gravity", key="gravity", received=self.gravity, expected="three finite numbers")
+        if not self.contact_refreshes > 0:
+            raise InputError(
+                "bad rate", key="contact_refreshes", received=self.contact_refreshes, expected="above 0 [Hz]"
+            )
+
+
+class Solver:
+    """Steps the garment of one model. Owns no scene and no state.
+
+    Args:
+        model: the garment.
+        options: see :class:`SolverOptions`.
+    """
+
+    def __init__(self, model: Model, options: SolverOptions | None = None) -> None:
+        ensure_initialized()
+        self.model, self.options = model, options or SolverOptions()
+        count, fabric = model.vertex_count, model.fabric
+        self._scratch = np.zeros((count, 13), np.float32)
+        area = model.mesh.vertex_areas
+        self._drag = (0.5 * AIR_DENSITY * fabric.air_drag * area / model.mass).astype(np.float32)
+        self._held_0 = np.zeros((len(model.held), 3), np.float32)
+        self._held_1 = np.zeros((len(model.held), 3), np.float32)
+        self._nobody = Body(np.zeros((0, 3), np.int32), 1)
+        self._cells = np.zeros(kernels.MAX_CELLS + 2, np.int32)
+        self._items = np.zeros(1, np.int32)
+
+    def step(
+        self,
+        state: State,
+        colliders: Colliders,
+        dt: float,
+        targets: np.ndarray | None = None,
+        wind: tuple[float, float, float] | np.ndarray = (0.0, 0.0, 0.0),
+    ) -> None:
+        """Advance the state in place.
+
+        Args:
+            state: of this model.
+            colliders: what it collides with; a body's ``origin`` must be the state's.
+            dt: frame time [s]; 0 does nothing.
+            targets: where the held vertices stand at the end of the frame, world [m], shape (p, 3);
+                None leaves them where they are.
+            wind: velocity of the air [m/s].
+
+        Raises:
+            InputError: dt below zero or not finite, or a body about another origin.
+        """
+        if not np.isfinite(dt) or dt < 0:
+            raise InputError("bad time step", key="dt", received=dt, expected="a finite number, at least 0 [s]")
+        if dt == 0:
+            return
+        model, options = self.model, self.options
+        self._held_0[:] = state.position[model.held, :3]
+        self._held_1[:] = self._held_0 if targets is None else targets - state.origin
+        body = colliders.body or self._nobody
+        if colliders.body is not None:
+            if np.any(body.origin != state.origin):
+                raise InputError("body and state have other origins", received=body.origin, expected=str(state.origin))
+            if len(self._items) < len(body.current):
+                self._items = np.zeros(len(body.current), np.int32)
+            kernels.find_nearest(
+                state.position, state.nearest, body.previous, body.ring_start, body.ring, self._cells, self._items
+            )
+        substeps = max(1, int(np.ceil(dt / options.substep - 1e-6)))
+        kernels.advance(
+            state.position,
+            state.velocity,
+            self._scratch,
+            model.triangles,
+            model.triangle_data,
+            model.hinges,
+            model.hinge_data,
+            model.tethers,
+            model.tether_lengths,
+            model.held,
+            self._held_0,
+            self._held_1,
+            self._drag,
+            colliders.rows(state.origin),
+            state.nearest,
+            state.contact,
+            body.previous,
+            body.current,
+            body.normals,
+            body.faces,
+            body.ring_start,
+            body.ring,
+            body.fan_start,
+            body.fan,
+            substeps,
+            dt / substeps,
+            kernels.vec3(*options.gravity),
+            kernels.vec3(*wind),
+            model.options.squeeze,
+            model.fabric.thickness,
+            model.fabric.friction,
+            max(1, round(substeps / max(1.0, dt * options.contact_refreshes))),
+        )
+
+    def follow(self, state: State, colliders: Colliders) -> np.ndarray:
+        """Move the origin of state and body to the grid point nearest to the garment, and return it [m], shape (3,)."""
+        centre = state.position[:, :3].mean(axis=0)
+        # Half a cell of slack keeps the origin from flickering between two grid points.
+        if np.abs(centre).max() > GRID and np.isfinite(centre).all():
+            state.move_origin(state.origin + GRID * np.round(centre / GRID))
+        if colliders.body is not None:
+            colliders.body.move_origin(state.origin)
+        return state.origin
