@@ -127,7 +127,7 @@ def number(*, above: float = -math.inf, at_least: float = -math.inf, below: floa
 
     bounds = [("above", above), ("at least", at_least), ("below", below)]
     words = [f"{word} {bound:g}" for word, bound in bounds if math.isfinite(bound)]
-    return Check(", ".join(["a finite number", *words]), convert, unit)
+    return Check(" ".join(["a finite number", ", ".join(words)]).rstrip(), convert, unit)
 
 
 def whole(*, at_least: int) -> Check:

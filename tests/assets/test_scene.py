@@ -150,7 +150,7 @@ def test_any_name_survives_printing(name: str, tmp_path_factory: pytest.TempPath
         (SKIRT + "subdivisions = 1.5", ["received 1.5", "a whole number, at least 0"]),
         (SKIRT + "subdivisions = true", ["received True", "a whole number"]),
         (SKIRT + 'pattern = "yes"', ["received 'yes'", "true or false"]),
-        (SKIRT + "thickness = 0", ["received 0", "a finite number, above 0 [m]"]),
+        (SKIRT + "thickness = 0", ["received 0", "a finite number above 0 [m]"]),
         (SKIRT + "thickness = nan", ["received nan"]),
         (SKIRT + "thickness = inf", ["received inf"]),
         (SKIRT + 'attach = "topp"', ["received 'topp'", "did you mean 'top'?"]),

@@ -1,0 +1,92 @@
+"""What a command found out, and the JSON file that keeps it."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime, timezone
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+__all__ = ["Report", "machine_description", "package_version", "write_report"]
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a command hands back.
+
+    Attributes:
+        figures: single figures by name; the name's ending gives the unit (``frame_ms_p50``, ``rmse_mm``).
+        rows: one table, a mapping of columns per row.
+        passed: False for a run that failed; the exit status is 1 then.
+    """
+
+    figures: Mapping[str, float] = field(default_factory=dict)
+    rows: Sequence[Mapping[str, Any]] = ()
+    passed: bool = True
+
+
+def write_report(path: Path, command: str, figures: Mapping[str, float], rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write figures and rows with the machine they were measured on; numbers that are not finite become null."""
+    content = {
+        "command": command,
+        "version": package_version("gube"),
+        "machine": machine_description(),
+        "figures": _plain(figures),
+        "rows": _plain(rows),
+    }
+    beside = path.with_name(path.name + ".part")
+    beside.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    os.replace(beside, path)
+
+
+def machine_description() -> dict[str, Any]:
+    """The machine in words and numbers: memory in GiB, date in UTC."""
+    return {
+        "cpu": _cpu_model(),
+        "cores": os.cpu_count(),
+        "memory_gib": round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1),
+        "platform": platform.platform(),
+        "python": platform.python_version(),
+        "taichi": package_version("taichi"),
+        "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+    }
+
+
+def package_version(name: str) -> str:
+    """Version of an installed package, or "not installed"."""
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+def _cpu_model() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()
+
+
+def _plain(value: Any) -> Any:
+    """The value in JSON's own types."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value

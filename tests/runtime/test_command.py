@@ -1,0 +1,76 @@
+import json
+from pathlib import Path
+
+import pytest
+
+from runtime import command
+from runtime.report import Report
+
+SCENE = '[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\n'
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE, encoding="utf-8")
+    return path
+
+
+def test_explain_prints_a_scene_that_explains_itself(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.main(["simulate", "--explain", str(scene)]) == 0
+    printed = capsys.readouterr().out
+    scene.write_text(printed, encoding="utf-8")
+    assert command.main(["simulate", "--explain", str(scene)]) == 0
+    assert capsys.readouterr().out == printed
+    assert "subdivisions = 2" in printed
+
+
+def test_bad_input_is_one_message_and_status_2(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene.write_text(SCENE + "thickness = -1\n[solver]\nsubstep = 3\n", encoding="utf-8")
+    assert command.main(["simulate", "--explain", str(scene)]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("gube simulate: 2 problems:\n")
+    assert "garment[0].thickness" in captured.err
+    assert "did you mean 'substeps'?" in captured.err
+
+
+def test_a_missing_command_or_argument_is_status_2(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments in ([], ["simulate"], ["nonsense"]):
+        with pytest.raises(SystemExit) as caught:
+            command.main(arguments)
+        assert caught.value.code == 2
+    assert "usage: gube" in capsys.readouterr().err
+
+
+def test_the_json_file_has_what_was_found_and_where(scene: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.json"
+    assert command.main(["simulate", "--explain", str(scene), "--json", str(out)]) == 0
+    content = json.loads(out.read_text(encoding="utf-8"))
+    assert list(content) == ["command", "version", "machine", "figures", "rows"]
+    assert content["command"] == "simulate"
+    assert content["machine"]["cores"] >= 1
+    assert [path.name for path in tmp_path.iterdir() if path.suffix == ".part"] == []
+
+
+def test_a_json_file_that_cannot_be_written_is_refused_before_the_run(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = []
+    monkeypatch.setattr(command, "_simulate", lambda options: runs.append(options) or Report())
+    for path in (tmp_path / "absent" / "out.json", tmp_path):
+        assert command.main(["simulate", "--explain", str(scene), "--json", str(path)]) == 2
+        assert "--json: cannot be written" in capsys.readouterr().err
+    assert runs == []
+
+
+def test_a_failed_run_is_status_1_and_keeps_its_figures(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    failed = Report({"rmse_mm": 3.0}, [{"test": "swing", "passed": False}], passed=False)
+    monkeypatch.setattr(command, "_simulate", lambda options: failed)
+    out = tmp_path / "out.json"
+    assert command.main(["simulate", "--explain", str(scene), "--json", str(out)]) == 1
+    content = json.loads(out.read_text(encoding="utf-8"))
+    assert content["figures"] == {"rmse_mm": 3.0}
+    assert content["rows"] == [{"test": "swing", "passed": False}]

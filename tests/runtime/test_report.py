@@ -1,0 +1,31 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from runtime.report import machine_description, write_report
+
+
+def test_numpy_and_unusual_numbers_become_plain_json(tmp_path: Path) -> None:
+    out = tmp_path / "report.json"
+    figures = {"frame_ms_p50": np.float32(1.5), "count": np.int64(3), "lost": float("nan"), "far": np.inf}
+    write_report(out, "bench", figures, [{"sizes": np.arange(3), "file": Path("a.h5"), "passed": np.bool_(True)}])
+    content = json.loads(out.read_text(encoding="utf-8"))
+    assert content["figures"] == {"frame_ms_p50": 1.5, "count": 3, "lost": None, "far": None}
+    assert content["rows"] == [{"sizes": [0, 1, 2], "file": "a.h5", "passed": True}]
+
+
+def test_a_failed_write_leaves_the_old_report(tmp_path: Path) -> None:
+    out = tmp_path / "report.json"
+    write_report(out, "bench", {"a": 1.0}, [])
+    with pytest.raises(TypeError):
+        write_report(out, "bench", {"a": object()}, [])  # type: ignore[dict-item]
+    assert json.loads(out.read_text(encoding="utf-8"))["figures"] == {"a": 1.0}
+
+
+def test_the_machine_is_named() -> None:
+    machine = machine_description()
+    assert machine["cpu"]
+    assert machine["memory_gib"] > 0
+    assert machine["taichi"].startswith("1.")

@@ -1,0 +1,55 @@
+"""What the wheel holds, and that it works without the checkout."""
+
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tests.data import ROOT
+
+PACKAGES = ("pbd", "assets", "wrinkles", "precompute", "runtime")
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel, built from a source distribution, so that nothing stale in the checkout can get into it."""
+    folder = tmp_path_factory.mktemp("dist")
+    command = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder), str(ROOT)]
+    result = subprocess.run(command, capture_output=True, text=True)
+    assert result.returncode == 0, result.stdout + result.stderr
+    (path,) = folder.glob("*.whl")
+    return path
+
+
+def test_it_holds_the_five_packages_whole_and_nothing_else(wheel: Path) -> None:
+    shipped = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
+    in_checkout = {
+        path.relative_to(ROOT).as_posix()
+        for package in PACKAGES
+        for path in (ROOT / package).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    assert shipped == in_checkout
+
+
+def test_it_carries_the_licence_and_the_command(wheel: Path) -> None:
+    archive = zipfile.ZipFile(wheel)
+    texts = {name.partition(".dist-info/")[2]: archive.read(name).decode() for name in archive.namelist()}
+    assert texts["licenses/LICENSE"].startswith("MIT License")
+    assert "gube = runtime.command:main" in texts["entry_points.txt"]
+
+
+def test_the_command_starts_from_the_wheel_alone(wheel: Path, tmp_path: Path) -> None:
+    zipfile.ZipFile(wheel).extractall(tmp_path)
+    script = (
+        "import sys; sys.path.insert(0, '.'); from runtime import command\n"
+        "try: command.main(['--help'])\n"
+        "finally: print(command.__file__)"
+    )
+    command = [sys.executable, "-I", "-c", script]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    assert "usage: gube" in result.stdout
+    assert Path(result.stdout.splitlines()[-1]).is_relative_to(tmp_path)
