@@ -28,8 +28,7 @@ from assets.settings import (
     vector,
     whole,
 )
-from pbd.errors import InputError
-from pbd.fabric import Fabric
+from pbd import Capsule, Fabric, InputError, Plane, SolverOptions, Sphere
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -146,6 +145,9 @@ class PlaneSettings:
     point: Vector = entry(vector(unit="m"), (0.0, 0.0, 0.0))
     normal: Vector = entry(vector(not_zero=True), (0.0, 1.0, 0.0))
 
+    def primitive(self) -> Plane:
+        return Plane(self.point, self.normal)
+
 
 @dataclass(frozen=True, kw_only=True)
 class SphereSettings:
@@ -154,6 +156,9 @@ class SphereSettings:
     type: str = entry(choice("sphere"), "sphere")
     centre: Vector = entry(vector(unit="m"))
     radius: float = entry(number(above=0, unit="m"))
+
+    def primitive(self) -> Sphere:
+        return Sphere(self.centre, self.radius)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,6 +169,9 @@ class CapsuleSettings:
     start: Vector = entry(vector(unit="m"))
     end: Vector = entry(vector(unit="m"))
     radius: float = entry(number(above=0, unit="m"))
+
+    def primitive(self) -> Capsule:
+        return Capsule(self.start, self.end, self.radius)
 
 
 _COLLIDERS = {"plane": PlaneSettings, "sphere": SphereSettings, "capsule": CapsuleSettings}
@@ -185,17 +193,22 @@ class WindSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class SolverSettings:
-    """The run-time solver of the coarse garment.
+    """How a scene is simulated.
 
     Attributes:
         frame_rate: frames per second [Hz].
-        substeps: solver steps per frame.
+        substep: longest step of the solver [s].
         gravity: acceleration of free fall [m/s2].
+        contact_refreshes: times a second that each contact is looked for again [Hz].
     """
 
     frame_rate: float = entry(number(above=0, unit="Hz"), 60.0)
-    substeps: int = entry(whole(at_least=1), 15)
-    gravity: Vector = entry(vector(unit="m/s2"), (0.0, -9.81, 0.0))
+    substep: float = entry(number(above=0, unit="s"), SolverOptions.substep)
+    gravity: Vector = entry(vector(unit="m/s2"), SolverOptions.gravity)
+    contact_refreshes: float = entry(number(above=0, unit="Hz"), SolverOptions.contact_refreshes)
+
+    def options(self) -> SolverOptions:
+        return SolverOptions(substep=self.substep, gravity=self.gravity, contact_refreshes=self.contact_refreshes)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from assets.scene import CapsuleSettings, CharacterSettings, Scene, load_scene, scene_text
-from pbd.errors import InputError
-from pbd.fabric import Fabric
+from pbd import Capsule, Fabric, InputError, SolverOptions
 
 SKIRT = '[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\n'
 FULL = """
@@ -55,8 +54,9 @@ velocity = [1, 0, 0.5]
 
 [solver]
 frame_rate = 50
-substeps = 10
+substep = 0.002
 gravity = [0, -1.62, 0]
+contact_refreshes = 100
 
 [wrinkles]
 hidden_width = 32
@@ -108,6 +108,9 @@ def test_every_key_is_read(load, tmp_path: Path) -> None:
     assert [motion.clip for motion in scene.training.clips + scene.training.held_out] == ["walk", "turn"]
     assert [collider.type for collider in scene.colliders] == ["plane", "sphere", "capsule"]
     assert scene.colliders[2] == CapsuleSettings(start=(0.0, 0.0, 0.0), end=(0.0, 1.0, 0.0), radius=0.1)
+    primitive = scene.colliders[2].primitive()
+    assert primitive == Capsule(start=(0.0, 0.0, 0.0), end=(0.0, 1.0, 0.0), radius=0.1)
+    assert scene.solver.options() == SolverOptions(substep=0.002, gravity=(0.0, -1.62, 0.0), contact_refreshes=100.0)
     # No section is left at its defaults: each default would show that its keys went unread.
     sections = (scene.training, scene.wind, scene.solver, scene.wrinkles, scene.camera)
     for section in sections:
@@ -186,9 +189,9 @@ def test_all_errors_are_reported_at_once(load) -> None:
     message = refused(
         load,
         SKIRT
-        + "thickness = -1\nfabric = { sheer = 1 }\n[character]\nfil = 1\n[solver]\nsubsteps = 0\n[wind]\nspeed = 3",
+        + "thickness = -1\nfabric = { sheer = 1 }\n[character]\nfil = 1\n[solver]\nsubstep = 0\n[wind]\nspeed = 3",
     )
-    for key in ("thickness", "fabric.sheer", "character", "character.fil", "solver.substeps", "wind.speed"):
+    for key in ("thickness", "fabric.sheer", "character", "character.fil", "solver.substep", "wind.speed"):
         assert f"{key}: " in message
     assert message.startswith("6 problems:")
 

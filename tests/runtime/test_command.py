@@ -26,13 +26,13 @@ def test_explain_prints_a_scene_that_explains_itself(scene: Path, capsys: pytest
 
 
 def test_bad_input_is_one_message_and_status_2(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene.write_text(SCENE + "thickness = -1\n[solver]\nsubstep = 3\n", encoding="utf-8")
+    scene.write_text(SCENE + "thickness = -1\n[solver]\ngravty = 3\n", encoding="utf-8")
     assert command.main(["simulate", "--explain", str(scene)]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err.startswith("gube simulate: 2 problems:\n")
     assert "garment[0].thickness" in captured.err
-    assert "did you mean 'substeps'?" in captured.err
+    assert "did you mean 'gravity'?" in captured.err
 
 
 def test_a_missing_command_or_argument_is_status_2(capsys: pytest.CaptureFixture[str]) -> None:
