@@ -1,0 +1,312 @@
+"""glTF 2.0 files: checked access to the meshes, nodes and numbers in them.
+
+Every length, index and number that is used is checked first, so that a truncated or damaged file ends in a message that
+names the element. The JSON is read as it stands: turning it into objects took 4 s for a file with 44 clips, reading it
+takes 0.05 s.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from assets.transform import local_matrices
+from pbd.errors import InputError
+
+__all__ = ["Document", "Primitive", "read_document"]
+
+Floats = NDArray[np.float64]
+Parts = tuple[Floats, Floats, Floats]
+
+_COMPONENTS = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+_TRIANGLES = 4
+# Extensions that change nothing of what is read here.
+_HARMLESS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_", "KHR_mesh_quantization")
+
+
+@dataclass(frozen=True)
+class Primitive:
+    """Triangles of one primitive, in the mesh's own space.
+
+    Attributes:
+        key: what it is called in messages.
+        vertices: [m], shape (n, 3), float64.
+        faces: shape (m, 3), int32.
+        texture: first texture coordinates, origin at the upper left, shape (n, 2), float64; None if there are none.
+        attributes: accessor index by attribute name.
+    """
+
+    key: str
+    vertices: Floats
+    faces: NDArray[np.int32]
+    texture: Floats | None
+    attributes: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Document:
+    """A parsed file with its binary data.
+
+    Attributes:
+        path: the file.
+        json: what the JSON says.
+        buffers: bytes of each buffer.
+        parents: parent of each node, -1 at a root.
+    """
+
+    path: Path
+    json: dict[str, Any]
+    buffers: tuple[bytes, ...]
+    parents: tuple[int, ...]
+
+    def error(self, problem: str, key: str, received: Any = None, expected: str | None = None) -> InputError:
+        """An error about this file."""
+        return InputError(problem, file=self.path, key=key, received=received, expected=expected)
+
+    def entry(self, kind: str, index: Any, key: str) -> dict[str, Any]:
+        """One element of a list of the file, e.g. of its "accessors"; ``key`` says who asks for it."""
+        entries = self.json.get(kind, [])
+        if not isinstance(index, int) or not 0 <= index < len(entries) or not isinstance(entries[index], dict):
+            raise self.error(f"one of the {kind} that does not exist", key=key, received=index)
+        return entries[index]
+
+    def whole(self, entry: dict[str, Any], name: str, key: str, default: int | None = None) -> int:
+        """A number of an element: whole, not negative."""
+        value = entry.get(name, default)
+        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+            raise self.error(f"bad {name}", key=key, received=value, expected="a whole number, not negative")
+        return value
+
+    def node_name(self, node: int) -> str:
+        """The node's name, or its number where it has none."""
+        return str(self.entry("nodes", node, f"node {node}").get("name") or f"node {node}")
+
+    def chain(self, node: int) -> tuple[int, ...]:
+        """Nodes from the root down to this one."""
+        chain = [node]
+        while self.parents[chain[-1]] >= 0:
+            chain.append(self.parents[chain[-1]])
+            if len(chain) > len(self.parents):
+                raise self.error("nodes that are their own ancestors", key=f"node {self.node_name(node)}")
+        return tuple(reversed(chain))
+
+    def mesh_nodes(self) -> list[int]:
+        """Nodes of the scene that show a mesh, in the order of the file."""
+        nodes = self.json.get("nodes", [])
+        roots = set(range(len(nodes)))
+        if self.json.get("scenes"):
+            roots = set(self.entry("scenes", self.json.get("scene", 0), "scene").get("nodes", []))
+        return [i for i in range(len(nodes)) if "mesh" in nodes[i] and self.chain(i)[0] in roots]
+
+    def local_transform(self, node: int) -> Parts | Floats:
+        """Translation (3), rotation (4) and scale (3) of a node, or its matrix (4, 4) where the file gives that."""
+        entry, key = self.entry("nodes", node, f"node {node}"), f"node {self.node_name(node)}"
+        values = {}
+        for name, width in {"matrix": 16, "translation": 3, "rotation": 4, "scale": 3}.items():
+            given = entry.get(name)
+            if given is None:
+                continue
+            numbers = [float(x) for x in given if isinstance(x, (int, float))] if isinstance(given, list) else []
+            values[name] = np.array(numbers)
+            if len(numbers) != width or not np.isfinite(values[name]).all():
+                raise self.error(f"bad {name}", key=key, received=given, expected=f"{width} numbers")
+        if "matrix" in values:
+            return values["matrix"].reshape(4, 4).T
+        rotation = values.get("rotation", np.array([0.0, 0.0, 0.0, 1.0]))
+        length = np.linalg.norm(rotation)
+        if abs(length - 1.0) > 1e-2:
+            raise self.error("a rotation that is no unit quaternion", key=key, received=rotation.tolist())
+        return values.get("translation", np.zeros(3)), rotation / length, values.get("scale", np.ones(3))
+
+    def local_matrix(self, node: int) -> Floats:
+        """Transform of a node against its parent, shape (4, 4)."""
+        parts = self.local_transform(node)
+        return local_matrices(*parts) if isinstance(parts, tuple) else parts
+
+    def world_matrix(self, node: int) -> Floats:
+        """Transform of a node against the scene, shape (4, 4)."""
+        matrix = np.eye(4)
+        for step in self.chain(node):
+            matrix = matrix @ self.local_matrix(step)
+        return matrix
+
+    def accessor(self, index: Any, key: str) -> NDArray[Any]:
+        """Numbers of an accessor, shape (count, width); normalised integers as float64.
+
+        Raises:
+            InputError: it does not exist, lies outside its buffer, or is sparse; ``key`` says what it is for.
+        """
+        entry = self.entry("accessors", index, key)
+        key = f"{key}, accessor {index}"
+        if entry.get("componentType") not in _COMPONENTS or entry.get("type") not in _WIDTHS:
+            raise self.error("numbers of an unknown kind", key=key, received=entry.get("type"))
+        if "sparse" in entry or "bufferView" not in entry:
+            raise self.error("sparse numbers are not supported", key=key)
+        view = self.entry("bufferViews", entry["bufferView"], key)
+        kind, width = np.dtype(_COMPONENTS[entry["componentType"]]), _WIDTHS[entry["type"]]
+        count = self.whole(entry, "count", key)
+        begin, start = self.whole(view, "byteOffset", key, 0), self.whole(entry, "byteOffset", key, 0)
+        stride = self.whole(view, "byteStride", key, kind.itemsize * width)
+        needed = start + (count - 1) * stride + kind.itemsize * width
+        buffer = self.whole(view, "buffer", key)
+        length = len(self.buffers[buffer]) if buffer < len(self.buffers) else 0
+        if count < 1 or stride < kind.itemsize * width or needed > length - begin:
+            raise self.error(
+                "numbers outside their buffer: the file is truncated or damaged", key=key, received=f"{count} elements"
+            )
+        data = np.ndarray((count, width), kind, self.buffers[buffer], begin + start, (stride, kind.itemsize))
+        if entry.get("normalized") and kind.kind in "iu":
+            return np.maximum(data.astype(np.float64) / np.iinfo(kind).max, -1.0)
+        return data.copy()
+
+    def primitives(self, node: int) -> list[Primitive]:
+        """Triangles of the mesh that a node shows, in the mesh's own space.
+
+        Raises:
+            InputError: anything else than triangles, positions that are not finite, or a face with a bad index.
+        """
+        number = self.entry("nodes", node, f"node {node}").get("mesh")
+        mesh = self.entry("meshes", number, f"node {self.node_name(node)}")
+        found = []
+        for index, entry in enumerate(mesh.get("primitives", [])):
+            key = f"mesh {mesh.get('name') or number}, primitive {index}"
+            if entry.get("mode", _TRIANGLES) != _TRIANGLES:
+                raise self.error("not a list of triangles", key=key, received=entry["mode"], expected="mode 4")
+            found.append(self._primitive(key, entry.get("indices"), dict(entry.get("attributes", {}))))
+        return found
+
+    def _primitive(self, key: str, indices: Any, attributes: dict[str, Any]) -> Primitive:
+        vertices = self.accessor(attributes.get("POSITION"), f"{key}, POSITION").astype(np.float64)
+        bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+        if vertices.shape[1] != 3 or bad.size:
+            where = f"{key}, vertex {bad[0]}" if bad.size else key
+            raise self.error("positions that are not three finite numbers", key=where)
+        if indices is None:
+            corners = np.arange(len(vertices))
+        else:
+            corners = self.accessor(indices, f"{key}, indices").ravel().astype(np.int64)
+        if len(corners) % 3:
+            raise self.error("corners that make no triangles", key=key, received=len(corners), expected="3 a triangle")
+        faces = corners.reshape(-1, 3)
+        bad = np.flatnonzero((faces >= len(vertices)).any(axis=1))
+        if bad.size:
+            raise self.error(
+                "a face with a vertex that does not exist",
+                key=f"{key}, face {bad[0]}",
+                received=faces[bad[0]].tolist(),
+                expected=f"0 to {len(vertices) - 1}",
+            )
+        texture = None
+        if "TEXCOORD_0" in attributes:
+            texture = self.accessor(attributes["TEXCOORD_0"], f"{key}, TEXCOORD_0").astype(np.float64)
+            if texture.shape != (len(vertices), 2) or not np.isfinite(texture).all():
+                raise self.error("texture coordinates that are not two finite numbers a vertex", key=key)
+        return Primitive(key, vertices, faces.astype(np.int32), texture, attributes)
+
+
+def read_document(path: Path) -> Document:
+    """Parse a .glb or .gltf file and load its buffers.
+
+    Raises:
+        InputError: missing, truncated or not glTF 2.0; a buffer that is missing or too short; or an extension that the
+            file requires and that is not supported.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError("cannot be read", file=path, received=error.strerror, expected="a glTF file") from error
+    binary = None
+    if data[:4] == b"glTF" or path.suffix.lower() == ".glb":
+        data, binary = _split_binary(path, data)
+    try:
+        content = json.loads(data.decode("utf-8"))
+    except ValueError as error:  # also what UnicodeDecodeError is
+        raise InputError(f"not glTF: {error}", file=path) from error
+    _check_outline(path, content)
+    buffers = tuple(_load_buffer(path, i, buffer, binary) for i, buffer in enumerate(content.get("buffers", [])))
+    return Document(path, content, buffers, _parents(path, content.get("nodes", [])))
+
+
+def _check_outline(path: Path, content: Any) -> None:
+    """The top of the JSON: a version that is known, lists of objects, no extension that is needed and unknown."""
+    version = content.get("asset", {}).get("version") if isinstance(content, dict) else None
+    if not str(version).startswith("2."):
+        raise InputError("not glTF 2.0", file=path, key="asset.version", received=version, expected="'2.0'")
+    for kind in ("nodes", "meshes", "skins", "animations", "accessors", "bufferViews", "buffers", "scenes"):
+        entries = content.get(kind, [])
+        if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+            raise InputError("not a list of objects", file=path, key=kind)
+    for name in content.get("extensionsRequired", []):
+        if not str(name).startswith(_HARMLESS):
+            raise InputError(
+                "a required extension that is not supported", file=path, key="extensionsRequired", received=name
+            )
+
+
+def _split_binary(path: Path, data: bytes) -> tuple[bytes, bytes | None]:
+    """JSON and binary chunk of a .glb file."""
+    if len(data) < 20 or data[:4] != b"glTF":
+        raise InputError("not a binary glTF file", file=path, received=f"{len(data)} bytes")
+    version, length = struct.unpack_from("<II", data, 4)
+    if length > len(data):
+        raise InputError("a truncated file", file=path, received=f"{len(data)} bytes", expected=f"{length} bytes")
+    if version != 2:
+        raise InputError("an unknown version of glTF", file=path, received=version, expected="2")
+    chunks: dict[int, bytes] = {}
+    place = 12
+    while place + 8 <= length:
+        size, kind = struct.unpack_from("<II", data, place)
+        place += 8
+        if place + size > length:
+            raise InputError(
+                "a truncated chunk", file=path, received=f"{length - place} bytes", expected=f"{size} bytes"
+            )
+        chunks.setdefault(kind, data[place : place + size])
+        place += size
+    text = chunks.get(int.from_bytes(b"JSON", "little"))
+    if text is None:
+        raise InputError("a binary glTF file without its JSON", file=path)
+    return text, chunks.get(int.from_bytes(b"BIN\0", "little"))
+
+
+def _load_buffer(path: Path, index: int, buffer: dict[str, Any], binary: bytes | None) -> bytes:
+    key, uri = f"buffer {index}", buffer.get("uri")
+    data = binary or b""
+    if isinstance(uri, str) and uri.startswith("data:"):
+        try:
+            data = base64.b64decode(uri.partition(",")[2], validate=True)
+        except binascii.Error as error:
+            raise InputError(f"not base64: {error}", file=path, key=key) from error
+    elif uri is not None:
+        try:
+            data = (path.parent / unquote(str(uri))).read_bytes()
+        except OSError as error:
+            raise InputError("cannot be read", file=path, key=f"{key}, {uri}", received=error.strerror) from error
+    expected = buffer.get("byteLength")
+    if not isinstance(expected, int) or len(data) < expected:
+        raise InputError(
+            "a truncated buffer", file=path, key=key, received=f"{len(data)} bytes", expected=f"{expected} bytes"
+        )
+    return data
+
+
+def _parents(path: Path, nodes: list[dict[str, Any]]) -> tuple[int, ...]:
+    parents = [-1] * len(nodes)
+    for parent, node in enumerate(nodes):
+        for child in node.get("children", []):
+            if not isinstance(child, int) or not 0 <= child < len(nodes):
+                raise InputError("a child that does not exist", file=path, key=f"node {parent}", received=child)
+            if parents[child] >= 0:
+                raise InputError("a node with two parents", file=path, key=f"node {child}")
+            parents[child] = parent
+    return tuple(parents)
