@@ -9,7 +9,7 @@ it on strips cut from the mesh and returns the factor c that gives the fabric's 
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import csr_matrix
+from scipy.sparse import bmat, csr_matrix
 from scipy.sparse.linalg import spsolve
 
 from pbd.mesh import ClothMesh, edges_of, hinges_of, vertex_rings
@@ -17,12 +17,17 @@ from pbd.mesh import ClothMesh, edges_of, hinges_of, vertex_rings
 __all__ = ["hinge_calibration", "hinge_rows"]
 
 
-def hinge_rows(mesh: ClothMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def hinge_rows(mesh: ClothMesh, held: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Hinges of a mesh with the rows of the quadratic bending operator in the rest metric.
+
+    Args:
+        mesh: the cloth.
+        held: vertices that are moved from outside. A face with three of them is rigid: all the bending at its
+            hinge happens over the other face.
 
     Returns:
         hinges (int32, shape (h, 4), rows i, j, k, l as in :func:`pbd.mesh.hinges_of`), rows K (shape (h, 4)),
-        areas A0 + A1 [m2] (shape (h,)) and the angle of the edge against the warp [rad] (shape (h,)).
+        areas A0 + A1 of the faces that can bend [m2] (shape (h,)) and the angle of the edge against the warp [rad] (shape (h,)).
     """
     hinges = hinges_of(mesh.faces)
     # Directed side (a, b) -> face and corner, to find both faces of each hinge again.
@@ -48,7 +53,10 @@ def hinge_rows(mesh: ClothMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.
     start_0, end_0, direction = cotangents(first)
     end_1, start_1, _ = cotangents(second)  # the second face runs the edge the other way
     rows = np.stack([end_0 + end_1, start_0 + start_1, -start_0 - end_0, -start_1 - end_1], axis=1)
-    areas = mesh.face_areas[first // 3] + mesh.face_areas[second // 3]
+    bends = mesh.face_areas.copy()
+    if held is not None:
+        bends[np.isin(mesh.faces, held).all(axis=1)] = 0.0
+    areas = np.maximum(bends[first // 3] + bends[second // 3], 1e-12)
     return hinges, rows, areas, np.arctan2(direction[:, 1], direction[:, 0])
 
 
@@ -58,9 +66,8 @@ LENGTH, WIDTH = 0.85, 0.5  # half length and half width of a test strip, as part
 def hinge_calibration(mesh: ClothMesh, patches: int = 12, rings: int = 8) -> float:
     """The factor c of the hinge energy that makes strips cut from this mesh bend with the stiffness asked for.
 
-    Square patches of the mesh are laid flat by their tangent plane, both ends are held on the parabola
-    w = s^2/2 and the rest is left free (small deflection: a linear solve); the energy per area must be B/2. The mean
-    over patches and four directions is inverted. Meshes too small or too curved for a whole patch keep 1/3.
+    Patches of the mesh are laid flat by their tangent plane, cut to strips and bent by pure moments (small deflection:
+    a linear solve). The mean over patches and four directions is inverted. Meshes too small or too curved for a whole patch keep 1/3.
 
     Args:
         mesh: the cloth.
@@ -125,32 +132,45 @@ def _flat_patch(mesh: ClothMesh, disc: np.ndarray, centre: int) -> tuple[np.ndar
 
 
 def _strip_stiffness(flat: np.ndarray, faces: np.ndarray, angle: float) -> float:
-    """Stiffness of the hinge energy with c = B = 1 for bending along a direction, sides free (a strip test)."""
+    """Stiffness of the hinge energy with c = B = 1 for bending along a direction: pure moments at a strip's ends.
+
+    Forces on the two last rows of each end make the moment; nothing is held, so that neither ends nor
+    sides stiffen the strip. Stiffness is moment per width over the curvature fitted to the middle.
+    """
     along = np.array([np.cos(angle), np.sin(angle)])
     s, t = flat @ along, flat @ np.array([-along[1], along[0]])
     ends = flat[edges_of(faces)[0]]
     step = float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).mean())
     reach = min(np.abs(s).max(), np.abs(t).max())
     inside = (np.abs(s) <= LENGTH * reach) & (np.abs(t) <= WIDTH * reach)
-    keep = inside[faces].all(axis=1)
-    if keep.sum() < 16:
+    keep = faces[inside[faces].all(axis=1)]
+    if len(keep) < 16:
         return float("nan")
-    vertices = np.concatenate([flat, np.zeros((len(flat), 1))], axis=1)
-    strip = ClothMesh.from_surface(vertices, faces[keep], warp=(1.0, 0.0, 0.0))
+    used, keep = np.unique(keep, return_inverse=True)
+    s, t = s[used], t[used]
+    strip = ClothMesh.from_surface(np.stack([s, t, 0.0 * s], axis=1), keep.reshape(-1, 3), warp=(1.0, 0.0, 0.0))
     hinges, rows, areas, _ = hinge_rows(strip)
-    count = len(flat)
+    count = len(used)
     operator = csr_matrix((rows.ravel(), (np.repeat(np.arange(len(hinges)), 4), hinges.ravel())), (len(hinges), count))
-    quadratic = (operator.T @ (operator.multiply((3.0 / areas)[:, None]))).tocsr()
-    used = np.unique(faces[keep])
-    held = used[np.abs(s[used]) > np.abs(s[used]).max() - 1.3 * step]
-    free = np.setdiff1d(used, held)
-    if len(free) < 6 or not len(held):
+    quadratic = operator.T @ operator.multiply((3.0 / areas)[:, None])
+    depth = np.abs(s).max() - np.abs(s)
+    end = depth < 1.6 * step
+    force = np.zeros(count)
+    for sign in (-1.0, 1.0):
+        rows_here = np.flatnonzero(end & (sign * s > 0))
+        if len(rows_here) < 3:
+            return float("nan")
+        # Weights with no sum and no lean, linear in s: a couple of moment one.
+        arms = np.stack([np.ones(len(rows_here)), t[rows_here], s[rows_here]])
+        force[rows_here] += np.linalg.pinv(arms) @ np.array([0.0, 0.0, sign])
+    # Rigid motions are free: three unknown multipliers hold their mean at zero.
+    rigid = csr_matrix(np.stack([np.ones(count), s, t]))
+    system = bmat([[quadratic, rigid.T], [rigid, None]]).tocsc()
+    shape = spsolve(system, np.concatenate([force, np.zeros(3)]))[:count]
+    middle = np.abs(s) < 0.5 * np.abs(s).max()
+    if middle.sum() < 8:
         return float("nan")
-    shape = np.zeros(count)
-    shape[held] = 0.5 * s[held] ** 2
-    shape[free] = spsolve(quadratic[free][:, free].tocsc(), -quadratic[free][:, held] @ shape[held])
-    # Hinges between held vertices only are not relaxed: the energy of the free part, over its share of area.
-    middle = (hinges[:, :2].max(axis=1) >= 0) & np.isin(hinges, free).any(axis=1)
-    weight = areas[middle] / 3.0
-    energy = 0.5 * (3.0 / areas[middle]) @ (operator[middle] @ shape) ** 2
-    return float(2.0 * energy / weight.sum())
+    monomials = np.stack([s**2 / 2, s * t, t**2 / 2, s, t, np.ones(count)], axis=1)[middle]
+    curvature = np.linalg.lstsq(monomials, shape[middle], rcond=None)[0][0]
+    width = strip.face_areas.sum() / np.ptp(s)
+    return float(1.0 / (width * curvature))
