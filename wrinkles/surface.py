@@ -1,0 +1,202 @@
+"""Smooth surfaces from coarse meshes: Loop subdivision, upsampling that keeps to the cloth, and its inverse."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import csr_matrix, diags, identity, vstack
+from scipy.sparse.linalg import splu
+
+from pbd import ClothMesh
+from pbd.mesh import edges_of, flatten_by_lengths, flatten_by_surface
+
+__all__ = ["Subdivision", "loop_step"]
+
+
+def loop_step(faces: np.ndarray, vertex_count: int) -> tuple[csr_matrix, np.ndarray]:
+    """One step of Loop subdivision with boundary rules (Loop 1987; boundary masks after Hoppe et al. 1994).
+
+    Old vertices keep their numbers; the new vertex of edge e is ``vertex_count + e``.
+
+    Args:
+        faces: int, shape (m, 3).
+        vertex_count: number of vertices n.
+
+    Returns:
+        The matrix of shape (n + e, n) and the new faces, shape (4 m, 3): three corners and the middle of each face.
+    """
+    edges, side_edge = edges_of(faces)
+    edge_count = len(edges)
+    sides = np.bincount(side_edge.ravel(), minlength=edge_count)
+    rim = sides == 1
+    # New edge vertices: 3/8 ends + 1/8 of both opposite corners; 1/2 ends on the rim.
+    opposite = np.roll(faces, 1, axis=1)  # corner that faces side s
+    inner_side = ~rim[side_edge.ravel()]
+    end_weight = np.where(rim, 0.5, 0.375)
+    rows = [np.repeat(vertex_count + np.arange(edge_count), 2), vertex_count + side_edge.ravel()[inner_side]]
+    columns = [edges.ravel(), opposite.ravel()[inner_side]]
+    values = [np.repeat(end_weight, 2), np.full(inner_side.sum(), 0.125)]
+    # Old vertices: beta of Loop's rule inside, 3/4 and twice 1/8 on the rim.
+    valence = np.bincount(edges.ravel(), minlength=vertex_count)
+    on_rim = np.zeros(vertex_count, bool)
+    on_rim[edges[rim].ravel()] = True
+    with np.errstate(divide="ignore"):
+        beta = (0.625 - (0.375 + 0.25 * np.cos(2.0 * np.pi / np.maximum(valence, 1))) ** 2) / np.maximum(valence, 1)
+    both = np.concatenate([edges, edges[:, ::-1]])
+    rim_both = np.concatenate([rim, rim])
+    at_inner = ~on_rim[both[:, 0]]
+    along_rim = on_rim[both[:, 0]] & rim_both
+    rows += [both[at_inner, 0], both[along_rim, 0], np.arange(vertex_count)]
+    columns += [both[at_inner, 1], both[along_rim, 1], np.arange(vertex_count)]
+    values += [
+        beta[both[at_inner, 0]],
+        np.full(along_rim.sum(), 0.125),
+        np.where(on_rim, 0.75, 1.0 - valence * beta),
+    ]
+    matrix = csr_matrix(
+        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))),
+        (vertex_count + edge_count, vertex_count),
+    )
+    return matrix, _split(faces, vertex_count + side_edge)
+
+
+def _split(faces: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """Four faces from each: its three corners and its middle; ``middle`` are the vertices of sides 0-1, 1-2, 2-0."""
+    a, b, c = faces.T
+    ab, bc, ca = middle.T
+    parts = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
+    return np.stack([np.stack(p, axis=1) for p in parts], axis=1).reshape(-1, 3).astype(np.int32)
+
+
+@dataclass(frozen=True)
+class Subdivision:
+    """A coarse mesh and its smooth refinement.
+
+    Upsampling is quasi-interpolating: Loop subdivision of 2 x - S x, where S x is where subdivision would move
+    the coarse vertices. Coarse vertices then lie on the smooth surface to second order, and the surface does not shrink
+    into the body as a plain Loop surface does.
+
+    Attributes:
+        coarse_faces: int32, shape (m, 3).
+        coarse_count: number of coarse vertices.
+        steps: Loop matrices, one a level.
+        faces: of the fine mesh, int32, shape (m 4^levels, 3). Coarse vertices come first in the fine numbering.
+    """
+
+    coarse_faces: np.ndarray
+    coarse_count: int
+    steps: tuple[csr_matrix, ...]
+    faces: np.ndarray
+
+    @classmethod
+    def of(cls, faces: np.ndarray, vertex_count: int, levels: int) -> Subdivision:
+        """Refine a mesh ``levels`` times."""
+        steps, fine, count = [], np.asarray(faces, np.int32), vertex_count
+        for _ in range(levels):
+            matrix, fine = loop_step(fine, count)
+            steps.append(matrix)
+            count = matrix.shape[0]
+        return cls(np.asarray(faces, np.int32), vertex_count, tuple(steps), fine)
+
+    @property
+    def fine_count(self) -> int:
+        return self.matrix.shape[0]
+
+    @cached_property
+    def correction(self) -> csr_matrix:
+        """2 I - S on the coarse vertices, shape (n, n)."""
+        plain = self._plain[: self.coarse_count]
+        return (2.0 * identity(self.coarse_count, format="csr") - plain).tocsr()
+
+    @cached_property
+    def _plain(self) -> csr_matrix:
+        matrix = identity(self.coarse_count, format="csr")
+        for step in self.steps:
+            matrix = (step @ matrix).tocsr()
+        return matrix
+
+    @cached_property
+    def matrix(self) -> csr_matrix:
+        """Fine positions from coarse ones, shape (N, n)."""
+        return (self._plain @ self.correction).tocsr()
+
+    def upsample(self, coarse: np.ndarray) -> np.ndarray:
+        """Smooth surface: [m], shape (n, 3) to (N, 3), or (frames, n, 3) to (frames, N, 3)."""
+        return _apply(self.matrix, coarse)
+
+    def filter_down(self, fine: np.ndarray, anchor: np.ndarray | None = None) -> np.ndarray:
+        """Coarse vertices whose smooth surface is nearest to fine vertices, in the least-squares sense.
+
+        Args:
+            fine: [m], shape (N, 3) or (frames, N, 3).
+            anchor: coarse vertices that must be where their fine twins are (attachments), int, shape (p,).
+
+        Returns:
+            [m], shape (n, 3) or (frames, n, 3).
+        """
+        weight = np.zeros(self.coarse_count)
+        if anchor is not None:
+            weight[anchor] = 1.0e3
+        pick = diags(weight, format="csr")
+        key = weight.tobytes()
+        if key not in self._factors:
+            normal = (self.matrix.T @ self.matrix + pick.T @ pick).tocsc()
+            self._factors[key] = splu(normal)
+        stacked = vstack([self.matrix, pick]).tocsr()
+        frames = np.asarray(fine, float)
+        target = np.concatenate([frames, weight[:, None] * frames[..., : self.coarse_count, :]], axis=-2)
+        flat = _apply(stacked.T.tocsr(), target)
+        columns = np.moveaxis(flat, -2, 0).reshape(self.coarse_count, -1)
+        solved = self._factors[key].solve(columns).reshape(self.coarse_count, *flat.shape[:-2], 3)
+        return np.moveaxis(solved, 0, -2)
+
+    @cached_property
+    def _factors(self) -> dict:
+        return {}
+
+    def meshes(self, coarse_vertices: np.ndarray, warp: tuple = (0.0, 1.0, 0.0)) -> tuple[ClothMesh, ClothMesh]:
+        """Coarse and fine mesh with one rest metric, taken from the smooth fine mesh.
+
+        A coarse side is as long as the fine edges along it, so that the coarse garment has the fine one's area
+        (chords of a coarse mesh are shorter than the cloth).
+
+        Args:
+            coarse_vertices: [m], shape (n, 3).
+            warp: direction of the warp in space, shape (3,).
+        """
+        fine_vertices = self.upsample(coarse_vertices)
+        fine = ClothMesh.from_surface(fine_vertices, self.faces, warp)
+        edges, side_edge = edges_of(self.coarse_faces)
+        lengths = np.zeros(len(edges))
+        for path in self._edge_paths(edges):
+            lengths += np.linalg.norm(fine_vertices[path[:, 1]] - fine_vertices[path[:, 0]], axis=1)
+        flat = flatten_by_surface(np.asarray(coarse_vertices, float), self.coarse_faces, np.asarray(warp))
+        flat = flatten_by_lengths(flat, self.coarse_faces, lengths, side_edge)
+        return ClothMesh(np.asarray(coarse_vertices, float), self.coarse_faces, flat), fine
+
+    def _edge_paths(self, edges: np.ndarray) -> list[np.ndarray]:
+        """Fine edges along each coarse edge: a list of arrays of shape (e, 2)."""
+        pieces, faces, count = [edges], self.coarse_faces, self.coarse_count
+        for step in self.steps:
+            level_edges, side_edge = edges_of(faces)
+            key = level_edges[:, 0].astype(np.int64) * count + level_edges[:, 1]
+            order = np.argsort(key)
+            halves = []
+            for piece in pieces:
+                low, high = piece.min(axis=1).astype(np.int64), piece.max(axis=1)
+                middle = count + order[np.searchsorted(key[order], low * count + high)]
+                halves += [np.stack([piece[:, 0], middle], axis=1), np.stack([middle, piece[:, 1]], axis=1)]
+            pieces = halves
+            faces = _split(faces, count + side_edge)
+            count = step.shape[0]
+        return pieces
+
+
+def _apply(matrix: csr_matrix, values: np.ndarray) -> np.ndarray:
+    """A sparse matrix on the vertex axis of (..., n, 3)."""
+    values = np.asarray(values, float)
+    columns = np.moveaxis(values, -2, 0).reshape(values.shape[-2], -1)
+    result = (matrix @ columns).reshape(matrix.shape[0], *values.shape[:-2], 3)
+    return np.moveaxis(result, 0, -2)
