@@ -1,0 +1,269 @@
+"""Garment meshes: loaded, welded and checked, so that a solver can trust them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from assets.gltf import read_document
+from assets.obj import read_obj
+from assets.weld import check_unit, weld
+from pbd.errors import InputError
+from pbd.mesh import edges_of
+
+__all__ = ["Garment", "boundary_loops", "highest_loop", "load_garment"]
+
+Floats = NDArray[np.float64]
+Faces = NDArray[np.int32]
+
+# A triangle lower than this share of its longest side is a line at the precision of a file.
+_FLAT = 1e-6
+# Median of edges in space over edges of the pattern: a texture atlas is mostly further off than a worn garment.
+_STRETCH = (0.67, 1.5)
+
+
+@dataclass(frozen=True, eq=False)
+class Garment:
+    """A manifold, consistently wound triangle mesh.
+
+    Attributes:
+        name: name for messages.
+        vertices: [m], shape (n, 3), float64, one vertex for each position.
+        faces: shape (m, 3), int32.
+        pattern: flat coordinates of each face corner [m], shape (m, 3, 2), float64; None if the rest shape is the mesh.
+        source: the file or the function that it came from.
+    """
+
+    name: str
+    vertices: Floats
+    faces: Faces
+    pattern: Floats | None
+    source: str
+
+
+def load_garment(path: str | PathLike[str], *, pattern: bool = False) -> Garment:
+    """Load, weld and check a garment from an .obj, .glb or .gltf file in metres.
+
+    Vertices at exactly the same position become one, so that seams of the texture close; the vertices of an .obj file
+    with a pattern stay as they are, since its panels may touch before they are stitched. Polygons are cut into
+    triangles, faces that are wound against their neighbours are turned, vertices that no face uses are dropped. The
+    order of vertices and faces stays.
+
+    Args:
+        path: the file.
+        pattern: whether the texture coordinates are a flat pattern in metres.
+
+    Raises:
+        InputError: the file cannot be read or is truncated; no faces; vertices that are not finite; a face with an
+            index out of range, without area, or twice; an edge of more than two faces; a surface with one side only; a
+            size that cannot be metres; or, with ``pattern``, texture coordinates that are missing or no pattern. The
+            message names the vertex, the face (counted from 0, after triangulation) or the edge.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".obj":
+        mesh = read_obj(path)
+        vertices, faces, texture, lines = mesh.vertices, mesh.faces, mesh.texture, mesh.lines
+        label = lambda face: f"face {face} (line {lines[face]})"  # noqa: E731
+    elif path.suffix.lower() in (".glb", ".gltf"):
+        vertices, faces, texture = _read_gltf(path)
+        label = lambda face: f"face {face}"  # noqa: E731
+    else:
+        raise InputError("an unknown kind of file", file=path, received=path.suffix, expected=".obj, .glb or .gltf")
+    if not len(faces):
+        raise InputError("a mesh without faces", file=path, received=f"{len(vertices)} vertices")
+    if not (pattern and path.suffix.lower() == ".obj"):
+        vertices, faces, _ = weld(vertices, faces)
+    vertices, faces = _drop_unused(vertices, faces)
+    check_unit(vertices, path)
+    _check_faces(vertices, faces, path, label)
+    flipped = _winding(faces, path)
+    faces[flipped] = faces[flipped][:, [0, 2, 1]]
+    flat = None
+    if pattern:
+        flat = _check_pattern(vertices, faces, texture, flipped, path, label)
+    return Garment(path.stem, vertices, faces, flat, str(path))
+
+
+def boundary_loops(faces: Faces) -> list[NDArray[np.int32]]:
+    """Boundary loops as vertices in order, wound as the faces along them are; the loop of most vertices first.
+
+    Where two parts of a surface touch at a vertex, each loop stays with its own part.
+
+    Args:
+        faces: of a manifold, consistently wound mesh, shape (m, 3).
+
+    Raises:
+        InputError: two faces run along an edge in the same direction.
+    """
+    sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
+    third = np.roll(faces, -2, axis=1).reshape(-1)
+    opposite = {(a, b): c for (a, b), c in zip(sides.tolist(), third.tolist(), strict=True)}
+    if len(opposite) < len(sides):
+        unique, counts = np.unique(sides, axis=0, return_counts=True)
+        a, b = unique[counts.argmax()]
+        raise InputError("faces that run along an edge in the same direction", key=f"edge {a}-{b}")
+    left = {side: None for side in opposite if side[::-1] not in opposite}  # a set that keeps its order
+    loops = []
+    while left:
+        side = next(iter(left))
+        loop = []
+        while side in left:
+            del left[side]
+            loop.append(side[0])
+            # Walk round the end vertex from face to face until a side has no neighbour.
+            end, around = side[1], opposite[side]
+            while (around, end) in opposite:
+                around = opposite[around, end]
+            side = (end, around)
+        loops.append(np.array(loop, dtype=np.int32))
+    return sorted(loops, key=len, reverse=True)
+
+
+def highest_loop(vertices: Floats, faces: Faces) -> NDArray[np.int32]:
+    """The boundary loop whose mean height is greatest: a waistband, a neckline.
+
+    Args:
+        vertices: [m], shape (n, 3).
+        faces: shape (m, 3).
+
+    Raises:
+        InputError: the mesh is closed.
+    """
+    loops = boundary_loops(faces)
+    if not loops:
+        raise InputError("a mesh without openings has no highest one")
+    return max(loops, key=lambda loop: vertices[loop, 1].mean())
+
+
+def _read_gltf(path: Path) -> tuple[Floats, Faces, Floats | None]:
+    """All triangles of the scene in world space, with texture coordinates by corner if every primitive has them."""
+    document = read_document(path)
+    vertices, faces, texture = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int32)], []
+    for node in document.mesh_nodes():
+        matrix = document.world_matrix(node)
+        for primitive in document.primitives(node):
+            faces.append(primitive.faces + sum(map(len, vertices)))
+            vertices.append(primitive.vertices @ matrix[:3, :3].T + matrix[:3, 3])
+            # glTF counts texture coordinates downwards, patterns upwards.
+            texture.append(
+                None if primitive.texture is None else (primitive.texture * [1, -1] + [0, 1])[primitive.faces]
+            )
+    complete = texture and all(part is not None for part in texture)
+    return np.concatenate(vertices), np.concatenate(faces), np.concatenate(texture) if complete else None
+
+
+def _drop_unused(vertices: Floats, faces: Faces) -> tuple[Floats, Faces]:
+    used, corners = np.unique(faces, return_inverse=True)
+    return vertices[used], corners.reshape(-1, 3).astype(np.int32)
+
+
+def _heights(corners: Floats) -> tuple[Floats, Floats]:
+    """Height over the longest side, and that side [m], of triangles, shape (m, 3, 2 or 3)."""
+    sides = np.roll(corners, -1, axis=1) - corners
+    longest = np.linalg.norm(sides, axis=2).max(axis=1)
+    first, second = sides[:, 0], sides[:, 1]
+    squares = (first**2).sum(axis=1) * (second**2).sum(axis=1) - (first * second).sum(axis=1) ** 2
+    return np.sqrt(np.maximum(squares, 0.0)) / np.maximum(longest, 1e-300), longest
+
+
+def _check_faces(vertices: Floats, faces: Faces, path: Path, label: Callable[[int], str]) -> None:
+    """Refuse faces without area, faces that appear twice, and edges of more than two faces."""
+    a, b, c = faces.T
+    repeated = (a == b) | (b == c) | (c == a)
+    height, longest = _heights(vertices[faces])
+    bad = np.flatnonzero(repeated | (height <= _FLAT * longest))
+    if bad.size:
+        raise InputError("a face without area", file=path, key=label(bad[0]), received=faces[bad[0]].tolist())
+    _, first, group = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_inverse=True)
+    bad = np.flatnonzero(first[group.reshape(-1)] != np.arange(len(faces)))
+    if bad.size:
+        other = label(first[group.reshape(-1)[bad[0]]])
+        raise InputError(f"the same face as {other}", file=path, key=label(bad[0]), received=faces[bad[0]].tolist())
+    edges, side_edge = edges_of(faces)
+    counts = np.bincount(side_edge.ravel(), minlength=len(edges))
+    if counts.max() > 2:
+        edge = int(counts.argmax())
+        some = np.flatnonzero((side_edge == edge).any(axis=1))[:3]
+        raise InputError(
+            f"an edge of {counts[edge]} faces: {', '.join(label(face) for face in some)}",
+            file=path,
+            key=f"edge {edges[edge, 0]}-{edges[edge, 1]}",
+            expected="at most 2",
+        )
+
+
+def _winding(faces: Faces, path: Path) -> NDArray[np.bool_]:
+    """Faces to turn so that all neighbours agree, shape (m,): in each piece the fewer.
+
+    Raises:
+        InputError: a piece that has only one side, like a Moebius strip.
+    """
+    sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
+    _, side_edge = edges_of(faces)
+    order = np.argsort(side_edge.ravel(), kind="stable")
+    shared = np.flatnonzero(np.diff(side_edge.ravel()[order]) == 0)
+    one, two = order[shared], order[shared + 1]
+    against = sides[one, 0] == sides[two, 0]  # neighbours that agree run along their edge in opposite directions
+    flipped = np.zeros(len(faces), dtype=bool)
+    if not against.any():
+        return flipped
+    neighbours: list[list[tuple[int, bool]]] = [[] for _ in range(len(faces))]
+    for first, second, turned in zip((one // 3).tolist(), (two // 3).tolist(), against.tolist(), strict=True):
+        neighbours[first].append((second, turned))
+        neighbours[second].append((first, turned))
+    seen = np.zeros(len(faces), dtype=bool)
+    for root in range(len(faces)):
+        if seen[root]:
+            continue
+        seen[root], piece, waiting = True, [root], [root]
+        while waiting:
+            face = waiting.pop()
+            for other, turned in neighbours[face]:
+                wanted = bool(flipped[face]) != turned
+                if not seen[other]:
+                    seen[other], flipped[other] = True, wanted
+                    piece.append(other)
+                    waiting.append(other)
+                elif flipped[other] != wanted:
+                    edge = sorted(set(faces[face].tolist()) & set(faces[other].tolist()))
+                    raise InputError("a surface with one side only", file=path, key=f"edge {edge[0]}-{edge[1]}")
+        if flipped[piece].sum() * 2 > len(piece):
+            flipped[piece] = ~flipped[piece]
+    return flipped
+
+
+def _check_pattern(
+    vertices: Floats,
+    faces: Faces,
+    texture: Floats | None,
+    flipped: NDArray[np.bool_],
+    path: Path,
+    label: Callable[[int], str],
+) -> Floats:
+    """The pattern by face corner, turned like the faces; refused where it cannot be one."""
+    if texture is None:
+        raise InputError("no texture coordinates to take a pattern from", file=path, key="pattern")
+    flat = texture.copy()
+    flat[flipped] = flat[flipped][:, [0, 2, 1]]
+    height, longest = _heights(flat)
+    bad = np.flatnonzero(height <= _FLAT * longest)
+    if bad.size:
+        raise InputError(
+            "a face without area in the pattern", file=path, key=label(bad[0]), received=flat[bad[0]].tolist()
+        )
+    lengths = [np.linalg.norm(np.roll(x, -1, axis=1) - x, axis=2) for x in (vertices[faces], flat)]
+    ratio = float(np.median(lengths[0] / lengths[1]))
+    if not _STRETCH[0] <= ratio <= _STRETCH[1]:
+        raise InputError(
+            "texture coordinates that are no flat pattern in metres",
+            file=path,
+            key="pattern",
+            received=f"edges {ratio:.3g} times as long in space",
+            expected=f"{_STRETCH[0]} to {_STRETCH[1]}",
+        )
+    return flat
