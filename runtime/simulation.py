@@ -1,0 +1,101 @@
+"""A garment on an animated body: one solver, one state, one body, moved by poses."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from pbd import Body, Colliders, Model, Solver, SolverOptions, State
+from pbd.attachment import Attachment
+
+__all__ = ["BodySource", "Motion", "Simulation"]
+
+
+class BodySource(Protocol):
+    """What can be posed: a skinned character or a vertex sequence."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+
+    def skin(self, pose: np.ndarray, origin: np.ndarray, out: np.ndarray) -> None:
+        """Write the posed vertices, world less origin [m], float32, shape (n, 3)."""
+        ...
+
+
+class Motion(Protocol):
+    """Poses over time."""
+
+    name: str
+    duration: float
+
+    def pose(self, t: float) -> np.ndarray:
+        """Pose at t [s]."""
+        ...
+
+
+class Simulation:
+    """Steps one garment along with the poses of a body.
+
+    Args:
+        model: the garment, coarse or fine.
+        attachment: of its held vertices.
+        source: the body.
+        pose: where the body is at the start: its bind pose, moved as a whole.
+        options: of the solver.
+        primitives: further colliders.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        attachment: Attachment,
+        source: BodySource,
+        pose: np.ndarray,
+        options: SolverOptions | None = None,
+        primitives: tuple = (),
+    ) -> None:
+        self.model, self.attachment, self.source = model, attachment, source
+        self.solver = Solver(model, options)
+        vertices = model.mesh.vertices
+        if pose.shape[1:] == (3, 4):  # the garment starts in the bind pose and is moved along with the root
+            vertices = vertices @ pose[0, :, :3].T + pose[0, :, 3]
+        self.state = State.at_rest(model, vertices)
+        self.body = Body(source.faces, len(source.vertices))
+        self.colliders = Colliders(primitives, self.body)
+        self.body.origin = self.state.origin.copy()
+        source.skin(pose, self.state.origin, self.body.current)
+        self.body.place(self.body.current.copy())
+
+    def step(self, pose: np.ndarray, dt: float, wind: tuple = (0.0, 0.0, 0.0)) -> None:
+        """Bring body and garment to the end of a frame.
+
+        Args:
+            pose: of the body at the end of the frame.
+            dt: frame time [s].
+            wind: velocity of the air [m/s].
+        """
+        self.pose_body(pose)
+        self.step_cloth(dt, wind)
+
+    def pose_body(self, pose: np.ndarray) -> None:
+        """Skin the body to ``pose``; its last pose becomes the start of the frame."""
+        origin = self.solver.follow(self.state, self.colliders)
+        body = self.body
+        body.previous, body.current = body.current, body.previous
+        self.source.skin(pose, origin, body.current)
+        body.finish_pose()
+
+    def step_cloth(self, dt: float, wind: tuple = (0.0, 0.0, 0.0)) -> None:
+        """Advance the garment while the body goes from its last pose to the current one."""
+        targets = self.attachment.targets(self.body.current) + self.state.origin
+        self.solver.step(self.state, self.colliders, dt, targets, wind)
+
+    def drag(self, vertex: int, target: np.ndarray | None) -> None:
+        """Hold a vertex at a point in the world [m], shape (3,); None lets it go."""
+        if target is None:
+            self.state.position[vertex, 3] = self.model.inverse_mass[vertex]
+            return
+        self.state.position[vertex, 3] = 0.0
+        self.state.position[vertex, :3] = np.asarray(target, float) - self.state.origin
+        self.state.velocity[vertex] = 0.0
