@@ -18,6 +18,8 @@ from typing import Any
 import numpy as np
 
 from pbd.errors import InputError
+from pbd.storage import replacing
+from wrinkles.metrics import vertex_normals
 
 __all__ = [
     "BODY_COLOR",
@@ -235,27 +237,14 @@ def save_png(path: str | os.PathLike[str], image: np.ndarray) -> None:
     Raises:
         InputError: the array is no picture.
     """
-    path = Path(path)
-    beside = path.with_name(path.name + ".part")
-    beside.write_bytes(encode_image(image))
-    os.replace(beside, path)
+    with replacing(Path(path)) as beside:
+        beside.write_bytes(encode_image(image))
 
 
 def _fitting(font: Any, text: str, room: float) -> Any:
     """The font, made smaller until the text fits into the room [pixel]."""
     length = font.getlength(text)
     return font if length <= 0.96 * room else font.font_variant(size=max(8.0, font.size * 0.96 * room / length))
-
-
-def _vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Area-weighted unit vertex normals, shape (n, 3); (0, 1, 0) where a vertex has no area around it."""
-    corners = vertices[faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.stack(
-        [np.bincount(faces.ravel(), np.repeat(cross[:, k], 3), minlength=len(vertices)) for k in range(3)], axis=1
-    )
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.where(length > 0.0, normals / np.where(length > 0.0, length, 1.0), (0.0, 1.0, 0.0))
 
 
 def _floor_shadow(points: np.ndarray, height: float) -> np.ndarray:
@@ -345,7 +334,7 @@ class _Studio:
         import pyvista
 
         faces = np.asarray(mesh.faces)
-        normals = _vertex_normals(local, faces) if mesh.normals is None else np.asarray(mesh.normals)
+        normals = vertex_normals(local, faces) if mesh.normals is None else np.asarray(mesh.normals)
         if slot == len(self._meshes) or not np.array_equal(self._meshes[slot][0], faces):
             data = pyvista.PolyData.from_regular_faces(local.astype(np.float32), faces)
             data.point_data.active_normals = normals.astype(np.float32)
