@@ -1,0 +1,491 @@
+"""Figures that compare cloth sequences: normals, positions, edges, bending, folds, pixels.
+
+Sequences are plain arrays of vertex positions [m], shape (f, n, 3), on one fixed mesh; a single shape (n, 3) counts as
+one frame. Where a figure has a name in the project's list of figures, the function or the key carries it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import find_peaks
+from scipy.sparse import csr_matrix
+
+from pbd.bending import hinge_rows
+from pbd.errors import InputError
+from pbd.mesh import ClothMesh, edges_of
+
+__all__ = [
+    "PIXELS_PER_METRE",
+    "Stretch",
+    "bending_energy",
+    "bending_energy_ratio",
+    "edge_stretch",
+    "fold_count",
+    "given_coarse_figures",
+    "jitter_px",
+    "low_frequency_ratio_to_floor",
+    "low_frequency_rmse_mm",
+    "normal_correlation",
+    "normal_error_deg",
+    "pixel_distance",
+    "rmse_mm",
+    "skill",
+    "sted",
+    "vertex_normals",
+    "worse_than_smooth_percent",
+]
+
+PIXELS_PER_METRE = 1080 / (2 * 3.0 * np.tan(np.radians(20.0)))
+"""Of the standard camera [px/m]: 1080 lines, vertical field of view 40 deg, 3 m away."""
+
+_CHUNK = 32  # frames worked on at once: bounds the memory, large enough for the sparse products
+_NOISE_DEG = 0.01  # what float32 positions alone can turn a normal on a mesh of a few millimetres
+
+_STED_FRAME = 0.01  # length of one frame's time in the temporal edges, in diagonals of the bounding box
+_STED_WINDOW = 5  # temporal edges over which the temporal deviation is taken
+
+
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit vertex normals, each the mean of its faces' normals weighted by area.
+
+    Args:
+        vertices: [m], shape (..., n, 3).
+        faces: int, shape (m, 3).
+
+    Returns:
+        Shape (..., n, 3), float64. Zero where a vertex has no face or its faces cancel.
+    """
+    vertices = np.asarray(vertices)
+    frames = vertices.reshape(-1, *vertices.shape[-2:])
+    vertex_count, face_count = frames.shape[1], len(faces)
+    rows = np.asarray(faces).ravel()
+    around = csr_matrix(
+        (np.ones(rows.size), (rows, np.repeat(np.arange(face_count), 3))), shape=(vertex_count, face_count)
+    )
+    normals = np.zeros(frames.shape)
+    for part in _parts(len(frames)):
+        points = np.ascontiguousarray(frames[part].transpose(1, 0, 2), float)  # (n, f, 3)
+        corner = points[faces[:, 0]]
+        twice_area = _cross(points[faces[:, 1]] - corner, points[faces[:, 2]] - corner)
+        total = (around @ twice_area.reshape(face_count, -1)).reshape(points.shape)
+        length = np.sqrt(np.einsum("...i,...i->...", total, total))[..., None]
+        normals[part] = np.divide(total, length, out=np.zeros_like(total), where=length > 0).transpose(1, 0, 2)
+    return normals.reshape(vertices.shape)
+
+
+def normal_error_deg(test: np.ndarray, truth: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Mean angle between the vertex normals of two sequences, per frame [deg], shape (f,).
+
+    The mean runs over the vertices that have a face. A normal that has collapsed to zero on one side counts 90 deg.
+
+    Args:
+        test: positions [m], shape (f, n, 3).
+        truth: positions [m], shape (f, n, 3).
+        faces: int, shape (m, 3).
+
+    Raises:
+        InputError: sequences of different shape.
+    """
+    test, truth = _same_frames(test=test, truth=truth)
+    return _normal_angles(vertex_normals(test, faces), vertex_normals(truth, faces))[:, np.unique(faces)].mean(axis=1)
+
+
+def skill(error: float, error_smooth: float) -> float:
+    """What part of smooth upsampling's error is gone, 1 - error / error_smooth [-]; nan where smooth has none."""
+    return 1.0 - error / error_smooth if error_smooth > 0 else float("nan")
+
+
+def normal_correlation(test: np.ndarray, truth: np.ndarray, smooth: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Correlation of the wrinkles' normals, per frame [-], shape (f,).
+
+    The cosine between two long vectors: the stacked deviations n - n_smooth of the test and of the truth. 1 means
+    the same wrinkles, up to one common amplitude; 0 means unrelated or no wrinkles at all in the test; nan where the
+    truth itself is smooth.
+
+    Args:
+        test: positions [m], shape (f, n, 3).
+        truth: positions [m], shape (f, n, 3).
+        smooth: the smooth upsampling of the same coarse states [m], shape (f, n, 3).
+        faces: int, shape (m, 3).
+
+    Raises:
+        InputError: sequences of different shape.
+    """
+    test, truth, smooth = _same_frames(test=test, truth=truth, smooth=smooth)
+    return _deviation_cosine(*(vertex_normals(frames, faces) for frames in (test, truth, smooth)))
+
+
+def rmse_mm(test: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Root mean square distance of the vertices, per frame [mm], shape (f,). Both sequences [m], shape (f, n, 3).
+
+    Raises:
+        InputError: sequences of different shape.
+    """
+    test, truth = _same_frames(test=test, truth=truth)
+    out = [((test[part] - truth[part]) ** 2).sum(axis=2).mean(axis=1) for part in _parts(len(test))]
+    return 1e3 * np.sqrt(np.concatenate(out))
+
+
+def sted(test: np.ndarray, truth: np.ndarray, faces: np.ndarray) -> float:
+    """Spatio-temporal edge difference [-], after Vasa and Skala 2011, in a simplified form.
+
+    "A perception correlated comparison method for dynamic meshes". Spatial part: the relative length differences
+    (l_test - l_truth) / l_truth of the edges around a vertex, their deviation from their own mean (weights l_truth),
+    averaged over vertices and frames. Temporal part: the same for the edges that join a vertex to itself
+    in the next frame, of length sqrt(|dx|^2 / d^2 + 0.01^2) with the truth's first bounding diagonal d, over windows of
+    five frames. The result is the root of the sum of both squares. Simplified: the neighbourhood is one ring, the
+    differences keep their sign, both parts weigh the same. Blind to rigid offsets, as the original.
+
+    Args:
+        test: positions [m], shape (f, n, 3).
+        truth: positions [m], shape (f, n, 3).
+        faces: int, shape (m, 3).
+
+    Raises:
+        InputError: sequences of different shape.
+    """
+    test, truth = _same_frames(test=test, truth=truth)
+    edges, _ = edges_of(np.asarray(faces))
+    used = np.unique(edges)
+    ends = edges.ravel()
+    around = csr_matrix(
+        (np.ones(ends.size), (ends, np.repeat(np.arange(len(edges)), 2))), shape=(test.shape[1], len(edges))
+    )[used]
+    spatial = 0.0
+    for part in _parts(len(test)):
+        length = _edge_lengths(truth[part], edges).T
+        difference = (_edge_lengths(test[part], edges).T - length) / length
+        spatial += _deviation(lambda values: around @ values, length, difference).sum()
+    spatial /= len(used) * len(test)
+    if len(test) < 2:
+        return float(spatial)
+
+    diagonal = np.linalg.norm(np.ptp(truth[0][used], axis=0))
+    length, other = (
+        np.hypot(np.linalg.norm(np.diff(frames[:, used], axis=0), axis=2) / diagonal, _STED_FRAME)
+        for frames in (truth, test)
+    )
+    window = min(_STED_WINDOW, len(length))
+
+    def window_sum(values: np.ndarray) -> np.ndarray:
+        total = np.cumsum(np.concatenate([np.zeros_like(values[:1]), values]), axis=0)
+        return total[window:] - total[:-window]
+
+    temporal = _deviation(window_sum, length, (other - length) / length).mean()
+    return float(np.hypot(spatial, temporal))
+
+
+def worse_than_smooth_percent(
+    test: np.ndarray, truth: np.ndarray, smooth: np.ndarray, faces: np.ndarray, patches: np.ndarray
+) -> float:
+    """Share of patch-frames whose mean normal error exceeds smooth's on the same coarse state [%].
+
+    An excess below 0.01 deg is the noise of float32 positions and does not count.
+
+    Args:
+        test: positions [m], shape (f, n, 3).
+        truth: positions [m], shape (f, n, 3).
+        smooth: the smooth upsampling of the same coarse states [m], shape (f, n, 3).
+        faces: int, shape (m, 3).
+        patches: patch of each vertex (for instance its nearest coarse vertex), int >= 0, shape (n,).
+
+    Raises:
+        InputError: sequences of different shape, or patches that do not fit them.
+    """
+    test, truth, smooth = _same_frames(test=test, truth=truth, smooth=smooth)
+    normals = [vertex_normals(frames, faces) for frames in (test, truth, smooth)]
+    return _worse_percent(_normal_angles(normals[0], normals[1]), _normal_angles(normals[2], normals[1]), patches)
+
+
+def given_coarse_figures(
+    test: np.ndarray, truth: np.ndarray, smooth: np.ndarray, faces: np.ndarray, patches: np.ndarray
+) -> dict[str, float]:
+    """All figures of this module that hold where the coarse state is given, by name.
+
+    Angles are means over the frames, `rmse_*` is the root mean square over all frames, `normal_correlation_p50` and
+    `_p90` are percentiles over the frames.
+
+    Args:
+        test: positions [m], shape (f, n, 3).
+        truth: positions [m], shape (f, n, 3).
+        smooth: the smooth upsampling of the same coarse states [m], shape (f, n, 3).
+        faces: int, shape (m, 3).
+        patches: patch of each vertex, int >= 0, shape (n,).
+
+    Raises:
+        InputError: sequences of different shape, or patches that do not fit them.
+    """
+    test, truth, smooth = _same_frames(test=test, truth=truth, smooth=smooth)
+    normal_test, normal_truth, normal_smooth = (vertex_normals(frames, faces) for frames in (test, truth, smooth))
+    angles, angles_smooth = _normal_angles(normal_test, normal_truth), _normal_angles(normal_smooth, normal_truth)
+    used = np.unique(faces)
+    error, error_smooth = float(angles[:, used].mean()), float(angles_smooth[:, used].mean())
+    rmse, rmse_smooth = (float(np.sqrt((rmse_mm(frames, truth) ** 2).mean())) for frames in (test, smooth))
+    correlation = _deviation_cosine(normal_test, normal_truth, normal_smooth)
+    correlation = correlation[np.isfinite(correlation)]
+    median, upper = np.percentile(correlation, [50, 90]) if correlation.size else (np.nan, np.nan)
+    return {
+        "normal_error_deg": error,
+        "normal_error_smooth_deg": error_smooth,
+        "normal_skill": skill(error, error_smooth),
+        "normal_correlation_p50": float(median),
+        "normal_correlation_p90": float(upper),
+        "rmse_mm": rmse,
+        "rmse_smooth_mm": rmse_smooth,
+        "rmse_skill": skill(rmse, rmse_smooth),
+        "sted": sted(test, truth, faces),
+        "worse_than_smooth_percent": _worse_percent(angles, angles_smooth, patches),
+    }
+
+
+class Stretch(NamedTuple):
+    """How much longer than at rest edges are, as parts of the rest length [-]; shortened edges count zero."""
+
+    mean: float
+    p99: float
+    max: float
+
+
+def edge_stretch(vertices: np.ndarray, edges: np.ndarray, rest_lengths: np.ndarray) -> Stretch:
+    """Stretch of the edges over all frames.
+
+    Shortening is left out: a fold that a coarse edge spans is no error of the cloth.
+
+    Args:
+        vertices: positions [m], shape (f, n, 3).
+        edges: int, shape (e, 2).
+        rest_lengths: [m], shape (e,).
+    """
+    frames = _frames(vertices, "vertices")
+    stretch = np.concatenate([_edge_lengths(frames[part], edges) for part in _parts(len(frames))])
+    stretch = np.maximum(stretch / rest_lengths - 1.0, 0.0)
+    return Stretch(float(stretch.mean()), float(np.percentile(stretch, 99)), float(stretch.max()))
+
+
+def bending_energy(
+    vertices: np.ndarray, rest_vertices: np.ndarray, faces: np.ndarray, where: np.ndarray | None = None
+) -> np.ndarray:
+    """Bending energy per unit of bending stiffness, per frame [-], shape (f,).
+
+    Quadratic hinges, E = 1/2 x^T Q x = sum of c (3/2) |K x|^2 / (A0 + A1) (Bergou et al. 2006, "A quadratic
+    bending model for inextensible surfaces") with c = 1/3, which is near 1/2 the integral of the squared curvature; how
+    near hangs on the mesh, so compare energies on one mesh only. Rest angles are zero.
+
+    Args:
+        vertices: positions [m], shape (f, n, 3).
+        rest_vertices: positions that set the rest metric [m], shape (n, 3).
+        faces: int, shape (m, 3).
+        where: bool, shape (f, n); only hinges with both ends of their edge there are counted, for instance
+            the vertices in contact. None counts all.
+    """
+    frames = _frames(vertices, "vertices")
+    hinges, rows, areas, _ = hinge_rows(ClothMesh.from_surface(rest_vertices, np.asarray(faces)))
+    rows = rows / np.sqrt(areas)[:, None]  # sqrt(2 c 3/2 / (A0 + A1)) with c = 1/3
+    index = np.repeat(np.arange(len(hinges)), 4)
+    factor = csr_matrix((rows.ravel(), (index, hinges.ravel())), shape=(len(hinges), frames.shape[1]))
+    energy = np.zeros(len(frames))
+    for part in _parts(len(frames)):
+        points = frames[part].transpose(1, 0, 2)
+        bent = (factor @ points.reshape(len(points), -1)).reshape(len(hinges), -1, 3)
+        of_hinge = 0.5 * np.einsum("hfi,hfi->fh", bent, bent)
+        if where is not None:
+            of_hinge = of_hinge * (where[part][:, hinges[:, 0]] & where[part][:, hinges[:, 1]])
+        energy[part] = of_hinge.sum(axis=1)
+    return energy
+
+
+def bending_energy_ratio(test: np.ndarray, truth: np.ndarray, rest_vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Mean bending energy of the test over that of the truth [-]. The sequences may differ in length.
+
+    Args:
+        test: positions [m], shape (f, n, 3).
+        truth: positions [m], shape (g, n, 3).
+        rest_vertices: positions that set the rest metric [m], shape (n, 3).
+        faces: int, shape (m, 3).
+    """
+    energies = (bending_energy(frames, rest_vertices, faces).mean() for frames in (test, truth))
+    return float(next(energies) / next(energies))
+
+
+def fold_count(loop: np.ndarray, least_turn_deg: float = 15.0, blur: float = 0.01) -> np.ndarray:
+    """Folds along a closed loop, such as a hem, per frame: int, shape (f,).
+
+    The loop is seen along its area vector and blurred. A fold is one swing of its tangent to and fro against an even
+    turn, that is, two sign changes of the curvature against the loop's mean curvature. Swings by less than the
+    threshold do not count, so noise and the loop's own roundness add nothing.
+
+    Args:
+        loop: vertex positions in order, the last joined to the first [m], shape (f, k, 3) or (k, 3).
+        least_turn_deg: threshold, from one extreme of the tangent to the next [deg]; a wave of amplitude a and length w
+            swings by 2 atan(2 pi a / w).
+        blur: standard deviation of the blur along the loop [m].
+    """
+    return np.array([_fold_count(points, np.radians(least_turn_deg), blur) for points in _frames(loop, "loop")])
+
+
+def pixel_distance(test: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Distance of the vertices on the standard camera's screen [px], shape (..., n).
+
+    The whole distance is taken to lie across the line of sight, so no camera angle shows more.
+
+    Args:
+        test: positions [m], shape (..., n, 3).
+        truth: positions [m], shape (..., n, 3).
+    """
+    return PIXELS_PER_METRE * np.linalg.norm(np.asarray(test, float) - np.asarray(truth, float), axis=-1)
+
+
+def jitter_px(vertices: np.ndarray) -> float:
+    """Jitter on the standard camera's screen: the 95th percentile over vertices and frames [px a frame].
+
+    Half the second difference over three frames: a vertex that hops to and fro counts the length of its hop, one that
+    moves evenly counts nothing. True acceleration counts too (free fall at 60 Hz: 0.7 px), so take a stretch
+    of rest, or compare with the truth's own figure.
+
+    Args:
+        vertices: positions [m], shape (f, n, 3), at least three frames.
+
+    Raises:
+        InputError: fewer than three frames.
+    """
+    frames = _frames(vertices, "vertices")
+    if len(frames) < 3:
+        raise InputError("too few frames for jitter", key="vertices", received=len(frames), expected="at least 3")
+    return float(0.5 * np.percentile(pixel_distance(frames[2:] + frames[:-2], 2.0 * frames[1:-1]), 95))
+
+
+def low_frequency_rmse_mm(test: np.ndarray, truth: np.ndarray, low_pass: Callable[[np.ndarray], np.ndarray]) -> float:
+    """Root mean square distance of two sequences after a low-pass filter, over all frames [mm].
+
+    Args:
+        test: positions [m], shape (f, n, 3).
+        truth: positions [m], shape (f, n, 3).
+        low_pass: linear filter on positions, such as :class:`wrinkles.spectrum.LowPass`.
+
+    Raises:
+        InputError: sequences of different shape.
+    """
+    test, truth = _same_frames(test=test, truth=truth)
+    return float(1e3 * np.sqrt(3.0 * (low_pass(test - truth) ** 2).mean()))
+
+
+def low_frequency_ratio_to_floor(
+    test: np.ndarray, truth: np.ndarray, floor: np.ndarray, low_pass: Callable[[np.ndarray], np.ndarray]
+) -> float:
+    """Low-frequency mismatch of the test over that of a second converged run, both against the truth [-].
+
+    Free folding is chaotic: two converged simulations of one scene part company, and a mismatch below theirs
+    (a ratio of about 1 or less) means nothing.
+
+    Args:
+        test: positions [m], shape (f, n, 3).
+        truth: a converged run [m], shape (f, n, 3).
+        floor: another converged run of the same scene, with other settings [m], shape (f, n, 3).
+        low_pass: linear filter on positions, such as :class:`wrinkles.spectrum.LowPass`.
+
+    Raises:
+        InputError: sequences of different shape.
+    """
+    return low_frequency_rmse_mm(test, truth, low_pass) / low_frequency_rmse_mm(floor, truth, low_pass)
+
+
+def _parts(count: int) -> Iterator[slice]:
+    return (slice(start, min(start + _CHUNK, count)) for start in range(0, count, _CHUNK))
+
+
+def _frames(array: np.ndarray, key: str) -> np.ndarray:
+    """The sequence as float64, shape (f, n, 3)."""
+    array = np.asarray(array, float)
+    if array.ndim not in (2, 3) or array.shape[-1] != 3:
+        raise InputError("not a sequence of positions", key=key, received=array.shape, expected="shape (f, n, 3)")
+    return array if array.ndim == 3 else array[None]
+
+
+def _same_frames(**sequences: np.ndarray) -> list[np.ndarray]:
+    frames = [_frames(array, key) for key, array in sequences.items()]
+    shapes = {key: array.shape for key, array in zip(sequences, frames, strict=True)}
+    if len(set(shapes.values())) > 1:
+        raise InputError("sequences of different shape", received=shapes, expected="one shape (f, n, 3)")
+    return frames
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross product along the last axis; several times faster than numpy's on long arrays."""
+    out = np.zeros_like(a)
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        out[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
+    return out
+
+
+def _edge_lengths(frames: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    side = frames[:, edges[:, 1]] - frames[:, edges[:, 0]]
+    return np.sqrt(np.einsum("fei,fei->fe", side, side))
+
+
+def _normal_angles(normals: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Angles between unit vectors [deg], shape (f, n).
+
+    2 atan2(|a - b|, |a + b|) (Kahan) is accurate for all angles, and gives 90 deg if one is zero, 0 if both are.
+    """
+    angles = np.zeros(normals.shape[:-1])
+    for part in _parts(len(normals)):
+        difference, total = normals[part] - others[part], normals[part] + others[part]
+        lengths = (np.sqrt(np.einsum("fni,fni->fn", v, v)) for v in (difference, total))
+        angles[part] = np.degrees(2.0 * np.arctan2(*lengths))
+    return angles
+
+
+def _deviation_cosine(test: np.ndarray, truth: np.ndarray, smooth: np.ndarray) -> np.ndarray:
+    """Cosine between the stacked deviations of test and truth normals from the smooth ones, shape (f,)."""
+    cosines = np.full(len(test), np.nan)
+    for frame in range(len(test)):
+        a, b = (test[frame] - smooth[frame]).ravel(), (truth[frame] - smooth[frame]).ravel()
+        norm_a, norm_b = np.linalg.norm(a), np.linalg.norm(b)
+        if norm_b > 0:
+            cosines[frame] = a @ b / (norm_a * norm_b) if norm_a > 0 else 0.0
+    return cosines
+
+
+def _worse_percent(angles: np.ndarray, angles_smooth: np.ndarray, patches: np.ndarray) -> float:
+    patches = np.asarray(patches)
+    if patches.shape != angles.shape[1:] or patches.min(initial=0) < 0:
+        raise InputError(
+            "bad patches", key="patches", received=patches.shape, expected=f"labels >= 0, shape {angles.shape[1:]}"
+        )
+    _, label, size = np.unique(patches, return_inverse=True, return_counts=True)
+    mean_of = csr_matrix((1.0 / size[label], (label, np.arange(len(label)))))
+    return float(100.0 * (mean_of @ (angles - angles_smooth).T > _NOISE_DEG).mean())
+
+
+def _deviation(total: Callable[[np.ndarray], np.ndarray], weights: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Weighted standard deviation of values within the neighbourhoods that `total` sums over."""
+    weight = total(weights)
+    mean = total(weights * values) / weight
+    return np.sqrt(np.maximum(total(weights * values**2) / weight - mean**2, 0.0))
+
+
+def _fold_count(points: np.ndarray, least_turn: float, blur: float) -> int:
+    # Seen along the area vector, in even steps of a fifth of the blur.
+    points = points - points.mean(axis=0)
+    area = np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)
+    flat = points @ np.linalg.svd(area[None])[2][1:].T
+    closed = np.concatenate([flat, flat[:1]])
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
+    count = max(int(np.ceil(5.0 * arc[-1] / blur)), 8)
+    step = arc[-1] / count
+    even = np.stack([np.interp(np.arange(count) * step, arc, column) for column in closed.T], axis=1)
+    even = gaussian_filter1d(even, blur / step, axis=0, mode="wrap")
+    # The tangent's angle less an even turn comes back to its start: a periodic signal, opened at its highest point.
+    side = np.diff(np.concatenate([even, even[:2]]), axis=0)
+    angle = np.unwrap(np.arctan2(side[:, 1], side[:, 0]))
+    angle -= np.linspace(0.0, angle[-1] - angle[0], count + 1) + angle[0]
+    swing = np.roll(angle[:-1], -int(np.argmax(angle[:-1])))
+    if np.ptp(swing) < least_turn:
+        return 0
+    peaks, _ = find_peaks(np.append(swing, swing[0]), prominence=least_turn)
+    return 1 + len(peaks)
