@@ -1,0 +1,126 @@
+"""Linear-blend skinning: where a pose puts the vertices of a character."""
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from assets.character import Character
+from pbd.engine import ensure_initialized, ti
+
+__all__ = ["Body", "SkinnedBody", "skin_vertices"]
+
+Floats = NDArray[np.float64]
+vec3, vec4 = ti.math.vec3, ti.math.vec4
+
+
+class Body(Protocol):
+    """A surface that a motion moves.
+
+    Attributes:
+        vertices: bind pose [m], shape (n, 3), float64.
+        faces: shape (m, 3), int32.
+    """
+
+    vertices: Floats
+    faces: NDArray[np.int32]
+
+    def skin(self, pose: Floats, origin: Floats, out: Any) -> None:
+        """Write the vertices of a pose, world minus origin [m].
+
+        Args:
+            pose: what the body's motion gives.
+            origin: of the frame that ``out`` is in [m], shape (3,), float64.
+            out: float32, shape (n, 3); a Taichi array of n three-vectors, or a numpy array.
+        """
+        ...
+
+
+def skin_vertices(character: Character, pose: Floats) -> Floats:
+    """Vertices of a pose in the world [m], shape (n, 3), float64; the reference for :class:`SkinnedBody`.
+
+    Args:
+        character: whose.
+        pose: skinning matrices, shape (joints, 3, 4).
+    """
+    weights = character.joint_weights.astype(np.float64)
+    weights /= weights.sum(axis=1, keepdims=True)  # stored as float32, they sum to one only nearly
+    vertices = np.zeros((len(character.vertices), 3))
+    for entry in range(weights.shape[1]):
+        matrices = pose[character.joint_indices[:, entry]]
+        moved = np.einsum("nab,nb->na", matrices[:, :, :3], character.vertices) + matrices[:, :, 3]
+        vertices += weights[:, entry, None] * moved
+    return vertices
+
+
+class SkinnedBody:
+    """A character's surface, skinned by one serial kernel.
+
+    A vertex is the sum over its influences of the columns of the joint's matrix, each times a coordinate of the
+    weighted bind position, which never changes and is stored. Vertices are visited by their number of influences, so
+    that the processor foresees the inner loop's end; most have only one.
+
+    Attributes:
+        vertices: bind pose [m], shape (n, 3), float64.
+        faces: shape (m, 3), int32.
+    """
+
+    def __init__(self, character: Character) -> None:
+        ensure_initialized()
+        self.vertices, self.faces = character.vertices, character.faces
+        used = character.joint_weights > 0.0
+        counts = used.sum(axis=1)
+        order = np.argsort(counts, kind="stable")
+        weights = character.joint_weights.astype(np.float64)
+        weights /= weights.sum(axis=1, keepdims=True)
+        points = (
+            np.concatenate([self.vertices, np.ones((len(self.vertices), 1))], axis=1)[:, None] * weights[:, :, None]
+        )
+        chosen = used[order]
+        starts = np.concatenate([[0], np.cumsum(counts[order])[:-1]])
+        self._columns = np.zeros((character.joint_count, 4, 4), dtype=np.float32)  # by joint and column; row 3 unused
+        self._points = _array(vec4, points[order][chosen].astype(np.float32))
+        self._joints = _array(ti.i32, character.joint_indices[order][chosen])
+        self._spans = _array(ti.math.ivec3, np.stack([starts, starts + counts[order], order], axis=1).astype(np.int32))
+
+    def skin(self, pose: Floats, origin: Floats, out: Any) -> None:
+        """Write the vertices of a pose, world minus origin [m]; see :class:`Body`.
+
+        Args:
+            pose: skinning matrices, shape (joints, 3, 4), float64.
+            origin: [m], shape (3,), float64; taken off before rounding to float32.
+            out: float32, shape (n, 3).
+        """
+        self._columns[:, :3, :3] = np.swapaxes(pose[:, :, :3], 1, 2)
+        self._columns[:, 3, :3] = pose[:, :, 3] - origin
+        _blend(self._columns, self._points, self._joints, self._spans, out)
+
+
+@ti.kernel
+def _blend(
+    columns: ti.types.ndarray(dtype=vec4, ndim=2),
+    points: ti.types.ndarray(dtype=vec4, ndim=1),
+    joints: ti.types.ndarray(dtype=ti.i32, ndim=1),
+    spans: ti.types.ndarray(dtype=ti.math.ivec3, ndim=1),
+    out: ti.types.ndarray(dtype=vec3, ndim=1),
+):
+    ti.loop_config(serialize=True)
+    for visit in range(spans.shape[0]):
+        span = spans[visit]
+        moved = vec4(0.0)
+        for entry in range(span.x, span.y):
+            joint, point = joints[entry], points[entry]
+            moved = (
+                moved
+                + columns[joint, 0] * point.x
+                + columns[joint, 1] * point.y
+                + columns[joint, 2] * point.z
+                + columns[joint, 3] * point.w
+            )
+        out[span.z] = moved.xyz
+
+
+def _array(dtype: Any, values: NDArray[Any]) -> Any:
+    array = ti.ndarray(dtype=dtype, shape=len(values))
+    array.from_numpy(np.ascontiguousarray(values))
+    return array
