@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from assets.fabrics import PRESETS, load_fabric
 from assets.settings import (
     Check,
     Reader,
@@ -65,11 +66,15 @@ def _read_attach(reader: Reader, value: Any, key: str) -> str | tuple[int, ...]:
 def _read_fabric(reader: Reader, value: Any, key: str) -> Fabric | None:
     if isinstance(value, dict):
         return reader.table(Fabric, value, key)
+    if isinstance(value, str) and value.endswith(".json"):
+        return load_fabric(file_path(".json").convert(reader, value, key))
+    if isinstance(value, str):
+        return PRESETS[choice(*PRESETS).convert(reader, value, key)]
     raise Refused
 
 
 _ATTACH = Check("'top', 'none' or a list of boundary loop numbers", _read_attach)
-_FABRIC = Check("name of a preset, path of a .json file or a table of SI values", _read_fabric)
+_FABRIC = Check(f"one of {', '.join(PRESETS)}, path of a .json file or a table of SI values", _read_fabric)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +85,7 @@ class GarmentSettings:
         name: name in figures and files, unique in the scene.
         mesh: path of the garment's mesh, or "builtin:skirt".
         pattern: whether the mesh's texture coordinates are a flat pattern [m].
-        fabric: what it is made of.
+        fabric: what it is made of; in a file a preset's name, the path of a .json file or a table of SI values.
         subdivisions: how often the coarse mesh is subdivided for the fine one.
         attach: boundary vertices that the body carries: "top" (the highest loop), "none", or numbers of loops.
         attach_vertices: more vertices that the body carries.
@@ -89,7 +94,7 @@ class GarmentSettings:
     """
 
     name: str = entry(text())
-    mesh: Path | str = entry(file_path(builtins=["builtin:skirt"]))
+    mesh: Path | str = entry(file_path(".obj", ".glb", ".gltf", builtins=["builtin:skirt"]))
     pattern: bool = entry(truth(), False)
     fabric: Fabric = entry(_FABRIC, Fabric())
     subdivisions: int = entry(whole(at_least=0), 2)

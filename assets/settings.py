@@ -105,7 +105,10 @@ class Reader:
         except Refused:
             self._add("bad value", key, value, f"{check.expected} [{check.unit}]" if check.unit else check.expected)
         except InputError as error:
-            self._add(error.problem, key, error.received, error.expected)
+            if error.file is None:
+                self._add(error.problem, key, error.received, error.expected)
+            else:  # about another file, which the message must go on naming
+                self._add(str(error), key, None, None)
         return None
 
     def _add(self, problem: str, key: str, received: Any, expected: str | None) -> None:

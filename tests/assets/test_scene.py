@@ -1,3 +1,4 @@
+import json
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -5,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from assets.fabrics import PRESETS
 from assets.scene import CapsuleSettings, CharacterSettings, Scene, load_scene, scene_text
 from pbd import Capsule, Fabric, InputError, SolverOptions
 
@@ -74,6 +76,9 @@ field_of_view_deg = 35
 def load(tmp_path: Path):
     """Writes a scene file beside a garment and loads it."""
     (tmp_path / "dress.obj").touch()
+    (tmp_path / "bad.json").write_text("{}", encoding="utf-8")
+    measured = {"density": 0.2, "stretching": [[1000, 0, 1000, 50]] * 6, "bending": [[4e-5] * 5] * 3}
+    (tmp_path / "measured.json").write_text(json.dumps(measured), encoding="utf-8")
 
     def write_and_load(text: str) -> Scene:
         path = tmp_path / "scene.toml"
@@ -95,6 +100,11 @@ def test_a_short_scene_has_the_defaults(load) -> None:
     assert (skirt.mesh, skirt.subdivisions, skirt.attach, skirt.fabric) == ("builtin:skirt", 2, "none", Fabric())
     assert scene.character is None
     assert scene.solver.gravity == (0.0, -9.81, 0.0)
+
+
+def test_a_fabric_comes_by_name_or_from_a_file(load) -> None:
+    assert load(SKIRT + 'fabric = "denim"').garments[0].fabric == PRESETS["denim"]
+    assert load(SKIRT + 'fabric = "measured.json"').garments[0].fabric.bend_warp == pytest.approx(1e-5)
 
 
 def test_every_key_is_read(load, tmp_path: Path) -> None:
@@ -162,9 +172,13 @@ def test_any_name_survives_printing(name: str, tmp_path_factory: pytest.TempPath
         (SKIRT + "fabric = { areal_density = -1 }", ["garment[0].fabric.areal_density", "received -1"]),
         (SKIRT + "fabric = { shear = nan, thickness = 0 }", ["fabric.shear", "fabric.thickness", "received nan"]),
         (SKIRT + "fabric = { sheer = 1 }", ["garment[0].fabric.sheer: unknown key", "did you mean 'shear'?"]),
+        (SKIRT + 'fabric = "denin"', ["garment[0].fabric: bad value", "'denin'", "did you mean 'denim'?"]),
+        (SKIRT + 'fabric = "absent.json"', ["garment[0].fabric: no such file", "absent.json"]),
+        (SKIRT + 'fabric = "bad.json"', ["scene.toml: garment[0].fabric: ", "bad.json: density"]),
         (SKIRT + "fabric = 3", ["garment[0].fabric: bad value", "received 3"]),
         (SKIRT.replace("builtin:skirt", "builtin:skrt"), ["builtin:skrt", "did you mean 'builtin:skirt'?"]),
         (SKIRT.replace("builtin:skirt", "absent.obj"), ["no such file", "absent.obj"]),
+        (SKIRT.replace("builtin:skirt", "bad.json"), ["garment[0].mesh: bad value", ".obj or .glb or .gltf"]),
         (SKIRT.replace("builtin:skirt", "${HOME}/a.obj"), ["unknown variable", "${GUBE_DATA}"]),
         (SKIRT + "[character]", ["character: missing key", "'file', 'sequence'"]),
         (SKIRT + '[character]\nfile = "dress.obj"', ["character.file", "received 'dress.obj'", ".glb"]),
@@ -177,6 +191,7 @@ def test_any_name_survives_printing(name: str, tmp_path_factory: pytest.TempPath
         ("solver = 3\n" + SKIRT, ["solver: bad value", "received 3", "a table"]),
         ("garment = {", ["not TOML"]),
     ],
+    ids=lambda value: value[0] if isinstance(value, list) else "scene",
 )
 def test_what_is_refused_and_how_it_is_said(load, text: str, parts: list[str]) -> None:
     message = refused(load, text)
