@@ -17,7 +17,9 @@ from pbd.mesh import ClothMesh, edges_of, hinges_of, vertex_rings
 __all__ = ["hinge_calibration", "hinge_rows"]
 
 
-def hinge_rows(mesh: ClothMesh, held: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def hinge_rows(
+    mesh: ClothMesh, held: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Hinges of a mesh with the rows of the quadratic bending operator in the rest metric.
 
     Args:

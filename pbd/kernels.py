@@ -25,7 +25,8 @@ Int1 = ti.types.ndarray(dtype=ti.i32, ndim=1)
 Float1 = ti.types.ndarray(dtype=ti.f32, ndim=1)
 Float2 = ti.types.ndarray(dtype=ti.f32, ndim=2)
 
-FAR = 0.04  # bodies are looked for up to this distance from the cloth [m]
+FAR = 0.03  # bodies are looked for up to this distance from the cloth [m]
+NEAR = 0.015  # nearer than this, a contact is looked for again within the frame [m]
 GRID_SIDE = 48
 MAX_CELLS = GRID_SIDE**3
 
@@ -117,6 +118,7 @@ def body_normals(vertices: Vec3, faces: Int3, normals: Vec3):
 @ti.kernel
 def find_nearest(
     position: Vec4,
+    samples: Int2,
     nearest: Int1,
     body: Vec3,
     ring_start: Int1,
@@ -124,7 +126,10 @@ def find_nearest(
     cell_start: Int1,
     cell_items: Int1,
 ):
-    """For every cloth vertex the nearest body vertex within FAR, or the one that it had, followed; else -1.
+    """For every contact sample the nearest body vertex within FAR, or the one that it had, followed; else -1.
+
+    The first samples are the vertices themselves; the others stand in the middle of long edges and search from what
+    the ends of their edge found.
 
     A uniform grid over the cloth's box, filled by counting sort. Cells are at least FAR wide, so that 27 of them hold
     everything within FAR.
@@ -188,6 +193,21 @@ def find_nearest(
                             distance = candidate
                             best = b
             nearest[i] = best
+        for c in range(position.shape[0], samples.shape[0]):
+            p = 0.5 * (xyz(position[samples[c][0]]) + xyz(position[samples[c][1]]))
+            best = -1
+            distance = 4.0 * FAR * FAR
+            for a in ti.static(range(3)):
+                start = nearest[c]
+                if ti.static(a < 2):
+                    start = nearest[samples[c][a]]
+                if start >= 0:
+                    found = descend(p, start, 0.0, body, body, ring_start, ring)
+                    offset = body[found] - p
+                    if offset.dot(offset) < distance:
+                        distance = offset.dot(offset)
+                        best = found
+            nearest[c] = best
 
 
 @ti.func
@@ -282,9 +302,9 @@ def touch_body(
     fan_start: ti.template(),
     fan: ti.template(),
     normals: ti.template(),
-    scratch: ti.template(),
+    touch: ti.template(),
 ):
-    """Find again where vertex i touches: body face (column 9), weights (6..8), normal (10..12) of scratch."""
+    """Find again where sample i touches: weights (columns 0..2), body face (3) and normal (4..6) of ``touch``."""
     b = descend(p, nearest[i], t, body_0, body_1, ring_start, ring)
     nearest[i] = b
     best_distance = 1e30
@@ -315,10 +335,10 @@ def touch_body(
             normal = exact
         elif along < -0.5:
             normal = -exact
-    scratch[i, 9] = ti.cast(best_face, ti.f32)
+    touch[i, 3] = ti.cast(best_face, ti.f32)
     for a in ti.static(range(3)):
-        scratch[i, 6 + a] = best_weights[a]
-        scratch[i, 10 + a] = normal[a]
+        touch[i, a] = best_weights[a]
+        touch[i, 4 + a] = normal[a]
 
 
 @ti.func
@@ -360,6 +380,8 @@ def advance(
     position: Vec4,
     velocity: Vec3,
     scratch: Float2,
+    touch: Float2,
+    samples: Int2,
     triangles: Int3,
     triangle_data: Float2,
     hinges: Int4,
@@ -428,27 +450,42 @@ def advance(
                 m = tether_correction(xyz(p) - xyz(position[tethers[c][1]]), tether_lengths[c])
                 position[i] = ti.math.vec4(p[0] + m[0], p[1] + m[1], p[2] + m[2], p[3])
 
-            find_again = step % refresh == 0
+            for c in range(samples.shape[0]):
+                i, j = samples[c][0], samples[c][1]
+                p, q = position[i], position[j]
+                weight = 0.25 * (p[3] + q[3])
+                if nearest[c] >= 0 and weight > 0.0:
+                    x = 0.5 * (xyz(p) + xyz(q))
+                    if step % refresh == 0 and (step == 0 or touch[c, 7] < NEAR):
+                        touch_body(
+                            x, c, t, nearest, body_0, body_1, body_faces,
+                            ring_start, ring, fan_start, fan, body_normals, touch,
+                        )  # fmt: skip
+                    face = body_faces[int(touch[c, 3])]
+                    weights = vec3(touch[c, 0], touch[c, 1], touch[c, 2])
+                    normal = vec3(touch[c, 4], touch[c, 5], touch[c, 6])
+                    surface = body_point(face, weights, t, body_0, body_1)
+                    distance = (x - surface).dot(normal)
+                    touch[c, 7] = distance
+                    if distance < thickness:
+                        start = 0.5 * (
+                            vec3(scratch[i, 0], scratch[i, 1], scratch[i, 2])
+                            + vec3(scratch[j, 0], scratch[j, 1], scratch[j, 2])
+                            - h * (velocity[i] + velocity[j])
+                        )
+                        carried = surface - body_point(face, weights, t - share, body_0, body_1)
+                        m = contact_correction(distance - thickness, normal, x - start - carried, friction)
+                        m *= 0.5 / weight
+                        # A vertex is a sample with both ends the same: half and half make the whole.
+                        position[i] += ti.math.vec4(p[3] * m[0], p[3] * m[1], p[3] * m[2], 0.0)
+                        if i != j:
+                            position[j] += ti.math.vec4(q[3] * m[0], q[3] * m[1], q[3] * m[2], 0.0)
             for i in range(count):
                 p = position[i]
                 if p[3] > 0.0:
                     x = xyz(p)
                     predicted = vec3(scratch[i, 0], scratch[i, 1], scratch[i, 2])
                     start = predicted - h * velocity[i]
-                    if nearest[i] >= 0:
-                        if find_again:
-                            touch_body(
-                                x, i, t, nearest, body_0, body_1, body_faces,
-                                ring_start, ring, fan_start, fan, body_normals, scratch,
-                            )  # fmt: skip
-                        face = body_faces[int(scratch[i, 9])]
-                        weights = vec3(scratch[i, 6], scratch[i, 7], scratch[i, 8])
-                        normal = vec3(scratch[i, 10], scratch[i, 11], scratch[i, 12])
-                        surface = body_point(face, weights, t, body_0, body_1)
-                        gap = (x - surface).dot(normal) - thickness
-                        if gap < 0.0:
-                            carried = surface - body_point(face, weights, t - share, body_0, body_1)
-                            x += contact_correction(gap, normal, x - start - carried, friction)
                     x += collide_primitives(x, start, t, share, primitives, thickness, friction)
                     position[i] = ti.math.vec4(x[0], x[1], x[2], p[3])
                     velocity[i] += (x - predicted) * inverse_h
@@ -457,9 +494,9 @@ def advance(
         for i in range(count):
             contact[i] = ti.math.vec4(FAR, 0.0, 0.0, 0.0)
             if nearest[i] >= 0 and position[i][3] > 0.0:
-                face = body_faces[int(scratch[i, 9])]
-                weights = vec3(scratch[i, 6], scratch[i, 7], scratch[i, 8])
-                normal = vec3(scratch[i, 10], scratch[i, 11], scratch[i, 12])
+                face = body_faces[int(touch[i, 3])]
+                weights = vec3(touch[i, 0], touch[i, 1], touch[i, 2])
+                normal = vec3(touch[i, 4], touch[i, 5], touch[i, 6])
                 surface = body_point(face, weights, 1.0, body_0, body_1)
                 carried = (surface - body_point(face, weights, 0.0, body_0, body_1)) * (inverse_h * share)
                 slip = velocity[i] - carried

@@ -17,6 +17,7 @@ from pbd.storage import replacing
 
 __all__ = ["Model", "ModelOptions", "State", "build_model"]
 
+SAMPLE_SPACING = 0.025  # edges longer than this are tested for contact in their middle too [m]: a foot is narrower
 GRID = 1.0  # origins are whole multiples of this power of two [m], so that moving one rounds nothing away
 
 
@@ -58,6 +59,8 @@ class Model:
         triangle_colors, hinge_colors: offsets of the colours, shape (colours + 1,).
         hinges: shape (h, 4); hinge_data: K row (4), sum of w K^2, compliance, shape (h, 6).
         tethers: (vertex, held vertex), shape (t, 2); tether_lengths: [m], shape (t,).
+        samples: where contact with a body is tested: the vertices (i, i), then the ends (i, j) of long edges, tested in
+            their middle, int32, shape (s, 2).
         bend_factor: c of the hinge energy, measured on this mesh [-].
     """
 
@@ -75,6 +78,7 @@ class Model:
     hinge_colors: np.ndarray
     tethers: np.ndarray
     tether_lengths: np.ndarray
+    samples: np.ndarray
     bend_factor: float
 
     @property
@@ -132,6 +136,7 @@ def build_model(
         hinge_colors,
         tethers,
         lengths,
+        _samples(mesh),
         float(bend_factor),
     )
 
@@ -178,6 +183,12 @@ def _bending(
     return np.ascontiguousarray(hinges[order]), data.astype(np.float32), offsets
 
 
+def _samples(mesh: ClothMesh) -> np.ndarray:
+    edges, lengths = mesh.edge_lengths()
+    vertices = np.arange(len(mesh.vertices), dtype=np.int32)
+    return np.concatenate([np.stack([vertices, vertices], axis=1), edges[lengths > SAMPLE_SPACING]]).astype(np.int32)
+
+
 def _tethers(mesh: ClothMesh, held: np.ndarray, slack: float) -> tuple[np.ndarray, np.ndarray]:
     """Each free vertex to the held vertex that is nearest along the cloth."""
     if not held.size or slack == 0.0:
@@ -199,7 +210,7 @@ class State:
         origin: of the frame in which ``position`` counts [m], float64, shape (3,); whole multiples of 1 m.
         position: [m], float32, shape (n, 4); the last column is the inverse mass [1/kg].
         velocity: in the world [m/s], float32, shape (n, 3).
-        nearest: body vertex nearest to each vertex, -1 for none, int32, shape (n,).
+        nearest: body vertex nearest to each contact sample of the model, -1 for none, int32, shape (s,).
         contact: distance to the body [m] and velocity of the cloth against it along the body's surface [m/s],
             float32, shape (n, 4); distance is ``pbd.kernels.FAR`` where nothing is near.
     """
@@ -220,7 +231,9 @@ class State:
         origin = GRID * np.round(vertices.mean(axis=0) / GRID)
         position = np.concatenate([vertices - origin, model.inverse_mass[:, None]], axis=1).astype(np.float32)
         contact = np.zeros((count, 4), np.float32)
-        return cls(origin, position, np.zeros((count, 3), np.float32), np.full(count, -1, np.int32), contact)
+        return cls(
+            origin, position, np.zeros((count, 3), np.float32), np.full(len(model.samples), -1, np.int32), contact
+        )
 
     def world(self) -> np.ndarray:
         """World positions [m], float64, shape (n, 3)."""

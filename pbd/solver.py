@@ -54,7 +54,8 @@ class Solver:
         ensure_initialized()
         self.model, self.options = model, options or SolverOptions()
         count, fabric = model.vertex_count, model.fabric
-        self._scratch = np.zeros((count, 13), np.float32)
+        self._scratch = np.zeros((count, 6), np.float32)
+        self._touch = np.zeros((len(model.samples), 8), np.float32)
         area = model.mesh.vertex_areas
         self._drag = (0.5 * AIR_DENSITY * fabric.air_drag * area / model.mass).astype(np.float32)
         self._held_0 = np.zeros((len(model.held), 3), np.float32)
@@ -98,13 +99,22 @@ class Solver:
             if len(self._items) < len(body.current):
                 self._items = np.zeros(len(body.current), np.int32)
             kernels.find_nearest(
-                state.position, state.nearest, body.previous, body.ring_start, body.ring, self._cells, self._items
+                state.position,
+                model.samples,
+                state.nearest,
+                body.previous,
+                body.ring_start,
+                body.ring,
+                self._cells,
+                self._items,
             )
         substeps = max(1, int(np.ceil(dt / options.substep - 1e-6)))
         kernels.advance(
             state.position,
             state.velocity,
             self._scratch,
+            self._touch,
+            model.samples,
             model.triangles,
             model.triangle_data,
             model.hinges,
