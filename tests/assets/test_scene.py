@@ -165,6 +165,7 @@ def test_any_name_survives_printing(name: str, tmp_path_factory: pytest.TempPath
         (SKIRT + 'pattern = "yes"', ["received 'yes'", "true or false"]),
         (SKIRT + "thickness = 0", ["received 0", "a finite number above 0 [m]"]),
         (SKIRT + "thickness = nan", ["received nan"]),
+        (SKIRT + "thickness = 1" + "0" * 400, ["garment[0].thickness: bad value"]),
         (SKIRT + "thickness = inf", ["received inf"]),
         (SKIRT + 'attach = "topp"', ["received 'topp'", "did you mean 'top'?"]),
         (SKIRT + "pins = [1, 1]", ["received [1, 1]", "different"]),
