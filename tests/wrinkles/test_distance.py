@@ -66,6 +66,29 @@ def test_follows_a_body_that_moves_far_from_where_its_tree_was_built() -> None:
     assert np.allclose(body.signed_distance(points, moved), brute_force(points, moved, faces), rtol=1e-12, atol=1e-14)
 
 
+def test_sign_at_a_tip_does_not_hang_on_how_its_faces_are_cut() -> None:
+    # A spike with one of its three sides cut into 30 slivers, which a plain mean of normals would follow.
+    base = np.array([[1.0, 0, 0], [-0.5, 0.8, 0], [-0.5, -0.8, 0]])
+    cut = base[0] + np.linspace(0, 1, 31)[:, None] * (base[1] - base[0])
+    vertices = np.concatenate([cut, base[2:], [[0.0, 0.0, 1.0]]])
+    fan = np.stack([np.arange(30), np.arange(1, 31)], axis=1)
+    sides = np.column_stack([fan, np.full(30, 32)])
+    floor = np.column_stack([fan[:, ::-1], np.full(30, 31)])
+    faces = np.concatenate([sides, floor, [[30, 31, 32], [31, 0, 32]]])
+    points = vertices[32] + np.random.default_rng(0).uniform(-0.1, 0.1, (1000, 3))
+    expected = brute_force(points, vertices, faces)
+    assert np.allclose(BodyDistance(faces).signed_distance(points, vertices), expected, rtol=1e-12, atol=1e-14)
+
+
+def test_every_side_of_a_single_triangle() -> None:
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0.3, 0.9, 0.2]])
+    points = np.random.default_rng(0).uniform(-1, 2, (400, 3))
+    for order in ([0, 1, 2], [1, 2, 0], [2, 0, 1]):
+        faces = np.array([order])
+        distance = BodyDistance(faces).signed_distance(points, vertices)
+        assert np.allclose(np.abs(distance), np.abs(brute_force(points, vertices, faces)), rtol=1e-12)
+
+
 def test_cube_faces_edges_and_corners() -> None:
     points = np.array([[0.5, 0.997, 0.5], [0.4, 1.003, 0.3], [0.5, 1.3, 1.4], [-0.1, -0.2, -0.2], [0.5, 0.5, 0.5]])
     distance = BodyDistance(CUBE_FACES).signed_distance(points, CUBE)
