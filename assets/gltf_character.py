@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from assets.character import Character, Clip
 from assets.gltf import Document, Primitive, read_document
-from assets.transform import decompose, nearest_signs, slerp
+from assets.transform import decompose, slerp
 from assets.weld import check_unit, group_rows
 
 __all__ = ["read_character"]
@@ -244,7 +244,7 @@ def _clip(
     }
     for (joint, path), curve in curves.items():
         values[path][:, joint] = _sample(*curve, times, path == "rotation")
-    return Clip(name, rate, values["translation"], nearest_signs(values["rotation"]), values["scale"])
+    return Clip(name, rate, values["translation"], values["rotation"], values["scale"])
 
 
 def _curve(

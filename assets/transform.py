@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pbd.errors import InputError
 
-__all__ = ["decompose", "local_matrices", "nearest_signs", "quaternions", "slerp"]
+__all__ = ["decompose", "local_matrices", "quaternions", "slerp"]
 
 Floats = NDArray[np.float64]
 
@@ -109,17 +109,6 @@ def decompose(matrices: Floats, key: str | None = None) -> tuple[Floats, Floats,
     if np.abs(np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)).max() > 1e-3:
         raise InputError("a transform that shears", key=key, expected="translation, rotation and scale")
     return matrices[..., :3, 3].copy(), quaternions(rotation), scale
-
-
-def nearest_signs(rotation: Floats) -> Floats:
-    """The same rotations with signs chosen so that each is nearest to the one before it along the first axis.
-
-    Args:
-        rotation: unit quaternions, shape (frames, ..., 4).
-    """
-    flips = np.ones(rotation.shape[:-1])
-    flips[1:] = np.where((rotation[1:] * rotation[:-1]).sum(axis=-1) < 0.0, -1.0, 1.0)
-    return rotation * np.cumprod(flips, axis=0)[..., None]
 
 
 def slerp(start: Floats, end: Floats, share: Floats | float) -> Floats:

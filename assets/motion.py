@@ -1,0 +1,165 @@
+"""Motions: what a body does over time, starting from the pose that its clothes were made in."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from assets.character import Character, Clip
+from assets.transform import decompose, slerp
+from pbd.errors import InputError
+
+__all__ = ["ClipMotion", "Motion"]
+
+Floats = NDArray[np.float64]
+
+_JUMP = 0.05  # the furthest that a joint may be [m] between the end and the start of a clip that is played in a loop
+
+
+class Motion(Protocol):
+    """Poses over time.
+
+    Attributes:
+        name: name for messages and figures.
+        duration: time from start to end [s].
+    """
+
+    name: str
+
+    @property
+    def duration(self) -> float: ...
+
+    def pose(self, t: float) -> Floats:
+        """The pose at a time [s], clamped to the ends; what the body's ``skin`` takes."""
+        ...
+
+
+class ClipMotion:
+    """A clip of a character, led into from the bind pose.
+
+    During the blend the body stands where the clip starts: the bind pose is moved level over the ground and turned
+    about the vertical until its hips stand and head as in the clip's first frame, so that it neither travels nor spins.
+    From there every joint turns (slerp) and moves (lerp) to its place in the first frame, eased in and out by
+    ``3 s^2 - 2 s^3``. Then the clip plays, with slerp between its frames.
+
+    Args:
+        character: whose.
+        clip: one of its clips.
+        blend: time from the bind pose to the clip's first frame [s]; 0 starts in the clip.
+        speed: clip seconds per second [-].
+        loop: whether the clip starts again at its end; it must then end as it starts.
+
+    Attributes:
+        name: the clip's name.
+        duration: blend and one pass of the clip [s].
+
+    Raises:
+        InputError: a negative blend, a speed that is not positive, or ``loop`` for a clip that does not close.
+    """
+
+    def __init__(
+        self, character: Character, clip: Clip, blend: float = 1.0, speed: float = 1.0, loop: bool = False
+    ) -> None:
+        key = f"clip {clip.name}"
+        if not 0.0 <= blend < np.inf:
+            raise InputError("bad blend", key=key, received=blend, expected="0 or more seconds")
+        if not 0.0 < speed < np.inf:
+            raise InputError("bad speed", key=key, received=speed, expected="more than 0")
+        self.name = clip.name
+        self.duration = blend + clip.duration / speed
+        self._character, self._rate = character, clip.rate
+        self._blend, self._speed, self._loop = blend, speed, loop
+        # One array for all three, so that a frame is one row: columns 0-2, 3-6 and 7-9.
+        self._frames = np.concatenate([clip.translation, clip.rotation, clip.scale], axis=2)
+        if loop:
+            self._check_loop(key)
+        self._start = np.concatenate(self._placed_bind_pose(), axis=1)
+
+    def pose(self, t: float) -> Floats:
+        """Skinning matrices at a time [s], shape (joints, 3, 4); held before 0 and, without ``loop``, after the end."""
+        if t < self._blend:
+            s = max(t, 0.0) / self._blend
+            return self._between(self._start, self._frames[0], s * s * (3.0 - 2.0 * s))
+        last = len(self._frames) - 1
+        place = (t - self._blend) * self._speed * self._rate
+        place = place % last if self._loop and last else min(place, last)
+        frame = min(int(place), max(last - 1, 0))
+        return self._between(self._frames[frame], self._frames[min(frame + 1, last)], place - frame)
+
+    def _between(self, start: Floats, end: Floats, share: float) -> Floats:
+        mixed = (1.0 - share) * start + share * end
+        rotation = slerp(start[:, 3:7], end[:, 3:7], share)
+        return self._character.pose_from_local(mixed[:, :3], rotation, mixed[:, 7:])
+
+    def _check_loop(self, key: str) -> None:
+        first, last = (self._joint_transforms(frame)[:, :3, 3] for frame in self._frames[[0, -1]])
+        jump = np.linalg.norm(last - first, axis=1)
+        if jump.max() > _JUMP:
+            joint = self._character.joint_names[int(jump.argmax())]
+            raise InputError(
+                "a clip that does not end as it starts cannot be played in a loop",
+                key=f"{key}, joint {joint}",
+                received=f"{jump.max():.3g} m apart",
+                expected=f"at most {_JUMP} m",
+            )
+
+    def _joint_transforms(self, frame: Floats) -> Floats:
+        return self._character.joint_transforms(frame[:, :3], frame[:, 3:7], frame[:, 7:])
+
+    def _placed_bind_pose(self) -> tuple[Floats, Floats, Floats]:
+        """Local translation, rotation and scale of the bind pose, placed where the clip starts.
+
+        Joints above the hips take the clip's first frame, the hips what is left, so that nothing but the hips and what
+        hangs on them moves during the blend.
+        """
+        character, first = self._character, self._frames[0]
+        bind = character.joint_transforms(*character.rest_local)
+        target = self._joint_transforms(first)
+        tops, above = _hips(character)
+        hips = tops[0]
+        place = _level_placement(bind[hips], target[hips])
+        translation, rotation, scale = (part.copy() for part in character.rest_local)
+        translation[above], rotation[above], scale[above] = first[above, :3], first[above, 3:7], first[above, 7:]
+        for joint in tops:
+            parent = character.joint_parents[joint]
+            space = target[parent] if parent >= 0 else character.root_transform
+            local = np.linalg.inv(space) @ place @ bind[joint]
+            translation[joint], rotation[joint], scale[joint] = decompose(
+                local, f"joint {character.joint_names[joint]}"
+            )
+        return translation, rotation, scale
+
+
+def _hips(character: Character) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The uppermost joints that carry skin, the one with the most first; and the joints above or beside them.
+
+    A joint carries skin from a thousandth of it: the roots of some skeletons stand on the floor with a few stray
+    vertices.
+    """
+    carried = np.zeros(character.joint_count)
+    np.add.at(carried, character.joint_indices.ravel(), character.joint_weights.ravel().astype(np.float64))
+    carries = carried >= min(0.001 * carried.sum(), carried.max())
+    below = np.zeros(character.joint_count, dtype=bool)  # hangs on a joint that carries skin
+    for joint, parent in enumerate(character.joint_parents):
+        below[joint] = parent >= 0 and (below[parent] or carries[parent])
+    tops = np.flatnonzero(~below & carries)
+    return tops[np.argsort(-carried[tops], kind="stable")], np.flatnonzero(~below & ~carries)
+
+
+def _level_placement(bind: Floats, target: Floats) -> Floats:
+    """A turn about the vertical and a level shift, shape (4, 4), that bring the bind pose's hips to the target's.
+
+    The turn is the twist about Y of the rotation from one to the other (swing-twist decomposition).
+    """
+    _, rotation, _ = decompose(target @ np.linalg.inv(bind))
+    y, w = rotation[1], rotation[3]
+    length = np.hypot(y, w)
+    sine, cosine = (2.0 * y * w / length**2, (w * w - y * y) / length**2) if length > 1e-6 else (0.0, 1.0)
+    place = np.eye(4)
+    place[0, 0] = place[2, 2] = cosine
+    place[0, 2], place[2, 0] = sine, -sine
+    shift = target[:3, 3] - place[:3, :3] @ bind[:3, 3]
+    place[[0, 2], 3] = shift[[0, 2]]
+    return place
