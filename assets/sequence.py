@@ -1,0 +1,152 @@
+"""Bodies given as vertex positions over time."""
+
+import zipfile
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from assets.weld import check_unit
+from pbd.engine import ensure_initialized, ti
+from pbd.errors import InputError
+
+__all__ = ["Sequence", "SequenceBody", "SequenceMotion", "load_sequence"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Sequence:
+    """A surface whose vertices are known at uniform times.
+
+    Attributes:
+        name: name for messages and figures.
+        vertices: world positions [m], shape (frames, n, 3), float32.
+        faces: shape (m, 3), int32.
+        dt: time from frame to frame [s].
+    """
+
+    name: str
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    dt: float
+
+
+def load_sequence(path: str | PathLike[str]) -> Sequence:
+    """Load a vertex sequence from an .npz file with ``vertices``, ``faces`` and ``dt``; see :class:`Sequence`.
+
+    Raises:
+        InputError: the file cannot be read or is truncated; a key is missing, holds objects, or has another shape;
+            positions that are not finite; a face with a bad index; a size that cannot be metres.
+    """
+    path = Path(path)
+    arrays = _read_arrays(path)
+    vertices, faces, dt = arrays["vertices"], arrays["faces"], arrays["dt"]
+    _check(path, "vertices", vertices, "f", vertices.ndim == 3 and vertices.shape[2] == 3 and vertices.size > 0)
+    _check(path, "faces", faces, "iu", faces.ndim == 2 and faces.shape[1] == 3 and faces.size > 0)
+    _check(path, "dt", dt, "fiu", dt.ndim == 0 and np.isfinite(dt) and dt > 0)
+    bad = np.argwhere(~np.isfinite(vertices).all(axis=2))
+    if bad.size:
+        frame, vertex = bad[0]
+        raise InputError(
+            "positions that are not finite",
+            file=path,
+            key=f"vertices, frame {frame}, vertex {vertex}",
+            received=vertices[frame, vertex].tolist(),
+        )
+    count = vertices.shape[1]
+    bad = np.flatnonzero(((faces < 0) | (faces >= count)).any(axis=1))
+    if bad.size:
+        raise InputError(
+            "a face with a vertex that does not exist",
+            file=path,
+            key=f"face {bad[0]}",
+            received=faces[bad[0]].tolist(),
+            expected=f"0 to {count - 1}",
+        )
+    check_unit(vertices[0], path)
+    return Sequence(path.stem, vertices.astype(np.float32, copy=False), faces.astype(np.int32), float(dt))
+
+
+class SequenceBody:
+    """The surface of a sequence; its pose is the vertices themselves.
+
+    Attributes:
+        vertices: of the first frame [m], shape (n, 3), float64.
+        faces: shape (m, 3), int32.
+    """
+
+    def __init__(self, sequence: Sequence) -> None:
+        ensure_initialized()
+        self.vertices = sequence.vertices[0].astype(np.float64)
+        self.faces = sequence.faces
+        self._local = np.zeros_like(sequence.vertices[0])
+
+    def skin(self, pose: Floats, origin: Floats, out: Any) -> None:
+        """Write the vertices, world minus origin [m].
+
+        Args:
+            pose: vertices in the world [m], shape (n, 3), float64.
+            origin: [m], shape (3,), float64; taken off before rounding to float32.
+            out: float32, shape (n, 3); a Taichi array of n three-vectors, or a numpy array.
+        """
+        np.subtract(pose, origin, out=self._local, casting="same_kind")
+        _copy(self._local, out)
+
+
+class SequenceMotion:
+    """A sequence played at its own speed, with straight lines between its frames.
+
+    Attributes:
+        name: the sequence's name.
+        duration: from the first to the last frame [s].
+    """
+
+    def __init__(self, sequence: Sequence) -> None:
+        self.name = sequence.name
+        self.duration = (len(sequence.vertices) - 1) * sequence.dt
+        self._sequence = sequence
+
+    def pose(self, t: float) -> Floats:
+        """Vertices in the world at a time [s], clamped to the ends: [m], shape (n, 3), float64."""
+        frames = self._sequence.vertices
+        last = len(frames) - 1
+        place = min(max(t / self._sequence.dt, 0.0), last)
+        frame = min(int(place), max(last - 1, 0))
+        first = frames[frame].astype(np.float64)
+        return first + (place - frame) * (frames[min(frame + 1, last)] - first)
+
+
+@ti.kernel
+def _copy(source: ti.types.ndarray(dtype=ti.math.vec3, ndim=1), out: ti.types.ndarray(dtype=ti.math.vec3, ndim=1)):
+    ti.loop_config(serialize=True)
+    for vertex in range(source.shape[0]):
+        out[vertex] = source[vertex]
+
+
+def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            if not isinstance(file, np.lib.npyio.NpzFile):
+                raise InputError("a single array", file=path, expected="an .npz file")
+            missing = [key for key in ("vertices", "faces", "dt") if key not in file]
+            if missing:
+                raise InputError("a missing key", file=path, key=missing[0], received=sorted(file))
+            return {key: file[key] for key in ("vertices", "faces", "dt")}
+    except OSError as error:
+        problem = error.strerror or str(error)
+        raise InputError("cannot be read", file=path, received=problem, expected="an .npz file") from error
+    except InputError:
+        raise
+    except (ValueError, EOFError, zipfile.BadZipFile) as error:  # also what arrays of objects end in
+        raise InputError(f"no arrays of numbers: {error}", file=path) from error
+
+
+def _check(path: Path, key: str, array: NDArray[Any], kinds: str, holds: bool) -> None:
+    wanted = {"vertices": "floats, (frames, n, 3)", "faces": "integers, (m, 3)", "dt": "one number above 0"}
+    if array.dtype.kind not in kinds or not holds:
+        received = float(array) if array.ndim == 0 and array.dtype.kind in "fiu" else f"{array.dtype} {array.shape}"
+        raise InputError("bad array", file=path, key=key, received=received, expected=wanted[key])
