@@ -1,0 +1,246 @@
+"""Charts of a coarse mesh: each vertex sees its surroundings in flat coordinates along warp and weft.
+
+Everything is intrinsic (rest lengths only), so charts do not change when the garment moves, and a curtain, a skirt and
+a sleeve look alike in them: one dictionary serves all places.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pbd import ClothMesh
+from wrinkles.surface import Subdivision
+
+__all__ = ["Charts", "fine_places"]
+
+
+def fine_places(subdivision: Subdivision) -> tuple[np.ndarray, np.ndarray]:
+    """Coarse face and barycentric weights of each fine vertex: int, shape (N,), and float, shape (N, 3)."""
+    parent = np.arange(len(subdivision.coarse_faces))
+    weights = np.broadcast_to(np.eye(3), (len(parent), 3, 3))
+    for _ in subdivision.steps:
+        a, b, c = weights[:, 0], weights[:, 1], weights[:, 2]
+        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+        parts = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
+        weights = np.stack([np.stack(p, axis=1) for p in parts], axis=1).reshape(-1, 3, 3)
+        parent = np.repeat(parent, 4)
+    face = np.zeros(subdivision.fine_count, np.int64)
+    place = np.zeros((subdivision.fine_count, 3))
+    # Any face around a fine vertex will do; written back to front, the first one stays.
+    corner = subdivision.faces.ravel()[::-1]
+    face[corner] = np.repeat(parent, 3)[::-1]
+    place[corner] = weights.reshape(-1, 3)[::-1]
+    return face, place
+
+
+@dataclass(frozen=True)
+class Charts:
+    """Angles of the faces around each vertex, measured from the warp.
+
+    Attributes:
+        mesh: the coarse mesh.
+        start: angle at which face f begins around its corner c (the side to the next corner) [rad], shape (m, 3).
+        opening: corner angles in the chart [rad], shape (m, 3): stretched inside so that they sum to a full turn.
+        scale: chart angle over true angle, shape (n,).
+        neighbor: face across side s, -1 on the rim, int, shape (m, 3).
+    """
+
+    mesh: ClothMesh
+    start: np.ndarray
+    opening: np.ndarray
+    scale: np.ndarray
+    neighbor: np.ndarray
+
+    @classmethod
+    def of(cls, mesh: ClothMesh) -> Charts:
+        """Charts of a mesh, from its rest metric."""
+        faces, count = mesh.faces, len(mesh.vertices)
+        corner = np.concatenate([np.zeros((len(faces), 1, 2)), mesh.flat.transpose(0, 2, 1)], axis=1)
+        to_next = np.roll(corner, -1, axis=1) - corner
+        to_last = np.roll(corner, 1, axis=1) - corner
+        angle = lambda v: np.arctan2(v[..., 1], v[..., 0])  # noqa: E731
+        true_opening = (angle(to_last) - angle(to_next)) % (2 * np.pi)
+        warp_angle = angle(to_next)  # of the side to the next corner, against the face's own warp
+        neighbor = _neighbors(faces, count)
+        total = np.bincount(faces.ravel(), weights=true_opening.ravel(), minlength=count)
+        on_rim = np.zeros(count, bool)
+        rim_face, rim_side = np.nonzero(neighbor < 0)
+        on_rim[faces[rim_face, rim_side]] = True
+        on_rim[faces[rim_face, (rim_side + 1) % 3]] = True
+        scale = np.where(on_rim, 1.0, 2 * np.pi / np.maximum(total, 1e-9))
+        opening = true_opening * scale[faces]
+        start = _fan_angles(faces, neighbor, opening, count)
+        # Turn each chart so that its warp agrees with the faces' own in the mean.
+        difference = warp_angle - start
+        sine = np.bincount(faces.ravel(), weights=np.sin(difference).ravel(), minlength=count)
+        cosine = np.bincount(faces.ravel(), weights=np.cos(difference).ravel(), minlength=count)
+        return cls(mesh, start + np.arctan2(sine, cosine)[faces], opening, scale, neighbor)
+
+    def locate(self, face: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Chart coordinates of points, seen from the three corners of their face: [m], shape (p, 3 corners, 2)."""
+        corner = np.concatenate([np.zeros((len(face), 1, 2)), self.mesh.flat[face].transpose(0, 2, 1)], axis=1)
+        point = np.einsum("pc,pci->pi", weights, corner)[:, None, :]
+        arm, side = point - corner, np.roll(corner, -1, axis=1) - corner
+        radius = np.linalg.norm(arm, axis=2)
+        turn = np.arctan2(
+            side[..., 0] * arm[..., 1] - side[..., 1] * arm[..., 0], np.einsum("pci,pci->pc", side, arm)
+        )
+        theta = self.start[face] + np.maximum(turn, 0.0) * self.scale[self.mesh.faces[face]]
+        return radius[..., None] * np.stack([np.cos(theta), np.sin(theta)], axis=2)
+
+    def trace(self, vertex: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Walk straight from vertices by chart offsets (the exponential map).
+
+        Args:
+            vertex: int, shape (p,).
+            offset: (warp, weft) [m], shape (p, 2).
+
+        Returns:
+            face (int, shape (p,)), barycentric weights (shape (p, 3)) of where the walk ends and whether it
+            got there before the rim (bool, shape (p,)).
+        """
+        flat = self.mesh.flat
+        face, corner, turn, arrived = self._first_face(vertex, np.arctan2(offset[:, 1], offset[:, 0]))
+        length = np.linalg.norm(offset, axis=1)
+        length = np.where(arrived, length, 0.0)  # a direction off the cloth: stay at the vertex
+        local = np.concatenate([np.zeros((len(face), 1, 2)), flat[face].transpose(0, 2, 1)], axis=1)
+        rows = np.arange(len(face))
+        origin = local[rows, corner]
+        side = local[rows, (corner + 1) % 3] - origin
+        theta = np.arctan2(side[:, 1], side[:, 0]) + turn / self.scale[vertex]
+        direction = np.stack([np.cos(theta), np.sin(theta)], axis=1)
+        end = origin + length[:, None] * direction
+        entered = np.full(len(face), -1)
+        weights = np.zeros((len(face), 3))
+        active = np.ones(len(face), bool)
+        for _ in range(64):
+            weights = np.where(active[:, None], _barycentric(local, end), weights)
+            outside = active & (weights.min(axis=1) < -1e-9)
+            if not outside.any():
+                break
+            active = outside
+            index = np.flatnonzero(active)
+            out = _exit_side(local[index], origin[index], end[index], entered[index])
+            across = self.neighbor[face[index], out]
+            stop = across < 0
+            if stop.any():  # at the rim: keep the crossing point
+                here = index[stop]
+                end[here] = _crossing(local[here], origin[here], end[here], out[stop])
+                weights[here] = np.clip(_barycentric(local[here], end[here]), 0.0, 1.0)
+                weights[here] /= weights[here].sum(axis=1, keepdims=True)
+                arrived[here] = False
+                active[here] = False
+            index, out, across = index[~stop], out[~stop], across[~stop]
+            if len(index):
+                self._unfold(local, face, entered, index, out, across)
+        weights = np.clip(weights, 0.0, 1.0)
+        return face, weights / weights.sum(axis=1, keepdims=True), arrived
+
+    def _first_face(self, vertex: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Face around a vertex that holds a direction: face, corner, angle into it, and whether there is one."""
+        order = np.argsort(self.mesh.faces.ravel(), kind="stable")
+        first = np.searchsorted(self.mesh.faces.ravel()[order], np.arange(len(self.mesh.vertices) + 1))
+        face, corner = np.zeros(len(vertex), np.int64), np.zeros(len(vertex), np.int64)
+        turn, found = np.zeros(len(vertex)), np.zeros(len(vertex), bool)
+        for p, (v, t) in enumerate(zip(vertex.tolist(), theta.tolist(), strict=True)):
+            around = order[first[v] : first[v + 1]]
+            into = (t - self.start.ravel()[around]) % (2 * np.pi)
+            room = self.opening.ravel()[around]
+            best = int(np.argmin(np.where(into <= room + 1e-9, into / room, np.inf)))
+            inside = into[best] <= room[best] + 1e-9
+            face[p], corner[p] = around[best] // 3, around[best] % 3
+            turn[p], found[p] = (into[best] if inside else 0.0), inside
+        return face, corner, turn, found
+
+    def _unfold(
+        self,
+        local: np.ndarray,
+        face: np.ndarray,
+        entered: np.ndarray,
+        index: np.ndarray,
+        out: np.ndarray,
+        across: np.ndarray,
+    ) -> None:
+        """Lay the next face beside the current one, in place."""
+        rows, faces = np.arange(len(index)), self.mesh.faces
+        position_a, position_b = local[index, out], local[index, (out + 1) % 3]
+        # In the next face the shared side runs from b to a.
+        side = np.argmax((faces[across] == faces[face[index], (out + 1) % 3][:, None]), axis=1)
+        flat = np.concatenate([np.zeros((len(across), 1, 2)), self.mesh.flat[across].transpose(0, 2, 1)], axis=1)
+        b_flat, a_flat = flat[rows, side], flat[rows, (side + 1) % 3]
+        from_angle = np.arctan2((a_flat - b_flat)[:, 1], (a_flat - b_flat)[:, 0])
+        to = position_a - position_b
+        turn = np.arctan2(to[:, 1], to[:, 0]) - from_angle
+        rotation = np.stack(
+            [np.stack([np.cos(turn), -np.sin(turn)], axis=1), np.stack([np.sin(turn), np.cos(turn)], axis=1)], axis=1
+        )
+        local[index] = position_b[:, None] + np.einsum("pij,pcj->pci", rotation, flat - b_flat[:, None])
+        face[index] = across
+        entered[index] = side
+
+
+def _neighbors(faces: np.ndarray, count: int) -> np.ndarray:
+    start = faces.astype(np.int64)
+    end = np.roll(start, -1, axis=1)
+    key, reverse = (start * count + end).ravel(), (end * count + start).ravel()
+    order = np.argsort(key)
+    at = np.clip(np.searchsorted(key[order], reverse), 0, len(key) - 1)
+    found = key[order][at] == reverse
+    return np.where(found, order[at] // 3, -1).reshape(-1, 3)
+
+
+def _fan_angles(faces: np.ndarray, neighbor: np.ndarray, opening: np.ndarray, count: int) -> np.ndarray:
+    """Angle at which each face begins around each of its corners, counted from the first face of the fan."""
+    start = np.zeros(faces.shape)
+    done = np.zeros(faces.shape, bool)
+    # A fan begins after the rim if it has one: corners whose side to the next corner has no neighbour come first.
+    order = np.argsort(neighbor.ravel() >= 0, kind="stable")
+    for seed in order.tolist():
+        face, corner = seed // 3, seed % 3
+        angle = 0.0
+        while not done[face, corner]:
+            done[face, corner] = True
+            start[face, corner] = angle
+            angle += opening[face, corner]
+            across = neighbor[face, (corner + 2) % 3]  # over the side to the last corner
+            if across < 0:
+                break
+            vertex = faces[face, corner]
+            face, corner = across, int(np.argmax(faces[across] == vertex))
+    return start
+
+
+def _barycentric(local: np.ndarray, point: np.ndarray) -> np.ndarray:
+    a, b, c = local[:, 0], local[:, 1], local[:, 2]
+    cross = lambda u, v: u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]  # noqa: E731
+    area = cross(b - a, c - a)
+    return np.stack([cross(b - point, c - point), cross(c - point, a - point), cross(a - point, b - point)], 1) / (
+        area[:, None]
+    )
+
+
+def _exit_side(local: np.ndarray, origin: np.ndarray, end: np.ndarray, entered: np.ndarray) -> np.ndarray:
+    """Side by which the ray leaves the face: the nearest crossing ahead that is not the side it came in by."""
+    best, best_t = np.zeros(len(local), np.int64), np.full(len(local), np.inf)
+    ray = end - origin
+    for side in range(3):
+        a, b = local[:, side], local[:, (side + 1) % 3]
+        along = b - a
+        normal = np.stack([along[:, 1], -along[:, 0]], axis=1)  # points out of a counter-clockwise face
+        rate = np.einsum("pi,pi->p", ray, normal)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = np.einsum("pi,pi->p", a - origin, normal) / rate
+        ahead = (rate > 1e-15) & (side != entered) & (t < best_t)
+        best, best_t = np.where(ahead, side, best), np.where(ahead, t, best_t)
+    return best
+
+
+def _crossing(local: np.ndarray, origin: np.ndarray, end: np.ndarray, side: np.ndarray) -> np.ndarray:
+    rows = np.arange(len(local))
+    a, b = local[rows, side], local[rows, (side + 1) % 3]
+    normal = np.stack([(b - a)[:, 1], -(b - a)[:, 0]], axis=1)
+    ray = end - origin
+    t = np.einsum("pi,pi->p", a - origin, normal) / np.einsum("pi,pi->p", ray, normal)
+    return origin + np.clip(t, 0.0, 1.0)[:, None] * ray

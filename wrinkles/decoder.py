@@ -1,0 +1,321 @@
+"""The runtime half of the wrinkle layer: coarse state in, fine vertices and normals out; nothing allocated a frame."""
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from pbd.engine import ensure_initialized, ti
+from pbd.kernels import closest_on_triangle, descend
+from pbd.mesh import ClothMesh, greedy_colors
+from wrinkles.dictionary import CLIP, Atoms, Mapping
+from wrinkles.features import DYNAMIC_COUNT, Stencil
+from wrinkles.patches import NODES, SIDE, Patches
+from wrinkles.surface import Subdivision
+
+__all__ = ["Decoder", "Relaxation", "Upsampler", "surface_normals"]
+
+vec3 = ti.math.vec3
+Vec4 = ti.types.ndarray(dtype=ti.math.vec4, ndim=1)
+Vec3 = ti.types.ndarray(dtype=ti.math.vec3, ndim=1)
+Int3 = ti.types.ndarray(dtype=ti.types.vector(3, ti.i32), ndim=1)
+Int2 = ti.types.ndarray(dtype=ti.types.vector(2, ti.i32), ndim=1)
+Int1 = ti.types.ndarray(dtype=ti.i32, ndim=1)
+Float1 = ti.types.ndarray(dtype=ti.f32, ndim=1)
+Float2 = ti.types.ndarray(dtype=ti.f32, ndim=2)
+
+
+@ti.func
+def _sparse_rows(start: ti.template(), index: ti.template(), value: ti.template(), source: ti.template(), i: ti.i32):
+    total = vec3(0.0)
+    for q in range(start[i], start[i + 1]):
+        p = source[index[q]]
+        total += value[q] * vec3(p[0], p[1], p[2])
+    return total
+
+
+@ti.kernel
+def _upsample(
+    coarse: Vec4,
+    start_1: Int1,
+    index_1: Int1,
+    value_1: Float1,
+    middle: Vec3,
+    start_2: Int1,
+    index_2: Int1,
+    value_2: Float1,
+    fine: Vec3,
+):
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        for i in range(middle.shape[0]):
+            middle[i] = _sparse_rows(start_1, index_1, value_1, coarse, i)
+        for i in range(fine.shape[0]):
+            fine[i] = _sparse_rows(start_2, index_2, value_2, middle, i)
+
+
+@ti.kernel
+def _add_patches(
+    grids: Float2, frames: Float2, corners: Int3, blend: Vec3, cell: Int3, within: Float2, fine: Vec3
+):
+    """Blend what the three patches around a fine vertex say, each turned from its own frame into space."""
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        for i in range(fine.shape[0]):
+            total = vec3(0.0)
+            for c in ti.static(range(3)):
+                weight = blend[i][c]
+                if weight > 1e-4:
+                    j = corners[i][c]
+                    u, v = within[i, 2 * c], within[i, 2 * c + 1]
+                    k = 3 * cell[i][c]
+                    d = vec3(0.0)
+                    for a in ti.static(range(3)):
+                        d[a] = (1.0 - u) * ((1.0 - v) * grids[j, k + a] + v * grids[j, k + 3 + a]) + u * (
+                            (1.0 - v) * grids[j, k + 3 * SIDE + a] + v * grids[j, k + 3 * SIDE + 3 + a]
+                        )
+                    for a in ti.static(range(3)):
+                        total[a] += weight * (
+                            d[0] * frames[j, a] + d[1] * frames[j, 3 + a] + d[2] * frames[j, 6 + a]
+                        )
+            fine[i] += total
+
+
+@ti.kernel
+def surface_normals(vertices: Vec3, faces: Int3, normals: Vec3):
+    """Unit vertex normals weighted by area."""
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        for i in range(normals.shape[0]):
+            normals[i] = vec3(0.0)
+        for c in range(faces.shape[0]):
+            f = faces[c]
+            x0 = vertices[f[0]]
+            n = (vertices[f[1]] - x0).cross(vertices[f[2]] - x0)
+            for a in ti.static(range(3)):
+                normals[f[a]] += n
+        for i in range(normals.shape[0]):
+            normals[i] /= ti.max(normals[i].norm(), 1e-20)
+
+
+class Upsampler:
+    """Smooth fine positions from a coarse state, in two sparse steps.
+
+    Args:
+        subdivision: between the meshes.
+    """
+
+    def __init__(self, subdivision: Subdivision) -> None:
+        ensure_initialized()
+        first = subdivision.correction
+        for step in subdivision.steps[:-1]:
+            first = (step @ first).tocsr()
+        self._first = _csr(first)
+        self._second = _csr(subdivision.steps[-1])
+        self._middle = np.zeros((first.shape[0], 3), np.float32)
+
+    def __call__(self, position: np.ndarray, fine: np.ndarray) -> None:
+        """Write fine positions (float32, shape (N, 3)) of coarse ones (float32, shape (n, 4)) [m]."""
+        _upsample(position, *self._first, self._middle, *self._second, fine)
+
+
+def _csr(matrix: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    matrix = matrix.tocsr()
+    matrix.sort_indices()
+    return matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32), matrix.data.astype(np.float32)
+
+
+class Decoder:
+    """Adds the dictionary's displacements to the smooth surface.
+
+    Args:
+        stencil: what is read of the coarse garment.
+        patches: how grids reach the fine vertices.
+        mapping: features to coefficients.
+        atoms: coefficients to grids.
+    """
+
+    def __init__(self, stencil: Stencil, patches: Patches, mapping: Mapping, atoms: Atoms) -> None:
+        self.stencil, self.patches, self.mapping = stencil, patches, mapping
+        count, (width_1, width_2) = len(stencil.corners), mapping.weights_2.shape
+        self.frames = np.zeros((count, 9), np.float32)
+        self.features = np.zeros((count, DYNAMIC_COUNT), np.float32)
+        self._hidden_1 = np.zeros((count, width_1), np.float32)
+        self._hidden_2 = np.zeros((count, width_2), np.float32)
+        self._coefficients = np.zeros((count, len(atoms.shapes)), np.float32)
+        self._grids = np.zeros((count, 3 * NODES), np.float32)
+        self._shapes = np.ascontiguousarray(mapping.gain[:, None] * atoms.shapes)
+        self._mean = atoms.mean
+
+    def add(self, position: np.ndarray, velocity: np.ndarray, contact: np.ndarray, fine: np.ndarray) -> None:
+        """Add wrinkles to ``fine`` (float32, shape (N, 3)) for a coarse state as in :class:`pbd.State`."""
+        m = self.mapping
+        z = self.features
+        self.stencil.gather(position, velocity, contact, self.frames, z)
+        z -= m.center
+        z *= m.scale
+        np.clip(z, -CLIP, CLIP, out=z)
+        np.matmul(z, m.weights_1, out=self._hidden_1)
+        self._hidden_1 += m.place_bias
+        np.maximum(self._hidden_1, 0.0, out=self._hidden_1)
+        np.matmul(self._hidden_1, m.weights_2, out=self._hidden_2)
+        self._hidden_2 += m.bias_2
+        np.maximum(self._hidden_2, 0.0, out=self._hidden_2)
+        np.matmul(self._hidden_2, m.weights_3, out=self._coefficients)
+        self._coefficients += m.bias_3
+        np.matmul(self._coefficients, self._shapes, out=self._grids)
+        self._grids += self._mean
+        p = self.patches
+        _add_patches(self._grids, self.frames, p.corners, p.blend, p.cell, p.within, fine)
+
+
+@ti.kernel
+def _relax(
+    fine: Vec3,
+    inverse_mass: Float1,
+    edges: Int2,
+    lengths: Float1,
+    held: Int1,
+    targets: Vec3,
+    corners: Int3,
+    blend: Vec3,
+    coarse_nearest: Int1,
+    nearest: Int1,
+    body: Vec3,
+    body_normals: Vec3,
+    body_faces: Int3,
+    ring_start: Int1,
+    ring: Int1,
+    fan_start: Int1,
+    fan: Int1,
+    thickness: ti.f32,
+    passes: ti.i32,
+):
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        for c in range(held.shape[0]):
+            fine[held[c]] = targets[c]
+        for _pass in range(passes):
+            for c in range(edges.shape[0]):
+                i, j = edges[c][0], edges[c][1]
+                d = fine[j] - fine[i]
+                total = inverse_mass[i] + inverse_mass[j]
+                if total > 0.0:
+                    size = ti.max(d.norm(), 1e-9)
+                    d *= (size - lengths[c]) / (size * total)
+                    fine[i] += inverse_mass[i] * d
+                    fine[j] -= inverse_mass[j] * d
+            for i in range(fine.shape[0]):
+                if inverse_mass[i] > 0.0:
+                    p = fine[i]
+                    best = -1
+                    distance = 1e30
+                    seed = nearest[i]
+                    for c in ti.static(range(4)):
+                        if ti.static(c < 3):
+                            seed = coarse_nearest[corners[i][c]]
+                            if blend[i][c] < 0.1:
+                                seed = -1
+                        else:
+                            seed = nearest[i]
+                        if seed >= 0 and seed != best:
+                            offset = body[seed] - p
+                            if offset.dot(offset) < distance:
+                                distance = offset.dot(offset)
+                                best = seed
+                    if best >= 0:
+                        best = descend(p, best, 0.0, body, body, ring_start, ring)
+                        offset = p - body[best]
+                        if offset.dot(offset) > 0.01:
+                            best = -1
+                        elif offset.dot(body_normals[best]) < 0.02:
+                            fine[i] = _outside(
+                                p, best, body, body_normals, body_faces, fan_start, fan, thickness
+                            )  # fmt: skip
+                    nearest[i] = best
+
+
+@ti.func
+def _outside(
+    p: vec3,
+    vertex: ti.i32,
+    body: ti.template(),
+    normals: ti.template(),
+    faces: ti.template(),
+    fan_start: ti.template(),
+    fan: ti.template(),
+    thickness: ti.f32,
+) -> vec3:
+    """p, or where it comes to lie when it is pushed ``thickness`` out of the faces around a body vertex."""
+    best = 1e30
+    gap = thickness
+    direction = vec3(0.0)
+    for q in range(fan_start[vertex], fan_start[vertex + 1]):
+        f = faces[fan[q]]
+        w = closest_on_triangle(p, body[f[0]], body[f[1]], body[f[2]])
+        offset = p - (w[0] * body[f[0]] + w[1] * body[f[1]] + w[2] * body[f[2]])
+        distance = offset.norm()
+        if distance < best:
+            best = distance
+            normal = w[0] * normals[f[0]] + w[1] * normals[f[1]] + w[2] * normals[f[2]]
+            normal /= ti.max(normal.norm(), 1e-20)
+            gap = offset.dot(normal)
+            direction = normal
+    result = p
+    if gap < thickness and best < 0.05:
+        result = p + (thickness - gap) * direction
+    return result
+
+
+class Relaxation:
+    """One quasi-static pass on the fine mesh: edges back to their length, held vertices to their places, out of the body.
+
+    Args:
+        mesh: the fine mesh.
+        held: its held vertices, int, shape (P,).
+        patches: gives each fine vertex the coarse ones around it, whose contacts it starts from.
+        thickness: kept from the body [m].
+    """
+
+    def __init__(self, mesh: ClothMesh, held: np.ndarray, patches: Patches, thickness: float) -> None:
+        ensure_initialized()
+        edges, lengths = mesh.edge_lengths()
+        order = np.argsort(greedy_colors(edges, len(mesh.vertices)), kind="stable")
+        self._edges, self._lengths = np.ascontiguousarray(edges[order]), lengths[order].astype(np.float32)
+        self._inverse_mass = np.ones(len(mesh.vertices), np.float32)
+        self._inverse_mass[held] = 0.0
+        self._held = np.asarray(held, np.int32)
+        self._targets = np.zeros((len(held), 3), np.float32)
+        self._patches, self._thickness = patches, thickness
+        self._nearest = np.full(len(mesh.vertices), -1, np.int32)
+
+    def __call__(self, fine: np.ndarray, targets: np.ndarray, coarse_nearest: np.ndarray, body, passes: int = 1) -> None:
+        """Relax ``fine`` in place.
+
+        Args:
+            fine: [m], float32, shape (N, 3), about the body's origin.
+            targets: of the held vertices [m], shape (P, 3).
+            coarse_nearest: body vertex near each coarse vertex, -1 for none, int32, shape (n,) or longer.
+            body: a :class:`pbd.Body` in its current pose.
+            passes: number of passes.
+        """
+        self._targets[:] = targets
+        _relax(
+            fine,
+            self._inverse_mass,
+            self._edges,
+            self._lengths,
+            self._held,
+            self._targets,
+            self._patches.corners,
+            self._patches.blend,
+            coarse_nearest,
+            self._nearest,
+            body.current,
+            body.normals,
+            body.faces,
+            body.ring_start,
+            body.ring,
+            body.fan_start,
+            body.fan,
+            self._thickness,
+            passes,
+        )

@@ -1,0 +1,159 @@
+"""The dictionary: a small network from local features to the coefficients of patch atoms, shared by all places."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from wrinkles.features import DYNAMIC_COUNT
+from wrinkles.patches import NODES, slope_metric
+
+__all__ = ["Atoms", "Mapping", "fit_atoms", "fit_mapping"]
+
+CLIP = 4.0  # features further out than this many standard deviations count as if they stood there
+
+
+@dataclass(frozen=True)
+class Atoms:
+    """Shapes of wrinkle patches: principal components of what the slope metric sees.
+
+    Attributes:
+        shapes: displacements [m] of unit coefficients, float32, shape (K, 3 NODES): warp, weft, normal of node 0, ...
+        mean: [m], float32, shape (3 NODES,).
+        analysis: coefficients = (patch - mean) @ analysis, float32, shape (3 NODES, K).
+        kept: share of the metric's variance that the atoms hold.
+    """
+
+    shapes: np.ndarray
+    mean: np.ndarray
+    analysis: np.ndarray
+    kept: float
+
+
+def fit_atoms(patches: np.ndarray, count: int) -> Atoms:
+    """Principal components of patches in the slope metric.
+
+    Args:
+        patches: [m], shape (S, 3 NODES).
+        count: number of atoms K.
+    """
+    lower = slope_metric()
+    samples = patches.reshape(-1, NODES, 3)
+    mean = samples.mean(axis=0)
+    seen = np.einsum("snc,nm->smc", samples - mean, lower).reshape(len(samples), -1)
+    covariance = seen.T @ seen / len(seen)
+    values, vectors = np.linalg.eigh(covariance)
+    basis = vectors[:, ::-1][:, :count]
+    shapes = np.linalg.solve(lower.T, basis.reshape(NODES, -1)).reshape(NODES, 3, -1)
+    analysis = np.einsum("nm,mck->nck", lower, basis.reshape(NODES, 3, -1))
+    return Atoms(
+        np.ascontiguousarray(shapes.reshape(3 * NODES, -1).T, np.float32),
+        mean.ravel().astype(np.float32),
+        np.ascontiguousarray(analysis.reshape(3 * NODES, -1), np.float32),
+        float(values[::-1][:count].sum() / values.sum()),
+    )
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """From features to coefficients: two hidden layers of rectified units.
+
+    The first layer's share of the static features is a bias of its own at every coarse vertex.
+
+    Attributes:
+        center, scale: of the dynamic features, float32, shape (DYNAMIC_COUNT,).
+        weights: of the three layers, float32; biases: of the second and third; place_bias: of the first,
+            shape (n, hidden).
+        gain: factor on each coefficient that returns what averaging took, float32, shape (K,).
+    """
+
+    center: np.ndarray
+    scale: np.ndarray
+    weights_1: np.ndarray
+    weights_2: np.ndarray
+    weights_3: np.ndarray
+    place_bias: np.ndarray
+    bias_2: np.ndarray
+    bias_3: np.ndarray
+    gain: np.ndarray
+
+    def predict(self, features: np.ndarray) -> np.ndarray:
+        """Coefficients for features, shape (..., n, DYNAMIC_COUNT) to (..., n, K); the reference of the decoder."""
+        z = np.clip((features - self.center) * self.scale, -CLIP, CLIP)
+        h = np.maximum(z @ self.weights_1 + self.place_bias, 0.0)
+        h = np.maximum(h @ self.weights_2 + self.bias_2, 0.0)
+        return (h @ self.weights_3 + self.bias_3) * self.gain
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+def fit_mapping(
+    features: np.ndarray,
+    static: np.ndarray,
+    coefficients: np.ndarray,
+    *,
+    hidden: tuple[int, int] = (96, 64),
+    epochs: int = 30,
+    seed: int = 0,
+    on_epoch: Callable[[int, int, float], None] | None = None,
+) -> Mapping:
+    """Fit the mapping on training frames.
+
+    Args:
+        features: dynamic features, float32, shape (S, n, DYNAMIC_COUNT).
+        static: float32, shape (n, s).
+        coefficients: targets, float32, shape (S, n, K).
+        hidden: widths of the hidden layers.
+        epochs: passes over the data; the last third with a smaller step.
+        seed: of weights and shuffling.
+        on_epoch: told (epoch, epochs, loss) after each pass.
+
+    Returns:
+        The mapping, with gain one.
+    """
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.neural_network import MLPRegressor
+
+    flat = features.reshape(-1, DYNAMIC_COUNT)
+    center, scale = flat.mean(axis=0), 1.0 / (flat.std(axis=0) + 1e-4)
+    place_center, place_scale = static.mean(axis=0), 1.0 / (static.std(axis=0) + 1e-2)
+    place = (static - place_center) * place_scale
+    inputs = np.concatenate(
+        [
+            np.clip((features - center) * scale, -CLIP, CLIP),
+            np.broadcast_to(place, (len(features), *place.shape)),
+        ],
+        axis=2,
+    ).astype(np.float32)
+    inputs = inputs.reshape(-1, inputs.shape[2])
+    unit = float(np.sqrt((coefficients**2).mean()))
+    targets = (coefficients / unit).reshape(-1, coefficients.shape[2]).astype(np.float32)
+    network = MLPRegressor(
+        hidden_layer_sizes=hidden, alpha=1e-4, batch_size=1024, max_iter=1, warm_start=True, random_state=seed
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        slow = max(1, epochs // 3)
+        for stage, (rate, passes) in enumerate(((2e-3, epochs - slow), (3e-4, slow))):
+            network.set_params(learning_rate_init=rate, max_iter=max(1, passes), n_iter_no_change=10_000)
+            network.fit(inputs, targets)
+            if on_epoch is not None:
+                on_epoch(epochs - slow if stage == 0 else epochs, epochs, float(network.loss_))
+    first, second, third = (w.astype(np.float32) for w in network.coefs_)
+    bias_1, bias_2, bias_3 = (b.astype(np.float32) for b in network.intercepts_)
+    single = lambda a: np.ascontiguousarray(a, np.float32)  # noqa: E731
+    return Mapping(
+        single(center),
+        single(scale),
+        single(first[:DYNAMIC_COUNT]),
+        second,
+        single(third * unit),
+        single(place @ first[DYNAMIC_COUNT:] + bias_1),
+        bias_2,
+        single(bias_3 * unit),
+        np.ones(coefficients.shape[2], np.float32),
+    )

@@ -1,0 +1,186 @@
+"""What the dictionary sees of the coarse garment: local, rotation-invariant, with velocities and the body's nearness.
+
+A stencil of 5 by 5 chart points around every coarse vertex is read in the vertex's own frame.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_matrix, diags
+from scipy.sparse.linalg import eigsh
+
+from pbd import ClothMesh
+from pbd.engine import ensure_initialized, ti
+from pbd.kernels import FAR
+from wrinkles.charts import Charts
+
+__all__ = ["DYNAMIC_COUNT", "Stencil"]
+
+SIDE = 5
+POINTS = SIDE * SIDE
+CENTRE = POINTS // 2
+OTHERS = [p for p in range(POINTS) if p != CENTRE]
+INNER = [SIDE * a + b for a in (1, 2, 3) for b in (1, 2, 3)]
+UP, DOWN, LEFT, RIGHT = CENTRE + SIDE, CENTRE - SIDE, CENTRE - 1, CENTRE + 1  # +-1 along warp, -+1 along weft
+# Offsets 72, velocities 72, own velocity 3, gravity 3, distances 9, slip 3.
+DYNAMIC_COUNT = 2 * 3 * len(OTHERS) + 3 + 3 + len(INNER) + 3
+MODES = 8
+
+vec3 = ti.math.vec3
+Vec4 = ti.types.ndarray(dtype=ti.math.vec4, ndim=1)
+Vec3 = ti.types.ndarray(dtype=ti.math.vec3, ndim=1)
+Float2 = ti.types.ndarray(dtype=ti.f32, ndim=2)
+Int2 = ti.types.ndarray(dtype=ti.i32, ndim=2)
+
+
+@ti.kernel
+def _gather(
+    position: Vec4,
+    velocity: Vec3,
+    contact: Vec4,
+    corners: Int2,
+    weights: Float2,
+    spacing: ti.f32,
+    frames: Float2,
+    features: Float2,
+):
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        mean_velocity = vec3(0.0)
+        for i in range(velocity.shape[0]):
+            mean_velocity += velocity[i]
+        mean_velocity /= velocity.shape[0]
+        for i in range(position.shape[0]):
+            x0 = vec3(0.0)
+            v0 = vec3(0.0)
+            x = ti.Matrix.zero(ti.f32, POINTS, 3)
+            v = ti.Matrix.zero(ti.f32, POINTS, 3)
+            for p in range(POINTS):
+                for c in ti.static(range(3)):
+                    j = corners[i, 3 * p + c]
+                    w = weights[i, 3 * p + c]
+                    q = position[j]
+                    u = velocity[j]
+                    for a in ti.static(range(3)):
+                        x[p, a] += w * q[a]
+                        v[p, a] += w * u[a]
+            for a in ti.static(range(3)):
+                x0[a] = x[CENTRE, a]
+                v0[a] = v[CENTRE, a]
+            warp = vec3(x[UP, 0] - x[DOWN, 0], x[UP, 1] - x[DOWN, 1], x[UP, 2] - x[DOWN, 2])
+            weft = vec3(x[RIGHT, 0] - x[LEFT, 0], x[RIGHT, 1] - x[LEFT, 1], x[RIGHT, 2] - x[LEFT, 2])
+            e1 = warp / ti.max(warp.norm(), 1e-12)
+            normal = e1.cross(weft)
+            e3 = normal / ti.max(normal.norm(), 1e-12)
+            e2 = e3.cross(e1)
+            for a in ti.static(range(3)):
+                frames[i, a] = e1[a]
+                frames[i, 3 + a] = e2[a]
+                frames[i, 6 + a] = e3[a]
+            f = 0
+            for p in range(POINTS):
+                if p != CENTRE:
+                    d = vec3(x[p, 0], x[p, 1], x[p, 2]) - x0
+                    u = vec3(v[p, 0], v[p, 1], v[p, 2]) - v0
+                    features[i, f] = d.dot(e1) / spacing
+                    features[i, f + 1] = d.dot(e2) / spacing
+                    features[i, f + 2] = d.dot(e3) / spacing
+                    features[i, f + 3] = u.dot(e1)
+                    features[i, f + 4] = u.dot(e2)
+                    features[i, f + 5] = u.dot(e3)
+                    f += 6
+            own = v0 - mean_velocity
+            features[i, f] = own.dot(e1)
+            features[i, f + 1] = own.dot(e2)
+            features[i, f + 2] = own.dot(e3)
+            features[i, f + 3] = -e1[1]
+            features[i, f + 4] = -e2[1]
+            features[i, f + 5] = -e3[1]
+            f += 6
+            for q in ti.static(INNER):
+                near = 0.0
+                for c in ti.static(range(3)):
+                    near += weights[i, 3 * q + c] * contact[corners[i, 3 * q + c]][0]
+                features[i, f] = near / FAR
+                f += 1
+            slip = vec3(contact[i][1], contact[i][2], contact[i][3])
+            features[i, f] = slip.dot(e1)
+            features[i, f + 1] = slip.dot(e2)
+            features[i, f + 2] = slip.dot(e3)
+
+
+@dataclass(frozen=True)
+class Stencil:
+    """Where each coarse vertex looks, and what never changes there.
+
+    Attributes:
+        corners: coarse vertices of each stencil point, int32, shape (n, 75).
+        weights: their barycentric weights, float32, shape (n, 75).
+        spacing: of the stencil [m].
+        static: what does not move: points that exist (24), share that is held, slow modes of the mesh (8);
+            float32, shape (n, 33).
+    """
+
+    corners: np.ndarray
+    weights: np.ndarray
+    spacing: float
+    static: np.ndarray
+
+    @classmethod
+    def of(cls, charts: Charts, held: np.ndarray) -> "Stencil":
+        """Stencil of a coarse mesh with its held vertices (int, shape (p,))."""
+        ensure_initialized()
+        mesh = charts.mesh
+        count, spacing = len(mesh.vertices), float(mesh.edge_lengths()[1].mean())
+        steps = np.arange(SIDE) - SIDE // 2
+        # Rows run along the warp; the weft axis of a chart is turned a quarter counter-clockwise from it.
+        offsets = spacing * np.array([(a, b) for a in steps for b in steps], float)
+        face, weights, arrived = charts.trace(np.repeat(np.arange(count), POINTS), np.tile(offsets, (count, 1)))
+        corners = mesh.faces[face].reshape(count, 3 * POINTS)
+        exists = arrived.reshape(count, POINTS)[:, OTHERS].astype(float)
+        mark = np.isin(np.arange(count), held).astype(float)
+        share = (mark[corners] * weights.reshape(count, -1)).sum(axis=1, keepdims=True) / POINTS
+        static = np.concatenate([exists, share, slow_modes(mesh)], axis=1)
+        return cls(
+            np.ascontiguousarray(corners, np.int32),
+            np.ascontiguousarray(weights.reshape(count, -1), np.float32),
+            spacing,
+            static.astype(np.float32),
+        )
+
+    def gather(
+        self,
+        position: np.ndarray,
+        velocity: np.ndarray,
+        contact: np.ndarray,
+        frames: np.ndarray,
+        features: np.ndarray,
+    ) -> None:
+        """Read the garment's state.
+
+        Args:
+            position: [m], float32, shape (n, 4); the last column does not matter.
+            velocity: [m/s], float32, shape (n, 3).
+            contact: as in :class:`pbd.State`, float32, shape (n, 4).
+            frames: receives the frame of each vertex as rows (warp, weft, normal), float32, shape (n, 9).
+            features: receives the features, float32, shape (n, DYNAMIC_COUNT).
+        """
+        _gather(position, velocity, contact, self.corners, self.weights, self.spacing, frames, features)
+
+
+def slow_modes(mesh: ClothMesh, modes: int = MODES) -> np.ndarray:
+    """Lowest non-constant eigenvectors of the mesh's graph Laplacian, unit variance: shape (n, modes).
+
+    They say roughly where on the garment a vertex is.
+    """
+    edges, lengths = mesh.edge_lengths()
+    count = len(mesh.vertices)
+    weight = 1.0 / lengths
+    graph = csr_matrix((weight, (edges[:, 0], edges[:, 1])), (count, count))
+    graph = graph + graph.T
+    laplacian = diags(np.asarray(graph.sum(axis=1)).ravel()) - graph
+    start = np.random.default_rng(0).standard_normal(count)  # a fixed start: the same bits every time
+    _, vectors = eigsh(laplacian.tocsc(), k=modes + 1, sigma=-1e-3 * weight.mean(), which="LM", v0=start)
+    vectors = vectors[:, 1:]
+    vectors *= np.where(vectors[np.abs(vectors).argmax(axis=0), np.arange(modes)] < 0, -1.0, 1.0)
+    return vectors / vectors.std(axis=0)
