@@ -56,8 +56,8 @@ def bake_glb(
     frames k - 1 and k and falls again until that of frame k + 1, so a player at any rate sees linear interpolation.
     The mean of a mesh's vertices moves as its node's translation; what is left is stored as 16-bit deltas
     (KHR_mesh_quantization): 16 bytes a vertex and frame. Positions are exact to 0.02 mm while no vertex moves by more
-    than 1 m against that mean, and to 1 / 32767 of that movement beyond; normals to 0.02 degrees in the mean, and to 0.5
-    degrees where one turns right round.
+    than 1 m against that mean, and to 1 / 32767 of that movement beyond; normals to 0.02 degrees in the mean, and to
+    0.5 degrees where one turns right round.
 
     Args:
         path: file to write; it is never half-written.
