@@ -63,8 +63,12 @@ class Simulation:
         self.state = State.at_rest(model, vertices)
         self.body = Body(source.faces, len(source.vertices))
         self.colliders = Colliders(primitives, self.body)
+        self.place_body(pose)
+
+    def place_body(self, pose: np.ndarray) -> None:
+        """Put the body into a pose without motion, about the garment's origin."""
         self.body.origin = self.state.origin.copy()
-        source.skin(pose, self.state.origin, self.body.current)
+        self.source.skin(pose, self.state.origin, self.body.current)
         self.body.place(self.body.current.copy())
 
     def step(self, pose: np.ndarray, dt: float, wind: tuple = (0.0, 0.0, 0.0)) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
@@ -99,6 +99,9 @@ class Subdivision:
             steps.append(matrix)
             count = matrix.shape[0]
         return cls(np.asarray(faces, np.int32), vertex_count, tuple(steps), fine)
+
+    def __getstate__(self) -> dict:
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # factors cannot be sent to a worker
 
     @property
     def fine_count(self) -> int:

@@ -1,0 +1,253 @@
+"""Simulated runs on disk: cached by the hash of everything they depend on, resumed where they were cut off."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+import pbd
+from assets.character import Character
+from assets.sequence import Sequence as VertexSequence
+from assets.sequence import SequenceBody
+from assets.skinning import SkinnedBody
+from pbd import Fabric, ModelOptions, SolverOptions, State, build_model
+from pbd.storage import replacing
+from runtime.simulation import Simulation
+from wrinkles.levels import Levels
+
+__all__ = ["Recording", "Run", "body_source", "poses_of", "record_runs"]
+
+CHUNK_SECONDS = 1.0  # what a cut-off run loses at most [s of motion]
+
+
+def body_source(body: Character | VertexSequence) -> SkinnedBody | SequenceBody:
+    """What poses a body."""
+    return SkinnedBody(body) if isinstance(body, Character) else SequenceBody(body)
+
+
+def poses_of(motion, dt: float, seconds: float | None = None) -> np.ndarray:
+    """Poses of a motion every ``dt`` [s], from 0 to its end or to ``seconds``: shape (frames + 1, ...)."""
+    duration = motion.duration if seconds is None else min(seconds, motion.duration)
+    return np.stack([motion.pose(i * dt) for i in range(int(np.floor(duration / dt + 1e-6)) + 1)])
+
+
+@dataclass(frozen=True)
+class Run:
+    """One simulation to record.
+
+    Attributes:
+        name: for progress lines.
+        levels: of the garment; ``fine`` says which of both meshes is simulated.
+        body: the character or vertex sequence.
+        poses: shape (frames + 1, ...), one every ``dt`` [s]; the first is where the garment starts.
+        fabric, options, solver: of the model and the solver.
+        every: frames from one recorded frame to the next.
+        bend_factor: hinge factor if known; None measures it.
+    """
+
+    name: str
+    levels: Levels
+    fine: bool
+    body: Character | VertexSequence
+    poses: np.ndarray
+    dt: float
+    fabric: Fabric
+    options: ModelOptions
+    solver: SolverOptions
+    every: int = 2
+    bend_factor: float | None = None
+
+    @property
+    def frame_count(self) -> int:
+        return len(self.poses) - 1
+
+    @property
+    def chunk(self) -> int:
+        """Frames in a chunk: a whole number of recorded frames."""
+        return max(1, round(CHUNK_SECONDS / self.dt / self.every)) * self.every
+
+    @property
+    def chunk_count(self) -> int:
+        return -(-self.frame_count // self.chunk)
+
+    def key(self) -> str:
+        """Hash of everything that the result depends on, the solver's source included."""
+        digest = hashlib.sha256(_solver_version().encode())
+        levels = self.levels
+        mesh = levels.fine if self.fine else levels.coarse
+        attachment = levels.fine_attachment if self.fine else levels.coarse_attachment
+        arrays = [mesh.vertices, mesh.faces, mesh.flat, attachment.corners, attachment.weights, attachment.offset]
+        arrays += [levels.fine_held if self.fine else levels.coarse_held, self.poses, self.body.vertices, self.body.faces]
+        if isinstance(self.body, Character):
+            arrays += [self.body.joint_indices, self.body.joint_weights]
+        for array in arrays:
+            digest.update(np.ascontiguousarray(array).tobytes())
+        settings = [asdict(self.fabric), asdict(self.options), asdict(self.solver), self.dt, self.every]
+        digest.update(json.dumps([*settings, self.bend_factor], sort_keys=True).encode())
+        return digest.hexdigest()[:24]
+
+    def simulation(self) -> Simulation:
+        """The simulation at the first pose."""
+        levels = self.levels
+        mesh, held, attachment = (
+            (levels.fine, levels.fine_held, levels.fine_attachment)
+            if self.fine
+            else (levels.coarse, levels.coarse_held, levels.coarse_attachment)
+        )
+        model = build_model(mesh, self.fabric, held, self.options, self.bend_factor)
+        return Simulation(model, attachment, body_source(self.body), self.poses[0], self.solver)
+
+
+@lru_cache(maxsize=1)
+def _solver_version() -> str:
+    """Hash of the source of the solver and of what moves bodies."""
+    digest = hashlib.sha256()
+    root = Path(pbd.__file__).parent
+    for path in sorted(root.glob("*.py")) + [root.parent / "runtime/simulation.py", root.parent / "assets/skinning.py"]:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Recorded frames of a run, in the world.
+
+    Attributes:
+        name: of the run.
+        frames: index of each recorded frame into the run's poses, int, shape (f,).
+        positions: of the simulated mesh [m], float32, shape (f, N, 3).
+        coarse: a fine run filtered down (a coarse run itself) [m], float32, shape (f, n, 3).
+        velocity: of the coarse vertices [m/s], float32, shape (f, n, 3).
+        contact: of the coarse vertices, as in :class:`pbd.State`, float32, shape (f, n, 4).
+        nearest: body vertices near the coarse ones, int32, shape (f, n).
+        step_ms: median time of a step [ms].
+    """
+
+    name: str
+    frames: np.ndarray
+    positions: np.ndarray
+    coarse: np.ndarray
+    velocity: np.ndarray
+    contact: np.ndarray
+    nearest: np.ndarray
+    step_ms: float
+
+
+def record_runs(
+    runs: Sequence[Run],
+    cache: Path,
+    workers: int = 2,
+    report: Callable[[str], None] | None = None,
+) -> list[Recording]:
+    """Simulate what is not in the cache yet, and read everything back.
+
+    Args:
+        runs: what to record.
+        cache: folder; each run has a folder of its own in it, named by :meth:`Run.key`.
+        workers: processes at a time; each run stays on one.
+        report: told a line of progress now and then.
+    """
+    folders = [cache / run.key() for run in runs]
+    total = sum(run.frame_count for run in runs)
+    done = lambda: sum(  # noqa: E731
+        min(run.frame_count, run.chunk * len(list(folder.glob("chunk_*.npz"))))
+        for run, folder in zip(runs, folders, strict=True)
+    )
+    todo = [
+        (run, folder)
+        for run, folder in zip(runs, folders, strict=True)
+        if len(list(folder.glob("chunk_*.npz"))) < run.chunk_count
+    ]
+    began, before = time.monotonic(), done()
+    if len(todo) == 1 or workers == 1:
+        for run, folder in todo:
+            _record(run, folder, lambda: _tell(report, done(), before, total, began))
+    elif todo:
+        todo.sort(key=lambda item: -item[0].frame_count)
+        with ProcessPoolExecutor(min(workers, len(todo)), get_context("spawn"), _single_thread) as pool:
+            futures = [pool.submit(_record, run, folder) for run, folder in todo]
+            pending = set(futures)
+            while pending:
+                finished, pending = wait(pending, timeout=5.0, return_when=FIRST_COMPLETED)
+                for future in finished:
+                    future.result()
+                _tell(report, done(), before, total, began)
+    return [_read(run, folder) for run, folder in zip(runs, folders, strict=True)]
+
+
+def _single_thread() -> None:
+    os.environ["GUBE_THREADS"] = "1"
+
+
+def _tell(report: Callable[[str], None] | None, done: int, before: int, total: int, began: float) -> None:
+    if report is None:
+        return
+    spent = time.monotonic() - began
+    left = spent * (total - done) / (done - before) if done > before else float("nan")
+    rest = f", {left:.0f} s left" if np.isfinite(left) else ""
+    report(f"simulating: {done} of {total} frames{rest}")
+
+
+def _record(run: Run, folder: Path, after_chunk: Callable[[], None] | None = None) -> None:
+    """Simulate a run chunk by chunk; each chunk holds the state at its end, from which the next one goes on."""
+    simulation = run.simulation()
+    levels, count = run.levels, run.levels.subdivision.coarse_count
+    first = 0
+    while (folder / f"chunk_{first:04d}.npz").exists():
+        first += 1
+    if first:
+        with np.load(folder / f"chunk_{first - 1:04d}.npz", allow_pickle=False) as last:
+            simulation.state = State(*(last[f"state_{name}"] for name in State._names))
+        simulation.place_body(run.poses[first * run.chunk])
+    for chunk in range(first, run.chunk_count):
+        rows: dict[str, list] = {"frames": [], "positions": [], "velocity": [], "contact": [], "nearest": []}
+        times = []
+        for frame in range(chunk * run.chunk, min((chunk + 1) * run.chunk, run.frame_count)):
+            simulation.pose_body(run.poses[frame + 1])
+            began = time.perf_counter()
+            simulation.step_cloth(run.dt)
+            times.append(time.perf_counter() - began)
+            if (frame + 1) % run.every == 0:
+                state = simulation.state
+                rows["frames"].append(frame + 1)
+                rows["positions"].append(state.world().astype(np.float32))
+                rows["velocity"].append(state.velocity.copy())
+                rows["contact"].append(state.contact[:count].copy())
+                rows["nearest"].append(state.nearest[:count].copy())
+        arrays = {name: np.array(values) for name, values in rows.items()}
+        if not len(arrays["frames"]):
+            arrays["positions"] = np.zeros((0, simulation.model.vertex_count, 3), np.float32)
+            arrays["velocity"] = arrays["positions"]
+            arrays["contact"], arrays["nearest"] = np.zeros((0, count, 4), np.float32), np.zeros((0, count), np.int32)
+        arrays["coarse"] = arrays["positions"]
+        if run.fine:
+            fixed = levels.coarse_held
+            arrays["coarse"] = levels.subdivision.filter_down(arrays["positions"], fixed).astype(np.float32)
+            arrays["velocity"] = levels.subdivision.filter_down(arrays["velocity"], fixed).astype(np.float32)
+        arrays["step_ms"] = np.array(1e3 * np.median(times))
+        arrays |= {f"state_{name}": getattr(simulation.state, name) for name in State._names}
+        with replacing(folder / f"chunk_{chunk:04d}.npz") as temporary, open(temporary, "wb") as file:
+            np.savez(file, **arrays)
+        if after_chunk is not None:
+            after_chunk()
+
+
+def _read(run: Run, folder: Path) -> Recording:
+    names = ("frames", "positions", "coarse", "velocity", "contact", "nearest", "step_ms")
+    parts: dict[str, list] = {name: [] for name in names}
+    for chunk in range(run.chunk_count):
+        with np.load(folder / f"chunk_{chunk:04d}.npz", allow_pickle=False) as data:
+            for name in names:
+                parts[name].append(data[name])
+    step_ms = float(np.median(parts.pop("step_ms")))
+    return Recording(run.name, *(np.concatenate(parts[name]) for name in names[:-1]), step_ms)
