@@ -30,6 +30,27 @@ Parts = tuple[Floats, Floats, Floats]
 _COMPONENTS = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _TRIANGLES = 4
+# Kinds of the parts of the JSON that are read, where a file has them; a list of one stands for any number.
+_ENTRY = {"name": str, "byteOffset": int, "byteLength": int}
+_OUTLINE: dict[str, Any] = {
+    "asset": {"version": str},
+    "extensionsRequired": [str],
+    "scene": int,
+    "scenes": [{"nodes": [int]}],
+    "nodes": [_ENTRY | {"children": [int], "mesh": int, "skin": int}],
+    "meshes": [_ENTRY | {"primitives": [{"attributes": {}, "indices": int, "mode": int}]}],
+    "skins": [{"joints": [int], "inverseBindMatrices": int}],
+    "animations": [
+        _ENTRY
+        | {
+            "channels": [{"sampler": int, "target": {"node": int, "path": str}}],
+            "samplers": [{"input": int, "output": int, "interpolation": str}],
+        }
+    ],
+    "accessors": [_ENTRY | {"bufferView": int, "componentType": int, "count": int, "type": str}],
+    "bufferViews": [_ENTRY | {"buffer": int, "byteStride": int}],
+    "buffers": [_ENTRY | {"uri": str}],
+}
 # Extensions that change nothing of what is read here.
 _HARMLESS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_", "KHR_mesh_quantization")
 
@@ -76,20 +97,20 @@ class Document:
     def entry(self, kind: str, index: Any, key: str) -> dict[str, Any]:
         """One element of a list of the file, e.g. of its "accessors"; ``key`` says who asks for it."""
         entries = self.json.get(kind, [])
-        if not isinstance(index, int) or not 0 <= index < len(entries) or not isinstance(entries[index], dict):
+        if not isinstance(index, int) or not 0 <= index < len(entries):
             raise self.error(f"one of the {kind} that does not exist", key=key, received=index)
         return entries[index]
 
     def whole(self, entry: dict[str, Any], name: str, key: str, default: int | None = None) -> int:
         """A number of an element: whole, not negative."""
         value = entry.get(name, default)
-        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+        if value is None or value < 0:
             raise self.error(f"bad {name}", key=key, received=value, expected="a whole number, not negative")
         return value
 
     def node_name(self, node: int) -> str:
         """The node's name, or its number where it has none."""
-        return str(self.entry("nodes", node, f"node {node}").get("name") or f"node {node}")
+        return self.entry("nodes", node, f"node {node}").get("name") or f"node {node}"
 
     def chain(self, node: int) -> tuple[int, ...]:
         """Nodes from the root down to this one."""
@@ -169,6 +190,13 @@ class Document:
             return np.maximum(data.astype(np.float64) / np.iinfo(kind).max, -1.0)
         return data.copy()
 
+    def integers(self, index: Any, key: str) -> NDArray[np.int64]:
+        """Numbers of an accessor that count something, shape (count, width)."""
+        values = self.accessor(index, key)
+        if values.dtype.kind != "u":
+            raise self.error("indices that are no unsigned integers", key=key, received=str(values.dtype))
+        return values.astype(np.int64)
+
     def primitives(self, node: int) -> list[Primitive]:
         """Triangles of the mesh that a node shows, in the mesh's own space.
 
@@ -178,11 +206,13 @@ class Document:
         number = self.entry("nodes", node, f"node {node}").get("mesh")
         mesh = self.entry("meshes", number, f"node {self.node_name(node)}")
         found = []
-        for index, entry in enumerate(mesh.get("primitives", [])):
+        if not mesh.get("primitives"):
+            raise self.error("a mesh without triangles", key=f"mesh {mesh.get('name') or number}")
+        for index, entry in enumerate(mesh["primitives"]):
             key = f"mesh {mesh.get('name') or number}, primitive {index}"
             if entry.get("mode", _TRIANGLES) != _TRIANGLES:
                 raise self.error("not a list of triangles", key=key, received=entry["mode"], expected="mode 4")
-            found.append(self._primitive(key, entry.get("indices"), dict(entry.get("attributes", {}))))
+            found.append(self._primitive(key, entry.get("indices"), entry.get("attributes", {})))
         return found
 
     def _primitive(self, key: str, indices: Any, attributes: dict[str, Any]) -> Primitive:
@@ -194,7 +224,7 @@ class Document:
         if indices is None:
             corners = np.arange(len(vertices))
         else:
-            corners = self.accessor(indices, f"{key}, indices").ravel().astype(np.int64)
+            corners = self.integers(indices, f"{key}, indices").ravel()
         if len(corners) % 3:
             raise self.error("corners that make no triangles", key=key, received=len(corners), expected="3 a triangle")
         faces = corners.reshape(-1, 3)
@@ -238,19 +268,38 @@ def read_document(path: Path) -> Document:
 
 
 def _check_outline(path: Path, content: Any) -> None:
-    """The top of the JSON: a version that is known, lists of objects, no extension that is needed and unknown."""
-    version = content.get("asset", {}).get("version") if isinstance(content, dict) else None
+    """The JSON has the outline that is read here, its version is known, and no unknown extension is required."""
+    place = _misfit(content, _OUTLINE)
+    if place is not None:
+        key = place.removeprefix(".") or "top level"
+        raise InputError("not glTF: a value of another kind than it should be", file=path, key=key)
+    version = content.get("asset", {}).get("version")
     if not str(version).startswith("2."):
         raise InputError("not glTF 2.0", file=path, key="asset.version", received=version, expected="'2.0'")
-    for kind in ("nodes", "meshes", "skins", "animations", "accessors", "bufferViews", "buffers", "scenes"):
-        entries = content.get(kind, [])
-        if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-            raise InputError("not a list of objects", file=path, key=kind)
     for name in content.get("extensionsRequired", []):
-        if not str(name).startswith(_HARMLESS):
+        if not name.startswith(_HARMLESS):
             raise InputError(
                 "a required extension that is not supported", file=path, key="extensionsRequired", received=name
             )
+
+
+def _misfit(value: Any, outline: Any) -> str | None:
+    """Place of the first value that does not fit the outline; None if all fit."""
+    if isinstance(outline, dict):
+        if not isinstance(value, dict):
+            return ""
+        inner = ((f".{key}", value[key], kind) for key, kind in outline.items() if key in value)
+    elif isinstance(outline, list):
+        if not isinstance(value, list):
+            return ""
+        inner = ((f"[{index}]", element, outline[0]) for index, element in enumerate(value))
+    else:
+        return None if isinstance(value, outline) and not isinstance(value, bool) else ""
+    for place, element, kind in inner:
+        below = _misfit(element, kind)
+        if below is not None:
+            return place + below
+    return None
 
 
 def _split_binary(path: Path, data: bytes) -> tuple[bytes, bytes | None]:
@@ -282,18 +331,18 @@ def _split_binary(path: Path, data: bytes) -> tuple[bytes, bytes | None]:
 def _load_buffer(path: Path, index: int, buffer: dict[str, Any], binary: bytes | None) -> bytes:
     key, uri = f"buffer {index}", buffer.get("uri")
     data = binary or b""
-    if isinstance(uri, str) and uri.startswith("data:"):
+    if uri is not None and uri.startswith("data:"):
         try:
             data = base64.b64decode(uri.partition(",")[2], validate=True)
         except binascii.Error as error:
             raise InputError(f"not base64: {error}", file=path, key=key) from error
     elif uri is not None:
         try:
-            data = (path.parent / unquote(str(uri))).read_bytes()
+            data = (path.parent / unquote(uri)).read_bytes()
         except OSError as error:
             raise InputError("cannot be read", file=path, key=f"{key}, {uri}", received=error.strerror) from error
-    expected = buffer.get("byteLength")
-    if not isinstance(expected, int) or len(data) < expected:
+    expected = buffer.get("byteLength", 0)
+    if len(data) < expected:
         raise InputError(
             "a truncated buffer", file=path, key=key, received=f"{len(data)} bytes", expected=f"{expected} bytes"
         )
@@ -304,7 +353,7 @@ def _parents(path: Path, nodes: list[dict[str, Any]]) -> tuple[int, ...]:
     parents = [-1] * len(nodes)
     for parent, node in enumerate(nodes):
         for child in node.get("children", []):
-            if not isinstance(child, int) or not 0 <= child < len(nodes):
+            if not 0 <= child < len(nodes):
                 raise InputError("a child that does not exist", file=path, key=f"node {parent}", received=child)
             if parents[child] >= 0:
                 raise InputError("a node with two parents", file=path, key=f"node {child}")

@@ -150,7 +150,7 @@ def _weights(document: Document, primitive: Primitive, columns: NDArray[np.intp]
     sets = 0
     while f"JOINTS_{sets}" in primitive.attributes or f"WEIGHTS_{sets}" in primitive.attributes:
         key = f"{primitive.key}, JOINTS_{sets} and WEIGHTS_{sets}"
-        joints = document.accessor(primitive.attributes.get(f"JOINTS_{sets}"), key).astype(np.int64)
+        joints = document.integers(primitive.attributes.get(f"JOINTS_{sets}"), key)
         weights = document.accessor(primitive.attributes.get(f"WEIGHTS_{sets}"), key).astype(np.float64)
         if not joints.shape == weights.shape == (len(dense), 4):
             raise document.error("not four joints and weights a vertex", key, (joints.shape, weights.shape))

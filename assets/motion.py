@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -75,23 +76,18 @@ class ClipMotion:
         self._frames = np.concatenate([clip.translation, clip.rotation, clip.scale], axis=2)
         if loop:
             self._check_loop(key)
-        self._start = np.concatenate(self._placed_bind_pose(), axis=1)
+        self._lead_in()
 
     def pose(self, t: float) -> Floats:
         """Skinning matrices at a time [s], shape (joints, 3, 4); held before 0 and, without ``loop``, after the end."""
         if t < self._blend:
             s = max(t, 0.0) / self._blend
-            return self._between(self._start, self._frames[0], s * s * (3.0 - 2.0 * s))
+            return _between(self._loose, self._start, self._end, s * s * (3.0 - 2.0 * s))
         last = len(self._frames) - 1
         place = (t - self._blend) * self._speed * self._rate
         place = place % last if self._loop and last else min(place, last)
         frame = min(int(place), max(last - 1, 0))
-        return self._between(self._frames[frame], self._frames[min(frame + 1, last)], place - frame)
-
-    def _between(self, start: Floats, end: Floats, share: float) -> Floats:
-        mixed = (1.0 - share) * start + share * end
-        rotation = slerp(start[:, 3:7], end[:, 3:7], share)
-        return self._character.pose_from_local(mixed[:, :3], rotation, mixed[:, 7:])
+        return _between(self._character, self._frames[frame], self._frames[min(frame + 1, last)], place - frame)
 
     def _check_loop(self, key: str) -> None:
         first, last = (self._joint_transforms(frame)[:, :3, 3] for frame in self._frames[[0, -1]])
@@ -108,32 +104,41 @@ class ClipMotion:
     def _joint_transforms(self, frame: Floats) -> Floats:
         return self._character.joint_transforms(frame[:, :3], frame[:, 3:7], frame[:, 7:])
 
-    def _placed_bind_pose(self) -> tuple[Floats, Floats, Floats]:
-        """Local translation, rotation and scale of the bind pose, placed where the clip starts.
+    def _lead_in(self) -> None:
+        """Prepare the blend: the skeleton with its hips cut loose, and its local transforms at start and end.
 
-        Joints above the hips take the clip's first frame, the hips what is left, so that nothing but the hips and what
-        hangs on them moves during the blend.
+        Loose from what stands above them, the hips move straight from one place to the other, however a root on the
+        floor moves.
         """
         character, first = self._character, self._frames[0]
-        bind = character.joint_transforms(*character.rest_local)
-        target = self._joint_transforms(first)
-        tops, above = _hips(character)
-        hips = tops[0]
-        place = _level_placement(bind[hips], target[hips])
-        translation, rotation, scale = (part.copy() for part in character.rest_local)
-        translation[above], rotation[above], scale[above] = first[above, :3], first[above, 3:7], first[above, 7:]
-        for joint in tops:
-            parent = character.joint_parents[joint]
-            space = target[parent] if parent >= 0 else character.root_transform
-            local = np.linalg.inv(space) @ place @ bind[joint]
-            translation[joint], rotation[joint], scale[joint] = decompose(
-                local, f"joint {character.joint_names[joint]}"
-            )
-        return translation, rotation, scale
+        bind, target = character.joint_transforms(*character.rest_local), self._joint_transforms(first)
+        tops = _hips(character)
+        parents = character.joint_parents.copy()
+        parents[tops] = -1
+        roots = parents < 0
+        to_root = np.linalg.inv(character.root_transform)
+        place = _level_placement(bind[tops[0]], target[tops[0]])
+
+        def loose(frame: Floats, world: Floats) -> Floats:
+            frame = frame.copy()
+            frame[roots] = np.concatenate(decompose(to_root @ world[roots], f"clip {self.name}, frame 0"), axis=1)
+            return frame
+
+        stored = np.concatenate(character.rest_local, axis=1)
+        rest = loose(stored, bind)
+        self._start, self._end = loose(stored, place @ bind), loose(first, target)
+        rest_local = (rest[:, :3], rest[:, 3:7], rest[:, 7:])
+        self._loose = replace(character, joint_parents=parents, rest_local=rest_local, clips={})
 
 
-def _hips(character: Character) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """The uppermost joints that carry skin, the one with the most first; and the joints above or beside them.
+def _between(character: Character, start: Floats, end: Floats, share: float) -> Floats:
+    """Pose between two frames of local transforms, shape (joints, 10)."""
+    mixed = (1.0 - share) * start + share * end
+    return character.pose_from_local(mixed[:, :3], slerp(start[:, 3:7], end[:, 3:7], share), mixed[:, 7:])
+
+
+def _hips(character: Character) -> NDArray[np.intp]:
+    """The uppermost joints that carry skin, the one with the most first.
 
     A joint carries skin from a thousandth of it: the roots of some skeletons stand on the floor with a few stray
     vertices.
@@ -145,7 +150,7 @@ def _hips(character: Character) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     for joint, parent in enumerate(character.joint_parents):
         below[joint] = parent >= 0 and (below[parent] or carries[parent])
     tops = np.flatnonzero(~below & carries)
-    return tops[np.argsort(-carried[tops], kind="stable")], np.flatnonzero(~below & ~carries)
+    return tops[np.argsort(-carried[tops], kind="stable")]
 
 
 def _level_placement(bind: Floats, target: Floats) -> Floats:

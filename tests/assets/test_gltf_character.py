@@ -214,6 +214,12 @@ REFUSED: dict[str, tuple[Callable[[Glb], object], str]] = {
     "sparse": (lambda g: g.json["accessors"][0].update(sparse={}), "accessor 0: sparse"),
     "extension": (lambda g: g.json.update(extensionsRequired=["KHR_draco_mesh_compression"]), "KHR_draco"),
     "version": (lambda g: g.json["asset"].update(version="1.0"), "asset.version"),
+    "kind": (lambda g: g.json["nodes"][1].update(children="tip"), "nodes[1].children: not glTF"),
+    "deep kind": (
+        lambda g: g.json["animations"][0]["channels"][0]["target"].update(node=1.5),
+        "animations[0].channels[0].target.node: not glTF",
+    ),
+    "no triangles": (lambda g: g.json["meshes"][0].update(primitives=[]), "mesh bar: a mesh without triangles"),
     "cycle": (lambda g: g.json["nodes"][1].update(children=[0]), "their own ancestors"),
     "two parents": (lambda g: g.json["nodes"][2].update(children=[1]), "node 1: a node with two parents"),
     "child": (lambda g: g.json["nodes"][1].update(children=[7]), "node 1: a child that does not exist"),
