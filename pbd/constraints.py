@@ -139,4 +139,5 @@ def drag_velocity(velocity: vec3, normal: vec3, factor: ti.f32):
         Change of velocity [m/s].
     """
     along = velocity.dot(normal)
-    return normal * (along / (1.0 + factor * ti.abs(along)) - along)
+    share = factor * ti.abs(along)
+    return -normal * (along * share / (1.0 + share))

@@ -27,6 +27,7 @@ Float2 = ti.types.ndarray(dtype=ti.f32, ndim=2)
 
 FAR = 0.03  # bodies are looked for up to this distance from the cloth [m]
 NEAR = 0.015  # nearer than this, a contact is looked for again within the frame [m]
+FINEST = 2.0**20  # inside a frame positions are whole multiples of 1 m / FINEST: exact in float32 up to 16 m
 GRID_SIDE = 48
 MAX_CELLS = GRID_SIDE**3
 
@@ -34,6 +35,11 @@ MAX_CELLS = GRID_SIDE**3
 @ti.func
 def xyz(p):
     return vec3(p[0], p[1], p[2])
+
+
+@ti.func
+def vec4(u: vec3):
+    return ti.math.vec4(u[0], u[1], u[2], 0.0)
 
 
 @ti.func
@@ -212,49 +218,53 @@ def find_nearest(
 
 @ti.func
 def solve_membrane(
-    position: ti.template(), triangles: ti.template(), data: ti.template(), inverse_h2: ti.f32, squeeze: ti.f32
+    position: ti.template(),
+    shift: ti.template(),
+    triangles: ti.template(),
+    data: ti.template(),
+    inverse_h2: ti.f32,
+    squeeze: ti.f32,
 ):
     for c in range(triangles.shape[0]):
         i, j, k = triangles[c][0], triangles[c][1], triangles[c][2]
         p0, p1, p2 = position[i], position[j], position[k]
+        u0, u1, u2 = xyz(shift[i]), xyz(shift[j]), xyz(shift[k])
         b00, b01, b10, b11 = data[c, 0], data[c, 1], data[c, 2], data[c, 3]
         g = membrane_multipliers(
-            xyz(p1) - xyz(p0),
-            xyz(p2) - xyz(p0),
+            (xyz(p1) - xyz(p0)) + (u1 - u0),
+            (xyz(p2) - xyz(p0)) + (u2 - u0),
             ti.math.vec4(b00, b01, b10, b11),
             vec3(data[c, 4], data[c, 5], data[c, 6]),
             ti.math.vec4(data[c, 7], data[c, 8], data[c, 9], data[c, 10]) * inverse_h2,
             squeeze,
         )
         gu, gv = vec3(g[0, 0], g[1, 0], g[2, 0]), vec3(g[0, 1], g[1, 1], g[2, 1])
-        m1 = p1[3] * (b00 * gu + b01 * gv)
-        m2 = p2[3] * (b10 * gu + b11 * gv)
-        m0 = -p0[3] * ((b00 + b10) * gu + (b01 + b11) * gv)
-        position[i] = ti.math.vec4(p0[0] + m0[0], p0[1] + m0[1], p0[2] + m0[2], p0[3])
-        position[j] = ti.math.vec4(p1[0] + m1[0], p1[1] + m1[1], p1[2] + m1[2], p1[3])
-        position[k] = ti.math.vec4(p2[0] + m2[0], p2[1] + m2[1], p2[2] + m2[2], p2[3])
+        shift[i] = vec4(u0 - p0[3] * ((b00 + b10) * gu + (b01 + b11) * gv))
+        shift[j] = vec4(u1 + p1[3] * (b00 * gu + b01 * gv))
+        shift[k] = vec4(u2 + p2[3] * (b10 * gu + b11 * gv))
 
 
 @ti.func
-def moved_by(p, weight: ti.f32, multiplier: vec3):
-    s = p[3] * weight
-    return ti.math.vec4(p[0] + s * multiplier[0], p[1] + s * multiplier[1], p[2] + s * multiplier[2], p[3])
-
-
-@ti.func
-def solve_bending(position: ti.template(), hinges: ti.template(), data: ti.template(), inverse_h2: ti.f32):
+def solve_bending(
+    position: ti.template(), shift: ti.template(), hinges: ti.template(), data: ti.template(), inverse_h2: ti.f32
+):
     for c in range(hinges.shape[0]):
         q = hinges[c]
         p0, p1, p2, p3 = position[q[0]], position[q[1]], position[q[2]], position[q[3]]
+        u0, u1, u2, u3 = xyz(shift[q[0]]), xyz(shift[q[1]]), xyz(shift[q[2]]), xyz(shift[q[3]])
         rows = ti.math.vec4(data[c, 0], data[c, 1], data[c, 2], data[c, 3])
         x0 = xyz(p0)
         multiplier = hinge_multiplier(
-            xyz(p1) - x0, xyz(p2) - x0, xyz(p3) - x0, rows, 1.0 / (data[c, 4] + data[c, 5] * inverse_h2)
+            (xyz(p1) - x0) + (u1 - u0),
+            (xyz(p2) - x0) + (u2 - u0),
+            (xyz(p3) - x0) + (u3 - u0),
+            rows,
+            1.0 / (data[c, 4] + data[c, 5] * inverse_h2),
         )
-        position[q[0]] = moved_by(p0, rows[0], multiplier)
-        position[q[1]] = moved_by(p1, rows[1], multiplier)
-        position[q[2]] = moved_by(p2, rows[2], multiplier)
-        position[q[3]] = moved_by(p3, rows[3], multiplier)
+        shift[q[0]] = vec4(u0 + p0[3] * rows[0] * multiplier)
+        shift[q[1]] = vec4(u1 + p1[3] * rows[1] * multiplier)
+        shift[q[2]] = vec4(u2 + p2[3] * rows[2] * multiplier)
+        shift[q[3]] = vec4(u3 + p3[3] * rows[3] * multiplier)
 
 
 @ti.func
@@ -286,6 +296,16 @@ def body_point(face, weights: vec3, t: ti.f32, body_0: ti.template(), body_1: ti
         b = face[a]
         p += weights[a] * (body_0[b] + t * (body_1[b] - body_0[b]))
     return p
+
+
+@ti.func
+def body_motion(face, weights: vec3, body_0: ti.template(), body_1: ti.template()) -> vec3:
+    """Motion of a point of a body face over the frame [m]."""
+    d = vec3(0.0)
+    for a in ti.static(range(3)):
+        b = face[a]
+        d += weights[a] * (body_1[b] - body_0[b])
+    return d
 
 
 @ti.func
@@ -342,8 +362,30 @@ def touch_body(
 
 
 @ti.func
+def settle(position: ti.template(), shift: ti.template(), i: ti.i32, u: vec3):
+    """Move vertex i by u [m]: whole steps go to the position, the rest to the shift; nothing is rounded away."""
+    whole = ti.floor(u * FINEST + 0.5) / FINEST
+    position[i] += ti.math.vec4(whole[0], whole[1], whole[2], 0.0)
+    shift[i] = vec4(u - whole)
+
+
+@ti.func
+def substep_start(velocity: ti.template(), scratch: ti.template(), i: ti.i32, h: ti.f32) -> vec3:
+    """Shift of vertex i at the start of the substep [m]."""
+    v = velocity[i] + vec3(scratch[i, 6], scratch[i, 7], scratch[i, 8])
+    return vec3(scratch[i, 0], scratch[i, 1], scratch[i, 2]) - h * v
+
+
+@ti.func
 def collide_primitives(
-    p: vec3, start: vec3, t: ti.f32, dt_share: ti.f32, primitives: ti.template(), thickness: ti.f32, friction: ti.f32
+    p: vec3,
+    u: vec3,
+    slip: vec3,
+    t: ti.f32,
+    dt_share: ti.f32,
+    primitives: ti.template(),
+    thickness: ti.f32,
+    friction: ti.f32,
 ):
     """Correction by planes (0), spheres (1) and capsules (2); rows: kind, radius, a0, b0, a1, b1 (start, end of frame)."""
     total = vec3(0.0)
@@ -354,9 +396,9 @@ def collide_primitives(
         da = vec3(primitives[c, 8], primitives[c, 9], primitives[c, 10]) - a0
         db = vec3(primitives[c, 11], primitives[c, 12], primitives[c, 13]) - b0
         a, b = a0 + t * da, b0 + t * db
-        here = p + total
+        here = p + (u + total)
         normal = b
-        gap = (here - a).dot(b) - thickness
+        gap = ((p - a) + (u + total)).dot(b) - thickness
         carried = da * dt_share  # motion of the touched point over the substep
         if kind > 0:
             centre = a
@@ -365,13 +407,13 @@ def collide_primitives(
                 share = ti.math.clamp((here - a).dot(axis) / ti.max(axis.dot(axis), 1e-20), 0.0, 1.0)
                 centre = a + share * axis
                 carried = (da + share * (db - da)) * dt_share
-            offset = here - centre
+            offset = (p - centre) + (u + total)
             size = offset.norm()
             normal = vec3(0.0, 1.0, 0.0)
             if size > 1e-9:
                 normal = offset / size
             gap = size - primitives[c, 1] - thickness
-        total += contact_correction(gap, normal, here - start - carried, friction)
+        total += contact_correction(gap, normal, slip + total - carried, friction)
     return total
 
 
@@ -379,6 +421,7 @@ def collide_primitives(
 def advance(
     position: Vec4,
     velocity: Vec3,
+    shift: Vec4,
     scratch: Float2,
     touch: Float2,
     samples: Int2,
@@ -414,8 +457,10 @@ def advance(
 ):
     """Advance a garment by ``substeps`` steps of h [s].
 
-    Per substep: predict, held vertices, membrane, bending, tethers, contact, velocities. Velocity keeps its own digits: it
-    takes (x - prediction)/h, the sum of the corrections, instead of a difference of world positions.
+    Per substep: predict, held vertices, membrane, bending, tethers, contact, velocities. Digits are kept in three
+    places: a vertex stands at ``position`` (on a grid) plus a small ``shift`` that takes the corrections; velocity takes
+    (shift - predicted shift)/h, the sum of the corrections, instead of a difference of world positions; and what it
+    gains over the frame is summed apart. ``scratch`` holds predicted shifts (0..2), normals (3..5) and gains (6..8).
     """
     ti.loop_config(serialize=True)
     for _ in range(1):
@@ -424,31 +469,46 @@ def advance(
         count = position.shape[0]
         share = 1.0 / substeps
         surface_normals(position, triangles, scratch)
+        for i in range(count):
+            p = xyz(position[i])
+            x = ti.floor(p * FINEST + 0.5) / FINEST
+            position[i] = ti.math.vec4(x[0], x[1], x[2], position[i][3])
+            shift[i] = vec4(p - x)
+            for a in ti.static(range(3)):
+                scratch[i, 6 + a] = 0.0
+        for c in range(held.shape[0]):
+            velocity[held[c]] = (target_1[c] - target_0[c]) * (inverse_h * share)
         for step in range(substeps):
             t = (step + 1) * share
             for i in range(count):
-                p = position[i]
-                if p[3] > 0.0:
-                    v = velocity[i] + h * gravity
+                u = xyz(shift[i])
+                if position[i][3] > 0.0:
+                    gained = h * gravity
+                    v = velocity[i] + (vec3(scratch[i, 6], scratch[i, 7], scratch[i, 8]) + gained)
                     normal = vec3(scratch[i, 3], scratch[i, 4], scratch[i, 5])
-                    v += drag_velocity(v - wind, normal, h * drag[i])
-                    velocity[i] = v
-                    x = xyz(p) + h * v
-                    position[i] = ti.math.vec4(x[0], x[1], x[2], p[3])
+                    dragged = drag_velocity(v - wind, normal, h * drag[i])
+                    gained += dragged
+                    u += h * (v + dragged)
                     for a in ti.static(range(3)):
-                        scratch[i, a] = x[a]
+                        scratch[i, 6 + a] += gained[a]
+                settle(position, shift, i, u)
+                for a in ti.static(range(3)):
+                    scratch[i, a] = shift[i][a]
             for c in range(held.shape[0]):
                 i = held[c]
-                x = target_0[c] + t * (target_1[c] - target_0[c])
-                position[i] = ti.math.vec4(x[0], x[1], x[2], 0.0)
+                u = (target_0[c] - xyz(position[i])) + t * (target_1[c] - target_0[c])
+                for a in ti.static(range(3)):
+                    scratch[i, a] = u[a]
+                    scratch[i, 6 + a] = 0.0
+                shift[i] = vec4(u)
 
-            solve_membrane(position, triangles, triangle_data, inverse_h2, squeeze)
-            solve_bending(position, hinges, hinge_data, inverse_h2)
+            solve_membrane(position, shift, triangles, triangle_data, inverse_h2, squeeze)
+            solve_bending(position, shift, hinges, hinge_data, inverse_h2)
             for c in range(tethers.shape[0]):
-                i = tethers[c][0]
-                p = position[i]
-                m = tether_correction(xyz(p) - xyz(position[tethers[c][1]]), tether_lengths[c])
-                position[i] = ti.math.vec4(p[0] + m[0], p[1] + m[1], p[2] + m[2], p[3])
+                i, j = tethers[c][0], tethers[c][1]
+                u = xyz(shift[i])
+                offset = (xyz(position[i]) - xyz(position[j])) + (u - xyz(shift[j]))
+                shift[i] = vec4(u + tether_correction(offset, tether_lengths[c]))
 
             for c in range(samples.shape[0]):
                 i, j = samples[c][0], samples[c][1]
@@ -456,41 +516,41 @@ def advance(
                 weight = 0.25 * (p[3] + q[3])
                 if nearest[c] >= 0 and weight > 0.0:
                     x = 0.5 * (xyz(p) + xyz(q))
+                    u = 0.5 * (xyz(shift[i]) + xyz(shift[j]))
                     if step % refresh == 0 and (step == 0 or touch[c, 7] < NEAR):
                         touch_body(
-                            x, c, t, nearest, body_0, body_1, body_faces,
+                            x + u, c, t, nearest, body_0, body_1, body_faces,
                             ring_start, ring, fan_start, fan, body_normals, touch,
                         )  # fmt: skip
                     face = body_faces[int(touch[c, 3])]
                     weights = vec3(touch[c, 0], touch[c, 1], touch[c, 2])
                     normal = vec3(touch[c, 4], touch[c, 5], touch[c, 6])
                     surface = body_point(face, weights, t, body_0, body_1)
-                    distance = (x - surface).dot(normal)
+                    distance = ((x - surface) + u).dot(normal)
                     touch[c, 7] = distance
                     if distance < thickness:
-                        start = 0.5 * (
-                            vec3(scratch[i, 0], scratch[i, 1], scratch[i, 2])
-                            + vec3(scratch[j, 0], scratch[j, 1], scratch[j, 2])
-                            - h * (velocity[i] + velocity[j])
+                        slip = u - 0.5 * (
+                            substep_start(velocity, scratch, i, h) + substep_start(velocity, scratch, j, h)
                         )
-                        carried = surface - body_point(face, weights, t - share, body_0, body_1)
-                        m = contact_correction(distance - thickness, normal, x - start - carried, friction)
+                        slip -= share * body_motion(face, weights, body_0, body_1)
+                        m = contact_correction(distance - thickness, normal, slip, friction)
                         m *= 0.5 / weight
                         # A vertex is a sample with both ends the same: half and half make the whole.
-                        position[i] += ti.math.vec4(p[3] * m[0], p[3] * m[1], p[3] * m[2], 0.0)
+                        shift[i] = vec4(xyz(shift[i]) + p[3] * m)
                         if i != j:
-                            position[j] += ti.math.vec4(q[3] * m[0], q[3] * m[1], q[3] * m[2], 0.0)
+                            shift[j] = vec4(xyz(shift[j]) + q[3] * m)
             for i in range(count):
-                p = position[i]
-                if p[3] > 0.0:
-                    x = xyz(p)
-                    predicted = vec3(scratch[i, 0], scratch[i, 1], scratch[i, 2])
-                    start = predicted - h * velocity[i]
-                    x += collide_primitives(x, start, t, share, primitives, thickness, friction)
-                    position[i] = ti.math.vec4(x[0], x[1], x[2], p[3])
-                    velocity[i] += (x - predicted) * inverse_h
-        for c in range(held.shape[0]):
-            velocity[held[c]] = (target_1[c] - target_0[c]) * (inverse_h * share)
+                u = xyz(shift[i])
+                if position[i][3] > 0.0:
+                    slip = u - substep_start(velocity, scratch, i, h)
+                    u += collide_primitives(xyz(position[i]), u, slip, t, share, primitives, thickness, friction)
+                    for a in ti.static(range(3)):
+                        scratch[i, 6 + a] += (u[a] - scratch[i, a]) * inverse_h
+                shift[i] = vec4(u)
+        for i in range(count):
+            u = xyz(shift[i])
+            position[i] += ti.math.vec4(u[0], u[1], u[2], 0.0)
+            velocity[i] += vec3(scratch[i, 6], scratch[i, 7], scratch[i, 8])
         for i in range(count):
             contact[i] = ti.math.vec4(FAR, 0.0, 0.0, 0.0)
             if nearest[i] >= 0 and position[i][3] > 0.0:
@@ -498,7 +558,7 @@ def advance(
                 weights = vec3(touch[i, 0], touch[i, 1], touch[i, 2])
                 normal = vec3(touch[i, 4], touch[i, 5], touch[i, 6])
                 surface = body_point(face, weights, 1.0, body_0, body_1)
-                carried = (surface - body_point(face, weights, 0.0, body_0, body_1)) * (inverse_h * share)
+                carried = body_motion(face, weights, body_0, body_1) * (inverse_h * share)
                 slip = velocity[i] - carried
                 slip -= slip.dot(normal) * normal
                 distance = ti.math.clamp((xyz(position[i]) - surface).dot(normal), -FAR, FAR)

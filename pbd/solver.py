@@ -54,7 +54,8 @@ class Solver:
         ensure_initialized()
         self.model, self.options = model, options or SolverOptions()
         count, fabric = model.vertex_count, model.fabric
-        self._scratch = np.zeros((count, 6), np.float32)
+        self._shift = np.zeros((count, 4), np.float32)
+        self._scratch = np.zeros((count, 9), np.float32)
         self._touch = np.zeros((len(model.samples), 8), np.float32)
         area = model.mesh.vertex_areas
         self._drag = (0.5 * AIR_DENSITY * fabric.air_drag * area / model.mass).astype(np.float32)
@@ -112,6 +113,7 @@ class Solver:
         kernels.advance(
             state.position,
             state.velocity,
+            self._shift,
             self._scratch,
             self._touch,
             model.samples,
