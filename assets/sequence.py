@@ -1,6 +1,7 @@
 """Bodies given as vertex positions over time."""
 
 import zipfile
+import zlib
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -47,7 +48,7 @@ def load_sequence(path: str | PathLike[str]) -> Sequence:
     vertices, faces, dt = arrays["vertices"], arrays["faces"], arrays["dt"]
     _check(path, "vertices", vertices, "f", vertices.ndim == 3 and vertices.shape[2] == 3 and vertices.size > 0)
     _check(path, "faces", faces, "iu", faces.ndim == 2 and faces.shape[1] == 3 and faces.size > 0)
-    _check(path, "dt", dt, "fiu", dt.ndim == 0 and np.isfinite(dt) and dt > 0)
+    _check(path, "dt", dt, "fiu", dt.ndim == 0 and dt.dtype.kind in "fiu" and 0 < dt < np.inf)
     bad = np.argwhere(~np.isfinite(vertices).all(axis=2))
     if bad.size:
         frame, vertex = bad[0]
@@ -129,9 +130,10 @@ def _copy(source: ti.types.ndarray(dtype=ti.math.vec3, ndim=1), out: ti.types.nd
 
 def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            if not isinstance(file, np.lib.npyio.NpzFile):
-                raise InputError("a single array", file=path, expected="an .npz file")
+        file = np.load(path, allow_pickle=False)
+        if not isinstance(file, np.lib.npyio.NpzFile):
+            raise InputError("a single array", file=path, expected="an .npz file")
+        with file:
             missing = [key for key in ("vertices", "faces", "dt") if key not in file]
             if missing:
                 raise InputError("a missing key", file=path, key=missing[0], received=sorted(file))
@@ -141,7 +143,12 @@ def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         raise InputError("cannot be read", file=path, received=problem, expected="an .npz file") from error
     except InputError:
         raise
-    except (ValueError, EOFError, zipfile.BadZipFile) as error:  # also what arrays of objects end in
+    except (
+        ValueError,
+        EOFError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:  # ValueError is what arrays of objects end in
         raise InputError(f"no arrays of numbers: {error}", file=path) from error
 
 
