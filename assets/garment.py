@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from assets.gltf import read_document
 from assets.obj import read_obj
-from assets.weld import check_unit, weld
+from assets.weld import check_unit, group_rows, weld
 from pbd.errors import InputError
 from pbd.mesh import edges_of
 
@@ -179,10 +179,10 @@ def _check_faces(vertices: Floats, faces: Faces, path: Path, label: Callable[[in
     bad = np.flatnonzero(repeated | (height <= _FLAT * longest))
     if bad.size:
         raise InputError("a face without area", file=path, key=label(bad[0]), received=faces[bad[0]].tolist())
-    _, first, group = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_inverse=True)
-    bad = np.flatnonzero(first[group.reshape(-1)] != np.arange(len(faces)))
+    first, group = group_rows(np.sort(faces, axis=1))
+    bad = np.flatnonzero(first[group] != np.arange(len(faces)))
     if bad.size:
-        other = label(first[group.reshape(-1)[bad[0]]])
+        other = label(int(first[group[bad[0]]]))
         raise InputError(f"the same face as {other}", file=path, key=label(bad[0]), received=faces[bad[0]].tolist())
     edges, side_edge = edges_of(faces)
     counts = np.bincount(side_edge.ravel(), minlength=len(edges))

@@ -55,7 +55,7 @@ def read_character(path: Path, name: str | None) -> Character:
         joint_indices=joint_indices,
         joint_weights=joint_weights,
         rest_local=decompose(to_parent @ bind, f"{path}, bind pose"),
-        inverse_bind=np.linalg.inv(bind),
+        inverse_bind=np.linalg.inv(bind).astype(np.float64),
         root_transform=root,
         clips=_clips(document, kept),
     )

@@ -48,7 +48,7 @@ def load_sequence(path: str | PathLike[str]) -> Sequence:
     vertices, faces, dt = arrays["vertices"], arrays["faces"], arrays["dt"]
     _check(path, "vertices", vertices, "f", vertices.ndim == 3 and vertices.shape[2] == 3 and vertices.size > 0)
     _check(path, "faces", faces, "iu", faces.ndim == 2 and faces.shape[1] == 3 and faces.size > 0)
-    _check(path, "dt", dt, "fiu", dt.ndim == 0 and dt.dtype.kind in "fiu" and 0 < dt < np.inf)
+    _check(path, "dt", dt, "fiu", dt.ndim == 0 and dt.dtype.kind in "fiu" and 0.0 < float(dt) < np.inf)
     bad = np.argwhere(~np.isfinite(vertices).all(axis=2))
     if bad.size:
         frame, vertex = bad[0]
@@ -143,12 +143,8 @@ def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         raise InputError("cannot be read", file=path, received=problem, expected="an .npz file") from error
     except InputError:
         raise
-    except (
-        ValueError,
-        EOFError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:  # ValueError is what arrays of objects end in
+    # What numpy and zipfile raise for damaged files; ValueError also for arrays of objects.
+    except (ValueError, RuntimeError, MemoryError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise InputError(f"no arrays of numbers: {error}", file=path) from error
 
 
