@@ -115,7 +115,8 @@ def smooth(values: Floats, width: float) -> Floats:
     kernel /= kernel.sum()
     padded = np.concatenate([np.repeat(values[:1], reach, axis=0), values, np.repeat(values[-1:], reach, axis=0)])
     flat = padded.reshape(len(padded), -1)
-    return np.stack([np.convolve(column, kernel, "valid") for column in flat.T], axis=1).reshape(values.shape)
+    smoothed = np.stack([np.convolve(column, kernel, "valid") for column in flat.T], axis=1)
+    return np.asarray(smoothed, dtype=np.float64).reshape(values.shape)
 
 
 def curves_of(figure: Figure, plan: Plan) -> Curves:

@@ -18,11 +18,18 @@ from scipy.spatial.transform import Rotation
 __all__ = [
     "Field",
     "ellipsoid",
+    "drop_vertices",
+    "edges_of_polygons",
+    "even_mesh",
     "even_triangles",
     "field_gradient",
+    "flip_edges",
+    "loft",
     "project",
+    "relax",
     "smooth_max",
     "smooth_min",
+    "smooth_table",
     "surface_mesh",
     "tapered_tube",
 ]
@@ -66,6 +73,20 @@ def smooth_table(x: Floats, knots: Floats, values: Floats) -> Floats:
         + t**2 * (3.0 - 2.0 * t) * values[i + 1]
         + t**2 * (t - 1.0) * h * slopes[i + 1]
     )
+
+
+def loft(points: Floats, table: Floats) -> Floats:
+    """A trunk of upright slices, each an oval of a slightly boxy kind; without ends.
+
+    Args:
+        points: [m], shape (n, 3).
+        table: rows of height, half width, depth in front of and behind the middle line, z of the middle line [m].
+    """
+    x, y, z = points.T
+    width, front, back, middle = (smooth_table(y, table[:, 0], table[:, k]) for k in range(1, 5))
+    depth = np.where(z > middle, front, back)
+    radius = (np.abs(x / width) ** 2.3 + np.abs((z - middle) / depth) ** 2.3) ** (1.0 / 2.3)
+    return (radius - 1.0) * np.minimum(width, 0.5 * (front + back))
 
 
 def ellipsoid(points: Floats, centre: Floats, axes: Floats, rotation: Floats | None = None) -> Floats:
@@ -179,25 +200,27 @@ _CUTS = {
 }
 
 
-def even_mesh(field: Field, low: Floats, high: Floats, spacing: float, count: int) -> tuple[Floats, Faces]:
-    """A closed mesh of the zero set with nearly equilateral triangles.
+def even_mesh(
+    field: Field, fine: Floats, fine_faces: Faces, count: int, anchors: NDArray[np.int64] | None = None
+) -> tuple[Floats, Faces]:
+    """Nearly equilateral triangles on the zero set of a field.
 
     Args:
         field: the solid.
-        low, high: corners of a box that holds the solid [m], shape (3,).
-        spacing: cells of the grid that finds the surface [m]; at most half of an edge of the result.
+        fine, fine_faces: a fine mesh of it, or of a part of it, at least eight vertices for each one asked for.
         count: vertices to start from; about a tenth is taken out again for better triangles.
+        anchors: fine vertices that must be among them and stay: all that the result's boundary will have.
 
     Returns:
-        vertices [m], shape (n, 3), on the surface; faces, counter-clockwise from outside, shape (m, 3).
+        vertices [m], shape (n, 3), the anchors first; faces, wound as the fine ones, shape (m, 3).
     """
-    fine, fine_faces = surface_mesh(field, low, high, spacing)
-    chosen, faces = even_triangles(fine, fine_faces, count)
+    chosen, faces = even_triangles(fine, fine_faces, count, anchors=anchors)
     vertices = fine[chosen]
+    held = 0 if anchors is None else len(anchors)
     for _ in range(6):
         vertices, faces = drop_vertices(vertices, faces)
         faces = flip_edges(vertices, faces)
-        vertices = _relax(field, vertices, edges_of_polygons(faces), 3)
+        vertices = relax(field, vertices, edges_of_polygons(faces), 3, np.arange(len(vertices)) < held)
     return vertices, faces
 
 
@@ -232,7 +255,8 @@ def even_triangles(
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     weight = np.bincount(faces.ravel(), np.repeat(area, 3), len(vertices))
     fixed = np.zeros(0, dtype=np.int64) if anchors is None else np.asarray(anchors, dtype=np.int64)
-    free = np.setdiff1d(np.arange(len(vertices)), fixed)
+    rim, rim_label = _rim(vertices, faces, fixed)
+    free = np.setdiff1d(np.arange(len(vertices)), rim)
     chosen = np.random.default_rng(seed).choice(
         free, count - len(fixed), replace=False, p=weight[free] / weight[free].sum()
     )
@@ -242,6 +266,7 @@ def even_triangles(
         position = np.zeros(len(vertices), dtype=np.int64)
         position[sites] = np.arange(count)
         label = position[nearest]
+        label[rim] = rim_label
         if step == rounds:
             break
         mass = np.bincount(label, weight, count)
@@ -273,21 +298,48 @@ def edges_of_polygons(polygons: NDArray[np.integer]) -> NDArray[np.int64]:
     return np.unique(np.sort(edges, axis=1).astype(np.int64), axis=0)
 
 
-def _relax(field: Field, vertices: Floats, edges: NDArray[np.int64], rounds: int) -> Floats:
+def _rim(vertices: Floats, faces: Faces, anchors: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Boundary vertices, and which anchor each is nearest to along the boundary: the boundary belongs to no others."""
+    if not len(anchors):
+        return anchors, anchors
+    sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    edges, uses = np.unique(sides, axis=0, return_counts=True)
+    edges = edges[uses == 1]
+    lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    graph = sparse.csr_matrix((lengths, tuple(edges.T)), shape=(len(vertices), len(vertices)))
+    _, _, nearest = csgraph.dijkstra(graph, directed=False, indices=anchors, min_only=True, return_predecessors=True)
+    rim = np.unique(edges).astype(np.int64)
+    order = np.argsort(anchors)
+    return rim, order[np.searchsorted(anchors[order], nearest[rim])]
+
+
+def relax(
+    field: Field, vertices: Floats, edges: NDArray[np.int64], rounds: int, fixed: NDArray[np.bool_] | None = None
+) -> Floats:
     """Pull every vertex to the mean of its neighbours and back onto the surface, which leaves a tangential move.
 
     A neighbour with long edges pulls more, so that crowded vertices spread.
+
+    Args:
+        field: the solid.
+        vertices: near its surface [m], shape (n, 3).
+        edges: pairs of neighbours, shape (edges, 2).
+        rounds: iterations.
+        fixed: vertices that stay, shape (n,).
     """
     n = len(vertices)
+    free = np.ones(n, dtype=bool) if fixed is None else ~fixed
     both = np.concatenate([edges, edges[:, ::-1]])
     degree = np.bincount(both[:, 0], minlength=n)
+    vertices = vertices.copy()
     for _ in range(rounds):
         length = np.linalg.norm(vertices[both[:, 0]] - vertices[both[:, 1]], axis=1)
         pull = (np.bincount(both[:, 0], length, n) / degree)[both[:, 1]] ** 2
         pull = sparse.csr_matrix((pull, tuple(both.T)), shape=(n, n))
         mean = (pull @ vertices) / np.asarray(pull.sum(axis=1))
-        vertices = project(field, 0.4 * vertices + 0.6 * mean, 1)
-    return project(field, vertices)
+        vertices[free] = project(field, (0.4 * vertices + 0.6 * mean)[free], 1)
+    vertices[free] = project(field, vertices[free])
+    return vertices
 
 
 def flip_edges(vertices: Floats, faces: Faces) -> Faces:

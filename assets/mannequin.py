@@ -11,9 +11,9 @@ from assets.character import Character, Clip
 from assets.figure import Figure
 from assets.gait import FRAME_RATE, Plan, Spin, curves_of, smooth
 
-__all__ = ["JOINTS", "builtin_mannequin"]
+__all__ = ["DATA", "JOINTS", "builtin_mannequin"]
 
-_DATA = Path(__file__).resolve().parent / "data"
+DATA = Path(__file__).resolve().parent / "data"
 
 # Joint: (parent, position [m]) in the bind pose: an A-pose, face towards +Z, soles on y = 0. Left is +X.
 _CENTRE = {
@@ -47,7 +47,7 @@ def builtin_mannequin() -> Character:
     Clips: `walk` at 1.2 m/s, `slow_walk` at 0.6 m/s, `turn` (steps round on the spot, both ways), `twirl` (spins on the
     balls of the feet and stops) and `sway` (hips and trunk over feet that stand). All start standing.
     """
-    with np.load(_DATA / "mannequin.npz", allow_pickle=False) as data:
+    with np.load(DATA / "mannequin.npz", allow_pickle=False) as data:
         vertices = data["vertices"].astype(np.float64)
         faces = data["faces"].astype(np.int32)
         indices = data["joint_indices"].astype(np.int32)

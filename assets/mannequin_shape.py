@@ -14,9 +14,10 @@ from assets.implicit import (
     edges_of_polygons,
     ellipsoid,
     even_mesh,
+    loft,
     smooth_max,
     smooth_min,
-    smooth_table,
+    surface_mesh,
     tapered_tube,
 )
 from assets.mannequin import JOINTS
@@ -84,7 +85,7 @@ def make_mannequin(count: int = 8300, spacing: float = 0.011) -> dict[str, NDArr
         65535.
     """
     low, high = np.array([-0.77, -0.04, -0.24]), np.array([0.77, 1.76, 0.24])
-    vertices, faces = even_mesh(body_field, low, high, spacing, count)
+    vertices, faces = even_mesh(body_field, *surface_mesh(body_field, low, high, spacing), count)
     weights = skin_weights(vertices, faces)
     order = np.argsort(-weights, axis=1, kind="stable")
     indices = order[:, :4]
@@ -105,8 +106,8 @@ def skin_weights(vertices: Floats, faces: NDArray[np.int32]) -> Floats:
     """Share of every joint in the motion of every vertex [-], shape (vertices, joints); rows sum to one.
 
     Each bone is a source of heat that spreads over the skin (I. Baran and J. Popovic, "Automatic rigging and animation
-    of 3D characters", 2007): the skin near a bone follows it, and the transition is about as wide as the limb. Distances
-    are measured in radii of the limb, since the thick trunk would otherwise lose its sides to the thin arms.
+    of 3D characters", 2007): the skin near a bone follows it, and the transition is about as wide as the limb.
+    Distances are measured in radii of the limb, since the thick trunk would otherwise lose its sides to the thin arms.
     """
     names = list(JOINTS)
     nearest, owner = np.full(len(vertices), np.inf), np.zeros(len(vertices), dtype=np.int64)
@@ -148,14 +149,9 @@ def _at(name: str) -> Floats:
 
 
 def _trunk(points: Floats, left: Floats, right: Floats) -> Floats:
-    x, y, z = points.T
-    knots = _TRUNK[:, 0]
-    width, front, back, middle = (smooth_table(y, knots, _TRUNK[:, k]) for k in range(1, 5))
-    depth = np.where(z > middle, front, back)
-    # Ellipses of a slightly boxy kind; the value is scaled to a length by the smaller half axis.
-    radius = (np.abs(x / width) ** 2.3 + np.abs((z - middle) / depth) ** 2.3) ** (1.0 / 2.3)
-    trunk = (radius - 1.0) * np.minimum(width, depth)
-    trunk = smooth_max(trunk, np.maximum(knots[0] - y, y - knots[-1]), 0.04)
+    height = points[:, 1]
+    trunk = loft(points, _TRUNK)
+    trunk = smooth_max(trunk, np.maximum(_TRUNK[0, 0] - height, height - _TRUNK[-1, 0]), 0.04)
     for side in (left, right):
         trunk = smooth_min(trunk, _bust(side), 0.055)
         trunk = smooth_min(
@@ -183,7 +179,7 @@ def _arm(points: Floats) -> Floats:
     along = (wrist - elbow) / np.linalg.norm(wrist - elbow)
     across = np.array([0.0, 0.0, 1.0]) - along * along[2]
     across /= np.linalg.norm(across)
-    frame = np.stack([along, across, np.cross(along, across)])
+    frame = np.array([along, across, np.cross(along, across)])
     palm = ellipsoid(points, wrist + 0.055 * along + 0.004 * across, np.array([0.062, 0.040, 0.020]), frame)
     fingers = ellipsoid(points, wrist + 0.118 * along, np.array([0.066, 0.033, 0.0165]), frame)
     thumb = tapered_tube(
