@@ -25,8 +25,7 @@ def group_rows(rows: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     Returns:
         First member of each group, ascending, shape (groups,), and the group of each row, shape (n,).
     """
-    # Adding zero turns -0.0 into 0.0.
-    _, first, group = np.unique(rows + rows.dtype.type(0), axis=0, return_index=True, return_inverse=True)
+    _, first, group = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.zeros(len(order), dtype=np.intp)
     rank[order] = np.arange(len(order))

@@ -103,10 +103,11 @@ def test_obj_details(tmp_path: Path) -> None:
 
 
 def test_polygons_are_cut_into_triangles_also_where_they_are_not_convex() -> None:
-    # An L of area 3 whose inner corner (1, 1) no triangle may reach across, and an arrow head.
+    # An L of area 3 whose inner corner (1, 1) no triangle may reach across, an arrow head, and a slit.
     corner_shape = np.array([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]], dtype=float)
     arrow = np.array([[0, 0], [2, 1], [0, 2], [1, 1]], dtype=float)
-    for polygon, whole in ((corner_shape, 3.0), (arrow, 1.0), (corner_shape[::-1], -3.0)):
+    slit = np.array([[0, 0], [4, 0], [4, 2], [2.2, 2], [2, 0.5], [1.8, 2], [0, 2]], dtype=float)
+    for polygon, whole in ((corner_shape, 3.0), (arrow, 1.0), (slit, 7.7), (corner_shape[::-1], -3.0)):
         triangles = triangulate(np.c_[polygon, np.zeros(len(polygon))])
         assert len(triangles) == len(polygon) - 2
         signed = area(polygon, triangles)
