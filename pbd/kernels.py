@@ -137,7 +137,7 @@ def find_nearest(
     The first samples are the vertices themselves; the others stand in the middle of long edges and search from what
     the ends of their edge found.
 
-    A uniform grid over the cloth's box, filled by counting sort. Cells are at least FAR wide, so that 27 of them hold
+    Body vertices in no face are passed over. A uniform grid over the cloth's box, filled by counting sort. Cells are at least FAR wide, so that 27 of them hold
     everything within FAR.
     """
     ti.loop_config(serialize=True)
@@ -158,7 +158,8 @@ def find_nearest(
             cell_start[c] = 0
         for b in range(body.shape[0]):
             q = (body[b] - low) / cell
-            if q.min() >= 0.0 and q[0] < nx and q[1] < ny and q[2] < nz:
+            in_face = ring_start[b] < ring_start[b + 1]
+            if in_face and q.min() >= 0.0 and q[0] < nx and q[1] < ny and q[2] < nz:
                 cell_start[(int(q[0]) * ny + int(q[1])) * nz + int(q[2]) + 1] += 1
         for c in range(nx * ny * nz):
             cell_start[c + 1] += cell_start[c]
@@ -167,7 +168,8 @@ def find_nearest(
         for r in range(body.shape[0]):
             b = body.shape[0] - 1 - r
             q = (body[b] - low) / cell
-            if q.min() >= 0.0 and q[0] < nx and q[1] < ny and q[2] < nz:
+            in_face = ring_start[b] < ring_start[b + 1]
+            if in_face and q.min() >= 0.0 and q[0] < nx and q[1] < ny and q[2] < nz:
                 c = (int(q[0]) * ny + int(q[1])) * nz + int(q[2]) + 1
                 cell_start[c] -= 1
                 cell_items[cell_start[c]] = b

@@ -84,16 +84,20 @@ class Solver:
             wind: velocity of the air [m/s].
 
         Raises:
-            InputError: dt below zero or not finite, or a body about another origin.
+            InputError: dt below zero or not finite, a state of another model or not finite, bad targets or wind, or a
+                body about another origin.
         """
         if not np.isfinite(dt) or dt < 0:
             raise InputError("bad time step", key="dt", received=dt, expected="a finite number, at least 0 [s]")
         if dt == 0:
             return
         model, options = self.model, self.options
+        self._check(state, targets, wind)
         self._held_0[:] = state.position[model.held, :3]
         self._held_1[:] = self._held_0 if targets is None else targets - state.origin
         body = colliders.body or self._nobody
+        # What was touched before may be no part of this body: another one, or none.
+        state.nearest[state.nearest >= (len(body.current) if colliders.body else 0)] = -1
         if colliders.body is not None:
             if np.any(body.origin != state.origin):
                 raise InputError("body and state have other origins", received=body.origin, expected=str(state.origin))
@@ -147,6 +151,22 @@ class Solver:
             model.fabric.friction,
             max(1, round(substeps / max(1.0, dt * options.contact_refreshes))),
         )
+
+    def _check(self, state: State, targets: np.ndarray | None, wind: tuple[float, float, float] | np.ndarray) -> None:
+        """Refuse what the kernels could not take."""
+        model = self.model
+        received = (len(state.position), len(state.velocity), len(state.nearest), len(state.contact))
+        expected = (model.vertex_count, model.vertex_count, len(model.samples), model.vertex_count)
+        if received != expected:
+            raise InputError("state of another model", key="state", received=received, expected=f"lengths {expected}")
+        if not (np.isfinite(state.position).all() and np.isfinite(state.velocity).all()):
+            raise InputError("state is not finite", key="state", expected="finite positions and velocities")
+        if targets is not None and (np.shape(targets) != (len(model.held), 3) or not np.isfinite(targets).all()):
+            raise InputError(
+                "bad targets", key="targets", received=np.shape(targets), expected=f"finite, ({len(model.held)}, 3)"
+            )
+        if np.shape(wind) != (3,) or not np.isfinite(wind).all():
+            raise InputError("bad wind", key="wind", received=wind, expected="three finite numbers [m/s]")
 
     def follow(self, state: State, colliders: Colliders) -> np.ndarray:
         """Move the origin of state and body to the grid point nearest to the garment, and return it [m], shape (3,)."""
