@@ -87,7 +87,12 @@ class Run:
         mesh = levels.fine if self.fine else levels.coarse
         attachment = levels.fine_attachment if self.fine else levels.coarse_attachment
         arrays = [mesh.vertices, mesh.faces, mesh.flat, attachment.corners, attachment.weights, attachment.offset]
-        arrays += [levels.fine_held if self.fine else levels.coarse_held, self.poses, self.body.vertices, self.body.faces]
+        arrays += [
+            levels.fine_held if self.fine else levels.coarse_held,
+            self.poses,
+            self.body.vertices,
+            self.body.faces,
+        ]
         if isinstance(self.body, Character):
             arrays += [self.body.joint_indices, self.body.joint_weights]
         for array in arrays:
@@ -110,10 +115,11 @@ class Run:
 
 @lru_cache(maxsize=1)
 def _solver_version() -> str:
-    """Hash of the source of the solver and of what moves bodies."""
+    """Hash of the source of the solver, of what moves bodies and of what filters the result."""
     digest = hashlib.sha256()
     root = Path(pbd.__file__).parent
-    for path in sorted(root.glob("*.py")) + [root.parent / "runtime/simulation.py", root.parent / "assets/skinning.py"]:
+    others = ("runtime/simulation.py", "assets/skinning.py", "wrinkles/surface.py", "wrinkles/levels.py")
+    for path in sorted(root.glob("*.py")) + [root.parent / name for name in others]:
         digest.update(path.read_bytes())
     return digest.hexdigest()
 
@@ -231,9 +237,8 @@ def _record(run: Run, folder: Path, after_chunk: Callable[[], None] | None = Non
             arrays["contact"], arrays["nearest"] = np.zeros((0, count, 4), np.float32), np.zeros((0, count), np.int32)
         arrays["coarse"] = arrays["positions"]
         if run.fine:
-            fixed = levels.coarse_held
-            arrays["coarse"] = levels.subdivision.filter_down(arrays["positions"], fixed).astype(np.float32)
-            arrays["velocity"] = levels.subdivision.filter_down(arrays["velocity"], fixed).astype(np.float32)
+            arrays["coarse"] = levels.filter_down(arrays["positions"]).astype(np.float32)
+            arrays["velocity"] = levels.filter_down(arrays["velocity"]).astype(np.float32)
         arrays["step_ms"] = np.array(1e3 * np.median(times))
         arrays |= {f"state_{name}": getattr(simulation.state, name) for name in State._names}
         with replacing(folder / f"chunk_{chunk:04d}.npz") as temporary, open(temporary, "wb") as file:

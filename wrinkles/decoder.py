@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from pbd.colliders import Body
 from pbd.engine import ensure_initialized, ti
 from pbd.kernels import closest_on_triangle, descend
 from pbd.mesh import ClothMesh, greedy_colors
@@ -53,9 +54,7 @@ def _upsample(
 
 
 @ti.kernel
-def _add_patches(
-    grids: Float2, frames: Float2, corners: Int3, blend: Vec3, cell: Int3, within: Float2, fine: Vec3
-):
+def _add_patches(grids: Float2, frames: Float2, corners: Int3, blend: Vec3, cell: Int3, within: Float2, fine: Vec3):
     """Blend what the three patches around a fine vertex say, each turned from its own frame into space."""
     ti.loop_config(serialize=True)
     for _ in range(1):
@@ -73,9 +72,7 @@ def _add_patches(
                             (1.0 - v) * grids[j, k + 3 * SIDE + a] + v * grids[j, k + 3 * SIDE + 3 + a]
                         )
                     for a in ti.static(range(3)):
-                        total[a] += weight * (
-                            d[0] * frames[j, a] + d[1] * frames[j, 3 + a] + d[2] * frames[j, 6 + a]
-                        )
+                        total[a] += weight * (d[0] * frames[j, a] + d[1] * frames[j, 3 + a] + d[2] * frames[j, 6 + a])
             fine[i] += total
 
 
@@ -287,14 +284,23 @@ class Relaxation:
         self._patches, self._thickness = patches, thickness
         self._nearest = np.full(len(mesh.vertices), -1, np.int32)
 
-    def __call__(self, fine: np.ndarray, targets: np.ndarray, coarse_nearest: np.ndarray, body, passes: int = 1) -> None:
+    def __call__(
+        self,
+        fine: np.ndarray,
+        targets: np.ndarray,
+        coarse_nearest: np.ndarray,
+        body: Body,
+        current: np.ndarray,
+        passes: int = 1,
+    ) -> None:
         """Relax ``fine`` in place.
 
         Args:
             fine: [m], float32, shape (N, 3), about the body's origin.
             targets: of the held vertices [m], shape (P, 3).
             coarse_nearest: body vertex near each coarse vertex, -1 for none, int32, shape (n,) or longer.
-            body: a :class:`pbd.Body` in its current pose.
+            body: gives neighbourhoods and normals.
+            current: where its vertices are [m], float32, shape (b, 3).
             passes: number of passes.
         """
         self._targets[:] = targets
@@ -309,7 +315,7 @@ class Relaxation:
             self._patches.blend,
             coarse_nearest,
             self._nearest,
-            body.current,
+            current,
             body.normals,
             body.faces,
             body.ring_start,

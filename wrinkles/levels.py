@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
+from scipy.sparse import csr_matrix, diags
+from scipy.sparse.linalg import splu
 
 from pbd import ClothMesh, InputError
 from pbd.attachment import Attachment, push_outside
+from pbd.bending import hinge_rows
 from wrinkles.surface import Subdivision
 
-__all__ = ["Levels", "build_levels"]
+__all__ = ["Levels", "build_levels", "levels_of"]
 
-CLEARANCE = 0.003  # attached vertices start at least 2 mm outside the body; the smooth surface dips a little between them
+CLEARANCE = 0.003  # attached vertices start at least 2 mm outside the body; the smooth surface dips between them [m]
+FOLD_EDGES = 4.0  # the shortest fold that a coarse mesh carries well, in edges: where coarse and fine part
 
 
 @dataclass(frozen=True)
@@ -34,6 +39,47 @@ class Levels:
     coarse_attachment: Attachment
     fine_attachment: Attachment
 
+    def __getstate__(self) -> dict:
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # factors cannot be sent to a worker
+
+    @property
+    def cutoff(self) -> float:
+        """Wavelength at which half of a fold's amplitude belongs to the coarse mesh [m]."""
+        return FOLD_EDGES * float(self.coarse.edge_lengths()[1].mean())
+
+    @cached_property
+    def _filter(self) -> tuple:
+        """Factored normal equations of the smoothing spline, transpose of its data term, weights of held vertices."""
+        matrix, count = self.subdivision.matrix, self.subdivision.coarse_count
+        hinges, rows, areas, _ = hinge_rows(self.coarse)
+        shape = (len(hinges), count)
+        curl = csr_matrix((rows.ravel(), (np.repeat(np.arange(len(hinges)), 4), hinges.ravel())), shape)
+        # Sum of |K x|^2 / (A0 + A1) is the integral of the squared curvature: c = 1/3 of the hinge energy.
+        bending = curl.T @ curl.multiply((1.0 / areas)[:, None])
+        area = diags(self.fine.vertex_areas)
+        held = np.zeros(count)
+        held[self.coarse_held] = 1.0e3 * self.fine.vertex_areas.mean()
+        stiffness = (self.cutoff / (2.0 * np.pi)) ** 4
+        normal = matrix.T @ area @ matrix + stiffness * bending + diags(held)
+        return splu(normal.tocsc()), (matrix.T @ area).tocsr(), held
+
+    def filter_down(self, fine: np.ndarray) -> np.ndarray:
+        """Coarse vertices for fine ones: a smoothing spline that halves folds of the cut-off wavelength.
+
+        The response to a fold of wavelength L is 1 / (1 + (cutoff / L)^4). Held vertices keep their places.
+
+        Args:
+            fine: positions [m] or velocities [m/s], shape (f, N, 3).
+
+        Returns:
+            the same for the coarse vertices, float64, shape (f, n, 3).
+        """
+        factor, transpose, held = self._filter
+        frames = np.asarray(fine, float)
+        columns = np.moveaxis(frames, 1, 0).reshape(frames.shape[1], -1)
+        right = transpose @ columns + held[:, None] * columns[: len(held)]
+        return np.moveaxis(factor.solve(right).reshape(len(held), len(frames), 3), 0, 1)
+
 
 def build_levels(
     vertices: np.ndarray,
@@ -42,8 +88,9 @@ def build_levels(
     body_vertices: np.ndarray,
     body_faces: np.ndarray,
     levels: int = 2,
+    warp: tuple[float, float, float] = (0.0, 1.0, 0.0),
 ) -> Levels:
-    """Refine a garment, move it out of the body's bind pose and attach it.
+    """Move a garment out of the body's bind pose, refine it and attach it.
 
     Args:
         vertices: of the garment [m], shape (n, 3).
@@ -52,21 +99,36 @@ def build_levels(
         body_vertices: bind pose [m], shape (b, 3).
         body_faces: int, shape (k, 3).
         levels: times that each coarse face is cut in four.
+        warp: direction of the warp in space, shape (3,).
 
     Raises:
-        InputError: fewer than one level, or meshes whose areas do not agree to 0.5 %.
+        InputError: a number of levels outside 1..4, or meshes whose areas do not agree to 0.5 %.
     """
-    if not 0 <= levels <= 4:
-        raise InputError("bad number of subdivisions", key="subdivisions", received=levels, expected="0..4")
-    subdivision = Subdivision.of(faces, len(vertices), levels)
+    if not 1 <= levels <= 4:
+        raise InputError("bad number of subdivisions", key="subdivisions", received=levels, expected="1..4")
     vertices = np.array(vertices, float)
     if len(body_faces):
         # What shows inside is the fine surface: push it out and fit the coarse vertices to it, twice.
+        subdivision = Subdivision.of(faces, len(vertices), levels)
         for _ in range(2):
             outside = push_outside(subdivision.upsample(vertices), body_vertices, body_faces, CLEARANCE)
-            vertices = subdivision.filter_down(outside)
+            vertices = subdivision.fit(outside)
         vertices = push_outside(vertices, body_vertices, body_faces, CLEARANCE)
-    coarse, fine = subdivision.meshes(vertices)
+    return levels_of(vertices, faces, held, body_vertices, body_faces, levels, warp)
+
+
+def levels_of(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    held: np.ndarray,
+    body_vertices: np.ndarray,
+    body_faces: np.ndarray,
+    levels: int,
+    warp: tuple[float, float, float] = (0.0, 1.0, 0.0),
+) -> Levels:
+    """Levels of a garment that stands outside the body already; arguments as for :func:`build_levels`."""
+    subdivision = Subdivision.of(faces, len(vertices), levels)
+    coarse, fine = subdivision.meshes(vertices, warp)
     ratio = coarse.face_areas.sum() / fine.face_areas.sum()
     if abs(ratio - 1.0) > 0.005:
         raise InputError(
@@ -74,7 +136,6 @@ def build_levels(
         )
     held = np.unique(np.asarray(held, np.int64))  # the order in which a model takes its targets
     fine_held = _between(subdivision, held)
-    fine_start = fine.vertices[fine_held]
     return Levels(
         subdivision,
         coarse,
@@ -82,7 +143,7 @@ def build_levels(
         held,
         fine_held,
         Attachment.bind(coarse.vertices[held], body_vertices, body_faces),
-        Attachment.bind(fine_start, body_vertices, body_faces),
+        Attachment.bind(fine.vertices[fine_held], body_vertices, body_faces),
     )
 
 

@@ -1,4 +1,4 @@
-"""Overlapping patches: every coarse vertex carries a small flat grid of displacements that its neighbours' grids blend into."""
+"""Overlapping patches: each coarse vertex carries a small grid of displacements; neighbouring grids blend."""
 
 from __future__ import annotations
 
@@ -100,8 +100,8 @@ def _second_differences() -> np.ndarray:
 def slope_metric() -> np.ndarray:
     """Cholesky factor L of the metric in which patches are compared, shape (NODES, NODES): error = |L^T d|^2.
 
-    What the eye sees of a wrinkle is its slope: squared differences of neighbouring nodes count in full, displacement itself
-    as the slope that it has over one coarse edge. Nodes count by the share that the blend gives them.
+    What the eye sees of a wrinkle is its slope: squared differences of neighbouring nodes count in full, displacement
+    itself as the slope that it has over one coarse edge. Nodes count by the share that the blend gives them.
     """
     axis = (np.arange(SIDE) - SIDE // 2) / CELLS_PER_SPACING
     share = np.clip(1.0 - np.abs(axis), 0.05, None)

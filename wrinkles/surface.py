@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_matrix, diags, identity, vstack
+from scipy.sparse import csr_matrix, identity
 from scipy.sparse.linalg import splu
 
 from pbd import ClothMesh
@@ -100,9 +100,6 @@ class Subdivision:
             count = matrix.shape[0]
         return cls(np.asarray(faces, np.int32), vertex_count, tuple(steps), fine)
 
-    def __getstate__(self) -> dict:
-        return {field.name: getattr(self, field.name) for field in fields(self)}  # factors cannot be sent to a worker
-
     @property
     def fine_count(self) -> int:
         return self.matrix.shape[0]
@@ -129,35 +126,16 @@ class Subdivision:
         """Smooth surface: [m], shape (n, 3) to (N, 3), or (frames, n, 3) to (frames, N, 3)."""
         return _apply(self.matrix, coarse)
 
-    def filter_down(self, fine: np.ndarray, anchor: np.ndarray | None = None) -> np.ndarray:
-        """Coarse vertices whose smooth surface is nearest to fine vertices, in the least-squares sense.
+    def fit(self, fine: np.ndarray) -> np.ndarray:
+        """Coarse vertices whose smooth surface is nearest to fine vertices in the least-squares sense.
 
         Args:
-            fine: [m], shape (N, 3) or (frames, N, 3).
-            anchor: coarse vertices that must be where their fine twins are (attachments), int, shape (p,).
+            fine: [m], shape (N, 3).
 
         Returns:
-            [m], shape (n, 3) or (frames, n, 3).
+            [m], shape (n, 3).
         """
-        weight = np.zeros(self.coarse_count)
-        if anchor is not None:
-            weight[anchor] = 1.0e3
-        pick = diags(weight, format="csr")
-        key = weight.tobytes()
-        if key not in self._factors:
-            normal = (self.matrix.T @ self.matrix + pick.T @ pick).tocsc()
-            self._factors[key] = splu(normal)
-        stacked = vstack([self.matrix, pick]).tocsr()
-        frames = np.asarray(fine, float)
-        target = np.concatenate([frames, weight[:, None] * frames[..., : self.coarse_count, :]], axis=-2)
-        flat = _apply(stacked.T.tocsr(), target)
-        columns = np.moveaxis(flat, -2, 0).reshape(self.coarse_count, -1)
-        solved = self._factors[key].solve(columns).reshape(self.coarse_count, *flat.shape[:-2], 3)
-        return np.moveaxis(solved, 0, -2)
-
-    @cached_property
-    def _factors(self) -> dict:
-        return {}
+        return splu((self.matrix.T @ self.matrix).tocsc()).solve(self.matrix.T @ np.asarray(fine, float))
 
     def meshes(self, coarse_vertices: np.ndarray, warp: tuple = (0.0, 1.0, 0.0)) -> tuple[ClothMesh, ClothMesh]:
         """Coarse and fine mesh with one rest metric, taken from the smooth fine mesh.

@@ -1,0 +1,186 @@
+"""From recorded runs to a fitted dictionary, and the calibration of the coarse model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from precompute.recording import Recording
+from wrinkles.charts import Charts
+from wrinkles.decoder import Decoder, Upsampler
+from wrinkles.dictionary import Atoms, Mapping, fit_atoms, fit_mapping
+from wrinkles.features import DYNAMIC_COUNT, Stencil
+from wrinkles.levels import Levels
+from wrinkles.patches import NODES, Patches
+
+__all__ = ["FeatureStatistics", "Layer", "TrainingSet", "build_layer", "features_of", "fit_layer", "training_set"]
+
+
+@dataclass(frozen=True)
+class Layer:
+    """The wrinkle layer of one garment before anything is learned: where to look and where to write."""
+
+    levels: Levels
+    stencil: Stencil
+    patches: Patches
+
+
+def build_layer(levels: Levels) -> Layer:
+    """Charts, stencil and patches of a garment."""
+    charts = Charts.of(levels.coarse)
+    return Layer(levels, Stencil.of(charts, levels.coarse_held), Patches.of(levels.subdivision, charts))
+
+
+def features_of(layer: Layer, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    """Dynamic features (float32, shape (f, n, DYNAMIC_COUNT)) and vertex frames (shape (f, n, 9)) of recorded frames."""
+    count, total = layer.levels.subdivision.coarse_count, len(recording.frames)
+    features = np.zeros((total, count, DYNAMIC_COUNT), np.float32)
+    frames = np.zeros((total, count, 9), np.float32)
+    position = np.zeros((count, 4), np.float32)
+    for f in range(total):
+        position[:, :3] = recording.coarse[f]
+        velocity, contact = np.ascontiguousarray(recording.velocity[f]), np.ascontiguousarray(recording.contact[f])
+        layer.stencil.gather(position, velocity, contact, frames[f], features[f])
+    return features, frames
+
+
+@dataclass(frozen=True)
+class TrainingSet:
+    """Features with the patches that belong to them.
+
+    Attributes:
+        features: float32, shape (S, n, DYNAMIC_COUNT).
+        coefficients: float32, shape (S, n, K).
+        atoms: the atoms that the coefficients count.
+    """
+
+    features: np.ndarray
+    coefficients: np.ndarray
+    atoms: Atoms
+
+
+def training_set(layer: Layer, recordings: Sequence[Recording], atom_count: int, frames: int, seed: int) -> TrainingSet:
+    """Frames spread over the recordings, their residual patches fitted and reduced to atoms.
+
+    Args:
+        layer: of the garment.
+        recordings: fine runs, filtered down (pairs A).
+        atom_count: number of atoms.
+        frames: number of frames taken at most.
+        seed: of the choice of patches that the atoms are fitted to.
+    """
+    total = sum(len(r.frames) for r in recordings)
+    step = max(1, -(-total // frames))
+    chosen = [_thin(r, step) for r in recordings]
+    features, turned = zip(*(features_of(layer, r) for r in chosen), strict=True)
+    residual = np.concatenate([residual_of(layer, r) for r in chosen])
+    frames_all = np.concatenate(turned)
+    fits = layer.patches.fits(layer.levels.subdivision.coarse_count)
+    patches_at = lambda i: _patches(residual, frames_all, fits, i)  # noqa: E731
+    count = len(fits)
+    rng = np.random.default_rng(seed)
+    some = rng.choice(len(residual), min(len(residual), max(1, 60_000 // count)), replace=False)
+    sample = np.stack([_patches(residual[some], frames_all[some], fits, i) for i in range(count)], axis=1)
+    atoms = fit_atoms(sample.reshape(-1, 3 * NODES), atom_count)
+    coefficients = np.stack([(patches_at(i) - atoms.mean) @ atoms.analysis for i in range(count)], axis=1)
+    return TrainingSet(np.concatenate(features), coefficients.astype(np.float32), atoms)
+
+
+def residual_of(layer: Layer, recording: Recording) -> np.ndarray:
+    """Fine positions less the smooth surface of their coarse ones [m], float32, shape (f, N, 3)."""
+    subdivision = layer.levels.subdivision
+    smooth = np.stack([subdivision.upsample(frame) for frame in recording.coarse])
+    return (recording.positions - smooth).astype(np.float32)
+
+
+def _thin(recording: Recording, step: int) -> Recording:
+    cut = lambda a: a[step // 2 :: step]  # noqa: E731
+    r = recording
+    return Recording(
+        r.name,
+        cut(r.frames),
+        cut(r.positions),
+        cut(r.coarse),
+        cut(r.velocity),
+        cut(r.contact),
+        cut(r.nearest),
+        r.step_ms,
+    )
+
+
+def _patches(residual: np.ndarray, frames: np.ndarray, fits: list, i: int) -> np.ndarray:
+    """Grids fitted to the residual around coarse vertex i in its own frame: shape (f, 3 NODES)."""
+    members, fit = fits[i]
+    basis = frames[:, i].reshape(-1, 3, 3)
+    local = np.einsum("fkx,fax->fka", residual[:, members], basis)
+    return np.einsum("nk,fka->fna", fit.astype(np.float32), local).reshape(len(residual), -1)
+
+
+def fit_layer(
+    layer: Layer,
+    data: TrainingSet,
+    *,
+    hidden: tuple[int, int],
+    epochs: int,
+    seed: int,
+    report: Callable[[str], None] | None = None,
+) -> Mapping:
+    """Fit the mapping, and the gain that gives each coefficient the spread that it has in the data."""
+    tell = None if report is None else (lambda e, n, loss: report(f"fitting: pass {e} of {n}, loss {loss:.4f}"))
+    mapping = fit_mapping(
+        data.features, layer.stencil.static, data.coefficients, hidden=hidden, epochs=epochs, seed=seed, on_epoch=tell
+    )
+    return mapping
+
+
+@dataclass(frozen=True)
+class FeatureStatistics:
+    """Whitened statistics of features, to measure how far one set is from another.
+
+    Attributes:
+        mean, axes: of the reference; (features - mean) @ axes has unit variance, shapes (d,), (d, k).
+    """
+
+    mean: np.ndarray
+    axes: np.ndarray
+
+    @classmethod
+    def of(cls, features: np.ndarray, kept: int = 40) -> FeatureStatistics:
+        """Statistics of reference features, shape (f, n, d)."""
+        flat = features.reshape(-1, features.shape[-1]).astype(float)
+        mean, spread = flat.mean(axis=0), flat.std(axis=0) + 1e-4
+        _, values, rows = np.linalg.svd(np.cov(((flat - mean) / spread).T), hermitian=True)
+        return cls(mean, (rows[:kept] / np.sqrt(values[:kept, None])).T / spread[:, None])
+
+    def shift(self, features: np.ndarray) -> float:
+        """Root mean squared Mahalanobis distance of features from the reference mean, per dimension; 1 for the reference."""
+        z = (features.reshape(-1, features.shape[-1]) - self.mean) @ self.axes
+        return float(np.sqrt((z**2).mean()))
+
+    def mismatch(self, features: np.ndarray) -> float:
+        """Frechet distance to the reference with diagonal covariances, per dimension; 0 for the reference."""
+        z = (features.reshape(-1, features.shape[-1]) - self.mean) @ self.axes
+        return float(np.sqrt((z.mean(axis=0) ** 2 + (z.std(axis=0) - 1.0) ** 2).mean()))
+
+
+def decode_recording(
+    layer: Layer, recording: Recording, mapping: Mapping, atoms: Atoms
+) -> tuple[np.ndarray, np.ndarray]:
+    """Smooth and decoded fine positions of recorded coarse frames [m], float32, shape (f, N, 3) each."""
+    upsampler, decoder = Upsampler(layer.levels.subdivision), Decoder(layer.stencil, layer.patches, mapping, atoms)
+    smooth = np.zeros((len(recording.frames), layer.levels.subdivision.fine_count, 3), np.float32)
+    decoded = np.zeros_like(smooth)
+    position = np.zeros((layer.levels.subdivision.coarse_count, 4), np.float32)
+    for f in range(len(recording.frames)):
+        position[:, :3] = recording.coarse[f]
+        upsampler(position, smooth[f])
+        decoded[f] = smooth[f]
+        decoder.add(
+            position,
+            np.ascontiguousarray(recording.velocity[f]),
+            np.ascontiguousarray(recording.contact[f]),
+            decoded[f],
+        )
+    return smooth, decoded

@@ -1,0 +1,149 @@
+"""Plays a wrinkle database: pose and dt in, fine vertices and normals out."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from assets.character import Character
+from assets.sequence import Sequence, SequenceBody
+from assets.skinning import SkinnedBody
+from pbd import InputError, build_model
+from runtime.simulation import Simulation
+from wrinkles.charts import Charts
+from wrinkles.database import WrinkleDatabase
+from wrinkles.decoder import Decoder, Relaxation, Upsampler, surface_normals
+from wrinkles.features import Stencil
+from wrinkles.levels import Levels, levels_of
+from wrinkles.patches import Patches
+
+__all__ = ["Player"]
+
+
+class Player:
+    """One garment on one body. Nothing is allocated a frame but what NumPy needs for small matrices.
+
+    Args:
+        database: what was learned.
+        body: the character or vertex sequence that it was learned on.
+        pose: where the body is at the start (its bind pose, moved as a whole).
+
+    Attributes:
+        levels: coarse and fine mesh.
+        vertices: fine vertices about ``origin`` [m], float32, shape (N, 3).
+        smooth: the same without the dictionary, float32, shape (N, 3).
+        normals: unit, float32, shape (N, 3).
+        timings: what the last frame took, by part [ms].
+
+    Raises:
+        InputError: a body that the database was not made for.
+    """
+
+    def __init__(self, database: WrinkleDatabase, body: Character | Sequence, pose: np.ndarray) -> None:
+        database.require_body(body)
+        self.database = database
+        source = SkinnedBody(body) if isinstance(body, Character) else SequenceBody(body)
+        self.levels: Levels = levels_of(
+            database.coarse_vertices,
+            database.coarse_faces,
+            database.held,
+            source.vertices,
+            source.faces,
+            database.subdivisions,
+            database.warp,
+        )
+        model = build_model(self.levels.coarse, database.fabric, database.held, database.options, database.bend_factor)
+        self.simulation = Simulation(model, self.levels.coarse_attachment, source, pose, database.solver)
+        charts = Charts.of(self.levels.coarse)
+        patches = Patches.of(self.levels.subdivision, charts)
+        self._upsample = Upsampler(self.levels.subdivision)
+        self._decoder = Decoder(Stencil.of(charts, database.held), patches, database.mapping, database.atoms)
+        self._relax = Relaxation(self.levels.fine, self.levels.fine_held, patches, database.fabric.thickness)
+        count, body_count = self.levels.subdivision.fine_count, len(source.vertices)
+        self.vertices = np.zeros((count, 3), np.float32)
+        self.smooth = np.zeros((count, 3), np.float32)
+        self.normals = np.zeros((count, 3), np.float32)
+        self._position = self.simulation.state.position.copy()
+        self._before = self._position.copy()
+        self._body_between = np.zeros((body_count, 3), np.float32)
+        self.timings = dict.fromkeys(("skin", "coarse", "decode", "relax", "normals", "frame"), 0.0)
+        self.decode()
+
+    @property
+    def origin(self) -> np.ndarray:
+        """World position of the frame's origin [m], float64, shape (3,)."""
+        return self.simulation.state.origin
+
+    @property
+    def body_vertices(self) -> np.ndarray:
+        """The body about ``origin`` [m], float32, shape (b, 3)."""
+        return self.simulation.body.current
+
+    def update(self, pose: np.ndarray, dt: float, wind: tuple = (0.0, 0.0, 0.0)) -> None:
+        """One frame: advance the coarse garment to a pose in ``dt`` [s] and make the fine one."""
+        self.step(pose, dt, wind)
+        self.decode()
+
+    def step(self, pose: np.ndarray, dt: float, wind: tuple = (0.0, 0.0, 0.0)) -> None:
+        """Advance the coarse garment alone.
+
+        Args:
+            pose: of the body at the end of the step.
+            dt: [s].
+            wind: velocity of the air [m/s].
+        """
+        simulation = self.simulation
+        began = time.perf_counter()
+        origin = simulation.state.origin.copy()
+        self._before[:] = simulation.state.position
+        simulation.pose_body(pose)
+        self._before[:, :3] -= (simulation.state.origin - origin).astype(np.float32)
+        skinned = time.perf_counter()
+        simulation.step_cloth(dt, wind)
+        self.timings["skin"] = 1e3 * (skinned - began)
+        self.timings["coarse"] = 1e3 * (time.perf_counter() - skinned)
+
+    def decode(self, alpha: float = 1.0) -> None:
+        """Make fine vertices and normals.
+
+        Args:
+            alpha: 0 for the state before the last step, 1 for the one after it, in between interpolated.
+        """
+        simulation, timings = self.simulation, self.timings
+        state, body = simulation.state, simulation.body
+        began = time.perf_counter()
+        position, current = state.position, body.current
+        if alpha != 1.0:
+            position = self._position
+            np.subtract(state.position, self._before, out=position)
+            position *= np.float32(alpha)
+            position += self._before
+            np.subtract(body.current, body.previous, out=self._body_between)
+            self._body_between *= np.float32(alpha)
+            self._body_between += body.previous
+            current = self._body_between
+        self._upsample(position, self.smooth)
+        self.vertices[:] = self.smooth
+        self._decoder.add(position, state.velocity, state.contact, self.vertices)
+        decoded = time.perf_counter()
+        targets = self.levels.fine_attachment.targets(current)
+        self._relax(self.vertices, targets, state.nearest, body, current)
+        relaxed = time.perf_counter()
+        surface_normals(self.vertices, self.levels.subdivision.faces, self.normals)
+        ended = time.perf_counter()
+        timings["decode"] = 1e3 * (decoded - began)
+        timings["relax"] = 1e3 * (relaxed - decoded)
+        timings["normals"] = 1e3 * (ended - relaxed)
+        timings["frame"] = sum(timings[part] for part in ("skin", "coarse", "decode", "relax", "normals"))
+
+    def drag(self, vertex: int, target: np.ndarray | None) -> None:
+        """Hold a coarse vertex at a point in the world [m], shape (3,); None lets it go.
+
+        Raises:
+            InputError: no such vertex.
+        """
+        count = self.levels.subdivision.coarse_count
+        if not 0 <= vertex < count:
+            raise InputError("no such coarse vertex", key="vertex", received=vertex, expected=f"0..{count - 1}")
+        self.simulation.drag(vertex, target)
