@@ -15,7 +15,7 @@ SHORTEST = 0.05  # a warp or weft squeezed below this part of its length keeps i
 
 
 @ti.func
-def membrane_multipliers(side_1: vec3, side_2: vec3, inverse_flat, gram, compliance, squeeze):
+def membrane_multipliers(side_1: vec3, side_2: vec3, inverse_flat, gram, compliance, unit, squeeze):
     """Orthotropic plane-stress membrane of one triangle: three constraints solved together.
 
     The strains are those of Baraff and Witkin 1998 in engineering form: |w_u| - 1, |w_v| - 1 and the cosine between
@@ -26,8 +26,9 @@ def membrane_multipliers(side_1: vec3, side_2: vec3, inverse_flat, gram, complia
     Args:
         side_1, side_2: x1 - x0 and x2 - x0 [m].
         inverse_flat: Dm^-1 [1/m] as (b00, b01, b10, b11).
-        gram: sums over the corners of w b b^T [1/(kg m2)]: (uu, uv, vv).
-        compliance: alpha/h^2 [1/(kg m2)] as (11, 12, 22, shear).
+        gram: sums over the corners of w b b^T, times ``unit`` [-]: (uu, uv, vv).
+        compliance: alpha/h^2, times ``unit`` [-], as (11, 12, 22, shear).
+        unit: scale of the system [kg m2] that keeps its determinant in float32's range however fine the mesh.
         squeeze: factor on the compliance of a warp or weft that is compressed [-].
 
     Returns:
@@ -66,7 +67,7 @@ def membrane_multipliers(side_1: vec3, side_2: vec3, inverse_flat, gram, complia
     # Symmetric 3 by 3 solve by cofactors; the matrix is positive definite.
     c00, c01, c02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
     c11, c12, c22 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
-    scale = -1.0 / (a00 * c00 + a01 * c01 + a02 * c02)
+    scale = -unit / (a00 * c00 + a01 * c01 + a02 * c02)
     lu = scale * (c00 * cu + c01 * cv + c02 * cs)
     lv = scale * (c01 * cu + c11 * cv + c12 * cs)
     ls = scale * (c02 * cu + c12 * cv + c22 * cs)

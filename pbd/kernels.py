@@ -238,6 +238,7 @@ def solve_membrane(
             ti.math.vec4(b00, b01, b10, b11),
             vec3(data[c, 4], data[c, 5], data[c, 6]),
             ti.math.vec4(data[c, 7], data[c, 8], data[c, 9], data[c, 10]) * inverse_h2,
+            data[c, 11],
             squeeze,
         )
         gu, gv = vec3(g[0, 0], g[1, 0], g[2, 0]), vec3(g[0, 1], g[1, 1], g[2, 1])

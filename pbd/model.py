@@ -55,7 +55,8 @@ class Model:
         mass: [kg], float64, shape (n,).
         inverse_mass: [1/kg], 0 where a vertex is held, shape (n,).
         held: vertices that follow targets (pins and attachments), int32, shape (p,).
-        triangles: shape (m, 3); triangle_data: inverse flat (4), gram (3), compliance (4), shape (m, 11).
+        triangles: shape (m, 3); triangle_data: inverse flat (4), gram (3), compliance (4) and the unit of both,
+            see :func:`pbd.constraints.membrane_multipliers`, shape (m, 12).
         triangle_colors, hinge_colors: offsets of the colours, shape (colours + 1,).
         hinges: shape (h, 4); hinge_data: K row (4), sum of w K^2, compliance, shape (h, 6).
         tethers: (vertex, held vertex), shape (t, 2); tether_lengths: [m], shape (t,).
@@ -156,11 +157,14 @@ def _membrane(mesh: ClothMesh, fabric: Fabric, inverse_mass: np.ndarray) -> tupl
     corner_rows = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)  # (m, 3, 2)
     gram = np.einsum("mc,mca,mcb->mab", inverse_mass[faces], corner_rows, corner_rows)
     softness = np.linalg.inv(fabric.membrane_stiffness()) / mesh.face_areas[order][:, None, None]
+    trace = np.trace(gram, axis1=1, axis2=2)
+    unit = np.where(trace > 0, 1.0 / np.where(trace > 0, trace, 1.0), 1.0)  # without a free corner nothing moves
     data = np.concatenate(
         [
             inverse.reshape(-1, 4),
-            np.stack([gram[:, 0, 0], gram[:, 0, 1], gram[:, 1, 1]], axis=1),
-            np.stack([softness[:, 0, 0], softness[:, 0, 1], softness[:, 1, 1], softness[:, 2, 2]], axis=1),
+            np.stack([gram[:, 0, 0], gram[:, 0, 1], gram[:, 1, 1]], axis=1) * unit[:, None],
+            np.stack([softness[:, a, b] for a, b in ((0, 0), (0, 1), (1, 1), (2, 2))], axis=1) * unit[:, None],
+            unit[:, None],
         ],
         axis=1,
     )
