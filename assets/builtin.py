@@ -42,7 +42,7 @@ def builtin_garment(name: str) -> Garment:
 
 
 def _sheet(name: str, size: tuple[float, float], corner: NDArray[np.float64], up: NDArray[np.float64]) -> Garment:
-    """A rectangle from a corner along X and `up`: squares cut along alternating diagonals, so that no bias stands out."""
+    """A rectangle from a corner along X and `up`: squares cut along diagonals that alternate, for no bias."""
     columns, rows = (round(length / _EDGE) for length in size)
     index = np.arange((rows + 1) * (columns + 1)).reshape(rows + 1, columns + 1)
     row, column = np.divmod(np.arange(index.size), columns + 1)

@@ -81,7 +81,9 @@ class Figure:
         self.character = character
         self._roles = _find_roles(character)
         transforms = character.joint_transforms(*character.rest_local)
-        _, self._bind_rotation, _ = decompose(transforms, f"character {character.name}")
+        _, rotation, _ = decompose(transforms, f"character {character.name}")
+        self._bind_rotation = local_matrices(np.zeros(3), rotation, np.ones(3))[:, :3, :3]
+        self._bind_linear = transforms[:, :3, :3]
         places = transforms[:, :3, 3]
         hips = places[self._roles["hips"]]
         left = places[self._roles["upleg", 0]] - places[self._roles["upleg", 1]]
@@ -134,31 +136,33 @@ class Figure:
             rate: frames per second [Hz].
             blend: time over which the bind pose goes over into the curves [s].
         """
-        turns, hips = self._turns(curves)
-        character, frames = self.character, len(hips)
+        turns, places = self._turns(curves)
+        character, frames = self.character, len(places)
+        rest_translation, rest_rotation, rest_scale = character.rest_local
+        translation = np.tile(rest_translation, (frames, 1, 1))
+        rotation = np.zeros((frames, character.joint_count, 4))
+        top = character.root_transform
+        top_rotation = local_matrices(np.zeros(3), decompose(top)[1], np.ones(3))[:3, :3]
         # From the figure's frame to the world, then from the world to each parent.
         turns = self._frame @ turns @ self._frame.T
-        bind = _matrices(self._bind_rotation)
-        world = turns @ bind
-        local = world.copy()
+        places = places @ self._frame.T + self._origin
+        world = turns @ self._bind_rotation
+        linear = turns @ self._bind_linear
+        carried = list(_upwards(character, self._roles["hips"]))
         for joint, parent in enumerate(character.joint_parents):
-            above = _matrices(decompose(character.root_transform)[1]) if parent < 0 else world[:, parent]
-            local[:, joint] = np.swapaxes(above, -1, -2) @ world[:, joint]
-        rest_translation, rest_rotation, rest_scale = character.rest_local
-        rotation = quaternions(local)
-        translation = np.tile(rest_translation, (frames, 1, 1))
-        root = self._roles["hips"]
-        parent = character.joint_parents[root]
-        above = character.joint_transforms(*character.rest_local)[parent] if parent >= 0 else character.root_transform
-        place = hips @ self._frame.T + self._origin
-        translation[:, root] = (place - above[:3, 3]) @ np.linalg.inv(above[:3, :3]).T
+            above = top_rotation if parent < 0 else world[:, parent]
+            rotation[:, joint] = quaternions(np.swapaxes(above, -1, -2) @ world[:, joint])
+            if joint in carried:  # all others keep their distance from the parent
+                base = top[:3, 3] if parent < 0 else places[:, parent]
+                inverse = np.linalg.inv(top[:3, :3] if parent < 0 else linear[:, parent])
+                translation[:, joint] = (inverse @ (places[:, joint] - base)[..., None])[..., 0]
         share = smoothstep(np.arange(frames) / (rate * blend)) if blend > 0.0 else np.ones(frames)
         rotation = slerp(np.broadcast_to(rest_rotation, rotation.shape), rotation, share[:, None])
         translation = rest_translation + share[:, None, None] * (translation - rest_translation)
         return Clip(name, rate, translation, rotation, np.tile(rest_scale, (frames, 1, 1)))
 
     def _turns(self, curves: Curves) -> tuple[Floats, Floats]:
-        """Rotation of every joint against the bind pose, shape (F, joints, 3, 3), and the hips' places (F, 3)."""
+        """Rotation of every joint against the bind pose, shape (F, joints, 3, 3), and their places (F, joints, 3)."""
         roles, bind, parents = self._roles, self._bind, self.character.joint_parents
         frames = len(curves.heading)
         assigned = self._upper_body(curves)
@@ -166,10 +170,15 @@ class Figure:
         turns = np.broadcast_to(np.eye(3), (frames, len(parents), 3, 3)).copy()
         places = np.broadcast_to(bind, (frames, len(parents), 3)).copy()
         uplegs = {roles["upleg", side]: side for side in (0, 1)}
+        # What stands above the hips goes along on the floor.
+        ground = curves.hips * [1.0, 0.0, 1.0]
+        for joint in list(_upwards(self.character, roles["hips"]))[1:]:
+            turns[:, joint] = rot_y(curves.heading)
+            places[:, joint] = turns[:, joint] @ bind[joint] + ground
         for joint, parent in enumerate(parents):
             if joint == roles["hips"]:
                 places[:, joint] = self._hips + curves.hips
-            elif parent >= 0:
+            elif parent >= 0 and not self._under(roles["hips"], joint):
                 places[:, joint] = places[:, parent] + turns[:, parent] @ (bind[joint] - bind[parent])
                 turns[:, joint] = turns[:, parent]
             if joint in uplegs:
@@ -184,7 +193,7 @@ class Figure:
                     assigned[roles["toe", side]] = foot @ rot_x(-curves.toe_bend[side])
             if joint in assigned:
                 turns[:, joint] = assigned[joint]
-        return turns, places[:, roles["hips"]]
+        return turns, places
 
     def _upper_body(self, curves: Curves) -> dict[int, Floats]:
         """Rotations of hips, spine, neck, head and arms by joint, each shape (F, 3, 3)."""
@@ -308,11 +317,6 @@ def _about(angle: Floats, axis: int) -> Floats:
 def _euler(angles: Floats) -> Floats:
     """Turn, then pitch, then roll: rotations of (pitch, turn, roll to the right)."""
     return rot_y(angles[:, 1]) @ rot_x(angles[:, 0]) @ rot_z(-angles[:, 2])
-
-
-def _matrices(rotation: Floats) -> Floats:
-    zeros = np.zeros((*rotation.shape[:-1], 3))
-    return local_matrices(zeros, rotation, zeros + 1.0)[..., :3, :3]
 
 
 def _unit(vector: Floats) -> Floats:

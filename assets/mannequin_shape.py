@@ -179,7 +179,7 @@ def _arm(points: Floats) -> Floats:
     along = (wrist - elbow) / np.linalg.norm(wrist - elbow)
     across = np.array([0.0, 0.0, 1.0]) - along * along[2]
     across /= np.linalg.norm(across)
-    frame = np.array([along, across, np.cross(along, across)])
+    frame = np.array([along, across, np.cross(along, across)], dtype=np.float64)
     palm = ellipsoid(points, wrist + 0.055 * along + 0.004 * across, np.array([0.062, 0.040, 0.020]), frame)
     fingers = ellipsoid(points, wrist + 0.118 * along, np.array([0.066, 0.033, 0.0165]), frame)
     thumb = tapered_tube(
