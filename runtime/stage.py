@@ -1,0 +1,143 @@
+"""A scene brought to life: its body, its motions and its garment at two levels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from assets.builtin import builtin_garment
+from assets.character import Character, load_character, with_clips
+from assets.exploration import exploration_motion
+from assets.garment import Garment, boundary_loops, highest_loop, load_garment
+from assets.mannequin import builtin_mannequin
+from assets.motion import ClipMotion
+from assets.scene import GarmentSettings, MotionSettings, Scene
+from assets.sequence import Sequence, SequenceMotion, load_sequence
+from pbd import InputError
+from runtime.simulation import Motion
+from wrinkles.levels import Levels, build_levels
+
+__all__ = ["PROCEDURAL_PIECE", "Stage", "held_vertices", "load_body", "motion_of"]
+
+PROCEDURAL_PIECE = 20.0  # procedural motion is made in pieces of this length [s], each with a seed of its own
+
+
+@cache
+def load_body(file: Path | str) -> Character:
+    """A character by its path or "builtin:mannequin"."""
+    return builtin_mannequin() if str(file) == "builtin:mannequin" else load_character(file)
+
+
+def motion_of(body: Character, motion: MotionSettings) -> Motion:
+    """A clip of any file, on this body, led into from the bind pose.
+
+    Raises:
+        InputError: no such clip (those that exist are listed), or a file with another skeleton.
+    """
+    other = load_body(motion.file)
+    return ClipMotion(body, with_clips(body, other).clip(motion.clip) if other is not body else body.clip(motion.clip))
+
+
+def held_vertices(garment: Garment, settings: GarmentSettings) -> np.ndarray:
+    """Vertices that the scene attaches to the body: int, shape (p,).
+
+    Raises:
+        InputError: a loop or a vertex that the garment does not have.
+    """
+    loops = boundary_loops(garment.faces)
+    held: list[np.ndarray] = [np.asarray(settings.attach_vertices, np.int64)]
+    if settings.attach == "top":
+        held.append(highest_loop(garment.vertices, garment.faces))
+    elif settings.attach != "none":
+        for number in settings.attach:
+            if not 0 <= int(number) < len(loops):
+                raise InputError(
+                    "no such boundary loop",
+                    file=garment.source,
+                    key="attach",
+                    received=number,
+                    expected=f"0..{len(loops) - 1}",
+                )
+            held.append(loops[int(number)])
+    vertices = np.unique(np.concatenate(held))
+    if vertices.size and vertices[-1] >= len(garment.vertices):
+        raise InputError(
+            "no such vertex",
+            file=garment.source,
+            key="attach_vertices",
+            received=int(vertices[-1]),
+            expected=f"0..{len(garment.vertices) - 1}",
+        )
+    return vertices
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What a scene names, loaded.
+
+    Attributes:
+        scene: its settings.
+        settings: of its garment.
+        garment: the mesh as it came.
+        body: the character or vertex sequence.
+        levels: coarse and fine mesh, outside the body and attached.
+    """
+
+    scene: Scene
+    settings: GarmentSettings
+    garment: Garment
+    body: Character | Sequence
+    levels: Levels
+
+    @classmethod
+    def of(cls, scene: Scene) -> Stage:
+        """Load everything that a scene with one garment on one body names.
+
+        Raises:
+            InputError: several garments, no body, or anything that cannot be loaded.
+        """
+        if len(scene.garments) != 1:
+            names = [garment.name for garment in scene.garments]
+            raise InputError("one garment at a time", key="garment", received=names, expected="one [[garment]]")
+        if scene.character is None:
+            raise InputError("no body", key="character", expected="a [character] with file or sequence")
+        settings, character = scene.garments[0], scene.character
+        mesh = str(settings.mesh)
+        if mesh.startswith("builtin:"):
+            garment = builtin_garment(mesh.removeprefix("builtin:"))
+        else:
+            garment = load_garment(settings.mesh, pattern=settings.pattern)
+        body = load_body(character.file) if character.file is not None else load_sequence(str(character.sequence))
+        vertices = body.vertices if isinstance(body, Character) else body.vertices[0].astype(float)
+        held = held_vertices(garment, settings)
+        levels = build_levels(garment.vertices, garment.faces, held, vertices, body.faces, settings.subdivisions)
+        return cls(scene, settings, garment, body, levels)
+
+    def motion(self, motion: MotionSettings | None = None) -> Motion:
+        """A motion of the body: the one given, or the scene's own."""
+        if isinstance(self.body, Sequence):
+            return SequenceMotion(self.body)
+        if motion is None:
+            assert self.scene.character is not None and self.scene.character.file is not None
+            clip = self.scene.character.clip or next(iter(self.body.clips), None)
+            if clip is None:
+                raise InputError("the character has no clip", key="character.clip", expected="a file with clips")
+            motion = MotionSettings(file=self.scene.character.file, clip=clip)
+        return motion_of(self.body, motion)
+
+    def training_motions(self) -> list[Motion]:
+        """Clips and procedural motion to learn from."""
+        training = self.scene.training
+        motions: list[Motion] = [self.motion(m) for m in training.clips]
+        if training.procedural_seconds and not isinstance(self.body, Character):
+            raise InputError(
+                "procedural motion needs a skinned character", key="training.procedural_seconds", expected="0"
+            )
+        rest, seed = training.procedural_seconds, self.scene.wrinkles.seed
+        while rest >= 2.0 and isinstance(self.body, Character):
+            motions.append(exploration_motion(self.body, seed, min(rest, PROCEDURAL_PIECE)))
+            rest, seed = rest - PROCEDURAL_PIECE, seed + 1
+        return motions
