@@ -11,6 +11,7 @@ __all__ = ["contact_correction", "drag_velocity", "hinge_multiplier", "membrane_
 
 vec3 = ti.math.vec3
 mat3x2 = ti.types.matrix(3, 2, ti.f32)
+PUSH_OUT = 0.5  # what starts a substep inside a body comes out no faster than this against its surface [m/s]
 SHORTEST = 0.05  # a warp or weft squeezed below this part of its length keeps its direction but not its slope
 
 
@@ -102,24 +103,30 @@ def tether_correction(offset: vec3, length: ti.f32):
 
 
 @ti.func
-def contact_correction(gap: ti.f32, normal: vec3, slip: vec3, friction: ti.f32):
+def contact_correction(gap: ti.f32, normal: vec3, slip: vec3, friction: ti.f32, h: ti.f32):
     """Contact by position with Coulomb friction (Mueller et al. 2007; Macklin et al. 2014, eq. 24).
+
+    Motion into the collider is cancelled whole; depth that was there before comes out at ``PUSH_OUT``, because a
+    correction is also a velocity, and all the depth in one substep would be an ejection.
 
     Args:
         gap: signed distance to the collider less the thickness [m]; negative is contact.
         normal: outward, unit.
         slip: motion against the collider over the substep, before this correction [m].
         friction: Coulomb coefficient [-].
+        h: substep [s].
 
     Returns:
         Correction of the position [m]. Sticks (cancels the whole tangential slip) inside the cone.
     """
     correction = vec3(0.0)
     if gap < 0.0:
-        correction = -gap * normal
-        tangential = slip - slip.dot(normal) * normal
+        along = slip.dot(normal)
+        depth = ti.min(-gap, ti.max(h * PUSH_OUT - along, 0.0))
+        correction = depth * normal
+        tangential = slip - along * normal
         size = tangential.norm()
-        limit = -gap * friction
+        limit = depth * friction
         if size > limit:
             correction -= tangential * (limit / size)
         else:

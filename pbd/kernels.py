@@ -389,6 +389,7 @@ def collide_primitives(
     primitives: ti.template(),
     thickness: ti.f32,
     friction: ti.f32,
+    h: ti.f32,
 ):
     """Correction by planes (0), spheres (1) and capsules (2); rows: kind, radius, a0, b0, a1, b1 (start, end of frame)."""
     total = vec3(0.0)
@@ -416,7 +417,7 @@ def collide_primitives(
             if size > 1e-9:
                 normal = offset / size
             gap = size - primitives[c, 1] - thickness
-        total += contact_correction(gap, normal, slip + total - carried, friction)
+        total += contact_correction(gap, normal, slip + total - carried, friction, h)
     return total
 
 
@@ -536,7 +537,7 @@ def advance(
                             substep_start(velocity, scratch, i, h) + substep_start(velocity, scratch, j, h)
                         )
                         slip -= share * body_motion(face, weights, body_0, body_1)
-                        m = contact_correction(distance - thickness, normal, slip, friction)
+                        m = contact_correction(distance - thickness, normal, slip, friction, h)
                         m *= 0.5 / weight
                         # A vertex is a sample with both ends the same: half and half make the whole.
                         shift[i] = vec4(xyz(shift[i]) + p[3] * m)
@@ -546,7 +547,7 @@ def advance(
                 u = xyz(shift[i])
                 if position[i][3] > 0.0:
                     slip = u - substep_start(velocity, scratch, i, h)
-                    u += collide_primitives(xyz(position[i]), u, slip, t, share, primitives, thickness, friction)
+                    u += collide_primitives(xyz(position[i]), u, slip, t, share, primitives, thickness, friction, h)
                     for a in ti.static(range(3)):
                         scratch[i, 6 + a] += (u[a] - scratch[i, a]) * inverse_h
                 shift[i] = vec4(u)
