@@ -1,0 +1,346 @@
+"""The wrinkle database: everything needed to play a garment on its character, in one HDF5 file.
+
+To add a field: add it to :class:`WrinkleDatabase` (or to a dataclass inside it) and its line to
+``wrinkles.schema.ENTRIES``, and raise ``SCHEMA_VERSION``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Mapping as Dictionary
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import metadata
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+import pbd
+from pbd import Fabric, InputError, ModelOptions, SolverOptions
+from pbd.mesh import edges_of
+from pbd.storage import replacing
+from wrinkles.dictionary import Atoms, Mapping
+from wrinkles.schema import (
+    ENTRIES,
+    FORMAT,
+    SCHEMA_VERSION,
+    TEXT,
+    UNITS,
+    Entry,
+    check_layout,
+    check_values,
+    pack,
+    topology_hash,
+    unpack,
+)
+
+__all__ = [
+    "WrinkleDatabase",
+    "body_hash",
+    "code_version",
+    "database_figures",
+    "read_database",
+    "write_database",
+]
+
+LARGE = 4096  # arrays from this size on are stored in compressed chunks with checksums [bytes]
+PACKED = {"chunks": True, "shuffle": True, "compression": "gzip", "fletcher32": True}
+
+
+@dataclass(frozen=True)
+class WrinkleDatabase:
+    """A garment's wrinkles and the coarse garment that they were learned for.
+
+    Attributes:
+        garment_name: for messages.
+        coarse_vertices: bind pose, already outside the body [m], float64, shape (n, 3).
+        coarse_faces: int32, shape (m, 3).
+        subdivisions: from the coarse to the fine mesh.
+        held: coarse vertices attached to the body, ascending, int32, shape (p,).
+        warp: direction of the warp in space.
+        fabric: of the garment.
+        options: of the calibrated coarse model.
+        bend_factor: hinge factor measured on the coarse mesh [-].
+        solver: options of the coarse simulation.
+        frame_rate: at which it runs [Hz].
+        atoms, mapping: the dictionary.
+        cutoff: wavelength of the filter between coarse and fine [m].
+        body_hash: of the body that the garment was trained on, see :func:`body_hash`.
+        body_vertex_count: its number of vertices.
+        quality: held-out figures by name, all of them finite.
+        held_out: clips that the figures were measured on.
+        trained_on: clips that the wrinkles were learned from.
+        training_minutes: time that training took [min].
+        seed: of every random choice in learning.
+        scene: the resolved scene (TOML).
+        code_version: see :func:`code_version`.
+        created: ISO date.
+    """
+
+    garment_name: str
+    coarse_vertices: np.ndarray
+    coarse_faces: np.ndarray
+    subdivisions: int
+    held: np.ndarray
+    warp: tuple[float, float, float]
+    fabric: Fabric
+    options: ModelOptions
+    bend_factor: float
+    solver: SolverOptions
+    frame_rate: float
+    atoms: Atoms
+    mapping: Mapping
+    cutoff: float
+    body_hash: str
+    body_vertex_count: int
+    quality: Dictionary[str, float]
+    held_out: tuple[str, ...]
+    trained_on: tuple[str, ...]
+    training_minutes: float
+    seed: int
+    scene: str
+    code_version: str
+    created: str
+
+    @property
+    def fine_vertex_count(self) -> int:
+        vertices, edges, faces = len(self.coarse_vertices), len(edges_of(self.coarse_faces)[0]), len(self.coarse_faces)
+        for _ in range(self.subdivisions):
+            vertices, edges, faces = vertices + edges, 2 * edges + 3 * faces, 4 * faces
+        return vertices
+
+    def require_garment(self, vertices: np.ndarray, faces: np.ndarray) -> None:
+        """Refuse another garment than the one in the database.
+
+        Args:
+            vertices: bind pose [m], shape (n, 3); the database's own were pushed out of the body, so they may differ
+                a little.
+            faces: int, shape (m, 3).
+
+        Raises:
+            InputError: other faces, or the same faces on a garment of another shape.
+        """
+        if len(vertices) != len(self.coarse_vertices) or not np.array_equal(faces, self.coarse_faces):
+            raise InputError(
+                "a database of another garment",
+                key="garment",
+                received=f"{len(vertices)} vertices, {len(faces)} faces",
+                expected=f"those of '{self.garment_name}': {len(self.coarse_vertices)} vertices, "
+                f"{len(self.coarse_faces)} faces, in the same order",
+            )
+        distance = float(np.median(np.linalg.norm(vertices - self.coarse_vertices, axis=1)))
+        limit = 0.05 * float(np.linalg.norm(np.ptp(self.coarse_vertices, axis=0)))
+        if distance > limit:
+            raise InputError(
+                "a database of another garment: the same faces on another shape",
+                key="garment",
+                received=f"vertices {distance:.3g} m from those of '{self.garment_name}' in the median",
+                expected=f"at most {limit:.3g} m",
+            )
+
+    def require_body(self, body: Any) -> None:
+        """Refuse another body (a character or a vertex sequence) than the one the garment was trained on.
+
+        Raises:
+            InputError: another body.
+        """
+        received = body_hash(body)
+        if received != self.body_hash:
+            count = body.vertices.shape[-2]
+            raise InputError(
+                "a database of another character",
+                key=getattr(body, "name", "body"),
+                received=f"{count} vertices, hash {received[:12]}",
+                expected=f"{self.body_vertex_count} vertices, hash {self.body_hash[:12]}",
+            )
+
+
+def body_hash(body: Any) -> str:
+    """SHA-256 of a character's bind pose, faces, joints and weights, or of a sequence's first frame and faces.
+
+    Positions and weights count in steps of 2^-16, so that rounding in another linear-algebra library does not make
+    another character.
+
+    Args:
+        body: :class:`assets.character.Character` or :class:`assets.sequence.Sequence`.
+    """
+    vertices = body.vertices if body.vertices.ndim == 2 else body.vertices[0]
+    digest = hashlib.sha256()
+    parts = [_in_steps(vertices), np.asarray(body.faces, np.int64)]
+    if hasattr(body, "joint_names"):
+        digest.update("\0".join(body.joint_names).encode())
+        parts += [np.asarray(body.joint_indices, np.int64), _in_steps(body.joint_weights)]
+    for part in parts:
+        digest.update(str(part.shape).encode())
+        digest.update(np.ascontiguousarray(part).tobytes())
+    return digest.hexdigest()
+
+
+def _in_steps(values: np.ndarray) -> np.ndarray:
+    # A third of a step aside: no value that a file would hold (binary or decimal) lies on the edge between two steps.
+    return np.floor(np.asarray(values, np.float64) * 2.0**16 + 1.0 / 3.0).astype(np.int64)
+
+
+@lru_cache(maxsize=1)
+def code_version() -> str:
+    """Version of the package and a hash of the source of ``pbd`` and ``wrinkles``: "0.1.0+3f2a9c0d11e4"."""
+    try:
+        version = metadata.version("gube")
+    except metadata.PackageNotFoundError:  # run from a source tree
+        version = "0"
+    digest = hashlib.sha256()
+    for folder in (Path(pbd.__file__).parent, Path(__file__).parent):
+        for path in sorted(folder.glob("*.py")):
+            digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return f"{version}+{digest.hexdigest()[:12]}"
+
+
+def write_database(path: str | Path, database: WrinkleDatabase) -> None:
+    """Write a database, beside the path first and then renamed.
+
+    Raises:
+        InputError: a value that :func:`read_database` would refuse.
+    """
+    arrays = {name: pack(entry, value) for name, entry, value in _values(database)}
+    check_layout({name: (array.dtype, array.shape) for name, array in arrays.items()}, path)
+    check_values(arrays, path)
+    with replacing(path) as temporary, h5py.File(temporary, "w") as file:
+        for entry in ENTRIES:
+            array = arrays[entry.name]
+            if entry.dtype == TEXT:
+                array = array.astype(h5py.string_dtype("utf-8", array.dtype.itemsize))
+            if entry.in_header:
+                file.attrs[entry.name] = array
+            else:
+                packed = PACKED if array.ndim and array.nbytes >= LARGE else {}
+                file.create_dataset(entry.name, data=array, **packed).attrs["unit"] = np.bytes_(entry.unit)
+
+
+def read_database(path: str | Path) -> WrinkleDatabase:
+    """Read what :func:`write_database` wrote, bit by bit the same. Nothing is ever unpickled.
+
+    Raises:
+        InputError: a file that cannot be read, is no database, is of another schema version, lacks a key, has one too
+            many, or holds values of a wrong type, shape or size, or values that cannot be.
+    """
+    path = Path(path)
+    try:
+        with h5py.File(path, "r") as file:
+            arrays = _read_arrays(file, path)
+    except InputError:
+        raise
+    except FileNotFoundError as error:
+        raise InputError("no such file", file=path, expected="a database of `gube precompute`") from error
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:  # all of them are h5py's of damaged files
+        raise InputError(
+            f"cannot be read, truncated, damaged or not HDF5: {error}",
+            file=path,
+            expected="a database of `gube precompute`",
+        ) from error
+    check_values(arrays, path)
+    try:
+        return _assemble({entry.name: unpack(entry, arrays[entry.name]) for entry in ENTRIES})
+    except InputError as error:  # of a fabric or of options; they do not know the file
+        raise InputError(
+            error.problem, file=path, key=error.key, received=error.received, expected=error.expected
+        ) from error
+
+
+def database_figures(path: str | Path) -> dict[str, float]:
+    """How large a database is and how long it takes to read.
+
+    Returns:
+        ``database_mb`` [10^6 bytes], ``bytes_per_fine_vertex``, ``compression_ratio`` (bytes of all arrays over bytes
+        of the file) and ``load_s`` [s].
+    """
+    start = time.perf_counter()
+    database = read_database(path)
+    load = time.perf_counter() - start
+    size = Path(path).stat().st_size
+    raw = sum(pack(entry, value).nbytes for _, entry, value in _values(database))
+    return {
+        "database_mb": size / 1e6,
+        "bytes_per_fine_vertex": size / database.fine_vertex_count,
+        "compression_ratio": raw / size,
+        "load_s": load,
+    }
+
+
+def _values(database: WrinkleDatabase) -> list[tuple[str, Entry, Any]]:
+    """Name, entry and value of everything that goes into the file."""
+    derived = {
+        "format": FORMAT,
+        "schema_version": SCHEMA_VERSION,
+        "units": UNITS,
+        "topology_hash": topology_hash(database.coarse_faces, database.subdivisions, len(database.coarse_vertices)),
+        "quality/names": tuple(database.quality),
+        "quality/values": list(database.quality.values()),
+    }
+    field = lambda name: attrgetter(name.replace("/", "."))(database)  # noqa: E731
+    return [(e.name, e, derived[e.name] if e.name in derived else field(e.name)) for e in ENTRIES]
+
+
+def _assemble(values: dict[str, Any]) -> WrinkleDatabase:
+    groups: dict[str, dict[str, Any]] = {"": {}}
+    for name, value in values.items():
+        group, _, leaf = name.rpartition("/")
+        groups.setdefault(group, {})[leaf] = value
+    root = groups[""]
+    for derived in ("format", "schema_version", "units", "topology_hash"):
+        del root[derived]
+    return WrinkleDatabase(
+        **root,
+        fabric=Fabric(**groups["fabric"]),
+        options=ModelOptions(**groups["options"]),
+        solver=SolverOptions(**groups["solver"]),
+        atoms=Atoms(**groups["atoms"]),
+        mapping=Mapping(**groups["mapping"]),
+        quality=dict(zip(groups["quality"]["names"], groups["quality"]["values"].tolist(), strict=True)),
+    )
+
+
+def _read_arrays(file: h5py.File, path: Path) -> dict[str, np.ndarray]:
+    """Everything in the file, after its kind, version, keys, types and shapes have been checked."""
+    _check_kind(file, path)
+    groups = {entry.name.rpartition("/")[0] for entry in ENTRIES}
+    found: dict[str, h5py.Dataset | h5py.h5a.AttrID | None] = {name: file.attrs.get_id(name) for name in file.attrs}
+    file.visititems(lambda name, item: found.__setitem__(name, item if isinstance(item, h5py.Dataset) else None))
+    known = {entry.name: entry for entry in ENTRIES}
+    errors = [InputError("missing", file=path, key=name) for name in known if found.get(name) is None]
+    errors += [
+        InputError("unknown key", file=path, key=name, expected="only what this version writes")
+        for name, item in found.items()
+        if name not in known and (item is not None or name not in groups)
+    ]
+    if errors:
+        raise InputError.join(errors)
+    check_layout({name: (found[name].dtype, found[name].shape) for name in known}, path)
+    for entry in ENTRIES:
+        if not entry.in_header and (unit := _plain(file[entry.name].attrs.get("unit"))) != entry.unit:
+            raise InputError("wrong unit", file=path, key=entry.name, received=unit, expected=repr(entry.unit))
+    return {e.name: np.asarray(file.attrs[e.name] if e.in_header else file[e.name][()]) for e in ENTRIES}
+
+
+def _check_kind(file: h5py.File, path: Path) -> None:
+    kind, version = _plain(file.attrs.get("format")), _plain(file.attrs.get("schema_version"))
+    if kind != FORMAT:
+        raise InputError("not a wrinkle database", file=path, key="format", received=kind, expected=repr(FORMAT))
+    if version != SCHEMA_VERSION:
+        newer = isinstance(version, int) and version > SCHEMA_VERSION
+        raise InputError(
+            "written by a newer version of gube" if newer else "written in a layout that is no longer read",
+            file=path,
+            key="schema_version",
+            received=version,
+            expected=f"{SCHEMA_VERSION}; " + ("update gube" if newer else "precompute the database again"),
+        )
+
+
+def _plain(value: Any) -> Any:
+    """An attribute in Python's own types."""
+    value = value.item() if isinstance(value, np.generic) else value
+    return value.decode(errors="replace") if isinstance(value, bytes) else value

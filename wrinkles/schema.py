@@ -1,0 +1,207 @@
+"""The layout of a wrinkle database: every value in the file, with its type, shape and unit, and what it may be.
+
+``ENTRIES`` is the one description of the file; writing, reading and checking all go by it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pbd import InputError
+from wrinkles.features import DYNAMIC_COUNT
+from wrinkles.patches import NODES
+
+__all__ = [
+    "ENTRIES",
+    "FORMAT",
+    "SCHEMA_VERSION",
+    "TEXT",
+    "UNITS",
+    "Entry",
+    "check_layout",
+    "check_values",
+    "pack",
+    "topology_hash",
+    "unpack",
+]
+
+FORMAT = "gube wrinkle database"
+SCHEMA_VERSION = 1
+UNITS = "SI: m, kg, s"
+TEXT, SINGLE, DOUBLE, INDEX, WHOLE = "text", "float32", "float64", "int32", "int64"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One value in the file.
+
+    Attributes:
+        name: path in the file, which is also the path of the field in :class:`wrinkles.database.WrinkleDatabase`.
+        dtype: TEXT (UTF-8 of fixed length) or the name of a NumPy type.
+        shape: numbers, and letters for sizes that must be the same wherever they occur.
+        unit: of the values; "-" for none.
+        in_header: an attribute of the file rather than a data set.
+    """
+
+    name: str
+    dtype: str
+    shape: tuple[int | str, ...] = ()
+    unit: str = "-"
+    in_header: bool = False
+
+
+ENTRIES = (
+    Entry("format", TEXT, in_header=True),
+    Entry("schema_version", WHOLE, in_header=True),
+    Entry("units", TEXT, in_header=True),
+    Entry("code_version", TEXT, in_header=True),
+    Entry("seed", WHOLE, in_header=True),
+    Entry("created", TEXT, in_header=True),
+    Entry("topology_hash", TEXT, in_header=True),
+    Entry("garment_name", TEXT),
+    Entry("coarse_vertices", DOUBLE, ("n", 3), "m"),
+    Entry("coarse_faces", INDEX, ("m", 3)),
+    Entry("subdivisions", WHOLE),
+    Entry("held", INDEX, ("p",)),
+    Entry("warp", DOUBLE, (3,)),
+    Entry("fabric/areal_density", DOUBLE, unit="kg/m2"),
+    Entry("fabric/stretch_warp", DOUBLE, unit="N/m"),
+    Entry("fabric/stretch_weft", DOUBLE, unit="N/m"),
+    Entry("fabric/poisson", DOUBLE),
+    Entry("fabric/shear", DOUBLE, unit="N/m"),
+    Entry("fabric/bend_warp", DOUBLE, unit="N m"),
+    Entry("fabric/bend_weft", DOUBLE, unit="N m"),
+    Entry("fabric/thickness", DOUBLE, unit="m"),
+    Entry("fabric/friction", DOUBLE),
+    Entry("fabric/air_drag", DOUBLE),
+    Entry("options/squeeze", DOUBLE),
+    Entry("options/bend_scale", DOUBLE),
+    Entry("options/tether_slack", DOUBLE),
+    Entry("bend_factor", DOUBLE),
+    Entry("solver/substep", DOUBLE, unit="s"),
+    Entry("solver/gravity", DOUBLE, (3,), "m/s2"),
+    Entry("solver/contact_refreshes", DOUBLE, unit="Hz"),
+    Entry("frame_rate", DOUBLE, unit="Hz"),
+    Entry("atoms/shapes", SINGLE, ("K", 3 * NODES), "m"),
+    Entry("atoms/mean", SINGLE, (3 * NODES,), "m"),
+    Entry("atoms/analysis", SINGLE, (3 * NODES, "K"), "1/m"),
+    Entry("atoms/kept", DOUBLE),
+    Entry("mapping/center", SINGLE, (DYNAMIC_COUNT,)),
+    Entry("mapping/scale", SINGLE, (DYNAMIC_COUNT,)),
+    Entry("mapping/weights_1", SINGLE, (DYNAMIC_COUNT, "h1")),
+    Entry("mapping/weights_2", SINGLE, ("h1", "h2")),
+    Entry("mapping/weights_3", SINGLE, ("h2", "K")),
+    Entry("mapping/place_bias", SINGLE, ("n", "h1")),
+    Entry("mapping/bias_2", SINGLE, ("h2",)),
+    Entry("mapping/bias_3", SINGLE, ("K",)),
+    Entry("mapping/gain", SINGLE, ("K",)),
+    Entry("cutoff", DOUBLE, unit="m"),
+    Entry("body_hash", TEXT),
+    Entry("body_vertex_count", WHOLE),
+    Entry("quality/names", TEXT, ("q",)),
+    Entry("quality/values", DOUBLE, ("q",)),
+    Entry("held_out", TEXT, ("h",)),
+    Entry("trained_on", TEXT, ("t",)),
+    Entry("training_minutes", DOUBLE, unit="min"),
+    Entry("scene", TEXT),
+)
+MAY_BE_ZERO = ("p", "q", "h", "t")  # sizes; there is no garment without vertices, but one without pins
+POSITIVE = ("bend_factor", "frame_rate", "cutoff")
+
+
+def topology_hash(faces: np.ndarray, subdivisions: int, vertex_count: int) -> str:
+    """SHA-256 of what fixes the numbering of the fine vertices."""
+    digest = hashlib.sha256(f"{vertex_count} {subdivisions}".encode())
+    digest.update(np.ascontiguousarray(faces, "<i4").tobytes())
+    return digest.hexdigest()
+
+
+def pack(entry: Entry, value: Any) -> np.ndarray:
+    """A value as the file holds it."""
+    if entry.dtype == TEXT:
+        return np.array(value.encode() if isinstance(value, str) else [text.encode() for text in value], "S")
+    array = np.asarray(value)
+    if not np.can_cast(array.dtype, entry.dtype, "same_kind"):
+        raise InputError("wrong type", key=entry.name, received=str(array.dtype), expected=entry.dtype)
+    return array.astype(entry.dtype)
+
+
+def unpack(entry: Entry, array: np.ndarray) -> Any:
+    """A value as :class:`WrinkleDatabase` holds it."""
+    if entry.dtype == TEXT:
+        return array.item().decode() if array.ndim == 0 else tuple(text.decode() for text in array.tolist())
+    if entry.shape == ():
+        return array.item()
+    return tuple(array.tolist()) if entry.shape == (3,) else array
+
+
+def check_layout(layout: Mapping[str, tuple[np.dtype, tuple[int, ...] | None]], path: str | Path) -> None:
+    """Types and shapes, before anything large is read."""
+    errors: list[InputError] = []
+    sizes: dict[str, int] = {}
+    for entry in ENTRIES:
+        dtype, shape = layout[entry.name]
+        fits = dtype.kind == "S" if entry.dtype == TEXT else dtype == np.dtype(entry.dtype)
+        if not fits:
+            errors.append(
+                InputError("wrong type", file=path, key=entry.name, received=str(dtype), expected=entry.dtype)
+            )
+        if shape is None or len(shape) != len(entry.shape):
+            wanted = entry.shape
+        else:
+            wanted = tuple(
+                size if isinstance(size, int) else sizes.setdefault(size, got)
+                for size, got in zip(entry.shape, shape, strict=True)
+            )
+        empty = any(size == 0 and name not in MAY_BE_ZERO for name, size in zip(entry.shape, wanted, strict=True))
+        if wanted != shape or empty:
+            letters = ", ".join(f"{s} = {sizes[s]}" for s in entry.shape if sizes.get(str(s)))
+            errors.append(
+                InputError(
+                    "wrong shape",
+                    file=path,
+                    key=entry.name,
+                    received=shape,
+                    expected=f"({', '.join(map(str, entry.shape))})" + (f" with {letters}" if letters else ""),
+                )
+            )
+    if errors:
+        raise InputError.join(errors)
+
+
+def check_values(arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
+    """What types and shapes cannot say."""
+
+    def refuse(problem: str, key: str, received: Any, expected: str) -> None:
+        raise InputError(problem, file=path, key=key, received=received, expected=expected)
+
+    for name, array in arrays.items():
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+            refuse("not finite", f"{name}{list(place) if place else ''}", float(array[place]), "finite numbers")
+    for name in POSITIVE:
+        if arrays[name] <= 0:
+            refuse("out of range", name, arrays[name].item(), "above 0")
+    count, faces, held = len(arrays["coarse_vertices"]), arrays["coarse_faces"], arrays["held"]
+    for name, index in (("coarse_faces", faces), ("held", held)):
+        if index.size and not 0 <= index.min() <= index.max() < count:
+            bad = int(index.min() if index.min() < 0 else index.max())
+            refuse("a vertex that does not exist", name, bad, f"0 to {count - 1}")
+    if (np.diff(held) <= 0).any():
+        refuse("not in ascending order", "held", held.tolist()[:8], "each held vertex once, ascending")
+    levels = arrays["subdivisions"].item()
+    if not 1 <= levels <= 4:
+        refuse("out of range", "subdivisions", levels, "1 to 4")
+    if not arrays["warp"].any():
+        refuse("no direction", "warp", arrays["warp"].tolist(), "a vector that is not zero")
+    stored, computed = arrays["topology_hash"].item().decode(), topology_hash(faces, levels, count)
+    if stored != computed:
+        refuse("does not belong to these faces and subdivisions", "topology_hash", stored, computed)
+    if arrays["units"].item().decode() != UNITS:
+        refuse("other units", "units", arrays["units"].item().decode(), repr(UNITS))
