@@ -99,9 +99,9 @@ def make_skirt() -> dict[str, NDArray]:
 
 
 def _outline(height: float, gap: float, count: int) -> Floats:
-    """Points evenly around the body at a height, `gap` [m] outside, from behind to the left, shape (count, 3)."""
+    """Points evenly around the body at a height, `gap` [m] outside, from behind to the right, shape (count, 3)."""
     angle = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
-    ray = np.stack([np.sin(angle), np.zeros_like(angle), -np.cos(angle)], axis=1)
+    ray = np.stack([-np.sin(angle), np.zeros_like(angle), -np.cos(angle)], axis=1)
     near, far = np.full(len(angle), 0.02), np.full(len(angle), 0.4)
     for _ in range(40):
         middle = 0.5 * (near + far)

@@ -126,52 +126,54 @@ def curves_of(figure: Figure, plan: Plan) -> Curves:
     moves = walk.steps()
     feet, turns = walk.feet(moves)
     pitch, toes = walk.foot_pitch(moves)
+    # How far the left foot is ahead of the right one, and which one carries: 1 the left, -1 the right.
+    apart = np.einsum("fji,fj->fi", rot_y(walk.heading), feet[0] - feet[1])
+    ahead = smooth(apart[:, 2], 0.04) / scale
+    stepping = smooth(_carrying(plan, moves, raised=False), 0.09)
+    raised = smooth(_carrying(plan, moves, raised=True), 0.15)
 
-    # How far each foot is ahead of the hips, and which one carries.
-    local = np.einsum("fji,sfj->sfi", rot_y(walk.heading), feet - walk.ground)
-    ahead = smooth((local[0] - local[1])[:, 2], 0.04) / scale
-    in_air = np.zeros((2, len(plan.speed)))
+    pelvis, trunk, arms = _upper_body(plan, ahead, stepping)
+    # The hips go along the path, over the foot that carries, and behind the feet in a squat.
+    aside = np.zeros((len(plan.speed), 3))
+    aside[:, 0] = 0.028 * stepping * plan.hip_swing + 0.075 * raised + plan.shift[:, 0]
+    aside[:, 2] = plan.shift[:, 1] - 0.22 * plan.squat
+    hips = walk.ground + scale * np.einsum("fij,fj->fi", rot_y(walk.heading), aside)
+    curves = Curves(hips, walk.heading, pelvis, trunk, feet, turns, pitch, toes, arms)
+    # As high as both legs allow, and higher where both feet stand on their balls.
+    lift = (figure.ankle_places(curves)[:, :, 1] - feet[:, :, 1]).min(axis=0)
+    walking = 0.016 * smoothstep(smooth(plan.speed, 0.1) / 0.8)
+    wanted = lift - lift[0] - scale * (0.008 + walking + plan.squat)
+    hips[:, 1] = smooth(_lower_envelope(np.minimum(figure.highest_hips(curves).min(axis=0), wanted), 0.05), 0.05)
+    return curves
+
+
+def _carrying(plan: Plan, moves: list[list[_Move]], raised: bool) -> Floats:
+    """1 while only the left foot is on the floor, -1 while only the right one is, shape (F,); steps or raises."""
+    carrying = np.zeros(len(plan.speed))
     for side in (0, 1):
         for move in moves[side]:
-            if not move.spin:
-                in_air[side][(plan.times > move.start) & (plan.times < move.end)] = 1.0
-    load = smooth(in_air[1] - in_air[0], 0.09)  # 1 on the left foot, -1 on the right
+            if not move.spin and (move.raised is not None) == raised:
+                carrying[(plan.times > move.start) & (plan.times < move.end)] += 2.0 * side - 1.0
+    return carrying
 
-    pelvis, trunk = plan.pelvis.copy(), plan.trunk.copy()
+
+def _upper_body(plan: Plan, ahead: Floats, carrying: Floats) -> tuple[Floats, Floats, Floats]:
+    """Pelvis, trunk and arms (see :class:`~assets.figure.Curves`): what is planned and what the steps do to them."""
+    pelvis, trunk, arms = plan.pelvis.copy(), plan.trunk.copy(), plan.arms.copy()
     gait = smoothstep(plan.speed / 0.5)
+    # The side of the leading foot goes ahead and that of the free foot sinks; the shoulders do the opposite.
     pelvis[:, 1] -= 0.17 * ahead * plan.hip_swing
-    pelvis[:, 2] -= 0.075 * load * plan.hip_swing * gait
+    pelvis[:, 2] -= 0.075 * carrying * plan.hip_swing * gait
     trunk[:, 1] += (0.10 + 0.24 * plan.hip_swing) * ahead * gait
-    trunk[:, 2] += 0.085 * load * plan.hip_swing * gait
+    trunk[:, 2] += 0.085 * carrying * plan.hip_swing * gait
+    # Who is faster leans further forward.
     pelvis[:, 0] += 0.03 * smooth(plan.speed, 0.2)
     trunk[:, 0] += 0.02 * smooth(plan.speed, 0.2)
-    arms = plan.arms.copy()
     swing = 0.62 * smooth(ahead, 0.05) * plan.arm_swing / (1.0 + 0.5 * np.maximum(plan.speed - 1.2, 0.0))
     for side, sign in ((0, -1.0), (1, 1.0)):
         arms[side, :, 0] += sign * swing
         arms[side, :, 2] += np.maximum(0.0, 0.35 + sign * swing) * 0.5 * gait * plan.arm_swing
-
-    # The hips: along the path, over the foot that carries, as high as both legs allow.
-    hips = walk.ground.copy()
-    side_step = np.zeros((len(plan.speed), 3))
-    raised = smooth(
-        sum(((plan.times > r.start) & (plan.times < r.end)) * (1.0 - 2.0 * (r.side == 0)) for r in plan.raises)
-        + 0.0 * plan.times,
-        0.15,
-    )
-    side_step[:, 0] = 0.028 * load * plan.hip_swing * (1.0 - np.abs(raised)) + 0.075 * raised + plan.shift[:, 0]
-    side_step[:, 2] = plan.shift[:, 1] - 0.22 * plan.squat
-    hips += scale * np.einsum("fij,fj->fi", rot_y(walk.heading), side_step)
-    curves = Curves(hips, walk.heading, pelvis, trunk, feet, turns, pitch, toes, arms)
-    # On both balls the figure stands higher.
-    lift = (figure.ankle_places(curves)[:, :, 1] - feet[:, :, 1]).min(axis=0)
-    wanted = lift - lift[0] - scale * (0.008 + plan.squat)
-    for _ in range(2):
-        # Smoothing may lift the hips above what a leg allows for a moment; the second pass takes that off again.
-        limit = np.minimum(figure.highest_hips(curves).min(axis=0), wanted)
-        low = smooth(_lower_envelope(limit, 0.05), 0.05)
-        hips[:, 1] = low
-    return curves
+    return pelvis, trunk, arms
 
 
 def _lower_envelope(values: Floats, width: float) -> Floats:

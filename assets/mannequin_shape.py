@@ -22,7 +22,7 @@ from assets.implicit import (
 )
 from assets.mannequin import JOINTS
 
-__all__ = ["body_field", "make_mannequin", "skin_weights"]
+__all__ = ["body_field", "make_mannequin", "skin_weights", "strongest"]
 
 Floats = NDArray[np.float64]
 
@@ -86,20 +86,25 @@ def make_mannequin(count: int = 8300, spacing: float = 0.011) -> dict[str, NDArr
     """
     low, high = np.array([-0.77, -0.04, -0.24]), np.array([0.77, 1.76, 0.24])
     vertices, faces = even_mesh(body_field, *surface_mesh(body_field, low, high, spacing), count)
-    weights = skin_weights(vertices, faces)
+    indices, weights = strongest(skin_weights(vertices, faces))
+    return {
+        "vertices": vertices.astype(np.float32),
+        "faces": faces.astype(np.uint16),
+        "joint_indices": indices,
+        "joint_weights": weights,
+    }
+
+
+def strongest(weights: Floats) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+    """Joints, shape (vertices, 4), and weights in whole parts of 65535 of the four strongest influences of a vertex."""
     order = np.argsort(-weights, axis=1, kind="stable")
     indices = order[:, :4]
     # The fifth joint's share is taken off the first four: no weight jumps where another joint becomes the fourth.
     fifth = np.take_along_axis(weights, order[:, 4:5], axis=1)
-    strongest = np.maximum(np.take_along_axis(weights, indices, axis=1) - np.maximum(fifth, 0.01), 0.0)
-    whole = np.round(strongest / strongest.sum(axis=1, keepdims=True) * 65535.0)
+    kept = np.maximum(np.take_along_axis(weights, indices, axis=1) - np.maximum(fifth, 0.01), 0.0)
+    whole = np.round(kept / kept.sum(axis=1, keepdims=True) * 65535.0)
     whole[:, 0] += 65535.0 - whole.sum(axis=1)
-    return {
-        "vertices": vertices.astype(np.float32),
-        "faces": faces.astype(np.uint16),
-        "joint_indices": np.where(whole > 0, indices, 0).astype(np.uint8),
-        "joint_weights": whole.astype(np.uint16),
-    }
+    return np.where(whole > 0, indices, 0).astype(np.uint8), whole.astype(np.uint16)
 
 
 def skin_weights(vertices: Floats, faces: NDArray[np.int32]) -> Floats:
