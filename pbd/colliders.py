@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pbd.errors import InputError
-from pbd.kernels import body_normals
+from pbd.kernels import FAR, body_normals
 from pbd.mesh import vertex_rings
 
 __all__ = ["Body", "Capsule", "Colliders", "Plane", "Sphere"]
@@ -77,6 +77,8 @@ class Body:
     Attributes:
         previous, current: positions about the state's origin at the start and end of the frame [m], float32, shape (n, 3).
         normals: unit vertex normals of the current pose, float32, shape (n, 3).
+        probes: corners of faces too large to be found by their vertices, int32, shape (k, 3), with the barycentric
+            weights ``probe_weights`` of points spread over them, float32, shape (k, 3).
     """
 
     def __init__(self, faces: np.ndarray, vertex_count: int) -> None:
@@ -96,6 +98,7 @@ class Body:
         counts = np.bincount(self.faces.ravel(), minlength=vertex_count)
         self.fan_start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
         self.fan = (order // 3).astype(np.int32)
+        self.probes, self.probe_weights = np.zeros((0, 3), np.int32), np.zeros((0, 3), np.float32)
         self.origin = np.zeros(3)
         self._placed = False
 
@@ -109,6 +112,7 @@ class Body:
         """Bring normals up to date after ``current`` was written in place."""
         if not self._placed:
             self.previous[:] = self.current
+            self.probes, self.probe_weights = _probes(self.current, self.faces)
             self._placed = True
         body_normals(self.current, self.faces, self.normals)
 
@@ -124,6 +128,22 @@ class Body:
             self.previous -= shift
             self.current -= shift
             self.origin = np.array(origin, float)
+
+
+def _probes(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points no further than FAR apart on faces with sides longer than 1.5 FAR; see :class:`Body`."""
+    corners = vertices[faces]
+    longest = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1, initial=0.0)
+    parts = np.where(longest > 1.5 * FAR, np.ceil(longest / FAR), 1).astype(int)
+    probes, weights = [np.zeros((0, 3), np.int32)], [np.zeros((0, 3), np.float32)]
+    for count in np.unique(parts[parts > 1]):
+        a, b = np.divmod(np.arange((count + 1) ** 2), count + 1)
+        grid = np.stack([a, b, count - a - b], axis=1)
+        grid = grid[(grid[:, 2] >= 0) & (grid.max(axis=1) < count)]  # the corners are found already
+        large = faces[parts == count]
+        probes.append(np.repeat(large, len(grid), axis=0))
+        weights.append(np.tile(grid / count, (len(large), 1)).astype(np.float32))
+    return np.concatenate(probes), np.concatenate(weights)
 
 
 class Colliders:

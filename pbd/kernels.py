@@ -121,6 +121,28 @@ def body_normals(vertices: Vec3, faces: Int3, normals: Vec3):
             normals[i] /= ti.max(normals[i].norm(), 1e-20)
 
 
+@ti.func
+def heaviest(corners, weights: vec3) -> ti.i32:
+    best = corners[0]
+    if weights[1] > weights[0] and weights[1] >= weights[2]:
+        best = corners[1]
+    elif weights[2] > weights[0]:
+        best = corners[2]
+    return best
+
+
+@ti.func
+def probed(b: ti.i32, body: ti.template(), probes: ti.template(), probe_weights: ti.template()) -> vec3:
+    """Body vertex b, or beyond the vertices a probe."""
+    x = vec3(0.0)
+    if b < body.shape[0]:
+        x = body[b]
+    else:
+        corners, weights = probes[b - body.shape[0]], probe_weights[b - body.shape[0]]
+        x = weights[0] * body[corners[0]] + weights[1] * body[corners[1]] + weights[2] * body[corners[2]]
+    return x
+
+
 @ti.kernel
 def find_nearest(
     position: Vec4,
@@ -129,10 +151,14 @@ def find_nearest(
     body: Vec3,
     ring_start: Int1,
     ring: Int1,
+    probes: Int3,
+    probe_weights: Vec3,
     cell_start: Int1,
     cell_items: Int1,
 ):
     """For every contact sample the nearest body vertex within FAR, or the one that it had, followed; else -1.
+
+    Large body faces are found by probes, points spread over them, which stand for their heaviest corner.
 
     The first samples are the vertices themselves; the others stand in the middle of long edges and search from what
     the ends of their edge found.
@@ -156,19 +182,20 @@ def find_nearest(
         nz = ti.min(int(size[2] / cell) + 1, GRID_SIDE)
         for c in range(nx * ny * nz + 1):
             cell_start[c] = 0
-        for b in range(body.shape[0]):
-            q = (body[b] - low) / cell
-            in_face = ring_start[b] < ring_start[b + 1]
+        count = body.shape[0] + probes.shape[0]
+        for b in range(count):
+            q = (probed(b, body, probes, probe_weights) - low) / cell
+            in_face = b >= body.shape[0] or ring_start[b] < ring_start[b + 1]
             if in_face and q.min() >= 0.0 and q[0] < nx and q[1] < ny and q[2] < nz:
                 cell_start[(int(q[0]) * ny + int(q[1])) * nz + int(q[2]) + 1] += 1
         for c in range(nx * ny * nz):
             cell_start[c + 1] += cell_start[c]
         total = cell_start[nx * ny * nz]
         # Filled from the back, cell c starts at cell_start[c + 1] in the end.
-        for r in range(body.shape[0]):
-            b = body.shape[0] - 1 - r
-            q = (body[b] - low) / cell
-            in_face = ring_start[b] < ring_start[b + 1]
+        for r in range(count):
+            b = count - 1 - r
+            q = (probed(b, body, probes, probe_weights) - low) / cell
+            in_face = b >= body.shape[0] or ring_start[b] < ring_start[b + 1]
             if in_face and q.min() >= 0.0 and q[0] < nx and q[1] < ny and q[2] < nz:
                 c = (int(q[0]) * ny + int(q[1])) * nz + int(q[2]) + 1
                 cell_start[c] -= 1
@@ -195,24 +222,29 @@ def find_nearest(
                     last = cell_start[row + ti.min(qz + 2, nz)]
                     for s in range(first, last):
                         b = cell_items[s]
-                        offset = body[b] - p
+                        offset = probed(b, body, probes, probe_weights) - p
                         candidate = offset.dot(offset)
                         if candidate < distance:
                             distance = candidate
                             best = b
+            if best >= body.shape[0]:
+                weights = probe_weights[best - body.shape[0]]
+                best = heaviest(probes[best - body.shape[0]], weights)
             nearest[i] = best
         for c in range(position.shape[0], samples.shape[0]):
             p = 0.5 * (xyz(position[samples[c][0]]) + xyz(position[samples[c][1]]))
             best = -1
-            distance = 4.0 * FAR * FAR
+            distance = 1e30
             for a in ti.static(range(3)):
                 start = nearest[c]
+                reach = 4.0 * FAR * FAR  # of the vertex that it had; what an end found is near enough
                 if ti.static(a < 2):
                     start = nearest[samples[c][a]]
+                    reach = 1e30
                 if start >= 0:
                     found = descend(p, start, 0.0, body, body, ring_start, ring)
                     offset = body[found] - p
-                    if offset.dot(offset) < distance:
+                    if offset.dot(offset) < ti.min(distance, reach):
                         distance = offset.dot(offset)
                         best = found
             nearest[c] = best
@@ -333,18 +365,31 @@ def touch_body(
     best_distance = 1e30
     best_face = -1
     best_weights = vec3(0.0)
-    for q in range(fan_start[b], fan_start[b + 1]):
-        f = faces[fan[q]]
-        x0 = body_0[f[0]] + t * (body_1[f[0]] - body_0[f[0]])
-        x1 = body_0[f[1]] + t * (body_1[f[1]] - body_0[f[1]])
-        x2 = body_0[f[2]] + t * (body_1[f[2]] - body_0[f[2]])
-        weights = closest_on_triangle(p, x0, x1, x2)
-        offset = weights[0] * x0 + weights[1] * x1 + weights[2] * x2 - p
-        distance = offset.dot(offset)
-        if distance < best_distance:
-            best_distance = distance
-            best_face = fan[q]
-            best_weights = weights
+    searching = True
+    hops = 0
+    while searching and hops < 8:
+        searching = False
+        hops += 1
+        for q in range(fan_start[b], fan_start[b + 1]):
+            f = faces[fan[q]]
+            x0 = body_0[f[0]] + t * (body_1[f[0]] - body_0[f[0]])
+            x1 = body_0[f[1]] + t * (body_1[f[1]] - body_0[f[1]])
+            x2 = body_0[f[2]] + t * (body_1[f[2]] - body_0[f[2]])
+            weights = closest_on_triangle(p, x0, x1, x2)
+            offset = weights[0] * x0 + weights[1] * x1 + weights[2] * x2 - p
+            distance = offset.dot(offset)
+            if distance < best_distance:
+                best_distance = distance
+                best_face = fan[q]
+                best_weights = weights
+                # On the rim of the fan: the closest face may lie beyond it.
+                at_rim = True
+                for a in ti.static(range(3)):
+                    if f[a] == b and weights[a] > 0.0:
+                        at_rim = False
+                searching = at_rim
+        if searching:
+            b = heaviest(faces[best_face], best_weights)
     f = faces[best_face]
     normal = best_weights[0] * normals[f[0]] + best_weights[1] * normals[f[1]] + best_weights[2] * normals[f[2]]
     normal /= ti.max(normal.norm(), 1e-20)

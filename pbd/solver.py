@@ -101,8 +101,8 @@ class Solver:
         if colliders.body is not None:
             if np.any(body.origin != state.origin):
                 raise InputError("body and state have other origins", received=body.origin, expected=str(state.origin))
-            if len(self._items) < len(body.current):
-                self._items = np.zeros(len(body.current), np.int32)
+            if len(self._items) < len(body.current) + len(body.probes):
+                self._items = np.zeros(len(body.current) + len(body.probes), np.int32)
             kernels.find_nearest(
                 state.position,
                 model.samples,
@@ -110,6 +110,8 @@ class Solver:
                 body.previous,
                 body.ring_start,
                 body.ring,
+                body.probes,
+                body.probe_weights,
                 self._cells,
                 self._items,
             )
