@@ -1,0 +1,283 @@
+"""A game loop at 30 or 60 Hz: fixed ticks, pictures in between, and what became of the deadlines."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from pbd.errors import InputError
+from runtime.simulation import Motion, Simulation
+
+__all__ = ["GameLoop", "LiveInput", "Playable", "ScriptedInput"]
+
+_SPIN = 1e-3  # sleeping may end this late [s]; the rest of a wait is spent awake
+_ROUNDING = 1e-6  # times closer than this are one time [tick]
+
+
+class LiveInput(NamedTuple):
+    """What the game says at one time.
+
+    Attributes:
+        pose: of the body; what ``player.step`` takes.
+        wind: velocity of the air [m/s].
+        drag: a coarse vertex and the point in the world [m], shape (3,), at which it is held; None for none.
+    """
+
+    pose: np.ndarray
+    wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    drag: tuple[int, np.ndarray] | None = None
+
+
+class Playable(Protocol):
+    """What the loop needs of a :class:`runtime.player.Player`."""
+
+    def step(self, pose: np.ndarray, dt: float, wind: tuple = ...) -> Any: ...
+
+    def decode(self, alpha: float = ...) -> Any: ...
+
+    def drag(self, vertex: int, target: np.ndarray | None) -> Any: ...
+
+
+class GameLoop:
+    """Plays a garment against the clock.
+
+    The garment advances by ticks of a fixed length, whatever the frame rate: it moves the same at 30 and at 60 Hz, bit
+    for bit. A picture between two ticks is interpolated. Ticks cover the time of the picture, so the last one may reach
+    past it, by less than a tick: garment and body are shown at the same time, and neither lags. Where the ticks divide
+    the frame, the picture is a tick itself.
+
+    An engine with a frame loop of its own calls :meth:`advance` once a frame. :meth:`run` is a whole loop. There each
+    frame's picture is due one period after its start and is made for that time; one that is late is shown at the next
+    multiple of the period, as on a display, and the following one makes up for it. So frames last whole periods, and
+    the number of ticks does not waver with the clock's readings.
+
+    Time beyond ``max_ticks`` in a frame is dropped, and counted: the garment falls behind the clock instead of taking
+    ever longer frames to catch up.
+
+    Args:
+        player: steps and decodes.
+        input: what the game says at a time [s] of the garment, called once a tick with the time of the tick's end.
+            Live input has no future: what holds now is right.
+        rate_hz: frames a second.
+        tick: [s].
+        max_ticks: in a frame.
+        clock: time that only grows [s].
+        sleep: waits about as long as it is told [s].
+
+    Attributes:
+        paused: while True time stands still: no ticks, and none to make up for later.
+        alpha: of the last picture: 1 at the last tick, 0 at the one before.
+        tick_count: ticks since the start; the garment's time is ``tick_count * tick``.
+        dropped_time: [s].
+        missed_deadlines: frames of the last run that were not ready when due.
+        frames_of_ticks: how many frames had 0, 1, ... ticks, int64, shape (max_ticks + 1,).
+
+    Raises:
+        InputError: a rate or tick that is not positive; fewer ticks than a frame needs.
+    """
+
+    def __init__(
+        self,
+        player: Playable,
+        input: Callable[[float], LiveInput],
+        rate_hz: float = 60.0,
+        tick: float = 1.0 / 60.0,
+        max_ticks: int = 4,
+        *,
+        clock: Callable[[], float] = time.perf_counter,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        for key, value in (("rate_hz", rate_hz), ("tick", tick)):
+            if not 0.0 < value < math.inf:
+                raise InputError("bad game loop", key=key, received=value, expected="above 0")
+        needed = max(1, math.ceil(1.0 / (rate_hz * tick) - _ROUNDING))
+        if max_ticks < needed:
+            expected = f"at least the {needed} that a frame lasts"
+            raise InputError("too few ticks", key="max_ticks", received=max_ticks, expected=expected)
+        self.player, self.input = player, input
+        self.rate_hz, self.tick, self.max_ticks = rate_hz, tick, max_ticks
+        self._clock, self._sleep = clock, sleep
+        self.paused = False
+        self.alpha = 1.0
+        self.tick_count = 0
+        self._ahead = 0.0  # from the last tick to the picture [s], 0 or less after each frame
+        self._held: int | None = None
+        self._clear(0)
+
+    def advance(self, elapsed: float) -> int:
+        """Make the next picture.
+
+        Args:
+            elapsed: time since the last picture [s]; 0 leaves everything as it is.
+
+        Returns:
+            How many ticks it took.
+
+        Raises:
+            InputError: time that runs backwards or is not finite.
+        """
+        if not 0.0 <= elapsed < math.inf:
+            raise InputError("bad time", key="elapsed", received=elapsed, expected="a finite number, at least 0 [s]")
+        if not self.paused:
+            self._ahead += elapsed
+        ticks = max(0, math.ceil(self._ahead / self.tick - _ROUNDING))
+        if ticks > self.max_ticks:
+            ticks = self.max_ticks
+            self.dropped_time += self._ahead - ticks * self.tick
+            self._ahead = ticks * self.tick
+        for _ in range(ticks):
+            self._advance_tick()
+        alpha = 1.0 + self._ahead / self.tick
+        if alpha > 1.0 - _ROUNDING:
+            alpha = 1.0
+        if ticks or alpha != self.alpha:
+            self.player.decode(alpha)
+        self.alpha = alpha
+        self.frames_of_ticks[ticks] += 1
+        return ticks
+
+    def run(self, seconds: float, show: Callable[[], Any] | None = None) -> dict[str, float]:
+        """Play by the clock.
+
+        Args:
+            seconds: by the clock, rounded to frames.
+            show: draws or hands on the player's vertices; its time counts as the frame's. What it raises ends the run.
+
+        Returns:
+            :meth:`figures` of this run.
+
+        Raises:
+            InputError: less than one frame.
+        """
+        frames = round(seconds * self.rate_hz) if math.isfinite(seconds) else 0
+        if frames < 1:
+            raise InputError("nothing to play", key="seconds", received=seconds, expected="at least one frame")
+        self._clear(frames)
+        clock, period = self._clock, 1.0 / self.rate_hz
+        start = clock()
+        shown = turn = 0  # periods from the start to the last picture's time, and to the frame's start
+        while turn < frames:
+            began = clock()
+            self.advance((turn + 1 - shown) * period)
+            if show is not None:
+                show()
+            ready = clock()
+            shown = turn = turn + 1
+            self._frame_ms[self._frame_count] = 1e3 * (ready - began)
+            self._frame_count += 1
+            if ready > start + turn * period:
+                self.missed_deadlines += 1
+                turn = math.ceil((ready - start) * self.rate_hz)
+            self._wait(start + turn * period)
+        return self.figures()
+
+    def figures(self) -> dict[str, float]:
+        """Of the last run, also of one that was broken off: frame times without the waits, deadlines, ticks."""
+        frame_ms = self._frame_ms[: self._frame_count]
+        p50, p99 = np.percentile(frame_ms, [50, 99]) if len(frame_ms) else (math.nan, math.nan)
+        figures = {
+            "frame_count": float(self._frame_count),
+            "frame_ms_p50": float(p50),
+            "frame_ms_p99": float(p99),
+            "missed_deadlines": float(self.missed_deadlines),
+            "dropped_time_s": self.dropped_time,
+        }
+        return figures | {f"frames_of_{ticks}_ticks": float(n) for ticks, n in enumerate(self.frames_of_ticks)}
+
+    def _clear(self, frames: int) -> None:
+        self.dropped_time = 0.0
+        self.missed_deadlines = 0
+        self.frames_of_ticks = np.zeros(self.max_ticks + 1, np.int64)
+        self._frame_ms = np.zeros(frames)
+        self._frame_count = 0
+
+    def _advance_tick(self) -> None:
+        self.tick_count += 1
+        self._ahead -= self.tick
+        pose, wind, drag = self.input(self.tick_count * self.tick)
+        held = self._held
+        if held is not None and (drag is None or drag[0] != held):
+            self.player.drag(held, None)
+            self._held = None
+        if drag is not None:
+            self.player.drag(*drag)
+            self._held = drag[0]
+        self.player.step(pose, self.tick, wind)
+
+    def _wait(self, until: float) -> None:
+        left = until - self._clock()
+        if left > _SPIN:
+            self._sleep(left - _SPIN)
+        while self._clock() < until:
+            pass
+
+
+class ScriptedInput:
+    """Input for demonstrations and measurements: a motion, a gust of wind, and a pull at the garment.
+
+    The gust swells and ebbs over the middle fifth of the time. At seven tenths of it the lowest vertex in front is
+    held for half a second, carried along with the body and drawn outwards.
+
+    Args:
+        simulation: of the garment that is played.
+        motion: of its body.
+        seconds: that it is played for.
+        gust: the wind at its strongest [m/s].
+        pull: how far the vertex is drawn [m].
+
+    Attributes:
+        vertex: the coarse vertex that is held.
+        gust_time, drag_time: start and end [s].
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        motion: Motion,
+        seconds: float,
+        gust: tuple[float, float, float] = (5.0, 0.0, 0.0),
+        pull: float = 0.15,
+    ) -> None:
+        self._simulation, self._motion = simulation, motion
+        self._gust, self._pull = gust, pull
+        self.gust_time = 0.4 * seconds, 0.6 * seconds
+        self.drag_time = 0.7 * seconds, 0.7 * seconds + 0.5
+        model = simulation.model
+        height, front = model.mesh.vertices[:, 1], model.mesh.vertices[:, 2]
+        # Of a hem, which is level or nearly so, the part in front.
+        self.vertex = int(np.argmax(np.where(model.inverse_mass > 0.0, front - 5.0 * height, -np.inf)))
+        self._grip: np.ndarray | None = None  # where the vertex was taken, less where the body was
+        self._outwards = np.zeros(3)
+
+    def __call__(self, t: float) -> LiveInput:
+        """Input at a time [s]."""
+        pose = self._motion.pose(t)
+        begin, end = self.gust_time
+        strength = math.sin(math.pi * (t - begin) / (end - begin)) ** 2 if begin < t < end else 0.0
+        x, y, z = self._gust
+        return LiveInput(pose, (strength * x, strength * y, strength * z), self._drag(pose, t))
+
+    def _drag(self, pose: np.ndarray, t: float) -> tuple[int, np.ndarray] | None:
+        begin, end = self.drag_time
+        if not begin <= t < end:
+            self._grip = None
+            return None
+        body = self._body_place(pose)
+        if self._grip is None:
+            world = self._simulation.state.world()
+            self._grip = world[self.vertex] - body
+            outwards = (world[self.vertex] - world.mean(axis=0)) * [1.0, 0.0, 1.0]
+            self._outwards = outwards / max(float(np.linalg.norm(outwards)), 1e-9)
+        share = (t - begin) / (end - begin)
+        return self.vertex, body + self._grip + self._pull * share * share * (3.0 - 2.0 * share) * self._outwards
+
+    def _body_place(self, pose: np.ndarray) -> np.ndarray:
+        """A point that moves along with the body [m], shape (3,)."""
+        if pose.shape[1:] != (3, 4):
+            return pose.mean(axis=0)  # vertices of a sequence
+        mean = pose.mean(axis=0)
+        return mean[:, :3] @ self._simulation.model.mesh.vertices[self.vertex] + mean[:, 3]
