@@ -30,9 +30,9 @@ from wrinkles.schema import (
     SCHEMA_VERSION,
     TEXT,
     UNITS,
-    Entry,
     check_layout,
     check_values,
+    content_hash,
     pack,
     topology_hash,
     unpack,
@@ -47,8 +47,8 @@ __all__ = [
     "write_database",
 ]
 
-LARGE = 4096  # arrays from this size on are stored in compressed chunks with checksums [bytes]
-PACKED = {"chunks": True, "shuffle": True, "compression": "gzip", "fletcher32": True}
+LARGE = 4096  # arrays from this size on are stored in compressed chunks [bytes]
+PACKED = {"chunks": True, "shuffle": True, "compression": "gzip"}
 
 
 @dataclass(frozen=True)
@@ -205,7 +205,7 @@ def write_database(path: str | Path, database: WrinkleDatabase) -> None:
     Raises:
         InputError: a value that :func:`read_database` would refuse.
     """
-    arrays = {name: pack(entry, value) for name, entry, value in _values(database)}
+    arrays = _arrays(database)
     check_layout({name: (array.dtype, array.shape) for name, array in arrays.items()}, path)
     check_values(arrays, path)
     with replacing(path) as temporary, h5py.File(temporary, "w") as file:
@@ -261,7 +261,7 @@ def database_figures(path: str | Path) -> dict[str, float]:
     database = read_database(path)
     load = time.perf_counter() - start
     size = Path(path).stat().st_size
-    raw = sum(pack(entry, value).nbytes for _, entry, value in _values(database))
+    raw = sum(array.nbytes for array in _arrays(database).values())
     return {
         "database_mb": size / 1e6,
         "bytes_per_fine_vertex": size / database.fine_vertex_count,
@@ -270,18 +270,23 @@ def database_figures(path: str | Path) -> dict[str, float]:
     }
 
 
-def _values(database: WrinkleDatabase) -> list[tuple[str, Entry, Any]]:
-    """Name, entry and value of everything that goes into the file."""
-    derived = {
+def _arrays(database: WrinkleDatabase) -> dict[str, np.ndarray]:
+    """Everything that goes into the file, by name."""
+    values = {
         "format": FORMAT,
         "schema_version": SCHEMA_VERSION,
         "units": UNITS,
         "topology_hash": topology_hash(database.coarse_faces, database.subdivisions, len(database.coarse_vertices)),
+        "content_hash": "",
         "quality/names": tuple(database.quality),
-        "quality/values": list(database.quality.values()),
+        "quality/values": np.array(list(database.quality.values()), float),
     }
-    field = lambda name: attrgetter(name.replace("/", "."))(database)  # noqa: E731
-    return [(e.name, e, derived[e.name] if e.name in derived else field(e.name)) for e in ENTRIES]
+    for entry in ENTRIES:
+        if entry.name not in values:
+            values[entry.name] = attrgetter(entry.name.replace("/", "."))(database)
+    arrays = {entry.name: pack(entry, values[entry.name]) for entry in ENTRIES}
+    arrays["content_hash"] = np.array(content_hash(arrays).encode())
+    return arrays
 
 
 def _assemble(values: dict[str, Any]) -> WrinkleDatabase:
@@ -290,7 +295,7 @@ def _assemble(values: dict[str, Any]) -> WrinkleDatabase:
         group, _, leaf = name.rpartition("/")
         groups.setdefault(group, {})[leaf] = value
     root = groups[""]
-    for derived in ("format", "schema_version", "units", "topology_hash"):
+    for derived in ("format", "schema_version", "units", "topology_hash", "content_hash"):
         del root[derived]
     return WrinkleDatabase(
         **root,
@@ -307,7 +312,7 @@ def _read_arrays(file: h5py.File, path: Path) -> dict[str, np.ndarray]:
     """Everything in the file, after its kind, version, keys, types and shapes have been checked."""
     _check_kind(file, path)
     groups = {entry.name.rpartition("/")[0] for entry in ENTRIES}
-    found: dict[str, h5py.Dataset | h5py.h5a.AttrID | None] = {name: file.attrs.get_id(name) for name in file.attrs}
+    found: dict[str, Any] = {name: file.attrs.get_id(name) for name in file.attrs}
     file.visititems(lambda name, item: found.__setitem__(name, item if isinstance(item, h5py.Dataset) else None))
     known = {entry.name: entry for entry in ENTRIES}
     errors = [InputError("missing", file=path, key=name) for name in known if found.get(name) is None]

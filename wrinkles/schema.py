@@ -26,6 +26,7 @@ __all__ = [
     "Entry",
     "check_layout",
     "check_values",
+    "content_hash",
     "pack",
     "topology_hash",
     "unpack",
@@ -64,6 +65,7 @@ ENTRIES = (
     Entry("seed", WHOLE, in_header=True),
     Entry("created", TEXT, in_header=True),
     Entry("topology_hash", TEXT, in_header=True),
+    Entry("content_hash", TEXT, in_header=True),
     Entry("garment_name", TEXT),
     Entry("coarse_vertices", DOUBLE, ("n", 3), "m"),
     Entry("coarse_faces", INDEX, ("m", 3)),
@@ -122,6 +124,17 @@ def topology_hash(faces: np.ndarray, subdivisions: int, vertex_count: int) -> st
     return digest.hexdigest()
 
 
+def content_hash(arrays: Mapping[str, np.ndarray]) -> str:
+    """SHA-256 of everything else in the file."""
+    digest = hashlib.sha256()
+    for entry in ENTRIES:
+        if entry.name != "content_hash":
+            array = arrays[entry.name]
+            digest.update(f"{entry.name} {array.dtype} {array.shape} ".encode())
+            digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
 def pack(entry: Entry, value: Any) -> np.ndarray:
     """A value as the file holds it."""
     if entry.dtype == TEXT:
@@ -161,7 +174,7 @@ def check_layout(layout: Mapping[str, tuple[np.dtype, tuple[int, ...] | None]], 
             )
         empty = any(size == 0 and name not in MAY_BE_ZERO for name, size in zip(entry.shape, wanted, strict=True))
         if wanted != shape or empty:
-            letters = ", ".join(f"{s} = {sizes[s]}" for s in entry.shape if sizes.get(str(s)))
+            letters = ", ".join(f"{s} = {sizes[s]}" for s in entry.shape if isinstance(s, str) and sizes.get(s))
             errors.append(
                 InputError(
                     "wrong shape",
@@ -182,6 +195,11 @@ def check_values(arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
         raise InputError(problem, file=path, key=key, received=received, expected=expected)
 
     for name, array in arrays.items():
+        if array.dtype.kind == "S":
+            try:
+                np.char.decode(array, "utf-8")
+            except UnicodeDecodeError as error:
+                refuse("not UTF-8", name, error.object, "text")
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
             refuse("not finite", f"{name}{list(place) if place else ''}", float(array[place]), "finite numbers")
@@ -205,3 +223,6 @@ def check_values(arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
         refuse("does not belong to these faces and subdivisions", "topology_hash", stored, computed)
     if arrays["units"].item().decode() != UNITS:
         refuse("other units", "units", arrays["units"].item().decode(), repr(UNITS))
+    stored, computed = arrays["content_hash"].item().decode(), content_hash(arrays)
+    if stored != computed:
+        refuse("damaged or changed by hand", "content_hash", stored, computed)
