@@ -392,6 +392,11 @@ def touch_body(
             b = heaviest(faces[best_face], best_weights)
     f = faces[best_face]
     normal = best_weights[0] * normals[f[0]] + best_weights[1] * normals[f[1]] + best_weights[2] * normals[f[2]]
+    if best_weights.min() > 0.0:  # inside a face, its own normal knows the side, however sharp the body's edges
+        x0 = body_0[f[0]] + t * (body_1[f[0]] - body_0[f[0]])
+        x1 = body_0[f[1]] + t * (body_1[f[1]] - body_0[f[1]])
+        x2 = body_0[f[2]] + t * (body_1[f[2]] - body_0[f[2]])
+        normal = (x1 - x0).cross(x2 - x0)
     normal /= ti.max(normal.norm(), 1e-20)
     # The smooth normal decides the side; the exact direction to the surface, where there is one, is the contact's.
     offset = p - body_point(f, best_weights, t, body_0, body_1)
