@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,9 +16,8 @@ BUILTIN_GARMENTS = ("flag", "skirt", "tablecloth", "tshirt")
 _EDGE = 0.04  # of flag and tablecloth [m]
 
 
-@cache
 def builtin_garment(name: str) -> Garment:
-    """One of the built-in clothes; the same object at every call.
+    """One of the built-in clothes.
 
     `flag` is upright, 1.2 m long, its pole at x = 0, its lower edge 1 m up. `tablecloth` is level, 1.2 m square,
     0.75 m up. `skirt` and `tshirt` are worn by :func:`~assets.mannequin.builtin_mannequin` in its bind pose.

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -181,7 +182,8 @@ def _largest_part(vertices: Floats, faces: NDArray[np.int32]) -> tuple[Floats, N
 
 def write_data(folder: Path = DATA) -> None:
     """Make the data files of all that is built in."""
-    for name, arrays in (("mannequin", make_mannequin()), ("skirt", make_skirt()), ("tshirt", make_tshirt())):
+    for name, make in (("mannequin", make_mannequin), ("skirt", make_skirt), ("tshirt", make_tshirt)):
+        arrays: dict[str, Any] = make()
         with replacing(folder / f"{name}.npz") as path, open(path, "wb") as file:
             np.savez_compressed(file, **arrays)
 

@@ -33,8 +33,9 @@ _LIMBS = {
 }
 _CENTRE = {"hips": ("hips", "pelvis"), "head": ("head",)}
 _OPTIONAL = {"toe"}
-# A leg is never quite straight: the knee would snap back and forth.
-_REACH = 0.996
+# Near its full length a leg's knee moves without bounds. So the hips stay within the first share of it, and what the
+# smoothing of their height takes back is met by a leg that gives way from the second share on and ends at the third.
+_REACH, _GIVE, _STRAIGHT = 0.993, 0.98, 0.998
 
 
 @dataclass(eq=False)
@@ -268,7 +269,9 @@ class _Leg:
         a, b = self.thigh_length, self.shin_length
         length = np.linalg.norm(ankle, axis=1)
         along = ankle / length[:, None]
-        length = np.clip(length, 1.01 * abs(a - b) + 0.05 * (a + b), _REACH * (a + b))
+        excess = np.maximum(length / (a + b) - _GIVE, 0.0) / (_STRAIGHT - _GIVE)
+        length = np.where(excess > 0.0, (a + b) * (_STRAIGHT - (_STRAIGHT - _GIVE) * np.exp(-excess)), length)
+        length = np.maximum(length, abs(a - b) + 0.06 * (a + b))
         side = rot_y(turn)[:, :, 0]
         axis = _unit(side - (side * along).sum(axis=1, keepdims=True) * along)
         ahead = np.cross(along, axis)

@@ -141,7 +141,7 @@ def curves_of(figure: Figure, plan: Plan) -> Curves:
     curves = Curves(hips, walk.heading, pelvis, trunk, feet, turns, pitch, toes, arms)
     # As high as both legs allow, and higher where both feet stand on their balls.
     lift = (figure.ankle_places(curves)[:, :, 1] - feet[:, :, 1]).min(axis=0)
-    walking = 0.016 * smoothstep(smooth(plan.speed, 0.1) / 0.8)
+    walking = 0.011 * smoothstep(smooth(plan.speed, 0.1) / 0.8)
     wanted = lift - lift[0] - scale * (0.008 + walking + plan.squat)
     hips[:, 1] = smooth(_lower_envelope(np.minimum(figure.highest_hips(curves).min(axis=0), wanted), 0.05), 0.05)
     return curves
@@ -284,8 +284,8 @@ class _Walk:
                     places[side][during] = move.origin + smoothstep(3.0 * np.minimum(u, 1.0 - u))[:, None] * move.raised
                     turns[side][during] = move.turns[0]
                     continue
-                # It leaves faster than it lands; the greatest speed is 1.36 of the mean.
-                share = -1.45 * u**3 + 1.95 * u**2 + 0.5 * u
+                # It leaves faster than it lands; the greatest speed is 1.4 of the mean.
+                share = -1.6 * u**3 + 2.25 * u**2 + 0.35 * u
                 stride = np.linalg.norm(move.goal - move.origin)
                 bump = np.sin(np.pi * u**0.8) ** 2
                 # Round the other foot rather than through it.
@@ -294,7 +294,7 @@ class _Walk:
                 places[side][during] += (0.02 * self.scale * bump)[:, None] * outward
                 places[side][during, 1] += bump * (0.045 * self.scale + 0.02 * stride)
                 turns[side][during] = move.turns[0] + share * (move.turns[1] - move.turns[0])
-        return np.stack([smooth(place, 0.012) for place in places]), turns
+        return np.stack([smooth(place, 0.018) for place in places]), turns
 
     def foot_pitch(self, moves: list[list[_Move]]) -> tuple[Floats, Floats]:
         """Pitch of the feet and bend of the toes, shape (2, F): the heel strikes first and leaves first."""

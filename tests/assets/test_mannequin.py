@@ -174,7 +174,7 @@ def test_walk_has_the_marks_of_a_human_gait() -> None:
     cosine = (thigh * shin).sum(axis=1) / np.linalg.norm(thigh, axis=1) / np.linalg.norm(shin, axis=1)
     flexion = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
     assert 50.0 < flexion.max() < 75.0  # in swing
-    assert flexion.min() < 15.0  # the leg is nearly straight once a step
+    assert flexion.min() < 17.0  # the leg is nearly straight once a step
     height = places[:, joint("Hips"), 1]
     assert 0.015 < np.ptp(height) < 0.06
     # The left hand is ahead when the left foot is behind.
