@@ -56,6 +56,12 @@ def _parser() -> argparse.ArgumentParser:
     simulate = _add_command(commands, "simulate", _simulate, "simulate a scene")
     simulate.add_argument("scene", type=Path, metavar="SCENE", help="scene file (TOML)")
     simulate.add_argument("--explain", action="store_true", required=True, help="only print the resolved scene")
+
+    info = _add_command(commands, "info", _info, "what a wrinkle database holds and how good it is")
+    info.add_argument("database", type=Path, metavar="DB.h5", help="wrinkle database")
+
+    check = _add_command(commands, "check", _check, "check a wrinkle database whole")
+    check.add_argument("database", type=Path, metavar="DB.h5", help="wrinkle database")
     return parser
 
 
@@ -79,3 +85,20 @@ def _simulate(options: argparse.Namespace) -> Report:
 
     print(scene_text(load_scene(options.scene)), end="")
     return Report()
+
+
+def _info(options: argparse.Namespace) -> Report:
+    from runtime.info import info_text
+
+    text, figures = info_text(options.database)
+    print(text, end="")
+    return Report(figures)
+
+
+def _check(options: argparse.Namespace) -> Report:
+    from runtime.info import check_database
+
+    checks = check_database(options.database)
+    for check in checks:
+        print(f"{'passed' if check.passed else 'FAILED'}  {check.check}: {check.detail}")
+    return Report(rows=[check._asdict() for check in checks], passed=all(check.passed for check in checks))

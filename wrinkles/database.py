@@ -71,7 +71,7 @@ class WrinkleDatabase:
         cutoff: wavelength of the filter between coarse and fine [m].
         body_hash: of the body that the garment was trained on, see :func:`body_hash`.
         body_vertex_count: its number of vertices.
-        quality: held-out figures by name, all of them finite.
+        quality: held-out figures by name; those that are not finite (nothing to measure) are not stored.
         held_out: clips that the figures were measured on.
         trained_on: clips that the wrinkles were learned from.
         training_minutes: time that training took [min].
@@ -272,14 +272,15 @@ def database_figures(path: str | Path) -> dict[str, float]:
 
 def _arrays(database: WrinkleDatabase) -> dict[str, np.ndarray]:
     """Everything that goes into the file, by name."""
+    quality = {name: value for name, value in database.quality.items() if np.isfinite(value)}
     values = {
         "format": FORMAT,
         "schema_version": SCHEMA_VERSION,
         "units": UNITS,
         "topology_hash": topology_hash(database.coarse_faces, database.subdivisions, len(database.coarse_vertices)),
         "content_hash": "",
-        "quality/names": tuple(database.quality),
-        "quality/values": np.array(list(database.quality.values()), float),
+        "quality/names": tuple(quality),
+        "quality/values": np.array(list(quality.values()), float),
     }
     for entry in ENTRIES:
         if entry.name not in values:

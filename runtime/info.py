@@ -1,0 +1,245 @@
+"""What a wrinkle database holds, how good it is, and whether it is whole: ``gube info`` and ``gube check``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from pbd import ClothMesh, InputError, State, build_model
+from pbd.kernels import FAR
+from wrinkles.charts import Charts
+from wrinkles.database import WrinkleDatabase, code_version, database_figures, read_database
+from wrinkles.decoder import Decoder, Upsampler
+from wrinkles.features import Stencil
+from wrinkles.patches import Patches
+from wrinkles.schema import ENTRIES
+from wrinkles.surface import Subdivision
+
+__all__ = ["Check", "check_database", "info_text"]
+
+RIVALS = ("smooth", "floor", "middle_mesh", "equal_cost_fine", "truth")  # prefixes of figures that stand beside ours
+EXPLANATIONS = {
+    "normal_error_deg": "angle between our normals and the true ones on the true coarse state",
+    "normal_skill": "part of smooth's normal error that is gone: 0 as smooth, 1 perfect",
+    "normal_correlation_p50": "the same wrinkles as the truth's: 1 yes, 0 unrelated; median frame",
+    "normal_correlation_p90": "the same, in the best tenth of the frames",
+    "rmse_mm": "distance of the vertices from the true ones",
+    "rmse_skill": "part of smooth's distance that is gone",
+    "sted": "error of the edges' lengths, in space and time",
+    "worse_than_smooth_percent": "patch-frames with larger normal error than smooth",
+    "unfamiliarity_spearman": "how well unfamiliarity foretells the error: 1 in the same order",
+    "faded_percent": "patch-frames whose wrinkles fade because they are unfamiliar",
+    "bending_energy_ratio": "running freely: bending energy over the truth's, 1 is right",
+    "spectrum_band_error_max": "running freely: worst error of a band of wavelengths, as a share",
+    "spectrum_band_ratio_min": "running freely: weakest band over the truth's, 1 is right",
+    "spectrum_band_ratio_max": "running freely: strongest band over the truth's, 1 is right",
+    "low_frequency_ratio_to_floor": "running freely: large motion off the truth, over that of two true runs",
+    "free_normal_error_deg": "running freely: normals; below the floor it means nothing",
+    "contact_bending_ratio": "running freely: bending energy over the truth's where the cloth lies on the body",
+    "inside_body_percent": "vertices inside the body",
+    "deepest_mm": "how deep the deepest one is",
+    "jitter_px": "hops from frame to frame on a standard screen, 95th percentile",
+    "step_response_frames": "frames until wrinkles follow a jump of the coarse garment",
+    "reverse_gap_mm": "memory: the same pose reached from the other side",
+    "attached_off_mm": "farthest that an attached vertex was from its place",
+    "feature_shift_before": "how far the coarse garment's features lie off the training's, uncalibrated; 1 within",
+    "feature_shift_after": "the same after calibration",
+    "feature_mismatch_before": "distance between both distributions of features, uncalibrated",
+    "feature_mismatch_after": "the same after calibration",
+    "frame_ms_p50": "a whole frame, median",
+    "frame_ms_p99": "a whole frame, slowest hundredth",
+    "us_per_fine_vertex": "decoding, relaxation and normals",
+    "fine_simulation_ms": "a frame of the fine simulation",
+    "speedup_over_fine": "times faster than the fine simulation",
+}
+
+
+def info_text(path: str | Path) -> tuple[str, dict[str, float]]:
+    """What a database holds and how good it is on motion that it has not seen.
+
+    Args:
+        path: the database.
+
+    Returns:
+        Lines to print, and every figure in them (and more) by name.
+
+    Raises:
+        InputError: not a database, or a damaged one.
+    """
+    database = read_database(path)
+    figures = _figures(database) | database_figures(path) | dict(database.quality)
+    lines = [f"{path}: wrinkles of '{database.garment_name}', made {database.created} by gube {database.code_version}"]
+    if database.code_version != code_version():
+        lines.append(f"  this is gube {code_version()}: what it plays may differ from the figures below")
+    for title, rows in _sections(database, figures):
+        lines += ["", title] + [f"  {label:<18}{value}" for label, value in rows]
+    lines += ["", *_quality_lines(database)]
+    return "\n".join(lines) + "\n", figures
+
+
+def _figures(database: WrinkleDatabase) -> dict[str, float]:
+    """Single numbers of the database by the names that they have in the file, and its counts."""
+    mapping = database.mapping
+    figures: dict[str, float] = {
+        "coarse_vertex_count": len(database.coarse_vertices),
+        "coarse_face_count": len(database.coarse_faces),
+        "fine_vertex_count": database.fine_vertex_count,
+        "held_vertex_count": len(database.held),
+        "feature_count": len(mapping.center),
+        "hidden_width_1": mapping.weights_2.shape[0],
+        "hidden_width_2": mapping.weights_2.shape[1],
+        "atom_count": len(database.atoms.shapes),
+    }
+    values = dict(vars(database))
+    for group in ("fabric", "options", "solver", "atoms"):
+        values |= {f"{group}_{name}": value for name, value in vars(values[group]).items()}
+    values |= {f"solver_gravity_{axis}": g for axis, g in zip("xyz", database.solver.gravity, strict=True)}
+    return figures | {name: value for name, value in values.items() if isinstance(value, (int, float))}
+
+
+def _sections(database: WrinkleDatabase, figures: Mapping[str, float]) -> Iterator[tuple[str, list[tuple[str, str]]]]:
+    units = {entry.name: "" if entry.unit == "-" else f" {entry.unit}" for entry in ENTRIES}
+
+    def scalars(group: str) -> list[tuple[str, str]]:
+        values = vars(getattr(database, group)).items()
+        show = lambda v: " ".join(f"{x:g}" for x in v) if isinstance(v, tuple) else f"{v:.6g}"  # noqa: E731
+        return [(name.replace("_", " "), show(v) + units[f"{group}/{name}"]) for name, v in values]
+
+    coarse, fine = figures["coarse_vertex_count"], figures["fine_vertex_count"]
+    yield (
+        "Garment",
+        [
+            (
+                "coarse",
+                f"{coarse} vertices, {len(database.coarse_faces)} faces, {len(database.held)} vertices attached",
+            ),
+            ("fine", f"{fine} vertices ({database.subdivisions} subdivisions)"),
+            ("body", f"{database.body_vertex_count} vertices, hash {database.body_hash[:12]}"),
+        ],
+    )
+    yield "Fabric", scalars("fabric")
+    yield "Coarse model, calibrated", scalars("options") + [("bend factor", f"{database.bend_factor:.6g}")]
+    yield "Solver", scalars("solver") + [("frame rate", f"{database.frame_rate:g} Hz")]
+    widths = [figures[name] for name in ("feature_count", "hidden_width_1", "hidden_width_2", "atom_count")]
+    yield (
+        "Dictionary",
+        [
+            ("atoms", f"{figures['atom_count']}, holding {100.0 * database.atoms.kept:.1f} % of the wrinkles' slopes"),
+            ("network", " - ".join(map(str, widths))),
+            ("cut-off", f"{database.cutoff:.4g} m: shorter folds are the dictionary's"),
+        ],
+    )
+    yield (
+        "Training",
+        [
+            ("learned from", ", ".join(database.trained_on) or "nothing"),
+            ("judged on", ", ".join(database.held_out) or "nothing"),
+            ("took", f"{database.training_minutes:.1f} min, seed {database.seed}"),
+        ],
+    )
+    yield (
+        "File",
+        [
+            ("size", f"{figures['database_mb']:.2f} MB, {figures['bytes_per_fine_vertex']:.1f} bytes a fine vertex"),
+            ("compression", f"{figures['compression_ratio']:.2f}"),
+            ("load", f"{figures['load_s']:.3f} s"),
+        ],
+    )
+
+
+def _quality_lines(database: WrinkleDatabase) -> list[str]:
+    """Table of the held-out figures, ours beside the rivals'; the first held-out clip is the one that they tell of."""
+    table: dict[str, dict[str, float]] = {name: {} for name in EXPLANATIONS}
+    for name, value in database.quality.items():
+        column, base = _column(name)
+        table.setdefault(base, {})[column] = value
+    columns = [c for c in ("ours", *RIVALS) if any(c in row for row in table.values())]
+    if database.held_out:
+        lines = [f"How good it is on motion that it was not trained on: {database.held_out[0]}"]
+    else:
+        lines = ["How good it is on motion that it was not trained on: unknown, nothing was held out"]
+    lines.append("  " + " " * 30 + "".join(f"{column.replace('_', ' '):>16}" for column in columns))
+    for name, row in table.items():
+        if row:
+            cells = "".join(f"{row[c]:16.4g}" if c in row else " " * 15 + "-" for c in columns)
+            lines.append(f"  {name:<30}{cells}  {EXPLANATIONS.get(name, '')}".rstrip())
+    return lines
+
+
+def _column(name: str) -> tuple[str, str]:
+    """Whose figure it is, and its name without that: ("smooth", "rmse_mm") for "rmse_smooth_mm"."""
+    for rival in RIVALS:
+        if name.startswith(f"{rival}_"):
+            return rival, name.removeprefix(f"{rival}_")
+    plain = name.replace("_smooth_", "_")
+    return ("smooth", plain) if plain != name and plain in EXPLANATIONS else ("ours", name)
+
+
+class Check(NamedTuple):
+    """One thing that was checked: what, whether it passed, and what was found."""
+
+    check: str
+    passed: bool
+    detail: str
+
+
+def check_database(path: str | Path) -> list[Check]:
+    """Check a database whole: its file, its meshes and models, and that its dictionary decodes the garment at rest.
+
+    Args:
+        path: the database.
+
+    Returns:
+        One row for every check; after one that failed those that need its result are left out.
+
+    Raises:
+        InputError: not a database, or a damaged one: there is nothing to check further.
+    """
+    figures = database_figures(path)
+    database = read_database(path)
+    checks = [
+        Check("file", True, f"{figures['database_mb']:.2f} MB read in {figures['load_s']:.3f} s; hashes agree"),
+        _check_quality(database),
+    ]
+    try:
+        subdivision = Subdivision.of(database.coarse_faces, len(database.coarse_vertices), database.subdivisions)
+        coarse, fine = subdivision.meshes(database.coarse_vertices, database.warp)
+        checks.append(_check_areas(coarse, fine))
+        model = build_model(coarse, database.fabric, database.held, database.options, database.bend_factor)
+        detail = f"{model.vertex_count} vertices, {1e3 * model.mass.sum():.0f} g, {len(model.hinges)} hinges"
+        checks.append(Check("coarse model", True, detail))
+        checks.append(_check_rest(database, subdivision, coarse, State.at_rest(model)))
+    except InputError as error:
+        checks.append(Check("garment", False, str(error)))
+    return checks
+
+
+def _check_quality(database: WrinkleDatabase) -> Check:
+    error, smooth = (database.quality.get(name) for name in ("normal_error_deg", "normal_error_smooth_deg"))
+    if error is None or smooth is None:
+        return Check("held-out motion", True, "not measured")
+    return Check("held-out motion", error < smooth, f"normal error {error:.2f} deg, smooth {smooth:.2f} deg")
+
+
+def _check_areas(coarse: ClothMesh, fine: ClothMesh) -> Check:
+    ratio = float(coarse.face_areas.sum() / fine.face_areas.sum())
+    return Check("one rest metric", abs(ratio - 1.0) <= 0.005, f"coarse area over fine area {ratio:.5f}")
+
+
+def _check_rest(database: WrinkleDatabase, subdivision: Subdivision, coarse: ClothMesh, state: State) -> Check:
+    """Decode the garment at rest, far from any body: finite, and no wrinkle higher than the longest is long."""
+    charts = Charts.of(coarse)
+    patches = Patches.of(subdivision, charts)
+    decoder = Decoder(Stencil.of(charts, database.held), patches, database.mapping, database.atoms)
+    state.contact[:, 0] = FAR
+    smooth = np.zeros((subdivision.fine_count, 3), np.float32)
+    Upsampler(subdivision)(state.position, smooth)
+    vertices = smooth.copy()
+    with np.errstate(over="ignore", invalid="ignore"):  # what overflows is reported below
+        decoder.add(state.position, state.velocity, state.contact, vertices)
+        height = float(np.linalg.norm(vertices - smooth, axis=1).max())
+    detail = f"wrinkles up to {1e3 * height:.1f} mm, cut-off {1e3 * database.cutoff:.0f} mm"
+    return Check("decoding at rest", bool(height < database.cutoff), detail)
