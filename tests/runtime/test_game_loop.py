@@ -102,7 +102,7 @@ def test_pictures_between_ticks_are_made_for_the_time_of_the_frame() -> None:
     shown = []
     loop.run(0.5, show=lambda: shown.append((loop.tick_count - 1.0 + loop.alpha) * TICK))
     np.testing.assert_allclose(shown, np.arange(1, 73) / 144.0, atol=1e-9)
-    assert len(set(np.round(player.alphas, 6))) > 3
+    assert len(player.alphas) == 72 and len(set(np.round(player.alphas, 6))) > 3
 
 
 def test_a_drag_is_applied_and_let_go() -> None:
@@ -353,8 +353,8 @@ def motion() -> ClipMotion:
 
 
 def scripted_run(database: WrinkleDatabase, motion: ClipMotion, rate_hz: float, slow: bool = False) -> tuple:
-    """Two seconds with the real player by a clock that stands still while it works."""
-    seconds = 2.0
+    """The real player, by a clock that stands still while it works."""
+    seconds = 0.7
     player = Player(database, builtin_mannequin(), motion.pose(0.0))
     clock, hashes = FakeClock(), {}
     loop = GameLoop(player, ScriptedInput(player.simulation, motion, seconds), rate_hz, clock=clock, sleep=clock.sleep)
@@ -362,35 +362,34 @@ def scripted_run(database: WrinkleDatabase, motion: ClipMotion, rate_hz: float, 
     def show() -> None:
         hashes[loop.tick_count] = player.simulation.state.hash()
         if slow and loop.tick_count == 30:
-            clock.now += 3.3 * TICK
+            clock.now += 2.2 * TICK
 
     loop.run(seconds, show)
-    assert loop.tick_count == 120 and loop.dropped_time == 0.0
+    assert loop.tick_count == 42 and loop.dropped_time == 0.0
     return player, hashes
 
 
 def test_the_garment_is_the_same_at_30_and_60_hz(database: WrinkleDatabase, motion: ClipMotion) -> None:
-    """Also where frames between two ticks are decoded, and where one frame is late."""
+    """Also where pictures between two ticks are decoded, and where a frame is late."""
     at_60, hashes = scripted_run(database, motion, 60.0)
-    assert len(set(hashes.values())) == 120
+    assert len(set(hashes.values())) == 42
     at_30, hashes_30 = scripted_run(database, motion, 30.0)
-    for others in (hashes_30, scripted_run(database, motion, 60.0, slow=True)[1]):
-        assert 50 < len(others) <= 120 and others.items() <= hashes.items()
+    assert len(hashes_30) == 21 and hashes_30.items() <= hashes.items()
     np.testing.assert_array_equal(at_30.vertices, at_60.vertices)
-    _, hashes_100 = scripted_run(database, motion, 100.0)
-    assert hashes_100 == hashes
+    _, hashes_100 = scripted_run(database, motion, 100.0, slow=True)
+    assert 35 < len(hashes_100) < 42 and hashes_100.items() <= hashes.items()
 
 
 def test_the_scripted_gust_and_drag_move_the_garment(database: WrinkleDatabase, motion: ClipMotion) -> None:
     player = Player(database, builtin_mannequin(), motion.pose(0.0))
     simulation = player.simulation
-    script = ScriptedInput(simulation, motion, 2.0)
+    script = ScriptedInput(simulation, motion, 0.6)
     model, vertex = simulation.model, script.vertex
     assert model.mesh.vertices[vertex, 1] < model.mesh.vertices[:, 1].min() + 0.05
     assert model.mesh.vertices[vertex, 2] > model.mesh.vertices[:, 2].mean()
     loop = GameLoop(player, script)
     targets, gaps = {}, []
-    for tick in range(1, 121):
+    for tick in range(1, 61):
         before = simulation.state.world()[vertex]
         t = tick * TICK
         loop.advance(TICK)
@@ -406,11 +405,17 @@ def test_the_scripted_gust_and_drag_move_the_garment(database: WrinkleDatabase, 
     assert np.isfinite(player.vertices).all()
 
 
-def test_the_script_says_the_same_again(motion: ClipMotion) -> None:
-    mesh = SimpleNamespace(vertices=np.array([[0.0, 1.0, 0.0], [0.0, 0.5, 0.1], [0.0, 0.0, 0.2], [0.0, 0.0, 0.1]]))
-    model = SimpleNamespace(mesh=mesh, inverse_mass=np.array([0.0, 1.0, 1.0, 1.0]))
-    simulation: Any = SimpleNamespace(model=model, state=SimpleNamespace(world=lambda: mesh.vertices))
-    script = ScriptedInput(simulation, motion, 5.0, gust=(0.0, 0.0, 4.0), pull=0.2)
+@pytest.fixture
+def four_vertices() -> Any:
+    """A held vertex and three free ones, moved 3 m along from where they were made."""
+    rest = np.array([[0.0, 1.0, 0.0], [0.0, 0.5, 0.1], [0.0, 0.0, 0.2], [0.0, 0.0, 0.1]])
+    world = rest + [3.0, 0.0, 0.0]
+    model = SimpleNamespace(mesh=SimpleNamespace(vertices=rest), inverse_mass=np.array([0.0, 1.0, 1.0, 1.0]))
+    return SimpleNamespace(model=model, state=SimpleNamespace(world=lambda: world))
+
+
+def test_the_script_says_the_same_again(motion: ClipMotion, four_vertices: Any) -> None:
+    script = ScriptedInput(four_vertices, motion, 5.0, gust=(0.0, 0.0, 4.0), pull=0.2)
     times = np.arange(0.0, 5.0, TICK)
     first, second = [script(t) for t in times], [script(t) for t in times]
     for a, b in zip(first, second, strict=True):
@@ -418,9 +423,46 @@ def test_the_script_says_the_same_again(motion: ClipMotion) -> None:
         np.testing.assert_array_equal(a.pose, b.pose)
         if a.drag is not None and b.drag is not None:
             np.testing.assert_array_equal(a.drag[1], b.drag[1])
-    blowing = np.array([live.wind[2] for live in first])
+
+
+def test_the_scripted_gust_swells_and_ebbs_in_the_middle(motion: ClipMotion, four_vertices: Any) -> None:
+    script = ScriptedInput(four_vertices, motion, 5.0, gust=(0.0, 0.0, 4.0))
+    times = np.arange(0.0, 5.0, TICK)
+    blowing = np.array([script(t).wind[2] for t in times])
     np.testing.assert_array_equal(blowing > 0.0, (times > 2.0) & (times < 3.0))
     assert blowing.max() == pytest.approx(4.0, rel=1e-2)
-    drags = [live.drag for live in first if live.drag is not None]
-    assert len(drags) == 30 and {vertex for vertex, _ in drags} == {2}
-    np.testing.assert_allclose(drags[0][1], [0.0, 0.0, 0.2], atol=1e-12)
+    assert np.abs(np.diff(blowing)).max() < 0.3  # [m/s] a tick
+
+
+def test_the_scripted_drag_takes_a_vertex_where_it_is_and_draws_it_outwards(four_vertices: Any) -> None:
+    still: Any = SimpleNamespace(pose=lambda t: np.tile(np.eye(3, 4), (2, 1, 1)))
+    script = ScriptedInput(four_vertices, still, 5.0, pull=0.2)
+    drags = [script(t).drag for t in np.arange(0.0, 5.0, TICK)]
+    assert [drag is not None for drag in drags] == [210 <= k < 240 for k in range(300)]
+    held = [drag for drag in drags if drag is not None]
+    assert {vertex for vertex, _ in held} == {2}
+    targets = np.array([target for _, target in held])
+    np.testing.assert_allclose(targets[0], [3.0, 0.0, 0.2], atol=1e-12)
+    np.testing.assert_allclose(targets[-1], [3.0, 0.0, 0.4], atol=2e-3)
+    assert (np.diff(targets[:, 2]) > 0.0).all()
+    four_vertices.state.world()[2] = [5.0, 1.0, 1.0]  # taken again, it is taken where it is by then
+    again = script(script.drag_time[0]).drag
+    assert again is not None
+    np.testing.assert_allclose(again[1], [5.0, 1.0, 1.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("of", ["character", "sequence"])
+def test_the_scripted_drag_goes_along_with_the_body(of: str, four_vertices: Any) -> None:
+    def pose(t: float) -> np.ndarray:
+        """A body that walks at 1 m/s along Z."""
+        if of == "sequence":
+            return np.array([[0.0, 0.0, t], [0.0, 1.0, t]])
+        matrices = np.tile(np.eye(3, 4), (2, 1, 1))
+        matrices[:, 2, 3] = t
+        return matrices
+
+    walking: Any = SimpleNamespace(pose=pose)
+    script = ScriptedInput(four_vertices, walking, 5.0, pull=0.0)
+    first, last = script(3.5).drag, script(3.9).drag
+    assert first is not None and last is not None
+    np.testing.assert_allclose(last[1] - first[1], [0.0, 0.0, 0.4], atol=1e-12)
