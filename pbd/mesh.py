@@ -40,7 +40,7 @@ def hinges_of(faces: np.ndarray) -> np.ndarray:
     The edge runs i to j in the face of k; l is the corner of the other face.
 
     Raises:
-        InputError: an edge with more than two faces.
+        InputError: an edge with more than two faces, or run the same way by both.
     """
     edges, side_edge = edges_of(faces)
     order = np.argsort(side_edge.ravel(), kind="stable")
@@ -53,6 +53,12 @@ def hinges_of(faces: np.ndarray) -> np.ndarray:
     corner = faces.ravel()
     face, side = first // 3, first % 3
     i, j = corner[first], faces[face, (side + 1) % 3]
+    same = corner[second] == i
+    if np.any(same):  # also a face given twice
+        bad = np.argmax(same)
+        raise InputError(
+            "faces wound against each other", key=f"edge {i[bad]}-{j[bad]}", expected="each edge run once each way"
+        )
     k = faces[face, (side + 2) % 3]
     other = faces[second // 3, (second % 3 + 2) % 3]
     return np.stack([i, j, k, other], axis=1).astype(np.int32)
@@ -165,6 +171,7 @@ class ClothMesh:
     def from_surface(cls, vertices: np.ndarray, faces: np.ndarray, warp: tuple = (0.0, 1.0, 0.0)) -> ClothMesh:
         """The mesh in space is the rest shape; the warp is a direction in space laid into each face."""
         vertices, faces = np.asarray(vertices, float), np.asarray(faces, np.int32)
+        _check_faces(faces, len(vertices))
         return cls(vertices, faces, flatten_by_surface(vertices, faces, np.asarray(warp)))
 
     @classmethod
@@ -179,12 +186,11 @@ class ClothMesh:
         return cls(np.asarray(vertices, float), np.asarray(faces, np.int32), sides)
 
     def __post_init__(self) -> None:
+        _check_faces(self.faces, len(self.vertices))
         for name in ("vertices", "flat"):
             bad = np.flatnonzero(~np.isfinite(getattr(self, name)).reshape(len(getattr(self, name)), -1).all(axis=1))
             if bad.size:
                 raise InputError("value that is not finite", key=f"{name}[{bad[0]}]", expected="finite numbers")
-        if not len(self.faces):
-            raise InputError("empty cloth mesh", key="faces", received=0, expected="at least one face")
         area = self.face_areas
         if np.any(area <= 1e-12):
             face = int(np.argmin(area))
@@ -216,3 +222,17 @@ class ClothMesh:
         edges, side_edge = edges_of(self.faces)
         total = np.bincount(side_edge.ravel(), weights=self.side_lengths().ravel(), minlength=len(edges))
         return edges, total / np.bincount(side_edge.ravel(), minlength=len(edges))
+
+
+def _check_faces(faces: np.ndarray, vertex_count: int) -> None:
+    if not len(faces):
+        raise InputError("empty cloth mesh", key="faces", received=0, expected="at least one face")
+    outside = ((faces < 0) | (faces >= vertex_count)).any(axis=1)
+    if outside.any():
+        face = int(np.argmax(outside))
+        raise InputError(
+            "face points outside the mesh",
+            key=f"face {face}",
+            received=faces[face].tolist(),
+            expected=f"0..{vertex_count - 1}",
+        )
