@@ -1,0 +1,63 @@
+"""A small wrinkle database with random weights."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pbd import Fabric, ModelOptions, SolverOptions
+from tests.wrinkles.meshes import flat_sheet
+from wrinkles.database import WrinkleDatabase
+from wrinkles.dictionary import Atoms, Mapping
+from wrinkles.features import DYNAMIC_COUNT
+from wrinkles.patches import NODES
+
+__all__ = ["small_database"]
+
+
+def small_database(side: int = 7, atoms: int = 5, hidden: tuple[int, int] = (8, 6), **changes: Any) -> WrinkleDatabase:
+    """A sheet held along one side, with fields replaced by ``changes``."""
+    rng = np.random.default_rng(5)
+    vertices, faces = flat_sheet(side, 0.6)
+
+    def weights(*shape: int) -> np.ndarray:
+        return (0.01 * rng.standard_normal(shape)).astype(np.float32)
+
+    fields: dict[str, Any] = {
+        "garment_name": "curtain č",
+        "coarse_vertices": vertices + np.array([0.1, 1.2, -0.3]),
+        "coarse_faces": faces,
+        "subdivisions": 2,
+        "held": np.arange(side, dtype=np.int32),
+        "warp": (0.0, 0.6, 0.8),
+        "fabric": Fabric(areal_density=0.1 + 1e-9, bend_weft=2.3e-6),
+        "options": ModelOptions(squeeze=100.0, bend_scale=30.0),
+        "bend_factor": 1.0 / 3.0,
+        "solver": SolverOptions(substep=1.0 / 900.0, gravity=(0.0, -9.81, 0.1)),
+        "frame_rate": 60.0,
+        "atoms": Atoms(weights(atoms, 3 * NODES), weights(3 * NODES), weights(3 * NODES, atoms), 0.97),
+        "mapping": Mapping(
+            center=weights(DYNAMIC_COUNT),
+            scale=weights(DYNAMIC_COUNT),
+            weights_1=weights(DYNAMIC_COUNT, hidden[0]),
+            weights_2=weights(*hidden),
+            weights_3=weights(hidden[1], atoms),
+            place_bias=weights(len(vertices), hidden[0]),
+            bias_2=weights(hidden[1]),
+            bias_3=weights(atoms),
+            gain=weights(atoms),
+        ),
+        "cutoff": 0.4,
+        "body_hash": "a1" * 32,
+        "body_vertex_count": 1234,
+        "quality": {"normal_error_deg": 5.5, "normal_error_smooth_deg": 11.2, "bending_energy_ratio": 1.02},
+        "held_out": ("run", "dance"),
+        "trained_on": ("walk", "exploration 0"),
+        "training_minutes": 12.5,
+        "seed": 3,
+        "scene": '[[garment]]\nname = "curtain"\n\n',
+        "code_version": "0.1.0+0123456789ab",
+        "created": "2025-01-31",
+    }
+    return WrinkleDatabase(**(fields | changes))

@@ -1,0 +1,398 @@
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from pbd import InputError
+from tests.wrinkles.databases import small_database
+from wrinkles import database as module
+from wrinkles.database import (
+    WrinkleDatabase,
+    body_hash,
+    code_version,
+    database_figures,
+    read_database,
+    write_database,
+)
+from wrinkles.schema import ENTRIES
+from wrinkles.surface import Subdivision
+
+DERIVED = {"format", "schema_version", "units", "topology_hash", "content_hash"}
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = tmp_path / "curtain.h5"
+    write_database(path, small_database())
+    return path
+
+
+def leaves(value: Any, name: str = "") -> dict[str, Any]:
+    """Every value inside nested dataclasses by its dotted path, arrays with their type and all their bits."""
+    if is_dataclass(value):
+        parts = [leaves(getattr(value, f.name), f"{name}.{f.name}".lstrip(".")) for f in fields(value)]
+        return {key: leaf for part in parts for key, leaf in part.items()}
+    if isinstance(value, np.ndarray):
+        return {name: (value.dtype.str, value.shape, value.tobytes())}
+    return {name: (type(value), value)}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"held": np.zeros(0, np.int32), "quality": {}, "held_out": (), "trained_on": (), "scene": ""},
+        {"seed": 2**40, "scene": "x" * 200_000, "garment_name": " 裙子\n"},
+    ],
+)
+def test_what_is_written_is_read_bit_by_bit(tmp_path: Path, changes: dict[str, Any]) -> None:
+    database = small_database(**changes)
+    write_database(tmp_path / "a.h5", database)
+    assert leaves(read_database(tmp_path / "a.h5")) == leaves(database)
+
+
+def test_the_same_database_gives_the_same_file(tmp_path: Path, path: Path) -> None:
+    write_database(tmp_path / "again.h5", read_database(path))
+    assert (tmp_path / "again.h5").read_bytes() == path.read_bytes()
+
+
+def test_large_arrays_are_stored_compressed_and_every_value_has_its_unit(tmp_path: Path) -> None:
+    write_database(tmp_path / "a.h5", small_database(atoms=40))
+    with h5py.File(tmp_path / "a.h5") as file:
+        shapes = file["atoms/shapes"]
+        assert (shapes.compression, shapes.shuffle, shapes.attrs["unit"]) == ("gzip", True, b"m")
+        assert shapes.chunks is not None
+        assert file["fabric/areal_density"].attrs["unit"] == b"kg/m2"
+        assert file.attrs["units"] == b"SI: m, kg, s"
+
+
+def test_every_field_has_its_entry() -> None:
+    """A field that is added without its line in the table would be lost on the way."""
+    names = [entry.name for entry in ENTRIES]
+    assert len(set(names)) == len(names)
+    stored = {name.replace("/", ".") for name in names} - DERIVED - {"quality.names", "quality.values"}
+    assert stored == set(leaves(small_database())) - {"quality"}
+
+
+def test_figures_that_are_not_finite_are_not_stored(tmp_path: Path) -> None:
+    quality = {"rmse_mm": 3.0, "normal_skill": float("nan"), "rmse_skill": float("-inf")}
+    write_database(tmp_path / "a.h5", small_database(quality=quality))
+    assert read_database(tmp_path / "a.h5").quality == {"rmse_mm": 3.0}
+
+
+def put(name: str, value: Any) -> Callable[[h5py.File], None]:
+    """Replace a data set, its unit kept, or a header value."""
+
+    def change(file: h5py.File) -> None:
+        if name in file.attrs:
+            file.attrs[name] = value
+        else:
+            unit = file[name].attrs["unit"]
+            del file[name]
+            file.create_dataset(name, data=value).attrs["unit"] = unit
+
+    return change
+
+
+def edit(name: str, place: Any, value: Any) -> Callable[[h5py.File], None]:
+    return lambda file: file[name].__setitem__(place, value)
+
+
+def delete(name: str) -> Callable[[h5py.File], None]:
+    return lambda file: file.attrs.__delitem__(name) if name in file.attrs else file.__delitem__(name)
+
+
+def link(name: str) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        del file[name]
+        file[name] = h5py.ExternalLink("/etc/passwd", "/")
+
+    return change
+
+
+REFUSED: dict[str, tuple[Callable[[h5py.File], Any], str, str]] = {
+    "another format": (put("format", np.bytes_("notes")), "format: not a wrinkle database", "received 'notes'"),
+    "no format": (delete("format"), "format: not a wrinkle database", "'gube wrinkle database'"),
+    "newer": (put("schema_version", np.int64(2)), "newer version", "received 2, expected 1"),
+    "older": (put("schema_version", np.int64(0)), "no longer read", "received 0, expected 1"),
+    "version in words": (put("schema_version", np.bytes_("one")), "no longer read", "received 'one', expected 1"),
+    "missing array": (delete("mapping/gain"), "mapping/gain", "missing"),
+    "missing group": (delete("fabric"), "fabric/shear", "10 problems"),
+    "missing header": (delete("seed"), "seed", "missing"),
+    "unknown array": (lambda f: f.create_dataset("atoms/extra", data=1.0), "atoms/extra", "unknown key"),
+    "unknown group": (lambda f: f.create_group("later"), "later", "unknown key"),
+    "unknown header": (lambda f: f.attrs.__setitem__("author", 1), "author", "unknown key"),
+    "linked elsewhere": (link("scene"), "scene", "missing"),
+    "array for a group": (
+        lambda f: (f.__delitem__("options"), f.create_dataset("options", data=1.0)),
+        "options/squeeze",
+        "missing",
+    ),
+    "single for double": (
+        lambda f: put("coarse_vertices", f["coarse_vertices"][()].astype(np.float32))(f),
+        "coarse_vertices: wrong type",
+        "received 'float32', expected float64",
+    ),
+    "number for text": (put("scene", 1.0), "scene: wrong type", "expected text"),
+    "text of any length": (put("garment_name", "curtain"), "garment_name: wrong type", "received 'object'"),
+    "header of another type": (put("seed", 3.0), "seed: wrong type", "received 'float64', expected int64"),
+    "scalar for array": (put("warp", 1.0), "warp: wrong shape", "received (), expected (3)"),
+    "nothing": (put("cutoff", h5py.Empty("f8")), "cutoff: wrong shape", "expected ()"),
+    "two columns": (put("coarse_faces", np.zeros((72, 2), np.int32)), "coarse_faces: wrong shape", "received (72, 2)"),
+    "no vertices": (put("coarse_vertices", np.zeros((0, 3))), "coarse_vertices: wrong shape", "received (0, 3)"),
+    "too many vertices": (
+        put("coarse_vertices", np.zeros((50, 3))),
+        "mapping/place_bias: wrong shape",
+        "received (49, 8), expected (n, h1) with n = 50",
+    ),
+    "too few atoms": (
+        put("mapping/bias_3", np.zeros(4, np.float32)),
+        "mapping/bias_3: wrong shape",
+        "received (4,), expected (K) with K = 5",
+    ),
+    "other layer": (put("mapping/weights_2", np.zeros((8, 9), np.float32)), "mapping/weights_3", "h2 = 9"),
+    "other features": (put("mapping/center", np.zeros(9, np.float32)), "mapping/center: wrong shape", "received (9,)"),
+    "figure without value": (put("quality/values", np.ones(2)), "quality/values", "with q = 3"),
+    "not a number": (edit("mapping/weights_1", (3, 2), np.nan), "mapping/weights_1[3, 2]: not finite", "nan"),
+    "infinite": (edit("coarse_vertices", (0, 1), np.inf), "coarse_vertices[0, 1]: not finite", "received inf"),
+    "NaN alone": (edit("cutoff", (), np.nan), "cutoff: not finite", "expected finite numbers"),
+    "frame rate": (edit("frame_rate", (), 0.0), "frame_rate: out of range", "received 0.0, expected above 0"),
+    "subdivisions": (edit("subdivisions", (), 9), "subdivisions: out of range", "received 9, expected 1 to 4"),
+    "warp": (edit("warp", slice(None), 0.0), "warp: no direction", "not zero"),
+    "no such vertex": (edit("coarse_faces", (0, 0), 49), "coarse_faces: a vertex", "received 49, expected 0 to 48"),
+    "negative vertex": (edit("held", 0, -1), "held: a vertex", "received -1, expected 0 to 48"),
+    "held twice": (edit("held", 1, 0), "held: not in ascending order", "expected each held vertex once"),
+    "bad fabric": (edit("fabric/areal_density", (), -1.0), "content_hash", "damaged or changed by hand"),
+    "turned face": (edit("coarse_faces", 0, (1, 0, 7)), "topology_hash: does not belong", "received '"),
+    "other topology": (put("topology_hash", np.bytes_("f" * 64)), "topology_hash: does not belong", "'ffff"),
+    "other units": (put("units", np.bytes_("inches")), "units: other units", "received 'inches'"),
+    "other unit": (
+        lambda f: f["cutoff"].attrs.__setitem__("unit", np.bytes_("mm")),
+        "cutoff: wrong unit",
+        "received 'mm', expected 'm'",
+    ),
+    "one bit": (edit("atoms/mean", 0, 0.125), "content_hash: damaged or changed by hand", "received '"),
+    "prettier figure": (edit("quality/values", 0, 1.0), "content_hash: damaged or changed by hand", "expected "),
+    "other bytes": (put("garment_name", np.bytes_(b"\xff\xfe")), "garment_name: not UTF-8", "expected text"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_is_not_understood_is_refused(path: Path, case: str) -> None:
+    change, place, detail = REFUSED[case]
+    with h5py.File(path, "r+") as file:
+        change(file)
+    with pytest.raises(InputError) as caught:
+        read_database(path)
+    assert str(path) in str(caught.value)
+    assert place in str(caught.value)
+    assert detail in str(caught.value)
+
+
+def test_values_that_a_fabric_refuses_name_the_file(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A writer with a bug could hash them correctly."""
+    monkeypatch.setattr(module, "check_values", lambda arrays, path: None)
+    with h5py.File(path, "r+") as file:
+        file["fabric/areal_density"][()] = -1.0
+    with pytest.raises(InputError, match="areal_density.*received -1.0") as caught:
+        read_database(path)
+    assert caught.value.file == path
+
+
+def test_files_that_are_no_database_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "text.h5").write_text("coarse_vertices: many")
+    (tmp_path / "empty.h5").touch()
+    (tmp_path / "folder.h5").mkdir()
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["x"] = 1.0
+    for name in ("text", "empty", "folder", "other", "absent"):
+        with pytest.raises(InputError, match=rf"{name}\.h5: ") as caught:
+            read_database(tmp_path / f"{name}.h5")
+        assert caught.value.expected is not None
+
+
+def test_a_truncated_file_is_refused(path: Path) -> None:
+    whole = path.read_bytes()
+    for size in np.linspace(0, len(whole) - 1, 40).astype(int):
+        path.write_bytes(whole[:size])
+        with pytest.raises(InputError, match="truncated"):
+            read_database(path)
+
+
+def test_a_flipped_bit_is_refused_or_does_not_matter(path: Path) -> None:
+    whole, truth = path.read_bytes(), leaves(read_database(path))
+    rng = np.random.default_rng(0)
+    refused = 0
+    for place, bit in zip(rng.integers(len(whole), size=80), rng.integers(8, size=80), strict=True):
+        damaged = bytearray(whole)
+        damaged[place] ^= 1 << bit
+        path.write_bytes(bytes(damaged))
+        try:
+            assert leaves(read_database(path)) == truth
+        except InputError:
+            refused += 1
+    assert refused > 20
+
+
+@pytest.mark.parametrize(
+    ("changes", "place"),
+    [
+        ({"bend_factor": float("nan")}, "bend_factor: not finite"),
+        ({"held": np.array([3, 1], np.int32)}, "held: not in ascending order"),
+        ({"held": np.array([0.5, 1.0])}, "held: wrong type"),
+        ({"coarse_vertices": np.zeros((50, 3))}, "mapping/place_bias: wrong shape"),
+        ({"warp": (0.0, 1.0)}, "warp: wrong shape"),
+        ({"subdivisions": 0}, "subdivisions: out of range"),
+    ],
+)
+def test_what_could_not_be_read_is_not_written(path: Path, changes: dict[str, Any], place: str) -> None:
+    before = path.read_bytes()
+    with pytest.raises(InputError, match=place):
+        write_database(path, small_database(**changes))
+    assert path.read_bytes() == before
+    assert list(path.parent.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("after", [0, 1, 20, 40])
+def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(
+    path: Path, monkeypatch: pytest.MonkeyPatch, after: int
+) -> None:
+    before, count, create = path.read_bytes(), 0, h5py.File.create_dataset
+
+    def fail_later(self: h5py.File, *args: Any, **options: Any) -> Any:
+        nonlocal count
+        count += 1
+        if count > after:
+            raise OSError("No space left on device")
+        return create(self, *args, **options)
+
+    monkeypatch.setattr(h5py.File, "create_dataset", fail_later)
+    for target in (path, path.with_name("new.h5")):
+        count = 0
+        with pytest.raises(OSError, match="No space left"):
+            write_database(target, small_database(seed=99))
+    assert path.read_bytes() == before
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_reading_takes_less_than_a_fifth_of_a_second(tmp_path: Path) -> None:
+    write_database(tmp_path / "a.h5", small_database(side=40, atoms=128, hidden=(96, 64)))
+    times = []
+    for _ in range(3):
+        start = time.perf_counter()
+        read_database(tmp_path / "a.h5")
+        times.append(time.perf_counter() - start)
+    assert min(times) < 0.2
+
+
+@pytest.mark.parametrize("subdivisions", [1, 2, 3])
+def test_fine_vertices_are_counted_without_refining(subdivisions: int) -> None:
+    database = small_database(subdivisions=subdivisions)
+    refined = Subdivision.of(database.coarse_faces, len(database.coarse_vertices), subdivisions)
+    assert database.fine_vertex_count == refined.fine_count
+
+
+def test_the_figures_are_those_of_the_file(path: Path) -> None:
+    figures = database_figures(path)
+    size = path.stat().st_size
+    assert list(figures) == ["database_mb", "bytes_per_fine_vertex", "compression_ratio", "load_s"]
+    assert figures["database_mb"] == size / 1e6
+    assert figures["bytes_per_fine_vertex"] == pytest.approx(size / 625)  # 25 by 25
+    with h5py.File(path) as file:
+        stored: list[int] = []
+        file.visititems(lambda _, item: stored.append(item.nbytes) if isinstance(item, h5py.Dataset) else None)
+    assert figures["compression_ratio"] * size == pytest.approx(sum(stored), rel=0.02)  # the header's values are small
+    assert 0 < figures["load_s"] < 1
+
+
+def test_another_garment_is_refused() -> None:
+    database = small_database()
+    vertices, faces = database.coarse_vertices, database.coarse_faces
+    database.require_garment(vertices + 0.005, faces)
+    turned = faces.copy()
+    turned[3] = np.roll(turned[3], 1)
+    for other in ((vertices[:-1], faces), (vertices, faces[:-1]), (vertices, turned), (1.3 * vertices, faces)):
+        with pytest.raises(InputError, match="a database of another garment.*'curtain č'"):
+            database.require_garment(*other)
+
+
+def character(**changes: Any) -> Any:
+    """What a body's hash reads of a character."""
+    rng = np.random.default_rng(2)
+    parts = {
+        "name": "someone",
+        "vertices": rng.normal(size=(30, 3)),
+        "faces": rng.integers(30, size=(40, 3)).astype(np.int32),
+        "joint_names": ("hips", "knee"),
+        "joint_indices": rng.integers(2, size=(30, 4)).astype(np.int32),
+        "joint_weights": rng.dirichlet(np.ones(4), 30).astype(np.float32),
+    }
+    return SimpleNamespace(**(parts | changes))
+
+
+def test_another_body_is_refused_and_rounding_makes_no_other() -> None:
+    mine = character()
+    database = replace(small_database(), body_hash=body_hash(mine), body_vertex_count=30)
+    database.require_body(mine)
+    database.require_body(character(name="the same", vertices=mine.vertices * (1 + 1e-15)))
+    moved, heavier = mine.vertices.copy(), mine.joint_weights.copy()
+    moved[7, 1] += 1e-3
+    heavier[7] = heavier[7, ::-1]
+    others: list[dict[str, Any]] = [
+        {"vertices": moved},
+        {"faces": mine.faces[::-1]},
+        {"joint_names": ("hips", "elbow")},
+        {"joint_indices": 1 - mine.joint_indices},
+        {"joint_weights": heavier},
+    ]
+    for change in others:
+        with pytest.raises(InputError, match="someone: a database of another character"):
+            database.require_body(character(**change))
+
+
+def test_positions_of_a_file_do_not_lie_between_two_steps_of_the_hash() -> None:
+    """Decimal and binary fractions, a rounding error up or down."""
+    grids = np.concatenate([np.arange(30000) / 10.0**5, np.arange(30000) / 2.0**17]).reshape(-1, 3)
+    one = character(vertices=grids)
+    for error in (-1e-14, 1e-14):
+        assert body_hash(character(vertices=grids + error)) == body_hash(one)
+
+
+def test_a_sequence_is_known_by_its_first_frame() -> None:
+    frames = np.random.default_rng(1).normal(size=(4, 12, 3)).astype(np.float32)
+    faces = np.arange(12, dtype=np.int32).reshape(-1, 3)
+    sequence = SimpleNamespace(name="run", vertices=frames, faces=faces, dt=0.1)
+    posed = SimpleNamespace(vertices=frames[0].astype(np.float64), faces=faces)
+    assert body_hash(sequence) == body_hash(posed)
+    other = SimpleNamespace(name="run", vertices=frames[1:], faces=faces, dt=0.1)
+    database = replace(small_database(), body_hash=body_hash(sequence))
+    with pytest.raises(InputError, match="received '12 vertices"):
+        database.require_body(other)
+
+
+def test_the_code_version_follows_the_source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for folder in ("pbd", "wrinkles"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "a.py").write_text("x = 1\n")
+    monkeypatch.setattr(module.pbd, "__file__", str(tmp_path / "pbd" / "__init__.py"))
+    monkeypatch.setattr(module, "__file__", str(tmp_path / "wrinkles" / "database.py"))
+    versions = []
+    for text in ("x = 1\n", "x = 2\n", "x = 1\n"):
+        (tmp_path / "pbd" / "a.py").write_text(text)
+        versions.append(code_version.__wrapped__())
+    assert versions[0] == versions[2] != versions[1]
+    assert "+" in versions[0]
+
+
+def test_a_database_does_not_change() -> None:
+    with pytest.raises(AttributeError):
+        small_database().seed = 4  # type: ignore[misc]
+    assert isinstance(small_database(), WrinkleDatabase)
