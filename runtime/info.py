@@ -161,10 +161,10 @@ def _quality_lines(database: WrinkleDatabase) -> list[str]:
         lines = [f"How good it is on motion that it was not trained on: {database.held_out[0]}"]
     else:
         lines = ["How good it is on motion that it was not trained on: unknown, nothing was held out"]
-    lines.append("  " + " " * 30 + "".join(f"{column.replace('_', ' '):>16}" for column in columns))
+    lines.append("  " + " " * 30 + "".join(f"{column.replace('_', ' '):>17}" for column in columns))
     for name, row in table.items():
         if row:
-            cells = "".join(f"{row[c]:16.4g}" if c in row else " " * 15 + "-" for c in columns)
+            cells = "".join(f"{row[c]:17.4g}" if c in row else " " * 16 + "-" for c in columns)
             lines.append(f"  {name:<30}{cells}  {EXPLANATIONS.get(name, '')}".rstrip())
     return lines
 
