@@ -15,9 +15,11 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from assets.garment import boundary_loops
-from assets.implicit import edges_of_polygons, even_mesh, field_gradient, loft, smooth_min, surface_mesh, tapered_tube
+from assets.implicit import field_gradient, loft, smooth_min, surface_mesh, tapered_tube
 from assets.mannequin import DATA, JOINTS
 from assets.mannequin_shape import body_field, make_mannequin
+from assets.remesh import even_mesh
+from pbd.mesh import edges_of
 from pbd.storage import replacing
 
 __all__ = ["make_skirt", "make_tshirt", "tshirt_field", "write_data"]
@@ -172,7 +174,7 @@ def make_tshirt() -> dict[str, NDArray]:
 
 
 def _largest_part(vertices: Floats, faces: NDArray[np.int32]) -> tuple[Floats, NDArray[np.int32]]:
-    edges = edges_of_polygons(faces)
+    edges = edges_of(faces)[0]
     links = sparse.csr_matrix((np.ones(len(edges)), tuple(edges.T)), shape=(len(vertices), len(vertices)))
     _, part = csgraph.connected_components(links, directed=False)
     faces = faces[part[faces[:, 0]] == np.bincount(part).argmax()]

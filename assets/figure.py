@@ -6,33 +6,19 @@ left, Y up, Z ahead. So it does not matter how the axes of a file's joints are t
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from assets.character import Character, Clip
+from assets.roles import find_roles, upwards
 from assets.transform import decompose, local_matrices, quaternions, slerp
-from pbd.errors import InputError
 
 __all__ = ["Curves", "Figure", "rot_x", "rot_y", "rot_z", "smoothstep"]
 
 Floats = NDArray[np.float64]
 
-# What the joints of a limb are called, without side and punctuation.
-_LIMBS = {
-    "upleg": ("upleg", "thigh", "upperleg"),
-    "leg": ("leg", "calf", "shin", "lowerleg"),
-    "foot": ("foot", "ankle"),
-    "toe": ("toebase", "toe", "toes", "ball"),
-    "arm": ("arm", "upperarm"),
-    "forearm": ("forearm", "lowerarm"),
-    "hand": ("hand", "wrist"),
-}
-_CENTRE = {"hips": ("hips", "pelvis"), "head": ("head",)}
-_OPTIONAL = {"toe"}
 # Near its full length a leg's knee moves without bounds. So the hips stay within the first share of it, and what the
 # smoothing of their height takes back is met by a leg that gives way from the second share on and ends at the third.
 _REACH, _GIVE, _STRAIGHT = 0.993, 0.98, 0.998
@@ -80,7 +66,7 @@ class Figure:
 
     def __init__(self, character: Character) -> None:
         self.character = character
-        self._roles = _find_roles(character)
+        self._roles = find_roles(character)
         transforms = character.joint_transforms(*character.rest_local)
         _, rotation, _ = decompose(transforms, f"character {character.name}")
         self._bind_rotation = local_matrices(np.zeros(3), rotation, np.ones(3))[:, :3, :3]
@@ -149,7 +135,7 @@ class Figure:
         places = places @ self._frame.T + self._origin
         world = turns @ self._bind_rotation
         linear = turns @ self._bind_linear
-        carried = list(_upwards(character, self._roles["hips"]))
+        carried = list(upwards(character, self._roles["hips"]))
         for joint, parent in enumerate(character.joint_parents):
             above = top_rotation if parent < 0 else world[:, parent]
             rotation[:, joint] = quaternions(np.swapaxes(above, -1, -2) @ world[:, joint])
@@ -173,7 +159,7 @@ class Figure:
         uplegs = {roles["upleg", side]: side for side in (0, 1)}
         # What stands above the hips goes along on the floor.
         ground = curves.hips * [1.0, 0.0, 1.0]
-        for joint in list(_upwards(self.character, roles["hips"]))[1:]:
+        for joint in list(upwards(self.character, roles["hips"]))[1:]:
             turns[:, joint] = rot_y(curves.heading)
             places[:, joint] = turns[:, joint] @ bind[joint] + ground
         for joint, parent in enumerate(parents):
@@ -244,7 +230,7 @@ class Figure:
         return np.array(heels), np.array(balls)
 
     def _under(self, joint: int, ancestor: int) -> bool:
-        return ancestor in _upwards(self.character, joint)
+        return ancestor in upwards(self.character, joint)
 
 
 class _Leg:
@@ -337,69 +323,3 @@ def _shortest(start: Floats, end: Floats) -> Floats:
     skew[..., 0, 1], skew[..., 0, 2], skew[..., 1, 2] = -cross[..., 2], cross[..., 1], -cross[..., 0]
     skew = skew - np.swapaxes(skew, -1, -2)
     return np.eye(3) + skew + skew @ skew / np.maximum(1.0 + cosine, 1e-3)[..., None, None]
-
-
-def _upwards(character: Character, joint: int) -> Iterator[int]:
-    """The joint, its parent, and so on to the root."""
-    while joint >= 0:
-        yield joint
-        joint = int(character.joint_parents[joint])
-
-
-def _side_and_part(name: str) -> tuple[int | None, str]:
-    """Side (0 left, 1 right, None) and the rest of a joint's name in small letters without punctuation."""
-    name = re.sub(r"^(.*:|DEF-|ORG-|Bip\d+[ _])", "", name)
-    side = None
-    patterns = (
-        r"^(left|right)(.*)$",
-        r"^([lr])[ _.\-](.*)$",
-        r"^(?-i:([LR])(?=[A-Z])(.*))$",
-        r"^(.*?)[ _.\-](left|right|l|r)$",
-    )
-    for k, pattern in enumerate(patterns):
-        match = re.match(pattern, name, re.IGNORECASE)
-        if match:
-            word, name = match.groups() if k < 3 else match.groups()[::-1]
-            side = 0 if word.lower().startswith("l") else 1
-            break
-    return side, re.sub(r"[^a-z]", "", name.lower())
-
-
-def _find_roles(character: Character) -> dict:
-    """Joint of every role: (part, side) for limbs, "hips", "head", and lists for "spine" and "neck"."""
-    roles: dict = {}
-    for joint, name in enumerate(character.joint_names):
-        side, part = _side_and_part(name)
-        table = _CENTRE if side is None else _LIMBS
-        for role, names in table.items():
-            if part in names:
-                roles.setdefault(role if side is None else (role, side), joint)
-    wanted = [*_CENTRE, *((role, side) for role in _LIMBS for side in (0, 1) if role not in _OPTIONAL)]
-    missing = [
-        role if isinstance(role, str) else f"{('left', 'right')[role[1]]} {role[0]}"
-        for role in wanted
-        if role not in roles
-    ]
-    key = f"character {character.name}"
-    if missing:
-        raise InputError(
-            f"no joint is named as {', '.join(missing)}",
-            key=key,
-            received=list(character.joint_names),
-            expected="usual names, such as Hips, LeftUpLeg, LeftLeg, LeftArm, or pelvis, thigh_l, calf_l, upperarm_l",
-        )
-    above_arms = set(_upwards(character, roles["arm", 1]))
-    chest = next((joint for joint in _upwards(character, roles["arm", 0]) if joint in above_arms), -1)
-    below_hips = lambda joint: roles["hips"] in _upwards(character, joint)  # noqa: E731
-    roles["spine"] = [joint for joint in _upwards(character, chest) if joint != roles["hips"] and below_hips(joint)][
-        ::-1
-    ]
-    roles["neck"] = [joint for joint in _upwards(character, roles["head"]) if joint != roles["head"]]
-    roles["neck"] = roles["neck"][: roles["neck"].index(chest) if chest in roles["neck"] else 0][::-1]
-    chains = [("leg", "upleg"), ("foot", "leg"), ("forearm", "arm"), ("hand", "forearm")]
-    loose = [f"{a} below {b}" for a, b in chains for s in (0, 1) if roles[b, s] not in _upwards(character, roles[a, s])]
-    if loose or not roles["spine"] or not all(below_hips(roles["upleg", side]) for side in (0, 1)):
-        raise InputError(
-            "a tree of joints that is no figure", key=key, expected=", ".join(loose) or "trunk and legs below the hips"
-        )
-    return roles

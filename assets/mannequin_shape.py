@@ -11,9 +11,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from assets.implicit import (
-    edges_of_polygons,
     ellipsoid,
-    even_mesh,
     loft,
     smooth_max,
     smooth_min,
@@ -21,6 +19,8 @@ from assets.implicit import (
     tapered_tube,
 )
 from assets.mannequin import JOINTS
+from assets.remesh import even_mesh
+from pbd.mesh import edges_of
 
 __all__ = ["body_field", "make_mannequin", "skin_weights", "strongest"]
 
@@ -124,7 +124,7 @@ def skin_weights(vertices: Floats, faces: NDArray[np.int32]) -> Floats:
             closer = distance < nearest
             nearest[closer], width[closer] = distance[closer], radius
             owner[closer] = names.index(name.replace("Left", side))
-    edges = edges_of_polygons(faces)
+    edges = edges_of(faces)[0]
     both = np.concatenate([edges, edges[:, ::-1]])
     length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1).mean()
     n = len(vertices)
