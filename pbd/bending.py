@@ -62,19 +62,21 @@ def hinge_rows(
     return hinges, rows, areas, np.arctan2(direction[:, 1], direction[:, 0])
 
 
+DIRECTIONS = np.arange(8) * np.pi / 8
 LENGTH, WIDTH = 0.85, 0.5  # half length and half width of a test strip, as parts of its patch's reach
 
 
-def hinge_calibration(mesh: ClothMesh, patches: int = 12, rings: int = 8) -> float:
+def hinge_calibration(mesh: ClothMesh, patches: int = 6, rings: tuple[int, ...] = (10, 8, 6)) -> float:
     """The factor c of the hinge energy that makes strips cut from this mesh bend with the stiffness asked for.
 
     Patches of the mesh are laid flat by their tangent plane, cut to strips and bent by pure moments (small deflection:
-    a linear solve). The mean over patches and four directions is inverted. Meshes too small or too curved for a whole patch keep 1/3.
+    a linear solve). The mean over patches and eight directions is inverted. Meshes too small or too curved for a whole
+    patch keep 1/3.
 
     Args:
         mesh: the cloth.
         patches: number of patches, spread over the mesh.
-        rings: size of a patch in rings of edges.
+        rings: sizes of a patch in rings of edges; the first one of which patches fit on the mesh is taken.
 
     Returns:
         c [-].
@@ -84,18 +86,22 @@ def hinge_calibration(mesh: ClothMesh, patches: int = 12, rings: int = 8) -> flo
     edges, side_edge = edges_of(mesh.faces)
     rim = edges[np.bincount(side_edge.ravel(), minlength=len(edges)) == 1].ravel()
     on_rim = np.isin(np.arange(len(mesh.vertices)), rim)
-    stiffness: list[float] = []
-    for centre in rng.permutation(len(mesh.vertices)):
-        if len(stiffness) >= 4 * patches:
-            break
-        disc = _disc(int(centre), offsets, ring, rings)
-        if on_rim[disc].any():  # a patch cut short by the border would measure the border
-            continue
-        patch = _flat_patch(mesh, disc, int(centre))
-        if patch is not None:
-            stiffness.extend(_strip_stiffness(*patch, angle) for angle in np.arange(4) * np.pi / 4)
-    good = [value for value in stiffness if np.isfinite(value) and value > 0]
-    return 1.0 / float(np.mean(good)) if good else 1.0 / 3.0
+    centres = rng.permutation(len(mesh.vertices))
+    for size in rings:
+        stiffness: list[float] = []
+        for centre in centres:
+            if len(stiffness) >= len(DIRECTIONS) * patches:
+                break
+            disc = _disc(int(centre), offsets, ring, size)
+            if on_rim[disc].any():  # a patch cut short by the border would measure the border
+                continue
+            patch = _flat_patch(mesh, disc, int(centre))
+            if patch is not None:
+                stiffness.extend(_strip_stiffness(*patch, angle) for angle in DIRECTIONS)
+        good = [value for value in stiffness if np.isfinite(value) and value > 0]
+        if good:
+            return 1.0 / float(np.mean(good))
+    return 1.0 / 3.0
 
 
 def _disc(centre: int, offsets: np.ndarray, ring: np.ndarray, rings: int) -> np.ndarray:

@@ -51,7 +51,12 @@ def ensure_initialized(arch: str = "cpu", threads: int | None = None) -> None:
                 received={"arch": arch, "threads": threads},
                 expected=f"{_settings}, or a fresh process",
             )
-        count = threads or int(os.environ.get("GUBE_THREADS", "0")) or os.cpu_count() or 1
+        wish = os.environ.get("GUBE_THREADS", "0")
+        if not wish.isdecimal():
+            raise InputError(
+                "bad thread count", key="GUBE_THREADS", received=wish, expected="a whole number, at least 0"
+            )
+        count = threads or int(wish) or os.cpu_count() or 1
         ti.init(
             arch=ti.cpu if arch == "cpu" else ti.cuda,
             cpu_max_num_threads=count,

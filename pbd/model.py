@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import zipfile
+import zlib
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -274,7 +276,14 @@ class State:
             InputError: no such file, or not a state.
         """
         try:
-            with np.load(path, allow_pickle=False) as data:
-                return cls(*(data[name] for name in cls._names))
-        except (OSError, ValueError, KeyError) as error:
+            with open(path, "rb") as file, np.lib.npyio.NpzFile(file, allow_pickle=False) as data:
+                state = cls(*(data[name] for name in cls._names))
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             raise InputError(f"not a saved state: {error}", file=path, expected="a file of State.save") from error
+        received = [(array.dtype.name, array.shape) for array in (getattr(state, name) for name in cls._names)]
+        count, samples = len(state.position), len(state.nearest)
+        shapes = ((3,), (count, 4), (count, 3), (samples,), (count, 4))
+        expected = list(zip(("float64", "float32", "float32", "int32", "float32"), shapes, strict=True))
+        if received != expected:
+            raise InputError("not a saved state", file=path, received=received, expected=str(expected))
+        return state

@@ -16,7 +16,7 @@ def grid(along: int, across: int, step: float, kind: str = "alternating") -> tup
     Args:
         along, across: edges along x and y.
         step: length of an edge along y [m].
-        kind: "diagonal" (one diagonal throughout), "alternating" or "equilateral" (rows along x step by step sqrt(3)/2).
+        kind: "diagonal" (one diagonal throughout), "alternating", or "equilateral" (steps along x times sqrt(3)/2).
     """
     x, y = np.meshgrid(np.arange(along + 1.0), np.arange(across + 1.0), indexing="ij")
     if kind == "equilateral":
@@ -63,7 +63,7 @@ def run(
     keep: float = 1.0,
     rate: float = 60.0,
 ) -> None:
-    """Advance a state by frames of 1/rate s; ``keep`` is the part of the velocity kept after each (below 1: to settle)."""
+    """Advance a state by frames of 1/rate s; ``keep``: part of the velocity kept after each, below 1 to settle."""
     colliders = colliders or Colliders()
     solver = Solver(model, SolverOptions(substep=1.0 / (rate * substeps), gravity=(0.0, -gravity, 0.0)))
     for _ in range(frames):

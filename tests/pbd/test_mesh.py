@@ -141,7 +141,7 @@ def test_what_is_no_cloth_is_refused() -> None:
     with pytest.raises(InputError, match="vertex 9.*in no face"):
         build_model(cloth(np.concatenate([vertices, [[1.0, 1.0, 1.0]]]), faces), Fabric())
     with pytest.raises(InputError, match="held vertex outside"):
-        build_model(cloth(vertices, faces), Fabric(), held=[0, 9])
+        build_model(cloth(vertices, faces), Fabric(), held=np.array([0, 9]))
 
 
 def test_a_face_without_area_is_named() -> None:

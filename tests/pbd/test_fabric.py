@@ -1,0 +1,62 @@
+"""Fabrics: elasticity, and every bad value refused."""
+
+import math
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pbd import Fabric, InputError
+
+stiffness = st.floats(1e-2, 1e5)
+MAY_BE_ZERO = ("poisson", "friction", "air_drag", "bend_warp", "bend_weft")
+
+
+@given(stiffness, stiffness, stiffness, st.floats(0.0, 0.99))
+def test_elasticity_is_symmetric_and_positive_definite(warp: float, weft: float, shear: float, share: float) -> None:
+    poisson = share * math.sqrt(warp / weft)
+    matrix = Fabric(stretch_warp=warp, stretch_weft=weft, shear=shear, poisson=poisson).membrane_stiffness()
+    assert np.array_equal(matrix, matrix.T)
+    assert np.linalg.eigvalsh(matrix).min() > 0
+    # Tension along the warp alone: strain 1/E1 along it, -nu12/E1 across; the other way with nu21 = nu12 E2/E1.
+    compliance = np.linalg.inv(matrix)
+    assert compliance[0, 0] == pytest.approx(1 / warp) and compliance[1, 1] == pytest.approx(1 / weft)
+    assert compliance[1, 0] == pytest.approx(-poisson / warp, abs=1e-12 / warp)
+    assert compliance[2, 2] == pytest.approx(1 / shear)
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(Fabric)])
+@pytest.mark.parametrize("value", [-1e-9, math.nan, math.inf, "2", None, True, 1j])
+def test_a_bad_value_is_refused(name: str, value: Any) -> None:
+    with pytest.raises(InputError, match=f"fabric.{name}"):
+        Fabric(**{name: value})
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(Fabric)])
+def test_zero_is_refused_where_nothing_would_be_left(name: str) -> None:
+    if name in MAY_BE_ZERO:
+        Fabric(**{name: 0.0})
+    else:
+        with pytest.raises(InputError, match=f"fabric.{name}"):
+            Fabric(**{name: 0.0})
+
+
+def test_all_bad_values_are_named_at_once() -> None:
+    with pytest.raises(InputError) as caught:
+        Fabric(areal_density=0.0, shear=math.nan, friction=-1.0)
+    text = str(caught.value)
+    assert all(name in text for name in ("areal_density", "shear", "friction")) and "thickness" not in text
+
+
+def test_an_elasticity_that_gives_energy_is_refused() -> None:
+    Fabric(stretch_warp=100.0, stretch_weft=400.0, poisson=0.49)
+    with pytest.raises(InputError, match=r"poisson.*sqrt\(E1/E2\) = 0.5"):
+        Fabric(stretch_warp=100.0, stretch_weft=400.0, poisson=0.51)
+
+
+def test_gravity_length() -> None:
+    fabric = Fabric(areal_density=0.2, bend_warp=4e-5, bend_weft=1e-5)
+    assert fabric.gravity_length == pytest.approx((2e-5 / (0.2 * 9.81)) ** (1 / 3))
