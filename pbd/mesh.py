@@ -129,8 +129,7 @@ def greedy_colors(members: np.ndarray, vertex_count: int) -> np.ndarray:
         members: vertices of each constraint, int, shape (c, k).
         vertex_count: number of vertices.
     """
-    used = np.zeros(vertex_count, dtype=object)
-    used[:] = 0
+    used = [0] * vertex_count  # colours around each vertex, as bits
     colors = np.zeros(len(members), np.int32)
     for row, vertices in enumerate(members.tolist()):
         taken = 0
