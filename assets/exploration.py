@@ -87,7 +87,7 @@ def _segment(plan: Plan, rng: np.random.Generator, kind: str, start: float, end:
     plan.cadence[here] = rng.uniform(0.85, 1.2)
     plan.trunk[here] += np.radians(rng.normal(0.0, [7.0, 8.0, 5.0]))
     for side in (0, 1):
-        raised = rng.random() < 0.3
+        raised = rng.random() < 0.3 and kind != "raise"
         flexion = rng.uniform(-20.0, 70.0) if raised else rng.normal(4.0, 8.0)
         # Knees and hips come up to the hands where the figure bends.
         nearest = {"squat": 24.0, "lunge": 24.0, "raise": 34.0}.get(kind, 15.0)

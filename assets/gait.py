@@ -206,12 +206,19 @@ class _Walk:
         local = np.array([sign * (self._width + wide), 0.0, self._stand[side, 2] + 0.5 * sign * ahead])
         return self.ground[k] + rot_y(self.heading[k]) @ local, self.heading[k] + sign * 0.07
 
-    def _goal(self, side: int, landing: float, standing: float) -> tuple[Floats, float]:
+    def _goal(self, side: int, landing: float, halfway: float) -> tuple[Floats, float]:
         """Where to set a foot down: where it belongs half-way through its stand, if a leg reaches that far."""
-        goal, turn = self.place(side, landing + 0.5 * standing)
+        goal, turn = self.place(side, halfway)
         near, _ = self.place(side, landing)
         far = np.linalg.norm(goal - near)
         return near + (goal - near) * min(1.0, 0.42 * self.scale / max(far, 1e-9)), turn
+
+    def _pace(self, time: float, hasty: bool) -> float:
+        """Steps per second [1/s]; in haste the feet get into place before a raise or a spin."""
+        k = self._frame(time)
+        soon = slice(k, k + round(0.45 * FRAME_RATE))
+        pace = max(1.05 + 0.7 * self.plan.speed[soon].max(), np.abs(self.plan.yaw_rate[soon]).max() / 0.55)
+        return float(np.clip(max(pace * self.plan.cadence[k], 2.0 * hasty), 1.2, 3.4))
 
     def steps(self) -> list[list[_Move]]:
         """Moves of each foot, in order."""
@@ -221,15 +228,13 @@ class _Walk:
         busy = sorted([*self.plan.raises, *self.plan.spins], key=lambda event: event.start)
         time, side = 0.15, 0
         while time < self.duration:
-            if busy and time > busy[0].start - 0.45:
+            step = 1.0 / self._pace(time, hasty=bool(busy) and busy[0].start < time + 1.2)
+            landing = time + _SWING * step
+            if busy and landing > busy[0].start:
                 time = self._event(busy.pop(0), feet, turns, moves)
                 continue
-            k = self._frame(time)
-            soon = slice(k, k + round(0.45 * FRAME_RATE))
-            pace = max(1.05 + 0.7 * self.plan.speed[soon].max(), np.abs(self.plan.yaw_rate[soon]).max() / 0.55)
-            step = 1.0 / np.clip(pace * self.plan.cadence[k], 1.2, 3.4)
-            landing, standing = time + _SWING * step, (2.0 - _SWING) * step
-            goals = [self._goal(foot, landing, standing) for foot in (0, 1)]
+            halfway = min(landing + 0.5 * (2.0 - _SWING) * step, busy[0].start if busy else np.inf)
+            goals = [self._goal(foot, landing, halfway) for foot in (0, 1)]
             gaps = [
                 np.linalg.norm(goals[foot][0] - feet[foot]) + 0.3 * abs(goals[foot][1] - turns[foot]) for foot in (0, 1)
             ]

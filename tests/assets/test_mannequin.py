@@ -11,6 +11,7 @@ from assets.mannequin import builtin_mannequin
 from assets.mannequin_shape import body_field, skin_weights, strongest
 from assets.skinning import skin_vertices
 
+SIDES = ("Left", "Right")
 CLIPS = ("walk", "slow_walk", "turn", "twirl", "sway")
 
 
@@ -86,7 +87,7 @@ def test_stands_upright_and_faces_ahead_with_limbs_apart() -> None:
     assert high[1] == pytest.approx(1.70, abs=0.01)
     soles = body.vertices[body.vertices[:, 1] < 0.02]
     assert soles[:, 2].max() > 1.8 * -soles[:, 2].min()  # toes are ahead of the ankles
-    for side in ("Left", "Right"):
+    for side in SIDES:
         arm = total_weights(body, [side + "ForeArm", side + "Hand"]) > 0.9
         rest = total_weights(body, [side + part for part in ("Shoulder", "Arm", "ForeArm", "Hand")]) < 0.1
         assert cKDTree(body.vertices[arm]).query(body.vertices[rest])[0].min() > 0.08
@@ -137,13 +138,31 @@ def test_clips_are_smooth_and_keep_to_the_floor(clip: str) -> None:
 
 
 @pytest.mark.parametrize("clip", CLIPS)
+def test_limbs_do_not_pass_through_each_other(clip: str) -> None:
+    body = builtin_mannequin()
+    legs = [total_weights(body, [side + part for part in ("UpLeg", "Leg", "Foot", "ToeBase")]) for side in SIDES]
+    arms = [total_weights(body, [side + part for part in ("ForeArm", "Hand")]) for side in SIDES]
+    upper = sum(total_weights(body, [side + "Arm"]) for side in SIDES)
+    rest = np.flatnonzero(arms[0] + arms[1] + upper < 0.05)
+    pairs = [(np.flatnonzero(legs[0] > 0.95), np.flatnonzero(legs[1] > 0.95))]
+    pairs += [(np.flatnonzero(arm > 0.95), rest) for arm in arms]
+    for vertices in skins(clip)[::2]:
+        a, b, c = (vertices[body.faces[:, k]] for k in range(3))
+        across = np.cross(b - a, c - a)
+        normals = np.stack([np.bincount(body.faces.ravel(), np.repeat(across[:, k], 3)) for k in range(3)], axis=1)
+        for limb, other in pairs:
+            nearest = other[cKDTree(vertices[other]).query(vertices[limb])[1]]
+            assert (((vertices[limb] - vertices[nearest]) * normals[nearest]).sum(axis=1) > 0.0).all()
+
+
+@pytest.mark.parametrize("clip", CLIPS)
 def test_knees_and_elbows_bend_the_right_way(clip: str) -> None:
     """Seen along the hinge, the shin never swings ahead of the thigh's line, nor the forearm behind the upper arm's."""
     character = builtin_mannequin()
     hips = joint("Hips")
     ahead = np.array([transforms(character, character.clips[clip], frame)[hips, :3, 2] for frame in frames(clip)])
     places = joint_places(clip)
-    for side in ("Left", "Right"):
+    for side in SIDES:
         for names, sign in ((("UpLeg", "Leg", "Foot"), -1.0), (("Arm", "ForeArm", "Hand"), 1.0)):
             a, b, c = (places[:, joint(side + name)] for name in names)
             line = (c - a) / np.linalg.norm(c - a, axis=1, keepdims=True)
