@@ -182,7 +182,8 @@ def _bending(
     bend = (np.sqrt(fabric.bend_warp) * along_warp + np.sqrt(fabric.bend_weft) * along_weft) ** 2
     stiffness = 3.0 * factor * bend / areas
     sums = (inverse_mass[hinges] * rows**2).sum(axis=1)
-    works = (stiffness > 1e-9 * stiffness.max(initial=0.0)) & (sums > 0)
+    stiffness[sums == 0] = 0.0  # all held
+    works = stiffness > 1e-9 * stiffness.max(initial=0.0)
     hinges, rows, stiffness, sums = hinges[works], rows[works], stiffness[works], sums[works]
     order, offsets = _by_color(hinges, len(mesh.vertices))
     data = np.concatenate([rows, sums[:, None], 1.0 / stiffness[:, None]], axis=1)[order]
