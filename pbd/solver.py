@@ -27,7 +27,7 @@ class SolverOptions:
         contact_refreshes: times a second that each contact is looked for again along the body's surface [Hz].
     """
 
-    substep: float = 1.0 / 1200.0
+    substep: float = 1.0 / 720.0
     gravity: tuple[float, float, float] = (0.0, -9.81, 0.0)
     contact_refreshes: float = 240.0
 

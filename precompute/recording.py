@@ -211,7 +211,7 @@ def _record(run: Run, folder: Path, after_chunk: Callable[[], None] | None = Non
     first = 0
     while (folder / f"chunk_{first:04d}.npz").exists():
         first += 1
-    if first:
+    if 0 < first < run.chunk_count:
         with np.load(folder / f"chunk_{first - 1:04d}.npz", allow_pickle=False) as last:
             simulation.state = State(*(last[f"state_{name}"] for name in State._names))
         simulation.place_body(run.poses[first * run.chunk])

@@ -128,7 +128,7 @@ class Player:
         self._decoder.add(position, state.velocity, state.contact, self.vertices)
         decoded = time.perf_counter()
         targets = self.levels.fine_attachment.targets(current)
-        self._relax(self.vertices, targets, state.nearest, body, current)
+        self._relax(self.vertices, targets, state.nearest, state.contact, body, current)
         relaxed = time.perf_counter()
         surface_normals(self.vertices, self.levels.subdivision.faces, self.normals)
         ended = time.perf_counter()

@@ -84,9 +84,7 @@ class Charts:
         point = np.einsum("pc,pci->pi", weights, corner)[:, None, :]
         arm, side = point - corner, np.roll(corner, -1, axis=1) - corner
         radius = np.linalg.norm(arm, axis=2)
-        turn = np.arctan2(
-            side[..., 0] * arm[..., 1] - side[..., 1] * arm[..., 0], np.einsum("pci,pci->pc", side, arm)
-        )
+        turn = np.arctan2(side[..., 0] * arm[..., 1] - side[..., 1] * arm[..., 0], np.einsum("pci,pci->pc", side, arm))
         theta = self.start[face] + np.maximum(turn, 0.0) * self.scale[self.mesh.faces[face]]
         return radius[..., None] * np.stack([np.cos(theta), np.sin(theta)], axis=2)
 
@@ -216,8 +214,9 @@ def _barycentric(local: np.ndarray, point: np.ndarray) -> np.ndarray:
     a, b, c = local[:, 0], local[:, 1], local[:, 2]
     cross = lambda u, v: u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]  # noqa: E731
     area = cross(b - a, c - a)
-    return np.stack([cross(b - point, c - point), cross(c - point, a - point), cross(a - point, b - point)], 1) / (
-        area[:, None]
+    return (
+        np.stack([cross(b - point, c - point), cross(c - point, a - point), cross(a - point, b - point)], 1)
+        / (area[:, None])
     )
 
 

@@ -14,6 +14,9 @@ from wrinkles.surface import Subdivision
 
 __all__ = ["Decoder", "Relaxation", "Upsampler", "surface_normals"]
 
+LEVEL = 0.025  # where the coarse garment is further than this from the body, so is the fine one [m]
+NEARBY = 0.008  # fine vertices within this height over the tangent plane are tested against faces [m]
+
 vec3 = ti.math.vec3
 Vec4 = ti.types.ndarray(dtype=ti.math.vec4, ndim=1)
 Vec3 = ti.types.ndarray(dtype=ti.math.vec3, ndim=1)
@@ -146,10 +149,7 @@ class Decoder:
         """Add wrinkles to ``fine`` (float32, shape (N, 3)) for a coarse state as in :class:`pbd.State`."""
         m = self.mapping
         z = self.features
-        self.stencil.gather(position, velocity, contact, self.frames, z)
-        z -= m.center
-        z *= m.scale
-        np.clip(z, -CLIP, CLIP, out=z)
+        self.stencil.gather(position, velocity, contact, self.frames, z, m.center, m.scale, CLIP)
         np.matmul(z, m.weights_1, out=self._hidden_1)
         self._hidden_1 += m.place_bias
         np.maximum(self._hidden_1, 0.0, out=self._hidden_1)
@@ -175,6 +175,7 @@ def _relax(
     corners: Int3,
     blend: Vec3,
     coarse_nearest: Int1,
+    coarse_contact: Vec4,
     nearest: Int1,
     body: Vec3,
     body_normals: Vec3,
@@ -197,7 +198,8 @@ def _relax(
                 total = inverse_mass[i] + inverse_mass[j]
                 if total > 0.0:
                     size = ti.max(d.norm(), 1e-9)
-                    d *= (size - lengths[c]) / (size * total)
+                    # Only stretch is taken back: pushing short edges apart in one pass folds the mesh edge by edge.
+                    d *= ti.max(size - lengths[c], 0.0) / (size * total)
                     fine[i] += inverse_mass[i] * d
                     fine[j] -= inverse_mass[j] * d
             for i in range(fine.shape[0]):
@@ -205,25 +207,26 @@ def _relax(
                     p = fine[i]
                     best = -1
                     distance = 1e30
-                    seed = nearest[i]
-                    for c in ti.static(range(4)):
-                        if ti.static(c < 3):
-                            seed = coarse_nearest[corners[i][c]]
-                            if blend[i][c] < 0.1:
-                                seed = -1
-                        else:
-                            seed = nearest[i]
+                    # Two starts: where this vertex was last, and where the coarse vertex that it leans on most touches.
+                    leading = 0
+                    for c in ti.static(range(1, 3)):
+                        if blend[i][c] > blend[i][leading]:
+                            leading = c
+                    for c in ti.static(range(2)):
+                        seed = nearest[i]
+                        if ti.static(c == 0):
+                            seed = coarse_nearest[corners[i][leading]]
                         if seed >= 0 and seed != best:
                             offset = body[seed] - p
                             if offset.dot(offset) < distance:
                                 distance = offset.dot(offset)
                                 best = seed
-                    if best >= 0:
+                    if best >= 0 and coarse_contact[corners[i][leading]][0] < LEVEL:
                         best = descend(p, best, 0.0, body, body, ring_start, ring)
                         offset = p - body[best]
                         if offset.dot(offset) > 0.01:
                             best = -1
-                        elif offset.dot(body_normals[best]) < 0.02:
+                        elif offset.dot(body_normals[best]) < NEARBY:
                             fine[i] = _outside(
                                 p, best, body, body_normals, body_faces, fan_start, fan, thickness
                             )  # fmt: skip
@@ -263,7 +266,7 @@ def _outside(
 
 
 class Relaxation:
-    """One quasi-static pass on the fine mesh: edges back to their length, held vertices to their places, out of the body.
+    """One quasi-static pass on the fine mesh: stretched edges back to length, held vertices in place, out of the body.
 
     Args:
         mesh: the fine mesh.
@@ -289,6 +292,7 @@ class Relaxation:
         fine: np.ndarray,
         targets: np.ndarray,
         coarse_nearest: np.ndarray,
+        coarse_contact: np.ndarray,
         body: Body,
         current: np.ndarray,
         passes: int = 1,
@@ -299,6 +303,7 @@ class Relaxation:
             fine: [m], float32, shape (N, 3), about the body's origin.
             targets: of the held vertices [m], shape (P, 3).
             coarse_nearest: body vertex near each coarse vertex, -1 for none, int32, shape (n,) or longer.
+            coarse_contact: distance and slip of the coarse vertices, as in :class:`pbd.State`, float32, shape (n, 4).
             body: gives neighbourhoods and normals.
             current: where its vertices are [m], float32, shape (b, 3).
             passes: number of passes.
@@ -314,6 +319,7 @@ class Relaxation:
             self._patches.corners,
             self._patches.blend,
             coarse_nearest,
+            coarse_contact,
             self._nearest,
             current,
             body.normals,

@@ -30,6 +30,7 @@ vec3 = ti.math.vec3
 Vec4 = ti.types.ndarray(dtype=ti.math.vec4, ndim=1)
 Vec3 = ti.types.ndarray(dtype=ti.math.vec3, ndim=1)
 Float2 = ti.types.ndarray(dtype=ti.f32, ndim=2)
+Float1 = ti.types.ndarray(dtype=ti.f32, ndim=1)
 Int2 = ti.types.ndarray(dtype=ti.i32, ndim=2)
 
 
@@ -41,6 +42,9 @@ def _gather(
     corners: Int2,
     weights: Float2,
     spacing: ti.f32,
+    center: Float1,
+    scale: Float1,
+    limit: ti.f32,
     frames: Float2,
     features: Float2,
 ):
@@ -107,6 +111,8 @@ def _gather(
             features[i, f] = slip.dot(e1)
             features[i, f + 1] = slip.dot(e2)
             features[i, f + 2] = slip.dot(e3)
+            for c in range(features.shape[1]):
+                features[i, c] = ti.math.clamp((features[i, c] - center[c]) * scale[c], -limit, limit)
 
 
 @dataclass(frozen=True)
@@ -155,6 +161,9 @@ class Stencil:
         contact: np.ndarray,
         frames: np.ndarray,
         features: np.ndarray,
+        center: np.ndarray | None = None,
+        scale: np.ndarray | None = None,
+        limit: float = 1e30,
     ) -> None:
         """Read the garment's state.
 
@@ -163,9 +172,24 @@ class Stencil:
             velocity: [m/s], float32, shape (n, 3).
             contact: as in :class:`pbd.State`, float32, shape (n, 4).
             frames: receives the frame of each vertex as rows (warp, weft, normal), float32, shape (n, 9).
-            features: receives the features, float32, shape (n, DYNAMIC_COUNT).
+            features: receives clip((features - center) * scale, -limit, limit), float32, shape (n, DYNAMIC_COUNT).
+            center, scale, limit: None and none give the features themselves; float32, shape (DYNAMIC_COUNT,).
         """
-        _gather(position, velocity, contact, self.corners, self.weights, self.spacing, frames, features)
+        center = np.zeros(DYNAMIC_COUNT, np.float32) if center is None else center
+        scale = np.ones(DYNAMIC_COUNT, np.float32) if scale is None else scale
+        _gather(
+            position,
+            velocity,
+            contact,
+            self.corners,
+            self.weights,
+            self.spacing,
+            center,
+            scale,
+            limit,
+            frames,
+            features,
+        )
 
 
 def slow_modes(mesh: ClothMesh, modes: int = MODES) -> np.ndarray:

@@ -1,0 +1,290 @@
+"""How good a database is: on a motion, given the coarse state and running freely, beside smooth and the floor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from assets.character import Character
+from assets.sequence import Sequence as VertexSequence
+from pbd import Body, ModelOptions
+from precompute.recording import Recording, Run, body_source, poses_of, record_runs
+from runtime.player import Player
+from runtime.simulation import Motion
+from wrinkles.charts import Charts
+from wrinkles.database import WrinkleDatabase
+from wrinkles.decoder import Decoder, Relaxation, Upsampler
+from wrinkles.distance import BodyDistance, penetration_figures
+from wrinkles.features import Stencil
+from wrinkles.levels import Levels, levels_of
+from wrinkles.metrics import (
+    bending_energy,
+    bending_energy_ratio,
+    given_coarse_figures,
+    jitter_px,
+    low_frequency_ratio_to_floor,
+    normal_error_deg,
+)
+from wrinkles.patches import Patches
+from wrinkles.spectrum import BandedEnergy, LowPass, spectrum_band_error_max
+
+__all__ = [
+    "Free",
+    "Truth",
+    "evaluate",
+    "fine_run",
+    "free_figures",
+    "given_frames",
+    "levels_from",
+    "play_freely",
+    "truth_of",
+]
+
+SETTLE = 1.5  # the blend from the bind pose is not judged [s]
+TIMINGS = ("frame", "coarse", "skin", "decode", "relax", "normals")
+
+
+def levels_from(database: WrinkleDatabase, body: Character | VertexSequence) -> Levels:
+    """Levels of a database's garment on its body."""
+    source = body_source(body)
+    return levels_of(
+        database.coarse_vertices,
+        database.coarse_faces,
+        database.held,
+        source.vertices,
+        source.faces,
+        database.subdivisions,
+        database.warp,
+    )
+
+
+def fine_run(
+    levels: Levels, body: Character | VertexSequence, motion: Motion, database_like, seconds: float | None = None
+) -> Run:
+    """The converged fine simulation of a motion.
+
+    Args:
+        levels: of the garment.
+        body: what moves.
+        motion: how.
+        database_like: gives ``fabric``, ``solver`` and ``frame_rate``.
+        seconds: cut the motion there; None plays it all.
+    """
+    dt = 1.0 / database_like.frame_rate
+    # The stretch law of small steps asks for h N: each subdivision halves the edges, and so the substep.
+    solver = replace(database_like.solver, substep=database_like.solver.substep / 2.0 ** len(levels.subdivision.steps))
+    return Run(
+        motion.name, levels, True, body, poses_of(motion, dt, seconds), dt, database_like.fabric, ModelOptions(), solver
+    )
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Two converged fine runs of one motion and what they are judged by.
+
+    Attributes:
+        run: the first.
+        frames, floor: recorded positions [m], float32, shape (f, N, 3), settled frames only.
+        recording: the first run, settled frames only.
+        bands: octave bands of the fine mesh.
+        energy: of the truth by frame and band.
+    """
+
+    run: Run
+    levels: Levels
+    recording: Recording
+    floor: np.ndarray
+    bands: BandedEnergy
+    energy: np.ndarray
+    low_pass: LowPass
+
+    @property
+    def frames(self) -> np.ndarray:
+        return self.recording.positions
+
+
+def truth_of(run: Run, cache: Path, workers: int, report: Callable[[str], None] | None = None) -> Truth:
+    """Record (or read) the fine run and one with substeps two thirds as long."""
+    twin = replace(run, name=f"{run.name} (floor)", solver=replace(run.solver, substep=run.solver.substep / 1.5))
+    first, second = record_runs([run, twin], cache, workers, report)
+    first, second = settled(first, run.dt), settled(second, run.dt)
+    levels = run.levels
+    bands = BandedEnergy(levels.fine.vertices, levels.fine.faces)
+    low_pass = LowPass(levels.fine.vertices, levels.fine.faces, levels.cutoff)
+    return Truth(run, levels, first, second.positions, bands, bands.energy(first.positions), low_pass)
+
+
+def settled(recording: Recording, dt: float) -> Recording:
+    """Recorded frames after the blend from the bind pose."""
+    keep = recording.frames * dt > SETTLE
+    if not keep.any():
+        keep[:] = True
+    names = ("frames", "positions", "coarse", "velocity", "contact", "nearest")
+    return replace(recording, **{name: getattr(recording, name)[keep] for name in names})
+
+
+def given_frames(database: WrinkleDatabase, truth: Truth) -> tuple[np.ndarray, np.ndarray]:
+    """Smooth and decoded garment for the truth's own coarse state: [m], float32, shape (f, N, 3) each."""
+    levels, recording, run = truth.levels, truth.recording, truth.run
+    charts = Charts.of(levels.coarse)
+    patches = Patches.of(levels.subdivision, charts)
+    upsample = Upsampler(levels.subdivision)
+    decoder = Decoder(Stencil.of(charts, levels.coarse_held), patches, database.mapping, database.atoms)
+    relax = Relaxation(levels.fine, levels.fine_held, patches, database.fabric.thickness)
+    source = body_source(run.body)
+    body = Body(source.faces, len(source.vertices))
+    smooth = np.zeros((len(recording.frames), levels.subdivision.fine_count, 3), np.float32)
+    decoded = np.zeros_like(smooth)
+    position = np.zeros((levels.subdivision.coarse_count, 4), np.float32)
+    for f, frame in enumerate(recording.frames):
+        # The body's frame: positions near the origin keep their digits.
+        origin = np.round(recording.coarse[f].mean(axis=0).astype(float))
+        source.skin(run.poses[frame], origin, body.current)
+        body.finish_pose()
+        position[:, :3] = recording.coarse[f] - origin
+        upsample(position, smooth[f])
+        decoded[f] = smooth[f]
+        velocity, contact = np.ascontiguousarray(recording.velocity[f]), np.ascontiguousarray(recording.contact[f])
+        decoder.add(position, velocity, contact, decoded[f])
+        nearest = np.ascontiguousarray(recording.nearest[f])
+        relax(decoded[f], levels.fine_attachment.targets(body.current), nearest, contact, body, body.current)
+        smooth[f] += origin.astype(np.float32)
+        decoded[f] += origin.astype(np.float32)
+    return smooth, decoded
+
+
+@dataclass(frozen=True)
+class Free:
+    """A free run of the player.
+
+    Attributes:
+        frames, smooth: fine vertices with and without the dictionary [m], float32, shape (f, N, 3), recorded frames.
+        coarse: coarse vertices [m], float32, shape (f, n, 3).
+        timings: of every frame by part [ms].
+        held_off: largest distance of an attached vertex from its place [m].
+        state_hash: of the coarse state after 120 frames, or at the end.
+    """
+
+    frames: np.ndarray
+    smooth: np.ndarray
+    coarse: np.ndarray
+    timings: dict[str, np.ndarray]
+    held_off: float
+    state_hash: str
+
+
+def play_freely(database: WrinkleDatabase, body: Character | VertexSequence, run: Run) -> Free:
+    """Play a run's poses with the player, and keep what the run records of settled frames."""
+    player = Player(database, body, run.poses[0])
+    rows: dict[str, list] = {"frames": [], "smooth": [], "coarse": []}
+    timings: dict[str, list[float]] = {name: [] for name in TIMINGS}
+    held_off, state_hash = 0.0, ""
+    for frame in range(run.frame_count):
+        player.update(run.poses[frame + 1], run.dt)
+        for name in TIMINGS:
+            timings[name].append(player.timings[name])
+        targets = player.levels.fine_attachment.targets(player.body_vertices)
+        off = np.linalg.norm(player.vertices[player.levels.fine_held] - targets, axis=1)
+        held_off = max(held_off, float(off.max(initial=0.0)))
+        if frame == min(119, run.frame_count - 1):
+            state_hash = player.simulation.state.hash()
+        if (frame + 1) % run.every == 0 and (frame + 1) * run.dt > SETTLE:
+            rows["frames"].append((player.vertices + player.origin).astype(np.float32))
+            rows["smooth"].append((player.smooth + player.origin).astype(np.float32))
+            rows["coarse"].append(player.simulation.state.world().astype(np.float32))
+    arrays = {name: np.array(values) for name, values in rows.items()}
+    return Free(
+        **arrays, timings={n: np.array(v[2:]) for n, v in timings.items()}, held_off=held_off, state_hash=state_hash
+    )
+
+
+def body_distances(truth: Truth, frames: np.ndarray) -> np.ndarray:
+    """Signed distance of every vertex of recorded frames to the body [m], shape (f, N)."""
+    source = body_source(truth.run.body)
+    distance = BodyDistance(source.faces)
+    posed = np.zeros((len(source.vertices), 3), np.float32)
+    rows = []
+    for frame, vertices in zip(truth.recording.frames, frames, strict=True):
+        origin = np.round(vertices.mean(axis=0).astype(float))
+        source.skin(truth.run.poses[frame], origin, posed)
+        rows.append(distance.signed_distance(vertices.astype(float) - origin, posed.astype(float)))
+    return np.array(rows)
+
+
+def free_figures(truth: Truth, frames: np.ndarray, prefix: str = "") -> dict[str, float]:
+    """Statistics of a free run against the truth; names as in the design, with a prefix."""
+    rest, faces = truth.levels.fine.vertices, truth.levels.fine.faces
+    ratios = truth.bands.band_ratios(truth.bands.energy(frames), truth.energy)
+    figures = {
+        "bending_energy_ratio": bending_energy_ratio(frames, truth.frames, rest, faces),
+        "spectrum_band_error_max": spectrum_band_error_max(ratios),
+        "spectrum_band_ratio_min": min(ratios.values()),
+        "spectrum_band_ratio_max": max(ratios.values()),
+        "low_frequency_ratio_to_floor": low_frequency_ratio_to_floor(frames, truth.frames, truth.floor, truth.low_pass),
+        "free_normal_error_deg": float(np.mean(normal_error_deg(frames, truth.frames, faces))),
+        "jitter_px": jitter_px(frames),
+    }
+    return {prefix + name: float(value) for name, value in figures.items()} | {
+        f"{prefix}band_ratio_{name.replace(' ', '_')}": float(value) for name, value in ratios.items()
+    }
+
+
+def contact_bending_ratio(
+    truth: Truth, frames: np.ndarray, distances: np.ndarray, truth_distances: np.ndarray
+) -> float:
+    """Bending energy of what lies on the body (within 8 mm) over the truth's, per vertex."""
+    rest, faces = truth.levels.fine.vertices, truth.levels.fine.faces
+
+    def density(vertices: np.ndarray, distance: np.ndarray) -> float:
+        touching = distance < 0.008
+        return float(bending_energy(vertices, rest, faces, where=touching).sum() / max(1, touching.sum()))
+
+    return density(frames, distances) / density(truth.frames, truth_distances)
+
+
+def evaluate(
+    database: WrinkleDatabase, truth: Truth, report: Callable[[str], None] | None = None
+) -> tuple[dict[str, float], Free, tuple[np.ndarray, np.ndarray]]:
+    """All figures of a database on one motion.
+
+    Returns:
+        figures by their names in the design, the free run, and (smooth, decoded) frames given the coarse state.
+    """
+    tell = report or (lambda line: None)
+    tell("evaluating: given the coarse state")
+    smooth, decoded = given_frames(database, truth)
+    patches = Patches.of(truth.levels.subdivision, Charts.of(truth.levels.coarse))
+    owner = patches.corners[np.arange(len(patches.corners)), patches.blend.argmax(axis=1)]
+    faces = truth.levels.fine.faces
+    figures = {k: float(v) for k, v in given_coarse_figures(decoded, truth.frames, smooth, faces, owner).items()}
+    tell("evaluating: running freely")
+    free = play_freely(database, truth.run.body, truth.run)
+    figures |= free_figures(truth, free.frames)
+    figures |= free_figures(truth, free.smooth, "smooth_")
+    figures |= free_figures(truth, truth.floor, "floor_")
+    tell("evaluating: contact with the body")
+    distances, truth_distances = body_distances(truth, free.frames), body_distances(truth, truth.frames)
+    figures |= {k: float(v) for k, v in penetration_figures(distances).items()}
+    figures |= {f"truth_{k}": float(v) for k, v in penetration_figures(truth_distances).items()}
+    figures["contact_bending_ratio"] = contact_bending_ratio(truth, free.frames, distances, truth_distances)
+    figures["attached_off_mm"] = 1e3 * free.held_off
+    figures |= timing_figures(free, truth)
+    return figures, free, (smooth, decoded)
+
+
+def timing_figures(free: Free, truth: Truth) -> dict[str, float]:
+    """Medians and tails of the player's frame times."""
+    count = truth.levels.subdivision.fine_count
+    figures = {f"{name}_ms_p50": float(np.median(free.timings[name])) for name in TIMINGS}
+    figures["frame_ms_p99"] = float(np.percentile(free.timings["frame"], 99))
+    layer = sum(figures[f"{name}_ms_p50"] for name in ("decode", "relax", "normals"))
+    return figures | {
+        "us_per_fine_vertex": 1e3 * layer / count,
+        "fine_vertex_count": float(count),
+        "coarse_vertex_count": float(truth.levels.subdivision.coarse_count),
+        "fine_simulation_ms": truth.recording.step_ms,
+        "speedup_over_fine": truth.recording.step_ms / figures["frame_ms_p50"],
+    }

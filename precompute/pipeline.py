@@ -1,0 +1,180 @@
+"""`gube precompute`: from a scene to a wrinkle database."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+
+from assets.scene import Scene, scene_text
+from pbd import Fabric, InputError, SolverOptions
+from pbd.bending import hinge_calibration
+from precompute.calibration import Calibration, calibrate
+from precompute.evaluation import Truth, evaluate, fine_run, truth_of
+from precompute.recording import Recording, Run, body_source, record_runs
+from precompute.training import build_layer, fit_layer, training_set
+from runtime.stage import Stage
+from wrinkles.database import WrinkleDatabase, body_hash, code_version, write_database
+
+__all__ = ["Precomputed", "default_cache", "precompute"]
+
+CALIBRATION_SECONDS = (
+    6.0  # motion that the coarse model is calibrated on: enough to see it move, short enough to try many
+)
+TRAINING_FRAMES = 1500
+EPOCHS = 24
+
+
+@dataclass(frozen=True)
+class Precomputed:
+    """What came out: the database, its path, the calibration, and the truth of each held-out motion by its name."""
+
+    database: WrinkleDatabase
+    path: Path
+    calibration: Calibration
+    truths: dict[str, Truth]
+
+
+@dataclass(frozen=True)
+class _Settings:
+    fabric: Fabric
+    solver: SolverOptions
+    frame_rate: float
+
+
+def default_cache(output: Path) -> Path:
+    """Where simulated runs are kept: beside the database."""
+    return output.parent / ".gube-cache"
+
+
+def precompute(
+    scene: Scene,
+    output: Path,
+    *,
+    cache: Path | None = None,
+    workers: int = 2,
+    report: Callable[[str], None] | None = None,
+) -> Precomputed:
+    """Simulate, calibrate, learn, judge and write.
+
+    Fine runs are cached by content and go on where they were cut off; everything after them is repeated from the
+    same seed, so that an interrupted call gives the same database.
+
+    Args:
+        scene: one garment on one body, with training and held-out motion.
+        output: the database to write.
+        cache: folder of simulated runs; None keeps them beside the database.
+        workers: processes that simulate.
+        report: told lines of progress.
+
+    Raises:
+        InputError: a scene that names nothing to learn from, a held-out motion that is trained on too, and whatever cannot be
+            loaded.
+    """
+    began = time.monotonic()
+    tell = report or (lambda line: None)
+    stage = Stage.of(scene)
+    cache = cache or default_cache(output)
+    overlap = set(scene.training.clips) & set(scene.training.held_out)
+    if overlap:
+        clips = sorted(f"{m.file}: {m.clip}" for m in overlap)
+        raise InputError("a held-out clip is trained on", key="training.held_out", received=clips, expected="another")
+    motions = stage.training_motions()
+    if not motions:
+        raise InputError("nothing to learn from", key="training", expected="clips or procedural_seconds")
+    fabric = stage.settings.fabric
+    if stage.settings.thickness is not None:
+        fabric = replace(fabric, thickness=stage.settings.thickness)
+    settings = _Settings(fabric, scene.solver.options(), scene.solver.frame_rate)
+    levels, seed = stage.levels, scene.wrinkles.seed
+    runs = [_with_bend(fine_run(levels, stage.body, motion, settings)) for motion in motions]
+    recordings = record_runs(runs, cache, workers, tell)
+
+    tell("calibrating the coarse model")
+    layer = build_layer(levels)
+    coarse_bend = hinge_calibration(levels.coarse)
+    chosen = _excerpts(runs)
+    excerpts = [_cut(recordings[runs.index(run)], short) for run, short in chosen]
+    shorts = [short for _, short in chosen]
+    calibration = calibrate(layer, shorts, excerpts, settings.solver, coarse_bend, cache, workers, tell)
+
+    tell("fitting patches")
+    data = training_set(layer, recordings, scene.wrinkles.atoms, TRAINING_FRAMES, seed)
+    width = scene.wrinkles.hidden_width
+    mapping = fit_layer(layer, data, hidden=(3 * width // 2, width), epochs=EPOCHS, seed=seed, report=tell)
+    database = WrinkleDatabase(
+        garment_name=stage.settings.name,
+        coarse_vertices=levels.coarse.vertices,
+        coarse_faces=levels.coarse.faces,
+        subdivisions=stage.settings.subdivisions,
+        held=levels.coarse_held.astype(np.int32),
+        warp=(0.0, 1.0, 0.0),
+        fabric=fabric,
+        options=calibration.options,
+        bend_factor=coarse_bend,
+        solver=settings.solver,
+        frame_rate=settings.frame_rate,
+        atoms=data.atoms,
+        mapping=mapping,
+        cutoff=levels.cutoff,
+        body_hash=body_hash(stage.body),
+        body_vertex_count=len(body_source(stage.body).vertices),
+        quality={},
+        held_out=tuple(m.clip for m in scene.training.held_out),
+        trained_on=tuple(m.name for m in motions),
+        training_minutes=0.0,
+        seed=seed,
+        scene=scene_text(scene),
+        code_version=code_version(),
+        created=date.today().isoformat(),
+    )
+    truths, quality = {}, {}
+    for motion in scene.training.held_out:
+        run = _with_bend(fine_run(levels, stage.body, stage.motion(motion), settings))
+        truth = truth_of(run, cache, workers, tell)
+        truths[motion.clip] = truth
+        if not quality:  # the first held-out clip is the one reported
+            quality = evaluate(database, truth, tell)[0]
+    quality |= {
+        "feature_shift_before": calibration.shift_before,
+        "feature_shift_after": calibration.shift_after,
+        "feature_mismatch_before": calibration.mismatch_before,
+        "feature_mismatch_after": calibration.mismatch_after,
+        "atoms_kept": data.atoms.kept,
+    }
+    database = replace(database, quality=quality, training_minutes=(time.monotonic() - began) / 60.0)
+    write_database(output, database)
+    return Precomputed(database, output, calibration, truths)
+
+
+def _with_bend(run: Run) -> Run:
+    """The hinge factor of a fine mesh is measured once, not by every run."""
+    return replace(run, bend_factor=_measured_bend(run))
+
+
+_BENDS: dict[str, float] = {}
+
+
+def _measured_bend(run: Run) -> float:
+    key = hashlib.sha256(run.levels.fine.flat.tobytes()).hexdigest()
+    if key not in _BENDS:
+        _BENDS[key] = hinge_calibration(run.levels.fine)
+    return _BENDS[key]
+
+
+def _excerpts(runs: list[Run]) -> list[tuple[Run, Run]]:
+    """The start of up to two training runs, to calibrate on."""
+    frames = lambda run: min(run.frame_count, round(CALIBRATION_SECONDS / run.dt))  # noqa: E731
+    return [(run, replace(run, poses=run.poses[: frames(run) + 1])) for run in (runs[0], runs[-1])[: len(runs)]]
+
+
+def _cut(recording: Recording, run: Run) -> Recording:
+    """A recording as far as a shorter run goes."""
+    keep = recording.frames <= run.frame_count
+    names = ("frames", "positions", "coarse", "velocity", "contact", "nearest")
+    return replace(recording, **{name: getattr(recording, name)[keep] for name in names})
