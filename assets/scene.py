@@ -221,13 +221,13 @@ class WrinkleSettings:
     """What is learned.
 
     Attributes:
-        hidden_width: width of the shipped network's hidden layers.
+        hidden_width: width of the network's second hidden layer; the first is half as wide again.
         atoms: atoms of the dictionary.
         seed: seed of every random choice in learning.
     """
 
     hidden_width: int = entry(whole(at_least=1), 64)
-    atoms: int = entry(whole(at_least=1), 128)
+    atoms: int = entry(whole(at_least=1), 48)
     seed: int = entry(whole(at_least=0), 0)
 
 

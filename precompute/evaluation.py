@@ -122,8 +122,7 @@ def settled(recording: Recording, dt: float) -> Recording:
     keep = recording.frames * dt > SETTLE
     if not keep.any():
         keep[:] = True
-    names = ("frames", "positions", "coarse", "velocity", "contact", "nearest")
-    return replace(recording, **{name: getattr(recording, name)[keep] for name in names})
+    return recording.where(keep)
 
 
 def given_frames(database: WrinkleDatabase, truth: Truth) -> tuple[np.ndarray, np.ndarray]:

@@ -17,7 +17,7 @@ from pbd.bending import hinge_calibration
 from precompute.calibration import Calibration, calibrate
 from precompute.evaluation import Truth, evaluate, fine_run, truth_of
 from precompute.recording import Recording, Run, body_source, record_runs
-from precompute.training import build_layer, fit_layer, training_set
+from precompute.training import build_layer, fit_layer, training_set, with_gain
 from runtime.stage import Stage
 from wrinkles.database import WrinkleDatabase, body_hash, code_version, write_database
 
@@ -26,7 +26,7 @@ __all__ = ["Precomputed", "default_cache", "precompute"]
 CALIBRATION_SECONDS = (
     6.0  # motion that the coarse model is calibrated on: enough to see it move, short enough to try many
 )
-TRAINING_FRAMES = 1500
+TRAINING_FRAMES = 1200
 EPOCHS = 24
 
 
@@ -99,7 +99,7 @@ def precompute(
     layer = build_layer(levels)
     coarse_bend = hinge_calibration(levels.coarse)
     chosen = _excerpts(runs)
-    excerpts = [_cut(recordings[runs.index(run)], short) for run, short in chosen]
+    excerpts = [_start_of(recordings[number], short) for number, short in chosen]
     shorts = [short for _, short in chosen]
     calibration = calibrate(layer, shorts, excerpts, settings.solver, coarse_bend, cache, workers, tell)
 
@@ -107,6 +107,7 @@ def precompute(
     data = training_set(layer, recordings, scene.wrinkles.atoms, TRAINING_FRAMES, seed)
     width = scene.wrinkles.hidden_width
     mapping = fit_layer(layer, data, hidden=(3 * width // 2, width), epochs=EPOCHS, seed=seed, report=tell)
+    mapping = with_gain(layer, mapping, data.atoms, excerpts, calibration.free)
     database = WrinkleDatabase(
         garment_name=stage.settings.name,
         coarse_vertices=levels.coarse.vertices,
@@ -167,14 +168,12 @@ def _measured_bend(run: Run) -> float:
     return _BENDS[key]
 
 
-def _excerpts(runs: list[Run]) -> list[tuple[Run, Run]]:
-    """The start of up to two training runs, to calibrate on."""
-    frames = lambda run: min(run.frame_count, round(CALIBRATION_SECONDS / run.dt))  # noqa: E731
-    return [(run, replace(run, poses=run.poses[: frames(run) + 1])) for run in (runs[0], runs[-1])[: len(runs)]]
+def _excerpts(runs: list[Run]) -> list[tuple[int, Run]]:
+    """The start of the first and the last training run, to calibrate on: number and shortened run."""
+    cut = lambda run: run.poses[: round(CALIBRATION_SECONDS / run.dt) + 1]  # noqa: E731
+    return [(number, replace(runs[number], poses=cut(runs[number]))) for number in sorted({0, len(runs) - 1})]
 
 
-def _cut(recording: Recording, run: Run) -> Recording:
-    """A recording as far as a shorter run goes."""
-    keep = recording.frames <= run.frame_count
-    names = ("frames", "positions", "coarse", "velocity", "contact", "nearest")
-    return replace(recording, **{name: getattr(recording, name)[keep] for name in names})
+def _start_of(recording: Recording, run: Run) -> Recording:
+    """A recording as far as a shortened run goes."""
+    return recording.where(recording.frames <= run.frame_count)

@@ -8,7 +8,7 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
@@ -147,6 +147,11 @@ class Recording:
     contact: np.ndarray
     nearest: np.ndarray
     step_ms: float
+
+    def where(self, keep: np.ndarray | slice) -> Recording:
+        """Some of the frames."""
+        names = ("frames", "positions", "coarse", "velocity", "contact", "nearest")
+        return replace(self, **{name: getattr(self, name)[keep] for name in names})
 
 
 def record_runs(

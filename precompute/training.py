@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from precompute.recording import Recording
 from wrinkles.charts import Charts
-from wrinkles.decoder import Decoder, Upsampler
 from wrinkles.dictionary import Atoms, Mapping, fit_atoms, fit_mapping
 from wrinkles.features import DYNAMIC_COUNT, Stencil
 from wrinkles.levels import Levels
 from wrinkles.patches import NODES, Patches
 
-__all__ = ["FeatureStatistics", "Layer", "TrainingSet", "build_layer", "features_of", "fit_layer", "training_set"]
+__all__ = [
+    "FeatureStatistics",
+    "Layer",
+    "TrainingSet",
+    "build_layer",
+    "features_of",
+    "fit_layer",
+    "training_set",
+    "with_gain",
+]
+
+GAIN_LIMITS = (0.6, 1.4)
 
 
 @dataclass(frozen=True)
@@ -34,7 +44,7 @@ def build_layer(levels: Levels) -> Layer:
 
 
 def features_of(layer: Layer, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-    """Dynamic features (float32, shape (f, n, DYNAMIC_COUNT)) and vertex frames (shape (f, n, 9)) of recorded frames."""
+    """Dynamic features, float32, shape (f, n, DYNAMIC_COUNT), and vertex frames, shape (f, n, 9), of recorded frames."""
     count, total = layer.levels.subdivision.coarse_count, len(recording.frames)
     features = np.zeros((total, count, DYNAMIC_COUNT), np.float32)
     frames = np.zeros((total, count, 9), np.float32)
@@ -73,19 +83,48 @@ def training_set(layer: Layer, recordings: Sequence[Recording], atom_count: int,
     """
     total = sum(len(r.frames) for r in recordings)
     step = max(1, -(-total // frames))
-    chosen = [_thin(r, step) for r in recordings]
-    features, turned = zip(*(features_of(layer, r) for r in chosen), strict=True)
-    residual = np.concatenate([residual_of(layer, r) for r in chosen])
-    frames_all = np.concatenate(turned)
-    fits = layer.patches.fits(layer.levels.subdivision.coarse_count)
-    patches_at = lambda i: _patches(residual, frames_all, fits, i)  # noqa: E731
-    count = len(fits)
+    chosen = [r.where(slice(step // 2, None, step)) for r in recordings]
+    features, patches_at, count = _patch_reader(layer, chosen)
     rng = np.random.default_rng(seed)
-    some = rng.choice(len(residual), min(len(residual), max(1, 60_000 // count)), replace=False)
-    sample = np.stack([_patches(residual[some], frames_all[some], fits, i) for i in range(count)], axis=1)
+    frame_count = len(features)
+    some = rng.choice(frame_count, min(frame_count, max(1, 60_000 // count)), replace=False)
+    sample = np.stack([patches_at(i)[some] for i in range(count)], axis=1)
     atoms = fit_atoms(sample.reshape(-1, 3 * NODES), atom_count)
     coefficients = np.stack([(patches_at(i) - atoms.mean) @ atoms.analysis for i in range(count)], axis=1)
-    return TrainingSet(np.concatenate(features), coefficients.astype(np.float32), atoms)
+    return TrainingSet(features, coefficients.astype(np.float32), atoms)
+
+
+def _patch_reader(layer: Layer, recordings: Sequence[Recording]) -> tuple[np.ndarray, Callable[[int], np.ndarray], int]:
+    """Features of recorded frames, a function that gives the fitted patches of a coarse vertex, and their number."""
+    features, turned = zip(*(features_of(layer, r) for r in recordings), strict=True)
+    residual = np.concatenate([residual_of(layer, r) for r in recordings])
+    frames = np.concatenate(turned)
+    fits = layer.patches.fits(layer.levels.subdivision.coarse_count)
+    return np.concatenate(features), lambda i: _patches(residual, frames, fits, i), len(fits)
+
+
+def with_gain(
+    layer: Layer, mapping: Mapping, atoms: Atoms, fine: Sequence[Recording], free: Sequence[Recording]
+) -> Mapping:
+    """Give each coefficient, on freely running coarse cloth, the spread that it has in the fine cloth.
+
+    Least squares predicts means, which are smaller than what they are means of; and a free coarse garment is not quite the
+    filtered fine one. The gain is kept within limits, because what is amplified is not all right.
+
+    Args:
+        layer: of the garment.
+        mapping: fitted, with any gain.
+        atoms: that it counts.
+        fine: fine runs, filtered down.
+        free: coarse runs of the same motion with the calibrated model.
+    """
+    _, patches_at, count = _patch_reader(layer, [r.where(slice(None, None, 3)) for r in fine])
+    wanted = np.mean(
+        [(((patches_at(i) - atoms.mean) @ atoms.analysis) ** 2).mean(axis=0) for i in range(count)], axis=0
+    )
+    plain = replace(mapping, gain=np.ones_like(mapping.gain))
+    found = np.mean([(plain.predict(features_of(layer, r)[0]) ** 2).mean(axis=(0, 1)) for r in free], axis=0)
+    return replace(mapping, gain=np.clip(np.sqrt(wanted / found), *GAIN_LIMITS).astype(np.float32))
 
 
 def residual_of(layer: Layer, recording: Recording) -> np.ndarray:
@@ -93,21 +132,6 @@ def residual_of(layer: Layer, recording: Recording) -> np.ndarray:
     subdivision = layer.levels.subdivision
     smooth = np.stack([subdivision.upsample(frame) for frame in recording.coarse])
     return (recording.positions - smooth).astype(np.float32)
-
-
-def _thin(recording: Recording, step: int) -> Recording:
-    cut = lambda a: a[step // 2 :: step]  # noqa: E731
-    r = recording
-    return Recording(
-        r.name,
-        cut(r.frames),
-        cut(r.positions),
-        cut(r.coarse),
-        cut(r.velocity),
-        cut(r.contact),
-        cut(r.nearest),
-        r.step_ms,
-    )
 
 
 def _patches(residual: np.ndarray, frames: np.ndarray, fits: list, i: int) -> np.ndarray:
@@ -127,7 +151,7 @@ def fit_layer(
     seed: int,
     report: Callable[[str], None] | None = None,
 ) -> Mapping:
-    """Fit the mapping, and the gain that gives each coefficient the spread that it has in the data."""
+    """Fit the mapping to a training set."""
     tell = None if report is None else (lambda e, n, loss: report(f"fitting: pass {e} of {n}, loss {loss:.4f}"))
     mapping = fit_mapping(
         data.features, layer.stencil.static, data.coefficients, hidden=hidden, epochs=epochs, seed=seed, on_epoch=tell
@@ -155,7 +179,7 @@ class FeatureStatistics:
         return cls(mean, (rows[:kept] / np.sqrt(values[:kept, None])).T / spread[:, None])
 
     def shift(self, features: np.ndarray) -> float:
-        """Root mean squared Mahalanobis distance of features from the reference mean, per dimension; 1 for the reference."""
+        """Root mean squared Mahalanobis distance from the reference mean, per dimension; 1 for the reference."""
         z = (features.reshape(-1, features.shape[-1]) - self.mean) @ self.axes
         return float(np.sqrt((z**2).mean()))
 
@@ -163,24 +187,3 @@ class FeatureStatistics:
         """Frechet distance to the reference with diagonal covariances, per dimension; 0 for the reference."""
         z = (features.reshape(-1, features.shape[-1]) - self.mean) @ self.axes
         return float(np.sqrt((z.mean(axis=0) ** 2 + (z.std(axis=0) - 1.0) ** 2).mean()))
-
-
-def decode_recording(
-    layer: Layer, recording: Recording, mapping: Mapping, atoms: Atoms
-) -> tuple[np.ndarray, np.ndarray]:
-    """Smooth and decoded fine positions of recorded coarse frames [m], float32, shape (f, N, 3) each."""
-    upsampler, decoder = Upsampler(layer.levels.subdivision), Decoder(layer.stencil, layer.patches, mapping, atoms)
-    smooth = np.zeros((len(recording.frames), layer.levels.subdivision.fine_count, 3), np.float32)
-    decoded = np.zeros_like(smooth)
-    position = np.zeros((layer.levels.subdivision.coarse_count, 4), np.float32)
-    for f in range(len(recording.frames)):
-        position[:, :3] = recording.coarse[f]
-        upsampler(position, smooth[f])
-        decoded[f] = smooth[f]
-        decoder.add(
-            position,
-            np.ascontiguousarray(recording.velocity[f]),
-            np.ascontiguousarray(recording.contact[f]),
-            decoded[f],
-        )
-    return smooth, decoded
