@@ -87,17 +87,15 @@ def test_without_friction_it_slides_as_it_falls() -> None:
 
 
 def test_edges_with_one_end_held_rub_like_the_others() -> None:
-    """Their middles touch too; what is held once had no memory of where it stood, and pushed the cloth about."""
+    """Their middles touch too. What is held once had no memory of where it stood, and its edges pushed the cloth."""
     vertices, faces = grid(6, 6, 0.033)
-    vertices = vertices[:, [1, 2, 0]] + [-0.1, THICKNESS, -0.1]
-    model = free_model(cloth(vertices, faces), Fabric(friction=0.8, thickness=THICKNESS), np.arange(7))
+    vertices = vertices[:, [1, 2, 0]] + [0.2, THICKNESS, -0.1]
+    soft = Fabric(stretch_warp=1.0, stretch_weft=1.0, shear=0.5, friction=0.8, thickness=THICKNESS)
+    model = free_model(cloth(vertices, faces), soft, np.flatnonzero(vertices[:, 0] < 0.2 + 1e-9))
     state, solver = State.at_rest(model), Solver(model)
-    ground, ground_faces = grid(16, 16, 0.04)
+    ground, ground_faces = grid(16, 25, 0.04)
     ground = ground[:, [1, 2, 0]] - [0.32, 0.0, 0.32]
     body = body_of(ground, ground_faces, state)
-    for frame in range(1, 61):
-        way = np.array([0.005 * frame, 0.0, 0.0])  # ground and held row move together
-        body.advance((ground + way - state.origin).astype(np.float32))
-        solver.step(state, Colliders((), body), 1 / 60, vertices[:7] + way)
-    strain = (state.world() - vertices) - way
-    assert np.abs(strain).max() < 2e-3 * 0.2 + 0.3**2 / (2 * 0.8 * 9.81)  # it is set in motion by a jump of 0.3 m/s
+    for _ in range(60):
+        solver.step(state, Colliders((), body), 1 / 60)
+    assert np.abs(state.world() - vertices).max() < 1e-6
