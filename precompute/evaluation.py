@@ -32,6 +32,7 @@ from wrinkles.patches import Patches
 from wrinkles.spectrum import BandedEnergy, LowPass, spectrum_band_error_max
 
 __all__ = [
+    "Evaluation",
     "Free",
     "Truth",
     "evaluate",
@@ -87,10 +88,12 @@ class Truth:
 
     Attributes:
         run: the first.
-        frames, floor: recorded positions [m], float32, shape (f, N, 3), settled frames only.
+        levels: of the garment.
         recording: the first run, settled frames only.
+        floor: positions of the second [m], float32, shape (f, N, 3).
         bands: octave bands of the fine mesh.
         energy: of the truth by frame and band.
+        low_pass: what coarse and fine have in common.
     """
 
     run: Run
@@ -244,14 +247,24 @@ def contact_bending_ratio(
     return density(frames, distances) / density(truth.frames, truth_distances)
 
 
-def evaluate(
-    database: WrinkleDatabase, truth: Truth, report: Callable[[str], None] | None = None
-) -> tuple[dict[str, float], Free, tuple[np.ndarray, np.ndarray]]:
-    """All figures of a database on one motion.
+@dataclass(frozen=True)
+class Evaluation:
+    """A database on one motion.
 
-    Returns:
-        figures by their names in the design, the free run, and (smooth, decoded) frames given the coarse state.
+    Attributes:
+        figures: by their names in the design.
+        free: the free run.
+        smooth, decoded: fine vertices given the truth's coarse state [m], float32, shape (f, N, 3).
     """
+
+    figures: dict[str, float]
+    free: Free
+    smooth: np.ndarray
+    decoded: np.ndarray
+
+
+def evaluate(database: WrinkleDatabase, truth: Truth, report: Callable[[str], None] | None = None) -> Evaluation:
+    """All figures of a database on one motion."""
     tell = report or (lambda line: None)
     tell("evaluating: given the coarse state")
     smooth, decoded = given_frames(database, truth)
@@ -271,7 +284,7 @@ def evaluate(
     figures["contact_bending_ratio"] = contact_bending_ratio(truth, free.frames, distances, truth_distances)
     figures["attached_off_mm"] = 1e3 * free.held_off
     figures |= timing_figures(free, truth)
-    return figures, free, (smooth, decoded)
+    return Evaluation(figures, free, smooth, decoded)
 
 
 def timing_figures(free: Free, truth: Truth) -> dict[str, float]:

@@ -15,7 +15,7 @@ from assets.scene import Scene, scene_text
 from pbd import Fabric, InputError, SolverOptions
 from pbd.bending import hinge_calibration
 from precompute.calibration import Calibration, calibrate
-from precompute.evaluation import Truth, evaluate, fine_run, truth_of
+from precompute.evaluation import Evaluation, Truth, evaluate, fine_run, truth_of
 from precompute.recording import Recording, Run, body_source, record_runs
 from precompute.training import build_layer, fit_layer, training_set, with_gain
 from runtime.stage import Stage
@@ -32,12 +32,21 @@ EPOCHS = 24
 
 @dataclass(frozen=True)
 class Precomputed:
-    """What came out: the database, its path, the calibration, and the truth of each held-out motion by its name."""
+    """What came out.
+
+    Attributes:
+        database: as written.
+        path: where.
+        calibration: of the coarse model.
+        truth: of the first held-out motion, None without one.
+        evaluation: of the database on it.
+    """
 
     database: WrinkleDatabase
     path: Path
     calibration: Calibration
-    truths: dict[str, Truth]
+    truth: Truth | None
+    evaluation: Evaluation | None
 
 
 @dataclass(frozen=True)
@@ -73,8 +82,8 @@ def precompute(
         report: told lines of progress.
 
     Raises:
-        InputError: a scene that names nothing to learn from, a held-out motion that is trained on too, and whatever cannot be
-            loaded.
+        InputError: a scene that names nothing to learn from, a held-out motion that is trained on too, and whatever
+            cannot be loaded.
     """
     began = time.monotonic()
     tell = report or (lambda line: None)
@@ -134,13 +143,12 @@ def precompute(
         code_version=code_version(),
         created=date.today().isoformat(),
     )
-    truths, quality = {}, {}
-    for motion in scene.training.held_out:
-        run = _with_bend(fine_run(levels, stage.body, stage.motion(motion), settings))
+    truth, evaluation, quality = None, None, {}
+    if scene.training.held_out:  # the first held-out clip is the one that is reported
+        run = _with_bend(fine_run(levels, stage.body, stage.motion(scene.training.held_out[0]), settings))
         truth = truth_of(run, cache, workers, tell)
-        truths[motion.clip] = truth
-        if not quality:  # the first held-out clip is the one reported
-            quality = evaluate(database, truth, tell)[0]
+        evaluation = evaluate(database, truth, tell)
+        quality = dict(evaluation.figures)
     quality |= {
         "feature_shift_before": calibration.shift_before,
         "feature_shift_after": calibration.shift_after,
@@ -150,7 +158,7 @@ def precompute(
     }
     database = replace(database, quality=quality, training_minutes=(time.monotonic() - began) / 60.0)
     write_database(output, database)
-    return Precomputed(database, output, calibration, truths)
+    return Precomputed(database, output, calibration, truth, evaluation)
 
 
 def _with_bend(run: Run) -> Run:

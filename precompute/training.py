@@ -44,7 +44,7 @@ def build_layer(levels: Levels) -> Layer:
 
 
 def features_of(layer: Layer, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-    """Dynamic features, float32, shape (f, n, DYNAMIC_COUNT), and vertex frames, shape (f, n, 9), of recorded frames."""
+    """Dynamic features, float32, shape (f, n, DYNAMIC_COUNT), and vertex frames, shape (f, n, 9), of a recording."""
     count, total = layer.levels.subdivision.coarse_count, len(recording.frames)
     features = np.zeros((total, count, DYNAMIC_COUNT), np.float32)
     frames = np.zeros((total, count, 9), np.float32)
@@ -108,8 +108,8 @@ def with_gain(
 ) -> Mapping:
     """Give each coefficient, on freely running coarse cloth, the spread that it has in the fine cloth.
 
-    Least squares predicts means, which are smaller than what they are means of; and a free coarse garment is not quite the
-    filtered fine one. The gain is kept within limits, because what is amplified is not all right.
+    Least squares predicts means, which are smaller than what they are means of; and a free coarse garment is not
+    quite the filtered fine one. The gain is kept within limits, because what is amplified is not all right.
 
     Args:
         layer: of the garment.
