@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pbd import Colliders, Fabric, Plane, Solver, SolverOptions, State
-from tests.pbd.meshes import body_of, cloth, free_model, grid, turn
+from tests.pbd.meshes import body_of, cloth, free_model, grid, icosphere, turn
 
 THICKNESS = 0.003
 
@@ -87,15 +87,16 @@ def test_without_friction_it_slides_as_it_falls() -> None:
 
 
 def test_edges_with_one_end_held_rub_like_the_others() -> None:
-    """Their middles touch too. What is held once had no memory of where it stood, and its edges pushed the cloth."""
-    vertices, faces = grid(6, 6, 0.033)
-    vertices = vertices[:, [1, 2, 0]] + [0.2, THICKNESS, -0.1]
+    """A row of cloth that lies on a rail with nothing but the middles of its edges, one end of each held."""
+    vertices, faces = grid(4, 1, 0.05)
+    vertices = vertices[:, [1, 2, 0]] + [0.0, THICKNESS, 0.3]
     soft = Fabric(stretch_warp=1.0, stretch_weft=1.0, shear=0.5, friction=0.8, thickness=THICKNESS)
-    model = free_model(cloth(vertices, faces), soft, np.flatnonzero(vertices[:, 0] < 0.2 + 1e-9))
+    model = free_model(cloth(vertices, faces), soft, np.flatnonzero(vertices[:, 0] < 1e-9))
     state, solver = State.at_rest(model), Solver(model)
-    ground, ground_faces = grid(16, 25, 0.04)
-    ground = ground[:, [1, 2, 0]] - [0.32, 0.0, 0.32]
-    body = body_of(ground, ground_faces, state)
-    for _ in range(60):
+    rail, rail_faces = icosphere(4)
+    body = body_of(rail * [0.01, 0.01, 2.0] + [0.025, -0.01, 0.4], rail_faces, state)
+    for _ in range(120):
         solver.step(state, Colliders((), body), 1 / 60)
-    assert np.abs(state.world() - vertices).max() < 1e-6
+    free = vertices[:, 0] > 1e-9
+    # What is held once had no memory of where it stood, and friction pushed the cloth about.
+    assert np.abs((state.world() - vertices)[free]).max() < 2e-3  # before: 6 cm
