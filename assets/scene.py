@@ -50,6 +50,7 @@ __all__ = [
     "WindSettings",
     "WrinkleSettings",
     "load_scene",
+    "parse_scene",
     "scene_text",
 ]
 
@@ -266,10 +267,28 @@ def load_scene(path: str | Path) -> Scene:
     """
     path = Path(path)
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise InputError("cannot be read", file=path, received=error.strerror, expected="a scene file") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise InputError(f"not TOML: {error}", file=path) from error
+    return parse_scene(text, path)
+
+
+def parse_scene(text: str, path: str | Path) -> Scene:
+    """Read a scene that is not in a file of its own.
+
+    Args:
+        text: TOML.
+        path: what errors name, and what relative paths in the scene are relative to the folder of.
+
+    Raises:
+        InputError: not TOML, or what it says cannot be used, with every such place.
+    """
+    path = Path(path)
+    try:
+        values = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
         raise InputError(f"not TOML: {error}", file=path) from error
     reader = Reader(path)
     scene = reader.table(Scene, values)
@@ -279,5 +298,5 @@ def load_scene(path: str | Path) -> Scene:
 
 
 def scene_text(scene: Scene) -> str:
-    """The scene as TOML that :func:`load_scene` reads back to the same settings."""
+    """The scene as TOML that :func:`parse_scene` reads back to the same settings."""
     return settings_text(scene)

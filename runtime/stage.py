@@ -14,13 +14,14 @@ from assets.exploration import exploration_motion
 from assets.garment import Garment, boundary_loops, highest_loop, load_garment
 from assets.mannequin import builtin_mannequin
 from assets.motion import ClipMotion
-from assets.scene import GarmentSettings, MotionSettings, Scene
+from assets.scene import GarmentSettings, MotionSettings, Scene, parse_scene
 from assets.sequence import Sequence, SequenceMotion, load_sequence
 from pbd import InputError
 from runtime.simulation import Motion
+from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels, build_levels
 
-__all__ = ["PROCEDURAL_PIECE", "Stage", "held_vertices", "load_body", "motion_of"]
+__all__ = ["PROCEDURAL_PIECE", "Stage", "held_vertices", "load_body", "motion_of", "stage_of"]
 
 PROCEDURAL_PIECE = 20.0  # procedural motion is made in pieces of this length [s], each with a seed of its own
 
@@ -141,3 +142,14 @@ class Stage:
             motions.append(exploration_motion(self.body, seed, min(rest, PROCEDURAL_PIECE)))
             rest, seed = rest - PROCEDURAL_PIECE, seed + 1
         return motions
+
+
+def stage_of(database: WrinkleDatabase) -> Stage:
+    """The stage that a database was made on, from the scene that is stored in it.
+
+    Raises:
+        InputError: a file that the scene names is gone, or is not what it was.
+    """
+    stage = Stage.of(parse_scene(database.scene, f"scene stored for '{database.garment_name}'"))
+    database.require_body(stage.body)
+    return stage
