@@ -304,7 +304,7 @@ def test_cloth_that_starts_inside_comes_out_and_is_not_thrown(kind: str, depth: 
         run(model, state, 1, gravity=0.0, colliders=colliders)
         fastest = max(fastest, float(np.linalg.norm(state.velocity, axis=1).max()))
     assert (np.linalg.norm(state.world(), axis=1) - RADIUS).min() > 0.9 * THICKNESS
-    assert fastest < 5.0 * PUSH_OUT  # single vertices swing with the sheet; before, 6 to 36 m/s
+    assert fastest < 5.0 * PUSH_OUT  # single vertices swing with the sheet
 
 
 def test_normals_follow_the_pose() -> None:

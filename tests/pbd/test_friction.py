@@ -99,4 +99,4 @@ def test_edges_with_one_end_held_rub_like_the_others() -> None:
         solver.step(state, Colliders((), body), 1 / 60)
     free = vertices[:, 0] > 1e-9
     # What is held once had no memory of where it stood, and friction pushed the cloth about.
-    assert np.abs((state.world() - vertices)[free]).max() < 2e-3  # before: 6 cm
+    assert np.abs((state.world() - vertices)[free]).max() < 2e-3
