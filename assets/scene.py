@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from assets.builtin import BUILTIN_GARMENTS
 from assets.fabrics import PRESETS, load_fabric
 from assets.settings import (
     Check,
@@ -56,6 +57,7 @@ __all__ = [
 
 Vector = tuple[float, float, float]
 
+_MESH = file_path(".obj", ".glb", ".gltf", builtins=[f"builtin:{name}" for name in BUILTIN_GARMENTS])
 _CHARACTER_FILE = file_path(".glb", ".gltf", builtins=["builtin:mannequin"])
 
 
@@ -84,7 +86,7 @@ class GarmentSettings:
 
     Attributes:
         name: name in figures and files, unique in the scene.
-        mesh: path of the garment's mesh, or "builtin:skirt".
+        mesh: path of the garment's mesh, or a built-in one: "builtin:skirt".
         pattern: whether the mesh's texture coordinates are a flat pattern [m].
         fabric: what it is made of; in a file a preset's name, the path of a .json file or a table of SI values.
         subdivisions: how often the coarse mesh is subdivided for the fine one.
@@ -95,7 +97,7 @@ class GarmentSettings:
     """
 
     name: str = entry(text())
-    mesh: Path | str = entry(file_path(".obj", ".glb", ".gltf", builtins=["builtin:skirt"]))
+    mesh: Path | str = entry(_MESH)
     pattern: bool = entry(truth(), False)
     fabric: Fabric = entry(_FABRIC, Fabric())
     subdivisions: int = entry(whole(at_least=0), 2)

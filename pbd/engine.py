@@ -7,8 +7,10 @@ no runtime is created before :func:`ensure_initialized`.
 
 from __future__ import annotations
 
+import io
 import os
 import threading
+from contextlib import redirect_stdout
 
 os.environ.setdefault("TI_ENABLE_TORCH", "0")  # torch, if installed, would add seconds to the import
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
@@ -57,12 +59,13 @@ def ensure_initialized(arch: str = "cpu", threads: int | None = None) -> None:
                 "bad thread count", key="GUBE_THREADS", received=wish, expected="a whole number, at least 0"
             )
         count = threads or int(wish) or os.cpu_count() or 1
-        ti.init(
-            arch=ti.cpu if arch == "cpu" else ti.cuda,
-            cpu_max_num_threads=count,
-            default_fp=ti.f32,
-            default_ip=ti.i32,
-            offline_cache=True,
-            log_level=ti.ERROR,
-        )
+        with redirect_stdout(io.StringIO()):  # Taichi prints the arch, whatever its log level
+            ti.init(
+                arch=ti.cpu if arch == "cpu" else ti.cuda,
+                cpu_max_num_threads=count,
+                default_fp=ti.f32,
+                default_ip=ti.i32,
+                offline_cache=True,
+                log_level=ti.ERROR,
+            )
         _settings = {"arch": arch, "threads": count}

@@ -122,6 +122,16 @@ def body_normals(vertices: Vec3, faces: Int3, normals: Vec3):
 
 
 @ti.func
+def body_point(face, weights: vec3, t: ti.f32, body_0: ti.template(), body_1: ti.template()) -> vec3:
+    """Point of a body face at t in [0, 1] of the frame."""
+    p = vec3(0.0)
+    for a in ti.static(range(3)):
+        b = face[a]
+        p += weights[a] * (body_0[b] + t * (body_1[b] - body_0[b]))
+    return p
+
+
+@ti.func
 def heaviest(corners, weights: vec3) -> ti.i32:
     best = corners[0]
     if weights[1] > weights[0] and weights[1] >= weights[2]:
@@ -132,86 +142,86 @@ def heaviest(corners, weights: vec3) -> ti.i32:
 
 
 @ti.func
-def probed(b: ti.i32, body: ti.template(), probes: ti.template(), probe_weights: ti.template()) -> vec3:
-    """Body vertex b, or beyond the vertices a probe."""
+def probed(
+    b: ti.i32, t: ti.f32, body_0: ti.template(), body_1: ti.template(), probes: ti.template(), weights: ti.template()
+) -> vec3:
+    """Body vertex b, or beyond the vertices a probe, at t in [0, 1] of the frame."""
     x = vec3(0.0)
-    if b < body.shape[0]:
-        x = body[b]
+    if b < body_0.shape[0]:
+        x = body_0[b] + t * (body_1[b] - body_0[b])
     else:
-        corners, weights = probes[b - body.shape[0]], probe_weights[b - body.shape[0]]
-        x = weights[0] * body[corners[0]] + weights[1] * body[corners[1]] + weights[2] * body[corners[2]]
+        x = body_point(probes[b - body_0.shape[0]], weights[b - body_0.shape[0]], t, body_0, body_1)
     return x
 
 
-@ti.kernel
-def find_nearest(
-    position: Vec4,
-    samples: Int2,
-    nearest: Int1,
-    body: Vec3,
-    ring_start: Int1,
-    ring: Int1,
-    probes: Int3,
-    probe_weights: Vec3,
-    cell_start: Int1,
-    cell_items: Int1,
+@ti.func
+def search(
+    position: ti.template(),
+    velocity: ti.template(),
+    dt: ti.f32,
+    t: ti.f32,
+    nearest: ti.template(),
+    body_0: ti.template(),
+    body_1: ti.template(),
+    ring_start: ti.template(),
+    ring: ti.template(),
+    probes: ti.template(),
+    weights: ti.template(),
+    cell_start: ti.template(),
+    cell_items: ti.template(),
 ):
-    """For every contact sample the nearest body vertex within FAR, or the one that it had, followed; else -1.
+    """Nearest body vertices at t in [0, 1] of the frame; after its start, for cloth vertices that have none yet.
 
-    Large body faces are found by probes, points spread over them, which stand for their heaviest corner.
-
-    The first samples are the vertices themselves; the others stand in the middle of long edges and search from what
-    the ends of their edge found.
-
-    Body vertices in no face are passed over. A uniform grid over the cloth's box, filled by counting sort. Cells are at least FAR wide, so that 27 of them hold
-    everything within FAR.
+    A uniform grid over the cloth's box, filled by counting sort. Cells are at least FAR wide, so that 27 of them hold
+    everything within FAR. Body vertices in no face are passed over.
     """
-    ti.loop_config(serialize=True)
-    for _ in range(1):
-        low = vec3(1e30)
-        high = vec3(-1e30)
-        for i in range(position.shape[0]):
-            low = ti.min(low, xyz(position[i]))
-            high = ti.max(high, xyz(position[i]))
-        low -= FAR
-        high += FAR
-        size = high - low
-        cell = ti.max(FAR, size.max() / GRID_SIDE * 1.0001)
-        nx = ti.min(int(size[0] / cell) + 1, GRID_SIDE)
-        ny = ti.min(int(size[1] / cell) + 1, GRID_SIDE)
-        nz = ti.min(int(size[2] / cell) + 1, GRID_SIDE)
-        for c in range(nx * ny * nz + 1):
-            cell_start[c] = 0
-        count = body.shape[0] + probes.shape[0]
-        for b in range(count):
-            q = (probed(b, body, probes, probe_weights) - low) / cell
-            in_face = b >= body.shape[0] or ring_start[b] < ring_start[b + 1]
-            if in_face and q.min() >= 0.0 and q[0] < nx and q[1] < ny and q[2] < nz:
-                cell_start[(int(q[0]) * ny + int(q[1])) * nz + int(q[2]) + 1] += 1
-        for c in range(nx * ny * nz):
-            cell_start[c + 1] += cell_start[c]
-        total = cell_start[nx * ny * nz]
-        # Filled from the back, cell c starts at cell_start[c + 1] in the end.
-        for r in range(count):
-            b = count - 1 - r
-            q = (probed(b, body, probes, probe_weights) - low) / cell
-            in_face = b >= body.shape[0] or ring_start[b] < ring_start[b + 1]
-            if in_face and q.min() >= 0.0 and q[0] < nx and q[1] < ny and q[2] < nz:
-                c = (int(q[0]) * ny + int(q[1])) * nz + int(q[2]) + 1
-                cell_start[c] -= 1
-                cell_items[cell_start[c]] = b
-        cell_start[nx * ny * nz + 1] = total
+    low = vec3(1e30)
+    high = vec3(-1e30)
+    for i in range(position.shape[0]):
+        p = xyz(position[i]) + t * dt * velocity[i]
+        low = ti.min(low, p)
+        high = ti.max(high, p)
+    low -= FAR
+    high += FAR
+    size = high - low
+    cell = ti.max(FAR, size.max() / GRID_SIDE * 1.0001)
+    nx = ti.min(int(size[0] / cell) + 1, GRID_SIDE)
+    ny = ti.min(int(size[1] / cell) + 1, GRID_SIDE)
+    nz = ti.min(int(size[2] / cell) + 1, GRID_SIDE)
+    for c in range(nx * ny * nz + 1):
+        cell_start[c] = 0
+    count = body_0.shape[0] + probes.shape[0]
+    for b in range(count):
+        q = (probed(b, t, body_0, body_1, probes, weights) - low) / cell
+        in_face = b >= body_0.shape[0] or ring_start[b] < ring_start[b + 1]
+        if in_face and q.min() >= 0.0 and q[0] < nx and q[1] < ny and q[2] < nz:
+            cell_start[(int(q[0]) * ny + int(q[1])) * nz + int(q[2]) + 1] += 1
+    for c in range(nx * ny * nz):
+        cell_start[c + 1] += cell_start[c]
+    total = cell_start[nx * ny * nz]
+    # Filled from the back, cell c starts at cell_start[c + 1] in the end.
+    for r in range(count):
+        b = count - 1 - r
+        q = (probed(b, t, body_0, body_1, probes, weights) - low) / cell
+        in_face = b >= body_0.shape[0] or ring_start[b] < ring_start[b + 1]
+        if in_face and q.min() >= 0.0 and q[0] < nx and q[1] < ny and q[2] < nz:
+            c = (int(q[0]) * ny + int(q[1])) * nz + int(q[2]) + 1
+            cell_start[c] -= 1
+            cell_items[cell_start[c]] = b
+    cell_start[nx * ny * nz + 1] = total
 
-        for i in range(position.shape[0]):
-            p = xyz(position[i])
-            best = -1
-            distance = FAR * FAR
-            if nearest[i] >= 0:
-                followed = descend(p, nearest[i], 0.0, body, body, ring_start, ring)
-                offset = body[followed] - p
-                if offset.dot(offset) < 4.0 * FAR * FAR:
-                    best = followed
-                    distance = ti.min(distance, offset.dot(offset))
+    for i in range(position.shape[0]):
+        p = xyz(position[i]) + t * dt * velocity[i]
+        best = -1
+        distance = FAR * FAR
+        if nearest[i] >= 0 and t == 0.0:
+            followed = descend(p, nearest[i], 0.0, body_0, body_1, ring_start, ring)
+            offset = body_0[followed] - p
+            nearest[i] = -1
+            if offset.dot(offset) < 4.0 * FAR * FAR:
+                best = followed
+                distance = ti.min(distance, offset.dot(offset))
+        if nearest[i] < 0:
             q = (p - low) / cell
             qx, qy, qz = int(q[0]), int(q[1]), int(q[2])
             for ix in range(ti.max(qx - 1, 0), ti.min(qx + 2, nx)):
@@ -222,15 +232,50 @@ def find_nearest(
                     last = cell_start[row + ti.min(qz + 2, nz)]
                     for s in range(first, last):
                         b = cell_items[s]
-                        offset = probed(b, body, probes, probe_weights) - p
+                        offset = probed(b, t, body_0, body_1, probes, weights) - p
                         candidate = offset.dot(offset)
                         if candidate < distance:
                             distance = candidate
                             best = b
-            if best >= body.shape[0]:
-                weights = probe_weights[best - body.shape[0]]
-                best = heaviest(probes[best - body.shape[0]], weights)
+            if best >= body_0.shape[0]:
+                probe = best - body_0.shape[0]
+                best = heaviest(probes[probe], weights[probe])
             nearest[i] = best
+
+
+@ti.kernel
+def find_nearest(
+    position: Vec4,
+    velocity: Vec3,
+    samples: Int2,
+    nearest: Int1,
+    body_0: Vec3,
+    body_1: Vec3,
+    ring_start: Int1,
+    ring: Int1,
+    probes: Int3,
+    weights: Vec3,
+    cell_start: Int1,
+    cell_items: Int1,
+    dt: ti.f32,
+    passes: ti.i32,
+):
+    """For every contact sample the nearest body vertex within FAR, or the one that it had, followed; else -1.
+
+    Searched at the start of the frame and, where body or cloth move far in it, at later times on the cloth's present
+    course. Large body faces are found by probes, points spread over them, which stand for their heaviest corner.
+
+    The first samples are the vertices themselves; the others stand in the middle of long edges and search from what
+    the ends of their edge found.
+    """
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        for k in range(passes):
+            t = k / ti.max(passes - 1.0, 1.0)
+            search(
+                position, velocity, dt, t, nearest, body_0, body_1,
+                ring_start, ring, probes, weights, cell_start, cell_items,
+            )  # fmt: skip
         for c in range(position.shape[0], samples.shape[0]):
             p = 0.5 * (xyz(position[samples[c][0]]) + xyz(position[samples[c][1]]))
             best = -1
@@ -242,8 +287,8 @@ def find_nearest(
                     start = nearest[samples[c][a]]
                     reach = 1e30
                 if start >= 0:
-                    found = descend(p, start, 0.0, body, body, ring_start, ring)
-                    offset = body[found] - p
+                    found = descend(p, start, 0.0, body_0, body_1, ring_start, ring)
+                    offset = body_0[found] - p
                     if offset.dot(offset) < ti.min(distance, reach):
                         distance = offset.dot(offset)
                         best = found
@@ -321,16 +366,6 @@ def surface_normals(position: ti.template(), triangles: ti.template(), scratch: 
         n /= ti.max(n.norm(), 1e-20)
         for a in ti.static(range(3)):
             scratch[i, 3 + a] = n[a]
-
-
-@ti.func
-def body_point(face, weights: vec3, t: ti.f32, body_0: ti.template(), body_1: ti.template()) -> vec3:
-    """Point of a body face at t in [0, 1] of the frame."""
-    p = vec3(0.0)
-    for a in ti.static(range(3)):
-        b = face[a]
-        p += weights[a] * (body_0[b] + t * (body_1[b] - body_0[b]))
-    return p
 
 
 @ti.func

@@ -15,6 +15,7 @@ from pbd.model import GRID, Model, State
 __all__ = ["Solver", "SolverOptions"]
 
 AIR_DENSITY = 1.2  # [kg/m3]
+MOST_SEARCHES = 8  # for bodies, in a frame
 
 
 @dataclass(frozen=True)
@@ -105,15 +106,19 @@ class Solver:
                 self._items = np.zeros(len(body.current) + len(body.probes), np.int32)
             kernels.find_nearest(
                 state.position,
+                state.velocity,
                 model.samples,
                 state.nearest,
                 body.previous,
+                body.current,
                 body.ring_start,
                 body.ring,
                 body.probes,
                 body.probe_weights,
                 self._cells,
                 self._items,
+                dt,
+                self._searches(state, body, dt),
             )
         substeps = max(1, int(np.ceil(dt / options.substep - 1e-6)))
         kernels.advance(
@@ -153,6 +158,16 @@ class Solver:
             model.fabric.friction,
             max(1, round(substeps / max(1.0, dt * options.contact_refreshes))),
         )
+
+    def _searches(self, state: State, body: Body, dt: float) -> int:
+        """How often in a frame bodies are looked for: what moves further than that is seen is seen again on its way."""
+        course = dt * state.velocity
+        mean = course.mean(axis=0)
+        body_course = body.current[::8] - body.previous[::8] - mean
+        way = sum(float(np.sqrt((c**2).sum(axis=1).max())) for c in (course - mean, body_course))
+        if way + self.model.fabric.thickness < kernels.FAR:
+            return 1
+        return 1 + int(np.ceil(min(way / (1.5 * kernels.FAR), MOST_SEARCHES - 1)))
 
     def _check(self, state: State, targets: np.ndarray | None, wind: tuple[float, float, float] | np.ndarray) -> None:
         """Refuse what the kernels could not take."""

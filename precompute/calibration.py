@@ -17,13 +17,13 @@ from wrinkles.spectrum import BandedEnergy
 __all__ = ["Calibration", "calibrate"]
 
 SQUEEZE = (1.0, 10.0, 100.0)
-BEND = (3.0, 10.0, 30.0, 100.0, 200.0, 400.0)
+BEND = (10.0, 30.0, 100.0, 200.0)
 SETTLE = 1.5  # the blend from the bind pose does not count [s]
 
 
 def _smooth(layer: Layer, recordings: Sequence[Recording], settled: Sequence[np.ndarray]) -> np.ndarray:
-    """Smooth surfaces of recorded coarse frames, every third: [m], shape (f, N, 3)."""
-    coarse = np.concatenate([r.coarse[s][::3] for r, s in zip(recordings, settled, strict=True)])
+    """Smooth surfaces of recorded coarse frames, every sixth: [m], shape (f, N, 3)."""
+    coarse = np.concatenate([r.coarse[s][::6] for r, s in zip(recordings, settled, strict=True)])
     return np.stack([layer.levels.subdivision.upsample(frame) for frame in coarse])
 
 

@@ -51,6 +51,8 @@ class Run:
         body: the character or vertex sequence.
         poses: shape (frames + 1, ...), one every ``dt`` [s]; the first is where the garment starts.
         fabric, options, solver: of the model and the solver.
+        wind: velocity of the air [m/s].
+        primitives: what the garment meets besides the body: planes, spheres, capsules.
         every: frames from one recorded frame to the next.
         bend_factor: hinge factor if known; None measures it.
     """
@@ -66,6 +68,8 @@ class Run:
     solver: SolverOptions
     every: int = 2
     bend_factor: float | None = None
+    wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    primitives: tuple = ()
 
     @property
     def frame_count(self) -> int:
@@ -98,7 +102,8 @@ class Run:
         for array in arrays:
             digest.update(np.ascontiguousarray(array).tobytes())
         settings = [asdict(self.fabric), asdict(self.options), asdict(self.solver), self.dt, self.every]
-        digest.update(json.dumps([*settings, self.bend_factor], sort_keys=True).encode())
+        settings += [self.bend_factor, self.wind, [primitive.row().tolist() for primitive in self.primitives]]
+        digest.update(json.dumps(settings, sort_keys=True).encode())
         return digest.hexdigest()[:24]
 
     def simulation(self) -> Simulation:
@@ -110,7 +115,7 @@ class Run:
             else (levels.coarse, levels.coarse_held, levels.coarse_attachment)
         )
         model = build_model(mesh, self.fabric, held, self.options, self.bend_factor)
-        return Simulation(model, attachment, body_source(self.body), self.poses[0], self.solver)
+        return Simulation(model, attachment, body_source(self.body), self.poses[0], self.solver, self.primitives)
 
 
 @lru_cache(maxsize=1)
@@ -226,7 +231,7 @@ def _record(run: Run, folder: Path, after_chunk: Callable[[], None] | None = Non
         for frame in range(chunk * run.chunk, min((chunk + 1) * run.chunk, run.frame_count)):
             simulation.pose_body(run.poses[frame + 1])
             began = time.perf_counter()
-            simulation.step_cloth(run.dt)
+            simulation.step_cloth(run.dt, run.wind)
             times.append(time.perf_counter() - began)
             if (frame + 1) % run.every == 0:
                 state = simulation.state

@@ -1,4 +1,4 @@
-"""A garment on an animated body: one solver, one state, one body, moved by poses."""
+"""A garment, on an animated body or without one: one solver, one state, one body, moved by poses."""
 
 from __future__ import annotations
 
@@ -35,56 +35,64 @@ class Motion(Protocol):
 
 
 class Simulation:
-    """Steps one garment along with the poses of a body.
+    """Steps one garment along with the poses of a body, or without a body: held vertices then stay where they are.
 
     Args:
         model: the garment, coarse or fine.
-        attachment: of its held vertices.
-        source: the body.
-        pose: where the body is at the start: its bind pose, moved as a whole.
+        attachment: of its held vertices; None without a body.
+        source: the body, or None.
+        pose: where the body is at the start: its bind pose, moved as a whole; None without a body.
         options: of the solver.
         primitives: further colliders.
+
+    Attributes:
+        body: what the garment collides with; without a body it has no faces.
     """
 
     def __init__(
         self,
         model: Model,
-        attachment: Attachment,
-        source: BodySource,
-        pose: np.ndarray,
+        attachment: Attachment | None,
+        source: BodySource | None,
+        pose: np.ndarray | None,
         options: SolverOptions | None = None,
         primitives: tuple = (),
     ) -> None:
         self.model, self.attachment, self.source = model, attachment, source
         self.solver = Solver(model, options)
         vertices = model.mesh.vertices
-        if pose.shape[1:] == (3, 4):  # the garment starts in the bind pose and is moved along with the root
+        if pose is not None and pose.shape[1:] == (3, 4):  # the garment starts in the bind pose and is moved along with the root
             vertices = vertices @ pose[0, :, :3].T + pose[0, :, 3]
         self.state = State.at_rest(model, vertices)
-        self.body = Body(source.faces, len(source.vertices))
-        self.colliders = Colliders(primitives, self.body)
-        self.place_body(pose)
+        self.body = Body(source.faces, len(source.vertices)) if source else Body(np.zeros((0, 3), np.int32), 1)
+        self.colliders = Colliders(primitives, self.body if source else None)
+        if pose is not None:
+            self.place_body(pose)
 
     def place_body(self, pose: np.ndarray) -> None:
         """Put the body into a pose without motion, about the garment's origin."""
+        assert self.source is not None
         self.body.origin = self.state.origin.copy()
         self.source.skin(pose, self.state.origin, self.body.current)
         self.body.place(self.body.current.copy())
 
-    def step(self, pose: np.ndarray, dt: float, wind: tuple = (0.0, 0.0, 0.0)) -> None:
+    def step(self, pose: np.ndarray | None, dt: float, wind: tuple = (0.0, 0.0, 0.0)) -> None:
         """Bring body and garment to the end of a frame.
 
         Args:
-            pose: of the body at the end of the frame.
+            pose: of the body at the end of the frame; None without a body.
             dt: frame time [s].
             wind: velocity of the air [m/s].
         """
         self.pose_body(pose)
         self.step_cloth(dt, wind)
 
-    def pose_body(self, pose: np.ndarray) -> None:
+    def pose_body(self, pose: np.ndarray | None) -> None:
         """Skin the body to ``pose``; its last pose becomes the start of the frame."""
         origin = self.solver.follow(self.state, self.colliders)
+        if self.source is None:
+            return
+        assert pose is not None
         body = self.body
         body.previous, body.current = body.current, body.previous
         self.source.skin(pose, origin, body.current)
@@ -92,7 +100,9 @@ class Simulation:
 
     def step_cloth(self, dt: float, wind: tuple = (0.0, 0.0, 0.0)) -> None:
         """Advance the garment while the body goes from its last pose to the current one."""
-        targets = self.attachment.targets(self.body.current) + self.state.origin
+        targets = None
+        if self.attachment is not None:
+            targets = self.attachment.targets(self.body.current) + self.state.origin
         self.solver.step(self.state, self.colliders, dt, targets, wind)
 
     def drag(self, vertex: int, target: np.ndarray | None) -> None:

@@ -28,7 +28,7 @@ class Levels:
         subdivision: between them.
         coarse, fine: cloth meshes in the bind pose; areas agree to 0.5 %.
         coarse_held, fine_held: attached vertices, int, shapes (p,), (P,).
-        coarse_attachment, fine_attachment: how they ride on the body.
+        coarse_attachment, fine_attachment: how they ride on the body; empty where there is none.
     """
 
     subdivision: Subdivision
@@ -95,9 +95,9 @@ def build_levels(
     Args:
         vertices: of the garment [m], shape (n, 3).
         faces: int, shape (m, 3).
-        held: coarse vertices attached to the body, int, shape (p,).
+        held: coarse vertices attached to the body, or fixed in space where there is none, int, shape (p,).
         body_vertices: bind pose [m], shape (b, 3).
-        body_faces: int, shape (k, 3).
+        body_faces: int, shape (k, 3); no faces for a garment without a body.
         levels: times that each coarse face is cut in four.
         warp: direction of the warp in space, shape (3,).
 
@@ -136,15 +136,9 @@ def levels_of(
         )
     held = np.unique(np.asarray(held, np.int64))  # the order in which a model takes its targets
     fine_held = _between(subdivision, held)
-    return Levels(
-        subdivision,
-        coarse,
-        fine,
-        held,
-        fine_held,
-        Attachment.bind(coarse.vertices[held], body_vertices, body_faces),
-        Attachment.bind(fine.vertices[fine_held], body_vertices, body_faces),
-    )
+    carried = (coarse.vertices[held], fine.vertices[fine_held]) if len(body_faces) else (np.zeros((0, 3)),) * 2
+    attachments = [Attachment.bind(points, body_vertices, body_faces) for points in carried]
+    return Levels(subdivision, coarse, fine, held, fine_held, *attachments)
 
 
 def _between(subdivision: Subdivision, held: np.ndarray) -> np.ndarray:
