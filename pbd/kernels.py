@@ -547,9 +547,9 @@ def advance(
     """Advance a garment by ``substeps`` steps of h [s].
 
     Per substep: predict, held vertices, membrane, bending, tethers, contact, velocities. Digits are kept in three
-    places: a vertex stands at ``position`` (on a grid) plus a small ``shift`` that takes the corrections; velocity takes
-    (shift - predicted shift)/h, the sum of the corrections, instead of a difference of world positions; and what it
-    gains over the frame is summed apart. ``scratch`` holds predicted shifts (0..2), normals (3..5) and gains (6..8).
+    places: a vertex stands at ``position`` (on a grid) plus a small ``shift`` that takes the corrections; velocity
+    takes (shift - predicted shift)/h, the sum of the corrections, instead of a difference of world positions; and what
+    it gains over the frame is summed apart. ``scratch`` holds predicted shifts (0..2), normals (3..5), gains (6..8).
     """
     ti.loop_config(serialize=True)
     for _ in range(1):

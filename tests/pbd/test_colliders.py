@@ -150,8 +150,8 @@ def test_the_nearest_vertex_against_all_vertices(seed: int) -> None:
     cells, items = np.zeros(kernels.MAX_CELLS + 2, np.int32), np.zeros(len(vertices), np.int32)
     for _ in range(2):  # searched, then followed
         kernels.find_nearest(
-            state.position, model.samples, state.nearest, body.current, body.ring_start, body.ring,
-            body.probes, body.probe_weights, cells, items,
+            state.position, state.velocity, model.samples, state.nearest, body.current, body.current, body.ring_start,
+            body.ring, body.probes, body.probe_weights, cells, items, 0.0, 1,
         )  # fmt: skip
         distance = np.linalg.norm(points[:, None] - body.current[None], axis=2)
         near = distance.min(axis=1) < kernels.FAR - 1e-6
@@ -289,6 +289,23 @@ def test_a_rising_ball_lifts_the_cloth_and_a_fast_one_does_not_pass_through(kind
             # A body is looked at again some times a frame only: the thickness is there for what happens in between.
             assert np.linalg.norm(state.world() - centre, axis=1).min() > RADIUS + (kind == "sphere") * 0.9 * THICKNESS
         assert state.world()[:, 1].max() > centre[1] + RADIUS
+
+
+@pytest.mark.parametrize("speed", [3.0, 6.0, 10.0])
+def test_a_body_faster_than_it_is_large_meets_the_cloth_in_its_way(speed: float) -> None:
+    """10 m/s is 17 cm a frame: the ball, 8 cm wide, stands before the curtain in one frame and behind it in the next."""
+    vertices, faces = grid(12, 12, 0.033)
+    vertices = np.stack([vertices[:, 2], vertices[:, 0] - 0.4, vertices[:, 1] - 0.2], axis=1)
+    model = free_model(cloth(vertices, faces, (0.0, 1.0, 0.0)), Fabric(), np.flatnonzero(vertices[:, 1] > -0.01))
+    ball, ball_faces = icosphere(3, 0.04)
+    for start in (-0.3, -0.3 + 0.004 * speed, -0.3 + 0.008 * speed, -0.3 + 0.012 * speed):
+        state, solver = State.at_rest(model), Solver(model, SolverOptions(substep=1 / 1200))
+        body = body_of(ball + [start, -0.2, 0.005], ball_faces, state)
+        for frame in range(1, int(0.5 / speed * 60) + 1):
+            centre = np.array([start + speed * frame / 60.0, -0.2, 0.005])
+            body.advance((ball + centre - state.origin).astype(np.float32))
+            solver.step(state, Colliders((), body), 1 / 60)
+            assert np.linalg.norm(state.world() - centre, axis=1).min() > 0.04  # nothing inside, ever
 
 
 @pytest.mark.parametrize("kind", ["sphere", "body"])
