@@ -26,7 +26,7 @@ Float1 = ti.types.ndarray(dtype=ti.f32, ndim=1)
 Float2 = ti.types.ndarray(dtype=ti.f32, ndim=2)
 
 FAR = 0.03  # bodies are looked for up to this distance from the cloth [m]
-NEAR = 0.015  # nearer than this, a contact is looked for again within the frame [m]
+NEAR = 0.01  # nearer than this, a contact is looked at in every substep, even if nothing seems to move [m]
 FINEST = 2.0**20  # inside a frame positions are whole multiples of 1 m / FINEST: exact in float32 up to 16 m
 GRID_SIDE = 48
 MAX_CELLS = GRID_SIDE**3
@@ -543,6 +543,7 @@ def advance(
     thickness: ti.f32,
     friction: ti.f32,
     refresh: ti.i32,
+    awake: ti.f32,
 ):
     """Advance a garment by ``substeps`` steps of h [s].
 
@@ -550,6 +551,9 @@ def advance(
     places: a vertex stands at ``position`` (on a grid) plus a small ``shift`` that takes the corrections; velocity
     takes (shift - predicted shift)/h, the sum of the corrections, instead of a difference of world positions; and what
     it gains over the frame is summed apart. ``scratch`` holds predicted shifts (0..2), normals (3..5), gains (6..8).
+
+    Every ``refresh`` substeps all contact samples are looked at, and those nearer to the body than ``awake`` [m] find
+    again where they touch; in between, only these are looked at.
     """
     ti.loop_config(serialize=True)
     for _ in range(1):
@@ -603,10 +607,11 @@ def advance(
                 i, j = samples[c][0], samples[c][1]
                 p, q = position[i], position[j]
                 weight = 0.25 * (p[3] + q[3])
-                if nearest[c] >= 0 and weight > 0.0:
+                looked_at = step % refresh == 0
+                if nearest[c] >= 0 and weight > 0.0 and (looked_at or touch[c, 7] < awake):
                     x = 0.5 * (xyz(p) + xyz(q))
                     u = 0.5 * (xyz(shift[i]) + xyz(shift[j]))
-                    if step % refresh == 0 and (step == 0 or touch[c, 7] < NEAR):
+                    if looked_at and (step == 0 or touch[c, 7] < awake):
                         touch_body(
                             x + u, c, t, nearest, body_0, body_1, body_faces,
                             ring_start, ring, fan_start, fan, body_normals, touch,

@@ -96,12 +96,20 @@ class Solver:
         self._check(state, targets, wind)
         self._held_0[:] = state.position[model.held, :3]
         self._held_1[:] = self._held_0 if targets is None else targets - state.origin
+        substeps = max(1, int(np.ceil(dt / options.substep - 1e-6)))
+        refresh = max(1, round(substeps / max(1.0, dt * options.contact_refreshes)))
+        way, thickness = 0.0, model.fabric.thickness
         body = colliders.body or self._nobody
         # What was touched before may be no part of this body: another one, or none.
         state.nearest[state.nearest >= (len(body.current) if colliders.body else 0)] = -1
         if colliders.body is not None:
             if np.any(body.origin != state.origin):
                 raise InputError("body and state have other origins", received=body.origin, expected=str(state.origin))
+            way = self._way(state, body, dt)
+            # What moves further than can be seen is looked for again on its way.
+            searches = 1
+            if way + thickness > kernels.FAR:
+                searches += int(np.ceil(min(way / (1.5 * kernels.FAR), MOST_SEARCHES - 1)))
             if len(self._items) < len(body.current) + len(body.probes):
                 self._items = np.zeros(len(body.current) + len(body.probes), np.int32)
             kernels.find_nearest(
@@ -118,9 +126,8 @@ class Solver:
                 self._cells,
                 self._items,
                 dt,
-                self._searches(state, body, dt),
+                searches,
             )
-        substeps = max(1, int(np.ceil(dt / options.substep - 1e-6)))
         kernels.advance(
             state.position,
             state.velocity,
@@ -154,20 +161,18 @@ class Solver:
             kernels.vec3(*options.gravity),
             kernels.vec3(*wind),
             model.options.squeeze,
-            model.fabric.thickness,
+            thickness,
             model.fabric.friction,
-            max(1, round(substeps / max(1.0, dt * options.contact_refreshes))),
+            refresh,
+            max(kernels.NEAR, thickness + way * min(1.0, refresh / substeps)),
         )
 
-    def _searches(self, state: State, body: Body, dt: float) -> int:
-        """How often in a frame bodies are looked for: what moves further than that is seen is seen again on its way."""
+    def _way(self, state: State, body: Body, dt: float) -> float:
+        """How far cloth and body can come nearer to one another in a frame [m], accelerations aside."""
         course = dt * state.velocity
         mean = course.mean(axis=0)
         body_course = body.current[::8] - body.previous[::8] - mean
-        way = sum(float(np.sqrt((c**2).sum(axis=1).max())) for c in (course - mean, body_course))
-        if way + self.model.fabric.thickness < kernels.FAR:
-            return 1
-        return 1 + int(np.ceil(min(way / (1.5 * kernels.FAR), MOST_SEARCHES - 1)))
+        return sum(float(np.sqrt((c**2).sum(axis=1).max())) for c in (course - mean, body_course))
 
     def _check(self, state: State, targets: np.ndarray | None, wind: tuple[float, float, float] | np.ndarray) -> None:
         """Refuse what the kernels could not take."""

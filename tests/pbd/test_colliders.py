@@ -293,7 +293,7 @@ def test_a_rising_ball_lifts_the_cloth_and_a_fast_one_does_not_pass_through(kind
 
 @pytest.mark.parametrize("speed", [3.0, 6.0, 10.0])
 def test_a_body_faster_than_it_is_large_meets_the_cloth_in_its_way(speed: float) -> None:
-    """10 m/s is 17 cm a frame: the ball, 8 cm wide, stands before the curtain in one frame and behind it in the next."""
+    """10 m/s is 17 cm a frame: the ball, 8 cm wide, is before the curtain in one frame and behind it in the next."""
     vertices, faces = grid(12, 12, 0.033)
     vertices = np.stack([vertices[:, 2], vertices[:, 0] - 0.4, vertices[:, 1] - 0.2], axis=1)
     model = free_model(cloth(vertices, faces, (0.0, 1.0, 0.0)), Fabric(), np.flatnonzero(vertices[:, 1] > -0.01))
