@@ -121,6 +121,7 @@ def test_cantilever_of_twenty_edges(gamma: float, gravity: float) -> None:
     assert cantilever(gamma, 20, gravity, 640) == pytest.approx(CANTILEVER[gamma], rel=0.05)
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("gamma", [0.1, 0.3])
 def test_what_bending_loses_to_the_step_follows_its_law(gamma: float) -> None:
     """One pass a substep bends too far by about 2 h^2 B/(rho_A d^4), d the edge, as stretch goes by its own law."""
