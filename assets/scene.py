@@ -260,6 +260,11 @@ class Scene:
     wrinkles: WrinkleSettings = entry(table(WrinkleSettings), WrinkleSettings())
     camera: CameraSettings = entry(table(CameraSettings), CameraSettings())
 
+    @property
+    def primitives(self) -> tuple[Plane | Sphere | Capsule, ...]:
+        """The colliders, new ones each time: they may be moved."""
+        return tuple(collider.primitive() for collider in self.colliders)
+
 
 def load_scene(path: str | Path) -> Scene:
     """Read a scene file.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,10 +11,13 @@ import numpy as np
 
 from assets.character import Character
 from assets.sequence import Sequence as VertexSequence
-from pbd import Body, ModelOptions
+from pbd import Body, InputError, ModelOptions
+from pbd.bending import hinge_calibration
 from precompute.recording import Recording, Run, body_source, poses_of, record_runs
+from runtime.play import Free, play, timing_figures
 from runtime.player import Player
 from runtime.simulation import Motion
+from runtime.stage import fine_options
 from wrinkles.charts import Charts
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Decoder, Relaxation, Upsampler
@@ -45,7 +49,6 @@ __all__ = [
 ]
 
 SETTLE = 1.5  # the blend from the bind pose is not judged [s]
-TIMINGS = ("frame", "coarse", "skin", "decode", "relax", "normals")
 
 
 def levels_from(database: WrinkleDatabase, body: Character | VertexSequence) -> Levels:
@@ -63,7 +66,13 @@ def levels_from(database: WrinkleDatabase, body: Character | VertexSequence) -> 
 
 
 def fine_run(
-    levels: Levels, body: Character | VertexSequence, motion: Motion, database_like, seconds: float | None = None
+    levels: Levels,
+    body: Character | VertexSequence,
+    motion: Motion,
+    database_like,
+    *,
+    wind: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    primitives: tuple = (),
 ) -> Run:
     """The converged fine simulation of a motion.
 
@@ -72,14 +81,35 @@ def fine_run(
         body: what moves.
         motion: how.
         database_like: gives ``fabric``, ``solver`` and ``frame_rate``.
-        seconds: cut the motion there; None plays it all.
+        wind: velocity of the air [m/s].
+        primitives: what the garment meets besides the body.
     """
     dt = 1.0 / database_like.frame_rate
-    # The stretch law of small steps asks for h N: each subdivision halves the edges, and so the substep.
-    solver = replace(database_like.solver, substep=database_like.solver.substep / 2.0 ** len(levels.subdivision.steps))
     return Run(
-        motion.name, levels, True, body, poses_of(motion, dt, seconds), dt, database_like.fabric, ModelOptions(), solver
+        motion.name,
+        levels,
+        True,
+        body,
+        poses_of(motion, dt),
+        dt,
+        database_like.fabric,
+        ModelOptions(),
+        fine_options(database_like.solver, len(levels.subdivision.steps)),
+        bend_factor=_fine_bend(levels),
+        wind=wind,
+        primitives=primitives,
     )
+
+
+_BENDS: dict[str, float] = {}
+
+
+def _fine_bend(levels: Levels) -> float:
+    """The hinge factor of a fine mesh, measured once and not by every run."""
+    key = hashlib.sha256(levels.fine.flat.tobytes()).hexdigest()
+    if key not in _BENDS:
+        _BENDS[key] = hinge_calibration(levels.fine)
+    return _BENDS[key]
 
 
 @dataclass(frozen=True)
@@ -107,6 +137,24 @@ class Truth:
     @property
     def frames(self) -> np.ndarray:
         return self.recording.positions
+
+    def until(self, seconds: float) -> Truth:
+        """The start of it.
+
+        Raises:
+            InputError: nothing of it is left to judge.
+        """
+        last = round(seconds / self.run.dt)
+        keep = self.recording.frames <= last
+        if not keep.any():
+            raise InputError("too short", key="seconds", received=seconds, expected=f"above {SETTLE} [s]")
+        return replace(
+            self,
+            run=replace(self.run, poses=self.run.poses[: last + 1]),
+            recording=self.recording.where(keep),
+            floor=self.floor[keep],
+            energy=self.energy[keep],
+        )
 
 
 def truth_of(run: Run, cache: Path, workers: int, report: Callable[[str], None] | None = None) -> Truth:
@@ -158,49 +206,10 @@ def given_frames(database: WrinkleDatabase, truth: Truth) -> tuple[np.ndarray, n
     return smooth, decoded
 
 
-@dataclass(frozen=True)
-class Free:
-    """A free run of the player.
-
-    Attributes:
-        frames, smooth: fine vertices with and without the dictionary [m], float32, shape (f, N, 3), recorded frames.
-        coarse: coarse vertices [m], float32, shape (f, n, 3).
-        timings: of every frame by part [ms].
-        held_off: largest distance of an attached vertex from its place [m].
-        state_hash: of the coarse state after 120 frames, or at the end.
-    """
-
-    frames: np.ndarray
-    smooth: np.ndarray
-    coarse: np.ndarray
-    timings: dict[str, np.ndarray]
-    held_off: float
-    state_hash: str
-
-
 def play_freely(database: WrinkleDatabase, body: Character | VertexSequence, run: Run) -> Free:
     """Play a run's poses with the player, and keep what the run records of settled frames."""
-    player = Player(database, body, run.poses[0])
-    rows: dict[str, list] = {"frames": [], "smooth": [], "coarse": []}
-    timings: dict[str, list[float]] = {name: [] for name in TIMINGS}
-    held_off, state_hash = 0.0, ""
-    for frame in range(run.frame_count):
-        player.update(run.poses[frame + 1], run.dt)
-        for name in TIMINGS:
-            timings[name].append(player.timings[name])
-        targets = player.levels.fine_attachment.targets(player.body_vertices)
-        off = np.linalg.norm(player.vertices[player.levels.fine_held] - targets, axis=1)
-        held_off = max(held_off, float(off.max(initial=0.0)))
-        if frame == min(119, run.frame_count - 1):
-            state_hash = player.simulation.state.hash()
-        if (frame + 1) % run.every == 0 and (frame + 1) * run.dt > SETTLE:
-            rows["frames"].append((player.vertices + player.origin).astype(np.float32))
-            rows["smooth"].append((player.smooth + player.origin).astype(np.float32))
-            rows["coarse"].append(player.simulation.state.world().astype(np.float32))
-    arrays = {name: np.array(values) for name, values in rows.items()}
-    return Free(
-        **arrays, timings={n: np.array(v[2:]) for n, v in timings.items()}, held_off=held_off, state_hash=state_hash
-    )
+    player = Player(database, body, run.poses[0], run.primitives)
+    return play(player, run.poses, run.dt, run.wind, every=run.every, after=SETTLE)
 
 
 def body_distances(truth: Truth, frames: np.ndarray) -> np.ndarray:
@@ -283,20 +292,7 @@ def evaluate(database: WrinkleDatabase, truth: Truth, report: Callable[[str], No
     figures |= {f"truth_{k}": float(v) for k, v in penetration_figures(truth_distances).items()}
     figures["contact_bending_ratio"] = contact_bending_ratio(truth, free.frames, distances, truth_distances)
     figures["attached_off_mm"] = 1e3 * free.held_off
-    figures |= timing_figures(free, truth)
+    figures |= timing_figures(free, truth.levels)
+    figures["fine_simulation_ms"] = truth.recording.step_ms
+    figures["speedup_over_fine"] = truth.recording.step_ms / figures["frame_ms_p50"]
     return Evaluation(figures, free, smooth, decoded)
-
-
-def timing_figures(free: Free, truth: Truth) -> dict[str, float]:
-    """Medians and tails of the player's frame times."""
-    count = truth.levels.subdivision.fine_count
-    figures = {f"{name}_ms_p50": float(np.median(free.timings[name])) for name in TIMINGS}
-    figures["frame_ms_p99"] = float(np.percentile(free.timings["frame"], 99))
-    layer = sum(figures[f"{name}_ms_p50"] for name in ("decode", "relax", "normals"))
-    return figures | {
-        "us_per_fine_vertex": 1e3 * layer / count,
-        "fine_vertex_count": float(count),
-        "coarse_vertex_count": float(truth.levels.subdivision.coarse_count),
-        "fine_simulation_ms": truth.recording.step_ms,
-        "speedup_over_fine": truth.recording.step_ms / figures["frame_ms_p50"],
-    }

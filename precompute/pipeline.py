@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -18,7 +17,7 @@ from precompute.calibration import Calibration, calibrate
 from precompute.evaluation import Evaluation, Truth, evaluate, fine_run, truth_of
 from precompute.recording import Recording, Run, body_source, record_runs
 from precompute.training import build_layer, fit_layer, training_set, with_gain
-from runtime.stage import Stage
+from runtime.stage import Stage, fabric_of
 from wrinkles.database import WrinkleDatabase, body_hash, code_version, write_database
 
 __all__ = ["Precomputed", "default_cache", "precompute"]
@@ -96,12 +95,11 @@ def precompute(
     motions = stage.training_motions()
     if not motions:
         raise InputError("nothing to learn from", key="training", expected="clips or procedural_seconds")
-    fabric = stage.settings.fabric
-    if stage.settings.thickness is not None:
-        fabric = replace(fabric, thickness=stage.settings.thickness)
+    fabric = fabric_of(stage.settings)
     settings = _Settings(fabric, scene.solver.options(), scene.solver.frame_rate)
     levels, seed = stage.levels, scene.wrinkles.seed
-    runs = [_with_bend(fine_run(levels, stage.body, motion, settings)) for motion in motions]
+    air = {"wind": scene.wind.velocity, "primitives": scene.primitives}
+    runs = [fine_run(levels, stage.body, motion, settings, **air) for motion in motions]
     recordings = record_runs(runs, cache, workers, tell)
 
     tell("calibrating the coarse model")
@@ -145,7 +143,7 @@ def precompute(
     )
     truth, evaluation, quality = None, None, {}
     if scene.training.held_out:  # the first held-out clip is the one that is reported
-        run = _with_bend(fine_run(levels, stage.body, stage.motion(scene.training.held_out[0]), settings))
+        run = fine_run(levels, stage.body, stage.motion(scene.training.held_out[0]), settings, **air)
         truth = truth_of(run, cache, workers, tell)
         evaluation = evaluate(database, truth, tell)
         quality = dict(evaluation.figures)
@@ -159,21 +157,6 @@ def precompute(
     database = replace(database, quality=quality, training_minutes=(time.monotonic() - began) / 60.0)
     write_database(output, database)
     return Precomputed(database, output, calibration, truth, evaluation)
-
-
-def _with_bend(run: Run) -> Run:
-    """The hinge factor of a fine mesh is measured once, not by every run."""
-    return replace(run, bend_factor=_measured_bend(run))
-
-
-_BENDS: dict[str, float] = {}
-
-
-def _measured_bend(run: Run) -> float:
-    key = hashlib.sha256(run.levels.fine.flat.tobytes()).hexdigest()
-    if key not in _BENDS:
-        _BENDS[key] = hinge_calibration(run.levels.fine)
-    return _BENDS[key]
 
 
 def _excerpts(runs: list[Run]) -> list[tuple[int, Run]]:

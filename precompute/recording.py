@@ -18,27 +18,14 @@ import numpy as np
 import pbd
 from assets.character import Character
 from assets.sequence import Sequence as VertexSequence
-from assets.sequence import SequenceBody
-from assets.skinning import SkinnedBody
 from pbd import Fabric, ModelOptions, SolverOptions, State, build_model
 from pbd.storage import replacing
-from runtime.simulation import Simulation
+from runtime.simulation import Simulation, body_source, poses_of
 from wrinkles.levels import Levels
 
 __all__ = ["Recording", "Run", "body_source", "poses_of", "record_runs"]
 
 CHUNK_SECONDS = 1.0  # what a cut-off run loses at most [s of motion]
-
-
-def body_source(body: Character | VertexSequence) -> SkinnedBody | SequenceBody:
-    """What poses a body."""
-    return SkinnedBody(body) if isinstance(body, Character) else SequenceBody(body)
-
-
-def poses_of(motion, dt: float, seconds: float | None = None) -> np.ndarray:
-    """Poses of a motion every ``dt`` [s], from 0 to its end or to ``seconds``: shape (frames + 1, ...)."""
-    duration = motion.duration if seconds is None else min(seconds, motion.duration)
-    return np.stack([motion.pose(i * dt) for i in range(int(np.floor(duration / dt + 1e-6)) + 1)])
 
 
 @dataclass(frozen=True)

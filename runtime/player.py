@@ -7,10 +7,9 @@ import time
 import numpy as np
 
 from assets.character import Character
-from assets.sequence import Sequence, SequenceBody
-from assets.skinning import SkinnedBody
+from assets.sequence import Sequence
 from pbd import InputError, build_model
-from runtime.simulation import Simulation
+from runtime.simulation import Simulation, body_source
 from wrinkles.charts import Charts
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Decoder, Relaxation, Upsampler, surface_normals
@@ -28,6 +27,7 @@ class Player:
         database: what was learned.
         body: the character or vertex sequence that it was learned on.
         pose: where the body is at the start (its bind pose, moved as a whole).
+        primitives: what the coarse garment meets besides the body: planes, spheres, capsules.
 
     Attributes:
         levels: coarse and fine mesh.
@@ -37,13 +37,17 @@ class Player:
         timings: what the last frame took, by part [ms].
 
     Raises:
-        InputError: a body that the database was not made for.
+        InputError: a body that the database was not made for, or a bad pose.
     """
 
-    def __init__(self, database: WrinkleDatabase, body: Character | Sequence, pose: np.ndarray) -> None:
+    def __init__(
+        self, database: WrinkleDatabase, body: Character | Sequence, pose: np.ndarray, primitives: tuple = ()
+    ) -> None:
         database.require_body(body)
+        self._pose_shape = (len(body.joint_names), 3, 4) if isinstance(body, Character) else body.vertices.shape[1:]
+        self._check_pose(pose)
         self.database = database
-        source = SkinnedBody(body) if isinstance(body, Character) else SequenceBody(body)
+        source = body_source(body)
         self.levels: Levels = levels_of(
             database.coarse_vertices,
             database.coarse_faces,
@@ -54,7 +58,7 @@ class Player:
             database.warp,
         )
         model = build_model(self.levels.coarse, database.fabric, database.held, database.options, database.bend_factor)
-        self.simulation = Simulation(model, self.levels.coarse_attachment, source, pose, database.solver)
+        self.simulation = Simulation(model, self.levels.coarse_attachment, source, pose, database.solver, primitives)
         charts = Charts.of(self.levels.coarse)
         patches = Patches.of(self.levels.subdivision, charts)
         self._upsample = Upsampler(self.levels.subdivision)
@@ -68,6 +72,7 @@ class Player:
         self._before = self._position.copy()
         self._body_between = np.zeros((body_count, 3), np.float32)
         self.timings = dict.fromkeys(("skin", "coarse", "decode", "relax", "normals", "frame"), 0.0)
+        self._warm_up(pose)
         self.decode()
 
     @property
@@ -81,7 +86,7 @@ class Player:
         return self.simulation.body.current
 
     def update(self, pose: np.ndarray, dt: float, wind: tuple = (0.0, 0.0, 0.0)) -> None:
-        """One frame: advance the coarse garment to a pose in ``dt`` [s] and make the fine one."""
+        """One frame: advance the coarse garment to a pose in ``dt`` [s] and make the fine one; see :meth:`step`."""
         self.step(pose, dt, wind)
         self.decode()
 
@@ -92,7 +97,15 @@ class Player:
             pose: of the body at the end of the step.
             dt: [s].
             wind: velocity of the air [m/s].
+
+        Raises:
+            InputError: an input that is not finite or of another shape; then nothing has changed.
         """
+        self._check_pose(pose)
+        if not (np.isfinite(dt) and dt >= 0.0):
+            raise InputError("bad time step", key="dt", received=dt, expected="a finite number, at least 0 [s]")
+        if np.shape(wind) != (3,) or not np.isfinite(wind).all():
+            raise InputError("bad wind", key="wind", received=wind, expected="three finite numbers [m/s]")
         simulation = self.simulation
         began = time.perf_counter()
         origin = simulation.state.origin.copy()
@@ -141,9 +154,27 @@ class Player:
         """Hold a coarse vertex at a point in the world [m], shape (3,); None lets it go.
 
         Raises:
-            InputError: no such vertex.
+            InputError: no such vertex, or a bad target.
         """
+        if target is not None and (np.shape(target) != (3,) or not np.isfinite(target).all()):
+            raise InputError("bad target", key="target", received=target, expected="three finite numbers [m]")
         count = self.levels.subdivision.coarse_count
         if not 0 <= vertex < count:
             raise InputError("no such coarse vertex", key="vertex", received=vertex, expected=f"0..{count - 1}")
         self.simulation.drag(vertex, target)
+
+    def _check_pose(self, pose: np.ndarray) -> None:
+        if np.shape(pose) != self._pose_shape:
+            raise InputError("bad pose", key="pose", received=np.shape(pose), expected=f"shape {self._pose_shape}")
+        if not np.isfinite(pose).all():
+            raise InputError("bad pose", key="pose", received="values that are not finite", expected="finite numbers")
+
+    def _warm_up(self, pose: np.ndarray) -> None:
+        """Load or compile every kernel by a step that is taken back: the first frame is as fast as the others."""
+        simulation = self.simulation
+        start = simulation.state.copy()
+        self.step(pose, 1.0 / self.database.frame_rate)
+        simulation.state = start
+        simulation.place_body(pose)
+        self._before[:] = start.position
+        self.timings = dict.fromkeys(self.timings, 0.0)

@@ -6,10 +6,13 @@ from typing import Protocol
 
 import numpy as np
 
+from assets.character import Character
+from assets.sequence import Sequence, SequenceBody
+from assets.skinning import SkinnedBody
 from pbd import Body, Colliders, Model, Solver, SolverOptions, State
 from pbd.attachment import Attachment
 
-__all__ = ["BodySource", "Motion", "Simulation"]
+__all__ = ["BodySource", "Motion", "Simulation", "body_source", "poses_of"]
 
 
 class BodySource(Protocol):
@@ -32,6 +35,17 @@ class Motion(Protocol):
     def pose(self, t: float) -> np.ndarray:
         """Pose at t [s]."""
         ...
+
+
+def body_source(body: Character | Sequence) -> SkinnedBody | SequenceBody:
+    """What poses a body."""
+    return SkinnedBody(body) if isinstance(body, Character) else SequenceBody(body)
+
+
+def poses_of(motion: Motion, dt: float, seconds: float | None = None) -> np.ndarray:
+    """Poses of a motion every ``dt`` [s], from 0 to its end or to ``seconds``: shape (frames + 1, ...)."""
+    duration = motion.duration if seconds is None else min(seconds, motion.duration)
+    return np.stack([motion.pose(i * dt) for i in range(int(np.floor(duration / dt + 1e-6)) + 1)])
 
 
 class Simulation:
@@ -61,7 +75,7 @@ class Simulation:
         self.model, self.attachment, self.source = model, attachment, source
         self.solver = Solver(model, options)
         vertices = model.mesh.vertices
-        if pose is not None and pose.shape[1:] == (3, 4):  # the garment starts in the bind pose and is moved along with the root
+        if pose is not None and pose.shape[1:] == (3, 4):  # from the bind pose, moved along with the root
             vertices = vertices @ pose[0, :, :3].T + pose[0, :, 3]
         self.state = State.at_rest(model, vertices)
         self.body = Body(source.faces, len(source.vertices)) if source else Body(np.zeros((0, 3), np.int32), 1)

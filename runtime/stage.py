@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -16,12 +16,24 @@ from assets.mannequin import builtin_mannequin
 from assets.motion import ClipMotion
 from assets.scene import GarmentSettings, MotionSettings, Scene, parse_scene
 from assets.sequence import Sequence, SequenceMotion, load_sequence
-from pbd import InputError
-from runtime.simulation import Motion
+from pbd import Fabric, InputError, SolverOptions, build_model
+from runtime.simulation import Motion, Simulation, body_source
 from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels, build_levels
 
-__all__ = ["PROCEDURAL_PIECE", "Stage", "held_vertices", "load_body", "motion_of", "stage_of"]
+__all__ = [
+    "PROCEDURAL_PIECE",
+    "Stage",
+    "body_of",
+    "fabric_of",
+    "fine_options",
+    "held_vertices",
+    "load_body",
+    "motion_of",
+    "scene_of",
+    "simulation_of",
+    "stage_of",
+]
 
 PROCEDURAL_PIECE = 20.0  # procedural motion is made in pieces of this length [s], each with a seed of its own
 
@@ -40,6 +52,29 @@ def motion_of(body: Character, motion: MotionSettings) -> Motion:
     """
     other = load_body(motion.file)
     return ClipMotion(body, with_clips(body, other).clip(motion.clip) if other is not body else body.clip(motion.clip))
+
+
+def body_of(scene: Scene) -> Character | Sequence:
+    """The body of a scene.
+
+    Raises:
+        InputError: the scene has none, or it cannot be loaded.
+    """
+    character = scene.character
+    if character is None:
+        raise InputError("no body", key="character", expected="a [character] with file or sequence")
+    return load_body(character.file) if character.file is not None else load_sequence(str(character.sequence))
+
+
+def fabric_of(settings: GarmentSettings) -> Fabric:
+    """What a garment is made of, as thick as the scene wants it."""
+    thickness = settings.fabric.thickness if settings.thickness is None else settings.thickness
+    return replace(settings.fabric, thickness=thickness)
+
+
+def fine_options(options: SolverOptions, subdivisions: int) -> SolverOptions:
+    """Options of the fine simulation: the stretch law of small steps asks for h N, so substeps halve as edges do."""
+    return replace(options, substep=options.substep / 2.0**subdivisions)
 
 
 def held_vertices(garment: Garment, settings: GarmentSettings) -> np.ndarray:
@@ -100,18 +135,11 @@ class Stage:
         Raises:
             InputError: several garments, no body, or anything that cannot be loaded.
         """
-        if len(scene.garments) != 1:
-            names = [garment.name for garment in scene.garments]
-            raise InputError("one garment at a time", key="garment", received=names, expected="one [[garment]]")
-        if scene.character is None:
-            raise InputError("no body", key="character", expected="a [character] with file or sequence")
-        settings, character = scene.garments[0], scene.character
-        mesh = str(settings.mesh)
-        if mesh.startswith("builtin:"):
-            garment = builtin_garment(mesh.removeprefix("builtin:"))
-        else:
-            garment = load_garment(settings.mesh, pattern=settings.pattern)
-        body = load_body(character.file) if character.file is not None else load_sequence(str(character.sequence))
+        settings, garment = _garment_of(scene)
+        body = body_of(scene)
+        if settings.pins:
+            expected = "attach or attach_vertices: pins hold a garment without a body"
+            raise InputError("pins beside a body", key="garment[0].pins", received=settings.pins, expected=expected)
         vertices = body.vertices if isinstance(body, Character) else body.vertices[0].astype(float)
         held = held_vertices(garment, settings)
         levels = build_levels(garment.vertices, garment.faces, held, vertices, body.faces, settings.subdivisions)
@@ -144,12 +172,70 @@ class Stage:
         return motions
 
 
+def _garment_of(scene: Scene) -> tuple[GarmentSettings, Garment]:
+    if len(scene.garments) != 1:
+        names = [garment.name for garment in scene.garments]
+        raise InputError("one garment at a time", key="garment", received=names, expected="one [[garment]]")
+    settings = scene.garments[0]
+    mesh = str(settings.mesh)
+    if mesh.startswith("builtin:"):
+        return settings, builtin_garment(mesh.removeprefix("builtin:"))
+    return settings, load_garment(settings.mesh, pattern=settings.pattern)
+
+
+def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion | None]:
+    """What a scene describes, ready to be stepped: a garment on its body, or one that hangs on its pins.
+
+    Args:
+        scene: with one garment.
+        fine: simulate the subdivided mesh.
+
+    Returns:
+        the simulation at its start, and the motion of the body, None without one.
+
+    Raises:
+        InputError: as :meth:`Stage.of`; a garment without a body that is attached, or pinned at a vertex that it lacks.
+    """
+    if scene.character is not None:
+        stage = Stage.of(scene)
+        settings, levels, motion = stage.settings, stage.levels, stage.motion()
+        source, pose = body_source(stage.body), motion.pose(0.0)
+    else:
+        settings, garment = _garment_of(scene)
+        if settings.attach != "none" or settings.attach_vertices:
+            raise InputError("nothing to attach to", key="garment[0].attach", expected="pins, or a [character]")
+        if max(settings.pins, default=0) >= len(garment.vertices):
+            expected = f"0..{len(garment.vertices) - 1}"
+            raise InputError("no such vertex", key="garment[0].pins", received=max(settings.pins), expected=expected)
+        nothing = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
+        levels = build_levels(
+            garment.vertices, garment.faces, np.array(settings.pins, int), *nothing, settings.subdivisions
+        )
+        motion = source = pose = None
+    mesh, held, attachment = levels.coarse, levels.coarse_held, levels.coarse_attachment
+    options = scene.solver.options()
+    if fine:
+        mesh, held, attachment = levels.fine, levels.fine_held, levels.fine_attachment
+        options = fine_options(options, settings.subdivisions)
+    model = build_model(mesh, fabric_of(settings), held)
+    return Simulation(model, attachment if source else None, source, pose, options, scene.primitives), motion
+
+
+def scene_of(database: WrinkleDatabase) -> Scene:
+    """The scene that is stored in a database.
+
+    Raises:
+        InputError: a file that the scene names is gone.
+    """
+    return parse_scene(database.scene, f"scene stored for '{database.garment_name}'")
+
+
 def stage_of(database: WrinkleDatabase) -> Stage:
     """The stage that a database was made on, from the scene that is stored in it.
 
     Raises:
         InputError: a file that the scene names is gone, or is not what it was.
     """
-    stage = Stage.of(parse_scene(database.scene, f"scene stored for '{database.garment_name}'"))
+    stage = Stage.of(scene_of(database))
     database.require_body(stage.body)
     return stage

@@ -2,6 +2,7 @@
 
 import numpy as np
 from scipy.sparse import csr_matrix
+from threadpoolctl import ThreadpoolController
 
 from pbd.colliders import Body
 from pbd.engine import ensure_initialized, ti
@@ -144,13 +145,23 @@ class Decoder:
         self._grids = np.zeros((count, 3 * NODES), np.float32)
         self._shapes = np.ascontiguousarray(mapping.gain[:, None] * atoms.shapes)
         self._mean = atoms.mean
+        self._blas = ThreadpoolController()
 
     def add(self, position: np.ndarray, velocity: np.ndarray, contact: np.ndarray, fine: np.ndarray) -> None:
         """Add wrinkles to ``fine`` (float32, shape (N, 3)) for a coarse state as in :class:`pbd.State`."""
         m = self.mapping
         z = self.features
         self.stencil.gather(position, velocity, contact, self.frames, z, m.center, m.scale, CLIP)
-        np.matmul(z, m.weights_1, out=self._hidden_1)
+        # Matrices this small are slower on more threads, by far beside other work, and their bits would depend on it.
+        with self._blas.limit(limits=1, user_api="blas"):
+            self._mix()
+        p = self.patches
+        _add_patches(self._grids, self.frames, p.corners, p.blend, p.cell, p.within, fine)
+
+    def _mix(self) -> None:
+        """The network: features to grids."""
+        m = self.mapping
+        np.matmul(self.features, m.weights_1, out=self._hidden_1)
         self._hidden_1 += m.place_bias
         np.maximum(self._hidden_1, 0.0, out=self._hidden_1)
         np.matmul(self._hidden_1, m.weights_2, out=self._hidden_2)
@@ -160,8 +171,6 @@ class Decoder:
         self._coefficients += m.bias_3
         np.matmul(self._coefficients, self._shapes, out=self._grids)
         self._grids += self._mean
-        p = self.patches
-        _add_patches(self._grids, self.frames, p.corners, p.blend, p.cell, p.within, fine)
 
 
 @ti.kernel

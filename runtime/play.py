@@ -1,0 +1,314 @@
+"""Headless playing of a wrinkle database: who plays, frames, figures and pictures."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from assets.character import Character
+from assets.motion import ClipMotion
+from assets.scene import MotionSettings, Scene
+from assets.sequence import Sequence, SequenceMotion, load_sequence
+from pbd import InputError
+from runtime.bake import bake_glb, bake_obj, bake_pc2
+from runtime.game_loop import GameLoop, LiveInput, ScriptedInput
+from runtime.player import Player
+from runtime.simulation import Motion, body_source
+from runtime.stage import body_of, load_body, motion_of, scene_of
+from wrinkles.database import WrinkleDatabase
+from wrinkles.levels import Levels
+
+__all__ = [
+    "Cast",
+    "Free",
+    "baked_frames",
+    "cast_of",
+    "check_bake_path",
+    "draw_frames",
+    "loop_figures",
+    "play",
+    "posed_bodies",
+    "timing_figures",
+    "write_baked",
+]
+
+TIMINGS = ("frame", "coarse", "skin", "decode", "relax", "normals")
+BAKED = (".glb", ".pc2", ".obj")
+HASH_FRAME = 120  # the coarse state is hashed after this many frames
+PICTURE = (560, 640)  # [pixel]
+
+
+@dataclass(frozen=True)
+class Cast:
+    """What a database is played with.
+
+    Attributes:
+        body: the character or vertex sequence.
+        motions: what it does, one after the other.
+        wind: velocity of the air [m/s].
+        primitives: colliders besides the body.
+    """
+
+    body: Character | Sequence
+    motions: tuple[Motion, ...]
+    wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    primitives: tuple = ()
+
+
+def cast_of(database: WrinkleDatabase, character: Path | None = None, clip: str | None = None) -> Cast:
+    """The body and the motions that a database is to be played with.
+
+    Args:
+        database: the database; without ``character`` the scene stored in it says what is played.
+        character: a file with the body and clips instead: .glb, .gltf, or .npz for a vertex sequence.
+        clip: name of a clip; None takes the held-out ones, or the first where there are none.
+
+    Raises:
+        InputError: another body than the database's, a clip that does not exist, or a file that cannot be loaded.
+    """
+    if character is None:
+        scene = scene_of(database)
+        body = body_of(scene)
+        database.require_body(body)
+        return Cast(body, _motions(body, clip, database, scene), scene.wind.velocity, scene.primitives)
+    body = load_sequence(character) if character.suffix.lower() == ".npz" else load_body(character)
+    database.require_body(body)
+    return Cast(body, _motions(body, clip, database, None))
+
+
+def _motions(
+    body: Character | Sequence, clip: str | None, database: WrinkleDatabase, scene: Scene | None
+) -> tuple[Motion, ...]:
+    if isinstance(body, Sequence):
+        if clip is not None:
+            raise InputError("a vertex sequence has no clips", key="--clip", received=clip, expected="none")
+        return (SequenceMotion(body),)
+    known: dict[str, MotionSettings | None] = {}
+    if scene is not None:
+        known |= {motion.clip: motion for motion in (*scene.training.held_out, *scene.training.clips)}
+    known |= {name: None for name in body.clips if name not in known}  # the body's own file
+    if clip is not None:
+        names = [clip]
+    else:
+        own = scene.character.clip if scene is not None and scene.character is not None else None
+        names = [name for name in database.held_out if name in known] or [own or next(iter(known), "")]
+    for name in names:
+        if name not in known:
+            expected = "one of " + ", ".join(sorted(known)) if known else "a character with clips"
+            raise InputError("no such clip", key="--clip", received=name, expected=expected)
+    return tuple(
+        ClipMotion(body, body.clip(name)) if (settings := known[name]) is None else motion_of(body, settings)
+        for name in names
+    )
+
+
+@dataclass(frozen=True)
+class Free:
+    """A free run of the player.
+
+    Attributes:
+        numbers: of the kept frames, from 1, int, shape (f,).
+        frames, smooth: fine vertices with and without the dictionary [m], float32, shape (f, N, 3), kept frames.
+        coarse: coarse vertices [m], float32, shape (f, n, 3), kept frames.
+        timings: of every frame by part [ms].
+        held_off: largest distance of an attached vertex from its place [m].
+        state_hash: of the coarse state after 120 frames, or at the end.
+    """
+
+    numbers: np.ndarray
+    frames: np.ndarray
+    smooth: np.ndarray
+    coarse: np.ndarray
+    timings: dict[str, np.ndarray]
+    held_off: float
+    state_hash: str
+
+
+def play(
+    player: Player,
+    poses: np.ndarray,
+    dt: float,
+    wind: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    *,
+    every: int = 10,
+    after: float = 0.0,
+) -> Free:
+    """Play all poses after the first, where the player stands.
+
+    Args:
+        player: of the database.
+        poses: shape (frames + 1, ...), one every ``dt`` [s].
+        dt: [s].
+        wind: velocity of the air [m/s].
+        every: frames from one kept frame to the next.
+        after: frames up to this time are not kept [s].
+    """
+    rows: dict[str, list] = {"numbers": [], "frames": [], "smooth": [], "coarse": []}
+    timings: dict[str, list[float]] = {name: [] for name in TIMINGS}
+    held_off, state_hash = 0.0, player.simulation.state.hash()
+    count = len(poses) - 1
+    for number in range(1, count + 1):
+        player.update(poses[number], dt, wind)
+        for name in TIMINGS:
+            timings[name].append(player.timings[name])
+        targets = player.levels.fine_attachment.targets(player.body_vertices)
+        off = np.linalg.norm(player.vertices[player.levels.fine_held] - targets, axis=1)
+        held_off = max(held_off, float(off.max(initial=0.0)))
+        if number == min(HASH_FRAME, count):
+            state_hash = player.simulation.state.hash()
+        if number % every == 0 and number * dt > after:
+            rows["numbers"].append(number)
+            rows["frames"].append((player.vertices + player.origin).astype(np.float32))
+            rows["smooth"].append((player.smooth + player.origin).astype(np.float32))
+            rows["coarse"].append(player.simulation.state.world().astype(np.float32))
+    arrays = {name: np.array(values) for name, values in rows.items()}
+    spent = {name: np.array(values) for name, values in timings.items()}
+    return Free(**arrays, timings=spent, held_off=held_off, state_hash=state_hash)
+
+
+def timing_figures(free: Free, levels: Levels) -> dict[str, float]:
+    """Medians and tails of the player's frame times [ms], and what they are the times of."""
+    count = levels.subdivision.fine_count
+    figures = {f"{name}_ms_p50": float(np.median(free.timings[name])) for name in TIMINGS}
+    figures["frame_ms_p99"] = float(np.percentile(free.timings["frame"], 99))
+    layer = sum(figures[f"{name}_ms_p50"] for name in ("decode", "relax", "normals"))
+    return figures | {
+        "us_per_fine_vertex": 1e3 * layer / count,
+        "fine_vertex_count": float(count),
+        "coarse_vertex_count": float(levels.subdivision.coarse_count),
+    }
+
+
+def loop_figures(player: Player, cast: Cast, motion: Motion, seconds: float, rate_hz: float) -> dict[str, float]:
+    """Play by the clock with a scripted gust and pull; figures of :meth:`runtime.game_loop.GameLoop.figures`."""
+    script = ScriptedInput(player.simulation, motion, seconds)
+
+    def live(t: float) -> LiveInput:
+        said = script(t)
+        return said._replace(wind=tuple(np.add(said.wind, cast.wind)))
+
+    return GameLoop(player, live, rate_hz, 1.0 / player.database.frame_rate).run(seconds)
+
+
+def posed_bodies(body: Character | Sequence, poses: Iterable[np.ndarray]) -> np.ndarray:
+    """Vertices of a body in each of some poses, world [m], float32, shape (f, b, 3)."""
+    source = body_source(body)
+    frames = []
+    for pose in poses:
+        frames.append(np.zeros((len(source.vertices), 3), np.float32))
+        source.skin(pose, np.zeros(3), frames[-1])
+    return np.array(frames)
+
+
+def draw_frames(
+    folder: Path,
+    name: str,
+    columns: Mapping[str, np.ndarray],
+    faces: np.ndarray,
+    bodies: np.ndarray,
+    body_faces: np.ndarray,
+    numbers: np.ndarray,
+    dt: float,
+) -> list[Path]:
+    """Draw frames, each as a strip of pictures side by side, into ``folder / NAME_0010.png`` and so on.
+
+    Args:
+        folder: made where it is missing.
+        name: of the motion.
+        columns: title and vertices [m], shape (f, N, 3), of what stands side by side.
+        faces: of the garment, int, shape (m, 3).
+        bodies: [m], shape (f, b, 3).
+        body_faces: int, shape (k, 3).
+        numbers: of the frames, shape (f,).
+        dt: from frame to frame [s].
+
+    Returns:
+        the files.
+    """
+    from runtime.pictures import BODY_COLOR, Drawn, frame_camera, render, save_png, strip
+
+    folder.mkdir(parents=True, exist_ok=True)
+    seen = next(iter(columns.values()))
+    cameras = frame_camera(seen, aspect=PICTURE[0] / PICTURE[1], margin=1.15)
+    files = []
+    for index, number in enumerate(numbers):
+        body = Drawn(bodies[index], body_faces, BODY_COLOR)
+        images = [
+            [render([body, Drawn(vertices[index], faces)], cameras[index], PICTURE)] for vertices in columns.values()
+        ]
+        files.append(folder / f"{re.sub(r'[^-.0-9A-Za-z]+', '_', name)}_{number:04d}.png")
+        save_png(files[-1], strip(images, list(columns), [f"{number * dt:.2f} s"]))
+    return files
+
+
+def baked_frames(
+    database: WrinkleDatabase, cast: Cast, motion: Motion, rate_hz: float, seconds: float | None = None
+) -> tuple[Player, np.ndarray, np.ndarray, np.ndarray]:
+    """Play a motion and take the garment at a rate of its own, from the start on.
+
+    Returns:
+        the player, and of each frame vertices in the world [m] and unit normals, float32, shape (f, N, 3), and the
+        body's vertices in the world [m], float32, shape (f, b, 3).
+
+    Raises:
+        InputError: a rate that is not positive.
+    """
+    tick = 1.0 / database.frame_rate
+    player = Player(database, cast.body, motion.pose(0.0), cast.primitives)
+    ticks = int(np.ceil(database.frame_rate / rate_hz)) + 1 if rate_hz > 0.0 else 1
+    loop = GameLoop(player, lambda t: LiveInput(motion.pose(t), cast.wind), rate_hz, tick, ticks)
+    duration = motion.duration if seconds is None else min(seconds, motion.duration)
+    times = np.arange(int(duration * rate_hz + 1e-6) + 1) / rate_hz
+    frames, normals = [], []
+    for time in times:
+        if time > 0.0:
+            loop.advance(1.0 / rate_hz)
+        frames.append((player.vertices + player.origin).astype(np.float32))
+        normals.append(player.normals.copy())
+    return player, np.array(frames), np.array(normals), posed_bodies(cast.body, (motion.pose(t) for t in times))
+
+
+def check_bake_path(path: Path) -> None:
+    """Refuse a file that cannot be baked to, before a long run.
+
+    Raises:
+        InputError: an unknown extension, or no such folder.
+    """
+    if path.suffix.lower() not in BAKED:
+        raise InputError("cannot be baked to", key="-o", received=str(path), expected="a file " + " or ".join(BAKED))
+
+
+def write_baked(
+    path: Path,
+    faces: np.ndarray,
+    frames: np.ndarray,
+    rate_hz: float,
+    normals: np.ndarray | None = None,
+    body_faces: np.ndarray | None = None,
+    bodies: np.ndarray | None = None,
+) -> None:
+    """Bake to the kind of file that the extension names; only .glb takes normals and the body along.
+
+    Args:
+        path: .glb, .pc2 or .obj.
+        faces: of the garment, int, shape (m, 3).
+        frames: world [m], shape (f, n, 3).
+        rate_hz: [Hz].
+        normals: unit, shape (f, n, 3).
+        body_faces: int, shape (k, 3).
+        bodies: world [m], shape (f, b, 3).
+
+    Raises:
+        InputError: an unknown extension, or what cannot be written.
+    """
+    check_bake_path(path)
+    if path.suffix.lower() == ".glb":
+        bake_glb(path, faces, frames, rate_hz, normals=normals, body_faces=body_faces, body_frames=bodies)
+    elif path.suffix.lower() == ".pc2":
+        bake_pc2(path, faces, frames)
+    else:
+        bake_obj(path, faces, frames)

@@ -1,0 +1,72 @@
+"""A wrinkle database with random weights for the built-in skirt on the mannequin."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from assets.scene import parse_scene, scene_text
+from pbd import SolverOptions
+from runtime.stage import Stage
+from tests.wrinkles.databases import small_database
+from wrinkles.database import WrinkleDatabase, body_hash
+
+__all__ = ["SCENE", "skirt_database", "skirt_stage"]
+
+SCENE = """
+[[garment]]
+name = "skirt"
+mesh = "builtin:skirt"
+attach = "top"
+subdivisions = 1
+
+[character]
+file = "builtin:mannequin"
+clip = "walk"
+
+[[training.clips]]
+file = "builtin:mannequin"
+clip = "sway"
+
+[[training.held_out]]
+file = "builtin:mannequin"
+clip = "walk"
+"""
+
+
+@cache
+def skirt_stage() -> Stage:
+    return Stage.of(parse_scene(SCENE, "skirt.toml"))
+
+
+def skirt_database(**changes: Any) -> WrinkleDatabase:
+    """The database, with fields replaced by ``changes``."""
+    stage = skirt_stage()
+    coarse = stage.levels.coarse
+    database = small_database()
+    rng = np.random.default_rng(1)
+    place = (0.01 * rng.standard_normal((len(coarse.vertices), database.mapping.place_bias.shape[1]))).astype(
+        np.float32
+    )
+    return replace(
+        database,
+        garment_name="skirt",
+        coarse_vertices=coarse.vertices,
+        coarse_faces=coarse.faces,
+        subdivisions=stage.settings.subdivisions,
+        held=stage.levels.coarse_held.astype(np.int32),
+        warp=(0.0, 1.0, 0.0),
+        fabric=stage.settings.fabric,
+        solver=SolverOptions(),
+        mapping=replace(database.mapping, place_bias=place),
+        cutoff=stage.levels.cutoff,
+        body_hash=body_hash(stage.body),
+        body_vertex_count=len(stage.body.vertices),
+        held_out=("walk",),
+        trained_on=("sway",),
+        scene=scene_text(stage.scene),
+        **changes,
+    )
