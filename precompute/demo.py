@@ -66,7 +66,8 @@ def run_demo(output: Path, report: Callable[[str], None] | None = None) -> dict[
     Returns:
         the figures.
     """
-    from precompute.compare import compare, write_comparison
+    from precompute.compare import compare
+    from precompute.comparison_page import write_comparison
 
     tell = report or (lambda line: None)
     result = precompute(load_scene(SCENE), output / "skirt.h5", report=report)

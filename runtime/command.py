@@ -7,12 +7,19 @@ needs inside itself, so that no command pays for another; that is also where ``p
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from pbd.errors import InputError
-from runtime.report import Report, package_version, write_report
+from runtime.report import Progress, Report, package_version, process_age, write_report
+
+if TYPE_CHECKING:
+    from runtime.play import Cast
+    from runtime.simulation import Motion
+    from wrinkles.database import WrinkleDatabase
 
 __all__ = ["main"]
 
@@ -53,15 +60,47 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"gube {package_version('gube')}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
-    simulate = _add_command(commands, "simulate", _simulate, "simulate a scene")
+    simulate = _add_command(commands, "simulate", _simulate, "simulate the garment of a scene and bake it")
     simulate.add_argument("scene", type=Path, metavar="SCENE", help="scene file (TOML)")
-    simulate.add_argument("--explain", action="store_true", required=True, help="only print the resolved scene")
+    simulate.add_argument("-o", dest="output", type=Path, metavar="OUT", help=".glb, .pc2 or .obj; out/SCENE.glb")
+    simulate.add_argument("--seconds", type=float, metavar="S", help="all of the motion; 5 s without a body")
+    simulate.add_argument("--fine", action="store_true", help="simulate the subdivided mesh")
+    simulate.add_argument("--explain", action="store_true", help="only print the resolved scene")
+
+    precompute = _add_command(commands, "precompute", _precompute, "learn the wrinkles of a scene's garment")
+    precompute.add_argument("scene", type=Path, metavar="SCENE", help="scene file (TOML)")
+    precompute.add_argument("-o", dest="output", type=Path, metavar="DB.h5", required=True, help="wrinkle database")
+    precompute.add_argument("--cache", type=Path, metavar="DIR", help="simulated runs; .gube-cache beside the database")
+    precompute.add_argument("--workers", type=int, metavar="N", default=os.cpu_count() or 1, help="processes at a time")
+
+    play = _add_command(commands, "play", _play, "play a wrinkle database without a window")
+    _add_played(play)
+    play.add_argument("-o", dest="output", type=Path, metavar="DIR", default=Path("out/play"), help="for pictures")
+    mode = play.add_mutually_exclusive_group()
+    mode.add_argument("--truth", action="store_true", help="beside the fine simulation, with figures of both")
+    mode.add_argument("--loop", type=float, metavar="SECONDS", help="by the clock, with a gust and a pull; no pictures")
+    play.add_argument("--hz", type=int, choices=(30, 60), default=60, help="frames a second of --loop")
+
+    bake = _add_command(commands, "bake", _bake, "bake a played wrinkle database into an animation")
+    _add_played(bake)
+    bake.add_argument("-o", dest="output", type=Path, metavar="OUT", required=True, help=".glb, .pc2 or .obj")
+    bake.add_argument("--rate", type=float, metavar="HZ", default=30.0, help="frames a second")
 
     info = _add_command(commands, "info", _info, "what a wrinkle database holds and how good it is")
     info.add_argument("database", type=Path, metavar="DB.h5", help="wrinkle database")
 
     check = _add_command(commands, "check", _check, "check a wrinkle database whole")
     check.add_argument("database", type=Path, metavar="DB.h5", help="wrinkle database")
+
+    compare = _add_command(commands, "compare", _compare, "chart what every method costs against how right it is")
+    compare.add_argument(
+        "source", type=Path, metavar="DB.h5|SCENE.toml", help="wrinkle database, or a scene to make one of"
+    )
+    compare.add_argument(
+        "-o", dest="output", type=Path, default=Path("."), metavar="DIR", help="folder of compare.html"
+    )
+    compare.add_argument("--clip", metavar="NAME", help="a clip that nothing was learned from (default: held out)")
+    compare.add_argument("--seconds", type=float, metavar="S", help="cut the motion there")
     return parser
 
 
@@ -74,6 +113,14 @@ def _add_command(
     return parser
 
 
+def _add_played(parser: argparse.ArgumentParser) -> None:
+    """What says which database is played with which body and motion."""
+    parser.add_argument("database", type=Path, metavar="DB.h5", help="wrinkle database")
+    parser.add_argument("--character", type=Path, metavar="FILE", help="body and clips; the scene's own if absent")
+    parser.add_argument("--clip", metavar="NAME", help="motion; those that were held out if absent")
+    parser.add_argument("--seconds", type=float, metavar="S", help="only the start of the motion")
+
+
 def _check_folder(path: Path) -> None:
     """Refuse now what would lose the figures of a long run later."""
     if path.is_dir() or not path.resolve().parent.is_dir():
@@ -83,8 +130,106 @@ def _check_folder(path: Path) -> None:
 def _simulate(options: argparse.Namespace) -> Report:
     from assets.scene import load_scene, scene_text
 
-    print(scene_text(load_scene(options.scene)), end="")
-    return Report()
+    scene = load_scene(options.scene)
+    if options.explain:
+        print(scene_text(scene), end="")
+        return Report()
+    from runtime.info import figure_lines
+    from runtime.play import check_bake_path, simulated_frames, write_baked
+    from runtime.stage import simulation_of
+
+    output = options.output or Path("out") / f"{options.scene.stem}.glb"
+    check_bake_path(output)
+    simulation, motion = simulation_of(scene, options.fine)
+    seconds = options.seconds or (5.0 if motion is None else motion.duration)
+    frames, bodies, rate, figures = simulated_frames(simulation, motion, scene, seconds)
+    faces = simulation.model.mesh.faces
+    write_baked(
+        output, faces, frames, rate, body_faces=None if bodies is None else simulation.body.faces, bodies=bodies
+    )
+    print("\n".join([*figure_lines(figures), f"baked to {output}"]))
+    return Report(figures)
+
+
+def _precompute(options: argparse.Namespace) -> Report:
+    from assets.scene import load_scene
+    from precompute.pipeline import precompute
+    from runtime.info import info_text
+
+    if options.workers < 1:
+        raise InputError("too few processes", key="--workers", received=options.workers, expected="at least 1")
+    if options.output.is_dir():
+        raise InputError("cannot be written", key="-o", received=str(options.output), expected="a file")
+    scene = load_scene(options.scene)
+    with Progress(sys.stderr) as progress:
+        precompute(scene, options.output, cache=options.cache, workers=options.workers, report=progress)
+    text, figures = info_text(options.output)
+    print(text)
+    print(f"To see it: gube play {options.output} --truth\nFor others: gube bake {options.output} -o OUT.glb")
+    return Report(figures)
+
+
+def _play(options: argparse.Namespace) -> Report:
+    from runtime.info import figure_lines
+    from runtime.play import cast_of, loop_figures, play_motion
+    from wrinkles.database import read_database
+
+    import_s = process_age()
+    database = read_database(options.database)
+    cast = cast_of(database, options.character, options.clip)
+    rows: list[dict[str, float | str]] = []
+    for motion in cast.motions:
+        if options.loop is not None:
+            figures = loop_figures(database, cast, motion, options.loop, options.hz)
+        elif options.truth:
+            figures = _beside_truth(options, database, cast, motion)
+        else:
+            figures = play_motion(database, cast, motion, options.seconds, options.output)
+        rows.append({"motion": motion.name, "import_s": import_s, **figures})
+        numbers = {name: value for name, value in rows[-1].items() if not isinstance(value, str)}
+        print("\n".join([f"{motion.name}:", *figure_lines(numbers)]))
+        if "state_hash" in figures:
+            print(f"  state_hash {figures['state_hash']}")
+    if options.loop is None:
+        print(f"pictures: {options.output}")
+    return Report({name: value for name, value in rows[0].items() if name != "motion"}, rows)
+
+
+def _beside_truth(options: argparse.Namespace, database: WrinkleDatabase, cast: Cast, motion: Motion) -> dict[str, Any]:
+    """Figures of a motion beside the fine simulation, and pictures of both."""
+    from precompute.evaluation import evaluate, fine_run, levels_from, truth_of
+    from precompute.pipeline import default_cache
+    from runtime.play import draw_frames
+
+    levels = levels_from(database, cast.body)
+    run = fine_run(levels, cast.body, motion, database, wind=cast.wind, primitives=cast.primitives)
+    with Progress(sys.stderr) as progress:
+        truth = truth_of(run, default_cache(options.database), os.cpu_count() or 1, progress)
+        if options.seconds is not None:
+            truth = truth.until(options.seconds)
+        evaluation = evaluate(database, truth, progress)
+        progress("drawing")
+        numbers = truth.recording.frames
+        shown = numbers % 10 == 0
+        free = evaluation.free
+        columns = {"smooth": free.smooth[shown], "truth": truth.frames[shown], "ours": free.frames[shown]}
+        faces = levels.subdivision.faces
+        draw_frames(options.output, motion.name, columns, faces, cast, run.poses, numbers[shown], run.dt)
+    return evaluation.figures | {"state_hash": free.state_hash}
+
+
+def _bake(options: argparse.Namespace) -> Report:
+    from runtime.play import baked_frames, cast_of, check_bake_path, write_baked
+    from wrinkles.database import read_database
+
+    check_bake_path(options.output)
+    database = read_database(options.database)
+    cast = cast_of(database, options.character, options.clip)
+    player, frames, normals, bodies = baked_frames(database, cast, cast.motions[0], options.rate, options.seconds)
+    faces = player.levels.subdivision.faces
+    write_baked(options.output, faces, frames, options.rate, normals, cast.body.faces, bodies)
+    print(f"{cast.motions[0].name}: {len(frames)} frames of {frames.shape[1]} vertices baked to {options.output}")
+    return Report({"frame_count": len(frames), "fine_vertex_count": frames.shape[1]})
 
 
 def _info(options: argparse.Namespace) -> Report:
@@ -102,3 +247,22 @@ def _check(options: argparse.Namespace) -> Report:
     for check in checks:
         print(f"{'passed' if check.passed else 'FAILED'}  {check.check}: {check.detail}")
     return Report(rows=[check._asdict() for check in checks], passed=all(check.passed for check in checks))
+
+
+def _compare(options: argparse.Namespace) -> Report:
+    from precompute.compare import compare_file
+    from precompute.comparison_page import verdict, write_comparison
+
+    options.output.mkdir(parents=True, exist_ok=True)
+    found = compare_file(options.source, options.output, clip=options.clip, seconds=options.seconds, report=_tell)
+    page = options.output / "compare.html"
+    write_comparison(page, found)
+    print(verdict(found))
+    print(f"\n{page}")
+    rows = [{"method": m.name, "frame_ms_p50": m.frame_ms, **m.settings, **m.figures} for m in found.methods]
+    return Report(found.figures, rows)
+
+
+def _tell(line: str) -> None:
+    """Progress: not a part of what a command prints."""
+    print(line, file=sys.stderr, flush=True)

@@ -32,7 +32,6 @@ __all__ = [
     "motion_of",
     "scene_of",
     "simulation_of",
-    "stage_of",
 ]
 
 PROCEDURAL_PIECE = 20.0  # procedural motion is made in pieces of this length [s], each with a seed of its own
@@ -228,14 +227,3 @@ def scene_of(database: WrinkleDatabase) -> Scene:
         InputError: a file that the scene names is gone.
     """
     return parse_scene(database.scene, f"scene stored for '{database.garment_name}'")
-
-
-def stage_of(database: WrinkleDatabase) -> Stage:
-    """The stage that a database was made on, from the scene that is stored in it.
-
-    Raises:
-        InputError: a file that the scene names is gone, or is not what it was.
-    """
-    stage = Stage.of(scene_of(database))
-    database.require_body(stage.body)
-    return stage

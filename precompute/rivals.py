@@ -1,0 +1,180 @@
+"""What a wrinkle database is compared with: the same garment simulated outright, on the fine mesh and a middle one."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pbd import Model, ModelOptions, SolverOptions, build_model
+from pbd.attachment import Attachment
+from precompute.evaluation import Truth
+from precompute.recording import Run, body_source
+from runtime.simulation import BodySource, Simulation
+from wrinkles.database import WrinkleDatabase
+from wrinkles.decoder import Upsampler, surface_normals
+from wrinkles.levels import Levels, levels_of
+from wrinkles.surface import Subdivision
+
+__all__ = ["Cloth", "Played", "coarse_cloth", "equal_cost_substeps", "fine_cloth", "middle_cloth", "middle_levels"]
+
+PROBE_FRAMES = 45  # frames that a cost is measured on, after as many to get going
+MOST_SUBSTEPS = 128  # that are tried to fill a frame's time
+
+
+@dataclass(frozen=True)
+class Played:
+    """A run of a simulated garment.
+
+    Attributes:
+        frames: fine vertices [m], float32, shape (f, N, 3), at the truth's recorded frames; fewer where it broke.
+        frame_ms: median time of a frame: skinning, simulation, upsampling, normals [ms].
+        broke_at: when a vertex was no longer finite [s]; None if that never was.
+    """
+
+    frames: np.ndarray
+    frame_ms: float
+    broke_at: float | None
+
+
+@dataclass(frozen=True)
+class Cloth:
+    """A garment that is simulated on one mesh and shown on the fine one.
+
+    Attributes:
+        model: of the simulated mesh.
+        attachment: of its held vertices.
+        source: the body.
+        run: gives the poses.
+        options: of the solver.
+        subdivision: from the simulated mesh to the fine one; None where they are the same.
+        fine_faces: of the fine mesh.
+    """
+
+    model: Model
+    attachment: Attachment
+    source: BodySource
+    run: Run
+    options: SolverOptions
+    subdivision: Subdivision | None
+    fine_faces: np.ndarray
+
+    def simulation(self, options: SolverOptions) -> Simulation:
+        """One at the first pose."""
+        return Simulation(self.model, self.attachment, self.source, self.run.poses[0], options, self.run.primitives)
+
+    def with_substeps(self, substeps: int) -> Cloth:
+        """The same with so many substeps a frame."""
+        return replace(self, options=replace(self.options, substep=self.run.dt / substeps))
+
+    @property
+    def substeps(self) -> int:
+        """Substeps a frame."""
+        return max(1, int(np.ceil(self.run.dt / self.options.substep - 1e-6)))
+
+    def play(self, keep: np.ndarray, frame_count: int | None = None) -> Played:
+        """Run freely along the poses.
+
+        Args:
+            keep: numbers of the frames that are kept, int, shape (f,).
+            frame_count: stop after so many; None plays all.
+        """
+        simulation = self.simulation(self.options)
+        upsample = None if self.subdivision is None else Upsampler(self.subdivision)
+        count = self.model.vertex_count if self.subdivision is None else self.subdivision.fine_count
+        vertices, normals = np.zeros((2, count, 3), np.float32)
+        wanted, kept, times = set(keep.tolist()), [], []
+        for frame in range(1, (frame_count or self.run.frame_count) + 1):
+            began = time.perf_counter()
+            simulation.step(self.run.poses[frame], self.run.dt, self.run.wind)
+            state = simulation.state
+            if upsample is None:
+                vertices[:] = state.position[:, :3]
+            else:
+                upsample(state.position, vertices)
+            surface_normals(vertices, self.fine_faces, normals)
+            times.append(time.perf_counter() - began)
+            if not (np.isfinite(state.position).all() and np.isfinite(state.velocity).all()):
+                return Played(_stacked(kept, count), _median_ms(times), frame * self.run.dt)
+            if frame in wanted:
+                kept.append((vertices + state.origin).astype(np.float32))
+        return Played(_stacked(kept, count), _median_ms(times), None)
+
+    def cost(self) -> float:
+        """Time of a frame, from a short run [ms]."""
+        count = min(2 * PROBE_FRAMES, self.run.frame_count)
+        return self.play(np.zeros(0, int), count).frame_ms
+
+
+def _stacked(frames: list[np.ndarray], count: int) -> np.ndarray:
+    return np.array(frames, np.float32).reshape(-1, count, 3)
+
+
+def _median_ms(times: list[float]) -> float:
+    return 1e3 * float(np.median(times[len(times) // 2 :]))  # the first half gets going
+
+
+def equal_cost_substeps(cost: Callable[[int], float], budget: float) -> int:
+    """Whole number of substeps a frame, at least one, whose cost is nearest to a budget.
+
+    Args:
+        cost: of a frame with so many substeps, growing [ms].
+        budget: [ms].
+    """
+    low, high = 1, 2
+    costs = {1: cost(1)}
+    if costs[1] >= budget:
+        return 1
+    while high < MOST_SUBSTEPS and costs.setdefault(high, cost(high)) < budget:
+        low, high = high, 2 * high
+    while high - low > 1:
+        middle = (low + high) // 2
+        if costs.setdefault(middle, cost(middle)) < budget:
+            low = middle
+        else:
+            high = middle
+    return low if high not in costs or budget - costs[low] <= costs[high] - budget else high
+
+
+def fine_cloth(truth: Truth) -> Cloth:
+    """The truth's own garment and settings."""
+    run, levels = truth.run, truth.levels
+    model = build_model(levels.fine, run.fabric, levels.fine_held, run.options, run.bend_factor)
+    return Cloth(model, levels.fine_attachment, body_source(run.body), run, run.solver, None, levels.fine.faces)
+
+
+def coarse_cloth(database: WrinkleDatabase, truth: Truth) -> Cloth:
+    """The coarse garment with its calibrated model."""
+    levels = truth.levels
+    model = build_model(levels.coarse, database.fabric, levels.coarse_held, database.options, database.bend_factor)
+    source = body_source(truth.run.body)
+    faces = levels.fine.faces
+    return Cloth(model, levels.coarse_attachment, source, truth.run, database.solver, levels.subdivision, faces)
+
+
+def middle_levels(database: WrinkleDatabase, truth: Truth) -> Levels | None:
+    """Levels from the coarse mesh subdivided once to the fine mesh, whose numbering is the same.
+
+    The middle mesh has the fine one's side lengths, as the coarse mesh has. None where a single subdivision makes the
+    fine mesh already.
+    """
+    if database.subdivisions < 2:
+        return None
+    source = body_source(truth.run.body)
+    body = (source.vertices, source.faces)
+    one = levels_of(database.coarse_vertices, database.coarse_faces, database.held, *body, 1, database.warp)
+    return levels_of(one.fine.vertices, one.fine.faces, one.fine_held, *body, database.subdivisions - 1, database.warp)
+
+
+def middle_cloth(database: WrinkleDatabase, truth: Truth, options: ModelOptions | None = None) -> Cloth | None:
+    """The garment on the middle mesh, converged as far as the truth is; None where there is no such mesh."""
+    levels = middle_levels(database, truth)
+    if levels is None:
+        return None
+    model = build_model(levels.coarse, database.fabric, levels.coarse_held, options)
+    # The stretch law of small steps asks for h N: one subdivision halves the edges, and so the substep.
+    solver = replace(database.solver, substep=database.solver.substep / 2.0)
+    source = body_source(truth.run.body)
+    return Cloth(model, levels.coarse_attachment, source, truth.run, solver, levels.subdivision, levels.fine.faces)
