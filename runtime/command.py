@@ -60,6 +60,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"gube {package_version('gube')}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
+    demo = _add_command(commands, "demo", _demo, "the whole road on the built-in scene, up to pictures")
+    demo.add_argument("-o", dest="output", type=Path, default=Path("out/demo"), metavar="DIR", help="default: out/demo")
+
     simulate = _add_command(commands, "simulate", _simulate, "simulate the garment of a scene and bake it")
     simulate.add_argument("scene", type=Path, metavar="SCENE", help="scene file (TOML)")
     simulate.add_argument("-o", dest="output", type=Path, metavar="OUT", help=".glb, .pc2 or .obj; out/SCENE.glb")
@@ -148,6 +151,21 @@ def _simulate(options: argparse.Namespace) -> Report:
         output, faces, frames, rate, body_faces=None if bodies is None else simulation.body.faces, bodies=bodies
     )
     print("\n".join([*figure_lines(figures), f"baked to {output}"]))
+    return Report(figures)
+
+
+def _demo(options: argparse.Namespace) -> Report:
+    from precompute.demo import run_demo
+
+    with Progress(sys.stderr) as progress:
+        figures = run_demo(options.output, report=progress)
+    out = options.output
+    print(f"page:      {out / 'index.html'}")
+    print(f"picture:   {out / 'demo.png'} (coarse | truth | ours)")
+    print(f"animation: {out / 'skirt.glb'} (Blender: File, Import, glTF)")
+    print(f"database:  {out / 'skirt.h5'}")
+    print(f"next: gube info {out / 'skirt.h5'}")
+    print(f"      gube play {out / 'skirt.h5'} --loop 60 --hz 60")
     return Report(figures)
 
 
