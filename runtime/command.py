@@ -7,6 +7,7 @@ needs inside itself, so that no command pays for another; that is also where ``p
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -66,7 +67,7 @@ def _parser() -> argparse.ArgumentParser:
     simulate = _add_command(commands, "simulate", _simulate, "simulate the garment of a scene and bake it")
     simulate.add_argument("scene", type=Path, metavar="SCENE", help="scene file (TOML)")
     simulate.add_argument("-o", dest="output", type=Path, metavar="OUT", help=".glb, .pc2 or .obj; out/SCENE.glb")
-    simulate.add_argument("--seconds", type=float, metavar="S", help="all of the motion; 5 s without a body")
+    simulate.add_argument("--seconds", type=_positive, metavar="S", help="all of the motion; 5 s without a body")
     simulate.add_argument("--fine", action="store_true", help="simulate the subdivided mesh")
     simulate.add_argument("--explain", action="store_true", help="only print the resolved scene")
 
@@ -81,13 +82,15 @@ def _parser() -> argparse.ArgumentParser:
     play.add_argument("-o", dest="output", type=Path, metavar="DIR", default=Path("out/play"), help="for pictures")
     mode = play.add_mutually_exclusive_group()
     mode.add_argument("--truth", action="store_true", help="beside the fine simulation, with figures of both")
-    mode.add_argument("--loop", type=float, metavar="SECONDS", help="by the clock, with a gust and a pull; no pictures")
+    mode.add_argument(
+        "--loop", type=_positive, metavar="SECONDS", help="by the clock, with a gust; no pictures"
+    )
     play.add_argument("--hz", type=int, choices=(30, 60), default=60, help="frames a second of --loop")
 
     bake = _add_command(commands, "bake", _bake, "bake a played wrinkle database into an animation")
     _add_played(bake)
     bake.add_argument("-o", dest="output", type=Path, metavar="OUT", required=True, help=".glb, .pc2 or .obj")
-    bake.add_argument("--rate", type=float, metavar="HZ", default=30.0, help="frames a second")
+    bake.add_argument("--rate", type=_positive, metavar="HZ", default=30.0, help="frames a second")
 
     info = _add_command(commands, "info", _info, "what a wrinkle database holds and how good it is")
     info.add_argument("database", type=Path, metavar="DB.h5", help="wrinkle database")
@@ -103,7 +106,7 @@ def _parser() -> argparse.ArgumentParser:
         "-o", dest="output", type=Path, default=Path("."), metavar="DIR", help="folder of compare.html"
     )
     compare.add_argument("--clip", metavar="NAME", help="a clip that nothing was learned from (default: held out)")
-    compare.add_argument("--seconds", type=float, metavar="S", help="cut the motion there")
+    compare.add_argument("--seconds", type=_positive, metavar="S", help="cut the motion there")
     return parser
 
 
@@ -121,7 +124,17 @@ def _add_played(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("database", type=Path, metavar="DB.h5", help="wrinkle database")
     parser.add_argument("--character", type=Path, metavar="FILE", help="body and clips; the scene's own if absent")
     parser.add_argument("--clip", metavar="NAME", help="motion; those that were held out if absent")
-    parser.add_argument("--seconds", type=float, metavar="S", help="only the start of the motion")
+    parser.add_argument("--seconds", type=_positive, metavar="S", help="only the start of the motion")
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"received {text!r}, expected a number above 0")
+    return value
 
 
 def _check_folder(path: Path) -> None:
@@ -144,12 +157,11 @@ def _simulate(options: argparse.Namespace) -> Report:
     output = options.output or Path("out") / f"{options.scene.stem}.glb"
     check_bake_path(output)
     simulation, motion = simulation_of(scene, options.fine)
-    seconds = options.seconds or (5.0 if motion is None else motion.duration)
+    longest = 5.0 if motion is None else motion.duration
+    seconds = longest if options.seconds is None else min(options.seconds, longest if motion else math.inf)
     frames, bodies, rate, figures = simulated_frames(simulation, motion, scene, seconds)
-    faces = simulation.model.mesh.faces
-    write_baked(
-        output, faces, frames, rate, body_faces=None if bodies is None else simulation.body.faces, bodies=bodies
-    )
+    body_faces = None if bodies is None else simulation.body.faces
+    write_baked(output, simulation.model.mesh.faces, frames, rate, body_faces=body_faces, bodies=bodies)
     print("\n".join([*figure_lines(figures), f"baked to {output}"]))
     return Report(figures)
 

@@ -18,7 +18,7 @@ from wrinkles.patches import Patches
 from wrinkles.schema import ENTRIES
 from wrinkles.surface import Subdivision
 
-__all__ = ["Check", "check_database", "info_text"]
+__all__ = ["Check", "check_database", "figure_lines", "info_text"]
 
 RIVALS = ("smooth", "floor", "middle_mesh", "equal_cost_fine", "truth")  # prefixes of figures that stand beside ours
 EXPLANATIONS = {
@@ -51,6 +51,11 @@ EXPLANATIONS = {
     "feature_mismatch_after": "the same after calibration",
     "frame_ms_p50": "a whole frame, median",
     "frame_ms_p99": "a whole frame, slowest hundredth",
+    "skin_ms_p50": "of it: the body",
+    "coarse_ms_p50": "of it: the coarse garment",
+    "decode_ms_p50": "of it: wrinkles",
+    "relax_ms_p50": "of it: relaxation",
+    "normals_ms_p50": "of it: normals",
     "us_per_fine_vertex": "decoding, relaxation and normals",
     "fine_simulation_ms": "a frame of the fine simulation",
     "speedup_over_fine": "times faster than the fine simulation",
@@ -152,19 +157,21 @@ def _sections(database: WrinkleDatabase, figures: Mapping[str, float]) -> Iterat
 
 def _quality_lines(database: WrinkleDatabase) -> list[str]:
     """Table of the held-out figures, ours beside the rivals'; the first held-out clip is the one that they tell of."""
+    where = database.held_out[0] if database.held_out else "unknown, nothing was held out"
+    return [f"How good it is on motion that it was not trained on: {where}", *figure_lines(database.quality)]
+
+
+def figure_lines(figures: Mapping[str, float]) -> list[str]:
+    """A table of figures by name, those of rivals in columns beside ours, in the order of the explanations."""
     table: dict[str, dict[str, float]] = {name: {} for name in EXPLANATIONS}
-    for name, value in database.quality.items():
+    for name, value in figures.items():
         column, base = _column(name)
         table.setdefault(base, {})[column] = value
     columns = [c for c in ("ours", *RIVALS) if any(c in row for row in table.values())]
-    if database.held_out:
-        lines = [f"How good it is on motion that it was not trained on: {database.held_out[0]}"]
-    else:
-        lines = ["How good it is on motion that it was not trained on: unknown, nothing was held out"]
-    lines.append("  " + " " * 30 + "".join(f"{column.replace('_', ' '):>17}" for column in columns))
+    lines = ["  " + " " * 30 + "".join(f"{column.replace('_', ' '):>17}" for column in columns)]
     for name, row in table.items():
         if row:
-            cells = "".join(f"{row[c]:17.4g}" if c in row else " " * 16 + "-" for c in columns)
+            cells = "".join(f"{row[c]:17.5g}" if c in row else " " * 16 + "-" for c in columns)
             lines.append(f"  {name:<30}{cells}  {EXPLANATIONS.get(name, '')}".rstrip())
     return lines
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,8 @@ from pbd import InputError
 from runtime.bake import bake_glb, bake_obj, bake_pc2
 from runtime.game_loop import GameLoop, LiveInput, ScriptedInput
 from runtime.player import Player
-from runtime.simulation import Motion, body_source
+from runtime.report import process_age
+from runtime.simulation import BodySource, Motion, Simulation, body_source, poses_of
 from runtime.stage import body_of, load_body, motion_of, scene_of
 from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels
@@ -31,13 +33,16 @@ __all__ = [
     "draw_frames",
     "loop_figures",
     "play",
+    "play_motion",
     "posed_bodies",
+    "simulated_frames",
     "timing_figures",
     "write_baked",
 ]
 
 TIMINGS = ("frame", "coarse", "skin", "decode", "relax", "normals")
 BAKED = (".glb", ".pc2", ".obj")
+BAKED_HZ = 30.0
 HASH_FRAME = 120  # the coarse state is hashed after this many frames
 PICTURE = (560, 640)  # [pixel]
 
@@ -183,20 +188,58 @@ def timing_figures(free: Free, levels: Levels) -> dict[str, float]:
     }
 
 
-def loop_figures(player: Player, cast: Cast, motion: Motion, seconds: float, rate_hz: float) -> dict[str, float]:
+def play_motion(
+    database: WrinkleDatabase, cast: Cast, motion: Motion, seconds: float | None, folder: Path
+) -> dict[str, float | str]:
+    """Play a motion and draw every tenth frame, smooth and ours.
+
+    Args:
+        database: what is played.
+        cast: with what.
+        motion: one of the cast's.
+        seconds: plays the start of it; None plays all.
+        folder: of the pictures.
+
+    Returns:
+        figures by name; ``first_frame_s`` counts from the start of the process.
+
+    Raises:
+        InputError: fewer seconds than a frame.
+    """
+    dt = 1.0 / database.frame_rate
+    poses = poses_of(motion, dt, seconds)
+    if len(poses) < 2:
+        raise InputError("nothing to play", key="--seconds", received=seconds, expected=f"at least {dt:.3g} [s]")
+    player = Player(database, cast.body, poses[0], cast.primitives)
+    first = process_age()
+    free = play(player, poses, dt, cast.wind)
+    faces = player.levels.subdivision.faces
+    draw_frames(folder, motion.name, {"smooth": free.smooth, "ours": free.frames}, faces, cast, poses, free.numbers, dt)
+    figures: dict[str, float | str] = {"frame_count": len(poses) - 1, "first_frame_s": first}
+    figures |= timing_figures(free, player.levels)
+    return figures | {"attached_off_mm": 1e3 * free.held_off, "state_hash": free.state_hash}
+
+
+def loop_figures(
+    database: WrinkleDatabase, cast: Cast, motion: Motion, seconds: float, rate_hz: float
+) -> dict[str, float]:
     """Play by the clock with a scripted gust and pull; figures of :meth:`runtime.game_loop.GameLoop.figures`."""
+    player = Player(database, cast.body, motion.pose(0.0), cast.primitives)
     script = ScriptedInput(player.simulation, motion, seconds)
 
     def live(t: float) -> LiveInput:
         said = script(t)
         return said._replace(wind=tuple(np.add(said.wind, cast.wind)))
 
-    return GameLoop(player, live, rate_hz, 1.0 / player.database.frame_rate).run(seconds)
+    return GameLoop(player, live, rate_hz, 1.0 / database.frame_rate).run(seconds)
 
 
 def posed_bodies(body: Character | Sequence, poses: Iterable[np.ndarray]) -> np.ndarray:
     """Vertices of a body in each of some poses, world [m], float32, shape (f, b, 3)."""
-    source = body_source(body)
+    return _posed(body_source(body), poses)
+
+
+def _posed(source: BodySource, poses: Iterable[np.ndarray]) -> np.ndarray:
     frames = []
     for pose in poses:
         frames.append(np.zeros((len(source.vertices), 3), np.float32))
@@ -209,34 +252,35 @@ def draw_frames(
     name: str,
     columns: Mapping[str, np.ndarray],
     faces: np.ndarray,
-    bodies: np.ndarray,
-    body_faces: np.ndarray,
+    cast: Cast,
+    poses: np.ndarray,
     numbers: np.ndarray,
     dt: float,
 ) -> list[Path]:
     """Draw frames, each as a strip of pictures side by side, into ``folder / NAME_0010.png`` and so on.
 
     Args:
-        folder: made where it is missing.
+        folder: of the files.
         name: of the motion.
         columns: title and vertices [m], shape (f, N, 3), of what stands side by side.
         faces: of the garment, int, shape (m, 3).
-        bodies: [m], shape (f, b, 3).
-        body_faces: int, shape (k, 3).
-        numbers: of the frames, shape (f,).
-        dt: from frame to frame [s].
+        cast: with the body.
+        poses: one every ``dt`` [s].
+        numbers: of the frames, into the poses, shape (f,); of none nothing is drawn.
+        dt: [s].
 
     Returns:
         the files.
     """
     from runtime.pictures import BODY_COLOR, Drawn, frame_camera, render, save_png, strip
 
-    folder.mkdir(parents=True, exist_ok=True)
-    seen = next(iter(columns.values()))
-    cameras = frame_camera(seen, aspect=PICTURE[0] / PICTURE[1], margin=1.15)
+    if not len(numbers):
+        return []
+    bodies = posed_bodies(cast.body, poses[numbers])
+    cameras = frame_camera(next(iter(columns.values())), aspect=PICTURE[0] / PICTURE[1], margin=1.15)
     files = []
     for index, number in enumerate(numbers):
-        body = Drawn(bodies[index], body_faces, BODY_COLOR)
+        body = Drawn(bodies[index], cast.body.faces, BODY_COLOR)
         images = [
             [render([body, Drawn(vertices[index], faces)], cameras[index], PICTURE)] for vertices in columns.values()
         ]
@@ -264,19 +308,61 @@ def baked_frames(
     duration = motion.duration if seconds is None else min(seconds, motion.duration)
     times = np.arange(int(duration * rate_hz + 1e-6) + 1) / rate_hz
     frames, normals = [], []
-    for time in times:
-        if time > 0.0:
+    for number in range(len(times)):
+        if number:
             loop.advance(1.0 / rate_hz)
         frames.append((player.vertices + player.origin).astype(np.float32))
         normals.append(player.normals.copy())
     return player, np.array(frames), np.array(normals), posed_bodies(cast.body, (motion.pose(t) for t in times))
 
 
+def simulated_frames(
+    simulation: Simulation, motion: Motion | None, scene: Scene, seconds: float
+) -> tuple[np.ndarray, np.ndarray | None, float, dict[str, float]]:
+    """Simulate a scene and keep about 30 frames a second.
+
+    Args:
+        simulation: of the scene, at its start.
+        motion: of its body, None without one.
+        scene: gives wind and frame rate.
+        seconds: to simulate [s].
+
+    Returns:
+        vertices in the world [m], float32, shape (f, n, 3); those of the body, None without one; their rate [Hz]; and
+        figures by name.
+
+    Raises:
+        InputError: less than a frame.
+    """
+    dt = 1.0 / scene.solver.frame_rate
+    count = int(seconds / dt + 1e-6)
+    if count < 1:
+        raise InputError("nothing to simulate", key="--seconds", received=seconds, expected=f"at least {dt:.3g} [s]")
+    every = max(1, round(scene.solver.frame_rate / BAKED_HZ))
+    spent, frames = [], [simulation.state.world()]
+    for number in range(1, count + 1):
+        began = time.perf_counter()
+        simulation.step(None if motion is None else motion.pose(number * dt), dt, scene.wind.velocity)
+        spent.append(1e3 * (time.perf_counter() - began))
+        if number % every == 0:
+            frames.append(simulation.state.world())
+    figures = {
+        "frame_count": float(count),
+        "frame_ms_p50": float(np.median(spent)),
+        "frame_ms_p99": float(np.percentile(spent, 99)),
+        "vertex_count": float(simulation.model.vertex_count),
+    }
+    bodies = None
+    if motion is not None and simulation.source is not None:
+        bodies = _posed(simulation.source, (motion.pose(i * every * dt) for i in range(len(frames))))
+    return np.array(frames, np.float32), bodies, 1.0 / (every * dt), figures
+
+
 def check_bake_path(path: Path) -> None:
     """Refuse a file that cannot be baked to, before a long run.
 
     Raises:
-        InputError: an unknown extension, or no such folder.
+        InputError: an unknown extension.
     """
     if path.suffix.lower() not in BAKED:
         raise InputError("cannot be baked to", key="-o", received=str(path), expected="a file " + " or ".join(BAKED))

@@ -6,16 +6,18 @@ import json
 import math
 import os
 import platform
+import shutil
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 
-__all__ = ["Report", "machine_description", "package_version", "write_report"]
+__all__ = ["Progress", "Report", "machine_description", "package_version", "process_age", "write_report"]
 
 
 @dataclass(frozen=True)
@@ -23,17 +25,59 @@ class Report:
     """What a command hands back.
 
     Attributes:
-        figures: single figures by name; the name's ending gives the unit (``frame_ms_p50``, ``rmse_mm``).
+        figures: single figures by name; the name's ending gives the unit (``frame_ms_p50``, ``rmse_mm``). Only
+            ``state_hash`` is no number.
         rows: one table, a mapping of columns per row.
         passed: False for a run that failed; the exit status is 1 then.
     """
 
-    figures: Mapping[str, float] = field(default_factory=dict)
+    figures: Mapping[str, float | str] = field(default_factory=dict)
     rows: Sequence[Mapping[str, Any]] = ()
     passed: bool = True
 
 
-def write_report(path: Path, command: str, figures: Mapping[str, float], rows: Sequence[Mapping[str, Any]]) -> None:
+class Progress:
+    """Lines of progress: one that is written over on a terminal, else a line each. Closed by ``with``.
+
+    Args:
+        stream: where they go.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream, self._began = stream, time.monotonic()
+        self._live, self._open = stream.isatty(), False
+
+    def __call__(self, line: str) -> None:
+        text = f"[{time.monotonic() - self._began:5.0f} s] {line}"
+        if self._live:
+            width = shutil.get_terminal_size().columns - 1
+            self._stream.write(f"\r\x1b[K{text[:width]}")
+            self._open = True
+        else:
+            self._stream.write(text + "\n")
+        self._stream.flush()
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._open:
+            self._stream.write("\n")
+            self._stream.flush()
+
+
+def process_age() -> float:
+    """Time since this process was started [s]; not a number where the system does not tell."""
+    try:
+        fields = Path("/proc/self/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    except OSError:
+        return math.nan
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - int(fields[19]) / os.sysconf("SC_CLK_TCK")
+
+
+def write_report(
+    path: Path, command: str, figures: Mapping[str, float | str], rows: Sequence[Mapping[str, Any]]
+) -> None:
     """Write figures and rows with the machine they were measured on; numbers that are not finite become null."""
     content = {
         "command": command,
