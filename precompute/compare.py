@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,11 +21,19 @@ from precompute.evaluation import (
     truth_of,
 )
 from precompute.pipeline import default_cache, precompute
-from precompute.rivals import Cloth, coarse_cloth, equal_cost_substeps, fine_cloth, middle_cloth
+from precompute.rivals import (
+    PROBE_FRAMES,
+    Cloth,
+    coarse_cloth,
+    equal_cost_substeps,
+    fine_cloth,
+    middle_cloth,
+    player_times,
+    typical_ms,
+)
 from precompute.stability import Stability, largest_stable_step
-from runtime.play import Free, cast_of
+from runtime.play import cast_of
 from wrinkles.database import WrinkleDatabase, code_version, read_database
-from wrinkles.decoder import Upsampler
 from wrinkles.distance import penetration_figures
 from wrinkles.metrics import edge_stretch
 
@@ -43,7 +50,7 @@ class Method:
     Attributes:
         prefix: of its figures' names; ours has none.
         name: for people.
-        frame_ms: median time of a frame, body included [ms]; nan for the floor, which is no method.
+        frame_ms: median processor time of a frame, body included [ms]; nan for the floor, which is no method.
         figures: by name, without the prefix; none where it broke.
         settings: everything needed to repeat it.
         frames: fine vertices [m], float32, shape (f, N, 3); None where it broke.
@@ -114,8 +121,13 @@ def compare(database: WrinkleDatabase, truth: Truth, *, report: Callable[[str], 
     run = truth.run
     tell("comparing: ours and smooth")
     free = play_freely(database, run.body, run)
-    methods = [_smooth(database, truth, free), _ours(database, truth, free)]
-    budget = methods[1].frame_ms
+    ours_ms, smooth_ms = player_times(database, truth)
+    budget = typical_ms(ours_ms[:PROBE_FRAMES])  # on the frames that rivals are tried on
+    settings = _settings(coarse_cloth(database, truth))
+    methods = [
+        Method("smooth_", "smooth", typical_ms(smooth_ms), _all_figures(truth, free.smooth), settings, free.smooth),
+        Method("", "ours", typical_ms(ours_ms), _all_figures(truth, free.frames), settings, free.frames),
+    ]
     fine, middle = fine_cloth(truth), middle_cloth(database, truth)
     if middle is not None:
         tell("comparing: middle mesh at equal cost")
@@ -127,7 +139,7 @@ def compare(database: WrinkleDatabase, truth: Truth, *, report: Callable[[str], 
     tell("comparing: truth and floor")
     settings = _settings(fine)
     methods.append(Method("truth_", "truth", fine.cost(), _shared_figures(truth, truth.frames), settings, truth.frames))
-    figures = free_figures(truth, truth.floor) | _shared_figures(truth, truth.floor)
+    figures = _all_figures(truth, truth.floor)
     settings = _settings(fine.with_substeps(math.ceil(1.5 * fine.substeps)))
     methods.append(Method("floor_", "floor", math.nan, figures, settings, truth.floor))
     clothes = {"coarse": coarse_cloth(database, truth), "middle_mesh": middle, "fine": fine}
@@ -165,44 +177,18 @@ def _shared_figures(truth: Truth, frames: np.ndarray) -> dict[str, float]:
     }
 
 
+def _all_figures(truth: Truth, frames: np.ndarray) -> dict[str, float]:
+    return free_figures(truth, frames) | _shared_figures(truth, frames)
+
+
 def _cloth(truth: Truth, cloth: Cloth, prefix: str, name: str) -> Method:
     played = cloth.play(truth.recording.frames)
     settings = _settings(cloth)
     if played.broke_at is not None:
         return Method(prefix, name, played.frame_ms, {}, settings, None, played.broke_at)
-    figures = free_figures(truth, played.frames) | _shared_figures(truth, played.frames)
+    figures = _all_figures(truth, played.frames)
     figures["substeps_per_frame"] = float(cloth.substeps)
     return Method(prefix, name, played.frame_ms, figures, settings, played.frames)
-
-
-def _ours(database: WrinkleDatabase, truth: Truth, free: Free) -> Method:
-    figures = free_figures(truth, free.frames) | _shared_figures(truth, free.frames)
-    frame_ms = float(np.median(free.timings["frame"]))
-    return Method("", "ours", frame_ms, figures, _player_settings(database, truth), free.frames)
-
-
-def _smooth(database: WrinkleDatabase, truth: Truth, free: Free) -> Method:
-    """The smooth surface of ours: simulation, skinning, upsampling and normals, no dictionary and no relaxation."""
-    frame_ms = sum(float(np.median(free.timings[part])) for part in ("skin", "coarse", "normals"))
-    frame_ms += _upsampling_ms(truth, free.coarse[-1])
-    figures = free_figures(truth, free.smooth) | _shared_figures(truth, free.smooth)
-    return Method("smooth_", "smooth", frame_ms, figures, _player_settings(database, truth), free.smooth)
-
-
-def _player_settings(database: WrinkleDatabase, truth: Truth) -> dict[str, float]:
-    return _settings(coarse_cloth(database, truth))
-
-
-def _upsampling_ms(truth: Truth, coarse: np.ndarray) -> float:
-    subdivision = truth.levels.subdivision
-    upsample, fine = Upsampler(subdivision), np.zeros((subdivision.fine_count, 3), np.float32)
-    position = np.concatenate([coarse, np.ones((len(coarse), 1))], axis=1).astype(np.float32)
-    times = []
-    for _ in range(41):
-        began = time.perf_counter()
-        upsample(position, fine)
-        times.append(time.perf_counter() - began)
-    return 1e3 * float(np.median(times))
 
 
 def compare_file(

@@ -26,9 +26,10 @@ _CHARTED = {
     "free_normal_error_deg": "mean normal error [deg]",
     "low_frequency_ratio_to_floor": "low-frequency mismatch over the floor's [-]",
 }
-_NOTES = """All methods run freely over the same motion, which nothing was learned from; times are medians on one core
-and count skinning, simulation, what makes the fine vertices, and normals. Rivals take the whole number of substeps that
-brings their time nearest to ours, at least one; they are the fabric itself, with the truth's own solver.
+_NOTES = """All methods run freely over the same motion, which nothing was learned from; times are medians of
+processor time on one core and count skinning, simulation, what makes the fine vertices, and normals. Rivals take the
+whole number of substeps that brings their time nearest to ours, at least one; they are the fabric itself, with the
+truth's own solver.
 
 The floor is what parts two converged simulations of the same scene, whose substeps differ by a factor of 1.5: folding
 is chaotic, and differences below the floor mean nothing. The truth stands in the charts at its own cost, with the
@@ -47,10 +48,9 @@ def verdict(comparison: Comparison) -> str:
     ours, fine = comparison.method(""), comparison.method("equal_cost_fine_")
     if fine.frame_ms > 1.25 * ours.frame_ms:
         paragraphs.append(
-            f"The fine cloth cannot be had at our cost: {_count(fine)} a frame already take {fine.frame_ms:.2f} ms."
+            f"The fine cloth cannot be had at our cost: with {_count(fine)} a frame takes {fine.frame_ms:.2f} ms."
         )
-    stretch = {m.name if m.prefix not in _ARTICLE else _called(m): m.figures for m in comparison.methods if m.figures}
-    told = [f"{name} {figures['edge_stretch_p99_percent']:.3g} %" for name, figures in stretch.items()]
+    told = [f"{_called(m)} {m.figures['edge_stretch_p99_percent']:.3g} %" for m in comparison.methods if m.figures]
     paragraphs.append(f"Stretch that 1 % of the edges exceed: {', '.join(told)}.")
     paragraphs += [
         f"{_called(m).capitalize()}, substeps of {1e3 * m.settings['substep [s]']:.3g} ms, runs beyond what it stands: "
@@ -144,7 +144,7 @@ def _sentence(comparison: Comparison, figure: str, words: str) -> str:
         return f"By {words} nobody wins among {names}: all lie within the floor of {floor:.3g}{against}."
     method = comparison.method(won[0])
     figures = f"{method.figures[figure]:.3g}{against}; the floor is {floor:.3g}"
-    return f"By {words} {_called(method)} {'win' if method.prefix == '' else 'wins'} at equal cost: {figures}."
+    return f"By {words} {_called(method)} wins at equal cost: {figures}."
 
 
 def _chart(comparison: Comparison, figure: str, label: str) -> Chart:

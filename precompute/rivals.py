@@ -1,10 +1,15 @@
-"""What a wrinkle database is compared with: the same garment simulated outright, on the fine mesh and a middle one."""
+"""What a wrinkle database is compared with: the same garment simulated outright, on the fine mesh and a middle one.
+
+Costs are processor times, not times of day: methods are measured one after the other, and another program that takes
+turns with one of them must not make it look dear. On an idle machine both are the same, as everything runs on one core.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -12,15 +17,27 @@ from pbd import Model, ModelOptions, SolverOptions, build_model
 from pbd.attachment import Attachment
 from precompute.evaluation import Truth
 from precompute.recording import Run, body_source
+from runtime.player import Player
 from runtime.simulation import BodySource, Simulation
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Upsampler, surface_normals
 from wrinkles.levels import Levels, levels_of
 from wrinkles.surface import Subdivision
 
-__all__ = ["Cloth", "Played", "coarse_cloth", "equal_cost_substeps", "fine_cloth", "middle_cloth", "middle_levels"]
+__all__ = [
+    "PROBE_FRAMES",
+    "Cloth",
+    "Played",
+    "coarse_cloth",
+    "equal_cost_substeps",
+    "fine_cloth",
+    "middle_cloth",
+    "middle_levels",
+    "player_times",
+    "typical_ms",
+]
 
-PROBE_FRAMES = 45  # frames that a cost is measured on, after as many to get going
+PROBE_FRAMES = 90  # frames of a run that only a cost is measured on
 MOST_SUBSTEPS = 128  # that are tried to fill a frame's time
 
 
@@ -30,7 +47,7 @@ class Played:
 
     Attributes:
         frames: fine vertices [m], float32, shape (f, N, 3), at the truth's recorded frames; fewer where it broke.
-        frame_ms: median time of a frame: skinning, simulation, upsampling, normals [ms].
+        frame_ms: median processor time of a frame: skinning, simulation, upsampling, normals [ms].
         broke_at: when a vertex was no longer finite [s]; None if that never was.
     """
 
@@ -87,7 +104,7 @@ class Cloth:
         vertices, normals = np.zeros((2, count, 3), np.float32)
         wanted, kept, times = set(keep.tolist()), [], []
         for frame in range(1, (frame_count or self.run.frame_count) + 1):
-            began = time.perf_counter()
+            began = time.process_time()
             simulation.step(self.run.poses[frame], self.run.dt, self.run.wind)
             state = simulation.state
             if upsample is None:
@@ -95,16 +112,16 @@ class Cloth:
             else:
                 upsample(state.position, vertices)
             surface_normals(vertices, self.fine_faces, normals)
-            times.append(time.perf_counter() - began)
+            times.append(1e3 * (time.process_time() - began))
             if not (np.isfinite(state.position).all() and np.isfinite(state.velocity).all()):
-                return Played(_stacked(kept, count), _median_ms(times), frame * self.run.dt)
+                return Played(_stacked(kept, count), typical_ms(times), frame * self.run.dt)
             if frame in wanted:
                 kept.append((vertices + state.origin).astype(np.float32))
-        return Played(_stacked(kept, count), _median_ms(times), None)
+        return Played(_stacked(kept, count), typical_ms(times), None)
 
     def cost(self) -> float:
-        """Time of a frame, from a short run [ms]."""
-        count = min(2 * PROBE_FRAMES, self.run.frame_count)
+        """Processor time of a frame, from a short run [ms]."""
+        count = min(PROBE_FRAMES, self.run.frame_count)
         return self.play(np.zeros(0, int), count).frame_ms
 
 
@@ -112,8 +129,33 @@ def _stacked(frames: list[np.ndarray], count: int) -> np.ndarray:
     return np.array(frames, np.float32).reshape(-1, count, 3)
 
 
-def _median_ms(times: list[float]) -> float:
-    return 1e3 * float(np.median(times[len(times) // 2 :]))  # the first half gets going
+def typical_ms(times: Sequence[float] | np.ndarray) -> float:
+    """Median of the second half: the first gets going [ms]."""
+    return float(np.median(times[len(times) // 2 :]))
+
+
+def player_times(database: WrinkleDatabase, truth: Truth) -> tuple[np.ndarray, np.ndarray]:
+    """What the player takes, and what its smooth surface alone takes, measured side by side.
+
+    Returns:
+        processor time of each frame of the truth's motion [ms], shapes (f,), (f,).
+    """
+    run = truth.run
+    player = Player(database, run.body, run.poses[0], run.primitives)
+    upsample = Upsampler(player.levels.subdivision)
+    vertices, normals = np.zeros((2, *player.vertices.shape), np.float32)
+    marks = []
+    for pose in run.poses[1:]:
+        begun = time.process_time()
+        player.step(pose, run.dt, run.wind)
+        stepped = time.process_time()
+        player.decode()
+        decoded = time.process_time()
+        upsample(player.simulation.state.position, vertices)
+        surface_normals(vertices, player.levels.fine.faces, normals)
+        marks.append((begun, stepped, decoded, time.process_time()))
+    step, decode, smooth = np.diff(1e3 * np.array(marks), axis=1).T
+    return step + decode, step + smooth
 
 
 def equal_cost_substeps(cost: Callable[[int], float], budget: float) -> int:
@@ -123,19 +165,16 @@ def equal_cost_substeps(cost: Callable[[int], float], budget: float) -> int:
         cost: of a frame with so many substeps, growing [ms].
         budget: [ms].
     """
-    low, high = 1, 2
-    costs = {1: cost(1)}
-    if costs[1] >= budget:
-        return 1
-    while high < MOST_SUBSTEPS and costs.setdefault(high, cost(high)) < budget:
+    at = lru_cache(maxsize=None)(cost)
+    low = high = 1
+    while high < MOST_SUBSTEPS and at(high) < budget:
         low, high = high, 2 * high
+    if at(high) <= budget:
+        return high
     while high - low > 1:
         middle = (low + high) // 2
-        if costs.setdefault(middle, cost(middle)) < budget:
-            low = middle
-        else:
-            high = middle
-    return low if high not in costs or budget - costs[low] <= costs[high] - budget else high
+        low, high = (middle, high) if at(middle) < budget else (low, middle)
+    return low if budget - at(low) <= at(high) - budget else high
 
 
 def fine_cloth(truth: Truth) -> Cloth:
