@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import Delaunay
 
-__all__ = ["flat_sheet", "icosphere", "turned"]
+__all__ = ["flat_sheet", "icosphere", "tube", "turned"]
 
 
 def flat_sheet(count: int, size: float, jitter: float = 0.0, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -47,6 +47,22 @@ def icosphere(levels: int, radius: float = 1.0) -> tuple[np.ndarray, np.ndarray]
         corners = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
         faces = np.concatenate([np.stack(corner, axis=1) for corner in corners])
     return radius * vertices / np.linalg.norm(vertices, axis=1, keepdims=True), faces.astype(np.int32)
+
+
+def tube(around: int, radius: float = 0.3) -> tuple[np.ndarray, np.ndarray]:
+    """Open prism about Y, faces nearly equilateral, normals outward; around + 1 vertices a column."""
+    step = 2 * np.pi * radius / around
+    column, row = (part.ravel() for part in np.meshgrid(np.arange(around), np.arange(around + 1), indexing="ij"))
+    angle = 2 * np.pi * column / around
+    height = step / np.sqrt(0.75) * (row + 0.5 * (column % 2))
+    index = lambda c, r: (c % around) * (around + 1) + r  # noqa: E731
+    c, r = (part.ravel() for part in np.meshgrid(np.arange(around), np.arange(around), indexing="ij"))
+    a, b, e, d = index(c, r), index(c + 1, r), index(c + 1, r + 1), index(c, r + 1)
+    rising = (c % 2 == 1)[:, None]
+    first = np.where(rising, np.stack([a, b, e], axis=1), np.stack([a, b, d], axis=1))
+    second = np.where(rising, np.stack([a, e, d], axis=1), np.stack([b, e, d], axis=1))
+    faces = np.stack([first, second], axis=1).reshape(-1, 3).astype(np.int32)
+    return np.stack([radius * np.sin(angle), height, radius * np.cos(angle)], axis=1), faces
 
 
 def turned(vertices: np.ndarray, degrees: float, axis: int = 2) -> np.ndarray:

@@ -6,7 +6,7 @@ import pytest
 from assets.builtin import builtin_garment
 from pbd.mesh import edges_of
 from tests.pbd.meshes import grid
-from tests.wrinkles.meshes import flat_sheet, icosphere
+from tests.wrinkles.meshes import flat_sheet, icosphere, tube
 from wrinkles.surface import Subdivision, loop_step
 
 
@@ -17,18 +17,6 @@ def rim_of(faces: np.ndarray, vertex_count: int) -> np.ndarray:
     mark = np.zeros(vertex_count, bool)
     mark[edges[rim].ravel()] = True
     return mark
-
-
-def tube(around: int, radius: float = 0.3) -> tuple[np.ndarray, np.ndarray]:
-    """Open cylinder about Y with nearly equilateral faces, normals outward."""
-    step = 2 * np.pi * radius / around
-    flat, faces = grid(around, around, step, "equilateral")
-    angle = flat[:, 0] / (around * step * np.sqrt(0.75)) * 2 * np.pi
-    column = np.arange(len(flat)) // (around + 1) % around
-    row = np.arange(len(flat)) % (around + 1)
-    vertices = np.stack([radius * np.sin(angle), flat[:, 1], radius * np.cos(angle)], axis=1)
-    welded = column * (around + 1) + row
-    return vertices[: around * (around + 1)], welded[faces].astype(np.int32)
 
 
 def test_rows_of_the_loop_matrix_are_weights() -> None:
