@@ -91,6 +91,9 @@ class Charts:
     def trace(self, vertex: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Walk straight from vertices by chart offsets (the exponential map).
 
+        A vertex on the rim has a sector of cloth around it: an offset beside the sector counts as the nearest in it,
+        along the rim, so that the chart reaches both ways along a hem that curves away.
+
         Args:
             vertex: int, shape (p,).
             offset: (warp, weft) [m], shape (p, 2).
@@ -100,9 +103,9 @@ class Charts:
             got there before the rim (bool, shape (p,)).
         """
         flat = self.mesh.flat
-        face, corner, turn, arrived = self._first_face(vertex, np.arctan2(offset[:, 1], offset[:, 0]))
-        length = np.linalg.norm(offset, axis=1)
-        length = np.where(arrived, length, 0.0)  # a direction off the cloth: stay at the vertex
+        face, corner, turn, beside = self._first_face(vertex, np.arctan2(offset[:, 1], offset[:, 0]))
+        arrived = beside <= 1e-9
+        length = np.linalg.norm(offset, axis=1) * np.maximum(np.cos(beside), 0.0)
         local = np.concatenate([np.zeros((len(face), 1, 2)), flat[face].transpose(0, 2, 1)], axis=1)
         rows = np.arange(len(face))
         origin = local[rows, corner]
@@ -137,20 +140,23 @@ class Charts:
         return face, weights / weights.sum(axis=1, keepdims=True), arrived
 
     def _first_face(self, vertex: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Face around a vertex that holds a direction: face, corner, angle into it, and whether there is one."""
+        """Face around a vertex that holds a direction or is nearest to it: face, corner, angle into the face, and angle
+        by which the direction misses it.
+        """
         order = np.argsort(self.mesh.faces.ravel(), kind="stable")
         first = np.searchsorted(self.mesh.faces.ravel()[order], np.arange(len(self.mesh.vertices) + 1))
         face, corner = np.zeros(len(vertex), np.int64), np.zeros(len(vertex), np.int64)
-        turn, found = np.zeros(len(vertex)), np.zeros(len(vertex), bool)
+        turn, beside = np.zeros(len(vertex)), np.zeros(len(vertex))
         for p, (v, t) in enumerate(zip(vertex.tolist(), theta.tolist(), strict=True)):
             around = order[first[v] : first[v + 1]]
             into = (t - self.start.ravel()[around]) % (2 * np.pi)
             room = self.opening.ravel()[around]
-            best = int(np.argmin(np.where(into <= room + 1e-9, into / room, np.inf)))
-            inside = into[best] <= room[best] + 1e-9
+            past, before = np.maximum(into - room, 0.0), 2 * np.pi - into
+            best = int(np.argmin(np.minimum(past, before)))
             face[p], corner[p] = around[best] // 3, around[best] % 3
-            turn[p], found[p] = (into[best] if inside else 0.0), inside
-        return face, corner, turn, found
+            turn[p] = min(into[best], room[best]) if past[best] <= before[best] else 0.0
+            beside[p] = min(past[best], before[best])
+        return face, corner, turn, beside
 
     def _unfold(
         self,

@@ -72,13 +72,29 @@ def test_a_walk_stops_at_the_rim_and_says_so(sheet: Charts) -> None:
     np.testing.assert_allclose(point(sheet, face, weights), start + share[:, None] * (end - start), atol=1e-9)
 
 
-def test_a_walk_off_the_cloth_from_the_rim_stays_where_it_is(sheet: Charts) -> None:
-    corner = int(np.argmin(np.linalg.norm(sheet.mesh.vertices, axis=1)))
-    offset = np.array([[-0.1, 0.05], [0.05, 0.1], [0.2, -0.1]])  # the weft points out of the sheet here
-    face, weights, arrived = sheet.trace(np.full(3, corner), offset)
-    assert arrived.tolist() == [False, False, True]
-    np.testing.assert_allclose(point(sheet, face, weights)[:2], 0.0, atol=1e-12)
-    np.testing.assert_allclose(point(sheet, face, weights)[2], [0.2, 0.0, 0.1], atol=1e-12)
+def test_a_walk_off_the_cloth_goes_along_the_rim_as_far_as_it_leads_there(sheet: Charts) -> None:
+    corner = int(np.argmin(np.linalg.norm(sheet.mesh.vertices, axis=1)))  # the weft points out of the sheet here
+    offset = np.array([[-0.1, 0.05], [0.2, 0.1], [-0.1, -0.3], [0.2, -0.1], [0.2, 0.0], [0.0, -0.1]])
+    face, weights, arrived = sheet.trace(np.full(6, corner), offset)
+    assert arrived.tolist() == [False, False, False, True, True, True]
+    expected = [[0.0, 0.0], [0.2, 0.0], [0.0, 0.3], [0.2, 0.1], [0.2, 0.0], [0.0, 0.1]]
+    np.testing.assert_allclose(point(sheet, face, weights)[:, [0, 2]], expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["skirt", "tshirt", "flag", "tablecloth"])
+def test_every_vertex_of_a_garment_sees_two_directions(name: str) -> None:
+    """Also where the rim curves away from the directions of warp and weft."""
+    garment = builtin_garment(name)
+    charts = Charts.of(ClothMesh.from_surface(garment.vertices, garment.faces, (0.0, 1.0, 0.05)))
+    count, step = len(garment.vertices), float(charts.mesh.edge_lengths()[1].mean())
+    ends = []
+    for offset in ([step, 0.0], [-step, 0.0], [0.0, step], [0.0, -step]):
+        face, weights, _ = charts.trace(np.arange(count), np.tile(offset, (count, 1)))
+        ends.append(point(charts, face, weights))
+    warp, weft = ends[0] - ends[1], ends[2] - ends[3]
+    size = np.linalg.norm(warp, axis=1) * np.linalg.norm(weft, axis=1)
+    assert size.min() > 0.2 * step**2
+    assert (np.linalg.norm(np.cross(warp, weft), axis=1) / size).min() > 0.3
 
 
 def test_a_walk_round_a_prism_is_straight_when_it_is_unrolled(prism: Charts) -> None:
