@@ -82,9 +82,7 @@ def _parser() -> argparse.ArgumentParser:
     play.add_argument("-o", dest="output", type=Path, metavar="DIR", default=Path("out/play"), help="for pictures")
     mode = play.add_mutually_exclusive_group()
     mode.add_argument("--truth", action="store_true", help="beside the fine simulation, with figures of both")
-    mode.add_argument(
-        "--loop", type=_positive, metavar="SECONDS", help="by the clock, with a gust; no pictures"
-    )
+    mode.add_argument("--loop", type=_positive, metavar="SECONDS", help="by the clock, with a gust; no pictures")
     play.add_argument("--hz", type=int, choices=(30, 60), default=60, help="frames a second of --loop")
 
     bake = _add_command(commands, "bake", _bake, "bake a played wrinkle database into an animation")
@@ -229,7 +227,8 @@ def _beside_truth(options: argparse.Namespace, database: WrinkleDatabase, cast: 
     """Figures of a motion beside the fine simulation, and pictures of both."""
     from precompute.evaluation import evaluate, fine_run, levels_from, truth_of
     from precompute.pipeline import default_cache
-    from runtime.play import draw_frames
+    from runtime.play import posed_bodies
+    from runtime.strips import draw_strips
 
     levels = levels_from(database, cast.body)
     run = fine_run(levels, cast.body, motion, database, wind=cast.wind, primitives=cast.primitives)
@@ -244,7 +243,8 @@ def _beside_truth(options: argparse.Namespace, database: WrinkleDatabase, cast: 
         free = evaluation.free
         columns = {"smooth": free.smooth[shown], "truth": truth.frames[shown], "ours": free.frames[shown]}
         faces = levels.subdivision.faces
-        draw_frames(options.output, motion.name, columns, faces, cast, run.poses, numbers[shown], run.dt)
+        bodies = posed_bodies(cast.body, run.poses[numbers[shown]])
+        draw_strips(options.output, motion.name, columns, faces, bodies, cast.body.faces, numbers[shown], run.dt)
     return evaluation.figures | {"state_hash": free.state_hash}
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import re
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from runtime.player import Player
 from runtime.report import process_age
 from runtime.simulation import BodySource, Motion, Simulation, body_source, poses_of
 from runtime.stage import body_of, load_body, motion_of, scene_of
+from runtime.strips import draw_strips_apart
 from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels
 
@@ -30,7 +30,6 @@ __all__ = [
     "baked_frames",
     "cast_of",
     "check_bake_path",
-    "draw_frames",
     "loop_figures",
     "play",
     "play_motion",
@@ -44,7 +43,6 @@ TIMINGS = ("frame", "coarse", "skin", "decode", "relax", "normals")
 BAKED = (".glb", ".pc2", ".obj")
 BAKED_HZ = 30.0
 HASH_FRAME = 120  # the coarse state is hashed after this many frames
-PICTURE = (560, 640)  # [pixel]
 
 
 @dataclass(frozen=True)
@@ -214,7 +212,9 @@ def play_motion(
     first = process_age()
     free = play(player, poses, dt, cast.wind)
     faces = player.levels.subdivision.faces
-    draw_frames(folder, motion.name, {"smooth": free.smooth, "ours": free.frames}, faces, cast, poses, free.numbers, dt)
+    bodies = posed_bodies(cast.body, poses[free.numbers])
+    columns = {"smooth": free.smooth, "ours": free.frames}
+    draw_strips_apart(folder, motion.name, columns, faces, bodies, cast.body.faces, free.numbers, dt)
     figures: dict[str, float | str] = {"frame_count": len(poses) - 1, "first_frame_s": first}
     figures |= timing_figures(free, player.levels)
     return figures | {"attached_off_mm": 1e3 * free.held_off, "state_hash": free.state_hash}
@@ -245,48 +245,6 @@ def _posed(source: BodySource, poses: Iterable[np.ndarray]) -> np.ndarray:
         frames.append(np.zeros((len(source.vertices), 3), np.float32))
         source.skin(pose, np.zeros(3), frames[-1])
     return np.array(frames)
-
-
-def draw_frames(
-    folder: Path,
-    name: str,
-    columns: Mapping[str, np.ndarray],
-    faces: np.ndarray,
-    cast: Cast,
-    poses: np.ndarray,
-    numbers: np.ndarray,
-    dt: float,
-) -> list[Path]:
-    """Draw frames, each as a strip of pictures side by side, into ``folder / NAME_0010.png`` and so on.
-
-    Args:
-        folder: of the files.
-        name: of the motion.
-        columns: title and vertices [m], shape (f, N, 3), of what stands side by side.
-        faces: of the garment, int, shape (m, 3).
-        cast: with the body.
-        poses: one every ``dt`` [s].
-        numbers: of the frames, into the poses, shape (f,); of none nothing is drawn.
-        dt: [s].
-
-    Returns:
-        the files.
-    """
-    from runtime.pictures import BODY_COLOR, Drawn, frame_camera, render, save_png, strip
-
-    if not len(numbers):
-        return []
-    bodies = posed_bodies(cast.body, poses[numbers])
-    cameras = frame_camera(next(iter(columns.values())), aspect=PICTURE[0] / PICTURE[1], margin=1.15)
-    files = []
-    for index, number in enumerate(numbers):
-        body = Drawn(bodies[index], cast.body.faces, BODY_COLOR)
-        images = [
-            [render([body, Drawn(vertices[index], faces)], cameras[index], PICTURE)] for vertices in columns.values()
-        ]
-        files.append(folder / f"{re.sub(r'[^-.0-9A-Za-z]+', '_', name)}_{number:04d}.png")
-        save_png(files[-1], strip(images, list(columns), [f"{number * dt:.2f} s"]))
-    return files
 
 
 def baked_frames(

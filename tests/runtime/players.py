@@ -51,22 +51,21 @@ def skirt_database(**changes: Any) -> WrinkleDatabase:
     place = (0.01 * rng.standard_normal((len(coarse.vertices), database.mapping.place_bias.shape[1]))).astype(
         np.float32
     )
-    return replace(
-        database,
-        garment_name="skirt",
-        coarse_vertices=coarse.vertices,
-        coarse_faces=coarse.faces,
-        subdivisions=stage.settings.subdivisions,
-        held=stage.levels.coarse_held.astype(np.int32),
-        warp=(0.0, 1.0, 0.0),
-        fabric=stage.settings.fabric,
-        solver=SolverOptions(),
-        mapping=replace(database.mapping, place_bias=place),
-        cutoff=stage.levels.cutoff,
-        body_hash=body_hash(stage.body),
-        body_vertex_count=len(stage.body.vertices),
-        held_out=("walk",),
-        trained_on=("sway",),
-        scene=scene_text(stage.scene),
-        **changes,
-    )
+    fields: dict[str, Any] = {
+        "garment_name": "skirt",
+        "coarse_vertices": coarse.vertices,
+        "coarse_faces": coarse.faces,
+        "subdivisions": stage.settings.subdivisions,
+        "held": stage.levels.coarse_held.astype(np.int32),
+        "warp": (0.0, 1.0, 0.0),
+        "fabric": stage.settings.fabric,
+        "solver": SolverOptions(),
+        "mapping": replace(database.mapping, place_bias=place),
+        "cutoff": stage.levels.cutoff,
+        "body_hash": body_hash(stage.body),
+        "body_vertex_count": len(stage.body.vertices),
+        "held_out": ("walk",),
+        "trained_on": ("sway",),
+        "scene": scene_text(stage.scene),
+    }
+    return replace(database, **(fields | changes))

@@ -1,0 +1,66 @@
+"""Frames of a motion drawn as strips: several garments side by side."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from runtime.pictures import BODY_COLOR, Drawn, frame_camera, render, save_png, strip
+
+__all__ = ["draw_strips", "draw_strips_apart"]
+
+PICTURE = (560, 640)  # [pixel]
+
+
+def draw_strips(
+    folder: Path,
+    name: str,
+    columns: Mapping[str, np.ndarray],
+    faces: np.ndarray,
+    bodies: np.ndarray,
+    body_faces: np.ndarray,
+    numbers: np.ndarray,
+    dt: float,
+) -> list[Path]:
+    """Draw frames, each as a strip of pictures side by side, into ``folder / NAME_0010.png`` and so on.
+
+    Args:
+        folder: of the files.
+        name: of the motion.
+        columns: title and vertices [m], shape (f, N, 3), of what stands side by side.
+        faces: of the garments, int, shape (m, 3).
+        bodies: [m], shape (f, b, 3).
+        body_faces: int, shape (k, 3).
+        numbers: of the frames, int, shape (f,); of none nothing is drawn.
+        dt: from one number to the next [s].
+
+    Returns:
+        the files.
+
+    Raises:
+        InputError: a vertex is not finite.
+    """
+    if not len(numbers):
+        return []
+    cameras = frame_camera(next(iter(columns.values())), aspect=PICTURE[0] / PICTURE[1], margin=1.15)
+    files = []
+    for index, number in enumerate(numbers):
+        body = Drawn(bodies[index], body_faces, BODY_COLOR)
+        images = [
+            [render([body, Drawn(vertices[index], faces)], cameras[index], PICTURE)] for vertices in columns.values()
+        ]
+        files.append(folder / f"{re.sub(r'[^-.0-9A-Za-z]+', '_', name)}_{number:04d}.png")
+        save_png(files[-1], strip(images, list(columns), [f"{number * dt:.2f} s"]))
+    return files
+
+
+def draw_strips_apart(*arguments: Any) -> list[Path]:
+    """:func:`draw_strips` in a process of its own: pyvista loads much (matplotlib too) that playing must not need."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        return pool.submit(draw_strips, *arguments).result()

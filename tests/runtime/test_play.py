@@ -1,0 +1,305 @@
+"""`gube play`, `bake` and `simulate`: what they play, write and refuse."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from assets.scene import parse_scene
+from assets.sequence import Sequence
+from pbd import InputError
+from runtime import command
+from runtime.play import cast_of, play, simulated_frames
+from runtime.player import Player
+from runtime.simulation import poses_of
+from runtime.stage import simulation_of
+from tests.data import ROOT
+from tests.runtime.players import SCENE, skirt_database, skirt_stage
+from wrinkles.database import body_hash, read_database, write_database
+
+FLAG = """
+[[garment]]
+name = "flag"
+mesh = "builtin:flag"
+subdivisions = 1
+pins = [0, 620]
+"""
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("skirt") / "skirt.h5"
+    write_database(path, skirt_database())
+    return path
+
+
+@pytest.mark.parametrize(
+    ("clip", "character", "names"),
+    [
+        (None, None, ["walk"]),
+        ("sway", None, ["sway"]),
+        ("turn", None, ["turn"]),  # in no list of the scene, but in the body's file
+        (None, Path("builtin:mannequin"), ["walk"]),
+        ("twirl", Path("builtin:mannequin"), ["twirl"]),
+    ],
+)
+def test_what_is_played(clip: str | None, character: Path | None, names: list[str]) -> None:
+    cast = cast_of(skirt_database(), character, clip)
+    assert [motion.name for motion in cast.motions] == names
+    assert all(motion.duration > 1.0 for motion in cast.motions)
+
+
+def test_without_a_held_out_clip_the_scenes_own_is_played() -> None:
+    scene = SCENE.partition("[[training.held_out]]")[0].replace('clip = "walk"', 'clip = "slow_walk"')
+    database = skirt_database(held_out=(), scene=scene)
+    assert [motion.name for motion in cast_of(database).motions] == ["slow_walk"]
+
+
+def test_wind_and_colliders_come_from_the_scene() -> None:
+    scene = SCENE + '[wind]\nvelocity = [3.0, 0.0, 1.0]\n[[collider]]\ntype = "plane"\n'
+    cast = cast_of(skirt_database(scene=scene))
+    assert cast.wind == (3.0, 0.0, 1.0)
+    assert len(cast.primitives) == 1
+
+
+def test_a_vertex_sequence_has_no_clips(tmp_path: Path) -> None:
+    body = skirt_stage().body
+    frames = np.repeat(np.asarray(body.vertices, np.float32)[None], 3, axis=0)
+    file = tmp_path / "still.npz"
+    np.savez(file, vertices=frames, faces=body.faces, dt=0.1)
+    database = skirt_database(body_hash=body_hash(Sequence("still", frames, body.faces, 0.1)))
+    assert [motion.name for motion in cast_of(database, file).motions] == ["still"]
+    with pytest.raises(InputError, match="no clips"):
+        cast_of(database, file, "walk")
+
+
+def test_kept_frames_are_those_that_were_asked_for() -> None:
+    stage = skirt_stage()
+    poses = poses_of(stage.motion(), 1.0 / 60.0, 0.5)
+    player = Player(skirt_database(), stage.body, poses[0])
+    free = play(player, poses, 1.0 / 60.0, every=5, after=0.2)
+    assert free.numbers.tolist() == [15, 20, 25, 30]
+    assert free.frames.shape == (4, player.levels.subdivision.fine_count, 3)
+    np.testing.assert_array_equal(free.frames[-1], (player.vertices + player.origin).astype(np.float32))
+    assert np.abs(free.frames - free.smooth).max() > 0.0
+    assert len(free.timings["frame"]) == 30
+    assert free.state_hash == player.simulation.state.hash()
+
+
+def test_play_writes_pictures_and_figures(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pictures, out = tmp_path / "pictures", tmp_path / "play.json"
+    assert command.main(["play", str(path), "--seconds", "0.4", "-o", str(pictures), "--json", str(out)]) == 0
+    assert sorted(file.name for file in pictures.iterdir()) == ["walk_0010.png", "walk_0020.png"]
+    figures = json.loads(out.read_text(encoding="utf-8"))["figures"]
+    parts = {f"{name}_ms_p50" for name in ("frame", "coarse", "skin", "decode", "relax", "normals")}
+    wanted = parts | {"frame_ms_p99", "us_per_fine_vertex", "first_frame_s", "import_s", "state_hash"}
+    assert wanted <= set(figures)
+    assert figures["frame_count"] == 24
+    printed = capsys.readouterr().out
+    assert f"state_hash {figures['state_hash']}" in printed
+    assert "frame_ms_p50" in printed
+
+
+def test_play_by_the_clock_counts_deadlines(path: Path, tmp_path: Path) -> None:
+    out = tmp_path / "loop.json"
+    assert command.main(["play", str(path), "--loop", "0.5", "--hz", "30", "--json", str(out)]) == 0
+    figures = json.loads(out.read_text(encoding="utf-8"))["figures"]
+    assert {"missed_deadlines", "frame_ms_p50", "frame_ms_p99", "dropped_time_s"} <= set(figures)
+    assert figures["frame_count"] + figures["missed_deadlines"] >= 15
+
+
+def test_play_loads_nothing_that_only_learning_needs_and_prints_nothing_of_its_engine(
+    path: Path, tmp_path: Path
+) -> None:
+    script = (
+        "import sys; from runtime import command\n"
+        "status = command.main(sys.argv[1:])\n"
+        "loaded = [name for name in ('sklearn', 'matplotlib', 'precompute', 'dask') if name in sys.modules]\n"
+        "sys.exit(f'loaded {loaded}' if loaded else status)\n"
+    )
+    arguments = ["play", str(path), "--seconds", "0.2", "-o", str(tmp_path)]
+    result = subprocess.run([sys.executable, "-c", script, *arguments], cwd=ROOT, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.startswith("walk:\n")
+    assert "aichi" not in result.stdout
+
+
+def test_truth_is_found_where_precompute_left_it(path: Path) -> None:
+    """Both must ask for the same run, or the fine cloth is simulated again."""
+    from precompute.evaluation import fine_run, levels_from
+
+    stage, database = skirt_stage(), read_database(path)
+    learned = fine_run(stage.levels, stage.body, stage.motion(stage.scene.training.held_out[0]), database)
+    cast = cast_of(database)
+    played = fine_run(
+        levels_from(database, cast.body),
+        cast.body,
+        cast.motions[0],
+        database,
+        wind=cast.wind,
+        primitives=cast.primitives,
+    )
+    assert played.key() == learned.key()
+    assert replace(played, wind=(1.0, 0.0, 0.0)).key() != learned.key()
+
+
+def truncated(path: Path, tmp_path: Path) -> Path:
+    content = path.read_bytes()
+    (tmp_path / "half.h5").write_bytes(content[: len(content) // 2])
+    return tmp_path / "half.h5"
+
+
+def of_another_body(path: Path, tmp_path: Path) -> Path:
+    write_database(tmp_path / "other.h5", skirt_database(body_hash="0" * 64))
+    return tmp_path / "other.h5"
+
+
+def of_a_scene_with_a_slip(path: Path, tmp_path: Path) -> Path:
+    write_database(tmp_path / "slip.h5", skirt_database(scene=SCENE.replace("attach", "atach")))
+    return tmp_path / "slip.h5"
+
+
+@pytest.mark.parametrize(
+    ("file", "arguments", "words"),
+    [
+        (lambda path, tmp_path: tmp_path / "absent.h5", [], ["absent.h5", "no such file"]),
+        (truncated, [], ["half.h5", "truncated"]),
+        (of_another_body, [], ["another character"]),
+        (of_a_scene_with_a_slip, [], ["atach", "did you mean 'attach'?"]),
+        (lambda path, tmp_path: path, ["--clip", "hop"], ["'hop'", "sway", "walk"]),
+        (lambda path, tmp_path: path, ["--character", "absent.glb"], ["absent.glb"]),
+        (lambda path, tmp_path: path, ["--seconds", "0.001"], ["--seconds", "0.001"]),
+    ],
+)
+def test_bad_input_is_one_message_and_status_2(
+    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], file, arguments: list[str], words: list[str]
+) -> None:
+    assert command.main(["play", str(file(path, tmp_path)), "-o", str(tmp_path), *arguments]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("gube play: ")
+    assert all(word in captured.err for word in words), captured.err
+
+
+@pytest.mark.parametrize("seconds", ["0", "-1", "nan", "inf", "long"])
+def test_a_time_that_is_none_is_refused(path: Path, seconds: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        command.main(["play", str(path), "--seconds", seconds])
+    assert caught.value.code == 2
+    assert "expected a number above 0" in capsys.readouterr().err
+
+
+def test_baked_animations_hold_the_body_too(path: Path, tmp_path: Path) -> None:
+    import pygltflib
+
+    out = tmp_path / "skirt.glb"
+    assert command.main(["bake", str(path), "-o", str(out), "--seconds", "0.3", "--rate", "20"]) == 0
+    document = pygltflib.GLTF2().load(str(out))
+    assert document is not None
+    assert [mesh.name for mesh in document.meshes] == ["garment", "body"]
+    assert [len(mesh.primitives[0].targets) for mesh in document.meshes] == [6, 6]
+
+
+def test_a_cache_of_points_is_baked_at_its_own_rate(path: Path, tmp_path: Path) -> None:
+    """Frames that fall between ticks of 1/60 s are interpolated: 25 a second."""
+    assert command.main(["bake", str(path), "-o", str(tmp_path / "a.pc2"), "--seconds", "0.2", "--rate", "25"]) == 0
+    assert command.main(["bake", str(path), "-o", str(tmp_path / "b.pc2"), "--seconds", "0.2", "--rate", "5"]) == 0
+    count = skirt_stage().levels.subdivision.fine_count
+    first, second = (
+        np.frombuffer((tmp_path / name).read_bytes()[32:], "<f4").reshape(-1, count, 3) for name in ("a.pc2", "b.pc2")
+    )
+    assert (len(first), len(second)) == (6, 2)
+    np.testing.assert_array_equal(first[0], second[0])
+    np.testing.assert_allclose(first[-1], second[-1], atol=1e-6)
+
+
+@pytest.mark.parametrize("words", [["bake", "{path}"], ["simulate", "{scene}"]])
+def test_an_unknown_extension_is_refused_with_those_that_are_known(
+    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str]
+) -> None:
+    scene = tmp_path / "flag.toml"
+    scene.write_text(FLAG, encoding="utf-8")
+    words = [word.format(path=path, scene=scene) for word in words]
+    assert command.main([*words, "-o", str(tmp_path / "a.fbx")]) == 2
+    error = capsys.readouterr().err
+    assert all(known in error for known in (".glb", ".pc2", ".obj", "a.fbx"))
+
+
+@pytest.mark.parametrize("fine", [False, True])
+def test_a_flag_hangs_on_its_pins_and_flies_in_the_wind(fine: bool) -> None:
+    still = parse_scene(FLAG, "flag.toml")
+    windy = parse_scene(FLAG + "[wind]\nvelocity = [4.0, 0.0, 4.0]\n", "flag.toml")
+    depths = []
+    for scene in (still, windy):
+        simulation, motion = simulation_of(scene, fine)
+        assert motion is None
+        start = simulation.state.world()[[0, 620]]
+        frames, bodies, rate, figures = simulated_frames(simulation, None, scene, 0.5)
+        assert bodies is None
+        assert (len(frames), rate) == (16, 30.0)
+        np.testing.assert_allclose(frames[-1][[0, 620]], start, atol=1e-6)
+        depths.append(float(frames[-1][:, 2].mean()))
+    assert abs(depths[0]) < 0.01
+    assert depths[1] > depths[0] + 0.05
+
+
+def test_a_tablecloth_falls_onto_the_colliders() -> None:
+    text = FLAG.replace("flag", "tablecloth").replace("pins = [0, 620]", "")
+    ball = '[[collider]]\ntype = "sphere"\ncentre = [0.0, 0.4, 0.0]\nradius = 0.3\n'
+    scene = parse_scene(text + ball, "table.toml")
+    simulation, _ = simulation_of(scene)
+    frames = simulated_frames(simulation, None, scene, 0.7)[0]
+    distance = np.linalg.norm(frames[-1] - [0.0, 0.4, 0.0], axis=1)
+    assert distance.min() > 0.299
+    assert distance.min() < 0.305
+    assert frames[-1][:, 1].max() > 0.69  # it lies on top
+    assert frames[-1][:, 1].min() < 0.5  # and hangs down
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("pins = [0, 620]", 'attach = "top"'), ["garment[0].attach", "pins"]),
+        (("pins = [0, 620]", "pins = [100000]"), ["garment[0].pins", "100000"]),
+        (("pins = [0, 620]", 'pins = [0]\n[character]\nfile = "builtin:mannequin"'), ["garment[0].pins", "attach"]),
+    ],
+)
+def test_a_scene_that_cannot_be_simulated_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: tuple[str, str], words: list[str]
+) -> None:
+    scene = tmp_path / "flag.toml"
+    scene.write_text(FLAG.replace(*change), encoding="utf-8")
+    assert command.main(["simulate", str(scene), "-o", str(tmp_path / "flag.glb")]) == 2
+    error = capsys.readouterr().err
+    assert all(word in error for word in words), error
+
+
+def test_simulate_bakes_the_garment_with_its_body(tmp_path: Path) -> None:
+    import pygltflib
+
+    scene = tmp_path / "skirt.toml"
+    scene.write_text(SCENE, encoding="utf-8")
+    out = tmp_path / "skirt.glb"
+    assert command.main(["simulate", str(scene), "-o", str(out), "--seconds", "0.2"]) == 0
+    document = pygltflib.GLTF2().load(str(out))
+    assert document is not None
+    assert [mesh.name for mesh in document.meshes] == ["garment", "body"]
+
+
+def test_precompute_refuses_what_it_cannot_do_before_it_begins(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = tmp_path / "scene.toml"
+    scene.write_text(SCENE, encoding="utf-8")
+    assert command.main(["precompute", str(scene), "-o", str(tmp_path)]) == 2
+    assert "-o: cannot be written" in capsys.readouterr().err
+    assert command.main(["precompute", str(scene), "-o", str(tmp_path / "a.h5"), "--workers", "0"]) == 2
+    assert "--workers" in capsys.readouterr().err
+    assert command.main(["precompute", str(tmp_path / "absent.toml"), "-o", str(tmp_path / "a.h5")]) == 2
+    assert "absent.toml" in capsys.readouterr().err
