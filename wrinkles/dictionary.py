@@ -110,7 +110,7 @@ def fit_mapping(
         hidden: widths of the hidden layers.
         epochs: passes over the data; the last third with a smaller step.
         seed: of weights and shuffling.
-        on_epoch: told (epoch, epochs, loss) after each pass.
+        on_epoch: told (passes done, epochs, loss) when the step gets smaller and at the end.
 
     Returns:
         The mapping, with gain one.
