@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from assets.scene import load_scene, scene_text
 from pbd import InputError
@@ -37,7 +38,7 @@ from wrinkles.database import WrinkleDatabase, code_version, read_database
 from wrinkles.distance import penetration_figures
 from wrinkles.metrics import edge_stretch
 
-__all__ = ["Comparison", "Method", "compare", "compare_file", "winners"]
+__all__ = ["Comparison", "Method", "compare", "compare_file", "equal_cost_rivals", "winners"]
 
 STABILITY_SECONDS = 3.5  # the blend from the bind pose and two seconds of motion
 AT_EQUAL_COST = ("", "smooth_", "middle_mesh_", "equal_cost_fine_")  # smooth costs less
@@ -109,6 +110,7 @@ def winners(errors: Mapping[str, float], floor: float) -> tuple[str, ...]:
     return within or tuple(sorted(finite, key=finite.__getitem__)[:1])
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def compare(database: WrinkleDatabase, truth: Truth, *, report: Callable[[str], None] | None = None) -> Comparison:
     """Run every method freely over the truth's motion and measure it.
 
@@ -129,13 +131,10 @@ def compare(database: WrinkleDatabase, truth: Truth, *, report: Callable[[str], 
         Method("", "ours", typical_ms(ours_ms), _all_figures(truth, free.frames), settings, free.frames),
     ]
     fine, middle = fine_cloth(truth), middle_cloth(database, truth)
+    methods += equal_cost_rivals(database, truth, budget, report=report)
     if middle is not None:
-        tell("comparing: middle mesh at equal cost")
-        methods.append(_cloth(truth, _at_cost(middle, budget), "middle_mesh_", "middle mesh, equal cost"))
         tell("comparing: middle mesh, converged")
         methods.append(_cloth(truth, middle, "middle_mesh_converged_", "middle mesh, converged"))
-    tell("comparing: fine cloth with few substeps")
-    methods.append(_cloth(truth, _at_cost(fine, budget), "equal_cost_fine_", "fine cloth, few substeps"))
     tell("comparing: truth and floor")
     settings = _settings(fine)
     methods.append(Method("truth_", "truth", fine.cost(), _shared_figures(truth, truth.frames), settings, truth.frames))
@@ -150,6 +149,20 @@ def compare(database: WrinkleDatabase, truth: Truth, *, report: Callable[[str], 
             tell(f"stability: {name.replace('_', ' ')}")
             stability.append(largest_stable_step(name, cloth.simulation, cloth.options, poses, run.dt, run.wind))
     return Comparison(database.garment_name, run.name, truth, tuple(methods), tuple(stability))
+
+
+def equal_cost_rivals(
+    database: WrinkleDatabase, truth: Truth, budget_ms: float, *, report: Callable[[str], None] | None = None
+) -> list[Method]:
+    """The middle mesh, where there is one, and the fine cloth, with the substeps that a frame time [ms] allows."""
+    tell, methods = report or (lambda line: None), []
+    middle = middle_cloth(database, truth)
+    if middle is not None:
+        tell("comparing: middle mesh at equal cost")
+        methods.append(_cloth(truth, _at_cost(middle, budget_ms), "middle_mesh_", "middle mesh, equal cost"))
+    tell("comparing: fine cloth with few substeps")
+    fine = _at_cost(fine_cloth(truth), budget_ms)
+    return [*methods, _cloth(truth, fine, "equal_cost_fine_", "fine cloth, few substeps")]
 
 
 def _at_cost(cloth: Cloth, budget: float) -> Cloth:

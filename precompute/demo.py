@@ -67,7 +67,6 @@ def run_demo(output: Path, report: Callable[[str], None] | None = None) -> dict[
         the figures.
     """
     from precompute.compare import compare
-    from precompute.compare import compare
     from precompute.comparison_page import write_comparison
 
     tell = report or (lambda line: None)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from assets.character import Character
 from assets.sequence import Sequence as VertexSequence
@@ -157,6 +158,7 @@ class Truth:
         )
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def truth_of(run: Run, cache: Path, workers: int, report: Callable[[str], None] | None = None) -> Truth:
     """Record (or read) the fine run and one with substeps two thirds as long."""
     twin = replace(run, name=f"{run.name} (floor)", solver=replace(run.solver, substep=run.solver.substep / 1.5))
@@ -272,6 +274,7 @@ class Evaluation:
     decoded: np.ndarray
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def evaluate(database: WrinkleDatabase, truth: Truth, report: Callable[[str], None] | None = None) -> Evaluation:
     """All figures of a database on one motion."""
     tell = report or (lambda line: None)

@@ -9,6 +9,7 @@ from datetime import date
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from assets.scene import Scene, scene_text
 from pbd import Fabric, InputError, SolverOptions
@@ -60,6 +61,7 @@ def default_cache(output: Path) -> Path:
     return output.parent / ".gube-cache"
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # small systems: more threads only wait for each other
 def precompute(
     scene: Scene,
     output: Path,

@@ -14,6 +14,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 import pbd
 from assets.character import Character
@@ -201,6 +202,7 @@ def _tell(report: Callable[[str], None] | None, done: int, before: int, total: i
     report(f"simulating: {done} of {total} frames{rest}")
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def _record(run: Run, folder: Path, after_chunk: Callable[[], None] | None = None) -> None:
     """Simulate a run chunk by chunk; each chunk holds the state at its end, from which the next one goes on."""
     simulation = run.simulation()
