@@ -225,6 +225,7 @@ def _play(options: argparse.Namespace) -> Report:
 
 def _beside_truth(options: argparse.Namespace, database: WrinkleDatabase, cast: Cast, motion: Motion) -> dict[str, Any]:
     """Figures of a motion beside the fine simulation, and pictures of both."""
+    from precompute.compare import equal_cost_rivals
     from precompute.evaluation import evaluate, fine_run, levels_from, truth_of
     from precompute.pipeline import default_cache
     from runtime.play import posed_bodies
@@ -237,6 +238,10 @@ def _beside_truth(options: argparse.Namespace, database: WrinkleDatabase, cast: 
         if options.seconds is not None:
             truth = truth.until(options.seconds)
         evaluation = evaluate(database, truth, progress)
+        figures: dict[str, Any] = dict(evaluation.figures)
+        for rival in equal_cost_rivals(database, truth, figures["frame_ms_p50"], report=progress):
+            figures |= {f"{rival.prefix}{name}": value for name, value in rival.figures.items()}
+            figures[f"{rival.prefix}frame_ms_p50"] = rival.frame_ms
         progress("drawing")
         numbers = truth.recording.frames
         shown = numbers % 10 == 0
@@ -245,7 +250,7 @@ def _beside_truth(options: argparse.Namespace, database: WrinkleDatabase, cast: 
         faces = levels.subdivision.faces
         bodies = posed_bodies(cast.body, run.poses[numbers[shown]])
         draw_strips(options.output, motion.name, columns, faces, bodies, cast.body.faces, numbers[shown], run.dt)
-    return evaluation.figures | {"state_hash": free.state_hash}
+    return figures | {"state_hash": free.state_hash}
 
 
 def _bake(options: argparse.Namespace) -> Report:

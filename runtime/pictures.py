@@ -227,7 +227,7 @@ def encode_image(image: np.ndarray, kind: str = "png") -> bytes:
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
         raise InputError("not a picture", received=f"{image.dtype} {image.shape}", expected="uint8 of shape (h, w, 3)")
     buffer = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(image)).save(buffer, kind.upper(), optimize=True, quality=90)
+    Image.fromarray(np.ascontiguousarray(image)).save(buffer, kind.upper(), optimize=kind == "jpeg", quality=90)
     return buffer.getvalue()
 
 
