@@ -1,0 +1,194 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pbd import Fabric, ModelOptions, Plane, SolverOptions
+from precompute import recording
+from precompute.recording import Recording, Run, poses_of, record_runs
+from runtime.simulation import Simulation
+from tests.data import ROOT
+from tests.runtime.players import skirt_stage
+
+FRAMES, CHUNK = 40, 10
+ARRAYS = ("frames", "positions", "coarse", "velocity", "contact", "nearest")
+
+
+def skirt_run(fine: bool = False) -> Run:
+    """The skirt on a mannequin that is carried off at 3 m/s, so that the origin moves along."""
+    stage = skirt_stage()
+    poses = poses_of(stage.motion(), 1 / 60, FRAMES / 60)
+    poses[:, :, 2, 3] += 0.05 * np.arange(FRAMES + 1)[:, None]
+    solver = SolverOptions(substep=1 / 240)
+    return Run("walk", stage.levels, fine, stage.body, poses, 1 / 60, Fabric(), ModelOptions(), solver, bend_factor=0.4)
+
+
+@pytest.fixture(autouse=True)
+def short_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "CHUNK_SECONDS", CHUNK / 60)
+
+
+@pytest.fixture
+def steps(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Times of the steps that were simulated in this process."""
+    seen: list[float] = []
+    step = Simulation.step_cloth
+
+    def counted(self: Simulation, dt: float, *rest) -> None:
+        seen.append(dt)
+        step(self, dt, *rest)
+
+    monkeypatch.setattr(Simulation, "step_cloth", counted)
+    return seen
+
+
+def assert_same(first: Recording, second: Recording) -> None:
+    for name in ARRAYS:
+        a, b = getattr(first, name), getattr(second, name)
+        assert a.dtype == b.dtype and np.array_equal(a, b), name
+
+
+def test_a_run_is_recorded_every_other_frame(tmp_path: Path) -> None:
+    run = skirt_run()
+    (recorded,) = record_runs([run], tmp_path, workers=1)
+    count = len(run.levels.coarse.vertices)
+    assert recorded.name == "walk" and recorded.frames.tolist() == list(range(2, FRAMES + 1, 2))
+    assert recorded.positions.shape == recorded.velocity.shape == (20, count, 3)
+    assert recorded.contact.shape == (20, count, 4) and recorded.nearest.shape == (20, count)
+    assert np.array_equal(recorded.coarse, recorded.positions) and recorded.step_ms > 0.0
+    # In the world: held vertices ride on the body, and all of it was carried 2 m off.
+    held = run.levels.coarse_held
+    skinned = np.zeros(run.body.vertices.shape, np.float32)
+    recording.body_source(run.body).skin(run.poses[FRAMES], np.zeros(3), skinned)
+    np.testing.assert_allclose(recorded.positions[-1, held], run.levels.coarse_attachment.targets(skinned), atol=1e-5)
+    assert recorded.positions[-1, :, 2].mean() - recorded.positions[0, :, 2].mean() > 1.5
+    later = recorded.where(recorded.frames > 30)
+    assert later.frames.tolist() == [32, 34, 36, 38, 40] and len(later.positions) == len(later.nearest) == 5
+
+
+def test_a_fine_run_is_filtered_down(tmp_path: Path) -> None:
+    run = skirt_run(fine=True)
+    run = replace(run, poses=run.poses[:11])
+    (recorded,) = record_runs([run], tmp_path, workers=1)
+    levels = run.levels
+    assert recorded.positions.shape == (5, levels.subdivision.fine_count, 3)
+    assert recorded.coarse.shape == recorded.velocity.shape == (5, levels.subdivision.coarse_count, 3)
+    assert recorded.contact.shape[1] == recorded.nearest.shape[1] == levels.subdivision.coarse_count
+    np.testing.assert_allclose(recorded.coarse, levels.filter_down(recorded.positions), atol=1e-6)
+    # Velocities of the filtered garment are those of its positions.
+    course = (recorded.coarse[2:] - recorded.coarse[:-2]).astype(float) / (4 / 60)
+    assert np.abs(course.mean(axis=1) - recorded.velocity[1:-1].mean(axis=1)).max() < 0.2
+
+
+def test_what_is_recorded_is_not_simulated_again(tmp_path: Path, steps: list[float]) -> None:
+    run, told = skirt_run(), []
+    (first,) = record_runs([run], tmp_path, workers=1, report=told.append)
+    assert len(steps) == FRAMES and told[-1].startswith(f"simulating: {FRAMES} of {FRAMES} frames")
+    (again,) = record_runs([replace(run, name="another name")], tmp_path, workers=2)
+    assert len(steps) == FRAMES and again.name == "another name"
+    assert_same(first, again)
+
+
+def test_the_last_chunk_may_be_short(tmp_path: Path, steps: list[float]) -> None:
+    run = skirt_run()
+    cut = replace(run, poses=run.poses[:14])
+    (whole,) = record_runs([run], tmp_path, workers=1)
+    (part,) = record_runs([cut], tmp_path, workers=1)
+    assert len(steps) == FRAMES + 13 and part.frames.tolist() == [2, 4, 6, 8, 10, 12]
+    assert_same(part, whole.where(slice(0, 6)))
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from precompute import recording
+from runtime.simulation import Simulation
+from tests.precompute.test_recording import CHUNK, skirt_run
+
+recording.CHUNK_SECONDS = CHUNK / 60
+step, count = Simulation.step_cloth, 0
+
+def mortal(self, *args):
+    global count
+    count += 1
+    if count == 25:
+        os.kill(os.getpid(), signal.SIGKILL)
+    step(self, *args)
+
+Simulation.step_cloth = mortal
+recording.record_runs([skirt_run(fine=sys.argv[2] == "fine")], Path(sys.argv[1]), workers=1)
+"""
+
+
+@pytest.mark.parametrize("level", ["coarse", "fine"])
+def test_a_killed_run_goes_on_with_the_same_bits(tmp_path: Path, steps: list[float], level: str) -> None:
+    run = skirt_run(fine=level == "fine")
+    killed = subprocess.run(
+        [sys.executable, "-c", KILLED, str(tmp_path / "killed"), level], cwd=ROOT, capture_output=True, text=True
+    )
+    assert killed.returncode == -9, killed.stderr
+    (resumed,) = record_runs([run], tmp_path / "killed", workers=1)
+    assert len(steps) == FRAMES - 2 * CHUNK  # 24 frames were done, 20 of them kept
+    (whole,) = record_runs([run], tmp_path / "whole", workers=1)
+    assert_same(resumed, whole)
+
+
+def test_a_file_that_was_being_written_is_not_taken_for_a_chunk(tmp_path: Path, steps: list[float]) -> None:
+    run = skirt_run()
+    run = replace(run, poses=run.poses[:11])
+    folder = tmp_path / run.key()
+    folder.mkdir()
+    (folder / ".chunk_0000.npz.4711.part").write_bytes(b"half a chunk")
+    (recorded,) = record_runs([run], tmp_path, workers=1)
+    assert len(steps) == 10 and len(recorded.frames) == 5
+
+
+def test_runs_in_two_processes_give_the_same_bits(tmp_path: Path) -> None:
+    run = skirt_run()
+    run = replace(run, poses=run.poses[:11])
+    runs = [run, replace(run, name="stiff", fabric=Fabric(bend_warp=1e-4, bend_weft=1e-4))]
+    together = record_runs(runs, tmp_path / "together", workers=2)
+    for parallel, serial in zip(together, record_runs(runs, tmp_path / "serial", workers=1), strict=True):
+        assert_same(parallel, serial)
+    assert not np.array_equal(together[0].positions, together[1].positions)
+
+
+def test_the_key_tells_what_the_result_depends_on() -> None:
+    run = skirt_run()
+    poses = run.poses.copy()
+    poses[-1, 3, 0, 3] += 1e-12
+    levels, body = run.levels, run.body
+    weights = body.joint_weights.copy()
+    weights[5] = weights[5][::-1]
+    others = [
+        replace(run, fabric=Fabric(areal_density=0.2)),
+        replace(run, poses=poses),
+        replace(run, poses=run.poses[:-1]),
+        replace(run, options=ModelOptions(bend_scale=2.0)),
+        replace(run, solver=SolverOptions(substep=1 / 240, gravity=(0.0, -9.0, 0.0))),
+        replace(run, fine=True),
+        replace(run, dt=1 / 50),
+        replace(run, every=1),
+        replace(run, bend_factor=None),
+        replace(run, wind=(0.0, 0.0, 1.0)),
+        replace(run, primitives=(Plane((0.0, 0.0, 0.0)),)),
+        replace(run, primitives=(Plane((0.0, 0.1, 0.0)),)),
+        replace(run, levels=replace(levels, coarse_held=levels.coarse_held[1:])),
+        replace(run, levels=replace(levels, coarse=replace(levels.coarse, flat=1.001 * levels.coarse.flat))),
+        replace(run, body=replace(body, joint_weights=weights)),
+    ]
+    keys = [run.key(), *(other.key() for other in others)]
+    assert len(set(keys)) == len(keys)
+    assert replace(run, name="other").key() == skirt_run().key() == run.key()
+
+
+def test_a_change_of_the_solver_makes_old_runs_worthless(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = skirt_run()
+    before = run.key()
+    monkeypatch.setattr(recording, "_solver_version", lambda: "another")
+    assert run.key() != before
