@@ -41,6 +41,7 @@ from wrinkles.metrics import edge_stretch
 __all__ = ["Comparison", "Method", "compare", "compare_file", "equal_cost_rivals", "winners"]
 
 STABILITY_SECONDS = 3.5  # the blend from the bind pose and two seconds of motion
+TIE = 1.05  # free runs are chaotic: what differs by less is the same
 AT_EQUAL_COST = ("", "smooth_", "middle_mesh_", "equal_cost_fine_")  # smooth costs less
 
 
@@ -98,16 +99,16 @@ class Comparison:
         return found | {f"{one.name}_dt_max_s": one.dt_max for one in self.stability}
 
     def winners(self, figure: str) -> tuple[str, ...]:
-        """Prefixes of the methods at equal cost that win by a figure; several where all lie within the floor."""
+        """Prefixes of the methods at equal cost that win by a figure; several where they are alike."""
         values = {m.prefix: m.figures[figure] for m in self.methods if m.prefix in AT_EQUAL_COST and m.figures}
         return winners(values, self.method("floor_").figures[figure])
 
 
 def winners(errors: Mapping[str, float], floor: float) -> tuple[str, ...]:
-    """Who has the least error; everyone whose error is no larger than the floor has won alike."""
+    """Who has the least error. What lies within the floor or within 5 % of the least has won alike."""
     finite = {name: error for name, error in errors.items() if np.isfinite(error)}
-    within = tuple(name for name, error in finite.items() if error <= floor)
-    return within or tuple(sorted(finite, key=finite.__getitem__)[:1])
+    limit = max(floor, TIE * min(finite.values(), default=0.0))
+    return tuple(name for name, error in finite.items() if error <= limit)
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from runtime.pictures import BODY_COLOR, Drawn, frame_camera, render, strip
 __all__ = ["draw_methods", "verdict", "write_comparison"]
 
 _ARTICLE = {"middle_mesh_": "the middle mesh", "equal_cost_fine_": "the fine cloth"}
+_ELSEWHERE = ("substeps_per_frame",)  # figures that stand among the settings
 _PICTURE = (400, 460)
 _JUDGED = {
     "spectrum_band_error_max": "the spectrum of folds (largest relative error of a band's bending energy)",
@@ -32,8 +34,8 @@ whole number of substeps that brings their time nearest to ours, at least one; t
 truth's own solver.
 
 The floor is what parts two converged simulations of the same scene, whose substeps differ by a factor of 1.5: folding
-is chaotic, and differences below the floor mean nothing. The truth stands in the charts at its own cost, with the
-floor as its error.
+is chaotic, so neither an error within the floor nor a difference of less than 5 % means anything. The truth stands in
+the charts at its own cost, with the floor as its error.
 
 The largest stable substep is found by bisection over 3.5 s of the motion. A run is a catastrophe if it is not finite,
 if an edge is stretched by 100 % of its length more than ever with substeps of 1/2000 s, or if a vertex is faster than
@@ -80,9 +82,7 @@ def write_comparison(
         *first,
         Text(verdict(comparison)),
         *(_chart(comparison, figure, label) for figure, label in _CHARTED.items()),
-        Picture(
-            draw_methods(comparison), "One moment by all methods. Free runs part company, so folds differ in place."
-        ),
+        *_pictures(comparison),
         _figure_table(comparison),
         _band_table(comparison),
         _stability_table(comparison),
@@ -92,8 +92,8 @@ def write_comparison(
     write_page(path, title, sections)
 
 
-def draw_methods(comparison: Comparison) -> np.ndarray:
-    """One moment, from the middle of the motion, by every method that got there: uint8, shape (h, w, 3)."""
+def draw_methods(comparison: Comparison, methods: Sequence[Method]) -> np.ndarray:
+    """One moment, from the middle of the motion, by some methods: uint8, shape (h, w, 3)."""
     truth = comparison.truth
     index = len(truth.frames) // 2
     source = body_source(truth.run.body)
@@ -103,12 +103,22 @@ def draw_methods(comparison: Comparison) -> np.ndarray:
         truth.frames[index : index + 1], azimuth_deg=30.0, aspect=_PICTURE[0] / _PICTURE[1], margin=1.15
     )
     faces = truth.levels.fine.faces
-    shown = {m.name: m.frames[index] for m in comparison.methods if m.frames is not None}
+    shown = {m.name: m.frames[index] for m in methods if m.frames is not None}
     columns = [
         [render([Drawn(body, source.faces, BODY_COLOR), Drawn(vertices, faces)], camera, _PICTURE)]
         for vertices in shown.values()
     ]
     return strip(columns, list(shown), [""])
+
+
+def _pictures(comparison: Comparison) -> list[Section]:
+    cheap = _rivals(comparison)
+    dear = [m for m in comparison.methods if m.prefix not in AT_EQUAL_COST]
+    caption = "The same moment, {}. Free runs part company, so folds differ in place."
+    return [
+        Picture(draw_methods(comparison, cheap), caption.format("methods at equal cost")),
+        Picture(draw_methods(comparison, dear), caption.format("converged simulations")),
+    ]
 
 
 def _rivals(comparison: Comparison) -> list[Method]:
@@ -141,7 +151,8 @@ def _sentence(comparison: Comparison, figure: str, words: str) -> str:
     against = f", against {', '.join(rest)}" if rest else ""
     if len(won) != 1:
         names = ", ".join(called[prefix] for prefix in won)
-        return f"By {words} nobody wins among {names}: all lie within the floor of {floor:.3g}{against}."
+        behind = f"; behind them {', '.join(rest)}" if rest else ""
+        return f"By {words} nobody wins: {names} are alike{behind}; the floor is {floor:.3g}."
     method = comparison.method(won[0])
     figures = f"{method.figures[figure]:.3g}{against}; the floor is {floor:.3g}"
     return f"By {words} {_called(method)} wins at equal cost: {figures}."
@@ -162,13 +173,21 @@ def _chart(comparison: Comparison, figure: str, label: str) -> Chart:
         "time of a frame [ms]",
         label,
         log_x=True,
+        log_y=figure == "spectrum_band_error_max" and min(point.y for point in points) > 0.0,
         bands=[Band(0.0, floor, "floor")],
         lines=[Line("x", ours, "our cost")],
     )
 
 
 def _figure_table(comparison: Comparison) -> Table:
-    names = list(dict.fromkeys(name for m in comparison.methods for name in m.figures if "band_ratio_" not in name))
+    names = list(
+        dict.fromkeys(
+            name
+            for m in comparison.methods
+            for name in m.figures
+            if name not in _ELSEWHERE and "band_ratio_" not in name
+        )
+    )
     rows = [["frame_ms_p50", *(m.frame_ms for m in comparison.methods)]]
     rows += [[name, *(m.figures.get(name) for m in comparison.methods)] for name in names]
     settings = list(dict.fromkeys(name for m in comparison.methods for name in m.settings))

@@ -289,15 +289,13 @@ def _compare(options: argparse.Namespace) -> Report:
     from precompute.comparison_page import verdict, write_comparison
 
     options.output.mkdir(parents=True, exist_ok=True)
-    found = compare_file(options.source, options.output, clip=options.clip, seconds=options.seconds, report=_tell)
+    with Progress(sys.stderr) as progress:
+        found = compare_file(
+            options.source, options.output, clip=options.clip, seconds=options.seconds, report=progress
+        )
     page = options.output / "compare.html"
     write_comparison(page, found)
     print(verdict(found))
     print(f"\n{page}")
     rows = [{"method": m.name, "frame_ms_p50": m.frame_ms, **m.settings, **m.figures} for m in found.methods]
     return Report(found.figures, rows)
-
-
-def _tell(line: str) -> None:
-    """Progress: not a part of what a command prints."""
-    print(line, file=sys.stderr, flush=True)

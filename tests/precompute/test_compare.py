@@ -109,6 +109,7 @@ def test_what_lies_within_the_floor_has_won_alike() -> None:
     errors = {"ours": 0.3, "middle": 0.2, "fine": float("nan")}
     assert winners(errors, 0.1) == ("middle",)
     assert winners(errors, 0.25) == ("middle",)
+    assert winners({"ours": 0.209, "middle": 0.2, "fine": 0.22}, 0.1) == ("ours", "middle")
     assert winners(errors, 0.35) == ("ours", "middle")
     assert winners({"fine": float("nan")}, 0.1) == ()
 
