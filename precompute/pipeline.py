@@ -97,6 +97,7 @@ def precompute(
     motions = stage.training_motions()
     if not motions:
         raise InputError("nothing to learn from", key="training", expected="clips or procedural_seconds")
+    held_out = [stage.motion(m) for m in scene.training.held_out]  # refused now, and not after the simulations
     fabric = fabric_of(stage.settings)
     settings = _Settings(fabric, scene.solver.options(), scene.solver.frame_rate)
     levels, seed = stage.levels, scene.wrinkles.seed
@@ -144,8 +145,8 @@ def precompute(
         created=date.today().isoformat(),
     )
     truth, evaluation, quality = None, None, {}
-    if scene.training.held_out:  # the first held-out clip is the one that is reported
-        run = fine_run(levels, stage.body, stage.motion(scene.training.held_out[0]), settings, **air)
+    if held_out:  # the first held-out clip is the one that is reported
+        run = fine_run(levels, stage.body, held_out[0], settings, **air)
         truth = truth_of(run, cache, workers, tell)
         evaluation = evaluate(database, truth, tell)
         quality = dict(evaluation.figures)

@@ -43,7 +43,7 @@ def fit_atoms(patches: np.ndarray, count: int) -> Atoms:
     lower = slope_metric()
     samples = patches.reshape(-1, NODES, 3)
     mean = samples.mean(axis=0)
-    seen = np.einsum("snc,nm->smc", samples - mean, lower).reshape(len(samples), -1)
+    seen = (np.swapaxes(samples - mean, 1, 2) @ lower).swapaxes(1, 2).reshape(len(samples), -1)
     covariance = seen.T @ seen / len(seen)
     values, vectors = np.linalg.eigh(covariance)
     basis = vectors[:, ::-1][:, :count]

@@ -1,0 +1,161 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pbd import InputError
+from precompute.evaluation import levels_from
+from precompute.pipeline import Precomputed, default_cache, precompute
+from runtime.player import Player
+from runtime.stage import Stage, scene_of
+from tests.data import ROOT
+from tests.precompute.miniature import SCENE, miniature, scene
+from wrinkles.database import WrinkleDatabase, read_database
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("miniature")
+
+
+@pytest.fixture(scope="module")
+def told() -> list[str]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def made(folder: Path, told: list[str]) -> Precomputed:
+    with miniature():
+        return precompute(scene(), folder / "skirt.h5", workers=1, report=told.append)
+
+
+def assert_same(first: WrinkleDatabase, second: WrinkleDatabase) -> None:
+    """What was learned is the same, bit by bit."""
+    for part in ("mapping", "atoms"):
+        for name, array in vars(getattr(first, part)).items():
+            assert np.array_equal(array, getattr(getattr(second, part), name)), f"{part}.{name}"
+    assert first.options == second.options and first.bend_factor == second.bend_factor
+
+
+def test_what_is_written_is_what_was_made(made: Precomputed, folder: Path, told: list[str]) -> None:
+    assert made.path == folder / "skirt.h5"
+    database = read_database(made.path)
+    assert_same(database, made.database)
+    assert database.garment_name == "skirt" and database.subdivisions == 1 and database.seed == 4
+    assert database.trained_on == ("exploration_4",) and database.held_out == ("walk",)
+    assert len(database.atoms.shapes) == 6 and database.mapping.weights_2.shape == (12, 8)
+    assert database.options == made.calibration.options
+    assert 0.0 < database.training_minutes < 5.0 and database.quality == made.database.quality
+    # The garment is on the body as the scene has it.
+    stage, levels = Stage.of(scene_of(database)), levels_from(database, Stage.of(scene()).body)
+    assert np.array_equal(levels.fine.vertices, stage.levels.fine.vertices)
+    assert np.array_equal(levels.coarse_held, stage.levels.coarse_held)
+    kinds = [line.split(":")[0] for line in told]
+    order = ["simulating", "calibrating the coarse model", "fitting patches", "fitting", "evaluating"]
+    assert list(dict.fromkeys(kinds)) == order
+
+
+def test_the_figures_are_of_the_held_out_motion(made: Precomputed) -> None:
+    assert made.truth is not None and made.evaluation is not None
+    quality, count = made.database.quality, made.database.fine_vertex_count
+    assert made.truth.run.name == "walk"
+    assert made.evaluation.decoded.shape == made.evaluation.smooth.shape == (len(made.truth.frames), count, 3)
+    assert all(np.isfinite(value) for value in quality.values())
+    assert {"normal_error_deg", "bending_energy_ratio", "inside_body_percent", "frame_ms_p50"} <= set(quality)
+    assert quality["attached_off_mm"] < 0.01 and 0.0 < quality["atoms_kept"] <= 1.0
+    assert quality["floor_low_frequency_ratio_to_floor"] == pytest.approx(1.0)
+    assert len(made.calibration.rows) == 2
+    # Six atoms from a second of motion are not much, but they are no worse than nothing.
+    assert quality["normal_error_deg"] < quality["normal_error_smooth_deg"]
+
+
+def test_the_database_plays(made: Precomputed) -> None:
+    database = read_database(made.path)
+    stage = Stage.of(scene_of(database))
+    motion = stage.motion()
+    player = Player(database, stage.body, motion.pose(0.0))
+    moved = 0.0
+    for frame in range(1, 61):
+        player.update(motion.pose(frame / 60), 1 / 60)
+        assert np.isfinite(player.vertices).all() and np.isfinite(player.normals).all()
+        moved = max(moved, float(np.abs(player.vertices - player.smooth).max()))
+    assert 1e-4 < moved < 0.05
+    edges, lengths = player.levels.fine.edge_lengths()
+    side = player.vertices[edges[:, 1]] - player.vertices[edges[:, 0]]
+    assert 0.9 < np.median(np.linalg.norm(side, axis=1) / lengths) < 1.05
+
+
+def test_the_same_seed_gives_the_same_bits_whatever_is_held_out(made: Precomputed, folder: Path) -> None:
+    lone = scene(SCENE.replace('[[training.held_out]]\nfile = "builtin:mannequin"\nclip = "walk"\n', ""))
+    assert not lone.training.held_out
+    with miniature():
+        again = precompute(lone, folder / "again.h5", cache=default_cache(folder / "skirt.h5"), workers=1)
+    assert_same(again.database, made.database)
+    assert again.truth is None and again.evaluation is None and "normal_error_deg" not in again.database.quality
+    assert again.database.held_out == ()
+
+
+def test_a_held_out_clip_that_is_trained_on_is_refused(tmp_path: Path) -> None:
+    clip = 'file = "builtin:mannequin"\nclip = "walk"\n'
+    both = scene(SCENE.replace("[[training.held_out]]", f"[[training.clips]]\n{clip}\n[[training.held_out]]"))
+    with pytest.raises(InputError, match=r"training\.held_out: a held-out clip is trained on.*builtin:mannequin: walk"):
+        precompute(both, tmp_path / "db.h5")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_scene_with_nothing_to_learn_from_is_refused(tmp_path: Path) -> None:
+    nothing = scene(SCENE.replace("procedural_seconds = 2.0", ""))
+    with pytest.raises(InputError, match="training: nothing to learn from.*clips or procedural_seconds"):
+        precompute(nothing, tmp_path / "db.h5")
+    with pytest.raises(InputError, match="nothing to learn from"):  # a blend takes longer than this
+        precompute(scene(SCENE.replace("= 2.0", "= 1.9")), tmp_path / "db.h5")
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_unknown_clip_is_refused_before_anything_is_simulated(tmp_path: Path) -> None:
+    unknown = scene(SCENE)
+    held_out = (replace(unknown.training.held_out[0], clip="waltz"),)
+    with pytest.raises(InputError, match="waltz"):
+        precompute(replace(unknown, training=replace(unknown.training, held_out=held_out)), tmp_path / "db.h5")
+    assert not list(tmp_path.iterdir())
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from precompute.pipeline import precompute
+from runtime.simulation import Simulation
+from tests.precompute.miniature import miniature, scene
+
+step, count = Simulation.step_cloth, 0
+
+def mortal(self, *args):
+    global count
+    count += 1
+    if count == 100:
+        os.kill(os.getpid(), signal.SIGKILL)
+    step(self, *args)
+
+Simulation.step_cloth = mortal
+with miniature():
+    precompute(scene(), Path(sys.argv[1]), workers=1)
+"""
+
+
+@pytest.mark.proof
+def test_a_killed_precompute_gives_the_same_database(made: Precomputed, tmp_path: Path) -> None:
+    output = tmp_path / "skirt.h5"
+    killed = subprocess.run([sys.executable, "-c", KILLED, str(output)], cwd=ROOT, capture_output=True, text=True)
+    assert killed.returncode == -9, killed.stderr
+    assert not output.exists() and list(default_cache(output).glob("*/chunk_*.npz"))
+    with miniature():
+        again = precompute(scene(), output, workers=1)
+    assert_same(read_database(output), made.database)
+    timed = ("_ms", "us_per_fine_vertex", "speedup_over_fine")
+    for name, value in made.database.quality.items():
+        assert any(part in name for part in timed) or again.database.quality[name] == value, name

@@ -1,0 +1,133 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from precompute.recording import Recording
+from precompute.training import (
+    GAIN_LIMITS,
+    FeatureStatistics,
+    Layer,
+    build_layer,
+    features_of,
+    fit_layer,
+    residual_of,
+    training_set,
+    with_gain,
+)
+from tests.runtime.players import skirt_stage
+from wrinkles.decoder import _add_patches, surface_normals
+from wrinkles.dictionary import Mapping, fit_mapping
+from wrinkles.features import DYNAMIC_COUNT
+
+FRAMES = 12
+
+
+@pytest.fixture(scope="module")
+def layer() -> Layer:
+    return build_layer(skirt_stage().levels)
+
+
+@pytest.fixture(scope="module")
+def recording(layer: Layer) -> Recording:
+    """A skirt that sways, with folds that run down it and grow with the sway."""
+    levels, rng = layer.levels, np.random.default_rng(0)
+    time = np.arange(FRAMES) / FRAMES
+    coarse = levels.coarse.vertices + 0.02 * np.sin(2 * np.pi * time)[:, None, None] * [1.0, 0.0, 0.5]
+    coarse = coarse + 0.002 * rng.standard_normal(coarse.shape)
+    fine = levels.subdivision.upsample(coarse)
+    for frame, t in zip(fine, time, strict=True):
+        normals = np.zeros(frame.shape, np.float32)
+        surface_normals(frame.astype(np.float32), levels.subdivision.faces, normals)
+        angle = np.arctan2(frame[:, 2], frame[:, 0])
+        frame += (0.004 * (1.0 + t) * np.sin(12 * angle + 2 * np.pi * t))[:, None] * normals
+    count = len(levels.coarse.vertices)
+    return Recording(
+        "sway",
+        2 * np.arange(1, FRAMES + 1),
+        fine.astype(np.float32),
+        coarse.astype(np.float32),
+        rng.standard_normal((FRAMES, count, 3)).astype(np.float32),
+        np.full((FRAMES, count, 4), 0.02, np.float32),
+        np.zeros((FRAMES, count), np.int32),
+        1.0,
+    )
+
+
+def test_the_residual_is_what_the_smooth_surface_lacks(layer: Layer, recording: Recording) -> None:
+    residual = residual_of(layer, recording)
+    assert residual.shape == recording.positions.shape and residual.dtype == np.float32
+    size = np.linalg.norm(residual, axis=2)
+    assert 0.0039 < size[0].max() < 0.0041 and 0.0068 < size[-1].max() < 0.0081
+    smooth = replace(recording, positions=layer.levels.subdivision.upsample(recording.coarse).astype(np.float32))
+    assert np.abs(residual_of(layer, smooth)).max() < 1e-6
+
+
+def test_coefficients_say_what_the_residual_is(layer: Layer, recording: Recording) -> None:
+    data = training_set(layer, [recording], atom_count=64, frames=FRAMES, seed=0)
+    assert data.features.shape == (FRAMES, len(layer.levels.coarse.vertices), DYNAMIC_COUNT)
+    assert data.coefficients.shape == (*data.features.shape[:2], 64) and data.atoms.kept > 0.98
+    frames, residual, patches = features_of(layer, recording)[1], residual_of(layer, recording), layer.patches
+    for f in (0, FRAMES // 2, FRAMES - 1):
+        grids = (data.coefficients[f] @ data.atoms.shapes + data.atoms.mean).astype(np.float32)
+        decoded = np.zeros(residual[f].shape, np.float32)
+        _add_patches(grids, frames[f], patches.corners, patches.blend, patches.cell, patches.within, decoded)
+        rest = np.sqrt(((decoded - residual[f]) ** 2).sum(axis=1).mean())
+        assert rest < 0.1 * np.sqrt((residual[f] ** 2).sum(axis=1).mean())
+
+
+def test_frames_are_spread_over_all_recordings(layer: Layer, recording: Recording) -> None:
+    every = training_set(layer, [recording], 8, frames=1000, seed=0)
+    some = training_set(layer, [recording, recording.where(slice(0, 6))], 8, frames=6, seed=0)
+    assert len(some.features) == 6
+    taken = [int(np.abs(every.features - row).max(axis=(1, 2)).argmin()) for row in some.features]
+    assert taken == [1, 4, 7, 10, 1, 4]
+
+
+def test_the_same_seed_gives_the_same_training_set(layer: Layer, recording: Recording) -> None:
+    first, again = (training_set(layer, [recording], 8, frames=6, seed=3) for _ in range(2))
+    assert np.array_equal(first.coefficients, again.coefficients) and np.array_equal(first.features, again.features)
+    assert np.array_equal(first.atoms.shapes, again.atoms.shapes)
+
+
+def test_the_mapping_is_fitted_to_features_and_places(layer: Layer, recording: Recording) -> None:
+    data, told = training_set(layer, [recording], 4, frames=3, seed=0), []
+    mapping = fit_layer(layer, data, hidden=(6, 5), epochs=3, seed=2, report=told.append)
+    static = layer.stencil.static
+    expected = fit_mapping(data.features, static, data.coefficients, hidden=(6, 5), epochs=3, seed=2)
+    assert all(np.array_equal(mapping.arrays()[name], array) for name, array in expected.arrays().items())
+    assert mapping.place_bias.std(axis=0).min() > 0.0 and told[-1].startswith("fitting: pass 3 of 3, loss ")
+
+
+def test_the_gain_returns_the_spread_of_the_fine_cloth_within_limits(layer: Layer, recording: Recording) -> None:
+    data = training_set(layer, [recording.where(slice(None, None, 3))], 5, frames=FRAMES, seed=0)
+    spread = np.sqrt((data.coefficients.astype(float) ** 2).mean(axis=(0, 1)))
+    share = np.array([0.1, 0.8, 1.0, 1.25, 10.0])  # a mapping that knows one answer, too small or too large
+    count = len(layer.levels.coarse.vertices)
+    zero = lambda *shape: np.zeros(shape, np.float32)  # noqa: E731
+    mapping = Mapping(
+        zero(DYNAMIC_COUNT), zero(DYNAMIC_COUNT), zero(DYNAMIC_COUNT, 3), zero(3, 2), zero(2, 5), zero(count, 3),
+        zero(2), (share * spread).astype(np.float32), np.full(5, 7.0, np.float32),
+    )  # fmt: skip
+    gained = with_gain(layer, mapping, data.atoms, [recording], [recording.where(slice(0, 2))])
+    np.testing.assert_allclose(gained.gain, np.clip(1.0 / share, *GAIN_LIMITS), rtol=1e-3)
+    assert gained.gain[0] == np.float32(GAIN_LIMITS[1]) and gained.gain[-1] == np.float32(GAIN_LIMITS[0])
+    assert np.array_equal(gained.bias_3, mapping.bias_3)
+
+
+def test_shift_and_mismatch_measure_how_far_features_are() -> None:
+    rng = np.random.default_rng(0)
+    mixing = rng.standard_normal((6, 6)) * [1e-3, 1.0, 50.0, 1.0, 1.0, 1.0]
+    reference = rng.standard_normal((400, 10, 6)) @ mixing + 3.0
+    statistics = FeatureStatistics.of(reference)
+    assert statistics.shift(reference) == pytest.approx(1.0, abs=0.01)
+    assert statistics.mismatch(reference) == pytest.approx(0.0, abs=0.01)
+    middle = reference.mean(axis=(0, 1))
+    wide = middle + 2.0 * (reference - middle)
+    assert statistics.shift(wide) == pytest.approx(2.0, rel=0.02)
+    assert statistics.mismatch(wide) == pytest.approx(1.0, rel=0.02)
+    moved = reference + 3.0 * mixing[2]  # three standard deviations along one of six axes
+    assert statistics.shift(moved) == pytest.approx(np.sqrt(1.0 + 9.0 / 6.0), rel=0.02)
+    assert statistics.mismatch(moved) == pytest.approx(np.sqrt(9.0 / 6.0), rel=0.02)
