@@ -213,7 +213,10 @@ def _record(run: Run, folder: Path, after_chunk: Callable[[], None] | None = Non
     if 0 < first < run.chunk_count:
         with np.load(folder / f"chunk_{first - 1:04d}.npz", allow_pickle=False) as last:
             simulation.state = State(*(last[f"state_{name}"] for name in State._names))
+        body = simulation.body
+        probes = body.probes, body.probe_weights  # chosen by the first pose, not by the one to go on from
         simulation.place_body(run.poses[first * run.chunk])
+        body.probes, body.probe_weights = probes
     for chunk in range(first, run.chunk_count):
         rows: dict[str, list] = {"frames": [], "positions": [], "velocity": [], "contact": [], "nearest": []}
         times = []

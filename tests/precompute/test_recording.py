@@ -8,12 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from assets.sequence import Sequence
 from pbd import Fabric, ModelOptions, Plane, SolverOptions
 from precompute import recording
 from precompute.recording import Recording, Run, poses_of, record_runs
 from runtime.simulation import Simulation
 from tests.data import ROOT
 from tests.runtime.players import skirt_stage
+from tests.wrinkles.meshes import flat_sheet, icosphere
+from wrinkles.levels import build_levels
 
 FRAMES, CHUNK = 40, 10
 ARRAYS = ("frames", "positions", "coarse", "velocity", "contact", "nearest")
@@ -135,6 +138,22 @@ def test_a_killed_run_goes_on_with_the_same_bits(tmp_path: Path, steps: list[flo
     (resumed,) = record_runs([run], tmp_path / "killed", workers=1)
     assert len(steps) == FRAMES - 2 * CHUNK  # 24 frames were done, 20 of them kept
     (whole,) = record_runs([run], tmp_path / "whole", workers=1)
+    assert_same(resumed, whole)
+
+
+def test_a_body_of_large_faces_is_the_same_after_a_restart(tmp_path: Path) -> None:
+    """A crystal that grows under a sheet: how its faces are found is settled by its size at the start."""
+    shape, faces = icosphere(0, 1.0)
+    growth = np.linspace(0.05, 0.15, FRAMES + 1)[:, None, None]
+    crystal = (shape * growth + [0.3, -0.05, 0.3]).astype(np.float32)
+    body = Sequence("crystal", crystal, faces, 1 / 60)
+    levels = build_levels(*flat_sheet(13, 0.6), np.array([], int), crystal[0].astype(float), faces, 1, (1.0, 0.0, 0.0))
+    run = replace(skirt_run(), levels=levels, body=body, poses=crystal.astype(float))
+    (whole,) = record_runs([run], tmp_path, workers=1)
+    for late in (1, 2, 3):
+        (tmp_path / run.key() / f"chunk_{late:04d}.npz").unlink()
+    (resumed,) = record_runs([run], tmp_path, workers=1)
+    assert (whole.contact[-1, :, 0] < 0.03).any()
     assert_same(resumed, whole)
 
 
