@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from assets.character import Character
 from assets.sequence import Sequence
 from pbd import Fabric, ModelOptions, Plane, SolverOptions
 from precompute import recording
@@ -182,6 +183,7 @@ def test_the_key_tells_what_the_result_depends_on() -> None:
     poses = run.poses.copy()
     poses[-1, 3, 0, 3] += 1e-12
     levels, body = run.levels, run.body
+    assert isinstance(body, Character)
     weights = body.joint_weights.copy()
     weights[5] = weights[5][::-1]
     others = [

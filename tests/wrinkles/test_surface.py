@@ -153,7 +153,8 @@ def skirt() -> tuple[Subdivision, np.ndarray]:
 
 
 def test_coarse_and_fine_have_the_same_area(skirt: tuple[Subdivision, np.ndarray]) -> None:
-    for subdivision, vertices in (skirt, (lambda v, f: (Subdivision.of(f, len(v), 2), v))(*tube(12))):
+    around, faces = tube(12)
+    for subdivision, vertices in (skirt, (Subdivision.of(faces, len(around), 2), around)):
         coarse, fine = subdivision.meshes(vertices)
         assert coarse.face_areas.sum() == pytest.approx(fine.face_areas.sum(), rel=0.005)
         assert np.array_equal(coarse.vertices, vertices)
