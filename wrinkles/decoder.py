@@ -15,6 +15,7 @@ from wrinkles.surface import Subdivision
 
 __all__ = ["Decoder", "Relaxation", "Upsampler", "surface_normals"]
 
+STRETCH_SHARE = 0.25  # of an edge's stretch that a relaxation pass takes back
 LEVEL = 0.025  # where the coarse garment is further than this from the body, so is the fine one [m]
 NEARBY = 0.008  # fine vertices within this height over the tangent plane are tested against faces [m]
 
@@ -208,7 +209,8 @@ def _relax(
                 if total > 0.0:
                     size = ti.max(d.norm(), 1e-9)
                     # Only stretch is taken back: pushing short edges apart in one pass folds the mesh edge by edge.
-                    d *= ti.max(size - lengths[c], 0.0) / (size * total)
+                    # A part at a time: whole corrections of a stretched coarse state overshoot from edge to edge.
+                    d *= STRETCH_SHARE * ti.max(size - lengths[c], 0.0) / (size * total)
                     fine[i] += inverse_mass[i] * d
                     fine[j] -= inverse_mass[j] * d
             for i in range(fine.shape[0]):
