@@ -17,7 +17,7 @@ def closest_points(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Closest point of a triangle mesh to each point.
 
-    Searched among the faces with the nearest centroids: exact where the mesh is finer than the distance between its sheets,
+    Searched among the faces with the nearest centroids: exact where the mesh is finer than its sheets are apart,
     which is what attachments and start positions need.
 
     Args:
@@ -41,7 +41,7 @@ def closest_points(
 
 
 def _closest_weights(p: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Barycentric weights of the closest point: the inner one where it lies inside, else the best of the three sides."""
+    """Barycentric weights of the closest point: the inner one where it lies inside, else the best of the sides."""
     dot = lambda u, v: np.einsum("...i,...i->...", u, v)  # noqa: E731
     ab, ac, ap = b - a, c - a, p - a
     d00, d01, d11, d20, d21 = dot(ab, ab), dot(ab, ac), dot(ac, ac), dot(ap, ab), dot(ap, ac)

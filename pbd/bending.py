@@ -29,7 +29,7 @@ def hinge_rows(
 
     Returns:
         hinges (int32, shape (h, 4), rows i, j, k, l as in :func:`pbd.mesh.hinges_of`), rows K (shape (h, 4)),
-        areas A0 + A1 of the faces that can bend [m2] (shape (h,)) and the angle of the edge against the warp [rad] (shape (h,)).
+        areas A0 + A1 of the faces that can bend [m2] (shape (h,)), angle of the edge to the warp [rad] (shape (h,)).
     """
     hinges = hinges_of(mesh.faces)
     # Directed side (a, b) -> face and corner, to find both faces of each hinge again.

@@ -75,7 +75,7 @@ class Body:
         vertex_count: number of vertices.
 
     Attributes:
-        previous, current: positions about the state's origin at the start and end of the frame [m], float32, shape (n, 3).
+        previous, current: positions about ``origin`` at the start and end of the frame [m], float32, shape (n, 3).
         normals: unit vertex normals of the current pose, float32, shape (n, 3).
         probes: corners of faces too large to be found by their vertices, int32, shape (k, 3), with the barycentric
             weights ``probe_weights`` of points spread over them, float32, shape (k, 3).
@@ -103,7 +103,7 @@ class Body:
         self._placed = False
 
     def advance(self, vertices: np.ndarray) -> None:
-        """Make ``vertices`` [m], float32, shape (n, 3), about ``origin``, the current pose; the last becomes the previous."""
+        """Make ``vertices`` [m], float32, shape (n, 3), the current pose; the last becomes the previous."""
         self.previous, self.current = self.current, self.previous
         self.current[:] = vertices
         self.finish_pose()

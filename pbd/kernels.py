@@ -83,7 +83,7 @@ def descend(
     ring_start: ti.template(),
     ring: ti.template(),
 ) -> ti.i32:
-    """Body vertex reached from ``start`` by walking to nearer neighbours; the body stands at t in [0, 1] of the frame."""
+    """Body vertex reached from ``start`` by walking to nearer neighbours; t in [0, 1] of the frame."""
     best = start
     offset = body_0[best] + t * (body_1[best] - body_0[best]) - p
     distance = offset.dot(offset)
@@ -476,7 +476,7 @@ def collide_primitives(
     friction: ti.f32,
     h: ti.f32,
 ):
-    """Correction by planes (0), spheres (1) and capsules (2); rows: kind, radius, a0, b0, a1, b1 (start, end of frame)."""
+    """Correction by planes (0), spheres (1), capsules (2); rows: kind, radius, a0, b0, a1, b1 (start, end)."""
     total = vec3(0.0)
     for c in range(primitives.shape[0]):
         kind = int(primitives[c, 0])

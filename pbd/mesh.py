@@ -1,4 +1,4 @@
-"""Cloth meshes: topology, rest metric and areas. Functions on plain arrays, and one dataclass that holds their result."""
+"""Cloth meshes: topology, rest metric and areas. Functions on plain arrays, and a dataclass of their results."""
 
 from __future__ import annotations
 

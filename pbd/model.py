@@ -28,7 +28,7 @@ class ModelOptions:
     """How a model is made from a mesh and a fabric. Units as stated; the defaults are the fabric itself.
 
     Attributes:
-        squeeze: factor on the in-plane compliance under compression [-]. A coarse mesh cannot buckle where the real cloth does,
+        squeeze: factor on the in-plane compliance under compression [-]. A coarse mesh cannot buckle where cloth does,
             so its triangles may shorten instead.
         bend_scale: factor on the bending stiffness [-].
         tether_slack: length of a tether over the geodesic distance [-]; 0 leaves tethers out.

@@ -244,7 +244,7 @@ def _record(run: Run, folder: Path, after_chunk: Callable[[], None] | None = Non
         arrays["step_ms"] = np.array(1e3 * np.median(times))
         arrays |= {f"state_{name}": getattr(simulation.state, name) for name in State._names}
         with replacing(folder / f"chunk_{chunk:04d}.npz") as temporary, open(temporary, "wb") as file:
-            np.savez(file, **arrays)
+            np.savez(file, allow_pickle=False, **arrays)
         if after_chunk is not None:
             after_chunk()
 
@@ -257,4 +257,4 @@ def _read(run: Run, folder: Path) -> Recording:
             for name in names:
                 parts[name].append(data[name])
     step_ms = float(np.median(parts.pop("step_ms")))
-    return Recording(run.name, *(np.concatenate(parts[name]) for name in names[:-1]), step_ms)
+    return Recording(name=run.name, step_ms=step_ms, **{name: np.concatenate(parts[name]) for name in names[:-1]})
