@@ -8,17 +8,25 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from pbd import ModelOptions, SolverOptions
 from precompute.recording import Recording, Run, record_runs
 from precompute.training import FeatureStatistics, Layer, features_of
+from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.spectrum import BandedEnergy
 
 __all__ = ["Calibration", "calibrate"]
 
-SQUEEZE = (1.0, 10.0, 100.0)
-BEND = (10.0, 30.0, 100.0, 200.0)
+SQUEEZE = (1.0, 10.0)
+BEND = (1.0, 3.0, 10.0, 30.0)
 SETTLE = 1.5  # the blend from the bind pose does not count [s]
+
+
+def filtered(recording: Recording, matrix: csr_matrix) -> Recording:
+    """A coarse run as the dictionary sees it."""
+    spread = lambda a: np.stack([matrix @ frame for frame in a]).astype(np.float32)  # noqa: E731
+    return replace(recording, coarse=spread(recording.coarse), velocity=spread(recording.velocity))
 
 
 def _smooth(layer: Layer, recordings: Sequence[Recording], settled: Sequence[np.ndarray]) -> np.ndarray:
@@ -86,7 +94,8 @@ def calibrate(
         for option in options
         for run in runs
     ]
-    coarse = record_runs(tries, cache, workers, report)
+    matrix = CoarseFilter(layer.levels).matrix
+    coarse = [filtered(recording, matrix) for recording in record_runs(tries, cache, workers, report)]
     rows = []
     for number, option in enumerate(options):
         mine = coarse[number * len(runs) : (number + 1) * len(runs)]

@@ -166,8 +166,9 @@ def play(
         if number % every == 0 and number * dt > after:
             rows["numbers"].append(number)
             rows["frames"].append((player.vertices + player.origin).astype(np.float32))
-            rows["smooth"].append((player.smooth + player.origin).astype(np.float32))
-            rows["coarse"].append(player.simulation.state.world().astype(np.float32))
+            coarse = player.simulation.state.world()
+            rows["smooth"].append(player.levels.subdivision.upsample(coarse).astype(np.float32))
+            rows["coarse"].append(coarse.astype(np.float32))
     arrays = {name: np.array(values) for name, values in rows.items()}
     spent = {name: np.array(values) for name, values in timings.items()}
     return Free(**arrays, timings=spent, held_off=held_off, state_hash=state_hash)

@@ -11,6 +11,7 @@ from assets.sequence import Sequence
 from pbd import InputError, build_model
 from runtime.simulation import Simulation, body_source
 from wrinkles.charts import Charts
+from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Decoder, Relaxation, Upsampler, surface_normals
 from wrinkles.features import Stencil
@@ -32,7 +33,6 @@ class Player:
     Attributes:
         levels: coarse and fine mesh.
         vertices: fine vertices about ``origin`` [m], float32, shape (N, 3).
-        smooth: the same without the dictionary, float32, shape (N, 3).
         normals: unit, float32, shape (N, 3).
         timings: what the last frame took, by part [ms].
 
@@ -61,12 +61,12 @@ class Player:
         self.simulation = Simulation(model, self.levels.coarse_attachment, source, pose, database.solver, primitives)
         charts = Charts.of(self.levels.coarse)
         patches = Patches.of(self.levels.subdivision, charts)
+        self._filter = CoarseFilter(self.levels)
         self._upsample = Upsampler(self.levels.subdivision)
         self._decoder = Decoder(Stencil.of(charts, database.held), patches, database.mapping, database.atoms)
         self._relax = Relaxation(self.levels.fine, self.levels.fine_held, patches, database.fabric.thickness)
         count, body_count = self.levels.subdivision.fine_count, len(source.vertices)
         self.vertices = np.zeros((count, 3), np.float32)
-        self.smooth = np.zeros((count, 3), np.float32)
         self.normals = np.zeros((count, 3), np.float32)
         self._position = self.simulation.state.position.copy()
         self._before = self._position.copy()
@@ -136,9 +136,9 @@ class Player:
             self._body_between *= np.float32(alpha)
             self._body_between += body.previous
             current = self._body_between
-        self._upsample(position, self.smooth)
-        self.vertices[:] = self.smooth
-        self._decoder.add(position, state.velocity, state.contact, self.vertices)
+        position, velocity = self._filter(position, state.velocity)
+        self._upsample(position, self.vertices)
+        self._decoder.add(position, velocity, state.contact, self.vertices)
         decoded = time.perf_counter()
         targets = self.levels.fine_attachment.targets(current)
         self._relax(self.vertices, targets, state.nearest, state.contact, body, current)

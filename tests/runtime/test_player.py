@@ -37,7 +37,7 @@ def bits(player: Player) -> str:
     """Everything that a frame leaves behind."""
     digest = hashlib.sha256(player.simulation.state.hash().encode())
     body = player.simulation.body
-    for array in (player.vertices, player.normals, player.smooth, body.previous, body.current, body.normals):
+    for array in (player.vertices, player.normals, body.previous, body.current, body.normals):
         digest.update(array.tobytes())
     return digest.hexdigest()
 

@@ -148,7 +148,7 @@ def test_relaxation_takes_stretch_back() -> None:
     pull = lambda x: np.maximum(cloth.strain(x), 0.0).mean()  # noqa: E731
     # Of single edges at once, of the whole sheet from its rim inwards.
     noisy = cloth.rest + 5e-4 * np.random.default_rng(0).standard_normal(cloth.rest.shape)
-    assert pull(cloth(noisy)) < 0.5 * pull(noisy) and pull(cloth(noisy, passes=3)) < 0.5 * pull(cloth(noisy))
+    assert pull(cloth(noisy)) < 0.8 * pull(noisy) and pull(cloth(noisy, passes=3)) < 0.8 * pull(cloth(noisy))
     large = 1.03 * cloth.rest
     assert pull(cloth(large, passes=100)) < 0.8 * pull(cloth(large)) < 0.8 * pull(large)
     for start in (noisy, large):
