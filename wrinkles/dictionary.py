@@ -13,6 +13,7 @@ from wrinkles.patches import NODES, slope_metric
 
 __all__ = ["Atoms", "Mapping", "fit_atoms", "fit_mapping"]
 
+NOISE = 0.15  # of the features in training, in standard deviations
 CLIP = 4.0  # features further out than this many standard deviations count as if they stood there
 
 
@@ -130,6 +131,10 @@ def fit_mapping(
         axis=2,
     ).astype(np.float32)
     inputs = inputs.reshape(-1, inputs.shape[2])
+    # A free coarse garment is never quite what was trained on: what hangs on less than this noise is not learned.
+    inputs[:, :DYNAMIC_COUNT] += NOISE * np.random.default_rng(seed).standard_normal(
+        (len(inputs), DYNAMIC_COUNT), np.float32
+    )
     unit = float(np.sqrt((coefficients**2).mean()))
     targets = (coefficients / unit).reshape(-1, coefficients.shape[2]).astype(np.float32)
     network = MLPRegressor(
