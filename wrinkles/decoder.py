@@ -6,6 +6,7 @@ from threadpoolctl import ThreadpoolController
 
 from pbd.colliders import Body
 from pbd.engine import ensure_initialized, ti
+from pbd.kernels import body_normals as surface_normals
 from pbd.kernels import closest_on_triangle, descend
 from pbd.mesh import ClothMesh, greedy_colors
 from wrinkles.dictionary import CLIP, Atoms, Mapping
@@ -79,23 +80,6 @@ def _add_patches(grids: Float2, frames: Float2, corners: Int3, blend: Vec3, cell
                     for a in ti.static(range(3)):
                         total[a] += weight * (d[0] * frames[j, a] + d[1] * frames[j, 3 + a] + d[2] * frames[j, 6 + a])
             fine[i] += total
-
-
-@ti.kernel
-def surface_normals(vertices: Vec3, faces: Int3, normals: Vec3):
-    """Unit vertex normals weighted by area."""
-    ti.loop_config(serialize=True)
-    for _ in range(1):
-        for i in range(normals.shape[0]):
-            normals[i] = vec3(0.0)
-        for c in range(faces.shape[0]):
-            f = faces[c]
-            x0 = vertices[f[0]]
-            n = (vertices[f[1]] - x0).cross(vertices[f[2]] - x0)
-            for a in ti.static(range(3)):
-                normals[f[a]] += n
-        for i in range(normals.shape[0]):
-            normals[i] /= ti.max(normals[i].norm(), 1e-20)
 
 
 class Upsampler:
