@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from assets.weld import check_unit
-from pbd.engine import ensure_initialized, ti
+from pbd.engine import Launch, ensure_initialized, ti
 from pbd.errors import InputError
 
 __all__ = ["Sequence", "SequenceBody", "SequenceMotion", "load_sequence"]
@@ -85,6 +85,7 @@ class SequenceBody:
         self.vertices = sequence.vertices[0].astype(np.float64)
         self.faces = sequence.faces
         self._local = np.zeros_like(sequence.vertices[0])
+        self._copy = Launch(_copy)
 
     def skin(self, pose: Floats, origin: Floats, out: Any) -> None:
         """Write the vertices, world minus origin [m].
@@ -95,7 +96,7 @@ class SequenceBody:
             out: float32, shape (n, 3); a Taichi array of n three-vectors, or a numpy array.
         """
         np.subtract(pose, origin, out=self._local, casting="same_kind")
-        _copy(self._local, out)
+        self._copy(self._local, out)
 
 
 class SequenceMotion:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from assets.character import Character
-from pbd.engine import ensure_initialized, ti
+from pbd.engine import Launch, ensure_initialized, ti
 
 __all__ = ["Body", "SkinnedBody", "skin_vertices"]
 
@@ -79,9 +79,10 @@ class SkinnedBody:
         chosen = used[order]
         starts = np.concatenate([[0], np.cumsum(counts[order])[:-1]])
         self._columns = np.zeros((character.joint_count, 4, 4), dtype=np.float32)  # by joint and column; row 3 unused
-        self._points = _array(vec4, points[order][chosen].astype(np.float32))
-        self._joints = _array(ti.i32, character.joint_indices[order][chosen])
-        self._spans = _array(ti.math.ivec3, np.stack([starts, starts + counts[order], order], axis=1).astype(np.int32))
+        self._points = points[order][chosen].astype(np.float32)
+        self._joints = character.joint_indices[order][chosen].astype(np.int32)
+        self._spans = np.stack([starts, starts + counts[order], order], axis=1).astype(np.int32)
+        self._blend = Launch(_blend)
 
     def skin(self, pose: Floats, origin: Floats, out: Any) -> None:
         """Write the vertices of a pose, world minus origin [m]; see :class:`Body`.
@@ -93,7 +94,7 @@ class SkinnedBody:
         """
         self._columns[:, :3, :3] = np.swapaxes(pose[:, :, :3], 1, 2)
         self._columns[:, 3, :3] = pose[:, :, 3] - origin
-        _blend(self._columns, self._points, self._joints, self._spans, out)
+        self._blend(self._columns, self._points, self._joints, self._spans, out)
 
 
 @ti.kernel
@@ -118,9 +119,3 @@ def _blend(
                 + columns[joint, 3] * point.w
             )
         out[span.z] = moved.xyz
-
-
-def _array(dtype: Any, values: NDArray[Any]) -> Any:
-    array = ti.ndarray(dtype=dtype, shape=len(values))
-    array.from_numpy(np.ascontiguousarray(values))
-    return array

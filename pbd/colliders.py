@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pbd.engine import Launch
 from pbd.errors import InputError
 from pbd.kernels import FAR, body_normals
 from pbd.mesh import vertex_rings
@@ -101,6 +102,7 @@ class Body:
         self.probes, self.probe_weights = np.zeros((0, 3), np.int32), np.zeros((0, 3), np.float32)
         self.origin = np.zeros(3)
         self._placed = False
+        self._normals = Launch(body_normals)
 
     def advance(self, vertices: np.ndarray) -> None:
         """Make ``vertices`` [m], float32, shape (n, 3), the current pose; the last becomes the previous."""
@@ -114,7 +116,7 @@ class Body:
             self.previous[:] = self.current
             self.probes, self.probe_weights = _probes(self.current, self.faces)
             self._placed = True
-        body_normals(self.current, self.faces, self.normals)
+        self._normals(self.current, self.faces, self.normals)
 
     def place(self, vertices: np.ndarray) -> None:
         """Put the body somewhere without motion."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from pbd import kernels
 from pbd.colliders import Body, Colliders
-from pbd.engine import ensure_initialized
+from pbd.engine import Launch, ensure_initialized
 from pbd.errors import InputError
 from pbd.model import GRID, Model, State
 
@@ -65,6 +65,7 @@ class Solver:
         self._nobody = Body(np.zeros((0, 3), np.int32), 1)
         self._cells = np.zeros(kernels.MAX_CELLS + 2, np.int32)
         self._items = np.zeros(1, np.int32)
+        self._find_nearest, self._advance = Launch(kernels.find_nearest), Launch(kernels.advance)
 
     def step(
         self,
@@ -112,7 +113,7 @@ class Solver:
                 searches += int(np.ceil(min(way / (1.5 * kernels.FAR), MOST_SEARCHES - 1)))
             if len(self._items) < len(body.current) + len(body.probes):
                 self._items = np.zeros(len(body.current) + len(body.probes), np.int32)
-            kernels.find_nearest(
+            self._find_nearest(
                 state.position,
                 state.velocity,
                 model.samples,
@@ -128,7 +129,7 @@ class Solver:
                 dt,
                 searches,
             )
-        kernels.advance(
+        self._advance(
             state.position,
             state.velocity,
             self._shift,
@@ -158,8 +159,8 @@ class Solver:
             body.fan,
             substeps,
             dt / substeps,
-            kernels.vec3(*options.gravity),
-            kernels.vec3(*wind),
+            options.gravity,
+            wind,
             model.options.squeeze,
             thickness,
             model.fabric.friction,

@@ -9,6 +9,7 @@ import numpy as np
 from assets.character import Character
 from assets.sequence import Sequence
 from pbd import InputError, build_model
+from pbd.engine import Launch
 from runtime.simulation import Simulation, body_source
 from wrinkles.charts import Charts
 from wrinkles.coarse_filter import CoarseFilter
@@ -64,6 +65,7 @@ class Player:
         self._filter = CoarseFilter(self.levels)
         self._upsample = Upsampler(self.levels.subdivision)
         self._decoder = Decoder(Stencil.of(charts, database.held), patches, database.mapping, database.atoms)
+        self._surface_normals = Launch(surface_normals)
         self._relax = Relaxation(self.levels.fine, self.levels.fine_held, patches, database.fabric.thickness)
         count, body_count = self.levels.subdivision.fine_count, len(source.vertices)
         self.vertices = np.zeros((count, 3), np.float32)
@@ -143,7 +145,7 @@ class Player:
         targets = self.levels.fine_attachment.targets(current)
         self._relax(self.vertices, targets, state.nearest, state.contact, body, current)
         relaxed = time.perf_counter()
-        surface_normals(self.vertices, self.levels.subdivision.faces, self.normals)
+        self._surface_normals(self.vertices, self.levels.subdivision.faces, self.normals)
         ended = time.perf_counter()
         timings["decode"] = 1e3 * (decoded - began)
         timings["relax"] = 1e3 * (relaxed - decoded)

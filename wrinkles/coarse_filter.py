@@ -4,7 +4,7 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags
 
 from pbd.bending import hinge_rows
-from pbd.engine import ensure_initialized, ti
+from pbd.engine import Launch, ensure_initialized, ti
 from wrinkles.levels import Levels
 
 __all__ = ["CoarseFilter"]
@@ -66,8 +66,9 @@ class CoarseFilter:
         self._value = self.matrix.data.astype(np.float32)
         self.position = np.zeros((count, 4), np.float32)
         self.velocity = np.zeros((count, 3), np.float32)
+        self._filter = Launch(_filter)
 
     def __call__(self, position: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Filtered positions [m] and velocities [m/s]; arrays of the filter, float32, shapes (n, 4) and (n, 3)."""
-        _filter(self._start, self._index, self._value, position, velocity, self.position, self.velocity)
+        self._filter(self._start, self._index, self._value, position, velocity, self.position, self.velocity)
         return self.position, self.velocity

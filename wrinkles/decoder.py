@@ -5,7 +5,7 @@ from scipy.sparse import csr_matrix
 from threadpoolctl import ThreadpoolController
 
 from pbd.colliders import Body
-from pbd.engine import ensure_initialized, ti
+from pbd.engine import Launch, ensure_initialized, ti
 from pbd.kernels import body_normals as surface_normals
 from pbd.kernels import closest_on_triangle, descend
 from pbd.mesh import ClothMesh, greedy_colors
@@ -97,10 +97,11 @@ class Upsampler:
         self._first = _csr(first)
         self._second = _csr(subdivision.steps[-1])
         self._middle = np.zeros((first.shape[0], 3), np.float32)
+        self._upsample = Launch(_upsample)
 
     def __call__(self, position: np.ndarray, fine: np.ndarray) -> None:
         """Write fine positions (float32, shape (N, 3)) of coarse ones (float32, shape (n, 4)) [m]."""
-        _upsample(position, *self._first, self._middle, *self._second, fine)
+        self._upsample(position, *self._first, self._middle, *self._second, fine)
 
 
 def _csr(matrix: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -130,6 +131,7 @@ class Decoder:
         self._grids = np.zeros((count, 3 * NODES), np.float32)
         self._shapes = np.ascontiguousarray(mapping.gain[:, None] * atoms.shapes)
         self._mean = atoms.mean
+        self._add_patches = Launch(_add_patches)
         self._blas = ThreadpoolController()
 
     def add(self, position: np.ndarray, velocity: np.ndarray, contact: np.ndarray, fine: np.ndarray) -> None:
@@ -141,7 +143,7 @@ class Decoder:
         with self._blas.limit(limits=1, user_api="blas"):
             self._mix()
         p = self.patches
-        _add_patches(self._grids, self.frames, p.corners, p.blend, p.cell, p.within, fine)
+        self._add_patches(self._grids, self.frames, p.corners, p.blend, p.cell, p.within, fine)
 
     def _mix(self) -> None:
         """The network: features to grids."""
@@ -281,6 +283,7 @@ class Relaxation:
         self._targets = np.zeros((len(held), 3), np.float32)
         self._patches, self._thickness = patches, thickness
         self._nearest = np.full(len(mesh.vertices), -1, np.int32)
+        self._relax = Launch(_relax)
 
     def __call__(
         self,
@@ -304,7 +307,7 @@ class Relaxation:
             passes: number of passes.
         """
         self._targets[:] = targets
-        _relax(
+        self._relax(
             fine,
             self._inverse_mass,
             self._edges,

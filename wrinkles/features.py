@@ -3,14 +3,14 @@
 A stencil of 5 by 5 chart points around every coarse vertex is read in the vertex's own frame.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import eigsh
 
 from pbd import ClothMesh
-from pbd.engine import ensure_initialized, ti
+from pbd.engine import Launch, ensure_initialized, ti
 from pbd.kernels import FAR
 from wrinkles.charts import Charts
 
@@ -131,6 +131,7 @@ class Stencil:
     weights: np.ndarray
     spacing: float
     static: np.ndarray
+    _launch: Launch = field(default_factory=lambda: Launch(_gather), init=False, repr=False, compare=False)
 
     @classmethod
     def of(cls, charts: Charts, held: np.ndarray) -> "Stencil":
@@ -177,7 +178,7 @@ class Stencil:
         """
         center = np.zeros(DYNAMIC_COUNT, np.float32) if center is None else center
         scale = np.ones(DYNAMIC_COUNT, np.float32) if scale is None else scale
-        _gather(
+        self._launch(
             position,
             velocity,
             contact,

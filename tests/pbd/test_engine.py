@@ -4,9 +4,11 @@ import os
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from pbd import InputError, ensure_initialized
+from pbd.engine import Launch, ti
 from tests.data import ROOT
 
 
@@ -41,3 +43,117 @@ def test_a_bad_thread_count_in_the_environment_is_refused(value: str) -> None:
         check=True,
     )
     assert "GUBE_THREADS" in result.stdout and value in result.stdout
+
+
+@ti.kernel
+def _move(
+    points: ti.types.ndarray(dtype=ti.math.vec3, ndim=1),
+    table: ti.types.ndarray(dtype=ti.f32, ndim=2),
+    share: ti.f32,
+    way: ti.math.vec3,
+    times: ti.i32,
+):
+    ti.loop_config(serialize=True)
+    for i in range(points.shape[0]):
+        points[i] += share * times * way + table[i, table.shape[1] - 1]
+
+
+def _arguments(count: int, columns: int = 2, seed: int = 0) -> tuple:
+    random = np.random.default_rng(seed)
+    points, table = random.random((count, 3)).astype(np.float32), random.random((count, columns)).astype(np.float32)
+    return points, table, random.random(), tuple(random.random(3)), int(random.integers(2, 9))
+
+
+def _compare(launch: Launch, arguments: tuple) -> None:
+    """A launch and an ordinary call write the same bits."""
+    expected = arguments[0].copy()
+    _move(expected, *arguments[1:])
+    launch(*arguments)
+    assert np.array_equal(arguments[0], expected)
+
+
+def _launch() -> Launch:
+    """One that has been called before, on arrays that are gone, and that is not an ordinary call any more."""
+    ensure_initialized()
+    launch = Launch(_move)
+    launch(*_arguments(5))
+    assert launch._program is not None and not launch._ordinary
+    return launch
+
+
+def test_a_launch_does_what_a_call_does() -> None:
+    launch, arguments = _launch(), _arguments(7, seed=1)
+    _compare(launch, arguments)
+    for seed in range(2, 5):  # the same arrays, other numbers and vectors
+        _compare(launch, (*arguments[:2], *_arguments(7, seed=seed)[2:]))
+    _compare(launch, (*arguments[:2], np.float64(0.3), np.array([1.0, 2.0, 3.0]), np.int64(2)))
+
+
+def test_another_array_is_never_taken_for_the_last_one() -> None:
+    launch, first, second = _launch(), _arguments(7, seed=1), _arguments(7, seed=2)
+    for arguments in (first, second, first, (second[0], *first[1:]), (first[0], *second[1:])):
+        _compare(launch, arguments)
+    for count in (3, 9, 0, 4):
+        _compare(launch, _arguments(count, seed=count))
+    assert launch._program is not None
+
+
+def test_an_array_written_in_place_is_read_anew() -> None:
+    launch, arguments = _launch(), _arguments(7)
+    _compare(launch, arguments)
+    arguments[1][:] = 5.0
+    _compare(launch, arguments)
+    arguments[1].shape = (14, 1)
+    _compare(launch, arguments)
+    with pytest.raises(ValueError, match="resize"):
+        arguments[0].resize((99, 3))
+
+
+def test_arrays_of_other_columns_order_or_type_are_taken() -> None:
+    launch = _launch()
+    _compare(launch, _arguments(7, columns=5))
+    _compare(launch, (_arguments(7)[0].astype(np.float64), *_arguments(7)[1:]))
+    _compare(launch, (_arguments(7)[0], np.asfortranarray(_arguments(7, columns=4)[1]), 0.5, (1.0, 2.0, 3.0), 2))
+    _compare(launch, _arguments(7))
+
+
+@pytest.mark.parametrize(
+    "place, value",
+    [
+        (0, np.zeros((7, 2), np.float32)),
+        (1, np.zeros(7, np.float32)),
+        (1, None),
+        (2, "1"),
+        (3, (1.0, 2.0)),
+        (4, 1.5),
+    ],
+)
+def test_a_launch_refuses_what_a_call_refuses(place: int, value: object) -> None:
+    launch, arguments = _launch(), _arguments(7)
+    launch(*arguments)
+    before = arguments[0].copy()
+    bad = list(arguments)
+    bad[place] = value
+    with pytest.raises((TypeError, ValueError, ti.TaichiRuntimeTypeError)):
+        launch(*bad)
+    assert np.array_equal(arguments[0], before)
+    _compare(launch, arguments)
+
+
+def test_without_the_insides_it_knows_a_launch_is_a_call() -> None:
+    ensure_initialized()
+    launch = Launch(lambda *arguments: _move(*arguments))  # has no Taichi kernel in it
+    for seed in range(3):
+        _compare(launch, _arguments(7, seed=seed))
+    assert launch._ordinary
+
+
+def test_taichi_arrays_are_taken() -> None:
+    launch, arguments = _launch(), _arguments(7)
+    points = ti.ndarray(dtype=ti.math.vec3, shape=7)
+    points.from_numpy(arguments[0])
+    for _ in range(2):
+        launch(points, *arguments[1:])
+        _move(*arguments)
+        assert np.array_equal(points.to_numpy(), arguments[0])
+    _compare(launch, arguments)
