@@ -45,6 +45,7 @@ class BodyDistance:
         self._edge_normals = np.zeros((len(edges), 3))
         self._face_normals = np.zeros((len(self.faces), 3))
         self._vertex_normals = np.zeros((int(self.faces.max()) + 1, 3))
+        self._nearest = np.zeros(0, np.int32)  # face of each point, where the next frame's search starts
         self._tree: tuple[np.ndarray, ...] | None = None
 
     def signed_distance(self, points: np.ndarray, body_vertices: np.ndarray) -> np.ndarray:
@@ -67,10 +68,12 @@ class BodyDistance:
             vertices, self.faces, self._side_edge, self._face_normals, self._edge_normals, self._vertex_normals
         )
         _refit(vertices, self.faces, order, after, first, count, low, high)
+        if len(self._nearest) != len(points):
+            self._nearest = np.zeros(len(points), np.int32)
         distance = np.zeros(len(points))
         _query(
             points, vertices, self.faces, self._side_edge, self._face_normals, self._edge_normals, self._vertex_normals,
-            order, after, first, count, low, high, distance,
+            order, after, first, count, low, high, self._nearest, distance,
         )  # fmt: skip
         return distance
 
@@ -248,32 +251,23 @@ def _query(
     count: index1,
     low: array3,
     high: array3,
+    nearest: index1,
     distance: array1,
 ):
     """Signed distances. Points do not touch each other's results, so the threads may share them out."""
     for q in range(points.shape[0]):
         p = points[q]
-        best = ti.cast(1e300, ti.f64)
-        best_face = 0
-        best_weights = vec3(1.0, 0.0, 0.0)
-        # First straight down to a near leaf, for a close bound; then the whole tree, skipping what lies beyond it.
+        # The face that was nearest in the last frame gives a close bound; then the tree, skipping what lies beyond it.
+        best_face = nearest[q]
+        a, b, c = vertices[faces[best_face, 0]], vertices[faces[best_face, 1]], vertices[faces[best_face, 2]]
+        best_weights = _closest_on_triangle(p, a, b, c)
+        best = (p - (best_weights[0] * a + best_weights[1] * b + best_weights[2] * c)).norm_sqr()
         node = 0
-        while count[node] == 0:
-            left, right = node + 1, after[node + 1]
-            to_left = _box_distance_squared(p, low[left], high[left])
-            to_right = _box_distance_squared(p, low[right], high[right])
-            if to_left == to_right:  # inside both boxes: the nearer middle
-                to_left = (low[left] + high[left] - 2 * p).norm_sqr()
-                to_right = (low[right] + high[right] - 2 * p).norm_sqr()
-            node = left if to_left <= to_right else right
-        near_leaf = node
-        node = -1
         while node < after.shape[0]:
-            current = near_leaf if node < 0 else node
-            if node >= 0 and (node == near_leaf or _box_distance_squared(p, low[current], high[current]) >= best):
+            if _box_distance_squared(p, low[node], high[node]) >= best:
                 node = after[node]
             else:
-                for slot in range(first[current], first[current] + count[current]):
+                for slot in range(first[node], first[node] + count[node]):
                     f = order[slot]
                     a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
                     weights = _closest_on_triangle(p, a, b, c)
@@ -281,6 +275,7 @@ def _query(
                     if squared < best:
                         best, best_face, best_weights = squared, f, weights
                 node = node + 1
+        nearest[q] = best_face
         normal = face_normals[best_face]
         closest = vec3(0.0)
         zeros = 0

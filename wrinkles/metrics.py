@@ -27,7 +27,6 @@ __all__ = [
     "fold_count",
     "given_coarse_figures",
     "jitter_px",
-    "low_frequency_ratio_to_floor",
     "low_frequency_rmse_mm",
     "normal_correlation",
     "normal_error_deg",
@@ -371,26 +370,6 @@ def low_frequency_rmse_mm(test: np.ndarray, truth: np.ndarray, low_pass: Callabl
     """
     test, truth = _same_frames(test=test, truth=truth)
     return float(1e3 * np.sqrt(3.0 * (low_pass(test - truth) ** 2).mean()))
-
-
-def low_frequency_ratio_to_floor(
-    test: np.ndarray, truth: np.ndarray, floor: np.ndarray, low_pass: Callable[[np.ndarray], np.ndarray]
-) -> float:
-    """Low-frequency mismatch of the test over that of a second converged run, both against the truth [-].
-
-    Free folding is chaotic: two converged simulations of one scene part company, and a mismatch below theirs
-    (a ratio of about 1 or less) means nothing.
-
-    Args:
-        test: positions [m], shape (f, n, 3).
-        truth: a converged run [m], shape (f, n, 3).
-        floor: another converged run of the same scene, with other settings [m], shape (f, n, 3).
-        low_pass: linear filter on positions, such as :class:`wrinkles.spectrum.LowPass`.
-
-    Raises:
-        InputError: sequences of different shape.
-    """
-    return low_frequency_rmse_mm(test, truth, low_pass) / low_frequency_rmse_mm(floor, truth, low_pass)
 
 
 def _parts(count: int) -> Iterator[slice]:

@@ -7,7 +7,7 @@ of the Laplacian therefore filters by wavelength, however the triangles lie. Her
     G_c(q) = 1 / (1 + (q / q_c)^8),
 
 one half at the cut-off. Its partial fractions are four simple poles, two of them conjugate to the others, so G_c needs
-two sparse complex factorisations and no inner products of eigenvectors.
+two sparse complex factorisations and no eigenvectors.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.sparse import csc_matrix, csr_matrix, diags
-from scipy.sparse.linalg import splu
 
 from pbd.errors import InputError
 from pbd.mesh import edges_of
+from wrinkles.dissection import BlockSolver, Dissection
 
 __all__ = ["BandedEnergy", "LowPass", "spectrum_band_error_max"]
 
 _ORDER = 4  # poles of G in q^2: 88 % of a wave at the middle of an octave falls in that octave
 _LEAST_SHARE = 1e-3  # of the truth's energy; a ratio to less says nothing
-_CHUNK = 8  # frames worked on at once: more right-hand sides leave the cache
+_CHUNK = 64  # frames worked on at once: enough right-hand sides for large products, and little memory
 
 
 class LowPass:
@@ -47,7 +47,7 @@ class LowPass:
         if not wavelength > 0:
             raise InputError("bad cut-off", key="wavelength", received=wavelength, expected="a positive length [m]")
         stiffness, self._mass = _laplacian(rest_vertices, faces)
-        self._filter = _Butterworth(stiffness, self._mass, wavelength, np.complex128)
+        self._filter = _Butterworth(stiffness, self._mass, wavelength, Dissection(stiffness), np.complex128)
 
     def __call__(self, vertices: np.ndarray) -> np.ndarray:
         """Filtered positions [m], shape (f, n, 3), from positions of the same shape; also one frame (n, 3)."""
@@ -105,7 +105,8 @@ class BandedEnergy:
         border = np.unique(edges[np.bincount(side_edge.ravel()) == 1])
         self._curvature = _extrapolation(edges, border, len(rest_vertices)) @ diags(1.0 / self._mass) @ stiffness
         # Single precision halves the time and costs 1e-5 of a band's energy.
-        self._filters = [_Butterworth(stiffness, self._mass, length, np.complex64) for length in self.cutoffs]
+        order = Dissection(stiffness)
+        self._filters = [_Butterworth(stiffness, self._mass, length, order, np.complex64) for length in self.cutoffs]
 
     def energy(self, vertices: np.ndarray) -> np.ndarray:
         """Bending energy in each band, per unit of bending stiffness [-], shape (f, b).
@@ -147,12 +148,8 @@ class BandedEnergy:
     def _energy_of_part(self, frames: np.ndarray) -> np.ndarray:
         curvature = self._curvature @ frames.transpose(1, 0, 2).reshape(len(self._mass), -1)
         weighted = self._mass[:, None] * curvature
-
-        def integral(low: np.ndarray) -> np.ndarray:
-            return 0.5 * (weighted * low).sum(axis=0).reshape(-1, 3).sum(axis=1)
-
-        total = integral(curvature)
-        over = [integral(low_pass.apply(weighted)) for low_pass in self._filters]
+        columns = [(weighted * curvature).sum(axis=0), *(low_pass.kept(weighted) for low_pass in self._filters)]
+        total, *over = (0.5 * column.reshape(-1, 3).sum(axis=1) for column in columns)
         # Over a growing cut-off ever less remains: bands are what each cut-off takes away.
         return -np.diff(np.stack([total, *over, np.zeros_like(total)], axis=1), axis=1)
 
@@ -172,26 +169,24 @@ class _Butterworth:
     G = (2/m) Re sum of (1 - L / (q_c^2 z_j))^-1 over the roots z_j of z^m = -1 in the upper half plane.
     """
 
-    def __init__(self, stiffness: csc_matrix, mass: np.ndarray, wavelength: float, dtype: type) -> None:
-        self._dtype = dtype
+    def __init__(
+        self, stiffness: csc_matrix, mass: np.ndarray, wavelength: float, order: Dissection, dtype: type
+    ) -> None:
         roots = np.exp(1j * np.pi * (2 * np.arange(_ORDER // 2) + 1) / _ORDER)
         scale = (wavelength / (2.0 * np.pi)) ** 2
         # Turned by half the root's angle the matrix has a positive definite real part, so no pivoting is needed
         # (Higham 1998, "Factorizing complex symmetric matrices with positive definite real and imaginary parts").
         self._solvers = [
-            splu(
-                csc_matrix(diags(mass) - (scale / root) * stiffness).astype(dtype),
-                permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
-            for root in roots
+            BlockSolver(csc_matrix(diags(mass) - (scale / root) * stiffness), order, dtype) for root in roots
         ]
 
     def apply(self, weighted: np.ndarray) -> np.ndarray:
         """G times a field, given the field times the mass: real, shape (n, k)."""
-        right = np.asarray(weighted, self._dtype, order="F")
-        return (2.0 / _ORDER) * np.sum([solver.solve(right).real for solver in self._solvers], axis=0)
+        return (2.0 / _ORDER) * sum((np.real(solver.solve(weighted)) for solver in self._solvers), np.zeros(()))
+
+    def kept(self, weighted: np.ndarray) -> np.ndarray:
+        """Integral of a field times G times the field, given the field times the mass: real, shape (k,)."""
+        return (2.0 / _ORDER) * sum((np.real(solver.quadratic(weighted)) for solver in self._solvers), np.zeros(()))
 
 
 def _laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[csc_matrix, np.ndarray]:

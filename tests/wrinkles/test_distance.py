@@ -64,6 +64,9 @@ def test_follows_a_body_that_moves_far_from_where_its_tree_was_built() -> None:
     body.signed_distance(points, vertices)
     moved = spiked(7)[0][:, [1, 2, 0]] * [1.5, 0.8, 1.2]
     assert np.allclose(body.signed_distance(points, moved), brute_force(points, moved, faces), rtol=1e-12, atol=1e-14)
+    # Where a point's search starts, at its last nearest face, has no part in the result.
+    for others in (points[::-1], points[:50]):
+        assert np.array_equal(body.signed_distance(others, moved), BodyDistance(faces).signed_distance(others, moved))
 
 
 def test_sign_at_a_tip_does_not_hang_on_how_its_faces_are_cut() -> None:
