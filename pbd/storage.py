@@ -19,5 +19,9 @@ def replacing(path: str | Path) -> Iterator[Path]:
     try:
         yield temporary
         os.replace(temporary, path)
+    except OSError as error:
+        if error.filename is None:  # a full disk is told without saying whose
+            error.filename = str(path)
+        raise
     finally:
         temporary.unlink(missing_ok=True)

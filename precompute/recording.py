@@ -181,11 +181,15 @@ def record_runs(
         with ProcessPoolExecutor(min(workers, len(todo)), get_context("spawn"), _single_thread) as pool:
             futures = [pool.submit(_record, run, folder) for run, folder in todo]
             pending = set(futures)
-            while pending:
-                finished, pending = wait(pending, timeout=5.0, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    future.result()
-                _tell(report, done(), before, total, began)
+            try:
+                while pending:
+                    finished, pending = wait(pending, timeout=5.0, return_when=FIRST_COMPLETED)
+                    for future in finished:
+                        future.result()
+                    _tell(report, done(), before, total, began)
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)  # runs that wait their turn would only delay the message
+                raise
     return [_read(run, folder) for run, folder in zip(runs, folders, strict=True)]
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pbd.errors import InputError
+from runtime.outputs import check_file, check_folder
 from runtime.report import Progress, Report, package_version, process_age, write_report
 
 if TYPE_CHECKING:
@@ -39,17 +40,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         if options.json:
-            _check_folder(options.json)
+            check_file(options.json, key="--json")
         report = options.handler(options)
         if options.json:
             write_report(options.json, options.command, report.figures, report.rows)
     except InputError as error:
         print(f"gube {options.command}: {error}", file=sys.stderr)
         return 2
+    except OSError as error:  # a full disk, or one that went away
+        print(f"gube {options.command}: {_disk_problem(error)}", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)
         return 1
     return 0 if report.passed else 1
+
+
+def _disk_problem(error: OSError) -> str:
+    problem = (error.strerror or str(error)).lower()
+    return f"{error.filename}: {problem}" if error.filename else problem
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -73,7 +82,9 @@ def _parser() -> argparse.ArgumentParser:
 
     precompute = _add_command(commands, "precompute", _precompute, "learn the wrinkles of a scene's garment")
     precompute.add_argument("scene", type=Path, metavar="SCENE", help="scene file (TOML)")
-    precompute.add_argument("-o", dest="output", type=Path, metavar="DB.h5", required=True, help="wrinkle database")
+    precompute.add_argument(
+        "-o", dest="output", type=Path, metavar="DB.h5", required=True, help="wrinkle database, ending in .h5"
+    )
     precompute.add_argument("--cache", type=Path, metavar="DIR", help="simulated runs; .gube-cache beside the database")
     precompute.add_argument("--workers", type=int, metavar="N", default=os.cpu_count() or 1, help="processes at a time")
 
@@ -135,12 +146,6 @@ def _positive(text: str) -> float:
     return value
 
 
-def _check_folder(path: Path) -> None:
-    """Refuse now what would lose the figures of a long run later."""
-    if path.is_dir() or not path.resolve().parent.is_dir():
-        raise InputError("cannot be written", key="--json", received=str(path), expected="a file in an existing folder")
-
-
 def _simulate(options: argparse.Namespace) -> Report:
     from assets.scene import load_scene, scene_text
 
@@ -149,11 +154,11 @@ def _simulate(options: argparse.Namespace) -> Report:
         print(scene_text(scene), end="")
         return Report()
     from runtime.info import figure_lines
-    from runtime.play import check_bake_path, simulated_frames, write_baked
+    from runtime.play import BAKED, simulated_frames, write_baked
     from runtime.stage import simulation_of
 
     output = options.output or Path("out") / f"{options.scene.stem}.glb"
-    check_bake_path(output)
+    check_file(output, *BAKED)
     simulation, motion = simulation_of(scene, options.fine)
     longest = 5.0 if motion is None else motion.duration
     seconds = longest if options.seconds is None else min(options.seconds, longest if motion else math.inf)
@@ -167,6 +172,7 @@ def _simulate(options: argparse.Namespace) -> Report:
 def _demo(options: argparse.Namespace) -> Report:
     from precompute.demo import run_demo
 
+    check_folder(options.output)
     with Progress(sys.stderr) as progress:
         figures = run_demo(options.output, report=progress)
     out = options.output
@@ -186,8 +192,9 @@ def _precompute(options: argparse.Namespace) -> Report:
 
     if options.workers < 1:
         raise InputError("too few processes", key="--workers", received=options.workers, expected="at least 1")
-    if options.output.is_dir():
-        raise InputError("cannot be written", key="-o", received=str(options.output), expected="a file")
+    check_file(options.output, ".h5")
+    if options.cache is not None:
+        check_folder(options.cache, "--cache")
     scene = load_scene(options.scene)
     with Progress(sys.stderr) as progress:
         precompute(scene, options.output, cache=options.cache, workers=options.workers, report=progress)
@@ -203,6 +210,8 @@ def _play(options: argparse.Namespace) -> Report:
     from wrinkles.database import read_database
 
     import_s = process_age()
+    if options.loop is None:
+        check_folder(options.output)
     database = read_database(options.database)
     cast = cast_of(database, options.character, options.clip)
     rows: list[dict[str, float | str]] = []
@@ -254,10 +263,10 @@ def _beside_truth(options: argparse.Namespace, database: WrinkleDatabase, cast: 
 
 
 def _bake(options: argparse.Namespace) -> Report:
-    from runtime.play import baked_frames, cast_of, check_bake_path, write_baked
+    from runtime.play import BAKED, baked_frames, cast_of, write_baked
     from wrinkles.database import read_database
 
-    check_bake_path(options.output)
+    check_file(options.output, *BAKED)
     database = read_database(options.database)
     cast = cast_of(database, options.character, options.clip)
     player, frames, normals, bodies = baked_frames(database, cast, cast.motions[0], options.rate, options.seconds)
@@ -288,7 +297,7 @@ def _compare(options: argparse.Namespace) -> Report:
     from precompute.compare import compare_file
     from precompute.comparison_page import verdict, write_comparison
 
-    options.output.mkdir(parents=True, exist_ok=True)
+    check_folder(options.output)
     with Progress(sys.stderr) as progress:
         found = compare_file(
             options.source, options.output, clip=options.clip, seconds=options.seconds, report=progress

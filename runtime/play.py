@@ -16,6 +16,7 @@ from assets.sequence import Sequence, SequenceMotion, load_sequence
 from pbd import InputError
 from runtime.bake import bake_glb, bake_obj, bake_pc2
 from runtime.game_loop import GameLoop, LiveInput, ScriptedInput
+from runtime.outputs import check_file
 from runtime.player import Player
 from runtime.report import process_age
 from runtime.simulation import BodySource, Motion, Simulation, body_source, poses_of
@@ -25,11 +26,11 @@ from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels
 
 __all__ = [
+    "BAKED",
     "Cast",
     "Free",
     "baked_frames",
     "cast_of",
-    "check_bake_path",
     "loop_figures",
     "play",
     "play_motion",
@@ -317,16 +318,6 @@ def simulated_frames(
     return np.array(frames, np.float32), bodies, 1.0 / (every * dt), figures
 
 
-def check_bake_path(path: Path) -> None:
-    """Refuse a file that cannot be baked to, before a long run.
-
-    Raises:
-        InputError: an unknown extension.
-    """
-    if path.suffix.lower() not in BAKED:
-        raise InputError("cannot be baked to", key="-o", received=str(path), expected="a file " + " or ".join(BAKED))
-
-
 def write_baked(
     path: Path,
     faces: np.ndarray,
@@ -350,7 +341,7 @@ def write_baked(
     Raises:
         InputError: an unknown extension, or what cannot be written.
     """
-    check_bake_path(path)
+    check_file(path, *BAKED)
     if path.suffix.lower() == ".glb":
         bake_glb(path, faces, frames, rate_hz, normals=normals, body_faces=body_faces, body_frames=bodies)
     elif path.suffix.lower() == ".pc2":

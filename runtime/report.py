@@ -17,6 +17,8 @@ from typing import Any, TextIO
 
 import numpy as np
 
+from pbd.storage import replacing
+
 __all__ = ["Progress", "Report", "machine_description", "package_version", "process_age", "write_report"]
 
 
@@ -86,9 +88,8 @@ def write_report(
         "figures": _plain(figures),
         "rows": _plain(rows),
     }
-    beside = path.with_name(path.name + ".part")
-    beside.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    os.replace(beside, path)
+    with replacing(path) as beside:
+        beside.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def machine_description() -> dict[str, Any]:

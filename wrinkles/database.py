@@ -7,6 +7,7 @@ To add a field: add it to :class:`WrinkleDatabase` (or to a dataclass inside it)
 from __future__ import annotations
 
 import hashlib
+import io
 import time
 from collections.abc import Mapping as Dictionary
 from dataclasses import dataclass
@@ -204,11 +205,13 @@ def write_database(path: str | Path, database: WrinkleDatabase) -> None:
 
     Raises:
         InputError: a value that :func:`read_database` would refuse.
+        OSError: it cannot be written, for instance to a full disk; what was there before is left as it is.
     """
     arrays = _arrays(database)
     check_layout({name: (array.dtype, array.shape) for name, array in arrays.items()}, path)
     check_values(arrays, path)
-    with replacing(path) as temporary, h5py.File(temporary, "w") as file:
+    image = io.BytesIO()  # HDF5 takes a full disk badly: an error while closing, or a broken process
+    with h5py.File(image, "w") as file:
         for entry in ENTRIES:
             array = arrays[entry.name]
             if entry.dtype == TEXT:
@@ -218,6 +221,8 @@ def write_database(path: str | Path, database: WrinkleDatabase) -> None:
             else:
                 packed = PACKED if array.ndim and array.nbytes >= LARGE else {}
                 file.create_dataset(entry.name, data=array, **packed).attrs["unit"] = np.bytes_(entry.unit)
+    with replacing(path) as temporary:
+        temporary.write_bytes(image.getbuffer())
 
 
 def read_database(path: str | Path) -> WrinkleDatabase:

@@ -1,4 +1,6 @@
+import errno
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -58,7 +60,8 @@ def test_a_json_file_that_cannot_be_written_is_refused_before_the_run(
 ) -> None:
     runs = []
     monkeypatch.setattr(command, "_simulate", lambda options: runs.append(options) or Report())
-    for path in (tmp_path / "absent" / "out.json", tmp_path):
+    (tmp_path / "file").write_text("")
+    for path in (tmp_path / "file" / "out.json", tmp_path):
         assert command.main(["simulate", "--explain", str(scene), "--json", str(path)]) == 2
         assert "--json: cannot be written" in capsys.readouterr().err
     assert runs == []
@@ -74,3 +77,63 @@ def test_a_failed_run_is_status_1_and_keeps_its_figures(
     content = json.loads(out.read_text(encoding="utf-8"))
     assert content["figures"] == {"rmse_mm": 3.0}
     assert content["rows"] == [{"test": "swing", "passed": False}]
+
+
+DATABASE = ["precompute", "no.toml", "-o"]
+
+
+@pytest.mark.parametrize(
+    "arguments, key, expected",
+    [
+        ([*DATABASE, "."], "-o", "a file ending in .h5"),
+        ([*DATABASE, "new/skirt"], "-o", "a file ending in .h5"),
+        ([*DATABASE, "file/skirt.h5"], "-o", "where files can be written"),
+        ([*DATABASE, "new/skirt.h5", "--cache", "file"], "--cache", "a folder"),
+        (["demo", "-o", "file/demo"], "-o", "a folder"),
+        (["play", "no.h5", "-o", "file"], "-o", "a folder"),
+        (["bake", "no.h5", "-o", "new/skirt.fbx"], "-o", "a file ending in .glb or .pc2 or .obj"),
+        (["bake", "no.h5", "-o", "file/skirt.glb"], "-o", "where files can be written"),
+        (["compare", "no.h5", "-o", "file"], "-o", "a folder"),
+    ],
+)
+def test_what_cannot_be_written_is_refused_before_anything_is_read_or_made(
+    arguments: list[str],
+    key: str,
+    expected: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("")
+    assert command.main(arguments) == 2
+    message = capsys.readouterr().err
+    assert message.startswith(f"gube {arguments[0]}: {key}: cannot be written") and message.count("\n") == 1
+    assert "received" in message and expected in message
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_new_folder_is_made_only_with_its_file(scene: Path, tmp_path: Path) -> None:
+    out = tmp_path / "a" / "b" / "out.json"
+    assert command.main(["simulate", "--explain", str(tmp_path / "no.toml"), "--json", str(out)]) == 2
+    assert not (tmp_path / "a").exists()
+    assert command.main(["simulate", "--explain", str(scene), "--json", str(out)]) == 0
+    assert out.exists()
+
+
+def test_a_full_disk_is_one_message_and_status_1(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(path: Path, content: str, encoding: str) -> None:
+        path.touch()
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+    out = tmp_path / "out.json"
+    out.write_text("old", encoding="utf-8")
+    monkeypatch.setattr(Path, "write_text", full)
+    assert command.main(["simulate", "--explain", str(scene), "--json", str(out)]) == 1
+    message = capsys.readouterr().err
+    assert message.startswith("gube simulate: ") and message.endswith("no space left on device\n")
+    assert message.count("\n") == 1
+    assert out.read_text(encoding="utf-8") == "old"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.json", "scene.toml"]
