@@ -90,6 +90,7 @@ class Run:
         for array in arrays:
             digest.update(np.ascontiguousarray(array).tobytes())
         settings = [asdict(self.fabric), asdict(self.options), asdict(self.solver), self.dt, self.every]
+        settings += [self.chunk]  # files of other lengths would be put together wrongly
         settings += [self.bend_factor, self.wind, [primitive.row().tolist() for primitive in self.primitives]]
         digest.update(json.dumps(settings, sort_keys=True).encode())
         return digest.hexdigest()[:24]

@@ -208,6 +208,18 @@ def test_the_key_tells_what_the_result_depends_on() -> None:
     assert replace(run, name="other").key() == skirt_run().key() == run.key()
 
 
+def test_chunks_of_another_length_are_not_mixed_and_change_no_bit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = skirt_run(fine=True)
+    run = replace(run, poses=run.poses[: 2 * CHUNK + 1])
+    (short,) = record_runs([run], tmp_path, workers=1)
+    monkeypatch.setattr(recording, "CHUNK_SECONDS", 2 * CHUNK / 60)
+    (long,) = record_runs([run], tmp_path, workers=1)
+    assert_same(short, long)
+    assert sorted(len(list(folder.iterdir())) for folder in tmp_path.iterdir()) == [1, 2]
+
+
 def test_a_change_of_the_solver_makes_old_runs_worthless(monkeypatch: pytest.MonkeyPatch) -> None:
     run = skirt_run()
     before = run.key()
