@@ -125,14 +125,13 @@ def compare(database: WrinkleDatabase, truth: Truth, *, report: Callable[[str], 
     tell("comparing: ours and smooth")
     free = play_freely(database, run.body, run)
     ours_ms, smooth_ms = player_times(database, truth)
-    budget = typical_ms(ours_ms[:PROBE_FRAMES])  # on the frames that rivals are tried on
     settings = _settings(coarse_cloth(database, truth))
     methods = [
         Method("smooth_", "smooth", typical_ms(smooth_ms), _all_figures(truth, free.smooth), settings, free.smooth),
         Method("", "ours", typical_ms(ours_ms), _all_figures(truth, free.frames), settings, free.frames),
     ]
     fine, middle = fine_cloth(truth), middle_cloth(database, truth)
-    methods += equal_cost_rivals(database, truth, budget, report=report)
+    methods += equal_cost_rivals(database, truth, ours_ms, report=report)
     if middle is not None:
         tell("comparing: middle mesh, converged")
         methods.append(_cloth(truth, middle, "middle_mesh_converged_", "middle mesh, converged"))
@@ -153,16 +152,24 @@ def compare(database: WrinkleDatabase, truth: Truth, *, report: Callable[[str], 
 
 
 def equal_cost_rivals(
-    database: WrinkleDatabase, truth: Truth, budget_ms: float, *, report: Callable[[str], None] | None = None
+    database: WrinkleDatabase, truth: Truth, ours_ms: np.ndarray, *, report: Callable[[str], None] | None = None
 ) -> list[Method]:
-    """The middle mesh, where there is one, and the fine cloth, with the substeps that a frame time [ms] allows."""
+    """The middle mesh, where there is one, and the fine cloth, with the substeps that the player's cost allows.
+
+    Args:
+        database: what was learned.
+        truth: as for :func:`compare`.
+        ours_ms: processor time of each of the player's frames, by :func:`precompute.rivals.player_times` [ms].
+        report: told lines of progress.
+    """
     tell, methods = report or (lambda line: None), []
+    budget = typical_ms(ours_ms[:PROBE_FRAMES])  # on the frames that rivals are tried on
     middle = middle_cloth(database, truth)
     if middle is not None:
         tell("comparing: middle mesh at equal cost")
-        methods.append(_cloth(truth, _at_cost(middle, budget_ms), "middle_mesh_", "middle mesh, equal cost"))
+        methods.append(_cloth(truth, _at_cost(middle, budget), "middle_mesh_", "middle mesh, equal cost"))
     tell("comparing: fine cloth with few substeps")
-    fine = _at_cost(fine_cloth(truth), budget_ms)
+    fine = _at_cost(fine_cloth(truth), budget)
     return [*methods, _cloth(truth, fine, "equal_cost_fine_", "fine cloth, few substeps")]
 
 

@@ -237,6 +237,7 @@ def _beside_truth(options: argparse.Namespace, database: WrinkleDatabase, cast: 
     from precompute.compare import equal_cost_rivals
     from precompute.evaluation import evaluate, fine_run, levels_from, truth_of
     from precompute.pipeline import default_cache
+    from precompute.rivals import player_times, typical_ms
     from runtime.play import posed_bodies
     from runtime.strips import draw_strips
 
@@ -248,9 +249,11 @@ def _beside_truth(options: argparse.Namespace, database: WrinkleDatabase, cast: 
             truth = truth.until(options.seconds)
         evaluation = evaluate(database, truth, progress)
         figures: dict[str, Any] = dict(evaluation.figures)
-        for rival in equal_cost_rivals(database, truth, figures["frame_ms_p50"], report=progress):
+        ours_ms, _ = player_times(database, truth)
+        figures["frame_cpu_ms"] = typical_ms(ours_ms)
+        for rival in equal_cost_rivals(database, truth, ours_ms, report=progress):
             figures |= {f"{rival.prefix}{name}": value for name, value in rival.figures.items()}
-            figures[f"{rival.prefix}frame_ms_p50"] = rival.frame_ms
+            figures[f"{rival.prefix}frame_cpu_ms"] = rival.frame_ms
         progress("drawing")
         numbers = truth.recording.frames
         shown = numbers % 10 == 0

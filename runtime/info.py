@@ -51,6 +51,7 @@ EXPLANATIONS = {
     "feature_mismatch_after": "the same after calibration",
     "frame_ms_p50": "a whole frame, median",
     "frame_ms_p99": "a whole frame, slowest hundredth",
+    "frame_cpu_ms": "a whole frame, processor time; rivals at equal cost have as much",
     "skin_ms_p50": "of it: the body",
     "coarse_ms_p50": "of it: the coarse garment",
     "decode_ms_p50": "of it: wrinkles",

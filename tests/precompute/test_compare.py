@@ -12,10 +12,10 @@ import pytest
 from assets.builtin import builtin_garment
 from pbd import InputError, SolverOptions
 from precompute import rivals, stability
-from precompute.compare import Comparison, compare, compare_file, winners
+from precompute.compare import Comparison, compare, compare_file, equal_cost_rivals, winners
 from precompute.comparison_page import verdict, write_comparison
 from precompute.evaluation import Truth, fine_run, free_figures, levels_from, truth_of
-from precompute.rivals import equal_cost_substeps, fine_cloth, middle_levels
+from precompute.rivals import PROBE_FRAMES, Cloth, equal_cost_substeps, fine_cloth, middle_levels
 from precompute.stability import LONGEST, SHORTEST, largest_stable_step, real_substep
 from runtime.simulation import Simulation
 from tests.runtime.players import skirt_database, skirt_stage
@@ -190,6 +190,15 @@ def test_converged_methods_are_right_and_smooth_is_not(comparison: Comparison) -
         assert method.frames is not None and method.frames.shape == truth.frames.shape
     assert {"coarse_dt_max_s", "middle_mesh_dt_max_s", "fine_dt_max_s"} < figures.keys()
     assert 0.0 < figures["fine_dt_max_s"] <= figures["coarse_dt_max_s"]
+
+
+def test_rivals_have_the_players_own_cost(
+    database: WrinkleDatabase, truth: Truth, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Cloth, "cost", lambda cloth: 2.0 * cloth.substeps)
+    ours_ms = np.concatenate([np.full(PROBE_FRAMES // 2, 50.0), np.full(PROBE_FRAMES // 2, 6.0), np.full(500, 90.0)])
+    rivals = equal_cost_rivals(database, truth, ours_ms)
+    assert [rival.settings["substeps a frame"] for rival in rivals] == [3] * len(rivals)
 
 
 def test_the_page_says_that_the_middle_mesh_wins(comparison: Comparison, tmp_path: Path) -> None:
