@@ -9,7 +9,7 @@ import numpy as np
 
 from pbd.engine import Launch
 from pbd.errors import InputError
-from pbd.kernels import FAR, body_normals
+from pbd.geometry import FAR, surface_normals
 from pbd.mesh import vertex_rings
 
 __all__ = ["Body", "Capsule", "Colliders", "Plane", "Sphere"]
@@ -80,6 +80,7 @@ class Body:
         normals: unit vertex normals of the current pose, float32, shape (n, 3).
         probes: corners of faces too large to be found by their vertices, int32, shape (k, 3), with the barycentric
             weights ``probe_weights`` of points spread over them, float32, shape (k, 3).
+        surface: vertices that lie in a face, int32, shape (s,).
     """
 
     def __init__(self, faces: np.ndarray, vertex_count: int) -> None:
@@ -98,11 +99,14 @@ class Body:
         order = np.argsort(self.faces.ravel(), kind="stable")
         counts = np.bincount(self.faces.ravel(), minlength=vertex_count)
         self.fan_start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
-        self.fan = (order // 3).astype(np.int32)
+        face, corner = np.divmod(order, 3)
+        others = [self.faces[face, (corner + k) % 3] for k in (1, 2)]
+        self.fan = np.ascontiguousarray(np.stack(others, axis=1), np.int32)
+        self.surface = np.flatnonzero(counts).astype(np.int32)
         self.probes, self.probe_weights = np.zeros((0, 3), np.int32), np.zeros((0, 3), np.float32)
         self.origin = np.zeros(3)
         self._placed = False
-        self._normals = Launch(body_normals)
+        self._normals = Launch(surface_normals)
 
     def advance(self, vertices: np.ndarray) -> None:
         """Make ``vertices`` [m], float32, shape (n, 3), the current pose; the last becomes the previous."""

@@ -219,7 +219,7 @@ class State:
         velocity: in the world [m/s], float32, shape (n, 3).
         nearest: body vertex nearest to each contact sample of the model, -1 for none, int32, shape (s,).
         contact: distance to the body [m] and velocity of the cloth against it along the body's surface [m/s],
-            float32, shape (n, 4); distance is ``pbd.kernels.FAR`` where nothing is near.
+            float32, shape (n, 4); distance is ``pbd.geometry.FAR`` where nothing is near.
     """
 
     origin: np.ndarray

@@ -6,11 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pbd import kernels
 from pbd.colliders import Body, Colliders
 from pbd.engine import Launch, ensure_initialized
 from pbd.errors import InputError
+from pbd.geometry import FAR
 from pbd.model import GRID, Model, State
+from pbd.schedule import NEAR, advance
+from pbd.search import MAX_CELLS, find_nearest
 
 __all__ = ["Solver", "SolverOptions"]
 
@@ -54,18 +56,25 @@ class Solver:
     def __init__(self, model: Model, options: SolverOptions | None = None) -> None:
         ensure_initialized()
         self.model, self.options = model, options or SolverOptions()
-        count, fabric = model.vertex_count, model.fabric
-        self._shift = np.zeros((count, 4), np.float32)
-        self._scratch = np.zeros((count, 9), np.float32)
-        self._touch = np.zeros((len(model.samples), 8), np.float32)
+        count, samples, fabric = model.vertex_count, len(model.samples), model.fabric
+        self._shift, self._predicted, self._normals, self._gained = np.zeros((4, count, 4), np.float32)
+        self._touched = np.zeros((samples, 3, 4), np.float32)
+        self._awake = np.zeros(2 * samples, np.int32)
+        self._hinge_data = np.zeros((len(model.hinge_data), 2, 4), np.float32)
+        self._hinge_data.reshape(-1, 8)[:, :6] = model.hinge_data
+        self._triangle_data = np.zeros((len(model.triangle_data), 3, 4), np.float32)
+        self._triangle_data[:, 0] = model.triangle_data[:, :4]
+        self._triangle_data[:, 1, :3] = model.triangle_data[:, 4:7]
+        self._triangle_data[:, 1, 3] = model.triangle_data[:, 11]
+        self._triangle_data[:, 2] = model.triangle_data[:, 7:11]
         area = model.mesh.vertex_areas
         self._drag = (0.5 * AIR_DENSITY * fabric.air_drag * area / model.mass).astype(np.float32)
         self._held_0 = np.zeros((len(model.held), 3), np.float32)
         self._held_1 = np.zeros((len(model.held), 3), np.float32)
         self._nobody = Body(np.zeros((0, 3), np.int32), 1)
-        self._cells = np.zeros(kernels.MAX_CELLS + 2, np.int32)
-        self._items = np.zeros(1, np.int32)
-        self._find_nearest, self._advance = Launch(kernels.find_nearest), Launch(kernels.advance)
+        self._cells = np.zeros(MAX_CELLS + 2, np.int32)
+        self._items, self._item_cells = np.zeros((2, 1), np.int32)
+        self._find_nearest, self._advance = Launch(find_nearest), Launch(advance)
 
     def step(
         self,
@@ -108,11 +117,9 @@ class Solver:
                 raise InputError("body and state have other origins", received=body.origin, expected=str(state.origin))
             way = self._way(state, body, dt)
             # What moves further than can be seen is looked for again on its way.
-            searches = 1
-            if way + thickness > kernels.FAR:
-                searches += int(np.ceil(min(way / (1.5 * kernels.FAR), MOST_SEARCHES - 1)))
+            later = int(np.ceil(min(max(0.0, way + thickness - FAR) / (1.5 * FAR), MOST_SEARCHES - 1)))
             if len(self._items) < len(body.current) + len(body.probes):
-                self._items = np.zeros(len(body.current) + len(body.probes), np.int32)
+                self._items, self._item_cells = np.zeros((2, len(body.current) + len(body.probes)), np.int32)
             self._find_nearest(
                 state.position,
                 state.velocity,
@@ -122,24 +129,29 @@ class Solver:
                 body.current,
                 body.ring_start,
                 body.ring,
+                body.surface,
                 body.probes,
                 body.probe_weights,
                 self._cells,
                 self._items,
+                self._item_cells,
                 dt,
-                searches,
+                later,
             )
         self._advance(
             state.position,
             state.velocity,
             self._shift,
-            self._scratch,
-            self._touch,
+            self._predicted,
+            self._normals,
+            self._gained,
+            self._touched,
+            self._awake,
             model.samples,
             model.triangles,
-            model.triangle_data,
+            self._triangle_data,
             model.hinges,
-            model.hinge_data,
+            self._hinge_data,
             model.tethers,
             model.tether_lengths,
             model.held,
@@ -152,7 +164,6 @@ class Solver:
             body.previous,
             body.current,
             body.normals,
-            body.faces,
             body.ring_start,
             body.ring,
             body.fan_start,
@@ -165,7 +176,7 @@ class Solver:
             thickness,
             model.fabric.friction,
             refresh,
-            max(kernels.NEAR, thickness + way * min(1.0, refresh / substeps)),
+            max(NEAR, thickness + way * min(1.0, refresh / substeps)),
         )
 
     def _way(self, state: State, body: Body, dt: float) -> float:
@@ -173,7 +184,7 @@ class Solver:
         course = dt * state.velocity
         mean = course.mean(axis=0)
         body_course = body.current[::8] - body.previous[::8] - mean
-        return sum(float(np.sqrt((c**2).sum(axis=1).max())) for c in (course - mean, body_course))
+        return sum(float(np.sqrt(np.einsum("ij,ij->i", c, c).max())) for c in (course - mean, body_course))
 
     def _check(self, state: State, targets: np.ndarray | None, wind: tuple[float, float, float] | np.ndarray) -> None:
         """Refuse what the kernels could not take."""

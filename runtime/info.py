@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pbd import ClothMesh, InputError, State, build_model
-from pbd.kernels import FAR
+from pbd.geometry import FAR
 from wrinkles.charts import Charts
 from wrinkles.database import WrinkleDatabase, code_version, database_figures, read_database
 from wrinkles.decoder import Decoder, Upsampler

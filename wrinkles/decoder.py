@@ -6,8 +6,19 @@ from threadpoolctl import ThreadpoolController
 
 from pbd.colliders import Body
 from pbd.engine import Launch, ensure_initialized, ti
-from pbd.kernels import body_normals as surface_normals
-from pbd.kernels import closest_on_triangle, descend
+from pbd.geometry import (
+    Float1,
+    Float2,
+    Int1,
+    Int2,
+    Int3,
+    Vec3,
+    Vec4,
+    closest_in_fan,
+    descend,
+    surface_normals,
+    vec3,
+)
 from pbd.mesh import ClothMesh, greedy_colors
 from wrinkles.dictionary import CLIP, Atoms, Mapping
 from wrinkles.features import DYNAMIC_COUNT, Stencil
@@ -19,15 +30,6 @@ __all__ = ["Decoder", "Relaxation", "Upsampler", "surface_normals"]
 STRETCH_SHARE = 0.25  # of an edge's stretch that a relaxation pass takes back
 LEVEL = 0.025  # where the coarse garment is further than this from the body, so is the fine one [m]
 NEARBY = 0.008  # fine vertices within this height over the tangent plane are tested against faces [m]
-
-vec3 = ti.math.vec3
-Vec4 = ti.types.ndarray(dtype=ti.math.vec4, ndim=1)
-Vec3 = ti.types.ndarray(dtype=ti.math.vec3, ndim=1)
-Int3 = ti.types.ndarray(dtype=ti.types.vector(3, ti.i32), ndim=1)
-Int2 = ti.types.ndarray(dtype=ti.types.vector(2, ti.i32), ndim=1)
-Int1 = ti.types.ndarray(dtype=ti.i32, ndim=1)
-Float1 = ti.types.ndarray(dtype=ti.f32, ndim=1)
-Float2 = ti.types.ndarray(dtype=ti.f32, ndim=2)
 
 
 @ti.func
@@ -175,11 +177,10 @@ def _relax(
     nearest: Int1,
     body: Vec3,
     body_normals: Vec3,
-    body_faces: Int3,
     ring_start: Int1,
     ring: Int1,
     fan_start: Int1,
-    fan: Int1,
+    fan: Int2,
     thickness: ti.f32,
     passes: ti.i32,
 ):
@@ -225,7 +226,7 @@ def _relax(
                             best = -1
                         elif offset.dot(body_normals[best]) < NEARBY:
                             fine[i] = _outside(
-                                p, best, body, body_normals, body_faces, fan_start, fan, thickness
+                                p, best, body, body_normals, fan_start, fan, thickness
                             )  # fmt: skip
                     nearest[i] = best
 
@@ -236,29 +237,19 @@ def _outside(
     vertex: ti.i32,
     body: ti.template(),
     normals: ti.template(),
-    faces: ti.template(),
     fan_start: ti.template(),
     fan: ti.template(),
     thickness: ti.f32,
 ) -> vec3:
     """p, or where it comes to lie when it is pushed ``thickness`` out of the faces around a body vertex."""
-    best = 1e30
-    gap = thickness
-    direction = vec3(0.0)
-    for q in range(fan_start[vertex], fan_start[vertex + 1]):
-        f = faces[fan[q]]
-        w = closest_on_triangle(p, body[f[0]], body[f[1]], body[f[2]])
-        offset = p - (w[0] * body[f[0]] + w[1] * body[f[1]] + w[2] * body[f[2]])
-        distance = offset.norm()
-        if distance < best:
-            best = distance
-            normal = w[0] * normals[f[0]] + w[1] * normals[f[1]] + w[2] * normals[f[2]]
-            normal /= ti.max(normal.norm(), 1e-20)
-            gap = offset.dot(normal)
-            direction = normal
+    f, w, _ = closest_in_fan(p, vertex, 0.0, body, body, fan_start, fan)
+    offset = p - (w[0] * body[vertex] + w[1] * body[f[0]] + w[2] * body[f[1]])
+    normal = w[0] * normals[vertex] + w[1] * normals[f[0]] + w[2] * normals[f[1]]
+    normal /= ti.max(normal.norm(), 1e-20)
+    gap = offset.dot(normal)
     result = p
-    if gap < thickness and best < 0.05:
-        result = p + (thickness - gap) * direction
+    if gap < thickness and offset.norm() < 0.05:
+        result = p + (thickness - gap) * normal
     return result
 
 
@@ -321,7 +312,6 @@ class Relaxation:
             self._nearest,
             current,
             body.normals,
-            body.faces,
             body.ring_start,
             body.ring,
             body.fan_start,

@@ -8,6 +8,7 @@ import numpy as np
 
 from pbd.engine import ensure_initialized, ti
 from pbd.errors import InputError
+from pbd.geometry import closest_on_triangle
 from pbd.mesh import edges_of
 
 __all__ = ["BodyDistance", "penetration_figures"]
@@ -202,40 +203,6 @@ def _box_distance_squared(point: vec3, low: vec3, high: vec3):
     return outside.dot(outside)
 
 
-@ti.func
-def _closest_on_triangle(p: vec3, a: vec3, b: vec3, c: vec3):
-    """Barycentric weights of the closest point (Ericson 2005, "Real-Time Collision Detection", 5.1.5).
-
-    A weight is exactly zero where the point lies on an edge or in a corner: the sign reads the feature from that.
-    """
-    one = ti.cast(1.0, ti.f64)
-    weights = vec3(0.0)
-    ab, ac, ap, bp, cp = b - a, c - a, p - a, p - b, p - c
-    d1, d2, d3, d4, d5, d6 = ab.dot(ap), ac.dot(ap), ab.dot(bp), ac.dot(bp), ab.dot(cp), ac.dot(cp)
-    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
-    if d1 <= 0 and d2 <= 0:
-        weights = vec3(1.0, 0.0, 0.0)
-    elif d3 >= 0 and d4 <= d3:
-        weights = vec3(0.0, 1.0, 0.0)
-    elif d6 >= 0 and d5 <= d6:
-        weights = vec3(0.0, 0.0, 1.0)
-    elif vc <= 0 and d1 >= 0 and d3 <= 0:
-        t = d1 / (d1 - d3)
-        weights = vec3(one - t, t, 0.0)
-    elif vb <= 0 and d2 >= 0 and d6 <= 0:
-        t = d2 / (d2 - d6)
-        weights = vec3(one - t, 0.0, t)
-    elif va <= 0 and d4 - d3 >= 0 and d5 - d6 >= 0:
-        t = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        weights = vec3(0.0, one - t, t)
-    else:
-        # All three are positive but for a sliver's rounding; clamped, the point stays on the triangle whatever happens.
-        weights = ti.max(vec3(va, vb, vc), vec3(0.0))
-        total = weights.sum()
-        weights = weights / total if total > 0 else vec3(1.0, 0.0, 0.0)
-    return weights
-
-
 @ti.kernel
 def _query(
     points: array3,
@@ -260,7 +227,7 @@ def _query(
         # The face that was nearest in the last frame gives a close bound; then the tree, skipping what lies beyond it.
         best_face = nearest[q]
         a, b, c = vertices[faces[best_face, 0]], vertices[faces[best_face, 1]], vertices[faces[best_face, 2]]
-        best_weights = _closest_on_triangle(p, a, b, c)
+        best_weights = closest_on_triangle(p, a, b, c)
         best = (p - (best_weights[0] * a + best_weights[1] * b + best_weights[2] * c)).norm_sqr()
         node = 0
         while node < after.shape[0]:
@@ -270,7 +237,7 @@ def _query(
                 for slot in range(first[node], first[node] + count[node]):
                     f = order[slot]
                     a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
-                    weights = _closest_on_triangle(p, a, b, c)
+                    weights = closest_on_triangle(p, a, b, c)
                     squared = (p - (weights[0] * a + weights[1] * b + weights[2] * c)).norm_sqr()
                     if squared < best:
                         best, best_face, best_weights = squared, f, weights

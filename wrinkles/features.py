@@ -11,7 +11,7 @@ from scipy.sparse.linalg import eigsh
 
 from pbd import ClothMesh
 from pbd.engine import Launch, ensure_initialized, ti
-from pbd.kernels import FAR
+from pbd.geometry import FAR
 from wrinkles.charts import Charts
 
 __all__ = ["DYNAMIC_COUNT", "Stencil"]

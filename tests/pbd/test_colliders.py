@@ -19,10 +19,11 @@ from pbd import (
     SolverOptions,
     Sphere,
     State,
-    kernels,
 )
 from pbd.constraints import PUSH_OUT
 from pbd.engine import ti
+from pbd.geometry import FAR, closest_on_triangle
+from pbd.search import MAX_CELLS, find_nearest
 from tests.pbd.meshes import body_of, cloth, free_model, grid, icosphere, run, turn
 
 THICKNESS = 0.003
@@ -66,7 +67,7 @@ def to_triangles(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) ->
 @ti.kernel
 def closest_weights(points: Rows, corners: Rows, out: Rows):
     for i in range(points.shape[0]):
-        w = kernels.closest_on_triangle(
+        w = closest_on_triangle(
             vec3(points[i, 0], points[i, 1], points[i, 2]),
             vec3(corners[i, 0], corners[i, 1], corners[i, 2]),
             vec3(corners[i, 3], corners[i, 4], corners[i, 5]),
@@ -147,16 +148,16 @@ def test_the_nearest_vertex_against_all_vertices(seed: int) -> None:
     model, state = dust(points)
     body = body_of(vertices, faces, state)
     assert len(body.probes) == 0
-    cells, items = np.zeros(kernels.MAX_CELLS + 2, np.int32), np.zeros(len(vertices), np.int32)
+    cells, items = np.zeros(MAX_CELLS + 2, np.int32), np.zeros(len(vertices), np.int32)
     for _ in range(2):  # searched, then followed
-        kernels.find_nearest(
+        find_nearest(
             state.position, state.velocity, model.samples, state.nearest, body.current, body.current, body.ring_start,
-            body.ring, body.probes, body.probe_weights, cells, items, 0.0, 1,
+            body.ring, body.surface, body.probes, body.probe_weights, cells, items, items.copy(), 0.0, 0,
         )  # fmt: skip
         distance = np.linalg.norm(points[:, None] - body.current[None], axis=2)
-        near = distance.min(axis=1) < kernels.FAR - 1e-6
+        near = distance.min(axis=1) < FAR - 1e-6
         found = state.nearest[::3]
-        assert near.any() and (found[near] >= 0).all() and (found[distance.min(axis=1) > 2 * kernels.FAR] == -1).all()
+        assert near.any() and (found[near] >= 0).all() and (found[distance.min(axis=1) > 2 * FAR] == -1).all()
         rows = np.flatnonzero(near)
         assert distance[rows, found[rows]] == pytest.approx(distance[rows].min(axis=1), abs=1e-6)
 
@@ -184,7 +185,7 @@ def test_a_body_that_goes_away_or_becomes_another_is_forgotten() -> None:
     assert 0 < state.nearest.max() < 642
     run(model, state, 30)
     assert state.nearest.max() == -1 and state.world()[:, 1].max() < RADIUS
-    assert np.array_equal(state.contact, np.tile(np.array([kernels.FAR, 0, 0, 0], np.float32), (len(vertices), 1)))
+    assert np.array_equal(state.contact, np.tile(np.array([FAR, 0, 0, 0], np.float32), (len(vertices), 1)))
 
 
 # -- Rest and motion -------------------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pbd import Body, ClothMesh
-from pbd.kernels import FAR
+from pbd.geometry import FAR
 from tests.pbd.meshes import grid
 from tests.wrinkles.meshes import flat_sheet, icosphere, tube
 from wrinkles.charts import Charts

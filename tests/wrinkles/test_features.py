@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pbd import ClothMesh
-from pbd.kernels import FAR
+from pbd.geometry import FAR
 from tests.pbd.meshes import turn
 from tests.wrinkles.meshes import flat_sheet, tube
 from wrinkles.charts import Charts

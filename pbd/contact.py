@@ -1,0 +1,119 @@
+"""Contact in a substep: with the faces of a body and with primitives."""
+
+from pbd.constraints import contact_correction
+from pbd.engine import ti
+from pbd.geometry import between, closest_in_fan, descend, vec3, vec4
+
+__all__ = ["collide_primitives", "slid_off", "touch_body"]
+
+KEPT = 0.0015  # a touched point is kept while the cloth slides less than this along the surface [m] ...
+KEPT_SHARE = 0.1  # ... or less than this share of its height over it [-]
+
+
+@ti.func
+def touch_body(
+    p: vec3,
+    i: ti.i32,
+    t: ti.f32,
+    nearest: ti.template(),
+    body_0: ti.template(),
+    body_1: ti.template(),
+    ring_start: ti.template(),
+    ring: ti.template(),
+    fan_start: ti.template(),
+    fan: ti.template(),
+    normals: ti.template(),
+    touched: ti.template(),
+):
+    """Find where sample i touches, for all of the frame.
+
+    Rows of ``touched``: the point at the frame's start with the distance to it, its motion over the frame, the normal.
+    """
+    b = descend(p, nearest[i], t, body_0, body_1, ring_start, ring)
+    nearest[i] = b  # not what the hops below come to: on slivers that is far away
+    others, weights, distance = closest_in_fan(p, b, t, body_0, body_1, fan_start, fan)
+    hops = 1
+    while weights[0] <= 0.0 and hops < 8:
+        # On the rim of the fan: the closest face may lie beyond it.
+        hops += 1
+        rim = others[0]
+        if weights[2] > weights[1]:
+            rim = others[1]
+        next_others, next_weights, next_distance = closest_in_fan(p, rim, t, body_0, body_1, fan_start, fan)
+        if next_distance < distance:
+            b, others, weights, distance = rim, next_others, next_weights, next_distance
+        else:
+            hops = 8
+    start = weights[0] * body_0[b] + weights[1] * body_0[others[0]] + weights[2] * body_0[others[1]]
+    end = weights[0] * body_1[b] + weights[1] * body_1[others[0]] + weights[2] * body_1[others[1]]
+    normal = vec3(0.0)
+    if weights.min() > 0.0:  # inside a face, its own normal knows the side, however sharp the body's edges
+        x0 = between(b, t, body_0, body_1)
+        normal = (between(others[0], t, body_0, body_1) - x0).cross(between(others[1], t, body_0, body_1) - x0)
+    else:
+        normal = weights[0] * normals[b] + weights[1] * normals[others[0]] + weights[2] * normals[others[1]]
+    normal /= ti.max(normal.norm(), 1e-20)
+    # The smooth normal decides the side; the exact direction to the surface, where there is one, is the contact's.
+    offset = p - (start + t * (end - start))
+    size = offset.norm()
+    if size > 1e-4:
+        exact = offset / size
+        along = exact.dot(normal)
+        if along > 0.5:
+            normal = exact
+        elif along < -0.5:
+            normal = -exact
+    touched[i, 0] = vec4(start, 0.0)
+    touched[i, 1] = vec4(end - start, 0.0)
+    touched[i, 2] = vec4(normal, 0.0)
+
+
+@ti.func
+def slid_off(offset: vec3, normal: vec3):
+    """Whether a sample at ``offset`` [m] from the point that it touched may touch elsewhere by now."""
+    height = offset.dot(normal)
+    along = offset - height * normal
+    kept = ti.max(KEPT, KEPT_SHARE * ti.abs(height))
+    return along.dot(along) > kept * kept
+
+
+@ti.func
+def collide_primitives(
+    p: vec3,
+    u: vec3,
+    slip: vec3,
+    t: ti.f32,
+    dt_share: ti.f32,
+    primitives: ti.template(),
+    thickness: ti.f32,
+    friction: ti.f32,
+    h: ti.f32,
+):
+    """Correction by planes (0), spheres (1), capsules (2); rows: kind, radius, a0, b0, a1, b1 (start, end)."""
+    total = vec3(0.0)
+    for c in range(primitives.shape[0]):
+        kind = int(primitives[c, 0])
+        a0 = vec3(primitives[c, 2], primitives[c, 3], primitives[c, 4])
+        b0 = vec3(primitives[c, 5], primitives[c, 6], primitives[c, 7])
+        da = vec3(primitives[c, 8], primitives[c, 9], primitives[c, 10]) - a0
+        db = vec3(primitives[c, 11], primitives[c, 12], primitives[c, 13]) - b0
+        a, b = a0 + t * da, b0 + t * db
+        here = p + (u + total)
+        normal = b
+        gap = ((p - a) + (u + total)).dot(b) - thickness
+        carried = da * dt_share  # motion of the touched point over the substep
+        if kind > 0:
+            centre = a
+            if kind == 2:
+                axis = b - a
+                share = ti.math.clamp((here - a).dot(axis) / ti.max(axis.dot(axis), 1e-20), 0.0, 1.0)
+                centre = a + share * axis
+                carried = (da + share * (db - da)) * dt_share
+            offset = (p - centre) + (u + total)
+            size = offset.norm()
+            normal = vec3(0.0, 1.0, 0.0)
+            if size > 1e-9:
+                normal = offset / size
+            gap = size - primitives[c, 1] - thickness
+        total += contact_correction(gap, normal, slip + total - carried, friction, h)
+    return total

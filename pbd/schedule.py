@@ -1,0 +1,268 @@
+"""The serial, fused schedule: one kernel a frame, all substeps inside.
+
+Everything runs in one loop on one thread, in a fixed order, so results do not depend on the thread count. Constraints
+come sorted by colour: an order that sweeps the mesh from one end to the other is unstable.
+"""
+
+from pbd.constraints import (
+    contact_correction,
+    drag_velocity,
+    hinge_multiplier,
+    membrane_multipliers,
+    tether_correction,
+)
+from pbd.contact import collide_primitives, slid_off, touch_body
+from pbd.engine import ti
+from pbd.geometry import FAR, Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, vec3, vec4, xyz
+
+__all__ = ["NEAR", "advance"]
+
+NEAR = 0.01  # nearer than this, a contact is looked at in every substep, even if nothing seems to move [m]
+FINEST = 2.0**20  # inside a frame positions are whole multiples of 1 m / FINEST: exact in float32 up to 16 m
+
+
+@ti.func
+def solve_membrane(
+    position: ti.template(),
+    shift: ti.template(),
+    triangles: ti.template(),
+    data: ti.template(),
+    inverse_h2: ti.f32,
+    squeeze: ti.f32,
+):
+    for c in range(triangles.shape[0]):
+        f = triangles[c]
+        i, j, k = f[0], f[1], f[2]
+        p0, p1, p2 = position[i], position[j], position[k]
+        u0, u1, u2 = xyz(shift[i]), xyz(shift[j]), xyz(shift[k])
+        inverse_flat, gram, compliance = data[c, 0], data[c, 1], data[c, 2]
+        g = membrane_multipliers(
+            (xyz(p1) - xyz(p0)) + (u1 - u0),
+            (xyz(p2) - xyz(p0)) + (u2 - u0),
+            inverse_flat,
+            xyz(gram),
+            compliance * inverse_h2,
+            gram[3],
+            squeeze,
+        )
+        gu, gv = vec3(g[0, 0], g[1, 0], g[2, 0]), vec3(g[0, 1], g[1, 1], g[2, 1])
+        m1 = inverse_flat[0] * gu + inverse_flat[1] * gv
+        m2 = inverse_flat[2] * gu + inverse_flat[3] * gv
+        shift[i] = vec4(u0 - p0[3] * (m1 + m2))
+        shift[j] = vec4(u1 + p1[3] * m1)
+        shift[k] = vec4(u2 + p2[3] * m2)
+
+
+@ti.func
+def solve_bending(
+    position: ti.template(), shift: ti.template(), hinges: ti.template(), data: ti.template(), inverse_h2: ti.f32
+):
+    for c in range(hinges.shape[0]):
+        q = hinges[c]
+        p0, p1, p2, p3 = position[q[0]], position[q[1]], position[q[2]], position[q[3]]
+        u0, u1, u2, u3 = xyz(shift[q[0]]), xyz(shift[q[1]]), xyz(shift[q[2]]), xyz(shift[q[3]])
+        rows, give = data[c, 0], data[c, 1]
+        x0 = xyz(p0)
+        multiplier = hinge_multiplier(
+            (xyz(p1) - x0) + (u1 - u0),
+            (xyz(p2) - x0) + (u2 - u0),
+            (xyz(p3) - x0) + (u3 - u0),
+            rows,
+            1.0 / (give[0] + give[1] * inverse_h2),
+        )
+        shift[q[0]] = vec4(u0 + p0[3] * rows[0] * multiplier)
+        shift[q[1]] = vec4(u1 + p1[3] * rows[1] * multiplier)
+        shift[q[2]] = vec4(u2 + p2[3] * rows[2] * multiplier)
+        shift[q[3]] = vec4(u3 + p3[3] * rows[3] * multiplier)
+
+
+@ti.func
+def cloth_normals(position: ti.template(), triangles: ti.template(), normals: ti.template()):
+    """Unit vertex normals."""
+    for i in range(position.shape[0]):
+        normals[i] = ti.math.vec4(0.0)
+    for c in range(triangles.shape[0]):
+        f = triangles[c]
+        x0 = xyz(position[f[0]])
+        n = vec4((xyz(position[f[1]]) - x0).cross(xyz(position[f[2]]) - x0))
+        for a in ti.static(range(3)):
+            normals[f[a]] += n
+    for i in range(position.shape[0]):
+        normals[i] /= ti.max(normals[i].norm(), 1e-20)
+
+
+@ti.func
+def settle(position: ti.template(), shift: ti.template(), i: ti.i32, u: vec3) -> vec3:
+    """Move vertex i by u [m]: whole steps go to the position, the rest to the shift; nothing is rounded away."""
+    whole = ti.floor(u * FINEST + 0.5) / FINEST
+    position[i] += vec4(whole)
+    shift[i] = vec4(u - whole)
+    return u - whole
+
+
+@ti.func
+def substep_start(velocity: ti.template(), predicted: ti.template(), gained: ti.template(), i: ti.i32, h: ti.f32):
+    """Shift of vertex i at the start of the substep [m]."""
+    return xyz(predicted[i]) - h * (velocity[i] + xyz(gained[i]))
+
+
+@ti.kernel
+def advance(
+    position: Vec4,
+    velocity: Vec3,
+    shift: Vec4,
+    predicted: Vec4,
+    normals: Vec4,
+    gained: Vec4,
+    touched: Vec4Rows,
+    awake: Int1,
+    samples: Int2,
+    triangles: Int3,
+    triangle_data: Vec4Rows,
+    hinges: Int4,
+    hinge_data: Vec4Rows,
+    tethers: Int2,
+    tether_lengths: Float1,
+    held: Int1,
+    target_0: Vec3,
+    target_1: Vec3,
+    drag: Float1,
+    primitives: Float2,
+    nearest: Int1,
+    contact: Vec4,
+    body_0: Vec3,
+    body_1: Vec3,
+    body_normals: Vec3,
+    ring_start: Int1,
+    ring: Int1,
+    fan_start: Int1,
+    fan: Int2,
+    substeps: ti.i32,
+    h: ti.f32,
+    gravity: vec3,
+    wind: vec3,
+    squeeze: ti.f32,
+    thickness: ti.f32,
+    friction: ti.f32,
+    refresh: ti.i32,
+    waking: ti.f32,
+):
+    """Advance a garment by ``substeps`` steps of h [s].
+
+    Per substep: predict, held vertices, membrane, bending, tethers, contact, velocities. Digits are kept in three
+    places: a vertex stands at ``position`` (on a grid) plus a small ``shift`` that takes the corrections; velocity
+    takes (shift - predicted shift)/h, the sum of the corrections, instead of a difference of world positions; and what
+    it gains over the frame is summed apart.
+
+    In the first substep every contact sample finds where it touches. Every ``refresh`` substeps all are looked at:
+    those nearer to the body than ``waking`` [m] are awake until the next time, and find again where they touch if they
+    have slid off it. In between only these are looked at.
+    """
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        inverse_h = 1.0 / h
+        inverse_h2 = inverse_h * inverse_h
+        count = position.shape[0]
+        share = 1.0 / substeps
+        near_count = 0  # ``awake`` begins with the samples that have a body near them
+        for c in range(samples.shape[0]):
+            if nearest[c] >= 0 and position[samples[c][0]][3] + position[samples[c][1]][3] > 0.0:
+                awake[near_count] = c
+                near_count += 1
+        awake_count = 0  # and goes on, from there, with those that are awake
+        cloth_normals(position, triangles, normals)
+        for i in range(count):
+            p = xyz(position[i])
+            x = ti.floor(p * FINEST + 0.5) / FINEST
+            position[i] = vec4(x, position[i][3])
+            shift[i] = vec4(p - x)
+            gained[i] = ti.math.vec4(0.0)
+        for c in range(held.shape[0]):
+            velocity[held[c]] = (target_1[c] - target_0[c]) * (inverse_h * share)
+        for step in range(substeps):
+            t = (step + 1) * share
+            for i in range(count):
+                u = xyz(shift[i])
+                if position[i][3] > 0.0:
+                    gain = h * gravity
+                    v = velocity[i] + (xyz(gained[i]) + gain)
+                    dragged = drag_velocity(v - wind, xyz(normals[i]), h * drag[i])
+                    u += h * (v + dragged)
+                    gained[i] += vec4(gain + dragged)
+                predicted[i] = vec4(settle(position, shift, i, u))
+            for c in range(held.shape[0]):
+                i = held[c]
+                u = (target_0[c] - xyz(position[i])) + t * (target_1[c] - target_0[c])
+                predicted[i] = vec4(u)
+                gained[i] = ti.math.vec4(0.0)
+                shift[i] = vec4(u)
+
+            solve_membrane(position, shift, triangles, triangle_data, inverse_h2, squeeze)
+            solve_bending(position, shift, hinges, hinge_data, inverse_h2)
+            for c in range(tethers.shape[0]):
+                i, j = tethers[c][0], tethers[c][1]
+                u = xyz(shift[i])
+                offset = (xyz(position[i]) - xyz(position[j])) + (u - xyz(shift[j]))
+                shift[i] = vec4(u + tether_correction(offset, tether_lengths[c]))
+
+            looked_at = step % refresh == 0
+            looks = near_count if looked_at else awake_count
+            begin = 0 if looked_at else near_count
+            if looked_at:
+                awake_count = 0
+            for s in range(begin, begin + looks):
+                c = awake[s]
+                i, j = samples[c][0], samples[c][1]
+                p, q = position[i], position[j]
+                x = 0.5 * (xyz(p) + xyz(q))
+                u = 0.5 * (xyz(shift[i]) + xyz(shift[j]))
+                if looked_at:
+                    again = step == 0
+                    if not again:
+                        offset = (x - (xyz(touched[c, 0]) + t * xyz(touched[c, 1]))) + u
+                        normal = xyz(touched[c, 2])
+                        again = offset.dot(normal) < waking and slid_off(offset, normal)
+                    if again:
+                        touch_body(
+                            x + u, c, t, nearest, body_0, body_1,
+                            ring_start, ring, fan_start, fan, body_normals, touched,
+                        )  # fmt: skip
+                motion = xyz(touched[c, 1])
+                normal = xyz(touched[c, 2])
+                distance = ((x - (xyz(touched[c, 0]) + t * motion)) + u).dot(normal)
+                if looked_at and distance < waking:
+                    awake[near_count + awake_count] = c
+                    awake_count += 1
+                if distance < thickness:
+                    weight = 0.25 * (p[3] + q[3])
+                    slip = u - 0.5 * (
+                        substep_start(velocity, predicted, gained, i, h)
+                        + substep_start(velocity, predicted, gained, j, h)
+                    )
+                    slip -= share * motion
+                    m = contact_correction(distance - thickness, normal, slip, friction, h)
+                    m *= 0.5 / weight
+                    # A vertex is a sample with both ends the same: half and half make the whole.
+                    shift[i] = vec4(xyz(shift[i]) + p[3] * m)
+                    if i != j:
+                        shift[j] = vec4(xyz(shift[j]) + q[3] * m)
+            for i in range(count):
+                if position[i][3] > 0.0:
+                    u = xyz(shift[i])
+                    if primitives.shape[0] > 0:
+                        slip = u - substep_start(velocity, predicted, gained, i, h)
+                        u += collide_primitives(xyz(position[i]), u, slip, t, share, primitives, thickness, friction, h)
+                        shift[i] = vec4(u)
+                    gained[i] += inverse_h * vec4(u - xyz(predicted[i]))
+        for i in range(count):
+            position[i] += vec4(xyz(shift[i]))
+            velocity[i] += xyz(gained[i])
+        for i in range(count):
+            contact[i] = ti.math.vec4(FAR, 0.0, 0.0, 0.0)
+            if nearest[i] >= 0 and position[i][3] > 0.0:
+                motion = xyz(touched[i, 1])
+                normal = xyz(touched[i, 2])
+                slip = velocity[i] - motion * (inverse_h * share)
+                slip -= slip.dot(normal) * normal
+                away = xyz(position[i]) - (xyz(touched[i, 0]) + motion)
+                contact[i] = ti.math.vec4(ti.math.clamp(away.dot(normal), -FAR, FAR), slip[0], slip[1], slip[2])
