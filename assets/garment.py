@@ -75,7 +75,8 @@ def load_garment(path: str | PathLike[str], *, pattern: bool = False) -> Garment
     else:
         raise InputError("an unknown kind of file", file=path, received=path.suffix, expected=".obj, .glb or .gltf")
     if not len(faces):
-        raise InputError("a mesh without faces", file=path, received=f"{len(vertices)} vertices")
+        received = f"{len(vertices)} vertices"
+        raise InputError("a mesh without faces", file=path, received=received, expected="a whole file with faces")
     if not (pattern and path.suffix.lower() == ".obj"):
         vertices, faces, _ = weld(vertices, faces)
     vertices, faces = _drop_unused(vertices, faces)
@@ -178,12 +179,16 @@ def _check_faces(vertices: Floats, faces: Faces, path: Path, label: Callable[[in
     height, longest = _heights(vertices[faces])
     bad = np.flatnonzero(repeated | (height <= _FLAT * longest))
     if bad.size:
-        raise InputError("a face without area", file=path, key=label(bad[0]), received=faces[bad[0]].tolist())
+        received, expected = faces[bad[0]].tolist(), "three corners that are not in a line"
+        raise InputError("a face without area", file=path, key=label(bad[0]), received=received, expected=expected)
     first, group = group_rows(np.sort(faces, axis=1))
     bad = np.flatnonzero(first[group] != np.arange(len(faces)))
     if bad.size:
         other = label(int(first[group[bad[0]]]))
-        raise InputError(f"the same face as {other}", file=path, key=label(bad[0]), received=faces[bad[0]].tolist())
+        received, expected = faces[bad[0]].tolist(), "each face once"
+        raise InputError(
+            f"the same face as {other}", file=path, key=label(bad[0]), received=received, expected=expected
+        )
     edges, side_edge = edges_of(faces)
     counts = np.bincount(side_edge.ravel(), minlength=len(edges))
     if counts.max() > 2:

@@ -254,7 +254,8 @@ def read_document(path: Path) -> Document:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise InputError("cannot be read", file=path, received=error.strerror, expected="a glTF file") from error
+        problem = f"cannot be read: {(error.strerror or str(error)).lower()}"
+        raise InputError(problem, file=path, expected="a glTF file") from error
     binary = None
     if data[:4] == b"glTF" or path.suffix.lower() == ".glb":
         data, binary = _split_binary(path, data)
@@ -305,7 +306,12 @@ def _misfit(value: Any, outline: Any) -> str | None:
 def _split_binary(path: Path, data: bytes) -> tuple[bytes, bytes | None]:
     """JSON and binary chunk of a .glb file."""
     if len(data) < 20 or data[:4] != b"glTF":
-        raise InputError("not a binary glTF file", file=path, received=f"{len(data)} bytes")
+        raise InputError(
+            "not a binary glTF file",
+            file=path,
+            received=f"{len(data)} bytes that begin with {data[:4]!r}",
+            expected="a header that begins with b'glTF'",
+        )
     version, length = struct.unpack_from("<II", data, 4)
     if length > len(data):
         raise InputError("a truncated file", file=path, received=f"{len(data)} bytes", expected=f"{length} bytes")

@@ -150,6 +150,9 @@ def _weights(document: Document, primitive: Primitive, columns: NDArray[np.intp]
     sets = 0
     while f"JOINTS_{sets}" in primitive.attributes or f"WEIGHTS_{sets}" in primitive.attributes:
         key = f"{primitive.key}, JOINTS_{sets} and WEIGHTS_{sets}"
+        missing = [name for name in (f"JOINTS_{sets}", f"WEIGHTS_{sets}") if name not in primitive.attributes]
+        if missing:
+            raise document.error(f"a skin without {missing[0]}", key, sorted(primitive.attributes), "both or neither")
         joints = document.integers(primitive.attributes.get(f"JOINTS_{sets}"), key)
         weights = document.accessor(primitive.attributes.get(f"WEIGHTS_{sets}"), key).astype(np.float64)
         if not joints.shape == weights.shape == (len(dense), 4):

@@ -47,7 +47,8 @@ def read_obj(path: Path) -> ObjMesh:
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
-        raise InputError("cannot be read", file=path, received=error.strerror, expected="an .obj file") from error
+        problem = f"cannot be read: {(error.strerror or str(error)).lower()}"
+        raise InputError(problem, file=path, expected="an .obj file") from error
     vertices: list[list[float]] = []
     texture: list[list[float]] = []
     polygons: list[tuple[int, list[int], list[int]]] = []

@@ -276,7 +276,8 @@ def load_scene(path: str | Path) -> Scene:
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
-        raise InputError("cannot be read", file=path, received=error.strerror, expected="a scene file") from error
+        problem = f"cannot be read: {(error.strerror or str(error)).lower()}"
+        raise InputError(problem, file=path, expected="a scene file (TOML)") from error
     except UnicodeDecodeError as error:
         raise InputError(f"not TOML: {error}", file=path) from error
     return parse_scene(text, path)

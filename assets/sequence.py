@@ -137,7 +137,9 @@ def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         with file:
             missing = [key for key in ("vertices", "faces", "dt") if key not in file]
             if missing:
-                raise InputError("a missing key", file=path, key=missing[0], received=sorted(file))
+                raise InputError(
+                    "a missing key", file=path, key=missing[0], received=sorted(file), expected="vertices, faces and dt"
+                )
             return {key: file[key] for key in ("vertices", "faces", "dt")}
     except OSError as error:
         problem = error.strerror or str(error)
@@ -146,7 +148,12 @@ def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         raise
     # What numpy and zipfile raise for damaged files; ValueError also for arrays of objects.
     except (ValueError, RuntimeError, MemoryError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(f"no arrays of numbers: {error}", file=path) from error
+        what = str(error).partition(". ")[0].partition(":")[0]  # without numpy's advice
+        raise InputError(
+            f"truncated, damaged or no arrays of numbers: {what}",
+            file=path,
+            expected="an .npz file with vertices, faces and dt",
+        ) from error
 
 
 def _check(path: Path, key: str, array: NDArray[Any], kinds: str, holds: bool) -> None:

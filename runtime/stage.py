@@ -50,6 +50,9 @@ def motion_of(body: Character, motion: MotionSettings) -> Motion:
         InputError: no such clip (those that exist are listed), or a file with another skeleton.
     """
     other = load_body(motion.file)
+    if motion.clip not in other.clips:
+        known = "one of " + ", ".join(sorted(other.clips)) if other.clips else "a file with clips"
+        raise InputError("no such clip", file=motion.file, key="clip", received=motion.clip, expected=known)
     return ClipMotion(body, with_clips(body, other).clip(motion.clip) if other is not body else body.clip(motion.clip))
 
 

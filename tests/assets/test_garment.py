@@ -172,7 +172,7 @@ MOEBIUS = "v 0 0 0\nv 1 0 0\nv 2 1 0\nv 1 2 0.5\nv 0 1 1\nf 1 2 3\nf 2 3 4\nf 3 
 
 REFUSED = {
     "empty": ("", "a mesh without faces"),
-    "points": (SQUARE, "a mesh without faces (received '4 vertices')"),
+    "points": (SQUARE, "a mesh without faces (received '4 vertices', expected a whole file with faces)"),
     "nan": ("v 0 0 nan\n" + SQUARE, "line 1: a number that is not finite"),
     "infinite": (SQUARE + "v 0 inf 0\n", "line 5: a number that is not finite"),
     "short vertex": ("v 0 0\n", "line 1: fewer than 3 numbers"),

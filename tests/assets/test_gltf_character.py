@@ -195,7 +195,7 @@ REFUSED: dict[str, tuple[Callable[[Glb], object], str]] = {
     ),
     "only joints": (
         lambda g: g.json["meshes"][0]["primitives"][0]["attributes"].pop("WEIGHTS_0"),
-        "primitive 0, JOINTS_0 and WEIGHTS_0",
+        "primitive 0, JOINTS_0 and WEIGHTS_0: a skin without WEIGHTS_0",
     ),
     "zero weights": (attribute("WEIGHTS_0", numbers(put(7, 0.0), WEIGHTS)), "vertex 7: a skin without weights"),
     "negative weight": (attribute("WEIGHTS_0", numbers(put(3, -0.5), WEIGHTS)), "vertex 3: bad weights"),

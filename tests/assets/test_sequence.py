@@ -66,7 +66,7 @@ def spoiled(value: float) -> np.ndarray:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"faces": None}, "faces: a missing key (received ['dt', 'vertices'])"),
+        ({"faces": None}, "faces: a missing key (received ['dt', 'vertices'], expected vertices, faces and dt)"),
         ({"dt": None}, "dt: a missing key"),
         ({"vertices": frames()[0]}, "vertices: bad array (received 'float32 (4, 3)', expected floats, (frames, n, 3))"),
         ({"vertices": frames()[:0]}, "vertices: bad array"),

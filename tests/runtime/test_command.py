@@ -3,6 +3,7 @@ import json
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from runtime import command
@@ -137,3 +138,30 @@ def test_a_full_disk_is_one_message_and_status_1(
     assert message.count("\n") == 1
     assert out.read_text(encoding="utf-8") == "old"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out.json", "scene.toml"]
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ('clip = "wlak"', ["builtin:mannequin: clip: no such clip", "'wlak'", "slow_walk"]),
+        ('file = "missing.glb"', ["character.file: no such file", "'missing.glb'"]),
+        ('file = "junk.glb"', ["junk.glb: not a binary glTF file", "received", "expected a header"]),
+        ('sequence = "junk.npz"', ["junk.npz: truncated, damaged or no arrays", "expected an .npz file with vertices"]),
+        ('sequence = "empty.npz"', ["empty.npz: vertices: a missing key", "received ['other']", "expected vertices"]),
+    ],
+)
+def test_a_bad_character_is_one_message_and_nothing_is_written(
+    change: str, words: list[str], scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "junk.glb").write_bytes(b"nothing of the kind")
+    (tmp_path / "junk.npz").write_bytes(b"nothing of the kind")
+    np.savez(tmp_path / "empty.npz", other=np.zeros(3))
+    kind = change.partition(" ")[0]
+    whole = change if kind == "sequence" else f'file = "builtin:mannequin"\n{change}' if kind == "clip" else change
+    scene.write_text(f'{SCENE}attach = "top"\n[character]\n{whole}\n', encoding="utf-8")
+    before = sorted(tmp_path.iterdir())
+    assert command.main(["simulate", str(scene), "-o", str(tmp_path / "new" / "a.glb")]) == 2
+    message = capsys.readouterr().err
+    assert message.startswith("gube simulate: ") and message.count("\n") == 1
+    assert all(word in message for word in words), message
+    assert sorted(tmp_path.iterdir()) == before
