@@ -1,15 +1,18 @@
 """Vertices attached to a body: each rides on a point of a body face at a fixed distance along its normal."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from pbd.engine import Launch, ensure_initialized, ti
 from pbd.errors import InputError
 
 __all__ = ["Attachment", "closest_points", "push_outside"]
+
+double3 = ti.types.vector(3, ti.f64)
+Double3 = ti.types.ndarray(dtype=double3, ndim=1)
+Double3Rows = ti.types.ndarray(dtype=double3, ndim=2)
 
 
 def closest_points(
@@ -100,6 +103,19 @@ def push_outside(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, cl
     return points
 
 
+@ti.kernel
+def _ride(corners: Double3Rows, weights: Double3, offset: Double3, out: Double3):
+    """Points with weights and offsets in the frames of faces with these corners [m], as :meth:`Attachment._frames`."""
+    ti.loop_config(serialize=True)
+    for i in range(corners.shape[0]):
+        w, d, a = weights[i], offset[i], corners[i, 0]
+        first, second = corners[i, 1] - a, corners[i, 2] - a
+        normal = first.cross(second)
+        side = first / ti.max(first.norm(), 1e-30)
+        normal /= ti.max(normal.norm(), 1e-30)
+        out[i] = a + w[1] * first + w[2] * second + d[0] * side + d[1] * normal + d[2] * side.cross(normal)
+
+
 @dataclass(frozen=True)
 class Attachment:
     """Points that ride on a body.
@@ -113,9 +129,10 @@ class Attachment:
     corners: np.ndarray
     weights: np.ndarray
     offset: np.ndarray
+    _launch: Launch = field(default_factory=lambda: Launch(_ride), init=False, repr=False, compare=False)
 
     @classmethod
-    def bind(cls, points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> Attachment:
+    def bind(cls, points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> "Attachment":
         """Attach points [m], shape (p, 3), to the nearest faces of a body in its bind pose."""
         points = np.asarray(points, float).reshape(-1, 3)
         if not len(points):
@@ -139,5 +156,7 @@ class Attachment:
 
     def targets(self, vertices: np.ndarray) -> np.ndarray:
         """Where the points are for a pose of the body [m], shape (n, 3): float64, shape (p, 3)."""
-        surface, frame = self._frames(vertices)
-        return surface + np.einsum("pij,pj->pi", frame, self.offset)
+        ensure_initialized()
+        out = np.zeros(self.offset.shape)
+        self._launch(vertices[self.corners].astype(float), self.weights, self.offset, out)
+        return out

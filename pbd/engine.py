@@ -94,6 +94,9 @@ class Launch:
         self._ordinary = False
         self._program: Any = None
 
+    def __reduce__(self) -> tuple:
+        return Launch, (self._kernel,)  # bound again where it comes to
+
     def __call__(self, *arguments: Any) -> None:
         """Run the kernel; arguments and errors are its own."""
         if not self._prepare(arguments):

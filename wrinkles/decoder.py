@@ -192,12 +192,13 @@ def _relax(
             for c in range(edges.shape[0]):
                 i, j = edges[c][0], edges[c][1]
                 d = fine[j] - fine[i]
-                total = inverse_mass[i] + inverse_mass[j]
-                if total > 0.0:
-                    size = ti.max(d.norm(), 1e-9)
+                squared = d.dot(d)
+                if squared > lengths[c] * lengths[c]:
+                    size = ti.sqrt(squared)
+                    total = inverse_mass[i] + inverse_mass[j]
                     # Only stretch is taken back: pushing short edges apart in one pass folds the mesh edge by edge.
                     # A part at a time: whole corrections of a stretched coarse state overshoot from edge to edge.
-                    d *= STRETCH_SHARE * ti.max(size - lengths[c], 0.0) / (size * total)
+                    d *= STRETCH_SHARE * (size - lengths[c]) / (size * total)
                     fine[i] += inverse_mass[i] * d
                     fine[j] -= inverse_mass[j] * d
             for i in range(fine.shape[0]):
@@ -265,11 +266,13 @@ class Relaxation:
 
     def __init__(self, mesh: ClothMesh, held: np.ndarray, patches: Patches, thickness: float) -> None:
         ensure_initialized()
-        edges, lengths = mesh.edge_lengths()
-        order = np.argsort(greedy_colors(edges, len(mesh.vertices)), kind="stable")
-        self._edges, self._lengths = np.ascontiguousarray(edges[order]), lengths[order].astype(np.float32)
         self._inverse_mass = np.ones(len(mesh.vertices), np.float32)
         self._inverse_mass[held] = 0.0
+        edges, lengths = mesh.edge_lengths()
+        free = self._inverse_mass[edges].any(axis=1)
+        edges, lengths = edges[free], lengths[free]
+        order = np.argsort(greedy_colors(edges, len(mesh.vertices)), kind="stable")
+        self._edges, self._lengths = np.ascontiguousarray(edges[order]), lengths[order].astype(np.float32)
         self._held = np.asarray(held, np.int32)
         self._targets = np.zeros((len(held), 3), np.float32)
         self._patches, self._thickness = patches, thickness

@@ -1,6 +1,7 @@
 """One Taichi for the process; conflicting wishes are refused."""
 
 import os
+import pickle
 import subprocess
 import sys
 
@@ -157,3 +158,8 @@ def test_taichi_arrays_are_taken() -> None:
         _move(*arguments)
         assert np.array_equal(points.to_numpy(), arguments[0])
     _compare(launch, arguments)
+
+
+def test_a_launch_can_be_sent_to_another_process() -> None:
+    other = pickle.loads(pickle.dumps(_launch()))  # noqa: S301
+    _compare(other, _arguments(7))
