@@ -26,8 +26,8 @@ __all__ = ["Precomputed", "default_cache", "precompute"]
 CALIBRATION_SECONDS = (
     6.0  # motion that the coarse model is calibrated on: enough to see it move, short enough to try many
 )
-TRAINING_FRAMES = 1200
-EPOCHS = 24
+TRAINING_FRAMES = 2400
+EPOCHS = 8
 
 
 @dataclass(frozen=True)

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import numpy as np
 
 from wrinkles.features import DYNAMIC_COUNT
+from wrinkles.network import Network
 from wrinkles.patches import NODES, slope_metric
 
 __all__ = ["Atoms", "Mapping", "fit_atoms", "fit_mapping"]
 
-NOISE = 0.15  # of the features in training, in standard deviations
+FAINT = 3e-3  # share of a feature's variance below which a direction of the features is taken for noise
 CLIP = 4.0  # features further out than this many standard deviations count as if they stood there
 
 
@@ -98,67 +98,65 @@ def fit_mapping(
     coefficients: np.ndarray,
     *,
     hidden: tuple[int, int] = (96, 64),
-    epochs: int = 30,
+    epochs: int = 8,
     seed: int = 0,
     on_epoch: Callable[[int, int, float], None] | None = None,
 ) -> Mapping:
     """Fit the mapping on training frames.
+
+    Features are whitened before they are learned from: what is left of folds near the coarse mesh's limit is small
+    beside the bend of a whole patch, and just as telling. Whitening is linear and goes into the first layer.
 
     Args:
         features: dynamic features, float32, shape (S, n, DYNAMIC_COUNT).
         static: float32, shape (n, s).
         coefficients: targets, float32, shape (S, n, K).
         hidden: widths of the hidden layers.
-        epochs: passes over the data; the last third with a smaller step.
+        epochs: passes over the data.
         seed: of weights and shuffling.
-        on_epoch: told (passes done, epochs, loss) when the step gets smaller and at the end.
+        on_epoch: told (passes done, epochs, loss) after each pass.
 
     Returns:
         The mapping, with gain one.
     """
-    from sklearn.exceptions import ConvergenceWarning
-    from sklearn.neural_network import MLPRegressor
-
     flat = features.reshape(-1, DYNAMIC_COUNT)
     center, scale = flat.mean(axis=0), 1.0 / (flat.std(axis=0) + 1e-4)
-    place_center, place_scale = static.mean(axis=0), 1.0 / (static.std(axis=0) + 1e-2)
-    place = (static - place_center) * place_scale
-    inputs = np.concatenate(
-        [
-            np.clip((features - center) * scale, -CLIP, CLIP),
-            np.broadcast_to(place, (len(features), *place.shape)),
-        ],
-        axis=2,
-    ).astype(np.float32)
-    inputs = inputs.reshape(-1, inputs.shape[2])
-    # A free coarse garment is never quite what was trained on: what hangs on less than this noise is not learned.
-    inputs[:, :DYNAMIC_COUNT] += NOISE * np.random.default_rng(seed).standard_normal(
-        (len(inputs), DYNAMIC_COUNT), np.float32
-    )
+    z = (flat - center) * scale
+    np.clip(z, -CLIP, CLIP, out=z)
+    middle, axes = whitening(z[:: max(1, len(z) // 200_000)])
+    z -= middle
+    place = (static - static.mean(axis=0)) / (static.std(axis=0) + 1e-2)
     unit = float(np.sqrt((coefficients**2).mean()))
-    targets = (coefficients / unit).reshape(-1, coefficients.shape[2]).astype(np.float32)
-    network = MLPRegressor(
-        hidden_layer_sizes=hidden, alpha=1e-4, batch_size=1024, max_iter=1, warm_start=True, random_state=seed
+    network = Network((DYNAMIC_COUNT + place.shape[1], *hidden, coefficients.shape[2]), seed)
+    network.fit(
+        z @ axes,
+        place.astype(np.float32),
+        (coefficients / unit).reshape(-1, coefficients.shape[2]),
+        epochs=epochs,
+        on_epoch=on_epoch,
     )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        slow = max(1, epochs // 3)
-        for stage, (rate, passes) in enumerate(((2e-3, epochs - slow), (3e-4, slow))):
-            network.set_params(learning_rate_init=rate, max_iter=max(1, passes), n_iter_no_change=10_000)
-            network.fit(inputs, targets)
-            if on_epoch is not None:
-                on_epoch(epochs - slow if stage == 0 else epochs, epochs, float(network.loss_))
-    first, second, third = (w.astype(np.float32) for w in network.coefs_)
-    bias_1, bias_2, bias_3 = (b.astype(np.float32) for b in network.intercepts_)
+    first, second, third = network.weights
+    bias_1, bias_2, bias_3 = network.biases
     single = lambda a: np.ascontiguousarray(a, np.float32)  # noqa: E731
+    weights_1 = axes @ first[:DYNAMIC_COUNT]
     return Mapping(
         single(center),
         single(scale),
-        single(first[:DYNAMIC_COUNT]),
-        second,
+        single(weights_1),
+        single(second),
         single(third * unit),
-        single(place @ first[DYNAMIC_COUNT:] + bias_1),
-        bias_2,
+        single(place @ first[DYNAMIC_COUNT:] + bias_1 - middle @ weights_1),
+        single(bias_2),
         single(bias_3 * unit),
         np.ones(coefficients.shape[2], np.float32),
     )
+
+
+def whitening(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean, shape (d,), and axes, shape (d, d), such that (samples - mean) @ axes has unit covariance, float32.
+
+    Directions of less than FAINT of the variance of a feature are noise and stay faint.
+    """
+    mean = samples.mean(axis=0)
+    values, vectors = np.linalg.eigh(np.cov((samples - mean).T))
+    return mean, (vectors / np.sqrt(np.maximum(values, 0.0) + FAINT)).astype(np.float32)

@@ -1,6 +1,6 @@
-"""What the dictionary sees of the coarse garment: local, rotation-invariant, with velocities and the body's nearness.
+"""What the dictionary sees of the coarse garment: local, rotation-invariant, with its velocity and the body's nearness.
 
-A stencil of 5 by 5 chart points around every coarse vertex is read in the vertex's own frame.
+A stencil of 7 by 7 chart points around every coarse vertex is read in the vertex's own frame.
 """
 
 from dataclasses import dataclass, field
@@ -16,14 +16,14 @@ from wrinkles.charts import Charts
 
 __all__ = ["DYNAMIC_COUNT", "Stencil"]
 
-SIDE = 5
+SIDE = 7
 POINTS = SIDE * SIDE
 CENTRE = POINTS // 2
 OTHERS = [p for p in range(POINTS) if p != CENTRE]
-INNER = [SIDE * a + b for a in (1, 2, 3) for b in (1, 2, 3)]
+INNER = [CENTRE + SIDE * a + b for a in (-1, 0, 1) for b in (-1, 0, 1)]
 UP, DOWN, LEFT, RIGHT = CENTRE + SIDE, CENTRE - SIDE, CENTRE - 1, CENTRE + 1  # +-1 along warp, -+1 along weft
-# Offsets 72, velocities 72, own velocity 3, gravity 3, distances 9, slip 3.
-DYNAMIC_COUNT = 2 * 3 * len(OTHERS) + 3 + 3 + len(INNER) + 3
+# Offsets 144, own velocity 3, gravity 3, distances 9, slip 3.
+DYNAMIC_COUNT = 3 * len(OTHERS) + 3 + 3 + len(INNER) + 3
 MODES = 8
 
 vec3 = ti.math.vec3
@@ -55,22 +55,14 @@ def _gather(
             mean_velocity += velocity[i]
         mean_velocity /= velocity.shape[0]
         for i in range(position.shape[0]):
-            x0 = vec3(0.0)
-            v0 = vec3(0.0)
             x = ti.Matrix.zero(ti.f32, POINTS, 3)
-            v = ti.Matrix.zero(ti.f32, POINTS, 3)
             for p in range(POINTS):
                 for c in ti.static(range(3)):
-                    j = corners[i, 3 * p + c]
                     w = weights[i, 3 * p + c]
-                    q = position[j]
-                    u = velocity[j]
+                    q = position[corners[i, 3 * p + c]]
                     for a in ti.static(range(3)):
                         x[p, a] += w * q[a]
-                        v[p, a] += w * u[a]
-            for a in ti.static(range(3)):
-                x0[a] = x[CENTRE, a]
-                v0[a] = v[CENTRE, a]
+            x0 = vec3(x[CENTRE, 0], x[CENTRE, 1], x[CENTRE, 2])
             warp = vec3(x[UP, 0] - x[DOWN, 0], x[UP, 1] - x[DOWN, 1], x[UP, 2] - x[DOWN, 2])
             weft = vec3(x[RIGHT, 0] - x[LEFT, 0], x[RIGHT, 1] - x[LEFT, 1], x[RIGHT, 2] - x[LEFT, 2])
             e1 = warp / ti.max(warp.norm(), 1e-12)
@@ -85,15 +77,11 @@ def _gather(
             for p in range(POINTS):
                 if p != CENTRE:
                     d = vec3(x[p, 0], x[p, 1], x[p, 2]) - x0
-                    u = vec3(v[p, 0], v[p, 1], v[p, 2]) - v0
                     features[i, f] = d.dot(e1) / spacing
                     features[i, f + 1] = d.dot(e2) / spacing
                     features[i, f + 2] = d.dot(e3) / spacing
-                    features[i, f + 3] = u.dot(e1)
-                    features[i, f + 4] = u.dot(e2)
-                    features[i, f + 5] = u.dot(e3)
-                    f += 6
-            own = v0 - mean_velocity
+                    f += 3
+            own = velocity[i] - mean_velocity
             features[i, f] = own.dot(e1)
             features[i, f + 1] = own.dot(e2)
             features[i, f + 2] = own.dot(e3)
@@ -120,11 +108,11 @@ class Stencil:
     """Where each coarse vertex looks, and what never changes there.
 
     Attributes:
-        corners: coarse vertices of each stencil point, int32, shape (n, 75).
-        weights: their barycentric weights, float32, shape (n, 75).
+        corners: coarse vertices of each stencil point, int32, shape (n, 3 POINTS).
+        weights: their barycentric weights, float32, shape (n, 3 POINTS).
         spacing: of the stencil [m].
-        static: what does not move: points that exist (24), share that is held, slow modes of the mesh (8);
-            float32, shape (n, 33).
+        static: what does not move: points that exist (48), share that is held, slow modes of the mesh (8);
+            float32, shape (n, 57).
     """
 
     corners: np.ndarray

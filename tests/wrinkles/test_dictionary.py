@@ -114,6 +114,28 @@ def test_features_far_out_count_as_if_they_stood_at_the_limit(examples: tuple, m
     np.testing.assert_allclose(mapping.predict(features), at_limit, atol=1e-6)
 
 
+def test_a_target_that_cannot_be_told_is_its_median_and_not_its_mean() -> None:
+    rng = np.random.default_rng(2)
+    features = rng.standard_normal((400, 5, DYNAMIC_COUNT)).astype(np.float32)
+    # Once in four times a fold of height four: the mean is one, the point of least distance zero.
+    coefficients = np.where(rng.random((400, 5, 1)) < 0.25, 4.0, 0.0) * np.ones(2)
+    fitted = fit_mapping(features, np.zeros((5, 1)), coefficients.astype(np.float32), hidden=(4, 4), epochs=20)
+    fresh = rng.standard_normal((100, 5, DYNAMIC_COUNT)).astype(np.float32)
+    assert np.abs(np.median(fitted.predict(fresh))) < 0.3
+
+
+def test_faint_directions_are_learned_from_too() -> None:
+    rng = np.random.default_rng(3)
+    strong, faint = rng.standard_normal((2, 500, 8, 1))
+    features = strong + 0.1 * faint * rng.choice([-1.0, 1.0], DYNAMIC_COUNT)
+    fitted = fit_mapping(
+        features[:400].astype(np.float32), np.zeros((8, 1)), np.repeat(faint[:400], 2, axis=2).astype(np.float32),
+        hidden=(8, 8), epochs=12,
+    )  # fmt: skip
+    error = fitted.predict(features[400:].astype(np.float32)) - faint[400:]
+    assert (error**2).mean() < 0.1
+
+
 def test_gain_scales_coefficients(examples: tuple, mapping: Mapping) -> None:
     assert np.array_equal(mapping.gain, np.ones(3))
     gain = np.array([0.5, 1.0, 2.0], np.float32)
