@@ -116,7 +116,7 @@ def precompute(
     tell("fitting patches")
     data = training_set(layer, recordings, scene.wrinkles.atoms, TRAINING_FRAMES, seed)
     width = scene.wrinkles.hidden_width
-    mapping = fit_layer(layer, data, hidden=(3 * width // 2, width), epochs=EPOCHS, seed=seed, report=tell)
+    mapping = fit_layer(layer, data, hidden=(2 * width, width), epochs=EPOCHS, seed=seed, report=tell)
     mapping = with_gain(layer, mapping, data.atoms, excerpts, calibration.free)
     database = WrinkleDatabase(
         garment_name=stage.settings.name,
