@@ -41,20 +41,21 @@ def fit_atoms(patches: np.ndarray, count: int) -> Atoms:
         patches: [m], shape (S, 3 NODES).
         count: number of atoms K.
     """
+    from sklearn.decomposition import PCA
+
     lower = slope_metric()
     samples = patches.reshape(-1, NODES, 3)
     mean = samples.mean(axis=0)
     seen = (np.swapaxes(samples - mean, 1, 2) @ lower).swapaxes(1, 2).reshape(len(samples), -1)
-    covariance = seen.T @ seen / len(seen)
-    values, vectors = np.linalg.eigh(covariance)
-    basis = vectors[:, ::-1][:, :count]
+    components = PCA(count, svd_solver="covariance_eigh").fit(seen)
+    basis = components.components_.T
     shapes = np.linalg.solve(lower.T, basis.reshape(NODES, -1)).reshape(NODES, 3, -1)
     analysis = np.einsum("nm,mck->nck", lower, basis.reshape(NODES, 3, -1))
     return Atoms(
         np.ascontiguousarray(shapes.reshape(3 * NODES, -1).T, np.float32),
         mean.ravel().astype(np.float32),
         np.ascontiguousarray(analysis.reshape(3 * NODES, -1), np.float32),
-        float(values[::-1][:count].sum() / values.sum()),
+        float(components.explained_variance_ratio_.sum()),
     )
 
 
