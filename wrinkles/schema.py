@@ -33,7 +33,7 @@ __all__ = [
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE = "text", "float32", "float64", "int32", "int64"
 
