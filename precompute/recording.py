@@ -5,12 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 
 import numpy as np
@@ -179,7 +180,7 @@ def record_runs(
             _record(run, folder, lambda: _tell(report, done(), before, total, began))
     elif todo:
         todo.sort(key=lambda item: -item[0].frame_count)
-        with ProcessPoolExecutor(min(workers, len(todo)), get_context("spawn"), _single_thread) as pool:
+        with ProcessPoolExecutor(min(workers, len(todo)), get_context("spawn"), _begin_worker) as pool:
             futures = [pool.submit(_record, run, folder) for run, folder in todo]
             pending = set(futures)
             try:
@@ -194,8 +195,17 @@ def record_runs(
     return [_read(run, folder) for run, folder in zip(runs, folders, strict=True)]
 
 
-def _single_thread() -> None:
+def _begin_worker() -> None:
+    """One thread a worker; and a worker whose parent was killed ends too, instead of simulating on for nobody."""
     os.environ["GUBE_THREADS"] = "1"
+    parent = parent_process()
+    assert parent is not None
+
+    def follow() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
 
 
 def _tell(report: Callable[[str], None] | None, done: int, before: int, total: int, began: float) -> None:
