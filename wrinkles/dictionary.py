@@ -13,7 +13,7 @@ from wrinkles.patches import NODES, slope_metric
 
 __all__ = ["Atoms", "Mapping", "fit_atoms", "fit_mapping"]
 
-FAINT = 3e-3  # share of a feature's variance below which a direction of the features is taken for noise
+NOISE = 0.06  # of the features in training, in standard deviations
 CLIP = 4.0  # features further out than this many standard deviations count as if they stood there
 
 
@@ -105,8 +105,9 @@ def fit_mapping(
 ) -> Mapping:
     """Fit the mapping on training frames.
 
-    Features are whitened before they are learned from: what is left of folds near the coarse mesh's limit is small
-    beside the bend of a whole patch, and just as telling. Whitening is linear and goes into the first layer.
+    Features are learned from with noise on them: a garment that runs freely has at its mesh's limit folds of its own,
+    as faint as what the filter leaves of true ones there, and what hangs on these must not be raised. With the noise
+    they are whitened, so that faint directions are learned as fast as strong ones; this goes into the first layer.
 
     Args:
         features: dynamic features, float32, shape (S, n, DYNAMIC_COUNT).
@@ -124,6 +125,7 @@ def fit_mapping(
     center, scale = flat.mean(axis=0), 1.0 / (flat.std(axis=0) + 1e-4)
     z = (flat - center) * scale
     np.clip(z, -CLIP, CLIP, out=z)
+    z += NOISE * np.random.default_rng(seed).standard_normal(z.shape, np.float32)
     middle, axes = whitening(z[:: max(1, len(z) // 200_000)])
     z -= middle
     place = (static - static.mean(axis=0)) / (static.std(axis=0) + 1e-2)
@@ -154,10 +156,7 @@ def fit_mapping(
 
 
 def whitening(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean, shape (d,), and axes, shape (d, d), such that (samples - mean) @ axes has unit covariance, float32.
-
-    Directions of less than FAINT of the variance of a feature are noise and stay faint.
-    """
+    """Mean, shape (d,), and axes, shape (d, d), such that (samples - mean) @ axes has unit covariance, float32."""
     mean = samples.mean(axis=0)
     values, vectors = np.linalg.eigh(np.cov((samples - mean).T))
-    return mean, (vectors / np.sqrt(np.maximum(values, 0.0) + FAINT)).astype(np.float32)
+    return mean, (vectors / np.sqrt(values)).astype(np.float32)
