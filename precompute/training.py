@@ -25,7 +25,7 @@ __all__ = [
     "with_gain",
 ]
 
-GAIN_LIMITS = (0.6, 1.25)
+GAIN_LIMITS = (0.6, 1.0)
 
 
 @dataclass(frozen=True)
