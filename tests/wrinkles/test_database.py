@@ -121,9 +121,9 @@ def link(name: str) -> Callable[[h5py.File], None]:
 REFUSED: dict[str, tuple[Callable[[h5py.File], Any], str, str]] = {
     "another format": (put("format", np.bytes_("notes")), "format: not a wrinkle database", "received 'notes'"),
     "no format": (delete("format"), "format: not a wrinkle database", "'gube wrinkle database'"),
-    "newer": (put("schema_version", np.int64(2)), "newer version", "received 2, expected 1"),
-    "older": (put("schema_version", np.int64(0)), "no longer read", "received 0, expected 1"),
-    "version in words": (put("schema_version", np.bytes_("one")), "no longer read", "received 'one', expected 1"),
+    "newer": (put("schema_version", np.int64(3)), "newer version", "received 3, expected 2"),
+    "older": (put("schema_version", np.int64(1)), "no longer read", "received 1, expected 2"),
+    "version in words": (put("schema_version", np.bytes_("one")), "no longer read", "received 'one', expected 2"),
     "missing array": (delete("mapping/gain"), "mapping/gain", "missing"),
     "missing group": (delete("fabric"), "fabric/shear", "10 problems"),
     "missing header": (delete("seed"), "seed", "missing"),
