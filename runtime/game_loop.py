@@ -73,7 +73,7 @@ class GameLoop:
         alpha: of the last picture: 1 at the last tick, 0 at the one before.
         tick_count: ticks since the start; the garment's time is ``tick_count * tick``.
         dropped_time: [s].
-        missed_deadlines: frames of the last run that were not ready when due.
+        missed_deadlines: of the last run: periods that ended without a new frame.
         frames_of_ticks: how many frames had 0, 1, ... ticks, int64, shape (max_ticks + 1,).
 
     Raises:
@@ -170,8 +170,8 @@ class GameLoop:
             self._frame_ms[self._frame_count] = 1e3 * (ready - began)
             self._frame_count += 1
             if ready > start + turn * period:
-                self.missed_deadlines += 1
                 turn = math.ceil((ready - start) * self.rate_hz)
+                self.missed_deadlines += turn - shown
             self._wait(start + turn * period)
         return self.figures()
 

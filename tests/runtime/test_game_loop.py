@@ -130,7 +130,7 @@ def test_a_hiccup_is_made_up_for_by_max_ticks_at_most() -> None:
     loop = GameLoop(player, live, 60.0, clock=clock, sleep=clock.sleep)
     figures = loop.run(2.0, show=lambda: ticks.append(loop.tick_count))
     assert np.diff(ticks).tolist()[9:13] == [1, 4, 1, 1]
-    assert figures["missed_deadlines"] == 1.0
+    assert figures["missed_deadlines"] == 30.0  # half a second without a picture
     # Frame 11 is shown 31 periods after its start instead of one.
     assert figures["dropped_time_s"] == pytest.approx(31 * TICK - 4 * TICK)
     assert figures["frames_of_4_ticks"] == 1.0
@@ -139,7 +139,7 @@ def test_a_hiccup_is_made_up_for_by_max_ticks_at_most() -> None:
 
 def test_a_short_hiccup_is_made_up_for_in_full() -> None:
     loop, player, _ = played(60.0, 1.0, lambda frame: 2.5 * TICK if frame == 10 else 0.0)
-    assert (loop.dropped_time, loop.missed_deadlines, loop.tick_count) == (0.0, 1, 60)
+    assert (loop.dropped_time, loop.missed_deadlines, loop.tick_count) == (0.0, 2, 60)
     assert loop.frames_of_ticks.tolist() == [0, 57, 0, 1, 0]
 
 
@@ -155,7 +155,9 @@ def test_frames_that_always_take_too_long_slow_the_garment_but_do_not_pile_up() 
     loop = GameLoop(SlowPlayer(), live, 60.0, clock=clock, sleep=clock.sleep)
     figures = loop.run(10.0)
     assert clock.now - 1000.0 < 10.0 + 9.0 * TICK
-    assert figures["missed_deadlines"] == figures["frame_count"] > 60
+    # Every frame is late; every one of the 600 periods, and what the last frame reaches past them, is one or the other.
+    assert figures["missed_deadlines"] > figures["frame_count"] > 60
+    assert 600 <= figures["frame_count"] + figures["missed_deadlines"] < 609
     assert figures["dropped_time_s"] == pytest.approx(5.0, abs=0.5)
 
 
@@ -187,7 +189,7 @@ def test_waking_after_the_deadline_is_a_missed_deadline() -> None:
     naps = iter([0.0, 0.0, 0.05] + [0.0] * 100)
     loop = GameLoop(FakePlayer(), live, 60.0, clock=clock, sleep=lambda s: clock.sleep(s + next(naps)))
     figures = loop.run(1.0)
-    assert figures["missed_deadlines"] == 1.0 and loop.tick_count == 60
+    assert figures["missed_deadlines"] == 2.0 and loop.tick_count == 60
 
 
 def test_no_time_changes_nothing() -> None:

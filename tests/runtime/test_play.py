@@ -111,9 +111,7 @@ def test_play_by_the_clock_counts_deadlines(path: Path, tmp_path: Path) -> None:
     assert command.main(["play", str(path), "--loop", "0.5", "--hz", "30", "--json", str(out)]) == 0
     figures = json.loads(out.read_text(encoding="utf-8"))["figures"]
     assert {"missed_deadlines", "frame_ms_p50", "frame_ms_p99", "dropped_time_s"} <= set(figures)
-    # What was neither drawn nor missed is dropped time; how much of each depends on the machine's other work.
-    assert figures["frame_count"] >= 1
-    assert figures["frame_count"] + figures["missed_deadlines"] + 30 * figures["dropped_time_s"] >= 14
+    assert figures["frame_count"] + figures["missed_deadlines"] >= 15  # every period is one or the other
 
 
 def test_play_loads_nothing_that_only_learning_needs_and_prints_nothing_of_its_engine(
