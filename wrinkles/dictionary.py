@@ -11,7 +11,7 @@ from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.network import Network
 from wrinkles.patches import NODES, slope_metric
 
-__all__ = ["Atoms", "Mapping", "fit_atoms", "fit_mapping"]
+__all__ = ["Atoms", "Mapping", "fit_atoms", "fit_mapping", "whitening"]
 
 NOISE = 0.1  # of the features in training, in standard deviations
 CLIP = 4.0  # features further out than this many standard deviations count as if they stood there
@@ -69,7 +69,7 @@ class Mapping:
         center, scale: of the dynamic features, float32, shape (DYNAMIC_COUNT,).
         weights: of the three layers, float32; biases: of the second and third; place_bias: of the first,
             shape (n, hidden).
-        gain: factor on each coefficient that returns what averaging took, float32, shape (K,).
+        gain: factor on each coefficient that gives it the fine cloth's spread in a free run, float32, shape (K,).
     """
 
     center: np.ndarray
