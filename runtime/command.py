@@ -11,6 +11,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Sequence
+from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,6 +50,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     except OSError as error:  # a full disk, or one that went away
         print(f"gube {options.command}: {_disk_problem(error)}", file=sys.stderr)
+        return 1
+    except BrokenExecutor:
+        print(
+            f"gube {options.command}: a simulating process was ended from outside, perhaps for want of memory; "
+            "what it had finished is kept, and the same command goes on from there",
+            file=sys.stderr,
+        )
         return 1
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)

@@ -1,6 +1,8 @@
 import errno
 import json
+import multiprocessing
 import os
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ from runtime import command
 from runtime.report import Report
 
 SCENE = '[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\n'
+LEARNING = SCENE + '[character]\nfile = "builtin:mannequin"\n[training]\nprocedural_seconds = 40\n'
 
 
 @pytest.fixture
@@ -138,6 +141,22 @@ def test_a_full_disk_is_one_message_and_status_1(
     assert message.count("\n") == 1
     assert out.read_text(encoding="utf-8") == "old"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out.json", "scene.toml"]
+
+
+def test_a_worker_ended_from_outside_is_one_message_and_status_1(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene.write_text(LEARNING, encoding="utf-8")
+    monkeypatch.setattr("precompute.recording._record", _killed)
+    assert command.main(["precompute", str(scene), "-o", str(tmp_path / "out.h5")]) == 1
+    message = capsys.readouterr().err.strip().splitlines()[-1]
+    assert message.startswith("gube precompute: a simulating process was ended from outside")
+    assert not (tmp_path / "out.h5").exists()
+
+
+def _killed(*_: object) -> None:
+    assert multiprocessing.parent_process() is not None  # never the tests themselves
+    os.kill(os.getpid(), signal.SIGKILL)
 
 
 @pytest.mark.parametrize(
