@@ -57,10 +57,10 @@ class Model:
         mass: [kg], float64, shape (n,).
         inverse_mass: [1/kg], 0 where a vertex is held, shape (n,).
         held: vertices that follow targets (pins and attachments), int32, shape (p,).
-        triangles: shape (m, 3); triangle_data: inverse flat (4), gram (3), compliance (4) and the unit of both,
-            see :func:`pbd.constraints.membrane_multipliers`, shape (m, 12).
+        triangles: shape (m, 3); triangle_data: inverse flat | gram, unit | compliance,
+            see :func:`pbd.constraints.membrane_multipliers`, shape (m, 3, 4).
         triangle_colors, hinge_colors: offsets of the colours, shape (colours + 1,).
-        hinges: shape (h, 4); hinge_data: K row (4), sum of w K^2, compliance, shape (h, 6).
+        hinges: shape (h, 4); hinge_data: K row | sum of w K^2, compliance, shape (h, 2, 4).
         tethers: (vertex, held vertex), shape (t, 2); tether_lengths: [m], shape (t,).
         samples: where contact with a body is tested: the vertices (i, i), then the ends (i, j) of long edges, tested in
             their middle, int32, shape (s, 2).
@@ -161,16 +161,12 @@ def _membrane(mesh: ClothMesh, fabric: Fabric, inverse_mass: np.ndarray) -> tupl
     softness = np.linalg.inv(fabric.membrane_stiffness()) / mesh.face_areas[order][:, None, None]
     trace = np.trace(gram, axis1=1, axis2=2)
     unit = np.where(trace > 0, 1.0 / np.where(trace > 0, trace, 1.0), 1.0)  # without a free corner nothing moves
-    data = np.concatenate(
-        [
-            inverse.reshape(-1, 4),
-            np.stack([gram[:, 0, 0], gram[:, 0, 1], gram[:, 1, 1]], axis=1) * unit[:, None],
-            np.stack([softness[:, a, b] for a, b in ((0, 0), (0, 1), (1, 1), (2, 2))], axis=1) * unit[:, None],
-            unit[:, None],
-        ],
-        axis=1,
-    )
-    return np.ascontiguousarray(faces), data.astype(np.float32), offsets
+    data = np.zeros((len(faces), 3, 4), np.float32)
+    data[:, 0] = inverse.reshape(-1, 4)
+    data[:, 1, :3] = np.stack([gram[:, 0, 0], gram[:, 0, 1], gram[:, 1, 1]], axis=1) * unit[:, None]
+    data[:, 1, 3] = unit
+    data[:, 2] = np.stack([softness[:, a, b] for a, b in ((0, 0), (0, 1), (1, 1), (2, 2))], axis=1) * unit[:, None]
+    return np.ascontiguousarray(faces), data, offsets
 
 
 def _bending(
@@ -186,8 +182,10 @@ def _bending(
     works = stiffness > 1e-9 * stiffness.max(initial=0.0)
     hinges, rows, stiffness, sums = hinges[works], rows[works], stiffness[works], sums[works]
     order, offsets = _by_color(hinges, len(mesh.vertices))
-    data = np.concatenate([rows, sums[:, None], 1.0 / stiffness[:, None]], axis=1)[order]
-    return np.ascontiguousarray(hinges[order]), data.astype(np.float32), offsets
+    data = np.zeros((len(hinges), 2, 4), np.float32)
+    data[:, 0] = rows[order]
+    data[:, 1, 0], data[:, 1, 1] = sums[order], 1.0 / stiffness[order]
+    return np.ascontiguousarray(hinges[order]), data, offsets
 
 
 def _samples(mesh: ClothMesh) -> np.ndarray:

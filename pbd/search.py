@@ -1,13 +1,14 @@
 """Where a body is near a garment: the nearest body vertex of every contact sample."""
 
 from pbd.engine import ti
-from pbd.geometry import FAR, Int1, Int2, Int3, Vec3, Vec4, between, descend, vec3, xyz
+from pbd.geometry import FAR, Float1, Int1, Int2, Int3, Vec3, Vec4, between, descend, vec3, xyz
 
 __all__ = ["MAX_CELLS", "find_nearest"]
 
 GRID_SIDE = 48
 MAX_CELLS = GRID_SIDE**3
-CELL = 0.5 * FAR  # least width of a cell [m]
+CELL = FAR  # least width of a cell [m]
+MOST_SEARCHES = 8  # in a frame
 
 
 @ti.func
@@ -144,6 +145,23 @@ def search(
             nearest[i] = best
 
 
+@ti.func
+def closing_way(velocity: ti.template(), dt: ti.f32, body_0: ti.template(), body_1: ti.template()) -> ti.f32:
+    """The furthest that cloth, and the furthest that the body, goes in a frame against the cloth's mean, summed [m]."""
+    mean = vec3(0.0)
+    for i in range(velocity.shape[0]):
+        mean += velocity[i]
+    mean *= dt / velocity.shape[0]
+    cloth, body = 0.0, 0.0
+    for i in range(velocity.shape[0]):
+        course = dt * velocity[i] - mean
+        cloth = ti.max(cloth, course.dot(course))
+    for b in range(body_0.shape[0]):
+        course = body_1[b] - body_0[b] - mean
+        body = ti.max(body, course.dot(course))
+    return ti.sqrt(cloth) + ti.sqrt(body)
+
+
 @ti.kernel
 def find_nearest(
     position: Vec4,
@@ -160,13 +178,15 @@ def find_nearest(
     cell_start: Int1,
     cell_items: Int1,
     item_cell: Int1,
+    way: Float1,
     dt: ti.f32,
-    later: ti.i32,
+    thickness: ti.f32,
 ):
     """For every contact sample a body vertex near it: the nearest within FAR, or the one that it had; else -1.
 
-    Searched at the start of the frame and, where body or cloth move far in it, at ``later`` times on the cloth's
-    present course. Large body faces are found by probes, points spread over them; each stands for its heaviest corner.
+    Searched at the start of the frame and, where body or cloth move far in it, at later times on the cloth's present
+    course. ``way`` receives how far cloth and body can come nearer to one another in the frame [m], accelerations
+    aside. Large body faces are found by probes, points spread over them; each stands for its heaviest corner.
 
     The first samples are the vertices themselves; the others stand in the middle of long edges and search from what
     the ends of their edge found. ``surface`` are the body vertices that lie in a face.
@@ -177,6 +197,10 @@ def find_nearest(
             position, velocity, dt, 0.0, nearest, body_0, body_1, surface, probes, weights,
             cell_start, cell_items, item_cell,
         )  # fmt: skip
+        way[0] = closing_way(velocity, dt, body_0, body_1)
+        # What moves further than can be seen is looked for again on its way.
+        unseen = (way[0] + thickness - FAR) / (1.5 * FAR)
+        later = int(ti.ceil(ti.math.clamp(unseen, 0.0, MOST_SEARCHES - 1.0)))
         for k in range(later):
             t = (k + 1) / (later + 0.5)
             search(

@@ -9,7 +9,6 @@ import numpy as np
 from pbd.colliders import Body, Colliders
 from pbd.engine import Launch, ensure_initialized
 from pbd.errors import InputError
-from pbd.geometry import FAR
 from pbd.model import GRID, Model, State
 from pbd.schedule import NEAR, advance
 from pbd.search import MAX_CELLS, find_nearest
@@ -17,7 +16,6 @@ from pbd.search import MAX_CELLS, find_nearest
 __all__ = ["Solver", "SolverOptions"]
 
 AIR_DENSITY = 1.2  # [kg/m3]
-MOST_SEARCHES = 8  # for bodies, in a frame
 
 
 @dataclass(frozen=True)
@@ -60,19 +58,13 @@ class Solver:
         self._shift, self._predicted, self._normals, self._gained = np.zeros((4, count, 4), np.float32)
         self._touched = np.zeros((samples, 3, 4), np.float32)
         self._awake = np.zeros(2 * samples, np.int32)
-        self._hinge_data = np.zeros((len(model.hinge_data), 2, 4), np.float32)
-        self._hinge_data.reshape(-1, 8)[:, :6] = model.hinge_data
-        self._triangle_data = np.zeros((len(model.triangle_data), 3, 4), np.float32)
-        self._triangle_data[:, 0] = model.triangle_data[:, :4]
-        self._triangle_data[:, 1, :3] = model.triangle_data[:, 4:7]
-        self._triangle_data[:, 1, 3] = model.triangle_data[:, 11]
-        self._triangle_data[:, 2] = model.triangle_data[:, 7:11]
         area = model.mesh.vertex_areas
         self._drag = (0.5 * AIR_DENSITY * fabric.air_drag * area / model.mass).astype(np.float32)
         self._held_0 = np.zeros((len(model.held), 3), np.float32)
         self._held_1 = np.zeros((len(model.held), 3), np.float32)
         self._nobody = Body(np.zeros((0, 3), np.int32), 1)
         self._cells = np.zeros(MAX_CELLS + 2, np.int32)
+        self._way = np.zeros(1, np.float32)
         self._items, self._item_cells = np.zeros((2, 1), np.int32)
         self._find_nearest, self._advance = Launch(find_nearest), Launch(advance)
 
@@ -115,9 +107,6 @@ class Solver:
         if colliders.body is not None:
             if np.any(body.origin != state.origin):
                 raise InputError("body and state have other origins", received=body.origin, expected=str(state.origin))
-            way = self._way(state, body, dt)
-            # What moves further than can be seen is looked for again on its way.
-            later = int(np.ceil(min(max(0.0, way + thickness - FAR) / (1.5 * FAR), MOST_SEARCHES - 1)))
             if len(self._items) < len(body.current) + len(body.probes):
                 self._items, self._item_cells = np.zeros((2, len(body.current) + len(body.probes)), np.int32)
             self._find_nearest(
@@ -135,9 +124,11 @@ class Solver:
                 self._cells,
                 self._items,
                 self._item_cells,
+                self._way,
                 dt,
-                later,
+                thickness,
             )
+            way = float(self._way[0])
         self._advance(
             state.position,
             state.velocity,
@@ -149,9 +140,9 @@ class Solver:
             self._awake,
             model.samples,
             model.triangles,
-            self._triangle_data,
+            model.triangle_data,
             model.hinges,
-            self._hinge_data,
+            model.hinge_data,
             model.tethers,
             model.tether_lengths,
             model.held,
@@ -178,13 +169,6 @@ class Solver:
             refresh,
             max(NEAR, thickness + way * min(1.0, refresh / substeps)),
         )
-
-    def _way(self, state: State, body: Body, dt: float) -> float:
-        """How far cloth and body can come nearer to one another in a frame [m], accelerations aside."""
-        course = dt * state.velocity
-        mean = course.mean(axis=0)
-        body_course = body.current[::8] - body.previous[::8] - mean
-        return sum(float(np.sqrt(np.einsum("ij,ij->i", c, c).max())) for c in (course - mean, body_course))
 
     def _check(self, state: State, targets: np.ndarray | None, wind: tuple[float, float, float] | np.ndarray) -> None:
         """Refuse what the kernels could not take."""

@@ -205,22 +205,24 @@ def _relax(
                 if inverse_mass[i] > 0.0:
                     p = fine[i]
                     best = -1
-                    distance = 1e30
-                    # Two starts: where this vertex was last, and where the coarse vertex that it leans on most touches.
                     leading = 0
                     for c in ti.static(range(1, 3)):
                         if blend[i][c] > blend[i][leading]:
                             leading = c
-                    for c in ti.static(range(2)):
-                        seed = nearest[i]
-                        if ti.static(c == 0):
-                            seed = coarse_nearest[corners[i][leading]]
-                        if seed >= 0 and seed != best:
-                            offset = body[seed] - p
-                            if offset.dot(offset) < distance:
-                                distance = offset.dot(offset)
-                                best = seed
-                    if best >= 0 and coarse_contact[corners[i][leading]][0] < LEVEL:
+                    coarse = corners[i][leading]
+                    if coarse_contact[coarse][0] < LEVEL:
+                        distance = 1e30
+                        # Two starts: where this vertex was last, and where the coarse one that it leans on most is.
+                        for c in ti.static(range(2)):
+                            seed = nearest[i]
+                            if ti.static(c == 0):
+                                seed = coarse_nearest[coarse]
+                            if seed >= 0 and seed != best:
+                                offset = body[seed] - p
+                                if offset.dot(offset) < distance:
+                                    distance = offset.dot(offset)
+                                    best = seed
+                    if best >= 0:
                         best = descend(p, best, 0.0, body, body, ring_start, ring)
                         offset = p - body[best]
                         if offset.dot(offset) > 0.01:
