@@ -45,7 +45,6 @@ class Calibration:
             the filtered fine run's, per dimension [-]; the fine run's own is one.
         mismatch_before, mismatch_after: Frechet distance of their distributions, per dimension [-].
         rows: every setting tried.
-        free: coarse runs with the chosen model, settled frames.
     """
 
     options: ModelOptions
@@ -54,7 +53,6 @@ class Calibration:
     mismatch_before: float
     mismatch_after: float
     rows: tuple[dict[str, float], ...]
-    free: tuple[Recording, ...]
 
 
 def calibrate(
@@ -113,7 +111,6 @@ def calibrate(
     # Folds are what is to be passed on, so the spectrum decides; features are reported.
     best = int(np.argmin([row["spectrum_error"] for row in rows]))
     plain, chosen = rows[0], rows[best]
-    free = tuple(r.where(s) for r, s in zip(coarse[best * len(runs) : (best + 1) * len(runs)], settled, strict=True))
     return Calibration(
-        options[best], plain["shift"], chosen["shift"], plain["mismatch"], chosen["mismatch"], tuple(rows), free
+        options[best], plain["shift"], chosen["shift"], plain["mismatch"], chosen["mismatch"], tuple(rows)
     )

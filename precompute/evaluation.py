@@ -20,7 +20,7 @@ from runtime.play import Free, play, timing_figures
 from runtime.player import Player
 from runtime.simulation import Motion
 from runtime.stage import fine_options
-from wrinkles.charts import Charts
+from wrinkles.charts import Charts, leading_vertices
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Decoder, Relaxation, Upsampler
 from wrinkles.distance import BodyDistance, penetration_figures
@@ -195,7 +195,8 @@ def given_frames(database: WrinkleDatabase, truth: Truth) -> tuple[np.ndarray, n
     patches = Patches.of(levels.subdivision, charts)
     upsample = Upsampler(levels.subdivision)
     decoder = Decoder(Stencil.of(charts, levels.coarse_held), patches, database.mapping, database.atoms)
-    relax = Relaxation(levels.fine, levels.fine_held, patches, database.fabric.thickness)
+    leading = leading_vertices(levels.subdivision)
+    relax = Relaxation(levels.fine, levels.fine_held, leading, database.fabric.thickness)
     source = body_source(run.body)
     body = Body(source.faces, len(source.vertices))
     smooth = np.zeros((len(recording.frames), levels.subdivision.fine_count, 3), np.float32)
@@ -208,9 +209,9 @@ def given_frames(database: WrinkleDatabase, truth: Truth) -> tuple[np.ndarray, n
         body.finish_pose()
         position[:, :3] = recording.coarse[f] - origin
         upsample(position, smooth[f])
-        decoded[f] = smooth[f]
         velocity, contact = np.ascontiguousarray(recording.velocity[f]), np.ascontiguousarray(recording.contact[f])
-        decoder.add(position, velocity, contact, decoded[f])
+        decoder.add(position, velocity, contact, upsample.middle)
+        upsample.finish(decoded[f])
         nearest = np.ascontiguousarray(recording.nearest[f])
         relax(decoded[f], levels.fine_attachment.targets(body.current), nearest, contact, body, body.current)
         smooth[f] += origin.astype(np.float32)
@@ -291,8 +292,7 @@ def evaluate(database: WrinkleDatabase, truth: Truth, report: Callable[[str], No
     tell = report or (lambda line: None)
     tell("evaluating: given the coarse state")
     smooth, decoded = given_frames(database, truth)
-    patches = Patches.of(truth.levels.subdivision, Charts.of(truth.levels.coarse))
-    owner = patches.corners[np.arange(len(patches.corners)), patches.blend.argmax(axis=1)]
+    owner = leading_vertices(truth.levels.subdivision)
     faces = truth.levels.fine.faces
     figures = {k: float(v) for k, v in given_coarse_figures(decoded, truth.frames, smooth, faces, owner).items()}
     tell("evaluating: running freely")

@@ -17,7 +17,7 @@ from pbd.bending import hinge_calibration
 from precompute.calibration import Calibration, calibrate
 from precompute.evaluation import Evaluation, Truth, evaluate, fine_run, truth_of
 from precompute.recording import Recording, Run, body_source, record_runs
-from precompute.training import build_layer, fit_layer, training_set, with_gain
+from precompute.training import build_layer, fit_layer, training_set
 from runtime.stage import Stage, fabric_of
 from wrinkles.database import WrinkleDatabase, body_hash, code_version, write_database
 
@@ -117,7 +117,6 @@ def precompute(
     data = training_set(layer, recordings, scene.wrinkles.atoms, TRAINING_FRAMES, seed)
     width = scene.wrinkles.hidden_width
     mapping = fit_layer(layer, data, hidden=(2 * width, width), epochs=EPOCHS, seed=seed, report=tell)
-    mapping = with_gain(layer, mapping, data.atoms, excerpts, calibration.free)
     database = WrinkleDatabase(
         garment_name=stage.settings.name,
         coarse_vertices=levels.coarse.vertices,

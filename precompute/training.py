@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,10 +22,7 @@ __all__ = [
     "features_of",
     "fit_layer",
     "training_set",
-    "with_gain",
 ]
-
-GAIN_LIMITS = (0.6, 1.0)
 
 
 @dataclass(frozen=True)
@@ -103,35 +100,11 @@ def _patch_reader(layer: Layer, recordings: Sequence[Recording]) -> tuple[np.nda
     return np.concatenate(features), lambda i: _patches(residual, frames, fits, i), len(fits)
 
 
-def with_gain(
-    layer: Layer, mapping: Mapping, atoms: Atoms, fine: Sequence[Recording], free: Sequence[Recording]
-) -> Mapping:
-    """Give each coefficient, on freely running coarse cloth, the spread that it has in the fine cloth.
-
-    Least squares predicts means, which are smaller than what they are means of; and a free coarse garment is not
-    quite the filtered fine one. The gain is kept within limits, because what is amplified is not all right.
-
-    Args:
-        layer: of the garment.
-        mapping: fitted, with any gain.
-        atoms: that it counts.
-        fine: fine runs, filtered down.
-        free: coarse runs of the same motion with the calibrated model.
-    """
-    _, patches_at, count = _patch_reader(layer, [r.where(slice(None, None, 3)) for r in fine])
-    wanted = np.mean(
-        [(((patches_at(i) - atoms.mean) @ atoms.analysis) ** 2).mean(axis=0) for i in range(count)], axis=0
-    )
-    plain = replace(mapping, gain=np.ones_like(mapping.gain))
-    found = np.mean([(plain.predict(features_of(layer, r)[0]) ** 2).mean(axis=(0, 1)) for r in free], axis=0)
-    return replace(mapping, gain=np.clip(np.sqrt(wanted / found), *GAIN_LIMITS).astype(np.float32))
-
-
 def residual_of(layer: Layer, recording: Recording) -> np.ndarray:
-    """Fine positions less the smooth surface of their coarse ones [m], float32, shape (f, N, 3)."""
+    """What the middle mesh lacks: fine positions fitted there less the smooth surface [m], float32, shape (f, M, 3)."""
     subdivision = layer.levels.subdivision
-    smooth = np.stack([subdivision.upsample(frame) for frame in recording.coarse])
-    return (recording.positions - smooth).astype(np.float32)
+    smooth = np.stack([subdivision.to_middle @ frame for frame in recording.coarse])
+    return (subdivision.fit_middle(recording.positions) - smooth).astype(np.float32)
 
 
 def _patches(residual: np.ndarray, frames: np.ndarray, fits: list, i: int) -> np.ndarray:

@@ -244,10 +244,11 @@ def _check_rest(database: WrinkleDatabase, subdivision: Subdivision, coarse: Clo
     decoder = Decoder(Stencil.of(charts, database.held), patches, database.mapping, database.atoms)
     state.contact[:, 0] = FAR
     smooth = np.zeros((subdivision.fine_count, 3), np.float32)
-    Upsampler(subdivision)(state.position, smooth)
-    vertices = smooth.copy()
+    upsample, vertices = Upsampler(subdivision), smooth.copy()
+    upsample(state.position, smooth)
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is reported below
-        decoder.add(state.position, state.velocity, state.contact, vertices)
+        decoder.add(state.position, state.velocity, state.contact, upsample.middle)
+        upsample.finish(vertices)
         height = float(np.linalg.norm(vertices - smooth, axis=1).max())
     detail = f"wrinkles up to {1e3 * height:.1f} mm, cut-off {1e3 * database.cutoff:.0f} mm"
     return Check("decoding at rest", bool(height < database.cutoff), detail)

@@ -11,7 +11,7 @@ from assets.sequence import Sequence
 from pbd import InputError, build_model
 from pbd.engine import Launch
 from runtime.simulation import Simulation, body_source
-from wrinkles.charts import Charts
+from wrinkles.charts import Charts, leading_vertices
 from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Decoder, Relaxation, Upsampler, surface_normals
@@ -66,7 +66,8 @@ class Player:
         self._upsample = Upsampler(self.levels.subdivision)
         self._decoder = Decoder(Stencil.of(charts, database.held), patches, database.mapping, database.atoms)
         self._surface_normals = Launch(surface_normals)
-        self._relax = Relaxation(self.levels.fine, self.levels.fine_held, patches, database.fabric.thickness)
+        leading = leading_vertices(self.levels.subdivision)
+        self._relax = Relaxation(self.levels.fine, self.levels.fine_held, leading, database.fabric.thickness)
         count, body_count = self.levels.subdivision.fine_count, len(source.vertices)
         self.vertices = np.zeros((count, 3), np.float32)
         self.normals = np.zeros((count, 3), np.float32)
@@ -139,8 +140,9 @@ class Player:
             self._body_between += body.previous
             current = self._body_between
         position, velocity = self._filter(position, state.velocity)
-        self._upsample(position, self.vertices)
-        self._decoder.add(position, velocity, state.contact, self.vertices)
+        self._upsample.start(position)
+        self._decoder.add(position, velocity, state.contact, self._upsample.middle)
+        self._upsample.finish(self.vertices)
         decoded = time.perf_counter()
         targets = self.levels.fine_attachment.targets(current)
         self._relax(self.vertices, targets, state.nearest, state.contact, body, current)

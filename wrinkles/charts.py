@@ -13,7 +13,7 @@ import numpy as np
 from pbd import ClothMesh
 from wrinkles.surface import Subdivision
 
-__all__ = ["Charts", "fine_places"]
+__all__ = ["Charts", "fine_places", "leading_vertices"]
 
 
 def fine_places(subdivision: Subdivision) -> tuple[np.ndarray, np.ndarray]:
@@ -33,6 +33,12 @@ def fine_places(subdivision: Subdivision) -> tuple[np.ndarray, np.ndarray]:
     face[corner] = np.repeat(parent, 3)[::-1]
     place[corner] = weights.reshape(-1, 3)[::-1]
     return face, place
+
+
+def leading_vertices(subdivision: Subdivision) -> np.ndarray:
+    """The coarse vertex that each fine vertex leans on most: int32, shape (N,)."""
+    face, place = fine_places(subdivision)
+    return subdivision.coarse_faces[face, place.argmax(axis=1)].astype(np.int32)
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 
@@ -24,14 +25,19 @@ class Atoms:
     Attributes:
         shapes: displacements [m] of unit coefficients, float32, shape (K, 3 NODES): warp, weft, normal of node 0, ...
         mean: [m], float32, shape (3 NODES,).
-        analysis: coefficients = (patch - mean) @ analysis, float32, shape (3 NODES, K).
         kept: share of the metric's variance that the atoms hold.
     """
 
     shapes: np.ndarray
     mean: np.ndarray
-    analysis: np.ndarray
     kept: float
+
+    @cached_property
+    def analysis(self) -> np.ndarray:
+        """Coefficients = (patch - mean) @ analysis, float32, shape (3 NODES, K)."""
+        lower = slope_metric()
+        shapes = self.shapes.astype(float).T.reshape(NODES, -1)
+        return (lower @ (lower.T @ shapes)).reshape(3 * NODES, -1).astype(np.float32)
 
 
 def fit_atoms(patches: np.ndarray, count: int) -> Atoms:
@@ -50,11 +56,9 @@ def fit_atoms(patches: np.ndarray, count: int) -> Atoms:
     components = PCA(count, svd_solver="covariance_eigh").fit(seen)
     basis = components.components_.T
     shapes = np.linalg.solve(lower.T, basis.reshape(NODES, -1)).reshape(NODES, 3, -1)
-    analysis = np.einsum("nm,mck->nck", lower, basis.reshape(NODES, 3, -1))
     return Atoms(
         np.ascontiguousarray(shapes.reshape(3 * NODES, -1).T, np.float32),
         mean.ravel().astype(np.float32),
-        np.ascontiguousarray(analysis.reshape(3 * NODES, -1), np.float32),
         float(components.explained_variance_ratio_.sum()),
     )
 
@@ -69,7 +73,6 @@ class Mapping:
         center, scale: of the dynamic features, float32, shape (DYNAMIC_COUNT,).
         weights: of the three layers, float32; biases: of the second and third; place_bias: of the first,
             shape (n, hidden).
-        gain: factor on each coefficient that gives it the fine cloth's spread in a free run, float32, shape (K,).
     """
 
     center: np.ndarray
@@ -80,14 +83,13 @@ class Mapping:
     place_bias: np.ndarray
     bias_2: np.ndarray
     bias_3: np.ndarray
-    gain: np.ndarray
 
     def predict(self, features: np.ndarray) -> np.ndarray:
         """Coefficients for features, shape (..., n, DYNAMIC_COUNT) to (..., n, K); the reference of the decoder."""
         z = np.clip((features - self.center) * self.scale, -CLIP, CLIP)
         h = np.maximum(z @ self.weights_1 + self.place_bias, 0.0)
         h = np.maximum(h @ self.weights_2 + self.bias_2, 0.0)
-        return (h @ self.weights_3 + self.bias_3) * self.gain
+        return h @ self.weights_3 + self.bias_3
 
     def arrays(self) -> dict[str, np.ndarray]:
         return {field.name: getattr(self, field.name) for field in fields(self)}
@@ -119,7 +121,7 @@ def fit_mapping(
         on_epoch: told (passes done, epochs, loss) after each pass.
 
     Returns:
-        The mapping, with gain one.
+        The mapping.
     """
     flat = features.reshape(-1, DYNAMIC_COUNT)
     center, scale = flat.mean(axis=0), 1.0 / (flat.std(axis=0) + 1e-4)
@@ -151,7 +153,6 @@ def fit_mapping(
         single(place @ first[DYNAMIC_COUNT:] + bias_1 - middle @ weights_1),
         single(bias_2),
         single(bias_3 * unit),
-        np.ones(coefficients.shape[2], np.float32),
     )
 
 

@@ -17,7 +17,7 @@ from wrinkles.surface import Subdivision
 __all__ = ["Levels", "build_levels", "levels_of"]
 
 CLEARANCE = 0.003  # attached vertices start at least 2 mm outside the body; the smooth surface dips between them [m]
-FOLD_EDGES = 4.0  # the shortest fold that a coarse mesh carries well, in edges: where coarse and fine part
+FOLD_EDGES = 3.0  # the shortest fold that a coarse mesh carries well, in edges: where coarse and fine part
 
 
 @dataclass(frozen=True)

@@ -12,20 +12,20 @@ from wrinkles.surface import Subdivision
 
 __all__ = ["NODES", "Patches", "slope_metric"]
 
-SIDE = 11
+SIDE = 9
 NODES = SIDE * SIDE
-CELLS_PER_SPACING = 4  # a coarse edge is as long as four grid cells: the fine edges of two subdivisions
+CELLS_PER_SPACING = 3  # grid cells along a coarse edge; the middle mesh has two edges there
 
 
 @dataclass(frozen=True)
 class Patches:
-    """Where each fine vertex reads the grids of the three coarse vertices around it.
+    """Where each vertex of the middle mesh reads the grids of the three coarse vertices around it.
 
     Attributes:
-        corners: coarse vertices, int32, shape (N, 3).
-        blend: partition of unity, float32, shape (N, 3).
-        cell: lower node of the grid cell in each patch, int32, shape (N, 3).
-        within: place in the cell along both axes in 0..1, float32, shape (N, 6).
+        corners: coarse vertices, int32, shape (M, 3).
+        blend: partition of unity, float32, shape (M, 3).
+        cell: lower node of the grid cell in each patch, int32, shape (M, 3).
+        within: place in the cell along both axes in 0..1, float32, shape (M, 6).
         spacing: of the grid's nodes [m].
     """
 
@@ -37,10 +37,10 @@ class Patches:
 
     @classmethod
     def of(cls, subdivision: Subdivision, charts: Charts) -> Patches:
-        """Patches of a garment at two levels."""
+        """Patches of a garment at two levels; see :attr:`Subdivision.middle`."""
         mesh: ClothMesh = charts.mesh
         spacing = float(mesh.edge_lengths()[1].mean()) / CELLS_PER_SPACING
-        face, place = fine_places(subdivision)
+        face, place = fine_places(subdivision.middle)
         grid = charts.locate(face, place) / spacing + SIDE // 2
         grid = np.clip(grid, 0.0, SIDE - 1 - 1e-5)
         lower = grid.astype(np.int64)
@@ -54,10 +54,10 @@ class Patches:
         )
 
     def fits(self, coarse_count: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """For each coarse vertex the fine vertices of its patch and the matrix that fits a grid to values there.
+        """For each coarse vertex the middle vertices of its patch and the matrix that fits a grid to values there.
 
         Returns:
-            a list of (fine vertices int, shape (k,); matrix, shape (NODES, k)): least squares with bilinear reading,
+            a list of (middle vertices int, shape (k,); matrix, shape (NODES, k)): least squares with bilinear reading,
             weighted by the blend, smooth where no vertex is.
         """
         smooth = 1e-3 * _second_differences()

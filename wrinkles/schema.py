@@ -33,7 +33,7 @@ __all__ = [
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE = "text", "float32", "float64", "int32", "int64"
 
@@ -92,7 +92,6 @@ ENTRIES = (
     Entry("frame_rate", DOUBLE, unit="Hz"),
     Entry("atoms/shapes", SINGLE, ("K", 3 * NODES), "m"),
     Entry("atoms/mean", SINGLE, (3 * NODES,), "m"),
-    Entry("atoms/analysis", SINGLE, (3 * NODES, "K"), "1/m"),
     Entry("atoms/kept", DOUBLE),
     Entry("mapping/center", SINGLE, (DYNAMIC_COUNT,)),
     Entry("mapping/scale", SINGLE, (DYNAMIC_COUNT,)),
@@ -102,7 +101,6 @@ ENTRIES = (
     Entry("mapping/place_bias", SINGLE, ("n", "h1")),
     Entry("mapping/bias_2", SINGLE, ("h2",)),
     Entry("mapping/bias_3", SINGLE, ("K",)),
-    Entry("mapping/gain", SINGLE, ("K",)),
     Entry("cutoff", DOUBLE, unit="m"),
     Entry("body_hash", TEXT),
     Entry("body_vertex_count", WHOLE),

@@ -7,7 +7,6 @@ import pytest
 
 from precompute.recording import Recording
 from precompute.training import (
-    GAIN_LIMITS,
     FeatureStatistics,
     Layer,
     build_layer,
@@ -15,11 +14,10 @@ from precompute.training import (
     fit_layer,
     residual_of,
     training_set,
-    with_gain,
 )
 from tests.runtime.players import skirt_stage
 from wrinkles.decoder import _add_patches, surface_normals
-from wrinkles.dictionary import Mapping, fit_mapping
+from wrinkles.dictionary import fit_mapping
 from wrinkles.features import DYNAMIC_COUNT
 
 FRAMES = 12
@@ -58,7 +56,7 @@ def recording(layer: Layer) -> Recording:
 
 def test_the_residual_is_what_the_smooth_surface_lacks(layer: Layer, recording: Recording) -> None:
     residual = residual_of(layer, recording)
-    assert residual.shape == recording.positions.shape and residual.dtype == np.float32
+    assert residual.shape == (FRAMES, layer.levels.subdivision.middle.fine_count, 3) and residual.dtype == np.float32
     size = np.linalg.norm(residual, axis=2)
     assert 0.0039 < size[0].max() < 0.0041 and 0.0068 < size[-1].max() < 0.0081
     smooth = replace(recording, positions=layer.levels.subdivision.upsample(recording.coarse).astype(np.float32))
@@ -99,22 +97,6 @@ def test_the_mapping_is_fitted_to_features_and_places(layer: Layer, recording: R
     expected = fit_mapping(data.features, static, data.coefficients, hidden=(6, 5), epochs=3, seed=2)
     assert all(np.array_equal(mapping.arrays()[name], array) for name, array in expected.arrays().items())
     assert mapping.place_bias.std(axis=0).min() > 0.0 and told[-1].startswith("fitting: pass 3 of 3, loss ")
-
-
-def test_the_gain_returns_the_spread_of_the_fine_cloth_within_limits(layer: Layer, recording: Recording) -> None:
-    data = training_set(layer, [recording.where(slice(None, None, 3))], 5, frames=FRAMES, seed=0)
-    spread = np.sqrt((data.coefficients.astype(float) ** 2).mean(axis=(0, 1)))
-    share = np.array([0.1, 0.8, 1.0, 1.25, 10.0])  # a mapping that knows one answer, too small or too large
-    count = len(layer.levels.coarse.vertices)
-    zero = lambda *shape: np.zeros(shape, np.float32)  # noqa: E731
-    mapping = Mapping(
-        zero(DYNAMIC_COUNT), zero(DYNAMIC_COUNT), zero(DYNAMIC_COUNT, 3), zero(3, 2), zero(2, 5), zero(count, 3),
-        zero(2), (share * spread).astype(np.float32), np.full(5, 7.0, np.float32),
-    )  # fmt: skip
-    gained = with_gain(layer, mapping, data.atoms, [recording], [recording.where(slice(0, 2))])
-    np.testing.assert_allclose(gained.gain, np.clip(1.0 / share, *GAIN_LIMITS), rtol=1e-3)
-    assert gained.gain[0] == np.float32(GAIN_LIMITS[1]) and gained.gain[-1] == np.float32(GAIN_LIMITS[0])
-    assert np.array_equal(gained.bias_3, mapping.bias_3)
 
 
 def test_shift_and_mismatch_measure_how_far_features_are() -> None:

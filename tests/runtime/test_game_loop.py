@@ -322,7 +322,7 @@ def database() -> WrinkleDatabase:
         bend_factor=0.3,
         solver=SolverOptions(substep=1.0 / 480.0),
         frame_rate=60.0,
-        atoms=Atoms(0.01 * small(atoms, 3 * NODES), zero(3 * NODES), zero(3 * NODES, atoms), 1.0),
+        atoms=Atoms(0.01 * small(atoms, 3 * NODES), zero(3 * NODES), 1.0),
         mapping=Mapping(
             center=zero(DYNAMIC_COUNT),
             scale=one(DYNAMIC_COUNT),
@@ -332,7 +332,6 @@ def database() -> WrinkleDatabase:
             place_bias=zero(count, hidden),
             bias_2=zero(hidden),
             bias_3=zero(atoms),
-            gain=one(atoms),
         ),
         cutoff=levels.cutoff,
         body_hash=body_hash(character),

@@ -22,7 +22,7 @@ from wrinkles.database import (
     read_database,
     write_database,
 )
-from wrinkles.schema import ENTRIES
+from wrinkles.schema import ENTRIES, SCHEMA_VERSION
 from wrinkles.surface import Subdivision
 
 DERIVED = {"format", "schema_version", "units", "topology_hash", "content_hash"}
@@ -121,10 +121,10 @@ def link(name: str) -> Callable[[h5py.File], None]:
 REFUSED: dict[str, tuple[Callable[[h5py.File], Any], str, str]] = {
     "another format": (put("format", np.bytes_("notes")), "format: not a wrinkle database", "received 'notes'"),
     "no format": (delete("format"), "format: not a wrinkle database", "'gube wrinkle database'"),
-    "newer": (put("schema_version", np.int64(3)), "newer version", "received 3, expected 2"),
-    "older": (put("schema_version", np.int64(1)), "no longer read", "received 1, expected 2"),
-    "version in words": (put("schema_version", np.bytes_("one")), "no longer read", "received 'one', expected 2"),
-    "missing array": (delete("mapping/gain"), "mapping/gain", "missing"),
+    "newer": (put("schema_version", np.int64(SCHEMA_VERSION + 1)), "newer version", f"expected {SCHEMA_VERSION}"),
+    "older": (put("schema_version", np.int64(1)), "no longer read", f"received 1, expected {SCHEMA_VERSION}"),
+    "version in words": (put("schema_version", np.bytes_("one")), "no longer read", "received 'one'"),
+    "missing array": (delete("mapping/bias_3"), "mapping/bias_3", "missing"),
     "missing group": (delete("fabric"), "fabric/shear", "10 problems"),
     "missing header": (delete("seed"), "seed", "missing"),
     "unknown array": (lambda f: f.create_dataset("atoms/extra", data=1.0), "atoms/extra", "unknown key"),

@@ -7,7 +7,7 @@ from pbd import Body, ClothMesh
 from pbd.geometry import FAR
 from tests.pbd.meshes import grid
 from tests.wrinkles.meshes import flat_sheet, icosphere, tube
-from wrinkles.charts import Charts
+from wrinkles.charts import Charts, leading_vertices
 from wrinkles.decoder import Decoder, Relaxation, Upsampler, surface_normals
 from wrinkles.dictionary import Atoms, Mapping
 from wrinkles.features import DYNAMIC_COUNT, Stencil
@@ -33,6 +33,23 @@ def test_the_upsampler_is_the_matrix(levels: int) -> None:
     np.testing.assert_allclose(fine, subdivision.matrix @ position[:, :3], atol=2e-6)
 
 
+@pytest.mark.parametrize("levels, middle", [(1, 1), (2, 1), (3, 2)])
+def test_what_is_written_to_the_middle_mesh_is_carried_on_smoothly(levels: int, middle: int) -> None:
+    vertices, faces = flat_sheet(6, 1.0, jitter=0.3)
+    subdivision = Subdivision.of(faces, len(vertices), levels)
+    assert subdivision.middle.fine_count == subdivision.steps[middle - 1].shape[0]
+    upsample, position = Upsampler(subdivision), single(len(vertices), 4)
+    smooth, fine = single(2, subdivision.fine_count, 3, seed=1)
+    upsample(position, smooth)
+    wrinkle = single(subdivision.middle.fine_count, 3, seed=2)
+    upsample.middle += wrinkle
+    upsample.finish(fine)
+    carried = wrinkle
+    for step in subdivision.steps[middle:]:
+        carried = step @ carried
+    np.testing.assert_allclose(fine - smooth, carried, atol=5e-6)
+
+
 def test_normals_of_a_sphere_point_outward() -> None:
     vertices, faces = icosphere(3)
     normals = single(len(vertices), 3)
@@ -51,7 +68,7 @@ class Layer:
         charts = Charts.of(ClothMesh.from_surface(vertices, faces))
         self.stencil, self.patches = Stencil.of(charts, np.array([0])), Patches.of(self.subdivision, charts)
         shapes, mean = single(atoms, 3 * NODES, size=0.01), single(3 * NODES, seed=1, size=0.01)
-        self.atoms = Atoms(shapes, mean, np.zeros((3 * NODES, atoms), np.float32), 1.0)
+        self.atoms = Atoms(shapes, mean, 1.0)
         self.mapping = Mapping(
             center=single(DYNAMIC_COUNT, seed=2, size=0.3),
             scale=np.abs(single(DYNAMIC_COUNT, seed=3)),
@@ -61,7 +78,6 @@ class Layer:
             place_bias=single(count, 9, seed=7),
             bias_2=single(7, seed=8),
             bias_3=single(atoms, seed=9),
-            gain=np.array([0.7, 1.0, 1.2, 1.4], np.float32),
         )
         self.position = single(count, 4, seed=10, size=0.01)
         self.position[:, :3] += vertices.astype(np.float32)
@@ -69,10 +85,10 @@ class Layer:
         self.contact = single(count, 4, seed=12, size=0.01)
 
     def add(self, decoder: Decoder) -> np.ndarray:
-        """What the decoder adds to the fine vertices [m], shape (N, 3)."""
-        fine = np.zeros((self.subdivision.fine_count, 3), np.float32)
-        decoder.add(self.position, self.velocity, self.contact, fine)
-        return fine
+        """What the decoder adds to the middle vertices [m], shape (M, 3)."""
+        middle = np.zeros((self.subdivision.middle.fine_count, 3), np.float32)
+        decoder.add(self.position, self.velocity, self.contact, middle)
+        return middle
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +104,7 @@ def test_the_decoder_adds_what_the_mapping_predicts(layer: Layer) -> None:
     assert np.median(grids.std(axis=0)) > 1e-3
     # Turned into space first and read afterwards, vertex by vertex.
     spatial = np.einsum("inx,ixy->iny", grids.reshape(count, NODES, 3), frames.reshape(count, 3, 3))
-    p, expected = layer.patches, np.zeros((layer.subdivision.fine_count, 3))
+    p, expected = layer.patches, np.zeros((layer.subdivision.middle.fine_count, 3))
     for i in range(len(expected)):
         for c in range(3):
             u, v = p.within[i, 2 * c : 2 * c + 2]
@@ -118,8 +134,8 @@ class Cloth:
     def __init__(self, held: tuple = (), body: tuple[np.ndarray, np.ndarray] = NOBODY) -> None:
         vertices, faces = grid(8, 8, 0.03, "equilateral")
         self.levels: Levels = build_levels(vertices, faces, np.array(held, int), *NOBODY, 2)
-        patches = Patches.of(self.levels.subdivision, Charts.of(self.levels.coarse))
-        self.relax = Relaxation(self.levels.fine, self.levels.fine_held, patches, THICKNESS)
+        leading = leading_vertices(self.levels.subdivision)
+        self.relax = Relaxation(self.levels.fine, self.levels.fine_held, leading, THICKNESS)
         self.body = Body(body[1], max(1, len(body[0])))
         if len(body[0]):
             self.body.place(body[0].astype(np.float32))

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -130,19 +128,3 @@ def test_faint_directions_weigh_as_much_as_strong_ones() -> None:
     mean, axes = whitening(samples.astype(np.float32))
     np.testing.assert_allclose(np.cov(((samples - mean) @ axes).T), np.eye(5), atol=5e-3)
     np.testing.assert_allclose(mean, samples.mean(axis=0), atol=1e-4)
-
-
-def test_gain_scales_coefficients(examples: tuple, mapping: Mapping) -> None:
-    assert np.array_equal(mapping.gain, np.ones(3))
-    gain = np.array([0.5, 1.0, 2.0], np.float32)
-    plain, scaled = mapping.predict(examples[0][:3]), replace(mapping, gain=gain).predict(examples[0][:3])
-    np.testing.assert_allclose(scaled, plain * gain, rtol=1e-6)
-
-
-def test_progress_is_told(examples: tuple) -> None:
-    features, static, coefficients = (part[:100] if len(part) == ALL else part for part in examples)
-    told: list[tuple[int, int, float]] = []
-    fit_mapping(
-        features, static, coefficients, hidden=(4, 4), epochs=6, on_epoch=lambda e, n, loss: told.append((e, n, loss))
-    )
-    assert [(e, n) for e, n, _ in told][-1] == (6, 6) and all(np.isfinite(loss) for *_, loss in told)

@@ -29,11 +29,13 @@ def wave(levels: Levels, wavelength: float, axis: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-@pytest.mark.parametrize(("waves", "tolerance"), [(1 / 3, 0.02), (0.5, 0.03), (1.0, 0.05), (1.5, 0.02), (3.0, 0.01)])
+@pytest.mark.parametrize(
+    ("waves", "tolerance"), [(1 / 3, 0.0), (0.5, 0.0), (2 / 3, 0.06), (1.0, 0.05), (1.5, 0.025), (3.0, 0.01)]
+)
 def test_the_filter_halves_folds_of_the_cutoff_wavelength(
     sheet: Levels, waves: float, tolerance: float, axis: int
 ) -> None:
-    assert sheet.cutoff == pytest.approx(4 * EDGE, rel=0.01)
+    assert sheet.cutoff == pytest.approx(3 * EDGE, rel=0.01)
     shape = wave(sheet, waves * sheet.cutoff, axis)
     fine = sheet.fine.vertices.copy()
     fine[:, 2] += 0.003 * shape
@@ -41,7 +43,11 @@ def test_the_filter_halves_folds_of_the_cutoff_wavelength(
     centre = sheet.fine.vertices[:, :2] - sheet.fine.vertices[:, :2].mean(axis=0)
     middle = np.exp(-((centre / 0.25) ** 2).sum(axis=1))  # away from the rim
     response = (middle * height * shape).sum() / (middle * shape**2).sum() / 0.003
-    assert response == pytest.approx(1 / (1 + waves**-4.0), abs=tolerance)
+    law = 1 / (1 + waves**-4.0)
+    if waves * sheet.cutoff < 2 * EDGE:  # the coarse mesh cannot hold such folds
+        assert -1e-3 < response < law
+    else:
+        assert response == pytest.approx(law, abs=tolerance)
 
 
 def test_the_filter_is_linear_over_frames_and_moves_along(sheet: Levels) -> None:
