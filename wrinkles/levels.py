@@ -66,7 +66,8 @@ class Levels:
     def filter_down(self, fine: np.ndarray) -> np.ndarray:
         """Coarse vertices for fine ones: a smoothing spline that halves folds of the cut-off wavelength.
 
-        The response to a fold of wavelength L is 1 / (1 + (cutoff / L)^4). Held vertices keep their places.
+        The response to a fold of wavelength L is 1 / (1 + (cutoff / L)^4), less below two coarse edges. Held
+        vertices keep their places.
 
         Args:
             fine: positions [m] or velocities [m/s], shape (f, N, 3).

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_matrix, identity
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.linalg import splu
 
 from pbd import ClothMesh
 from pbd.mesh import edges_of, flatten_by_lengths, flatten_by_surface
@@ -146,10 +146,6 @@ class Subdivision:
             matrix = (step @ matrix).tocsr()
         return matrix
 
-    @cached_property
-    def _from_middle_normal(self) -> SuperLU:
-        return splu((self.from_middle.T @ self.from_middle).tocsc())
-
     def fit_middle(self, fine: np.ndarray) -> np.ndarray:
         """Middle positions whose refinement is nearest to fine ones in the least-squares sense.
 
@@ -160,7 +156,8 @@ class Subdivision:
             [m], float64, shape (f, M, 3).
         """
         columns = np.moveaxis(np.asarray(fine, float), 1, 0).reshape(fine.shape[1], -1)
-        fitted = self._from_middle_normal.solve(self.from_middle.T @ columns)
+        normal = (self.from_middle.T @ self.from_middle).tocsc()  # factored anew: factors cannot be sent to a worker
+        fitted = splu(normal).solve(self.from_middle.T @ columns)
         return np.moveaxis(fitted.reshape(-1, len(fine), 3), 0, 1)
 
     def upsample(self, coarse: np.ndarray) -> np.ndarray:
