@@ -13,18 +13,18 @@ from threadpoolctl import threadpool_limits
 
 from assets.character import Character
 from assets.sequence import Sequence as VertexSequence
-from pbd import Body, InputError, ModelOptions
+from pbd import InputError, ModelOptions
 from pbd.bending import hinge_calibration
+from precompute.decoding import decode_recording
 from precompute.recording import Recording, Run, body_source, poses_of, record_runs
+from precompute.training import build_layer
 from runtime.play import Free, play, timing_figures
 from runtime.player import Player
 from runtime.simulation import Motion
 from runtime.stage import fine_options
-from wrinkles.charts import Charts, leading_vertices
+from wrinkles.charts import leading_vertices
 from wrinkles.database import WrinkleDatabase
-from wrinkles.decoder import Decoder, Relaxation, Upsampler
 from wrinkles.distance import BodyDistance, penetration_figures
-from wrinkles.features import Stencil
 from wrinkles.levels import Levels, levels_of
 from wrinkles.metrics import (
     bending_energy,
@@ -34,7 +34,6 @@ from wrinkles.metrics import (
     low_frequency_rmse_mm,
     normal_error_deg,
 )
-from wrinkles.patches import Patches
 from wrinkles.spectrum import BandedEnergy, LowPass, spectrum_band_error_max
 
 __all__ = [
@@ -190,33 +189,8 @@ def settled(recording: Recording, dt: float) -> Recording:
 
 def given_frames(database: WrinkleDatabase, truth: Truth) -> tuple[np.ndarray, np.ndarray]:
     """Smooth and decoded garment for the truth's own coarse state: [m], float32, shape (f, N, 3) each."""
-    levels, recording, run = truth.levels, truth.recording, truth.run
-    charts = Charts.of(levels.coarse)
-    patches = Patches.of(levels.subdivision, charts)
-    upsample = Upsampler(levels.subdivision)
-    decoder = Decoder(Stencil.of(charts, levels.coarse_held), patches, database.mapping, database.atoms)
-    leading = leading_vertices(levels.subdivision)
-    relax = Relaxation(levels.fine, levels.fine_held, leading, database.fabric.thickness)
-    source = body_source(run.body)
-    body = Body(source.faces, len(source.vertices))
-    smooth = np.zeros((len(recording.frames), levels.subdivision.fine_count, 3), np.float32)
-    decoded = np.zeros_like(smooth)
-    position = np.zeros((levels.subdivision.coarse_count, 4), np.float32)
-    for f, frame in enumerate(recording.frames):
-        # The body's frame: positions near the origin keep their digits.
-        origin = np.round(recording.coarse[f].mean(axis=0).astype(float))
-        source.skin(run.poses[frame], origin, body.current)
-        body.finish_pose()
-        position[:, :3] = recording.coarse[f] - origin
-        upsample(position, smooth[f])
-        velocity, contact = np.ascontiguousarray(recording.velocity[f]), np.ascontiguousarray(recording.contact[f])
-        decoder.add(position, velocity, contact, upsample.middle)
-        upsample.finish(decoded[f])
-        nearest = np.ascontiguousarray(recording.nearest[f])
-        relax(decoded[f], levels.fine_attachment.targets(body.current), nearest, contact, body, body.current)
-        smooth[f] += origin.astype(np.float32)
-        decoded[f] += origin.astype(np.float32)
-    return smooth, decoded
+    layer = build_layer(truth.levels)
+    return decode_recording(layer, database.mapping, database.atoms, truth.run, truth.recording)
 
 
 def play_freely(database: WrinkleDatabase, body: Character | VertexSequence, run: Run) -> Free:

@@ -105,18 +105,19 @@ def precompute(
     runs = [fine_run(levels, stage.body, motion, settings, **air) for motion in motions]
     recordings = record_runs(runs, cache, workers, tell)
 
-    tell("calibrating the coarse model")
+    tell("fitting patches")
     layer = build_layer(levels)
+    data = training_set(layer, recordings, scene.wrinkles.atoms, TRAINING_FRAMES, seed)
+    width = scene.wrinkles.hidden_width
+    mapping = fit_layer(layer, data, hidden=(2 * width, width), epochs=EPOCHS, seed=seed, report=tell)
+
     coarse_bend = hinge_calibration(levels.coarse)
     chosen = _excerpts(runs)
     excerpts = [_start_of(recordings[number], short) for number, short in chosen]
     shorts = [short for _, short in chosen]
-    calibration = calibrate(layer, shorts, excerpts, settings.solver, coarse_bend, cache, workers, tell)
-
-    tell("fitting patches")
-    data = training_set(layer, recordings, scene.wrinkles.atoms, TRAINING_FRAMES, seed)
-    width = scene.wrinkles.hidden_width
-    mapping = fit_layer(layer, data, hidden=(2 * width, width), epochs=EPOCHS, seed=seed, report=tell)
+    calibration = calibrate(
+        layer, mapping, data.atoms, shorts, excerpts, settings.solver, coarse_bend, cache, workers, tell
+    )
     database = WrinkleDatabase(
         garment_name=stage.settings.name,
         coarse_vertices=levels.coarse.vertices,

@@ -1,0 +1,41 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pbd import ModelOptions, SolverOptions
+from precompute.calibration import calibrate, filtered
+from precompute.decoding import decode_recording
+from precompute.recording import Run, poses_of, record_runs
+from precompute.training import build_layer
+from runtime.stage import Stage, fabric_of
+from tests.precompute.miniature import miniature, scene
+from tests.wrinkles.databases import small_database
+from wrinkles.coarse_filter import CoarseFilter
+
+
+@pytest.mark.parametrize("stiff", [1.0, 30.0])
+def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(stiff: float, tmp_path: Path) -> None:
+    stage = Stage.of(scene())
+    layer = build_layer(stage.levels)
+    small, count = small_database(), len(stage.levels.coarse.vertices)
+    place = 0.01 * np.random.default_rng(0).standard_normal((count, small.mapping.place_bias.shape[1]))
+    mapping = replace(small.mapping, place_bias=place.astype(np.float32))
+    solver = SolverOptions(substep=1.0 / 240.0)
+    poses = poses_of(stage.motion(scene().training.held_out[0]), 1.0 / 60.0, 1.0)
+    fine = Run(
+        "walk", stage.levels, True, stage.body, poses, 1.0 / 60.0, fabric_of(stage.settings), ModelOptions(), solver
+    )
+    coarse = replace(fine, fine=False, options=ModelOptions(bend_scale=stiff), bend_factor=0.3)
+    with miniature():
+        run = filtered(record_runs([coarse], tmp_path, 1)[0], CoarseFilter(stage.levels).matrix)
+        # What this coarse garment looks like when it is decoded is given out as the fine run.
+        told = replace(run, positions=decode_recording(layer, mapping, small.atoms, coarse, run)[1])
+        found = calibrate(layer, mapping, small.atoms, [fine], [told], solver, 0.3, tmp_path, 1)
+    assert found.options == coarse.options
+    errors = {row["bend_scale"]: row["spectrum_error"] for row in found.rows}
+    assert errors[stiff] < 1e-2 < 0.1 < errors[31.0 - stiff]
+    assert found.mismatch_after == pytest.approx(0.0, abs=1e-3)  # its own statistics, but for rounding
