@@ -191,7 +191,7 @@ def _settings(cloth: Cloth) -> dict[str, float]:
 def _shared_figures(truth: Truth, frames: np.ndarray) -> dict[str, float]:
     """What can be asked of any run, the truth's too: contact with the body and stretch."""
     stretch = edge_stretch(frames, *truth.levels.fine.edge_lengths())
-    figures = {name: float(value) for name, value in penetration_figures(body_distances(truth, frames)).items()}
+    figures = {name: float(value) for name, value in penetration_figures(*body_distances(truth, frames)).items()}
     return figures | {
         "edge_stretch_p99_percent": 100.0 * stretch.p99,
         "edge_stretch_max_percent": 100.0 * stretch.max,

@@ -43,9 +43,9 @@ def decode_recording(
         body.finish_pose()
         position[:, :3] = recording.coarse[f] - origin
         upsample(position, smooth[f])
+        decoded[f] = smooth[f]
         velocity, contact = np.ascontiguousarray(recording.velocity[f]), np.ascontiguousarray(recording.contact[f])
-        decoder.add(position, velocity, contact, upsample.middle)
-        upsample.finish(decoded[f])
+        decoder.add(position, velocity, contact, decoded[f])
         nearest = np.ascontiguousarray(recording.nearest[f])
         relax(decoded[f], levels.fine_attachment.targets(body.current), nearest, contact, body, body.current)
         smooth[f] += origin.astype(np.float32)

@@ -199,8 +199,8 @@ def play_freely(database: WrinkleDatabase, body: Character | VertexSequence, run
     return play(player, run.poses, run.dt, run.wind, every=run.every, after=SETTLE)
 
 
-def body_distances(truth: Truth, frames: np.ndarray) -> np.ndarray:
-    """Signed distance of every vertex of recorded frames to the body [m], shape (f, N)."""
+def body_distances(truth: Truth, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Signed distance of every vertex of recorded frames to the body [m], and whether there is room: shape (f, N)."""
     source = body_source(truth.run.body)
     distance = BodyDistance(source.faces)
     posed = np.zeros((len(source.vertices), 3), np.float32)
@@ -208,8 +208,11 @@ def body_distances(truth: Truth, frames: np.ndarray) -> np.ndarray:
     for frame, vertices in zip(truth.recording.frames, frames, strict=True):
         origin = np.round(vertices.mean(axis=0).astype(float))
         source.skin(truth.run.poses[frame], origin, posed)
-        rows.append(distance.signed_distance(vertices.astype(float) - origin, posed.astype(float)))
-    return np.array(rows)
+        points, body = vertices.astype(float) - origin, posed.astype(float)
+        found = distance.signed_distance(points, body)
+        rows.append((found, distance.leaves_room(points, found, body, truth.run.fabric.thickness)))
+    distances, room = zip(*rows, strict=True)
+    return np.array(distances), np.array(room)
 
 
 def free_figures(truth: Truth, frames: np.ndarray, prefix: str = "") -> dict[str, float]:
@@ -275,9 +278,10 @@ def evaluate(database: WrinkleDatabase, truth: Truth, report: Callable[[str], No
     figures |= free_figures(truth, free.smooth, "smooth_")
     figures |= free_figures(truth, truth.floor, "floor_")
     tell("evaluating: contact with the body")
-    distances, truth_distances = body_distances(truth, free.frames), body_distances(truth, truth.frames)
-    figures |= {k: float(v) for k, v in penetration_figures(distances).items()}
-    figures |= {f"truth_{k}": float(v) for k, v in penetration_figures(truth_distances).items()}
+    distances, room = body_distances(truth, free.frames)
+    truth_distances, truth_room = body_distances(truth, truth.frames)
+    figures |= penetration_figures(distances, room)
+    figures |= {f"truth_{k}": v for k, v in penetration_figures(truth_distances, truth_room).items()}
     figures["contact_bending_ratio"] = contact_bending_ratio(truth, free.frames, distances, truth_distances)
     figures["attached_off_mm"] = 1e3 * free.held_off
     figures |= timing_figures(free, truth.levels)

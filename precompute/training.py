@@ -101,10 +101,9 @@ def _patch_reader(layer: Layer, recordings: Sequence[Recording]) -> tuple[np.nda
 
 
 def residual_of(layer: Layer, recording: Recording) -> np.ndarray:
-    """What the middle mesh lacks: fine positions fitted there less the smooth surface [m], float32, shape (f, M, 3)."""
-    subdivision = layer.levels.subdivision
-    smooth = np.stack([subdivision.to_middle @ frame for frame in recording.coarse])
-    return (subdivision.fit_middle(recording.positions) - smooth).astype(np.float32)
+    """Fine positions less the smooth surface of their coarse ones [m], float32, shape (f, N, 3)."""
+    smooth = np.stack([layer.levels.subdivision.upsample(frame) for frame in recording.coarse])
+    return (recording.positions - smooth).astype(np.float32)
 
 
 def _patches(residual: np.ndarray, frames: np.ndarray, fits: list, i: int) -> np.ndarray:

@@ -41,6 +41,8 @@ EXPLANATIONS = {
     "contact_bending_ratio": "running freely: bending energy over the truth's where the cloth lies on the body",
     "inside_body_percent": "vertices inside the body",
     "deepest_mm": "how deep the deepest one is",
+    "inside_body_with_room_percent": "vertices inside the body where it leaves room for cloth",
+    "deepest_with_room_mm": "how deep the deepest one of them is",
     "jitter_px": "hops from frame to frame on a standard screen, 95th percentile",
     "step_response_frames": "frames until wrinkles follow a jump of the coarse garment",
     "reverse_gap_mm": "memory: the same pose reached from the other side",
@@ -244,11 +246,10 @@ def _check_rest(database: WrinkleDatabase, subdivision: Subdivision, coarse: Clo
     decoder = Decoder(Stencil.of(charts, database.held), patches, database.mapping, database.atoms)
     state.contact[:, 0] = FAR
     smooth = np.zeros((subdivision.fine_count, 3), np.float32)
-    upsample, vertices = Upsampler(subdivision), smooth.copy()
-    upsample(state.position, smooth)
+    Upsampler(subdivision)(state.position, smooth)
+    vertices = smooth.copy()
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is reported below
-        decoder.add(state.position, state.velocity, state.contact, upsample.middle)
-        upsample.finish(vertices)
+        decoder.add(state.position, state.velocity, state.contact, vertices)
         height = float(np.linalg.norm(vertices - smooth, axis=1).max())
     detail = f"wrinkles up to {1e3 * height:.1f} mm, cut-off {1e3 * database.cutoff:.0f} mm"
     return Check("decoding at rest", bool(height < database.cutoff), detail)

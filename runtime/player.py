@@ -140,9 +140,8 @@ class Player:
             self._body_between += body.previous
             current = self._body_between
         position, velocity = self._filter(position, state.velocity)
-        self._upsample.start(position)
-        self._decoder.add(position, velocity, state.contact, self._upsample.middle)
-        self._upsample.finish(self.vertices)
+        self._upsample(position, self.vertices)
+        self._decoder.add(position, velocity, state.contact, self.vertices)
         decoded = time.perf_counter()
         targets = self.levels.fine_attachment.targets(current)
         self._relax(self.vertices, targets, state.nearest, state.contact, body, current)

@@ -42,27 +42,31 @@ def _sparse_row(start: ti.template(), index: ti.template(), value: ti.template()
 
 
 @ti.kernel
-def _to_middle(start: Int1, index: Int1, value: Float1, coarse: Vec4, middle: Vec3):
+def _upsample(
+    coarse: Vec4,
+    start_1: Int1,
+    index_1: Int1,
+    value_1: Float1,
+    middle: Vec3,
+    start_2: Int1,
+    index_2: Int1,
+    value_2: Float1,
+    fine: Vec3,
+):
     ti.loop_config(serialize=True)
     for _ in range(1):
         for i in range(middle.shape[0]):
-            middle[i] = _sparse_row(start, index, value, coarse, i)
+            middle[i] = _sparse_row(start_1, index_1, value_1, coarse, i)
+        for i in range(fine.shape[0]):
+            fine[i] = _sparse_row(start_2, index_2, value_2, middle, i)
 
 
 @ti.kernel
-def _from_middle(start: Int1, index: Int1, value: Float1, middle: Vec3, fine: Vec3):
+def _add_patches(grids: Float2, frames: Float2, corners: Int3, blend: Vec3, cell: Int3, within: Float2, fine: Vec3):
+    """Blend what the three patches around a fine vertex say, each turned from its own frame into space."""
     ti.loop_config(serialize=True)
     for _ in range(1):
         for i in range(fine.shape[0]):
-            fine[i] = _sparse_row(start, index, value, middle, i)
-
-
-@ti.kernel
-def _add_patches(grids: Float2, frames: Float2, corners: Int3, blend: Vec3, cell: Int3, within: Float2, middle: Vec3):
-    """Blend what the three patches around a middle vertex say, each turned from its own frame into space."""
-    ti.loop_config(serialize=True)
-    for _ in range(1):
-        for i in range(middle.shape[0]):
             total = vec3(0.0)
             for c in ti.static(range(3)):
                 weight = blend[i][c]
@@ -77,40 +81,29 @@ def _add_patches(grids: Float2, frames: Float2, corners: Int3, blend: Vec3, cell
                         )
                     for a in ti.static(range(3)):
                         total[a] += weight * (d[0] * frames[j, a] + d[1] * frames[j, 3 + a] + d[2] * frames[j, 6 + a])
-            middle[i] += total
+            fine[i] += total
 
 
 class Upsampler:
-    """Fine positions from coarse ones, in two sparse steps with a place between them where wrinkles are written.
-
-    Written one step above the fine mesh, wrinkles of neighbouring patches that do not quite agree leave no ribs one
-    coarse edge apart: what Loop's rule makes of them is smooth, and there are a quarter as many vertices to write.
+    """Smooth fine positions from a coarse state, in two sparse steps.
 
     Args:
         subdivision: between the meshes.
-
-    Attributes:
-        middle: what :meth:`start` wrote last [m], float32, shape (M, 3); see :attr:`Subdivision.middle`.
     """
 
     def __init__(self, subdivision: Subdivision) -> None:
         ensure_initialized()
-        self._first, self._second = _csr(subdivision.to_middle), _csr(subdivision.from_middle)
-        self.middle = np.zeros((subdivision.to_middle.shape[0], 3), np.float32)
-        self._to_middle, self._from_middle = Launch(_to_middle), Launch(_from_middle)
-
-    def start(self, position: np.ndarray) -> None:
-        """Write ``middle`` from coarse positions (float32, shape (n, 4)) [m]."""
-        self._to_middle(*self._first, position, self.middle)
-
-    def finish(self, fine: np.ndarray) -> None:
-        """Write fine positions (float32, shape (N, 3)) from ``middle`` [m]."""
-        self._from_middle(*self._second, self.middle, fine)
+        first = subdivision.correction
+        for step in subdivision.steps[:-1]:
+            first = (step @ first).tocsr()
+        self._first = _csr(first)
+        self._second = _csr(subdivision.steps[-1])
+        self._middle = np.zeros((first.shape[0], 3), np.float32)
+        self._upsample = Launch(_upsample)
 
     def __call__(self, position: np.ndarray, fine: np.ndarray) -> None:
-        """The smooth surface: fine positions (float32, shape (N, 3)) of coarse ones (float32, shape (n, 4)) [m]."""
-        self.start(position)
-        self.finish(fine)
+        """Write fine positions (float32, shape (N, 3)) of coarse ones (float32, shape (n, 4)) [m]."""
+        self._upsample(position, *self._first, self._middle, *self._second, fine)
 
 
 def _csr(matrix: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -120,11 +113,11 @@ def _csr(matrix: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 class Decoder:
-    """Adds the dictionary's displacements to the middle mesh.
+    """Adds the dictionary's displacements to the smooth surface.
 
     Args:
         stencil: what is read of the coarse garment.
-        patches: how grids reach the middle vertices.
+        patches: how grids reach the fine vertices.
         mapping: features to coefficients.
         atoms: coefficients to grids.
     """
@@ -143,8 +136,8 @@ class Decoder:
         self._add_patches = Launch(_add_patches)
         self._blas = ThreadpoolController()
 
-    def add(self, position: np.ndarray, velocity: np.ndarray, contact: np.ndarray, middle: np.ndarray) -> None:
-        """Add wrinkles to ``middle`` (float32, shape (M, 3)) for a coarse state as in :class:`pbd.State`."""
+    def add(self, position: np.ndarray, velocity: np.ndarray, contact: np.ndarray, fine: np.ndarray) -> None:
+        """Add wrinkles to ``fine`` (float32, shape (N, 3)) for a coarse state as in :class:`pbd.State`."""
         m = self.mapping
         z = self.features
         self.stencil.gather(position, velocity, contact, self.frames, z, m.center, m.scale, CLIP)
@@ -152,7 +145,7 @@ class Decoder:
         with self._blas.limit(limits=1, user_api="blas"):
             self._mix()
         p = self.patches
-        self._add_patches(self._grids, self.frames, p.corners, p.blend, p.cell, p.within, middle)
+        self._add_patches(self._grids, self.frames, p.corners, p.blend, p.cell, p.within, fine)
 
     def _mix(self) -> None:
         """The network: features to grids."""

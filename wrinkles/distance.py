@@ -64,33 +64,76 @@ class BodyDistance:
         ensure_initialized()
         if self._tree is None:
             self._tree = _build_tree(vertices[self.faces])
-        order, after, first, count, low, high = self._tree
+        _, after, first, count, low, high = self._tree
         _pseudonormals(
             vertices, self.faces, self._side_edge, self._face_normals, self._edge_normals, self._vertex_normals
         )
-        _refit(vertices, self.faces, order, after, first, count, low, high)
+        _refit(vertices, self.faces, self._tree[0], after, first, count, low, high)
         if len(self._nearest) != len(points):
             self._nearest = np.zeros(len(points), np.int32)
-        distance = np.zeros(len(points))
+        return self._ask(points, vertices, self._nearest)[0]
+
+    def leaves_room(
+        self, points: np.ndarray, distances: np.ndarray, body_vertices: np.ndarray, thickness: float
+    ) -> np.ndarray:
+        """Whether the body leaves room for cloth where points are inside it; true for points that are not.
+
+        Where arm and trunk touch or overlap, every place is inside the one, the other or their clearances. There is
+        room if the point that lies ``thickness`` outside the nearest surface is as far from the rest of the body too
+        and inside no part of it (winding number 0).
+
+        Args:
+            points: [m], shape (n, 3).
+            distances: what :meth:`signed_distance` just gave for them [m], shape (n,).
+            body_vertices: as there.
+            thickness: that the cloth keeps from a body [m].
+
+        Returns:
+            bool, shape (n,).
+        """
+        room = np.ones(len(points), bool)
+        inside = np.flatnonzero(distances < -_TOLERANCE)
+        if len(inside):
+            vertices = _finite_points(body_vertices, "body_vertices", len(self._vertex_normals))
+            found = np.ascontiguousarray(points[inside], np.float64)
+            distance, closest = self._ask(found, vertices, self._nearest[inside])
+            outward = (closest - found) / -distance[:, None]
+            place = closest + thickness * outward
+            clear, _ = self._ask(place, vertices, self._nearest[inside])
+            winding = np.zeros(len(inside))
+            _winding_numbers(place, vertices, self.faces, winding)
+            room[inside] = (clear > 0.9 * thickness) & (winding < 0.5)
+        return room
+
+    def _ask(self, points: np.ndarray, vertices: np.ndarray, nearest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distances, shape (n,), and closest points, shape (n, 3) [m]; ``nearest`` faces are renewed."""
+        assert self._tree is not None
+        distance, closest = np.zeros(len(points)), np.zeros((len(points), 3))
         _query(
             points, vertices, self.faces, self._side_edge, self._face_normals, self._edge_normals, self._vertex_normals,
-            order, after, first, count, low, high, self._nearest, distance,
+            *self._tree, nearest, distance, closest,
         )  # fmt: skip
-        return distance
+        return distance, closest
 
 
-def penetration_figures(distances: np.ndarray) -> dict[str, float]:
-    """The figures `inside_body_percent` (mean over frames) and `deepest_mm` (over all frames, 0 if none is inside).
+def penetration_figures(distances: np.ndarray, room: np.ndarray) -> dict[str, float]:
+    """How much of the cloth is inside the body: everywhere, and where the body leaves room for it.
 
-    Inside means a signed distance below -0.05 mm: the tolerance covers numeric noise and no contact thickness.
+    `inside_body_percent` (mean over frames) and `deepest_mm` (over all frames, 0 if none is inside), and the same with
+    `_with_room`, which pass over places that are pinched. Inside means a signed distance below -0.05 mm: the
+    tolerance covers numeric noise and no contact thickness.
 
     Args:
         distances: signed distances of the cloth's vertices [m], shape (f, n) or (n,).
+        room: of :meth:`BodyDistance.leaves_room`, same shape.
     """
     distances = np.asarray(distances)
-    inside = distances < -_TOLERANCE
-    deepest = -1e3 * float(distances.min()) if inside.any() else 0.0
-    return {"inside_body_percent": 100.0 * float(inside.mean()), "deepest_mm": deepest}
+    figures = {}
+    for suffix, counted in (("", np.ones_like(room)), ("_with_room", room)):
+        inside = (distances < -_TOLERANCE) & counted
+        figures[f"inside_body{suffix}_percent"] = 100.0 * float(inside.mean())
+        figures[f"deepest{suffix}_mm"] = -1e3 * float(distances[inside].min()) if inside.any() else 0.0
+    return figures
 
 
 def _finite_points(points: np.ndarray, key: str, least: int) -> np.ndarray:
@@ -220,8 +263,9 @@ def _query(
     high: array3,
     nearest: index1,
     distance: array1,
+    closest: array3,
 ):
-    """Signed distances. Points do not touch each other's results, so the threads may share them out."""
+    """Signed distances and closest points. No point touches another's, so threads may share them out."""
     for q in range(points.shape[0]):
         p = points[q]
         # The face that was nearest in the last frame gives a close bound; then the tree, skipping what lies beyond it.
@@ -244,10 +288,10 @@ def _query(
                 node = node + 1
         nearest[q] = best_face
         normal = face_normals[best_face]
-        closest = vec3(0.0)
+        foot = vec3(0.0)
         zeros = 0
         for k in ti.static(range(3)):
-            closest += best_weights[k] * vertices[faces[best_face, k]]
+            foot += best_weights[k] * vertices[faces[best_face, k]]
             if best_weights[k] == 0:
                 zeros += 1
         for k in ti.static(range(3)):
@@ -255,5 +299,20 @@ def _query(
                 normal = vertex_normals[faces[best_face, k]]
             if zeros == 1 and best_weights[k] == 0:
                 normal = edge_normals[side_edge[best_face, (k + 1) % 3]]
-        sign = ti.cast(-1.0, ti.f64) if normal.dot(p - closest) < 0 else ti.cast(1.0, ti.f64)
+        sign = ti.cast(-1.0, ti.f64) if normal.dot(p - foot) < 0 else ti.cast(1.0, ti.f64)
         distance[q] = sign * ti.sqrt(best)
+        closest[q] = foot
+
+
+@ti.kernel
+def _winding_numbers(points: array3, vertices: array3, faces: index2, winding: array1):
+    """Solid angles of all faces, by van Oosterom and Strackee 1983, over 4 pi. No point touches another's result."""
+    for q in range(points.shape[0]):
+        total = ti.cast(0.0, ti.f64)
+        for f in range(faces.shape[0]):
+            a, b = vertices[faces[f, 0]] - points[q], vertices[faces[f, 1]] - points[q]
+            c = vertices[faces[f, 2]] - points[q]
+            la, lb, lc = a.norm(), b.norm(), c.norm()
+            volume = a.dot(b.cross(c))
+            total += ti.atan2(volume, la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb)
+        winding[q] = total / (2.0 * np.pi)

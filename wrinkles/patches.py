@@ -12,20 +12,21 @@ from wrinkles.surface import Subdivision
 
 __all__ = ["NODES", "Patches", "slope_metric"]
 
-SIDE = 9
+SIDE = 11
 NODES = SIDE * SIDE
-CELLS_PER_SPACING = 3  # grid cells along a coarse edge; the middle mesh has two edges there
+REACH = 1.1  # of a patch's blend, in coarse edges
+CELLS_PER_SPACING = 4  # a coarse edge is as long as four grid cells: the fine edges of two subdivisions
 
 
 @dataclass(frozen=True)
 class Patches:
-    """Where each vertex of the middle mesh reads the grids of the three coarse vertices around it.
+    """Where each fine vertex reads the grids of the three coarse vertices around it.
 
     Attributes:
-        corners: coarse vertices, int32, shape (M, 3).
-        blend: partition of unity, float32, shape (M, 3).
-        cell: lower node of the grid cell in each patch, int32, shape (M, 3).
-        within: place in the cell along both axes in 0..1, float32, shape (M, 6).
+        corners: coarse vertices, int32, shape (N, 3).
+        blend: partition of unity, float32, shape (N, 3).
+        cell: lower node of the grid cell in each patch, int32, shape (N, 3).
+        within: place in the cell along both axes in 0..1, float32, shape (N, 6).
         spacing: of the grid's nodes [m].
     """
 
@@ -37,27 +38,27 @@ class Patches:
 
     @classmethod
     def of(cls, subdivision: Subdivision, charts: Charts) -> Patches:
-        """Patches of a garment at two levels; see :attr:`Subdivision.middle`."""
+        """Patches of a garment at two levels."""
         mesh: ClothMesh = charts.mesh
         spacing = float(mesh.edge_lengths()[1].mean()) / CELLS_PER_SPACING
-        face, place = fine_places(subdivision.middle)
+        face, place = fine_places(subdivision)
         grid = charts.locate(face, place) / spacing + SIDE // 2
         grid = np.clip(grid, 0.0, SIDE - 1 - 1e-5)
         lower = grid.astype(np.int64)
-        blend = place**2
+        blend = _blend(place)
         return cls(
             np.ascontiguousarray(mesh.faces[face], np.int32),
-            np.ascontiguousarray(blend / blend.sum(axis=1, keepdims=True), np.float32),
+            np.ascontiguousarray(blend, np.float32),
             np.ascontiguousarray(lower[..., 0] * SIDE + lower[..., 1], np.int32),
             np.ascontiguousarray((grid - lower).reshape(len(face), 6), np.float32),
             spacing,
         )
 
     def fits(self, coarse_count: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """For each coarse vertex the middle vertices of its patch and the matrix that fits a grid to values there.
+        """For each coarse vertex the fine vertices of its patch and the matrix that fits a grid to values there.
 
         Returns:
-            a list of (middle vertices int, shape (k,); matrix, shape (NODES, k)): least squares with bilinear reading,
+            a list of (fine vertices int, shape (k,); matrix, shape (NODES, k)): least squares with bilinear reading,
             weighted by the blend, smooth where no vertex is.
         """
         smooth = 1e-3 * _second_differences()
@@ -86,6 +87,22 @@ class Patches:
         reading[rows, node + 1] = (1 - u) * v
         reading[rows, node + SIDE + 1] = u * v
         return reading
+
+
+def _blend(place: np.ndarray) -> np.ndarray:
+    """Weights of three patches by the distance from their centres, as if triangles were equilateral: shape (N, 3).
+
+    The wider the blend, the more patches have a say everywhere: what neighbours do not agree on is averaged instead of
+    showing as ribs one coarse edge apart. (1 - (r / REACH)^2)^2 has no kink where a coarse edge is crossed. Patches
+    beyond the corners of the vertex's own face are left out; they would weigh 9 % at most, in the middle of an edge.
+
+    Args:
+        place: barycentric weights, shape (N, 3).
+    """
+    before, after = np.roll(place, 1, axis=1), np.roll(place, -1, axis=1)
+    squared = before**2 + after**2 + before * after
+    weight = np.clip(1.0 - squared / REACH**2, 0.0, None) ** 2
+    return weight / weight.sum(axis=1, keepdims=True)
 
 
 def _second_differences() -> np.ndarray:

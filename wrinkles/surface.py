@@ -122,44 +122,6 @@ class Subdivision:
         """Fine positions from coarse ones, shape (N, n)."""
         return (self._plain @ self.correction).tocsr()
 
-    @cached_property
-    def middle(self) -> Subdivision:
-        """The mesh that wrinkles are written to: one step above the fine one, but at least one below the coarse one.
-
-        Its matrix is not used: positions there come from the correction of all steps, see :attr:`to_middle`.
-        """
-        return Subdivision.of(self.coarse_faces, self.coarse_count, max(1, len(self.steps) - 1))
-
-    @cached_property
-    def to_middle(self) -> csr_matrix:
-        """Positions on the middle mesh from coarse ones, shape (M, n)."""
-        matrix = self.correction
-        for step in self.steps[: len(self.middle.steps)]:
-            matrix = (step @ matrix).tocsr()
-        return matrix
-
-    @cached_property
-    def from_middle(self) -> csr_matrix:
-        """Fine positions from those on the middle mesh, shape (N, M)."""
-        matrix = identity(self.to_middle.shape[0], format="csr")
-        for step in self.steps[len(self.middle.steps) :]:
-            matrix = (step @ matrix).tocsr()
-        return matrix
-
-    def fit_middle(self, fine: np.ndarray) -> np.ndarray:
-        """Middle positions whose refinement is nearest to fine ones in the least-squares sense.
-
-        Args:
-            fine: [m], shape (f, N, 3).
-
-        Returns:
-            [m], float64, shape (f, M, 3).
-        """
-        columns = np.moveaxis(np.asarray(fine, float), 1, 0).reshape(fine.shape[1], -1)
-        normal = (self.from_middle.T @ self.from_middle).tocsc()  # factored anew: factors cannot be sent to a worker
-        fitted = splu(normal).solve(self.from_middle.T @ columns)
-        return np.moveaxis(fitted.reshape(-1, len(fine), 3), 0, 1)
-
     def upsample(self, coarse: np.ndarray) -> np.ndarray:
         """Smooth surface: [m], shape (n, 3) to (N, 3), or (frames, n, 3) to (frames, N, 3)."""
         return _apply(self.matrix, coarse)

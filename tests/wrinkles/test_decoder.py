@@ -33,23 +33,6 @@ def test_the_upsampler_is_the_matrix(levels: int) -> None:
     np.testing.assert_allclose(fine, subdivision.matrix @ position[:, :3], atol=2e-6)
 
 
-@pytest.mark.parametrize("levels, middle", [(1, 1), (2, 1), (3, 2)])
-def test_what_is_written_to_the_middle_mesh_is_carried_on_smoothly(levels: int, middle: int) -> None:
-    vertices, faces = flat_sheet(6, 1.0, jitter=0.3)
-    subdivision = Subdivision.of(faces, len(vertices), levels)
-    assert subdivision.middle.fine_count == subdivision.steps[middle - 1].shape[0]
-    upsample, position = Upsampler(subdivision), single(len(vertices), 4)
-    smooth, fine = single(2, subdivision.fine_count, 3, seed=1)
-    upsample(position, smooth)
-    wrinkle = single(subdivision.middle.fine_count, 3, seed=2)
-    upsample.middle += wrinkle
-    upsample.finish(fine)
-    carried = wrinkle
-    for step in subdivision.steps[middle:]:
-        carried = step @ carried
-    np.testing.assert_allclose(fine - smooth, carried, atol=5e-6)
-
-
 def test_normals_of_a_sphere_point_outward() -> None:
     vertices, faces = icosphere(3)
     normals = single(len(vertices), 3)
@@ -85,10 +68,10 @@ class Layer:
         self.contact = single(count, 4, seed=12, size=0.01)
 
     def add(self, decoder: Decoder) -> np.ndarray:
-        """What the decoder adds to the middle vertices [m], shape (M, 3)."""
-        middle = np.zeros((self.subdivision.middle.fine_count, 3), np.float32)
-        decoder.add(self.position, self.velocity, self.contact, middle)
-        return middle
+        """What the decoder adds to the fine vertices [m], shape (N, 3)."""
+        fine = np.zeros((self.subdivision.fine_count, 3), np.float32)
+        decoder.add(self.position, self.velocity, self.contact, fine)
+        return fine
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +87,7 @@ def test_the_decoder_adds_what_the_mapping_predicts(layer: Layer) -> None:
     assert np.median(grids.std(axis=0)) > 1e-3
     # Turned into space first and read afterwards, vertex by vertex.
     spatial = np.einsum("inx,ixy->iny", grids.reshape(count, NODES, 3), frames.reshape(count, 3, 3))
-    p, expected = layer.patches, np.zeros((layer.subdivision.middle.fine_count, 3))
+    p, expected = layer.patches, np.zeros((layer.subdivision.fine_count, 3))
     for i in range(len(expected)):
         for c in range(3):
             u, v = p.within[i, 2 * c : 2 * c + 2]

@@ -128,9 +128,29 @@ def test_slivers_and_doubled_corners_do_no_harm() -> None:
 
 def test_penetration_figures() -> None:
     distances = np.array([[0.01, -0.002, -0.00004, 0.0], [0.01, 0.01, -0.005, -0.001]])
-    figures = penetration_figures(distances)
-    assert figures == pytest.approx({"inside_body_percent": 100 * 3 / 8, "deepest_mm": 5.0})
-    assert penetration_figures(np.full((2, 3), -0.00004)) == {"inside_body_percent": 0.0, "deepest_mm": 0.0}
+    room = np.array([[True, True, True, True], [True, True, False, True]])
+    figures = penetration_figures(distances, room)
+    assert figures == pytest.approx(
+        {
+            "inside_body_percent": 100 * 3 / 8,
+            "deepest_mm": 5.0,
+            "inside_body_with_room_percent": 100 * 2 / 8,
+            "deepest_with_room_mm": 2.0,
+        }
+    )
+    assert set(penetration_figures(np.full((2, 3), -0.00004), np.ones((2, 3), bool)).values()) == {0.0}
+
+
+def test_between_two_walls_there_is_room_or_not() -> None:
+    thickness = 0.003
+    for gap, expected in ((0.02, True), (0.0065, True), (0.005, False), (0.001, False), (-0.004, False)):
+        other = CUBE + [1.0 + gap, 0.0, 0.0]
+        vertices, faces = np.concatenate([CUBE, other]), np.concatenate([CUBE_FACES, CUBE_FACES + 8])
+        points = np.array([[0.999, 0.4, 0.6], [0.5, 0.998, 0.5], [0.5, 1.2, 0.5]])  # by the gap, by no gap, outside
+        body = BodyDistance(faces)
+        distances = body.signed_distance(points, vertices)
+        assert list(distances < 0) == [True, True, False]
+        assert list(body.leaves_room(points, distances, vertices, thickness)) == [expected, True, True]
 
 
 def test_bad_input_is_refused() -> None:
@@ -159,4 +179,4 @@ def test_garments_that_start_inside_the_body(garment: str, percent: float, depth
     vertices, _ = read(f"garments/mh_female_{garment}.obj")
     distances = BodyDistance(body_faces).signed_distance(vertices, body_vertices)
     assert 100 * (distances < 0).mean() == pytest.approx(percent, abs=0.05 if percent < 10 else 0.5)
-    assert penetration_figures(distances)["deepest_mm"] == pytest.approx(depth, abs=0.05)
+    assert penetration_figures(distances, np.ones(len(distances), bool))["deepest_mm"] == pytest.approx(depth, abs=0.05)

@@ -14,16 +14,16 @@ AXIS = np.arange(SIDE) - SIDE // 2
 
 
 class Sheet:
-    """A flat sheet, its patches and where its coarse and middle vertices lie in (warp, weft) [m]."""
+    """A flat sheet, its patches and where its coarse and fine vertices lie in (warp, weft) [m]."""
 
     def __init__(self, jitter: float) -> None:
         vertices, faces = flat_sheet(9, 0.8, jitter)
         self.subdivision = Subdivision.of(faces, len(vertices), 2)
         self.patches = Patches.of(self.subdivision, Charts.of(ClothMesh.from_surface(vertices, faces, (1.0, 0.0, 0.0))))
         self.coarse = vertices[:, [0, 2]] * [1.0, -1.0]
-        face, weights = fine_places(self.subdivision.middle)
-        self.middle = np.einsum("pc,pci->pi", weights, self.coarse[faces[face]])
-        away = self.middle[:, None] - self.coarse[self.patches.corners]
+        face, weights = fine_places(self.subdivision)
+        self.fine = np.einsum("pc,pci->pi", weights, self.coarse[faces[face]])
+        away = self.fine[:, None] - self.coarse[self.patches.corners]
         self.covered = (np.abs(away) < AXIS[-1] * self.patches.spacing).all(axis=(1, 2))
 
     def nodes(self, vertex: int) -> np.ndarray:
@@ -32,7 +32,7 @@ class Sheet:
         return self.coarse[vertex] + self.patches.spacing * offset
 
     def read(self, grids: np.ndarray) -> np.ndarray:
-        """What middle vertices read of grids, shape (n, NODES) to (M,), from what the arrays are said to be."""
+        """What fine vertices read of grids, shape (n, NODES) to (N,), from what the arrays are said to be."""
         p = self.patches
         total = np.zeros(len(p.corners))
         for c in range(3):
@@ -54,7 +54,7 @@ def test_the_blend_is_a_partition_of_unity(sheet: Sheet) -> None:
     p, count = sheet.patches, len(sheet.coarse)
     assert p.blend.min() >= 0.0
     np.testing.assert_allclose(p.blend.sum(axis=1), 1.0, atol=1e-6)
-    assert np.array_equal(p.blend[:count].max(axis=1), np.ones(count))  # a coarse vertex reads its own patch only
+    assert p.blend[:count].max(axis=1) == pytest.approx(0.943, abs=1e-3)  # a coarse vertex reads mostly its own patch
     assert np.array_equal(p.corners[np.arange(count), p.blend[:count].argmax(axis=1)], np.arange(count))
     np.testing.assert_allclose(sheet.read(np.full((count, NODES), 3.5)), 3.5, atol=1e-5)
 
@@ -77,17 +77,17 @@ def test_patches_reach_as_far_as_the_next_coarse_vertices(sheet: Sheet) -> None:
 def test_a_linear_function_is_read_exactly(sheet: Sheet) -> None:
     function = lambda place: 0.3 + place @ [2.0, -1.5]  # noqa: E731
     grids = np.stack([function(sheet.nodes(vertex)) for vertex in range(len(sheet.coarse))])
-    error = np.abs(sheet.read(grids) - function(sheet.middle))
+    error = np.abs(sheet.read(grids) - function(sheet.fine))
     assert error[sheet.covered].max() < 1e-5
     other = np.stack([function(sheet.nodes(v)[:, ::-1]) for v in range(len(sheet.coarse))])
-    assert np.abs(sheet.read(other) - function(sheet.middle)).max() > 0.1  # warp and weft are not taken for one another
+    assert np.abs(sheet.read(other) - function(sheet.fine)).max() > 0.1  # warp and weft are not taken for one another
 
 
 def test_fitted_grids_give_a_smooth_displacement_back(sheet: Sheet) -> None:
     edge = CELLS_PER_SPACING * sheet.patches.spacing
     fits = sheet.patches.fits(len(sheet.coarse))
     for wavelength, tolerance in ((1e6, 1e-3), (4.0, 0.01), (2.0, 0.03), (1.2, 0.12)):
-        wave = np.cos(2 * np.pi / (wavelength * edge) * sheet.middle @ [0.8, 0.6])
+        wave = np.cos(2 * np.pi / (wavelength * edge) * sheet.fine @ [0.8, 0.6])
         grids = np.stack([fit @ wave[members] for members, fit in fits])
         assert grids.shape == (len(sheet.coarse), NODES)
         assert np.abs(sheet.read(grids) - wave)[sheet.covered].max() < tolerance

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import pickle
-
 import numpy as np
 import pytest
 
@@ -200,16 +198,3 @@ def test_the_warp_of_both_meshes_is_the_direction_asked_for(skirt: tuple[Subdivi
         cosine = np.einsum("ij,ij->i", side, warp) / np.linalg.norm(side, axis=1)
         flat = mesh.flat[:, :, 0]
         np.testing.assert_allclose(flat[:, 0] / np.linalg.norm(flat, axis=1), cosine, atol=1e-9)
-
-
-@pytest.mark.parametrize("levels", [1, 2, 3])
-def test_the_middle_mesh_lies_between_coarse_and_fine(levels: int) -> None:
-    vertices, faces = flat_sheet(6, 1.0, jitter=0.3)
-    subdivision = Subdivision.of(faces, len(vertices), levels)
-    np.testing.assert_allclose(
-        (subdivision.from_middle @ subdivision.to_middle - subdivision.matrix).data, 0, atol=1e-12
-    )
-    middle = np.random.default_rng(0).standard_normal((2, subdivision.middle.fine_count, 3))
-    fine = np.stack([subdivision.from_middle @ frame for frame in middle])
-    np.testing.assert_allclose(subdivision.fit_middle(fine), middle, atol=1e-9)
-    assert pickle.dumps(subdivision)  # it is sent to workers
