@@ -17,7 +17,10 @@ from wrinkles.surface import Subdivision
 __all__ = ["Levels", "build_levels", "levels_of"]
 
 CLEARANCE = 0.003  # attached vertices start at least 2 mm outside the body; the smooth surface dips between them [m]
-FOLD_EDGES = 3.0  # the shortest fold that a coarse mesh carries well, in edges: where coarse and fine part
+# Where coarse and fine part: at the shortest fold that a coarse mesh carries well, in edges, but not below the folds
+# that the dictionary is for, about six times the length (B / (rho_A g))^(1/3) of ordinary cloth [m].
+FOLD_EDGES = 3.0
+FOLD_LENGTH = 0.12
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,7 @@ class Levels:
     @property
     def cutoff(self) -> float:
         """Wavelength at which half of a fold's amplitude belongs to the coarse mesh [m]."""
-        return FOLD_EDGES * float(self.coarse.edge_lengths()[1].mean())
+        return max(FOLD_EDGES * float(self.coarse.edge_lengths()[1].mean()), FOLD_LENGTH)
 
     @cached_property
     def _filter(self) -> tuple:
