@@ -6,6 +6,7 @@ from pbd import Body
 from precompute.recording import Recording, Run, body_source
 from precompute.training import Layer
 from wrinkles.charts import leading_vertices
+from wrinkles.clearance import clearances
 from wrinkles.decoder import Decoder, Relaxation, Upsampler
 from wrinkles.dictionary import Atoms, Mapping
 
@@ -30,8 +31,10 @@ def decode_recording(
     upsample = Upsampler(levels.subdivision)
     decoder = Decoder(layer.stencil, layer.patches, mapping, atoms)
     leading = leading_vertices(levels.subdivision)
-    relax = Relaxation(levels.fine, levels.fine_held, leading, run.fabric.thickness)
     source = body_source(run.body)
+    spacing = float(levels.fine.edge_lengths()[1].mean())
+    clearance = clearances(source.vertices, source.faces, spacing, run.fabric.thickness)
+    relax = Relaxation(levels.fine, levels.fine_held, leading, clearance)
     body = Body(source.faces, len(source.vertices))
     smooth = np.zeros((len(recording.frames), levels.subdivision.fine_count, 3), np.float32)
     decoded = np.zeros_like(smooth)

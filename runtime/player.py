@@ -12,6 +12,7 @@ from pbd import InputError, build_model
 from pbd.engine import Launch
 from runtime.simulation import Simulation, body_source
 from wrinkles.charts import Charts, leading_vertices
+from wrinkles.clearance import clearances
 from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Decoder, Relaxation, Upsampler, surface_normals
@@ -67,7 +68,10 @@ class Player:
         self._decoder = Decoder(Stencil.of(charts, database.held), patches, database.mapping, database.atoms)
         self._surface_normals = Launch(surface_normals)
         leading = leading_vertices(self.levels.subdivision)
-        self._relax = Relaxation(self.levels.fine, self.levels.fine_held, leading, database.fabric.thickness)
+        fine = self.levels.fine
+        spacing = float(fine.edge_lengths()[1].mean())
+        clearance = clearances(source.vertices, source.faces, spacing, database.fabric.thickness)
+        self._relax = Relaxation(fine, self.levels.fine_held, leading, clearance)
         count, body_count = self.levels.subdivision.fine_count, len(source.vertices)
         self.vertices = np.zeros((count, 3), np.float32)
         self.normals = np.zeros((count, 3), np.float32)

@@ -180,7 +180,7 @@ def _relax(
     ring: Int1,
     fan_start: Int1,
     fan: Int2,
-    thickness: ti.f32,
+    clearance: Float1,
     passes: ti.i32,
 ):
     ti.loop_config(serialize=True)
@@ -223,9 +223,7 @@ def _relax(
                         if offset.dot(offset) > 0.01:
                             best = -1
                         elif offset.dot(body_normals[best]) < NEARBY:
-                            fine[i] = _outside(
-                                p, best, body, body_normals, fan_start, fan, thickness
-                            )  # fmt: skip
+                            fine[i] = _outside(p, best, body, body_normals, fan_start, fan, clearance)
                     nearest[i] = best
 
 
@@ -237,17 +235,18 @@ def _outside(
     normals: ti.template(),
     fan_start: ti.template(),
     fan: ti.template(),
-    thickness: ti.f32,
+    clearance: ti.template(),
 ) -> vec3:
-    """p, or where it comes to lie when it is pushed ``thickness`` out of the faces around a body vertex."""
+    """p, or where it comes to lie when it is pushed ``clearance`` out of the faces around a body vertex."""
     f, w, _ = closest_in_fan(p, vertex, 0.0, body, body, fan_start, fan)
     offset = p - (w[0] * body[vertex] + w[1] * body[f[0]] + w[2] * body[f[1]])
     normal = w[0] * normals[vertex] + w[1] * normals[f[0]] + w[2] * normals[f[1]]
     normal /= ti.max(normal.norm(), 1e-20)
     gap = offset.dot(normal)
+    kept = w[0] * clearance[vertex] + w[1] * clearance[f[0]] + w[2] * clearance[f[1]]
     result = p
-    if gap < thickness and offset.norm() < 0.05:
-        result = p + (thickness - gap) * normal
+    if gap < kept and offset.norm() < 0.05:
+        result = p + (kept - gap) * normal
     return result
 
 
@@ -258,10 +257,11 @@ class Relaxation:
         mesh: the fine mesh.
         held: its held vertices, int, shape (P,).
         leading: coarse vertex that each fine one leans on most, whose contact it starts from, int32, shape (N,).
-        thickness: kept from the body [m].
+        clearance: kept from the body at each of its vertices [m], float32, shape (b,); see
+            :func:`wrinkles.clearance.clearances`.
     """
 
-    def __init__(self, mesh: ClothMesh, held: np.ndarray, leading: np.ndarray, thickness: float) -> None:
+    def __init__(self, mesh: ClothMesh, held: np.ndarray, leading: np.ndarray, clearance: np.ndarray) -> None:
         ensure_initialized()
         self._inverse_mass = np.ones(len(mesh.vertices), np.float32)
         self._inverse_mass[held] = 0.0
@@ -272,7 +272,7 @@ class Relaxation:
         self._edges, self._lengths = np.ascontiguousarray(edges[order]), lengths[order].astype(np.float32)
         self._held = np.asarray(held, np.int32)
         self._targets = np.zeros((len(held), 3), np.float32)
-        self._leading, self._thickness = leading, thickness
+        self._leading, self._clearance = leading, clearance
         self._nearest = np.full(len(mesh.vertices), -1, np.int32)
         self._relax = Launch(_relax)
 
@@ -315,6 +315,6 @@ class Relaxation:
             body.ring,
             body.fan_start,
             body.fan,
-            self._thickness,
+            self._clearance,
             passes,
         )

@@ -118,7 +118,8 @@ class Cloth:
         vertices, faces = grid(8, 8, 0.03, "equilateral")
         self.levels: Levels = build_levels(vertices, faces, np.array(held, int), *NOBODY, 2)
         leading = leading_vertices(self.levels.subdivision)
-        self.relax = Relaxation(self.levels.fine, self.levels.fine_held, leading, THICKNESS)
+        clearance = np.full(max(1, len(body[0])), THICKNESS, np.float32)
+        self.relax = Relaxation(self.levels.fine, self.levels.fine_held, leading, clearance)
         self.body = Body(body[1], max(1, len(body[0])))
         if len(body[0]):
             self.body.place(body[0].astype(np.float32))

@@ -1,0 +1,46 @@
+"""How far fine cloth keeps from a body so that its faces do too, and not only its vertices."""
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
+
+__all__ = ["clearances"]
+
+MOST = 0.004  # added to the thickness at most [m]
+
+
+def clearances(vertices: np.ndarray, faces: np.ndarray, spacing: float, thickness: float) -> np.ndarray:
+    """Distance that cloth vertices keep from a body near each of its vertices [m], float32, shape (b,).
+
+    Between its ends an edge of the cloth sinks into what is convex. A body vertex that stands out over its surroundings
+    (the mean, by area, of what is nearer than one edge of the cloth) gives its height to everything in them.
+
+    Args:
+        vertices: of the body, in any pose [m], shape (b, 3).
+        faces: int, counter-clockwise seen from outside, shape (k, 3).
+        spacing: mean length of the cloth's edges [m].
+        thickness: that they keep from a flat body [m].
+    """
+    count = len(vertices)
+    if not len(faces):
+        return np.full(count, thickness, np.float32)
+    corners = vertices[faces]
+    area_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 6.0
+    normals, areas = np.zeros((count, 3)), np.zeros(count)
+    for corner in range(3):
+        np.add.at(normals, faces[:, corner], area_normals)
+        np.add.at(areas, faces[:, corner], np.linalg.norm(area_normals, axis=1))
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
+    tree = cKDTree(vertices)
+    pairs = tree.query_pairs(spacing, output_type="ndarray")
+    # What faces another way is another part of the body, and no surroundings.
+    pairs = pairs[np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) > 0.0]
+    one, other = np.concatenate([pairs, pairs[:, ::-1], np.repeat(np.arange(count)[:, None], 2, axis=1)]).T
+    near = csr_matrix((areas[other], (one, other)), (count, count))
+    total = np.maximum(np.asarray(near.sum(axis=1)).ravel(), 1e-20)
+    height = ((vertices - (near @ vertices) / total[:, None]) * normals).sum(axis=1)
+    height[areas == 0.0] = 0.0
+    sag = np.clip(height, 0.0, MOST)
+    widest = sag.copy()
+    np.maximum.at(widest, one, sag[other])
+    return (thickness + widest).astype(np.float32)
