@@ -64,11 +64,11 @@ class BodyDistance:
         ensure_initialized()
         if self._tree is None:
             self._tree = _build_tree(vertices[self.faces])
-        _, after, first, count, low, high = self._tree
+        order, after, first, count, low, high = self._tree
         _pseudonormals(
             vertices, self.faces, self._side_edge, self._face_normals, self._edge_normals, self._vertex_normals
         )
-        _refit(vertices, self.faces, self._tree[0], after, first, count, low, high)
+        _refit(vertices, self.faces, order, after, first, count, low, high)
         if len(self._nearest) != len(points):
             self._nearest = np.zeros(len(points), np.int32)
         return self._ask(points, vertices, self._nearest)[0]
@@ -108,10 +108,11 @@ class BodyDistance:
     def _ask(self, points: np.ndarray, vertices: np.ndarray, nearest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signed distances, shape (n,), and closest points, shape (n, 3) [m]; ``nearest`` faces are renewed."""
         assert self._tree is not None
+        order, after, first, count, low, high = self._tree
         distance, closest = np.zeros(len(points)), np.zeros((len(points), 3))
         _query(
             points, vertices, self.faces, self._side_edge, self._face_normals, self._edge_normals, self._vertex_normals,
-            *self._tree, nearest, distance, closest,
+            order, after, first, count, low, high, nearest, distance, closest,
         )  # fmt: skip
         return distance, closest
 
