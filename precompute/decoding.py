@@ -6,7 +6,7 @@ from pbd import Body
 from precompute.recording import Recording, Run, body_source
 from precompute.training import Layer
 from wrinkles.charts import leading_vertices
-from wrinkles.clearance import clearances
+from wrinkles.clearance import clearances, facing
 from wrinkles.decoder import Decoder, Relaxation, Upsampler
 from wrinkles.dictionary import Atoms, Mapping
 
@@ -34,7 +34,8 @@ def decode_recording(
     source = body_source(run.body)
     spacing = float(levels.fine.edge_lengths()[1].mean())
     clearance = clearances(source.vertices, source.faces, spacing, run.fabric.thickness)
-    relax = Relaxation(levels.fine, levels.fine_held, leading, clearance)
+    way = facing(levels.coarse, source.vertices, source.faces)
+    relax = Relaxation(levels.fine, levels.fine_held, leading, clearance, way)
     body = Body(source.faces, len(source.vertices))
     smooth = np.zeros((len(recording.frames), levels.subdivision.fine_count, 3), np.float32)
     decoded = np.zeros_like(smooth)
@@ -50,7 +51,8 @@ def decode_recording(
         velocity, contact = np.ascontiguousarray(recording.velocity[f]), np.ascontiguousarray(recording.contact[f])
         decoder.add(position, velocity, contact, decoded[f])
         nearest = np.ascontiguousarray(recording.nearest[f])
-        relax(decoded[f], levels.fine_attachment.targets(body.current), nearest, contact, body, body.current)
+        targets = levels.fine_attachment.targets(body.current)
+        relax(decoded[f], targets, decoder.frames, nearest, contact, body, body.current)
         smooth[f] += origin.astype(np.float32)
         decoded[f] += origin.astype(np.float32)
     return smooth, decoded

@@ -12,7 +12,7 @@ from pbd import InputError, build_model
 from pbd.engine import Launch
 from runtime.simulation import Simulation, body_source
 from wrinkles.charts import Charts, leading_vertices
-from wrinkles.clearance import clearances
+from wrinkles.clearance import clearances, facing
 from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Decoder, Relaxation, Upsampler, surface_normals
@@ -71,7 +71,8 @@ class Player:
         fine = self.levels.fine
         spacing = float(fine.edge_lengths()[1].mean())
         clearance = clearances(source.vertices, source.faces, spacing, database.fabric.thickness)
-        self._relax = Relaxation(fine, self.levels.fine_held, leading, clearance)
+        way = facing(self.levels.coarse, source.vertices, source.faces)
+        self._relax = Relaxation(fine, self.levels.fine_held, leading, clearance, way)
         count, body_count = self.levels.subdivision.fine_count, len(source.vertices)
         self.vertices = np.zeros((count, 3), np.float32)
         self.normals = np.zeros((count, 3), np.float32)
@@ -148,7 +149,8 @@ class Player:
         self._decoder.add(position, velocity, state.contact, self.vertices)
         decoded = time.perf_counter()
         targets = self.levels.fine_attachment.targets(current)
-        self._relax(self.vertices, targets, state.nearest, state.contact, body, current)
+        frames = self._decoder.frames
+        self._relax(self.vertices, targets, frames, state.nearest, state.contact, body, current)
         relaxed = time.perf_counter()
         self._surface_normals(self.vertices, self.levels.subdivision.faces, self.normals)
         ended = time.perf_counter()

@@ -1,10 +1,12 @@
-"""How far fine cloth keeps from a body so that its faces do too, and not only its vertices."""
+"""How fine cloth lies on a body: how far it keeps from it, and which way it looks."""
 
 import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-__all__ = ["clearances"]
+from pbd import ClothMesh
+
+__all__ = ["clearances", "facing"]
 
 MOST = 0.004  # added to the thickness at most [m]
 
@@ -24,13 +26,7 @@ def clearances(vertices: np.ndarray, faces: np.ndarray, spacing: float, thicknes
     count = len(vertices)
     if not len(faces):
         return np.full(count, thickness, np.float32)
-    corners = vertices[faces]
-    area_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 6.0
-    normals, areas = np.zeros((count, 3)), np.zeros(count)
-    for corner in range(3):
-        np.add.at(normals, faces[:, corner], area_normals)
-        np.add.at(areas, faces[:, corner], np.linalg.norm(area_normals, axis=1))
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
+    normals, areas = _normals(vertices, faces)
     tree = cKDTree(vertices)
     pairs = tree.query_pairs(spacing, output_type="ndarray")
     # What faces another way is another part of the body, and no surroundings.
@@ -44,3 +40,29 @@ def clearances(vertices: np.ndarray, faces: np.ndarray, spacing: float, thicknes
     widest = sag.copy()
     np.maximum.at(widest, one, sag[other])
     return (thickness + widest).astype(np.float32)
+
+
+def facing(mesh: ClothMesh, vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Which way a garment's faces look in the bind pose: 1 away from the body under them, -1 at it.
+
+    Args:
+        mesh: of the garment.
+        vertices, faces: of the body, as for :func:`clearances`.
+    """
+    if not len(faces):
+        return 1.0
+    nearest = cKDTree(vertices).query(mesh.vertices)[1]
+    cloth, areas = _normals(mesh.vertices, mesh.faces)
+    along = (cloth * _normals(vertices, faces)[0][nearest]).sum(axis=1)
+    return 1.0 if along @ areas >= 0.0 else -1.0
+
+
+def _normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vertex normals, shape (n, 3), and a third of the area around each vertex [m2], shape (n,)."""
+    corners = vertices[faces]
+    area_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 6.0
+    normals, areas = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
+    for corner in range(3):
+        np.add.at(normals, faces[:, corner], area_normals)
+        np.add.at(areas, faces[:, corner], np.linalg.norm(area_normals, axis=1))
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20), areas

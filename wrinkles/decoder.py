@@ -171,6 +171,8 @@ def _relax(
     held: Int1,
     targets: Vec3,
     leading: Int1,
+    frames: Float2,
+    facing: ti.f32,
     coarse_nearest: Int1,
     coarse_contact: Vec4,
     nearest: Int1,
@@ -205,6 +207,7 @@ def _relax(
                     p = fine[i]
                     best = -1
                     coarse = leading[i]
+                    outward = facing * vec3(frames[coarse, 6], frames[coarse, 7], frames[coarse, 8])
                     if coarse_contact[coarse][0] < LEVEL:
                         distance = 1e30
                         # Two starts: where this vertex was last, and where the coarse one that it leans on most is.
@@ -214,15 +217,20 @@ def _relax(
                                 seed = coarse_nearest[coarse]
                             if seed >= 0 and seed != best:
                                 offset = body[seed] - p
-                                if offset.dot(offset) < distance:
-                                    distance = offset.dot(offset)
+                                away = offset.dot(offset)
+                                if body_normals[seed].dot(outward) < 0.0:
+                                    away += 1.0
+                                if away < distance:
+                                    distance = away
                                     best = seed
                     if best >= 0:
                         best = descend(p, best, 0.0, body, body, ring_start, ring)
                         offset = p - body[best]
                         if offset.dot(offset) > 0.01:
                             best = -1
-                        elif offset.dot(body_normals[best]) < NEARBY:
+                        # Under an arm the cloth lies between two parts of the body. Pushed out of both in turn it would
+                        # zigzag: it keeps to the part that it covers, whose surface looks the way its own does.
+                        elif body_normals[best].dot(outward) > 0.0 and offset.dot(body_normals[best]) < NEARBY:
                             fine[i] = _outside(p, best, body, body_normals, fan_start, fan, clearance)
                     nearest[i] = best
 
@@ -259,9 +267,12 @@ class Relaxation:
         leading: coarse vertex that each fine one leans on most, whose contact it starts from, int32, shape (N,).
         clearance: kept from the body at each of its vertices [m], float32, shape (b,); see
             :func:`wrinkles.clearance.clearances`.
+        facing: 1 where the garment's faces look away from the body, -1 where they look at it.
     """
 
-    def __init__(self, mesh: ClothMesh, held: np.ndarray, leading: np.ndarray, clearance: np.ndarray) -> None:
+    def __init__(
+        self, mesh: ClothMesh, held: np.ndarray, leading: np.ndarray, clearance: np.ndarray, facing: float
+    ) -> None:
         ensure_initialized()
         self._inverse_mass = np.ones(len(mesh.vertices), np.float32)
         self._inverse_mass[held] = 0.0
@@ -272,7 +283,7 @@ class Relaxation:
         self._edges, self._lengths = np.ascontiguousarray(edges[order]), lengths[order].astype(np.float32)
         self._held = np.asarray(held, np.int32)
         self._targets = np.zeros((len(held), 3), np.float32)
-        self._leading, self._clearance = leading, clearance
+        self._leading, self._clearance, self._facing = leading, clearance, facing
         self._nearest = np.full(len(mesh.vertices), -1, np.int32)
         self._relax = Launch(_relax)
 
@@ -280,6 +291,7 @@ class Relaxation:
         self,
         fine: np.ndarray,
         targets: np.ndarray,
+        frames: np.ndarray,
         coarse_nearest: np.ndarray,
         coarse_contact: np.ndarray,
         body: Body,
@@ -291,6 +303,7 @@ class Relaxation:
         Args:
             fine: [m], float32, shape (N, 3), about the body's origin.
             targets: of the held vertices [m], shape (P, 3).
+            frames: of the coarse vertices, as :meth:`Stencil.gather` gives them, float32, shape (n, 9).
             coarse_nearest: body vertex near each coarse vertex, -1 for none, int32, shape (n,) or longer.
             coarse_contact: distance and slip of the coarse vertices, as in :class:`pbd.State`, float32, shape (n, 4).
             body: gives neighbourhoods and normals.
@@ -306,6 +319,8 @@ class Relaxation:
             self._held,
             self._targets,
             self._leading,
+            frames,
+            self._facing,
             coarse_nearest,
             coarse_contact,
             self._nearest,

@@ -3,8 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.wrinkles.meshes import icosphere
-from wrinkles.clearance import MOST, clearances
+from pbd import ClothMesh
+from tests.wrinkles.meshes import icosphere, tube
+from wrinkles.clearance import MOST, clearances, facing
 
 THICKNESS = 0.003
 
@@ -44,3 +45,16 @@ def test_a_hollow_and_another_part_of_the_body_ask_for_nothing() -> None:
 
 def test_without_a_body_there_is_the_thickness() -> None:
     assert np.array_equal(clearances(np.zeros((2, 3)), np.zeros((0, 3), int), 0.01, 0.5), np.full(2, 0.5, np.float32))
+
+
+def test_a_garment_faces_away_from_its_body_or_at_it() -> None:
+    ball, faces = icosphere(3, 0.9)
+    vertices, around = tube(12)
+    centred = vertices - vertices.mean(axis=0)
+    centred /= np.linalg.norm(centred[:, [0, 2]], axis=1).max()
+    outward = facing(ClothMesh.from_surface(centred, around), ball, faces)
+    assert facing(ClothMesh.from_surface(centred, around[:, ::-1].copy()), ball, faces) == -outward
+    corners = centred[around]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert outward == np.sign((normal * corners.mean(axis=1)).sum())
+    assert facing(ClothMesh.from_surface(centred, around), ball[:0], faces[:0]) == 1.0

@@ -114,12 +114,14 @@ def test_the_decoder_adds_to_what_is_there_and_keeps_nothing(layer: Layer) -> No
 class Cloth:
     """A flat sheet above a body, to relax."""
 
-    def __init__(self, held: tuple = (), body: tuple[np.ndarray, np.ndarray] = NOBODY) -> None:
+    def __init__(self, held: tuple = (), body: tuple[np.ndarray, np.ndarray] = NOBODY, facing: float = 1.0) -> None:
         vertices, faces = grid(8, 8, 0.03, "equilateral")
         self.levels: Levels = build_levels(vertices, faces, np.array(held, int), *NOBODY, 2)
         leading = leading_vertices(self.levels.subdivision)
         clearance = np.full(max(1, len(body[0])), THICKNESS, np.float32)
-        self.relax = Relaxation(self.levels.fine, self.levels.fine_held, leading, clearance)
+        self.relax = Relaxation(self.levels.fine, self.levels.fine_held, leading, clearance, facing)
+        self.frames = np.zeros((len(vertices), 9), np.float32)
+        self.frames[:, 8] = facing  # the sheet's own faces look up or down; it covers what is under it
         self.body = Body(body[1], max(1, len(body[0])))
         if len(body[0]):
             self.body.place(body[0].astype(np.float32))
@@ -135,7 +137,7 @@ class Cloth:
             nearest, contact[:, 0] = away.argmin(axis=1).astype(np.int32), away.min(axis=1)
         fine = fine.astype(np.float32)
         targets = np.zeros((0, 3)) if targets is None else targets
-        self.relax(fine, targets, nearest, contact, self.body, self.body.current, passes)
+        self.relax(fine, targets, self.frames, nearest, contact, self.body, self.body.current, passes)
         return fine.astype(float)
 
     def strain(self, vertices: np.ndarray) -> np.ndarray:
@@ -201,3 +203,20 @@ def test_relaxation_pushes_vertices_out_of_the_body_and_leaves_others() -> None:
     outward = (start[inside] - centre) / radius[inside][:, None]
     moved = relaxed[inside] - start[inside]
     assert np.linalg.norm(moved - (moved * outward).sum(axis=1, keepdims=True) * outward, axis=1).max() < 1e-3
+
+
+@pytest.mark.parametrize("facing", [1.0, -1.0])
+def test_cloth_between_two_parts_of_a_body_keeps_to_the_one_that_it_covers(facing: float) -> None:
+    ball, faces = icosphere(4, 0.1)
+    under, over = np.array([0.07, 0.13, -0.095]), np.array([0.13, 0.13, 0.095])  # both cut into the sheet at z = 0
+    both = np.concatenate([ball + under, ball + over]), np.concatenate([faces, faces + len(ball)])
+    cloth, alone = Cloth(body=both, facing=facing), Cloth(body=(ball + under, faces), facing=facing)
+    relaxed, expected = cloth(cloth.rest), alone(cloth.rest)
+    # A vertex starts from what its coarse vertex touches: the part that it covers, or the other, which moves nothing.
+    coarse = cloth.levels.coarse.vertices
+    covers = np.linalg.norm(coarse[:, None] - both[0].astype(np.float32), axis=2).argmin(axis=1) < len(ball)
+    covers = covers[leading_vertices(cloth.levels.subdivision)]
+    inside = [np.linalg.norm(cloth.rest - centre, axis=1) < 0.1 for centre in (under, over)]
+    assert (inside[0] & covers).sum() > 20 and (inside[1] & ~covers).sum() > 20
+    np.testing.assert_allclose(relaxed[covers], expected[covers], atol=1e-6)
+    np.testing.assert_allclose(relaxed[~covers], cloth.rest[~covers], atol=1e-6)
