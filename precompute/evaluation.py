@@ -269,7 +269,7 @@ def evaluate(database: WrinkleDatabase, truth: Truth, report: Callable[[str], No
     tell = report or (lambda line: None)
     tell("evaluating: given the coarse state")
     smooth, decoded = given_frames(database, truth)
-    owner = leading_vertices(truth.levels.subdivision)
+    owner = leading_vertices(truth.levels.subdivision)[:, 0]
     faces = truth.levels.fine.faces
     figures = {k: float(v) for k, v in given_coarse_figures(decoded, truth.frames, smooth, faces, owner).items()}
     tell("evaluating: running freely")

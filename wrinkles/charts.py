@@ -36,9 +36,10 @@ def fine_places(subdivision: Subdivision) -> tuple[np.ndarray, np.ndarray]:
 
 
 def leading_vertices(subdivision: Subdivision) -> np.ndarray:
-    """The coarse vertex that each fine vertex leans on most: int32, shape (N,)."""
+    """The coarse vertices around each fine vertex, the one that it leans on most first: int32, shape (N, 3)."""
     face, place = fine_places(subdivision)
-    return subdivision.coarse_faces[face, place.argmax(axis=1)].astype(np.int32)
+    order = np.argsort(-place, axis=1, kind="stable")
+    return np.ascontiguousarray(subdivision.coarse_faces[face[:, None], order], np.int32)
 
 
 @dataclass(frozen=True)

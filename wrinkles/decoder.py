@@ -170,7 +170,7 @@ def _relax(
     lengths: Float1,
     held: Int1,
     targets: Vec3,
-    leading: Int1,
+    leading: Int3,
     frames: Float2,
     facing: ti.f32,
     coarse_nearest: Int1,
@@ -206,18 +206,20 @@ def _relax(
                 if inverse_mass[i] > 0.0:
                     p = fine[i]
                     best = -1
-                    coarse = leading[i]
+                    coarse = leading[i][0]
                     outward = facing * vec3(frames[coarse, 6], frames[coarse, 7], frames[coarse, 8])
                     if coarse_contact[coarse][0] < LEVEL:
                         distance = 1e30
-                        # Two starts: where this vertex was last, and where the coarse one that it leans on most is.
-                        for c in ti.static(range(2)):
+                        # Starts: where the coarse vertices around this one are, and where it was itself last.
+                        for c in ti.static(range(4)):
                             seed = nearest[i]
-                            if ti.static(c == 0):
-                                seed = coarse_nearest[coarse]
+                            if ti.static(c < 3):
+                                seed = coarse_nearest[leading[i][c]]
                             if seed >= 0 and seed != best:
                                 offset = body[seed] - p
                                 away = offset.dot(offset)
+                                # Under an arm the cloth lies between two parts of the body. Pushed out of both in turn
+                                # it would zigzag: it keeps to the part that it covers, which looks the way it does.
                                 if body_normals[seed].dot(outward) < 0.0:
                                     away += 1.0
                                 if away < distance:
@@ -228,9 +230,7 @@ def _relax(
                         offset = p - body[best]
                         if offset.dot(offset) > 0.01:
                             best = -1
-                        # Under an arm the cloth lies between two parts of the body. Pushed out of both in turn it would
-                        # zigzag: it keeps to the part that it covers, whose surface looks the way its own does.
-                        elif body_normals[best].dot(outward) > 0.0 and offset.dot(body_normals[best]) < NEARBY:
+                        elif offset.dot(body_normals[best]) < NEARBY:
                             fine[i] = _outside(p, best, body, body_normals, fan_start, fan, clearance)
                     nearest[i] = best
 
@@ -264,7 +264,8 @@ class Relaxation:
     Args:
         mesh: the fine mesh.
         held: its held vertices, int, shape (P,).
-        leading: coarse vertex that each fine one leans on most, whose contact it starts from, int32, shape (N,).
+        leading: coarse vertices around each fine one, whose contact it starts from; see
+            :func:`wrinkles.charts.leading_vertices`.
         clearance: kept from the body at each of its vertices [m], float32, shape (b,); see
             :func:`wrinkles.clearance.clearances`.
         facing: 1 where the garment's faces look away from the body, -1 where they look at it.

@@ -14,7 +14,7 @@ from wrinkles.patches import NODES, slope_metric
 
 __all__ = ["Atoms", "Mapping", "fit_atoms", "fit_mapping", "whitening"]
 
-NOISE = 0.1  # of the features in training, in standard deviations
+NOISE = 0.05  # of the features in training, in standard deviations
 CLIP = 4.0  # features further out than this many standard deviations count as if they stood there
 
 

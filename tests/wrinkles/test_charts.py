@@ -7,7 +7,7 @@ from assets.builtin import builtin_garment
 from pbd import ClothMesh
 from pbd.mesh import edges_of
 from tests.wrinkles.meshes import flat_sheet, icosphere, tube
-from wrinkles.charts import Charts, fine_places
+from wrinkles.charts import Charts, fine_places, leading_vertices
 from wrinkles.surface import Subdivision
 
 WARP, WEFT = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, -1.0])  # of the flat sheet, whose normals point up
@@ -173,3 +173,15 @@ def test_fine_places_are_the_places_of_midpoint_subdivision(levels: int) -> None
     face, weights = fine_places(subdivision)
     assert weights.min() >= 0.0
     np.testing.assert_allclose(np.einsum("pc,pci->pi", weights, vertices[faces[face]]), middle, atol=1e-14)
+
+
+def test_the_heaviest_coarse_vertex_comes_first() -> None:
+    vertices, faces = flat_sheet(5, 1.0, jitter=0.2)
+    subdivision = Subdivision.of(faces, len(vertices), 2)
+    leading = leading_vertices(subdivision)
+    assert np.array_equal(leading[: len(vertices), 0], np.arange(len(vertices)))
+    face, place = fine_places(subdivision)
+    weights = np.zeros((len(face), len(vertices)))
+    weights[np.arange(len(face))[:, None], faces[face]] = place
+    sorted_weights = np.take_along_axis(weights, leading.astype(int), axis=1)
+    assert (np.diff(sorted_weights, axis=1) <= 0.0).all() and np.allclose(sorted_weights.sum(axis=1), 1.0)
