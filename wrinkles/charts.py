@@ -152,17 +152,18 @@ class Charts:
         """
         order = np.argsort(self.mesh.faces.ravel(), kind="stable")
         first = np.searchsorted(self.mesh.faces.ravel()[order], np.arange(len(self.mesh.vertices) + 1))
-        face, corner = np.zeros(len(vertex), np.int64), np.zeros(len(vertex), np.int64)
-        turn, beside = np.zeros(len(vertex)), np.zeros(len(vertex))
-        for p, (v, t) in enumerate(zip(vertex.tolist(), theta.tolist(), strict=True)):
-            around = order[first[v] : first[v + 1]]
-            into = (t - self.start.ravel()[around]) % (2 * np.pi)
-            room = self.opening.ravel()[around]
-            past, before = np.maximum(into - room, 0.0), 2 * np.pi - into
-            best = int(np.argmin(np.minimum(past, before)))
-            face[p], corner[p] = around[best] // 3, around[best] % 3
-            turn[p] = min(into[best], room[best]) if past[best] <= before[best] else 0.0
-            beside[p] = min(past[best], before[best])
+        slot = np.arange(int(np.diff(first).max(initial=1)))  # as many as the vertex with most faces has
+        there = slot < np.diff(first)[vertex][:, None]
+        around = order[np.where(there, first[vertex][:, None] + slot, 0)]
+        into = (theta[:, None] - self.start.ravel()[around]) % (2 * np.pi)
+        room = self.opening.ravel()[around]
+        past, before = np.maximum(into - room, 0.0), 2 * np.pi - into
+        best = np.where(there, np.minimum(past, before), np.inf).argmin(axis=1)
+        pick = lambda a: a[np.arange(len(vertex)), best]  # noqa: E731
+        face, corner = np.divmod(pick(around), 3)
+        into, room, past, before = (pick(a) for a in (into, room, past, before))
+        turn = np.where(past <= before, np.minimum(into, room), 0.0)
+        beside = np.minimum(past, before)
         return face, corner, turn, beside
 
     def _unfold(
