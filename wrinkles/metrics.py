@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import find_peaks
 from scipy.sparse import csr_matrix
 
 from pbd.bending import hinge_rows
@@ -449,6 +448,8 @@ def _deviation(total: Callable[[np.ndarray], np.ndarray], weights: np.ndarray, v
 
 
 def _fold_count(points: np.ndarray, least_turn: float, blur: float) -> int:
+    from scipy.signal import find_peaks  # takes longer to import than all else that playing needs of SciPy
+
     # Seen along the area vector, in even steps of a fifth of the blur.
     points = points - points.mean(axis=0)
     area = np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)
