@@ -31,17 +31,20 @@ def touch_body(
     """
     b = descend(p, nearest[i], t, body_0, body_1, ring_start, ring)
     nearest[i] = b  # not what the hops below come to: on slivers that is far away
-    others, weights, distance = closest_in_fan(p, b, t, body_0, body_1, fan_start, fan)
-    hops = 1
-    while weights[0] <= 0.0 and hops < 8:
-        # On the rim of the fan: the closest face may lie beyond it.
+    others, weights, distance = ti.Vector([b, b]), vec3(0.0), 1e30
+    candidate = b
+    hops = 0
+    while hops < 8:
+        next_others, next_weights, next_distance = closest_in_fan(p, candidate, t, body_0, body_1, fan_start, fan)
         hops += 1
-        rim = others[0]
-        if weights[2] > weights[1]:
-            rim = others[1]
-        next_others, next_weights, next_distance = closest_in_fan(p, rim, t, body_0, body_1, fan_start, fan)
         if next_distance < distance:
-            b, others, weights, distance = rim, next_others, next_weights, next_distance
+            b, others, weights, distance = candidate, next_others, next_weights, next_distance
+            # On the rim of the fan the closest face may lie beyond it.
+            candidate = others[0]
+            if weights[2] > weights[1]:
+                candidate = others[1]
+            if weights[0] > 0.0:
+                hops = 8
         else:
             hops = 8
     start = weights[0] * body_0[b] + weights[1] * body_0[others[0]] + weights[2] * body_0[others[1]]

@@ -193,16 +193,12 @@ def find_nearest(
     """
     ti.loop_config(serialize=True)
     for _ in range(1):
-        search(
-            position, velocity, dt, 0.0, nearest, body_0, body_1, surface, probes, weights,
-            cell_start, cell_items, item_cell,
-        )  # fmt: skip
         way[0] = closing_way(velocity, dt, body_0, body_1)
         # What moves further than can be seen is looked for again on its way.
         unseen = (way[0] + thickness - FAR) / (1.5 * FAR)
         later = int(ti.ceil(ti.math.clamp(unseen, 0.0, MOST_SEARCHES - 1.0)))
-        for k in range(later):
-            t = (k + 1) / (later + 0.5)
+        for k in range(later + 1):
+            t = k / (later + 0.5)
             search(
                 position, velocity, dt, t, nearest, body_0, body_1, surface, probes, weights,
                 cell_start, cell_items, item_cell,
