@@ -93,6 +93,7 @@ def calibrate(
         for option in options
         for run in runs
     ]
+    predict = lambda features, pose: mapping.predict(features)  # noqa: E731
     matrix = CoarseFilter(layer.levels).matrix
     coarse = [filtered(recording, matrix) for recording in record_runs(tries, cache, workers, report)]
     rows = []
@@ -100,7 +101,7 @@ def calibrate(
         mine = coarse[number * len(runs) : (number + 1) * len(runs)]
         features = np.concatenate([features_of(layer, r)[0][s] for r, s in zip(mine, settled, strict=True)])
         energies = [
-            bands.energy(decode_recording(layer, mapping, atoms, run, r.where(s))[1])
+            bands.energy(decode_recording(layer, predict, atoms, run, r.where(s))[1])
             for run, r, s in zip(runs, mine, chosen, strict=True)
         ]
         error = np.log(np.concatenate(energies).mean(axis=0) / wanted)

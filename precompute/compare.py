@@ -38,7 +38,7 @@ from wrinkles.database import WrinkleDatabase, code_version, read_database
 from wrinkles.distance import penetration_figures
 from wrinkles.metrics import edge_stretch
 
-__all__ = ["Comparison", "Method", "compare", "compare_file", "equal_cost_rivals", "winners"]
+__all__ = ["Comparison", "Method", "compare", "compare_file", "database_of", "equal_cost_rivals", "winners"]
 
 STABILITY_SECONDS = 3.5  # the blend from the bind pose and two seconds of motion
 TIE = 1.05  # free runs are chaotic: what differs by less is the same
@@ -232,8 +232,7 @@ def compare_file(
     Raises:
         InputError: what cannot be read, a clip that does not exist or was learned from, or too short a motion.
     """
-    if path.suffix == ".toml":
-        path = _database_of(path, output, report)
+    path = database_of(path, output, report)
     database = read_database(path)
     cast = cast_of(database, clip=clip)
     motion, levels = cast.motions[0], levels_from(database, cast.body)
@@ -247,8 +246,10 @@ def compare_file(
     return compare(database, truth if seconds is None else truth.until(seconds), report=report)
 
 
-def _database_of(path: Path, output: Path, report: Callable[[str], None] | None) -> Path:
-    """The database of a scene, made where there is none of this scene and this code yet."""
+def database_of(path: Path, output: Path, report: Callable[[str], None] | None) -> Path:
+    """A database, or that of a scene (``.toml``), made where ``output`` has none of this scene and this code yet."""
+    if path.suffix != ".toml":
+        return path
     scene, made = load_scene(path), output / f"{path.stem}.h5"
     if made.exists():
         database = read_database(made)

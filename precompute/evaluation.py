@@ -190,7 +190,8 @@ def settled(recording: Recording, dt: float) -> Recording:
 def given_frames(database: WrinkleDatabase, truth: Truth) -> tuple[np.ndarray, np.ndarray]:
     """Smooth and decoded garment for the truth's own coarse state: [m], float32, shape (f, N, 3) each."""
     layer = build_layer(truth.levels)
-    return decode_recording(layer, database.mapping, database.atoms, truth.run, truth.recording)
+    predict = lambda features, pose: database.mapping.predict(features)  # noqa: E731
+    return decode_recording(layer, predict, database.atoms, truth.run, truth.recording)
 
 
 def play_freely(database: WrinkleDatabase, body: Character | VertexSequence, run: Run) -> Free:

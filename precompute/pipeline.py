@@ -17,11 +17,12 @@ from pbd.bending import hinge_calibration
 from precompute.calibration import Calibration, calibrate
 from precompute.evaluation import Evaluation, Truth, evaluate, fine_run, truth_of
 from precompute.recording import Recording, Run, body_source, record_runs
-from precompute.training import build_layer, fit_layer, training_set
+from precompute.training import build_layer, fit_layer, spread_frames, training_set
+from runtime.simulation import Motion
 from runtime.stage import Stage, fabric_of
 from wrinkles.database import WrinkleDatabase, body_hash, code_version, write_database
 
-__all__ = ["Precomputed", "default_cache", "precompute"]
+__all__ = ["EPOCHS", "TRAINING_FRAMES", "Precomputed", "default_cache", "precompute", "training_runs"]
 
 CALIBRATION_SECONDS = (
     6.0  # motion that the coarse model is calibrated on: enough to see it move, short enough to try many
@@ -54,6 +55,10 @@ class _Settings:
     fabric: Fabric
     solver: SolverOptions
     frame_rate: float
+
+    @classmethod
+    def of(cls, stage: Stage, scene: Scene) -> _Settings:
+        return cls(fabric_of(stage.settings), scene.solver.options(), scene.solver.frame_rate)
 
 
 def default_cache(output: Path) -> Path:
@@ -98,16 +103,13 @@ def precompute(
     if not motions:
         raise InputError("nothing to learn from", key="training", expected="clips or procedural_seconds")
     held_out = [stage.motion(m) for m in scene.training.held_out]  # refused now, and not after the simulations
-    fabric = fabric_of(stage.settings)
-    settings = _Settings(fabric, scene.solver.options(), scene.solver.frame_rate)
-    levels, seed = stage.levels, scene.wrinkles.seed
-    air = {"wind": scene.wind.velocity, "primitives": scene.primitives}
-    runs = [fine_run(levels, stage.body, motion, settings, **air) for motion in motions]
+    levels, seed, settings = stage.levels, scene.wrinkles.seed, _Settings.of(stage, scene)
+    runs = training_runs(stage, scene)
     recordings = record_runs(runs, cache, workers, tell)
 
     tell("fitting patches")
     layer = build_layer(levels)
-    data = training_set(layer, recordings, scene.wrinkles.atoms, TRAINING_FRAMES, seed)
+    data = training_set(layer, spread_frames(recordings, TRAINING_FRAMES), scene.wrinkles.atoms, seed)
     width = scene.wrinkles.hidden_width
     mapping = fit_layer(layer, data, hidden=(2 * width, width), epochs=EPOCHS, seed=seed, report=tell)
 
@@ -125,7 +127,7 @@ def precompute(
         subdivisions=stage.settings.subdivisions,
         held=levels.coarse_held.astype(np.int32),
         warp=(0.0, 1.0, 0.0),
-        fabric=fabric,
+        fabric=settings.fabric,
         options=calibration.options,
         bend_factor=coarse_bend,
         solver=settings.solver,
@@ -146,7 +148,7 @@ def precompute(
     )
     truth, evaluation, quality = None, None, {}
     if held_out:  # the first held-out clip is the one that is reported
-        run = fine_run(levels, stage.body, held_out[0], settings, **air)
+        run = _fine_run(stage, scene, held_out[0])
         truth = truth_of(run, cache, workers, tell)
         evaluation = evaluate(database, truth, tell)
         quality = dict(evaluation.figures)
@@ -160,6 +162,16 @@ def precompute(
     database = replace(database, quality=quality, training_minutes=(time.monotonic() - began) / 60.0)
     write_database(output, database)
     return Precomputed(database, output, calibration, truth, evaluation)
+
+
+def training_runs(stage: Stage, scene: Scene) -> list[Run]:
+    """The fine runs that a scene learns from."""
+    return [_fine_run(stage, scene, motion) for motion in stage.training_motions()]
+
+
+def _fine_run(stage: Stage, scene: Scene, motion: Motion) -> Run:
+    settings = _Settings.of(stage, scene)
+    return fine_run(stage.levels, stage.body, motion, settings, wind=scene.wind.velocity, primitives=scene.primitives)
 
 
 def _excerpts(runs: list[Run]) -> list[tuple[int, Run]]:

@@ -21,6 +21,7 @@ __all__ = [
     "build_layer",
     "features_of",
     "fit_layer",
+    "spread_frames",
     "training_set",
 ]
 
@@ -68,20 +69,22 @@ class TrainingSet:
     atoms: Atoms
 
 
-def training_set(layer: Layer, recordings: Sequence[Recording], atom_count: int, frames: int, seed: int) -> TrainingSet:
-    """Frames spread over the recordings, their residual patches fitted and reduced to atoms.
+def spread_frames(recordings: Sequence[Recording], frames: int) -> list[Recording]:
+    """Frames spread over recordings, ``frames`` of them at most."""
+    step = max(1, -(-sum(len(r.frames) for r in recordings) // frames))
+    return [r.where(slice(step // 2, None, step)) for r in recordings]
+
+
+def training_set(layer: Layer, recordings: Sequence[Recording], atom_count: int, seed: int) -> TrainingSet:
+    """Residual patches of recorded frames, fitted and reduced to atoms.
 
     Args:
         layer: of the garment.
-        recordings: fine runs, filtered down (pairs A).
+        recordings: fine runs, filtered down (pairs A); see :func:`spread_frames`.
         atom_count: number of atoms.
-        frames: number of frames taken at most.
         seed: of the choice of patches that the atoms are fitted to.
     """
-    total = sum(len(r.frames) for r in recordings)
-    step = max(1, -(-total // frames))
-    chosen = [r.where(slice(step // 2, None, step)) for r in recordings]
-    features, patches_at, count = _patch_reader(layer, chosen)
+    features, patches_at, count = _patch_reader(layer, recordings)
     rng = np.random.default_rng(seed)
     frame_count = len(features)
     some = rng.choice(frame_count, min(frame_count, max(1, 60_000 // count)), replace=False)

@@ -122,6 +122,9 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument(
         "-o", dest="output", type=Path, default=Path("."), metavar="DIR", help="folder of compare.html"
     )
+    compare.add_argument(
+        "--wrinkles", action="store_true", help="other ways from coarse to fine instead, given the coarse state"
+    )
     compare.add_argument("--clip", metavar="NAME", help="a clip that nothing was learned from (default: held out)")
     compare.add_argument("--seconds", type=_positive, metavar="S", help="cut the motion there")
     return parser
@@ -304,11 +307,29 @@ def _check(options: argparse.Namespace) -> Report:
     return Report(rows=[check._asdict() for check in checks], passed=all(check.passed for check in checks))
 
 
+def _compare_wrinkles(options: argparse.Namespace) -> Report:
+    from precompute.wrinkle_rivals import compare_wrinkles_file, wrinkle_verdict, write_wrinkles
+
+    for name in ("clip", "seconds"):
+        if getattr(options, name) is not None:
+            raise InputError("cannot be chosen with --wrinkles", key=f"--{name}", expected="the held-out motion")
+    with Progress(sys.stderr) as progress:
+        database, found = compare_wrinkles_file(options.source, options.output, report=progress)
+    page = options.output / "wrinkles.html"
+    write_wrinkles(page, database, found)
+    print(wrinkle_verdict(found))
+    print(f"\n{page}")
+    rows = [{"method": one.name, "predict_ms": one.predict_ms, "mb": one.megabytes, **one.figures} for one in found]
+    return Report(found[0].figures, rows)
+
+
 def _compare(options: argparse.Namespace) -> Report:
     from precompute.compare import compare_file
     from precompute.comparison_page import verdict, write_comparison
 
     check_folder(options.output)
+    if options.wrinkles:
+        return _compare_wrinkles(options)
     with Progress(sys.stderr) as progress:
         found = compare_file(
             options.source, options.output, clip=options.clip, seconds=options.seconds, report=progress

@@ -25,7 +25,7 @@ from wrinkles.features import DYNAMIC_COUNT, Stencil
 from wrinkles.patches import NODES, SIDE, Patches
 from wrinkles.surface import Subdivision
 
-__all__ = ["Decoder", "Relaxation", "Upsampler", "surface_normals"]
+__all__ = ["Decoder", "Relaxation", "Upsampler", "add_patches", "surface_normals"]
 
 STRETCH_SHARE = 0.25  # of an edge's stretch that a relaxation pass takes back
 LEVEL = 0.025  # where the coarse garment is further than this from the body, so is the fine one [m]
@@ -62,7 +62,7 @@ def _upsample(
 
 
 @ti.kernel
-def _add_patches(grids: Float2, frames: Float2, corners: Int3, blend: Vec3, cell: Int3, within: Float2, fine: Vec3):
+def add_patches(grids: Float2, frames: Float2, corners: Int3, blend: Vec3, cell: Int3, within: Float2, fine: Vec3):
     """Blend what the three patches around a fine vertex say, each turned from its own frame into space."""
     ti.loop_config(serialize=True)
     for _ in range(1):
@@ -133,7 +133,7 @@ class Decoder:
         self._grids = np.zeros((count, 3 * NODES), np.float32)
         self._shapes = np.ascontiguousarray(atoms.shapes)
         self._mean = atoms.mean
-        self._add_patches = Launch(_add_patches)
+        self._add_patches = Launch(add_patches)
         self._blas = ThreadpoolController()
 
     def add(self, position: np.ndarray, velocity: np.ndarray, contact: np.ndarray, fine: np.ndarray) -> None:

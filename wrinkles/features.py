@@ -14,7 +14,7 @@ from pbd.engine import Launch, ensure_initialized, ti
 from pbd.geometry import FAR
 from wrinkles.charts import Charts
 
-__all__ = ["DYNAMIC_COUNT", "Stencil"]
+__all__ = ["DYNAMIC_COUNT", "INNER_OFFSETS", "Stencil"]
 
 SIDE = 7
 POINTS = SIDE * SIDE
@@ -24,6 +24,8 @@ INNER = [CENTRE + SIDE * a + b for a in (-1, 0, 1) for b in (-1, 0, 1)]
 UP, DOWN, LEFT, RIGHT = CENTRE + SIDE, CENTRE - SIDE, CENTRE - 1, CENTRE + 1  # +-1 along warp, -+1 along weft
 # Offsets 144, own velocity 3, gravity 3, distances 9, slip 3.
 DYNAMIC_COUNT = 3 * len(OTHERS) + 3 + 3 + len(INNER) + 3
+# Features that are offsets of the ring of eight points around the centre.
+INNER_OFFSETS = [3 * OTHERS.index(p) + a for p in INNER if p != CENTRE for a in range(3)]
 MODES = 8
 
 vec3 = ti.math.vec3

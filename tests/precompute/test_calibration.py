@@ -24,6 +24,7 @@ def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(stiff: 
     small, count = small_database(), len(stage.levels.coarse.vertices)
     place = 0.01 * np.random.default_rng(0).standard_normal((count, small.mapping.place_bias.shape[1]))
     mapping = replace(small.mapping, place_bias=place.astype(np.float32))
+    predict = lambda features, pose: mapping.predict(features)  # noqa: E731
     solver = SolverOptions(substep=1.0 / 240.0)
     poses = poses_of(stage.motion(scene().training.held_out[0]), 1.0 / 60.0, 1.0)
     fine = Run(
@@ -33,7 +34,7 @@ def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(stiff: 
     with miniature():
         run = filtered(record_runs([coarse], tmp_path, 1)[0], CoarseFilter(stage.levels).matrix)
         # What this coarse garment looks like when it is decoded is given out as the fine run.
-        told = replace(run, positions=decode_recording(layer, mapping, small.atoms, coarse, run)[1])
+        told = replace(run, positions=decode_recording(layer, predict, small.atoms, coarse, run)[1])
         found = calibrate(layer, mapping, small.atoms, [fine], [told], solver, 0.3, tmp_path, 1)
     assert found.options == coarse.options
     errors = {row["bend_scale"]: row["spectrum_error"] for row in found.rows}

@@ -13,10 +13,11 @@ from precompute.training import (
     features_of,
     fit_layer,
     residual_of,
+    spread_frames,
     training_set,
 )
 from tests.runtime.players import skirt_stage
-from wrinkles.decoder import _add_patches, surface_normals
+from wrinkles.decoder import add_patches, surface_normals
 from wrinkles.dictionary import fit_mapping
 from wrinkles.features import DYNAMIC_COUNT
 
@@ -64,34 +65,32 @@ def test_the_residual_is_what_the_smooth_surface_lacks(layer: Layer, recording: 
 
 
 def test_coefficients_say_what_the_residual_is(layer: Layer, recording: Recording) -> None:
-    data = training_set(layer, [recording], atom_count=64, frames=FRAMES, seed=0)
+    data = training_set(layer, [recording], atom_count=64, seed=0)
     assert data.features.shape == (FRAMES, len(layer.levels.coarse.vertices), DYNAMIC_COUNT)
     assert data.coefficients.shape == (*data.features.shape[:2], 64) and data.atoms.kept > 0.98
     frames, residual, patches = features_of(layer, recording)[1], residual_of(layer, recording), layer.patches
     for f in (0, FRAMES // 2, FRAMES - 1):
         grids = (data.coefficients[f] @ data.atoms.shapes + data.atoms.mean).astype(np.float32)
         decoded = np.zeros(residual[f].shape, np.float32)
-        _add_patches(grids, frames[f], patches.corners, patches.blend, patches.cell, patches.within, decoded)
+        add_patches(grids, frames[f], patches.corners, patches.blend, patches.cell, patches.within, decoded)
         rest = np.sqrt(((decoded - residual[f]) ** 2).sum(axis=1).mean())
         assert rest < 0.1 * np.sqrt((residual[f] ** 2).sum(axis=1).mean())
 
 
 def test_frames_are_spread_over_all_recordings(layer: Layer, recording: Recording) -> None:
-    every = training_set(layer, [recording], 8, frames=1000, seed=0)
-    some = training_set(layer, [recording, recording.where(slice(0, 6))], 8, frames=6, seed=0)
-    assert len(some.features) == 6
-    taken = [int(np.abs(every.features - row).max(axis=(1, 2)).argmin()) for row in some.features]
-    assert taken == [1, 4, 7, 10, 1, 4]
+    some = spread_frames([recording, recording.where(slice(0, 6))], 6)
+    assert [r.frames.tolist() for r in some] == [[4, 10, 16, 22], [4, 10]]
+    assert len(spread_frames([recording], 1000)[0].frames) == FRAMES
 
 
 def test_the_same_seed_gives_the_same_training_set(layer: Layer, recording: Recording) -> None:
-    first, again = (training_set(layer, [recording], 8, frames=6, seed=3) for _ in range(2))
+    first, again = (training_set(layer, [recording], 8, seed=3) for _ in range(2))
     assert np.array_equal(first.coefficients, again.coefficients) and np.array_equal(first.features, again.features)
     assert np.array_equal(first.atoms.shapes, again.atoms.shapes)
 
 
 def test_the_mapping_is_fitted_to_features_and_places(layer: Layer, recording: Recording) -> None:
-    data, told = training_set(layer, [recording], 4, frames=3, seed=0), []
+    data, told = training_set(layer, spread_frames([recording], 3), 4, seed=0), []
     mapping = fit_layer(layer, data, hidden=(6, 5), epochs=3, seed=2, report=told.append)
     static = layer.stencil.static
     expected = fit_mapping(data.features, static, data.coefficients, hidden=(6, 5), epochs=3, seed=2)

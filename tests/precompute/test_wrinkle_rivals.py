@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pbd import InputError
+from precompute.pipeline import precompute
+from precompute.training import TrainingSet, build_layer
+from precompute.wrinkle_rivals import compare_wrinkles_file, fit_rivals, wrinkle_verdict, write_wrinkles
+from runtime import command
+from tests.precompute.miniature import SCENE, miniature, scene
+from tests.runtime.players import skirt_stage
+from wrinkles.dictionary import fit_atoms
+from wrinkles.features import DYNAMIC_COUNT
+from wrinkles.patches import NODES
+
+FRAMES, ATOMS = 40, 5
+
+
+@pytest.fixture(scope="module")
+def rivals() -> tuple[list, TrainingSet, np.ndarray]:
+    """Rivals fitted to wrinkles that are a linear function of the features."""
+    layer, rng = build_layer(skirt_stage().levels), np.random.default_rng(0)
+    count = len(layer.levels.coarse.vertices)
+    sway = rng.standard_normal((FRAMES, 3))
+    features = (sway @ rng.standard_normal((3, count * DYNAMIC_COUNT))).reshape(FRAMES, count, DYNAMIC_COUNT)
+    coefficients = 0.01 * np.einsum("fnd,dk->fnk", features, rng.standard_normal((DYNAMIC_COUNT, ATOMS)))
+    atoms = fit_atoms(rng.standard_normal((500, 3 * NODES)), ATOMS)
+    data = TrainingSet(features.astype(np.float32), coefficients.astype(np.float32), atoms)
+    poses = np.tile(np.eye(3, 4), (FRAMES, 6, 1, 1))
+    turn = 0.3 * sway[:, 0]
+    poses[:, 1, 0, 0] = poses[:, 1, 1, 1] = np.cos(turn)
+    poses[:, 1, 1, 0], poses[:, 1, 0, 1] = np.sin(turn), -np.sin(turn)
+    return fit_rivals(layer, data, poses, epochs=2, seed=0), data, poses
+
+
+def test_every_rival_learns_what_it_can(rivals: tuple) -> None:
+    fitted, data, poses = rivals
+    spread = np.sqrt((data.coefficients**2).mean())
+    off = {}
+    for rival in fitted:
+        guesses = np.stack([rival.predict(data.features[f], poses[f]) for f in range(0, FRAMES, 7)])
+        assert guesses.shape[1:] == data.coefficients.shape[1:] and rival.megabytes > 0.0
+        off[rival.name] = np.sqrt(((guesses - data.coefficients[::7]) ** 2).mean()) / spread
+    assert list(off) == [
+        "linear operator", "PCA and ridge", "kernel ridge", "nearest neighbour", "pose-driven RBF", "k-means modes",
+        "wide network",
+    ]  # fmt: skip
+    assert off["nearest neighbour"] < 1e-5  # a frame that it has seen
+    assert off["linear operator"] < 0.01 and off["PCA and ridge"] < 0.3 and off["kernel ridge"] < 0.2
+    assert off["k-means modes"] < 0.9  # one answer for each cluster
+    assert 0.5 < off["pose-driven RBF"] < 1.1  # one turn tells one of three directions of the sway
+
+
+def test_a_sequence_has_no_joints_to_be_driven_by(rivals: tuple) -> None:
+    _, data, _ = rivals
+    fitted = fit_rivals(build_layer(skirt_stage().levels), data, np.zeros((FRAMES, 9, 3)), epochs=1, seed=0)
+    assert "pose-driven RBF" not in [rival.name for rival in fitted]
+
+
+def test_all_ways_are_judged_on_the_same_states(tmp_path: Path) -> None:
+    path = tmp_path / "skirt.h5"
+    with miniature():
+        made = precompute(scene(), path, workers=1)
+        database, found = compare_wrinkles_file(path, tmp_path)
+    assert found[0].name == "ours" and len(found) == 8
+    assert len({one.figures["normal_error_smooth_deg"] for one in found}) == 1
+    assert all(np.isfinite(list(one.figures.values())).all() and one.predict_ms > 0.0 for one in found)
+    assert made.evaluation is not None
+    quality = made.evaluation.figures["normal_error_deg"]  # of all frames, not of every fourth
+    assert found[0].figures["normal_error_deg"] == pytest.approx(quality, rel=0.2)
+    page = tmp_path / "wrinkles.html"
+    write_wrinkles(page, database, found)
+    text = page.read_text(encoding="utf-8")
+    assert all(one.name in text for one in found) and escape(wrinkle_verdict(found)) in text
+
+
+def test_what_cannot_be_compared_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.main(["compare", "x.h5", "--wrinkles", "--clip", "walk", "-o", str(tmp_path)]) == 2
+    assert "--clip: cannot be chosen with --wrinkles" in capsys.readouterr().err
+    path, text = tmp_path / "skirt.h5", SCENE[: SCENE.index("[[training.held_out]]")] + SCENE[SCENE.index("[solver]") :]
+    with miniature():
+        precompute(scene(text), path, workers=1)
+        with pytest.raises(InputError, match="nothing is held out"):
+            compare_wrinkles_file(path, tmp_path)
