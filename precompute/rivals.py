@@ -205,8 +205,11 @@ def middle_levels(database: WrinkleDatabase, truth: Truth) -> Levels | None:
         return None
     source = body_source(truth.run.body)
     body = (source.vertices, source.faces)
-    one = levels_of(database.coarse_vertices, database.coarse_faces, database.held, *body, 1, database.warp)
-    return levels_of(one.fine.vertices, one.fine.faces, one.fine_held, *body, database.subdivisions - 1, database.warp)
+    one = Subdivision.of(database.coarse_faces, len(database.coarse_vertices), 1)
+    # Points of the fine surface, so that the smooth surface through them is the fine one.
+    vertices, held = truth.levels.fine.vertices[: one.fine_count], truth.levels.fine_held
+    held = held[held < one.fine_count]
+    return levels_of(vertices, one.faces, held, *body, database.subdivisions - 1, database.warp)
 
 
 def middle_cloth(database: WrinkleDatabase, truth: Truth, options: ModelOptions | None = None) -> Cloth | None:

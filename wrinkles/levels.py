@@ -118,7 +118,13 @@ def build_levels(
             outside = push_outside(subdivision.upsample(vertices), body_vertices, body_faces, CLEARANCE)
             vertices = subdivision.fit(outside)
         vertices = push_outside(vertices, body_vertices, body_faces, CLEARANCE)
-    return levels_of(vertices, faces, held, body_vertices, body_faces, levels, warp)
+    made = levels_of(vertices, faces, held, body_vertices, body_faces, levels, warp)
+    ratio = made.coarse.face_areas.sum() / made.fine.face_areas.sum()
+    if abs(ratio - 1.0) > 0.005:
+        raise InputError(
+            "coarse and fine mesh differ in area", key="subdivisions", received=float(ratio), expected="1 within 0.5 %"
+        )
+    return made
 
 
 def levels_of(
@@ -133,11 +139,6 @@ def levels_of(
     """Levels of a garment that stands outside the body already; arguments as for :func:`build_levels`."""
     subdivision = Subdivision.of(faces, len(vertices), levels)
     coarse, fine = subdivision.meshes(vertices, warp)
-    ratio = coarse.face_areas.sum() / fine.face_areas.sum()
-    if abs(ratio - 1.0) > 0.005:
-        raise InputError(
-            "coarse and fine mesh differ in area", key="subdivisions", received=float(ratio), expected="1 within 0.5 %"
-        )
     held = np.unique(np.asarray(held, np.int64))  # the order in which a model takes its targets
     fine_held = _between(subdivision, held)
     carried = (coarse.vertices[held], fine.vertices[fine_held]) if len(body_faces) else (np.zeros((0, 3)),) * 2
