@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from pbd import InputError
 from precompute.compare import database_of
@@ -241,6 +242,7 @@ def _decode(
     return *decode_recording(layer, predict, database.atoms, truth.run, recording), times
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # as everywhere here: beside other work, more are slower by far
 def compare_wrinkles_file(
     path: Path, output: Path, *, report: Callable[[str], None] | None = None
 ) -> tuple[WrinkleDatabase, list[Wrinkles]]:
