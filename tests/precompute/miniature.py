@@ -7,7 +7,7 @@ from contextlib import ExitStack, contextmanager
 from unittest.mock import patch
 
 from assets.scene import Scene, parse_scene
-from precompute import calibration, evaluation, pipeline, recording
+from precompute import calibration, evaluation, pipeline, recording, wrinkle_rivals
 from runtime.simulation import poses_of
 
 __all__ = ["SCENE", "miniature", "scene"]
@@ -59,6 +59,8 @@ def miniature() -> Iterator[None]:
             (evaluation, "SETTLE", 0.9),
             (evaluation, "poses_of", short),
             (recording, "CHUNK_SECONDS", 0.5),
+            (wrinkle_rivals, "WIDE", (12, 8)),
+            (wrinkle_rivals, "MODES", 32),
         ):
             stack.enter_context(patch.object(module, name, value))
         yield

@@ -56,7 +56,7 @@ def test_what_is_written_is_what_was_made(made: Precomputed, folder: Path, told:
     assert np.array_equal(levels.fine.vertices, stage.levels.fine.vertices)
     assert np.array_equal(levels.coarse_held, stage.levels.coarse_held)
     kinds = [line.split(":")[0] for line in told]
-    order = ["simulating", "calibrating the coarse model", "fitting patches", "fitting", "evaluating"]
+    order = ["simulating", "fitting patches", "fitting", "calibrating the coarse model", "evaluating"]
     assert list(dict.fromkeys(kinds)) == order
 
 

@@ -17,7 +17,7 @@ from wrinkles.dictionary import fit_atoms
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.patches import NODES
 
-FRAMES, ATOMS = 40, 5
+FRAMES, ATOMS = 24, 5
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,8 @@ def rivals() -> tuple[list, TrainingSet, np.ndarray]:
     turn = 0.3 * sway[:, 0]
     poses[:, 1, 0, 0] = poses[:, 1, 1, 1] = np.cos(turn)
     poses[:, 1, 1, 0], poses[:, 1, 0, 1] = np.sin(turn), -np.sin(turn)
-    return fit_rivals(layer, data, poses, epochs=2, seed=0), data, poses
+    with miniature():
+        return fit_rivals(layer, data, poses, epochs=2, seed=0), data, poses
 
 
 def test_every_rival_learns_what_it_can(rivals: tuple) -> None:
@@ -52,12 +53,13 @@ def test_every_rival_learns_what_it_can(rivals: tuple) -> None:
     assert off["nearest neighbour"] < 1e-5  # a frame that it has seen
     assert off["linear operator"] < 0.01 and off["PCA and ridge"] < 0.3 and off["kernel ridge"] < 0.2
     assert off["k-means modes"] < 0.9  # one answer for each cluster
-    assert 0.5 < off["pose-driven RBF"] < 1.1  # one turn tells one of three directions of the sway
+    assert off["pose-driven RBF"] < 0.3  # poses that it has seen
 
 
 def test_a_sequence_has_no_joints_to_be_driven_by(rivals: tuple) -> None:
     _, data, _ = rivals
-    fitted = fit_rivals(build_layer(skirt_stage().levels), data, np.zeros((FRAMES, 9, 3)), epochs=1, seed=0)
+    with miniature():
+        fitted = fit_rivals(build_layer(skirt_stage().levels), data, np.zeros((FRAMES, 9, 3)), epochs=1, seed=0)
     assert "pose-driven RBF" not in [rival.name for rival in fitted]
 
 
