@@ -7,8 +7,6 @@ import numpy as np
 from pbd import Body
 from precompute.recording import Recording, Run, body_source
 from precompute.training import Layer
-from wrinkles.charts import leading_vertices
-from wrinkles.clearance import clearances, facing
 from wrinkles.decoder import Relaxation, Upsampler, add_patches
 from wrinkles.dictionary import Atoms
 from wrinkles.features import DYNAMIC_COUNT
@@ -36,12 +34,8 @@ def decode_recording(
     """
     levels, patches = layer.levels, layer.patches
     upsample = Upsampler(levels.subdivision)
-    leading = leading_vertices(levels.subdivision)
     source = body_source(run.body)
-    spacing = float(levels.fine.edge_lengths()[1].mean())
-    clearance = clearances(source.vertices, source.faces, spacing, run.fabric.thickness)
-    way = facing(levels.coarse, source.vertices, source.faces)
-    relax = Relaxation(levels.fine, levels.fine_held, leading, clearance, way)
+    relax = Relaxation.of(levels, source.vertices, source.faces, run.fabric.thickness)
     body = Body(source.faces, len(source.vertices))
     smooth = np.zeros((len(recording.frames), levels.subdivision.fine_count, 3), np.float32)
     decoded = np.zeros_like(smooth)

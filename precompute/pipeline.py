@@ -22,7 +22,7 @@ from runtime.simulation import Motion
 from runtime.stage import Stage, fabric_of
 from wrinkles.database import WrinkleDatabase, body_hash, code_version, write_database
 
-__all__ = ["EPOCHS", "TRAINING_FRAMES", "Precomputed", "default_cache", "precompute", "training_runs"]
+__all__ = ["EPOCHS", "TRAINING_FRAMES", "Precomputed", "default_cache", "precompute", "scene_run", "training_runs"]
 
 CALIBRATION_SECONDS = (
     6.0  # motion that the coarse model is calibrated on: enough to see it move, short enough to try many
@@ -148,7 +148,7 @@ def precompute(
     )
     truth, evaluation, quality = None, None, {}
     if held_out:  # the first held-out clip is the one that is reported
-        run = _fine_run(stage, scene, held_out[0])
+        run = scene_run(stage, scene, held_out[0])
         truth = truth_of(run, cache, workers, tell)
         evaluation = evaluate(database, truth, tell)
         quality = dict(evaluation.figures)
@@ -166,10 +166,11 @@ def precompute(
 
 def training_runs(stage: Stage, scene: Scene) -> list[Run]:
     """The fine runs that a scene learns from."""
-    return [_fine_run(stage, scene, motion) for motion in stage.training_motions()]
+    return [scene_run(stage, scene, motion) for motion in stage.training_motions()]
 
 
-def _fine_run(stage: Stage, scene: Scene, motion: Motion) -> Run:
+def scene_run(stage: Stage, scene: Scene, motion: Motion) -> Run:
+    """The fine run of a motion under a scene's settings."""
     settings = _Settings.of(stage, scene)
     return fine_run(stage.levels, stage.body, motion, settings, wind=scene.wind.velocity, primitives=scene.primitives)
 

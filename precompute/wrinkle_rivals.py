@@ -20,9 +20,9 @@ from threadpoolctl import threadpool_limits
 from pbd import InputError
 from precompute.compare import database_of
 from precompute.decoding import Predict, decode_recording
-from precompute.evaluation import Truth, fine_run, truth_of
+from precompute.evaluation import Truth, truth_of
 from precompute.page import Chart, Line, Point, Section, Table, Text, write_page
-from precompute.pipeline import EPOCHS, TRAINING_FRAMES, default_cache, training_runs
+from precompute.pipeline import EPOCHS, TRAINING_FRAMES, default_cache, scene_run, training_runs
 from precompute.recording import Recording, record_runs
 from precompute.training import Layer, TrainingSet, build_layer, fit_layer, spread_frames, training_set
 from runtime.stage import Stage, scene_of
@@ -268,9 +268,8 @@ def compare_wrinkles_file(
     data = training_set(layer, chosen, len(database.atoms.shapes), database.seed)
     poses = np.concatenate([run.poses[r.frames] for run, r in zip(runs, chosen, strict=True)])
     rivals = fit_rivals(layer, data, poses, epochs=EPOCHS, seed=database.seed, report=report)
-    motion = stage.motion(scene.training.held_out[0])
-    air = {"wind": scene.wind.velocity, "primitives": scene.primitives}
-    truth = truth_of(fine_run(stage.levels, stage.body, motion, database, **air), cache, 2, report)
+    held_out = scene_run(stage, scene, stage.motion(scene.training.held_out[0]))
+    truth = truth_of(held_out, cache, 2, report)
     return database, compare_wrinkles(layer, database, rivals, truth, report)
 
 

@@ -11,8 +11,7 @@ from assets.sequence import Sequence
 from pbd import InputError, build_model
 from pbd.engine import Launch
 from runtime.simulation import Simulation, body_source
-from wrinkles.charts import Charts, leading_vertices
-from wrinkles.clearance import clearances, facing
+from wrinkles.charts import Charts
 from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Decoder, Relaxation, Upsampler, surface_normals
@@ -67,12 +66,7 @@ class Player:
         self._upsample = Upsampler(self.levels.subdivision)
         self._decoder = Decoder(Stencil.of(charts, database.held), patches, database.mapping, database.atoms)
         self._surface_normals = Launch(surface_normals)
-        leading = leading_vertices(self.levels.subdivision)
-        fine = self.levels.fine
-        spacing = float(fine.edge_lengths()[1].mean())
-        clearance = clearances(source.vertices, source.faces, spacing, database.fabric.thickness)
-        way = facing(self.levels.coarse, source.vertices, source.faces)
-        self._relax = Relaxation(fine, self.levels.fine_held, leading, clearance, way)
+        self._relax = Relaxation.of(self.levels, source.vertices, source.faces, database.fabric.thickness)
         count, body_count = self.levels.subdivision.fine_count, len(source.vertices)
         self.vertices = np.zeros((count, 3), np.float32)
         self.normals = np.zeros((count, 3), np.float32)

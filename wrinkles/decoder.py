@@ -20,8 +20,11 @@ from pbd.geometry import (
     vec3,
 )
 from pbd.mesh import ClothMesh, greedy_colors
+from wrinkles.charts import leading_vertices
+from wrinkles.clearance import clearances, facing
 from wrinkles.dictionary import CLIP, Atoms, Mapping
 from wrinkles.features import DYNAMIC_COUNT, Stencil
+from wrinkles.levels import Levels
 from wrinkles.patches import NODES, SIDE, Patches
 from wrinkles.surface import Subdivision
 
@@ -287,6 +290,25 @@ class Relaxation:
         self._leading, self._clearance, self._facing = leading, clearance, facing
         self._nearest = np.full(len(mesh.vertices), -1, np.int32)
         self._relax = Launch(_relax)
+
+    @classmethod
+    def of(cls, levels: Levels, body_vertices: np.ndarray, body_faces: np.ndarray, thickness: float) -> "Relaxation":
+        """Relaxation of a garment on a body.
+
+        Args:
+            levels: of the garment.
+            body_vertices: of the body in its bind pose [m], shape (b, 3).
+            body_faces: int, shape (k, 3).
+            thickness: kept from a flat body [m].
+        """
+        spacing = float(levels.fine.edge_lengths()[1].mean())
+        return cls(
+            levels.fine,
+            levels.fine_held,
+            leading_vertices(levels.subdivision),
+            clearances(body_vertices, body_faces, spacing, thickness),
+            facing(levels.coarse, body_vertices, body_faces),
+        )
 
     def __call__(
         self,
