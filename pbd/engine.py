@@ -39,7 +39,7 @@ class _Unwrapped:
 
 
 # Taichi writes the place of every expression that it compiles into a message, in case of an error, and breaks its lines
-# to 80 columns: a sixth of the time until the first frame.
+# to 80 columns: a good part of the time until the first frame.
 ast_transformer_utils.TextWrapper = _Unwrapped
 
 _lock = threading.Lock()
