@@ -1,6 +1,7 @@
 """Decoding recorded coarse states, frame by frame, by whatever gives the coefficients of the patches."""
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -11,10 +12,25 @@ from wrinkles.decoder import Relaxation, Upsampler, add_patches
 from wrinkles.dictionary import Atoms
 from wrinkles.features import DYNAMIC_COUNT
 
-__all__ = ["Predict", "decode_recording"]
+__all__ = ["Lift", "Predict", "by_patches", "decode_recording", "lifted_frames"]
 
 Predict = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Features of one frame, float32, shape (n, DYNAMIC_COUNT), and the body's pose to coefficients, shape (n, K)."""
+
+Lift = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], None]
+"""Adds wrinkles to smooth fine vertices [m], float32, shape (N, 3), in place; told the features and frames of the
+coarse vertices, float32, shapes (n, DYNAMIC_COUNT) and (n, 9), and the body's pose."""
+
+
+def by_patches(layer: Layer, predict: Predict, atoms: Atoms) -> Lift:
+    """Wrinkles from patches whose coefficients a mapping gives."""
+    patches = layer.patches
+
+    def lift(fine: np.ndarray, features: np.ndarray, frames: np.ndarray, pose: np.ndarray) -> None:
+        grids = (predict(features, pose) @ atoms.shapes + atoms.mean).astype(np.float32)
+        add_patches(grids, frames, patches.corners, patches.blend, patches.cell, patches.within, fine)
+
+    return lift
 
 
 def decode_recording(
@@ -32,31 +48,51 @@ def decode_recording(
     Returns:
         [m], float32, shape (f, N, 3) each.
     """
-    levels, patches = layer.levels, layer.patches
+    smooth = np.zeros((len(recording.frames), layer.levels.subdivision.fine_count, 3), np.float32)
+    decoded = np.zeros_like(smooth)
+    frames = lifted_frames(layer, by_patches(layer, predict, atoms), run, recording)
+    for f, (smooth_frame, decoded_frame, _) in enumerate(frames):
+        smooth[f], decoded[f] = smooth_frame, decoded_frame
+    return smooth, decoded
+
+
+def lifted_frames(
+    layer: Layer, lift: Lift, run: Run, recording: Recording, passes: int = 1
+) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
+    """The same a frame at a time, by any way to make wrinkles.
+
+    Args:
+        layer: of the garment; its stencil reads the features.
+        lift: adds the wrinkles, see :data:`Lift`; called once a frame, in order.
+        run, recording: as for :func:`decode_recording`.
+        passes: of relaxation.
+
+    Yields:
+        smooth and decoded garment [m], float32, shape (N, 3) each, and the processor time from the smooth surface to
+        the relaxed one [ms].
+    """
+    levels = layer.levels
     upsample = Upsampler(levels.subdivision)
     source = body_source(run.body)
     relax = Relaxation.of(levels, source.vertices, source.faces, run.fabric.thickness)
     body = Body(source.faces, len(source.vertices))
-    smooth = np.zeros((len(recording.frames), levels.subdivision.fine_count, 3), np.float32)
-    decoded = np.zeros_like(smooth)
     count = levels.subdivision.coarse_count
     position, frames = np.zeros((count, 4), np.float32), np.zeros((count, 9), np.float32)
     features = np.zeros((count, DYNAMIC_COUNT), np.float32)
+    smooth = np.zeros((levels.subdivision.fine_count, 3), np.float32)
     for f, frame in enumerate(recording.frames):
         # The body's frame: positions near the origin keep their digits.
         origin = np.round(recording.coarse[f].mean(axis=0).astype(float))
         source.skin(run.poses[frame], origin, body.current)
         body.finish_pose()
         position[:, :3] = recording.coarse[f] - origin
-        upsample(position, smooth[f])
+        upsample(position, smooth)
         velocity, contact = np.ascontiguousarray(recording.velocity[f]), np.ascontiguousarray(recording.contact[f])
+        nearest, targets = np.ascontiguousarray(recording.nearest[f]), levels.fine_attachment.targets(body.current)
+        decoded, began = smooth.copy(), time.process_time()
         layer.stencil.gather(position, velocity, contact, frames, features)
-        grids = (predict(features, run.poses[frame]) @ atoms.shapes + atoms.mean).astype(np.float32)
-        decoded[f] = smooth[f]
-        add_patches(grids, frames, patches.corners, patches.blend, patches.cell, patches.within, decoded[f])
-        nearest = np.ascontiguousarray(recording.nearest[f])
-        targets = levels.fine_attachment.targets(body.current)
-        relax(decoded[f], targets, frames, nearest, contact, body, body.current)
-        smooth[f] += origin.astype(np.float32)
-        decoded[f] += origin.astype(np.float32)
-    return smooth, decoded
+        lift(decoded, features, frames, run.poses[frame])
+        relax(decoded, targets, frames, nearest, contact, body, body.current, passes)
+        spent = 1e3 * (time.process_time() - began)
+        offset = origin.astype(np.float32)
+        yield smooth + offset, decoded + offset, spent

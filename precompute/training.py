@@ -19,6 +19,7 @@ __all__ = [
     "Layer",
     "TrainingSet",
     "build_layer",
+    "coefficients_of",
     "features_of",
     "fit_layer",
     "spread_frames",
@@ -90,8 +91,18 @@ def training_set(layer: Layer, recordings: Sequence[Recording], atom_count: int,
     some = rng.choice(frame_count, min(frame_count, max(1, 60_000 // count)), replace=False)
     sample = np.stack([patches_at(i)[some] for i in range(count)], axis=1)
     atoms = fit_atoms(sample.reshape(-1, 3 * NODES), atom_count)
+    return TrainingSet(features, _reduced(patches_at, count, atoms), atoms)
+
+
+def coefficients_of(layer: Layer, recordings: Sequence[Recording], atoms: Atoms) -> np.ndarray:
+    """What the patches of recorded frames are in atoms: float32, shape (S, n, K)."""
+    _, patches_at, count = _patch_reader(layer, recordings)
+    return _reduced(patches_at, count, atoms)
+
+
+def _reduced(patches_at: Callable[[int], np.ndarray], count: int, atoms: Atoms) -> np.ndarray:
     coefficients = np.stack([(patches_at(i) - atoms.mean) @ atoms.analysis for i in range(count)], axis=1)
-    return TrainingSet(features, coefficients.astype(np.float32), atoms)
+    return coefficients.astype(np.float32)
 
 
 def _patch_reader(layer: Layer, recordings: Sequence[Recording]) -> tuple[np.ndarray, Callable[[int], np.ndarray], int]:

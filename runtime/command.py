@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from pbd.errors import InputError
 from runtime.outputs import check_file, check_folder
-from runtime.report import Progress, Report, package_version, process_age, write_report
+from runtime.report import Progress, Report, machine_description, package_version, process_age, write_report
 
 if TYPE_CHECKING:
     from runtime.play import Cast
@@ -122,11 +122,14 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument(
         "-o", dest="output", type=Path, default=Path("."), metavar="DIR", help="folder of compare.html"
     )
-    compare.add_argument(
-        "--wrinkles", action="store_true", help="other ways from coarse to fine instead, given the coarse state"
-    )
+    compare.add_argument("--wrinkles", action="store_true", help="other ways from coarse to fine instead")
     compare.add_argument("--clip", metavar="NAME", help="a clip that nothing was learned from (default: held out)")
     compare.add_argument("--seconds", type=_positive, metavar="S", help="cut the motion there")
+
+    bench = commands.add_parser("bench", help="tables of what each part is worth", description="Print a table.")
+    tables = bench.add_subparsers(dest="table", required=True, metavar="TABLE")
+    ablations = _add_command(tables, "wrinkles", _bench_wrinkles, "the wrinkle layer with parts left out")
+    ablations.add_argument("database", type=Path, metavar="DB.h5", help="wrinkle database, its runs beside it")
     return parser
 
 
@@ -308,19 +311,21 @@ def _check(options: argparse.Namespace) -> Report:
 
 
 def _compare_wrinkles(options: argparse.Namespace) -> Report:
-    from precompute.wrinkle_rivals import compare_wrinkles_file, wrinkle_verdict, write_wrinkles
+    from precompute.wrinkle_comparison import compare_wrinkles_file
+    from precompute.wrinkle_page import wrinkle_rows, wrinkle_verdict, write_wrinkles
 
     for name in ("clip", "seconds"):
         if getattr(options, name) is not None:
             raise InputError("cannot be chosen with --wrinkles", key=f"--{name}", expected="the held-out motion")
     with Progress(sys.stderr) as progress:
-        database, found = compare_wrinkles_file(options.source, options.output, report=progress)
+        found = compare_wrinkles_file(options.source, options.output, report=progress)
     page = options.output / "wrinkles.html"
-    write_wrinkles(page, database, found)
+    write_wrinkles(page, found)
     print(wrinkle_verdict(found))
     print(f"\n{page}")
-    rows = [{"method": one.name, "predict_ms": one.predict_ms, "mb": one.megabytes, **one.figures} for one in found]
-    return Report(found[0].figures, rows)
+    rows = wrinkle_rows(found)
+    figures = {name: value for name, value in rows[1].items() if not isinstance(value, str)}
+    return Report(figures, rows)
 
 
 def _compare(options: argparse.Namespace) -> Report:
@@ -340,3 +345,13 @@ def _compare(options: argparse.Namespace) -> Report:
     print(f"\n{page}")
     rows = [{"method": m.name, "frame_ms_p50": m.frame_ms, **m.settings, **m.figures} for m in found.methods]
     return Report(found.figures, rows)
+
+
+def _bench_wrinkles(options: argparse.Namespace) -> Report:
+    from precompute.ablations import ablate_file, table
+
+    with Progress(sys.stderr) as progress:
+        rows = ablate_file(options.database, report=progress)
+    machine = machine_description()
+    print(f"{options.database.stem}, {machine['cpu']}, {machine['date'][:10]}:\n\n{table(rows)}")
+    return Report({name: value for name, value in rows[0].items() if not isinstance(value, str)}, rows)

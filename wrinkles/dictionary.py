@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.network import Network
 from wrinkles.patches import NODES, slope_metric
 
@@ -112,7 +111,7 @@ def fit_mapping(
     they are whitened, so that faint directions are learned as fast as strong ones; this goes into the first layer.
 
     Args:
-        features: dynamic features, float32, shape (S, n, DYNAMIC_COUNT).
+        features: dynamic features, float32, shape (S, n, d).
         static: float32, shape (n, s).
         coefficients: targets, float32, shape (S, n, K).
         hidden: widths of the hidden layers.
@@ -123,7 +122,8 @@ def fit_mapping(
     Returns:
         The mapping.
     """
-    flat = features.reshape(-1, DYNAMIC_COUNT)
+    count = features.shape[2]
+    flat = features.reshape(-1, count)
     center, scale = flat.mean(axis=0), 1.0 / (flat.std(axis=0) + 1e-4)
     z = (flat - center) * scale
     np.clip(z, -CLIP, CLIP, out=z)
@@ -132,7 +132,7 @@ def fit_mapping(
     z -= middle
     place = (static - static.mean(axis=0)) / (static.std(axis=0) + 1e-2)
     unit = float(np.sqrt((coefficients**2).mean()))
-    network = Network((DYNAMIC_COUNT + place.shape[1], *hidden, coefficients.shape[2]), seed)
+    network = Network((count + place.shape[1], *hidden, coefficients.shape[2]), seed)
     network.fit(
         z @ axes,
         place.astype(np.float32),
@@ -143,14 +143,14 @@ def fit_mapping(
     first, second, third = network.weights
     bias_1, bias_2, bias_3 = network.biases
     single = lambda a: np.ascontiguousarray(a, np.float32)  # noqa: E731
-    weights_1 = axes @ first[:DYNAMIC_COUNT]
+    weights_1 = axes @ first[:count]
     return Mapping(
         single(center),
         single(scale),
         single(weights_1),
         single(second),
         single(third * unit),
-        single(place @ first[DYNAMIC_COUNT:] + bias_1 - middle @ weights_1),
+        single(place @ first[count:] + bias_1 - middle @ weights_1),
         single(bias_2),
         single(bias_3 * unit),
     )

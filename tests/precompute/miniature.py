@@ -7,7 +7,7 @@ from contextlib import ExitStack, contextmanager
 from unittest.mock import patch
 
 from assets.scene import Scene, parse_scene
-from precompute import calibration, evaluation, pipeline, recording, wrinkle_rivals
+from precompute import ablation_bench, calibration, evaluation, pipeline, recording, wrinkle_comparison, wrinkle_rivals
 from runtime.simulation import poses_of
 
 __all__ = ["SCENE", "miniature", "scene"]
@@ -59,6 +59,8 @@ def miniature() -> Iterator[None]:
             (evaluation, "SETTLE", 0.9),
             (evaluation, "poses_of", short),
             (recording, "CHUNK_SECONDS", 0.5),
+            (ablation_bench, "EPOCHS", 2),
+            (wrinkle_comparison, "RADII", (0.25,)),
             (wrinkle_rivals, "WIDE", (12, 8)),
             (wrinkle_rivals, "MODES", 32),
         ):

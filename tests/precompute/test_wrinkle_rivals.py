@@ -1,17 +1,11 @@
 from __future__ import annotations
 
-from html import escape
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from pbd import InputError
-from precompute.pipeline import precompute
 from precompute.training import TrainingSet, build_layer
-from precompute.wrinkle_rivals import compare_wrinkles_file, fit_rivals, wrinkle_verdict, write_wrinkles
-from runtime import command
-from tests.precompute.miniature import SCENE, miniature, scene
+from precompute.wrinkle_rivals import SOFTNESS, fit_rivals
+from tests.precompute.miniature import miniature
 from tests.runtime.players import skirt_stage
 from wrinkles.dictionary import fit_atoms
 from wrinkles.features import DYNAMIC_COUNT
@@ -47,13 +41,13 @@ def test_every_rival_learns_what_it_can(rivals: tuple) -> None:
         assert guesses.shape[1:] == data.coefficients.shape[1:] and rival.megabytes > 0.0
         off[rival.name] = np.sqrt(((guesses - data.coefficients[::7]) ** 2).mean()) / spread
     assert list(off) == [
-        "linear operator", "PCA and ridge", "kernel ridge", "nearest neighbour", "pose-driven RBF", "k-means modes",
-        "wide network",
+        "linear operator", "PCA and ridge", "kernel ridge", "nearest neighbour with delta", "pose-driven RBF",
+        "k-means modes", "wide network",
     ]  # fmt: skip
-    assert off["nearest neighbour"] < 1e-5  # a frame that it has seen
-    assert off["linear operator"] < 0.01 and off["PCA and ridge"] < 0.3 and off["kernel ridge"] < 0.2
+    assert off["nearest neighbour with delta"] < 1e-5  # a frame that it has seen
+    assert off["linear operator"] < 0.01 and off["PCA and ridge"] < 0.5 and off["kernel ridge"] < 0.2
     assert off["k-means modes"] < 0.9  # one answer for each cluster
-    assert off["pose-driven RBF"] < 0.3  # poses that it has seen
+    assert off["pose-driven RBF"] < 0.5  # poses that it has seen
 
 
 def test_a_sequence_has_no_joints_to_be_driven_by(rivals: tuple) -> None:
@@ -63,28 +57,12 @@ def test_a_sequence_has_no_joints_to_be_driven_by(rivals: tuple) -> None:
     assert "pose-driven RBF" not in [rival.name for rival in fitted]
 
 
-def test_all_ways_are_judged_on_the_same_states(tmp_path: Path) -> None:
-    path = tmp_path / "skirt.h5"
+def test_softness_is_chosen_by_motion_that_was_left_out() -> None:
+    layer, rng = build_layer(skirt_stage().levels), np.random.default_rng(1)
+    count = len(layer.levels.coarse.vertices)
+    features = rng.standard_normal((60, count, DYNAMIC_COUNT)).astype(np.float32)
+    atoms = fit_atoms(rng.standard_normal((500, 3 * NODES)), ATOMS)
+    noise = rng.standard_normal((60, count, ATOMS)).astype(np.float32)  # nothing to be learned: the softest is best
     with miniature():
-        made = precompute(scene(), path, workers=1)
-        database, found = compare_wrinkles_file(path, tmp_path)
-    assert found[0].name == "ours" and len(found) == 8
-    assert len({one.figures["normal_error_smooth_deg"] for one in found}) == 1
-    assert all(np.isfinite(list(one.figures.values())).all() and one.predict_ms > 0.0 for one in found)
-    assert made.evaluation is not None
-    quality = made.evaluation.figures["normal_error_deg"]  # of all frames, not of every fourth
-    assert found[0].figures["normal_error_deg"] == pytest.approx(quality, rel=0.2)
-    page = tmp_path / "wrinkles.html"
-    write_wrinkles(page, database, found)
-    text = page.read_text(encoding="utf-8")
-    assert all(one.name in text for one in found) and escape(wrinkle_verdict(found)) in text
-
-
-def test_what_cannot_be_compared_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert command.main(["compare", "x.h5", "--wrinkles", "--clip", "walk", "-o", str(tmp_path)]) == 2
-    assert "--clip: cannot be chosen with --wrinkles" in capsys.readouterr().err
-    path, text = tmp_path / "skirt.h5", SCENE[: SCENE.index("[[training.held_out]]")] + SCENE[SCENE.index("[solver]") :]
-    with miniature():
-        precompute(scene(text), path, workers=1)
-        with pytest.raises(InputError, match="nothing is held out"):
-            compare_wrinkles_file(path, tmp_path)
+        fitted = fit_rivals(layer, TrainingSet(features, noise, atoms), np.zeros((60, 9, 3)), epochs=1, seed=0)
+    assert fitted[0].settings == f"softness {SOFTNESS[-1]:g}"
