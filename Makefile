@@ -4,7 +4,7 @@ PYTHON ?= $(firstword $(foreach name,python3.11 python3,$(if $(shell $(name) -c 
 BIN := .venv/bin
 export PYTHONHASHSEED := 0
 
-.PHONY: demo test lint format proofs gpu-proofs lock clean
+.PHONY: demo test lint format proofs proofs-long gpu-proofs lock clean
 
 demo: .venv/ready
 	$(BIN)/gube demo
@@ -23,6 +23,19 @@ format: .venv/ready
 
 proofs: .venv/ready
 	$(BIN)/python -m pytest -m "proof and not gpu"
+
+# Rivals and ablations of the wrinkle layer on every garment of docs/scenes; hours. Goes on where it was cut off:
+# `rm -r out/proofs-long` begins anew.
+LONG := out/proofs-long
+proofs-long: $(patsubst docs/scenes/%.toml,$(LONG)/%/ablations.md,$(wildcard docs/scenes/*.toml))
+
+.PRECIOUS: $(LONG)/%/wrinkles.html
+$(LONG)/%/wrinkles.html: docs/scenes/%.toml | .venv/ready
+	$(BIN)/gube compare $< --wrinkles -o $(@D) --json $(@D)/wrinkles.json
+
+$(LONG)/%/ablations.md: $(LONG)/%/wrinkles.html
+	$(BIN)/gube bench wrinkles $(@D)/$*.h5 --json $(@D)/ablations.json > $@.part
+	mv $@.part $@
 
 gpu-proofs: .venv/ready
 	$(BIN)/python -m pytest -m gpu
