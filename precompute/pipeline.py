@@ -20,7 +20,7 @@ from precompute.recording import Recording, Run, body_source, record_runs
 from precompute.training import build_layer, fit_layer, spread_frames, training_set
 from runtime.simulation import Motion
 from runtime.stage import Stage, fabric_of
-from wrinkles.database import WrinkleDatabase, body_hash, code_version, write_database
+from wrinkles.database import WrinkleDatabase, as_stored, body_hash, code_version, write_database
 
 __all__ = ["EPOCHS", "TRAINING_FRAMES", "Precomputed", "default_cache", "precompute", "scene_run", "training_runs"]
 
@@ -146,6 +146,7 @@ def precompute(
         code_version=code_version(),
         created=date.today().isoformat(),
     )
+    database = as_stored(database)  # judged as it will be played
     truth, evaluation, quality = None, None, {}
     if held_out:  # the first held-out clip is the one that is reported
         run = scene_run(stage, scene, held_out[0])

@@ -221,7 +221,11 @@ def check_database(path: str | Path) -> list[Check]:
         model = build_model(coarse, database.fabric, database.held, database.options, database.bend_factor)
         detail = f"{model.vertex_count} vertices, {1e3 * model.mass.sum():.0f} g, {len(model.hinges)} hinges"
         checks.append(Check("coarse model", True, detail))
-        checks.append(_check_rest(database, subdivision, coarse, State.at_rest(model)))
+        charts = Charts.of(coarse)
+        patches = Patches.of(subdivision, charts)
+        checks.append(_check_patches(patches, fine, subdivision.fine_count))
+        decoder = Decoder(Stencil.of(charts, database.held), patches, database.mapping, database.atoms)
+        checks.append(_check_rest(database, subdivision, decoder, State.at_rest(model)))
     except InputError as error:
         checks.append(Check("garment", False, str(error)))
     return checks
@@ -239,11 +243,15 @@ def _check_areas(coarse: ClothMesh, fine: ClothMesh) -> Check:
     return Check("one rest metric", abs(ratio - 1.0) <= 0.005, f"coarse area over fine area {ratio:.5f}")
 
 
-def _check_rest(database: WrinkleDatabase, subdivision: Subdivision, coarse: ClothMesh, state: State) -> Check:
+def _check_patches(patches: Patches, fine: ClothMesh, count: int) -> Check:
+    """Blending weights of every fine vertex: none below zero, and together one."""
+    off = float(np.abs(patches.blend.sum(axis=1) - 1.0).max())
+    whole = len(patches.blend) == len(fine.vertices) == count and patches.blend.min() >= 0.0 and off < 1e-5
+    return Check("patches", bool(whole), f"{len(patches.blend)} fine vertices, weights add up to 1 within {off:.1g}")
+
+
+def _check_rest(database: WrinkleDatabase, subdivision: Subdivision, decoder: Decoder, state: State) -> Check:
     """Decode the garment at rest, far from any body: finite, and no wrinkle higher than the longest is long."""
-    charts = Charts.of(coarse)
-    patches = Patches.of(subdivision, charts)
-    decoder = Decoder(Stencil.of(charts, database.held), patches, database.mapping, database.atoms)
     state.contact[:, 0] = FAR
     smooth = np.zeros((subdivision.fine_count, 3), np.float32)
     Upsampler(subdivision)(state.position, smooth)

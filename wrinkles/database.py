@@ -35,12 +35,14 @@ from wrinkles.schema import (
     check_values,
     content_hash,
     pack,
+    quantised,
     topology_hash,
     unpack,
 )
 
 __all__ = [
     "WrinkleDatabase",
+    "as_stored",
     "body_hash",
     "code_version",
     "database_figures",
@@ -200,8 +202,13 @@ def code_version() -> str:
     return f"{version}+{digest.hexdigest()[:12]}"
 
 
+def as_stored(database: WrinkleDatabase) -> WrinkleDatabase:
+    """The database that a file of it would hold: atoms and weights in steps of a byte."""
+    return _unpacked(_arrays(database))
+
+
 def write_database(path: str | Path, database: WrinkleDatabase) -> None:
-    """Write a database, beside the path first and then renamed.
+    """Write a database, beside the path first and then renamed; what is read back is :func:`as_stored`.
 
     Raises:
         InputError: a value that :func:`read_database` would refuse.
@@ -226,7 +233,7 @@ def write_database(path: str | Path, database: WrinkleDatabase) -> None:
 
 
 def read_database(path: str | Path) -> WrinkleDatabase:
-    """Read what :func:`write_database` wrote, bit by bit the same. Nothing is ever unpickled.
+    """Read what :func:`write_database` wrote, the same bits every time. Nothing is ever unpickled.
 
     Raises:
         InputError: a file that cannot be read, is no database, is of another schema version, lacks a key, has one too
@@ -248,7 +255,7 @@ def read_database(path: str | Path) -> WrinkleDatabase:
         ) from error
     check_values(arrays, path)
     try:
-        return _assemble({entry.name: unpack(entry, arrays[entry.name]) for entry in ENTRIES})
+        return _unpacked(arrays)
     except InputError as error:  # of a fabric or of options; they do not know the file
         raise InputError(
             error.problem, file=path, key=error.key, received=error.received, expected=error.expected
@@ -259,14 +266,16 @@ def database_figures(path: str | Path) -> dict[str, float]:
     """How large a database is and how long it takes to read.
 
     Returns:
-        ``database_mb`` [10^6 bytes], ``bytes_per_fine_vertex``, ``compression_ratio`` (bytes of all arrays over bytes
-        of the file) and ``load_s`` [s].
+        ``database_mb`` [10^6 bytes], ``bytes_per_fine_vertex``, ``compression_ratio`` (bytes of all its numbers in
+        float32, and of its words, over bytes of the file) and ``load_s`` [s].
     """
     start = time.perf_counter()
     database = read_database(path)
     load = time.perf_counter() - start
     size = Path(path).stat().st_size
-    raw = sum(array.nbytes for array in _arrays(database).values())
+    held = _arrays(database)
+    scales = {f"{entry.name}_scale" for entry in ENTRIES if entry.scaled_along is not None}
+    raw = sum(a.nbytes if a.dtype.kind == "S" else 4 * a.size for name, a in held.items() if name not in scales)
     return {
         "database_mb": size / 1e6,
         "bytes_per_fine_vertex": size / database.fine_vertex_count,
@@ -290,12 +299,19 @@ def _arrays(database: WrinkleDatabase) -> dict[str, np.ndarray]:
     for entry in ENTRIES:
         if entry.name not in values:
             values[entry.name] = attrgetter(entry.name.replace("/", "."))(database)
+        if entry.scaled_along is not None:
+            values |= quantised(entry, values[entry.name])
     arrays = {entry.name: pack(entry, values[entry.name]) for entry in ENTRIES}
     arrays["content_hash"] = np.array(content_hash(arrays).encode())
     return arrays
 
 
-def _assemble(values: dict[str, Any]) -> WrinkleDatabase:
+def _unpacked(arrays: dict[str, np.ndarray]) -> WrinkleDatabase:
+    values = {entry.name: unpack(entry, arrays[entry.name]) for entry in ENTRIES}
+    for entry in ENTRIES:
+        if entry.scaled_along is not None:
+            scale = np.expand_dims(values.pop(f"{entry.name}_scale"), entry.scaled_along)
+            values[entry.name] = values[entry.name] * scale
     groups: dict[str, dict[str, Any]] = {"": {}}
     for name, value in values.items():
         group, _, leaf = name.rpartition("/")

@@ -28,14 +28,15 @@ __all__ = [
     "check_values",
     "content_hash",
     "pack",
+    "quantised",
     "topology_hash",
     "unpack",
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 UNITS = "SI: m, kg, s"
-TEXT, SINGLE, DOUBLE, INDEX, WHOLE = "text", "float32", "float64", "int32", "int64"
+TEXT, SINGLE, DOUBLE, INDEX, WHOLE, STEPS = "text", "float32", "float64", "int32", "int64", "int8"
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,8 @@ class Entry:
         shape: numbers, and letters for sizes that must be the same wherever they occur.
         unit: of the values; "-" for none.
         in_header: an attribute of the file rather than a data set.
+        scaled_along: of STEPS, the axis whose values share a scale; the entry after it holds the scales, and the field
+            is the product of both.
     """
 
     name: str
@@ -55,6 +58,13 @@ class Entry:
     shape: tuple[int | str, ...] = ()
     unit: str = "-"
     in_header: bool = False
+    scaled_along: int | None = None
+
+
+def _in_steps(name: str, shape: tuple[int | str, int | str], unit: str = "-", along: int = 0) -> tuple[Entry, Entry]:
+    """Entries of a float32 array that the file holds in steps of a byte, and of its scales."""
+    steps = Entry(name, STEPS, shape, scaled_along=along)
+    return steps, Entry(f"{name}_scale", SINGLE, (shape[1 - along],), unit)
 
 
 ENTRIES = (
@@ -90,15 +100,15 @@ ENTRIES = (
     Entry("solver/gravity", DOUBLE, (3,), "m/s2"),
     Entry("solver/contact_refreshes", DOUBLE, unit="Hz"),
     Entry("frame_rate", DOUBLE, unit="Hz"),
-    Entry("atoms/shapes", SINGLE, ("K", 3 * NODES), "m"),
+    *_in_steps("atoms/shapes", ("K", 3 * NODES), "m", along=1),
     Entry("atoms/mean", SINGLE, (3 * NODES,), "m"),
     Entry("atoms/kept", DOUBLE),
     Entry("mapping/center", SINGLE, (DYNAMIC_COUNT,)),
     Entry("mapping/scale", SINGLE, (DYNAMIC_COUNT,)),
-    Entry("mapping/weights_1", SINGLE, (DYNAMIC_COUNT, "h1")),
-    Entry("mapping/weights_2", SINGLE, ("h1", "h2")),
-    Entry("mapping/weights_3", SINGLE, ("h2", "K")),
-    Entry("mapping/place_bias", SINGLE, ("n", "h1")),
+    *_in_steps("mapping/weights_1", (DYNAMIC_COUNT, "h1")),
+    *_in_steps("mapping/weights_2", ("h1", "h2")),
+    *_in_steps("mapping/weights_3", ("h2", "K")),
+    *_in_steps("mapping/place_bias", ("n", "h1")),
     Entry("mapping/bias_2", SINGLE, ("h2",)),
     Entry("mapping/bias_3", SINGLE, ("K",)),
     Entry("cutoff", DOUBLE, unit="m"),
@@ -111,6 +121,7 @@ ENTRIES = (
     Entry("training_minutes", DOUBLE, unit="min"),
     Entry("scene", TEXT),
 )
+LARGEST_STEP = 127
 MAY_BE_ZERO = ("p", "q", "h", "t")  # sizes; there is no garment without vertices, but one without pins
 POSITIVE = ("bend_factor", "frame_rate", "cutoff")
 
@@ -131,6 +142,28 @@ def content_hash(arrays: Mapping[str, np.ndarray]) -> str:
             digest.update(f"{entry.name} {array.dtype} {array.shape} ".encode())
             digest.update(array.tobytes())
     return digest.hexdigest()
+
+
+def quantised(entry: Entry, values: np.ndarray) -> dict[str, np.ndarray]:
+    """A field in steps of a byte and its scales, as both entries hold them: values = steps * scale, to half a step.
+
+    Scales have 16 bits, so that 127 steps are exact in float32: what is quantised again does not change.
+
+    Raises:
+        InputError: values that are not finite.
+    """
+    assert entry.scaled_along is not None
+    peaks = np.abs(np.asarray(values, float)).max(axis=entry.scaled_along, keepdims=True, initial=0.0)
+    if not np.isfinite(peaks).all():
+        bad = float(peaks[~np.isfinite(peaks)][0])
+        raise InputError("not finite", key=entry.name, received=bad, expected="finite numbers")
+    mantissa, exponent = np.frexp(peaks / LARGEST_STEP)
+    scale = np.ldexp(np.ceil(mantissa * 2.0**16), exponent - 16)
+    scale[scale < np.finfo(np.float32).tiny] = 1.0  # of nothing but zeros
+    return {
+        entry.name: np.rint(values / scale).astype(np.int8),
+        f"{entry.name}_scale": scale.ravel().astype(np.float32),
+    }
 
 
 def pack(entry: Entry, value: Any) -> np.ndarray:
@@ -201,9 +234,9 @@ def check_values(arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
             refuse("not finite", f"{name}{list(place) if place else ''}", float(array[place]), "finite numbers")
-    for name in POSITIVE:
-        if arrays[name] <= 0:
-            refuse("out of range", name, arrays[name].item(), "above 0")
+    for name in (*POSITIVE, *(entry.name for entry in ENTRIES if entry.name.endswith("scale"))):
+        if arrays[name].min() <= 0:
+            refuse("out of range", name, arrays[name].min().item(), "above 0")
     count, faces, held = len(arrays["coarse_vertices"]), arrays["coarse_faces"], arrays["held"]
     for name, index in (("coarse_faces", faces), ("held", held)):
         if index.size and not 0 <= index.min() <= index.max() < count:

@@ -14,6 +14,7 @@ from pbd import InputError
 from runtime import command
 from runtime.info import check_database, info_text
 from tests.wrinkles.databases import small_database
+from wrinkles import patches
 from wrinkles.database import WrinkleDatabase, code_version, write_database
 
 QUALITY = {
@@ -106,6 +107,7 @@ def test_a_sound_database_passes_every_check(write: Callable[..., Path]) -> None
         "held-out motion",
         "one rest metric",
         "coarse model",
+        "patches",
         "decoding at rest",
     ]
     assert all(check.passed for check in checks)
@@ -123,6 +125,13 @@ def with_bump() -> dict[str, Any]:
     vertices = sheet().coarse_vertices.copy()
     vertices[40, 1] += 0.5
     return {"coarse_vertices": vertices}
+
+
+def test_patches_that_do_not_add_up_are_found(write: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(patches, "_blend", lambda place: np.full_like(place, 0.3))
+    bad = [check for check in check_database(write()) if not check.passed]
+    assert [check.check for check in bad] == ["patches"]
+    assert "within 0.1" in bad[0].detail
 
 
 @pytest.mark.parametrize(
@@ -172,7 +181,7 @@ def test_gube_check_has_a_row_for_every_check_and_its_status(
     out = tmp_path / "check.json"
     assert command.main(["check", str(write()), "--json", str(out)]) == 0
     rows = json.loads(out.read_text(encoding="utf-8"))["rows"]
-    assert [row["passed"] for row in rows] == [True] * 5
+    assert [row["passed"] for row in rows] == [True] * 6
     assert set(rows[0]) == {"check", "passed", "detail"}
     bad = write(**scaled(1e9))
     assert command.main(["check", str(bad)]) == 1

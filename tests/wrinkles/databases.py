@@ -39,7 +39,7 @@ def small_database(side: int = 7, atoms: int = 5, hidden: tuple[int, int] = (8, 
         "atoms": Atoms(weights(atoms, 3 * NODES), weights(3 * NODES), 0.97),
         "mapping": Mapping(
             center=weights(DYNAMIC_COUNT),
-            scale=weights(DYNAMIC_COUNT),
+            scale=1.0 + weights(DYNAMIC_COUNT),
             weights_1=weights(DYNAMIC_COUNT, hidden[0]),
             weights_2=weights(*hidden),
             weights_3=weights(hidden[1], atoms),
