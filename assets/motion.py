@@ -12,7 +12,7 @@ from assets.character import Character, Clip
 from assets.transform import decompose, slerp
 from pbd.errors import InputError
 
-__all__ = ["ClipMotion", "Motion"]
+__all__ = ["ClipMotion", "Motion", "part_of"]
 
 Floats = NDArray[np.float64]
 
@@ -25,9 +25,11 @@ class Motion(Protocol):
     Attributes:
         name: name for messages and figures.
         duration: time from start to end [s].
+        lead_in: time at the start that only leads to what is meant: nothing is learned from it or judged in it [s].
     """
 
     name: str
+    lead_in: float
 
     @property
     def duration(self) -> float: ...
@@ -55,6 +57,7 @@ class ClipMotion:
     Attributes:
         name: the clip's name.
         duration: blend and one pass of the clip [s].
+        lead_in: 0; the blend can be learned from.
 
     Raises:
         InputError: a negative blend, a speed that is not positive, or ``loop`` for a clip that does not close.
@@ -70,6 +73,7 @@ class ClipMotion:
             raise InputError("bad speed", key=key, received=speed, expected="more than 0")
         self.name = clip.name
         self.duration = blend + clip.duration / speed
+        self.lead_in = 0.0
         self._character, self._rate = character, clip.rate
         self._blend, self._speed, self._loop = blend, speed, loop
         # One array for all three, so that a frame is one row: columns 0-2, 3-6 and 7-9.
@@ -129,6 +133,21 @@ class ClipMotion:
         self._start, self._end = loose(stored, place @ bind), loose(first, target)
         rest_local = (rest[:, :3], rest[:, 3:7], rest[:, 7:])
         self._loose = replace(character, joint_parents=parents, rest_local=rest_local, clips={})
+
+
+def part_of(clip: Clip, start: float, end: float | None) -> Clip:
+    """The frames of a clip from ``start`` to ``end`` [s]; None ends where it ends.
+
+    Raises:
+        InputError: fewer than two frames are left.
+    """
+    first = int(np.ceil(start * clip.rate - 1e-6))
+    frames = slice(first, None if end is None else int(end * clip.rate + 1e-6) + 1)
+    if (start or end is not None) and len(clip.translation[frames]) < 2:
+        received, expected = [start, end], f"two frames between 0 and {clip.duration:g} [s]"
+        raise InputError("no such part", key=f"clip {clip.name}", received=received, expected=expected)
+    parts = {name: getattr(clip, name)[frames] for name in ("translation", "rotation", "scale")}
+    return replace(clip, **parts)
 
 
 def _between(character: Character, start: Floats, end: Floats, share: float) -> Floats:

@@ -6,11 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
+from scipy.spatial import cKDTree
 
+from assets.garment import boundary_loops
 from assets.implicit import Faces, Field, Floats, project
 from pbd.mesh import edges_of
 
-__all__ = ["drop_vertices", "even_mesh", "even_triangles", "flip_edges", "relax"]
+__all__ = ["decimated", "drop_vertices", "even_mesh", "even_triangles", "flip_edges", "relax"]
 
 
 def even_mesh(
@@ -35,6 +37,33 @@ def even_mesh(
         faces = flip_edges(vertices, faces)
         vertices = relax(field, vertices, edges_of(faces)[0], 3, np.arange(len(vertices)) < held)
     return vertices, faces
+
+
+def decimated(vertices: Floats, faces: Faces, count: int) -> tuple[NDArray[np.int64], Faces]:
+    """Nearly equilateral triangles between some vertices of a fine mesh, its boundary loops kept.
+
+    Args:
+        vertices, faces: the fine mesh, manifold, at least eight vertices for each one asked for.
+        count: vertices to start from; about a tenth is taken out again for better triangles.
+
+    Returns:
+        the chosen vertices, shape (n,), and faces between them.
+    """
+    corners = vertices[faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2.0
+    spacing = np.sqrt(2.0 / np.sqrt(3.0) * area / count)
+    anchors = []
+    for loop in boundary_loops(faces):
+        steps = np.linalg.norm(np.roll(vertices[loop], -1, axis=0) - vertices[loop], axis=1)
+        places = np.concatenate([[0.0], np.cumsum(steps)[:-1]])
+        number = max(6, round(steps.sum() / spacing))
+        anchors.append(loop[np.unique(np.searchsorted(places, steps.sum() * np.arange(number) / number))])
+    chosen, coarse = even_triangles(vertices, faces, count, anchors=np.concatenate(anchors) if anchors else None)
+    points = vertices[chosen]
+    for _ in range(4):
+        points, coarse = drop_vertices(points, coarse)
+        coarse = flip_edges(points, coarse)
+    return chosen[cKDTree(vertices[chosen]).query(points)[1]], coarse
 
 
 def even_triangles(

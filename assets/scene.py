@@ -6,6 +6,7 @@ it stands for the data folder. Every error of a file is reported at once.
 
 from __future__ import annotations
 
+import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,6 +60,7 @@ Vector = tuple[float, float, float]
 
 _MESH = file_path(".obj", ".glb", ".gltf", builtins=[f"builtin:{name}" for name in BUILTIN_GARMENTS])
 _CHARACTER_FILE = file_path(".glb", ".gltf", builtins=["builtin:mannequin"])
+_MOTION_FILE = file_path(".glb", ".gltf", ".npz", builtins=["builtin:mannequin"])
 
 
 def _read_attach(reader: Reader, value: Any, key: str) -> str | tuple[int, ...]:
@@ -89,6 +91,9 @@ class GarmentSettings:
         mesh: path of the garment's mesh, or a built-in one: "builtin:skirt".
         pattern: whether the mesh's texture coordinates are a flat pattern [m].
         fabric: what it is made of; in a file a preset's name, the path of a .json file or a table of SI values.
+        seams: path of the stitches between the mesh's panels: a .csv file with the columns v, a, b, w.
+        coarse_vertices: about how many vertices the coarse mesh gets; the mesh is then the fine one, bound to the
+            subdivided coarse mesh. None where the mesh itself is the coarse one.
         subdivisions: how often the coarse mesh is subdivided for the fine one.
         attach: boundary vertices that the body carries: "top" (the highest loop), "none", or numbers of loops.
         attach_vertices: more vertices that the body carries.
@@ -100,11 +105,20 @@ class GarmentSettings:
     mesh: Path | str = entry(_MESH)
     pattern: bool = entry(truth(), False)
     fabric: Fabric = entry(_FABRIC, Fabric())
+    seams: Path | None = entry(file_path(".csv"), None)
+    coarse_vertices: int | None = entry(whole(at_least=50), None)
     subdivisions: int = entry(whole(at_least=0), 2)
     attach: str | tuple[int, ...] = entry(_ATTACH, "none")
     attach_vertices: tuple[int, ...] = entry(indices(), ())
     pins: tuple[int, ...] = entry(indices(), ())
     thickness: float | None = entry(number(above=0, unit="m"), None)
+
+    def __post_init__(self) -> None:
+        if self.seams is not None and self.coarse_vertices is None:
+            raise InputError("seams of a mesh that is not the fine one", key="seams", expected="coarse_vertices beside")
+        if self.coarse_vertices is not None and not self.pattern:
+            expected = "pattern = true: the rest shape of a mesh that is decimated is its pattern"
+            raise InputError("no pattern", key="pattern", received=self.pattern, expected=expected)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,10 +138,45 @@ class CharacterSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class MotionSettings:
-    """One clip of one file."""
+    """One clip of a character's file, or a vertex sequence, or a part of it.
 
-    file: Path | str = entry(_CHARACTER_FILE)
-    clip: str = entry(text())
+    Attributes:
+        file: path of a glTF file or of a vertex sequence, or "builtin:mannequin".
+        clip: name of the clip; None for a vertex sequence.
+        start, end: part of it that is meant [s]; None ends where it ends.
+        speed: its seconds per second [-].
+    """
+
+    file: Path | str = entry(_MOTION_FILE)
+    clip: str | None = entry(text(), None)
+    start: float = entry(number(at_least=0, unit="s"), 0.0)
+    end: float | None = entry(number(above=0, unit="s"), None)
+    speed: float = entry(number(above=0), 1.0)
+
+    def __post_init__(self) -> None:
+        sequence = str(self.file).lower().endswith(".npz")
+        if sequence != (self.clip is None):
+            expected = "none: a vertex sequence has no clips" if sequence else "name of a clip"
+            raise InputError("bad clip", key="clip", received=self.clip, expected=expected)
+        if self.end is not None and self.end <= self.start:
+            expected = f"after the start, {self.start:g} [s]"
+            raise InputError("a part that ends before it starts", key="end", received=self.end, expected=expected)
+
+    @property
+    def name(self) -> str:
+        """Name for figures and files: the clip's, with the part and the speed where they are not the whole and 1."""
+        words = [self.clip or Path(self.file).stem]
+        if self.start or self.end is not None:
+            words.append(f"{self.start:g}-{'' if self.end is None else f'{self.end:g}'} s")
+        if self.speed != 1.0:
+            words.append(f"x {self.speed:g}")
+        return " ".join(words)
+
+    def overlaps(self, other: MotionSettings) -> bool:
+        """Whether both are parts of one clip that have time in common, at whatever speed."""
+        ends = [math.inf if end is None else end for end in (self.end, other.end)]
+        same = (self.file, self.clip) == (other.file, other.clip)
+        return same and self.start < ends[1] and other.start < ends[0]
 
 
 @dataclass(frozen=True, kw_only=True)

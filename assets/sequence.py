@@ -100,23 +100,39 @@ class SequenceBody:
 
 
 class SequenceMotion:
-    """A sequence played at its own speed, with straight lines between its frames.
+    """A sequence with straight lines between its frames, played from its beginning to an end.
+
+    Clothes are made for its first frame: where a later part is meant, what comes before leads to it.
+
+    Args:
+        sequence: what is played.
+        start, end: part that is meant [s]; None ends where the sequence ends.
+        speed: its seconds per second [-].
 
     Attributes:
         name: the sequence's name.
-        duration: from the first to the last frame [s].
+        duration: from the first frame to the end [s].
+        lead_in: from the first frame to the part that is meant [s].
+
+    Raises:
+        InputError: a part that begins after the sequence's end.
     """
 
-    def __init__(self, sequence: Sequence) -> None:
+    def __init__(self, sequence: Sequence, start: float = 0.0, end: float | None = None, speed: float = 1.0) -> None:
+        length = (len(sequence.vertices) - 1) * sequence.dt
+        if start > 0.0 and start >= length:
+            received, expected = start, f"below {length:g} [s]"
+            raise InputError("a part after the end", key="start", received=received, expected=expected)
         self.name = sequence.name
-        self.duration = (len(sequence.vertices) - 1) * sequence.dt
-        self._sequence = sequence
+        self.duration = (length if end is None else min(end, length)) / speed
+        self.lead_in = start / speed
+        self._sequence, self._speed = sequence, speed
 
     def pose(self, t: float) -> Floats:
         """Vertices in the world at a time [s], clamped to the ends: [m], shape (n, 3), float64."""
         frames = self._sequence.vertices
         last = len(frames) - 1
-        place = min(max(t / self._sequence.dt, 0.0), last)
+        place = min(max(min(t, self.duration) * self._speed / self._sequence.dt, 0.0), last)
         frame = min(int(place), max(last - 1, 0))
         first = frames[frame].astype(np.float64)
         return first + (place - frame) * (frames[min(frame + 1, last)] - first)

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from pbd.engine import Launch, ensure_initialized, ti
 from pbd.errors import InputError
 
-__all__ = ["Attachment", "closest_points", "push_outside"]
+__all__ = ["Attachment", "closest_points", "closest_weights", "push_outside"]
 
 double3 = ti.types.vector(3, ti.f64)
 Double3 = ti.types.ndarray(dtype=double3, ndim=1)
@@ -36,14 +36,14 @@ def closest_points(
     _, near = cKDTree(corners.mean(axis=1)).query(points, k=min(candidates, len(faces)))
     near = near.reshape(len(points), -1)
     a, b, c = (corners[near][:, :, i] for i in range(3))
-    weights = _closest_weights(points[:, None, :], a, b, c)
+    weights = closest_weights(points[:, None, :], a, b, c)
     found = weights[..., :1] * a + weights[..., 1:2] * b + weights[..., 2:] * c
     best = np.argmin(np.linalg.norm(found - points[:, None, :], axis=2), axis=1)
     rows = np.arange(len(points))
     return near[rows, best], weights[rows, best]
 
 
-def _closest_weights(p: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+def closest_weights(p: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
     """Barycentric weights of the closest point: the inner one where it lies inside, else the best of the sides."""
     dot = lambda u, v: np.einsum("...i,...i->...", u, v)  # noqa: E731
     ab, ac, ap = b - a, c - a, p - a

@@ -7,7 +7,14 @@ term of XPBD (Macklin, Mueller, Chentanez 2016, eq. 18) keeps material stiffness
 
 from pbd.engine import ti
 
-__all__ = ["contact_correction", "drag_velocity", "hinge_multiplier", "membrane_multipliers", "tether_correction"]
+__all__ = [
+    "contact_correction",
+    "drag_velocity",
+    "hinge_multiplier",
+    "membrane_multipliers",
+    "stitch_multiplier",
+    "tether_correction",
+]
 
 vec3 = ti.math.vec3
 mat3x2 = ti.types.matrix(3, 2, ti.f32)
@@ -90,6 +97,22 @@ def hinge_multiplier(d1: vec3, d2: vec3, d3: vec3, rows, inverse_sum: ti.f32):
         lambda as vec3; vertex a moves by w_a K_a lambda.
     """
     return -(rows[1] * d1 + rows[2] * d2 + rows[3] * d3) * inverse_sum
+
+
+@ti.func
+def stitch_multiplier(to_a: vec3, to_b: vec3, w: ti.f32, inverse_v: ti.f32, inverse_a: ti.f32, inverse_b: ti.f32):
+    """Stitch of a vertex to a point of an edge: multiplier of x_v - (1 - w) x_a - w x_b = 0, without compliance.
+
+    Args:
+        to_a, to_b: x_a - x_v and x_b - x_v [m].
+        w: place on the edge, 0 at a and 1 at b.
+        inverse_v, inverse_a, inverse_b: inverse masses [1/kg], not all zero where the weights are not.
+
+    Returns:
+        lambda as vec3; v moves by w_v lambda, a by -w_a (1 - w) lambda, b by -w_b w lambda.
+    """
+    u = 1.0 - w
+    return (u * to_a + w * to_b) / ti.max(inverse_v + u * u * inverse_a + w * w * inverse_b, 1e-20)
 
 
 @ti.func

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -160,11 +160,15 @@ class ClothMesh:
         vertices: start positions [m], float64, shape (n, 3).
         faces: int32, shape (m, 3).
         flat: rest shape of each face, columns are its sides 0-1 and 0-2 in (warp, weft) [m], shape (m, 2, 2).
+        stitches: vertices (v, a, b), each v sewn to a point of the edge a-b, int32, shape (s, 3).
+        stitch_weights: w of each stitch, x_v = (1 - w) x_a + w x_b, shape (s,).
     """
 
     vertices: np.ndarray
     faces: np.ndarray
     flat: np.ndarray
+    stitches: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int32))
+    stitch_weights: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     def from_surface(cls, vertices: np.ndarray, faces: np.ndarray, warp: tuple = (0.0, 1.0, 0.0)) -> ClothMesh:
@@ -186,6 +190,11 @@ class ClothMesh:
 
     def __post_init__(self) -> None:
         _check_faces(self.faces, len(self.vertices))
+        sewn = np.asarray(self.stitches)
+        if sewn.size and not 0 <= sewn.min() <= sewn.max() < len(self.vertices):
+            bad = int(sewn.min() if sewn.min() < 0 else sewn.max())
+            expected = f"0..{len(self.vertices) - 1}"
+            raise InputError("stitch of a vertex that does not exist", key="stitches", received=bad, expected=expected)
         for name in ("vertices", "flat"):
             bad = np.flatnonzero(~np.isfinite(getattr(self, name)).reshape(len(getattr(self, name)), -1).all(axis=1))
             if bad.size:

@@ -61,6 +61,7 @@ class Model:
             see :func:`pbd.constraints.membrane_multipliers`, shape (m, 3, 4).
         triangle_colors, hinge_colors: offsets of the colours, shape (colours + 1,).
         hinges: shape (h, 4); hinge_data: K row | sum of w K^2, compliance, shape (h, 2, 4).
+        stitches: (v, a, b), shape (s, 3); stitch_weights: place of v between a and b, shape (s,).
         tethers: (vertex, held vertex), shape (t, 2); tether_lengths: [m], shape (t,).
         samples: where contact with a body is tested: the vertices (i, i), then the ends (i, j) of long edges, tested in
             their middle, int32, shape (s, 2).
@@ -79,6 +80,8 @@ class Model:
     hinges: np.ndarray
     hinge_data: np.ndarray
     hinge_colors: np.ndarray
+    stitches: np.ndarray
+    stitch_weights: np.ndarray
     tethers: np.ndarray
     tether_lengths: np.ndarray
     samples: np.ndarray
@@ -123,6 +126,7 @@ def build_model(
         bend_factor = hinge_calibration(mesh)
     triangles, triangle_data, triangle_colors = _membrane(mesh, fabric, inverse_mass)
     hinges, hinge_data, hinge_colors = _bending(mesh, fabric, inverse_mass, options.bend_scale * bend_factor)
+    order, _ = _by_color(mesh.stitches, count)
     tethers, lengths = _tethers(mesh, held, options.tether_slack)
     return Model(
         mesh,
@@ -137,6 +141,8 @@ def build_model(
         hinges,
         hinge_data,
         hinge_colors,
+        np.ascontiguousarray(mesh.stitches[order], np.int32),
+        mesh.stitch_weights[order].astype(np.float32),
         tethers,
         lengths,
         _samples(mesh),

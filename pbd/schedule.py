@@ -9,6 +9,7 @@ from pbd.constraints import (
     drag_velocity,
     hinge_multiplier,
     membrane_multipliers,
+    stitch_multiplier,
     tether_correction,
 )
 from pbd.contact import collide_primitives, slid_off, touch_body
@@ -77,6 +78,19 @@ def solve_bending(
 
 
 @ti.func
+def solve_stitches(position: ti.template(), shift: ti.template(), stitches: ti.template(), weights: ti.template()):
+    for c in range(stitches.shape[0]):
+        s, w = stitches[c], weights[c]
+        v, a, b = position[s[0]], position[s[1]], position[s[2]]
+        uv, ua, ub = xyz(shift[s[0]]), xyz(shift[s[1]]), xyz(shift[s[2]])
+        to_a, to_b = (xyz(a) - xyz(v)) + (ua - uv), (xyz(b) - xyz(v)) + (ub - uv)
+        multiplier = stitch_multiplier(to_a, to_b, w, v[3], a[3], b[3])
+        shift[s[0]] = vec4(uv + v[3] * multiplier)
+        shift[s[1]] = vec4(ua - a[3] * (1.0 - w) * multiplier)
+        shift[s[2]] = vec4(ub - b[3] * w * multiplier)
+
+
+@ti.func
 def cloth_normals(position: ti.template(), triangles: ti.template(), normals: ti.template()):
     """Unit vertex normals."""
     for i in range(position.shape[0]):
@@ -121,6 +135,8 @@ def advance(
     triangle_data: Vec4Rows,
     hinges: Int4,
     hinge_data: Vec4Rows,
+    stitches: Int3,
+    stitch_weights: Float1,
     tethers: Int2,
     tether_lengths: Float1,
     held: Int1,
@@ -149,10 +165,10 @@ def advance(
 ):
     """Advance a garment by ``substeps`` steps of h [s].
 
-    Per substep: predict, held vertices, membrane, bending, tethers, contact, velocities. Digits are kept in three
-    places: a vertex stands at ``position`` (on a grid) plus a small ``shift`` that takes the corrections; velocity
-    takes (shift - predicted shift)/h, the sum of the corrections, instead of a difference of world positions; and what
-    it gains over the frame is summed apart.
+    Per substep: predict, held vertices, membrane, bending, stitches, tethers, contact, velocities. Digits are kept in
+    three places: a vertex stands at ``position`` (on a grid) plus a small ``shift`` that takes the corrections;
+    velocity takes (shift - predicted shift)/h, the sum of the corrections, instead of a difference of world positions;
+    and what it gains over the frame is summed apart.
 
     In the first substep every contact sample finds where it touches. Every ``refresh`` substeps all are looked at:
     those nearer to the body than ``waking`` [m] are awake until the next time, and find again where they touch if they
@@ -199,6 +215,7 @@ def advance(
 
             solve_membrane(position, shift, triangles, triangle_data, inverse_h2, squeeze)
             solve_bending(position, shift, hinges, hinge_data, inverse_h2)
+            solve_stitches(position, shift, stitches, stitch_weights)
             for c in range(tethers.shape[0]):
                 i, j = tethers[c][0], tethers[c][1]
                 u = xyz(shift[i])

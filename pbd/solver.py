@@ -143,6 +143,8 @@ class Solver:
             model.triangle_data,
             model.hinges,
             model.hinge_data,
+            model.stitches,
+            model.stitch_weights,
             model.tethers,
             model.tether_lengths,
             model.held,

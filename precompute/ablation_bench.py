@@ -13,8 +13,8 @@ from pbd import ModelOptions
 from precompute.decoding import Lift, Predict, by_patches, lifted_frames
 from precompute.evaluation import Truth
 from precompute.held_out import HeldOut, held_out_truth
-from precompute.pipeline import EPOCHS, TRAINING_FRAMES, default_cache, training_runs
-from precompute.recording import Recording, Run, record_runs
+from precompute.pipeline import EPOCHS, TRAINING_FRAMES, default_cache, training_recordings, training_runs
+from precompute.recording import Recording, Run
 from precompute.training import Layer, TrainingSet, build_layer, fit_layer, spread_frames, training_set
 from runtime.stage import Stage, scene_of
 from wrinkles.database import WrinkleDatabase, read_database
@@ -84,7 +84,7 @@ class Bench:
     @cached_property
     def recordings(self) -> list[Recording]:
         """Every recorded frame of the training runs."""
-        return record_runs(self.runs, self.cache, 2, self.report)
+        return training_recordings(self.runs, self.cache, 2, self.report)
 
     @cached_property
     def data(self) -> TrainingSet:

@@ -26,6 +26,11 @@ EVERY = 8  # recorded frames from one that is decoded to the next: bending energ
 SETTLE = 1.5  # the blend from the bind pose does not count [s]
 
 
+def settled(recording: Recording, run: Run) -> Recording:
+    """What of a recording counts: not the blend from the bind pose, nor what only leads to the motion."""
+    return recording.where(recording.frames * run.dt > max(SETTLE, run.lead_in))
+
+
 def filtered(recording: Recording, matrix: csr_matrix) -> Recording:
     """A coarse run as the dictionary sees it."""
     spread = lambda a: np.stack([matrix @ frame for frame in a]).astype(np.float32)  # noqa: E731
@@ -78,13 +83,12 @@ def calibrate(
         bend_factor: hinge factor of the coarse mesh.
         cache, workers, report: as for :func:`precompute.recording.record_runs`.
     """
-    settled = [np.flatnonzero(r.frames * runs[0].dt > SETTLE) for r in recordings]
-    reference = np.concatenate([features_of(layer, r)[0][s] for r, s in zip(recordings, settled, strict=True)])
+    recordings = [settled(r, run) for r, run in zip(recordings, runs, strict=True)]
+    reference = np.concatenate([features_of(layer, r)[0] for r in recordings])
     statistics = FeatureStatistics.of(reference)
     fine = layer.levels.fine
     bands = BandedEnergy(fine.vertices, fine.faces)
-    chosen = [s[::EVERY] for s in settled]
-    energies = [bands.energy(r.positions[s]) for r, s in zip(recordings, chosen, strict=True)]
+    energies = [bands.energy(r.positions[::EVERY]) for r in recordings]
     wanted = np.concatenate(energies).mean(axis=0)
     # The first is the fabric itself: what calibration is compared with.
     options = [ModelOptions(squeeze=squeeze, bend_scale=bend) for squeeze, bend in itertools.product(SQUEEZE, BEND)]
@@ -95,14 +99,15 @@ def calibrate(
     ]
     predict = lambda features, pose: mapping.predict(features)  # noqa: E731
     matrix = CoarseFilter(layer.levels).matrix
-    coarse = [filtered(recording, matrix) for recording in record_runs(tries, cache, workers, report)]
+    found = record_runs(tries, cache, workers, report)
+    coarse = [settled(filtered(r, matrix), run) for r, run in zip(found, tries, strict=True)]
     rows = []
     for number, option in enumerate(options):
         mine = coarse[number * len(runs) : (number + 1) * len(runs)]
-        features = np.concatenate([features_of(layer, r)[0][s] for r, s in zip(mine, settled, strict=True)])
+        features = np.concatenate([features_of(layer, r)[0] for r in mine])
         energies = [
-            bands.energy(decode_recording(layer, predict, atoms, run, r.where(s))[1])
-            for run, r, s in zip(runs, mine, chosen, strict=True)
+            bands.energy(decode_recording(layer, predict, atoms, run, r.where(slice(None, None, EVERY)))[1])
+            for run, r in zip(runs, mine, strict=True)
         ]
         error = np.log(np.concatenate(energies).mean(axis=0) / wanted)
         rows.append(

@@ -63,6 +63,7 @@ def levels_from(database: WrinkleDatabase, body: Character | VertexSequence) -> 
         source.faces,
         database.subdivisions,
         database.warp,
+        database.binding,
     )
 
 
@@ -99,6 +100,7 @@ def fine_run(
         bend_factor=_fine_bend(levels),
         wind=wind,
         primitives=primitives,
+        lead_in=motion.lead_in,
     )
 
 
@@ -157,7 +159,9 @@ class Truth:
         last = round(seconds / self.run.dt)
         keep = self.recording.frames <= last
         if not keep.any():
-            raise InputError("too short", key="seconds", received=seconds, expected=f"above {SETTLE} [s]")
+            raise InputError(
+                "too short", key="seconds", received=seconds, expected=f"above {judged_from(self.run):g} [s]"
+            )
         return replace(
             self,
             run=replace(self.run, poses=self.run.poses[: last + 1]),
@@ -172,16 +176,21 @@ def truth_of(run: Run, cache: Path, workers: int, report: Callable[[str], None] 
     """Record (or read) the fine run and one with substeps two thirds as long."""
     twin = replace(run, name=f"{run.name} (floor)", solver=replace(run.solver, substep=run.solver.substep / 1.5))
     first, second = record_runs([run, twin], cache, workers, report)
-    first, second = settled(first, run.dt), settled(second, run.dt)
+    first, second = settled(first, run), settled(second, run)
     levels = run.levels
     bands = BandedEnergy(levels.fine.vertices, levels.fine.faces)
     low_pass = LowPass(levels.fine.vertices, levels.fine.faces, levels.cutoff)
     return Truth(run, levels, first, second.positions, bands, bands.energy(first.positions), low_pass)
 
 
-def settled(recording: Recording, dt: float) -> Recording:
+def judged_from(run: Run) -> float:
+    """Time after which a run is judged [s]: the garment has settled, and what leads to the motion is over."""
+    return max(SETTLE, run.lead_in)
+
+
+def settled(recording: Recording, run: Run) -> Recording:
     """Recorded frames after the blend from the bind pose."""
-    keep = recording.frames * dt > SETTLE
+    keep = recording.frames * run.dt > judged_from(run)
     if not keep.any():
         keep[:] = True
     return recording.where(keep)
@@ -197,7 +206,7 @@ def given_frames(database: WrinkleDatabase, truth: Truth) -> tuple[np.ndarray, n
 def play_freely(database: WrinkleDatabase, body: Character | VertexSequence, run: Run) -> Free:
     """Play a run's poses with the player, and keep what the run records of settled frames."""
     player = Player(database, body, run.poses[0], run.primitives)
-    return play(player, run.poses, run.dt, run.wind, every=run.every, after=SETTLE)
+    return play(player, run.poses, run.dt, run.wind, every=run.every, after=judged_from(run))
 
 
 def body_distances(truth: Truth, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -22,7 +22,16 @@ from runtime.simulation import Motion
 from runtime.stage import Stage, fabric_of
 from wrinkles.database import WrinkleDatabase, as_stored, body_hash, code_version, write_database
 
-__all__ = ["EPOCHS", "TRAINING_FRAMES", "Precomputed", "default_cache", "precompute", "scene_run", "training_runs"]
+__all__ = [
+    "EPOCHS",
+    "TRAINING_FRAMES",
+    "Precomputed",
+    "default_cache",
+    "precompute",
+    "scene_run",
+    "training_recordings",
+    "training_runs",
+]
 
 CALIBRATION_SECONDS = (
     6.0  # motion that the coarse model is calibrated on: enough to see it move, short enough to try many
@@ -95,9 +104,10 @@ def precompute(
     tell = report or (lambda line: None)
     stage = Stage.of(scene)
     cache = cache or default_cache(output)
-    overlap = set(scene.training.clips) & set(scene.training.held_out)
+    training = scene.training
+    overlap = [m for m in training.held_out if any(m.overlaps(other) for other in training.clips)]
     if overlap:
-        clips = sorted(f"{m.file}: {m.clip}" for m in overlap)
+        clips = sorted(f"{m.file}: {m.name}" for m in overlap)
         raise InputError("a held-out clip is trained on", key="training.held_out", received=clips, expected="another")
     motions = stage.training_motions()
     if not motions:
@@ -105,7 +115,7 @@ def precompute(
     held_out = [stage.motion(m) for m in scene.training.held_out]  # refused now, and not after the simulations
     levels, seed, settings = stage.levels, scene.wrinkles.seed, _Settings.of(stage, scene)
     runs = training_runs(stage, scene)
-    recordings = record_runs(runs, cache, workers, tell)
+    recordings = training_recordings(runs, cache, workers, tell)
 
     tell("fitting patches")
     layer = build_layer(levels)
@@ -127,6 +137,7 @@ def precompute(
         subdivisions=stage.settings.subdivisions,
         held=levels.coarse_held.astype(np.int32),
         warp=(0.0, 1.0, 0.0),
+        binding=levels.subdivision.binding,
         fabric=settings.fabric,
         options=calibration.options,
         bend_factor=coarse_bend,
@@ -138,7 +149,7 @@ def precompute(
         body_hash=body_hash(stage.body),
         body_vertex_count=len(body_source(stage.body).vertices),
         quality={},
-        held_out=tuple(m.clip for m in scene.training.held_out),
+        held_out=tuple(m.name for m in scene.training.held_out),
         trained_on=tuple(m.name for m in motions),
         training_minutes=0.0,
         seed=seed,
@@ -168,6 +179,14 @@ def precompute(
 def training_runs(stage: Stage, scene: Scene) -> list[Run]:
     """The fine runs that a scene learns from."""
     return [scene_run(stage, scene, motion) for motion in stage.training_motions()]
+
+
+def training_recordings(
+    runs: list[Run], cache: Path, workers: int, report: Callable[[str], None] | None = None
+) -> list[Recording]:
+    """What the runs that a scene learns from gave, without what only leads to the motions that are meant."""
+    recordings = record_runs(runs, cache, workers, report)
+    return [r.where(r.frames * run.dt > run.lead_in) for r, run in zip(recordings, runs, strict=True)]
 
 
 def scene_run(stage: Stage, scene: Scene, motion: Motion) -> Run:

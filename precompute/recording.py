@@ -42,6 +42,7 @@ class Run:
         fabric, options, solver: of the model and the solver.
         wind: velocity of the air [m/s].
         primitives: what the garment meets besides the body: planes, spheres, capsules.
+        lead_in: time at the start that only leads to the motion that is meant [s].
         every: frames from one recorded frame to the next.
         bend_factor: hinge factor if known; None measures it.
     """
@@ -59,6 +60,7 @@ class Run:
     bend_factor: float | None = None
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
     primitives: tuple = ()
+    lead_in: float = 0.0
 
     @property
     def frame_count(self) -> int:
@@ -79,7 +81,16 @@ class Run:
         levels = self.levels
         mesh = levels.fine if self.fine else levels.coarse
         attachment = levels.fine_attachment if self.fine else levels.coarse_attachment
-        arrays = [mesh.vertices, mesh.faces, mesh.flat, attachment.corners, attachment.weights, attachment.offset]
+        arrays = [
+            mesh.vertices,
+            mesh.faces,
+            mesh.flat,
+            mesh.stitches,
+            mesh.stitch_weights,
+            attachment.corners,
+            attachment.weights,
+            attachment.offset,
+        ]
         arrays += [
             levels.fine_held if self.fine else levels.coarse_held,
             self.poses,
@@ -222,6 +233,7 @@ def _record(run: Run, folder: Path, after_chunk: Callable[[], None] | None = Non
     """Simulate a run chunk by chunk; each chunk holds the state at its end, from which the next one goes on."""
     simulation = run.simulation()
     levels, count = run.levels, run.levels.subdivision.coarse_count
+    at_coarse = levels.subdivision.at_coarse if run.fine else np.arange(count)
     first = 0
     while (folder / f"chunk_{first:04d}.npz").exists():
         first += 1
@@ -245,8 +257,8 @@ def _record(run: Run, folder: Path, after_chunk: Callable[[], None] | None = Non
                 rows["frames"].append(frame + 1)
                 rows["positions"].append(state.world().astype(np.float32))
                 rows["velocity"].append(state.velocity.copy())
-                rows["contact"].append(state.contact[:count].copy())
-                rows["nearest"].append(state.nearest[:count].copy())
+                rows["contact"].append(state.contact[at_coarse])
+                rows["nearest"].append(state.nearest[at_coarse])
         arrays = {name: np.array(values) for name, values in rows.items()}
         if not len(arrays["frames"]):
             arrays["positions"] = np.zeros((0, simulation.model.vertex_count, 3), np.float32)

@@ -16,7 +16,7 @@ import numpy as np
 from pbd import Model, ModelOptions, SolverOptions, build_model
 from pbd.attachment import Attachment
 from pbd.engine import Launch
-from precompute.evaluation import Truth
+from precompute.evaluation import Truth, levels_from
 from precompute.recording import Run, body_source
 from runtime.player import Player
 from runtime.simulation import BodySource, Simulation
@@ -206,10 +206,12 @@ def middle_levels(database: WrinkleDatabase, truth: Truth) -> Levels | None:
     source = body_source(truth.run.body)
     body = (source.vertices, source.faces)
     one = Subdivision.of(database.coarse_faces, len(database.coarse_vertices), 1)
-    # Points of the fine surface, so that the smooth surface through them is the fine one.
-    vertices, held = truth.levels.fine.vertices[: one.fine_count], truth.levels.fine_held
+    # Points of the smooth surface, so that the smooth surface through them is the same.
+    plain = replace(database, binding=None)
+    vertices = plain.subdivision.upsample(database.coarse_vertices)[: one.fine_count]
+    held = levels_from(plain, truth.run.body).fine_held
     held = held[held < one.fine_count]
-    return levels_of(vertices, one.faces, held, *body, database.subdivisions - 1, database.warp)
+    return levels_of(vertices, one.faces, held, *body, database.subdivisions - 1, database.warp, database.binding)
 
 
 def middle_cloth(database: WrinkleDatabase, truth: Truth, options: ModelOptions | None = None) -> Cloth | None:

@@ -17,8 +17,8 @@ from threadpoolctl import threadpool_limits
 from precompute.compare import database_of, equal_cost_rivals
 from precompute.decoding import Lift, by_patches, lifted_frames
 from precompute.held_out import JUDGED, HeldOut, held_out_truth
-from precompute.pipeline import EPOCHS, TRAINING_FRAMES, default_cache, training_runs
-from precompute.recording import Recording, Run, record_runs
+from precompute.pipeline import EPOCHS, TRAINING_FRAMES, default_cache, training_recordings, training_runs
+from precompute.recording import Recording, Run
 from precompute.rivals import player_times, typical_ms
 from precompute.training import Layer, build_layer, coefficients_of, spread_frames, training_set
 from precompute.wrinkle_meshes import WrinkleMesh, WrinkleMeshOptions
@@ -189,7 +189,7 @@ def compare_wrinkles_file(
     truth = held_out_truth(path, stage, scene, cache, report)
     held_out = HeldOut.of(database, truth, cache, report=report)
     runs = training_runs(stage, scene)
-    recordings = record_runs(runs, cache, 2, report)
+    recordings = training_recordings(runs, cache, 2, report)
     layer = build_layer(stage.levels)
     tell("fitting rivals: wrinkle meshes")
     mesh_options = tuned_wrinkle_mesh(layer, runs[-1], recordings[-1].where(slice(-TUNED_FRAMES, None)))

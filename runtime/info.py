@@ -124,7 +124,12 @@ def _sections(database: WrinkleDatabase, figures: Mapping[str, float]) -> Iterat
                 "coarse",
                 f"{coarse} vertices, {len(database.coarse_faces)} faces, {len(database.held)} vertices attached",
             ),
-            ("fine", f"{fine} vertices ({database.subdivisions} subdivisions)"),
+            (
+                "fine",
+                f"{fine} vertices"
+                + (" delivered, bound to" if database.binding else " of")
+                + f" {database.subdivisions} subdivisions",
+            ),
             ("body", f"{database.body_vertex_count} vertices, hash {database.body_hash[:12]}"),
         ],
     )
@@ -215,7 +220,7 @@ def check_database(path: str | Path) -> list[Check]:
         _check_quality(database),
     ]
     try:
-        subdivision = Subdivision.of(database.coarse_faces, len(database.coarse_vertices), database.subdivisions)
+        subdivision = database.subdivision
         coarse, fine = subdivision.meshes(database.coarse_vertices, database.warp)
         checks.append(_check_areas(coarse, fine))
         model = build_model(coarse, database.fabric, database.held, database.options, database.bend_factor)

@@ -90,10 +90,11 @@ def _motions(
     if isinstance(body, Sequence):
         if clip is not None:
             raise InputError("a vertex sequence has no clips", key="--clip", received=clip, expected="none")
-        return (SequenceMotion(body),)
+        parts = scene.training.held_out if scene is not None else ()
+        return tuple(motion_of(body, part) for part in parts) or (SequenceMotion(body),)
     known: dict[str, MotionSettings | None] = {}
     if scene is not None:
-        known |= {motion.clip: motion for motion in (*scene.training.held_out, *scene.training.clips)}
+        known |= {motion.name: motion for motion in (*scene.training.held_out, *scene.training.clips)}
     known |= {name: None for name in body.clips if name not in known}  # the body's own file
     if clip is not None:
         names = [clip]

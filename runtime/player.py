@@ -57,6 +57,7 @@ class Player:
             source.faces,
             database.subdivisions,
             database.warp,
+            database.binding,
         )
         model = build_model(self.levels.coarse, database.fabric, database.held, database.options, database.bend_factor)
         self.simulation = Simulation(model, self.levels.coarse_attachment, source, pose, database.solver, primitives)
@@ -66,6 +67,7 @@ class Player:
         self._upsample = Upsampler(self.levels.subdivision)
         self._decoder = Decoder(Stencil.of(charts, database.held), patches, database.mapping, database.atoms)
         self._surface_normals = Launch(surface_normals)
+        self._faces, self._stands_for = self.levels.subdivision.faces, self.levels.subdivision.stands_for
         self._relax = Relaxation.of(self.levels, source.vertices, source.faces, database.fabric.thickness)
         count, body_count = self.levels.subdivision.fine_count, len(source.vertices)
         self.vertices = np.zeros((count, 3), np.float32)
@@ -146,7 +148,9 @@ class Player:
         frames = self._decoder.frames
         self._relax(self.vertices, targets, frames, state.nearest, state.contact, body, current)
         relaxed = time.perf_counter()
-        self._surface_normals(self.vertices, self.levels.subdivision.faces, self.normals)
+        self._surface_normals(self.vertices, self._faces, self.normals)
+        if self._stands_for is not None:
+            self.normals[:] = self.normals[self._stands_for]
         ended = time.perf_counter()
         timings["decode"] = 1e3 * (decoded - began)
         timings["relax"] = 1e3 * (relaxed - decoded)

@@ -27,10 +27,11 @@ class BodySource(Protocol):
 
 
 class Motion(Protocol):
-    """Poses over time."""
+    """Poses over time; ``lead_in`` [s] only leads to what is meant."""
 
     name: str
     duration: float
+    lead_in: float
 
     def pose(self, t: float) -> np.ndarray:
         """Pose at t [s]."""

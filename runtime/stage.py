@@ -13,18 +13,22 @@ from assets.character import Character, load_character, with_clips
 from assets.exploration import exploration_motion
 from assets.garment import Garment, boundary_loops, highest_loop, load_garment
 from assets.mannequin import builtin_mannequin
-from assets.motion import ClipMotion
+from assets.motion import ClipMotion, part_of
 from assets.scene import GarmentSettings, MotionSettings, Scene, parse_scene
+from assets.seams import load_seams
 from assets.sequence import Sequence, SequenceMotion, load_sequence
 from pbd import Fabric, InputError, SolverOptions, build_model
 from runtime.simulation import Motion, Simulation, body_source
+from wrinkles.binding import bind
 from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels, build_levels
+from wrinkles.surface import Binding
 
 __all__ = [
     "PROCEDURAL_PIECE",
     "Stage",
     "body_of",
+    "coarse_garment",
     "fabric_of",
     "fine_options",
     "held_vertices",
@@ -43,17 +47,38 @@ def load_body(file: Path | str) -> Character:
     return builtin_mannequin() if str(file) == "builtin:mannequin" else load_character(file)
 
 
-def motion_of(body: Character, motion: MotionSettings) -> Motion:
-    """A clip of any file, on this body, led into from the bind pose.
+def motion_of(body: Character | Sequence, motion: MotionSettings) -> Motion:
+    """A clip of any file, on this body, led into from the bind pose; or a part of a vertex sequence of this body.
 
     Raises:
-        InputError: no such clip (those that exist are listed), or a file with another skeleton.
+        InputError: no such clip (those that exist are listed), a file with another skeleton, a sequence of another
+            surface, or a part after the end.
     """
-    other = load_body(motion.file)
-    if motion.clip not in other.clips:
-        known = "one of " + ", ".join(sorted(other.clips)) if other.clips else "a file with clips"
-        raise InputError("no such clip", file=motion.file, key="clip", received=motion.clip, expected=known)
-    return ClipMotion(body, with_clips(body, other).clip(motion.clip) if other is not body else body.clip(motion.clip))
+    if isinstance(body, Sequence) != (motion.clip is None):
+        expected = "a vertex sequence (.npz)" if isinstance(body, Sequence) else "a character (.glb, .gltf)"
+        raise InputError("a motion of another kind of body", key="file", received=str(motion.file), expected=expected)
+    try:
+        if isinstance(body, Sequence):
+            sequence = load_sequence(str(motion.file))
+            if not np.array_equal(sequence.faces, body.faces):
+                received, expected = f"{len(sequence.faces)} faces", "the faces of the scene's body"
+                raise InputError("a sequence of another surface", key="faces", received=received, expected=expected)
+            made: Motion = SequenceMotion(sequence, motion.start, motion.end, motion.speed)
+        else:
+            other = load_body(motion.file)
+            if motion.clip not in other.clips:
+                known = "one of " + ", ".join(sorted(other.clips)) if other.clips else "a file with clips"
+                raise InputError("no such clip", key="clip", received=motion.clip, expected=known)
+            clip = (with_clips(body, other) if other is not body else body).clip(motion.clip)
+            made = ClipMotion(body, part_of(clip, motion.start, motion.end), speed=motion.speed)
+    except InputError as error:
+        if error.file is not None:
+            raise
+        raise InputError(
+            error.problem, file=motion.file, key=error.key, received=error.received, expected=error.expected
+        ) from error
+    made.name = motion.name
+    return made
 
 
 def body_of(scene: Scene) -> Character | Sequence:
@@ -112,6 +137,38 @@ def held_vertices(garment: Garment, settings: GarmentSettings) -> np.ndarray:
     return vertices
 
 
+def coarse_garment(garment: Garment, settings: GarmentSettings) -> tuple[Garment, Binding | None]:
+    """The coarse mesh of a garment: itself, or one made from it by decimation, to which it is then bound.
+
+    Raises:
+        InputError: a vertex with several places in the pattern, a mesh too coarse to decimate, or bad seams.
+    """
+    if settings.coarse_vertices is None:
+        return garment, None
+    assert garment.pattern is not None
+    count = len(garment.vertices)
+    if count < 8 * settings.coarse_vertices:
+        raise InputError(
+            "too many coarse vertices",
+            file=garment.source,
+            key="coarse_vertices",
+            received=settings.coarse_vertices,
+            expected=f"at most an eighth of the mesh's {count}",
+        )
+    flat = np.zeros((count, 2))
+    flat[garment.faces] = garment.pattern
+    several = np.flatnonzero((flat[garment.faces] != garment.pattern).any(axis=(1, 2)))
+    if several.size:
+        expected = "panels that share no vertex, sewn together by seams"
+        key = f"face {several[0]}"
+        raise InputError("a vertex with several places in the pattern", file=garment.source, key=key, expected=expected)
+    seams = None if settings.seams is None else load_seams(settings.seams, count)
+    vertices, subdivision = bind(
+        garment.vertices, garment.faces, flat, seams, settings.coarse_vertices, settings.subdivisions
+    )
+    return replace(garment, vertices=vertices, faces=subdivision.coarse_faces, pattern=None), subdivision.binding
+
+
 @dataclass(frozen=True)
 class Stage:
     """What a scene names, loaded.
@@ -119,7 +176,7 @@ class Stage:
     Attributes:
         scene: its settings.
         settings: of its garment.
-        garment: the mesh as it came.
+        garment: the coarse mesh as it came, or as it was made from a fine one.
         body: the character or vertex sequence.
         levels: coarse and fine mesh, outside the body and attached.
     """
@@ -143,15 +200,19 @@ class Stage:
             expected = "attach or attach_vertices: pins hold a garment without a body"
             raise InputError("pins beside a body", key="garment[0].pins", received=settings.pins, expected=expected)
         vertices = body.vertices if isinstance(body, Character) else body.vertices[0].astype(float)
+        garment, binding = coarse_garment(garment, settings)
         held = held_vertices(garment, settings)
-        levels = build_levels(garment.vertices, garment.faces, held, vertices, body.faces, settings.subdivisions)
+        levels = build_levels(
+            garment.vertices, garment.faces, held, vertices, body.faces, settings.subdivisions, binding=binding
+        )
         return cls(scene, settings, garment, body, levels)
 
     def motion(self, motion: MotionSettings | None = None) -> Motion:
         """A motion of the body: the one given, or the scene's own."""
-        if isinstance(self.body, Sequence):
+        if motion is None and isinstance(self.body, Sequence):
             return SequenceMotion(self.body)
         if motion is None:
+            assert isinstance(self.body, Character)
             assert self.scene.character is not None and self.scene.character.file is not None
             clip = self.scene.character.clip or next(iter(self.body.clips), None)
             if clip is None:

@@ -18,21 +18,9 @@ __all__ = ["Charts", "fine_places", "leading_vertices"]
 
 def fine_places(subdivision: Subdivision) -> tuple[np.ndarray, np.ndarray]:
     """Coarse face and barycentric weights of each fine vertex: int, shape (N,), and float, shape (N, 3)."""
-    parent = np.arange(len(subdivision.coarse_faces))
-    weights = np.broadcast_to(np.eye(3), (len(parent), 3, 3))
-    for _ in subdivision.steps:
-        a, b, c = weights[:, 0], weights[:, 1], weights[:, 2]
-        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-        parts = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
-        weights = np.stack([np.stack(p, axis=1) for p in parts], axis=1).reshape(-1, 3, 3)
-        parent = np.repeat(parent, 4)
-    face = np.zeros(subdivision.fine_count, np.int64)
-    place = np.zeros((subdivision.fine_count, 3))
-    # Any face around a fine vertex will do; written back to front, the first one stays.
-    corner = subdivision.faces.ravel()[::-1]
-    face[corner] = np.repeat(parent, 3)[::-1]
-    place[corner] = weights.reshape(-1, 3)[::-1]
-    return face, place
+    face, place = subdivision.places
+    inside = np.clip(place, 0.0, None)  # a delivered vertex may lie beyond the border
+    return face, inside / inside.sum(axis=1, keepdims=True)
 
 
 def leading_vertices(subdivision: Subdivision) -> np.ndarray:

@@ -10,7 +10,7 @@ import hashlib
 import io
 import time
 from collections.abc import Mapping as Dictionary
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from importlib import metadata
 from operator import attrgetter
@@ -39,6 +39,7 @@ from wrinkles.schema import (
     topology_hash,
     unpack,
 )
+from wrinkles.surface import Binding, Subdivision
 
 __all__ = [
     "WrinkleDatabase",
@@ -65,6 +66,7 @@ class WrinkleDatabase:
         subdivisions: from the coarse to the fine mesh.
         held: coarse vertices attached to the body, ascending, int32, shape (p,).
         warp: direction of the warp in space.
+        binding: of a delivered fine mesh; None where the subdivided mesh is the fine one.
         fabric: of the garment.
         options: of the calibrated coarse model.
         bend_factor: hinge factor measured on the coarse mesh [-].
@@ -90,6 +92,7 @@ class WrinkleDatabase:
     subdivisions: int
     held: np.ndarray
     warp: tuple[float, float, float]
+    binding: Binding | None
     fabric: Fabric
     options: ModelOptions
     bend_factor: float
@@ -111,10 +114,17 @@ class WrinkleDatabase:
 
     @property
     def fine_vertex_count(self) -> int:
+        if self.binding is not None:
+            return len(self.binding.face)
         vertices, edges, faces = len(self.coarse_vertices), len(edges_of(self.coarse_faces)[0]), len(self.coarse_faces)
         for _ in range(self.subdivisions):
             vertices, edges, faces = vertices + edges, 2 * edges + 3 * faces, 4 * faces
         return vertices
+
+    @property
+    def subdivision(self) -> Subdivision:
+        """From the coarse to the fine mesh."""
+        return Subdivision.of(self.coarse_faces, len(self.coarse_vertices), self.subdivisions, self.binding)
 
     def require_garment(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         """Refuse another garment than the one in the database.
@@ -295,6 +305,7 @@ def _arrays(database: WrinkleDatabase) -> dict[str, np.ndarray]:
         "content_hash": "",
         "quality/names": tuple(quality),
         "quality/values": np.array(list(quality.values()), float),
+        **_binding_values(database.binding),
     }
     for entry in ENTRIES:
         if entry.name not in values:
@@ -304,6 +315,23 @@ def _arrays(database: WrinkleDatabase) -> dict[str, np.ndarray]:
     arrays = {entry.name: pack(entry, values[entry.name]) for entry in ENTRIES}
     arrays["content_hash"] = np.array(content_hash(arrays).encode())
     return arrays
+
+
+def _binding_values(binding: Binding | None) -> dict[str, np.ndarray]:
+    """Places and pattern were rounded when they were made, so that single precision holds them exactly."""
+    if binding is None:
+        index, pairs = np.zeros((0, 3), np.int32), np.zeros((0, 2))
+        binding = Binding(index[:, 0], np.zeros((0, 3)), index, pairs, index, pairs[:, 0])
+    values = vars(binding) | {"place": binding.place[:, 1:]}  # the three weights sum to one
+    return {f"binding/{field.name}": values[field.name] for field in fields(Binding)}
+
+
+def _binding_of(values: dict[str, np.ndarray]) -> Binding | None:
+    if not len(values["face"]):
+        return None
+    place, flat = values["place"].astype(float), values["flat"].astype(float)
+    place = np.concatenate([1.0 - place.sum(axis=1, keepdims=True), place], axis=1)
+    return Binding(**(values | {"place": place, "flat": flat}))
 
 
 def _unpacked(arrays: dict[str, np.ndarray]) -> WrinkleDatabase:
@@ -321,6 +349,7 @@ def _unpacked(arrays: dict[str, np.ndarray]) -> WrinkleDatabase:
         del root[derived]
     return WrinkleDatabase(
         **root,
+        binding=_binding_of(groups["binding"]),
         fabric=Fabric(**groups["fabric"]),
         options=ModelOptions(**groups["options"]),
         solver=SolverOptions(**groups["solver"]),

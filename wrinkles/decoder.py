@@ -100,7 +100,7 @@ class Upsampler:
         for step in subdivision.steps[:-1]:
             first = (step @ first).tocsr()
         self._first = _csr(first)
-        self._second = _csr(subdivision.steps[-1])
+        self._second = _csr(subdivision.last_step)
         self._middle = np.zeros((first.shape[0], 3), np.float32)
         self._upsample = Launch(_upsample)
 

@@ -82,6 +82,12 @@ ENTRIES = (
     Entry("subdivisions", WHOLE),
     Entry("held", INDEX, ("p",)),
     Entry("warp", DOUBLE, (3,)),
+    Entry("binding/face", INDEX, ("N",)),
+    Entry("binding/place", SINGLE, ("N", 2)),
+    Entry("binding/panels", INDEX, ("M", 3)),
+    Entry("binding/flat", SINGLE, ("N", 2), "m"),
+    Entry("binding/stitches", INDEX, ("s", 3)),
+    Entry("binding/stitch_weights", DOUBLE, ("s",)),
     Entry("fabric/areal_density", DOUBLE, unit="kg/m2"),
     Entry("fabric/stretch_warp", DOUBLE, unit="N/m"),
     Entry("fabric/stretch_weft", DOUBLE, unit="N/m"),
@@ -122,7 +128,8 @@ ENTRIES = (
     Entry("scene", TEXT),
 )
 LARGEST_STEP = 127
-MAY_BE_ZERO = ("p", "q", "h", "t")  # sizes; there is no garment without vertices, but one without pins
+# Sizes; there is no garment without vertices, but one without pins, or whose fine mesh is the subdivided coarse one.
+MAY_BE_ZERO = ("p", "q", "h", "t", "N", "M", "s")
 POSITIVE = ("bend_factor", "frame_rate", "cutoff")
 
 
@@ -247,6 +254,15 @@ def check_values(arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
     levels = arrays["subdivisions"].item()
     if not 1 <= levels <= 4:
         refuse("out of range", "subdivisions", levels, "1 to 4")
+    fine = len(arrays["binding/face"])
+    if (fine == 0) != (len(arrays["binding/panels"]) == 0):
+        refuse("a mesh without a binding, or one without a mesh", "binding", fine, "both or none")
+    limits = {"face": len(faces) * 4**levels, "panels": fine, "stitches": fine}
+    for name, limit in limits.items():
+        index = arrays[f"binding/{name}"]
+        if index.size and not 0 <= index.min() <= index.max() < limit:
+            bad = int(index.min() if index.min() < 0 else index.max())
+            refuse("an index that does not exist", f"binding/{name}", bad, f"0 to {limit - 1}")
     if not arrays["warp"].any():
         refuse("no direction", "warp", arrays["warp"].tolist(), "a vector that is not zero")
     stored, computed = arrays["topology_hash"].item().decode(), topology_hash(faces, levels, count)

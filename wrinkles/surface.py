@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_matrix, identity
+from scipy.sparse import csr_matrix, diags, identity
 from scipy.sparse.linalg import splu
 
+from assets.seams import Seams, sew
 from pbd import ClothMesh
 from pbd.mesh import edges_of, flatten_by_lengths, flatten_by_surface
 
-__all__ = ["Subdivision", "loop_step"]
+__all__ = ["Binding", "Subdivision", "loop_step"]
 
 
 def loop_step(faces: np.ndarray, vertex_count: int) -> tuple[csr_matrix, np.ndarray]:
@@ -71,6 +72,33 @@ def _split(faces: np.ndarray, middle: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
+class Binding:
+    """Vertices of a delivered fine mesh on the smooth surface of a coarse one.
+
+    Attributes:
+        face: face of the subdivided coarse mesh that carries each vertex, int32, shape (N,).
+        place: weights of that face's corners, below 0 for vertices beyond the border, shape (N, 3).
+        panels: faces of the delivered mesh, int32, shape (M, 3).
+        flat: place of each vertex in the pattern [m], shape (N, 2).
+        stitches: between the panels, (v, a, b) of each, int32, shape (s, 3).
+        stitch_weights: x_v = (1 - w) x_a + w x_b, shape (s,).
+    """
+
+    face: np.ndarray
+    place: np.ndarray
+    panels: np.ndarray
+    flat: np.ndarray
+    stitches: np.ndarray
+    stitch_weights: np.ndarray
+
+    def mesh(self, vertices: np.ndarray) -> ClothMesh:
+        """The panels, stitched, with the pattern as their rest shape, at given places [m], shape (N, 3)."""
+        # A pattern is laid out upright: its second axis is the warp.
+        made = ClothMesh.from_pattern(vertices, self.panels, self.flat[self.panels][:, :, ::-1])
+        return replace(made, stitches=self.stitches, stitch_weights=self.stitch_weights)
+
+
+@dataclass(frozen=True)
 class Subdivision:
     """A coarse mesh and its smooth refinement.
 
@@ -82,27 +110,55 @@ class Subdivision:
         coarse_faces: int32, shape (m, 3).
         coarse_count: number of coarse vertices.
         steps: Loop matrices, one a level.
-        faces: of the fine mesh, int32, shape (m 4^levels, 3). Coarse vertices come first in the fine numbering.
+        cut: faces of the subdivided mesh, int32, shape (m 4^levels, 3). Coarse vertices come first in its numbering.
+        binding: of a delivered fine mesh; None where the subdivided mesh is the fine one.
     """
 
     coarse_faces: np.ndarray
     coarse_count: int
     steps: tuple[csr_matrix, ...]
-    faces: np.ndarray
+    cut: np.ndarray
+    binding: Binding | None = None
 
     @classmethod
-    def of(cls, faces: np.ndarray, vertex_count: int, levels: int) -> Subdivision:
-        """Refine a mesh ``levels`` times."""
+    def of(cls, faces: np.ndarray, vertex_count: int, levels: int, binding: Binding | None = None) -> Subdivision:
+        """Refine a mesh ``levels`` times, and bind a delivered fine mesh to it if there is one."""
         steps, fine, count = [], np.asarray(faces, np.int32), vertex_count
         for _ in range(levels):
             matrix, fine = loop_step(fine, count)
             steps.append(matrix)
             count = matrix.shape[0]
-        return cls(np.asarray(faces, np.int32), vertex_count, tuple(steps), fine)
+        return cls(np.asarray(faces, np.int32), vertex_count, tuple(steps), fine, binding)
 
     @property
     def fine_count(self) -> int:
         return self.matrix.shape[0]
+
+    @cached_property
+    def _sewn(self) -> tuple[np.ndarray, np.ndarray]:
+        assert self.binding is not None
+        return sew(self.binding.panels, self.binding.flat, Seams(self.binding.stitches, self.binding.stitch_weights))
+
+    @property
+    def faces(self) -> np.ndarray:
+        """Faces of the fine mesh as it is seen, its seams closed: int32, shape (M, 3)."""
+        return self.cut if self.binding is None else self._sewn[0]
+
+    @property
+    def stands_for(self) -> np.ndarray | None:
+        """The vertex that stands for each fine one in ``faces``, shape (N,); None where each stands for itself."""
+        return None if self.binding is None else self._sewn[1]
+
+    @cached_property
+    def last_step(self) -> csr_matrix:
+        """Fine positions from those of the subdivided mesh without its last step, shape (N, q)."""
+        last = self.steps[-1]
+        if self.binding is None:
+            return last
+        corners = self.cut[self.binding.face]
+        rows = np.repeat(np.arange(len(corners)), 3)
+        bound = csr_matrix((self.binding.place.ravel(), (rows, corners.ravel())), (len(corners), last.shape[0]))
+        return (bound @ last).tocsr()
 
     @cached_property
     def correction(self) -> csr_matrix:
@@ -120,7 +176,12 @@ class Subdivision:
     @cached_property
     def matrix(self) -> csr_matrix:
         """Fine positions from coarse ones, shape (N, n)."""
-        return (self._plain @ self.correction).tocsr()
+        if self.binding is None:
+            return (self._plain @ self.correction).tocsr()
+        matrix = self.correction
+        for step in (*self.steps[:-1], self.last_step):
+            matrix = (step @ matrix).tocsr()
+        return matrix
 
     def upsample(self, coarse: np.ndarray) -> np.ndarray:
         """Smooth surface: [m], shape (n, 3) to (N, 3), or (frames, n, 3) to (frames, N, 3)."""
@@ -148,14 +209,77 @@ class Subdivision:
             warp: direction of the warp in space, shape (3,).
         """
         fine_vertices = self.upsample(coarse_vertices)
-        fine = ClothMesh.from_surface(fine_vertices, self.faces, warp)
+        if self.binding is None:
+            smooth, fine = fine_vertices, ClothMesh.from_surface(fine_vertices, self.cut, warp)
+        else:
+            smooth = _apply(self._plain @ self.correction, coarse_vertices)
+            fine = self.binding.mesh(fine_vertices)
         edges, side_edge = edges_of(self.coarse_faces)
         lengths = np.zeros(len(edges))
         for path in self._edge_paths(edges):
-            lengths += np.linalg.norm(fine_vertices[path[:, 1]] - fine_vertices[path[:, 0]], axis=1)
+            lengths += np.linalg.norm(smooth[path[:, 1]] - smooth[path[:, 0]], axis=1)
+        if self.binding is not None:
+            lengths = self._lengths_in_pattern(lengths, side_edge)
         flat = flatten_by_surface(np.asarray(coarse_vertices, float), self.coarse_faces, np.asarray(warp))
         flat = flatten_by_lengths(flat, self.coarse_faces, lengths, side_edge)
         return ClothMesh(np.asarray(coarse_vertices, float), self.coarse_faces, flat), fine
+
+    @cached_property
+    def places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Coarse face and barycentric weights of each fine vertex: int, shape (N,), and float, shape (N, 3)."""
+        parent = np.arange(len(self.coarse_faces))
+        weights = np.broadcast_to(np.eye(3), (len(parent), 3, 3))
+        for _ in self.steps:
+            a, b, c = weights[:, 0], weights[:, 1], weights[:, 2]
+            ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+            parts = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
+            weights = np.stack([np.stack(p, axis=1) for p in parts], axis=1).reshape(-1, 3, 3)
+            parent = np.repeat(parent, 4)
+        if self.binding is not None:
+            face = self.binding.face
+            return parent[face].astype(np.int64), np.einsum("pc,pci->pi", self.binding.place, weights[face])
+        face = np.zeros(self.fine_count, np.int64)
+        place = np.zeros((self.fine_count, 3))
+        # Any face around a fine vertex will do; written back to front, the first one stays.
+        corner = self.cut.ravel()[::-1]
+        face[corner] = np.repeat(parent, 3)[::-1]
+        place[corner] = weights.reshape(-1, 3)[::-1]
+        return face, place
+
+    @cached_property
+    def at_coarse(self) -> np.ndarray:
+        """The fine vertex at each coarse one, or nearest to it along the cloth: int, shape (n,)."""
+        if self.binding is None:
+            return np.arange(self.coarse_count)
+        face, place = self.places
+        order = np.argsort(place.ravel(), kind="stable")
+        at = np.zeros(self.coarse_count, np.int64)
+        at[self.coarse_faces[face].ravel()[order]] = order // 3  # written last, what leans on it most stays
+        return at
+
+    def _lengths_in_pattern(self, lengths: np.ndarray, side_edge: np.ndarray) -> np.ndarray:
+        """Lengths of the coarse edges that fit those of the fine edges in the pattern [m], shape (e,).
+
+        Within a coarse face with sides l, a fine edge whose ends differ by u in their weights has the squared length
+        -(u0 u1 l01^2 + u1 u2 l12^2 + u2 u0 l20^2): linear in the squares.
+
+        Args:
+            lengths: on the smooth surface [m], shape (e,); where little cloth tells, they stay.
+            side_edge: as :func:`pbd.mesh.edges_of` gives it.
+        """
+        assert self.binding is not None
+        face, place = self.places
+        ends = edges_of(self.binding.panels)[0]
+        ends = ends[face[ends[:, 0]] == face[ends[:, 1]]]
+        step = place[ends[:, 1]] - place[ends[:, 0]]
+        wanted = ((self.binding.flat[ends[:, 1]] - self.binding.flat[ends[:, 0]]) ** 2).sum(axis=1)
+        unit = np.maximum(wanted, np.median(wanted))[:, None]
+        values = -step * np.roll(step, -1, axis=1) / unit
+        rows = np.repeat(np.arange(len(ends)), 3)
+        matrix = csr_matrix((values.ravel(), (rows, side_edge[face[ends[:, 0]]].ravel())), (len(ends), len(lengths)))
+        stay = diags(0.1 / lengths**4)
+        squares = splu((matrix.T @ matrix + stay).tocsc()).solve(matrix.T @ (wanted / unit[:, 0]) + 0.1 / lengths**2)
+        return lengths * np.sqrt(np.clip(squares / lengths**2, 0.25, 9.0))
 
     def _edge_paths(self, edges: np.ndarray) -> list[np.ndarray]:
         """Fine edges along each coarse edge: a list of arrays of shape (e, 2)."""

@@ -317,6 +317,7 @@ def database() -> WrinkleDatabase:
         subdivisions=1,
         held=held,
         warp=(0.0, 1.0, 0.0),
+        binding=None,
         fabric=Fabric(),
         options=ModelOptions(),
         bend_factor=0.3,
