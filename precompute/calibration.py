@@ -86,8 +86,7 @@ def calibrate(
     recordings = [settled(r, run) for r, run in zip(recordings, runs, strict=True)]
     reference = np.concatenate([features_of(layer, r)[0] for r in recordings])
     statistics = FeatureStatistics.of(reference)
-    fine = layer.levels.fine
-    bands = BandedEnergy(fine.vertices, fine.faces)
+    bands = BandedEnergy(layer.levels.rest_vertices, layer.levels.fine.faces)
     energies = [bands.energy(r.positions[::EVERY]) for r in recordings]
     wanted = np.concatenate(energies).mean(axis=0)
     # The first is the fabric itself: what calibration is compared with.

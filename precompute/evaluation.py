@@ -178,8 +178,8 @@ def truth_of(run: Run, cache: Path, workers: int, report: Callable[[str], None] 
     first, second = record_runs([run, twin], cache, workers, report)
     first, second = settled(first, run), settled(second, run)
     levels = run.levels
-    bands = BandedEnergy(levels.fine.vertices, levels.fine.faces)
-    low_pass = LowPass(levels.fine.vertices, levels.fine.faces, levels.cutoff)
+    bands = BandedEnergy(levels.rest_vertices, levels.fine.faces)
+    low_pass = LowPass(levels.rest_vertices, levels.fine.faces, levels.cutoff)
     return Truth(run, levels, first, second.positions, bands, bands.energy(first.positions), low_pass)
 
 
@@ -227,7 +227,7 @@ def body_distances(truth: Truth, frames: np.ndarray) -> tuple[np.ndarray, np.nda
 
 def free_figures(truth: Truth, frames: np.ndarray, prefix: str = "") -> dict[str, float]:
     """Statistics of a free run against the truth; names as in the design, with a prefix."""
-    rest, faces = truth.levels.fine.vertices, truth.levels.fine.faces
+    rest, faces = truth.levels.rest_vertices, truth.levels.fine.faces
     ratios = truth.bands.band_ratios(truth.bands.energy(frames), truth.energy)
     figures = {
         "bending_energy_ratio": bending_energy_ratio(frames, truth.frames, rest, faces),
@@ -248,7 +248,7 @@ def contact_bending_ratio(
     truth: Truth, frames: np.ndarray, distances: np.ndarray, truth_distances: np.ndarray
 ) -> float:
     """Bending energy of what lies on the body (within 8 mm) over the truth's, per vertex."""
-    rest, faces = truth.levels.fine.vertices, truth.levels.fine.faces
+    rest, faces = truth.levels.rest_vertices, truth.levels.fine.faces
 
     def density(vertices: np.ndarray, distance: np.ndarray) -> float:
         touching = distance < 0.008

@@ -52,6 +52,12 @@ class Levels:
         """Wavelength at which half of a fold's amplitude belongs to the coarse mesh [m]."""
         return max(FOLD_EDGES * float(self.coarse.edge_lengths()[1].mean()), FOLD_LENGTH)
 
+    @property
+    def rest_vertices(self) -> np.ndarray:
+        """Fine vertices where they have the rest metric [m], shape (N, 3): those of panels in the flat pattern."""
+        binding = self.subdivision.binding
+        return self.fine.vertices if binding is None else np.insert(binding.flat, 2, 0.0, axis=1)
+
     @cached_property
     def _filter(self) -> tuple:
         """Factored normal equations of the smoothing spline, transpose of its data term, weights of held vertices."""
@@ -110,7 +116,7 @@ def build_levels(
         binding: of a delivered fine mesh, if there is one.
 
     Raises:
-        InputError: a number of levels outside 1..4, or meshes whose areas differ by more than 2 %.
+        InputError: a number of levels outside 1..4, or a subdivided mesh whose area differs by more than 2 %.
     """
     if not 1 <= levels <= 4:
         raise InputError("bad number of subdivisions", key="subdivisions", received=levels, expected="1..4")
@@ -139,10 +145,11 @@ def levels_of(
     subdivision = Subdivision.of(faces, len(vertices), levels, binding)
     coarse, fine = subdivision.meshes(vertices, warp)
     ratio = float(coarse.face_areas.sum() / fine.face_areas.sum())
-    if abs(ratio - 1.0) > NEAR_AREA:
+    if binding is None and abs(ratio - 1.0) > NEAR_AREA:
         expected = f"1 within {100.0 * NEAR_AREA:g} %"
         raise InputError("coarse and fine mesh differ in area", key="subdivisions", received=ratio, expected=expected)
-    if abs(ratio - 1.0) > SAME_AREA:  # along sharp bends the ways on the smooth surface are too long
+    # Along sharp bends the ways on the smooth surface are too long; a decimated border cuts corners.
+    if abs(ratio - 1.0) > SAME_AREA:
         coarse = replace(coarse, flat=coarse.flat / np.sqrt(ratio))
     held = np.unique(np.asarray(held, np.int64))  # the order in which a model takes its targets
     fine_held = _between(subdivision, held)
@@ -157,7 +164,8 @@ def _between(subdivision: Subdivision, held: np.ndarray) -> np.ndarray:
     mark[held] = 1.0
     if subdivision.binding is not None:
         face, place = subdivision.places
-        return np.flatnonzero(((np.abs(place) < 1e-6) | (mark[subdivision.coarse_faces[face]] == 1.0)).all(axis=1))
+        carried = (place * mark[subdivision.coarse_faces[face]]).sum(axis=1)
+        return np.flatnonzero(carried > 0.9)  # a delivered border swings about the coarse one
     for step in subdivision.steps:
         new = step[len(mark) :]
         # Weights of both ends are the large ones (3/8 or 1/2); corners opposite carry 1/8.

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from assets.character import Character, Clip, load_character
-from assets.motion import ClipMotion
+from assets.motion import ClipMotion, part_of
 from assets.skinning import skin_vertices
 from assets.transform import slerp
 from pbd.errors import InputError
@@ -86,6 +86,16 @@ def test_a_clip_of_one_frame_is_held(tmp_path: Path) -> None:
     motion = ClipMotion(bar, still, loop=True)
     assert motion.duration == 1.0
     assert np.array_equal(motion.pose(1.0), motion.pose(7.3))
+
+
+def test_a_part_of_a_clip_has_its_frames(tmp_path: Path) -> None:
+    clip = walking_bar(tmp_path).clip("walk")
+    last, rate = len(clip.translation) - 1, clip.rate
+    assert np.array_equal(part_of(clip, 0.0, None).translation, clip.translation)
+    part = part_of(clip, 1.0 / rate, last / rate)
+    assert np.array_equal(part.rotation, clip.rotation[1:]) and part.duration == pytest.approx((last - 1) / rate)
+    with pytest.raises(InputError, match=r"clip walk: no such part.*two frames"):
+        part_of(clip, last / rate, None)
 
 
 def test_a_loop_goes_round_and_a_journey_is_refused(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from assets.fabrics import PRESETS
-from assets.scene import CapsuleSettings, CharacterSettings, Scene, load_scene, scene_text
+from assets.scene import CapsuleSettings, CharacterSettings, MotionSettings, Scene, load_scene, parse_scene, scene_text
 from pbd import Capsule, Fabric, InputError, SolverOptions
 
 SKIRT = '[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\n'
@@ -128,6 +128,76 @@ def test_every_key_is_read(load, tmp_path: Path) -> None:
             one.name for one in fields(section) if getattr(section, one.name) == getattr(type(section)(), one.name)
         ]
         assert unread == [], type(section)
+
+
+DRESS = """
+[[garment]]
+name = "dress"
+mesh = "dress.obj"
+pattern = true
+seams = "stitches.csv"
+coarse_vertices = 500
+
+[character]
+sequence = "dance.npz"
+
+[training]
+[[training.clips]]
+file = "dance.npz"
+end = 3.0
+speed = 0.75
+
+[[training.held_out]]
+file = "dance.npz"
+start = 3.0
+"""
+
+
+def test_seams_and_parts_of_a_sequence_are_read(load, tmp_path: Path) -> None:
+    for name in ("stitches.csv", "dance.npz"):
+        (tmp_path / name).touch()
+    scene = load(DRESS)
+    (dress,) = scene.garments
+    assert dress.seams == (tmp_path / "stitches.csv").resolve() and dress.coarse_vertices == 500
+    (learned,), (held_out,) = scene.training.clips, scene.training.held_out
+    assert (learned.start, learned.end, learned.speed, learned.clip) == (0.0, 3.0, 0.75, None)
+    assert (learned.name, held_out.name) == ("dance 0-3 s x 0.75", "dance 3- s")
+    assert parse_scene(scene_text(scene), tmp_path / "again.toml") == scene
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("coarse_vertices = 500\n", "", r"garment\[0\]\.seams.*coarse_vertices"),
+        ("pattern = true\n", "", r"garment\[0\]\.pattern.*received False.*pattern = true"),
+        ("coarse_vertices = 500", "coarse_vertices = 3", r"coarse_vertices.*received 3.*at least 50"),
+        ("start = 3.0", "start = 3.0\nend = 2.0", r"held_out\[0\]\.end.*received 2\.0.*after the start, 3"),
+        ("start = 3.0", 'clip = "walk"', r"held_out\[0\]\.clip.*received 'walk'.*no clips"),
+        ("speed = 0.75", "speed = 0", r"clips\[0\]\.speed.*received 0.*above 0"),
+        ('"stitches.csv"', '"gone.csv"', r"garment\[0\]\.seams.*no such file"),
+    ],
+)
+def test_bad_seams_and_parts_are_refused(load, tmp_path: Path, old: str, new: str, message: str) -> None:
+    for name in ("stitches.csv", "dance.npz"):
+        (tmp_path / name).touch()
+    assert old in DRESS
+    with pytest.raises(InputError, match=message):
+        load(DRESS.replace(old, new))
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "expected"),
+    [
+        ({}, {}, True),
+        ({"end": 3.0}, {"start": 3.0}, False),
+        ({"end": 3.1}, {"start": 3.0, "speed": 2.0}, True),
+        ({"start": 1.0, "end": 2.0}, {"start": 4.0, "end": 5.0}, False),
+        ({"clip": "walk"}, {"clip": "run"}, False),
+    ],
+)
+def test_parts_of_one_clip_overlap_where_they_have_time_in_common(one: dict, other: dict, expected: bool) -> None:
+    first, second = (MotionSettings(**({"file": "woman.glb", "clip": "walk"} | part)) for part in (one, other))
+    assert first.overlaps(second) is second.overlaps(first) is expected
 
 
 @pytest.mark.parametrize("text", [SKIRT, FULL], ids=["short", "full"])

@@ -51,6 +51,20 @@ def test_the_body_is_written_in_its_frame(tmp_path: Path) -> None:
     assert np.array_equal(array.to_numpy(), out)
 
 
+def test_a_part_is_led_into_from_the_beginning(tmp_path: Path) -> None:
+    """Clothes are made for the first frame: a later part is played from there, and says how long that takes."""
+    sequence = load_sequence(write(tmp_path))
+    length = (len(frames()) - 1) * sequence.dt
+    whole = SequenceMotion(sequence)
+    part = SequenceMotion(sequence, start=length / 2, end=0.9 * length, speed=0.5)
+    assert whole.lead_in == 0.0
+    assert (part.lead_in, part.duration) == pytest.approx((length, 1.8 * length))
+    for t in (0.0, 0.3 * length, length):
+        np.testing.assert_allclose(part.pose(2.0 * t), whole.pose(min(t, 0.9 * length)), atol=1e-12)
+    with pytest.raises(InputError, match="start: a part after the end"):
+        SequenceMotion(sequence, start=length)
+
+
 def test_one_frame_is_held(tmp_path: Path) -> None:
     motion = SequenceMotion(load_sequence(write(tmp_path, vertices=frames(1))))
     assert motion.duration == 0.0

@@ -9,6 +9,7 @@ from pbd.constraints import (
     drag_velocity,
     hinge_multiplier,
     membrane_multipliers,
+    stitch_multiplier,
     tether_correction,
 )
 from pbd.engine import ti
@@ -58,6 +59,15 @@ def tethers(offsets: Rows, lengths: Rows, out: Rows):
         m = tether_correction(vec3(offsets[c, 0], offsets[c, 1], offsets[c, 2]), lengths[c, 0])
         for a in ti.static(range(3)):
             out[c, a] = m[a]
+
+
+@ti.kernel
+def stitches(to_a: Rows, to_b: Rows, weights: Rows, inverse: Rows, out: Rows):
+    for c in range(to_a.shape[0]):
+        a, b = vec3(to_a[c, 0], to_a[c, 1], to_a[c, 2]), vec3(to_b[c, 0], to_b[c, 1], to_b[c, 2])
+        m = stitch_multiplier(a, b, weights[c, 0], inverse[c, 0], inverse[c, 1], inverse[c, 2])
+        for k in ti.static(range(3)):
+            out[c, k] = m[k]
 
 
 @ti.kernel
@@ -258,6 +268,21 @@ def test_a_tether_pulls_only_what_is_beyond_its_length() -> None:
     moved = offsets + call(tethers, offsets, lengths[:, None])
     assert np.linalg.norm(moved, axis=1) == pytest.approx(np.minimum(distance, lengths), rel=1e-6)
     assert np.array_equal(moved[distance < lengths], offsets[distance < lengths])
+
+
+def test_a_stitch_closes_at_once_and_keeps_momentum() -> None:
+    rng = np.random.default_rng(3)
+    v, a, b = rng.normal(size=(3, COUNT, 3))
+    w, inverse = rng.uniform(size=(COUNT, 1)), rng.uniform(0.5, 5.0, (COUNT, 3))
+    inverse[::5, 0] = inverse[1::5, 1] = 0.0  # held ends do not move
+    multiplier = call(stitches, a - v, b - v, w, inverse)
+    moves = inverse[:, :1] * multiplier, -inverse[:, 1:2] * (1.0 - w) * multiplier, -inverse[:, 2:] * w * multiplier
+    gap = (v + moves[0]) - (1.0 - w) * (a + moves[1]) - w * (b + moves[2])
+    assert np.abs(gap).max() < 1e-5
+    # Momentum, where nothing is held: sum of m dx.
+    free = (inverse > 0.0).all(axis=1)
+    total = sum(move[free] / inverse[free, k : k + 1] for k, move in enumerate(moves))
+    assert np.abs(total).max() < 1e-5
 
 
 def test_drag_is_the_exact_solution_of_its_equation() -> None:

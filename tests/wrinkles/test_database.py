@@ -14,6 +14,7 @@ import pytest
 from pbd import InputError
 from tests.wrinkles.databases import small_database
 from wrinkles import database as module
+from wrinkles.binding import FLAT_STEP, PLACE_STEP
 from wrinkles.database import (
     WrinkleDatabase,
     as_stored,
@@ -24,7 +25,7 @@ from wrinkles.database import (
     write_database,
 )
 from wrinkles.schema import ENTRIES, SCHEMA_VERSION
-from wrinkles.surface import Subdivision
+from wrinkles.surface import Binding, Subdivision
 
 QUANTISED = {"atoms.shapes", "mapping.weights_1", "mapping.weights_2", "mapping.weights_3", "mapping.place_bias"}
 DERIVED = {"format", "schema_version", "units", "topology_hash", "content_hash"}
@@ -35,6 +36,17 @@ def path(tmp_path: Path) -> Path:
     path = tmp_path / "curtain.h5"
     write_database(path, small_database())
     return path
+
+
+def small_binding(fine: int = 40) -> Binding:
+    """Vertices all over the subdivided sheet of the small database, in two triangles and with one stitch."""
+    rng = np.random.default_rng(3)
+    place = np.round(rng.uniform(-0.2, 0.6, (fine, 2)) / PLACE_STEP) * PLACE_STEP
+    place = np.concatenate([1.0 - place.sum(axis=1, keepdims=True), place], axis=1)
+    flat = np.round(rng.uniform(-2.0, 2.0, (fine, 2)) / FLAT_STEP) * FLAT_STEP
+    face = rng.integers(0, 72 * 16, fine).astype(np.int32)
+    panels = np.array([[0, 1, 2], [3, 4, fine - 1]], np.int32)
+    return Binding(face, place, panels, flat, np.array([[0, 3, 4]], np.int32), np.array([1.0 / 3.0]))
 
 
 def leaves(value: Any, name: str = "") -> dict[str, Any]:
@@ -59,6 +71,7 @@ def arrays_of(value: Any) -> list[np.ndarray]:
     [
         {},
         {"held": np.zeros(0, np.int32), "quality": {}, "held_out": (), "trained_on": (), "scene": ""},
+        {"binding": small_binding()},
         {"seed": 2**40, "scene": "x" * 200_000, "garment_name": " 裙子\n"},
     ],
 )
@@ -107,7 +120,7 @@ def test_every_field_has_its_entry() -> None:
     assert len(set(names)) == len(names)
     scales = {f"{name}_scale" for name in QUANTISED}
     stored = {name.replace("/", ".") for name in names} - DERIVED - scales - {"quality.names", "quality.values"}
-    assert stored == set(leaves(small_database())) - {"quality"}
+    assert stored == set(leaves(small_database(binding=small_binding()))) - {"quality"}
 
 
 def test_figures_that_are_not_finite_are_not_stored(tmp_path: Path) -> None:

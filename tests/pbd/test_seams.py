@@ -1,0 +1,66 @@
+"""Stitches between panels: they pull them together, keep momentum and then carry like whole cloth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pbd import ClothMesh, Fabric, InputError, State
+from tests.assets.panels import two_panels
+from tests.pbd.meshes import cloth, free_model, grid, run
+
+
+def sewn(vertices: np.ndarray, faces: np.ndarray, seams) -> ClothMesh:
+    return replace(cloth(vertices, faces), stitches=seams.vertices, stitch_weights=seams.weights)
+
+
+def gaps(mesh: ClothMesh, positions: np.ndarray) -> np.ndarray:
+    (v, a, b), w = mesh.stitches.T, mesh.stitch_weights[:, None]
+    return np.linalg.norm(positions[v] - (1.0 - w) * positions[a] - w * positions[b], axis=1)
+
+
+@pytest.mark.parametrize("second", [6, 4])
+def test_panels_that_were_pulled_apart_come_together(second: int) -> None:
+    vertices, faces, seams = two_panels(second=second)
+    mesh = sewn(vertices, faces, seams)
+    model = free_model(mesh, Fabric(air_drag=0.0))
+    apart = vertices + np.where(vertices[:, :1] > 0.24 - 1e-9, 0.02, 0.0) * [1.0, 0.5, 1.0]
+    apart[: len(apart) - 7 * (second + 1)] = vertices[: len(apart) - 7 * (second + 1)]
+    state = State.at_rest(model, apart)
+    assert gaps(mesh, state.world()).min() > 0.02
+    run(model, state, 5, gravity=0.0, keep=0.7)
+    assert gaps(mesh, state.world()).max() < 2e-4
+    momentum = (model.mass[:, None] * state.velocity).sum(axis=0)
+    assert np.abs(momentum).max() < 1e-5 * model.mass.sum()
+
+
+def test_a_stitched_strip_hangs_as_a_whole_one() -> None:
+    """Hung by one end, it is longer by its own weight; the seam passes the pull on without giving."""
+    fabric = Fabric(areal_density=0.5, stretch_warp=60.0, stretch_weft=60.0, air_drag=0.0)
+    lengths = []
+    for stitched in (True, False):
+        if stitched:
+            vertices, faces, seams = two_panels(6, 6, 4)
+            mesh = sewn(vertices[:, [1, 0, 2]] * [1, -1, 1], faces, seams)
+        else:
+            vertices, faces = grid(12, 6, 0.04)
+            mesh = cloth(vertices[:, [1, 0, 2]] * [1, -1, 1], faces)
+        held = np.flatnonzero(mesh.vertices[:, 1] > -1e-9)
+        model = free_model(mesh, fabric, held)
+        state = State.at_rest(model)
+        run(model, state, 90, substeps=40, keep=0.8)
+        low = mesh.vertices[:, 1] < mesh.vertices[:, 1].min() + 1e-9
+        lengths.append(-state.world()[low, 1].mean())
+        if stitched:
+            assert gaps(mesh, state.world()).max() < 1e-4
+    assert lengths[1] > 0.48 * 1.01  # or nothing is shown
+    assert lengths[0] - 0.48 == pytest.approx(lengths[1] - 0.48, rel=0.03)
+
+
+def test_stitches_of_vertices_that_do_not_exist_are_refused() -> None:
+    vertices, faces, seams = two_panels()
+    mesh = sewn(vertices, faces, seams)
+    with pytest.raises(InputError, match=r"stitches.*received 999"):
+        replace(mesh, stitches=np.array([[0, 1, 999]], np.int32), stitch_weights=np.array([0.5]))

@@ -1,0 +1,118 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from assets.garment import boundary_loops
+from tests.assets.panels import two_panels
+from wrinkles.binding import PLACE_STEP, bind
+from wrinkles.charts import Charts, fine_places, leading_vertices
+from wrinkles.decoder import Upsampler
+from wrinkles.levels import Levels, build_levels
+from wrinkles.patches import Patches
+from wrinkles.surface import Subdivision
+
+NOBODY = (np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+HEIGHT = 0.02
+
+
+def bent(flat: np.ndarray) -> np.ndarray:
+    """A gentle arch over the two panels, without stretch along it to first order."""
+    return np.stack([flat[:, 0], flat[:, 1], HEIGHT * np.sin(np.pi * flat[:, 0] / 0.48)], axis=1)
+
+
+@pytest.fixture(scope="module")
+def bound() -> tuple[np.ndarray, np.ndarray, np.ndarray, Subdivision]:
+    """Delivered vertices, their faces, coarse vertices, the subdivision between them."""
+    vertices, faces, seams = two_panels(20, 20, 17)
+    coarse, subdivision = bind(bent(vertices), faces, vertices[:, :2], seams, 60, 2)
+    return bent(vertices), faces, coarse, subdivision
+
+
+@pytest.fixture(scope="module")
+def levels(bound) -> Levels:
+    _, _, coarse, subdivision = bound
+    held = np.flatnonzero(coarse[:, 0] < 0.02)
+    return build_levels(coarse, subdivision.coarse_faces, held, *NOBODY, 2, binding=subdivision.binding)
+
+
+def test_the_bound_surface_is_the_delivered_one(bound) -> None:
+    vertices, _, coarse, subdivision = bound
+    assert 40 <= len(coarse) <= 60
+    assert subdivision.fine_count == len(vertices)
+    offset = np.linalg.norm(subdivision.upsample(coarse) - vertices, axis=1)
+    assert np.sqrt((offset**2).mean()) < 0.0005 and offset.max() < 0.006  # at the corners
+    assert len(boundary_loops(subdivision.coarse_faces)) == 1
+
+
+def test_places_are_rounded_as_a_file_holds_them(bound) -> None:
+    binding = bound[3].binding
+    steps = binding.place / PLACE_STEP
+    assert np.array_equal(steps, np.round(steps))
+    assert np.array_equal(binding.place.sum(axis=1), np.ones(len(steps)))
+    assert np.array_equal(binding.flat, binding.flat.astype(np.float32))
+
+
+def test_the_pattern_is_the_rest_shape_of_both_meshes(bound, levels: Levels) -> None:
+    assert levels.fine.face_areas.sum() == pytest.approx(0.48 * 0.24, rel=1e-3)  # flat, though the arch is longer
+    assert levels.coarse.face_areas.sum() == pytest.approx(levels.fine.face_areas.sum(), rel=0.005)
+    edges, rest = levels.coarse.edge_lengths()
+    ends = levels.coarse.vertices[edges]
+    ratio = rest / np.linalg.norm(ends[:, 1, :2] - ends[:, 0, :2], axis=1)
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.02)
+    assert 0.7 < ratio.min() < ratio.max() < 1.4  # Loop's surface over uneven triangles is no affine map
+    # A pattern is laid out upright: its second axis is the warp.
+    side = levels.fine.flat[:, :, 0]
+    corner = bound[0][bound[1]]
+    assert np.abs(side[:, 0]) == pytest.approx(np.abs(corner[:, 1, 1] - corner[:, 0, 1]), abs=1e-4)
+
+
+def test_places_lie_in_the_coarse_faces_that_carry_them(bound) -> None:
+    _, _, coarse, subdivision = bound
+    face, place = fine_places(subdivision)
+    assert place.min() >= 0.0
+    assert place.sum(axis=1) == pytest.approx(np.ones(len(place)))
+    point = np.einsum("pc,pci->pi", place, coarse[subdivision.coarse_faces[face]])
+    assert np.linalg.norm(point - bound[0], axis=1).max() < 0.02
+    leading = leading_vertices(subdivision)
+    near = np.linalg.norm(coarse[leading] - bound[0][:, None], axis=2)
+    assert (near[:, 0] < 0.06).all()
+
+
+def test_each_coarse_vertex_has_a_fine_one_beside_it(bound) -> None:
+    vertices, _, coarse, subdivision = bound
+    away = np.linalg.norm(vertices[subdivision.at_coarse] - coarse, axis=1)
+    assert away.max() < 0.02
+    plain = Subdivision.of(subdivision.coarse_faces, len(coarse), 2)
+    assert np.array_equal(plain.at_coarse, np.arange(len(coarse)))
+
+
+def test_two_sparse_steps_make_the_same_surface(bound) -> None:
+    _, _, coarse, subdivision = bound
+    position = np.concatenate([coarse, np.ones((len(coarse), 1))], axis=1).astype(np.float32)
+    fine = np.zeros((subdivision.fine_count, 3), np.float32)
+    Upsampler(subdivision)(position, fine)
+    assert fine == pytest.approx(subdivision.upsample(coarse), abs=1e-6)
+
+
+def test_what_is_seen_has_no_seam(bound) -> None:
+    vertices, faces, _, subdivision = bound
+    assert len(boundary_loops(faces)) == 2 and len(boundary_loops(subdivision.faces)) == 1
+    assert np.array_equal(np.unique(subdivision.stands_for), np.unique(subdivision.faces))
+
+
+def test_the_levels_of_a_bound_mesh(bound, levels: Levels) -> None:
+    vertices, faces, _, subdivision = bound
+    assert np.array_equal(levels.fine.faces, faces)
+    assert np.array_equal(levels.fine.stitches, subdivision.binding.stitches)
+    assert len(levels.coarse.stitches) == 0
+    held = levels.fine.vertices[levels.fine_held]
+    assert len(held) and held[:, 0].max() < 0.03
+    # The filter takes the surface that it is given back to its coarse vertices, but for folds.
+    assert levels.filter_down(levels.fine.vertices[None])[0] == pytest.approx(levels.coarse.vertices, abs=0.01)
+
+
+def test_patches_reach_every_fine_vertex(levels: Levels) -> None:
+    patches = Patches.of(levels.subdivision, Charts.of(levels.coarse))
+    assert len(patches.corners) == len(levels.fine.vertices)
+    assert patches.blend.sum(axis=1) == pytest.approx(1.0)
