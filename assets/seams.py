@@ -16,7 +16,7 @@ from assets.obj import triangulate
 from pbd.errors import InputError
 from pbd.mesh import edges_of
 
-__all__ = ["Seams", "load_seams", "sew", "without_pleats"]
+__all__ = ["Seams", "Sewn", "load_seams", "sew", "without_pleats"]
 
 Floats = NDArray[np.float64]
 Faces = NDArray[np.int32]
@@ -38,6 +38,23 @@ class Seams:
 
     vertices: NDArray[np.int32]
     weights: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Sewn:
+    """Panels closed to one surface.
+
+    Attributes:
+        faces: int32, shape (k, 3).
+        one: the vertex that stands for each in them, shape (n,).
+        panel_face: the face of the panels that each is, or is a part of, shape (k,).
+        flat: corners of each face in the pattern [m], shape (k, 3, 2).
+    """
+
+    faces: Faces
+    one: NDArray[np.int64]
+    panel_face: NDArray[np.int64]
+    flat: Floats
 
 
 def load_seams(path: Path, vertex_count: int) -> Seams:
@@ -83,7 +100,7 @@ def load_seams(path: Path, vertex_count: int) -> Seams:
     return Seams(np.array(rows, np.int32), np.array(weights))
 
 
-def sew(faces: Faces, flat: Floats, seams: Seams) -> tuple[Faces, NDArray[np.int64]]:
+def sew(faces: Faces, flat: Floats, seams: Seams) -> Sewn:
     """Close seams: faces of one surface over the same vertices. Where pleats are sewn down, edges have more than two.
 
     Vertices that are stitched to each other are one from now on. Where a vertex is stitched to the inside of an edge,
@@ -93,32 +110,32 @@ def sew(faces: Faces, flat: Floats, seams: Seams) -> tuple[Faces, NDArray[np.int
         faces: of the panels, shape (m, 3).
         flat: place of each vertex in the pattern [m], shape (n, 2).
         seams: the stitches.
-
-    Returns:
-        the faces, shape (k, 3), and the vertex that stands for each in them, shape (n,).
-
     """
     at_end = np.minimum(seams.weights, 1.0 - seams.weights) < _AT_END
     v, a, b = seams.vertices.T.astype(np.int64)
     one = _joined(len(flat), np.stack([v, np.where(seams.weights < 0.5, a, b)], axis=1)[at_end])
     cuts = _cuts(faces, seams, one)
     sewn: list[list[int]] = []
-    points = np.concatenate([flat, np.zeros((len(flat), 1))], axis=1)
-    for face in faces.tolist():
+    owner: list[int] = []
+    corners: list[list[Floats]] = []
+    for number, face in enumerate(faces.tolist()):
         ring, places = [], []
         for start, end in zip(face, face[1:] + face[:1], strict=True):
             if one[start] == one[end]:  # a face whose side is sewn together is gone
                 continue
             ring.append(int(one[start]))
-            places.append(points[start])
+            places.append(flat[start])
             low, high = min(start, end), max(start, end)
             along = sorted(cuts.get((low, high), {}).items(), key=lambda item: item[1], reverse=start > end)
             for vertex, share in along:
                 ring.append(vertex)
-                places.append((1.0 - share) * points[low] + share * points[high])
-        cut = [(0, 1, 2)][: len(ring) - 2] if len(ring) <= 3 else triangulate(np.array(places))
+                places.append((1.0 - share) * flat[low] + share * flat[high])
+        solid = np.array([[*place, 0.0] for place in places])
+        cut = [(0, 1, 2)][: len(ring) - 2] if len(ring) <= 3 else triangulate(solid)
         sewn += [[ring[corner] for corner in triangle] for triangle in cut]
-    return np.array(sewn, np.int32), one
+        corners += [[places[corner] for corner in triangle] for triangle in cut]
+        owner += [number] * len(cut)
+    return Sewn(np.array(sewn, np.int32), one, np.array(owner), np.array(corners))
 
 
 def without_pleats(faces: Faces) -> tuple[Faces, NDArray[np.int64]]:
@@ -128,7 +145,7 @@ def without_pleats(faces: Faces) -> tuple[Faces, NDArray[np.int64]]:
     and what it joins is joined still.
 
     Args:
-        faces: as :func:`sew` gives them, shape (k, 3).
+        faces: of :func:`sew`, shape (k, 3).
 
     Returns:
         the faces, shape (j, 3), and the vertex that stands for each in them, shape (n,), n the highest vertex + 1.

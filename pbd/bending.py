@@ -12,14 +12,12 @@ import numpy as np
 from scipy.sparse import bmat, csr_matrix
 from scipy.sparse.linalg import spsolve
 
-from pbd.mesh import ClothMesh, edges_of, hinges_of, vertex_rings
+from pbd.mesh import ClothMesh, Hinges, edges_of, hinges_of, vertex_rings
 
 __all__ = ["hinge_calibration", "hinge_rows"]
 
 
-def hinge_rows(
-    mesh: ClothMesh, held: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def hinge_rows(mesh: ClothMesh, held: np.ndarray | None = None) -> Hinges:
     """Hinges of a mesh with the rows of the quadratic bending operator in the rest metric.
 
     Args:
@@ -27,9 +25,6 @@ def hinge_rows(
         held: vertices that are moved from outside. A face with three of them is rigid: all the bending at its
             hinge happens over the other face.
 
-    Returns:
-        hinges (int32, shape (h, 4), rows i, j, k, l as in :func:`pbd.mesh.hinges_of`), rows K (shape (h, 4)),
-        areas A0 + A1 of the faces that can bend [m2] (shape (h,)), angle of the edge to the warp [rad] (shape (h,)).
     """
     hinges = hinges_of(mesh.faces)
     # Directed side (a, b) -> face and corner, to find both faces of each hinge again.
@@ -59,7 +54,7 @@ def hinge_rows(
     if held is not None:
         bends[np.isin(mesh.faces, held).all(axis=1)] = 0.0
     areas = np.maximum(bends[first // 3] + bends[second // 3], 1e-12)
-    return hinges, rows, areas, np.arctan2(direction[:, 1], direction[:, 0])
+    return Hinges(hinges, rows, areas, np.arctan2(direction[:, 1], direction[:, 0]))
 
 
 DIRECTIONS = np.arange(8) * np.pi / 8

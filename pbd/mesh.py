@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from pbd.errors import InputError
 
 __all__ = [
     "ClothMesh",
+    "Hinges",
     "edges_of",
     "flatten_by_lengths",
     "flatten_by_surface",
@@ -152,6 +154,22 @@ def vertex_rings(faces: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.n
     return offsets.astype(np.int32), both[:, 1].astype(np.int32).copy()
 
 
+class Hinges(NamedTuple):
+    """Hinges with the rows of the quadratic bending operator.
+
+    Attributes:
+        vertices: (i, j, k, l) as :func:`hinges_of` gives them, int32, shape (h, 4).
+        rows: K, shape (h, 4).
+        areas: of both faces, as far as they can bend [m2], shape (h,).
+        angle: of the edge to the warp [rad], shape (h,).
+    """
+
+    vertices: np.ndarray
+    rows: np.ndarray
+    areas: np.ndarray
+    angle: np.ndarray
+
+
 @dataclass(frozen=True)
 class ClothMesh:
     """A triangle mesh with a flat rest shape of every face.
@@ -162,6 +180,7 @@ class ClothMesh:
         flat: rest shape of each face, columns are its sides 0-1 and 0-2 in (warp, weft) [m], shape (m, 2, 2).
         stitches: vertices (v, a, b), each v sewn to a point of the edge a-b, int32, shape (s, 3).
         stitch_weights: w of each stitch, x_v = (1 - w) x_a + w x_b, shape (s,).
+        seam_hinges: hinges across the seams; None where seams bend freely, or there are none.
     """
 
     vertices: np.ndarray
@@ -169,6 +188,7 @@ class ClothMesh:
     flat: np.ndarray
     stitches: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int32))
     stitch_weights: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    seam_hinges: Hinges | None = None
 
     @classmethod
     def from_surface(cls, vertices: np.ndarray, faces: np.ndarray, warp: tuple = (0.0, 1.0, 0.0)) -> ClothMesh:

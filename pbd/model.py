@@ -179,6 +179,9 @@ def _bending(
     mesh: ClothMesh, fabric: Fabric, inverse_mass: np.ndarray, factor: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     hinges, rows, areas, angle = hinge_rows(mesh, np.flatnonzero(inverse_mass == 0.0))
+    if mesh.seam_hinges is not None:
+        pairs = zip((hinges, rows, areas, angle), mesh.seam_hinges, strict=True)
+        hinges, rows, areas, angle = (np.concatenate(pair) for pair in pairs)
     # A hinge bends at right angles to its edge; between the axes the stiffness follows the square of a mixed root.
     along_warp, along_weft = np.sin(angle) ** 2, np.cos(angle) ** 2
     bend = (np.sqrt(fabric.bend_warp) * along_warp + np.sqrt(fabric.bend_weft) * along_weft) ** 2

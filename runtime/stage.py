@@ -19,10 +19,9 @@ from assets.seams import load_seams
 from assets.sequence import Sequence, SequenceMotion, load_sequence
 from pbd import Fabric, InputError, SolverOptions, build_model
 from runtime.simulation import Motion, Simulation, body_source
-from wrinkles.binding import bind
+from wrinkles.binding import Binding, bind
 from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels, build_levels
-from wrinkles.surface import Binding
 
 __all__ = [
     "PROCEDURAL_PIECE",

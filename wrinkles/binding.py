@@ -2,23 +2,88 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from functools import cached_property
+
 import numpy as np
 from scipy.sparse import csr_matrix, identity
 from scipy.sparse.csgraph import dijkstra
 from scipy.sparse.linalg import splu
 
 from assets.remesh import decimated
-from assets.seams import Seams, sew, without_pleats
+from assets.seams import Seams, Sewn, sew, without_pleats
+from pbd import ClothMesh
 from pbd.attachment import closest_weights
-from pbd.mesh import edges_of
-from wrinkles.surface import Binding, Subdivision
+from pbd.bending import hinge_rows
+from pbd.mesh import Hinges, edges_of
+from wrinkles.surface import Subdivision
 
-__all__ = ["bind"]
+__all__ = ["Binding", "bind"]
 
 ROUNDS = 4  # of binding and fitting
 PLACE_STEP = 2.0**-12  # places are rounded to this share of a face, some micrometres, so that a file holds them exactly
 FLAT_STEP = 2.0**-18  # and the pattern to this [m]
 BEYOND = 1.0  # how far outside its border a face still carries vertices, as a share of itself
+
+
+@dataclass(frozen=True)
+class Binding:
+    """Vertices of a delivered fine mesh on the smooth surface of a coarse one.
+
+    Attributes:
+        face: face of the subdivided coarse mesh that carries each vertex, int32, shape (N,).
+        place: weights of that face's corners, below 0 for vertices beyond the border, shape (N, 3).
+        panels: faces of the delivered mesh, int32, shape (M, 3).
+        flat: place of each vertex in the pattern [m], shape (N, 2).
+        stitches: between the panels, (v, a, b) of each, int32, shape (s, 3).
+        stitch_weights: x_v = (1 - w) x_a + w x_b, shape (s,).
+    """
+
+    face: np.ndarray
+    place: np.ndarray
+    panels: np.ndarray
+    flat: np.ndarray
+    stitches: np.ndarray
+    stitch_weights: np.ndarray
+
+    @cached_property
+    def sewn(self) -> Sewn:
+        """The panels closed to one surface."""
+        return sew(self.panels, self.flat, Seams(self.stitches, self.stitch_weights))
+
+    def mesh(self, vertices: np.ndarray) -> ClothMesh:
+        """The panels, stitched, with the pattern as their rest shape, at given places [m], shape (N, 3)."""
+        made = ClothMesh.from_pattern(vertices, self.panels, _upright(self.flat[self.panels]))
+        seams = self._seam_hinges(vertices)
+        return replace(made, stitches=self.stitches, stitch_weights=self.stitch_weights, seam_hinges=seams)
+
+    def _seam_hinges(self, vertices: np.ndarray) -> Hinges | None:
+        """Hinges between the faces on both sides of a seam, but where more than two meet."""
+        sewn = self.sewn
+        side_edge = edges_of(sewn.faces)[1].ravel()
+        order = np.argsort(side_edge, kind="stable")
+        order = order[np.bincount(side_edge)[side_edge[order]] == 2]
+        one, other = order.reshape(-1, 2).T // 3
+        # What a panel's own face or edge has between its two sides is no seam.
+        own = sewn.panel_face[one] == sewn.panel_face[other]
+        corners = np.sort(self.panels, axis=1)[sewn.panel_face]
+        shared = (corners[one][:, :, None] == corners[other][:, None, :]).sum(axis=(1, 2)) == 2
+        seam = ~own & ~shared
+        if not seam.any():
+            return None
+        # Each hinge from two faces of its own, so that what meets elsewhere does not matter.
+        pairs = np.stack([one, other], axis=1)[seam]
+        flat = _upright(sewn.flat[pairs].reshape(-1, 3, 2))
+        apart = sewn.faces[pairs] + len(vertices) * np.arange(len(pairs))[:, None, None]
+        numbers, local = np.unique(apart, return_inverse=True)
+        mesh = ClothMesh.from_pattern(vertices[numbers % len(vertices)], local.reshape(-1, 3), flat)
+        hinges, rows, areas, angle = hinge_rows(mesh)
+        return Hinges((numbers % len(vertices))[hinges].astype(np.int32), rows, areas, angle)
+
+
+def _upright(flat: np.ndarray) -> np.ndarray:
+    """A pattern is laid out upright: its second axis is the warp."""
+    return flat[..., ::-1].copy()
 
 
 def bind(
@@ -43,9 +108,9 @@ def bind(
     """
     flat = np.round(flat / FLAT_STEP) * FLAT_STEP
     seams = seams or Seams(np.zeros((0, 3), np.int32), np.zeros(0))
-    whole, stands = sew(faces, flat, seams)
-    whole, shrunk = without_pleats(whole)
-    stands = shrunk[stands]
+    sewn = sew(faces, flat, seams)
+    whole, shrunk = without_pleats(sewn.faces)
+    stands = shrunk[sewn.one]
     used, whole = np.unique(whole, return_inverse=True)
     whole = whole.reshape(-1, 3).astype(np.int32)
     number = np.searchsorted(used, stands)  # of each fine vertex in the closed surface

@@ -24,6 +24,7 @@ import pbd
 from pbd import Fabric, InputError, ModelOptions, SolverOptions
 from pbd.mesh import edges_of
 from pbd.storage import replacing
+from wrinkles.binding import Binding
 from wrinkles.dictionary import Atoms, Mapping
 from wrinkles.schema import (
     ENTRIES,
@@ -39,7 +40,7 @@ from wrinkles.schema import (
     topology_hash,
     unpack,
 )
-from wrinkles.surface import Binding, Subdivision
+from wrinkles.surface import Subdivision
 
 __all__ = [
     "WrinkleDatabase",

@@ -12,7 +12,8 @@ from scipy.sparse.linalg import splu
 from pbd import ClothMesh, InputError
 from pbd.attachment import Attachment, push_outside
 from pbd.bending import hinge_rows
-from wrinkles.surface import Binding, Subdivision
+from wrinkles.binding import Binding
+from wrinkles.surface import Subdivision
 
 __all__ = ["Levels", "build_levels", "levels_of"]
 

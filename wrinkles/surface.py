@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags, identity
 from scipy.sparse.linalg import splu
 
-from assets.seams import Seams, sew
 from pbd import ClothMesh
 from pbd.mesh import edges_of, flatten_by_lengths, flatten_by_surface
 
-__all__ = ["Binding", "Subdivision", "loop_step"]
+if TYPE_CHECKING:
+    from wrinkles.binding import Binding
+
+__all__ = ["Subdivision", "loop_step"]
 
 
 def loop_step(faces: np.ndarray, vertex_count: int) -> tuple[csr_matrix, np.ndarray]:
@@ -72,33 +75,6 @@ def _split(faces: np.ndarray, middle: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Binding:
-    """Vertices of a delivered fine mesh on the smooth surface of a coarse one.
-
-    Attributes:
-        face: face of the subdivided coarse mesh that carries each vertex, int32, shape (N,).
-        place: weights of that face's corners, below 0 for vertices beyond the border, shape (N, 3).
-        panels: faces of the delivered mesh, int32, shape (M, 3).
-        flat: place of each vertex in the pattern [m], shape (N, 2).
-        stitches: between the panels, (v, a, b) of each, int32, shape (s, 3).
-        stitch_weights: x_v = (1 - w) x_a + w x_b, shape (s,).
-    """
-
-    face: np.ndarray
-    place: np.ndarray
-    panels: np.ndarray
-    flat: np.ndarray
-    stitches: np.ndarray
-    stitch_weights: np.ndarray
-
-    def mesh(self, vertices: np.ndarray) -> ClothMesh:
-        """The panels, stitched, with the pattern as their rest shape, at given places [m], shape (N, 3)."""
-        # A pattern is laid out upright: its second axis is the warp.
-        made = ClothMesh.from_pattern(vertices, self.panels, self.flat[self.panels][:, :, ::-1])
-        return replace(made, stitches=self.stitches, stitch_weights=self.stitch_weights)
-
-
-@dataclass(frozen=True)
 class Subdivision:
     """A coarse mesh and its smooth refinement.
 
@@ -134,20 +110,15 @@ class Subdivision:
     def fine_count(self) -> int:
         return self.matrix.shape[0]
 
-    @cached_property
-    def _sewn(self) -> tuple[np.ndarray, np.ndarray]:
-        assert self.binding is not None
-        return sew(self.binding.panels, self.binding.flat, Seams(self.binding.stitches, self.binding.stitch_weights))
-
     @property
     def faces(self) -> np.ndarray:
         """Faces of the fine mesh as it is seen, its seams closed: int32, shape (M, 3)."""
-        return self.cut if self.binding is None else self._sewn[0]
+        return self.cut if self.binding is None else self.binding.sewn.faces
 
     @property
     def stands_for(self) -> np.ndarray | None:
         """The vertex that stands for each fine one in ``faces``, shape (N,); None where each stands for itself."""
-        return None if self.binding is None else self._sewn[1]
+        return None if self.binding is None else self.binding.sewn.one
 
     @cached_property
     def last_step(self) -> csr_matrix:

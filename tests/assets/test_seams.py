@@ -21,10 +21,15 @@ def area(vertices: np.ndarray, faces: np.ndarray) -> float:
 @pytest.mark.parametrize(("first", "second"), [(6, 6), (6, 4), (4, 6), (7, 5), (2, 9)])
 def test_panels_are_closed_to_one_surface(first: int, second: int) -> None:
     vertices, faces, seams = two_panels(3, first, second)
-    sewn, one = sew(faces, vertices[:, :2], seams)
+    made = sew(faces, vertices[:, :2], seams)
+    sewn, one = made.faces, made.one
     loops = boundary_loops(sewn)
     assert len(loops) == 1  # one border round both, and none along the seam
     assert area(vertices, sewn) == pytest.approx(area(vertices, faces), rel=1e-12)
+    assert area(np.insert(made.flat.reshape(-1, 2), 2, 0.0, axis=1), np.arange(3 * len(sewn)).reshape(-1, 3)) == (
+        pytest.approx(area(vertices, faces), rel=1e-12)
+    )
+    assert np.isin(made.panel_face, np.arange(len(faces))).all() and len(np.unique(made.panel_face)) == len(faces)
     used = np.unique(sewn)
     assert np.array_equal(one[used], used)
     assert np.abs(vertices[one] - vertices).max() < 1e-12  # what has become one lay at one place
@@ -34,8 +39,8 @@ def test_panels_are_closed_to_one_surface(first: int, second: int) -> None:
 
 def test_without_seams_nothing_changes() -> None:
     vertices, faces, _ = two_panels()
-    sewn, one = sew(faces, vertices[:, :2], Seams(np.zeros((0, 3), np.int32), np.zeros(0)))
-    assert np.array_equal(sewn, faces) and np.array_equal(one, np.arange(len(vertices)))
+    made = sew(faces, vertices[:, :2], Seams(np.zeros((0, 3), np.int32), np.zeros(0)))
+    assert np.array_equal(made.faces, faces) and np.array_equal(made.one, np.arange(len(vertices)))
 
 
 def test_a_pleat_that_is_sewn_down_leaves_a_manifold_surface() -> None:
@@ -45,7 +50,7 @@ def test_a_pleat_that_is_sewn_down_leaves_a_manifold_surface() -> None:
     # Its vertices 0 1 2 3 4 lie at 0, 1, 0, 1, 2 of the first panel's side.
     rows = [(start + k, side + min(at, 1), side + min(at, 1) + 1) for k, at in enumerate((0, 1, 0, 1, 2))]
     seams = Seams(np.array(rows, np.int32), np.array([float(at == 2) for at in (0, 1, 0, 1, 2)]))
-    sewn, _ = sew(faces, vertices[:, :2], seams)
+    sewn = sew(faces, vertices[:, :2], seams).faces
     assert np.bincount(edges_of(sewn)[1].ravel()).max() > 2
     closed, _ = without_pleats(sewn)
     assert np.bincount(edges_of(closed)[1].ravel()).max() == 2
@@ -93,7 +98,8 @@ def test_the_dress_has_a_hem_a_neck_and_two_sleeves() -> None:
     flat = np.zeros((len(garment.vertices), 2))
     flat[garment.faces] = garment.pattern
     seams = load_seams(data_path("garments/cipc_dress_stitches.csv"), len(garment.vertices))
-    sewn, one = sew(garment.faces, flat, seams)
+    made = sew(garment.faces, flat, seams)
+    sewn, one = made.faces, made.one
     assert np.linalg.norm(garment.vertices[one] - garment.vertices, axis=1).max() < 0.001
     assert area(garment.vertices, sewn) == pytest.approx(area(garment.vertices, garment.faces), rel=1e-3)
     closed, _ = without_pleats(sewn)

@@ -5,7 +5,7 @@ import pytest
 
 from assets.garment import boundary_loops
 from tests.assets.panels import two_panels
-from wrinkles.binding import PLACE_STEP, bind
+from wrinkles.binding import PLACE_STEP, Binding, bind
 from wrinkles.charts import Charts, fine_places, leading_vertices
 from wrinkles.decoder import Upsampler
 from wrinkles.levels import Levels, build_levels
@@ -110,6 +110,25 @@ def test_the_levels_of_a_bound_mesh(bound, levels: Levels) -> None:
     assert len(held) and held[:, 0].max() < 0.03
     # The filter takes the surface that it is given back to its coarse vertices, but for folds.
     assert levels.filter_down(levels.fine.vertices[None])[0] == pytest.approx(levels.coarse.vertices, abs=0.01)
+
+
+@pytest.mark.parametrize(("first", "second"), [(6, 6), (6, 4), (4, 6), (7, 5)])
+def test_seams_bend_like_cloth(first: int, second: int) -> None:
+    """The rows of their hinges give edge length times fold angle, and nothing for a sheet that is only tilted."""
+    vertices, faces, seams = two_panels(3, first, second)
+    nothing = np.zeros(len(vertices), np.int32), np.zeros((len(vertices), 3))
+    mesh = Binding(*nothing, faces, vertices[:, :2], seams.vertices, seams.weights).mesh(vertices)
+    assert mesh.seam_hinges is not None
+    hinges, rows, areas, angle = mesh.seam_hinges
+    ends = vertices[hinges[:, :2]]
+    assert ends[:, :, 0] == pytest.approx(0.24)  # all on the seam, and the whole of it
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    assert lengths.sum() == pytest.approx(0.24)
+    assert areas.min() > 0.0 and np.abs(np.sin(angle)) == pytest.approx(0.0, abs=1e-9)  # along the warp
+    tilted = 0.3 * vertices[:, 0] - 0.7 * vertices[:, 1] + 0.1
+    assert (rows * tilted[hinges]).sum(axis=1) == pytest.approx(0.0, abs=1e-9)
+    folded = 0.01 * np.abs(vertices[:, 0] - 0.24)
+    assert np.abs((rows * folded[hinges]).sum(axis=1)) == pytest.approx(0.02 * lengths, rel=1e-6)
 
 
 def test_patches_reach_every_fine_vertex(levels: Levels) -> None:

@@ -14,7 +14,7 @@ import pytest
 from pbd import InputError
 from tests.wrinkles.databases import small_database
 from wrinkles import database as module
-from wrinkles.binding import FLAT_STEP, PLACE_STEP
+from wrinkles.binding import FLAT_STEP, PLACE_STEP, Binding
 from wrinkles.database import (
     WrinkleDatabase,
     as_stored,
@@ -25,7 +25,7 @@ from wrinkles.database import (
     write_database,
 )
 from wrinkles.schema import ENTRIES, SCHEMA_VERSION
-from wrinkles.surface import Binding, Subdivision
+from wrinkles.surface import Subdivision
 
 QUANTISED = {"atoms.shapes", "mapping.weights_1", "mapping.weights_2", "mapping.weights_3", "mapping.place_bias"}
 DERIVED = {"format", "schema_version", "units", "topology_hash", "content_hash"}
