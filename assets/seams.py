@@ -115,27 +115,40 @@ def sew(faces: Faces, flat: Floats, seams: Seams) -> Sewn:
     v, a, b = seams.vertices.T.astype(np.int64)
     one = _joined(len(flat), np.stack([v, np.where(seams.weights < 0.5, a, b)], axis=1)[at_end])
     cuts = _cuts(faces, seams, one)
-    sewn: list[list[int]] = []
-    owner: list[int] = []
-    corners: list[list[Floats]] = []
-    for number, face in enumerate(faces.tolist()):
-        ring, places = [], []
-        for start, end in zip(face, face[1:] + face[:1], strict=True):
-            if one[start] == one[end]:  # a face whose side is sewn together is gone
-                continue
-            ring.append(int(one[start]))
-            places.append(flat[start])
-            low, high = min(start, end), max(start, end)
-            along = sorted(cuts.get((low, high), {}).items(), key=lambda item: item[1], reverse=start > end)
-            for vertex, share in along:
-                ring.append(vertex)
-                places.append((1.0 - share) * flat[low] + share * flat[high])
-        solid = np.array([[*place, 0.0] for place in places])
+    faces = np.asarray(faces)
+    start, end = faces, np.roll(faces, -1, axis=1)
+    sides = np.minimum(start, end).astype(np.int64) * len(flat) + np.maximum(start, end)
+    cut_sides = np.array([low * len(flat) + high for low, high in cuts], np.int64)
+    touched = (np.isin(sides, cut_sides) | (one[start] == one[end])).any(axis=1)
+    owner = np.flatnonzero(~touched).tolist()
+    sewn, corners = one[faces[~touched]].tolist(), list(flat[faces[~touched]])
+    for number in np.flatnonzero(touched).tolist():
+        ring, places = _cut_face(faces[number].tolist(), flat, one, cuts)
+        solid = np.insert(places, 2, 0.0, axis=1)
         cut = [(0, 1, 2)][: len(ring) - 2] if len(ring) <= 3 else triangulate(solid)
         sewn += [[ring[corner] for corner in triangle] for triangle in cut]
-        corners += [[places[corner] for corner in triangle] for triangle in cut]
+        corners += [places[list(triangle)] for triangle in cut]
         owner += [number] * len(cut)
-    return Sewn(np.array(sewn, np.int32), one, np.array(owner), np.array(corners))
+    order = np.argsort(owner, kind="stable")
+    return Sewn(np.array(sewn, np.int32)[order], one, np.array(owner)[order], np.array(corners)[order])
+
+
+def _cut_face(
+    face: list[int], flat: Floats, one: NDArray[np.int64], cuts: dict[tuple[int, int], dict[int, float]]
+) -> tuple[list[int], Floats]:
+    """Vertices round a face with those that its sides are cut at, and their places in the pattern."""
+    ring, places = [], []
+    for start, end in zip(face, face[1:] + face[:1], strict=True):
+        if one[start] == one[end]:  # a face whose side is sewn together is gone
+            continue
+        ring.append(int(one[start]))
+        places.append(flat[start])
+        low, high = min(start, end), max(start, end)
+        along = sorted(cuts.get((low, high), {}).items(), key=lambda item: item[1], reverse=start > end)
+        for vertex, share in along:
+            ring.append(vertex)
+            places.append((1.0 - share) * flat[low] + share * flat[high])
+    return ring, np.array(places)
 
 
 def without_pleats(faces: Faces) -> tuple[Faces, NDArray[np.int64]]:

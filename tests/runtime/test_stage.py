@@ -1,0 +1,140 @@
+"""Scenes of delivered fine meshes on vertex sequences."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from assets.scene import Scene, parse_scene
+from pbd import InputError
+from runtime.player import Player
+from runtime.simulation import poses_of
+from runtime.stage import Stage, motion_of
+from tests.assets.panels import two_panels
+from tests.wrinkles.databases import small_database
+from tests.wrinkles.meshes import icosphere
+from wrinkles.database import body_hash, read_database, write_database
+
+SCENE = """
+[[garment]]
+name = "cloth"
+mesh = "cloth.obj"
+pattern = true
+seams = "stitches.csv"
+coarse_vertices = 60
+
+[character]
+sequence = "ball.npz"
+
+[training]
+[[training.clips]]
+file = "ball.npz"
+end = 0.5
+speed = 0.5
+
+[[training.held_out]]
+file = "ball.npz"
+start = 0.5
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two panels that are sewn together, lying over a ball that comes up."""
+    path = tmp_path_factory.mktemp("sewn")
+    vertices, faces, seams = two_panels(20, 20, 17)
+    lines = [f"v {x} 0.1 {-y}" for x, y, _ in vertices] + [f"vt {x} {y}" for x, y, _ in vertices]
+    lines += ["f " + " ".join(f"{v + 1}/{v + 1}" for v in face) for face in faces]
+    (path / "cloth.obj").write_text("\n".join(lines))
+    rows = [f"{v},{a},{b},{w}" for (v, a, b), w in zip(seams.vertices.tolist(), seams.weights.tolist(), strict=True)]
+    (path / "stitches.csv").write_text("\n".join(["v,a,b,w", *rows]))
+    ball, ball_faces = icosphere(2, 0.08)
+    heights = np.linspace(0.0, 0.05, 11)
+    moved = ball + np.stack([0.0 * heights + 0.24, heights, 0.0 * heights - 0.12], axis=1)[:, None]
+    np.savez(path / "ball.npz", vertices=moved.astype(np.float32), faces=ball_faces.astype(np.int32), dt=0.1)
+    return path
+
+
+@pytest.fixture(scope="module")
+def stage(folder: Path) -> Stage:
+    return Stage.of(scene(folder))
+
+
+def scene(folder: Path, old: str = "", new: str = "") -> Scene:
+    assert old in SCENE
+    return parse_scene(SCENE.replace(old, new) if old else SCENE, folder / "scene.toml")
+
+
+def test_the_delivered_mesh_is_the_fine_one(stage: Stage) -> None:
+    assert len(stage.levels.fine.vertices) == 21 * 21 + 21 * 18
+    assert len(stage.levels.coarse.vertices) <= 60 and len(stage.garment.vertices) == len(stage.levels.coarse.vertices)
+    assert len(stage.levels.fine.stitches) == 18
+    assert not len(stage.levels.fine_held)
+
+
+def test_a_sequence_is_learned_from_and_judged_by_parts(stage: Stage) -> None:
+    (learned,) = stage.training_motions()
+    held_out = stage.motion(stage.scene.training.held_out[0])
+    assert (learned.name, learned.lead_in, learned.duration) == ("ball 0-0.5 s x 0.5", 0.0, pytest.approx(1.0))
+    assert (held_out.name, held_out.lead_in, held_out.duration) == ("ball 0.5- s", 0.5, pytest.approx(1.0))
+    assert stage.motion().duration == pytest.approx(1.0)
+
+
+def test_motions_of_another_body_are_refused(stage: Stage, folder: Path) -> None:
+    part = stage.scene.training.held_out[0]
+    with pytest.raises(InputError, match=r"ball\.npz.*start.*received 2\.0.*below 1"):
+        motion_of(stage.body, replace(part, start=2.0))
+    with pytest.raises(InputError, match=r"another kind of body.*builtin:mannequin.*vertex sequence"):
+        motion_of(stage.body, replace(part, file="builtin:mannequin", clip="walk"))
+    ball, faces = icosphere(1, 0.08)
+    np.savez(folder / "other.npz", vertices=ball[None].astype(np.float32), faces=faces.astype(np.int32), dt=0.1)
+    with pytest.raises(InputError, match=r"other\.npz.*another surface"):
+        motion_of(stage.body, replace(part, file=folder / "other.npz"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("coarse_vertices = 60", "coarse_vertices = 200", r"cloth\.obj.*coarse_vertices.*received 200.*eighth.*819"),
+        ('"stitches.csv"', '"bad.csv"', r"bad\.csv.*line 2, column v.*received '9999'"),
+        ('"cloth.obj"', '"shared.obj"', r"shared\.obj.*face \d+.*several places in the pattern"),
+    ],
+)
+def test_what_cannot_be_bound_is_refused(folder: Path, old: str, new: str, message: str) -> None:
+    (folder / "bad.csv").write_text("v,a,b,w\n9999,0,1,0.5\n")
+    lines = (folder / "cloth.obj").read_text().splitlines()
+    first = lines[-1].split()[1].split("/")[0]
+    (folder / "shared.obj").write_text("\n".join([*lines[:-1], lines[-1].replace(f"{first}/{first}", f"{first}/1", 1)]))
+    with pytest.raises(InputError, match=message):
+        Stage.of(scene(folder, old, new))
+
+
+def test_a_database_plays_a_delivered_mesh_without_its_file(stage: Stage, tmp_path: Path) -> None:
+    coarse, body = stage.levels.coarse, stage.body
+    small = small_database()
+    count = len(coarse.vertices)
+    database = small_database(
+        coarse_vertices=coarse.vertices,
+        coarse_faces=coarse.faces,
+        held=np.zeros(0, np.int32),
+        warp=(0.0, 1.0, 0.0),
+        binding=stage.levels.subdivision.binding,
+        mapping=replace(small.mapping, place_bias=np.zeros((count, small.mapping.place_bias.shape[1]), np.float32)),
+        body_hash=body_hash(body),
+    )
+    write_database(tmp_path / "cloth.h5", database)
+    poses = poses_of(stage.motion(), 1.0 / 60.0, 0.1)
+    player = Player(read_database(tmp_path / "cloth.h5"), body, poses[0])
+    for name in ("vertices", "flat", "faces", "stitches", "stitch_weights"):
+        assert np.array_equal(getattr(player.levels.fine, name), getattr(stage.levels.fine, name)), name
+    for pose in poses[1:]:
+        player.update(pose, 1.0 / 60.0)
+    assert np.isfinite(player.vertices).all()
+    # Normals of all vertices are of length one, and those that are sewn together share theirs.
+    assert np.linalg.norm(player.normals, axis=1) == pytest.approx(1.0, abs=1e-5)
+    stands_for = player.levels.subdivision.stands_for
+    assert stands_for is not None and (stands_for != np.arange(len(stands_for))).any()
+    assert np.array_equal(player.normals, player.normals[stands_for])
