@@ -55,7 +55,7 @@ def test_the_text_says_what_the_database_holds(write: Callable[..., Path]) -> No
     for words in (
         f"{path}: wrinkles of 'curtain č', made 2025-01-31 by gube 0.1.0+0123456789ab",
         "81 vertices, 128 faces, 9 vertices attached",
-        "1089 vertices (2 subdivisions)",
+        "1089 vertices, 2 subdivisions",
         "2.3e-06 N m",
         "squeeze           100",
         "60 Hz",
