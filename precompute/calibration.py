@@ -33,8 +33,7 @@ def settled(recording: Recording, run: Run) -> Recording:
 
 def filtered(recording: Recording, matrix: csr_matrix) -> Recording:
     """A coarse run as the dictionary sees it."""
-    spread = lambda a: np.stack([matrix @ frame for frame in a]).astype(np.float32)  # noqa: E731
-    return replace(recording, coarse=spread(recording.coarse), velocity=spread(recording.velocity))
+    return replace(recording, coarse=np.stack([matrix @ frame for frame in recording.coarse]).astype(np.float32))
 
 
 @dataclass(frozen=True)

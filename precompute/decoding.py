@@ -11,24 +11,28 @@ from precompute.training import Layer
 from wrinkles.decoder import Relaxation, Upsampler, add_patches
 from wrinkles.dictionary import Atoms
 from wrinkles.features import DYNAMIC_COUNT
+from wrinkles.isometry import Isometry
 
 __all__ = ["Lift", "Predict", "by_patches", "decode_recording", "lifted_frames"]
 
 Predict = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Features of one frame, float32, shape (n, DYNAMIC_COUNT), and the body's pose to coefficients, shape (n, K)."""
 
-Lift = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], None]
-"""Adds wrinkles to smooth fine vertices [m], float32, shape (N, 3), in place; told the features and frames of the
-coarse vertices, float32, shapes (n, DYNAMIC_COUNT) and (n, 9), and the body's pose."""
+Lift = Callable[[np.ndarray, Upsampler, np.ndarray, np.ndarray, np.ndarray], None]
+"""Puts wrinkles on smooth fine vertices [m], float32, shape (N, 3), in place; told the upsampler that made them, the
+features and frames of the coarse vertices, float32, shapes (n, DYNAMIC_COUNT) and (n, 9), and the body's pose."""
 
 
 def by_patches(layer: Layer, predict: Predict, atoms: Atoms) -> Lift:
     """Wrinkles from patches whose coefficients a mapping gives."""
-    patches = layer.patches
+    patches, keep_lengths = layer.patches, Isometry(layer.levels)
 
-    def lift(fine: np.ndarray, features: np.ndarray, frames: np.ndarray, pose: np.ndarray) -> None:
+    def lift(fine: np.ndarray, upsample: Upsampler, features: np.ndarray, frames: np.ndarray, pose: np.ndarray) -> None:
         grids = (predict(features, pose) @ atoms.shapes + atoms.mean).astype(np.float32)
-        add_patches(grids, frames, patches.corners, patches.blend, patches.cell, patches.within, fine)
+        middle = upsample.middle
+        add_patches(grids, frames, patches.corners, patches.blend, patches.cell, patches.within, middle)
+        keep_lengths(middle)
+        upsample.finish(fine)
 
     return lift
 
@@ -87,11 +91,11 @@ def lifted_frames(
         body.finish_pose()
         position[:, :3] = recording.coarse[f] - origin
         upsample(position, smooth)
-        velocity, contact = np.ascontiguousarray(recording.velocity[f]), np.ascontiguousarray(recording.contact[f])
+        contact = np.ascontiguousarray(recording.contact[f])
         nearest, targets = np.ascontiguousarray(recording.nearest[f]), levels.fine_attachment.targets(body.current)
         decoded, began = smooth.copy(), time.process_time()
-        layer.stencil.gather(position, velocity, contact, frames, features)
-        lift(decoded, features, frames, run.poses[frame])
+        layer.stencil.gather(position, contact, frames, features)
+        lift(decoded, upsample, features, frames, run.poses[frame])
         relax(decoded, targets, frames, nearest, contact, body, body.current, passes)
         spent = 1e3 * (time.process_time() - began)
         offset = origin.astype(np.float32)

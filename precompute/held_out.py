@@ -89,7 +89,7 @@ class HeldOut:
             report: told lines of progress.
         """
         (plain,) = record_runs([coarse_run(database, truth.run, options)], cache, 1, report)
-        plain = settled(plain, truth.run.dt)
+        plain = settled(plain, truth.run)
         recording, floor, energy = truth.recording.where(JUDGED), truth.floor[JUDGED], truth.energy[JUDGED]
         judged = replace(truth, recording=recording, floor=floor, energy=energy)
         return cls(truth, judged, plain, filtered(plain, CoarseFilter(truth.levels).matrix))

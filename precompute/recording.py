@@ -139,7 +139,6 @@ class Recording:
         frames: index of each recorded frame into the run's poses, int, shape (f,).
         positions: of the simulated mesh [m], float32, shape (f, N, 3).
         coarse: a fine run filtered down (a coarse run itself) [m], float32, shape (f, n, 3).
-        velocity: of the coarse vertices [m/s], float32, shape (f, n, 3).
         contact: of the coarse vertices, as in :class:`pbd.State`, float32, shape (f, n, 4).
         nearest: body vertices near the coarse ones, int32, shape (f, n).
         step_ms: median time of a step [ms].
@@ -149,14 +148,13 @@ class Recording:
     frames: np.ndarray
     positions: np.ndarray
     coarse: np.ndarray
-    velocity: np.ndarray
     contact: np.ndarray
     nearest: np.ndarray
     step_ms: float
 
     def where(self, keep: np.ndarray | slice) -> Recording:
         """Some of the frames."""
-        names = ("frames", "positions", "coarse", "velocity", "contact", "nearest")
+        names = ("frames", "positions", "coarse", "contact", "nearest")
         return replace(self, **{name: getattr(self, name)[keep] for name in names})
 
 
@@ -245,7 +243,7 @@ def _record(run: Run, folder: Path, after_chunk: Callable[[], None] | None = Non
         simulation.place_body(run.poses[first * run.chunk])
         body.probes, body.probe_weights = probes
     for chunk in range(first, run.chunk_count):
-        rows: dict[str, list] = {"frames": [], "positions": [], "velocity": [], "contact": [], "nearest": []}
+        rows: dict[str, list] = {"frames": [], "positions": [], "contact": [], "nearest": []}
         times = []
         for frame in range(chunk * run.chunk, min((chunk + 1) * run.chunk, run.frame_count)):
             simulation.pose_body(run.poses[frame + 1])
@@ -256,18 +254,15 @@ def _record(run: Run, folder: Path, after_chunk: Callable[[], None] | None = Non
                 state = simulation.state
                 rows["frames"].append(frame + 1)
                 rows["positions"].append(state.world().astype(np.float32))
-                rows["velocity"].append(state.velocity.copy())
                 rows["contact"].append(state.contact[at_coarse])
                 rows["nearest"].append(state.nearest[at_coarse])
         arrays = {name: np.array(values) for name, values in rows.items()}
         if not len(arrays["frames"]):
             arrays["positions"] = np.zeros((0, simulation.model.vertex_count, 3), np.float32)
-            arrays["velocity"] = arrays["positions"]
             arrays["contact"], arrays["nearest"] = np.zeros((0, count, 4), np.float32), np.zeros((0, count), np.int32)
         arrays["coarse"] = arrays["positions"]
         if run.fine:
             arrays["coarse"] = levels.filter_down(arrays["positions"]).astype(np.float32)
-            arrays["velocity"] = levels.filter_down(arrays["velocity"]).astype(np.float32)
         arrays["step_ms"] = np.array(1e3 * np.median(times))
         arrays |= {f"state_{name}": getattr(simulation.state, name) for name in State._names}
         with replacing(folder / f"chunk_{chunk:04d}.npz") as temporary, open(temporary, "wb") as file:
@@ -277,7 +272,7 @@ def _record(run: Run, folder: Path, after_chunk: Callable[[], None] | None = Non
 
 
 def _read(run: Run, folder: Path) -> Recording:
-    names = ("frames", "positions", "coarse", "velocity", "contact", "nearest", "step_ms")
+    names = ("frames", "positions", "coarse", "contact", "nearest", "step_ms")
     parts: dict[str, list] = {name: [] for name in names}
     for chunk in range(run.chunk_count):
         with np.load(folder / f"chunk_{chunk:04d}.npz", allow_pickle=False) as data:

@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import diags
+from scipy.sparse.linalg import splu
 
 from precompute.recording import Recording
 from wrinkles.charts import Charts
@@ -25,6 +27,8 @@ __all__ = [
     "spread_frames",
     "training_set",
 ]
+
+STAY = 1e-3
 
 
 @dataclass(frozen=True)
@@ -50,8 +54,8 @@ def features_of(layer: Layer, recording: Recording) -> tuple[np.ndarray, np.ndar
     position = np.zeros((count, 4), np.float32)
     for f in range(total):
         position[:, :3] = recording.coarse[f]
-        velocity, contact = np.ascontiguousarray(recording.velocity[f]), np.ascontiguousarray(recording.contact[f])
-        layer.stencil.gather(position, velocity, contact, frames[f], features[f])
+        contact = np.ascontiguousarray(recording.contact[f])
+        layer.stencil.gather(position, contact, frames[f], features[f])
     return features, frames
 
 
@@ -115,9 +119,18 @@ def _patch_reader(layer: Layer, recordings: Sequence[Recording]) -> tuple[np.nda
 
 
 def residual_of(layer: Layer, recording: Recording) -> np.ndarray:
-    """Fine positions less the smooth surface of their coarse ones [m], float32, shape (f, N, 3)."""
-    smooth = np.stack([layer.levels.subdivision.upsample(frame) for frame in recording.coarse])
-    return (recording.positions - smooth).astype(np.float32)
+    """What middle vertices must move by so that the fine ones are nearest to the recorded ones, least squares.
+
+    Returns:
+        [m], float32, shape (f, q, 3).
+    """
+    subdivision = layer.levels.subdivision
+    down = subdivision.from_middle
+    lacking = recording.positions - np.stack([subdivision.upsample(frame) for frame in recording.coarse])
+    columns = np.moveaxis(lacking, 1, 0).reshape(lacking.shape[1], -1)
+    stay = diags(np.full(down.shape[1], STAY))  # what carries no fine vertex stays
+    found = splu((down.T @ down + stay).tocsc()).solve(down.T @ columns)
+    return np.moveaxis(found.reshape(len(found), -1, 3), 0, 1).astype(np.float32)
 
 
 def _patches(residual: np.ndarray, frames: np.ndarray, fits: list, i: int) -> np.ndarray:

@@ -141,7 +141,7 @@ def _patches(layer: Layer, rival: WrinkleRival, database: WrinkleDatabase) -> Ca
 
 def _wrinkle_mesh(layer: Layer, options: WrinkleMeshOptions) -> Lift:
     mesh = WrinkleMesh(layer.levels, options)
-    return lambda fine, features, frames, pose: mesh(fine)
+    return lambda fine, upsample, features, frames, pose: mesh(fine)
 
 
 def tuned_wrinkle_mesh(layer: Layer, run: Run, recording: Recording) -> WrinkleMeshOptions:

@@ -16,6 +16,7 @@ from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Decoder, Relaxation, Upsampler, surface_normals
 from wrinkles.features import Stencil
+from wrinkles.isometry import Isometry
 from wrinkles.levels import Levels, levels_of
 from wrinkles.patches import Patches
 
@@ -66,6 +67,7 @@ class Player:
         self._filter = CoarseFilter(self.levels)
         self._upsample = Upsampler(self.levels.subdivision)
         self._decoder = Decoder(Stencil.of(charts, database.held), patches, database.mapping, database.atoms)
+        self._keep_lengths = Isometry(self.levels)
         self._surface_normals = Launch(surface_normals)
         self._faces, self._stands_for = self.levels.subdivision.faces, self.levels.subdivision.stands_for
         self._relax = Relaxation.of(self.levels, source.vertices, source.faces, database.fabric.thickness)
@@ -140,9 +142,11 @@ class Player:
             self._body_between *= np.float32(alpha)
             self._body_between += body.previous
             current = self._body_between
-        position, velocity = self._filter(position, state.velocity)
-        self._upsample(position, self.vertices)
-        self._decoder.add(position, velocity, state.contact, self.vertices)
+        position = self._filter(position)
+        self._upsample.begin(position)
+        self._decoder.add(position, state.contact, self._upsample.middle)
+        self._keep_lengths(self._upsample.middle)
+        self._upsample.finish(self.vertices)
         decoded = time.perf_counter()
         targets = self.levels.fine_attachment.targets(current)
         frames = self._decoder.frames

@@ -12,25 +12,19 @@ __all__ = ["CoarseFilter"]
 LEAST = 2e-3  # smaller weights are left out: the filter reaches about three rings
 
 Vec4 = ti.types.ndarray(dtype=ti.math.vec4, ndim=1)
-Vec3 = ti.types.ndarray(dtype=ti.math.vec3, ndim=1)
 Int1 = ti.types.ndarray(dtype=ti.i32, ndim=1)
 Float1 = ti.types.ndarray(dtype=ti.f32, ndim=1)
 
 
 @ti.kernel
-def _filter(
-    start: Int1, index: Int1, value: Float1, position: Vec4, velocity: Vec3, filtered: Vec4, filtered_velocity: Vec3
-):
+def _filter(start: Int1, index: Int1, value: Float1, position: Vec4, filtered: Vec4):
     ti.loop_config(serialize=True)
     for _ in range(1):
         for i in range(filtered.shape[0]):
             x = ti.math.vec4(0.0)
-            v = ti.math.vec3(0.0)
             for q in range(start[i], start[i + 1]):
                 x += value[q] * position[index[q]]
-                v += value[q] * velocity[index[q]]
             filtered[i] = ti.math.vec4(x[0], x[1], x[2], position[i][3])
-            filtered_velocity[i] = v
 
 
 class CoarseFilter:
@@ -65,10 +59,9 @@ class CoarseFilter:
         self._index = self.matrix.indices.astype(np.int32)
         self._value = self.matrix.data.astype(np.float32)
         self.position = np.zeros((count, 4), np.float32)
-        self.velocity = np.zeros((count, 3), np.float32)
         self._filter = Launch(_filter)
 
-    def __call__(self, position: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Filtered positions [m] and velocities [m/s]; arrays of the filter, float32, shapes (n, 4) and (n, 3)."""
-        self._filter(self._start, self._index, self._value, position, velocity, self.position, self.velocity)
-        return self.position, self.velocity
+    def __call__(self, position: np.ndarray) -> np.ndarray:
+        """Filtered positions [m]: an array of the filter, float32, shape (n, 4)."""
+        self._filter(self._start, self._index, self._value, position, self.position)
+        return self.position

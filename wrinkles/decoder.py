@@ -45,31 +45,27 @@ def _sparse_row(start: ti.template(), index: ti.template(), value: ti.template()
 
 
 @ti.kernel
-def _upsample(
-    coarse: Vec4,
-    start_1: Int1,
-    index_1: Int1,
-    value_1: Float1,
-    middle: Vec3,
-    start_2: Int1,
-    index_2: Int1,
-    value_2: Float1,
-    fine: Vec3,
-):
+def _to_middle(start: Int1, index: Int1, value: Float1, coarse: Vec4, middle: Vec3):
     ti.loop_config(serialize=True)
     for _ in range(1):
         for i in range(middle.shape[0]):
-            middle[i] = _sparse_row(start_1, index_1, value_1, coarse, i)
-        for i in range(fine.shape[0]):
-            fine[i] = _sparse_row(start_2, index_2, value_2, middle, i)
+            middle[i] = _sparse_row(start, index, value, coarse, i)
 
 
 @ti.kernel
-def add_patches(grids: Float2, frames: Float2, corners: Int3, blend: Vec3, cell: Int3, within: Float2, fine: Vec3):
-    """Blend what the three patches around a fine vertex say, each turned from its own frame into space."""
+def _to_fine(start: Int1, index: Int1, value: Float1, middle: Vec3, fine: Vec3):
     ti.loop_config(serialize=True)
     for _ in range(1):
         for i in range(fine.shape[0]):
+            fine[i] = _sparse_row(start, index, value, middle, i)
+
+
+@ti.kernel
+def add_patches(grids: Float2, frames: Float2, corners: Int3, blend: Vec3, cell: Int3, within: Float2, middle: Vec3):
+    """Blend what the three patches around a middle vertex say, each turned from its own frame into space."""
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        for i in range(middle.shape[0]):
             total = vec3(0.0)
             for c in ti.static(range(3)):
                 weight = blend[i][c]
@@ -84,29 +80,37 @@ def add_patches(grids: Float2, frames: Float2, corners: Int3, blend: Vec3, cell:
                         )
                     for a in ti.static(range(3)):
                         total[a] += weight * (d[0] * frames[j, a] + d[1] * frames[j, 3 + a] + d[2] * frames[j, 6 + a])
-            fine[i] += total
+            middle[i] += total
 
 
 class Upsampler:
-    """Smooth fine positions from a coarse state, in two sparse steps.
+    """Fine positions from a coarse state in two sparse steps; on the middle mesh between them wrinkles are written.
 
     Args:
         subdivision: between the meshes.
+
+    Attributes:
+        middle: vertices of the coarse mesh cut once [m], float32, shape (q, 3).
     """
 
     def __init__(self, subdivision: Subdivision) -> None:
         ensure_initialized()
-        first = subdivision.correction
-        for step in subdivision.steps[:-1]:
-            first = (step @ first).tocsr()
-        self._first = _csr(first)
-        self._second = _csr(subdivision.last_step)
-        self._middle = np.zeros((first.shape[0], 3), np.float32)
-        self._upsample = Launch(_upsample)
+        self._first, self._second = _csr(subdivision.to_middle), _csr(subdivision.from_middle)
+        self.middle = np.zeros((subdivision.middle.fine_count, 3), np.float32)
+        self._to_middle, self._to_fine = Launch(_to_middle), Launch(_to_fine)
 
     def __call__(self, position: np.ndarray, fine: np.ndarray) -> None:
-        """Write fine positions (float32, shape (N, 3)) of coarse ones (float32, shape (n, 4)) [m]."""
-        self._upsample(position, *self._first, self._middle, *self._second, fine)
+        """Write smooth fine positions (float32, shape (N, 3)) of coarse ones (float32, shape (n, 4)) [m]."""
+        self.begin(position)
+        self.finish(fine)
+
+    def begin(self, position: np.ndarray) -> None:
+        """Put the middle vertices on the smooth surface of coarse ones (float32, shape (n, 4)) [m]."""
+        self._to_middle(*self._first, position, self.middle)
+
+    def finish(self, fine: np.ndarray) -> None:
+        """Write fine positions (float32, shape (N, 3)) [m] of the middle vertices."""
+        self._to_fine(*self._second, self.middle, fine)
 
 
 def _csr(matrix: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -120,7 +124,7 @@ class Decoder:
 
     Args:
         stencil: what is read of the coarse garment.
-        patches: how grids reach the fine vertices.
+        patches: how grids reach the middle vertices.
         mapping: features to coefficients.
         atoms: coefficients to grids.
     """
@@ -139,16 +143,16 @@ class Decoder:
         self._add_patches = Launch(add_patches)
         self._blas = ThreadpoolController()
 
-    def add(self, position: np.ndarray, velocity: np.ndarray, contact: np.ndarray, fine: np.ndarray) -> None:
-        """Add wrinkles to ``fine`` (float32, shape (N, 3)) for a coarse state as in :class:`pbd.State`."""
+    def add(self, position: np.ndarray, contact: np.ndarray, middle: np.ndarray) -> None:
+        """Add wrinkles to ``middle`` (float32, shape (q, 3)) for a coarse state as in :class:`pbd.State`."""
         m = self.mapping
         z = self.features
-        self.stencil.gather(position, velocity, contact, self.frames, z, m.center, m.scale, CLIP)
+        self.stencil.gather(position, contact, self.frames, z, m.center, m.scale, CLIP)
         # Matrices this small are slower on more threads, by far beside other work, and their bits would depend on it.
         with self._blas.limit(limits=1, user_api="blas"):
             self._mix()
         p = self.patches
-        self._add_patches(self._grids, self.frames, p.corners, p.blend, p.cell, p.within, fine)
+        self._add_patches(self._grids, self.frames, p.corners, p.blend, p.cell, p.within, middle)
 
     def _mix(self) -> None:
         """The network: features to grids."""

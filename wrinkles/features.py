@@ -1,6 +1,6 @@
-"""What the dictionary sees of the coarse garment: local, rotation-invariant, with its velocity and the body's nearness.
+"""What the dictionary sees of the coarse garment: local, rotation-invariant, with the body's nearness.
 
-A stencil of 7 by 7 chart points around every coarse vertex is read in the vertex's own frame.
+A stencil of 5 by 5 chart points around every coarse vertex is read in the vertex's own frame.
 """
 
 from dataclasses import dataclass, field
@@ -16,21 +16,20 @@ from wrinkles.charts import Charts
 
 __all__ = ["DYNAMIC_COUNT", "INNER_OFFSETS", "Stencil"]
 
-SIDE = 7
+SIDE = 5
 POINTS = SIDE * SIDE
 CENTRE = POINTS // 2
 OTHERS = [p for p in range(POINTS) if p != CENTRE]
 INNER = [CENTRE + SIDE * a + b for a in (-1, 0, 1) for b in (-1, 0, 1)]
 UP, DOWN, LEFT, RIGHT = CENTRE + SIDE, CENTRE - SIDE, CENTRE - 1, CENTRE + 1  # +-1 along warp, -+1 along weft
-# Offsets 144, own velocity 3, gravity 3, distances 9, slip 3.
-DYNAMIC_COUNT = 3 * len(OTHERS) + 3 + 3 + len(INNER) + 3
+# Offsets 72, gravity 3, distances 9.
+DYNAMIC_COUNT = 3 * len(OTHERS) + 3 + len(INNER)
 # Features that are offsets of the ring of eight points around the centre.
 INNER_OFFSETS = [3 * OTHERS.index(p) + a for p in INNER if p != CENTRE for a in range(3)]
 MODES = 8
 
 vec3 = ti.math.vec3
 Vec4 = ti.types.ndarray(dtype=ti.math.vec4, ndim=1)
-Vec3 = ti.types.ndarray(dtype=ti.math.vec3, ndim=1)
 Float2 = ti.types.ndarray(dtype=ti.f32, ndim=2)
 Float1 = ti.types.ndarray(dtype=ti.f32, ndim=1)
 Int2 = ti.types.ndarray(dtype=ti.i32, ndim=2)
@@ -39,7 +38,6 @@ Int2 = ti.types.ndarray(dtype=ti.i32, ndim=2)
 @ti.kernel
 def _gather(
     position: Vec4,
-    velocity: Vec3,
     contact: Vec4,
     corners: Int2,
     weights: Float2,
@@ -52,10 +50,6 @@ def _gather(
 ):
     ti.loop_config(serialize=True)
     for _ in range(1):
-        mean_velocity = vec3(0.0)
-        for i in range(velocity.shape[0]):
-            mean_velocity += velocity[i]
-        mean_velocity /= velocity.shape[0]
         for i in range(position.shape[0]):
             x = ti.Matrix.zero(ti.f32, POINTS, 3)
             for p in range(POINTS):
@@ -83,24 +77,16 @@ def _gather(
                     features[i, f + 1] = d.dot(e2) / spacing
                     features[i, f + 2] = d.dot(e3) / spacing
                     f += 3
-            own = velocity[i] - mean_velocity
-            features[i, f] = own.dot(e1)
-            features[i, f + 1] = own.dot(e2)
-            features[i, f + 2] = own.dot(e3)
-            features[i, f + 3] = -e1[1]
-            features[i, f + 4] = -e2[1]
-            features[i, f + 5] = -e3[1]
-            f += 6
+            features[i, f] = -e1[1]
+            features[i, f + 1] = -e2[1]
+            features[i, f + 2] = -e3[1]
+            f += 3
             for q in ti.static(INNER):
                 near = 0.0
                 for c in ti.static(range(3)):
                     near += weights[i, 3 * q + c] * contact[corners[i, 3 * q + c]][0]
                 features[i, f] = near / FAR
                 f += 1
-            slip = vec3(contact[i][1], contact[i][2], contact[i][3])
-            features[i, f] = slip.dot(e1)
-            features[i, f + 1] = slip.dot(e2)
-            features[i, f + 2] = slip.dot(e3)
             for c in range(features.shape[1]):
                 features[i, c] = ti.math.clamp((features[i, c] - center[c]) * scale[c], -limit, limit)
 
@@ -113,8 +99,8 @@ class Stencil:
         corners: coarse vertices of each stencil point, int32, shape (n, 3 POINTS).
         weights: their barycentric weights, float32, shape (n, 3 POINTS).
         spacing: of the stencil [m].
-        static: what does not move: points that exist (48), share that is held, slow modes of the mesh (8);
-            float32, shape (n, 57).
+        static: what does not move: points that exist (24), share that is held, slow modes of the mesh (8);
+            float32, shape (n, 33).
     """
 
     corners: np.ndarray
@@ -148,7 +134,6 @@ class Stencil:
     def gather(
         self,
         position: np.ndarray,
-        velocity: np.ndarray,
         contact: np.ndarray,
         frames: np.ndarray,
         features: np.ndarray,
@@ -160,7 +145,6 @@ class Stencil:
 
         Args:
             position: [m], float32, shape (n, 4); the last column does not matter.
-            velocity: [m/s], float32, shape (n, 3).
             contact: as in :class:`pbd.State`, float32, shape (n, 4).
             frames: receives the frame of each vertex as rows (warp, weft, normal), float32, shape (n, 9).
             features: receives clip((features - center) * scale, -limit, limit), float32, shape (n, DYNAMIC_COUNT).
@@ -170,7 +154,6 @@ class Stencil:
         scale = np.ones(DYNAMIC_COUNT, np.float32) if scale is None else scale
         self._launch(
             position,
-            velocity,
             contact,
             self.corners,
             self.weights,

@@ -15,7 +15,7 @@ from pbd.bending import hinge_rows
 from wrinkles.binding import Binding
 from wrinkles.surface import Subdivision
 
-__all__ = ["Levels", "build_levels", "levels_of"]
+__all__ = ["Levels", "build_levels", "held_between", "levels_of"]
 
 CLEARANCE = 0.003  # attached vertices start at least 2 mm outside the body; the smooth surface dips between them [m]
 SAME_AREA = 0.005  # the areas of coarse and fine mesh differ by no more than this share,
@@ -153,13 +153,13 @@ def levels_of(
     if abs(ratio - 1.0) > SAME_AREA:
         coarse = replace(coarse, flat=coarse.flat / np.sqrt(ratio))
     held = np.unique(np.asarray(held, np.int64))  # the order in which a model takes its targets
-    fine_held = _between(subdivision, held)
+    fine_held = held_between(subdivision, held)
     carried = (coarse.vertices[held], fine.vertices[fine_held]) if len(body_faces) else (np.zeros((0, 3)),) * 2
     attachments = [Attachment.bind(points, body_vertices, body_faces) for points in carried]
     return Levels(subdivision, coarse, fine, held, fine_held, *attachments)
 
 
-def _between(subdivision: Subdivision, held: np.ndarray) -> np.ndarray:
+def held_between(subdivision: Subdivision, held: np.ndarray) -> np.ndarray:
     """Fine vertices on coarse edges and faces whose corners are all held."""
     mark = np.zeros(subdivision.coarse_count)
     mark[held] = 1.0

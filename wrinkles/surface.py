@@ -121,15 +121,27 @@ class Subdivision:
         return None if self.binding is None else self.binding.sewn.one
 
     @cached_property
-    def last_step(self) -> csr_matrix:
-        """Fine positions from those of the subdivided mesh without its last step, shape (N, q)."""
-        last = self.steps[-1]
+    def middle(self) -> Subdivision:
+        """The coarse mesh cut once: wrinkles are written to its q vertices."""
+        return Subdivision.of(self.coarse_faces, self.coarse_count, 1)
+
+    @cached_property
+    def to_middle(self) -> csr_matrix:
+        """Middle vertices on the smooth surface from coarse ones, shape (q, n)."""
+        return (self.steps[0] @ self.correction).tocsr()
+
+    @cached_property
+    def from_middle(self) -> csr_matrix:
+        """Fine positions from middle ones, shape (N, q)."""
+        matrix = identity(self.steps[0].shape[0], format="csr")
+        for step in self.steps[1:]:
+            matrix = (step @ matrix).tocsr()
         if self.binding is None:
-            return last
+            return matrix
         corners = self.cut[self.binding.face]
         rows = np.repeat(np.arange(len(corners)), 3)
-        bound = csr_matrix((self.binding.place.ravel(), (rows, corners.ravel())), (len(corners), last.shape[0]))
-        return (bound @ last).tocsr()
+        bound = csr_matrix((self.binding.place.ravel(), (rows, corners.ravel())), (len(corners), matrix.shape[0]))
+        return (bound @ matrix).tocsr()
 
     @cached_property
     def correction(self) -> csr_matrix:
@@ -149,10 +161,7 @@ class Subdivision:
         """Fine positions from coarse ones, shape (N, n)."""
         if self.binding is None:
             return (self._plain @ self.correction).tocsr()
-        matrix = self.correction
-        for step in (*self.steps[:-1], self.last_step):
-            matrix = (step @ matrix).tocsr()
-        return matrix
+        return (self.from_middle @ self.to_middle).tocsr()
 
     def upsample(self, coarse: np.ndarray) -> np.ndarray:
         """Smooth surface: [m], shape (n, 3) to (N, 3), or (frames, n, 3) to (frames, N, 3)."""
