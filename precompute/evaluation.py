@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import spearmanr
 from threadpoolctl import threadpool_limits
 
 from assets.character import Character
@@ -16,8 +17,9 @@ from assets.sequence import Sequence as VertexSequence
 from pbd import InputError, ModelOptions
 from pbd.bending import hinge_calibration
 from precompute.decoding import decode_recording
+from precompute.in_time import Pause, popping, step_response_frames
 from precompute.recording import Recording, Run, body_source, poses_of, record_runs
-from precompute.training import build_layer
+from precompute.training import build_layer, features_of
 from runtime.play import Free, play, timing_figures
 from runtime.player import Player
 from runtime.simulation import Motion
@@ -33,6 +35,7 @@ from wrinkles.metrics import (
     jitter_px,
     low_frequency_rmse_mm,
     normal_error_deg,
+    patch_normal_errors,
 )
 from wrinkles.spectrum import BandedEnergy, LowPass, spectrum_band_error_max
 
@@ -196,11 +199,23 @@ def settled(recording: Recording, run: Run) -> Recording:
     return recording.where(keep)
 
 
-def given_frames(database: WrinkleDatabase, truth: Truth) -> tuple[np.ndarray, np.ndarray]:
-    """Smooth and decoded garment for the truth's own coarse state: [m], float32, shape (f, N, 3) each."""
+def given_frames(database: WrinkleDatabase, truth: Truth) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Smooth and decoded garment for the truth's own coarse state, and how unfamiliar it is.
+
+    Returns:
+        vertices [m], float32, shape (f, N, 3) twice, and scores of :class:`wrinkles.unfamiliarity.Unfamiliarity`,
+        shape (f, n).
+    """
     layer = build_layer(truth.levels)
-    predict = lambda features, pose: database.mapping.predict(features)  # noqa: E731
-    return decode_recording(layer, predict, database.atoms, truth.run, truth.recording)
+    mapping, unfamiliarity, scores = database.mapping, database.unfamiliarity, []
+
+    def predict(features: np.ndarray, pose: np.ndarray) -> np.ndarray:
+        hidden = mapping.hidden(features)
+        scores.append(unfamiliarity.score(hidden))
+        return mapping.coefficients(hidden) * unfamiliarity.amplitude(scores[-1])[:, None]
+
+    smooth, decoded = decode_recording(layer, predict, database.atoms, truth.run, truth.recording)
+    return smooth, decoded, np.array(scores)
 
 
 def play_freely(database: WrinkleDatabase, body: Character | VertexSequence, run: Run) -> Free:
@@ -274,14 +289,28 @@ class Evaluation:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def evaluate(database: WrinkleDatabase, truth: Truth, report: Callable[[str], None] | None = None) -> Evaluation:
-    """All figures of a database on one motion."""
+def evaluate(
+    database: WrinkleDatabase, truth: Truth, cache: Path, report: Callable[[str], None] | None = None
+) -> Evaluation:
+    """All figures of a database on one motion.
+
+    Args:
+        database: what is judged.
+        truth: of the motion.
+        cache: folder of simulated runs; the fine run of a pause goes there.
+        report: told lines of progress.
+    """
     tell = report or (lambda line: None)
     tell("evaluating: given the coarse state")
-    smooth, decoded = given_frames(database, truth)
+    smooth, decoded, scores = given_frames(database, truth)
     owner = leading_vertices(truth.levels.subdivision)[:, 0]
     faces = truth.levels.fine.faces
     figures = {k: float(v) for k, v in given_coarse_figures(decoded, truth.frames, smooth, faces, owner).items()}
+    errors = patch_normal_errors(decoded, truth.frames, faces, owner)
+    figures["unfamiliarity_spearman"] = float(spearmanr(scores.ravel(), errors.ravel()).statistic)
+    figures["faded_percent"] = float(100.0 * (database.unfamiliarity.amplitude(scores) < 1.0).mean())
+    frames, deviation = features_of(build_layer(truth.levels), truth.recording)[1], truth.frames - smooth
+    figures |= {"popping": popping(decoded - smooth, frames, owner), "truth_popping": popping(deviation, frames, owner)}
     tell("evaluating: running freely")
     free = play_freely(database, truth.run.body, truth.run)
     figures |= free_figures(truth, free.frames)
@@ -297,4 +326,19 @@ def evaluate(database: WrinkleDatabase, truth: Truth, report: Callable[[str], No
     figures |= timing_figures(free, truth.levels)
     figures["fine_simulation_ms"] = truth.recording.step_ms
     figures["speedup_over_fine"] = truth.recording.step_ms / figures["frame_ms_p50"]
+    tell("evaluating: in time")
+    figures |= _pause_figures(database, truth, cache, report)
     return Evaluation(figures, free, smooth, decoded)
+
+
+def _pause_figures(
+    database: WrinkleDatabase, truth: Truth, cache: Path, report: Callable[[str], None] | None
+) -> dict[str, float]:
+    """What shows where the body stops, and goes back: ours, smooth and the truth's."""
+    pause = Pause.of(truth.run, SETTLE)
+    run = pause.run
+    figures = pause.figures(record_runs([run], cache, 1, report)[0].positions, "truth_")
+    player = Player(database, run.body, run.poses[0], run.primitives)
+    free = play(player, run.poses, run.dt, run.wind, every=1)
+    figures |= pause.figures(free.frames) | pause.figures(free.smooth, "smooth_")
+    return figures | {"step_response_frames": float(step_response_frames(player, pause.onward, run.dt))}

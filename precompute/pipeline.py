@@ -18,6 +18,7 @@ from precompute.calibration import Calibration, calibrate
 from precompute.evaluation import Evaluation, Truth, evaluate, fine_run, truth_of
 from precompute.recording import Recording, Run, body_source, record_runs
 from precompute.training import build_layer, fit_layer, spread_frames, training_set
+from precompute.unfamiliarity import fit_unfamiliarity
 from runtime.simulation import Motion
 from runtime.stage import Stage, fabric_of
 from wrinkles.database import WrinkleDatabase, as_stored, body_hash, code_version, write_database
@@ -145,6 +146,7 @@ def precompute(
         frame_rate=settings.frame_rate,
         atoms=data.atoms,
         mapping=mapping,
+        unfamiliarity=fit_unfamiliarity(layer, mapping, data.atoms, runs, recordings, seed),
         cutoff=levels.cutoff,
         body_hash=body_hash(stage.body),
         body_vertex_count=len(body_source(stage.body).vertices),
@@ -162,7 +164,7 @@ def precompute(
     if held_out:  # the first held-out clip is the one that is reported
         run = scene_run(stage, scene, held_out[0])
         truth = truth_of(run, cache, workers, tell)
-        evaluation = evaluate(database, truth, tell)
+        evaluation = evaluate(database, truth, cache, tell)
         quality = dict(evaluation.figures)
     quality |= {
         "feature_shift_before": calibration.shift_before,

@@ -261,7 +261,7 @@ def _beside_truth(options: argparse.Namespace, database: WrinkleDatabase, cast: 
         truth = truth_of(run, default_cache(options.database), os.cpu_count() or 1, progress)
         if options.seconds is not None:
             truth = truth.until(options.seconds)
-        evaluation = evaluate(database, truth, progress)
+        evaluation = evaluate(database, truth, default_cache(options.database), progress)
         figures: dict[str, Any] = dict(evaluation.figures)
         ours_ms, _ = player_times(database, truth)
         figures["frame_cpu_ms"] = typical_ms(ours_ms)

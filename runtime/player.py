@@ -66,7 +66,8 @@ class Player:
         patches = Patches.of(self.levels.subdivision, charts)
         self._filter = CoarseFilter(self.levels)
         self._upsample = Upsampler(self.levels.subdivision)
-        self._decoder = Decoder(Stencil.of(charts, database.held), patches, database.mapping, database.atoms)
+        stencil = Stencil.of(charts, database.held)
+        self._decoder = Decoder(stencil, patches, database.mapping, database.atoms, database.unfamiliarity)
         self._keep_lengths = Isometry(self.levels)
         self._surface_normals = Launch(surface_normals)
         self._faces, self._stands_for = self.levels.subdivision.faces, self.levels.subdivision.stands_for

@@ -41,6 +41,7 @@ from wrinkles.schema import (
     unpack,
 )
 from wrinkles.surface import Subdivision
+from wrinkles.unfamiliarity import Unfamiliarity
 
 __all__ = [
     "WrinkleDatabase",
@@ -74,6 +75,7 @@ class WrinkleDatabase:
         solver: options of the coarse simulation.
         frame_rate: at which it runs [Hz].
         atoms, mapping: the dictionary.
+        unfamiliarity: says where its wrinkles fade.
         cutoff: wavelength of the filter between coarse and fine [m].
         body_hash: of the body that the garment was trained on, see :func:`body_hash`.
         body_vertex_count: its number of vertices.
@@ -101,6 +103,7 @@ class WrinkleDatabase:
     frame_rate: float
     atoms: Atoms
     mapping: Mapping
+    unfamiliarity: Unfamiliarity
     cutoff: float
     body_hash: str
     body_vertex_count: int
@@ -356,6 +359,7 @@ def _unpacked(arrays: dict[str, np.ndarray]) -> WrinkleDatabase:
         solver=SolverOptions(**groups["solver"]),
         atoms=Atoms(**groups["atoms"]),
         mapping=Mapping(**groups["mapping"]),
+        unfamiliarity=Unfamiliarity(**groups["unfamiliarity"]),
         quality=dict(zip(groups["quality"]["names"], groups["quality"]["values"].tolist(), strict=True)),
     )
 

@@ -27,6 +27,7 @@ from wrinkles.features import DYNAMIC_COUNT, Stencil
 from wrinkles.levels import Levels
 from wrinkles.patches import NODES, SIDE, Patches
 from wrinkles.surface import Subdivision
+from wrinkles.unfamiliarity import Unfamiliarity
 
 __all__ = ["Decoder", "Relaxation", "Upsampler", "add_patches", "surface_normals"]
 
@@ -127,10 +128,17 @@ class Decoder:
         patches: how grids reach the middle vertices.
         mapping: features to coefficients.
         atoms: coefficients to grids.
+        unfamiliarity: fades wrinkles where the coarse state is unlike what was learned from.
+
+    Attributes:
+        amplitude: share of the wrinkles that was drawn at each coarse vertex, float32, shape (n,).
     """
 
-    def __init__(self, stencil: Stencil, patches: Patches, mapping: Mapping, atoms: Atoms) -> None:
-        self.stencil, self.patches, self.mapping = stencil, patches, mapping
+    def __init__(
+        self, stencil: Stencil, patches: Patches, mapping: Mapping, atoms: Atoms, unfamiliarity: Unfamiliarity
+    ) -> None:
+        self.stencil, self.patches, self.mapping, self.unfamiliarity = stencil, patches, mapping, unfamiliarity
+        self.amplitude = np.ones(len(stencil.corners), np.float32)
         count, (width_1, width_2) = len(stencil.corners), mapping.weights_2.shape
         self.frames = np.zeros((count, 9), np.float32)
         self.features = np.zeros((count, DYNAMIC_COUNT), np.float32)
@@ -165,6 +173,8 @@ class Decoder:
         np.maximum(self._hidden_2, 0.0, out=self._hidden_2)
         np.matmul(self._hidden_2, m.weights_3, out=self._coefficients)
         self._coefficients += m.bias_3
+        self.amplitude = self.unfamiliarity.amplitude(self.unfamiliarity.score(self._hidden_1))
+        self._coefficients *= self.amplitude[:, None]
         np.matmul(self._coefficients, self._shapes, out=self._grids)
         self._grids += self._mean
 

@@ -85,10 +85,16 @@ class Mapping:
 
     def predict(self, features: np.ndarray) -> np.ndarray:
         """Coefficients for features, shape (..., n, DYNAMIC_COUNT) to (..., n, K); the reference of the decoder."""
+        return self.coefficients(self.hidden(features))
+
+    def hidden(self, features: np.ndarray) -> np.ndarray:
+        """First hidden layer for features, shape (..., n, DYNAMIC_COUNT) to (..., n, h1)."""
         z = np.clip((features - self.center) * self.scale, -CLIP, CLIP)
-        h = np.maximum(z @ self.weights_1 + self.place_bias, 0.0)
-        h = np.maximum(h @ self.weights_2 + self.bias_2, 0.0)
-        return h @ self.weights_3 + self.bias_3
+        return np.maximum(z @ self.weights_1 + self.place_bias, 0.0)
+
+    def coefficients(self, hidden: np.ndarray) -> np.ndarray:
+        """Coefficients for the first hidden layer, shape (..., n, h1) to (..., n, K)."""
+        return np.maximum(hidden @ self.weights_2 + self.bias_2, 0.0) @ self.weights_3 + self.bias_3
 
     def arrays(self) -> dict[str, np.ndarray]:
         return {field.name: getattr(self, field.name) for field in fields(self)}

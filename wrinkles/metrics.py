@@ -29,6 +29,7 @@ __all__ = [
     "low_frequency_rmse_mm",
     "normal_correlation",
     "normal_error_deg",
+    "patch_normal_errors",
     "pixel_distance",
     "rmse_mm",
     "skill",
@@ -90,6 +91,22 @@ def normal_error_deg(test: np.ndarray, truth: np.ndarray, faces: np.ndarray) -> 
     """
     test, truth = _same_frames(test=test, truth=truth)
     return _normal_angles(vertex_normals(test, faces), vertex_normals(truth, faces))[:, np.unique(faces)].mean(axis=1)
+
+
+def patch_normal_errors(test: np.ndarray, truth: np.ndarray, faces: np.ndarray, patches: np.ndarray) -> np.ndarray:
+    """Mean angle between the vertex normals of two sequences, per frame and patch [deg], shape (f, patches).
+
+    Args:
+        test: positions [m], shape (f, n, 3).
+        truth: positions [m], shape (f, n, 3).
+        faces: int, shape (m, 3).
+        patches: patch of each vertex, int >= 0, shape (n,); those that occur count, in ascending order.
+
+    Raises:
+        InputError: sequences of different shape, or patches that do not fit them.
+    """
+    test, truth = _same_frames(test=test, truth=truth)
+    return _patch_means(_normal_angles(vertex_normals(test, faces), vertex_normals(truth, faces)), patches)
 
 
 def skill(error: float, error_smooth: float) -> float:
@@ -430,6 +447,11 @@ def _deviation_cosine(test: np.ndarray, truth: np.ndarray, smooth: np.ndarray) -
 
 
 def _worse_percent(angles: np.ndarray, angles_smooth: np.ndarray, patches: np.ndarray) -> float:
+    return float(100.0 * (_patch_means(angles - angles_smooth, patches) > _NOISE_DEG).mean())
+
+
+def _patch_means(angles: np.ndarray, patches: np.ndarray) -> np.ndarray:
+    """Means over the vertices of each patch, shape (f, n) to (f, patches)."""
     patches = np.asarray(patches)
     if patches.shape != angles.shape[1:] or patches.min(initial=0) < 0:
         raise InputError(
@@ -437,7 +459,7 @@ def _worse_percent(angles: np.ndarray, angles_smooth: np.ndarray, patches: np.nd
         )
     _, label, size = np.unique(patches, return_inverse=True, return_counts=True)
     mean_of = csr_matrix((1.0 / size[label], (label, np.arange(len(label)))))
-    return float(100.0 * (mean_of @ (angles - angles_smooth).T > _NOISE_DEG).mean())
+    return (mean_of @ angles.T).T
 
 
 def _deviation(total: Callable[[np.ndarray], np.ndarray], weights: np.ndarray, values: np.ndarray) -> np.ndarray:

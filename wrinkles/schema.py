@@ -117,6 +117,11 @@ ENTRIES = (
     *_in_steps("mapping/place_bias", ("n", "h1")),
     Entry("mapping/bias_2", SINGLE, ("h2",)),
     Entry("mapping/bias_3", SINGLE, ("K",)),
+    Entry("unfamiliarity/weights_1", SINGLE, ("h1", "u")),
+    Entry("unfamiliarity/bias_1", SINGLE, ("u",)),
+    Entry("unfamiliarity/weights_2", SINGLE, ("u",)),
+    Entry("unfamiliarity/bias_2", DOUBLE),
+    Entry("unfamiliarity/fade_from", DOUBLE, unit="deg"),
     Entry("cutoff", DOUBLE, unit="m"),
     Entry("body_hash", TEXT),
     Entry("body_vertex_count", WHOLE),
@@ -130,7 +135,7 @@ ENTRIES = (
 LARGEST_STEP = 127
 # Sizes; there is no garment without vertices, but one without pins, or whose fine mesh is the subdivided coarse one.
 MAY_BE_ZERO = ("p", "q", "h", "t", "N", "M", "s")
-POSITIVE = ("bend_factor", "frame_rate", "cutoff")
+POSITIVE = ("unfamiliarity/fade_from", "bend_factor", "frame_rate", "cutoff")
 
 
 def topology_hash(faces: np.ndarray, subdivisions: int, vertex_count: int) -> str:

@@ -7,7 +7,16 @@ from contextlib import ExitStack, contextmanager
 from unittest.mock import patch
 
 from assets.scene import Scene, parse_scene
-from precompute import ablation_bench, calibration, evaluation, pipeline, recording, wrinkle_comparison, wrinkle_rivals
+from precompute import (
+    ablation_bench,
+    calibration,
+    evaluation,
+    in_time,
+    pipeline,
+    recording,
+    wrinkle_comparison,
+    wrinkle_rivals,
+)
 from runtime.simulation import poses_of
 
 __all__ = ["SCENE", "miniature", "scene"]
@@ -61,6 +70,8 @@ def miniature() -> Iterator[None]:
             (recording, "CHUNK_SECONDS", 0.5),
             (ablation_bench, "EPOCHS", 2),
             (wrinkle_comparison, "RADII", (0.25,)),
+            (in_time, "STILL", 0.2),
+            (in_time, "PIECE", 0.1),
             (wrinkle_rivals, "WIDE", (12, 8)),
             (wrinkle_rivals, "MODES", 32),
         ):

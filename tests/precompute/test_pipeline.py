@@ -36,7 +36,7 @@ def made(folder: Path, told: list[str]) -> Precomputed:
 
 def assert_same(first: WrinkleDatabase, second: WrinkleDatabase) -> None:
     """What was learned is the same, bit by bit."""
-    for part in ("mapping", "atoms"):
+    for part in ("mapping", "atoms", "unfamiliarity"):
         for name, array in vars(getattr(first, part)).items():
             assert np.array_equal(array, getattr(getattr(second, part), name)), f"{part}.{name}"
     assert first.options == second.options and first.bend_factor == second.bend_factor
@@ -89,6 +89,48 @@ def test_the_database_plays(made: Precomputed) -> None:
     edges, lengths = player.levels.fine.edge_lengths()
     side = player.vertices[edges[:, 1]] - player.vertices[edges[:, 0]]
     assert 0.9 < np.median(np.linalg.norm(side, axis=1) / lengths) < 1.05
+
+
+def test_how_the_wrinkles_behave_in_time_is_measured_beside_the_truth(made: Precomputed) -> None:
+    quality = made.database.quality
+    assert quality["step_response_frames"] == 1.0  # what is decoded keeps nothing but where relaxation found the body
+    for name in ("rest_jitter_px", "reverse_gap_mm"):
+        values = [quality[prefix + name] for prefix in ("", "smooth_", "truth_")]
+        assert min(values) > 0.0 and values[0] < 3.0 * max(values[1:])
+    assert 0.0 < quality["popping"] and 0.0 < quality["truth_popping"]
+
+
+def test_strange_states_fade_and_ordinary_ones_do_not(made: Precomputed) -> None:
+    quality, mapping, unfamiliarity = made.database.quality, made.database.mapping, made.database.unfamiliarity
+    assert made.evaluation is not None
+    assert quality["unfamiliarity_spearman"] > 0.3 and quality["faded_percent"] < 10.0
+    rng = np.random.default_rng(0)
+    strange = 8.0 * rng.standard_normal((20, len(mapping.place_bias), len(mapping.center)))
+    far = unfamiliarity.amplitude(unfamiliarity.score(mapping.hidden(mapping.center + strange / mapping.scale)))
+    assert far.mean() < 0.5
+
+
+def test_nothing_goes_wild_after_a_teleport(made: Precomputed) -> None:
+    """The body is suddenly elsewhere, turned about and in another pose: wrinkles are no higher than before."""
+    stage, database = Stage.of(scene_of(made.database)), made.database
+    motion = stage.motion()
+    smooth = replace(database, unfamiliarity=replace(database.unfamiliarity, fade_from=1e-9))
+    players = [Player(each, stage.body, motion.pose(0.0)) for each in (database, smooth)]
+    turn = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    heights = []
+    for frame in range(1, 61):
+        pose = motion.pose(frame / 60.0)
+        if frame > 30:
+            pose = turn @ motion.pose(0.5 + frame / 60.0)
+            pose[:, :, 3] += [3.0, 0.4, -2.0]
+        for player in players:
+            player.update(pose, 1.0 / 60.0)
+            assert np.isfinite(player.vertices).all() and np.isfinite(player.normals).all()
+        difference = np.linalg.norm(players[0].vertices - players[1].vertices, axis=1)
+        # Single vertices between two parts of the body may come out at either, whatever the wrinkles.
+        heights.append(np.percentile(difference, 99.5))
+    before, after = max(heights[:30]), max(heights[30:])
+    assert 1e-3 < before < 0.01 and 1e-4 < after < 2.0 * before
 
 
 def test_the_same_seed_gives_the_same_bits_whatever_is_held_out(made: Precomputed, folder: Path) -> None:

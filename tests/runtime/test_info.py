@@ -109,6 +109,7 @@ def test_a_sound_database_passes_every_check(write: Callable[..., Path]) -> None
         "coarse model",
         "patches",
         "decoding at rest",
+        "decoding a torn garment",
     ]
     assert all(check.passed for check in checks)
     assert "5.50 deg, smooth 11.20 deg" in checks[1].detail
@@ -138,8 +139,8 @@ def test_patches_that_do_not_add_up_are_found(write: Callable[..., Path], monkey
     ("changes", "failed", "detail"),
     [
         ({"quality": {"normal_error_deg": 9.0, "normal_error_smooth_deg": 8.0}}, ["held-out motion"], "9.00 deg"),
-        (scaled(1e38), ["decoding at rest"], "cut-off 400 mm"),  # overflows
-        (scaled(1e9), ["decoding at rest"], "cut-off 400 mm"),
+        (scaled(1e38), ["decoding at rest", "decoding a torn garment"], "cut-off 400 mm"),  # overflows
+        (scaled(1e9), ["decoding at rest", "decoding a torn garment"], "cut-off 400 mm"),
         ({"coarse_faces": sheet().coarse_faces[1:]}, ["one rest metric", "garment"], "vertex 0: vertex in no face"),
         (with_bump(), ["one rest metric"], "coarse area over fine area"),
     ],
@@ -181,7 +182,7 @@ def test_gube_check_has_a_row_for_every_check_and_its_status(
     out = tmp_path / "check.json"
     assert command.main(["check", str(write()), "--json", str(out)]) == 0
     rows = json.loads(out.read_text(encoding="utf-8"))["rows"]
-    assert [row["passed"] for row in rows] == [True] * 6
+    assert [row["passed"] for row in rows] == [True] * 7
     assert set(rows[0]) == {"check", "passed", "detail"}
     bad = write(**scaled(1e9))
     assert command.main(["check", str(bad)]) == 1

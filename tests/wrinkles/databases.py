@@ -12,6 +12,7 @@ from wrinkles.database import WrinkleDatabase
 from wrinkles.dictionary import Atoms, Mapping
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.patches import NODES
+from wrinkles.unfamiliarity import Unfamiliarity
 
 __all__ = ["small_database"]
 
@@ -48,6 +49,7 @@ def small_database(side: int = 7, atoms: int = 5, hidden: tuple[int, int] = (8, 
             bias_2=weights(hidden[1]),
             bias_3=weights(atoms),
         ),
+        "unfamiliarity": Unfamiliarity(weights(hidden[0], 3), weights(3), weights(3), 1.5, 12.0),
         "cutoff": 0.4,
         "body_hash": "a1" * 32,
         "body_vertex_count": 1234,

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,7 @@ from wrinkles.features import DYNAMIC_COUNT, Stencil
 from wrinkles.levels import Levels, build_levels
 from wrinkles.patches import NODES, SIDE, Patches
 from wrinkles.surface import Subdivision
+from wrinkles.unfamiliarity import Unfamiliarity
 
 NOBODY = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
 THICKNESS = 0.002
@@ -67,6 +70,15 @@ class Layer:
         self.velocity = single(count, 3, seed=11)
         self.contact = single(count, 4, seed=12, size=0.01)
 
+        self.unfamiliarity = Unfamiliarity(
+            single(9, 3, seed=13, size=0.1), single(3, seed=14), np.abs(single(3, seed=15)), 0.2, fade_from=1e9
+        )
+
+    def decoder(self, **changes: float) -> Decoder:
+        """A decoder whose wrinkles never fade, unless ``changes`` say so."""
+        unfamiliarity = replace(self.unfamiliarity, **changes)
+        return Decoder(self.stencil, self.patches, self.mapping, self.atoms, unfamiliarity)
+
     def add(self, decoder: Decoder) -> np.ndarray:
         """What the decoder adds to the fine vertices [m], shape (N, 3)."""
         fine = np.zeros((self.subdivision.fine_count, 3), np.float32)
@@ -94,13 +106,13 @@ def test_the_decoder_adds_what_the_mapping_predicts(layer: Layer) -> None:
             node = p.cell[i, c]
             near = spatial[p.corners[i, c]][[node, node + 1, node + SIDE, node + SIDE + 1]]
             expected[i] += p.blend[i, c] * (np.array([(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v]) @ near)
-    added = layer.add(Decoder(layer.stencil, layer.patches, layer.mapping, layer.atoms))
+    added = layer.add(layer.decoder())
     assert np.abs(expected).max() > 0.01
     np.testing.assert_allclose(added, expected, atol=1e-5)
 
 
 def test_the_decoder_adds_to_what_is_there_and_keeps_nothing(layer: Layer) -> None:
-    decoder = Decoder(layer.stencil, layer.patches, layer.mapping, layer.atoms)
+    decoder = layer.decoder()
     first = layer.add(decoder)
     fine = first.copy()
     decoder.add(2.0 * layer.position, layer.velocity, layer.contact, fine)  # another state in between
@@ -109,6 +121,26 @@ def test_the_decoder_adds_to_what_is_there_and_keeps_nothing(layer: Layer) -> No
     fine = np.full_like(first, 0.5)
     decoder.add(layer.position, layer.velocity, layer.contact, fine)
     np.testing.assert_allclose(fine - 0.5, first, atol=1e-6)
+
+
+def test_wrinkles_fade_where_the_state_is_unfamiliar(layer: Layer) -> None:
+    count = len(layer.position)
+    frames, features = np.zeros((count, 9), np.float32), np.zeros((count, DYNAMIC_COUNT), np.float32)
+    layer.stencil.gather(layer.position, layer.velocity, layer.contact, frames, features)
+    score = layer.unfamiliarity.score(layer.mapping.hidden(features))
+    middle = float(np.exp(np.median(score)))
+    some, none = layer.decoder(fade_from=middle), layer.decoder(fade_from=1e-9)
+    full, faded, flat = layer.add(layer.decoder()), layer.add(some), layer.add(none)
+    expected = layer.unfamiliarity.amplitude(score + np.float32(np.log(1e9) - np.log(middle)))
+    np.testing.assert_allclose(some.amplitude, expected, atol=1e-4)
+    assert 0.4 < (some.amplitude == 1.0).mean() < 0.6 and (some.amplitude < 1.0).sum() > 20
+    assert not none.amplitude.any()
+    familiar = (some.amplitude[layer.patches.corners] == 1.0).all(axis=1)
+    np.testing.assert_allclose(faded[familiar], full[familiar], atol=1e-6)
+    # What is left is the mean patch, the same in every state.
+    assert np.linalg.norm(flat, axis=1).max() <= np.linalg.norm(layer.atoms.mean.reshape(NODES, 3), axis=1).max()
+    between = np.linalg.norm(faded - flat, axis=1).sum() / np.linalg.norm(full - flat, axis=1).sum()
+    assert 0.4 < between < 0.95
 
 
 class Cloth:

@@ -56,6 +56,18 @@ def test_normal_error_of_a_turned_sphere() -> None:
     assert error == pytest.approx(np.degrees(expected), rel=2e-3)
 
 
+def test_errors_of_patches_are_means_over_their_vertices() -> None:
+    vertices, faces = flat_sheet(6, 0.3)
+    test, truth = np.stack([vertices, turned(vertices, 30.0)]), np.stack([vertices, vertices])
+    test[1, vertices[:, 0] > np.median(vertices[:, 0])] *= 1.5
+    patches = np.random.default_rng(0).integers(5, size=len(vertices)) * 3
+    errors = metrics.patch_normal_errors(test, truth, faces, patches)
+    assert errors.shape == (2, 5) and np.allclose(errors[0], 0.0) and errors[1].min() > 10.0
+    cosines = np.einsum("ni,ni->n", *(metrics.vertex_normals(frames[1], faces) for frames in (test, truth)))
+    angles = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0)))
+    np.testing.assert_allclose(errors[1], [angles[patches == p].mean() for p in range(0, 15, 3)], atol=1e-5)
+
+
 def test_collapsed_normals_count_ninety_degrees_and_loose_vertices_nothing() -> None:
     vertices, faces = flat_sheet(4, 0.3)
     vertices = np.concatenate([vertices, [[5.0, 5.0, 5.0]]])
