@@ -335,7 +335,7 @@ def _pause_figures(
     database: WrinkleDatabase, truth: Truth, cache: Path, report: Callable[[str], None] | None
 ) -> dict[str, float]:
     """What shows where the body stops, and goes back: ours, smooth and the truth's."""
-    pause = Pause.of(truth.run, SETTLE)
+    pause = Pause.of(truth.run, judged_from(truth.run))
     run = pause.run
     figures = pause.figures(record_runs([run], cache, 1, report)[0].positions, "truth_")
     player = Player(database, run.body, run.poses[0], run.primitives)
