@@ -356,7 +356,7 @@ def test_the_figures_are_those_of_the_file(path: Path) -> None:
     assert figures["database_mb"] == size / 1e6
     assert figures["bytes_per_fine_vertex"] == pytest.approx(size / 625)  # 25 by 25
     numbers = [np.size(value) for value in arrays_of(small_database())]
-    assert figures["compression_ratio"] * size == pytest.approx(4 * sum(numbers), rel=0.05)  # words are few
+    assert figures["compression_ratio"] * size == pytest.approx(4 * sum(numbers), rel=0.1)  # words are few
     assert 0 < figures["load_s"] < 1
 
 

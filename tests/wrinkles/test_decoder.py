@@ -67,7 +67,6 @@ class Layer:
         )
         self.position = single(count, 4, seed=10, size=0.01)
         self.position[:, :3] += vertices.astype(np.float32)
-        self.velocity = single(count, 3, seed=11)
         self.contact = single(count, 4, seed=12, size=0.01)
 
         self.unfamiliarity = Unfamiliarity(
@@ -80,9 +79,9 @@ class Layer:
         return Decoder(self.stencil, self.patches, self.mapping, self.atoms, unfamiliarity)
 
     def add(self, decoder: Decoder) -> np.ndarray:
-        """What the decoder adds to the fine vertices [m], shape (N, 3)."""
-        fine = np.zeros((self.subdivision.fine_count, 3), np.float32)
-        decoder.add(self.position, self.velocity, self.contact, fine)
+        """What the decoder adds to the middle vertices [m], shape (q, 3)."""
+        fine = np.zeros((self.subdivision.middle.fine_count, 3), np.float32)
+        decoder.add(self.position, self.contact, fine)
         return fine
 
 
@@ -94,12 +93,12 @@ def layer() -> Layer:
 def test_the_decoder_adds_what_the_mapping_predicts(layer: Layer) -> None:
     count = len(layer.position)
     frames, features = np.zeros((count, 9), np.float32), np.zeros((count, DYNAMIC_COUNT), np.float32)
-    layer.stencil.gather(layer.position, layer.velocity, layer.contact, frames, features)
+    layer.stencil.gather(layer.position, layer.contact, frames, features)
     grids = layer.mapping.predict(features) @ layer.atoms.shapes + layer.atoms.mean
     assert np.median(grids.std(axis=0)) > 1e-3
     # Turned into space first and read afterwards, vertex by vertex.
     spatial = np.einsum("inx,ixy->iny", grids.reshape(count, NODES, 3), frames.reshape(count, 3, 3))
-    p, expected = layer.patches, np.zeros((layer.subdivision.fine_count, 3))
+    p, expected = layer.patches, np.zeros((layer.subdivision.middle.fine_count, 3))
     for i in range(len(expected)):
         for c in range(3):
             u, v = p.within[i, 2 * c : 2 * c + 2]
@@ -115,18 +114,18 @@ def test_the_decoder_adds_to_what_is_there_and_keeps_nothing(layer: Layer) -> No
     decoder = layer.decoder()
     first = layer.add(decoder)
     fine = first.copy()
-    decoder.add(2.0 * layer.position, layer.velocity, layer.contact, fine)  # another state in between
+    decoder.add(2.0 * layer.position, layer.contact, fine)  # another state in between
     assert np.abs(fine - 2.0 * first).max() > 1e-3
     assert np.array_equal(layer.add(decoder), first)
     fine = np.full_like(first, 0.5)
-    decoder.add(layer.position, layer.velocity, layer.contact, fine)
+    decoder.add(layer.position, layer.contact, fine)
     np.testing.assert_allclose(fine - 0.5, first, atol=1e-6)
 
 
 def test_wrinkles_fade_where_the_state_is_unfamiliar(layer: Layer) -> None:
     count = len(layer.position)
     frames, features = np.zeros((count, 9), np.float32), np.zeros((count, DYNAMIC_COUNT), np.float32)
-    layer.stencil.gather(layer.position, layer.velocity, layer.contact, frames, features)
+    layer.stencil.gather(layer.position, layer.contact, frames, features)
     score = layer.unfamiliarity.score(layer.mapping.hidden(features))
     middle = float(np.exp(np.median(score)))
     some, none = layer.decoder(fade_from=middle), layer.decoder(fade_from=1e-9)
