@@ -306,8 +306,8 @@ def evaluate(
     owner = leading_vertices(truth.levels.subdivision)[:, 0]
     faces = truth.levels.fine.faces
     figures = {k: float(v) for k, v in given_coarse_figures(decoded, truth.frames, smooth, faces, owner).items()}
-    errors = patch_normal_errors(decoded, truth.frames, faces, owner)
-    figures["unfamiliarity_spearman"] = float(spearmanr(scores.ravel(), errors.ravel()).statistic)
+    errors = patch_normal_errors(decoded, truth.frames, faces, owner)  # of the coarse vertices that lead fine ones
+    figures["unfamiliarity_spearman"] = float(spearmanr(scores[:, np.unique(owner)].ravel(), errors.ravel()).statistic)
     figures["faded_percent"] = float(100.0 * (database.unfamiliarity.amplitude(scores) < 1.0).mean())
     frames, deviation = features_of(build_layer(truth.levels), truth.recording)[1], truth.frames - smooth
     figures |= {"popping": popping(decoded - smooth, frames, owner), "truth_popping": popping(deviation, frames, owner)}

@@ -72,7 +72,9 @@ def _decoded_errors(
     recordings: Sequence[Recording],
     rng: np.random.Generator | None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """First hidden layer, float32, shape (f, n, h1), and normal error of each patch [deg], shape (f, n).
+    """First hidden layer, float32, shape (f, k, h1), and normal error of each patch [deg], shape (f, k).
+
+    Of the k coarse vertices that lead fine ones; a delivered fine mesh may leave some out.
 
     Args:
         layer, mapping, atoms, runs, recordings: as above.
@@ -91,4 +93,4 @@ def _decoded_errors(
     for run, recording in zip(runs, recordings, strict=True):
         _, decoded = decode_recording(layer, predict, atoms, run, recording)
         errors.append(patch_normal_errors(decoded, recording.positions, faces, owner))
-    return np.array(hidden), np.concatenate(errors).astype(np.float32)
+    return np.array(hidden)[:, np.unique(owner)], np.concatenate(errors).astype(np.float32)
