@@ -167,6 +167,10 @@ class Subdivision:
         """Smooth surface: [m], shape (n, 3) to (N, 3), or (frames, n, 3) to (frames, N, 3)."""
         return _apply(self.matrix, coarse)
 
+    def cut_surface(self, coarse: np.ndarray) -> np.ndarray:
+        """Vertices of the subdivided mesh, whether a fine mesh is bound to it or not: shapes as for ``upsample``."""
+        return _apply((self._plain @ self.correction).tocsr(), coarse)
+
     def fit(self, fine: np.ndarray) -> np.ndarray:
         """Coarse vertices whose smooth surface is nearest to fine vertices in the least-squares sense.
 
@@ -192,7 +196,7 @@ class Subdivision:
         if self.binding is None:
             smooth, fine = fine_vertices, ClothMesh.from_surface(fine_vertices, self.cut, warp)
         else:
-            smooth = _apply(self._plain @ self.correction, coarse_vertices)
+            smooth = self.cut_surface(coarse_vertices)
             fine = self.binding.mesh(fine_vertices)
         edges, side_edge = edges_of(self.coarse_faces)
         lengths = np.zeros(len(edges))

@@ -131,7 +131,10 @@ def test_seams_bend_like_cloth(first: int, second: int) -> None:
     assert np.abs((rows * folded[hinges]).sum(axis=1)) == pytest.approx(0.02 * lengths, rel=1e-6)
 
 
-def test_patches_reach_every_fine_vertex(levels: Levels) -> None:
-    patches = Patches.of(levels.subdivision, Charts.of(levels.coarse))
-    assert len(patches.corners) == len(levels.fine.vertices)
-    assert patches.blend.sum(axis=1) == pytest.approx(1.0)
+def test_wrinkles_of_the_middle_mesh_reach_every_fine_vertex(levels: Levels) -> None:
+    subdivision = levels.subdivision
+    assert subdivision.from_middle.shape == (len(levels.fine.vertices), subdivision.middle.fine_count)
+    assert np.asarray(subdivision.from_middle.sum(axis=1)).ravel() == pytest.approx(1.0)
+    both = subdivision.from_middle @ (subdivision.to_middle @ levels.coarse.vertices)
+    assert both == pytest.approx(subdivision.upsample(levels.coarse.vertices), abs=1e-9)
+    assert len(Patches.of(subdivision, Charts.of(levels.coarse)).corners) == subdivision.middle.fine_count

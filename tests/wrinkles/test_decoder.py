@@ -32,8 +32,12 @@ def test_the_upsampler_is_the_matrix(levels: int) -> None:
     subdivision = Subdivision.of(faces, len(vertices), levels)
     position = single(len(vertices), 4)
     fine = single(subdivision.fine_count, 3, seed=1)
-    Upsampler(subdivision)(position, fine)
+    upsample = Upsampler(subdivision)
+    upsample(position, fine)
     np.testing.assert_allclose(fine, subdivision.matrix @ position[:, :3], atol=2e-6)
+    upsample.middle[:] = moved = single(len(upsample.middle), 3, seed=2)
+    upsample.finish(fine)
+    np.testing.assert_allclose(fine, subdivision.from_middle @ moved, atol=2e-6)
 
 
 def test_normals_of_a_sphere_point_outward() -> None:
@@ -80,9 +84,9 @@ class Layer:
 
     def add(self, decoder: Decoder) -> np.ndarray:
         """What the decoder adds to the middle vertices [m], shape (q, 3)."""
-        fine = np.zeros((self.subdivision.middle.fine_count, 3), np.float32)
-        decoder.add(self.position, self.contact, fine)
-        return fine
+        middle = np.zeros((self.subdivision.middle.fine_count, 3), np.float32)
+        decoder.add(self.position, self.contact, middle)
+        return middle
 
 
 @pytest.fixture(scope="module")
@@ -113,13 +117,13 @@ def test_the_decoder_adds_what_the_mapping_predicts(layer: Layer) -> None:
 def test_the_decoder_adds_to_what_is_there_and_keeps_nothing(layer: Layer) -> None:
     decoder = layer.decoder()
     first = layer.add(decoder)
-    fine = first.copy()
-    decoder.add(2.0 * layer.position, layer.contact, fine)  # another state in between
-    assert np.abs(fine - 2.0 * first).max() > 1e-3
+    middle = first.copy()
+    decoder.add(2.0 * layer.position, layer.contact, middle)  # another state in between
+    assert np.abs(middle - 2.0 * first).max() > 1e-3
     assert np.array_equal(layer.add(decoder), first)
-    fine = np.full_like(first, 0.5)
-    decoder.add(layer.position, layer.contact, fine)
-    np.testing.assert_allclose(fine - 0.5, first, atol=1e-6)
+    middle = np.full_like(first, 0.5)
+    decoder.add(layer.position, layer.contact, middle)
+    np.testing.assert_allclose(middle - 0.5, first, atol=1e-6)
 
 
 def test_wrinkles_fade_where_the_state_is_unfamiliar(layer: Layer) -> None:

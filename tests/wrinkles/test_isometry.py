@@ -1,0 +1,94 @@
+"""Edges of the middle mesh keep their lengths."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.pbd.meshes import grid
+from wrinkles.isometry import Isometry, middle_edges
+from wrinkles.levels import Levels, build_levels
+
+NOBODY = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
+
+
+def sheet(held: tuple = (), subdivisions: int = 2) -> Levels:
+    vertices, faces = grid(9, 9, 0.04, "equilateral")
+    return build_levels(vertices, faces, np.array(held, int), *NOBODY, subdivisions)
+
+
+def shares(levels: Levels, middle: np.ndarray) -> np.ndarray:
+    """Lengths of the middle mesh's edges over their rest lengths."""
+    edges, lengths = middle_edges(levels)
+    return np.linalg.norm(middle[edges[:, 1]] - middle[edges[:, 0]], axis=1) / lengths
+
+
+def relaxed(levels: Levels) -> np.ndarray:
+    """Middle vertices of the garment at rest, after so many passes that nothing moves any more."""
+    middle = levels.fine.vertices[: levels.subdivision.middle.fine_count].astype(np.float32)
+    Isometry(levels)(middle, 500)
+    return middle
+
+
+def test_rest_lengths_are_those_along_the_fine_surface() -> None:
+    levels = sheet()
+    edges, lengths = middle_edges(levels)
+    first, count = levels.fine.vertices, levels.subdivision.middle.fine_count
+    between = first[count : count + len(edges)]  # fine vertices are numbered by the edges that they halve
+    ways = sum(np.linalg.norm(first[edges[:, end]] - between, axis=1) for end in (0, 1))
+    share = lengths / ways
+    assert np.median(np.abs(share - 1.0)) < 1e-3 and np.abs(share - 1.0).max() < 0.02
+
+
+@pytest.mark.parametrize("subdivisions", [1, 3])
+def test_other_numbers_of_subdivisions_have_a_middle_mesh_too(subdivisions: int) -> None:
+    levels = sheet(subdivisions=subdivisions)
+    assert len(middle_edges(levels)[1]) == len(middle_edges(sheet())[1])
+    assert np.abs(shares(levels, relaxed(levels)) - 1.0).max() < 0.01
+
+
+def test_what_is_as_long_as_it_should_be_stays() -> None:
+    levels = sheet()
+    middle = relaxed(levels)
+    moved = middle.copy()
+    Isometry(levels)(moved)
+    assert np.abs(moved - middle).max() < 2e-5
+
+
+def test_faint_folds_of_pushed_cloth_grow_and_its_length_comes_back() -> None:
+    levels = sheet()
+    middle = relaxed(levels)
+    across = middle[:, 0] - middle[:, 0].min()
+    height = 0.002 * np.sin(2.0 * np.pi * across / 0.12)
+    middle[:, 0] *= 0.98
+    middle[:, 2] += height.astype(np.float32)
+    grown = middle.copy()
+    Isometry(levels)(grown, 30)
+    before, after = (shares(levels, m).mean() for m in (middle, grown))
+    assert before < 0.995 and 1.0 - after < 0.7 * (1.0 - before)
+    fold = lambda m: (m[:, 2] * height).sum() / (height**2).sum()  # noqa: E731
+    assert fold(middle) == pytest.approx(1.0, abs=1e-3) and fold(grown) > 1.2
+
+
+def test_held_vertices_stay_and_stretched_cloth_comes_back() -> None:
+    held = tuple(range(9))
+    levels = sheet(held)
+    start = levels.fine.vertices[: levels.subdivision.middle.fine_count].astype(np.float32)
+    middle = start * np.float32(1.05)
+    moved = middle.copy()
+    Isometry(levels)(moved)
+    assert np.array_equal(moved[list(held)], middle[list(held)])
+    assert np.median(np.abs(shares(levels, moved) - 1.0)) < 0.7 * 0.05
+
+
+def test_more_passes_come_nearer() -> None:
+    levels = sheet()
+    rng = np.random.default_rng(0)
+    middle = levels.fine.vertices[: levels.subdivision.middle.fine_count]
+    middle = (middle + 0.002 * rng.standard_normal(middle.shape)).astype(np.float32)
+    errors = []
+    for passes in (0, 2, 8):
+        moved = middle.copy()
+        Isometry(levels)(moved, passes)
+        errors.append(np.abs(shares(levels, moved) - 1.0).mean())
+    assert errors[0] > 2.0 * errors[1] and errors[1] > 2.0 * errors[2]
