@@ -278,7 +278,7 @@ class WrinkleSettings:
         seed: seed of every random choice in learning.
     """
 
-    hidden_width: int = entry(whole(at_least=1), 64)
+    hidden_width: int = entry(whole(at_least=1), 96)
     atoms: int = entry(whole(at_least=1), 48)
     seed: int = entry(whole(at_least=0), 0)
 
