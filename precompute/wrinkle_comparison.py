@@ -30,7 +30,7 @@ from wrinkles.spectrum import BandedEnergy
 __all__ = ["WrinkleComparison", "Wrinkles", "compare_wrinkles", "compare_wrinkles_file", "tuned_wrinkle_mesh"]
 
 TUNED_FRAMES = 60  # recorded frames of training motion that wrinkle meshes are tuned on
-RADII, BENDINGS, ITERATIONS = (0.25, 0.5, 1.0), (0.1, 0.5, 1.0), (4, 10)  # that are tried; see WrinkleMeshOptions
+RADII, BENDINGS, ITERATIONS = (0.25, 0.5, 1.0), (0.5, 1.0), (4, 10)  # that are tried; see WrinkleMeshOptions
 
 
 @dataclass(frozen=True)
