@@ -82,17 +82,15 @@ def _seeing(bench: Bench, kept: np.ndarray) -> Way:
     return bench.mapped(lambda features, pose: mapping.predict(features[..., kept]))
 
 
-# Order of the features: see wrinkles.features.
-_OFFSETS = DYNAMIC_COUNT - 18
+_OFFSETS = DYNAMIC_COUNT - 12  # then gravity 3 and distances 9; see wrinkles.features
 
 
-def _without_velocity(bench: Bench) -> Way:
-    own, slip = np.arange(_OFFSETS, _OFFSETS + 3), np.arange(DYNAMIC_COUNT - 3, DYNAMIC_COUNT)
-    return _seeing(bench, np.setdiff1d(np.arange(DYNAMIC_COUNT), [*own, *slip]))
+def _without_gravity(bench: Bench) -> Way:
+    return _seeing(bench, np.setdiff1d(np.arange(DYNAMIC_COUNT), np.arange(_OFFSETS, _OFFSETS + 3)))
 
 
 def _without_body(bench: Bench) -> Way:
-    return _seeing(bench, np.arange(DYNAMIC_COUNT - 12))
+    return _seeing(bench, np.arange(DYNAMIC_COUNT - 9))
 
 
 def _ring(points: int) -> np.ndarray:
@@ -102,10 +100,6 @@ def _ring(points: int) -> np.ndarray:
     reach = np.maximum.outer(steps, steps).ravel()
     kept = np.repeat(reach[reach > 0] <= points, 3)
     return np.flatnonzero(np.concatenate([kept, np.ones(DYNAMIC_COUNT - _OFFSETS, bool)]))
-
-
-def _five_by_five(bench: Bench) -> Way:
-    return _seeing(bench, _ring(2))
 
 
 def _three_by_three(bench: Bench) -> Way:
@@ -119,7 +113,7 @@ def _without_place(bench: Bench) -> Way:
 
 
 def _blended(bench: Bench, blend: np.ndarray) -> Way:
-    """With other weights of the three patches around a fine vertex."""
+    """With other weights of the three patches around a middle vertex."""
     weights = np.ascontiguousarray(blend, np.float32)
     layer = replace(bench.layer, patches=replace(bench.layer.patches, blend=weights))
     data = bench.learn_from(layer)
@@ -127,12 +121,12 @@ def _blended(bench: Bench, blend: np.ndarray) -> Way:
 
 
 def _single_patch(bench: Bench) -> Way:
-    _, place = fine_places(bench.layer.levels.subdivision)
+    _, place = fine_places(bench.layer.levels.subdivision.middle)
     return _blended(bench, np.eye(3)[place.argmax(axis=1)])
 
 
 def _barycentric(bench: Bench) -> Way:
-    return _blended(bench, fine_places(bench.layer.levels.subdivision)[1])
+    return _blended(bench, fine_places(bench.layer.levels.subdivision.middle)[1])
 
 
 def _remembering(bench: Bench, past: np.ndarray, seed: int = 0) -> Mapping:
@@ -253,9 +247,8 @@ def _coarse_model(bench: Bench, squeeze: float, bend_scale: float) -> Way:
 
 ABLATIONS = (
     Ablation("full", "", lambda bench: bench.full),
-    Ablation("features", "without velocity", _without_velocity),
+    Ablation("features", "without gravity", _without_gravity),
     Ablation("features", "without the body", _without_body),
-    Ablation("features", "stencil 5 by 5", _five_by_five),
     Ablation("features", "stencil 3 by 3", _three_by_three),
     Ablation("features", "without place", _without_place),
     Ablation("pairs", "C: both run independently", _independent_pairs),

@@ -16,7 +16,7 @@ from precompute.ablations import (
     _before,
     _ring,
     _without_body,
-    _without_velocity,
+    _without_gravity,
     ablate_file,
     table,
 )
@@ -57,17 +57,16 @@ def test_a_row_is_kept_for_one_database_and_one_way() -> None:
 
 
 def test_what_is_left_out_is_what_is_told() -> None:
-    offsets, rest = np.arange(144), np.arange(144, 162)  # 7 by 7 points without the one in the middle
-    column, row = np.divmod(np.delete(np.arange(49), 24), 7)
-    reach = np.repeat(np.maximum(abs(column - 3), abs(row - 3)), 3)
-    for points in (1, 2):
-        np.testing.assert_array_equal(_ring(points), [*offsets[reach <= points], *rest])
+    offsets, gravity, distances = np.arange(72), np.arange(72, 75), np.arange(75, 84)
+    column, row = np.divmod(np.delete(np.arange(25), 12), 5)  # 5 by 5 points without the one in the middle
+    reach = np.repeat(np.maximum(abs(column - 2), abs(row - 2)), 3)
+    np.testing.assert_array_equal(_ring(1), [*offsets[reach == 1], *gravity, *distances])
     seen = []
     with patch.object(ablations, "_seeing", lambda bench, kept: seen.append(kept)):
-        _without_velocity(None)
+        _without_gravity(None)
         _without_body(None)
-    np.testing.assert_array_equal(seen[0], [*offsets, *range(147, 159)])  # neither its own nor against the body
-    np.testing.assert_array_equal(seen[1], [*offsets, *range(144, 150)])
+    np.testing.assert_array_equal(seen[0], [*offsets, *distances])
+    np.testing.assert_array_equal(seen[1], [*offsets, *gravity])
 
 
 def test_the_past_is_the_frame_before_in_the_same_run() -> None:
@@ -81,4 +80,4 @@ def test_the_past_is_the_frame_before_in_the_same_run() -> None:
 
 def _recording(frames: np.ndarray) -> Recording:
     empty = np.zeros((len(frames), 0))
-    return Recording("run", frames, empty, empty, empty, empty, empty, 1.0)
+    return Recording("run", frames, empty, empty, empty, empty, 1.0)
