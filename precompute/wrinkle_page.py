@@ -63,7 +63,7 @@ def _chart(comparison: WrinkleComparison, figure: str, cost: Callable[[Wrinkles]
         log_x=True,
         log_y=not given,
         bands=[Band(0.0, floor, "floor")],
-        lines=[Line("y", figures(comparison.ways[0])[figure], "smooth")],
+        lines=[Line("y", next(figures(way)[figure] for way in comparison.ways if way.name == "smooth"), "smooth")],
     )
 
 
@@ -97,7 +97,9 @@ def wrinkle_verdict(comparison: WrinkleComparison) -> str:
     """Who is nearest to the truth, in sentences; a rival that wins is named as plainly as ours would be."""
     given = {way.name: way.given[_GIVEN] for way in comparison.ways if way.given}
     free = {way.name: way.free[_FREE] for way in comparison.ways if way.free}
-    told = lambda figures, unit: ", ".join(f"{name} {value:.3g}{unit}" for name, value in figures.items())  # noqa: E731
+    told = lambda figures, unit: ", ".join(  # noqa: E731
+        f"{name} {value:.3g}{unit}" for name, value in sorted(figures.items(), key=lambda item: item[1])
+    )
     return (
         f"Given the coarse state, {min(given, key=given.__getitem__)} is nearest to the truth's normals: "
         f"{told(given, ' deg')}.\n\n"

@@ -324,7 +324,7 @@ def _compare_wrinkles(options: argparse.Namespace) -> Report:
     print(wrinkle_verdict(found))
     print(f"\n{page}")
     rows = wrinkle_rows(found)
-    figures = {name: value for name, value in rows[1].items() if not isinstance(value, str)}
+    figures = {name: value for name, value in rows[0].items() if not isinstance(value, str)}
     return Report(figures, rows)
 
 
