@@ -26,10 +26,18 @@ MODES = 512  # of k-means
 WIDE = (256, 256)
 FOLDS = 5  # pieces of the training motion
 TRIED_PLACES = 12  # where the linear operator's softness is chosen
-SOFTNESS = (10.0, 100.0, 1e3, 1e4)  # of ridge regressions that are tried, in variances of a feature times one sample
-SMOOTHING = (1e-3, 0.1, 10.0)  # of the pose-driven basis
+SOFTNESS = (
+    1.0,
+    10.0,
+    100.0,
+    1e3,
+    1e4,
+)  # of ridge regressions that are tried, in variances of a feature times one sample
+SMOOTHING = (1e-3, 0.1, 10.0, 1e3)  # of the pose-driven basis
 SEEN_COMPONENTS = (8, 32, 128)  # that neighbours are compared by
-KERNELS = tuple((alpha, width) for alpha in (0.01, 0.1, 1.0) for width in (0.02, 0.1, 0.5))  # widths over components
+KERNELS = tuple(
+    (alpha, width) for alpha in (1e-3, 0.01, 0.1, 1.0) for width in (0.1, 0.5, 2.0)
+)  # widths over components
 
 
 @dataclass(frozen=True)
