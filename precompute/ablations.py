@@ -24,8 +24,7 @@ from precompute.ablation_bench import FRAMES, Bench, Way
 from precompute.calibration import filtered
 from precompute.decoding import Predict
 from precompute.held_out import coarse_run
-from precompute.pipeline import EPOCHS, default_cache
-from precompute.recording import record_runs
+from precompute.pipeline import EPOCHS, default_cache, training_recordings
 from precompute.training import (
     coefficients_of,
     features_of,
@@ -204,7 +203,7 @@ def _independent_pairs(bench: Bench) -> Way:
     """Pairs C: learned from the free coarse garment, with the wrinkles of the fine one that ran beside it."""
     runs = [coarse_run(bench.database, run) for run in bench.runs]
     matrix = CoarseFilter(bench.stage.levels).matrix
-    coarse = [filtered(recording, matrix) for recording in record_runs(runs, bench.cache, 2, bench.report)]
+    coarse = [filtered(recording, matrix) for recording in training_recordings(runs, bench.cache, 2, bench.report)]
     features = np.concatenate([features_of(bench.layer, r)[0] for r in spread_frames(coarse, FRAMES)])
     return bench.way(bench.fit(replace(bench.data, features=features)))
 
