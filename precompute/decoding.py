@@ -4,7 +4,6 @@ import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from wrinkles.isometry import Isometry
 
 from pbd import Body
 from precompute.recording import Recording, Run, body_source
@@ -12,6 +11,7 @@ from precompute.training import Layer
 from wrinkles.decoder import Relaxation, Upsampler, add_patches
 from wrinkles.dictionary import Atoms
 from wrinkles.features import DYNAMIC_COUNT
+from wrinkles.isometry import Isometry
 
 __all__ = ["Lift", "Predict", "by_patches", "decode_recording", "lifted_frames"]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from wrinkles.isometry import Isometry
 
 from assets.character import Character
 from assets.sequence import Sequence
@@ -17,6 +16,7 @@ from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Decoder, Relaxation, Upsampler, surface_normals
 from wrinkles.features import Stencil
+from wrinkles.isometry import Isometry
 from wrinkles.levels import Levels, levels_of
 from wrinkles.patches import Patches
 
