@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_matrix, identity
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.sparse.linalg import splu
 
 from assets.remesh import decimated
@@ -23,6 +23,10 @@ __all__ = ["Binding", "bind"]
 ROUNDS = 4  # of binding and fitting
 PLACE_STEP = 2.0**-12  # places are rounded to this share of a face, some micrometres, so that a file holds them exactly
 FLAT_STEP = 2.0**-18  # and the pattern to this [m]
+STRAIGHT = 0.05  # weight of straightness against the places of vertices where the coarse mesh is laid out
+MOST = 4.0  # the pattern is never so many times as long as the smooth surface
+THIN = 0.98  # longest side over the sum of the others, from which a coarse face keeps the smooth surface's sides
+SLIVER = 1e-3  # cut faces below this share of the mean area carry no hinge
 BEYOND = 1.0  # how far outside its border a face still carries vertices, as a share of itself
 
 
@@ -57,6 +61,87 @@ class Binding:
         seams = self._seam_hinges(vertices)
         return replace(made, stitches=self.stitches, stitch_weights=self.stitch_weights, seam_hinges=seams)
 
+    def coarse_lengths(self, coarse: ClothMesh, face: np.ndarray, place: np.ndarray) -> np.ndarray:
+        """Rest lengths of the coarse edges that agree with the pattern [m], shape (e,).
+
+        The coarse mesh is laid out in the plane of the pattern: places of its vertices, linear on each face, that fit
+        those of the fine vertices, and go on straight where there are few. At seams it comes apart: what no edge of a
+        panel joins has vertices of its own. Lengths that are fitted one by one make no flat surface, and what is not
+        flat buckles by itself.
+
+        Args:
+            coarse: the coarse mesh with the rest shape of its smooth surface, for what carries no vertices.
+            face, place: coarse face and weights of each fine vertex, shapes (N,), (N, 3).
+        """
+        faces, count = coarse.faces, len(face)
+        ends = edges_of(self.panels)[0]
+        inside = face[ends[:, 0]] == face[ends[:, 1]]
+        cell_count, cell = _components(count, ends[inside])  # what lies together in one coarse face
+        cell_face = np.zeros(cell_count, np.int64)
+        cell_face[cell] = face
+        pairs = np.unique(np.sort(cell[ends[~inside]], axis=1), axis=0)
+        same = faces[cell_face[pairs[:, 0]]][:, :, None] == faces[cell_face[pairs[:, 1]]][:, None, :]
+        pair, one, other = np.nonzero(same)
+        links = np.stack([3 * pairs[pair, 0] + one, 3 * pairs[pair, 1] + other], axis=1)
+        node_count, node = _components(3 * cell_count, links)
+        node = node.reshape(-1, 3)
+        data = _rows(place, node[cell], node_count)
+        straight = _rows(*self._hinges_between(coarse, cell_face, pairs, node), node_count)
+        left = data.T @ data + STRAIGHT * (straight.T @ straight) + 1e-8 * identity(node_count)
+        laid = splu(left.tocsc()).solve(data.T @ self.flat)
+        corner = laid[node]
+        squares = ((np.roll(corner, -1, axis=1) - corner) ** 2).sum(axis=2)
+        # A vertex or two beside their own part of a panel lie anywhere.
+        share = np.bincount(cell, minlength=cell_count)
+        most = np.zeros(len(faces), np.int64)
+        np.maximum.at(most, cell_face, share)
+        counted = (share >= 3) & (4 * share >= most[cell_face])
+        own = coarse.side_lengths()
+        ratio = np.sqrt(squares) / own[cell_face]
+        counted &= (ratio > 1.0 / MOST).all(axis=1) & (ratio < MOST).all(axis=1)
+        total, weight = np.zeros((2, len(faces), 3))
+        np.add.at(total, cell_face[counted], (share[:, None] * squares)[counted])
+        np.add.at(weight, cell_face[counted], share[counted, None])
+        empty = weight == 0.0
+        total[empty], weight[empty] = own[empty] ** 2, 1.0
+        edges, side_edge = edges_of(faces)
+        mean = lambda sides: np.bincount(side_edge.ravel(), sides.ravel()) / np.bincount(side_edge.ravel())  # noqa: E731
+        lengths, smooth = np.sqrt(mean(total / weight)), mean(own)
+        for _ in range(len(edges)):
+            sides = lengths[side_edge]
+            thin = 2.0 * sides.max(axis=1) > THIN * sides.sum(axis=1)
+            thin &= ~np.isclose(sides, smooth[side_edge]).all(axis=1)
+            if not thin.any():
+                break
+            lengths[side_edge[thin]] = smooth[side_edge[thin]]
+        return lengths
+
+    @staticmethod
+    def _hinges_between(
+        coarse: ClothMesh, cell_face: np.ndarray, pairs: np.ndarray, node: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Rows of the coarse hinges between cells, and the nodes that they act on: shapes (h, 4)."""
+        hinges, rows, _, _ = hinge_rows(coarse)
+        count = len(coarse.vertices)
+        faces = coarse.faces[cell_face]
+        # Its edge and each of the corners that face it tell which two faces a hinge joins.
+        key = lambda corners: (np.sort(corners, axis=1) * np.array([count**2, count, 1], np.int64)).sum(axis=1)  # noqa: E731
+        sides = np.stack(
+            [key(hinges[:, [0, 1, 2]].astype(np.int64)), key(hinges[:, [0, 1, 3]].astype(np.int64))], axis=1
+        )
+        of_cell = key(faces.astype(np.int64))
+        hinge_of = {tuple(side): number for number, side in enumerate(sides.tolist())}
+        found, acting = [], []
+        for a, b in pairs.tolist():
+            for first, second in ((a, b), (b, a)):
+                hinge = hinge_of.get((int(of_cell[first]), int(of_cell[second])))
+                if hinge is not None:
+                    i, j, k, m = hinges[hinge]
+                    at = lambda cell, vertex: node[cell, np.flatnonzero(faces[cell] == vertex)[0]]  # noqa: E731
+                    found.append(rows[hinge])
+                    acting.append([at(first, i), at(first, j), at(first, k), at(second, m)])
+        return np.array(found).reshape(-1, 4), np.array(acting, np.int64).reshape(-1, 4)
+
     def _seam_hinges(self, vertices: np.ndarray) -> Hinges | None:
         """Hinges between the faces on both sides of a seam, but where more than two meet."""
         sewn = self.sewn
@@ -68,7 +153,9 @@ class Binding:
         own = sewn.panel_face[one] == sewn.panel_face[other]
         corners = np.sort(self.panels, axis=1)[sewn.panel_face]
         shared = (corners[one][:, :, None] == corners[other][:, None, :]).sum(axis=(1, 2)) == 2
-        seam = ~own & ~shared
+        sides = sewn.flat[:, 1:] - sewn.flat[:, :1]
+        area = 0.5 * np.abs(np.linalg.det(sides))
+        seam = ~own & ~shared & (np.minimum(area[one], area[other]) > SLIVER * area.mean())
         if not seam.any():
             return None
         # Each hinge from two faces of its own, so that what meets elsewhere does not matter.
@@ -79,6 +166,17 @@ class Binding:
         mesh = ClothMesh.from_pattern(vertices[numbers % len(vertices)], local.reshape(-1, 3), flat)
         hinges, rows, areas, angle = hinge_rows(mesh)
         return Hinges((numbers % len(vertices))[hinges].astype(np.int32), rows, areas, angle)
+
+
+def _components(count: int, links: np.ndarray) -> tuple[int, np.ndarray]:
+    """Number of connected components, and that of each of ``count`` things: int, shape (count,)."""
+    return connected_components(csr_matrix((np.ones(len(links)), tuple(links.T)), (count, count)), directed=False)
+
+
+def _rows(values: np.ndarray, columns: np.ndarray, width: int) -> csr_matrix:
+    """A sparse matrix from the same number of entries in each row, both shape (r, k)."""
+    index = np.repeat(np.arange(len(values)), values.shape[1])
+    return csr_matrix((values.ravel(), (index, columns.ravel())), (len(values), width))
 
 
 def _upright(flat: np.ndarray) -> np.ndarray:

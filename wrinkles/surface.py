@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import csr_matrix, diags, identity
+from scipy.sparse import csr_matrix, identity
 from scipy.sparse.linalg import splu
 
 from pbd import ClothMesh
@@ -202,10 +202,12 @@ class Subdivision:
         lengths = np.zeros(len(edges))
         for path in self._edge_paths(edges):
             lengths += np.linalg.norm(smooth[path[:, 1]] - smooth[path[:, 0]], axis=1)
-        if self.binding is not None:
-            lengths = self._lengths_in_pattern(lengths, side_edge)
         flat = flatten_by_surface(np.asarray(coarse_vertices, float), self.coarse_faces, np.asarray(warp))
         flat = flatten_by_lengths(flat, self.coarse_faces, lengths, side_edge)
+        if self.binding is not None:
+            mesh = ClothMesh(np.asarray(coarse_vertices, float), self.coarse_faces, flat)
+            lengths = self.binding.coarse_lengths(mesh, *self.places)
+            flat = flatten_by_lengths(flat, self.coarse_faces, lengths, side_edge)
         return ClothMesh(np.asarray(coarse_vertices, float), self.coarse_faces, flat), fine
 
     @cached_property
@@ -240,30 +242,6 @@ class Subdivision:
         at = np.zeros(self.coarse_count, np.int64)
         at[self.coarse_faces[face].ravel()[order]] = order // 3  # written last, what leans on it most stays
         return at
-
-    def _lengths_in_pattern(self, lengths: np.ndarray, side_edge: np.ndarray) -> np.ndarray:
-        """Lengths of the coarse edges that fit those of the fine edges in the pattern [m], shape (e,).
-
-        Within a coarse face with sides l, a fine edge whose ends differ by u in their weights has the squared length
-        -(u0 u1 l01^2 + u1 u2 l12^2 + u2 u0 l20^2): linear in the squares.
-
-        Args:
-            lengths: on the smooth surface [m], shape (e,); where little cloth tells, they stay.
-            side_edge: as :func:`pbd.mesh.edges_of` gives it.
-        """
-        assert self.binding is not None
-        face, place = self.places
-        ends = edges_of(self.binding.panels)[0]
-        ends = ends[face[ends[:, 0]] == face[ends[:, 1]]]
-        step = place[ends[:, 1]] - place[ends[:, 0]]
-        wanted = ((self.binding.flat[ends[:, 1]] - self.binding.flat[ends[:, 0]]) ** 2).sum(axis=1)
-        unit = np.maximum(wanted, np.median(wanted))[:, None]
-        values = -step * np.roll(step, -1, axis=1) / unit
-        rows = np.repeat(np.arange(len(ends)), 3)
-        matrix = csr_matrix((values.ravel(), (rows, side_edge[face[ends[:, 0]]].ravel())), (len(ends), len(lengths)))
-        stay = diags(0.1 / lengths**4)
-        squares = splu((matrix.T @ matrix + stay).tocsc()).solve(matrix.T @ (wanted / unit[:, 0]) + 0.1 / lengths**2)
-        return lengths * np.sqrt(np.clip(squares / lengths**2, 0.25, 9.0))
 
     def _edge_paths(self, edges: np.ndarray) -> list[np.ndarray]:
         """Fine edges along each coarse edge: a list of arrays of shape (e, 2)."""
