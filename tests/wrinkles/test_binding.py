@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from assets.garment import boundary_loops
+from assets.seams import Seams
+from pbd import ClothMesh
 from tests.assets.panels import two_panels
+from tests.pbd.meshes import grid
 from wrinkles.binding import PLACE_STEP, Binding, bind
 from wrinkles.charts import Charts, fine_places, leading_vertices
 from wrinkles.decoder import Upsampler
@@ -138,3 +141,39 @@ def test_wrinkles_of_the_middle_mesh_reach_every_fine_vertex(levels: Levels) -> 
     both = subdivision.from_middle @ (subdivision.to_middle @ levels.coarse.vertices)
     assert both == pytest.approx(subdivision.upsample(levels.coarse.vertices), abs=1e-9)
     assert len(Patches.of(subdivision, Charts.of(levels.coarse)).corners) == subdivision.middle.fine_count
+
+
+def angle_defects(mesh: ClothMesh) -> np.ndarray:
+    """What the angles around inner vertices lack to a full turn in the rest shape [rad]."""
+    corner = np.concatenate([np.zeros((len(mesh.faces), 1, 2)), mesh.flat.transpose(0, 2, 1)], axis=1)
+    one, other = np.roll(corner, -1, axis=1) - corner, np.roll(corner, 1, axis=1) - corner
+    cross = one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
+    total = np.bincount(mesh.faces.ravel(), np.arctan2(cross, (one * other).sum(axis=2)).ravel())
+    inner = np.setdiff1d(np.arange(len(total)), np.concatenate(boundary_loops(mesh.faces)))
+    return 2.0 * np.pi - total[inner]
+
+
+def test_the_coarse_rest_shape_is_as_flat_as_the_pattern(levels: Levels) -> None:
+    assert np.degrees(np.abs(angle_defects(levels.coarse))).max() < 15.0
+    assert np.median(np.abs(angle_defects(levels.coarse))) < 1e-9  # only where the seam is does it give
+
+
+def test_a_panel_that_is_sewn_to_itself_closes_to_a_tube() -> None:
+    """Its ends lie far apart in the pattern, and side by side on the body."""
+    around, along, radius = 48, 24, 0.1
+    flat, faces = grid(around, along, 1.0)
+    flat = flat[:, :2] * [2.0 * np.pi * radius / around, 0.3 / along]
+    turn = flat[:, 0] / radius
+    vertices = np.stack([radius * np.sin(turn), flat[:, 1], radius * np.cos(turn)], axis=1)
+    first = np.arange(along + 1)
+    last = around * (along + 1) + first
+    side = np.where(first < along, first + 1, first - 1)
+    seams = Seams(np.stack([last, first, side], axis=1).astype(np.int32), np.zeros(along + 1))
+    coarse, subdivision = bind(vertices, faces, flat, seams, 120, 2)
+    assert len(boundary_loops(subdivision.coarse_faces)) == 2
+    mesh, fine = subdivision.meshes(coarse)
+    edges, rest = mesh.edge_lengths()
+    chord = np.linalg.norm(coarse[edges[:, 0]] - coarse[edges[:, 1]], axis=1)
+    assert 0.8 < (rest / chord).min() < (rest / chord).max() < 1.25
+    assert mesh.face_areas.sum() == pytest.approx(fine.face_areas.sum(), rel=0.03)
+    assert np.degrees(np.abs(angle_defects(mesh))).max() < 12.0
