@@ -4,13 +4,17 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from pbd import InputError
-from precompute.evaluation import levels_from
-from precompute.pipeline import Precomputed, default_cache, precompute
+from precompute import pipeline
+from precompute.evaluation import judged_from, levels_from, settled
+from precompute.pipeline import Precomputed, default_cache, precompute, training_recordings
+from precompute.recording import Recording, Run
 from runtime.player import Player
 from runtime.stage import Stage, scene_of
 from tests.data import ROOT
@@ -149,6 +153,25 @@ def test_a_held_out_clip_that_is_trained_on_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"training\.held_out: a held-out clip is trained on.*builtin:mannequin: walk"):
         precompute(both, tmp_path / "db.h5")
     assert not list(tmp_path.iterdir())
+
+
+def test_parts_of_a_clip_that_overlap_are_refused(tmp_path: Path) -> None:
+    clip = 'file = "builtin:mannequin"\nclip = "walk"\n'
+    learned = f"[[training.clips]]\n{clip}end = 1.5\nspeed = 0.5\n\n[[training.held_out]]\nstart = 1.0\n"
+    with pytest.raises(InputError, match=r"a held-out clip is trained on.*builtin:mannequin: walk 1- s"):
+        precompute(scene(SCENE.replace("[[training.held_out]]\n", learned)), tmp_path / "db.h5")
+
+
+def test_what_leads_to_a_motion_is_neither_learned_from_nor_judged(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = np.zeros((8, 1))
+    recording = Recording("late", 2 * np.arange(1, 9), rows, rows, rows, rows, rows, 1.0)
+    monkeypatch.setattr(pipeline, "record_runs", lambda runs, *_: [recording for _ in runs])
+    runs = [cast(Run, SimpleNamespace(dt=0.25, lead_in=lead_in)) for lead_in in (0.0, 2.0)]
+    whole, late = training_recordings(runs, Path(), 1)
+    assert whole.frames.tolist() == recording.frames.tolist()
+    assert late.frames.tolist() == [10, 12, 14, 16]
+    assert [judged_from(run) for run in runs] == [1.5, 2.0]
+    assert settled(recording, runs[1]).frames.tolist() == [10, 12, 14, 16]
 
 
 def test_a_scene_with_nothing_to_learn_from_is_refused(tmp_path: Path) -> None:
