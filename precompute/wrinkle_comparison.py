@@ -149,8 +149,7 @@ def tuned_wrinkle_mesh(layer: Layer, run: Run, recording: Recording) -> WrinkleM
         run: a fine training run.
         recording: some frames of it, one after the other.
     """
-    fine = layer.levels.fine
-    bands = BandedEnergy(fine.vertices, fine.faces)
+    bands = BandedEnergy(layer.levels.rest_vertices, layer.levels.fine.faces)
     wanted = bands.energy(recording.positions).mean(axis=0)
 
     def error(options: WrinkleMeshOptions) -> float:

@@ -26,6 +26,7 @@ FLAT_STEP = 2.0**-18  # and the pattern to this [m]
 STRAIGHT = 0.05  # weight of straightness against the places of vertices where the coarse mesh is laid out
 MOST = 4.0  # the pattern is never so many times as long as the smooth surface
 THIN = 0.98  # longest side over the sum of the others, from which a coarse face keeps the smooth surface's sides
+STRAY = 12  # fewer vertices that no edge of a panel joins to others tell nothing of lengths
 SLIVER = 1e-3  # cut faces below this share of the mean area carry no hinge
 BEYOND = 1.0  # how far outside its border a face still carries vertices, as a share of itself
 
@@ -91,11 +92,12 @@ class Binding:
         laid = splu(left.tocsc()).solve(data.T @ self.flat)
         corner = laid[node]
         squares = ((np.roll(corner, -1, axis=1) - corner) ** 2).sum(axis=2)
-        # A vertex or two beside their own part of a panel lie anywhere.
+        # A few vertices beside their own part of a panel lie anywhere.
         share = np.bincount(cell, minlength=cell_count)
+        together = _components(cell_count, pairs)[1]
         most = np.zeros(len(faces), np.int64)
         np.maximum.at(most, cell_face, share)
-        counted = (share >= 3) & (4 * share >= most[cell_face])
+        counted = (np.bincount(together, share)[together] >= STRAY) & (4 * share >= most[cell_face])
         own = coarse.side_lengths()
         ratio = np.sqrt(squares) / own[cell_face]
         counted &= (ratio > 1.0 / MOST).all(axis=1) & (ratio < MOST).all(axis=1)
