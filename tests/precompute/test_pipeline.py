@@ -164,7 +164,7 @@ def test_parts_of_a_clip_that_overlap_are_refused(tmp_path: Path) -> None:
 
 def test_what_leads_to_a_motion_is_neither_learned_from_nor_judged(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = np.zeros((8, 1))
-    recording = Recording("late", 2 * np.arange(1, 9), rows, rows, rows, rows, rows, 1.0)
+    recording = Recording("late", 2 * np.arange(1, 9), rows, rows, rows, rows, 1.0)
     monkeypatch.setattr(pipeline, "record_runs", lambda runs, *_: [recording for _ in runs])
     runs = [cast(Run, SimpleNamespace(dt=0.25, lead_in=lead_in)) for lead_in in (0.0, 2.0)]
     whole, late = training_recordings(runs, Path(), 1)
