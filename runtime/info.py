@@ -126,7 +126,12 @@ def _sections(database: WrinkleDatabase, figures: Mapping[str, float]) -> Iterat
                 "coarse",
                 f"{coarse} vertices, {len(database.coarse_faces)} faces, {len(database.held)} vertices attached",
             ),
-            ("fine", f"{fine} vertices, {'bound to ' if database.binding else ''}{database.subdivisions} subdivisions"),
+            (
+                "fine",
+                f"{fine} vertices"
+                + (" delivered, bound to" if database.binding else " of")
+                + f" {database.subdivisions} subdivisions",
+            ),
             ("body", f"{database.body_vertex_count} vertices, hash {database.body_hash[:12]}"),
         ],
     )
