@@ -36,6 +36,8 @@ from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import code_version
 from wrinkles.dictionary import Mapping
 from wrinkles.features import DYNAMIC_COUNT
+from wrinkles.patches import Patches
+from wrinkles.surface import Subdivision
 
 __all__ = ["ABLATIONS", "COLUMNS", "Ablation", "ablate_file", "table"]
 
@@ -111,21 +113,25 @@ def _without_place(bench: Bench) -> Way:
     return bench.way(bench.fit(bench.data, layer))
 
 
-def _blended(bench: Bench, blend: np.ndarray) -> Way:
-    """With other weights of the three patches around a middle vertex."""
-    weights = np.ascontiguousarray(blend, np.float32)
-    layer = replace(bench.layer, patches=replace(bench.layer.patches, blend=weights))
+def _blended(bench: Bench, blend: Callable[[np.ndarray], np.ndarray]) -> Way:
+    """With other weights of the three patches around a vertex, made from its barycentric weights."""
+
+    def changed(patches: Patches, mesh: Subdivision) -> Patches:
+        return replace(patches, blend=np.ascontiguousarray(blend(fine_places(mesh)[1]), np.float32))
+
+    layer, whole = bench.layer, bench.layer.levels.subdivision
+    fine, middle = changed(layer.patches, whole), changed(layer.middle_patches, whole.middle)
+    layer = replace(layer, patches=fine, middle_patches=middle)
     data = bench.learn_from(layer)
     return bench.way(bench.fit(data, layer), layer, data.atoms)
 
 
 def _single_patch(bench: Bench) -> Way:
-    _, place = fine_places(bench.layer.levels.subdivision.middle)
-    return _blended(bench, np.eye(3)[place.argmax(axis=1)])
+    return _blended(bench, lambda place: np.eye(3)[place.argmax(axis=1)])
 
 
 def _barycentric(bench: Bench) -> Way:
-    return _blended(bench, fine_places(bench.layer.levels.subdivision.middle)[1])
+    return _blended(bench, lambda place: place)
 
 
 def _remembering(bench: Bench, past: np.ndarray, seed: int = 0) -> Mapping:

@@ -25,14 +25,13 @@ features and frames of the coarse vertices, float32, shapes (n, DYNAMIC_COUNT) a
 
 def by_patches(layer: Layer, predict: Predict, atoms: Atoms) -> Lift:
     """Wrinkles from patches whose coefficients a mapping gives."""
-    patches, keep_lengths = layer.patches, Isometry(layer.levels)
+    keep_lengths = Isometry(layer.levels)
 
     def lift(fine: np.ndarray, upsample: Upsampler, features: np.ndarray, frames: np.ndarray, pose: np.ndarray) -> None:
         grids = (predict(features, pose) @ atoms.shapes + atoms.mean).astype(np.float32)
-        middle = upsample.middle
-        add_patches(grids, frames, patches.corners, patches.blend, patches.cell, patches.within, middle)
-        keep_lengths(middle)
-        upsample.finish(fine)
+        for p, surface in ((layer.patches, fine), (layer.middle_patches, upsample.middle)):
+            add_patches(grids, frames, p.corners, p.blend, p.cell, p.within, surface)
+        keep_lengths(upsample.middle, fine)
 
     return lift
 

@@ -6,8 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import diags
-from scipy.sparse.linalg import splu
 
 from precompute.recording import Recording
 from wrinkles.charts import Charts
@@ -28,8 +26,6 @@ __all__ = [
     "training_set",
 ]
 
-STAY = 1e-3
-
 
 @dataclass(frozen=True)
 class Layer:
@@ -38,12 +34,14 @@ class Layer:
     levels: Levels
     stencil: Stencil
     patches: Patches
+    middle_patches: Patches
 
 
 def build_layer(levels: Levels) -> Layer:
     """Charts, stencil and patches of a garment."""
     charts = Charts.of(levels.coarse)
-    return Layer(levels, Stencil.of(charts, levels.coarse_held), Patches.of(levels.subdivision, charts))
+    fine, middle = (Patches.of(one, charts) for one in (levels.subdivision, levels.subdivision.middle))
+    return Layer(levels, Stencil.of(charts, levels.coarse_held), fine, middle)
 
 
 def features_of(layer: Layer, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
@@ -119,18 +117,9 @@ def _patch_reader(layer: Layer, recordings: Sequence[Recording]) -> tuple[np.nda
 
 
 def residual_of(layer: Layer, recording: Recording) -> np.ndarray:
-    """What middle vertices must move by so that the fine ones are nearest to the recorded ones, least squares.
-
-    Returns:
-        [m], float32, shape (f, q, 3).
-    """
-    subdivision = layer.levels.subdivision
-    down = subdivision.from_middle
-    lacking = recording.positions - np.stack([subdivision.upsample(frame) for frame in recording.coarse])
-    columns = np.moveaxis(lacking, 1, 0).reshape(lacking.shape[1], -1)
-    stay = diags(np.full(down.shape[1], STAY))  # what carries no fine vertex stays
-    found = splu((down.T @ down + stay).tocsc()).solve(down.T @ columns)
-    return np.moveaxis(found.reshape(len(found), -1, 3), 0, 1).astype(np.float32)
+    """Fine positions less the smooth surface of their coarse ones [m], float32, shape (f, N, 3)."""
+    smooth = np.stack([layer.levels.subdivision.upsample(frame) for frame in recording.coarse])
+    return (recording.positions - smooth).astype(np.float32)
 
 
 def _patches(residual: np.ndarray, frames: np.ndarray, fits: list, i: int) -> np.ndarray:

@@ -229,10 +229,10 @@ def check_database(path: str | Path) -> list[Check]:
         detail = f"{model.vertex_count} vertices, {1e3 * model.mass.sum():.0f} g, {len(model.hinges)} hinges"
         checks.append(Check("coarse model", True, detail))
         charts = Charts.of(coarse)
-        patches = Patches.of(subdivision, charts)
-        checks.append(_check_patches(patches, subdivision.middle.fine_count))
+        patches, middle_patches = Patches.of(subdivision, charts), Patches.of(subdivision.middle, charts)
+        checks.append(_check_patches(patches, subdivision.fine_count))
         stencil = Stencil.of(charts, database.held)
-        decoder = Decoder(stencil, patches, database.mapping, database.atoms, database.unfamiliarity)
+        decoder = Decoder(stencil, patches, middle_patches, database.mapping, database.atoms, database.unfamiliarity)
         state, torn = State.at_rest(model), State.at_rest(model)
         rng, edge = np.random.default_rng(0), float(coarse.edge_lengths()[1].mean())
         torn.position[:, :3] += rng.normal(0.0, edge, coarse.vertices.shape)
@@ -256,10 +256,10 @@ def _check_areas(coarse: ClothMesh, fine: ClothMesh) -> Check:
 
 
 def _check_patches(patches: Patches, count: int) -> Check:
-    """Blending weights of every middle vertex: none below zero, and together one."""
+    """Blending weights of every fine vertex: none below zero, and together one."""
     off = float(np.abs(patches.blend.sum(axis=1) - 1.0).max())
     whole = len(patches.blend) == count and patches.blend.min() >= 0.0 and off < 1e-5
-    return Check("patches", bool(whole), f"{len(patches.blend)} middle vertices, weights add up to 1 within {off:.1g}")
+    return Check("patches", bool(whole), f"{len(patches.blend)} fine vertices, weights add up to 1 within {off:.1g}")
 
 
 def _check_decoding(
@@ -267,9 +267,9 @@ def _check_decoding(
 ) -> Check:
     """Decode a garment far from any body: finite, and no wrinkle higher than the longest is long."""
     state.contact[:, 0] = FAR
-    vertices = np.zeros((subdivision.middle.fine_count, 3), np.float32)
+    vertices, middle = (np.zeros((mesh.fine_count, 3), np.float32) for mesh in (subdivision, subdivision.middle))
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is reported below
-        decoder.add(state.position, state.contact, vertices)
+        decoder.add(state.position, state.contact, vertices, middle)
         height = float(np.linalg.norm(vertices, axis=1).max())
     detail = f"wrinkles up to {1e3 * height:.1f} mm, cut-off {1e3 * database.cutoff:.0f} mm"
     return Check(name, bool(height < database.cutoff), detail)

@@ -63,11 +63,14 @@ class Player:
         model = build_model(self.levels.coarse, database.fabric, database.held, database.options, database.bend_factor)
         self.simulation = Simulation(model, self.levels.coarse_attachment, source, pose, database.solver, primitives)
         charts = Charts.of(self.levels.coarse)
-        patches = Patches.of(self.levels.subdivision, charts)
+        subdivision = self.levels.subdivision
+        patches, middle_patches = Patches.of(subdivision, charts), Patches.of(subdivision.middle, charts)
         self._filter = CoarseFilter(self.levels)
         self._upsample = Upsampler(self.levels.subdivision)
         stencil = Stencil.of(charts, database.held)
-        self._decoder = Decoder(stencil, patches, database.mapping, database.atoms, database.unfamiliarity)
+        self._decoder = Decoder(
+            stencil, patches, middle_patches, database.mapping, database.atoms, database.unfamiliarity
+        )
         self._keep_lengths = Isometry(self.levels)
         self._surface_normals = Launch(surface_normals)
         self._faces, self._stands_for = self.levels.subdivision.faces, self.levels.subdivision.stands_for
@@ -144,10 +147,10 @@ class Player:
             self._body_between += body.previous
             current = self._body_between
         position = self._filter(position)
-        self._upsample.begin(position)
-        self._decoder.add(position, state.contact, self._upsample.middle)
-        self._keep_lengths(self._upsample.middle)
-        self._upsample.finish(self.vertices)
+        middle = self._upsample.middle
+        self._upsample(position, self.vertices)
+        self._decoder.add(position, state.contact, self.vertices, middle)
+        self._keep_lengths(middle, self.vertices)
         decoded = time.perf_counter()
         targets = self.levels.fine_attachment.targets(current)
         frames = self._decoder.frames

@@ -1,7 +1,6 @@
 """The runtime half of the wrinkle layer: coarse state in, fine vertices and normals out; nothing allocated a frame."""
 
 import numpy as np
-from scipy.sparse import csr_matrix
 from threadpoolctl import ThreadpoolController
 
 from pbd.colliders import Body
@@ -26,7 +25,7 @@ from wrinkles.dictionary import CLIP, Atoms, Mapping
 from wrinkles.features import DYNAMIC_COUNT, Stencil
 from wrinkles.levels import Levels
 from wrinkles.patches import NODES, SIDE, Patches
-from wrinkles.surface import Subdivision
+from wrinkles.surface import Subdivision, csr_arrays
 from wrinkles.unfamiliarity import Unfamiliarity
 
 __all__ = ["Decoder", "Relaxation", "Upsampler", "add_patches", "surface_normals"]
@@ -62,11 +61,11 @@ def _to_fine(start: Int1, index: Int1, value: Float1, middle: Vec3, fine: Vec3):
 
 
 @ti.kernel
-def add_patches(grids: Float2, frames: Float2, corners: Int3, blend: Vec3, cell: Int3, within: Float2, middle: Vec3):
-    """Blend what the three patches around a middle vertex say, each turned from its own frame into space."""
+def add_patches(grids: Float2, frames: Float2, corners: Int3, blend: Vec3, cell: Int3, within: Float2, fine: Vec3):
+    """Blend what the three patches around a fine vertex say, each turned from its own frame into space."""
     ti.loop_config(serialize=True)
     for _ in range(1):
-        for i in range(middle.shape[0]):
+        for i in range(fine.shape[0]):
             total = vec3(0.0)
             for c in ti.static(range(3)):
                 weight = blend[i][c]
@@ -81,43 +80,29 @@ def add_patches(grids: Float2, frames: Float2, corners: Int3, blend: Vec3, cell:
                         )
                     for a in ti.static(range(3)):
                         total[a] += weight * (d[0] * frames[j, a] + d[1] * frames[j, 3 + a] + d[2] * frames[j, 6 + a])
-            middle[i] += total
+            fine[i] += total
 
 
 class Upsampler:
-    """Fine positions from a coarse state in two sparse steps; on the middle mesh between them wrinkles are written.
+    """Smooth fine positions from a coarse state in two sparse steps.
 
     Args:
         subdivision: between the meshes.
 
     Attributes:
-        middle: vertices of the coarse mesh cut once [m], float32, shape (q, 3).
+        middle: vertices of the coarse mesh cut once, between both steps [m], float32, shape (q, 3).
     """
 
     def __init__(self, subdivision: Subdivision) -> None:
         ensure_initialized()
-        self._first, self._second = _csr(subdivision.to_middle), _csr(subdivision.from_middle)
+        self._first, self._second = csr_arrays(subdivision.to_middle), csr_arrays(subdivision.from_middle)
         self.middle = np.zeros((subdivision.middle.fine_count, 3), np.float32)
         self._to_middle, self._to_fine = Launch(_to_middle), Launch(_to_fine)
 
     def __call__(self, position: np.ndarray, fine: np.ndarray) -> None:
         """Write smooth fine positions (float32, shape (N, 3)) of coarse ones (float32, shape (n, 4)) [m]."""
-        self.begin(position)
-        self.finish(fine)
-
-    def begin(self, position: np.ndarray) -> None:
-        """Put the middle vertices on the smooth surface of coarse ones (float32, shape (n, 4)) [m]."""
         self._to_middle(*self._first, position, self.middle)
-
-    def finish(self, fine: np.ndarray) -> None:
-        """Write fine positions (float32, shape (N, 3)) [m] of the middle vertices."""
         self._to_fine(*self._second, self.middle, fine)
-
-
-def _csr(matrix: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    matrix = matrix.tocsr()
-    matrix.sort_indices()
-    return matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32), matrix.data.astype(np.float32)
 
 
 class Decoder:
@@ -125,7 +110,7 @@ class Decoder:
 
     Args:
         stencil: what is read of the coarse garment.
-        patches: how grids reach the middle vertices.
+        patches, middle_patches: how grids reach the vertices of the fine and of the middle mesh.
         mapping: features to coefficients.
         atoms: coefficients to grids.
         unfamiliarity: fades wrinkles where the coarse state is unlike what was learned from.
@@ -135,9 +120,16 @@ class Decoder:
     """
 
     def __init__(
-        self, stencil: Stencil, patches: Patches, mapping: Mapping, atoms: Atoms, unfamiliarity: Unfamiliarity
+        self,
+        stencil: Stencil,
+        patches: Patches,
+        middle_patches: Patches,
+        mapping: Mapping,
+        atoms: Atoms,
+        unfamiliarity: Unfamiliarity,
     ) -> None:
-        self.stencil, self.patches, self.mapping, self.unfamiliarity = stencil, patches, mapping, unfamiliarity
+        self.stencil, self.mapping, self.unfamiliarity = stencil, mapping, unfamiliarity
+        self.patches, self.middle_patches = patches, middle_patches
         self.amplitude = np.ones(len(stencil.corners), np.float32)
         count, (width_1, width_2) = len(stencil.corners), mapping.weights_2.shape
         self.frames = np.zeros((count, 9), np.float32)
@@ -148,19 +140,25 @@ class Decoder:
         self._grids = np.zeros((count, 3 * NODES), np.float32)
         self._shapes = np.ascontiguousarray(atoms.shapes)
         self._mean = atoms.mean
-        self._add_patches = Launch(add_patches)
+        self._add_to_fine, self._add_to_middle = Launch(add_patches), Launch(add_patches)
         self._blas = ThreadpoolController()
 
-    def add(self, position: np.ndarray, contact: np.ndarray, middle: np.ndarray) -> None:
-        """Add wrinkles to ``middle`` (float32, shape (q, 3)) for a coarse state as in :class:`pbd.State`."""
+    def add(self, position: np.ndarray, contact: np.ndarray, fine: np.ndarray, middle: np.ndarray) -> None:
+        """Add wrinkles to fine and middle vertices for a coarse state.
+
+        Args:
+            position, contact: of the coarse garment, as in :class:`pbd.State`.
+            fine, middle: [m], float32, shapes (N, 3), (q, 3); changed in place.
+        """
         m = self.mapping
         z = self.features
         self.stencil.gather(position, contact, self.frames, z, m.center, m.scale, CLIP)
         # Matrices this small are slower on more threads, by far beside other work, and their bits would depend on it.
         with self._blas.limit(limits=1, user_api="blas"):
             self._mix()
-        p = self.patches
-        self._add_patches(self._grids, self.frames, p.corners, p.blend, p.cell, p.within, middle)
+        p, q = self.patches, self.middle_patches
+        self._add_to_fine(self._grids, self.frames, p.corners, p.blend, p.cell, p.within, fine)
+        self._add_to_middle(self._grids, self.frames, q.corners, q.blend, q.cell, q.within, middle)
 
     def _mix(self) -> None:
         """The network: features to grids."""

@@ -3,16 +3,16 @@
 What cannot be told is left out by the mapping, and the length of the folds that it leaves out is missing. Edges that
 are too short push apart and those that are too long pull together; folds that are there grow by that, as in wrinkle
 meshes (Mueller and Chentanez 2010), but from a first guess that is learned. On the fine mesh the same makes zigzags,
-edge by edge; the middle mesh has no room for them.
+edge by edge; the middle mesh has no room for them, and what it moves by is spread to the fine one by Loop's rule.
 """
 
 import numpy as np
 
 from pbd.engine import Launch, ensure_initialized, ti
-from pbd.geometry import Float1, Int2, Vec3
+from pbd.geometry import Float1, Int1, Int2, Vec3, vec3
 from pbd.mesh import greedy_colors
 from wrinkles.levels import Levels, held_between
-from wrinkles.surface import Subdivision
+from wrinkles.surface import Subdivision, csr_arrays
 
 __all__ = ["Isometry", "middle_edges"]
 
@@ -34,6 +34,19 @@ def _keep_lengths(vertices: Vec3, inverse_mass: Float1, edges: Int2, lengths: Fl
                 vertices[j] -= inverse_mass[j] * d
 
 
+@ti.kernel
+def _spread(start: Int1, index: Int1, value: Float1, before: Vec3, middle: Vec3, fine: Vec3):
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        for i in range(middle.shape[0]):
+            before[i] = middle[i] - before[i]
+        for i in range(fine.shape[0]):
+            total = vec3(0.0)
+            for q in range(start[i], start[i + 1]):
+                total += value[q] * before[index[q]]
+            fine[i] += total
+
+
 class Isometry:
     """Sweeps over the edges of the middle mesh, both ways; held vertices stay.
 
@@ -52,11 +65,20 @@ class Isometry:
         order = np.argsort(greedy_colors(edges, middle.fine_count), kind="stable")
         self._edges = np.ascontiguousarray(edges[order], np.int32)
         self._lengths = lengths[order].astype(np.float32)
-        self._keep_lengths = Launch(_keep_lengths)
+        self._from_middle = csr_arrays(levels.subdivision.from_middle)
+        self._before = np.zeros((middle.fine_count, 3), np.float32)
+        self._keep_lengths, self._spread = Launch(_keep_lengths), Launch(_spread)
 
-    def __call__(self, middle: np.ndarray, passes: int = PASSES) -> None:
-        """Bring middle vertices (float32, shape (q, 3)) [m] nearer to their edges' lengths, in place."""
+    def __call__(self, middle: np.ndarray, fine: np.ndarray, passes: int = PASSES) -> None:
+        """Bring the edges of the middle mesh nearer to their lengths, and move the fine mesh along.
+
+        Args:
+            middle, fine: [m], float32, shapes (q, 3), (N, 3); changed in place.
+            passes: sweeps over all edges.
+        """
+        self._before[:] = middle
         self._keep_lengths(middle, self._inverse_mass, self._edges, self._lengths, passes)
+        self._spread(*self._from_middle, self._before, middle, fine)
 
 
 def middle_edges(levels: Levels) -> tuple[np.ndarray, np.ndarray]:

@@ -12,15 +12,15 @@ from wrinkles.surface import Subdivision
 
 __all__ = ["NODES", "Patches", "slope_metric"]
 
-SIDE = 7
+SIDE = 11
 NODES = SIDE * SIDE
 REACH = 1.1  # of a patch's blend, in coarse edges
-CELLS_PER_SPACING = 2  # a coarse edge is as long as two grid cells: the edges of the middle mesh
+CELLS_PER_SPACING = 4  # a coarse edge is as long as four grid cells: the fine edges of two subdivisions
 
 
 @dataclass(frozen=True)
 class Patches:
-    """Where each vertex of the middle mesh (the coarse one cut once) reads the grids of the coarse vertices around it.
+    """Where each fine vertex reads the grids of the three coarse vertices around it.
 
     Attributes:
         corners: coarse vertices, int32, shape (N, 3).
@@ -38,10 +38,10 @@ class Patches:
 
     @classmethod
     def of(cls, subdivision: Subdivision, charts: Charts) -> Patches:
-        """Patches of a garment."""
+        """Patches of a garment, for the vertices of its fine mesh."""
         mesh: ClothMesh = charts.mesh
         spacing = float(mesh.edge_lengths()[1].mean()) / CELLS_PER_SPACING
-        face, place = fine_places(subdivision.middle)
+        face, place = fine_places(subdivision)
         grid = charts.locate(face, place) / spacing + SIDE // 2
         grid = np.clip(grid, 0.0, SIDE - 1 - 1e-5)
         lower = grid.astype(np.int64)
@@ -55,10 +55,10 @@ class Patches:
         )
 
     def fits(self, coarse_count: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """For each coarse vertex the middle vertices of its patch and the matrix that fits a grid to values there.
+        """For each coarse vertex the fine vertices of its patch and the matrix that fits a grid to values there.
 
         Returns:
-            a list of (middle vertices int, shape (k,); matrix, shape (NODES, k)): least squares with bilinear reading,
+            a list of (fine vertices int, shape (k,); matrix, shape (NODES, k)): least squares with bilinear reading,
             weighted by the blend, smooth where no vertex is.
         """
         smooth = 1e-3 * _second_differences()
@@ -76,7 +76,7 @@ class Patches:
         return result
 
     def _bilinear(self, vertex: np.ndarray, corner: np.ndarray) -> np.ndarray:
-        """Matrix that reads grid values at middle vertices, shape (k, NODES)."""
+        """Matrix that reads grid values at fine vertices, shape (k, NODES)."""
         rows = np.arange(len(vertex))
         node = self.cell[vertex, corner]
         u = self.within[vertex, 2 * corner].astype(float)

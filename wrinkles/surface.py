@@ -16,7 +16,7 @@ from pbd.mesh import edges_of, flatten_by_lengths, flatten_by_surface
 if TYPE_CHECKING:
     from wrinkles.binding import Binding
 
-__all__ = ["Subdivision", "loop_step"]
+__all__ = ["Subdivision", "csr_arrays", "loop_step"]
 
 
 def loop_step(faces: np.ndarray, vertex_count: int) -> tuple[csr_matrix, np.ndarray]:
@@ -267,3 +267,10 @@ def _apply(matrix: csr_matrix, values: np.ndarray) -> np.ndarray:
     columns = np.moveaxis(values, -2, 0).reshape(values.shape[-2], -1)
     result = (matrix @ columns).reshape(matrix.shape[0], *values.shape[:-2], 3)
     return np.moveaxis(result, 0, -2)
+
+
+def csr_arrays(matrix: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Row starts, columns (int32) and values (float32) of a sparse matrix, for kernels."""
+    matrix = matrix.tocsr()
+    matrix.sort_indices()
+    return matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32), matrix.data.astype(np.float32)

@@ -140,7 +140,9 @@ def test_wrinkles_of_the_middle_mesh_reach_every_fine_vertex(levels: Levels) -> 
     assert np.asarray(subdivision.from_middle.sum(axis=1)).ravel() == pytest.approx(1.0)
     both = subdivision.from_middle @ (subdivision.to_middle @ levels.coarse.vertices)
     assert both == pytest.approx(subdivision.upsample(levels.coarse.vertices), abs=1e-9)
-    assert len(Patches.of(subdivision, Charts.of(levels.coarse)).corners) == subdivision.middle.fine_count
+    for mesh in (subdivision, subdivision.middle):
+        patches = Patches.of(mesh, Charts.of(levels.coarse))
+        assert len(patches.corners) == mesh.fine_count and patches.blend.sum(axis=1) == pytest.approx(1.0)
 
 
 def angle_defects(mesh: ClothMesh) -> np.ndarray:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.pbd.meshes import grid
-from wrinkles.isometry import Isometry, middle_edges
+from wrinkles.isometry import PASSES, Isometry, middle_edges
 from wrinkles.levels import Levels, build_levels
 
 NOBODY = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
@@ -23,10 +23,17 @@ def shares(levels: Levels, middle: np.ndarray) -> np.ndarray:
     return np.linalg.norm(middle[edges[:, 1]] - middle[edges[:, 0]], axis=1) / lengths
 
 
+def keep_lengths(levels: Levels, middle: np.ndarray, passes: int = PASSES) -> np.ndarray:
+    """Relax middle vertices in place; what the fine ones moved by [m], shape (N, 3)."""
+    fine = np.zeros((levels.subdivision.fine_count, 3), np.float32)
+    Isometry(levels)(middle, fine, passes)
+    return fine
+
+
 def relaxed(levels: Levels) -> np.ndarray:
     """Middle vertices of the garment at rest, after so many passes that nothing moves any more."""
     middle = levels.fine.vertices[: levels.subdivision.middle.fine_count].astype(np.float32)
-    Isometry(levels)(middle, 500)
+    keep_lengths(levels, middle, 500)
     return middle
 
 
@@ -51,7 +58,7 @@ def test_what_is_as_long_as_it_should_be_stays() -> None:
     levels = sheet()
     middle = relaxed(levels)
     moved = middle.copy()
-    Isometry(levels)(moved)
+    keep_lengths(levels, moved)
     assert np.abs(moved - middle).max() < 2e-5
 
 
@@ -63,7 +70,7 @@ def test_faint_folds_of_pushed_cloth_grow_and_its_length_comes_back() -> None:
     middle[:, 0] *= 0.98
     middle[:, 2] += height.astype(np.float32)
     grown = middle.copy()
-    Isometry(levels)(grown, 30)
+    keep_lengths(levels, grown, 30)
     before, after = (shares(levels, m).mean() for m in (middle, grown))
     assert before < 0.995 and 1.0 - after < 0.7 * (1.0 - before)
     fold = lambda m: (m[:, 2] * height).sum() / (height**2).sum()  # noqa: E731
@@ -76,7 +83,7 @@ def test_held_vertices_stay_and_stretched_cloth_comes_back() -> None:
     start = levels.fine.vertices[: levels.subdivision.middle.fine_count].astype(np.float32)
     middle = start * np.float32(1.05)
     moved = middle.copy()
-    Isometry(levels)(moved)
+    keep_lengths(levels, moved)
     assert np.array_equal(moved[list(held)], middle[list(held)])
     assert np.median(np.abs(shares(levels, moved) - 1.0)) < 0.7 * 0.05
 
@@ -89,6 +96,17 @@ def test_more_passes_come_nearer() -> None:
     errors = []
     for passes in (0, 2, 8):
         moved = middle.copy()
-        Isometry(levels)(moved, passes)
+        keep_lengths(levels, moved, passes)
         errors.append(np.abs(shares(levels, moved) - 1.0).mean())
     assert errors[0] > 2.0 * errors[1] and errors[1] > 2.0 * errors[2]
+
+
+def test_the_fine_mesh_moves_along_by_the_rule_of_subdivision() -> None:
+    levels = sheet()
+    rng = np.random.default_rng(1)
+    before = levels.fine.vertices[: levels.subdivision.middle.fine_count].astype(np.float32)
+    before += (0.002 * rng.standard_normal(before.shape)).astype(np.float32)
+    middle = before.copy()
+    moved = keep_lengths(levels, middle)
+    assert np.abs(moved).max() > 1e-4
+    np.testing.assert_allclose(moved, levels.subdivision.from_middle @ (middle - before), atol=1e-7)

@@ -14,14 +14,14 @@ AXIS = np.arange(SIDE) - SIDE // 2
 
 
 class Sheet:
-    """A flat sheet, its patches and where its coarse and middle vertices lie in (warp, weft) [m]."""
+    """A flat sheet, its patches and where its coarse and fine vertices lie in (warp, weft) [m]."""
 
     def __init__(self, jitter: float) -> None:
         vertices, faces = flat_sheet(9, 0.8, jitter)
         self.subdivision = Subdivision.of(faces, len(vertices), 2)
         self.patches = Patches.of(self.subdivision, Charts.of(ClothMesh.from_surface(vertices, faces, (1.0, 0.0, 0.0))))
         self.coarse = vertices[:, [0, 2]] * [1.0, -1.0]
-        face, weights = fine_places(self.subdivision.middle)
+        face, weights = fine_places(self.subdivision)
         self.fine = np.einsum("pc,pci->pi", weights, self.coarse[faces[face]])
         away = self.fine[:, None] - self.coarse[self.patches.corners]
         self.covered = (np.abs(away) < AXIS[-1] * self.patches.spacing).all(axis=(1, 2))
@@ -32,7 +32,7 @@ class Sheet:
         return self.coarse[vertex] + self.patches.spacing * offset
 
     def read(self, grids: np.ndarray) -> np.ndarray:
-        """What middle vertices read of grids, shape (n, NODES) to (N,), from what the arrays are said to be."""
+        """What fine vertices read of grids, shape (n, NODES) to (N,), from what the arrays are said to be."""
         p = self.patches
         total = np.zeros(len(p.corners))
         for c in range(3):
@@ -119,7 +119,7 @@ def test_the_slope_metric_counts_slopes_and_the_middle() -> None:
     assert error(flat) == pytest.approx(share.sum() ** 2 / CELLS_PER_SPACING**2)  # displacement as slope over an edge
     assert error(2.0 * flat) == pytest.approx(4.0 * error(flat))
     ripple = (-1.0) ** AXIS[:, None] * flat
-    assert error(ripple) > 10.0 * error(flat)
+    assert error(ripple) > 30.0 * error(flat)
     middle, corner = np.zeros((2, SIDE, SIDE))
     middle[SIDE // 2, SIDE // 2] = corner[0, 0] = 1.0
     assert error(middle) > 20.0 * error(corner)
