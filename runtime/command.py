@@ -126,10 +126,15 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument("--clip", metavar="NAME", help="a clip that nothing was learned from (default: held out)")
     compare.add_argument("--seconds", type=_positive, metavar="S", help="cut the motion there")
 
-    bench = commands.add_parser("bench", help="tables of what each part is worth", description="Print a table.")
+    bench = commands.add_parser("bench", help="what each part is worth and costs", description="Print a table.")
     tables = bench.add_subparsers(dest="table", required=True, metavar="TABLE")
     ablations = _add_command(tables, "wrinkles", _bench_wrinkles, "the wrinkle layer with parts left out")
     ablations.add_argument("database", type=Path, metavar="DB.h5", help="wrinkle database, its runs beside it")
+
+    solver = _add_command(tables, "solver", _bench_solver, "time against stretch on a swinging square, by settings")
+    solver.add_argument(
+        "-o", dest="output", type=Path, default=Path("out/bench"), metavar="DIR", help="folder of solver.html and .csv"
+    )
     return parser
 
 
@@ -355,3 +360,16 @@ def _bench_wrinkles(options: argparse.Namespace) -> Report:
     machine = machine_description()
     print(f"{options.database.stem}, {machine['cpu']}, {machine['date'][:10]}:\n\n{table(rows)}")
     return Report({name: value for name, value in rows[0].items() if not isinstance(value, str)}, rows)
+
+
+def _bench_solver(options: argparse.Namespace) -> Report:
+    from precompute.solver_bench import bench_rows, bench_solver, bench_verdict, write_bench
+
+    check_folder(options.output)
+    with Progress(sys.stderr) as progress:
+        bench = bench_solver(report=progress)
+    options.output.mkdir(parents=True, exist_ok=True)
+    write_bench(options.output, bench)
+    print(bench_verdict(bench))
+    print(f"\n{options.output / 'solver.html'}")
+    return Report(bench.figures(), bench_rows(bench))

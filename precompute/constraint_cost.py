@@ -1,0 +1,99 @@
+"""What one constraint of each type costs, beside the scalar limit of the machine measured in the same run."""
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from pbd import Fabric, State
+from pbd.engine import ensure_initialized, ti
+from pbd.geometry import Float1, Int2, Int3, Int4, Vec4, Vec4Rows, vec4, xyz
+from pbd.mesh import greedy_colors
+from pbd.schedule import solve_bending, solve_membrane
+from precompute.solver_scenes import hanging_square
+
+__all__ = ["constraint_costs"]
+
+SIDE = 64  # vertices along a side of the cloth
+PASSES, REPEATS = 10, 15
+
+
+@ti.kernel
+def _membranes(position: Vec4, shift: Vec4, triangles: Int3, data: Vec4Rows, inverse_h2: ti.f32):
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        for _pass in range(PASSES):
+            solve_membrane(position, shift, triangles, data, inverse_h2, 1.0)
+
+
+@ti.kernel
+def _hinges(position: Vec4, shift: Vec4, hinges: Int4, data: Vec4Rows, inverse_h2: ti.f32):
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        for _pass in range(PASSES):
+            solve_bending(position, shift, hinges, data, inverse_h2)
+
+
+@ti.kernel
+def _distances(position: Vec4, edges: Int2, lengths: Float1):
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        for _pass in range(PASSES):
+            for c in range(edges.shape[0]):
+                i, j = edges[c][0], edges[c][1]
+                p, q = position[i], position[j]
+                offset = xyz(p) - xyz(q)
+                distance = offset.norm()
+                change = (lengths[c] - distance) / (p[3] + q[3])
+                direction = offset / distance
+                position[i] = vec4(xyz(p) + p[3] * change * direction, p[3])
+                position[j] = vec4(xyz(q) - q[3] * change * direction, q[3])
+
+
+@ti.kernel
+def _limit(offsets: Vec4, lengths: Float1, corrections: Vec4):
+    """The arithmetic of a distance alone: no indices, no vertex that two constraints share."""
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        for _pass in range(PASSES):
+            for c in range(offsets.shape[0]):
+                offset = xyz(offsets[c])
+                distance = offset.norm()
+                corrections[c] = vec4((lengths[c] - distance) / (offsets[c][3] * distance) * offset)
+
+
+def constraint_costs() -> dict[str, float]:
+    """Processor time of a constraint on a square of 64 by 64 vertices, the best of 15 runs: ``TYPE_constraint_ns``."""
+    ensure_initialized()
+    model = hanging_square(SIDE, fabric=Fabric()).model
+    count, noise = model.vertex_count, np.random.default_rng(0)
+    edges, lengths = model.mesh.edge_lengths()
+    order = np.argsort(greedy_colors(edges, count), kind="stable")
+    edges, lengths = np.ascontiguousarray(edges[order]), lengths[order].astype(np.float32)
+    shift = np.zeros((count, 4), np.float32)
+    position = State.at_rest(model).position
+    position[:, :3] += noise.normal(0.0, 1e-4, (count, 3))
+    offsets = position[edges[:, 0]] - position[edges[:, 1]]
+    offsets[:, 3] = 2.0 * position[:, 3].max()
+    corrections = np.zeros_like(offsets)
+    rate = 480.0**2
+    costs = {
+        "scalar_limit": _time(len(edges), lambda: _limit(offsets, lengths, corrections)),
+        "membrane": _time(
+            len(model.triangles),
+            lambda: _membranes(position, shift, model.triangles, model.triangle_data, rate),
+        ),
+        "hinge": _time(len(model.hinges), lambda: _hinges(position, shift, model.hinges, model.hinge_data, rate)),
+        "distance": _time(len(edges), lambda: _distances(position, edges, lengths)),
+    }
+    return {f"{name}_constraint_ns": cost for name, cost in costs.items()}
+
+
+def _time(count: int, launch: Callable[[], None]) -> float:
+    times = np.zeros(REPEATS)
+    launch()
+    for repeat in range(REPEATS):
+        begin = time.process_time()
+        launch()
+        times[repeat] = time.process_time() - begin
+    return float(times.min()) / (PASSES * count) * 1e9
