@@ -11,6 +11,7 @@ __all__ = [
     "contact_correction",
     "drag_velocity",
     "hinge_multiplier",
+    "link_multiplier",
     "membrane_multipliers",
     "stitch_multiplier",
     "tether_correction",
@@ -23,7 +24,7 @@ SHORTEST = 0.05  # a warp or weft squeezed below this part of its length keeps i
 
 
 @ti.func
-def membrane_multipliers(side_1: vec3, side_2: vec3, inverse_flat, gram, compliance, unit, squeeze):
+def membrane_multipliers(side_1: vec3, side_2: vec3, inverse_flat, gram, compliance, unit, squeeze, borne):
     """Orthotropic plane-stress membrane of one triangle: three constraints solved together.
 
     The strains are those of Baraff and Witkin 1998 in engineering form: |w_u| - 1, |w_v| - 1 and the cosine between
@@ -38,6 +39,7 @@ def membrane_multipliers(side_1: vec3, side_2: vec3, inverse_flat, gram, complia
         compliance: alpha/h^2, times ``unit`` [-], as (11, 12, 22, shear).
         unit: scale of the system [kg m2] that keeps its determinant in float32's range however fine the mesh.
         squeeze: factor on the compliance of a warp or weft that is compressed [-].
+        borne: strain for which others have already given the multipliers, by the same compliance [-]: (uu, vv, uv).
 
     Returns:
         3 by 2 matrix with columns g_u, g_v: corner 1 moves by w1 (b00 g_u + b01 g_v), corner 2 by
@@ -55,6 +57,7 @@ def membrane_multipliers(side_1: vec3, side_2: vec3, inverse_flat, gram, complia
         au *= squeeze
     if cv < 0.0:
         av *= squeeze
+    cu, cv, cs_left = cu - borne[0], cv - borne[1], cs - borne[2]
     rest = ti.max(1.0 - cs * cs, 0.0)
     # Directions of the shear constraint; each stands at right angles to its own axis.
     tu, tv = (nv - cs * nu) * inverse_u, (nu - cs * nv) * inverse_v
@@ -76,11 +79,33 @@ def membrane_multipliers(side_1: vec3, side_2: vec3, inverse_flat, gram, complia
     c00, c01, c02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
     c11, c12, c22 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
     scale = -unit / (a00 * c00 + a01 * c01 + a02 * c02)
-    lu = scale * (c00 * cu + c01 * cv + c02 * cs)
-    lv = scale * (c01 * cu + c11 * cv + c12 * cs)
-    ls = scale * (c02 * cu + c12 * cv + c22 * cs)
+    lu = scale * (c00 * cu + c01 * cv + c02 * cs_left)
+    lv = scale * (c01 * cu + c11 * cv + c12 * cs_left)
+    ls = scale * (c02 * cu + c12 * cv + c22 * cs_left)
     gu, gv = lu * nu + ls * tu, lv * nv + ls * tv
     return mat3x2([[gu[0], gv[0]], [gu[1], gv[1]], [gu[2], gv[2]]])
+
+
+@ti.func
+def link_multiplier(offset: vec3, direction: vec3, length: ti.f32, give: ti.f32, total: ti.f32, multiplier: ti.f32):
+    """Distance that only pulls: change of its multiplier.
+
+    The force acts along ``direction``, that of the substep's start. With the end's instead, a swing loses the part
+    h omega^2 of its speed a second; along the start's it loses nothing (Ryckaert, Ciccotti, Berendsen 1977).
+
+    Args:
+        offset: between its ends [m].
+        direction: of the force, unit.
+        length: at which it begins to pull [m].
+        give: compliance alpha/h^2 [1/kg].
+        total: inverse mass of both ends [1/kg].
+        multiplier: what it has, at most 0 [kg m].
+    """
+    distance = offset.norm()
+    # Where the ends have turned far against each other within a substep, the distance hardly answers to the force.
+    answer = total * ti.max(direction.dot(offset), 0.3 * distance) + give * distance
+    change = -distance * (distance - length + give * multiplier) / ti.max(answer, 1e-20)
+    return ti.min(multiplier + change, 0.0) - multiplier
 
 
 @ti.func

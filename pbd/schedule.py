@@ -15,6 +15,7 @@ from pbd.constraints import (
 from pbd.contact import collide_primitives, slid_off, touch_body
 from pbd.engine import ti
 from pbd.geometry import FAR, Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, vec3, vec4, xyz
+from pbd.levels import gather_places, gather_ways, solve_patches
 
 __all__ = ["NEAR", "advance"]
 
@@ -30,6 +31,9 @@ def solve_membrane(
     data: ti.template(),
     inverse_h2: ti.f32,
     squeeze: ti.f32,
+    parent: ti.template(),
+    borne: ti.template(),
+    levels: ti.i32,
 ):
     for c in range(triangles.shape[0]):
         f = triangles[c]
@@ -37,6 +41,9 @@ def solve_membrane(
         p0, p1, p2 = position[i], position[j], position[k]
         u0, u1, u2 = xyz(shift[i]), xyz(shift[j]), xyz(shift[k])
         inverse_flat, gram, compliance = data[c, 0], data[c, 1], data[c, 2]
+        already = vec3(0.0)
+        if levels > 0:
+            already = xyz(borne[parent[i]])
         g = membrane_multipliers(
             (xyz(p1) - xyz(p0)) + (u1 - u0),
             (xyz(p2) - xyz(p0)) + (u2 - u0),
@@ -45,6 +52,7 @@ def solve_membrane(
             compliance * inverse_h2,
             gram[3],
             squeeze,
+            already,
         )
         gu, gv = vec3(g[0, 0], g[1, 0], g[2, 0]), vec3(g[0, 1], g[1, 1], g[2, 1])
         m1 = inverse_flat[0] * gu + inverse_flat[1] * gv
@@ -153,6 +161,21 @@ def advance(
     ring: Int1,
     fan_start: Int1,
     fan: Int2,
+    parent: Int1,
+    part: Float1,
+    ways: Vec4,
+    places: Vec4,
+    first_ways: Vec4,
+    borne: Vec4,
+    starts: Int1,
+    links: Int2,
+    link_starts: Int1,
+    link_data: Vec4Rows,
+    link_shares: Float2,
+    link_lines: Vec4,
+    multipliers: Float1,
+    levels: ti.i32,
+    sweeps: ti.i32,
     substeps: ti.i32,
     h: ti.f32,
     gravity: vec3,
@@ -165,10 +188,10 @@ def advance(
 ):
     """Advance a garment by ``substeps`` steps of h [s].
 
-    Per substep: predict, held vertices, membrane, bending, stitches, tethers, contact, velocities. Digits are kept in
-    three places: a vertex stands at ``position`` (on a grid) plus a small ``shift`` that takes the corrections;
-    velocity takes (shift - predicted shift)/h, the sum of the corrections, instead of a difference of world positions;
-    and what it gains over the frame is summed apart.
+    Per substep: predict, held vertices, patches from coarse to fine, membrane, bending, stitches, tethers, contact,
+    velocities. Digits are kept in three places: a vertex stands at ``position`` (on a grid) plus a small ``shift`` that
+    takes the corrections; velocity takes (shift - predicted shift)/h, the sum of the corrections, instead of a
+    difference of world positions; and what it gains over the frame is summed apart.
 
     In the first substep every contact sample finds where it touches. Every ``refresh`` substeps all are looked at:
     those nearer to the body than ``waking`` [m] are awake until the next time, and find again where they touch if they
@@ -197,6 +220,8 @@ def advance(
             velocity[held[c]] = (target_1[c] - target_0[c]) * (inverse_h * share)
         for step in range(substeps):
             t = (step + 1) * share
+            if levels > 0:
+                gather_places(position, shift, parent, part, places, starts, levels)
             for i in range(count):
                 u = xyz(shift[i])
                 if position[i][3] > 0.0:
@@ -213,7 +238,17 @@ def advance(
                 gained[i] = ti.math.vec4(0.0)
                 shift[i] = vec4(u)
 
-            solve_membrane(position, shift, triangles, triangle_data, inverse_h2, squeeze)
+            if levels > 0:
+                gather_ways(velocity, gained, h, parent, part, ways, starts, levels)
+                taken = solve_patches(
+                    count, parent, places, ways, first_ways, borne, starts, links, link_starts, link_data,
+                    link_shares, link_lines, multipliers, levels, sweeps, h,
+                )  # fmt: skip
+                for i in range(count):
+                    if position[i][3] > 0.0:
+                        a = parent[i]
+                        shift[i] = vec4(xyz(shift[i]) + taken * (xyz(ways[a]) - xyz(first_ways[a])))
+            solve_membrane(position, shift, triangles, triangle_data, inverse_h2, squeeze, parent, borne, levels)
             solve_bending(position, shift, hinges, hinge_data, inverse_h2)
             solve_stitches(position, shift, stitches, stitch_weights)
             for c in range(tethers.shape[0]):

@@ -9,6 +9,7 @@ import numpy as np
 from pbd.colliders import Body, Colliders
 from pbd.engine import Launch, ensure_initialized
 from pbd.errors import InputError
+from pbd.hierarchy import Hierarchy, build_hierarchy
 from pbd.model import GRID, Model, State
 from pbd.schedule import NEAR, advance
 from pbd.search import MAX_CELLS, find_nearest
@@ -25,11 +26,13 @@ class SolverOptions:
     Attributes:
         substep: longest substep [s]; a frame is cut into equal substeps not longer than this.
         gravity: [m/s2].
+        coarse_sweeps: passes over each coarser level of the mesh (:mod:`pbd.hierarchy`) in a substep; 0 leaves all out.
         contact_refreshes: times a second that each contact is looked for again along the body's surface [Hz].
     """
 
     substep: float = 1.0 / 720.0
     gravity: tuple[float, float, float] = (0.0, -9.81, 0.0)
+    coarse_sweeps: int = 0
     contact_refreshes: float = 240.0
 
     def __post_init__(self) -> None:
@@ -37,6 +40,10 @@ class SolverOptions:
             raise InputError("bad substep", key="substep", received=self.substep, expected="above 0 [s]")
         if len(self.gravity) != 3 or not np.isfinite(self.gravity).all():
             raise InputError("bad gravity", key="gravity", received=self.gravity, expected="three finite numbers")
+        if self.coarse_sweeps < 0:
+            raise InputError(
+                "bad number of passes", key="coarse_sweeps", received=self.coarse_sweeps, expected="at least 0"
+            )
         if not self.contact_refreshes > 0:
             raise InputError(
                 "bad rate", key="contact_refreshes", received=self.contact_refreshes, expected="above 0 [Hz]"
@@ -66,6 +73,14 @@ class Solver:
         self._cells = np.zeros(MAX_CELLS + 2, np.int32)
         self._way = np.zeros(1, np.float32)
         self._items, self._item_cells = np.zeros((2, 1), np.int32)
+        levels = Hierarchy.flat(count)
+        if self.options.coarse_sweeps:
+            levels = build_hierarchy(model.mesh, model.mass, model.inverse_mass, fabric)
+        self._hierarchy, patches = levels, len(levels.inverse_mass)
+        self._patches = np.zeros((4, max(1, patches), 4), np.float32)
+        self._patches[0, :patches, 3] = levels.inverse_mass
+        self._link_lines = np.zeros((max(1, len(levels.links)), 4), np.float32)
+        self._multipliers = np.zeros(max(1, len(levels.links)), np.float32)
         self._find_nearest, self._advance = Launch(find_nearest), Launch(advance)
 
     def step(
@@ -100,6 +115,7 @@ class Solver:
         self._held_1[:] = self._held_0 if targets is None else targets - state.origin
         substeps = max(1, int(np.ceil(dt / options.substep - 1e-6)))
         refresh = max(1, round(substeps / max(1.0, dt * options.contact_refreshes)))
+        levels = self._hierarchy
         way, thickness = 0.0, model.fabric.thickness
         body = colliders.body or self._nobody
         # What was touched before may be no part of this body: another one, or none.
@@ -161,6 +177,18 @@ class Solver:
             body.ring,
             body.fan_start,
             body.fan,
+            levels.parent,
+            levels.share,
+            *self._patches,
+            levels.starts,
+            levels.links,
+            levels.link_starts,
+            levels.link_data,
+            levels.link_shares,
+            self._link_lines,
+            self._multipliers,
+            levels.useful(dt / substeps),
+            options.coarse_sweeps,
             substeps,
             dt / substeps,
             options.gravity,

@@ -6,8 +6,9 @@ from collections.abc import Callable
 import numpy as np
 
 from pbd import Fabric, State
+from pbd.constraints import link_multiplier
 from pbd.engine import ensure_initialized, ti
-from pbd.geometry import Float1, Int2, Int3, Int4, Vec4, Vec4Rows, vec4, xyz
+from pbd.geometry import Float1, Int1, Int2, Int3, Int4, Vec4, Vec4Rows, vec4, xyz
 from pbd.mesh import greedy_colors
 from pbd.schedule import solve_bending, solve_membrane
 from precompute.solver_scenes import hanging_square
@@ -19,11 +20,13 @@ PASSES, REPEATS = 10, 15
 
 
 @ti.kernel
-def _membranes(position: Vec4, shift: Vec4, triangles: Int3, data: Vec4Rows, inverse_h2: ti.f32):
+def _membranes(
+    position: Vec4, shift: Vec4, triangles: Int3, data: Vec4Rows, parent: Int1, borne: Vec4, inverse_h2: ti.f32
+):
     ti.loop_config(serialize=True)
     for _ in range(1):
         for _pass in range(PASSES):
-            solve_membrane(position, shift, triangles, data, inverse_h2, 1.0)
+            solve_membrane(position, shift, triangles, data, inverse_h2, 1.0, parent, borne, 1)
 
 
 @ti.kernel
@@ -43,9 +46,8 @@ def _distances(position: Vec4, edges: Int2, lengths: Float1):
                 i, j = edges[c][0], edges[c][1]
                 p, q = position[i], position[j]
                 offset = xyz(p) - xyz(q)
-                distance = offset.norm()
-                change = (lengths[c] - distance) / (p[3] + q[3])
-                direction = offset / distance
+                direction = offset.normalized()
+                change = link_multiplier(offset, direction, lengths[c], 0.0, p[3] + q[3], 0.0)
                 position[i] = vec4(xyz(p) + p[3] * change * direction, p[3])
                 position[j] = vec4(xyz(q) - q[3] * change * direction, q[3])
 
@@ -58,8 +60,9 @@ def _limit(offsets: Vec4, lengths: Float1, corrections: Vec4):
         for _pass in range(PASSES):
             for c in range(offsets.shape[0]):
                 offset = xyz(offsets[c])
-                distance = offset.norm()
-                corrections[c] = vec4((lengths[c] - distance) / (offsets[c][3] * distance) * offset)
+                direction = offset.normalized()
+                change = link_multiplier(offset, direction, lengths[c], 0.0, offsets[c][3], 0.0)
+                corrections[c] = vec4(change * direction)
 
 
 def constraint_costs() -> dict[str, float]:
@@ -70,18 +73,18 @@ def constraint_costs() -> dict[str, float]:
     edges, lengths = model.mesh.edge_lengths()
     order = np.argsort(greedy_colors(edges, count), kind="stable")
     edges, lengths = np.ascontiguousarray(edges[order]), lengths[order].astype(np.float32)
-    shift = np.zeros((count, 4), np.float32)
+    shift, borne = np.zeros((count, 4), np.float32), np.zeros((1, 4), np.float32)
     position = State.at_rest(model).position
     position[:, :3] += noise.normal(0.0, 1e-4, (count, 3))
     offsets = position[edges[:, 0]] - position[edges[:, 1]]
     offsets[:, 3] = 2.0 * position[:, 3].max()
     corrections = np.zeros_like(offsets)
-    rate = 480.0**2
+    parent, rate = np.zeros(count, np.int32), 480.0**2
     costs = {
         "scalar_limit": _time(len(edges), lambda: _limit(offsets, lengths, corrections)),
         "membrane": _time(
             len(model.triangles),
-            lambda: _membranes(position, shift, model.triangles, model.triangle_data, rate),
+            lambda: _membranes(position, shift, model.triangles, model.triangle_data, parent, borne, rate),
         ),
         "hinge": _time(len(model.hinges), lambda: _hinges(position, shift, model.hinges, model.hinge_data, rate)),
         "distance": _time(len(edges), lambda: _distances(position, edges, lengths)),

@@ -19,10 +19,13 @@ __all__ = ["Run", "SolverBench", "bench_rows", "bench_solver", "bench_verdict", 
 
 SIDES = (32, 64, 128)
 BUDGET_MS = {32: 0.5, 64: 2.5, 128: 15.0}  # wanted of one core of a server at 2.6 GHz
-# Substeps a frame by vertices a side, around the cheapest that passes.
-SUBSTEPS: Mapping[int, Sequence[int]] = {32: (10, 20, 30, 40), 64: (20, 40, 80, 110), 128: (40, 80, 160, 320)}
-REFINED = {32: 160, 64: 320, 128: 640}  # substeps of the run whose amplitude is the measure
-METHOD = "small steps"
+# Substeps a frame, by passes over coarser levels and by vertices a side: around the cheapest that passes.
+SETTINGS: Mapping[int, Mapping[int, Sequence[int]]] = {
+    0: {32: (10, 20, 40), 64: (20, 40, 80), 128: (40, 80)},
+    4: {32: (4, 6, 8, 12), 64: (6, 8, 10, 14), 128: (10, 14, 20)},
+}
+REFINED = {32: (32, 4), 64: (40, 4), 128: (56, 4)}  # substeps and passes of the run whose amplitude is the measure
+METHODS = {0: "small steps", 4: "small steps, patches from coarse to fine"}
 SOURCE = "one core of a 2.6 GHz Xeon with AVX-512, 2026-11-21, cheapest setting with mean < 1 % and worst < 5 %"
 # Engine, vertices a side, processor time of a frame [ms], worst stretch [-].
 QUOTED = (
@@ -50,12 +53,14 @@ class Run:
     Attributes:
         side: vertices along a side.
         substeps: of a frame.
+        coarse_sweeps: as in :class:`pbd.SolverOptions`.
         measured: what came.
         passed: every limit held, see :meth:`precompute.solver_scenes.Measured.passes`.
     """
 
     side: int
     substeps: int
+    coarse_sweeps: int
     measured: Measured
     passed: bool
 
@@ -97,24 +102,26 @@ def bench_solver(sides: Sequence[int] | None = None, report: Callable[[str], Non
     runs, amplitudes = [], {}
     for side in SIDES if sides is None else sides:
         scene = hanging_square(side)
-        report(f"{scene.name}: refined run, {REFINED[side]} substeps")
-        amplitudes[side] = measure(scene, _options(REFINED[side])).amplitude
-        for substeps in SUBSTEPS[side]:
-            report(f"{scene.name}: {METHOD}, {substeps} substeps")
-            found = measure(scene, _options(substeps))
-            runs.append(Run(side, substeps, found, found.passes(amplitudes[side])))
+        substeps, sweeps = REFINED[side]
+        report(f"{scene.name}: refined run, {substeps} substeps")
+        amplitudes[side] = measure(scene, _options(substeps, sweeps)).amplitude
+        for sweeps, by_side in SETTINGS.items():
+            for substeps in by_side[side]:
+                report(f"{scene.name}: {METHODS[sweeps]}, {substeps} substeps")
+                found = measure(scene, _options(substeps, sweeps))
+                runs.append(Run(side, substeps, sweeps, found, found.passes(amplitudes[side])))
     return SolverBench(runs, amplitudes, costs)
 
 
-def _options(substeps: int) -> SolverOptions:
-    return SolverOptions(substep=1.0 / (RATE * substeps))
+def _options(substeps: int, sweeps: int) -> SolverOptions:
+    return SolverOptions(substep=1.0 / (RATE * substeps), coarse_sweeps=sweeps)
 
 
 def bench_rows(bench: SolverBench) -> list[dict[str, Any]]:
     """One row per run."""
     return [
         {
-            "method": METHOD,
+            "method": METHODS[run.coarse_sweeps],
             "side": run.side,
             "substeps": run.substeps,
             "frame_ms": run.measured.frame_ms,
@@ -139,7 +146,7 @@ def bench_verdict(bench: SolverBench) -> str:
         ours = "no setting passes"
         if best:
             ours = (
-                f"{best.measured.frame_ms:.2f} ms a frame ({METHOD}, {best.substeps} substeps; "
+                f"{best.measured.frame_ms:.2f} ms a frame ({METHODS[best.coarse_sweeps]}, {best.substeps} substeps; "
                 f"wanted {BUDGET_MS[side]} on a core of 2.6 GHz)"
             )
         lines.append(f"{side}x{side}: {ours}; cheapest quoted: {name}, {ms} ms on another machine.")
@@ -171,7 +178,7 @@ def _chart(bench: SolverBench, side: int) -> Chart:
         Point(
             run.measured.frame_ms,
             run.measured.worst,
-            METHOD,
+            METHODS[run.coarse_sweeps],
             f"{run.substeps}",
             {key: value for key, value in row.items() if key not in ("method", "frame_ms", "worst_stretch")},
         )

@@ -34,6 +34,7 @@ def membrane_rows(sides: Rows, data: Rows, squeeze: ti.f32, out: Rows):
             ti.math.vec4(data[c, 7], data[c, 8], data[c, 9], data[c, 10]),
             data[c, 11],
             squeeze,
+            vec3(0.0),
         )
         for a, b in ti.static(ti.ndrange(3, 2)):
             out[c, 2 * a + b] = g[a, b]

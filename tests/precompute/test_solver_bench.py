@@ -71,9 +71,9 @@ def test_more_substeps_stretch_less() -> None:
 
 def test_the_cheapest_that_passes_is_found_and_written(tmp_path: Path) -> None:
     runs = [
-        Run(64, 8, replace(GOOD, frame_ms=1.0, worst=0.2), False),
-        Run(64, 20, replace(GOOD, frame_ms=3.0), True),
-        Run(64, 40, replace(GOOD, frame_ms=6.0), True),
+        Run(64, 8, 0, replace(GOOD, frame_ms=1.0, worst=0.2), False),
+        Run(64, 20, 0, replace(GOOD, frame_ms=3.0), True),
+        Run(64, 40, 0, replace(GOOD, frame_ms=6.0), True),
     ]
     bench = SolverBench(runs, {64: 0.24}, {"distance_constraint_ns": 5.0, "scalar_limit_constraint_ns": 4.0})
     figures = bench.figures()
