@@ -21,6 +21,9 @@ vec3 = ti.math.vec3
 mat3x2 = ti.types.matrix(3, 2, ti.f32)
 PUSH_OUT = 0.5  # what starts a substep inside a body comes out no faster than this against its surface [m/s]
 SHORTEST = 0.05  # a warp or weft squeezed below this part of its length keeps its direction but not its slope
+# The shear answers as if warp and weft met at no sharper angle than 51 deg: where they lie along each other, the true
+# slope of the cosine is nothing, and the correction would be without bounds.
+SHEARED = 0.6  # square of the sine of that angle
 
 
 @ti.func
@@ -67,7 +70,7 @@ def membrane_multipliers(side_1: vec3, side_2: vec3, inverse_flat, gram, complia
     a02 = gram[1] * rest * inverse_v
     a12 = gram[1] * rest * inverse_u
     a22 = (
-        rest
+        ti.max(rest, SHEARED)
         * (
             gram[0] * inverse_u * inverse_u
             - 2.0 * gram[1] * cs * inverse_u * inverse_v

@@ -334,3 +334,14 @@ def test_old_depth_comes_out_gently_and_motion_inward_is_stopped_whole(speed: fl
     # No deeper than it was: less depth than that is taken out whole.
     shallow = 0.1 * PUSH_OUT * H
     assert contact(-shallow, (0.0, 0.0, 0.0), 0.0)[1] == pytest.approx(shallow, rel=1e-6)
+
+
+@pytest.mark.parametrize("degrees", [1.0, 5.0, 179.0])
+def test_a_triangle_sheared_flat_is_not_thrown(degrees: float) -> None:
+    """Warp and weft lie along each other: no corner moves by more than a side."""
+    angle = np.radians(degrees)
+    sides = np.array([[1.0, 0.0, 0.0, np.cos(angle), np.sin(angle), 0.0]], np.float32)
+    data = np.array([[1.0, 0.0, 0.0, 1.0, 2.0, 1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 1.0]], np.float32)
+    out = np.zeros((1, 6), np.float32)
+    membrane_rows(sides, data, 1.0, out)
+    assert 0.0 < np.abs(out).max() < 1.0
