@@ -20,7 +20,7 @@ def truth() -> Truth:
     run = fine_run(stage.levels, stage.body, stage.motion(), skirt_database())
     numbers = np.arange(92, 121, 2)
     zeros = np.zeros((len(numbers), 1, 3), np.float32)
-    recording = Recording("walk", numbers, zeros, zeros, zeros, zeros, zeros, 1.0)
+    recording = Recording("walk", numbers, zeros, zeros, zeros, zeros, 1.0)
     unused: Any = None
     energy = numbers[:, None].astype(float)
     return Truth(run, stage.levels, recording, zeros, unused, energy, unused)
