@@ -4,6 +4,9 @@ Everything runs in one loop on one thread, in a fixed order, so results do not d
 come sorted by colour: an order that sweeps the mesh from one end to the other is unstable.
 """
 
+from collections.abc import Callable
+from functools import cache
+
 from pbd.constraints import (
     contact_correction,
     drag_velocity,
@@ -17,7 +20,7 @@ from pbd.engine import ti
 from pbd.geometry import FAR, Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, vec3, vec4, xyz
 from pbd.levels import gather_places, gather_ways, solve_patches
 
-__all__ = ["NEAR", "advance"]
+__all__ = ["NEAR", "advance_kernel"]
 
 NEAR = 0.01  # nearer than this, a contact is looked at in every substep, even if nothing seems to move [m]
 FINEST = 2.0**20  # inside a frame positions are whole multiples of 1 m / FINEST: exact in float32 up to 16 m
@@ -128,193 +131,203 @@ def substep_start(velocity: ti.template(), predicted: ti.template(), gained: ti.
     return xyz(predicted[i]) - h * (velocity[i] + xyz(gained[i]))
 
 
-@ti.kernel
-def advance(
-    position: Vec4,
-    velocity: Vec3,
-    shift: Vec4,
-    predicted: Vec4,
-    normals: Vec4,
-    gained: Vec4,
-    touched: Vec4Rows,
-    awake: Int1,
-    samples: Int2,
-    triangles: Int3,
-    triangle_data: Vec4Rows,
-    hinges: Int4,
-    hinge_data: Vec4Rows,
-    stitches: Int3,
-    stitch_weights: Float1,
-    tethers: Int2,
-    tether_lengths: Float1,
-    held: Int1,
-    target_0: Vec3,
-    target_1: Vec3,
-    drag: Float1,
-    primitives: Float2,
-    nearest: Int1,
-    contact: Vec4,
-    body_0: Vec3,
-    body_1: Vec3,
-    body_normals: Vec3,
-    ring_start: Int1,
-    ring: Int1,
-    fan_start: Int1,
-    fan: Int2,
-    parent: Int1,
-    part: Float1,
-    ways: Vec4,
-    places: Vec4,
-    first_ways: Vec4,
-    borne: Vec4,
-    starts: Int1,
-    links: Int2,
-    link_starts: Int1,
-    link_data: Vec4Rows,
-    link_shares: Float2,
-    link_lines: Vec4,
-    multipliers: Float1,
-    levels: ti.i32,
-    sweeps: ti.i32,
-    substeps: ti.i32,
-    h: ti.f32,
-    gravity: vec3,
-    wind: vec3,
-    squeeze: ti.f32,
-    thickness: ti.f32,
-    friction: ti.f32,
-    refresh: ti.i32,
-    waking: ti.f32,
-):
-    """Advance a garment by ``substeps`` steps of h [s].
+@cache
+def advance_kernel(with_patches: bool) -> Callable[..., None]:
+    """The kernel that advances a garment; patches take a fifth of its time to compile, and are left out if not used."""
 
-    Per substep: predict, held vertices, patches from coarse to fine, membrane, bending, stitches, tethers, contact,
-    velocities. Digits are kept in three places: a vertex stands at ``position`` (on a grid) plus a small ``shift`` that
-    takes the corrections; velocity takes (shift - predicted shift)/h, the sum of the corrections, instead of a
-    difference of world positions; and what it gains over the frame is summed apart.
+    @ti.kernel
+    def advance(
+        position: Vec4,
+        velocity: Vec3,
+        shift: Vec4,
+        predicted: Vec4,
+        normals: Vec4,
+        gained: Vec4,
+        touched: Vec4Rows,
+        awake: Int1,
+        samples: Int2,
+        triangles: Int3,
+        triangle_data: Vec4Rows,
+        hinges: Int4,
+        hinge_data: Vec4Rows,
+        stitches: Int3,
+        stitch_weights: Float1,
+        tethers: Int2,
+        tether_lengths: Float1,
+        held: Int1,
+        target_0: Vec3,
+        target_1: Vec3,
+        drag: Float1,
+        primitives: Float2,
+        nearest: Int1,
+        contact: Vec4,
+        body_0: Vec3,
+        body_1: Vec3,
+        body_normals: Vec3,
+        ring_start: Int1,
+        ring: Int1,
+        fan_start: Int1,
+        fan: Int2,
+        parent: Int1,
+        part: Float1,
+        ways: Vec4,
+        places: Vec4,
+        first_ways: Vec4,
+        borne: Vec4,
+        starts: Int1,
+        links: Int2,
+        link_starts: Int1,
+        link_data: Vec4Rows,
+        link_shares: Float2,
+        link_lines: Vec4,
+        multipliers: Float1,
+        levels: ti.i32,
+        sweeps: ti.i32,
+        substeps: ti.i32,
+        h: ti.f32,
+        gravity: vec3,
+        wind: vec3,
+        squeeze: ti.f32,
+        thickness: ti.f32,
+        friction: ti.f32,
+        refresh: ti.i32,
+        waking: ti.f32,
+    ):
+        """Advance a garment by ``substeps`` steps of h [s].
 
-    In the first substep every contact sample finds where it touches. Every ``refresh`` substeps all are looked at:
-    those nearer to the body than ``waking`` [m] are awake until the next time, and find again where they touch if they
-    have slid off it. In between only these are looked at.
-    """
-    ti.loop_config(serialize=True)
-    for _ in range(1):
-        inverse_h = 1.0 / h
-        inverse_h2 = inverse_h * inverse_h
-        count = position.shape[0]
-        share = 1.0 / substeps
-        near_count = 0  # ``awake`` begins with the samples that have a body near them
-        for c in range(samples.shape[0]):
-            if nearest[c] >= 0 and position[samples[c][0]][3] + position[samples[c][1]][3] > 0.0:
-                awake[near_count] = c
-                near_count += 1
-        awake_count = 0  # and goes on, from there, with those that are awake
-        cloth_normals(position, triangles, normals)
-        for i in range(count):
-            p = xyz(position[i])
-            x = ti.floor(p * FINEST + 0.5) / FINEST
-            position[i] = vec4(x, position[i][3])
-            shift[i] = vec4(p - x)
-            gained[i] = ti.math.vec4(0.0)
-        for c in range(held.shape[0]):
-            velocity[held[c]] = (target_1[c] - target_0[c]) * (inverse_h * share)
-        for step in range(substeps):
-            t = (step + 1) * share
-            if levels > 0:
-                gather_places(position, shift, parent, part, places, starts, levels)
+        Per substep: predict, held vertices, patches from coarse to fine, membrane, bending, stitches, tethers,
+        contact, velocities. Digits are kept in three places: a vertex stands at ``position`` (on a grid) plus a small
+        ``shift`` that takes the corrections; velocity takes (shift - predicted shift)/h, the sum of the corrections,
+        instead of a difference of world positions; and what it gains over the frame is summed apart.
+
+        In the first substep every contact sample finds where it touches. Every ``refresh`` substeps all are looked at:
+        those nearer to the body than ``waking`` [m] are awake until the next time, and find again where they touch if
+        they have slid off it. In between only these are looked at.
+        """
+        ti.loop_config(serialize=True)
+        for _ in range(1):
+            inverse_h = 1.0 / h
+            inverse_h2 = inverse_h * inverse_h
+            count = position.shape[0]
+            share = 1.0 / substeps
+            near_count = 0  # ``awake`` begins with the samples that have a body near them
+            for c in range(samples.shape[0]):
+                if nearest[c] >= 0 and position[samples[c][0]][3] + position[samples[c][1]][3] > 0.0:
+                    awake[near_count] = c
+                    near_count += 1
+            awake_count = 0  # and goes on, from there, with those that are awake
+            cloth_normals(position, triangles, normals)
             for i in range(count):
-                u = xyz(shift[i])
-                if position[i][3] > 0.0:
-                    gain = h * gravity
-                    v = velocity[i] + (xyz(gained[i]) + gain)
-                    dragged = drag_velocity(v - wind, xyz(normals[i]), h * drag[i])
-                    u += h * (v + dragged)
-                    gained[i] += vec4(gain + dragged)
-                predicted[i] = vec4(settle(position, shift, i, u))
-            for c in range(held.shape[0]):
-                i = held[c]
-                u = (target_0[c] - xyz(position[i])) + t * (target_1[c] - target_0[c])
-                predicted[i] = vec4(u)
+                p = xyz(position[i])
+                x = ti.floor(p * FINEST + 0.5) / FINEST
+                position[i] = vec4(x, position[i][3])
+                shift[i] = vec4(p - x)
                 gained[i] = ti.math.vec4(0.0)
-                shift[i] = vec4(u)
+            for c in range(held.shape[0]):
+                velocity[held[c]] = (target_1[c] - target_0[c]) * (inverse_h * share)
+            for step in range(substeps):
+                t = (step + 1) * share
+                if ti.static(with_patches):
+                    if levels > 0:
+                        gather_places(position, shift, parent, part, places, starts, levels)
+                for i in range(count):
+                    u = xyz(shift[i])
+                    if position[i][3] > 0.0:
+                        gain = h * gravity
+                        v = velocity[i] + (xyz(gained[i]) + gain)
+                        dragged = drag_velocity(v - wind, xyz(normals[i]), h * drag[i])
+                        u += h * (v + dragged)
+                        gained[i] += vec4(gain + dragged)
+                    predicted[i] = vec4(settle(position, shift, i, u))
+                for c in range(held.shape[0]):
+                    i = held[c]
+                    u = (target_0[c] - xyz(position[i])) + t * (target_1[c] - target_0[c])
+                    predicted[i] = vec4(u)
+                    gained[i] = ti.math.vec4(0.0)
+                    shift[i] = vec4(u)
 
-            if levels > 0:
-                gather_ways(velocity, gained, h, parent, part, ways, starts, levels)
-                taken = solve_patches(
-                    count, parent, places, ways, first_ways, borne, starts, links, link_starts, link_data,
-                    link_shares, link_lines, multipliers, levels, sweeps, h,
-                )  # fmt: skip
+                if ti.static(with_patches):
+                    if levels > 0:
+                        gather_ways(velocity, gained, h, parent, part, ways, starts, levels)
+                        taken = solve_patches(
+                            count, parent, places, ways, first_ways, borne, starts, links, link_starts, link_data,
+                            link_shares, link_lines, multipliers, levels, sweeps, h,
+                        )  # fmt: skip
+                        for i in range(count):
+                            if position[i][3] > 0.0:
+                                a = parent[i]
+                                shift[i] = vec4(xyz(shift[i]) + taken * (xyz(ways[a]) - xyz(first_ways[a])))
+                solve_membrane(position, shift, triangles, triangle_data, inverse_h2, squeeze, parent, borne, levels)
+                solve_bending(position, shift, hinges, hinge_data, inverse_h2)
+                solve_stitches(position, shift, stitches, stitch_weights)
+                for c in range(tethers.shape[0]):
+                    i, j = tethers[c][0], tethers[c][1]
+                    u = xyz(shift[i])
+                    offset = (xyz(position[i]) - xyz(position[j])) + (u - xyz(shift[j]))
+                    shift[i] = vec4(u + tether_correction(offset, tether_lengths[c]))
+
+                looked_at = step % refresh == 0
+                looks = near_count if looked_at else awake_count
+                begin = 0 if looked_at else near_count
+                if looked_at:
+                    awake_count = 0
+                for s in range(begin, begin + looks):
+                    c = awake[s]
+                    i, j = samples[c][0], samples[c][1]
+                    p, q = position[i], position[j]
+                    x = 0.5 * (xyz(p) + xyz(q))
+                    u = 0.5 * (xyz(shift[i]) + xyz(shift[j]))
+                    if looked_at:
+                        again = step == 0
+                        if not again:
+                            offset = (x - (xyz(touched[c, 0]) + t * xyz(touched[c, 1]))) + u
+                            normal = xyz(touched[c, 2])
+                            again = offset.dot(normal) < waking and slid_off(offset, normal)
+                        if again:
+                            touch_body(
+                                x + u, c, t, nearest, body_0, body_1,
+                                ring_start, ring, fan_start, fan, body_normals, touched,
+                            )  # fmt: skip
+                    motion = xyz(touched[c, 1])
+                    normal = xyz(touched[c, 2])
+                    distance = ((x - (xyz(touched[c, 0]) + t * motion)) + u).dot(normal)
+                    if looked_at and distance < waking:
+                        awake[near_count + awake_count] = c
+                        awake_count += 1
+                    if distance < thickness:
+                        weight = 0.25 * (p[3] + q[3])
+                        slip = u - 0.5 * (
+                            substep_start(velocity, predicted, gained, i, h)
+                            + substep_start(velocity, predicted, gained, j, h)
+                        )
+                        slip -= share * motion
+                        m = contact_correction(distance - thickness, normal, slip, friction, h)
+                        m *= 0.5 / weight
+                        # A vertex is a sample with both ends the same: half and half make the whole.
+                        shift[i] = vec4(xyz(shift[i]) + p[3] * m)
+                        if i != j:
+                            shift[j] = vec4(xyz(shift[j]) + q[3] * m)
                 for i in range(count):
                     if position[i][3] > 0.0:
-                        a = parent[i]
-                        shift[i] = vec4(xyz(shift[i]) + taken * (xyz(ways[a]) - xyz(first_ways[a])))
-            solve_membrane(position, shift, triangles, triangle_data, inverse_h2, squeeze, parent, borne, levels)
-            solve_bending(position, shift, hinges, hinge_data, inverse_h2)
-            solve_stitches(position, shift, stitches, stitch_weights)
-            for c in range(tethers.shape[0]):
-                i, j = tethers[c][0], tethers[c][1]
-                u = xyz(shift[i])
-                offset = (xyz(position[i]) - xyz(position[j])) + (u - xyz(shift[j]))
-                shift[i] = vec4(u + tether_correction(offset, tether_lengths[c]))
-
-            looked_at = step % refresh == 0
-            looks = near_count if looked_at else awake_count
-            begin = 0 if looked_at else near_count
-            if looked_at:
-                awake_count = 0
-            for s in range(begin, begin + looks):
-                c = awake[s]
-                i, j = samples[c][0], samples[c][1]
-                p, q = position[i], position[j]
-                x = 0.5 * (xyz(p) + xyz(q))
-                u = 0.5 * (xyz(shift[i]) + xyz(shift[j]))
-                if looked_at:
-                    again = step == 0
-                    if not again:
-                        offset = (x - (xyz(touched[c, 0]) + t * xyz(touched[c, 1]))) + u
-                        normal = xyz(touched[c, 2])
-                        again = offset.dot(normal) < waking and slid_off(offset, normal)
-                    if again:
-                        touch_body(
-                            x + u, c, t, nearest, body_0, body_1,
-                            ring_start, ring, fan_start, fan, body_normals, touched,
-                        )  # fmt: skip
-                motion = xyz(touched[c, 1])
-                normal = xyz(touched[c, 2])
-                distance = ((x - (xyz(touched[c, 0]) + t * motion)) + u).dot(normal)
-                if looked_at and distance < waking:
-                    awake[near_count + awake_count] = c
-                    awake_count += 1
-                if distance < thickness:
-                    weight = 0.25 * (p[3] + q[3])
-                    slip = u - 0.5 * (
-                        substep_start(velocity, predicted, gained, i, h)
-                        + substep_start(velocity, predicted, gained, j, h)
-                    )
-                    slip -= share * motion
-                    m = contact_correction(distance - thickness, normal, slip, friction, h)
-                    m *= 0.5 / weight
-                    # A vertex is a sample with both ends the same: half and half make the whole.
-                    shift[i] = vec4(xyz(shift[i]) + p[3] * m)
-                    if i != j:
-                        shift[j] = vec4(xyz(shift[j]) + q[3] * m)
+                        u = xyz(shift[i])
+                        if primitives.shape[0] > 0:
+                            slip = u - substep_start(velocity, predicted, gained, i, h)
+                            u += collide_primitives(
+                                xyz(position[i]), u, slip, t, share, primitives, thickness, friction, h
+                            )
+                            shift[i] = vec4(u)
+                        gained[i] += inverse_h * vec4(u - xyz(predicted[i]))
             for i in range(count):
-                if position[i][3] > 0.0:
-                    u = xyz(shift[i])
-                    if primitives.shape[0] > 0:
-                        slip = u - substep_start(velocity, predicted, gained, i, h)
-                        u += collide_primitives(xyz(position[i]), u, slip, t, share, primitives, thickness, friction, h)
-                        shift[i] = vec4(u)
-                    gained[i] += inverse_h * vec4(u - xyz(predicted[i]))
-        for i in range(count):
-            position[i] += vec4(xyz(shift[i]))
-            velocity[i] += xyz(gained[i])
-        for i in range(count):
-            contact[i] = ti.math.vec4(FAR, 0.0, 0.0, 0.0)
-            if nearest[i] >= 0 and position[i][3] > 0.0:
-                motion = xyz(touched[i, 1])
-                normal = xyz(touched[i, 2])
-                slip = velocity[i] - motion * (inverse_h * share)
-                slip -= slip.dot(normal) * normal
-                away = xyz(position[i]) - (xyz(touched[i, 0]) + motion)
-                contact[i] = ti.math.vec4(ti.math.clamp(away.dot(normal), -FAR, FAR), slip[0], slip[1], slip[2])
+                position[i] += vec4(xyz(shift[i]))
+                velocity[i] += xyz(gained[i])
+            for i in range(count):
+                contact[i] = ti.math.vec4(FAR, 0.0, 0.0, 0.0)
+                if nearest[i] >= 0 and position[i][3] > 0.0:
+                    motion = xyz(touched[i, 1])
+                    normal = xyz(touched[i, 2])
+                    slip = velocity[i] - motion * (inverse_h * share)
+                    slip -= slip.dot(normal) * normal
+                    away = xyz(position[i]) - (xyz(touched[i, 0]) + motion)
+                    contact[i] = ti.math.vec4(ti.math.clamp(away.dot(normal), -FAR, FAR), slip[0], slip[1], slip[2])
+
+    return advance

@@ -11,7 +11,7 @@ from pbd.engine import Launch, ensure_initialized
 from pbd.errors import InputError
 from pbd.hierarchy import Hierarchy, build_hierarchy
 from pbd.model import GRID, Model, State
-from pbd.schedule import NEAR, advance
+from pbd.schedule import NEAR, advance_kernel
 from pbd.search import MAX_CELLS, find_nearest
 
 __all__ = ["Solver", "SolverOptions"]
@@ -81,7 +81,7 @@ class Solver:
         self._patches[0, :patches, 3] = levels.inverse_mass
         self._link_lines = np.zeros((max(1, len(levels.links)), 4), np.float32)
         self._multipliers = np.zeros(max(1, len(levels.links)), np.float32)
-        self._find_nearest, self._advance = Launch(find_nearest), Launch(advance)
+        self._find_nearest, self._advance = Launch(find_nearest), Launch(advance_kernel(self.options.coarse_sweeps > 0))
 
     def step(
         self,
