@@ -256,16 +256,18 @@ class SolverSettings:
         frame_rate: frames per second [Hz].
         substep: longest step of the solver [s].
         gravity: acceleration of free fall [m/s2].
+        coarse_sweeps: passes over each coarser level of the mesh in a step; 0 leaves all out.
         contact_refreshes: times a second that each contact is looked for again [Hz].
     """
 
     frame_rate: float = entry(number(above=0, unit="Hz"), 60.0)
     substep: float = entry(number(above=0, unit="s"), SolverOptions.substep)
     gravity: Vector = entry(vector(unit="m/s2"), SolverOptions.gravity)
+    coarse_sweeps: int = entry(whole(at_least=0), SolverOptions.coarse_sweeps)
     contact_refreshes: float = entry(number(above=0, unit="Hz"), SolverOptions.contact_refreshes)
 
     def options(self) -> SolverOptions:
-        return SolverOptions(substep=self.substep, gravity=self.gravity, contact_refreshes=self.contact_refreshes)
+        return SolverOptions(self.substep, self.gravity, self.coarse_sweeps, self.contact_refreshes)
 
 
 @dataclass(frozen=True, kw_only=True)

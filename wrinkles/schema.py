@@ -34,7 +34,7 @@ __all__ = [
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE, STEPS = "text", "float32", "float64", "int32", "int64", "int8"
 
@@ -104,6 +104,7 @@ ENTRIES = (
     Entry("bend_factor", DOUBLE),
     Entry("solver/substep", DOUBLE, unit="s"),
     Entry("solver/gravity", DOUBLE, (3,), "m/s2"),
+    Entry("solver/coarse_sweeps", WHOLE),
     Entry("solver/contact_refreshes", DOUBLE, unit="Hz"),
     Entry("frame_rate", DOUBLE, unit="Hz"),
     *_in_steps("atoms/shapes", ("K", 3 * NODES), "m", along=1),

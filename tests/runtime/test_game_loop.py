@@ -18,6 +18,7 @@ from wrinkles.dictionary import Atoms, Mapping
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.levels import build_levels
 from wrinkles.patches import NODES
+from wrinkles.unfamiliarity import Unfamiliarity
 
 TICK = 1.0 / 60.0
 POSE = np.zeros((1, 3, 4))
@@ -334,6 +335,7 @@ def database() -> WrinkleDatabase:
             bias_2=zero(hidden),
             bias_3=zero(atoms),
         ),
+        unfamiliarity=Unfamiliarity(zero(hidden, 1), zero(1), zero(1), 0.0, 1.0),
         cutoff=levels.cutoff,
         body_hash=body_hash(character),
         body_vertex_count=len(character.vertices),

@@ -118,10 +118,9 @@ def test_every_field_has_its_entry() -> None:
     """A field that is added without its line in the table would be lost on the way."""
     names = [entry.name for entry in ENTRIES]
     assert len(set(names)) == len(names)
-    never_set = {"solver.coarse_sweeps"}  # no scene has it, so it is what it is by default
     scales = {f"{name}_scale" for name in QUANTISED}
     stored = {name.replace("/", ".") for name in names} - DERIVED - scales - {"quality.names", "quality.values"}
-    assert stored == set(leaves(small_database(binding=small_binding()))) - {"quality"} - never_set
+    assert stored == set(leaves(small_database(binding=small_binding()))) - {"quality"}
 
 
 def test_figures_that_are_not_finite_are_not_stored(tmp_path: Path) -> None:
