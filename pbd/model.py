@@ -20,6 +20,7 @@ from pbd.storage import replacing
 __all__ = ["Model", "ModelOptions", "State", "build_model"]
 
 SAMPLE_SPACING = 0.025  # edges longer than this are tested for contact in their middle too [m]: a foot is narrower
+BLOCK = 16  # triangles of one colour that are solved at once
 GRID = 1.0  # origins are whole multiples of this power of two [m], so that moving one rounds nothing away
 
 
@@ -57,9 +58,10 @@ class Model:
         mass: [kg], float64, shape (n,).
         inverse_mass: [1/kg], 0 where a vertex is held, shape (n,).
         held: vertices that follow targets (pins and attachments), int32, shape (p,).
-        triangles: shape (m, 3); triangle_data: inverse flat | gram, unit | compliance,
-            see :func:`pbd.constraints.membrane_multipliers`, shape (m, 3, 4).
+        triangles: shape (m, 3); triangle_data: inverse flat, gram, unit, compliance, see
+            :func:`pbd.constraints.membrane_multipliers`, and columns to fill the last block, shape (12, m + BLOCK).
         triangle_colors, hinge_colors: offsets of the colours, shape (colours + 1,).
+        triangle_blocks: first triangle and size of each block, all of one colour, shape (b, 2).
         hinges: shape (h, 4); hinge_data: K row | sum of w K^2, compliance, shape (h, 2, 4).
         stitches: (v, a, b), shape (s, 3); stitch_weights: place of v between a and b, shape (s,).
         tethers: (vertex, held vertex), shape (t, 2); tether_lengths: [m], shape (t,).
@@ -77,6 +79,7 @@ class Model:
     triangles: np.ndarray
     triangle_data: np.ndarray
     triangle_colors: np.ndarray
+    triangle_blocks: np.ndarray
     hinges: np.ndarray
     hinge_data: np.ndarray
     hinge_colors: np.ndarray
@@ -138,6 +141,7 @@ def build_model(
         triangles,
         triangle_data,
         triangle_colors,
+        _blocks(triangle_colors),
         hinges,
         hinge_data,
         hinge_colors,
@@ -167,12 +171,21 @@ def _membrane(mesh: ClothMesh, fabric: Fabric, inverse_mass: np.ndarray) -> tupl
     softness = np.linalg.inv(fabric.membrane_stiffness()) / mesh.face_areas[order][:, None, None]
     trace = np.trace(gram, axis1=1, axis2=2)
     unit = np.where(trace > 0, 1.0 / np.where(trace > 0, trace, 1.0), 1.0)  # without a free corner nothing moves
-    data = np.zeros((len(faces), 3, 4), np.float32)
-    data[:, 0] = inverse.reshape(-1, 4)
-    data[:, 1, :3] = np.stack([gram[:, 0, 0], gram[:, 0, 1], gram[:, 1, 1]], axis=1) * unit[:, None]
-    data[:, 1, 3] = unit
-    data[:, 2] = np.stack([softness[:, a, b] for a, b in ((0, 0), (0, 1), (1, 1), (2, 2))], axis=1) * unit[:, None]
+    data = np.zeros((12, len(faces) + BLOCK), np.float32)
+    data[:, : len(faces)] = [
+        *inverse.reshape(-1, 4).T,
+        *(unit * gram[:, a, b] for a, b in ((0, 0), (0, 1), (1, 1))),
+        unit,
+        *(unit * softness[:, a, b] for a, b in ((0, 0), (0, 1), (1, 1), (2, 2))),
+    ]
     return np.ascontiguousarray(faces), data, offsets
+
+
+def _blocks(colors: np.ndarray) -> np.ndarray:
+    """First constraint and size of each block of at most ``BLOCK`` of one colour, shape (b, 2)."""
+    bounds = zip(colors[:-1].tolist(), colors[1:].tolist(), strict=True)
+    blocks = [(start, min(BLOCK, end - start)) for begin, end in bounds for start in range(begin, end, BLOCK)]
+    return np.array(blocks, np.int32).reshape(-1, 2)
 
 
 def _bending(

@@ -156,6 +156,7 @@ class Solver:
             self._awake,
             model.samples,
             model.triangles,
+            model.triangle_blocks,
             model.triangle_data,
             model.hinges,
             model.hinge_data,

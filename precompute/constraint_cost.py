@@ -8,7 +8,7 @@ import numpy as np
 from pbd import Fabric, State
 from pbd.constraints import link_multiplier
 from pbd.engine import ensure_initialized, ti
-from pbd.geometry import Float1, Int1, Int2, Int3, Int4, Vec4, Vec4Rows, vec4, xyz
+from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec4, Vec4Rows, vec4, xyz
 from pbd.mesh import greedy_colors
 from pbd.schedule import solve_bending, solve_membrane
 from precompute.solver_scenes import hanging_square
@@ -21,12 +21,19 @@ PASSES, REPEATS = 10, 15
 
 @ti.kernel
 def _membranes(
-    position: Vec4, shift: Vec4, triangles: Int3, data: Vec4Rows, parent: Int1, borne: Vec4, inverse_h2: ti.f32
+    position: Vec4,
+    shift: Vec4,
+    triangles: Int3,
+    blocks: Int2,
+    data: Float2,
+    parent: Int1,
+    borne: Vec4,
+    inverse_h2: ti.f32,
 ):
     ti.loop_config(serialize=True)
     for _ in range(1):
         for _pass in range(PASSES):
-            solve_membrane(position, shift, triangles, data, inverse_h2, 1.0, parent, borne, 1)
+            solve_membrane(position, shift, triangles, blocks, data, inverse_h2, 1.0, parent, borne, 1)
 
 
 @ti.kernel
@@ -84,7 +91,9 @@ def constraint_costs() -> dict[str, float]:
         "scalar_limit": _time(len(edges), lambda: _limit(offsets, lengths, corrections)),
         "membrane": _time(
             len(model.triangles),
-            lambda: _membranes(position, shift, model.triangles, model.triangle_data, parent, borne, rate),
+            lambda: _membranes(
+                position, shift, model.triangles, model.triangle_blocks, model.triangle_data, parent, borne, rate
+            ),
         ),
         "hinge": _time(len(model.hinges), lambda: _hinges(position, shift, model.hinges, model.hinge_data, rate)),
         "distance": _time(len(edges), lambda: _distances(position, edges, lengths)),
