@@ -24,6 +24,7 @@ from assets.settings import (
     indices,
     number,
     settings_text,
+    several,
     table,
     tables,
     text,
@@ -187,11 +188,13 @@ class TrainingSettings:
         clips: clips to learn from.
         held_out: clips that nothing is learned from.
         procedural_seconds: length of procedural motion to learn from as well [s].
+        fabrics: presets to learn the wrinkles in besides the garment's own fabric.
     """
 
     clips: tuple[MotionSettings, ...] = entry(tables(table(MotionSettings)), ())
     held_out: tuple[MotionSettings, ...] = entry(tables(table(MotionSettings)), ())
     procedural_seconds: float = entry(number(at_least=0, unit="s"), 0.0)
+    fabrics: tuple[str, ...] = entry(several(choice(*PRESETS)), ())
 
 
 @dataclass(frozen=True, kw_only=True)

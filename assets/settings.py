@@ -28,6 +28,7 @@ __all__ = [
     "indices",
     "number",
     "settings_text",
+    "several",
     "table",
     "tables",
     "text",
@@ -202,6 +203,17 @@ def indices() -> Check:
         return tuple(value)
 
     return Check("a list of different whole numbers, each at least 0", convert)
+
+
+def several(one: Check) -> Check:
+    """A list of different values, each read by the check ``one``."""
+
+    def convert(reader: Reader, value: Any, key: str) -> tuple[Any, ...]:
+        if not isinstance(value, list) or any(item in value[:index] for index, item in enumerate(value)):
+            raise Refused
+        return tuple(reader.value(one, item, f"{key}[{index}]") for index, item in enumerate(value))
+
+    return Check(f"a list of different values, each {one.expected}", convert)
 
 
 def file_path(*suffixes: str, builtins: Sequence[str] = ()) -> Check:

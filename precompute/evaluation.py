@@ -199,14 +199,16 @@ def settled(recording: Recording, run: Run) -> Recording:
     return recording.where(keep)
 
 
-def given_frames(database: WrinkleDatabase, truth: Truth) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Smooth and decoded garment for the truth's own coarse state, and how unfamiliar it is.
+def given_frames(
+    database: WrinkleDatabase, run: Run, recording: Recording
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Smooth and decoded garment for a fine run's own coarse states, and how unfamiliar they are.
 
     Returns:
         vertices [m], float32, shape (f, N, 3) twice, and scores of :class:`wrinkles.unfamiliarity.Unfamiliarity`,
         shape (f, n).
     """
-    layer = build_layer(truth.levels)
+    layer = build_layer(run.levels)
     mapping, unfamiliarity, scores = database.mapping, database.unfamiliarity, []
 
     def predict(features: np.ndarray, pose: np.ndarray) -> np.ndarray:
@@ -214,7 +216,7 @@ def given_frames(database: WrinkleDatabase, truth: Truth) -> tuple[np.ndarray, n
         scores.append(unfamiliarity.score(hidden))
         return mapping.coefficients(hidden) * unfamiliarity.amplitude(scores[-1])[:, None]
 
-    smooth, decoded = decode_recording(layer, predict, database.atoms, truth.run, truth.recording)
+    smooth, decoded = decode_recording(layer, predict, database.atoms, run, recording)
     return smooth, decoded, np.array(scores)
 
 
@@ -302,7 +304,7 @@ def evaluate(
     """
     tell = report or (lambda line: None)
     tell("evaluating: given the coarse state")
-    smooth, decoded, scores = given_frames(database, truth)
+    smooth, decoded, scores = given_frames(database, truth.run, truth.recording)
     owner = leading_vertices(truth.levels.subdivision)[:, 0]
     faces = truth.levels.fine.faces
     figures = {k: float(v) for k, v in given_coarse_figures(decoded, truth.frames, smooth, faces, owner).items()}

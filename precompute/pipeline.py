@@ -15,13 +15,16 @@ from assets.scene import Scene, scene_text
 from pbd import Fabric, InputError, SolverOptions
 from pbd.bending import hinge_calibration
 from precompute.calibration import Calibration, calibrate
-from precompute.evaluation import Evaluation, Truth, evaluate, fine_run, truth_of
+from precompute.evaluation import Evaluation, Truth, evaluate, fine_run, given_frames, settled, truth_of
 from precompute.recording import Recording, Run, body_source, record_runs
 from precompute.training import build_layer, fit_layer, spread_frames, training_set
 from precompute.unfamiliarity import fit_unfamiliarity
 from runtime.simulation import Motion
-from runtime.stage import Stage, fabric_of
-from wrinkles.database import WrinkleDatabase, as_stored, body_hash, code_version, write_database
+from runtime.stage import Stage, fabrics_of
+from wrinkles.charts import leading_vertices
+from wrinkles.database import LearnedFabric, WrinkleDatabase, as_stored, body_hash, code_version, write_database
+from wrinkles.dictionary import fabric_features
+from wrinkles.metrics import given_coarse_figures
 
 __all__ = [
     "EPOCHS",
@@ -48,7 +51,7 @@ class Precomputed:
     Attributes:
         database: as written.
         path: where.
-        calibration: of the coarse model.
+        calibration: of the coarse model in the garment's own fabric.
         truth: of the first held-out motion, None without one.
         evaluation: of the database on it.
     """
@@ -65,10 +68,6 @@ class _Settings:
     fabric: Fabric
     solver: SolverOptions
     frame_rate: float
-
-    @classmethod
-    def of(cls, stage: Stage, scene: Scene) -> _Settings:
-        return cls(fabric_of(stage.settings), scene.solver.options(), scene.solver.frame_rate)
 
 
 def default_cache(output: Path) -> Path:
@@ -114,23 +113,31 @@ def precompute(
     if not motions:
         raise InputError("nothing to learn from", key="training", expected="clips or procedural_seconds")
     held_out = [stage.motion(m) for m in scene.training.held_out]  # refused now, and not after the simulations
-    levels, seed, settings = stage.levels, scene.wrinkles.seed, _Settings.of(stage, scene)
-    runs = training_runs(stage, scene)
+    levels, seed, solver = stage.levels, scene.wrinkles.seed, scene.solver.options()
+    fabrics = fabrics_of(scene, stage.settings)
+    runs = [run for name in fabrics for run in training_runs(stage, scene, name)]
     recordings = training_recordings(runs, cache, workers, tell)
 
     tell("fitting patches")
     layer = build_layer(levels)
-    data = training_set(layer, spread_frames(recordings, TRAINING_FRAMES), scene.wrinkles.atoms, seed)
-    width = scene.wrinkles.hidden_width
-    mapping = fit_layer(layer, data, hidden=(2 * width, width), epochs=EPOCHS, seed=seed, report=tell)
+    learned = spread_frames(recordings, TRAINING_FRAMES)
+    data = training_set(layer, learned, scene.wrinkles.atoms, seed)
+    width, own = scene.wrinkles.hidden_width, runs[0].fabric
+    worn = [fabric_features(run.fabric, own) for run in runs]
+    told = np.repeat(worn, [len(recording.frames) for recording in learned], axis=0)
+    mapping = fit_layer(layer, data, hidden=(2 * width, width), epochs=EPOCHS, seed=seed, report=tell, fabrics=told)
+    mappings = [mapping.for_fabric(features) for features in worn]
 
     coarse_bend = hinge_calibration(levels.coarse)
-    chosen = _excerpts(runs)
-    excerpts = [_start_of(recordings[number], short) for number, short in chosen]
-    shorts = [short for _, short in chosen]
-    calibration = calibrate(
-        layer, mapping, data.atoms, shorts, excerpts, settings.solver, coarse_bend, cache, workers, tell
-    )
+    calibrations = []
+    for first in range(0, len(runs), len(motions)):  # of each fabric
+        chosen = [(first + number, short) for number, short in _excerpts(runs[first : first + len(motions)])]
+        excerpts = [_start_of(recordings[number], short) for number, short in chosen]
+        shorts = [short for _, short in chosen]
+        calibrations.append(
+            calibrate(layer, mappings[first], data.atoms, shorts, excerpts, solver, coarse_bend, cache, workers, tell)
+        )
+    calibration = calibrations[0]
     database = WrinkleDatabase(
         garment_name=stage.settings.name,
         coarse_vertices=levels.coarse.vertices,
@@ -139,14 +146,19 @@ def precompute(
         held=levels.coarse_held.astype(np.int32),
         warp=(0.0, 1.0, 0.0),
         binding=levels.subdivision.binding,
-        fabric=settings.fabric,
+        fabric_name=next(iter(fabrics)),
+        fabric=own,
         options=calibration.options,
+        other_fabrics=tuple(
+            LearnedFabric(name, fabrics[name], one.options)
+            for name, one in list(zip(fabrics, calibrations, strict=True))[1:]
+        ),
         bend_factor=coarse_bend,
-        solver=settings.solver,
-        frame_rate=settings.frame_rate,
+        solver=solver,
+        frame_rate=scene.solver.frame_rate,
         atoms=data.atoms,
         mapping=mapping,
-        unfamiliarity=fit_unfamiliarity(layer, mapping, data.atoms, runs, recordings, seed),
+        unfamiliarity=fit_unfamiliarity(layer, mappings, data.atoms, runs, recordings, seed),
         cutoff=levels.cutoff,
         body_hash=body_hash(stage.body),
         body_vertex_count=len(body_source(stage.body).vertices),
@@ -166,6 +178,10 @@ def precompute(
         truth = truth_of(run, cache, workers, tell)
         evaluation = evaluate(database, truth, cache, tell)
         quality = dict(evaluation.figures)
+        for other in database.other_fabrics:
+            run = scene_run(stage, scene, held_out[0], other.name)
+            given = _given_figures(database.in_fabric(other.name), run, cache, workers, tell)
+            quality |= {f"{other.name}_{name}": value for name, value in given.items()}
     quality |= {
         "feature_shift_before": calibration.shift_before,
         "feature_shift_after": calibration.shift_after,
@@ -178,9 +194,9 @@ def precompute(
     return Precomputed(database, output, calibration, truth, evaluation)
 
 
-def training_runs(stage: Stage, scene: Scene) -> list[Run]:
-    """The fine runs that a scene learns from."""
-    return [scene_run(stage, scene, motion) for motion in stage.training_motions()]
+def training_runs(stage: Stage, scene: Scene, fabric: str | None = None) -> list[Run]:
+    """The fine runs that a scene learns from, in one of its fabrics; None takes the garment's own."""
+    return [scene_run(stage, scene, motion, fabric) for motion in stage.training_motions()]
 
 
 def training_recordings(
@@ -191,10 +207,24 @@ def training_recordings(
     return [r.where(r.frames * run.dt > run.lead_in) for r, run in zip(recordings, runs, strict=True)]
 
 
-def scene_run(stage: Stage, scene: Scene, motion: Motion) -> Run:
-    """The fine run of a motion under a scene's settings."""
-    settings = _Settings.of(stage, scene)
+def scene_run(stage: Stage, scene: Scene, motion: Motion, fabric: str | None = None) -> Run:
+    """The fine run of a motion under a scene's settings, in one of its fabrics; None takes the garment's own."""
+    fabrics = fabrics_of(scene, stage.settings)
+    worn = fabrics[next(iter(fabrics)) if fabric is None else fabric]
+    settings = _Settings(worn, scene.solver.options(), scene.solver.frame_rate)
     return fine_run(stage.levels, stage.body, motion, settings, wind=scene.wind.velocity, primitives=scene.primitives)
+
+
+def _given_figures(
+    database: WrinkleDatabase, run: Run, cache: Path, workers: int, report: Callable[[str], None]
+) -> dict[str, float]:
+    """What the dictionary makes of the coarse states of a fine run: error and skill of its normals."""
+    (recording,) = record_runs([run], cache, workers, report)
+    recording = settled(recording, run)
+    smooth, decoded, _ = given_frames(database, run, recording)
+    owner = leading_vertices(run.levels.subdivision)[:, 0]
+    figures = given_coarse_figures(decoded, recording.positions, smooth, run.levels.fine.faces, owner)
+    return {name: float(figures[name]) for name in ("normal_error_deg", "normal_error_smooth_deg", "normal_skill")}
 
 
 def _excerpts(runs: list[Run]) -> list[tuple[int, Run]]:

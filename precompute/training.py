@@ -138,13 +138,20 @@ def fit_layer(
     epochs: int,
     seed: int,
     report: Callable[[str], None] | None = None,
+    fabrics: np.ndarray | None = None,
 ) -> Mapping:
-    """Fit the mapping to a training set."""
+    """Fit the mapping to a training set; arguments as for :func:`wrinkles.dictionary.fit_mapping`."""
     tell = None if report is None else (lambda e, n, loss: report(f"fitting: pass {e} of {n}, loss {loss:.4f}"))
-    mapping = fit_mapping(
-        data.features, layer.stencil.static, data.coefficients, hidden=hidden, epochs=epochs, seed=seed, on_epoch=tell
+    return fit_mapping(
+        data.features,
+        layer.stencil.static,
+        data.coefficients,
+        hidden=hidden,
+        epochs=epochs,
+        seed=seed,
+        on_epoch=tell,
+        fabrics=fabrics,
     )
-    return mapping
 
 
 @dataclass(frozen=True)

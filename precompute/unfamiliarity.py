@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -27,7 +28,12 @@ FAMILIAR = 99.5  # percentile of the score there
 
 
 def fit_unfamiliarity(
-    layer: Layer, mapping: Mapping, atoms: Atoms, runs: Sequence[Run], recordings: Sequence[Recording], seed: int
+    layer: Layer,
+    mappings: Sequence[Mapping],
+    atoms: Atoms,
+    runs: Sequence[Run],
+    recordings: Sequence[Recording],
+    seed: int,
 ) -> Unfamiliarity:
     """Fit the score to the true errors of decoded training motion.
 
@@ -36,14 +42,14 @@ def fit_unfamiliarity(
 
     Args:
         layer: of the garment.
-        mapping, atoms: the dictionary.
+        mappings, atoms: the dictionary, for the fabric of each run.
         runs: fine training runs.
         recordings: what they gave.
         seed: of noise, first weights and shuffling.
     """
     rng = np.random.default_rng(seed)
-    hidden, error = _decoded_errors(layer, mapping, atoms, runs, spread_frames(recordings, FRAMES), None)
-    strange = _decoded_errors(layer, mapping, atoms, runs, spread_frames(recordings, STRANGE_FRAMES), rng)
+    hidden, error = _decoded_errors(layer, mappings, atoms, runs, spread_frames(recordings, FRAMES), None)
+    strange = _decoded_errors(layer, mappings, atoms, runs, spread_frames(recordings, STRANGE_FRAMES), rng)
     kept_out = np.arange(len(hidden)) // BLOCK % KEPT_OUT == KEPT_OUT - 1
     seen = np.concatenate([hidden[~kept_out], strange[0]]).reshape(-1, hidden.shape[2])
     target = np.log(np.concatenate([error[~kept_out], strange[1]]).reshape(-1, 1) + LEAST)
@@ -66,7 +72,7 @@ def fit_unfamiliarity(
 
 def _decoded_errors(
     layer: Layer,
-    mapping: Mapping,
+    mappings: Sequence[Mapping],
     atoms: Atoms,
     runs: Sequence[Run],
     recordings: Sequence[Recording],
@@ -77,12 +83,12 @@ def _decoded_errors(
     Of the k coarse vertices that lead fine ones; a delivered fine mesh may leave some out.
 
     Args:
-        layer, mapping, atoms, runs, recordings: as above.
+        layer, mappings, atoms, runs, recordings: as above.
         rng: makes the features strange; None leaves them.
     """
     hidden: list[np.ndarray] = []
 
-    def predict(features: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    def predict(mapping: Mapping, features: np.ndarray, pose: np.ndarray) -> np.ndarray:
         if rng is not None:
             features = features + rng.uniform(*NOISE) * rng.standard_normal(features.shape) / mapping.scale
         hidden.append(mapping.hidden(features).astype(np.float32))
@@ -90,7 +96,7 @@ def _decoded_errors(
 
     faces, owner = layer.levels.fine.faces, leading_vertices(layer.levels.subdivision)[:, 0]
     errors = []
-    for run, recording in zip(runs, recordings, strict=True):
-        _, decoded = decode_recording(layer, predict, atoms, run, recording)
+    for mapping, run, recording in zip(mappings, runs, recordings, strict=True):
+        _, decoded = decode_recording(layer, partial(predict, mapping), atoms, run, recording)
         errors.append(patch_normal_errors(decoded, recording.positions, faces, owner))
     return np.array(hidden)[:, np.unique(owner)], np.concatenate(errors).astype(np.float32)

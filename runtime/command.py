@@ -152,6 +152,7 @@ def _add_played(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("database", type=Path, metavar="DB.h5", help="wrinkle database")
     parser.add_argument("--character", type=Path, metavar="FILE", help="body and clips; the scene's own if absent")
     parser.add_argument("--clip", metavar="NAME", help="motion; those that were held out if absent")
+    parser.add_argument("--fabric", metavar="NAME", help="one that the database holds; the garment's own if absent")
     parser.add_argument("--seconds", type=_positive, metavar="S", help="only the start of the motion")
 
 
@@ -232,6 +233,8 @@ def _play(options: argparse.Namespace) -> Report:
     if options.loop is None:
         check_folder(options.output)
     database = read_database(options.database)
+    if options.fabric is not None:
+        database = database.in_fabric(options.fabric)
     cast = cast_of(database, options.character, options.clip)
     rows: list[dict[str, float | str]] = []
     for motion in cast.motions:
@@ -290,6 +293,8 @@ def _bake(options: argparse.Namespace) -> Report:
 
     check_file(options.output, *BAKED)
     database = read_database(options.database)
+    if options.fabric is not None:
+        database = database.in_fabric(options.fabric)
     cast = cast_of(database, options.character, options.clip)
     player, frames, normals, bodies = baked_frames(database, cast, cast.motions[0], options.rate, options.seconds)
     faces = player.levels.subdivision.faces

@@ -11,7 +11,7 @@ import numpy as np
 from pbd import ClothMesh, InputError, State, build_model
 from pbd.geometry import FAR
 from wrinkles.charts import Charts
-from wrinkles.database import WrinkleDatabase, code_version, database_figures, read_database
+from wrinkles.database import LearnedFabric, WrinkleDatabase, code_version, database_figures, read_database
 from wrinkles.decoder import Decoder
 from wrinkles.features import Stencil
 from wrinkles.patches import Patches
@@ -107,6 +107,8 @@ def _figures(database: WrinkleDatabase) -> dict[str, float]:
     for group in ("fabric", "options", "solver", "atoms"):
         values |= {f"{group}_{name}": value for name, value in vars(values[group]).items()}
     values |= {f"solver_gravity_{axis}": g for axis, g in zip("xyz", database.solver.gravity, strict=True)}
+    for other in database.other_fabrics:
+        values |= {f"{other.name}_{name}": value for name, value in vars(other.options).items()}
     return figures | {name: value for name, value in values.items() if isinstance(value, (int, float))}
 
 
@@ -135,8 +137,11 @@ def _sections(database: WrinkleDatabase, figures: Mapping[str, float]) -> Iterat
             ("body", f"{database.body_vertex_count} vertices, hash {database.body_hash[:12]}"),
         ],
     )
-    yield "Fabric", scalars("fabric")
+    yield "Fabric", [("name", database.fabric_name), *scalars("fabric")]
     yield "Coarse model, calibrated", scalars("options") + [("bend factor", f"{database.bend_factor:.6g}")]
+    if database.other_fabrics:
+        others = [(other.name, _other_fabric(other, database.quality)) for other in database.other_fabrics]
+        yield "Other fabrics", others
     yield "Solver", scalars("solver") + [("frame rate", f"{database.frame_rate:g} Hz")]
     widths = [figures[name] for name in ("feature_count", "hidden_width_1", "hidden_width_2", "atom_count")]
     yield (
@@ -163,6 +168,13 @@ def _sections(database: WrinkleDatabase, figures: Mapping[str, float]) -> Iterat
             ("load", f"{figures['load_s']:.3f} s"),
         ],
     )
+
+
+def _other_fabric(other: LearnedFabric, quality: Mapping[str, float]) -> str:
+    options = other.options
+    words = f"squeeze {options.squeeze:g}, bend scale {options.bend_scale:g}"
+    error, skill = (quality.get(f"{other.name}_{name}") for name in ("normal_error_deg", "normal_skill"))
+    return words if error is None else f"{words}; held out: normal error {error:.2f} deg, skill {skill:.3f}"
 
 
 def _quality_lines(database: WrinkleDatabase) -> list[str]:
@@ -232,12 +244,15 @@ def check_database(path: str | Path) -> list[Check]:
         patches, middle_patches = Patches.of(subdivision, charts), Patches.of(subdivision.middle, charts)
         checks.append(_check_patches(patches, subdivision.fine_count))
         stencil = Stencil.of(charts, database.held)
-        decoder = Decoder(stencil, patches, middle_patches, database.mapping, database.atoms, database.unfamiliarity)
         state, torn = State.at_rest(model), State.at_rest(model)
         rng, edge = np.random.default_rng(0), float(coarse.edge_lengths()[1].mean())
         torn.position[:, :3] += rng.normal(0.0, edge, coarse.vertices.shape)
-        checks.append(_check_decoding("decoding at rest", database, subdivision, decoder, state))
-        checks.append(_check_decoding("decoding a torn garment", database, subdivision, decoder, torn))
+        for name in database.fabric_names:
+            worn = database.in_fabric(name)
+            decoder = Decoder(stencil, patches, middle_patches, worn.mapping, worn.atoms, worn.unfamiliarity)
+            among = f" ({name})" * bool(database.other_fabrics)
+            checks.append(_check_decoding(f"decoding at rest{among}", database, subdivision, decoder, state))
+            checks.append(_check_decoding(f"decoding a torn garment{among}", database, subdivision, decoder, torn))
     except InputError as error:
         checks.append(Check("garment", False, str(error)))
     return checks

@@ -31,6 +31,7 @@ class Player:
         body: the character or vertex sequence that it was learned on.
         pose: where the body is at the start (its bind pose, moved as a whole).
         primitives: what the coarse garment meets besides the body: planes, spheres, capsules.
+        fabric: name of one that the database was learned in; None takes the garment's own.
 
     Attributes:
         levels: coarse and fine mesh.
@@ -39,13 +40,20 @@ class Player:
         timings: what the last frame took, by part [ms].
 
     Raises:
-        InputError: a body that the database was not made for, or a bad pose.
+        InputError: a body that the database was not made for, a fabric that it was not learned in, or a bad pose.
     """
 
     def __init__(
-        self, database: WrinkleDatabase, body: Character | Sequence, pose: np.ndarray, primitives: tuple = ()
+        self,
+        database: WrinkleDatabase,
+        body: Character | Sequence,
+        pose: np.ndarray,
+        primitives: tuple = (),
+        fabric: str | None = None,
     ) -> None:
         database.require_body(body)
+        if fabric is not None:
+            database = database.in_fabric(fabric)
         self._pose_shape = (len(body.joint_names), 3, 4) if isinstance(body, Character) else body.vertices.shape[1:]
         self._check_pose(pose)
         self.database = database

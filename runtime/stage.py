@@ -11,6 +11,7 @@ import numpy as np
 from assets.builtin import builtin_garment
 from assets.character import Character, load_character, with_clips
 from assets.exploration import exploration_motion
+from assets.fabrics import PRESETS
 from assets.garment import Garment, boundary_loops, highest_loop, load_garment
 from assets.mannequin import builtin_mannequin
 from assets.motion import ClipMotion, part_of
@@ -29,6 +30,7 @@ __all__ = [
     "body_of",
     "coarse_garment",
     "fabric_of",
+    "fabrics_of",
     "fine_options",
     "held_vertices",
     "load_body",
@@ -96,6 +98,20 @@ def fabric_of(settings: GarmentSettings) -> Fabric:
     """What a garment is made of, as thick as the scene wants it."""
     thickness = settings.fabric.thickness if settings.thickness is None else settings.thickness
     return replace(settings.fabric, thickness=thickness)
+
+
+def fabrics_of(scene: Scene, settings: GarmentSettings) -> dict[str, Fabric]:
+    """Every fabric that a scene learns a garment's wrinkles in by its name, the garment's own first.
+
+    Raises:
+        InputError: the garment's own among those to learn besides.
+    """
+    own = next((name for name, preset in PRESETS.items() if preset == settings.fabric), "own")
+    others = scene.training.fabrics
+    if own in others:
+        expected = f"others than the garment's own, {own}"
+        raise InputError("the garment's own fabric", key="training.fabrics", received=list(others), expected=expected)
+    return {own: fabric_of(settings)} | {name: fabric_of(replace(settings, fabric=PRESETS[name])) for name in others}
 
 
 def fine_options(options: SolverOptions, subdivisions: int) -> SolverOptions:

@@ -10,7 +10,7 @@ import hashlib
 import io
 import time
 from collections.abc import Mapping as Dictionary
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from importlib import metadata
 from operator import attrgetter
@@ -25,7 +25,7 @@ from pbd import Fabric, InputError, ModelOptions, SolverOptions
 from pbd.mesh import edges_of
 from pbd.storage import replacing
 from wrinkles.binding import Binding
-from wrinkles.dictionary import Atoms, Mapping
+from wrinkles.dictionary import Atoms, Mapping, fabric_features
 from wrinkles.schema import (
     ENTRIES,
     FORMAT,
@@ -44,6 +44,7 @@ from wrinkles.surface import Subdivision
 from wrinkles.unfamiliarity import Unfamiliarity
 
 __all__ = [
+    "LearnedFabric",
     "WrinkleDatabase",
     "as_stored",
     "body_hash",
@@ -58,6 +59,21 @@ PACKED = {"chunks": True, "shuffle": True, "compression": "gzip"}
 
 
 @dataclass(frozen=True)
+class LearnedFabric:
+    """A fabric that a garment's wrinkles were learned in besides its own.
+
+    Attributes:
+        name: to choose it by.
+        fabric: the fabric.
+        options: of the coarse model that was calibrated for it.
+    """
+
+    name: str
+    fabric: Fabric
+    options: ModelOptions
+
+
+@dataclass(frozen=True)
 class WrinkleDatabase:
     """A garment's wrinkles and the coarse garment that they were learned for.
 
@@ -69,8 +85,10 @@ class WrinkleDatabase:
         held: coarse vertices attached to the body, ascending, int32, shape (p,).
         warp: direction of the warp in space.
         binding: of a delivered fine mesh; None where the subdivided mesh is the fine one.
-        fabric: of the garment.
-        options: of the calibrated coarse model.
+        fabric_name: of the garment's own fabric.
+        fabric: the garment's own.
+        options: of the coarse model, calibrated for it.
+        other_fabrics: others that it can be played in, see :meth:`in_fabric`.
         bend_factor: hinge factor measured on the coarse mesh [-].
         solver: options of the coarse simulation.
         frame_rate: at which it runs [Hz].
@@ -96,8 +114,10 @@ class WrinkleDatabase:
     held: np.ndarray
     warp: tuple[float, float, float]
     binding: Binding | None
+    fabric_name: str
     fabric: Fabric
     options: ModelOptions
+    other_fabrics: tuple[LearnedFabric, ...]
     bend_factor: float
     solver: SolverOptions
     frame_rate: float
@@ -129,6 +149,32 @@ class WrinkleDatabase:
     def subdivision(self) -> Subdivision:
         """From the coarse to the fine mesh."""
         return Subdivision.of(self.coarse_faces, len(self.coarse_vertices), self.subdivisions, self.binding)
+
+    @property
+    def fabric_names(self) -> tuple[str, ...]:
+        """Of every fabric that the garment can be played in, its own first."""
+        return (self.fabric_name, *(other.name for other in self.other_fabrics))
+
+    def in_fabric(self, name: str) -> WrinkleDatabase:
+        """The same garment in one fabric, which is then its own and only one.
+
+        Raises:
+            InputError: a fabric that it was not learned in.
+        """
+        if name not in self.fabric_names:
+            expected = "one of " + ", ".join(self.fabric_names)
+            raise InputError("a fabric that was not learned", key="fabric", received=name, expected=expected)
+        if name == self.fabric_name:
+            return replace(self, other_fabrics=())
+        other = self.other_fabrics[self.fabric_names.index(name) - 1]
+        return replace(
+            self,
+            fabric_name=name,
+            fabric=other.fabric,
+            options=other.options,
+            other_fabrics=(),
+            mapping=self.mapping.for_fabric(fabric_features(other.fabric, self.fabric)),
+        )
 
     def require_garment(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         """Refuse another garment than the one in the database.
@@ -310,6 +356,7 @@ def _arrays(database: WrinkleDatabase) -> dict[str, np.ndarray]:
         "quality/names": tuple(quality),
         "quality/values": np.array(list(quality.values()), float),
         **_binding_values(database.binding),
+        **_other_fabrics_values(database.other_fabrics),
     }
     for entry in ENTRIES:
         if entry.name not in values:
@@ -338,6 +385,26 @@ def _binding_of(values: dict[str, np.ndarray]) -> Binding | None:
     return Binding(**(values | {"place": place, "flat": flat}))
 
 
+def _other_fabrics_values(others: tuple[LearnedFabric, ...]) -> dict[str, Any]:
+    """A column for each of their values."""
+    columns: dict[str, Any] = {"other_fabrics/name": tuple(other.name for other in others)}
+    for part, kind in (("fabric", Fabric), ("options", ModelOptions)):
+        for field in fields(kind):
+            values = [getattr(getattr(other, part), field.name) for other in others]
+            columns[f"other_fabrics/{part}/{field.name}"] = np.array(values, float)
+    return columns
+
+
+def _other_fabrics_of(names: tuple[str, ...], *columns: dict[str, np.ndarray]) -> tuple[LearnedFabric, ...]:
+    def row(values: dict[str, np.ndarray], number: int) -> dict[str, float]:
+        return {name: column[number].item() for name, column in values.items()}
+
+    fabric, options = columns
+    return tuple(
+        LearnedFabric(name, Fabric(**row(fabric, k)), ModelOptions(**row(options, k))) for k, name in enumerate(names)
+    )
+
+
 def _unpacked(arrays: dict[str, np.ndarray]) -> WrinkleDatabase:
     values = {entry.name: unpack(entry, arrays[entry.name]) for entry in ENTRIES}
     for entry in ENTRIES:
@@ -356,6 +423,9 @@ def _unpacked(arrays: dict[str, np.ndarray]) -> WrinkleDatabase:
         binding=_binding_of(groups["binding"]),
         fabric=Fabric(**groups["fabric"]),
         options=ModelOptions(**groups["options"]),
+        other_fabrics=_other_fabrics_of(
+            groups["other_fabrics"]["name"], groups["other_fabrics/fabric"], groups["other_fabrics/options"]
+        ),
         solver=SolverOptions(**groups["solver"]),
         atoms=Atoms(**groups["atoms"]),
         mapping=Mapping(**groups["mapping"]),

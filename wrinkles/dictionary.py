@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
 
+from pbd import Fabric
 from wrinkles.network import Network
 from wrinkles.patches import NODES, slope_metric
 
-__all__ = ["Atoms", "Mapping", "fit_atoms", "fit_mapping", "whitening"]
+__all__ = ["FABRIC_COUNT", "Atoms", "Mapping", "fabric_features", "fit_atoms", "fit_mapping", "whitening"]
 
 NOISE = 0.05  # of the features in training, in standard deviations
+FABRIC_COUNT = 2  # see fabric_features
+SHORTEST = 1e-3  # gravity lengths below it [m] are all the same: no mesh shows their folds
 CLIP = 4.0  # features further out than this many standard deviations count as if they stood there
 
 
@@ -66,12 +69,14 @@ def fit_atoms(patches: np.ndarray, count: int) -> Atoms:
 class Mapping:
     """From features to coefficients: two hidden layers of rectified units.
 
-    The first layer's share of the static features is a bias of its own at every coarse vertex.
+    The first layer's share of the static features is a bias of its own at every coarse vertex, and its share of the
+    fabric is one more, the same everywhere: neither costs anything in playing.
 
     Attributes:
         center, scale: of the dynamic features, float32, shape (DYNAMIC_COUNT,).
         weights: of the three layers, float32; biases: of the second and third; place_bias: of the first,
             shape (n, hidden).
+        fabric_weights: of the first layer for :func:`fabric_features`, float32, shape (FABRIC_COUNT, hidden).
     """
 
     center: np.ndarray
@@ -80,8 +85,14 @@ class Mapping:
     weights_2: np.ndarray
     weights_3: np.ndarray
     place_bias: np.ndarray
+    fabric_weights: np.ndarray
     bias_2: np.ndarray
     bias_3: np.ndarray
+
+    def for_fabric(self, features: np.ndarray) -> Mapping:
+        """The mapping of a fabric, by its :func:`fabric_features`, shape (FABRIC_COUNT,)."""
+        bias = np.asarray(features, np.float32) @ self.fabric_weights
+        return replace(self, place_bias=self.place_bias + bias, fabric_weights=np.zeros_like(self.fabric_weights))
 
     def predict(self, features: np.ndarray) -> np.ndarray:
         """Coefficients for features, shape (..., n, DYNAMIC_COUNT) to (..., n, K); the reference of the decoder."""
@@ -100,6 +111,17 @@ class Mapping:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
+def fabric_features(fabric: Fabric, own: Fabric) -> np.ndarray:
+    """What the mapping is told of a fabric: logarithms of its gravity length and of its mass per area.
+
+    Args:
+        fabric: of a fabric.
+        own: the garment's own, of which both are shares, so that its own features are zero.
+    """
+    tell = lambda f: np.log([max(f.gravity_length, SHORTEST), f.areal_density])  # noqa: E731
+    return tell(fabric) - tell(own)
+
+
 def fit_mapping(
     features: np.ndarray,
     static: np.ndarray,
@@ -109,6 +131,7 @@ def fit_mapping(
     epochs: int = 8,
     seed: int = 0,
     on_epoch: Callable[[int, int, float], None] | None = None,
+    fabrics: np.ndarray | None = None,
 ) -> Mapping:
     """Fit the mapping on training frames.
 
@@ -124,9 +147,10 @@ def fit_mapping(
         epochs: passes over the data.
         seed: of weights and shuffling.
         on_epoch: told (passes done, epochs, loss) after each pass.
+        fabrics: :func:`fabric_features` of each frame, shape (S, FABRIC_COUNT); None where all are the garment's own.
 
     Returns:
-        The mapping.
+        The mapping, for the garment's own fabric.
     """
     count = features.shape[2]
     flat = features.reshape(-1, count)
@@ -136,11 +160,17 @@ def fit_mapping(
     z += NOISE * np.random.default_rng(seed).standard_normal(z.shape, np.float32)
     middle, axes = whitening(z[:: max(1, len(z) // 200_000)])
     z -= middle
+    told = np.zeros((len(features), FABRIC_COUNT)) if fabrics is None else np.asarray(fabrics, float)
+    differs = np.ptp(told, axis=0) > 0.0
+    usual, spread = told[:, differs].mean(axis=0), told[:, differs].std(axis=0)
+    inputs = np.zeros((len(z), count + len(usual)), np.float32)
+    np.matmul(z, axes, out=inputs[:, :count])
+    inputs[:, count:] = np.repeat((told[:, differs] - usual) / spread, features.shape[1], axis=0)
     place = (static - static.mean(axis=0)) / (static.std(axis=0) + 1e-2)
     unit = float(np.sqrt((coefficients**2).mean()))
-    network = Network((count + place.shape[1], *hidden, coefficients.shape[2]), seed)
+    network = Network((inputs.shape[1] + place.shape[1], *hidden, coefficients.shape[2]), seed)
     network.fit(
-        z @ axes,
+        inputs,
         place.astype(np.float32),
         (coefficients / unit).reshape(-1, coefficients.shape[2]),
         epochs=epochs,
@@ -149,14 +179,18 @@ def fit_mapping(
     first, second, third = network.weights
     bias_1, bias_2, bias_3 = network.biases
     single = lambda a: np.ascontiguousarray(a, np.float32)  # noqa: E731
-    weights_1 = axes @ first[:count]
+    weights_1, by_place = axes @ first[:count], first[inputs.shape[1] :]
+    by_fabric = np.zeros((FABRIC_COUNT, hidden[0]))
+    by_fabric[differs] = first[count : inputs.shape[1]] / spread[:, None]
+    own = usual @ by_fabric[differs]
     return Mapping(
         single(center),
         single(scale),
         single(weights_1),
         single(second),
         single(third * unit),
-        single(place @ first[count:] + bias_1 - middle @ weights_1),
+        single(place @ by_place + bias_1 - middle @ weights_1 - own),
+        single(by_fabric),
         single(bias_2),
         single(bias_3 * unit),
     )

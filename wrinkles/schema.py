@@ -6,14 +6,15 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pbd import InputError
+from pbd import Fabric, InputError, ModelOptions
+from wrinkles.dictionary import FABRIC_COUNT
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.patches import NODES
 
@@ -34,7 +35,7 @@ __all__ = [
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE, STEPS = "text", "float32", "float64", "int32", "int64", "int8"
 
@@ -67,6 +68,15 @@ def _in_steps(name: str, shape: tuple[int | str, int | str], unit: str = "-", al
     return steps, Entry(f"{name}_scale", SINGLE, (shape[1 - along],), unit)
 
 
+def _in_fabric(group: str, shape: tuple[str, ...]) -> Iterator[Entry]:
+    """Entries of a fabric and of the coarse model that was calibrated for it, or of several."""
+    units = {"areal_density": "kg/m2", "stretch_warp": "N/m", "stretch_weft": "N/m", "shear": "N/m"}
+    units |= {"bend_warp": "N m", "bend_weft": "N m", "thickness": "m"}
+    for part, kind in (("fabric", Fabric), ("options", ModelOptions)):
+        for field in fields(kind):
+            yield Entry(f"{group}{part}/{field.name}", DOUBLE, shape, units.get(field.name, "-"))
+
+
 ENTRIES = (
     Entry("format", TEXT, in_header=True),
     Entry("schema_version", WHOLE, in_header=True),
@@ -88,19 +98,10 @@ ENTRIES = (
     Entry("binding/flat", SINGLE, ("N", 2), "m"),
     Entry("binding/stitches", INDEX, ("s", 3)),
     Entry("binding/stitch_weights", DOUBLE, ("s",)),
-    Entry("fabric/areal_density", DOUBLE, unit="kg/m2"),
-    Entry("fabric/stretch_warp", DOUBLE, unit="N/m"),
-    Entry("fabric/stretch_weft", DOUBLE, unit="N/m"),
-    Entry("fabric/poisson", DOUBLE),
-    Entry("fabric/shear", DOUBLE, unit="N/m"),
-    Entry("fabric/bend_warp", DOUBLE, unit="N m"),
-    Entry("fabric/bend_weft", DOUBLE, unit="N m"),
-    Entry("fabric/thickness", DOUBLE, unit="m"),
-    Entry("fabric/friction", DOUBLE),
-    Entry("fabric/air_drag", DOUBLE),
-    Entry("options/squeeze", DOUBLE),
-    Entry("options/bend_scale", DOUBLE),
-    Entry("options/tether_slack", DOUBLE),
+    Entry("fabric_name", TEXT),
+    *_in_fabric("", ()),
+    Entry("other_fabrics/name", TEXT, ("f",)),
+    *_in_fabric("other_fabrics/", ("f",)),
     Entry("bend_factor", DOUBLE),
     Entry("solver/substep", DOUBLE, unit="s"),
     Entry("solver/gravity", DOUBLE, (3,), "m/s2"),
@@ -116,6 +117,7 @@ ENTRIES = (
     *_in_steps("mapping/weights_2", ("h1", "h2")),
     *_in_steps("mapping/weights_3", ("h2", "K")),
     *_in_steps("mapping/place_bias", ("n", "h1")),
+    Entry("mapping/fabric_weights", SINGLE, (FABRIC_COUNT, "h1")),
     Entry("mapping/bias_2", SINGLE, ("h2",)),
     Entry("mapping/bias_3", SINGLE, ("K",)),
     Entry("unfamiliarity/weights_1", SINGLE, ("h1", "u")),
@@ -134,8 +136,9 @@ ENTRIES = (
     Entry("scene", TEXT),
 )
 LARGEST_STEP = 127
-# Sizes; there is no garment without vertices, but one without pins, or whose fine mesh is the subdivided coarse one.
-MAY_BE_ZERO = ("p", "q", "h", "t", "N", "M", "s")
+# Sizes; there is no garment without vertices, but one without pins, in one fabric, or whose fine mesh is the subdivided
+# coarse one.
+MAY_BE_ZERO = ("p", "q", "h", "t", "N", "M", "s", "f")
 POSITIVE = ("unfamiliarity/fade_from", "bend_factor", "frame_rate", "cutoff")
 
 
@@ -248,8 +251,8 @@ def check_values(arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
             place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
             refuse("not finite", f"{name}{list(place) if place else ''}", float(array[place]), "finite numbers")
     for name in (*POSITIVE, *(entry.name for entry in ENTRIES if entry.name.endswith("scale"))):
-        if arrays[name].min() <= 0:
-            refuse("out of range", name, arrays[name].min().item(), "above 0")
+        if (least := arrays[name].min(initial=np.inf)) <= 0:
+            refuse("out of range", name, least.item(), "above 0")
     count, faces, held = len(arrays["coarse_vertices"]), arrays["coarse_faces"], arrays["held"]
     for name, index in (("coarse_faces", faces), ("held", held)):
         if index.size and not 0 <= index.min() <= index.max() < count:
@@ -269,6 +272,9 @@ def check_values(arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
         if index.size and not 0 <= index.min() <= index.max() < limit:
             bad = int(index.min() if index.min() < 0 else index.max())
             refuse("an index that does not exist", f"binding/{name}", bad, f"0 to {limit - 1}")
+    names = [arrays["fabric_name"].item(), *arrays["other_fabrics/name"].tolist()]
+    if len(set(names)) < len(names):
+        refuse("the same name twice", "other_fabrics/name", [name.decode() for name in names], "different names")
     if not arrays["warp"].any():
         refuse("no direction", "warp", arrays["warp"].tolist(), "a vector that is not zero")
     stored, computed = arrays["topology_hash"].item().decode(), topology_hash(faces, levels, count)

@@ -36,6 +36,7 @@ clip = "walk"
 clips = [{ file = "builtin:mannequin", clip = "walk" }]
 held_out = [{ file = "builtin:mannequin", clip = "turn" }]
 procedural_seconds = 20
+fabrics = ["denim", "silk"]
 
 [[collider]]
 type = "plane"
@@ -247,6 +248,9 @@ def test_any_name_survives_printing(name: str, tmp_path_factory: pytest.TempPath
         (SKIRT + 'fabric = "denin"', ["garment[0].fabric: bad value", "'denin'", "did you mean 'denim'?"]),
         (SKIRT + 'fabric = "absent.json"', ["garment[0].fabric: no such file", "absent.json"]),
         (SKIRT + 'fabric = "bad.json"', ["scene.toml: garment[0].fabric: ", "bad.json: density"]),
+        (SKIRT + '[training]\nfabrics = ["denin"]', ["training.fabrics[0]", "'denin'", "did you mean 'denim'?"]),
+        (SKIRT + '[training]\nfabrics = ["silk", "silk"]', ["training.fabrics: bad value", "different values"]),
+        (SKIRT + '[training]\nfabrics = "silk"', ["training.fabrics: bad value", "a list of different values"]),
         (SKIRT + "fabric = 3", ["garment[0].fabric: bad value", "received 3"]),
         (SKIRT.replace("builtin:skirt", "builtin:skrt"), ["builtin:skrt", "did you mean 'builtin:skirt'?"]),
         (SKIRT.replace("builtin:skirt", "absent.obj"), ["no such file", "absent.obj"]),

@@ -10,10 +10,11 @@ from typing import cast
 import numpy as np
 import pytest
 
+from assets.fabrics import PRESETS
 from pbd import InputError
 from precompute import pipeline
 from precompute.evaluation import judged_from, levels_from, settled
-from precompute.pipeline import Precomputed, default_cache, precompute, training_recordings
+from precompute.pipeline import Precomputed, default_cache, precompute, training_recordings, training_runs
 from precompute.recording import Recording, Run
 from runtime.player import Player
 from runtime.stage import Stage, scene_of
@@ -145,6 +146,45 @@ def test_the_same_seed_gives_the_same_bits_whatever_is_held_out(made: Precompute
     assert_same(again.database, made.database)
     assert again.truth is None and again.evaluation is None and "normal_error_deg" not in again.database.quality
     assert again.database.held_out == ()
+
+
+SPEEDS = """
+fabrics = ["silk"]
+
+[[training.clips]]
+file = "builtin:mannequin"
+clip = "sway"
+
+[[training.clips]]
+file = "builtin:mannequin"
+clip = "sway"
+speed = 1.75
+
+[[training.held_out]]
+"""
+
+
+def test_one_database_holds_several_speeds_and_fabrics(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Only what is measured in the other fabric is of interest here.
+    monkeypatch.setattr(pipeline, "truth_of", lambda *_: None)
+    monkeypatch.setattr(pipeline, "evaluate", lambda *_: SimpleNamespace(figures={}))
+    several = scene(SCENE.replace("procedural_seconds = 2.0\n", "").replace("\n[[training.held_out]]\n", SPEEDS))
+    with miniature():
+        stage = Stage.of(several)
+        slow, fast = (run.poses for run in training_runs(stage, several))
+        made = precompute(several, folder / "several.h5", cache=default_cache(folder / "skirt.h5"), workers=1)
+    # A second of blending, then 0.28 s of the clip in 0.16 s.
+    assert np.allclose(slow[60:89:7], fast[60:77:4]) and not np.allclose(slow[60:77], fast[60:77])
+    database = read_database(made.path)
+    assert database.trained_on == ("sway", "sway x 1.75")
+    assert database.fabric_names == ("own", "silk") and database.other_fabrics[0].fabric == PRESETS["silk"]
+    silk = database.in_fabric("silk")
+    assert np.abs(silk.mapping.place_bias - database.mapping.place_bias).max() > 1e-3
+    assert 0.0 < database.quality["silk_normal_error_deg"] < database.quality["silk_normal_error_smooth_deg"]
+    motion = stage.motion(several.training.held_out[0])
+    player = Player(database, stage.body, motion.pose(0.0), fabric="silk")
+    player.update(motion.pose(1 / 60), 1 / 60)
+    assert np.isfinite(player.vertices).all()
 
 
 def test_a_held_out_clip_that_is_trained_on_is_refused(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from pbd import Fabric, InputError, ModelOptions, SolverOptions
 from runtime.game_loop import GameLoop, LiveInput, ScriptedInput
 from runtime.player import Player
 from wrinkles.database import WrinkleDatabase, body_hash
-from wrinkles.dictionary import Atoms, Mapping
+from wrinkles.dictionary import FABRIC_COUNT, Atoms, Mapping
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.levels import build_levels
 from wrinkles.patches import NODES
@@ -319,8 +319,10 @@ def database() -> WrinkleDatabase:
         held=held,
         warp=(0.0, 1.0, 0.0),
         binding=None,
+        fabric_name="own",
         fabric=Fabric(),
         options=ModelOptions(),
+        other_fabrics=(),
         bend_factor=0.3,
         solver=SolverOptions(substep=1.0 / 480.0),
         frame_rate=60.0,
@@ -332,6 +334,7 @@ def database() -> WrinkleDatabase:
             weights_2=small(hidden, hidden),
             weights_3=small(hidden, atoms),
             place_bias=zero(count, hidden),
+            fabric_weights=zero(FABRIC_COUNT, hidden),
             bias_2=zero(hidden),
             bias_3=zero(atoms),
         ),

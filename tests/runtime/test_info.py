@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pbd import InputError
+from pbd import Fabric, InputError, ModelOptions
 from runtime import command
 from runtime.info import check_database, info_text
 from tests.wrinkles.databases import small_database
 from wrinkles import patches
-from wrinkles.database import WrinkleDatabase, code_version, write_database
+from wrinkles.database import LearnedFabric, WrinkleDatabase, code_version, write_database
 from wrinkles.features import DYNAMIC_COUNT
 
 QUALITY = {
@@ -89,6 +89,31 @@ def test_held_out_figures_stand_beside_their_rivals_with_words(write: Callable[.
     assert row(text, "band_ratio_30_to_60_mm").split()[1] == "0.87"
     assert "true coarse state" in row(text, "normal_error_deg")
     assert QUALITY.items() <= figures.items()
+
+
+OTHERS = (LearnedFabric("denim", Fabric(areal_density=0.4), ModelOptions(squeeze=3.0, bend_scale=7.0)),)
+
+
+def test_other_fabrics_are_said_and_checked(write: Callable[..., Path]) -> None:
+    quality = QUALITY | {"denim_normal_error_deg": 6.25, "denim_normal_skill": 0.44}
+    path = write(other_fabrics=OTHERS, quality=quality)
+    text, figures = info_text(path)
+    assert row(text, "name").split() == ["name", "muslin"]
+    words = "squeeze 3, bend scale 7; held out: normal error 6.25 deg, skill 0.440"
+    assert row(text, "denim").split(maxsplit=1) == ["denim", words]
+    assert (figures["denim_squeeze"], figures["denim_normal_skill"]) == (3.0, 0.44)
+    checks = check_database(path)
+    assert all(check.passed for check in checks)
+    assert [check.check for check in checks][-4:] == [
+        "decoding at rest (muslin)",
+        "decoding a torn garment (muslin)",
+        "decoding at rest (denim)",
+        "decoding a torn garment (denim)",
+    ]
+    wild = replace(sheet().mapping, fabric_weights=np.full_like(sheet().mapping.fabric_weights, 3e38))
+    with np.errstate(over="ignore"):
+        bad = [check for check in check_database(write(other_fabrics=OTHERS, mapping=wild)) if not check.passed]
+    assert bad and all("(denim)" in check.check for check in bad)
 
 
 def test_nothing_held_out_is_said(write: Callable[..., Path]) -> None:

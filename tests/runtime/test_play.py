@@ -173,6 +173,11 @@ def of_a_scene_with_a_slip(path: Path, tmp_path: Path) -> Path:
         (of_another_body, [], ["another character"]),
         (of_a_scene_with_a_slip, [], ["atach", "did you mean 'attach'?"]),
         (lambda path, tmp_path: path, ["--clip", "hop"], ["'hop'", "sway", "walk"]),
+        (
+            lambda path, tmp_path: path,
+            ["--fabric", "silk"],
+            ["fabric: a fabric that was not learned", "'silk'", "muslin"],
+        ),
         (lambda path, tmp_path: path, ["--character", "absent.glb"], ["absent.glb"]),
         (lambda path, tmp_path: path, ["--seconds", "0.001"], ["--seconds", "0.001"]),
     ],

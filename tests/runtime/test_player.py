@@ -14,11 +14,13 @@ import numpy as np
 import pytest
 
 from assets.character import Character
-from pbd import InputError, Plane, build_model
+from assets.fabrics import PRESETS
+from pbd import InputError, ModelOptions, Plane, build_model
 from runtime.player import Player
 from runtime.simulation import Simulation, body_source, poses_of
 from tests.data import ROOT
 from tests.runtime.players import skirt_database, skirt_stage
+from wrinkles.database import LearnedFabric
 
 DT = 1.0 / 60.0
 
@@ -75,6 +77,28 @@ def test_a_bad_first_pose_and_another_body_are_refused(poses: np.ndarray) -> Non
         Player(database, body, poses[0] * np.nan)
     with pytest.raises(InputError, match="another character"):
         Player(skirt_database(body_hash="0" * 64), body, poses[0])
+
+
+def test_a_garment_is_played_in_any_fabric_that_it_was_learned_in(poses: np.ndarray) -> None:
+    denim = LearnedFabric("denim", PRESETS["denim"], ModelOptions(squeeze=3.0))
+    database, body = skirt_database(other_fabrics=(denim,)), skirt_stage().body
+    own, plain, other, alone = (
+        Player(one, body, poses[0], fabric=fabric)
+        for one, fabric in (
+            (database, None),
+            (skirt_database(), None),
+            (database, "denim"),
+            (database.in_fabric("denim"), None),
+        )
+    )
+    for pose in poses[1:4]:
+        for player in (own, plain, other, alone):
+            player.update(pose, DT)
+    assert bits(own) == bits(plain) != bits(other) == bits(alone)
+    mass = [player.simulation.model.mass.sum() for player in (own, other)]
+    assert mass[1] / mass[0] == pytest.approx(PRESETS["denim"].areal_density / database.fabric.areal_density)
+    with pytest.raises(InputError, match="fabric: a fabric that was not learned.*'silk'.*muslin, denim"):
+        Player(database, body, poses[0], fabric="silk")
 
 
 def test_warming_up_leaves_no_trace(player: Player, poses: np.ndarray) -> None:

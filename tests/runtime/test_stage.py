@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from assets.fabrics import PRESETS
 from assets.scene import Scene, parse_scene
 from pbd import InputError
 from runtime.player import Player
 from runtime.simulation import poses_of
-from runtime.stage import Stage, motion_of
+from runtime.stage import Stage, fabrics_of, motion_of
 from tests.assets.panels import two_panels
 from tests.wrinkles.databases import small_database
 from tests.wrinkles.meshes import icosphere
@@ -138,3 +139,17 @@ def test_a_database_plays_a_delivered_mesh_without_its_file(stage: Stage, tmp_pa
     stands_for = player.levels.subdivision.stands_for
     assert stands_for is not None and (stands_for != np.arange(len(stands_for))).any()
     assert np.array_equal(player.normals, player.normals[stands_for])
+
+
+def test_the_fabrics_of_a_scene_go_by_the_names_of_presets() -> None:
+    text = '[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\nfabric = "wool"\nthickness = 0.002\n'
+    others = '[training]\nfabrics = ["silk", "denim"]\n'
+    found = parse_scene(text + others, "scene.toml")
+    fabrics = fabrics_of(found, found.garments[0])
+    assert list(fabrics) == ["wool", "silk", "denim"]
+    assert all(fabrics[name] == replace(PRESETS[name], thickness=0.002) for name in fabrics)
+    measured = parse_scene(text.replace('"wool"', "{ shear = 70 }") + others, "scene.toml")
+    assert list(fabrics_of(measured, measured.garments[0])) == ["own", "silk", "denim"]
+    twice = parse_scene(text.replace("wool", "silk") + others, "scene.toml")
+    with pytest.raises(InputError, match=r"training\.fabrics: the garment's own fabric.*others than.*silk"):
+        fabrics_of(twice, twice.garments[0])

@@ -9,7 +9,7 @@ import numpy as np
 from pbd import Fabric, ModelOptions, SolverOptions
 from tests.wrinkles.meshes import flat_sheet
 from wrinkles.database import WrinkleDatabase
-from wrinkles.dictionary import Atoms, Mapping
+from wrinkles.dictionary import FABRIC_COUNT, Atoms, Mapping
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.patches import NODES
 from wrinkles.unfamiliarity import Unfamiliarity
@@ -33,8 +33,10 @@ def small_database(side: int = 7, atoms: int = 5, hidden: tuple[int, int] = (8, 
         "held": np.arange(side, dtype=np.int32),
         "warp": (0.0, 0.6, 0.8),
         "binding": None,
+        "fabric_name": "muslin",
         "fabric": Fabric(areal_density=0.1 + 1e-9, bend_weft=2.3e-6),
         "options": ModelOptions(squeeze=100.0, bend_scale=30.0),
+        "other_fabrics": (),
         "bend_factor": 1.0 / 3.0,
         "solver": SolverOptions(substep=1.0 / 900.0, gravity=(0.0, -9.81, 0.1)),
         "frame_rate": 60.0,
@@ -48,6 +50,7 @@ def small_database(side: int = 7, atoms: int = 5, hidden: tuple[int, int] = (8, 
             place_bias=weights(len(vertices), hidden[0]),
             bias_2=weights(hidden[1]),
             bias_3=weights(atoms),
+            fabric_weights=weights(FABRIC_COUNT, hidden[0]),
         ),
         "unfamiliarity": Unfamiliarity(weights(hidden[0], 3), weights(3), weights(3), 1.5, 12.0),
         "cutoff": 0.4,

@@ -11,11 +11,12 @@ import h5py
 import numpy as np
 import pytest
 
-from pbd import InputError
+from pbd import Fabric, InputError, ModelOptions
 from tests.wrinkles.databases import small_database
 from wrinkles import database as module
 from wrinkles.binding import FLAT_STEP, PLACE_STEP, Binding
 from wrinkles.database import (
+    LearnedFabric,
     WrinkleDatabase,
     as_stored,
     body_hash,
@@ -24,11 +25,16 @@ from wrinkles.database import (
     read_database,
     write_database,
 )
+from wrinkles.dictionary import fabric_features
 from wrinkles.schema import ENTRIES, SCHEMA_VERSION
 from wrinkles.surface import Subdivision
 
 QUANTISED = {"atoms.shapes", "mapping.weights_1", "mapping.weights_2", "mapping.weights_3", "mapping.place_bias"}
 DERIVED = {"format", "schema_version", "units", "topology_hash", "content_hash"}
+
+
+DENIM = LearnedFabric("denim", Fabric(areal_density=0.4, bend_warp=6e-5), ModelOptions(squeeze=3.0))
+SILK = LearnedFabric("шёлк", Fabric(areal_density=0.06, friction=0.1 + 1e-9), ModelOptions(bend_scale=10.0))
 
 
 @pytest.fixture
@@ -72,6 +78,7 @@ def arrays_of(value: Any) -> list[np.ndarray]:
         {},
         {"held": np.zeros(0, np.int32), "quality": {}, "held_out": (), "trained_on": (), "scene": ""},
         {"binding": small_binding()},
+        {"other_fabrics": (DENIM, SILK)},
         {"seed": 2**40, "scene": "x" * 200_000, "garment_name": " 裙子\n"},
     ],
 )
@@ -98,6 +105,23 @@ def test_numbers_in_steps_are_right_to_half_a_step(tmp_path: Path) -> None:
     assert (np.abs(read.mapping.weights_1 - weights) <= 0.501 / 127.0 * np.abs(weights).max(axis=0)).all()
 
 
+def test_a_garment_is_put_in_any_fabric_that_it_was_learned_in(tmp_path: Path) -> None:
+    write_database(tmp_path / "a.h5", small_database(other_fabrics=(DENIM, SILK)))
+    database = read_database(tmp_path / "a.h5")
+    assert database.fabric_names == ("muslin", "denim", "шёлк")
+    own = database.in_fabric("muslin")
+    assert leaves(own) == leaves(replace(database, other_fabrics=()))
+    for other in (DENIM, SILK):
+        worn = database.in_fabric(other.name)
+        assert (worn.fabric_names, worn.fabric, worn.options) == ((other.name,), other.fabric, other.options)
+        bias = fabric_features(other.fabric, database.fabric) @ database.mapping.fabric_weights
+        assert np.abs(bias).max() > 1e-3
+        np.testing.assert_allclose(worn.mapping.place_bias, database.mapping.place_bias + bias, rtol=0, atol=1e-8)
+        assert leaves(worn.in_fabric(other.name)) == leaves(worn)
+    with pytest.raises(InputError, match="fabric: a fabric that was not learned.*'wool'.*one of muslin, denim, шёлк"):
+        database.in_fabric("wool")
+
+
 def test_the_same_database_gives_the_same_file(tmp_path: Path, path: Path) -> None:
     write_database(tmp_path / "again.h5", read_database(path))
     assert (tmp_path / "again.h5").read_bytes() == path.read_bytes()
@@ -120,7 +144,8 @@ def test_every_field_has_its_entry() -> None:
     assert len(set(names)) == len(names)
     scales = {f"{name}_scale" for name in QUANTISED}
     stored = {name.replace("/", ".") for name in names} - DERIVED - scales - {"quality.names", "quality.values"}
-    assert stored == set(leaves(small_database(binding=small_binding()))) - {"quality"}
+    others = {f"other_fabrics.{name}" for name in leaves(SILK)}
+    assert stored == set(leaves(small_database(binding=small_binding()))) - {"quality", "other_fabrics"} | others
 
 
 def test_figures_that_are_not_finite_are_not_stored(tmp_path: Path) -> None:
@@ -299,6 +324,7 @@ def test_a_flipped_bit_is_refused_or_does_not_matter(path: Path) -> None:
         ({"held": np.array([0.5, 1.0])}, "held: wrong type"),
         ({"coarse_vertices": np.zeros((50, 3))}, "mapping/place_bias: wrong shape"),
         ({"warp": (0.0, 1.0)}, "warp: wrong shape"),
+        ({"other_fabrics": (DENIM, replace(SILK, name="muslin"))}, "other_fabrics/name: the same name twice"),
         ({"subdivisions": 0}, "subdivisions: out of range"),
     ],
 )

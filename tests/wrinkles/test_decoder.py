@@ -11,7 +11,7 @@ from tests.pbd.meshes import grid
 from tests.wrinkles.meshes import flat_sheet, icosphere, tube
 from wrinkles.charts import Charts, leading_vertices
 from wrinkles.decoder import Decoder, Relaxation, Upsampler, surface_normals
-from wrinkles.dictionary import Atoms, Mapping
+from wrinkles.dictionary import FABRIC_COUNT, Atoms, Mapping
 from wrinkles.features import DYNAMIC_COUNT, Stencil
 from wrinkles.levels import Levels, build_levels
 from wrinkles.patches import NODES, SIDE, Patches
@@ -65,6 +65,7 @@ class Layer:
             weights_2=single(9, 7, seed=5, size=0.4),
             weights_3=single(7, atoms, seed=6, size=0.4),
             place_bias=single(count, 9, seed=7),
+            fabric_weights=single(FABRIC_COUNT, 9, seed=10),
             bias_2=single(7, seed=8),
             bias_3=single(atoms, seed=9),
         )
