@@ -1,0 +1,135 @@
+"""What every energy of cloth can do, and how elements become one energy."""
+
+from __future__ import annotations
+
+import copy
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from scipy.sparse import coo_matrix, csr_matrix
+
+__all__ = ["ElementEnergy", "Energy", "QuadraticElements", "Sum", "clamped"]
+
+
+class Energy(Protocol):
+    """An energy [J] of vertex positions [m], float64, shape (n, 3)."""
+
+    def energy(self, x: np.ndarray) -> float: ...
+
+    def gradient(self, x: np.ndarray) -> np.ndarray:
+        """[N], shape (n, 3)."""
+        ...
+
+    def hessian(self, x: np.ndarray, positive: bool = False) -> csr_matrix:
+        """[N/m], shape (3 n, 3 n), rows 3 v + c; ``positive`` asks for a positive semidefinite neighbour of it."""
+        ...
+
+
+class ElementEnergy(ABC):
+    """A sum over elements of a few vertices each.
+
+    Args:
+        elements: vertices of each element, int, shape (m, k). A vertex may fill a place that an element does not need.
+        vertex_count: n.
+    """
+
+    per_element: tuple[str, ...] = ()  # names of further arrays with a row for each element
+
+    def __init__(self, elements: np.ndarray, vertex_count: int) -> None:
+        self.elements, self.vertex_count = np.asarray(elements, np.int64), vertex_count
+
+    @abstractmethod
+    def values(self, corners: np.ndarray) -> np.ndarray:
+        """Energy of each element [J], shape (m,), with its corners at ``corners`` [m], shape (m, k, 3)."""
+
+    @abstractmethod
+    def slopes(self, corners: np.ndarray) -> np.ndarray:
+        """First derivatives [N], shape (m, k, 3)."""
+
+    @abstractmethod
+    def curvatures(self, corners: np.ndarray, positive: bool) -> np.ndarray:
+        """Second derivatives [N/m], shape (m, k, 3, k, 3)."""
+
+    def subset(self, rows: np.ndarray) -> ElementEnergy:
+        """The same energy of some of its elements, int, shape (r,)."""
+        part = copy.copy(self)
+        for name in ("elements", *self.per_element):
+            setattr(part, name, getattr(self, name)[rows])
+        return part
+
+    def energy(self, x: np.ndarray) -> float:
+        return float(self.values(x[self.elements]).sum())
+
+    def gradient(self, x: np.ndarray) -> np.ndarray:
+        return self.gathered(self.slopes(x[self.elements]))
+
+    def gathered(self, slopes: np.ndarray) -> np.ndarray:
+        """Sum of what the elements say of each vertex: shape (m, k, 3) to (n, 3)."""
+        flat = self.elements.ravel()
+        columns = [np.bincount(flat, slopes[..., c].ravel(), self.vertex_count) for c in range(3)]
+        return np.stack(columns, axis=1)
+
+    def hessian(self, x: np.ndarray, positive: bool = False) -> csr_matrix:
+        return self.assembled(self.curvatures(x[self.elements], positive))
+
+    def assembled(self, blocks: np.ndarray) -> csr_matrix:
+        """Sparse matrix of element matrices, shape (m, k, 3, k, 3)."""
+        rows = np.broadcast_to((3 * self.elements[:, :, None] + np.arange(3))[..., None, None], blocks.shape)
+        columns = rows.transpose(0, 3, 4, 1, 2)
+        size = 3 * self.vertex_count
+        return coo_matrix((blocks.ravel(), (rows.ravel(), columns.ravel())), (size, size)).tocsr()
+
+
+class QuadraticElements(ElementEnergy):
+    """E = 1/2 sum over elements and axes of x^T M x: derivatives are linear and constant.
+
+    Args:
+        matrices: M of each element [N/m], symmetric and positive semidefinite, shape (m, k, k).
+    """
+
+    per_element = ("matrices",)
+
+    def __init__(self, elements: np.ndarray, vertex_count: int, matrices: np.ndarray) -> None:
+        super().__init__(elements, vertex_count)
+        self.matrices = matrices
+        self._constant: csr_matrix | None = None
+
+    def values(self, corners: np.ndarray) -> np.ndarray:
+        return 0.5 * np.einsum("mai,mai->m", corners, self.slopes(corners))
+
+    def slopes(self, corners: np.ndarray) -> np.ndarray:
+        # Counted from its first corner an element loses no digits far from the origin.
+        return np.einsum("mab,mbi->mai", self.matrices, corners - corners[:, :1])
+
+    def curvatures(self, corners: np.ndarray, positive: bool) -> np.ndarray:
+        return np.einsum("mab,ij->maibj", self.matrices, np.eye(3))
+
+    def hessian(self, x: np.ndarray, positive: bool = False) -> csr_matrix:
+        if self._constant is None:
+            self._constant = super().hessian(x, positive)
+        return self._constant
+
+
+class Sum:
+    """Several energies of the same vertices as one."""
+
+    def __init__(self, parts: Sequence[ElementEnergy]) -> None:
+        self.parts = list(parts)
+
+    def energy(self, x: np.ndarray) -> float:
+        return sum(part.energy(x) for part in self.parts)
+
+    def gradient(self, x: np.ndarray) -> np.ndarray:
+        return np.sum([part.gradient(x) for part in self.parts], axis=0)
+
+    def hessian(self, x: np.ndarray, positive: bool = False) -> csr_matrix:
+        first, *others = [part.hessian(x, positive) for part in self.parts]
+        return sum(others, first)
+
+
+def clamped(blocks: np.ndarray) -> np.ndarray:
+    """Symmetric matrices with their negative eigenvalues set to zero, shape (m, k, k)."""
+    values, vectors = np.linalg.eigh(blocks)
+    return np.einsum("mik,mk,mjk->mij", vectors, np.maximum(values, 0.0), vectors)

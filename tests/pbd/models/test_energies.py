@@ -1,0 +1,227 @@
+"""Energies of cloth: derivatives against finite differences, invariance, and patch tests between formulations."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from pbd import ClothMesh, Fabric, InputError, Model
+from pbd.models.elements import ElementEnergy, Sum
+from pbd.models.membrane import condition_membrane, continuum_membrane
+from pbd.models.plate import angle_bending, isometric_bending, shape_operator_bending
+from pbd.models.springs import prestressed_springs, square_springs, triangle_springs
+from tests.pbd.meshes import cloth, free_model, grid, turn
+
+FABRIC = Fabric(stretch_warp=900.0, stretch_weft=500.0, poisson=0.3, shear=200.0, bend_warp=3e-3, bend_weft=1e-3)
+ISOTROPIC = Fabric(stretch_warp=600.0, stretch_weft=600.0, poisson=1 / 3, shear=225.0, bend_warp=0.0, bend_weft=0.0)
+
+
+def sheet(kind: str = "alternating", across: int = 3) -> Model:
+    return free_model(cloth(*grid(4, across, 0.05, kind)), FABRIC)
+
+
+ENERGIES: dict[str, Callable[[Model], ElementEnergy | Sum]] = {
+    "triangle springs": lambda model: triangle_springs(model.mesh, model.fabric),
+    "square springs": lambda model: square_springs(model.mesh, model.fabric),
+    "prestressed springs": lambda model: prestressed_springs(model.mesh, model.fabric),
+    "condition": lambda model: condition_membrane(model.mesh, model.fabric),
+    "linear": lambda model: continuum_membrane(model.mesh, model.fabric, "linear"),
+    "corotational": lambda model: continuum_membrane(model.mesh, model.fabric, "corotational"),
+    "stvk": lambda model: continuum_membrane(model.mesh, model.fabric, "stvk"),
+    "isometric": isometric_bending,
+    "hinges": lambda model: angle_bending(model)[0],
+    "shape operator": lambda model: shape_operator_bending(model, 0.3)[0],
+    "sum": lambda model: Sum([triangle_springs(model.mesh, model.fabric), *shape_operator_bending(model, 0.0)]),
+}
+
+
+def crumpled(model: Model, size: float = 0.01) -> np.ndarray:
+    x = model.mesh.vertices + np.random.default_rng(3).normal(0.0, size, model.mesh.vertices.shape)
+    return x @ turn((1.0, 2.0, 0.5), 70.0).T
+
+
+def differences(function: Callable, x: np.ndarray, step: float) -> np.ndarray:
+    """Central differences of fourth order, shape (n, 3, ...)."""
+    rows = []
+    for place in range(x.size):
+        move = np.zeros(x.size)
+        move[place] = step
+        move = move.reshape(x.shape)
+        near = (function(x + move) - function(x - move)) / (2 * step)
+        far = (function(x + 2 * move) - function(x - 2 * move)) / (4 * step)
+        rows.append((4 * near - far) / 3)
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("name", ENERGIES)
+def test_derivatives_against_finite_differences(name: str) -> None:
+    """First and second, 1e-6 of the largest."""
+    model = sheet()
+    energy, x = ENERGIES[name](model), crumpled(model)
+    gradient = energy.gradient(x)
+    measured = differences(energy.energy, x, 1e-4).reshape(x.shape)
+    assert np.abs(measured - gradient).max() < 1e-6 * np.abs(gradient).max()
+    hessian = energy.hessian(x).toarray()
+    measured = differences(lambda y: energy.gradient(y).ravel(), x, 1e-4)
+    assert np.abs(measured - hessian).max() < 1e-6 * np.abs(hessian).max()
+
+
+@pytest.mark.parametrize("name", ENERGIES)
+def test_a_positive_hessian_has_no_negative_eigenvalue_and_keeps_a_positive_one(name: str) -> None:
+    model = sheet()
+    energy = ENERGIES[name](model)
+    eigenvalues = np.linalg.eigvalsh(energy.hessian(crumpled(model), positive=True).toarray())
+    assert eigenvalues.min() > -1e-10 * eigenvalues.max()
+    rest = model.mesh.vertices
+    if name != "prestressed springs":
+        exact = energy.hessian(rest).toarray()
+        assert energy.hessian(rest, positive=True).toarray() == pytest.approx(exact, abs=1e-9 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize("name", [name for name in ENERGIES if name != "linear"])
+def test_moving_and_turning_cost_nothing(name: str) -> None:
+    model = sheet()
+    energy, x = ENERGIES[name](model), crumpled(model)
+    assert energy.energy(x @ turn((0.3, 1.0, 2.0), 130.0).T + [5.0, -3.0, 8.0]) == pytest.approx(
+        energy.energy(x), rel=1e-9
+    )
+
+
+@pytest.mark.parametrize("name", ENERGIES)
+def test_a_flat_sheet_rests(name: str) -> None:
+    model = sheet()
+    energy = ENERGIES[name](model)
+    inside = np.all(
+        (model.mesh.vertices[:, :2] > 1e-9) & (model.mesh.vertices[:, :2] < [0.2 - 1e-9, 0.15 - 1e-9]), axis=1
+    )
+    force = energy.gradient(model.mesh.vertices)
+    assert np.abs(force if name != "prestressed springs" else force[inside]).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", ["stvk", "shape operator", "hinges"])
+def test_elements_can_be_taken_apart(name: str) -> None:
+    model = sheet()
+    energy, x = ENERGIES[name](model), crumpled(model)
+    assert isinstance(energy, ElementEnergy)
+    half = np.arange(len(energy.elements)) % 2 == 0
+    parts = Sum([energy.subset(np.flatnonzero(half)), energy.subset(np.flatnonzero(~half))])
+    assert parts.energy(x) == pytest.approx(energy.energy(x))
+    assert parts.hessian(x).toarray() == pytest.approx(energy.hessian(x).toarray())
+
+
+def affine(energy: ElementEnergy | Sum, mesh: ClothMesh, area: float) -> np.ndarray:
+    """Stiffness for (e11, e22, 2 e12) of a sheet under homogeneous small strain, shape (3, 3)."""
+    modes = np.zeros((3, *mesh.vertices.shape))
+    modes[0, :, 0], modes[1, :, 1] = mesh.vertices[:, 0], mesh.vertices[:, 1]
+    modes[2, :, 0], modes[2, :, 1] = 0.5 * mesh.vertices[:, 1], 0.5 * mesh.vertices[:, 0]
+    modes = modes.reshape(3, -1)
+    return modes @ (energy.hessian(mesh.vertices) @ modes.T) / area
+
+
+@pytest.mark.parametrize("name", ["linear", "corotational", "stvk"])
+def test_patch_of_the_continuum(name: str) -> None:
+    model = sheet()
+    measured = affine(ENERGIES[name](model), model.mesh, model.mesh.face_areas.sum())
+    assert measured == pytest.approx(FABRIC.membrane_stiffness(), rel=1e-9, abs=1e-9)
+
+
+def test_patch_of_the_condition_functions() -> None:
+    """Their own law: three springs and no Poisson ratio."""
+    model = sheet()
+    measured = affine(ENERGIES["condition"](model), model.mesh, model.mesh.face_areas.sum())
+    assert measured == pytest.approx(np.diag([900.0, 500.0, 200.0]), rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["triangle springs", "square springs", "prestressed springs"])
+def test_patch_of_spring_lattices(name: str) -> None:
+    """E and nu = 1/3 of plane stress, 1e-6."""
+    mesh = cloth(*grid(6, 5, 0.03, "equilateral" if name == "triangle springs" else "alternating"))
+    energy = ENERGIES[name](free_model(mesh, ISOTROPIC))
+    assert affine(energy, mesh, mesh.face_areas.sum()) == pytest.approx(
+        ISOTROPIC.membrane_stiffness(), rel=1e-6, abs=1e-6
+    )
+
+
+def test_a_triangular_lattice_is_the_constant_strain_triangle() -> None:
+    """Two formulations of one energy: the whole Hessian at rest, border included."""
+    mesh = cloth(*grid(5, 4, 0.03, "equilateral"))
+    springs = triangle_springs(mesh, ISOTROPIC).hessian(mesh.vertices).toarray()
+    for kind in ("linear", "corotational", "stvk"):
+        triangles = continuum_membrane(mesh, ISOTROPIC, kind).hessian(mesh.vertices).toarray()
+        assert triangles == pytest.approx(springs, abs=1e-6 * np.abs(springs).max())
+
+
+def test_what_springs_a_square_lattice_has() -> None:
+    mesh = cloth(*grid(3, 2, 0.1))
+    springs = square_springs(mesh, ISOTROPIC)
+    sides, border = 600.0 * 3 / 4, 600.0 * 3 / 8
+    assert len(springs.elements) == 4 * 2 + 3 * 3 + 2 * 6  # sides both ways, two diagonals a square
+    assert np.unique(np.round(springs.stiffness, 9)).tolist() == [border, sides]
+    assert (springs.stiffness == sides).sum() == 2 * 2 + 3 * 1
+    span = mesh.vertices[springs.elements[:, 0]] - mesh.vertices[springs.elements[:, 1]]
+    assert springs.lengths == pytest.approx(np.linalg.norm(span, axis=1))
+
+
+@pytest.mark.parametrize("make", [square_springs, prestressed_springs])
+def test_other_meshes_are_no_square_lattice(make: Callable) -> None:
+    with pytest.raises(InputError, match="no square lattice"):
+        make(cloth(*grid(3, 3, 0.1, "equilateral")), ISOTROPIC)
+    vertices, faces = grid(2, 2, 0.1)
+    with pytest.raises(InputError, match="no square lattice"):
+        make(cloth(vertices, faces[:-1]), ISOTROPIC)
+
+
+@pytest.mark.parametrize("wave", [(np.pi / 2, np.pi / 2), (np.pi, np.pi), (np.pi, np.pi / 3)])
+def test_the_prestressed_lattice_gives_way_out_of_the_plane(wave: tuple[float, float]) -> None:
+    """Stiffness of a wave: -(E h/4)(1 - cos qx)(1 - cos qy) a vertex; the natural lattice has none."""
+    mesh = cloth(*grid(12, 12, 0.1))
+    place = np.round(mesh.vertices[:, :2] / 0.1)
+    inside = np.flatnonzero(np.all((place > 0) & (place < 12), axis=1))
+    height = np.cos(place @ wave)
+    law = -0.25 * 600.0 * (1 - np.cos(wave[0])) * (1 - np.cos(wave[1])) * height
+    for make, factor in ((prestressed_springs, 1.0), (square_springs, 0.0)):
+        block = make(mesh, ISOTROPIC).hessian(mesh.vertices).toarray()[2::3, 2::3]
+        assert (block @ height)[inside] == pytest.approx(factor * law[inside], abs=1e-8)
+
+
+def surface_energy(name: str, kind: str, curvature: tuple[float, float, float], jitter: float = 0.0) -> float:
+    """Bending energy of z = (k11 x^2 + k22 y^2)/2 + k12 x y over A/2 k^T D k, of the triangles with three hinges."""
+    vertices, faces = grid(16, 14, 0.01, kind)
+    vertices[:, :2] += np.random.default_rng(1).uniform(-jitter, jitter, (len(vertices), 2))
+    k11, k22, k12 = curvature
+    model = free_model(cloth(vertices, faces), FABRIC)
+    x, y = vertices[:, 0], vertices[:, 1]
+    x, y = x - x.mean(), y - y.mean()
+    bent = vertices.copy()
+    bent[:, 2] = 0.5 * (k11 * x**2 + k22 * y**2) + k12 * x * y
+    energy = ENERGIES[name](model)
+    assert isinstance(energy, ElementEnergy)
+    whole = np.array([len(set(row)) == 6 for row in energy.elements.tolist()])
+    area = model.mesh.face_areas[whole].sum()
+    mean = np.sqrt(3e-3 * 1e-3)
+    law = 3e-3 * k11**2 + 1e-3 * k22**2 + 2 * 0.3 * mean * k11 * k22 + 2 * 0.7 * mean * k12**2
+    return float(energy.values(bent[energy.elements])[whole].sum() / (0.5 * area * law))
+
+
+@pytest.mark.parametrize("curvature", [(0.01, 0.0, 0.0), (0.0, 0.01, 0.0), (0.0, 0.0, 0.01), (0.01, -0.02, 0.005)])
+@pytest.mark.parametrize(
+    ("kind", "jitter"), [("equilateral", 0.0), ("alternating", 0.0), ("diagonal", 0.0), ("equilateral", 0.0015)]
+)
+def test_patch_of_the_shape_operator(kind: str, jitter: float, curvature: tuple[float, float, float]) -> None:
+    """Orthotropic stiffness and a Poisson ratio of its own, on any mesh, without calibration; 1e-6."""
+    assert surface_energy("shape operator", kind, curvature, jitter) == pytest.approx(1.0, rel=1e-6)
+
+
+def test_a_bad_bending_ratio_is_refused() -> None:
+    for bad in (-1.0, 1.0, np.nan):
+        with pytest.raises(InputError, match="bend_poisson"):
+            shape_operator_bending(sheet(), bad)
+
+
+def test_both_hinge_models_agree_for_small_angles() -> None:
+    model = sheet("equilateral")
+    flat = model.mesh.vertices
+    quadratic, angles = isometric_bending(model).hessian(flat), angle_bending(model)[0].hessian(flat)
+    assert quadratic.toarray()[2::3, 2::3] == pytest.approx(
+        angles.toarray()[2::3, 2::3], abs=1e-9 * np.abs(quadratic.data).max()
+    )
