@@ -1,0 +1,201 @@
+"""Contact with planes, spheres and capsules for the float64 solvers: gaps, corrections by position, exact forces."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import bsr_matrix, csr_matrix
+
+from pbd.colliders import Colliders
+from pbd.errors import InputError
+
+__all__ = ["ContactForces", "Obstacles"]
+
+PUSH_OUT = 0.5  # what starts a step inside an obstacle comes out no faster than this against its surface [m/s]
+
+
+class Obstacles:
+    """The primitives of one substep, in the world, at its start and end.
+
+    Args:
+        rows: as :meth:`pbd.Colliders.rows` gives them, about the world's origin, float64, shape (k, 14).
+        start, end: part of the frame that has passed at the substep's start and end [-].
+        thickness: kept from each surface [m].
+    """
+
+    def __init__(self, rows: np.ndarray, start: float, end: float, thickness: float) -> None:
+        self.kinds, self.radii, self.thickness = rows[:, 0].astype(int), rows[:, 1], thickness
+        first, second = rows[:, 2:8].reshape(-1, 2, 3), rows[:, 8:].reshape(-1, 2, 3)
+        self.before, self.now = first + start * (second - first), first + end * (second - first)
+
+    @classmethod
+    def of_frame(cls, colliders: Colliders, origin: np.ndarray) -> np.ndarray:
+        """Rows of a frame for the constructor. Called once a frame: the colliders remember where they were.
+
+        Raises:
+            InputError: a body, which these solvers do not know.
+        """
+        if colliders.body is not None:
+            expected = "planes, spheres and capsules"
+            raise InputError("a collider that this solver does not know", key="colliders.body", expected=expected)
+        rows = colliders.rows(origin).astype(float)
+        for columns in (slice(2, 5), slice(8, 11)):
+            rows[:, columns] += origin
+        for columns in (slice(5, 8), slice(11, 14)):
+            rows[rows[:, 0] == 2.0, columns] += origin
+        return rows
+
+    def gaps(self, x: np.ndarray, at_start: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Distance of each vertex to each surface less the thickness [m], shape (n, k), and normals, shape (n, k, 3)."""
+        gaps, normals = np.zeros((len(x), len(self.kinds))), np.zeros((len(x), len(self.kinds), 3))
+        for c, (kind, radius) in enumerate(zip(self.kinds, self.radii, strict=True)):
+            a, b = (self.before if at_start else self.now)[c]
+            if kind == 0:
+                normals[:, c], gaps[:, c] = b, (x - a) @ b - self.thickness
+                continue
+            offset = x - a
+            if kind == 2:
+                offset = offset - self._shares(x, c)[:, None] * (b - a)
+            size = np.linalg.norm(offset, axis=1)
+            safe = np.maximum(size, 1e-12)
+            normals[:, c] = np.where(size[:, None] > 1e-12, offset / safe[:, None], [0.0, 1.0, 0.0])
+            gaps[:, c] = size - radius - self.thickness
+        return gaps, normals
+
+    def carried(self, x: np.ndarray) -> np.ndarray:
+        """Motion of the touched points over the substep [m], shape (n, k, 3)."""
+        moved = self.now - self.before
+        carried = np.zeros((len(x), len(self.kinds), 3))
+        for c, kind in enumerate(self.kinds):
+            carried[:, c] = moved[c, 0]
+            if kind == 2:
+                carried[:, c] += self._shares(x, c)[:, None] * (moved[c, 1] - moved[c, 0])
+        return carried
+
+    def _shares(self, x: np.ndarray, c: int) -> np.ndarray:
+        """Place along a capsule's axis, 0 to 1, shape (n,)."""
+        a, b = self.now[c]
+        return np.clip((x - a) @ (b - a) / max(float((b - a) @ (b - a)), 1e-20), 0.0, 1.0)
+
+    def correction(self, x: np.ndarray, start: np.ndarray, free: np.ndarray, friction: float, h: float) -> np.ndarray:
+        """Positions put out of the obstacles, with Coulomb friction on the way since the substep's start.
+
+        The same law as :func:`pbd.constraints.contact_correction`.
+
+        Args:
+            x: positions that a step came to [m], shape (n, 3).
+            start: positions at its start [m], shape (n, 3).
+            free: vertices that may be moved, int, shape (f,).
+            friction: Coulomb coefficient [-].
+            h: substep [s].
+
+        Returns:
+            Corrections [m], shape (n, 3).
+        """
+        total = np.zeros_like(x)
+        for c in range(len(self.kinds)):
+            gaps, normals = self.gaps(x + total)
+            gap, normal = gaps[:, c], normals[:, c]
+            slip = x + total - start - self.carried(x + total)[:, c]
+            along = np.einsum("ni,ni->n", slip, normal)
+            depth = np.clip(np.minimum(-gap, h * PUSH_OUT - along), 0.0, None)
+            tangential = slip - along[:, None] * normal
+            size = np.linalg.norm(tangential, axis=1)
+            share = np.minimum(depth * friction / np.maximum(size, 1e-20), 1.0)
+            pushed = depth[:, None] * normal - share[:, None] * tangential
+            total[free] += np.where((gap < 0.0)[:, None], pushed, 0.0)[free]
+        return total
+
+
+class ContactForces:
+    """Contact and Coulomb friction as forces of an implicit step, by an augmented Lagrangian.
+
+    With multipliers fixed, all is a potential that Newton's method can minimise beside the cloth's own; between two
+    minimisations :meth:`update` takes over the forces. At the end gaps are closed and what sticks has not moved at all:
+    nothing is regularised, so nothing creeps (Alart and Curnier 1991; Simo and Laursen 1992).
+
+    Args:
+        obstacles: of this substep.
+        start: positions at the substep's start [m], shape (n, 3).
+        free: vertices that feel contact, int, shape (f,).
+        stiffness: r of each vertex [N/m], shape (n,); how fast it settles hangs on it, the result does not.
+        friction: Coulomb coefficient [-].
+        h: substep [s]; infinite where there is no time.
+        memory: normal forces, tangential forces and what sticks, from the last substep; None to begin.
+    """
+
+    def __init__(
+        self,
+        obstacles: Obstacles,
+        start: np.ndarray,
+        free: np.ndarray,
+        stiffness: np.ndarray,
+        friction: float,
+        h: float,
+        memory: tuple[np.ndarray, np.ndarray, np.ndarray] | None,
+    ) -> None:
+        self.obstacles, self.start, self.friction, self.r = obstacles, start, friction, stiffness[:, None]
+        self.feels = np.zeros((len(start), 1), bool)
+        self.feels[free] = True
+        gaps, self.normals = obstacles.gaps(start, at_start=True)
+        self.floor = np.minimum(0.0, gaps + PUSH_OUT * h)
+        self.carried = obstacles.carried(start)
+        if memory is None or memory[0].shape != gaps.shape:
+            memory = np.zeros_like(gaps), np.zeros_like(self.normals), np.zeros(gaps.shape, bool)
+        self.pressed, self.rubbed, self.sticks = memory
+
+    @property
+    def memory(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return self.pressed, self.rubbed, self.sticks
+
+    def energy(self, x: np.ndarray) -> float:
+        pressed, slip = self._pressed(x)[0], self._slip(x)
+        normal = 0.5 * pressed**2 / self.r
+        tangential = 0.5 * self.r * (slip**2).sum(axis=2) * self.sticks - (self.rubbed * slip).sum(axis=2)
+        return float((normal + tangential).sum())
+
+    def gradient(self, x: np.ndarray) -> np.ndarray:
+        pressed, normals = self._pressed(x)
+        rubbed = self.rubbed - (self.r * self.sticks)[:, :, None] * self._slip(x)
+        return -(pressed[:, :, None] * normals + rubbed).sum(axis=1)
+
+    def hessian(self, x: np.ndarray) -> csr_matrix:
+        pressed, normals = self._pressed(x)
+        blocks = np.einsum("nk,nki,nkj->nij", self.r * (pressed > 0.0), normals, normals)
+        across = np.eye(3) - self.normals[..., None] * self.normals[:, :, None]
+        blocks += np.einsum("nk,nkij->nij", self.r * self.sticks, across)
+        rows = np.arange(len(x))
+        return bsr_matrix((blocks, rows, np.arange(len(x) + 1)), shape=(3 * len(x), 3 * len(x))).tocsr()
+
+    def update(self, x: np.ndarray) -> float:
+        """Take over the forces at a minimum. Returns their largest change over the largest force; infinite where what sticks
+        has changed.
+        """
+        pressed, self.normals = self._pressed(x)
+        self.carried = self.obstacles.carried(x)
+        slip = self._slip(x)
+        rubbed = self.rubbed - (self.rubbed * self.normals).sum(axis=2)[..., None] * self.normals
+        limit = self.friction * pressed
+        tried = np.where(self.sticks[..., None], rubbed - self.r[..., None] * slip, rubbed)
+        # Friction that drives what it should hold back has gone too far: such a vertex sticks.
+        way = np.linalg.norm(slip, axis=2)
+        slides = ~self.sticks & (pressed > 0.0) & (self.pressed > 0.0) & ((rubbed * slip).sum(axis=2) < 0.0)
+        back = -slip * (limit / np.maximum(way, 1e-20))[..., None]
+        tried = np.where(slides[..., None], back, tried)
+        size = np.linalg.norm(tried, axis=2)
+        sticks = (size < limit) & ~slides
+        rubbed = tried * np.minimum(1.0, limit / np.maximum(size, 1e-20))[..., None]
+        change = np.abs(pressed - self.pressed) + np.linalg.norm(rubbed - self.rubbed, axis=2)
+        changed = np.any(sticks != self.sticks)
+        error = np.inf if changed else float(change.max(initial=0.0) / max(pressed.max(initial=0.0), 1e-300))
+        self.pressed, self.rubbed, self.sticks = pressed, rubbed, sticks
+        return error
+
+    def _pressed(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Normal forces [N], shape (n, k), and normals."""
+        gaps, normals = self.obstacles.gaps(x)
+        return np.maximum(0.0, self.pressed - self.r * (gaps - self.floor)) * self.feels, normals
+
+    def _slip(self, x: np.ndarray) -> np.ndarray:
+        """Way along the surfaces since the substep's start [m], shape (n, k, 3)."""
+        slip = (x - self.start)[:, None] - self.carried
+        return slip - (slip * self.normals).sum(axis=2)[..., None] * self.normals

@@ -1,0 +1,140 @@
+"""Every solver by name: ``membrane/integrator``, ``membrane+bending/integrator``, or a method that is both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from pbd.colliders import Colliders
+from pbd.errors import InputError
+from pbd.model import Model, State
+from pbd.models.elements import ElementEnergy, QuadraticElements, Sum
+from pbd.models.integrators import BDF2, ImplicitEuler, Midpoint, QuasiStatic, SymplecticEuler, Verlet
+from pbd.models.membrane import condition_membrane, continuum_membrane
+from pbd.models.plate import angle_bending, isometric_bending, shape_operator_bending
+from pbd.models.springs import prestressed_springs, square_springs, triangle_springs
+from pbd.models.stepping import Options
+from pbd.solver import Solver, SolverOptions
+
+__all__ = ["SOLVERS", "AnySolver", "cloth_energy", "make_solver"]
+
+STITCH = 10.0  # stiffness of a stitch over the cloth's E h [-]
+PROVOT = 0.1  # elongation at which springs are limited [-]
+
+
+class AnySolver(Protocol):
+    """What all solvers can do."""
+
+    def step(
+        self,
+        state: State,
+        colliders: Colliders,
+        dt: float,
+        targets: np.ndarray | None = None,
+        wind: tuple[float, float, float] | np.ndarray = (0.0, 0.0, 0.0),
+    ) -> None: ...
+
+    def follow(self, state: State, colliders: Colliders) -> np.ndarray: ...
+
+
+MEMBRANES: dict[str, Callable[[Model], ElementEnergy]] = {
+    "springs-triangle": lambda model: triangle_springs(model.mesh, model.fabric),
+    "springs-square": lambda model: square_springs(model.mesh, model.fabric),
+    "springs-prestressed": lambda model: prestressed_springs(model.mesh, model.fabric),
+    "baraff-witkin": lambda model: condition_membrane(model.mesh, model.fabric),
+    "fem-linear": lambda model: continuum_membrane(model.mesh, model.fabric, "linear"),
+    "fem-corotational": lambda model: continuum_membrane(model.mesh, model.fabric, "corotational"),
+    "fem-stvk": lambda model: continuum_membrane(model.mesh, model.fabric, "stvk"),
+}
+BENDINGS: dict[str, Callable[[Model, float], list[ElementEnergy]]] = {
+    "isometric": lambda model, poisson: [isometric_bending(model)],
+    "hinges": lambda model, poisson: angle_bending(model),
+    "shape": shape_operator_bending,
+}
+INTEGRATORS = {
+    "symplectic-euler": SymplecticEuler,
+    "verlet": Verlet,
+    "midpoint": Midpoint,
+    "implicit-euler": ImplicitEuler,
+    "bdf2": BDF2,
+    "quasi-static": QuasiStatic,
+}
+EXPLICIT = ("symplectic-euler", "verlet")
+
+
+def cloth_energy(model: Model, membrane: str, bending: str, bend_poisson: float = 0.0) -> Sum:
+    """Energy of a garment.
+
+    Args:
+        model: the garment.
+        membrane: a key of ``MEMBRANES``.
+        bending: a key of ``BENDINGS``.
+        bend_poisson: Poisson ratio of the bending ``shape`` [-].
+
+    Raises:
+        InputError: a mesh on which the membrane does not exist.
+    """
+    return Sum([MEMBRANES[membrane](model), *BENDINGS[bending](model, bend_poisson), *_stitches(model)])
+
+
+def _stitches(model: Model) -> list[ElementEnergy]:
+    """Each stitch as a spring without length between a vertex and its point on an edge."""
+    mesh, weights = model.mesh, model.mesh.stitch_weights
+    if not len(mesh.stitches):
+        return []
+    row = np.stack([np.ones(len(weights)), weights - 1.0, -weights], axis=1)
+    stiffness = STITCH * max(model.fabric.stretch_warp, model.fabric.stretch_weft)
+    return [QuadraticElements(mesh.stitches, model.vertex_count, stiffness * row[:, :, None] * row[:, None])]
+
+
+Factory = Callable[[Model, Options], AnySolver]
+
+
+def _integrated(name: str, membrane: str, bending: str, integrator: str) -> Factory:
+    return lambda model, options: INTEGRATORS[integrator](
+        model, cloth_energy(model, membrane, bending, options.bend_poisson), options, name
+    )
+
+
+def _limited(name: str, membrane: str, integrator: str) -> Factory:
+    explicit = {"symplectic-euler": SymplecticEuler, "verlet": Verlet}[integrator]
+    return lambda model, options: explicit(model, cloth_energy(model, membrane, "hinges"), options, name, limit=PROVOT)
+
+
+def _default(model: Model, options: Options) -> Solver:
+    if options.substep is None:
+        return Solver(model, SolverOptions(gravity=options.gravity))
+    return Solver(model, SolverOptions(substep=options.substep, gravity=options.gravity))
+
+
+def _all() -> dict[str, Factory]:
+    solvers: dict[str, Factory] = {"default": _default}
+    for integrator in INTEGRATORS:
+        for membrane in MEMBRANES:
+            bending = "shape" if membrane.startswith("fem") else "hinges"
+            name = f"{membrane}/{integrator}"
+            solvers[name] = _integrated(name, membrane, bending, integrator)
+        for bending in ("isometric", "hinges"):
+            name = f"fem-stvk+{bending}/{integrator}"
+            solvers[name] = _integrated(name, "fem-stvk", bending, integrator)
+    for integrator in EXPLICIT:
+        for membrane in ("springs-triangle", "springs-square"):
+            name = f"{membrane}-limited/{integrator}"
+            solvers[name] = _limited(name, membrane, integrator)
+    return solvers
+
+
+SOLVERS: dict[str, Factory] = _all()
+
+
+def make_solver(name: str, model: Model, options: Options | None = None) -> AnySolver:
+    """A solver of ``SOLVERS`` for a garment.
+
+    Raises:
+        InputError: no such solver, or a mesh or options that it cannot take.
+    """
+    if name not in SOLVERS:
+        raise InputError("no such solver", key="solver", received=name, expected=", ".join(SOLVERS))
+    return SOLVERS[name](model, options or Options())
