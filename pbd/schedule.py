@@ -180,7 +180,7 @@ def advance_kernel(with_patches: bool) -> Callable[..., None]:
         drag: Float1,
         primitives: Float2,
         nearest: Int1,
-        contact: Vec4,
+        contact: Float1,
         body_0: Vec3,
         body_1: Vec3,
         body_normals: Vec3,
@@ -344,13 +344,9 @@ def advance_kernel(with_patches: bool) -> Callable[..., None]:
                 position[i] += vec4(xyz(shift[i]))
                 velocity[i] += xyz(gained[i])
             for i in range(count):
-                contact[i] = ti.math.vec4(FAR, 0.0, 0.0, 0.0)
+                contact[i] = FAR
                 if nearest[i] >= 0 and position[i][3] > 0.0:
-                    motion = xyz(touched[i, 1])
-                    normal = xyz(touched[i, 2])
-                    slip = velocity[i] - motion * (inverse_h * share)
-                    slip -= slip.dot(normal) * normal
-                    away = xyz(position[i]) - (xyz(touched[i, 0]) + motion)
-                    contact[i] = ti.math.vec4(ti.math.clamp(away.dot(normal), -FAR, FAR), slip[0], slip[1], slip[2])
+                    away = xyz(position[i]) - (xyz(touched[i, 0]) + xyz(touched[i, 1]))
+                    contact[i] = ti.math.clamp(away.dot(xyz(touched[i, 2])), -FAR, FAR)
 
     return advance

@@ -1,4 +1,4 @@
-"""The default solver: XPBD with small steps, on the serial fused schedule."""
+"""The default solver: XPBD with small steps and patches from coarse to fine, on the serial fused schedule."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class SolverOptions:
 
     substep: float = 1.0 / 720.0
     gravity: tuple[float, float, float] = (0.0, -9.81, 0.0)
-    coarse_sweeps: int = 0
+    coarse_sweeps: int = 4
     contact_refreshes: float = 240.0
 
     def __post_init__(self) -> None:
@@ -81,7 +81,9 @@ class Solver:
         self._patches[0, :patches, 3] = levels.inverse_mass
         self._link_lines = np.zeros((max(1, len(levels.links)), 4), np.float32)
         self._multipliers = np.zeros(max(1, len(levels.links)), np.float32)
-        self._find_nearest, self._advance = Launch(find_nearest), Launch(advance_kernel(self.options.coarse_sweeps > 0))
+        # Substeps are never longer than this, so that levels that are of no use in it are of none in any.
+        with_patches = levels.useful(self.options.substep) > 0
+        self._find_nearest, self._advance = Launch(find_nearest), Launch(advance_kernel(with_patches))
 
     def step(
         self,

@@ -139,7 +139,7 @@ class Recording:
         frames: index of each recorded frame into the run's poses, int, shape (f,).
         positions: of the simulated mesh [m], float32, shape (f, N, 3).
         coarse: a fine run filtered down (a coarse run itself) [m], float32, shape (f, n, 3).
-        contact: of the coarse vertices, as in :class:`pbd.State`, float32, shape (f, n, 4).
+        contact: of the coarse vertices, as in :class:`pbd.State`, float32, shape (f, n).
         nearest: body vertices near the coarse ones, int32, shape (f, n).
         step_ms: median time of a step [ms].
     """
@@ -259,7 +259,7 @@ def _record(run: Run, folder: Path, after_chunk: Callable[[], None] | None = Non
         arrays = {name: np.array(values) for name, values in rows.items()}
         if not len(arrays["frames"]):
             arrays["positions"] = np.zeros((0, simulation.model.vertex_count, 3), np.float32)
-            arrays["contact"], arrays["nearest"] = np.zeros((0, count, 4), np.float32), np.zeros((0, count), np.int32)
+            arrays["contact"], arrays["nearest"] = np.zeros((0, count), np.float32), np.zeros((0, count), np.int32)
         arrays["coarse"] = arrays["positions"]
         if run.fine:
             arrays["coarse"] = levels.filter_down(arrays["positions"]).astype(np.float32)

@@ -281,7 +281,7 @@ def _check_decoding(
     name: str, database: WrinkleDatabase, subdivision: Subdivision, decoder: Decoder, state: State
 ) -> Check:
     """Decode a garment far from any body: finite, and no wrinkle higher than the longest is long."""
-    state.contact[:, 0] = FAR
+    state.contact[:] = FAR
     vertices, middle = (np.zeros((mesh.fine_count, 3), np.float32) for mesh in (subdivision, subdivision.middle))
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is reported below
         decoder.add(state.position, state.contact, vertices, middle)

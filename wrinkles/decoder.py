@@ -189,7 +189,7 @@ def _relax(
     frames: Float2,
     facing: ti.f32,
     coarse_nearest: Int1,
-    coarse_contact: Vec4,
+    coarse_contact: Float1,
     nearest: Int1,
     body: Vec3,
     body_normals: Vec3,
@@ -223,7 +223,7 @@ def _relax(
                     best = -1
                     coarse = leading[i][0]
                     outward = facing * vec3(frames[coarse, 6], frames[coarse, 7], frames[coarse, 8])
-                    if coarse_contact[coarse][0] < LEVEL:
+                    if coarse_contact[coarse] < LEVEL:
                         distance = 1e30
                         # Starts: where the coarse vertices around this one are, and where it was itself last.
                         for c in ti.static(range(4)):
@@ -340,7 +340,7 @@ class Relaxation:
             targets: of the held vertices [m], shape (P, 3).
             frames: of the coarse vertices, as :meth:`Stencil.gather` gives them, float32, shape (n, 9).
             coarse_nearest: body vertex near each coarse vertex, -1 for none, int32, shape (n,) or longer.
-            coarse_contact: distance and slip of the coarse vertices, as in :class:`pbd.State`, float32, shape (n, 4).
+            coarse_contact: distance of the coarse vertices, as in :class:`pbd.State`, float32, shape (n,).
             body: gives neighbourhoods and normals.
             current: where its vertices are [m], float32, shape (b, 3).
             passes: number of passes.

@@ -38,7 +38,7 @@ Int2 = ti.types.ndarray(dtype=ti.i32, ndim=2)
 @ti.kernel
 def _gather(
     position: Vec4,
-    contact: Vec4,
+    contact: Float1,
     corners: Int2,
     weights: Float2,
     spacing: ti.f32,
@@ -84,7 +84,7 @@ def _gather(
             for q in ti.static(INNER):
                 near = 0.0
                 for c in ti.static(range(3)):
-                    near += weights[i, 3 * q + c] * contact[corners[i, 3 * q + c]][0]
+                    near += weights[i, 3 * q + c] * contact[corners[i, 3 * q + c]]
                 features[i, f] = near / FAR
                 f += 1
             for c in range(features.shape[1]):
@@ -145,7 +145,7 @@ class Stencil:
 
         Args:
             position: [m], float32, shape (n, 4); the last column does not matter.
-            contact: as in :class:`pbd.State`, float32, shape (n, 4).
+            contact: as in :class:`pbd.State`, float32, shape (n,).
             frames: receives the frame of each vertex as rows (warp, weft, normal), float32, shape (n, 9).
             features: receives clip((features - center) * scale, -limit, limit), float32, shape (n, DYNAMIC_COUNT).
             center, scale, limit: None and none give the features themselves; float32, shape (DYNAMIC_COUNT,).

@@ -82,7 +82,7 @@ class Levels:
         vertices keep their places.
 
         Args:
-            fine: positions [m] or velocities [m/s], shape (f, N, 3).
+            fine: positions [m], shape (f, N, 3).
 
         Returns:
             the same for the coarse vertices, float64, shape (f, n, 3).

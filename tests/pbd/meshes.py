@@ -62,10 +62,12 @@ def run(
     colliders: Colliders | None = None,
     keep: float = 1.0,
     rate: float = 60.0,
+    sweeps: int = SolverOptions.coarse_sweeps,
 ) -> None:
     """Advance a state by frames of 1/rate s; ``keep``: part of the velocity kept after each, below 1 to settle."""
     colliders = colliders or Colliders()
-    solver = Solver(model, SolverOptions(substep=1.0 / (rate * substeps), gravity=(0.0, -gravity, 0.0)))
+    options = SolverOptions(substep=1.0 / (rate * substeps), gravity=(0.0, -gravity, 0.0), coarse_sweeps=sweeps)
+    solver = Solver(model, options)
     for _ in range(frames):
         solver.follow(state, colliders)
         solver.step(state, colliders, 1.0 / rate)

@@ -131,7 +131,7 @@ def test_contact_distance_against_all_faces(seed: int) -> None:
     body = Body(faces, len(vertices))
     body.place(vertices.astype(np.float32))
     Solver(model, SolverOptions(gravity=(0.0, 0.0, 0.0))).step(state, Colliders((), body), 1e-9)
-    distance = state.contact[::3, 0]
+    distance = state.contact[::3]
     assert (state.nearest[::3] >= 0).all()
     assert np.abs(distance) == pytest.approx(exact, abs=1e-6)
     clear = np.abs(exact - np.abs(height)) < 1e-6  # the face that it was raised from is the closest
@@ -186,7 +186,7 @@ def test_a_body_that_goes_away_or_becomes_another_is_forgotten() -> None:
     assert 0 < state.nearest.max() < 642
     run(model, state, 30)
     assert state.nearest.max() == -1 and state.world()[:, 1].max() < RADIUS
-    assert np.array_equal(state.contact, np.tile(np.array([FAR, 0, 0, 0], np.float32), (len(vertices), 1)))
+    assert np.array_equal(state.contact, np.full(len(vertices), FAR, np.float32))
 
 
 # -- Rest and motion -------------------------------------------------------------------------------------------------

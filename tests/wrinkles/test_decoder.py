@@ -71,7 +71,7 @@ class Layer:
         )
         self.position = single(count, 4, seed=10, size=0.01)
         self.position[:, :3] += vertices.astype(np.float32)
-        self.contact = single(count, 4, seed=12, size=0.01)
+        self.contact = single(count, seed=12, size=0.01)
 
         self.unfamiliarity = Unfamiliarity(
             single(9, 3, seed=13, size=0.1), single(3, seed=14), np.abs(single(3, seed=15)), 0.2, fade_from=1e9
@@ -175,10 +175,10 @@ class Cloth:
     def __call__(self, fine: np.ndarray, targets: np.ndarray | None = None, passes: int = 1) -> np.ndarray:
         """Relaxed vertices, from contacts that were found on the way."""
         count = len(self.levels.coarse.vertices)
-        nearest, contact = np.full(count, -1, np.int32), np.full((count, 4), FAR, np.float32)
+        nearest, contact = np.full(count, -1, np.int32), np.full(count, FAR, np.float32)
         if len(self.body.faces):
             away = np.linalg.norm(self.levels.coarse.vertices[:, None] - self.body.current, axis=2)
-            nearest, contact[:, 0] = away.argmin(axis=1).astype(np.int32), away.min(axis=1)
+            nearest, contact = away.argmin(axis=1).astype(np.int32), away.min(axis=1).astype(np.float32)
         fine = fine.astype(np.float32)
         targets = np.zeros((0, 3)) if targets is None else targets
         self.relax(fine, targets, self.frames, nearest, contact, self.body, self.body.current, passes)

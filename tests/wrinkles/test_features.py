@@ -30,8 +30,7 @@ class Cloth:
         count = len(self.position)
         position = np.full((count, 4), 7.0, np.float32)  # the last column does not matter
         position[:, :3] = self.position @ rotation.T + shift
-        contact = np.zeros((count, 4), np.float32)
-        contact[:, 0] = self.distance
+        contact = self.distance.astype(np.float32)
         frames = np.zeros((count, 9), np.float32)
         features = np.zeros((count, DYNAMIC_COUNT), np.float32)
         self.stencil.gather(position, contact, frames, features, **kept)
@@ -89,8 +88,7 @@ def test_features_of_a_flat_sheet_are_its_stencil() -> None:
     assert stencil.spacing == pytest.approx(mesh.edge_lengths()[1].mean())
     position = np.zeros((81, 4), np.float32)
     position[:, :3] = vertices
-    contact = np.zeros((81, 4), np.float32)
-    contact[:, 0] = FAR
+    contact = np.full(81, FAR, np.float32)
     frames, features = np.zeros((81, 9), np.float32), np.zeros((81, DYNAMIC_COUNT), np.float32)
     stencil.gather(position, contact, frames, features)
     middle = features[40]
