@@ -33,6 +33,11 @@ __all__ = ["Decoder", "Relaxation", "Upsampler", "add_patches", "surface_normals
 STRETCH_SHARE = 0.25  # of an edge's stretch that a relaxation pass takes back
 LEVEL = 0.025  # where the coarse garment is further than this from the body, so is the fine one [m]
 NEARBY = 0.008  # fine vertices within this height over the tangent plane are tested against faces [m]
+ACROSS = 0.05  # another part of the body is looked for this far from the part that a coarse vertex covers [m]
+TURNS = 8  # frames in which every coarse vertex looks for that once
+OPPOSITE = 0.3  # least cosine between the normals of two parts, one turned round, with cloth between them
+ROOM_SHARE = 0.3  # of the room between two parts that the cloth keeps from each, if that is less than its clearance
+LEAST = 0.0003  # kept from what it covers where there is no room [m]
 
 
 @ti.func
@@ -191,6 +196,8 @@ def _relax(
     coarse_nearest: Int1,
     coarse_contact: Float1,
     nearest: Int1,
+    turn: ti.i32,
+    across: Int1,
     body: Vec3,
     body_normals: Vec3,
     ring_start: Int1,
@@ -217,41 +224,104 @@ def _relax(
                     d *= STRETCH_SHARE * (size - lengths[c]) / (size * total)
                     fine[i] += inverse_mass[i] * d
                     fine[j] -= inverse_mass[j] * d
+            _look_across(turn, coarse_nearest, coarse_contact, body, body_normals, across)
             for i in range(fine.shape[0]):
                 if inverse_mass[i] > 0.0:
-                    p = fine[i]
-                    best = -1
                     coarse = leading[i][0]
-                    outward = facing * vec3(frames[coarse, 6], frames[coarse, 7], frames[coarse, 8])
+                    last = nearest[i]
+                    nearest[i] = -1
                     if coarse_contact[coarse] < LEVEL:
-                        distance = 1e30
-                        # Starts: where the coarse vertices around this one are, and where it was itself last.
-                        for c in ti.static(range(4)):
-                            seed = nearest[i]
-                            if ti.static(c < 3):
-                                seed = coarse_nearest[leading[i][c]]
-                            if seed >= 0 and seed != best:
-                                offset = body[seed] - p
-                                away = offset.dot(offset)
-                                # Under an arm the cloth lies between two parts of the body. Pushed out of both in turn
-                                # it would zigzag: it keeps to the part that it covers, which looks the way it does.
-                                if body_normals[seed].dot(outward) < 0.0:
-                                    away += 1.0
-                                if away < distance:
-                                    distance = away
-                                    best = seed
-                    if best >= 0:
-                        best = descend(p, best, 0.0, body, body, ring_start, ring)
-                        offset = p - body[best]
-                        if offset.dot(offset) > 0.01:
+                        p = fine[i]
+                        looks = facing * vec3(frames[coarse, 6], frames[coarse, 7], frames[coarse, 8])
+                        normal, other_normal = vec3(0.0), vec3(0.0)
+                        gap, other_gap, kept, other_kept = NEARBY, NEARBY, 0.0, 0.0
+                        for side in range(2):  # the part of the body that the cloth covers, then one opposite to it
                             best = -1
-                        elif offset.dot(body_normals[best]) < NEARBY:
-                            fine[i] = _outside(p, best, body, body_normals, fan_start, fan, clearance)
-                    nearest[i] = best
+                            distance = 1e30
+                            # Starts: where the coarse vertices around this one are, and where it was itself last.
+                            for c in ti.static(range(6)):
+                                seed = -1
+                                if ti.static(c < 3):
+                                    seed = coarse_nearest[leading[i][c]]
+                                elif side == 1:
+                                    seed = across[leading[i][c - 3]]
+                                elif ti.static(c == 3):
+                                    seed = last
+                                if seed >= 0 and seed != best:
+                                    offset = body[seed] - p
+                                    away = offset.dot(offset)
+                                    # The part that is covered looks the way the cloth does. Others will do if there is
+                                    # no such one.
+                                    if side == 0 and body_normals[seed].dot(looks) < 0.0:
+                                        away += 1.0
+                                    if side == 1 and body_normals[seed].dot(looks) > -OPPOSITE:
+                                        away = 1e30
+                                    if away < distance:
+                                        distance = away
+                                        best = seed
+                            if best >= 0:
+                                best = descend(p, best, 0.0, body, body, ring_start, ring)
+                                offset = p - body[best]
+                                if offset.dot(offset) > 0.01:
+                                    best = -1
+                            if side == 1 and best >= 0 and body_normals[best].dot(looks) > -OPPOSITE:
+                                best = -1
+                            if best < 0:
+                                break
+                            if side == 0:
+                                nearest[i] = best
+                                looks = body_normals[best]
+                            n, h, c = body_normals[best], (p - body[best]).dot(body_normals[best]), 0.0
+                            if h < NEARBY:
+                                n, h, c = _height(p, best, body, body_normals, fan_start, fan, clearance)
+                            if side == 0:
+                                normal, gap, kept = n, h, c
+                            else:
+                                other_normal, other_gap, other_kept = n, h, c
+                        if other_gap < NEARBY:
+                            # Between two parts the cloth keeps from both what room there is, and to its own where they
+                            # overlap. Pushed out of one after the other it would zigzag and end inside one of them.
+                            room = gap + other_gap
+                            kept = ti.min(kept, ti.max(ROOM_SHARE * ti.abs(room), LEAST))
+                            other_kept = ti.min(other_kept, ti.max(ROOM_SHARE * room, LEAST))
+                            if room > 0.0 and other_gap < other_kept:
+                                d = (other_kept - other_gap) * other_normal
+                                p += d
+                                gap += d.dot(normal)
+                        if gap < kept:
+                            p += (kept - gap) * normal
+                        fine[i] = p
 
 
 @ti.func
-def _outside(
+def _look_across(
+    turn: ti.i32,
+    coarse_nearest: ti.template(),
+    coarse_contact: ti.template(),
+    body: ti.template(),
+    normals: ti.template(),
+    across: ti.template(),
+):
+    """A body vertex opposite to what a coarse vertex touches, -1 for none: one that the garment touches elsewhere."""
+    for c in range(across.shape[0]):
+        if coarse_nearest[c] < 0 or coarse_contact[c] >= LEVEL:
+            across[c] = -1
+        elif turn < 0 or c % TURNS == turn:
+            own = coarse_nearest[c]
+            distance = ACROSS * ACROSS
+            across[c] = -1
+            for k in range(across.shape[0]):
+                seed = coarse_nearest[k]
+                if seed >= 0 and coarse_contact[k] < LEVEL:
+                    offset = body[seed] - body[own]
+                    away = offset.dot(offset)
+                    if away < distance and normals[seed].dot(normals[own]) < -OPPOSITE:
+                        distance = away
+                        across[c] = seed
+
+
+@ti.func
+def _height(
     p: vec3,
     vertex: ti.i32,
     body: ti.template(),
@@ -259,18 +329,17 @@ def _outside(
     fan_start: ti.template(),
     fan: ti.template(),
     clearance: ti.template(),
-) -> vec3:
-    """p, or where it comes to lie when it is pushed ``clearance`` out of the faces around a body vertex."""
-    f, w, _ = closest_in_fan(p, vertex, 0.0, body, body, fan_start, fan)
+):
+    """Normal of the faces around a body vertex where p is nearest to them, its height over them, and the clearance."""
+    f, w, squared = closest_in_fan(p, vertex, 0.0, body, body, fan_start, fan)
     offset = p - (w[0] * body[vertex] + w[1] * body[f[0]] + w[2] * body[f[1]])
     normal = w[0] * normals[vertex] + w[1] * normals[f[0]] + w[2] * normals[f[1]]
     normal /= ti.max(normal.norm(), 1e-20)
-    gap = offset.dot(normal)
     kept = w[0] * clearance[vertex] + w[1] * clearance[f[0]] + w[2] * clearance[f[1]]
-    result = p
-    if gap < kept and offset.norm() < 0.05:
-        result = p + (kept - gap) * normal
-    return result
+    height = offset.dot(normal)
+    if squared > 0.05 * 0.05:
+        height = NEARBY
+    return normal, height, kept
 
 
 class Relaxation:
@@ -301,6 +370,8 @@ class Relaxation:
         self._targets = np.zeros((len(held), 3), np.float32)
         self._leading, self._clearance, self._facing = leading, clearance, facing
         self._nearest = np.full(len(mesh.vertices), -1, np.int32)
+        self._across = np.full(int(leading.max()) + 1, -1, np.int32)
+        self._turn = -1  # everyone's
         self._relax = Launch(_relax)
 
     @classmethod
@@ -359,6 +430,8 @@ class Relaxation:
             coarse_nearest,
             coarse_contact,
             self._nearest,
+            self._turn,
+            self._across,
             current,
             body.normals,
             body.ring_start,
@@ -368,3 +441,4 @@ class Relaxation:
             self._clearance,
             passes,
         )
+        self._turn = (self._turn + 1) % TURNS
