@@ -176,7 +176,7 @@ class NewtonSolver(ClothSolver):
         super().__init__(model, energy, options, name)
         self.order = FreeOrder(energy.parts, self.free)
         self.iterations = options.iterations or self.default_iterations
-        self._touching: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+        self._touching: tuple[np.ndarray, np.ndarray] | None = None
 
     def forget(self) -> None:
         self._touching = None
@@ -216,6 +216,8 @@ class NewtonSolver(ClothSolver):
             if contact is None:
                 return x
             error = contact.update(x)
+            # Positions must be as sharp as the forces that they make.
+            tolerance = min(tolerance, 0.1 * SETTLED * contact.softest())
             if error <= SETTLED:
                 self._touching = contact.memory
                 return x

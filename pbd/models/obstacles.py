@@ -109,9 +109,10 @@ class Obstacles:
 class ContactForces:
     """Contact and Coulomb friction as forces of an implicit step, by an augmented Lagrangian.
 
-    With multipliers fixed, all is a potential that Newton's method can minimise beside the cloth's own; between two
-    minimisations :meth:`update` takes over the forces. At the end gaps are closed and what sticks has not moved at all:
-    nothing is regularised, so nothing creeps (Alart and Curnier 1991; Simo and Laursen 1992).
+    With the normal forces of the last round as friction's limit, all is a convex potential that Newton's method can
+    minimise beside the cloth's own; between two minimisations :meth:`update` takes over the forces. At the end gaps are
+    closed and what sticks has not moved: nothing is regularised, so nothing creeps (Alart and Curnier 1991; Simo and
+    Laursen 1992).
 
     Args:
         obstacles: of this substep.
@@ -120,7 +121,10 @@ class ContactForces:
         stiffness: r of each vertex [N/m], shape (n,); how fast it settles hangs on it, the result does not.
         friction: Coulomb coefficient [-].
         h: substep [s]; infinite where there is no time.
-        memory: normal forces, tangential forces and what sticks, from the last substep; None to begin.
+        memory: what the last substep's contact remembered; None to begin.
+
+    Attributes:
+        memory: normal forces [N], shape (n, k), and friction [N], shape (n, k, 3).
     """
 
     def __init__(
@@ -131,7 +135,7 @@ class ContactForces:
         stiffness: np.ndarray,
         friction: float,
         h: float,
-        memory: tuple[np.ndarray, np.ndarray, np.ndarray] | None,
+        memory: tuple[np.ndarray, np.ndarray] | None,
     ) -> None:
         self.obstacles, self.start, self.friction, self.r = obstacles, start, friction, stiffness[:, None]
         self.feels = np.zeros((len(start), 1), bool)
@@ -140,62 +144,66 @@ class ContactForces:
         self.floor = np.minimum(0.0, gaps + PUSH_OUT * h)
         self.carried = obstacles.carried(start)
         if memory is None or memory[0].shape != gaps.shape:
-            memory = np.zeros_like(gaps), np.zeros_like(self.normals), np.zeros(gaps.shape, bool)
-        self.pressed, self.rubbed, self.sticks = memory
-
-    @property
-    def memory(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return self.pressed, self.rubbed, self.sticks
+            memory = np.zeros_like(gaps), np.zeros_like(self.normals)
+        self.memory = memory
 
     def energy(self, x: np.ndarray) -> float:
-        pressed, slip = self._pressed(x)[0], self._slip(x)
-        normal = 0.5 * pressed**2 / self.r
-        tangential = 0.5 * self.r * (slip**2).sum(axis=2) * self.sticks - (self.rubbed * slip).sum(axis=2)
-        return float((normal + tangential).sum())
+        pressed, tried = self._pressed(x)[0], self._tried(x)
+        size = np.linalg.norm(tried, axis=2)
+        beyond = np.maximum(0.0, size - self.friction * self.memory[0])
+        return float((0.5 * (pressed**2 + size**2 - beyond**2) / self.r).sum())
 
     def gradient(self, x: np.ndarray) -> np.ndarray:
         pressed, normals = self._pressed(x)
-        rubbed = self.rubbed - (self.r * self.sticks)[:, :, None] * self._slip(x)
-        return -(pressed[:, :, None] * normals + rubbed).sum(axis=1)
+        return -(pressed[:, :, None] * normals + self._rubbed(self._tried(x))).sum(axis=1)
 
     def hessian(self, x: np.ndarray) -> csr_matrix:
         pressed, normals = self._pressed(x)
         blocks = np.einsum("nk,nki,nkj->nij", self.r * (pressed > 0.0), normals, normals)
+        tried = self._tried(x)
+        size = np.linalg.norm(tried, axis=2)
+        limit = self.friction * self.memory[0]
+        slides = size > limit
+        unit = tried / np.maximum(size, 1e-300)[..., None]
         across = np.eye(3) - self.normals[..., None] * self.normals[:, :, None]
-        blocks += np.einsum("nk,nkij->nij", self.r * self.sticks, across)
+        across -= slides[..., None, None] * unit[..., None] * unit[:, :, None]
+        # Without a limit there is no friction at all, neither stuck nor sliding.
+        share = np.where(slides, limit / np.maximum(size, 1e-300), limit > 0.0)
+        blocks += np.einsum("nk,nkij->nij", self.r * share, across)
         rows = np.arange(len(x))
         return bsr_matrix((blocks, rows, np.arange(len(x) + 1)), shape=(3 * len(x), 3 * len(x))).tocsr()
 
     def update(self, x: np.ndarray) -> float:
-        """Take over the forces at a minimum. Returns their largest change over the largest force; infinite where what sticks
-        has changed.
-        """
+        """Take over the forces at a minimum. Returns their largest change over the largest of them."""
+        rubbed = self._rubbed(self._tried(x))
         pressed, self.normals = self._pressed(x)
         self.carried = self.obstacles.carried(x)
-        slip = self._slip(x)
-        rubbed = self.rubbed - (self.rubbed * self.normals).sum(axis=2)[..., None] * self.normals
-        limit = self.friction * pressed
-        tried = np.where(self.sticks[..., None], rubbed - self.r[..., None] * slip, rubbed)
-        # Friction that drives what it should hold back has gone too far: such a vertex sticks.
-        way = np.linalg.norm(slip, axis=2)
-        slides = ~self.sticks & (pressed > 0.0) & (self.pressed > 0.0) & ((rubbed * slip).sum(axis=2) < 0.0)
-        back = -slip * (limit / np.maximum(way, 1e-20))[..., None]
-        tried = np.where(slides[..., None], back, tried)
-        size = np.linalg.norm(tried, axis=2)
-        sticks = (size < limit) & ~slides
-        rubbed = tried * np.minimum(1.0, limit / np.maximum(size, 1e-20))[..., None]
-        change = np.abs(pressed - self.pressed) + np.linalg.norm(rubbed - self.rubbed, axis=2)
-        changed = np.any(sticks != self.sticks)
-        error = np.inf if changed else float(change.max(initial=0.0) / max(pressed.max(initial=0.0), 1e-300))
-        self.pressed, self.rubbed, self.sticks = pressed, rubbed, sticks
-        return error
+        rubbed -= (rubbed * self.normals).sum(axis=2)[..., None] * self.normals
+        # Friction already keeps the limit that the next round has.
+        size, limit = np.linalg.norm(rubbed, axis=2), self.friction * pressed
+        rubbed *= np.minimum(1.0, limit / np.maximum(size, 1e-300))[..., None]
+        change = np.abs(pressed - self.memory[0]) + np.linalg.norm(rubbed - self.memory[1], axis=2)
+        self.memory = pressed, rubbed
+        return float(change.max(initial=0.0) / max(pressed.max(initial=0.0), 1e-300))
+
+    def softest(self) -> float:
+        """Move that changes a force by the largest of them [m]; infinite without contact."""
+        pressed = self.memory[0]
+        return float((pressed.max() / self.r[pressed.max(axis=1) > 0.0].max()) if np.any(pressed > 0.0) else np.inf)
 
     def _pressed(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Normal forces [N], shape (n, k), and normals."""
         gaps, normals = self.obstacles.gaps(x)
-        return np.maximum(0.0, self.pressed - self.r * (gaps - self.floor)) * self.feels, normals
+        return np.maximum(0.0, self.memory[0] - self.r * (gaps - self.floor)) * self.feels, normals
 
-    def _slip(self, x: np.ndarray) -> np.ndarray:
-        """Way along the surfaces since the substep's start [m], shape (n, k, 3)."""
+    def _tried(self, x: np.ndarray) -> np.ndarray:
+        """Friction that would hold all [N], shape (n, k, 3)."""
         slip = (x - self.start)[:, None] - self.carried
-        return slip - (slip * self.normals).sum(axis=2)[..., None] * self.normals
+        slip -= (slip * self.normals).sum(axis=2)[..., None] * self.normals
+        tried = self.memory[1] - self.r[..., None] * slip
+        return np.where((self.memory[0] > 0.0)[..., None], tried, 0.0)
+
+    def _rubbed(self, tried: np.ndarray) -> np.ndarray:
+        """The nearest that Coulomb's law allows [N], shape (n, k, 3)."""
+        size = np.linalg.norm(tried, axis=2)
+        return tried * np.minimum(1.0, self.friction * self.memory[0] / np.maximum(size, 1e-300))[..., None]

@@ -10,10 +10,12 @@ import numpy as np
 from pbd.colliders import Colliders
 from pbd.errors import InputError
 from pbd.model import Model, State
+from pbd.models.descent import ProjectiveDynamics, VertexBlockDescent
 from pbd.models.elements import ElementEnergy, QuadraticElements, Sum
 from pbd.models.integrators import BDF2, ImplicitEuler, Midpoint, QuasiStatic, SymplecticEuler, Verlet
 from pbd.models.membrane import condition_membrane, continuum_membrane
 from pbd.models.plate import angle_bending, isometric_bending, shape_operator_bending
+from pbd.models.position_based import PBD, XPBD, StrainBased
 from pbd.models.springs import prestressed_springs, square_springs, triangle_springs
 from pbd.models.stepping import Options
 from pbd.solver import Solver, SolverOptions
@@ -61,7 +63,15 @@ INTEGRATORS = {
     "bdf2": BDF2,
     "quasi-static": QuasiStatic,
 }
-EXPLICIT = ("symplectic-euler", "verlet")
+EXPLICIT = {"symplectic-euler": SymplecticEuler, "verlet": Verlet}
+# Method, membrane and bending of the energy that it minimises, or would.
+METHODS = {
+    "pbd": (PBD, "springs-triangle", "hinges"),
+    "xpbd": (XPBD, "springs-triangle", "hinges"),
+    "strain-based": (StrainBased, "baraff-witkin", "hinges"),
+    "vertex-block-descent": (VertexBlockDescent, "fem-stvk", "isometric"),
+    "projective-dynamics": (ProjectiveDynamics, "fem-corotational", "isometric"),
+}
 
 
 def cloth_energy(model: Model, membrane: str, bending: str, bend_poisson: float = 0.0) -> Sum:
@@ -92,15 +102,10 @@ def _stitches(model: Model) -> list[ElementEnergy]:
 Factory = Callable[[Model, Options], AnySolver]
 
 
-def _integrated(name: str, membrane: str, bending: str, integrator: str) -> Factory:
-    return lambda model, options: INTEGRATORS[integrator](
-        model, cloth_energy(model, membrane, bending, options.bend_poisson), options, name
+def _factory(solver: Callable[..., AnySolver], name: str, membrane: str, bending: str, **more: float) -> Factory:
+    return lambda model, options: solver(
+        model, cloth_energy(model, membrane, bending, options.bend_poisson), options, name, **more
     )
-
-
-def _limited(name: str, membrane: str, integrator: str) -> Factory:
-    explicit = {"symplectic-euler": SymplecticEuler, "verlet": Verlet}[integrator]
-    return lambda model, options: explicit(model, cloth_energy(model, membrane, "hinges"), options, name, limit=PROVOT)
 
 
 def _default(model: Model, options: Options) -> Solver:
@@ -111,18 +116,20 @@ def _default(model: Model, options: Options) -> Solver:
 
 def _all() -> dict[str, Factory]:
     solvers: dict[str, Factory] = {"default": _default}
-    for integrator in INTEGRATORS:
+    for integrator, solver in INTEGRATORS.items():
         for membrane in MEMBRANES:
             bending = "shape" if membrane.startswith("fem") else "hinges"
             name = f"{membrane}/{integrator}"
-            solvers[name] = _integrated(name, membrane, bending, integrator)
+            solvers[name] = _factory(solver, name, membrane, bending)
         for bending in ("isometric", "hinges"):
             name = f"fem-stvk+{bending}/{integrator}"
-            solvers[name] = _integrated(name, "fem-stvk", bending, integrator)
-    for integrator in EXPLICIT:
+            solvers[name] = _factory(solver, name, "fem-stvk", bending)
+    for integrator, solver in EXPLICIT.items():
         for membrane in ("springs-triangle", "springs-square"):
             name = f"{membrane}-limited/{integrator}"
-            solvers[name] = _limited(name, membrane, integrator)
+            solvers[name] = _factory(solver, name, membrane, "hinges", limit=PROVOT)
+    for name, (solver, membrane, bending) in METHODS.items():
+        solvers[name] = _factory(solver, name, membrane, bending)
     return solvers
 
 
