@@ -283,7 +283,7 @@ class WrinkleSettings:
         seed: seed of every random choice in learning.
     """
 
-    hidden_width: int = entry(whole(at_least=1), 96)
+    hidden_width: int = entry(whole(at_least=1), 128)
     atoms: int = entry(whole(at_least=1), 48)
     seed: int = entry(whole(at_least=0), 0)
 

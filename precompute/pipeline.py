@@ -41,7 +41,7 @@ CALIBRATION_SECONDS = (
     6.0  # motion that the coarse model is calibrated on: enough to see it move, short enough to try many
 )
 TRAINING_FRAMES = 2400
-EPOCHS = 8
+EPOCHS = 6
 
 
 @dataclass(frozen=True)

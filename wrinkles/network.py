@@ -8,7 +8,7 @@ import numpy as np
 
 __all__ = ["Network"]
 
-RATE, WARM_UP = 2e-3, 0.05  # of Adam; share of the steps until the rate is reached
+RATE, WARM_UP = 8e-3, 0.05  # of Adam; share of the steps until the rate is reached
 BATCHES = (64, 1024)  # samples in a batch, at least and at most
 DECAY = 1e-5  # of the weights
 KNEE = 0.1  # errors below this count squared, errors above it by their size; in units of the targets' RMS
