@@ -38,7 +38,7 @@ $(LONG)/%/ablations.md: $(LONG)/%/wrinkles.html
 	mv $@.part $@
 
 gpu-proofs: .venv/ready
-	$(BIN)/python -m pytest -m gpu
+	$(BIN)/python -m pytest -m gpu -rs
 
 .venv/ready: requirements.lock pyproject.toml
 	@test -n "$(PYTHON)" || { echo "gube needs Python 3.11, 3.12 or 3.13 (set PYTHON=...)" >&2; exit 1; }

@@ -1,6 +1,7 @@
 """Cloth, fabrics, colliders and time: the solvers and everything they stand on."""
 
 from pbd.colliders import Body, Capsule, Colliders, Plane, Sphere
+from pbd.crowd import Crowd
 from pbd.engine import ensure_initialized
 from pbd.errors import InputError
 from pbd.fabric import Fabric
@@ -13,6 +14,7 @@ __all__ = [
     "Capsule",
     "ClothMesh",
     "Colliders",
+    "Crowd",
     "Fabric",
     "InputError",
     "Model",

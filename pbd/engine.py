@@ -25,7 +25,10 @@ from taichi.lang.ast import ast_transformer_utils
 
 from pbd.errors import InputError
 
-__all__ = ["Launch", "ensure_initialized", "ti"]
+__all__ = [
+    "Launch", "cuda_is_here", "ensure_initialized", "in_kernel", "local", "running_arch", "running_threads",
+    "signature", "subscript", "ti",
+]  # fmt: skip
 
 
 class _Unwrapped:
@@ -88,8 +91,51 @@ def ensure_initialized(arch: str = "cpu", threads: int | None = None) -> None:
                 default_ip=ti.i32,
                 offline_cache=True,
                 log_level=ti.ERROR,
+                fast_math=False,  # the same function in two kernels must round alike; it costs the solver nothing
             )
         _settings = {"arch": arch, "threads": count}
+
+
+def cuda_is_here() -> bool:
+    """Whether there is an NVIDIA GPU with its driver."""
+    return bool(ti.lang.impl._ti_core.with_cuda())
+
+
+def running_arch() -> str:
+    """What Taichi was started for: "cpu" or "cuda"."""
+    return str(_running()["arch"])
+
+
+def running_threads() -> int:
+    """CPU threads that Taichi was started with."""
+    return int(str(_running()["threads"]))
+
+
+def _running() -> dict[str, object]:
+    if _settings is None:
+        raise RuntimeError("Taichi does not run yet: call ensure_initialized() first")
+    return _settings
+
+
+def in_kernel(function: Any) -> Any:
+    """Mark a Python function or class that kernels call while they are compiled, so that Taichi does not warn of it."""
+    setattr(function, "_is_taichi_function", False)  # noqa: B010
+    return function
+
+
+def subscript(array: Any, *index: Any) -> Any:
+    """Element of an array in a kernel, to be read or written."""
+    return impl.subscript(None, array, *index)
+
+
+def signature(kernel: Callable[..., None]) -> dict[str, Any]:
+    """Names and types of the arguments of a ``ti.kernel``."""
+    return {argument.name: argument.annotation for argument in getattr(kernel, "_primal").arguments}  # noqa: B009
+
+
+def local(value: Any) -> Any:
+    """A variable of the kernel with a value, instead of an expression that is worked out again at every use."""
+    return impl.expr_init(value)
 
 
 class Launch:

@@ -40,6 +40,8 @@ class Hierarchy:
         starts: where the patches of each level begin, shape (levels + 1,).
         links: patches that touch, by level and colour, shape (m, 2).
         link_starts: where the links of each level begin, shape (levels + 1,).
+        link_colors: where the links of each colour begin, those of all levels, shape (colours + 1,).
+        color_starts: where the colours of each level begin in that, shape (levels + 1,).
         link_data: length at rest [m], compliance [m/N], 0, 0 | direction as (u u, v v, u v, 0) | strain of a patch
             (uu, vv, 2 uv) for 1 N in the link and for one in all of its links [1/N], 0; shape (m, 3, 4).
         link_shares: one over the number of links of its two ends, shape (m, 2).
@@ -51,6 +53,8 @@ class Hierarchy:
     starts: np.ndarray
     links: np.ndarray
     link_starts: np.ndarray
+    link_colors: np.ndarray
+    color_starts: np.ndarray
     link_data: np.ndarray
     link_shares: np.ndarray
 
@@ -60,8 +64,14 @@ class Hierarchy:
         one = np.zeros(1, np.int32)
         return cls(
             np.full(count, -1, np.int32), np.ones(count, np.float32), np.zeros(0, np.float32), one,
-            np.zeros((0, 2), np.int32), one, np.zeros((0, 3, 4), np.float32), np.zeros((0, 2), np.float32),
+            np.zeros((0, 2), np.int32), one, one, one, np.zeros((0, 3, 4), np.float32), np.zeros((0, 2), np.float32),
         )  # fmt: skip
+
+    def children(self) -> tuple[np.ndarray, np.ndarray]:
+        """What each patch is made of, in order, as (indices like those of ``parent``, offsets (k + 1,)): int32."""
+        order = np.argsort(self.parent, kind="stable")
+        offsets = np.searchsorted(self.parent[order], np.arange(len(self.inverse_mass) + 1))
+        return order.astype(np.int32), offsets.astype(np.int32)
 
     @cached_property
     def _rates(self) -> np.ndarray:
@@ -110,7 +120,7 @@ def build_hierarchy(mesh: ClothMesh, mass: np.ndarray, inverse_mass: np.ndarray,
     heavy = HELD_MASS * mass.sum()
     level = _finest(mesh, np.where(inverse_mass > 0, mass, heavy))
     parents, shares, inverse_masses, links, data, link_shares = [], [], [], [], [], []
-    starts, link_starts = [0], [0]
+    starts, link_starts, link_colors, color_starts = [0], [0], [np.array([0])], [0]
     softness = np.linalg.inv(fabric.membrane_stiffness())
     while len(level.mass) > SMALLEST:
         patch, roots = _patches(level)
@@ -123,11 +133,14 @@ def build_hierarchy(mesh: ClothMesh, mass: np.ndarray, inverse_mass: np.ndarray,
         inverse_masses.append(np.where(moves, 1.0 / coarse.mass, 0.0))
         rows, pair_data, pair_shares = _links(coarse, softness)
         rows, pair_data, pair_shares = (part[moves[rows].any(axis=1)] for part in (rows, pair_data, pair_shares))
-        order = np.argsort(greedy_colors(rows, len(roots)), kind="stable")
+        colors = greedy_colors(rows, len(roots))
+        order = np.argsort(colors, kind="stable")
         links.append(rows[order] + starts[-1])
         data.append(pair_data[order])
         link_shares.append(pair_shares[order])
         starts.append(starts[-1] + len(roots))
+        link_colors.append(link_starts[-1] + np.cumsum(np.bincount(colors)))
+        color_starts.append(color_starts[-1] + len(link_colors[-1]))
         link_starts.append(link_starts[-1] + len(rows))
         level = coarse
     last = len(level.mass) if parents else len(mass)
@@ -138,6 +151,8 @@ def build_hierarchy(mesh: ClothMesh, mass: np.ndarray, inverse_mass: np.ndarray,
         np.array(starts, np.int32),
         np.concatenate([*links, np.zeros((0, 2))]).astype(np.int32),
         np.array(link_starts, np.int32),
+        np.concatenate(link_colors).astype(np.int32),
+        np.array(color_starts, np.int32),
         np.concatenate([*data, np.zeros((0, 3, 4))]).astype(np.float32),
         np.concatenate([*link_shares, np.zeros((0, 2))]).astype(np.float32),
     )

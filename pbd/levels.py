@@ -14,47 +14,62 @@ GRAIN = 1e-6  # links pull beyond their length and this: positions in float32 sa
 
 @ti.func
 def gather_places(
+    team: ti.template(),
     position: ti.template(),
     shift: ti.template(),
-    parent: ti.template(),
     part: ti.template(),
     places: ti.template(),
     starts: ti.template(),
+    children: ti.template(),
+    child_starts: ti.template(),
     levels: ti.i32,
 ):
     """Centres of mass of the patches of all levels [m]."""
     count = position.shape[0]
-    for a in range(starts[levels]):
-        places[a] = ti.math.vec4(0.0)
-    for i in range(count):
-        places[parent[i]] += part[i] * vec4(xyz(position[i]) + xyz(shift[i]))
-    for a in range(starts[levels - 1]):
-        places[parent[count + a]] += part[count + a] * places[a]
+    for level in range(levels):
+        for a in range(team.begin(starts[level], starts[level + 1]), team.end(starts[level], starts[level + 1])):
+            place = ti.math.vec4(0.0)
+            for q in range(child_starts[a], child_starts[a + 1]):
+                i = children[q]
+                if level == 0:
+                    place += part[i] * vec4(xyz(position[i]) + xyz(shift[i]))
+                else:
+                    place += part[i] * places[i - count]
+            places[a] = place
+        team.meet()
 
 
 @ti.func
 def gather_ways(
+    team: ti.template(),
     velocity: ti.template(),
     gained: ti.template(),
     h: ti.f32,
-    parent: ti.template(),
     part: ti.template(),
     ways: ti.template(),
     starts: ti.template(),
+    children: ti.template(),
+    child_starts: ti.template(),
     levels: ti.i32,
 ):
     """Ways of the centres of mass as predicted for the substep [m]; the fourth column, the inverse mass, stays."""
     count = velocity.shape[0]
-    for a in range(starts[levels]):
-        ways[a] = vec4(vec3(0.0), ways[a][3])
-    for i in range(count):
-        ways[parent[i]] += (h * part[i]) * vec4(velocity[i] + xyz(gained[i]))
-    for a in range(starts[levels - 1]):
-        ways[parent[count + a]] += part[count + a] * vec4(xyz(ways[a]))
+    for level in range(levels):
+        for a in range(team.begin(starts[level], starts[level + 1]), team.end(starts[level], starts[level + 1])):
+            way = vec3(0.0)
+            for q in range(child_starts[a], child_starts[a + 1]):
+                i = children[q]
+                if level == 0:
+                    way += (h * part[i]) * (velocity[i] + xyz(gained[i]))
+                else:
+                    way += part[i] * xyz(ways[i - count])
+            ways[a] = vec4(way, ways[a][3])
+        team.meet()
 
 
 @ti.func
 def solve_patches(
+    team: ti.template(),
     count: ti.i32,
     parent: ti.template(),
     places: ti.template(),
@@ -63,11 +78,13 @@ def solve_patches(
     borne: ti.template(),
     starts: ti.template(),
     links: ti.template(),
-    link_starts: ti.template(),
+    colors: ti.template(),
+    color_starts: ti.template(),
     data: ti.template(),
     shares: ti.template(),
     lines: ti.template(),
     multipliers: ti.template(),
+    room: ti.template(),
     levels: ti.i32,
     sweeps: ti.i32,
     h: ti.f32,
@@ -81,52 +98,66 @@ def solve_patches(
         places: centres at the start of the substep.
         ways: of the centres over the substep, and inverse masses. Corrections go here: small numbers keep their digits.
         first_ways: room for the ways as predicted.
+        colors: where the links of each colour begin, those of all levels; ``color_starts``: the first of each level.
         lines: room for direction and length of each link.
+        room: for a number of each worker.
 
     Returns:
         How much of the corrections to take, the same for all, so that momentum is kept [-].
     """
     inverse_h2 = 1.0 / (h * h)
-    for a in range(starts[levels]):
+    for a in range(team.begin(0, starts[levels]), team.end(0, starts[levels])):
         first_ways[a] = ways[a]
         borne[a] = ti.math.vec4(0.0)
+    team.meet()
     for down in range(levels):
         level = levels - 1 - down
         if down > 0:
-            for a in range(starts[level], starts[level + 1]):
+            for a in range(team.begin(starts[level], starts[level + 1]), team.end(starts[level], starts[level + 1])):
                 above = parent[count + a]
                 p = ways[a]
                 if p[3] > 0.0:
                     ways[a] = vec4(xyz(p) + (xyz(ways[above]) - xyz(first_ways[above])), p[3])
                 borne[a] = borne[above]
-        for c in range(link_starts[level], link_starts[level + 1]):
+            team.meet()
+        begin, end = colors[color_starts[level]], colors[color_starts[level + 1]]
+        for c in range(team.begin(begin, end), team.end(begin, end)):
             e = 0.5 * (borne[links[c][0]] + borne[links[c][1]])
             direction = (xyz(places[links[c][0]]) - xyz(places[links[c][1]])).normalized(1e-20)
             lines[c] = vec4(direction, GRAIN + data[c, 0][0] * (1.0 + xyz(e).dot(xyz(data[c, 1]))))
             multipliers[c] = 0.0
+        team.meet()
         for _ in range(sweeps):
-            for c in range(link_starts[level], link_starts[level + 1]):
-                a, b = links[c][0], links[c][1]
-                p, q = ways[a], ways[b]
-                direction, length = xyz(lines[c]), lines[c][3]
-                had = multipliers[c]
-                change = link_multiplier(
-                    (xyz(places[a]) - xyz(places[b])) + (xyz(p) - xyz(q)),
-                    direction,
-                    length,
-                    data[c, 0][1] * inverse_h2,
-                    p[3] + q[3],
-                    had,
-                )
-                if change != 0.0:
-                    multipliers[c] = had + change
-                    ways[a] = vec4(xyz(p) + (p[3] * change) * direction, p[3])
-                    ways[b] = vec4(xyz(q) - (q[3] * change) * direction, q[3])
-        for c in range(link_starts[level], link_starts[level + 1]):
-            strain = -multipliers[c] * inverse_h2 * xyz(data[c, 2])
-            borne[links[c][0]] += vec4(shares[c, 0] * strain)
-            borne[links[c][1]] += vec4(shares[c, 1] * strain)
+            for k in range(color_starts[level], color_starts[level + 1]):
+                for c in range(team.begin(colors[k], colors[k + 1]), team.end(colors[k], colors[k + 1])):
+                    a, b = links[c][0], links[c][1]
+                    p, q = ways[a], ways[b]
+                    direction, length = xyz(lines[c]), lines[c][3]
+                    had = multipliers[c]
+                    change = link_multiplier(
+                        (xyz(places[a]) - xyz(places[b])) + (xyz(p) - xyz(q)),
+                        direction,
+                        length,
+                        data[c, 0][1] * inverse_h2,
+                        p[3] + q[3],
+                        had,
+                    )
+                    if change != 0.0:
+                        multipliers[c] = had + change
+                        ways[a] = vec4(xyz(p) + (p[3] * change) * direction, p[3])
+                        ways[b] = vec4(xyz(q) - (q[3] * change) * direction, q[3])
+                team.meet()
+        for k in range(color_starts[level], color_starts[level + 1]):
+            for c in range(team.begin(colors[k], colors[k + 1]), team.end(colors[k], colors[k + 1])):
+                strain = -multipliers[c] * inverse_h2 * xyz(data[c, 2])
+                borne[links[c][0]] += vec4(shares[c, 0] * strain)
+                borne[links[c][1]] += vec4(shares[c, 1] * strain)
+            team.meet()
     farthest = 0.0
-    for a in range(starts[1]):
+    for a in range(team.begin(0, starts[1]), team.end(0, starts[1])):
         farthest = ti.max(farthest, (xyz(ways[a]) - xyz(first_ways[a])).norm())
+    room[team.row(0)] = farthest
+    team.meet()
+    for w in range(team.size()):
+        farthest = ti.max(farthest, room[w])
     return ti.min(1.0, FASTEST * h / ti.max(farthest, 1e-20))

@@ -62,11 +62,13 @@ class Model:
             :func:`pbd.constraints.membrane_multipliers`, and columns to fill the last block, shape (12, m + BLOCK).
         triangle_colors, hinge_colors: offsets of the colours, shape (colours + 1,).
         triangle_blocks: first triangle and size of each block, all of one colour, shape (b, 2).
+        block_colors: offsets of the colours of the blocks, shape (colours + 1,).
         hinges: shape (h, 4); hinge_data: K row | sum of w K^2, compliance, shape (h, 2, 4).
         stitches: (v, a, b), shape (s, 3); stitch_weights: place of v between a and b, shape (s,).
         tethers: (vertex, held vertex), shape (t, 2); tether_lengths: [m], shape (t,).
         samples: where contact with a body is tested: the vertices (i, i), then the ends (i, j) of long edges, tested in
             their middle, int32, shape (s, 2).
+        sample_colors: offsets of the samples that share no vertex, the vertices first, shape (colours + 1,).
         bend_factor: c of the hinge energy, measured on this mesh [-].
     """
 
@@ -80,6 +82,7 @@ class Model:
     triangle_data: np.ndarray
     triangle_colors: np.ndarray
     triangle_blocks: np.ndarray
+    block_colors: np.ndarray
     hinges: np.ndarray
     hinge_data: np.ndarray
     hinge_colors: np.ndarray
@@ -88,6 +91,7 @@ class Model:
     tethers: np.ndarray
     tether_lengths: np.ndarray
     samples: np.ndarray
+    sample_colors: np.ndarray
     bend_factor: float
 
     @property
@@ -141,7 +145,7 @@ def build_model(
         triangles,
         triangle_data,
         triangle_colors,
-        _blocks(triangle_colors),
+        *_blocks(triangle_colors),
         hinges,
         hinge_data,
         hinge_colors,
@@ -149,7 +153,7 @@ def build_model(
         mesh.stitch_weights[order].astype(np.float32),
         tethers,
         lengths,
-        _samples(mesh),
+        *_samples(mesh),
         float(bend_factor),
     )
 
@@ -186,11 +190,12 @@ def _membrane(mesh: ClothMesh, fabric: Fabric, inverse_mass: np.ndarray) -> tupl
     return np.ascontiguousarray(faces), data, offsets
 
 
-def _blocks(colors: np.ndarray) -> np.ndarray:
-    """First constraint and size of each block of at most ``BLOCK`` of one colour, shape (b, 2)."""
-    bounds = zip(colors[:-1].tolist(), colors[1:].tolist(), strict=True)
-    blocks = [(start, min(BLOCK, end - start)) for begin, end in bounds for start in range(begin, end, BLOCK)]
-    return np.array(blocks, np.int32).reshape(-1, 2)
+def _blocks(colors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First constraint and size of each block of at most ``BLOCK`` of one colour, and the offsets of the colours."""
+    starts = [np.arange(begin, end, BLOCK) for begin, end in zip(colors[:-1], colors[1:], strict=True)]
+    sizes = [np.minimum(BLOCK, end - first) for first, end in zip(starts, colors[1:], strict=True)]
+    blocks = np.stack([np.concatenate(starts), np.concatenate(sizes)], axis=1).astype(np.int32)
+    return blocks, np.cumsum([0, *(len(first) for first in starts)]).astype(np.int32)
 
 
 def _bending(
@@ -215,10 +220,14 @@ def _bending(
     return np.ascontiguousarray(hinges[order]), data, offsets
 
 
-def _samples(mesh: ClothMesh) -> np.ndarray:
+def _samples(mesh: ClothMesh) -> tuple[np.ndarray, np.ndarray]:
     edges, lengths = mesh.edge_lengths()
-    vertices = np.arange(len(mesh.vertices), dtype=np.int32)
-    return np.concatenate([np.stack([vertices, vertices], axis=1), edges[lengths > SAMPLE_SPACING]]).astype(np.int32)
+    count = len(mesh.vertices)
+    vertices = np.arange(count, dtype=np.int32)
+    edges = edges[lengths > SAMPLE_SPACING]
+    order, offsets = _by_color(edges, count)
+    samples = np.concatenate([np.stack([vertices, vertices], axis=1), edges[order]]).astype(np.int32)
+    return samples, np.concatenate([[0], count + offsets]).astype(np.int32)
 
 
 def _tethers(mesh: ClothMesh, held: np.ndarray, slack: float) -> tuple[np.ndarray, np.ndarray]:

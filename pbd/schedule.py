@@ -1,7 +1,7 @@
-"""The serial, fused schedule: one kernel a frame, all substeps inside.
+"""The schedule: one kernel a frame, all substeps inside, a colour of constraints after the other.
 
-Everything runs in one loop on one thread, in a fixed order, so results do not depend on the thread count. Constraints
-come sorted by colour: an order that sweeps the mesh from one end to the other is unstable.
+An order that sweeps the mesh from one end to the other is unstable. Constraints of one colour share no vertex, so that
+several workers may share them (:mod:`pbd.team`); the default is one, who never waits.
 """
 
 from collections.abc import Callable
@@ -20,8 +20,9 @@ from pbd.engine import ti
 from pbd.geometry import FAR, Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, vec3, vec4, xyz
 from pbd.levels import gather_places, gather_ways, solve_patches
 from pbd.model import BLOCK
+from pbd.team import Alone
 
-__all__ = ["NEAR", "advance_kernel"]
+__all__ = ["advance_garment", "advance_kernel"]
 
 NEAR = 0.01  # nearer than this, a contact is looked at in every substep, even if nothing seems to move [m]
 FINEST = 2.0**20  # inside a frame positions are whole multiples of 1 m / FINEST: exact in float32 up to 16 m
@@ -39,8 +40,10 @@ def solve_membrane(
     parent: ti.template(),
     borne: ti.template(),
     levels: ti.i32,
+    first: ti.i32,
+    last: ti.i32,
 ):
-    """One pass over the triangles, by blocks of one colour.
+    """One pass over the triangles of blocks ``first`` to ``last``, which is left out; each block is of one colour.
 
     A block is read, solved and written in turn. What is solved lies in local arrays that nothing else can point to, so
     that the compiler solves eight triangles at once: a third of the time.
@@ -48,7 +51,7 @@ def solve_membrane(
     x1, y1, z1 = ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK)
     x2, y2, z2 = ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK)
     e1, e2, e3 = ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK)
-    for b in range(blocks.shape[0]):
+    for b in range(first, last):
         begin, size = blocks[b][0], blocks[b][1]
         for a in range(size):
             f = triangles[begin + a]
@@ -86,9 +89,15 @@ def solve_membrane(
 
 @ti.func
 def solve_bending(
-    position: ti.template(), shift: ti.template(), hinges: ti.template(), data: ti.template(), inverse_h2: ti.f32
+    position: ti.template(),
+    shift: ti.template(),
+    hinges: ti.template(),
+    data: ti.template(),
+    inverse_h2: ti.f32,
+    begin: ti.i32,
+    end: ti.i32,
 ):
-    for c in range(hinges.shape[0]):
+    for c in range(begin, end):
         q = hinges[c]
         p0, p1, p2, p3 = position[q[0]], position[q[1]], position[q[2]], position[q[3]]
         u0, u1, u2, u3 = xyz(shift[q[0]]), xyz(shift[q[1]]), xyz(shift[q[2]]), xyz(shift[q[3]])
@@ -121,17 +130,29 @@ def solve_stitches(position: ti.template(), shift: ti.template(), stitches: ti.t
 
 
 @ti.func
-def cloth_normals(position: ti.template(), triangles: ti.template(), normals: ti.template()):
+def cloth_normals(
+    team: ti.template(),
+    position: ti.template(),
+    triangles: ti.template(),
+    blocks: ti.template(),
+    colors: ti.template(),
+    normals: ti.template(),
+):
     """Unit vertex normals."""
-    for i in range(position.shape[0]):
+    count = position.shape[0]
+    for i in range(team.begin(0, count), team.end(0, count)):
         normals[i] = ti.math.vec4(0.0)
-    for c in range(triangles.shape[0]):
-        f = triangles[c]
-        x0 = xyz(position[f[0]])
-        n = vec4((xyz(position[f[1]]) - x0).cross(xyz(position[f[2]]) - x0))
-        for a in ti.static(range(3)):
-            normals[f[a]] += n
-    for i in range(position.shape[0]):
+    team.meet()
+    for k in range(colors.shape[0] - 1):
+        for b in range(team.begin(colors[k], colors[k + 1]), team.end(colors[k], colors[k + 1])):
+            for c in range(blocks[b][0], blocks[b][0] + blocks[b][1]):
+                f = triangles[c]
+                x0 = xyz(position[f[0]])
+                n = vec4((xyz(position[f[1]]) - x0).cross(xyz(position[f[2]]) - x0))
+                for a in ti.static(range(3)):
+                    normals[f[a]] += n
+        team.meet()
+    for i in range(team.begin(0, count), team.end(0, count)):
         normals[i] /= ti.max(normals[i].norm(), 1e-20)
 
 
@@ -150,6 +171,239 @@ def substep_start(velocity: ti.template(), predicted: ti.template(), gained: ti.
     return xyz(predicted[i]) - h * (velocity[i] + xyz(gained[i]))
 
 
+@ti.func
+def advance_garment(
+    team: ti.template(),
+    with_patches: ti.template(),
+    position: ti.template(),
+    velocity: ti.template(),
+    shift: ti.template(),
+    predicted: ti.template(),
+    normals: ti.template(),
+    gained: ti.template(),
+    touched: ti.template(),
+    awake: ti.template(),
+    samples: ti.template(),
+    sample_colors: ti.template(),
+    listed: ti.template(),
+    triangles: ti.template(),
+    triangle_blocks: ti.template(),
+    block_colors: ti.template(),
+    triangle_data: ti.template(),
+    hinges: ti.template(),
+    hinge_colors: ti.template(),
+    hinge_data: ti.template(),
+    stitches: ti.template(),
+    stitch_weights: ti.template(),
+    tethers: ti.template(),
+    tether_lengths: ti.template(),
+    held: ti.template(),
+    target_0: ti.template(),
+    target_1: ti.template(),
+    drag: ti.template(),
+    primitives: ti.template(),
+    nearest: ti.template(),
+    contact: ti.template(),
+    body_0: ti.template(),
+    body_1: ti.template(),
+    body_normals: ti.template(),
+    ring_start: ti.template(),
+    ring: ti.template(),
+    fan_start: ti.template(),
+    fan: ti.template(),
+    parent: ti.template(),
+    part: ti.template(),
+    ways: ti.template(),
+    places: ti.template(),
+    first_ways: ti.template(),
+    borne: ti.template(),
+    starts: ti.template(),
+    children: ti.template(),
+    child_starts: ti.template(),
+    links: ti.template(),
+    link_colors: ti.template(),
+    color_starts: ti.template(),
+    link_data: ti.template(),
+    link_shares: ti.template(),
+    link_lines: ti.template(),
+    multipliers: ti.template(),
+    way: ti.template(),
+    room: ti.template(),
+    levels: ti.i32,
+    sweeps: ti.i32,
+    substeps: ti.i32,
+    h: ti.f32,
+    gravity: vec3,
+    wind: vec3,
+    squeeze: ti.f32,
+    thickness: ti.f32,
+    friction: ti.f32,
+    refresh: ti.i32,
+):
+    """Advance a garment by ``substeps`` steps of h [s].
+
+    Per substep: predict, held vertices, patches from coarse to fine, membrane, bending, stitches, tethers,
+    contact, velocities. Digits are kept in three places: a vertex stands at ``position`` (on a grid) plus a small
+    ``shift`` that takes the corrections; velocity takes (shift - predicted shift)/h, the sum of the corrections,
+    instead of a difference of world positions; and what it gains over the frame is summed apart.
+
+    In the first substep every contact sample finds where it touches. Every ``refresh`` substeps all are looked at:
+    those nearer to the body than ``waking`` [m] are awake until the next time, and find again where they touch if
+    they have slid off it. In between only these are looked at.
+
+    Constraints of one colour share no vertex, and every sum has one order, so that the result does not depend on how
+    many work on it.
+    """
+    inverse_h = 1.0 / h
+    inverse_h2 = inverse_h * inverse_h
+    count = position.shape[0]
+    share = 1.0 / substeps
+    # Whatever is nearer than this may touch before all are looked at again.
+    waking = ti.max(NEAR, thickness + way[0] * ti.min(1.0, refresh * share))
+    # The samples of each colour that a worker has begin, in ``awake``, with those that have a body near them;
+    # half the array further on are those of them that are awake.
+    half = samples.shape[0]
+    for k in range(sample_colors.shape[0] - 1):
+        begin = team.begin(sample_colors[k], sample_colors[k + 1])
+        near_count = 0
+        for c in range(begin, team.end(sample_colors[k], sample_colors[k + 1])):
+            if nearest[c] >= 0 and position[samples[c][0]][3] + position[samples[c][1]][3] > 0.0:
+                awake[begin + near_count] = c
+                near_count += 1
+        listed[team.row(k)] = ti.Vector([near_count, 0])
+    cloth_normals(team, position, triangles, triangle_blocks, block_colors, normals)
+    for i in range(team.begin(0, count), team.end(0, count)):
+        p = xyz(position[i])
+        x = ti.floor(p * FINEST + 0.5) / FINEST
+        position[i] = vec4(x, position[i][3])
+        shift[i] = vec4(p - x)
+        gained[i] = ti.math.vec4(0.0)
+    for c in range(team.begin(0, held.shape[0]), team.end(0, held.shape[0])):
+        velocity[held[c]] = (target_1[c] - target_0[c]) * (inverse_h * share)
+    team.meet()
+    for step in range(substeps):
+        t = (step + 1) * share
+        if ti.static(with_patches):
+            if levels > 0:
+                gather_places(team, position, shift, part, places, starts, children, child_starts, levels)
+        for i in range(team.begin(0, count), team.end(0, count)):
+            u = xyz(shift[i])
+            if position[i][3] > 0.0:
+                gain = h * gravity
+                v = velocity[i] + (xyz(gained[i]) + gain)
+                dragged = drag_velocity(v - wind, xyz(normals[i]), h * drag[i])
+                u += h * (v + dragged)
+                gained[i] += vec4(gain + dragged)
+            predicted[i] = vec4(settle(position, shift, i, u))
+        team.meet()
+        for c in range(team.begin(0, held.shape[0]), team.end(0, held.shape[0])):
+            i = held[c]
+            u = (target_0[c] - xyz(position[i])) + t * (target_1[c] - target_0[c])
+            predicted[i] = vec4(u)
+            gained[i] = ti.math.vec4(0.0)
+            shift[i] = vec4(u)
+        team.meet()
+
+        if ti.static(with_patches):
+            if levels > 0:
+                gather_ways(team, velocity, gained, h, part, ways, starts, children, child_starts, levels)
+                taken = solve_patches(
+                    team, count, parent, places, ways, first_ways, borne, starts, links, link_colors,
+                    color_starts, link_data, link_shares, link_lines, multipliers, room, levels, sweeps, h,
+                )  # fmt: skip
+                for i in range(team.begin(0, count), team.end(0, count)):
+                    if position[i][3] > 0.0:
+                        a = parent[i]
+                        shift[i] = vec4(xyz(shift[i]) + taken * (xyz(ways[a]) - xyz(first_ways[a])))
+                team.meet()
+        for k in range(block_colors.shape[0] - 1):
+            solve_membrane(
+                position, shift, triangles, triangle_blocks, triangle_data, inverse_h2, squeeze, parent, borne, levels,
+                team.begin(block_colors[k], block_colors[k + 1]),
+                team.end(block_colors[k], block_colors[k + 1]),
+            )  # fmt: skip
+            team.meet()
+        for k in range(hinge_colors.shape[0] - 1):
+            solve_bending(
+                position, shift, hinges, hinge_data, inverse_h2,
+                team.begin(hinge_colors[k], hinge_colors[k + 1]),
+                team.end(hinge_colors[k], hinge_colors[k + 1]),
+            )  # fmt: skip
+            team.meet()
+        if team.first():  # they are few
+            solve_stitches(position, shift, stitches, stitch_weights)
+        team.meet()
+        for c in range(team.begin(0, tethers.shape[0]), team.end(0, tethers.shape[0])):
+            i, j = tethers[c][0], tethers[c][1]
+            u = xyz(shift[i])
+            offset = (xyz(position[i]) - xyz(position[j])) + (u - xyz(shift[j]))
+            shift[i] = vec4(u + tether_correction(offset, tether_lengths[c]))
+        team.meet()
+
+        looked_at = step % refresh == 0
+        for k in range(sample_colors.shape[0] - 1):
+            region = team.begin(sample_colors[k], sample_colors[k + 1])
+            row = team.row(k)
+            looks = listed[row][0] if looked_at else listed[row][1]
+            begin = region if looked_at else half + region
+            awake_count = 0
+            for s in range(begin, begin + looks):
+                c = awake[s]
+                i, j = samples[c][0], samples[c][1]
+                p, q = position[i], position[j]
+                x = 0.5 * (xyz(p) + xyz(q))
+                u = 0.5 * (xyz(shift[i]) + xyz(shift[j]))
+                if looked_at:
+                    again = step == 0
+                    if not again:
+                        offset = (x - (xyz(touched[c, 0]) + t * xyz(touched[c, 1]))) + u
+                        normal = xyz(touched[c, 2])
+                        again = offset.dot(normal) < waking and slid_off(offset, normal)
+                    if again:
+                        touch_body(
+                            x + u, c, t, nearest, body_0, body_1,
+                            ring_start, ring, fan_start, fan, body_normals, touched,
+                        )  # fmt: skip
+                motion = xyz(touched[c, 1])
+                normal = xyz(touched[c, 2])
+                distance = ((x - (xyz(touched[c, 0]) + t * motion)) + u).dot(normal)
+                if looked_at and distance < waking:
+                    awake[half + region + awake_count] = c
+                    awake_count += 1
+                if distance < thickness:
+                    weight = 0.25 * (p[3] + q[3])
+                    slip = u - 0.5 * (
+                        substep_start(velocity, predicted, gained, i, h)
+                        + substep_start(velocity, predicted, gained, j, h)
+                    )
+                    slip -= share * motion
+                    m = contact_correction(distance - thickness, normal, slip, friction, h)
+                    m *= 0.5 / weight
+                    # A vertex is a sample with both ends the same: half and half make the whole.
+                    shift[i] = vec4(xyz(shift[i]) + p[3] * m)
+                    if i != j:
+                        shift[j] = vec4(xyz(shift[j]) + q[3] * m)
+            if looked_at:
+                listed[row][1] = awake_count
+            team.meet()
+        for i in range(team.begin(0, count), team.end(0, count)):
+            if position[i][3] > 0.0:
+                u = xyz(shift[i])
+                if primitives.shape[0] > 0:
+                    slip = u - substep_start(velocity, predicted, gained, i, h)
+                    u += collide_primitives(xyz(position[i]), u, slip, t, share, primitives, thickness, friction, h)
+                    shift[i] = vec4(u)
+                gained[i] += inverse_h * vec4(u - xyz(predicted[i]))
+        team.meet()
+    for i in range(team.begin(0, count), team.end(0, count)):
+        position[i] += vec4(xyz(shift[i]))
+        velocity[i] += xyz(gained[i])
+        contact[i] = FAR
+        if nearest[i] >= 0 and position[i][3] > 0.0:
+            away = xyz(position[i]) - (xyz(touched[i, 0]) + xyz(touched[i, 1]))
+            contact[i] = ti.math.clamp(away.dot(xyz(touched[i, 2])), -FAR, FAR)
+
+
 @cache
 def advance_kernel(with_patches: bool) -> Callable[..., None]:
     """The kernel that advances a garment; patches take a fifth of its time to compile, and are left out if not used."""
@@ -165,10 +419,14 @@ def advance_kernel(with_patches: bool) -> Callable[..., None]:
         touched: Vec4Rows,
         awake: Int1,
         samples: Int2,
+        sample_colors: Int1,
+        listed: Int2,
         triangles: Int3,
         triangle_blocks: Int2,
+        block_colors: Int1,
         triangle_data: Float2,
         hinges: Int4,
+        hinge_colors: Int1,
         hinge_data: Vec4Rows,
         stitches: Int3,
         stitch_weights: Float1,
@@ -195,12 +453,17 @@ def advance_kernel(with_patches: bool) -> Callable[..., None]:
         first_ways: Vec4,
         borne: Vec4,
         starts: Int1,
+        children: Int1,
+        child_starts: Int1,
         links: Int2,
-        link_starts: Int1,
+        link_colors: Int1,
+        color_starts: Int1,
         link_data: Vec4Rows,
         link_shares: Float2,
         link_lines: Vec4,
         multipliers: Float1,
+        way: Float1,
+        room: Float1,
         levels: ti.i32,
         sweeps: ti.i32,
         substeps: ti.i32,
@@ -211,142 +474,18 @@ def advance_kernel(with_patches: bool) -> Callable[..., None]:
         thickness: ti.f32,
         friction: ti.f32,
         refresh: ti.i32,
-        waking: ti.f32,
     ):
-        """Advance a garment by ``substeps`` steps of h [s].
-
-        Per substep: predict, held vertices, patches from coarse to fine, membrane, bending, stitches, tethers,
-        contact, velocities. Digits are kept in three places: a vertex stands at ``position`` (on a grid) plus a small
-        ``shift`` that takes the corrections; velocity takes (shift - predicted shift)/h, the sum of the corrections,
-        instead of a difference of world positions; and what it gains over the frame is summed apart.
-
-        In the first substep every contact sample finds where it touches. Every ``refresh`` substeps all are looked at:
-        those nearer to the body than ``waking`` [m] are awake until the next time, and find again where they touch if
-        they have slid off it. In between only these are looked at.
-        """
         ti.loop_config(serialize=True)
         for _ in range(1):
-            inverse_h = 1.0 / h
-            inverse_h2 = inverse_h * inverse_h
-            count = position.shape[0]
-            share = 1.0 / substeps
-            near_count = 0  # ``awake`` begins with the samples that have a body near them
-            for c in range(samples.shape[0]):
-                if nearest[c] >= 0 and position[samples[c][0]][3] + position[samples[c][1]][3] > 0.0:
-                    awake[near_count] = c
-                    near_count += 1
-            awake_count = 0  # and goes on, from there, with those that are awake
-            cloth_normals(position, triangles, normals)
-            for i in range(count):
-                p = xyz(position[i])
-                x = ti.floor(p * FINEST + 0.5) / FINEST
-                position[i] = vec4(x, position[i][3])
-                shift[i] = vec4(p - x)
-                gained[i] = ti.math.vec4(0.0)
-            for c in range(held.shape[0]):
-                velocity[held[c]] = (target_1[c] - target_0[c]) * (inverse_h * share)
-            for step in range(substeps):
-                t = (step + 1) * share
-                if ti.static(with_patches):
-                    if levels > 0:
-                        gather_places(position, shift, parent, part, places, starts, levels)
-                for i in range(count):
-                    u = xyz(shift[i])
-                    if position[i][3] > 0.0:
-                        gain = h * gravity
-                        v = velocity[i] + (xyz(gained[i]) + gain)
-                        dragged = drag_velocity(v - wind, xyz(normals[i]), h * drag[i])
-                        u += h * (v + dragged)
-                        gained[i] += vec4(gain + dragged)
-                    predicted[i] = vec4(settle(position, shift, i, u))
-                for c in range(held.shape[0]):
-                    i = held[c]
-                    u = (target_0[c] - xyz(position[i])) + t * (target_1[c] - target_0[c])
-                    predicted[i] = vec4(u)
-                    gained[i] = ti.math.vec4(0.0)
-                    shift[i] = vec4(u)
-
-                if ti.static(with_patches):
-                    if levels > 0:
-                        gather_ways(velocity, gained, h, parent, part, ways, starts, levels)
-                        taken = solve_patches(
-                            count, parent, places, ways, first_ways, borne, starts, links, link_starts, link_data,
-                            link_shares, link_lines, multipliers, levels, sweeps, h,
-                        )  # fmt: skip
-                        for i in range(count):
-                            if position[i][3] > 0.0:
-                                a = parent[i]
-                                shift[i] = vec4(xyz(shift[i]) + taken * (xyz(ways[a]) - xyz(first_ways[a])))
-                solve_membrane(
-                    position, shift, triangles, triangle_blocks, triangle_data, inverse_h2, squeeze, parent, borne,
-                    levels,
-                )  # fmt: skip
-                solve_bending(position, shift, hinges, hinge_data, inverse_h2)
-                solve_stitches(position, shift, stitches, stitch_weights)
-                for c in range(tethers.shape[0]):
-                    i, j = tethers[c][0], tethers[c][1]
-                    u = xyz(shift[i])
-                    offset = (xyz(position[i]) - xyz(position[j])) + (u - xyz(shift[j]))
-                    shift[i] = vec4(u + tether_correction(offset, tether_lengths[c]))
-
-                looked_at = step % refresh == 0
-                looks = near_count if looked_at else awake_count
-                begin = 0 if looked_at else near_count
-                if looked_at:
-                    awake_count = 0
-                for s in range(begin, begin + looks):
-                    c = awake[s]
-                    i, j = samples[c][0], samples[c][1]
-                    p, q = position[i], position[j]
-                    x = 0.5 * (xyz(p) + xyz(q))
-                    u = 0.5 * (xyz(shift[i]) + xyz(shift[j]))
-                    if looked_at:
-                        again = step == 0
-                        if not again:
-                            offset = (x - (xyz(touched[c, 0]) + t * xyz(touched[c, 1]))) + u
-                            normal = xyz(touched[c, 2])
-                            again = offset.dot(normal) < waking and slid_off(offset, normal)
-                        if again:
-                            touch_body(
-                                x + u, c, t, nearest, body_0, body_1,
-                                ring_start, ring, fan_start, fan, body_normals, touched,
-                            )  # fmt: skip
-                    motion = xyz(touched[c, 1])
-                    normal = xyz(touched[c, 2])
-                    distance = ((x - (xyz(touched[c, 0]) + t * motion)) + u).dot(normal)
-                    if looked_at and distance < waking:
-                        awake[near_count + awake_count] = c
-                        awake_count += 1
-                    if distance < thickness:
-                        weight = 0.25 * (p[3] + q[3])
-                        slip = u - 0.5 * (
-                            substep_start(velocity, predicted, gained, i, h)
-                            + substep_start(velocity, predicted, gained, j, h)
-                        )
-                        slip -= share * motion
-                        m = contact_correction(distance - thickness, normal, slip, friction, h)
-                        m *= 0.5 / weight
-                        # A vertex is a sample with both ends the same: half and half make the whole.
-                        shift[i] = vec4(xyz(shift[i]) + p[3] * m)
-                        if i != j:
-                            shift[j] = vec4(xyz(shift[j]) + q[3] * m)
-                for i in range(count):
-                    if position[i][3] > 0.0:
-                        u = xyz(shift[i])
-                        if primitives.shape[0] > 0:
-                            slip = u - substep_start(velocity, predicted, gained, i, h)
-                            u += collide_primitives(
-                                xyz(position[i]), u, slip, t, share, primitives, thickness, friction, h
-                            )
-                            shift[i] = vec4(u)
-                        gained[i] += inverse_h * vec4(u - xyz(predicted[i]))
-            for i in range(count):
-                position[i] += vec4(xyz(shift[i]))
-                velocity[i] += xyz(gained[i])
-            for i in range(count):
-                contact[i] = FAR
-                if nearest[i] >= 0 and position[i][3] > 0.0:
-                    away = xyz(position[i]) - (xyz(touched[i, 0]) + xyz(touched[i, 1]))
-                    contact[i] = ti.math.clamp(away.dot(xyz(touched[i, 2])), -FAR, FAR)
+            advance_garment(
+                Alone(), with_patches,
+                position, velocity, shift, predicted, normals, gained, touched, awake, samples, sample_colors,
+                listed, triangles, triangle_blocks, block_colors, triangle_data, hinges, hinge_colors, hinge_data,
+                stitches, stitch_weights, tethers, tether_lengths, held, target_0, target_1, drag, primitives, nearest,
+                contact, body_0, body_1, body_normals, ring_start, ring, fan_start, fan, parent, part, ways, places,
+                first_ways, borne, starts, children, child_starts, links, link_colors, color_starts,
+                link_data, link_shares, link_lines, multipliers, way, room, levels, sweeps, substeps, h, gravity,
+                wind, squeeze, thickness, friction, refresh,
+            )  # fmt: skip
 
     return advance

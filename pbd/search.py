@@ -3,7 +3,7 @@
 from pbd.engine import ti
 from pbd.geometry import FAR, Float1, Int1, Int2, Int3, Vec3, Vec4, between, descend, vec3, xyz
 
-__all__ = ["MAX_CELLS", "find_nearest"]
+__all__ = ["MAX_CELLS", "find_nearest", "find_of_garment"]
 
 GRID_SIDE = 48
 MAX_CELLS = GRID_SIDE**3
@@ -162,6 +162,64 @@ def closing_way(velocity: ti.template(), dt: ti.f32, body_0: ti.template(), body
     return ti.sqrt(cloth) + ti.sqrt(body)
 
 
+@ti.func
+def find_of_garment(
+    position: ti.template(),
+    velocity: ti.template(),
+    samples: ti.template(),
+    nearest: ti.template(),
+    body_0: ti.template(),
+    body_1: ti.template(),
+    ring_start: ti.template(),
+    ring: ti.template(),
+    surface: ti.template(),
+    probes: ti.template(),
+    weights: ti.template(),
+    cell_start: ti.template(),
+    cell_items: ti.template(),
+    item_cell: ti.template(),
+    way: ti.template(),
+    dt: ti.f32,
+    thickness: ti.f32,
+):
+    """For every contact sample a body vertex near it: the nearest within FAR, or the one that it had; else -1.
+
+    Searched at the start of the frame and, where body or cloth move far in it, at later times on the cloth's present
+    course. ``way`` receives how far cloth and body can come nearer to one another in the frame [m], accelerations
+    aside. Large body faces are found by probes, points spread over them; each stands for its heaviest corner.
+
+    The first samples are the vertices themselves; the others stand in the middle of long edges and search from what
+    the ends of their edge found. ``surface`` are the body vertices that lie in a face.
+    """
+    way[0] = closing_way(velocity, dt, body_0, body_1)
+    # What moves further than can be seen is looked for again on its way.
+    unseen = (way[0] + thickness - FAR) / (1.5 * FAR)
+    later = int(ti.ceil(ti.math.clamp(unseen, 0.0, MOST_SEARCHES - 1.0)))
+    for k in range(later + 1):
+        t = k / (later + 0.5)
+        search(
+            position, velocity, dt, t, nearest, body_0, body_1, surface, probes, weights,
+            cell_start, cell_items, item_cell,
+        )  # fmt: skip
+    for c in range(position.shape[0], samples.shape[0]):
+        p = 0.5 * (xyz(position[samples[c][0]]) + xyz(position[samples[c][1]]))
+        best = -1
+        distance = 1e30
+        for a in ti.static(range(3)):
+            start = nearest[c]
+            reach = 4.0 * FAR * FAR  # of the vertex that it had; what an end found is near enough
+            if ti.static(a < 2):
+                start = nearest[samples[c][a]]
+                reach = 1e30
+            if start >= 0 and start != best:
+                found = descend(p, start, 0.0, body_0, body_1, ring_start, ring)
+                offset = body_0[found] - p
+                if offset.dot(offset) < ti.min(distance, reach):
+                    distance = offset.dot(offset)
+                    best = found
+        nearest[c] = best
+
+
 @ti.kernel
 def find_nearest(
     position: Vec4,
@@ -182,41 +240,10 @@ def find_nearest(
     dt: ti.f32,
     thickness: ti.f32,
 ):
-    """For every contact sample a body vertex near it: the nearest within FAR, or the one that it had; else -1.
-
-    Searched at the start of the frame and, where body or cloth move far in it, at later times on the cloth's present
-    course. ``way`` receives how far cloth and body can come nearer to one another in the frame [m], accelerations
-    aside. Large body faces are found by probes, points spread over them; each stands for its heaviest corner.
-
-    The first samples are the vertices themselves; the others stand in the middle of long edges and search from what
-    the ends of their edge found. ``surface`` are the body vertices that lie in a face.
-    """
+    """See :func:`find_of_garment`."""
     ti.loop_config(serialize=True)
     for _ in range(1):
-        way[0] = closing_way(velocity, dt, body_0, body_1)
-        # What moves further than can be seen is looked for again on its way.
-        unseen = (way[0] + thickness - FAR) / (1.5 * FAR)
-        later = int(ti.ceil(ti.math.clamp(unseen, 0.0, MOST_SEARCHES - 1.0)))
-        for k in range(later + 1):
-            t = k / (later + 0.5)
-            search(
-                position, velocity, dt, t, nearest, body_0, body_1, surface, probes, weights,
-                cell_start, cell_items, item_cell,
-            )  # fmt: skip
-        for c in range(position.shape[0], samples.shape[0]):
-            p = 0.5 * (xyz(position[samples[c][0]]) + xyz(position[samples[c][1]]))
-            best = -1
-            distance = 1e30
-            for a in ti.static(range(3)):
-                start = nearest[c]
-                reach = 4.0 * FAR * FAR  # of the vertex that it had; what an end found is near enough
-                if ti.static(a < 2):
-                    start = nearest[samples[c][a]]
-                    reach = 1e30
-                if start >= 0 and start != best:
-                    found = descend(p, start, 0.0, body_0, body_1, ring_start, ring)
-                    offset = body_0[found] - p
-                    if offset.dot(offset) < ti.min(distance, reach):
-                        distance = offset.dot(offset)
-                        best = found
-            nearest[c] = best
+        find_of_garment(
+            position, velocity, samples, nearest, body_0, body_1, ring_start, ring, surface, probes, weights,
+            cell_start, cell_items, item_cell, way, dt, thickness,
+        )  # fmt: skip

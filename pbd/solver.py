@@ -11,8 +11,9 @@ from pbd.engine import Launch, ensure_initialized
 from pbd.errors import InputError
 from pbd.hierarchy import Hierarchy, build_hierarchy
 from pbd.model import GRID, Model, State
-from pbd.schedule import NEAR, advance_kernel
+from pbd.schedule import advance_kernel
 from pbd.search import MAX_CELLS, find_nearest
+from pbd.team import MOST_WORKERS
 
 __all__ = ["Solver", "SolverOptions"]
 
@@ -65,10 +66,10 @@ class Solver:
         self._shift, self._predicted, self._normals, self._gained = np.zeros((4, count, 4), np.float32)
         self._touched = np.zeros((samples, 3, 4), np.float32)
         self._awake = np.zeros(2 * samples, np.int32)
+        self._listed = np.zeros((MOST_WORKERS * (len(model.sample_colors) - 1), 2), np.int32)
+        self._room = np.zeros(MOST_WORKERS, np.float32)
         area = model.mesh.vertex_areas
         self._drag = (0.5 * AIR_DENSITY * fabric.air_drag * area / model.mass).astype(np.float32)
-        self._held_0 = np.zeros((len(model.held), 3), np.float32)
-        self._held_1 = np.zeros((len(model.held), 3), np.float32)
         self._nobody = Body(np.zeros((0, 3), np.int32), 1)
         self._cells = np.zeros(MAX_CELLS + 2, np.int32)
         self._way = np.zeros(1, np.float32)
@@ -77,13 +78,14 @@ class Solver:
         if self.options.coarse_sweeps:
             levels = build_hierarchy(model.mesh, model.mass, model.inverse_mass, fabric)
         self._hierarchy, patches = levels, len(levels.inverse_mass)
+        self._children = levels.children()
         self._patches = np.zeros((4, max(1, patches), 4), np.float32)
         self._patches[0, :patches, 3] = levels.inverse_mass
         self._link_lines = np.zeros((max(1, len(levels.links)), 4), np.float32)
         self._multipliers = np.zeros(max(1, len(levels.links)), np.float32)
         # Substeps are never longer than this, so that levels that are of no use in it are of none in any.
-        with_patches = levels.useful(self.options.substep) > 0
-        self._find_nearest, self._advance = Launch(find_nearest), Launch(advance_kernel(with_patches))
+        self.with_patches = levels.useful(self.options.substep) > 0
+        self._find_nearest, self._advance = Launch(find_nearest), Launch(advance_kernel(self.with_patches))
 
     def step(
         self,
@@ -111,14 +113,34 @@ class Solver:
             raise InputError("bad time step", key="dt", received=dt, expected="a finite number, at least 0 [s]")
         if dt == 0:
             return
+        search, course = self.prepare(state, colliders, dt, targets, wind)
+        if colliders.body is not None:
+            self._find_nearest(*search)
+        self._advance(*course)
+
+    def prepare(
+        self,
+        state: State,
+        colliders: Colliders,
+        dt: float,
+        targets: np.ndarray | None,
+        wind: tuple[float, float, float] | np.ndarray,
+    ) -> tuple[tuple, tuple]:
+        """Arguments of the kernels of a step, see :meth:`step`.
+
+        Returns:
+            Those of :func:`pbd.search.find_nearest`, to be called if there is a body, and of
+            :func:`pbd.schedule.advance_kernel`. They hold until the next call.
+        """
         model, options = self.model, self.options
         self._check(state, targets, wind)
-        self._held_0[:] = state.position[model.held, :3]
-        self._held_1[:] = self._held_0 if targets is None else targets - state.origin
+        held_0 = np.ascontiguousarray(state.position[model.held, :3])
+        held_1 = held_0 if targets is None else np.ascontiguousarray(targets - state.origin, np.float32)
         substeps = max(1, int(np.ceil(dt / options.substep - 1e-6)))
         refresh = max(1, round(substeps / max(1.0, dt * options.contact_refreshes)))
         levels = self._hierarchy
-        way, thickness = 0.0, model.fabric.thickness
+        thickness = model.fabric.thickness
+        self._way[0] = 0.0
         body = colliders.body or self._nobody
         # What was touched before may be no part of this body: another one, or none.
         state.nearest[state.nearest >= (len(body.current) if colliders.body else 0)] = -1
@@ -127,27 +149,26 @@ class Solver:
                 raise InputError("body and state have other origins", received=body.origin, expected=str(state.origin))
             if len(self._items) < len(body.current) + len(body.probes):
                 self._items, self._item_cells = np.zeros((2, len(body.current) + len(body.probes)), np.int32)
-            self._find_nearest(
-                state.position,
-                state.velocity,
-                model.samples,
-                state.nearest,
-                body.previous,
-                body.current,
-                body.ring_start,
-                body.ring,
-                body.surface,
-                body.probes,
-                body.probe_weights,
-                self._cells,
-                self._items,
-                self._item_cells,
-                self._way,
-                dt,
-                thickness,
-            )
-            way = float(self._way[0])
-        self._advance(
+        search = (
+            state.position,
+            state.velocity,
+            model.samples,
+            state.nearest,
+            body.previous,
+            body.current,
+            body.ring_start,
+            body.ring,
+            body.surface,
+            body.probes,
+            body.probe_weights,
+            self._cells,
+            self._items,
+            self._item_cells,
+            self._way,
+            dt,
+            thickness,
+        )
+        course = (
             state.position,
             state.velocity,
             self._shift,
@@ -157,18 +178,22 @@ class Solver:
             self._touched,
             self._awake,
             model.samples,
+            model.sample_colors,
+            self._listed,
             model.triangles,
             model.triangle_blocks,
+            model.block_colors,
             model.triangle_data,
             model.hinges,
+            model.hinge_colors,
             model.hinge_data,
             model.stitches,
             model.stitch_weights,
             model.tethers,
             model.tether_lengths,
             model.held,
-            self._held_0,
-            self._held_1,
+            held_0,
+            held_1,
             self._drag,
             colliders.rows(state.origin),
             state.nearest,
@@ -184,12 +209,16 @@ class Solver:
             levels.share,
             *self._patches,
             levels.starts,
+            *self._children,
             levels.links,
-            levels.link_starts,
+            levels.link_colors,
+            levels.color_starts,
             levels.link_data,
             levels.link_shares,
             self._link_lines,
             self._multipliers,
+            self._way,
+            self._room,
             levels.useful(dt / substeps),
             options.coarse_sweeps,
             substeps,
@@ -200,8 +229,8 @@ class Solver:
             thickness,
             model.fabric.friction,
             refresh,
-            max(NEAR, thickness + way * min(1.0, refresh / substeps)),
         )
+        return search, course
 
     def _check(self, state: State, targets: np.ndarray | None, wind: tuple[float, float, float] | np.ndarray) -> None:
         """Refuse what the kernels could not take."""

@@ -33,7 +33,9 @@ def _membranes(
     ti.loop_config(serialize=True)
     for _ in range(1):
         for _pass in range(PASSES):
-            solve_membrane(position, shift, triangles, blocks, data, inverse_h2, 1.0, parent, borne, 1)
+            solve_membrane(
+                position, shift, triangles, blocks, data, inverse_h2, 1.0, parent, borne, 1, 0, blocks.shape[0]
+            )
 
 
 @ti.kernel
@@ -41,7 +43,7 @@ def _hinges(position: Vec4, shift: Vec4, hinges: Int4, data: Vec4Rows, inverse_h
     ti.loop_config(serialize=True)
     for _ in range(1):
         for _pass in range(PASSES):
-            solve_bending(position, shift, hinges, data, inverse_h2)
+            solve_bending(position, shift, hinges, data, inverse_h2, 0, hinges.shape[0])
 
 
 @ti.kernel
