@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.spatial import Delaunay
 
 from pbd import ClothMesh, Colliders, Fabric, Model, ModelOptions, Solver, SolverOptions, State, build_model
 
-__all__ = ["STIFF", "Measured", "SolverScene", "hanging_cloth", "hanging_square", "measure"]
+__all__ = ["RATE", "STIFF", "Measured", "SolverScene", "hanging_cloth", "hanging_square", "measure", "measure_steps"]
 
 RATE = 60.0  # frames a second
 FRAMES = 300  # of a run
@@ -104,18 +105,28 @@ def hanging_cloth(
 
 
 def measure(scene: SolverScene, options: SolverOptions) -> Measured:
-    """Run a scene and judge it; see :class:`Measured`."""
-    model, state, colliders = scene.model, State.at_rest(scene.model), Colliders()
-    solver = Solver(model, options)
-    start = state.world()
+    """Run a scene with our solver and judge it; see :class:`Measured`."""
+    state, colliders, solver = State.at_rest(scene.model), Colliders(), Solver(scene.model, options)
+    solver.step(state.copy(), colliders, 1.0 / RATE)  # compiles
+    return measure_steps(scene, lambda: solver.step(state, colliders, 1.0 / RATE), state.world)
+
+
+def measure_steps(scene: SolverScene, step: Callable[[], None], world: Callable[[], np.ndarray]) -> Measured:
+    """Run a scene and judge it; see :class:`Measured`.
+
+    Args:
+        scene: whose cloth it is, at rest.
+        step: advances it by a frame.
+        world: where its vertices are [m], shape (n, 3).
+    """
+    model, start = scene.model, world()
     inverse_flat = np.linalg.inv(model.mesh.flat)
     times, stretch, forward = np.zeros(FRAMES), np.full((FRAMES, 3), np.inf), np.full(FRAMES, np.inf)
-    solver.step(state.copy(), colliders, 1.0 / RATE)  # compiles
     for frame in range(FRAMES):
         begin = time.process_time()
-        solver.step(state, colliders, 1.0 / RATE)
+        step()
         times[frame] = time.process_time() - begin
-        vertices = state.world()
+        vertices = world()
         if not np.isfinite(vertices).all():
             return Measured(float(np.median(times[: frame + 1])) * 1e3, *[np.inf] * 4)
         if frame >= FRAMES - SWING:
