@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse.linalg import factorized
 
 __all__ = ["ElementEnergy", "Energy", "QuadraticElements", "Sum", "clamped"]
 
@@ -113,19 +114,53 @@ class QuadraticElements(ElementEnergy):
 
 
 class Sum:
-    """Several energies of the same vertices as one."""
+    """Several energies of a cloth as one.
 
-    def __init__(self, parts: Sequence[ElementEnergy]) -> None:
+    Some parts may have points of their own beside the vertices, counted after them. Hidden points have no mass: they
+    stand where they cost least. Only quadratic parts may have any. What is given n vertices adds them by itself;
+    derivatives over all points want all points (:meth:`completed`).
+
+    Args:
+        parts: taken over; all count the hidden points from now on.
+        vertex_count: n; None where no part has points of its own.
+    """
+
+    def __init__(self, parts: Sequence[ElementEnergy], vertex_count: int | None = None) -> None:
         self.parts = list(parts)
+        self.point_count = max(part.vertex_count for part in self.parts)
+        self.vertex_count = self.point_count if vertex_count is None else vertex_count
+        for part in self.parts:
+            part.vertex_count = self.point_count
+        self._hidden: Callable[[np.ndarray], np.ndarray] | None = None
+
+    def completed(self, x: np.ndarray) -> np.ndarray:
+        """Vertices [m], shape (n, 3), with hidden points where they cost least: shape (all, 3)."""
+        if len(x) == self.point_count:
+            return x
+        hidden = slice(self.vertex_count, None)
+        # Starting from points close by loses no digits far from the origin.
+        points = np.concatenate([x, np.broadcast_to(x[0], (self.point_count - len(x), 3))])
+        parts = [part for part in self.parts if isinstance(part, QuadraticElements)]
+        if self._hidden is None:
+            matrix = sum(part.hessian(points) for part in parts)
+            assert isinstance(matrix, csr_matrix)
+            self._hidden = factorized(matrix[::3, ::3][hidden, hidden].tocsc())
+        force = np.sum([part.gradient(points)[hidden] for part in parts], axis=0)
+        points[hidden] -= np.stack([self._hidden(force[:, c].copy()) for c in range(3)], axis=1)
+        return points
 
     def energy(self, x: np.ndarray) -> float:
-        return sum(part.energy(x) for part in self.parts)
+        points = self.completed(x)
+        return sum(part.energy(points) for part in self.parts)
 
     def gradient(self, x: np.ndarray) -> np.ndarray:
-        return np.sum([part.gradient(x) for part in self.parts], axis=0)
+        points = self.completed(x)
+        return np.sum([part.gradient(points) for part in self.parts], axis=0)[: len(x)]
 
     def hessian(self, x: np.ndarray, positive: bool = False) -> csr_matrix:
-        first, *others = [part.hessian(x, positive) for part in self.parts]
+        """Over all points, shape (3 all, 3 all)."""
+        points = self.completed(x)
+        first, *others = [part.hessian(points, positive) for part in self.parts]
         return sum(others, first)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags
-from scipy.sparse.linalg import ArpackError, eigsh
+from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
 
 from pbd.model import Model
 from pbd.models.elements import Sum
@@ -28,12 +28,17 @@ def highest(model: Model, energy: Sum) -> float:
     Raises:
         StepError: it is not found.
     """
-    free = np.repeat(model.inverse_mass > 0.0, 3)
-    root = diags(1.0 / np.sqrt(np.repeat(model.mass, 3)[free]))
-    stiffness = energy.hessian(model.mesh.vertices, positive=True)[free][:, free]
+    root = np.where(model.inverse_mass > 0.0, 1.0 / np.sqrt(model.mass), 0.0)[:, None]
+    stiffness = energy.hessian(model.mesh.vertices, positive=True)
+
+    def scaled(column: np.ndarray) -> np.ndarray:
+        moved = energy.completed(root * column.reshape(-1, 3))  # hidden points follow linearly
+        return (root * (stiffness @ moved.ravel()).reshape(-1, 3)[: len(root)]).ravel()
+
+    operator = LinearOperator((3 * len(root), 3 * len(root)), scaled, dtype=float)
+    start = np.random.default_rng(0).normal(size=3 * len(root))
     try:
-        start = np.random.default_rng(0).normal(size=stiffness.shape[0])
-        (value,) = eigsh(root @ stiffness @ root, 1, which="LA", v0=start, return_eigenvectors=False, tol=1e-3)
+        (value,) = eigsh(operator, 1, which="LA", v0=start, return_eigenvectors=False, tol=1e-3)
     except ArpackError as error:
         raise StepError(f"highest frequency not found: {error}") from error
     return float(np.sqrt(max(value, 0.0)))
@@ -174,7 +179,8 @@ class NewtonSolver(ClothSolver):
 
     def __init__(self, model: Model, energy: Sum, options: Options, name: str) -> None:
         super().__init__(model, energy, options, name)
-        self.order = FreeOrder(energy.parts, self.free)
+        self.hidden = np.arange(model.vertex_count, energy.point_count)
+        self.order = FreeOrder(energy.parts, np.concatenate([self.free, self.hidden]))
         self.iterations = options.iterations or self.default_iterations
         self._touching: tuple[np.ndarray, np.ndarray] | None = None
 
@@ -197,30 +203,30 @@ class NewtonSolver(ClothSolver):
         Raises:
             StepError: no minimum, or contact does not settle.
         """
-        inverse_square = 1.0 / s**2
-        contact = None
+        inverse_square, still = 1.0 / s**2, np.isinf(s)
+        count, none = len(x), np.zeros((len(self.hidden), 3))
+        mass, aim = np.concatenate([self.mass, none[:, :1]]), np.concatenate([aim, none])
+        x, contact = self.energy.completed(x), None
         if obstacles is not None and len(obstacles.kinds):
+            start = self.energy.completed(start)
             diagonal = self.energy.hessian(start).diagonal().reshape(-1, 3).mean(axis=1)
-            stiffness = CONTACT_STIFFNESS * (self.mass[:, 0] * inverse_square + np.maximum(diagonal, 0.0))
+            stiffness = CONTACT_STIFFNESS * (mass[:, 0] * inverse_square + np.maximum(diagonal, 0.0))
             friction = self.model.fabric.friction
             contact = ContactForces(obstacles, start, self.free, stiffness, friction, h, self._touching)
-        still = np.isinf(s)
         objective = (
-            _Weighed(self.energy, aim, contact)
-            if still
-            else _Motion(self.energy, self.mass, aim, inverse_square, contact)
+            _Weighed(self.energy, aim, contact) if still else _Motion(self.energy, mass, aim, inverse_square, contact)
         )
         tolerance = self.options.tolerance * self.edge
         for _ in range(SETTLINGS):
             x = minimise(objective, x, self.order, tolerance, self.iterations)
             if contact is None:
-                return x
+                return x[:count]
             error = contact.update(x)
             # Positions must be as sharp as the forces that they make.
             tolerance = min(tolerance, 0.1 * SETTLED * contact.softest())
             if error <= SETTLED:
                 self._touching = contact.memory
-                return x
+                return x[:count]
         raise StepError(f"contact does not settle in {SETTLINGS} rounds")
 
 

@@ -1,6 +1,6 @@
 """Bending of thin sheets over the hinges of a mesh: three models.
 
-All start from the hinge's functional |K x| = l theta (:func:`pbd.bending.hinge_rows`).
+Two stand on the hinge's functional |K x| = l theta (:func:`pbd.bending.hinge_rows`), one is a plate element.
 """
 
 from __future__ import annotations
@@ -10,15 +10,11 @@ import numpy as np
 from pbd.bending import hinge_rows
 from pbd.errors import InputError
 from pbd.fabric import Fabric
-from pbd.mesh import ClothMesh, Hinges
+from pbd.mesh import ClothMesh, Hinges, edges_of
 from pbd.model import Model
 from pbd.models.elements import ElementEnergy, QuadraticElements
 
-__all__ = ["HingeAngles", "angle_bending", "bending_matrix", "isometric_bending", "shape_operator_bending"]
-
-# Six points near one conic do not tell a quadratic surface: directions in which the hinges of a triangle see less
-# than this part of what they see most are left to its neighbours.
-SEEN = 1e-3
+__all__ = ["HingeAngles", "angle_bending", "bending_matrix", "isometric_bending", "morley_bending"]
 
 
 def bending_matrix(fabric: Fabric, poisson: float) -> np.ndarray:
@@ -133,34 +129,31 @@ def angle_bending(model: Model) -> list[ElementEnergy]:
     return parts
 
 
-def shape_operator_bending(model: Model, poisson: float) -> list[ElementEnergy]:
-    """Curvature of each triangle from its three hinges: orthotropic, with a Poisson ratio of its own.
+def morley_bending(model: Model, poisson: float) -> list[ElementEnergy]:
+    """Morley's triangle (1968): constant curvature, orthotropic, with a Poisson ratio of its own; nothing to calibrate.
 
-    A triangle and the three corners that face it hold a quadratic surface, of which K x is a linear function: K x = G k
-    with k = (k11, k22, 2 k12). The triangle's energy A/2 k^T D k at the least k that agrees with its hinges is
-    A/2 s^T (G D^-1 G^T)^-1 s, s = K x. Nothing is to be calibrated. Where a hinge is missing (the border) its moment is
-    zero by itself. Each axis of space is taken alone: for small curvature over a triangle K x stands along its normal.
-    Seams are bent as by :func:`isometric_bending`.
+    Its unknowns are the vertices and the slope across the middle of each edge. Here that slope is a point p that hangs
+    beside the edge: p = middle + l dx/dn, l the edge's length and n the normal of the edge in the cloth. These hidden
+    points are counted after the vertices, have no mass and stand where they cost least (:class:`pbd.models.elements.Sum`).
+    The curvature follows from the divergence theorem,
+
+        k_ab = 1/A sum over sides of l (dx/dn n_a n_b + dx/ds t_a n_b),
+
+    and each axis of space is taken alone: A/2 k^T D k summed over them is the curvature's energy where the cloth keeps
+    its lengths. Borders are free of moments by themselves. Seams are bent as by :func:`isometric_bending`.
 
     Args:
         model: the garment.
         poisson: ratio of the bending [-].
     """
     mesh, fabric = model.mesh, model.fabric
-    scale = model.options.bend_scale
+    stiffness = model.options.bend_scale * bending_matrix(fabric, poisson)
     parts: list[ElementEnergy] = []
     if fabric.bend_warp * fabric.bend_weft > 0.0:
         rigid = np.asarray(np.isin(mesh.faces, model.held).all(axis=1))
-        elements, rows, forms, present = _quadratic_surfaces(mesh, rigid)
-        compliance = np.linalg.inv(bending_matrix(fabric, poisson))
-        flexibility = np.einsum("mha,ab,mgb->mhg", forms, compliance, forms)
-        both = present[:, :, None] & present[:, None]
-        matrices = mesh.face_areas[:, None, None] * np.linalg.pinv(
-            np.where(both, flexibility, 0.0), rcond=SEEN, hermitian=True
-        )
-        matrices = scale * np.einsum("mhv,mhg,mgw->mvw", rows, matrices, rows)
-        bends = ~rigid & present.any(axis=1)
-        parts.append(QuadraticElements(elements[bends], model.vertex_count, matrices[bends]))
+        elements, rows, point_count = _morley_rows(mesh, rigid)
+        matrices = mesh.face_areas[~rigid, None, None] * np.einsum("mai,ab,mbj->mij", rows, stiffness, rows)
+        parts.append(QuadraticElements(elements, point_count, matrices))
     if mesh.seam_hinges is not None:
         parts.append(_quadratic(model, mesh.seam_hinges, _stiffness(model, mesh.seam_hinges)))
     return parts
@@ -188,77 +181,79 @@ def _quadratic(model: Model, hinges: Hinges, stiffness: np.ndarray) -> Quadratic
     return QuadraticElements(hinges.vertices, model.vertex_count, matrices)
 
 
-def _quadratic_surfaces(mesh: ClothMesh, rigid: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of each triangle: its six vertices (m, 6), rows K on them (m, 3, 6), G (m, 3, 3), which hinges are there (m, 3).
+def _morley_rows(mesh: ClothMesh, rigid: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+    """Of each face that bends: its six points (m, 6), (k11, k22, 2 k12) as rows on them (m, 3, 6); all points' number.
 
     Args:
         mesh: the cloth.
-        rigid: triangles that cannot bend, shape (m,): towards one of them, the surface goes on as its own tangent.
+        rigid: faces that cannot bend, shape (m,). Beside one of them the point is its own, by its three vertices.
     """
-    count, faces = len(mesh.vertices), mesh.faces.astype(np.int64)
-    hinges = hinge_rows(mesh)
-    i, j, k, other = hinges.vertices.astype(np.int64).T
-    # Each directed side that has a face beyond it, and what lies there.
-    keys = np.concatenate([i * count + j, j * count + i])
-    beyond = np.concatenate([other, k])
-    own = np.concatenate([k, other])
-    order = np.argsort(keys)
-    hinge = np.tile(np.arange(len(i)), 2)
-    flat = np.concatenate([np.zeros((len(faces), 1, 2)), mesh.flat.transpose(0, 2, 1)], axis=1)
-    face_of = dict(zip(keys.tolist(), [-1] * len(keys), strict=True))
+    edges, side_edge = edges_of(mesh.faces)
+    lengths = mesh.edge_lengths()[1]
+    rigid_face = np.full(len(edges), -1)
+    rigid_face[side_edge[rigid].ravel()] = np.repeat(np.flatnonzero(rigid), 3)
+    used = np.zeros(len(edges), bool)
+    used[side_edge[~rigid].ravel()] = True
+    hidden = np.cumsum(used & (rigid_face < 0)) - 1 + len(mesh.vertices)
+    faces, side_edge = mesh.faces[~rigid], side_edge[~rigid]
+    flat = np.concatenate([np.zeros((len(mesh.faces), 1, 2)), mesh.flat.transpose(0, 2, 1)], axis=1)
+    elements = np.concatenate([faces, hidden[side_edge]], axis=1)
+    rows = np.zeros((len(faces), 3, 6))
+    every = np.arange(len(faces))
     for side in range(3):
-        side_keys = faces[:, side] * count + faces[:, (side + 1) % 3]
-        face_of.update(zip(side_keys.tolist(), range(len(faces)), strict=True))
-    elements = np.concatenate([faces, faces], axis=1)
-    rows, forms = np.zeros((len(faces), 3, 6)), np.zeros((len(faces), 3, 3))
-    present = np.zeros((len(faces), 3), bool)
-    for side in range(3):
-        a, b = faces[:, side], faces[:, (side + 1) % 3]
-        key = a * count + b
-        place = np.searchsorted(keys[order], key)
-        found = keys[order][np.minimum(place, len(keys) - 1)] == key if len(keys) else np.zeros(len(faces), bool)
-        here = np.flatnonzero(found)
-        entry = order[place[here]]
-        h, present[:, side] = hinge[entry], found
-        elements[here, 3 + side] = beyond[entry]
-        neighbour = np.array([face_of[value] for value in (b[here] * count + a[here]).tolist()], int)
-        # K of the hinge, in the order (a, b, own corner, far corner).
-        turned = i[h] != a[here]
-        k_row = np.where(turned[:, None], hinges.rows[h][:, [1, 0, 3, 2]], hinges.rows[h])
-        assert np.all(own[entry] == faces[here, (side + 2) % 3])
-        columns = np.stack([np.full(len(here), c) for c in (side, (side + 1) % 3, (side + 2) % 3, 3 + side)], axis=1)
-        rows[here[:, None], side, columns] = k_row
-        start, end, tip = (flat[here, (side + c) % 3] for c in range(3))
-        far = _unfolded(start, end, flat[neighbour], faces[neighbour], a[here], b[here])
-        for weight, point in zip(k_row.T, (start, end, tip, far), strict=True):
-            monomials = _monomials(point, point)
-            if point is far:
-                middle = 0.5 * (start + end)
-                tangent = _monomials(middle, far) + _monomials(far, middle) - _monomials(middle, middle)
-                monomials = np.where(rigid[neighbour][:, None], tangent, monomials)
-            forms[here, side] += weight[:, None] * monomials
-    return elements, rows, forms, present
+        first, second = side, (side + 1) % 3
+        edge, length = side_edge[:, side], lengths[side_edge[:, side]]
+        along, normal = _frame(flat[~rigid], side)
+        size = np.linalg.norm(flat[~rigid][:, second] - flat[~rigid][:, first], axis=1)
+        # Where the two faces of an edge run it the same way round, one outward normal is the other's inward one.
+        sign = np.where(faces[:, first] < faces[:, second], 1.0, -1.0)
+        slope = _symmetric(normal, normal) * (size * sign / length)[:, None]
+        rise = _symmetric(along, normal)
+        rows[:, :, 3 + side] += slope
+        rows[:, :, first] -= 0.5 * slope + rise
+        rows[:, :, second] += rise - 0.5 * slope
+        at = np.flatnonzero(rigid_face[edge] >= 0)
+        if len(at):
+            shares, far = _hanging(mesh, flat, rigid_face[edge[at]], faces[at, first], faces[at, second], length[at])
+            for place, share in ((first, shares[:, 0]), (second, shares[:, 1])):
+                rows[at, :, place] += share[:, None] * rows[at, :, 3 + side]
+            rows[at, :, 3 + side] *= shares[:, 2, None]
+            elements[every[at], 3 + side] = far
+    return elements, rows / mesh.face_areas[~rigid, None, None], int(hidden.max(initial=len(mesh.vertices) - 1)) + 1
 
 
-def _monomials(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Height over (k11, k22, 2 k12) as a bilinear form of two points; at p = q it is the height itself."""
-    cross = 0.5 * (p[:, 0] * q[:, 1] + p[:, 1] * q[:, 0])
-    return 0.5 * np.stack([p[:, 0] * q[:, 0], p[:, 1] * q[:, 1], cross], axis=1)
+def _hanging(
+    mesh: ClothMesh, flat: np.ndarray, faces: np.ndarray, first: np.ndarray, second: np.ndarray, length: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The point beside an edge as a point of the rigid face there: shares of first, second and far corner, and that.
 
-
-def _unfolded(
-    start: np.ndarray, end: np.ndarray, flat: np.ndarray, faces: np.ndarray, a: np.ndarray, b: np.ndarray
-) -> np.ndarray:
-    """The far corner of the neighbour laid into a triangle's plane across its side a-b, shape (m, 2)."""
+    The edge runs first to second in the other face, second to first in this one. In the order of the vertices' numbers
+    its normal points out of the face that runs it upwards.
+    """
+    start = np.argmax(mesh.faces[faces] == second[:, None], axis=1)
     rows = np.arange(len(faces))
-    at_b = np.argmax(faces == b[:, None], axis=1)  # the neighbour runs b to a
-    p, q, r = (flat[rows, (at_b + c) % 3] for c in range(3))
-    side = q - p
-    square = (side**2).sum(axis=1)
-    along = ((r - p) * side).sum(axis=1) / square
-    height = (side[:, 0] * (r - p)[:, 1] - side[:, 1] * (r - p)[:, 0]) / square
-    own = start - end
-    return end + along[:, None] * own + height[:, None] * np.stack([-own[:, 1], own[:, 0]], axis=1)
+    corner = [flat[faces][rows, (start + c) % 3] for c in range(3)]
+    side = corner[1] - corner[0]
+    size = np.linalg.norm(side, axis=1)
+    normal = np.stack([side[:, 1], -side[:, 0]], axis=1) / size[:, None]
+    sign = np.where(second < first, 1.0, -1.0)
+    point = 0.5 * (corner[0] + corner[1]) + (sign * length)[:, None] * normal
+    basis = np.stack([side, corner[2] - corner[0]], axis=2)
+    to_first, to_far = np.linalg.solve(basis, (point - corner[0])[:, :, None])[:, :, 0].T
+    far = mesh.faces[faces, (start + 2) % 3]
+    return np.stack([to_first, 1.0 - to_first - to_far, to_far], axis=1), far
+
+
+def _frame(flat: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
+    """Unit tangent and outward normal of a side of flat faces, shape (m, 2) each."""
+    along = flat[:, (side + 1) % 3] - flat[:, side]
+    along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    return along, np.stack([along[:, 1], -along[:, 0]], axis=1)
+
+
+def _symmetric(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(a b^T)_11, _22 and twice its symmetric _12, shape (m, 3)."""
+    return np.stack([a[:, 0] * b[:, 0], a[:, 1] * b[:, 1], a[:, 0] * b[:, 1] + a[:, 1] * b[:, 0]], axis=1)
 
 
 def _edge_and_normals(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -14,7 +14,7 @@ from pbd.models.descent import ProjectiveDynamics, VertexBlockDescent
 from pbd.models.elements import ElementEnergy, QuadraticElements, Sum
 from pbd.models.integrators import BDF2, ImplicitEuler, Midpoint, QuasiStatic, SymplecticEuler, Verlet
 from pbd.models.membrane import condition_membrane, continuum_membrane
-from pbd.models.plate import angle_bending, isometric_bending, shape_operator_bending
+from pbd.models.plate import angle_bending, isometric_bending, morley_bending
 from pbd.models.position_based import PBD, XPBD, StrainBased
 from pbd.models.springs import prestressed_springs, square_springs, triangle_springs
 from pbd.models.stepping import Options
@@ -53,7 +53,7 @@ MEMBRANES: dict[str, Callable[[Model], ElementEnergy]] = {
 BENDINGS: dict[str, Callable[[Model, float], list[ElementEnergy]]] = {
     "isometric": lambda model, poisson: [isometric_bending(model)],
     "hinges": lambda model, poisson: angle_bending(model),
-    "shape": shape_operator_bending,
+    "morley": morley_bending,
 }
 INTEGRATORS = {
     "symplectic-euler": SymplecticEuler,
@@ -81,12 +81,13 @@ def cloth_energy(model: Model, membrane: str, bending: str, bend_poisson: float 
         model: the garment.
         membrane: a key of ``MEMBRANES``.
         bending: a key of ``BENDINGS``.
-        bend_poisson: Poisson ratio of the bending ``shape`` [-].
+        bend_poisson: Poisson ratio of the bending ``morley`` [-].
 
     Raises:
         InputError: a mesh on which the membrane does not exist.
     """
-    return Sum([MEMBRANES[membrane](model), *BENDINGS[bending](model, bend_poisson), *_stitches(model)])
+    parts = [MEMBRANES[membrane](model), *BENDINGS[bending](model, bend_poisson), *_stitches(model)]
+    return Sum(parts, model.vertex_count)
 
 
 def _stitches(model: Model) -> list[ElementEnergy]:
@@ -118,7 +119,7 @@ def _all() -> dict[str, Factory]:
     solvers: dict[str, Factory] = {"default": _default}
     for integrator, solver in INTEGRATORS.items():
         for membrane in MEMBRANES:
-            bending = "shape" if membrane.startswith("fem") else "hinges"
+            bending = "morley" if membrane.startswith("fem") else "hinges"
             name = f"{membrane}/{integrator}"
             solvers[name] = _factory(solver, name, membrane, bending)
         for bending in ("isometric", "hinges"):
