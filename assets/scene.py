@@ -188,12 +188,15 @@ class TrainingSettings:
         clips: clips to learn from.
         held_out: clips that nothing is learned from.
         procedural_seconds: length of procedural motion to learn from as well [s].
+        choose_s: learn only from those parts of all this that add most, so many seconds in all [s]; None learns from
+            everything.
         fabrics: presets to learn the wrinkles in besides the garment's own fabric.
     """
 
     clips: tuple[MotionSettings, ...] = entry(tables(table(MotionSettings)), ())
     held_out: tuple[MotionSettings, ...] = entry(tables(table(MotionSettings)), ())
     procedural_seconds: float = entry(number(at_least=0, unit="s"), 0.0)
+    choose_s: float | None = entry(number(above=0, unit="s"), None)
     fabrics: tuple[str, ...] = entry(several(choice(*PRESETS)), ())
 
 

@@ -79,7 +79,7 @@ class Bench:
 
     @cached_property
     def runs(self) -> list[Run]:
-        return training_runs(self.stage, self._scene)
+        return training_runs(self.layer, self.stage, self._scene, self.cache, self.report)
 
     @cached_property
     def recordings(self) -> list[Recording]:

@@ -15,9 +15,10 @@ from assets.scene import Scene, scene_text
 from pbd import Fabric, InputError, SolverOptions
 from pbd.bending import hinge_calibration
 from precompute.calibration import Calibration, calibrate
+from precompute.coverage import PART, choose
 from precompute.evaluation import Evaluation, Truth, evaluate, fine_run, given_frames, settled, truth_of
 from precompute.recording import Recording, Run, body_source, record_runs
-from precompute.training import build_layer, fit_layer, spread_frames, training_set
+from precompute.training import Layer, build_layer, fit_layer, spread_frames, training_set
 from precompute.unfamiliarity import fit_unfamiliarity
 from runtime.simulation import Motion
 from runtime.stage import Stage, fabrics_of
@@ -33,6 +34,7 @@ __all__ = [
     "default_cache",
     "precompute",
     "scene_run",
+    "training_motions",
     "training_recordings",
     "training_runs",
 ]
@@ -109,17 +111,15 @@ def precompute(
     if overlap:
         clips = sorted(f"{m.file}: {m.name}" for m in overlap)
         raise InputError("a held-out clip is trained on", key="training.held_out", received=clips, expected="another")
-    motions = stage.training_motions()
-    if not motions:
-        raise InputError("nothing to learn from", key="training", expected="clips or procedural_seconds")
     held_out = [stage.motion(m) for m in scene.training.held_out]  # refused now, and not after the simulations
     levels, seed, solver = stage.levels, scene.wrinkles.seed, scene.solver.options()
     fabrics = fabrics_of(scene, stage.settings)
-    runs = [run for name in fabrics for run in training_runs(stage, scene, name)]
+    layer = build_layer(levels)
+    motions, choice = training_motions(layer, stage, scene, cache, workers, tell)
+    runs = [scene_run(stage, scene, motion, name) for name in fabrics for motion in motions]
     recordings = training_recordings(runs, cache, workers, tell)
 
     tell("fitting patches")
-    layer = build_layer(levels)
     learned = spread_frames(recordings, TRAINING_FRAMES)
     data = training_set(layer, learned, scene.wrinkles.atoms, seed)
     width, own = scene.wrinkles.hidden_width, runs[0].fabric
@@ -172,12 +172,12 @@ def precompute(
         created=date.today().isoformat(),
     )
     database = as_stored(database)  # judged as it will be played
-    truth, evaluation, quality = None, None, {}
+    truth, evaluation, quality = None, None, dict(choice)
     if held_out:  # the first held-out clip is the one that is reported
         run = scene_run(stage, scene, held_out[0])
         truth = truth_of(run, cache, workers, tell)
         evaluation = evaluate(database, truth, cache, tell)
-        quality = dict(evaluation.figures)
+        quality |= evaluation.figures
         for other in database.other_fabrics:
             run = scene_run(stage, scene, held_out[0], other.name)
             given = _given_figures(database.in_fabric(other.name), run, cache, workers, tell)
@@ -194,9 +194,43 @@ def precompute(
     return Precomputed(database, output, calibration, truth, evaluation)
 
 
-def training_runs(stage: Stage, scene: Scene, fabric: str | None = None) -> list[Run]:
-    """The fine runs that a scene learns from, in one of its fabrics; None takes the garment's own."""
-    return [scene_run(stage, scene, motion, fabric) for motion in stage.training_motions()]
+def training_motions(
+    layer: Layer, stage: Stage, scene: Scene, cache: Path, workers: int, report: Callable[[str], None] | None = None
+) -> tuple[list[Motion], dict[str, float]]:
+    """The motions that a scene learns from: all that it names, or the parts of them that add most.
+
+    Returns:
+        the motions, and figures of the choice, none where all are taken.
+
+    Raises:
+        InputError: nothing to learn from, or more seconds to choose than there are, or fewer than a part has.
+    """
+    budget = scene.training.choose_s
+    motions = stage.training_motions() if budget is None else stage.training_parts(PART)
+    if not motions:
+        raise InputError("nothing to learn from", key="training", expected="clips or procedural_seconds")
+    if budget is None:
+        return motions, {}
+    offered = [motion.duration for motion in motions]
+    if not min(offered) <= budget < sum(offered):
+        expected = f"at least {min(offered):.3g} (a part), below {sum(offered):.3g} (all) [s]"
+        raise InputError("nothing to choose", key="training.choose_s", received=budget, expected=expected)
+    runs = [scene_run(stage, scene, motion) for motion in motions]
+    held_out = [scene_run(stage, scene, stage.motion(m)) for m in scene.training.held_out[:1]]
+    solver, seed = scene.solver.options(), scene.wrinkles.seed
+    found = choose(layer, runs, next(iter(held_out), None), budget, solver, seed, cache, workers, report)
+    if report is not None:
+        figures = found.figures
+        report(f"choosing motion: {figures['chosen_s']:.0f} s of {figures['offered_s']:.0f} s on offer")
+    return [motions[number] for number in found.numbers], found.figures
+
+
+def training_runs(
+    layer: Layer, stage: Stage, scene: Scene, cache: Path, report: Callable[[str], None] | None
+) -> list[Run]:
+    """The fine runs that a scene learns from, in the garment's own fabric."""
+    motions, _ = training_motions(layer, stage, scene, cache, 2, report)
+    return [scene_run(stage, scene, motion) for motion in motions]
 
 
 def training_recordings(

@@ -49,6 +49,10 @@ EXPLANATIONS = {
     "step_response_frames": "frames until nine tenths of the wrinkles follow a jump of the coarse garment",
     "reverse_gap_mm": "memory: distance of vertices at the same poses, slowly there and back",
     "attached_off_mm": "farthest that an attached vertex was from its place",
+    "chosen_s": "motion simulated finely, for each fabric",
+    "offered_s": "motion that it was chosen from",
+    "coverage": "how near held-out patches are to those chosen: 1 as near as to all on offer",
+    "coverage_even": "the same for as much motion taken evenly",
     "feature_shift_before": "how far the coarse garment's features lie off the training's, uncalibrated; 1 within",
     "feature_shift_after": "the same after calibration",
     "feature_mismatch_before": "distance between both distributions of features, uncalibrated",
@@ -156,6 +160,7 @@ def _sections(database: WrinkleDatabase, figures: Mapping[str, float]) -> Iterat
         "Training",
         [
             ("learned from", ", ".join(database.trained_on) or "nothing"),
+            *_choice(database.quality),
             ("judged on", ", ".join(database.held_out) or "nothing"),
             ("took", f"{database.training_minutes:.1f} min, seed {database.seed}"),
         ],
@@ -168,6 +173,16 @@ def _sections(database: WrinkleDatabase, figures: Mapping[str, float]) -> Iterat
             ("load", f"{figures['load_s']:.3f} s"),
         ],
     )
+
+
+def _choice(quality: Mapping[str, float]) -> list[tuple[str, str]]:
+    """What was chosen of the motion on offer, where there was a choice."""
+    if "chosen_s" not in quality:
+        return []
+    words = f"{quality['chosen_s']:.1f} s of {quality['offered_s']:.1f} s on offer"
+    if "coverage" in quality:
+        words += f"; held-out motion covered to {quality['coverage']:.3f}, taken evenly {quality['coverage_even']:.3f}"
+    return [("chosen", words)]
 
 
 def _other_fabric(other: LearnedFabric, quality: Mapping[str, float]) -> str:

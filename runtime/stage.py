@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 
 from assets.builtin import builtin_garment
 from assets.character import Character, load_character, with_clips
-from assets.exploration import exploration_motion
+from assets.exploration import exploration_clip, exploration_motion
 from assets.fabrics import PRESETS
 from assets.garment import Garment, boundary_loops, highest_loop, load_garment
 from assets.mannequin import builtin_mannequin
@@ -237,17 +238,50 @@ class Stage:
 
     def training_motions(self) -> list[Motion]:
         """Clips and procedural motion to learn from."""
-        training = self.scene.training
-        motions: list[Motion] = [self.motion(m) for m in training.clips]
-        if training.procedural_seconds and not isinstance(self.body, Character):
+        motions: list[Motion] = [self.motion(m) for m in self.scene.training.clips]
+        return motions + [exploration_motion(body, seed, length) for body, seed, length in self._procedural()]
+
+    def training_parts(self, seconds: float) -> list[Motion]:
+        """The same in parts of about so many seconds, each led into on its own."""
+        parts: list[Motion] = []
+        for whole in self.scene.training.clips:
+            self.motion(whole)  # refuses what does not exist
+            end = self._end(whole)
+            cuts = _cuts(whole.start, end, seconds * whole.speed)
+            pieces = [replace(whole, start=a, end=b) for a, b in cuts] if len(cuts) > 1 else [whole]
+            parts += [self.motion(piece) for piece in pieces]
+        for body, seed, length in self._procedural():
+            clip = exploration_clip(body, seed, length)
+            for a, b in _cuts(0.0, clip.duration, seconds):
+                part = ClipMotion(body, part_of(clip, a, b), blend=1.0 if a else 0.0)  # it begins in the bind pose
+                part.name = f"{clip.name} {a:g}-{b:g} s"
+                parts.append(part)
+        return parts
+
+    def _end(self, motion: MotionSettings) -> float:
+        """Where a clip or its part ends, in its own time [s]."""
+        if motion.clip is None:
+            return self.motion(motion).duration * motion.speed
+        length = load_body(motion.file).clip(motion.clip).duration
+        return length if motion.end is None else min(motion.end, length)
+
+    def _procedural(self) -> Iterator[tuple[Character, int, float]]:
+        """Body, seed and length [s] of each piece of procedural motion."""
+        rest, seed = self.scene.training.procedural_seconds, self.scene.wrinkles.seed
+        if rest and not isinstance(self.body, Character):
             raise InputError(
                 "procedural motion needs a skinned character", key="training.procedural_seconds", expected="0"
             )
-        rest, seed = training.procedural_seconds, self.scene.wrinkles.seed
         while rest >= 2.0 and isinstance(self.body, Character):
-            motions.append(exploration_motion(self.body, seed, min(rest, PROCEDURAL_PIECE)))
+            yield self.body, seed, min(rest, PROCEDURAL_PIECE)
             rest, seed = rest - PROCEDURAL_PIECE, seed + 1
-        return motions
+
+
+def _cuts(start: float, end: float, seconds: float) -> list[tuple[float, float]]:
+    """Equal parts of about so many seconds; their ends are whole hundredths."""
+    count = max(1, round((end - start) / seconds))
+    ends = [start, *(round(start + k * (end - start) / count, 2) for k in range(1, count)), end]
+    return list(zip(ends[:-1], ends[1:], strict=True))
 
 
 def _garment_of(scene: Scene) -> tuple[GarmentSettings, Garment]:

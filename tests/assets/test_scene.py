@@ -36,6 +36,7 @@ clip = "walk"
 clips = [{ file = "builtin:mannequin", clip = "walk" }]
 held_out = [{ file = "builtin:mannequin", clip = "turn" }]
 procedural_seconds = 20
+choose_s = 12
 fabrics = ["denim", "silk"]
 
 [[collider]]

@@ -14,7 +14,7 @@ from assets.fabrics import PRESETS
 from pbd import InputError
 from precompute import pipeline
 from precompute.evaluation import judged_from, levels_from, settled
-from precompute.pipeline import Precomputed, default_cache, precompute, training_recordings, training_runs
+from precompute.pipeline import Precomputed, default_cache, precompute, scene_run, training_recordings
 from precompute.recording import Recording, Run
 from runtime.player import Player
 from runtime.stage import Stage, scene_of
@@ -171,7 +171,7 @@ def test_one_database_holds_several_speeds_and_fabrics(folder: Path, monkeypatch
     several = scene(SCENE.replace("procedural_seconds = 2.0\n", "").replace("\n[[training.held_out]]\n", SPEEDS))
     with miniature():
         stage = Stage.of(several)
-        slow, fast = (run.poses for run in training_runs(stage, several))
+        slow, fast = (scene_run(stage, several, motion).poses for motion in stage.training_motions())
         made = precompute(several, folder / "several.h5", cache=default_cache(folder / "skirt.h5"), workers=1)
     # A second of blending, then 0.28 s of the clip in 0.16 s.
     assert np.allclose(slow[60:89:7], fast[60:77:4]) and not np.allclose(slow[60:77], fast[60:77])

@@ -116,6 +116,15 @@ def test_other_fabrics_are_said_and_checked(write: Callable[..., Path]) -> None:
     assert bad and all("(denim)" in check.check for check in bad)
 
 
+def test_the_choice_of_motion_is_said(write: Callable[..., Path]) -> None:
+    chosen = {"chosen_s": 19.5, "offered_s": 62.0, "coverage": 0.91, "coverage_even": 0.85}
+    text, figures = info_text(write(quality=chosen))
+    words = "19.5 s of 62.0 s on offer; held-out motion covered to 0.910, taken evenly 0.850"
+    assert row(text, "chosen").split(maxsplit=1) == ["chosen", words]
+    assert chosen.items() <= figures.items()
+    assert "held-out motion covered" not in info_text(write(quality={"chosen_s": 19.5, "offered_s": 62.0}))[0]
+
+
 def test_nothing_held_out_is_said(write: Callable[..., Path]) -> None:
     text, _ = info_text(write(quality={}, held_out=()))
     assert "unknown, nothing was held out" in text
