@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from pbd import SolverOptions
 from pbd.bending import hinge_calibration
 from precompute.calibration import filtered
+from precompute.evaluation import settled
 from precompute.recording import Recording, Run, record_runs
 from precompute.training import FeatureStatistics, Layer, features_of
 from wrinkles.coarse_filter import CoarseFilter
@@ -66,7 +67,11 @@ def choose(
     coarse = [replace(run, fine=False, solver=solver, bend_factor=bend) for run in (*runs, *asked_too)]
     matrix = CoarseFilter(layer.levels).matrix
     rng = np.random.default_rng(seed)
-    samples = [_sample(layer, filtered(r, matrix), rng) for r in record_runs(coarse, cache, workers, report)]
+    recordings = record_runs(coarse, cache, workers, report)
+    # What only leads to a part is not learned from, and how the garment settles is not judged.
+    used = [r.where(r.frames * run.dt > run.lead_in) for r, run in zip(recordings, runs, strict=False)]
+    used += [settled(r, run) for r, run in zip(recordings[len(runs) :], asked_too, strict=True)]
+    samples = [_sample(layer, filtered(recording, matrix), rng) for recording in used]
     statistics = FeatureStatistics.of(np.concatenate(samples[: len(runs)])[None], DIRECTIONS)
     seen = [(sample - statistics.mean) @ statistics.axes for sample in samples]
     asking = np.concatenate([sample[:ASKED] for sample in seen[: len(runs)]])
