@@ -49,7 +49,7 @@ gpu-proofs: .venv/ready
 
 # Needs uv. Keeps the versions that the lock has; add UPGRADE=--upgrade for new ones.
 lock:
-	echo pip | uv pip compile pyproject.toml - --all-extras --generate-hashes --universal --python-version 3.11 \
+	echo pip | uv pip compile pyproject.toml - --extra all --generate-hashes --universal --python-version 3.11 \
 		--no-header --no-annotate --no-emit-index-url $(UPGRADE) --output-file requirements.lock
 
 clean:

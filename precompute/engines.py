@@ -18,7 +18,7 @@ import numpy as np
 from pbd import InputError
 from precompute.solver_scenes import RATE, Measured, SolverScene, hanging_square, measure_steps
 
-__all__ = ["RIVALS", "RivalRun", "bench_rivals"]
+__all__ = ["ENGINES", "EngineRun", "bench_engines"]
 
 SIDE = 64  # vertices along a side
 GRAVITY = -9.81  # [m/s2]
@@ -27,16 +27,18 @@ Steps = tuple[Callable[[], None], Callable[[], np.ndarray]]
 
 
 @dataclass(frozen=True)
-class RivalRun:
+class EngineRun:
     """One setting of another engine.
 
     Attributes:
         name: of the engine.
+        side: vertices along a side of the square.
         setting: what was set.
         measured: what came.
     """
 
     name: str
+    side: int
     setting: str
     measured: Measured
 
@@ -99,7 +101,7 @@ def _mujoco(scene: SolverScene, young: float, iterations: int) -> Steps:
     mesh, held = scene.model.mesh, scene.model.held
     numbers = lambda values: " ".join(f"{value:.9g}" for value in np.ravel(values))  # noqa: E731
     text = f"""<mujoco><option timestep="{1 / RATE:.9f}" gravity="0 {GRAVITY} 0" solver="CG" tolerance="1e-3"
-        iterations="{iterations}" integrator="implicitfast"><flag contact="disable"/></option>
+        iterations="{iterations}" integrator="discrete"><flag contact="disable"/></option>
         <size memory="2G"/><worldbody><flexcomp name="cloth" type="direct" dim="2" mass="{scene.model.mass.sum():.9g}"
         radius="0.001" point="{numbers(mesh.vertices)}" element="{numbers(mesh.faces)}">
         <pin id="{numbers(held)}"/><contact selfcollide="none"/>
@@ -144,7 +146,7 @@ def _pybullet(scene: SolverScene, substeps: int, stiffness: float) -> Steps:
 
 
 @dataclass(frozen=True)
-class _Rival:
+class _Engine:
     """How an engine is installed and set.
 
     Attributes:
@@ -158,37 +160,41 @@ class _Rival:
     settings: Sequence[Mapping[str, Any]]
 
 
-RIVALS = MappingProxyType({
-    "PositionBasedDynamics": _Rival("pypbd", _position_based_dynamics, [{"substeps": n} for n in (80, 110, 140)]),
-    "Newton XPBD": _Rival(
+ENGINES = MappingProxyType({
+    "PositionBasedDynamics": _Engine("pypbd", _position_based_dynamics, [{"substeps": n} for n in (80, 110, 140)]),
+    "Newton XPBD": _Engine(
         "newton", _newton_xpbd, [{"substeps": n, "stiffness": k} for n, k in ((150, 1e3), (200, 1e3), (260, 1e3))]
     ),
-    "MuJoCo, elastic": _Rival(
+    "MuJoCo, elastic": _Engine(
         "mujoco", _mujoco, [{"young": e, "iterations": n} for e, n in ((1e6, 100), (2e6, 100), (4e6, 200))]
     ),
-    "PyBullet": _Rival("pybullet", _pybullet, [{"substeps": n, "stiffness": 1500.0} for n in (140, 180)]),
+    "PyBullet": _Engine("pybullet", _pybullet, [{"substeps": n, "stiffness": 1500.0} for n in (140, 180)]),
 })  # fmt: skip
 
 
-def bench_rivals(report: Callable[[str], None] = lambda line: None, names: Sequence[str] = tuple(RIVALS)) -> list[RivalRun]:
+def bench_engines(
+    report: Callable[[str], None] = lambda line: None, names: Sequence[str] = tuple(ENGINES)
+) -> list[EngineRun]:
     """Measure the engines; many minutes.
 
     Args:
         report: called with a line of progress.
-        names: of the engines, keys of ``RIVALS``.
+        names: of the engines, keys of ``ENGINES``.
 
     Raises:
         InputError: an engine that is not installed.
     """
-    missing = [name for name in names if importlib.util.find_spec(RIVALS[name].module) is None]
+    missing = [name for name in names if importlib.util.find_spec(ENGINES[name].module) is None]
     if missing:
-        raise InputError("engines that are not installed", key="rivals", received=missing, expected="pip install gube[rivals]")
+        raise InputError(
+            "engines that are not installed", key="rivals", received=missing, expected="pip install 'gube[rivals]'"
+        )
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     scene, runs = hanging_square(SIDE), []
     for name in names:
-        rival = RIVALS[name]
+        rival = ENGINES[name]
         for setting in rival.settings:
             words = ", ".join(f"{key} {value:g}" for key, value in setting.items())
             report(f"{name}: {words}")
-            runs.append(RivalRun(name, words, measure_steps(scene, *rival.start(scene, **setting))))
+            runs.append(EngineRun(name, SIDE, words, measure_steps(scene, *rival.start(scene, **setting))))
     return runs

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from pbd import SolverOptions
 from pbd.storage import replacing
 from precompute.constraint_cost import constraint_costs
+from precompute.engines import EngineRun, bench_engines
 from precompute.page import Chart, Line, Point, Section, Table, Text, write_page
 from precompute.solver_scenes import RATE, Measured, hanging_square, measure
+from precompute.thread_speed import thread_speedups
 from runtime.report import machine_description
 
 __all__ = ["Run", "SolverBench", "bench_rows", "bench_solver", "bench_verdict", "write_bench"]
@@ -67,11 +69,16 @@ class Run:
 
 @dataclass(frozen=True)
 class SolverBench:
-    """All runs, the amplitudes of the refined runs by vertices a side [m], and the cost of constraints [ns]."""
+    """All runs, the amplitudes of the refined runs by vertices a side [m], and the cost of constraints [ns].
+
+    Beside them what a second core is worth (:func:`precompute.thread_speed.thread_speedups`) and the engines measured.
+    """
 
     runs: Sequence[Run]
     amplitudes: Mapping[int, float]
     costs: Mapping[str, float]
+    speedups: Mapping[str, float] = field(default_factory=dict)
+    rivals: Sequence[EngineRun] = ()
 
     def cheapest(self, side: int) -> Run | None:
         """The cheapest setting that passes, None if none does."""
@@ -79,26 +86,43 @@ class SolverBench:
         return min(passing, key=lambda run: run.measured.frame_ms, default=None)
 
     def figures(self) -> dict[str, float]:
-        """``time_to_accuracy_ms_SIDE``, ``TYPE_constraint_ns`` and ``rival_NAME_ms_SIDE`` (quoted)."""
+        """``time_to_accuracy_ms_SIDE``, ``TYPE_constraint_ns``, ``thread_speedup_CASE`` and ``rival_NAME_ms_SIDE``.
+
+        A rival's is the cheapest that passed here, or else the quoted one.
+        """
         best = {side: self.cheapest(side) for side in self.amplitudes}
         found = {f"time_to_accuracy_ms_{side}": run.measured.frame_ms for side, run in best.items() if run}
         quoted = {f"rival_{_plain(name)}_ms_{side}": ms for name, side, ms, _ in QUOTED if side in best}
-        return {**found, **self.costs, **quoted}
+        measured = {
+            f"rival_{_plain(run.name)}_ms_{run.side}": run.measured.frame_ms
+            for run in sorted(self.rivals, key=lambda run: -run.measured.frame_ms)
+            if run.passed
+        }
+        return {**found, **self.costs, **self.speedups, **quoted, **measured}
 
 
 def _plain(name: str) -> str:
     return "_".join(name.lower().replace(",", "").replace("-", " ").split())
 
 
-def bench_solver(sides: Sequence[int] | None = None, report: Callable[[str], None] = lambda line: None) -> SolverBench:
+def bench_solver(
+    sides: Sequence[int] | None = None, report: Callable[[str], None] = lambda line: None, with_rivals: bool = False
+) -> SolverBench:
     """Measure every setting; minutes.
 
     Args:
         sides: vertices along a side of the squares; None takes all.
         report: called with a line of progress.
+        with_rivals: measure other engines too, see :func:`precompute.engines.bench_engines`.
+
+    Raises:
+        InputError: an engine that is not installed.
     """
+    rivals = bench_engines(report) if with_rivals else []
     report("cost of constraints")
     costs = constraint_costs()
+    report("speed of two cores")
+    speedups = thread_speedups()
     runs, amplitudes = [], {}
     for side in SIDES if sides is None else sides:
         scene = hanging_square(side)
@@ -110,7 +134,7 @@ def bench_solver(sides: Sequence[int] | None = None, report: Callable[[str], Non
                 report(f"{scene.name}: {METHODS[sweeps]}, {substeps} substeps")
                 found = measure(scene, _options(substeps, sweeps))
                 runs.append(Run(side, substeps, sweeps, found, found.passes(amplitudes[side])))
-    return SolverBench(runs, amplitudes, costs)
+    return SolverBench(runs, amplitudes, costs, speedups, rivals)
 
 
 def _options(substeps: int, sweeps: int) -> SolverOptions:
@@ -133,6 +157,20 @@ def bench_rows(bench: SolverBench) -> list[dict[str, Any]]:
             "passed": run.passed,
         }
         for run in bench.runs
+    ] + [
+        {
+            "method": f"{run.name} ({run.setting})",
+            "side": run.side,
+            "frame_ms": run.measured.frame_ms,
+            "frame_over_distance_constraint": run.measured.frame_ms * 1e6 / bench.costs["distance_constraint_ns"],
+            "mean_stretch": run.measured.mean,
+            "p99_stretch": run.measured.p99,
+            "worst_stretch": run.measured.worst,
+            "amplitude_ratio": run.measured.amplitude / bench.amplitudes[run.side],
+            "passed": run.passed,
+        }
+        for run in bench.rivals
+        if run.side in bench.amplitudes
     ]
 
 
@@ -151,7 +189,8 @@ def bench_verdict(bench: SolverBench) -> str:
             )
         lines.append(f"{side}x{side}: {ours}; cheapest quoted: {name}, {ms} ms on another machine.")
     costs = ", ".join(f"{name.removesuffix('_constraint_ns')} {ns:.1f}" for name, ns in bench.costs.items())
-    return "\n".join([*lines, f"One constraint [ns]: {costs}."])
+    speedups = ", ".join(f"{name} {ratio:.2f}" for name, ratio in bench.speedups.items()) or "not measured"
+    return "\n".join([*lines, f"One constraint [ns]: {costs}.", f"Two cores over one: {speedups}."])
 
 
 def write_bench(folder: Path, bench: SolverBench) -> None:
@@ -168,7 +207,7 @@ def write_bench(folder: Path, bench: SolverBench) -> None:
     sections: list[Section] = [Text(bench_verdict(bench).replace("\n", "\n\n"))]
     sections += [_chart(bench, side) for side in bench.amplitudes]
     header = [name.replace("_", " ") for name in rows[0]]
-    sections.append(Table(header, [list(row.values()) for row in rows], "all runs"))
+    sections.append(Table(header, [[row.get(key, "") for key in rows[0]] for row in rows], "all runs"))
     sections.append(Text(f"{_NOTES}\n\nMeasured on: {machine['cpu']}, {machine['date']}. Quoted: {SOURCE}."))
     write_page(folder / "solver.html", "Time against stretch", sections)
 
@@ -182,7 +221,12 @@ def _chart(bench: SolverBench, side: int) -> Chart:
             f"{run.substeps}",
             {key: value for key, value in row.items() if key not in ("method", "frame_ms", "worst_stretch")},
         )
-        for run, row in zip(bench.runs, bench_rows(bench), strict=True)
+        for run, row in zip(bench.runs, bench_rows(bench), strict=False)  # rivals follow
+        if run.side == side and run.measured.worst < 10.0
+    ]
+    points += [
+        Point(run.measured.frame_ms, run.measured.worst, run.name, run.setting, {})
+        for run in bench.rivals
         if run.side == side and run.measured.worst < 10.0
     ]
     points += [Point(ms, worst, name, "", {"source": SOURCE}, True) for name, of, ms, worst in QUOTED if of == side]

@@ -135,6 +135,7 @@ def _parser() -> argparse.ArgumentParser:
     solver.add_argument(
         "-o", dest="output", type=Path, default=Path("out/bench"), metavar="DIR", help="folder of solver.html and .csv"
     )
+    solver.add_argument("--rivals", action="store_true", help="measure other engines too: pip install 'gube[rivals]'")
     return parser
 
 
@@ -372,7 +373,7 @@ def _bench_solver(options: argparse.Namespace) -> Report:
 
     check_folder(options.output)
     with Progress(sys.stderr) as progress:
-        bench = bench_solver(report=progress)
+        bench = bench_solver(report=progress, with_rivals=options.rivals)
     options.output.mkdir(parents=True, exist_ok=True)
     write_bench(options.output, bench)
     print(bench_verdict(bench))
