@@ -1,15 +1,17 @@
 """Time against stretch: what is measured, what passes, what is written."""
 
 import csv
+import importlib.util
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pbd import Colliders, Solver, SolverOptions, State
+from pbd import Colliders, InputError, Solver, SolverOptions, State
 from precompute import solver_bench
 from precompute.constraint_cost import constraint_costs
+from precompute.engines import EngineRun, bench_engines
 from precompute.solver_bench import Run, SolverBench, bench_rows, bench_solver, bench_verdict, write_bench
 from precompute.solver_scenes import Measured, hanging_square, measure
 from runtime import command
@@ -93,6 +95,7 @@ def test_the_cheapest_that_passes_is_found_and_written(tmp_path: Path) -> None:
 def test_the_command_measures_and_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(solver_bench, "SIDES", (32,))
     monkeypatch.setattr(solver_bench, "constraint_costs", lambda: {"distance_constraint_ns": 5.0})
+    monkeypatch.setattr(solver_bench, "thread_speedups", lambda: {})
     monkeypatch.setattr(solver_bench, "measure", lambda scene, options: GOOD)
     assert command.main(["bench", "solver", "-o", str(tmp_path / "new"), "--json", str(tmp_path / "out.json")]) == 0
     assert (tmp_path / "new" / "solver.html").exists() and (tmp_path / "new" / "solver.csv").exists()
@@ -105,6 +108,29 @@ def test_constraints_cost_something() -> None:
     assert all(0.1 < cost < 1e5 for cost in costs.values())
 
 
-def test_rows_are_the_runs() -> None:
+def test_rows_are_the_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(solver_bench, "thread_speedups", lambda: {})
     bench = bench_solver(())
     assert bench_rows(bench) == [] and bench.cheapest(32) is None
+
+
+def test_a_measured_rival_takes_the_place_of_a_quoted_one(tmp_path: Path) -> None:
+    dear, cheap = replace(GOOD, frame_ms=30.0), replace(GOOD, frame_ms=20.0)
+    failed = replace(GOOD, frame_ms=10.0, worst=0.06)
+    rivals = [EngineRun("Newton XPBD", 64, words, run) for words, run in (("a", dear), ("b", cheap), ("c", failed))]
+    runs = [Run(64, 20, 0, GOOD, True)]
+    bench = SolverBench(runs, {64: 0.24}, {"distance_constraint_ns": 5.0}, {"thread_speedup_128": 1.7}, rivals)
+    figures = bench.figures()
+    assert figures["rival_newton_xpbd_ms_64"] == 20.0 and figures["thread_speedup_128"] == 1.7
+    assert "thread_speedup_128 1.70" in bench_verdict(bench)
+    write_bench(tmp_path, bench)
+    with open(tmp_path / "solver.csv", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["method"] for row in rows[1:]] == [f"Newton XPBD ({words})" for words in "abc"]
+    assert [row["passed"] for row in rows[1:]] == ["True", "True", "False"]
+
+
+def test_engines_that_are_not_installed_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match="gube\\[rivals\\]"):
+        bench_engines()
