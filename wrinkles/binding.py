@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_matrix, identity
+from scipy.sparse import csr_matrix, diags, identity
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.sparse.linalg import splu
 
@@ -21,6 +21,9 @@ from wrinkles.surface import Subdivision
 __all__ = ["Binding", "bind"]
 
 ROUNDS = 4  # of binding and fitting
+SMOOTH_STEPS = 3  # of smoothing the bound surface,
+SMOOTH_SHARE = 0.7  # each so much of the way to the mean of the neighbours
+COTANGENTS = (0.05, 5.0)  # bounds of their weights, so that slivers neither tear nor tie
 PLACE_STEP = 2.0**-12  # places are rounded to this share of a face, some micrometres, so that a file holds them exactly
 FLAT_STEP = 2.0**-18  # and the pattern to this [m]
 STRAIGHT = 0.05  # weight of straightness against the places of vertices where the coarse mesh is laid out
@@ -55,6 +58,19 @@ class Binding:
     def sewn(self) -> Sewn:
         """The panels closed to one surface."""
         return sew(self.panels, self.flat, Seams(self.stitches, self.stitch_weights))
+
+    @cached_property
+    def smoothing(self) -> csr_matrix:
+        """Some steps of each vertex towards the mean of its neighbours, those of the border stay: shape (N, N).
+
+        In pleats that the coarse mesh does not have, places crowd and jump, and the surface that they make is rough.
+        """
+        mean, stays = _mean_of_neighbours(self.sewn, len(self.face))
+        step = identity(len(stays)) + diags(np.where(stays, 0.0, SMOOTH_SHARE)) @ (mean - identity(len(stays)))
+        made = identity(len(stays), format="csr")
+        for _ in range(SMOOTH_STEPS):
+            made = (step @ made).tocsr()
+        return made[self.sewn.one]
 
     def mesh(self, vertices: np.ndarray) -> ClothMesh:
         """The panels, stitched, with the pattern as their rest shape, at given places [m], shape (N, 3)."""
@@ -227,6 +243,33 @@ def bind(
         left = bound.matrix.T @ bound.matrix + 0.02 * identity(len(coarse))
         coarse = splu(left.tocsc()).solve(bound.matrix.T @ vertices + 0.02 * coarse)
     return coarse, bound
+
+
+def _mean_of_neighbours(sewn: Sewn, count: int) -> tuple[csr_matrix, np.ndarray]:
+    """Mean of each vertex's neighbours, weighted as the pattern lies, and which vertices have no mean to go to.
+
+    The weights are those of the harmonic map (Pinkall and Polthier 1993), none below 0. What stands for no vertex and
+    what lies on the border stays.
+
+    Returns:
+        a matrix of shape (n, n) and bool, shape (n,).
+    """
+    rows, columns, values = [], [], []
+    for k in range(3):
+        one, other, apex = (sewn.flat[:, (k + turn) % 3] for turn in range(3))
+        u, v = one - apex, other - apex
+        twice_area = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
+        cotangent = np.clip((u * v).sum(axis=1) / np.maximum(twice_area, 1e-12), *COTANGENTS)
+        ends = sewn.faces[:, [k, (k + 1) % 3]]
+        rows += [ends[:, 0], ends[:, 1]]
+        columns += [ends[:, 1], ends[:, 0]]
+        values += [cotangent, cotangent]
+    weights = csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), (count, count))
+    total = np.asarray(weights.sum(axis=1)).ravel()
+    stays = total == 0.0
+    edges, side_edge = edges_of(sewn.faces)
+    stays[edges[np.bincount(side_edge.ravel()) == 1]] = True
+    return diags(1.0 / np.where(total == 0.0, 1.0, total)) @ weights, stays
 
 
 def _labels(vertices: np.ndarray, faces: np.ndarray, chosen: np.ndarray) -> np.ndarray:

@@ -141,7 +141,7 @@ class Subdivision:
         corners = self.cut[self.binding.face]
         rows = np.repeat(np.arange(len(corners)), 3)
         bound = csr_matrix((self.binding.place.ravel(), (rows, corners.ravel())), (len(corners), matrix.shape[0]))
-        return (bound @ matrix).tocsr()
+        return (self.binding.smoothing @ (bound @ matrix)).tocsr()
 
     @cached_property
     def correction(self) -> csr_matrix:

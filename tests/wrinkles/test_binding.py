@@ -104,6 +104,19 @@ def test_what_is_seen_has_no_seam(bound) -> None:
     assert np.array_equal(np.unique(subdivision.stands_for), np.unique(subdivision.faces))
 
 
+def test_places_that_jump_do_not_make_the_surface_rough(bound) -> None:
+    vertices, faces, coarse, subdivision = bound
+    binding = subdivision.binding
+    assert np.asarray(binding.smoothing.sum(axis=1)).ravel() == pytest.approx(1.0)
+    linear = vertices @ [[0.7], [-0.2], [0.0]]
+    inner = np.setdiff1d(np.arange(len(vertices)), np.concatenate(boundary_loops(faces)))
+    noise = 0.001 * np.random.default_rng(0).standard_normal((len(vertices), 1))
+    left = binding.smoothing @ (linear + noise) - linear
+    assert np.abs(left[inner]).std() < 0.4 * noise.std()
+    rim = np.concatenate(boundary_loops(subdivision.faces))
+    assert np.array_equal((binding.smoothing @ noise)[rim], noise[rim])  # the hem keeps its length
+
+
 def test_the_levels_of_a_bound_mesh(bound, levels: Levels) -> None:
     vertices, faces, _, subdivision = bound
     assert np.array_equal(levels.fine.faces, faces)
