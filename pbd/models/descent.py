@@ -24,7 +24,7 @@ class VertexBlockDescent(ClothSolver):
     def __init__(self, model: Model, energy: Sum, options: Options, name: str) -> None:
         super().__init__(model, energy, options, name)
         self.iterations = options.iterations or self.default_iterations
-        # Of each colour: its vertices, and of each energy the elements there with the corner and vertex that they touch.
+        # Of each colour: its vertices, and of each energy the elements there with corner and vertex that they touch.
         self._colors: list[tuple[np.ndarray, list[tuple[ElementEnergy, np.ndarray, np.ndarray]]]] = []
         colors = vertex_colors(energy, self.free)
         for color in range(int(colors.max(initial=-1)) + 1):

@@ -131,7 +131,7 @@ class Sum:
         self.vertex_count = self.point_count if vertex_count is None else vertex_count
         for part in self.parts:
             part.vertex_count = self.point_count
-        self._hidden: Callable[[np.ndarray], np.ndarray] | None = None
+        self._relax: Callable[[np.ndarray], np.ndarray] | None = None
 
     def completed(self, x: np.ndarray) -> np.ndarray:
         """Vertices [m], shape (n, 3), with hidden points where they cost least: shape (all, 3)."""
@@ -141,12 +141,12 @@ class Sum:
         # Starting from points close by loses no digits far from the origin.
         points = np.concatenate([x, np.broadcast_to(x[0], (self.point_count - len(x), 3))])
         parts = [part for part in self.parts if isinstance(part, QuadraticElements)]
-        if self._hidden is None:
-            matrix = sum(part.hessian(points) for part in parts)
-            assert isinstance(matrix, csr_matrix)
-            self._hidden = factorized(matrix[::3, ::3][hidden, hidden].tocsc())
+        relax = self._relax
+        if relax is None:
+            matrix = sum((part.hessian(points) for part in parts[1:]), parts[0].hessian(points))
+            relax = self._relax = factorized(matrix[::3, ::3][hidden, hidden].tocsc())
         force = np.sum([part.gradient(points)[hidden] for part in parts], axis=0)
-        points[hidden] -= np.stack([self._hidden(force[:, c].copy()) for c in range(3)], axis=1)
+        points[hidden] -= np.stack([relax(force[:, c].copy()) for c in range(3)], axis=1)
         return points
 
     def energy(self, x: np.ndarray) -> float:

@@ -287,8 +287,7 @@ class Midpoint(NewtonSolver):
 class QuasiStatic(NewtonSolver):
     """Equilibrium under gravity and contact, by Newton's method with a line search. Time does not count.
 
-    A step moves held vertices and obstacles and finds the equilibrium that lies downhill. Wind is left out: at rest, air
-    does not act on it.
+    A step moves held vertices and obstacles and finds the equilibrium that lies downhill. Wind is left out.
 
     Attributes:
         stable: whether the last equilibrium is a strict minimum. One that is not, such as a strip past its buckling

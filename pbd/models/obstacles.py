@@ -45,7 +45,7 @@ class Obstacles:
         return rows
 
     def gaps(self, x: np.ndarray, at_start: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """Distance of each vertex to each surface less the thickness [m], shape (n, k), and normals, shape (n, k, 3)."""
+        """Distance of each vertex to each surface less the thickness [m], shape (n, k), and normals, (n, k, 3)."""
         gaps, normals = np.zeros((len(x), len(self.kinds))), np.zeros((len(x), len(self.kinds), 3))
         for c, (kind, radius) in enumerate(zip(self.kinds, self.radii, strict=True)):
             a, b = (self.before if at_start else self.now)[c]

@@ -134,8 +134,8 @@ def morley_bending(model: Model, poisson: float) -> list[ElementEnergy]:
 
     Its unknowns are the vertices and the slope across the middle of each edge. Here that slope is a point p that hangs
     beside the edge: p = middle + l dx/dn, l the edge's length and n the normal of the edge in the cloth. These hidden
-    points are counted after the vertices, have no mass and stand where they cost least (:class:`pbd.models.elements.Sum`).
-    The curvature follows from the divergence theorem,
+    points are counted after the vertices, have no mass and stand where they cost least: see
+    :class:`pbd.models.elements.Sum`. The curvature follows from the divergence theorem,
 
         k_ab = 1/A sum over sides of l (dx/dn n_a n_b + dx/ds t_a n_b),
 

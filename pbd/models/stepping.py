@@ -97,7 +97,8 @@ class ClothSolver(ABC):
         """Advance the state in place; the arguments are those of :meth:`pbd.Solver.step`.
 
         Raises:
-            InputError: dt below zero or not finite, a state of another model or not finite, bad targets or wind, a body.
+            InputError: dt below zero or not finite, a state of another model or not finite, bad targets or wind, or
+                a body.
             StepError: the step came to no valid end; the state is as it was.
         """
         self._check(state, dt, targets, wind)
