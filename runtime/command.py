@@ -126,6 +126,15 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument("--clip", metavar="NAME", help="a clip that nothing was learned from (default: held out)")
     compare.add_argument("--seconds", type=_positive, metavar="S", help="cut the motion there")
 
+    validate = _add_command(commands, "validate", _validate, "hold the solver to physics that is known exactly")
+    validate.add_argument("names", nargs="*", metavar="NAME", help="test of the table; all if absent")
+    validate.add_argument("--solver", metavar="S", help="this solver alone; all if absent")
+    validate.add_argument("--resolution", type=_edges, metavar="N", help="edges along the length (default: 20 and 40)")
+    validate.add_argument("--param", action="append", default=[], metavar="KEY=VALUE", help="parameter of the test")
+    validate.add_argument(
+        "-o", dest="output", type=Path, default=Path("out/validate"), metavar="DIR", help="for pictures of curves"
+    )
+
     bench = commands.add_parser("bench", help="what each part is worth and costs", description="Print a table.")
     tables = bench.add_subparsers(dest="table", required=True, metavar="TABLE")
     ablations = _add_command(tables, "wrinkles", _bench_wrinkles, "the wrinkle layer with parts left out")
@@ -165,6 +174,12 @@ def _positive(text: str) -> float:
     if not 0.0 < value < math.inf:
         raise argparse.ArgumentTypeError(f"received {text!r}, expected a number above 0")
     return value
+
+
+def _edges(text: str) -> int:
+    if not (text.isdecimal() and 4 <= int(text) <= 400):
+        raise argparse.ArgumentTypeError(f"received {text!r}, expected a whole number, 4 to 400")
+    return int(text)
 
 
 def _simulate(options: argparse.Namespace) -> Report:
@@ -356,6 +371,28 @@ def _compare(options: argparse.Namespace) -> Report:
     print(f"\n{page}")
     rows = [{"method": m.name, "frame_ms_p50": m.frame_ms, **m.settings, **m.figures} for m in found.methods]
     return Report(found.figures, rows)
+
+
+def _validate(options: argparse.Namespace) -> Report:
+    from precompute.validation import chosen_rows, validate, validation_text, verdict_row
+    from precompute.validation_pictures import draw_verdicts
+
+    check_folder(options.output)
+    tests = chosen_rows(options.names, options.param, options.solver)
+    verdicts = []
+    with Progress(sys.stderr) as progress:
+        for row, cases in tests:
+            verdicts += [validate(row, case, options.solver, options.resolution, progress) for case in cases]
+    print(validation_text(verdicts))
+    for path in draw_verdicts(options.output, verdicts):
+        print(path)
+    rows = [verdict_row(verdict) for verdict in verdicts]
+    figures = {
+        "tests": len(rows),
+        "passed_best": sum(row["passed_best"] for row in rows),
+        "passed_realtime": sum(row["passed_realtime"] for row in rows),
+    }
+    return Report(figures, rows, passed=all(row["passed_best"] and row["passed_realtime"] for row in rows))
 
 
 def _bench_wrinkles(options: argparse.Namespace) -> Report:

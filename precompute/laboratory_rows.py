@@ -1,0 +1,98 @@
+"""Rows of the validation table that the fabric laboratory measures, at any angle and by Kawabata's way."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from pbd import Fabric
+from precompute.laboratory import (
+    DIRECTIONS,
+    LoadCurve,
+    bending_curve,
+    friction_coefficient,
+    shear_curve,
+    tension_curve,
+)
+from precompute.strip_references import off_axis
+from precompute.trial import FABRIC, Curve, Measured, Setting
+from precompute.validation_row import Choice, Parameter, Row
+
+__all__ = ["ROWS"]
+
+# The built-in fabric with half its stiffness along the weft, so that the axes can be told apart.
+WOVEN = replace(FABRIC, stretch_weft=0.5 * FABRIC.stretch_warp, bend_weft=0.5 * FABRIC.bend_warp)
+STRAINS = (0.005, 0.01, 0.02)
+SHEARS = (0.01, 0.03, 0.05)  # [rad]
+CURVATURES = (50.0, 100.0)  # [1/m]
+
+
+def _elastic(fabric: Fabric, angle: float) -> float:
+    return off_axis(fabric.stretch_warp, fabric.stretch_weft, fabric.shear, fabric.poisson, angle)[0]
+
+
+def _tension(setting: Setting, angle_deg: float, strain: float) -> Measured:
+    angle = math.radians(angle_deg)
+    measured = tension_curve(setting, WOVEN, angle, (strain,))
+    found = float(measured.load[0] / measured.deformation[0])
+    degrees = np.linspace(0.0, 180.0, 91)
+    law = np.array([_elastic(WOVEN, math.radians(a)) for a in degrees])
+    curve = Curve("angle to the warp [deg]", "E h [N/m]", (degrees, law), (np.array([angle_deg]), np.array([found])))
+    return Measured.relative(_elastic(WOVEN, angle), found, measured.cost_ms, curve)
+
+
+def _shear_stiffness(fabric: Fabric, angle: float) -> float:
+    """Resistance to simple shear at an angle to the warp with the sides held: the turned plane-stress matrix [N/m]."""
+    c, s = math.cos(angle), math.sin(angle)
+    turn = np.array([-2.0 * c * s, 2.0 * c * s, c * c - s * s])  # strains along the axes of one unit of shear
+    turn[:2] *= 0.5
+    return float(turn @ fabric.membrane_stiffness() @ turn)
+
+
+def _bend_stiffness(fabric: Fabric, angle: float) -> float:
+    """The model's own rule between warp and weft: the square of a mixed root."""
+    return (
+        math.sqrt(fabric.bend_warp) * math.cos(angle) ** 2 + math.sqrt(fabric.bend_weft) * math.sin(angle) ** 2
+    ) ** 2
+
+
+def _kawabata(setting: Setting, instrument: str, direction: str) -> Measured:
+    """Stiffness by a line through the curve; the error is the largest of its points."""
+    angle = DIRECTIONS[direction]
+    if instrument == "compression":
+        # Contact keeps a fixed distance: a fabric has no law of thickness against pressure.
+        return Measured(math.nan, math.nan, math.inf, math.nan)
+    if instrument == "friction":
+        found, cost = friction_coefficient(setting, WOVEN)
+        return Measured.relative(WOVEN.friction, found, cost)
+    measured: LoadCurve
+    if instrument == "tension":
+        measured, stiffness = tension_curve(setting, WOVEN, angle, STRAINS), _elastic(WOVEN, angle)
+        labels = "strain", "tension [N/m]"
+    elif instrument == "shear":
+        measured, stiffness = shear_curve(setting, WOVEN, angle, SHEARS), _shear_stiffness(WOVEN, angle)
+        labels = "shear [rad]", "shear force [N/m]"
+    else:
+        measured, stiffness = bending_curve(setting, WOVEN, angle, CURVATURES), _bend_stiffness(WOVEN, angle)
+        labels = "curvature [1/m]", "moment [N]"
+    own = stiffness * measured.deformation
+    line = float(measured.deformation @ measured.load / (measured.deformation @ measured.deformation))
+    error = float(np.abs(measured.load / own - 1.0).max())
+    curve = Curve(*labels, (measured.deformation, own), (measured.deformation, measured.load))
+    return Measured(stiffness, line, error, measured.cost_ms, curve)
+
+
+INSTRUMENTS = ("tension", "shear", "bending", "compression", "friction")
+ROWS = (
+    Row("tension", "strip pulled at an angle to the warp: E h [N/m]", _tension, 0.005, 0.02,
+        {"angle_deg": Parameter("strip against warp [deg]", 0.0, 0.0, 180.0),
+         "strain": Parameter("strain of the strip", 0.005, 1e-4, 0.1)},
+        tuple({"angle_deg": a} for a in (0.0, 22.5, 45.0, 67.5, 90.0))),
+    Row("kawabata", "the fabric's own curves by Kawabata's instruments: stiffness per width", _kawabata, 0.01, 0.05,
+        {"instrument": Choice("instrument", "tension", INSTRUMENTS),
+         "direction": Choice("of the sample", "warp", tuple(DIRECTIONS))},
+        (*({"instrument": i, "direction": d} for i in INSTRUMENTS[:3] for d in DIRECTIONS),
+         {"instrument": "compression"}, {"instrument": "friction"})),
+)  # fmt: skip

@@ -1,0 +1,87 @@
+"""Rows of the validation table about stretch: cloth that hangs and sags."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from precompute.plate_references import hencky_rise
+from precompute.strip_references import elastic_catenary, hanging_stretch
+from precompute.trial import FABRIC, GRAVITY, RATE, Curve, Measured, Setting, Trial, disc, level, strip
+from precompute.validation_row import Parameter, Row
+
+__all__ = ["ROPE", "ROWS"]
+
+ROPE = replace(FABRIC, poisson=0.0, bend_warp=0.0, bend_weft=0.0)
+
+
+def _hanging_strip(setting: Setting, edges: int) -> Measured:
+    """In real time the gate is the law of one pass: stretch of g h^2 N^2/(2 L) on top of the elastic one."""
+    setting = replace(setting, edges=int(edges))
+    length = 1.0
+    patch = strip(length, 2.0 * length / setting.edges, setting.edges, clamp=0)
+    x = patch.flat[:, 0]
+    start = np.stack([patch.flat[:, 1], -x, np.zeros_like(x)], axis=1)
+    trial = Trial(patch, start, ROPE, x < 1e-9, setting)
+    trial.settle(math.sqrt(length / GRAVITY), still=1e-6)
+    depth = start[:, 1] - trial.world()[:, 1]
+    found = float(depth[x > length - 1e-9].mean() / length)
+    weight = ROPE.areal_density * GRAVITY * length
+    exact = hanging_stretch(weight, ROPE.stretch_warp)
+    law = GRAVITY * length / 2.0 * (setting.edges / length / (RATE * setting.substeps)) ** 2
+    s = np.linspace(0.0, 1.0, 50)
+    curve = Curve("s / L", "moved down / L", (s, weight / ROPE.stretch_warp * (s - 0.5 * s**2)), (x, depth))
+    beyond = max(0.0, found - exact - law) / exact
+    return replace(Measured.relative(exact, found, trial.cost_ms, curve), realtime_error=beyond)
+
+
+def _catenary(setting: Setting, span: float) -> Measured:
+    length = 1.0
+    patch = strip(length, 0.2 * length, setting.edges, clamp=0)
+    x, y = patch.flat.T
+    weight = ROPE.areal_density * GRAVITY * length
+    sag, curve_x, curve_y = elastic_catenary(span, weight, ROPE.stretch_warp)
+    # Let down from an arc of about the right length.
+    rise = sag if span < 1.0 else 0.0
+    at = x / length - 0.5
+    start = np.stack([at * span, -4.0 * rise * (0.25 - at**2), -y], axis=1)
+    trial = Trial(patch, start, ROPE, (x < 1e-9) | (x > length - 1e-9), setting)
+    trial.settle(math.sqrt(length / GRAVITY), still=1e-6)
+    places = trial.world()
+    middle = np.abs(at) < 0.6 / setting.edges
+    parabola = np.polyfit(places[middle, 0], places[middle, 1], 2) if middle.sum() > 6 else None
+    lowest = float(np.polyval(parabola, 0.0)) if parabola is not None else float(places[middle, 1].mean())
+    curve = Curve("x / L", "y / L", (curve_x, curve_y - curve_y[0]), (places[:, 0], places[:, 1]))
+    return Measured.relative(sag, -lowest, trial.cost_ms, curve)
+
+
+def _hencky(setting: Setting, poisson: float) -> Measured:
+    radius = 0.2
+    stretch = FABRIC.stretch_warp
+    fabric = replace(ROPE, poisson=poisson, shear=stretch / (2.0 * (1.0 + poisson)))
+    patch = disc(radius, 0.5 * radius, setting.edges // 2)
+    reach = np.linalg.norm(patch.flat, axis=1)
+    trial = Trial(patch, level(patch.flat), fabric, reach > radius - 1e-9, setting)
+    trial.settle(math.sqrt(radius / GRAVITY), still=1e-6)
+    depth = -trial.world()[:, 1]
+    inner = reach < 0.25 * radius
+    top = np.polynomial.Polynomial.fit(reach[inner] ** 2, depth[inner], 1)(0.0)
+    size = radius * (fabric.areal_density * GRAVITY * radius / stretch) ** (1.0 / 3.0)
+    exact = hencky_rise(poisson) * size
+    curve = Curve("r / a", "sag / a", (np.array([0.0, 1.0]), np.array([exact / radius, 0.0])),
+                  (reach / radius, depth / radius))  # fmt: skip
+    return Measured.relative(exact, float(top), trial.cost_ms, curve)
+
+
+ROWS = (
+    Row("hanging_strip", "strip under its own weight: stretch of its tip over L; in real time what lies beyond the law "
+        "of one pass", _hanging_strip, 0.01, 0.01, {"edges": Parameter("edges along the strip", 20.0, 5.0, 400.0)},
+        tuple({"edges": float(n)} for n in (10, 20, 50, 100, 200))),
+    Row("catenary", "strip hung by both ends: sag over L; a span of 1 or more is taut", _catenary, 0.002, 0.01,
+        {"span": Parameter("distance of the ends over L", 0.8, 0.1, 1.1)},
+        tuple({"span": a} for a in (0.5, 0.8, 1.0, 1.001))),
+    Row("hencky", "round clamped membrane under its own weight: sag [m]", _hencky, 0.01, 0.03,
+        {"poisson": Parameter("Poisson's ratio", 0.3, 0.0, 0.49)}),
+)  # fmt: skip

@@ -1,0 +1,254 @@
+"""A piece of cloth in a physics test: its mesh, its solver, how it comes to rest, what it pulls with."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from scipy.spatial import Delaunay, cKDTree
+
+from pbd import ClothMesh, Colliders, Fabric, Model, ModelOptions, Solver, SolverOptions, State, build_model
+from pbd.bending import hinge_calibration
+
+__all__ = [
+    "FABRIC",
+    "GRAVITY",
+    "RATE",
+    "SOLVERS",
+    "Curve",
+    "Measured",
+    "Patch",
+    "Setting",
+    "Trial",
+    "disc",
+    "level",
+    "strip",
+]
+
+RATE = 60.0  # frames a second
+GRAVITY = 9.81  # [m/s2]
+FABRIC = Fabric(air_drag=0.0)  # every test's own, but for what the test is about
+RELEASE = 1e-6  # step in which a load cell sees the released cloth gain momentum [s]
+CLEAR = 0.6  # lattice points stand this far from the border, and from given points [edges]
+
+
+def _default(model: Model, substeps: int, gravity: tuple[float, float, float]) -> Solver:
+    return Solver(model, SolverOptions(substep=1.0 / (RATE * substeps), gravity=gravity))
+
+
+# Solvers by name: model, substeps a frame and gravity to something with the default solver's ``step``.
+SOLVERS: Mapping[str, Callable[[Model, int, tuple[float, float, float]], Any]] = {"default": _default}
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a test is run with.
+
+    Attributes:
+        solver: name in :data:`SOLVERS`.
+        substeps: of a frame of 1/60 s; the default solver's own if not given.
+        edges: along the length.
+    """
+
+    solver: str = "default"
+    substeps: int = round(1.0 / (RATE * SolverOptions().substep))
+    edges: int = 20
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A measured curve and its reference, each x and y."""
+
+    x_label: str
+    y_label: str
+    reference: tuple[np.ndarray, np.ndarray]
+    measured: tuple[np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What one run of a test gave.
+
+    Attributes:
+        reference, measured: in the test's unit.
+        error: what the gates are about: relative, or absolute in the test's unit.
+        cost_ms: processor time of a frame of 1/60 s, median [ms].
+        curve: for the picture.
+        realtime_error: what the gate of the default solver is about, where that is something else.
+    """
+
+    reference: float
+    measured: float
+    error: float
+    cost_ms: float
+    curve: Curve | None = None
+    realtime_error: float | None = None
+
+    @classmethod
+    def relative(cls, reference: float, measured: float, cost_ms: float, curve: Curve | None = None) -> Measured:
+        return cls(reference, measured, abs(measured / reference - 1.0), cost_ms, curve)
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A flat piece of cloth: places along and across it [m], shape (n, 2), and faces."""
+
+    flat: np.ndarray
+    faces: np.ndarray
+    edge: float
+
+
+def strip(length: float, width: float, edges: int, clamp: int = 1, angle: float = 0.0) -> Patch:
+    """A strip from x = 0 to ``length``, middle at y = 0, with ``clamp`` rows of edges before its start.
+
+    Args:
+        length, width: [m].
+        edges: along the length.
+        clamp: rows of edges to be held before x = 0.
+        angle: of the mesh against the strip [rad].
+    """
+    edge = length / edges
+    across = max(2, round(width / edge))
+    y = np.linspace(-0.5 * width, 0.5 * width, across + 1)
+    x = edge * np.arange(-clamp, edges + 1)
+    sides = [np.stack([np.full_like(y, at), y], axis=1) for at in (x[0], 0.0, length)]
+    sides += [np.stack([x, np.full_like(x, at)], axis=1) for at in (y[0], y[-1])]
+    inside = lambda p: np.minimum(np.minimum(p[:, 0] - x[0], length - p[:, 0]), 0.5 * width - np.abs(p[:, 1]))  # noqa: E731
+    return _filled(np.concatenate(sides), inside, edge, angle)
+
+
+def disc(radius: float, clamp: float, edges: int) -> Patch:
+    """A disc about the origin with ``edges`` along its radius and a ring of vertices at ``clamp`` [m]."""
+    edge = radius / edges
+    rings = []
+    for size in (radius, clamp):
+        turn = 2.0 * math.pi * np.arange(max(6, round(2.0 * math.pi * size / edge)))
+        turn = turn / len(turn)
+        rings.append(size * np.stack([np.cos(turn), np.sin(turn)], axis=1))
+    return _filled(np.concatenate(rings), lambda p: radius - np.linalg.norm(p, axis=1), edge, 0.0)
+
+
+def _filled(given: np.ndarray, inside: Callable[[np.ndarray], np.ndarray], edge: float, angle: float) -> Patch:
+    """Equilateral triangles within a border whose points are given; Delaunay where the two meet."""
+    reach = int(2.0 * np.abs(given).max() / edge) + 2
+    i, j = np.meshgrid(np.arange(-reach, reach + 1), np.arange(-reach, reach + 1), indexing="ij")
+    lattice = edge * np.stack([math.sqrt(0.75) * i, j + 0.5 * (i % 2)], axis=-1).reshape(-1, 2)
+    cosine, sine = math.cos(angle), math.sin(angle)
+    lattice = lattice @ np.array([[cosine, sine], [-sine, cosine]])
+    given = given[np.unique(np.round(given / edge, 6), axis=0, return_index=True)[1]]
+    clear = (inside(lattice) > CLEAR * edge) & (cKDTree(given).query(lattice)[0] > CLEAR * edge)
+    flat = np.concatenate([given, lattice[clear]])
+    faces = Delaunay(flat).simplices
+    sides = flat[faces[:, 1:]] - flat[faces[:, :1]]
+    twice = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]
+    faces[twice < 0] = faces[twice < 0][:, ::-1]
+    whole = (np.abs(twice) > 1e-3 * edge**2) & (inside(flat[faces].mean(axis=1)) > 0.0)
+    return Patch(flat, faces[whole].astype(np.int32), edge)
+
+
+@cache
+def _bend_factor(angle: float) -> float:
+    """Hinge factor of this kind of mesh, measured once on a large sheet."""
+    sheet = strip(1.0, 1.0, 30, 0, angle)
+    return hinge_calibration(ClothMesh.from_pattern(level(sheet.flat), sheet.faces, sheet.flat[sheet.faces]))
+
+
+def level(flat: np.ndarray) -> np.ndarray:
+    """Places on the level plane: along x, across z."""
+    return np.stack([flat[:, 0], np.zeros(len(flat)), -flat[:, 1]], axis=1)
+
+
+@dataclass
+class Trial:
+    """A patch of cloth with a solver, in the middle of a test. Without tethers, which are no part of its physics.
+
+    Attributes:
+        patch: the cloth.
+        vertices: where it starts [m], shape (n, 3).
+        fabric: SI values.
+        held: vertices moved from outside, bool or int.
+        setting: solver, substeps, edges.
+        gravity: [m/s2].
+        warp: direction of the warp against the patch's x [rad].
+        colliders: what it touches.
+        mesh_angle: as the patch was made with [rad].
+    """
+
+    patch: Patch
+    vertices: np.ndarray
+    fabric: Fabric
+    held: np.ndarray
+    setting: Setting
+    gravity: tuple[float, float, float] = (0.0, -GRAVITY, 0.0)
+    warp: float = 0.0
+    colliders: Colliders = field(default_factory=Colliders)
+    mesh_angle: float = 0.0
+
+    def __post_init__(self) -> None:
+        cosine, sine = math.cos(self.warp), math.sin(self.warp)
+        pattern = self.patch.flat @ np.array([[cosine, -sine], [sine, cosine]])
+        mesh = ClothMesh.from_pattern(self.vertices, self.patch.faces, pattern[self.patch.faces])
+        held = np.flatnonzero(self.held) if np.asarray(self.held).dtype == bool else np.asarray(self.held, int)
+        self.model = build_model(mesh, self.fabric, held, ModelOptions(tether_slack=0.0), _bend_factor(self.mesh_angle))
+        self.solver = SOLVERS[self.setting.solver](self.model, self.setting.substeps, self.gravity)
+        self.state = State.at_rest(self.model)
+        self.times: list[float] = []
+
+    def frame(self, targets: np.ndarray | None = None, dt: float = 1.0 / RATE) -> None:
+        """One frame; ``targets``: where the held vertices go [m]."""
+        begin = time.process_time()
+        self.solver.step(self.state, self.colliders, dt, targets)
+        self.times.append(time.process_time() - begin)
+
+    def settle(self, scale: float, limit: float = 40.0, still: float = 1e-5) -> None:
+        """Run with damping until nothing moves.
+
+        Args:
+            scale: a typical time of its motion [s]; speed falls by e^2 in it.
+            limit: how many of them at most.
+            still: ends where no vertex would go further than this part of the cloth's size in ``scale``.
+        """
+        size = np.ptp(self.vertices, axis=0).max()
+        keep = np.float32(math.exp(-2.0 / (RATE * scale)))
+        for _ in range(max(10, math.ceil(limit * scale * RATE))):
+            self.frame()
+            self.state.velocity *= keep
+            speed = float(np.abs(self.state.velocity).max())
+            if not speed < 1e6:
+                return
+            if speed * scale < still * size and len(self.times) > 5:
+                return
+
+    @property
+    def cost_ms(self) -> float:
+        """Processor time of a frame, median [ms]."""
+        return 1e3 * float(np.median(self.times[1:]))
+
+    def world(self) -> np.ndarray:
+        """[m], shape (n, 3)."""
+        return self.state.world()
+
+    def pull(self, released: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A load cell: the force [N] and moment about the origin [N m] of the clamps on cloth at rest, each shape (3,).
+
+        Some held vertices are released for a microsecond; the momentum that all the cloth gains in it came from the
+        clamps that are left. The released clamp bore the opposite.
+
+        Args:
+            released: vertices, int.
+        """
+        held = np.setdiff1d(self.model.held, released)
+        model = build_model(self.model.mesh, self.fabric, held, self.model.options, self.model.bend_factor)
+        state = replace(self.state.copy())
+        state.position[:, 3] = model.inverse_mass
+        state.velocity[:] = 0.0
+        cell = SOLVERS[self.setting.solver](model, 1, (0.0, 0.0, 0.0))
+        cell.step(state, Colliders(), RELEASE)
+        gained = model.mass[:, None] * state.velocity.astype(float) / RELEASE
+        gained[held] = 0.0
+        return gained.sum(axis=0), np.cross(self.world(), gained).sum(axis=0)
