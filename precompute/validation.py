@@ -20,7 +20,7 @@ ROWS: Mapping[str, Row] = {
     for module in (bending_rows, membrane_rows, motion_rows, contact_rows, drape_rows, laboratory_rows)
     for row in module.ROWS
 }
-LONGEST = 30.0  # processor time of a run, on the way to the cheapest and to the best setting [s]
+LONGEST = 10.0  # processor time of a run, on the way to the cheapest and to the best setting [s]
 FINER = 2  # times as many edges, where more substeps do not help
 
 
