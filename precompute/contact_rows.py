@@ -15,6 +15,7 @@ from precompute.validation_row import Choice, Parameter, Row
 
 __all__ = ["ROWS"]
 
+MOVING = ("default", "fem-stvk/implicit-euler")
 SLIPPED = 1e-3  # way down a slope in half a second that is no creep [m]
 
 
@@ -100,9 +101,9 @@ MU = Parameter("coefficient of friction", 0.4, 0.01, 2.0)
 ROWS = (
     Row("incline", "sheet on a slope: angle at which it slips [deg]; creep in a minute half a degree below [mm]",
         _incline, 0.2, 1.0, {"quantity": Choice("what is measured", "angle", ("angle", "creep")), "mu": MU},
-        ({"quantity": "angle"}, {"quantity": "creep"})),
+        ({"quantity": "angle"}, {"quantity": "creep"}), MOVING),
     Row("capstan", "belt drawn over a cylinder: ratio of its tensions", _capstan, 0.02, 0.05,
         {"mu": Parameter("coefficient of friction", 0.2, 0.01, 1.0),
          "wrap_deg": Parameter("angle of wrap [deg]", 180.0, 10.0, 300.0)},
-        ({"mu": 0.2, "wrap_deg": 180.0}, {"mu": 0.4, "wrap_deg": 90.0})),
+        ({"mu": 0.2, "wrap_deg": 180.0}, {"mu": 0.4, "wrap_deg": 90.0}), MOVING),
 )  # fmt: skip

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -54,10 +54,9 @@ def tension_curve(setting: Setting, fabric: Fabric, angle: float, strains: Seque
     middle = np.abs(x - 0.5 * length) < 0.25 * length + 1e-9
     design = np.stack([x, y, np.ones_like(x)], axis=1)[middle]
     start = level(patch.flat)
-    weightless = replace(fabric, bend_warp=0.0, bend_weft=0.0)
     found, loads, costs = [], [], []
     for strain in strains:
-        trial = Trial(patch, start * [1.0 + strain, 1.0, 1.0], weightless, ends, setting, (0.0, 0.0, 0.0), warp=angle)
+        trial = Trial(patch, start * [1.0 + strain, 1.0, 1.0], fabric, ends, setting, (0.0, 0.0, 0.0), warp=angle)
         trial.settle(STILL, limit=60.0, still=1e-3 * strain)
         moved = (trial.world() - start)[middle, 0]
         found.append(np.linalg.lstsq(design, moved, rcond=None)[0][0])
@@ -79,7 +78,6 @@ def shear_curve(setting: Setting, fabric: Fabric, angle: float, shears: Sequence
     height, widths = 0.05, (0.1, 0.2)
     edges = max(4, setting.edges // 2)
     loads, costs = np.zeros((2, len(shears))), []
-    weightless = replace(fabric, bend_warp=0.0, bend_weft=0.0)
     for row, width in enumerate(widths):
         patch = strip(height, width, edges, clamp=0)
         x = patch.flat[:, 0]
@@ -87,7 +85,7 @@ def shear_curve(setting: Setting, fabric: Fabric, angle: float, shears: Sequence
         for column, shear in enumerate(shears):
             start = level(patch.flat)
             start[:, 2] += shear * x
-            trial = Trial(patch, start, weightless, clamps, setting, (0.0, 0.0, 0.0), warp=angle)
+            trial = Trial(patch, start, fabric, clamps, setting, (0.0, 0.0, 0.0), warp=angle)
             trial.settle(STILL, limit=60.0, still=1e-3 * shear)
             loads[row, column] = abs(trial.pull(np.flatnonzero(x > height - 1e-9))[0][2])
             costs.append(trial.cost_ms)

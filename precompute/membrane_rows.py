@@ -14,7 +14,8 @@ from precompute.validation_row import Parameter, Row
 
 __all__ = ["ROPE", "ROWS"]
 
-ROPE = replace(FABRIC, poisson=0.0, bend_warp=0.0, bend_weft=0.0)
+# It hardly bends: a rope that did not bend at all would have no equilibrium but a taut one.
+ROPE = replace(FABRIC, poisson=0.0, bend_warp=1e-8, bend_weft=1e-8)
 
 
 def _hanging_strip(setting: Setting, edges: int) -> Measured:
@@ -24,12 +25,12 @@ def _hanging_strip(setting: Setting, edges: int) -> Measured:
     patch = strip(length, 2.0 * length / setting.edges, setting.edges, clamp=0)
     x = patch.flat[:, 0]
     start = np.stack([patch.flat[:, 1], -x, np.zeros_like(x)], axis=1)
-    trial = Trial(patch, start, ROPE, x < 1e-9, setting)
+    weight = ROPE.areal_density * GRAVITY * length
+    exact = hanging_stretch(weight, ROPE.stretch_warp)
+    trial = Trial(patch, start * [1.0, 1.0 + exact, 1.0], ROPE, x < 1e-9, setting)
     trial.settle(math.sqrt(length / GRAVITY), still=1e-6)
     depth = start[:, 1] - trial.world()[:, 1]
     found = float(depth[x > length - 1e-9].mean() / length)
-    weight = ROPE.areal_density * GRAVITY * length
-    exact = hanging_stretch(weight, ROPE.stretch_warp)
     law = GRAVITY * length / 2.0 * (setting.edges / length / (RATE * setting.substeps)) ** 2
     s = np.linspace(0.0, 1.0, 50)
     curve = Curve("s / L", "moved down / L", (s, weight / ROPE.stretch_warp * (s - 0.5 * s**2)), (x, depth))
@@ -63,7 +64,10 @@ def _hencky(setting: Setting, poisson: float) -> Measured:
     fabric = replace(ROPE, poisson=poisson, shear=stretch / (2.0 * (1.0 + poisson)))
     patch = disc(radius, 0.5 * radius, setting.edges // 2)
     reach = np.linalg.norm(patch.flat, axis=1)
-    trial = Trial(patch, level(patch.flat), fabric, reach > radius - 1e-9, setting)
+    # From a shallow dish: a flat membrane bears no load.
+    start = level(patch.flat)
+    start[:, 1] = 0.02 * (reach**2 / radius - radius)
+    trial = Trial(patch, start, fabric, reach > radius - 1e-9, setting)
     trial.settle(math.sqrt(radius / GRAVITY), still=1e-6)
     depth = -trial.world()[:, 1]
     inner = reach < 0.25 * radius

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import cache
-from typing import Any
 
 import numpy as np
 from scipy.spatial import Delaunay, cKDTree
 
-from pbd import ClothMesh, Colliders, Fabric, Model, ModelOptions, Solver, SolverOptions, State, build_model
+from pbd import ClothMesh, Colliders, Fabric, Model, ModelOptions, SolverOptions, State, build_model
 from pbd.bending import hinge_calibration
+from pbd.models import AnySolver, Options, make_solver
 
 __all__ = [
     "FABRIC",
     "GRAVITY",
     "RATE",
-    "SOLVERS",
     "Curve",
     "Measured",
     "Patch",
@@ -37,27 +36,39 @@ RELEASE = 1e-6  # step in which a load cell sees the released cloth gain momentu
 CLEAR = 0.6  # lattice points stand this far from the border, and from given points [edges]
 
 
-def _default(model: Model, substeps: int, gravity: tuple[float, float, float]) -> Solver:
-    return Solver(model, SolverOptions(substep=1.0 / (RATE * substeps), gravity=gravity))
-
-
-# Solvers by name: model, substeps a frame and gravity to something with the default solver's ``step``.
-SOLVERS: Mapping[str, Callable[[Model, int, tuple[float, float, float]], Any]] = {"default": _default}
-
-
 @dataclass(frozen=True)
 class Setting:
     """What a test is run with.
 
     Attributes:
-        solver: name in :data:`SOLVERS`.
-        substeps: of a frame of 1/60 s; the default solver's own if not given.
+        solver: name in :data:`pbd.models.SOLVERS`.
+        substeps: of a frame of 1/60 s; the default solver's own if not given. See :attr:`fixed`.
         edges: along the length.
     """
 
     solver: str = "default"
     substeps: int = round(1.0 / (RATE * SolverOptions().substep))
     edges: int = 20
+
+    @property
+    def timeless(self) -> bool:
+        """Whether a step is an equilibrium."""
+        return self.solver.endswith("quasi-static")
+
+    @property
+    def fixed(self) -> bool:
+        """Whether substeps mean nothing to it: an equilibrium, or steps as long as is stable."""
+        return self.timeless or self.solver.endswith(("verlet", "symplectic-euler"))
+
+    @property
+    def bend_poisson(self) -> float | None:
+        """Poisson's ratio of bending that the solver has of its own, None where its hinges' mesh decides."""
+        return 0.0 if self.solver.startswith("fem") and "+" not in self.solver else None
+
+    def solver_for(self, model: Model, gravity: tuple[float, float, float]) -> AnySolver:
+        """The solver for a model; raises :class:`pbd.InputError` where it cannot take the mesh."""
+        substep = None if self.fixed and not self.timeless else 1.0 / (RATE * self.substeps)
+        return make_solver(self.solver, model, Options(substep, gravity))
 
 
 @dataclass(frozen=True)
@@ -195,7 +206,7 @@ class Trial:
         mesh = ClothMesh.from_pattern(self.vertices, self.patch.faces, pattern[self.patch.faces])
         held = np.flatnonzero(self.held) if np.asarray(self.held).dtype == bool else np.asarray(self.held, int)
         self.model = build_model(mesh, self.fabric, held, ModelOptions(tether_slack=0.0), _bend_factor(self.mesh_angle))
-        self.solver = SOLVERS[self.setting.solver](self.model, self.setting.substeps, self.gravity)
+        self.solver = self.setting.solver_for(self.model, self.gravity)
         self.state = State.at_rest(self.model)
         self.times: list[float] = []
 
@@ -244,11 +255,12 @@ class Trial:
         """
         held = np.setdiff1d(self.model.held, released)
         model = build_model(self.model.mesh, self.fabric, held, self.model.options, self.model.bend_factor)
-        state = replace(self.state.copy())
+        state = self.state.copy()
         state.position[:, 3] = model.inverse_mass
         state.velocity[:] = 0.0
-        cell = SOLVERS[self.setting.solver](model, 1, (0.0, 0.0, 0.0))
-        cell.step(state, Colliders(), RELEASE)
+        name, sign, _ = self.setting.solver.partition("/")
+        explicit = f"{name}/symplectic-euler" if sign else name  # an integrator's own errors are no forces
+        make_solver(explicit, model, Options(RELEASE, (0.0, 0.0, 0.0))).step(state, Colliders(), RELEASE)
         gained = model.mass[:, None] * state.velocity.astype(float) / RELEASE
         gained[held] = 0.0
         return gained.sum(axis=0), np.cross(self.world(), gained).sum(axis=0)

@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from pbd.errors import InputError
+from pbd.models import SOLVERS, StepError
 from precompute import bending_rows, contact_rows, drape_rows, laboratory_rows, membrane_rows, motion_rows
-from precompute.trial import SOLVERS, Measured, Setting
+from precompute.trial import Measured, Setting
 from precompute.validation_row import Row
 
 __all__ = ["ROWS", "Verdict", "case_words", "chosen_rows", "validate", "validation_text", "verdict_row"]
@@ -70,7 +71,7 @@ def chosen_rows(
     Args:
         names: of tests; none for all.
         params: "key=value"; each must be known to every test that is named.
-        solver: name of a solver, None for all.
+        solver: name of a solver, None for those that the test names.
 
     Raises:
         InputError: an unknown name, a bad parameter or solver; all at once.
@@ -83,7 +84,7 @@ def chosen_rows(
             errors.append(InputError("bad parameter", key="--param", received=param, expected="key=value"))
         texts[key] = text
     if solver is not None and solver not in SOLVERS:
-        errors.append(InputError("unknown solver", key="--solver", received=solver, expected=" or ".join(SOLVERS)))
+        errors.append(InputError("unknown solver", key="--solver", received=solver, expected=", ".join(SOLVERS)))
     for name in names:
         if name not in ROWS:
             errors.append(InputError("unknown test", key="NAME", received=name, expected=" or ".join(ROWS)))
@@ -111,11 +112,12 @@ def validate(
     """Run one case from the default setting on, to the cheapest setting that passes and to the best.
 
     Substeps are doubled, at the default resolution and then at twice that, until the gate of the best column holds,
-    more substeps change nothing, or a frame takes too long. With a solver or a resolution chosen nothing else is tried.
+    more substeps change nothing, or a run takes too long; then the next solver's turn comes. With a solver or a
+    resolution chosen nothing else is tried. A step that fails is no error but a lost row.
 
     Args:
         row, case: what to test.
-        solver: name of a solver; None tries all.
+        solver: name of a solver; None tries those that the test names.
         resolution: edges along the length; None starts with 20.
         report: called with a line of progress.
     """
@@ -125,7 +127,7 @@ def validate(
     realtime: tuple[Setting, Measured] | None = None
     best: tuple[Setting, Measured] | None = None
     reason = ""
-    for name in [solver] if solver else SOLVERS:
+    for name in [solver] if solver else row.best_solvers:
         for edges in (first.edges,) if resolution else (first.edges, FINER * first.edges):
             setting = replace(first, solver=name, edges=edges)
             if edges > first.edges:  # what was cheap enough is not tried again: four times the substeps are needed
@@ -133,8 +135,12 @@ def validate(
             last = math.nan
             while True:
                 report(f"{words}: {name}, {edges} edges, {setting.substeps} substeps")
-                begin = time.process_time()
-                found = row.run(setting, case)
+                begin, lost = time.process_time(), ""
+                try:
+                    found = row.run(setting, case)
+                except StepError as error:
+                    lost = str(error)
+                    found = Measured(math.nan, math.nan, math.nan, math.nan)
                 took = time.process_time() - begin
                 if default is None:
                     default = found
@@ -145,12 +151,14 @@ def validate(
                     best = (setting, found)
                 if _within(found.error, row.gate_best):
                     break
-                reason = f"{_short(found.error)} at {setting.substeps} substeps"
+                reason = lost or f"{name}: {_short(found.error)} at {_setting_words(setting)}"
+                if setting.fixed:
+                    break
                 if abs(found.error - last) < 0.1 * max(row.gate_best, 1e-12) or found.error == last:
-                    reason = f"more substeps change nothing: {reason}"
+                    reason = f"more substeps change nothing; {reason}"
                     break
                 if 2.0 * took > LONGEST:
-                    reason = f"more would take over {LONGEST:g} s: {reason}"
+                    reason = f"more would take over {LONGEST:g} s; {reason}"
                     break
                 last = found.error
                 setting = replace(setting, substeps=2 * setting.substeps)
@@ -173,7 +181,7 @@ def case_words(case: Mapping[str, Any]) -> str:
 
 
 def _setting_words(setting: Setting) -> str:
-    return f"{setting.edges} edges, {setting.substeps} substeps"
+    return f"{setting.edges} edges" + ("" if setting.fixed else f", {setting.substeps} substeps")
 
 
 def verdict_row(verdict: Verdict) -> dict[str, Any]:

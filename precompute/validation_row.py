@@ -66,6 +66,7 @@ class Row:
         gate_realtime: of the default solver.
         parameters: what the user may set.
         cases: values that the table has; one empty case for a test without any.
+        best_solvers: tried in this order for the best column.
     """
 
     name: str
@@ -75,6 +76,7 @@ class Row:
     gate_realtime: float
     parameters: Mapping[str, Parameter | Choice] = field(default_factory=dict)
     cases: Sequence[Mapping[str, Any]] = ({},)
+    best_solvers: Sequence[str] = ("default", "fem-stvk/quasi-static")
 
     def run(self, setting: Setting, case: Mapping[str, Any]) -> Measured:
         """Measure one case; what it does not say is at its default."""
