@@ -129,15 +129,16 @@ def precompute(
     mappings = [mapping.for_fabric(features) for features in worn]
 
     coarse_bend = hinge_calibration(levels.coarse)
-    calibrations = []
-    for first in range(0, len(runs), len(motions)):  # of each fabric
+    calibrations = {}
+    for first, name in zip(range(0, len(runs), len(motions)), fabrics, strict=True):
         chosen = [(first + number, short) for number, short in _excerpts(runs[first : first + len(motions)])]
         excerpts = [_start_of(recordings[number], short) for number, short in chosen]
         shorts = [short for _, short in chosen]
-        calibrations.append(
-            calibrate(layer, mappings[first], data.atoms, shorts, excerpts, solver, coarse_bend, cache, workers, tell)
+        calibrations[name] = calibrate(
+            layer, mappings[first], data.atoms, shorts, excerpts, solver, coarse_bend, cache, workers, tell
         )
-    calibration = calibrations[0]
+    own_name, *others = fabrics
+    calibration = calibrations[own_name]
     database = WrinkleDatabase(
         garment_name=stage.settings.name,
         coarse_vertices=levels.coarse.vertices,
@@ -146,13 +147,10 @@ def precompute(
         held=levels.coarse_held.astype(np.int32),
         warp=(0.0, 1.0, 0.0),
         binding=levels.subdivision.binding,
-        fabric_name=next(iter(fabrics)),
+        fabric_name=own_name,
         fabric=own,
         options=calibration.options,
-        other_fabrics=tuple(
-            LearnedFabric(name, fabrics[name], one.options)
-            for name, one in list(zip(fabrics, calibrations, strict=True))[1:]
-        ),
+        other_fabrics=tuple(LearnedFabric(name, fabrics[name], calibrations[name].options) for name in others),
         bend_factor=coarse_bend,
         solver=solver,
         frame_rate=scene.solver.frame_rate,
