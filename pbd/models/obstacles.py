@@ -26,6 +26,8 @@ class Obstacles:
         self.kinds, self.radii, self.thickness = rows[:, 0].astype(int), rows[:, 1], thickness
         first, second = rows[:, 2:8].reshape(-1, 2, 3), rows[:, 8:].reshape(-1, 2, 3)
         self.before, self.now = first + start * (second - first), first + end * (second - first)
+        for pose in (self.before, self.now):  # normals of planes come in float32
+            pose[self.kinds == 0, 1] /= np.linalg.norm(pose[self.kinds == 0, 1], axis=1, keepdims=True)
 
     @classmethod
     def of_frame(cls, colliders: Colliders, origin: np.ndarray) -> np.ndarray:
@@ -145,7 +147,8 @@ class ContactForces:
         self.carried = obstacles.carried(start)
         if memory is None or memory[0].shape != gaps.shape:
             memory = np.zeros_like(gaps), np.zeros_like(self.normals)
-        self.memory = memory
+        pressed, rubbed = memory
+        self.memory = pressed, rubbed - (rubbed * self.normals).sum(axis=2)[..., None] * self.normals
 
     def energy(self, x: np.ndarray) -> float:
         pressed, tried = self._pressed(x)[0], self._tried(x)

@@ -1,0 +1,93 @@
+"""Position-based methods and the modern rivals: what stiffness hangs on, and where iterations lead."""
+
+import numpy as np
+import pytest
+
+from pbd import Colliders, Fabric, Model, State
+from pbd.models import ClothSolver, Options, make_solver
+from pbd.models.elements import Sum
+from pbd.models.integrators import ImplicitEuler
+from pbd.models.membrane import CorotationalStrain, Membrane, continuum_membrane
+from pbd.models.plate import angle_bending, isometric_bending
+from pbd.models.springs import triangle_springs
+from tests.pbd.meshes import cloth, free_model, grid
+
+STIFF = 40.0
+FABRIC = Fabric(stretch_warp=STIFF, stretch_weft=STIFF, poisson=0.0, shear=STIFF / 2, bend_warp=2e-4, bend_weft=2e-4)
+
+
+def hung(kind: str = "equilateral") -> Model:
+    vertices, faces = grid(3, 2, 0.05, kind)
+    return free_model(cloth(vertices, faces), FABRIC, np.flatnonzero(vertices[:, 0] < 1e-9))
+
+
+def stepped(solver: ClothSolver, model: Model, steps: int = 3) -> np.ndarray:
+    """Positions after some steps of 1/120 s from a bent start."""
+    x = model.mesh.vertices.copy()
+    x[:, 2] += 2.0 * x[:, 0] ** 2
+    state = State.at_rest(model, x)
+    for _ in range(steps):
+        solver.step(state, Colliders(), 1 / 120)
+    return solver.position
+
+
+def by_name(name: str, iterations: int, model: Model) -> np.ndarray:
+    solver = make_solver(name, model, Options(substep=1 / 120, iterations=iterations))
+    assert isinstance(solver, ClothSolver)
+    return stepped(solver, model)
+
+
+def converged(energy: Sum, model: Model) -> np.ndarray:
+    return stepped(ImplicitEuler(model, energy, Options(substep=1 / 120), "reference"), model)
+
+
+def test_vertex_block_descent_goes_to_implicit_euler() -> None:
+    model = hung()
+    exact = converged(Sum([continuum_membrane(model.mesh, FABRIC, "stvk"), isometric_bending(model)]), model)
+    errors = [np.abs(by_name("vertex-block-descent", n, model) - exact).max() for n in (5, 40)]
+    assert errors[1] < 2e-5 and errors[1] < 0.2 * errors[0]
+
+
+def test_projective_dynamics_goes_to_implicit_euler_of_its_own_energy() -> None:
+    """|F - R|^2 is linear elasticity without Poisson's ratio: two formulations of one energy."""
+    model = hung()
+    membrane = Membrane(model.mesh, CorotationalStrain(), np.diag([STIFF, STIFF, STIFF / 2]))
+    exact = converged(Sum([membrane, isometric_bending(model)]), model)
+    errors = [np.abs(by_name("projective-dynamics", n, model) - exact).max() for n in (5, 60)]
+    assert errors[1] < 1e-6 and errors[1] < 0.1 * errors[0]
+
+
+def test_xpbd_goes_to_implicit_euler_of_its_springs() -> None:
+    """Not to all digits: its multipliers follow each constraint's slope where it was, not where it ends."""
+    model = hung()
+    exact = converged(Sum([triangle_springs(model.mesh, FABRIC), *angle_bending(model)]), model)
+    errors = [np.abs(by_name("xpbd", n, model) - exact).max() for n in (1, 60)]
+    assert errors[1] < 2e-4 and errors[1] < 0.2 * errors[0]
+
+
+def stretch(name: str, iterations: int, substep: float) -> float:
+    """Stretch of a hanging strip under its own weight, over rho_A g L/(2 E h)."""
+    vertices, faces = grid(5, 2, 0.04)
+    down = np.stack([vertices[:, 1], -vertices[:, 0], vertices[:, 2]], axis=1)
+    soft = Fabric(
+        stretch_warp=8.0, stretch_weft=8.0, poisson=0.0, shear=4.0, bend_warp=0.0, bend_weft=0.0, air_drag=0.0
+    )
+    model = free_model(cloth(down, faces, (0.0, 1.0, 0.0)), soft, np.flatnonzero(down[:, 1] > -1e-9))
+    solver, state = make_solver(name, model, Options(substep=substep, iterations=iterations)), State.at_rest(model)
+    for _ in range(25):
+        solver.step(state, Colliders(), 1 / 60)
+        state.velocity *= np.float32(0.7)
+    tip = down[:, 1] < -0.2 + 1e-9
+    return float((down - state.world())[tip, 1].mean() / (0.15 * 9.81 * 0.2**2 / (2 * 8.0)))
+
+
+def test_stiffness_of_pbd_hangs_on_iterations_and_step_that_of_xpbd_does_not() -> None:
+    pbd = [stretch("pbd", n, h) for n, h in ((2, 1 / 60), (8, 1 / 60), (2, 1 / 120))]
+    assert pbd[0] > 2.5 * pbd[1] and pbd[0] > 2.5 * pbd[2]
+    xpbd = [stretch("xpbd", n, h) for n, h in ((20, 1 / 60), (40, 1 / 60), (20, 1 / 120))]
+    assert xpbd == pytest.approx(np.full(3, np.mean(xpbd)), rel=0.05)
+
+
+@pytest.mark.parametrize("name", ["pbd", "strain-based"])
+def test_with_many_passes_they_know_no_fabric(name: str) -> None:
+    assert stretch(name, 60, 1 / 60) < 0.4
