@@ -62,8 +62,8 @@ def _kawabata(setting: Setting, instrument: str, direction: str) -> Measured:
     """Stiffness by a line through the curve; the error is the largest of its points."""
     angle = DIRECTIONS[direction]
     if instrument == "compression":
-        # Contact keeps a fixed distance: a fabric has no law of thickness against pressure.
-        return Measured(math.nan, math.nan, math.inf, math.nan)
+        nan, why = math.nan, "contact keeps a fixed distance: a fabric has no law of thickness against pressure"
+        return Measured(nan, nan, nan, nan, missing=why)
     if instrument == "friction":
         found, cost = friction_coefficient(setting, WOVEN)
         return Measured.relative(WOVEN.friction, found, cost)

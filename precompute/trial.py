@@ -91,6 +91,7 @@ class Measured:
         cost_ms: processor time of a frame of 1/60 s, median [ms].
         curve: for the picture.
         realtime_error: what the gate of the default solver is about, where that is something else.
+        missing: why nothing could be measured, at any setting; empty where something was.
     """
 
     reference: float
@@ -99,6 +100,7 @@ class Measured:
     cost_ms: float
     curve: Curve | None = None
     realtime_error: float | None = None
+    missing: str = ""
 
     @classmethod
     def relative(cls, reference: float, measured: float, cost_ms: float, curve: Curve | None = None) -> Measured:

@@ -95,6 +95,11 @@ def test_what_never_passes_is_lost_with_its_reason() -> None:
     assert "FAILED" in validation_text([lost]) and "never" in validation_text([lost])
 
 
+def test_what_cannot_be_measured_is_lost_at_once_and_says_why() -> None:
+    verdict = validate(ROWS["kawabata"], {"instrument": "compression", "direction": "warp"})
+    assert not verdict.passed_best and verdict.realtime is None and "thickness" in verdict.reason
+
+
 def test_a_chosen_resolution_is_the_only_one() -> None:
     verdict = validate(FAKE, {"power": 0.0}, "default", 30)
     assert verdict.best_setting.edges == 30
@@ -178,3 +183,19 @@ def test_the_command_prints_and_writes_the_table(tmp_path: Path, capsys: pytest.
 def test_the_command_says_what_is_unknown(capsys: pytest.CaptureFixture) -> None:
     assert command.main(["validate", "nothing"]) == 2
     assert "unknown test" in capsys.readouterr().err
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize(
+    ("name", "case"),
+    [
+        ("cantilever", {"gamma": 10.0}),
+        ("tension", {"angle_deg": 22.5, "strain": 0.005}),
+        ("hanging_strip", {"edges": 50.0}),
+        ("hencky", {"poisson": 0.3}),
+        ("catenary", {"span": 0.8}),
+    ],
+)
+def test_equilibria_hold_the_gate_of_the_best(name: str, case: dict) -> None:
+    verdict = validate(ROWS[name], case, "fem-stvk/quasi-static", 20)
+    assert verdict.passed_best, verdict.reason

@@ -1,0 +1,143 @@
+"""Fabrics fitted to measured curves: a CSV file of force against strain in, a fabric and a picture of both out."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from pbd import Fabric
+from pbd.errors import InputError
+from pbd.storage import replacing
+from precompute.laboratory import DIRECTIONS, LoadCurve, bending_curve, shear_curve, tension_curve
+from precompute.trial import Setting
+
+__all__ = ["FittedCurve", "draw_fit", "fit_fabric", "read_curves"]
+
+# Columns of a row: instrument, direction, deformation, load, in the units of :class:`precompute.laboratory.LoadCurve`.
+COLUMNS = ("instrument", "direction", "deformation", "load")
+INSTRUMENTS = {"tension": tension_curve, "shear": shear_curve, "bending": bending_curve}
+
+
+@dataclass(frozen=True)
+class FittedCurve:
+    """One measured curve and what the fitted fabric gives in the same instrument.
+
+    Attributes:
+        instrument, direction: what was measured, and along what.
+        measured, fitted: the curves.
+        error: root mean squared difference of the loads over that of the measured ones [-].
+    """
+
+    instrument: str
+    direction: str
+    measured: LoadCurve
+    fitted: LoadCurve
+    error: float
+
+
+def read_curves(path: Path) -> dict[tuple[str, str], LoadCurve]:
+    """Curves of a CSV file with the columns instrument, direction, deformation, load, by instrument and direction.
+
+    Instruments are tension (strain, N/m), shear (rad, N/m) and bending (1/m, N); directions warp, weft and bias.
+
+    Raises:
+        InputError: no such file, another header, an unknown word, or a number that is not finite and above 0.
+    """
+    try:
+        with open(path, newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            if tuple(reader.fieldnames or ()) != COLUMNS:
+                raise InputError("bad header", file=path, received=reader.fieldnames, expected=", ".join(COLUMNS))
+            rows = list(reader)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"cannot be read: {error}", file=path, expected="a CSV file") from error
+    points: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    errors = []
+    for number, row in enumerate(rows, 2):
+        for name, allowed in (("instrument", INSTRUMENTS), ("direction", DIRECTIONS)):
+            if row[name] not in allowed:
+                expected = " or ".join(allowed)
+                errors.append(
+                    InputError("unknown word", file=path, key=f"line {number}", received=row[name], expected=expected)
+                )
+        try:
+            point = (float(row["deformation"]), float(row["load"]))
+        except (TypeError, ValueError):
+            point = (math.nan, math.nan)
+        if not all(0.0 < value < math.inf for value in point):
+            received = (row["deformation"], row["load"])
+            errors.append(
+                InputError(
+                    "bad point", file=path, key=f"line {number}", received=received, expected="two numbers above 0"
+                )
+            )
+        points.setdefault((row["instrument"], row["direction"]), []).append(point)
+    if not rows:
+        errors.append(InputError("no curve", file=path, received=0, expected="at least one row"))
+    if errors:
+        raise InputError.join(errors)
+    return {key: LoadCurve(*np.array(sorted(found)).T, math.nan) for key, found in points.items()}
+
+
+def fit_fabric(
+    curves: dict[tuple[str, str], LoadCurve], fabric: Fabric, setting: Setting
+) -> tuple[Fabric, list[FittedCurve]]:
+    """The fabric whose straight lines are nearest to the curves, and what it gives in the same instruments.
+
+    A fabric has one stiffness for each instrument and axis: a line through the origin is fitted by least squares of the
+    loads. Tension at the bias gives the shear stiffness where shear itself was not measured.
+
+    Args:
+        curves: as :func:`read_curves` gives them.
+        fabric: for what was not measured.
+        setting: of the solver that stands in the instruments.
+    """
+    line = {key: float(c.deformation @ c.load / (c.deformation @ c.deformation)) for key, c in curves.items()}
+    names = {
+        ("tension", "warp"): "stretch_warp",
+        ("tension", "weft"): "stretch_weft",
+        ("shear", "warp"): "shear",
+        ("bending", "warp"): "bend_warp",
+        ("bending", "weft"): "bend_weft",
+    }
+    fitted = replace(fabric, **{names[key]: value for key, value in line.items() if key in names})
+    bias, shear = line.get(("tension", "bias")), ("shear", "warp") in line
+    if bias is not None and not shear:
+        # 4/E45 = 1/E1 + 1/E2 + 1/G - 2 nu12/E1
+        rest = 1.0 / fitted.stretch_warp + 1.0 / fitted.stretch_weft - 2.0 * fitted.poisson / fitted.stretch_warp
+        softness = 4.0 / bias - rest
+        if softness <= 0.0:
+            raise InputError(
+                "no fabric is so stiff at the bias", key="tension bias", received=bias, expected=f"below {4 / rest:.4g}"
+            )
+        fitted = replace(fitted, shear=1.0 / softness)
+    found = []
+    for (instrument, direction), measured in curves.items():
+        drawn = INSTRUMENTS[instrument](setting, fitted, DIRECTIONS[direction], tuple(measured.deformation))
+        difference = np.interp(measured.deformation, drawn.deformation, drawn.load) - measured.load
+        error = float(np.sqrt((difference**2).mean() / (measured.load**2).mean()))
+        found.append(FittedCurve(instrument, direction, measured, drawn, error))
+    return fitted, found
+
+
+def draw_fit(path: Path, found: Sequence[FittedCurve]) -> None:
+    """Draw measured and fitted curves side by side, one panel each, as PNG."""
+    figure = Figure(figsize=(4.2 * len(found), 3.6), layout="constrained")
+    labels = {"tension": ("strain", "N/m"), "shear": ("shear [rad]", "N/m"), "bending": ("curvature [1/m]", "N")}
+    for panel, curve in zip(figure.subplots(1, len(found), squeeze=False)[0], found, strict=True):
+        panel.plot(curve.fitted.deformation, curve.fitted.load, color="tab:red", label="fitted")
+        panel.plot(curve.measured.deformation, curve.measured.load, "o", color="0.4", label="measured")
+        x_label, y_label = labels[curve.instrument]
+        panel.set_xlabel(x_label)
+        panel.set_ylabel(y_label)
+        panel.set_title(f"{curve.instrument}, {curve.direction}: {100.0 * curve.error:.2g} % off", fontsize=9)
+        panel.legend(fontsize=8)
+    with replacing(path) as beside, open(beside, "wb") as file:
+        FigureCanvasAgg(figure).print_png(file)
