@@ -22,6 +22,7 @@ ROWS: Mapping[str, Row] = {
     for row in module.ROWS
 }
 LONGEST = 6.0  # processor time of a run, on the way to the cheapest and to the best setting [s]
+MOST = 4096  # substeps of a frame that are tried
 FINER = 2  # times as many edges, where more substeps do not help
 
 
@@ -147,7 +148,7 @@ def validate(
                 if name == "default" and edges == first.edges and realtime is None:
                     if _within(_realtime_error(found), row.gate_realtime):
                         realtime = (setting, found)
-                if best is None or not best[1].error <= found.error:
+                if best is None or math.isnan(best[1].error) or found.error < best[1].error:
                     best = (setting, found)
                 if _within(found.error, row.gate_best):
                     break
@@ -159,6 +160,8 @@ def validate(
                     break
                 if 2.0 * took > LONGEST:
                     reason = f"more would take over {LONGEST:g} s; {reason}"
+                    break
+                if setting.substeps >= MOST:
                     break
                 last = found.error
                 setting = replace(setting, substeps=2 * setting.substeps)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pbd import InputError
+from pbd.models import StepError
 from precompute.bending_rows import critical_gamma, hinge_poisson
 from precompute.laboratory import tension_curve
 from precompute.strip_references import tall_column, upright_gamma
@@ -93,6 +94,17 @@ def test_what_never_passes_is_lost_with_its_reason() -> None:
     lost = validate(replace(FAKE, measure=lambda setting, power: Measured(1.0, math.nan, math.nan, 1.0)), {})
     assert not lost.passed_best and lost.realtime is None
     assert "FAILED" in validation_text([lost]) and "never" in validation_text([lost])
+
+
+def test_a_step_that_fails_is_a_lost_run_and_takes_nothing_from_the_others() -> None:
+    def breaking(setting: Setting, power: float) -> Measured:
+        if setting.substeps > 50:
+            raise StepError("thrown", "solver")
+        return falling(setting, power)
+
+    verdict = validate(replace(FAKE, measure=breaking), {"power": 1.0})
+    assert not verdict.passed_best and verdict.best_setting == Setting(substeps=48)
+    assert verdict.realtime_setting == Setting(substeps=48) and "thrown" in verdict.reason
 
 
 def test_what_cannot_be_measured_is_lost_at_once_and_says_why() -> None:
