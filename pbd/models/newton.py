@@ -13,6 +13,7 @@ __all__ = ["Objective", "StepError", "minimise"]
 
 ENOUGH = 1e-4  # part of the decrease that the slope foretells, with which the line search is content
 SHORTEST = 1e-10  # step length at which it gives up
+NOTHING = 1e-17  # a decrease below this part of the value is none, whatever soft modes still move
 ROUNDING = 1e-13  # part of the value that rounding may add
 
 
@@ -61,7 +62,7 @@ def minimise(objective: Objective, x: np.ndarray, order: FreeOrder, tolerance: f
         move = -_newton_direction(objective, x, order, gradient)
         slope = float(gradient.ravel()[unknowns] @ move.ravel()[unknowns])
         largest = np.abs(move).max(initial=0.0)
-        if largest <= tolerance:
+        if largest <= tolerance or abs(slope) <= NOTHING * abs(value):
             return x + move
         if not slope < 0.0:
             raise StepError(f"no descent: slope {slope:.3g} J")
