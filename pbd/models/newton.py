@@ -86,5 +86,5 @@ def _newton_direction(objective: Objective, x: np.ndarray, order: FreeOrder, gra
         pass
     try:
         return Cholesky(objective.hessian(x, positive=True), order).solve(gradient)
-    except NotPositiveDefinite as error:
+    except (NotPositiveDefinite, np.linalg.LinAlgError) as error:
         raise StepError(f"linear solve failed: {error}") from error
