@@ -135,7 +135,6 @@ def validate(
                 setting = replace(setting, substeps=8 * setting.substeps)
             last = math.nan
             while True:
-                report(f"{words}: {name}, {edges} edges, {setting.substeps} substeps")
                 begin, lost = time.process_time(), ""
                 try:
                     found = row.run(setting, case)
@@ -143,6 +142,7 @@ def validate(
                     lost = str(error)
                     found = Measured(math.nan, math.nan, math.nan, math.nan)
                 took = time.process_time() - begin
+                report(f"{words}: {name}, {_setting_words(setting)}: error {_short(found.error)}")
                 if default is None:
                     default = found
                 if name == "default" and edges == first.edges and realtime is None:
