@@ -70,8 +70,10 @@ def _disc_folds(setting: Setting, radius_over_length: float, radius_over_clamp: 
     ended = [_draped(setting, _fabric(length), radius, clamp, n) for n in range(2, cone.folds + 4)]
     best = min(ended, key=_energy)
     rim = _rim(best)
-    u = np.concatenate([cone.curve, cone.curve[::-1] * [1.0, 1.0, 1.0]])
-    curve = Curve("around the rim", "height / R", (np.linspace(0.0, 1.0, len(u)), u[:, 2]),
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(cone.curve, axis=0), axis=1))])
+    half = np.interp(np.linspace(0.0, along[-1], 40), along, cone.curve[:, 2])
+    wave = np.tile(np.concatenate([half, half[::-1]]), cone.folds)
+    curve = Curve("around the rim", "height / R", (np.linspace(0.0, 1.0, len(wave)), wave),
                   (np.linspace(0.0, 1.0, len(rim)), rim[:, 1] / radius))  # fmt: skip
     found = _folds(best)
     cost = float(np.median([trial.cost_ms for trial in ended]))
