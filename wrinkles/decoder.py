@@ -36,6 +36,7 @@ NEARBY = 0.008  # fine vertices within this height over the tangent plane are te
 ACROSS = 0.05  # another part of the body is looked for this far from the part that a coarse vertex covers [m]
 TURNS = 8  # frames in which every coarse vertex looks for that once
 OPPOSITE = 0.3  # least cosine between the normals of two parts, one turned round, with cloth between them
+BEHIND = 0.7  # greatest sine by which one part may lie behind the other: more, and both are sides of one bump
 ROOM_SHARE = 0.3  # of the room between two parts that the cloth keeps from each, if that is less than its clearance
 LEAST = 0.0003  # kept from what it covers where there is no room [m]
 
@@ -233,7 +234,7 @@ def _relax(
                     if coarse_contact[coarse] < LEVEL:
                         p = fine[i]
                         looks = facing * vec3(frames[coarse, 6], frames[coarse, 7], frames[coarse, 8])
-                        normal, other_normal = vec3(0.0), vec3(0.0)
+                        normal, other_normal, home = vec3(0.0), vec3(0.0), vec3(0.0)
                         gap, other_gap, kept, other_kept = NEARBY, NEARBY, 0.0, 0.0
                         for side in range(2):  # the part of the body that the cloth covers, then one opposite to it
                             best = -1
@@ -254,7 +255,7 @@ def _relax(
                                     # no such one.
                                     if side == 0 and body_normals[seed].dot(looks) < 0.0:
                                         away += 1.0
-                                    if side == 1 and body_normals[seed].dot(looks) > -OPPOSITE:
+                                    if side == 1 and not _opposed(home, looks, body[seed], body_normals[seed]):
                                         away = 1e30
                                     if away < distance:
                                         distance = away
@@ -264,13 +265,14 @@ def _relax(
                                 offset = p - body[best]
                                 if offset.dot(offset) > 0.01:
                                     best = -1
-                            if side == 1 and best >= 0 and body_normals[best].dot(looks) > -OPPOSITE:
-                                best = -1
+                            if side == 1 and best >= 0:
+                                if not _opposed(home, looks, body[best], body_normals[best]):
+                                    best = -1
                             if best < 0:
                                 break
                             if side == 0:
                                 nearest[i] = best
-                                looks = body_normals[best]
+                                home, looks = body[best], body_normals[best]
                             n, h, c = body_normals[best], (p - body[best]).dot(body_normals[best]), 0.0
                             if h < NEARBY:
                                 n, h, c = _height(p, best, body, body_normals, fan_start, fan, clearance)
@@ -291,6 +293,14 @@ def _relax(
                         if gap < kept:
                             p += (kept - gap) * normal
                         fine[i] = p
+
+
+@ti.func
+def _opposed(p: vec3, normal: vec3, q: vec3, other_normal: vec3) -> bool:
+    """Whether two places of the body face one another; both sides of a bump look apart as well, but from behind."""
+    offset = q - p
+    limit = -BEHIND * offset.norm()
+    return normal.dot(other_normal) < -OPPOSITE and offset.dot(normal) > limit and -offset.dot(other_normal) > limit
 
 
 @ti.func
@@ -315,7 +325,7 @@ def _look_across(
                 if seed >= 0 and coarse_contact[k] < LEVEL:
                     offset = body[seed] - body[own]
                     away = offset.dot(offset)
-                    if away < distance and normals[seed].dot(normals[own]) < -OPPOSITE:
+                    if away < distance and _opposed(body[own], normals[own], body[seed], normals[seed]):
                         distance = away
                         across[c] = seed
 
