@@ -264,6 +264,7 @@ class SolverSettings:
         gravity: acceleration of free fall [m/s2].
         coarse_sweeps: passes over each coarser level of the mesh in a step; 0 leaves all out.
         contact_refreshes: times a second that each contact is looked for again [Hz].
+        self_collision: whether garments keep their thickness from themselves. Layers always keep it from one another.
     """
 
     frame_rate: float = entry(number(above=0, unit="Hz"), 60.0)
@@ -271,9 +272,12 @@ class SolverSettings:
     gravity: Vector = entry(vector(unit="m/s2"), SolverOptions.gravity)
     coarse_sweeps: int = entry(whole(at_least=0), SolverOptions.coarse_sweeps)
     contact_refreshes: float = entry(number(above=0, unit="Hz"), SolverOptions.contact_refreshes)
+    self_collision: bool = entry(truth(), SolverOptions.self_collision)
 
     def options(self) -> SolverOptions:
-        return SolverOptions(self.substep, self.gravity, self.coarse_sweeps, self.contact_refreshes)
+        return SolverOptions(
+            self.substep, self.gravity, self.coarse_sweeps, self.contact_refreshes, self.self_collision
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -302,7 +306,7 @@ class CameraSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """A resolved scene: every default filled in, every path absolute."""
+    """A resolved scene: every default filled in, every path absolute. Garments come from the innermost outwards."""
 
     garments: tuple[GarmentSettings, ...] = entry(
         tables(table(GarmentSettings), at_least=1, unique="name"), key="garment"

@@ -2,12 +2,18 @@
 
 from pbd.constraints import contact_correction
 from pbd.engine import ti
-from pbd.geometry import between, closest_in_fan, descend, vec3, vec4
+from pbd.geometry import between, closest_in_fan, descend, vec3, vec4, xyz
 
-__all__ = ["collide_primitives", "slid_off", "touch_body"]
+__all__ = ["collide_primitives", "slid_off", "substep_start", "touch_body"]
 
 KEPT = 0.0015  # a touched point is kept while the cloth slides less than this along the surface [m] ...
 KEPT_SHARE = 0.1  # ... or less than this share of its height over it [-]
+
+
+@ti.func
+def substep_start(velocity: ti.template(), predicted: ti.template(), gained: ti.template(), i: ti.i32, h: ti.f32):
+    """Shift of vertex i at the start of the substep [m]."""
+    return xyz(predicted[i]) - h * (velocity[i] + xyz(gained[i]))
 
 
 @ti.func

@@ -28,7 +28,10 @@ __all__ = ["Crowd"]
 BLOCK = 512  # Taichi gives a thread no less than this much of a loop
 # Of each garment alone: what a step reads of the world, what it writes for it, and room for the step. All else is of
 # its model or its body's mesh, and garments may share it.
-READ = ("position", "velocity", "nearest", "target_0", "target_1", "primitives", "body_0", "body_1", "body_normals")
+READ = (
+    "position", "velocity", "nearest", "target_0", "target_1", "primitives", "body_0", "body_1", "body_normals",
+    "steps",
+)  # fmt: skip
 WRITTEN = ("position", "velocity", "nearest", "contact")
 ROOM = (
     "contact", "shift", "predicted", "normals", "gained", "touched", "awake", "listed", "ways", "places", "first_ways",
@@ -128,7 +131,7 @@ def _crowd_kernel(with_patches: bool, on_cuda: bool) -> Callable[..., None]:
                 if team.first():
                     find_of_garment(*arguments.search)
                 team.meet()
-                advance_garment(team, with_patches, *arguments.course)
+                advance_garment(team, with_patches, False, *arguments.course)
 
     return advance_crowd
 
@@ -142,7 +145,7 @@ class Crowd:
             wants the processor: they wait for each other hundreds of times a frame. On CUDA a block of threads does.
 
     Raises:
-        InputError: no garment, or more threads than Taichi has.
+        InputError: no garment, one that collides with itself, or more threads than Taichi has.
     """
 
     def __init__(self, solvers: Sequence[Solver], threads_each: int = 1) -> None:
@@ -152,6 +155,8 @@ class Crowd:
             raise InputError(
                 "bad thread count", key="threads_each", received=threads_each, expected=f"1..{running_threads()}"
             )
+        if any(solver.in_contact for solver in solvers):
+            raise InputError("garments that collide with themselves", key="solvers", expected="self_collision = false")
         with_patches = any(solver.with_patches for solver in solvers)
         on_cuda = running_arch() == "cuda"
         self._solvers = list(solvers)

@@ -70,6 +70,7 @@ class Model:
             their middle, int32, shape (s, 2).
         sample_colors: offsets of the samples that share no vertex, the vertices first, shape (colours + 1,).
         bend_factor: c of the hinge energy, measured on this mesh [-].
+        layer: number of the garment that each vertex belongs to, from the innermost, 0, outwards, int32, shape (n,).
     """
 
     mesh: ClothMesh
@@ -93,6 +94,7 @@ class Model:
     samples: np.ndarray
     sample_colors: np.ndarray
     bend_factor: float
+    layer: np.ndarray
 
     @property
     def vertex_count(self) -> int:
@@ -145,7 +147,7 @@ def build_model(
         triangles,
         triangle_data,
         triangle_colors,
-        *_blocks(triangle_colors),
+        *blocks_of(triangle_colors),
         hinges,
         hinge_data,
         hinge_colors,
@@ -155,6 +157,7 @@ def build_model(
         lengths,
         *_samples(mesh),
         float(bend_factor),
+        np.zeros(count, np.int32),
     )
 
 
@@ -190,7 +193,7 @@ def _membrane(mesh: ClothMesh, fabric: Fabric, inverse_mass: np.ndarray) -> tupl
     return np.ascontiguousarray(faces), data, offsets
 
 
-def _blocks(colors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def blocks_of(colors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """First constraint and size of each block of at most ``BLOCK`` of one colour, and the offsets of the colours."""
     starts = [np.arange(begin, end, BLOCK) for begin, end in zip(colors[:-1], colors[1:], strict=True)]
     sizes = [np.minimum(BLOCK, end - first) for first, end in zip(starts, colors[1:], strict=True)]
@@ -253,6 +256,10 @@ class State:
         velocity: in the world [m/s], float32, shape (n, 3).
         nearest: body vertex nearest to each contact sample of the model, -1 for none, int32, shape (s,).
         contact: distance to the body [m], float32, shape (n,); ``pbd.geometry.FAR`` where nothing is near.
+        pairs: features of the cloth that touch one another, as :class:`pbd.self_collision.SelfCollision` counts them,
+            int32, shape (c, 4).
+        pair_sides: direction in which the first feature of each lies from the second and how far [m], negative once it
+            has gone through, float32, shape (c, 4).
     """
 
     origin: np.ndarray
@@ -260,6 +267,8 @@ class State:
     velocity: np.ndarray
     nearest: np.ndarray
     contact: np.ndarray = field(repr=False)
+    pairs: np.ndarray = field(repr=False)
+    pair_sides: np.ndarray = field(repr=False)
 
     @classmethod
     def at_rest(cls, model: Model, vertices: np.ndarray | None = None) -> State:
@@ -271,7 +280,8 @@ class State:
         origin = GRID * np.round(vertices.mean(axis=0) / GRID)
         position = np.concatenate([vertices - origin, model.inverse_mass[:, None]], axis=1).astype(np.float32)
         velocity, contact = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
-        return cls(origin, position, velocity, np.full(len(model.samples), -1, np.int32), contact)
+        nearest, pairs = np.full(len(model.samples), -1, np.int32), np.zeros((0, 4), np.int32)
+        return cls(origin, position, velocity, nearest, contact, pairs, np.zeros((0, 4), np.float32))
 
     def world(self) -> np.ndarray:
         """World positions [m], float64, shape (n, 3)."""
@@ -286,7 +296,7 @@ class State:
     def copy(self) -> State:
         return State(*(getattr(self, name).copy() for name in self._names))
 
-    _names = ("origin", "position", "velocity", "nearest", "contact")
+    _names = ("origin", "position", "velocity", "nearest", "contact", "pairs", "pair_sides")
 
     def hash(self) -> str:
         """SHA-256 over every bit of the state."""
@@ -313,9 +323,10 @@ class State:
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             raise InputError(f"not a saved state: {error}", file=path, expected="a file of State.save") from error
         received = [(array.dtype.name, array.shape) for array in (getattr(state, name) for name in cls._names)]
-        count, samples = len(state.position), len(state.nearest)
-        shapes = ((3,), (count, 4), (count, 3), (samples,), (count,))
-        expected = list(zip(("float64", "float32", "float32", "int32", "float32"), shapes, strict=True))
+        count, samples, pairs = len(state.position), len(state.nearest), len(state.pairs)
+        shapes = ((3,), (count, 4), (count, 3), (samples,), (count,), (pairs, 4), (pairs, 4))
+        kinds = ("float64", "float32", "float32", "int32", "float32", "int32", "float32")
+        expected = list(zip(kinds, shapes, strict=True))
         if received != expected:
             raise InputError("not a saved state", file=path, received=received, expected=str(expected))
         return state

@@ -15,11 +15,12 @@ from pbd.constraints import (
     stitch_multiplier,
     tether_correction,
 )
-from pbd.contact import collide_primitives, slid_off, touch_body
+from pbd.contact import collide_primitives, slid_off, substep_start, touch_body
 from pbd.engine import ti
 from pbd.geometry import FAR, Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, vec3, vec4, xyz
 from pbd.levels import gather_places, gather_ways, solve_patches
 from pbd.model import BLOCK
+from pbd.pairs import solve_pairs
 from pbd.team import Alone
 
 __all__ = ["advance_garment", "advance_kernel"]
@@ -166,15 +167,10 @@ def settle(position: ti.template(), shift: ti.template(), i: ti.i32, u: vec3) ->
 
 
 @ti.func
-def substep_start(velocity: ti.template(), predicted: ti.template(), gained: ti.template(), i: ti.i32, h: ti.f32):
-    """Shift of vertex i at the start of the substep [m]."""
-    return xyz(predicted[i]) - h * (velocity[i] + xyz(gained[i]))
-
-
-@ti.func
 def advance_garment(
     team: ti.template(),
     with_patches: ti.template(),
+    with_pairs: ti.template(),
     position: ti.template(),
     velocity: ti.template(),
     shift: ti.template(),
@@ -229,23 +225,27 @@ def advance_garment(
     multipliers: ti.template(),
     way: ti.template(),
     room: ti.template(),
-    levels: ti.i32,
-    sweeps: ti.i32,
-    substeps: ti.i32,
+    pairs: ti.template(),
+    pair_data: ti.template(),
+    ready: ti.template(),
+    steps: ti.template(),
     h: ti.f32,
     gravity: vec3,
     wind: vec3,
     squeeze: ti.f32,
     thickness: ti.f32,
     friction: ti.f32,
-    refresh: ti.i32,
 ):
-    """Advance a garment by ``substeps`` steps of h [s].
+    """Advance a garment by steps of h [s].
 
-    Per substep: predict, held vertices, patches from coarse to fine, membrane, bending, stitches, tethers,
-    contact, velocities. Digits are kept in three places: a vertex stands at ``position`` (on a grid) plus a small
-    ``shift`` that takes the corrections; velocity takes (shift - predicted shift)/h, the sum of the corrections,
-    instead of a difference of world positions; and what it gains over the frame is summed apart.
+    ``steps``: the first, the one after the last, how many the frame has; how many between two looks at all contacts;
+    levels and passes over them.
+
+    Per substep: predict, held vertices, patches from coarse to fine, membrane, bending, stitches, tethers, contact with
+    the body, of the cloth with itself, with primitives, velocities. Digits are kept in three places: a vertex stands at
+    ``position`` (on a grid) plus a small ``shift`` that takes the corrections; velocity takes (shift - predicted
+    shift)/h, the sum of the corrections, instead of a difference of world positions; and what it gains over the frame
+    is summed apart.
 
     In the first substep every contact sample finds where it touches. Every ``refresh`` substeps all are looked at:
     those nearer to the body than ``waking`` [m] are awake until the next time, and find again where they touch if
@@ -257,6 +257,7 @@ def advance_garment(
     inverse_h = 1.0 / h
     inverse_h2 = inverse_h * inverse_h
     count = position.shape[0]
+    substeps, refresh, levels, sweeps = steps[2], steps[3], steps[4], steps[5]
     share = 1.0 / substeps
     # Whatever is nearer than this may touch before all are looked at again.
     waking = ti.max(NEAR, thickness + way[0] * ti.min(1.0, refresh * share))
@@ -281,7 +282,7 @@ def advance_garment(
     for c in range(team.begin(0, held.shape[0]), team.end(0, held.shape[0])):
         velocity[held[c]] = (target_1[c] - target_0[c]) * (inverse_h * share)
     team.meet()
-    for step in range(substeps):
+    for step in range(steps[0], steps[1]):
         t = (step + 1) * share
         if ti.static(with_patches):
             if levels > 0:
@@ -386,6 +387,14 @@ def advance_garment(
             if looked_at:
                 listed[row][1] = awake_count
             team.meet()
+        if ti.static(with_pairs):
+            # After the body, whose outside is known however deep: cloth that it pinches must not go through itself.
+            if team.first():
+                solve_pairs(
+                    position, velocity, shift, predicted, gained, pairs, pair_data, ready,
+                    looked_at, refresh * share, friction, h,
+                )  # fmt: skip
+            team.meet()
         for i in range(team.begin(0, count), team.end(0, count)):
             if position[i][3] > 0.0:
                 u = xyz(shift[i])
@@ -405,8 +414,8 @@ def advance_garment(
 
 
 @cache
-def advance_kernel(with_patches: bool) -> Callable[..., None]:
-    """The kernel that advances a garment; patches take a fifth of its time to compile, and are left out if not used."""
+def advance_kernel(with_patches: bool, with_pairs: bool = False) -> Callable[..., None]:
+    """The kernel that advances a garment. Patches and pairs take long to compile, and are left out if not used."""
 
     @ti.kernel
     def advance(
@@ -464,28 +473,28 @@ def advance_kernel(with_patches: bool) -> Callable[..., None]:
         multipliers: Float1,
         way: Float1,
         room: Float1,
-        levels: ti.i32,
-        sweeps: ti.i32,
-        substeps: ti.i32,
+        pairs: Int4,
+        pair_data: Vec4Rows,
+        ready: Int1,
+        steps: Int1,
         h: ti.f32,
         gravity: vec3,
         wind: vec3,
         squeeze: ti.f32,
         thickness: ti.f32,
         friction: ti.f32,
-        refresh: ti.i32,
     ):
         ti.loop_config(serialize=True)
         for _ in range(1):
             advance_garment(
-                Alone(), with_patches,
+                Alone(), with_patches, with_pairs,
                 position, velocity, shift, predicted, normals, gained, touched, awake, samples, sample_colors,
                 listed, triangles, triangle_blocks, block_colors, triangle_data, hinges, hinge_colors, hinge_data,
                 stitches, stitch_weights, tethers, tether_lengths, held, target_0, target_1, drag, primitives, nearest,
                 contact, body_0, body_1, body_normals, ring_start, ring, fan_start, fan, parent, part, ways, places,
                 first_ways, borne, starts, children, child_starts, links, link_colors, color_starts,
-                link_data, link_shares, link_lines, multipliers, way, room, levels, sweeps, substeps, h, gravity,
-                wind, squeeze, thickness, friction, refresh,
+                link_data, link_shares, link_lines, multipliers, way, room, pairs, pair_data, ready, steps, h, gravity,
+                wind, squeeze, thickness, friction,
             )  # fmt: skip
 
     return advance

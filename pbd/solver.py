@@ -13,6 +13,7 @@ from pbd.hierarchy import Hierarchy, build_hierarchy
 from pbd.model import GRID, Model, State
 from pbd.schedule import advance_kernel
 from pbd.search import MAX_CELLS, find_nearest
+from pbd.self_collision import SelfCollision
 from pbd.team import MOST_WORKERS
 
 __all__ = ["Solver", "SolverOptions"]
@@ -29,12 +30,14 @@ class SolverOptions:
         gravity: [m/s2].
         coarse_sweeps: passes over each coarser level of the mesh (:mod:`pbd.hierarchy`) in a substep; 0 leaves all out.
         contact_refreshes: times a second that each contact is looked for again along the body's surface [Hz].
+        self_collision: whether the cloth keeps its thickness from itself. Layers always keep it from one another.
     """
 
     substep: float = 1.0 / 720.0
     gravity: tuple[float, float, float] = (0.0, -9.81, 0.0)
     coarse_sweeps: int = 4
     contact_refreshes: float = 240.0
+    self_collision: bool = False
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.substep) or self.substep <= 0:
@@ -85,7 +88,12 @@ class Solver:
         self._multipliers = np.zeros(max(1, len(levels.links)), np.float32)
         # Substeps are never longer than this, so that levels that are of no use in it are of none in any.
         self.with_patches = levels.useful(self.options.substep) > 0
-        self._find_nearest, self._advance = Launch(find_nearest), Launch(advance_kernel(self.with_patches))
+        self.in_contact = self.options.self_collision or bool(model.layer.any())
+        self._pairs = SelfCollision(model) if self.in_contact else None
+        self._no_pairs = np.zeros((1, 4), np.int32), np.zeros((1, 2, 4), np.float32), np.zeros(2, np.int32)
+        self._steps = np.zeros(6, np.int32)
+        advance = advance_kernel(self.with_patches, self._pairs is not None)
+        self._find_nearest, self._advance = Launch(find_nearest), Launch(advance)
 
     def step(
         self,
@@ -116,7 +124,23 @@ class Solver:
         search, course = self.prepare(state, colliders, dt, targets, wind)
         if colliders.body is not None:
             self._find_nearest(*search)
-        self._advance(*course)
+        if self._pairs is None:
+            self._advance(*course)
+        else:
+            self._advance_in_contact(state, course, dt)
+
+    def _advance_in_contact(self, state: State, course: tuple, dt: float) -> None:
+        """Advance the state with the cloth's own pairs, which are found anew as often as it moves far."""
+        assert self._pairs is not None
+        where = next(k for k, argument in enumerate(course) if argument is self._no_pairs[0])
+        _, _, substeps, refresh, _, _ = self._steps.tolist()
+        end = 0
+        while end < substeps:
+            good = self._pairs.find(state, dt / substeps, substeps - end, self.model.fabric.thickness)
+            begin, end = end, min(end + refresh * max(1, good // refresh), substeps)
+            self._steps[:2] = begin, end
+            self._advance(*course[:where], self._pairs.pairs, self._pairs.data, self._pairs.ready, *course[where + 3 :])
+            self._pairs.remember(state)
 
     def prepare(
         self,
@@ -140,6 +164,7 @@ class Solver:
         refresh = max(1, round(substeps / max(1.0, dt * options.contact_refreshes)))
         levels = self._hierarchy
         thickness = model.fabric.thickness
+        self._steps[:] = 0, substeps, substeps, refresh, levels.useful(dt / substeps), options.coarse_sweeps
         self._way[0] = 0.0
         body = colliders.body or self._nobody
         # What was touched before may be no part of this body: another one, or none.
@@ -219,16 +244,14 @@ class Solver:
             self._multipliers,
             self._way,
             self._room,
-            levels.useful(dt / substeps),
-            options.coarse_sweeps,
-            substeps,
+            *self._no_pairs,
+            self._steps,
             dt / substeps,
             options.gravity,
             wind,
             model.options.squeeze,
             thickness,
             model.fabric.friction,
-            refresh,
         )
         return search, course
 

@@ -11,6 +11,7 @@ from typing import Any
 from pbd import SolverOptions
 from pbd.storage import replacing
 from precompute.constraint_cost import constraint_costs
+from precompute.contact_bench import self_collision_cost
 from precompute.engines import EngineRun, bench_engines
 from precompute.page import Chart, Line, Point, Section, Table, Text, write_page
 from precompute.solver_scenes import RATE, Measured, hanging_square, measure
@@ -120,7 +121,7 @@ def bench_solver(
     """
     rivals = bench_engines(report) if with_rivals else []
     report("cost of constraints")
-    costs = constraint_costs()
+    costs = {**constraint_costs(), **self_collision_cost()}
     report("speed of two cores")
     speedups = thread_speedups()
     runs, amplitudes = [], {}
@@ -188,7 +189,10 @@ def bench_verdict(bench: SolverBench) -> str:
                 f"wanted {BUDGET_MS[side]} on a core of 2.6 GHz)"
             )
         lines.append(f"{side}x{side}: {ours}; cheapest quoted: {name}, {ms} ms on another machine.")
-    costs = ", ".join(f"{name.removesuffix('_constraint_ns')} {ns:.1f}" for name, ns in bench.costs.items())
+    constraints = [(name, ns) for name, ns in bench.costs.items() if name.endswith("_constraint_ns")]
+    costs = ", ".join(f"{name.removesuffix('_constraint_ns')} {ns:.1f}" for name, ns in constraints)
+    contact = [(name, value) for name, value in bench.costs.items() if name.startswith("self_collision")]
+    lines += [f"{name.replace('_', ' ')}: {value:.2f}" for name, value in contact]
     speedups = ", ".join(f"{name} {ratio:.2f}" for name, ratio in bench.speedups.items()) or "not measured"
     return "\n".join([*lines, f"One constraint [ns]: {costs}.", f"Two cores over one: {speedups}."])
 

@@ -20,6 +20,8 @@ from assets.scene import GarmentSettings, MotionSettings, Scene, parse_scene
 from assets.seams import load_seams
 from assets.sequence import Sequence, SequenceMotion, load_sequence
 from pbd import Fabric, InputError, SolverOptions, build_model
+from pbd.attachment import Attachment
+from pbd.layers import layered
 from runtime.simulation import Motion, Simulation, body_source
 from wrinkles.binding import Binding, bind
 from wrinkles.database import WrinkleDatabase
@@ -296,10 +298,10 @@ def _garment_of(scene: Scene) -> tuple[GarmentSettings, Garment]:
 
 
 def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion | None]:
-    """What a scene describes, ready to be stepped: a garment on its body, or one that hangs on its pins.
+    """What a scene describes, ready to be stepped: garments on a body, or one that hangs on its pins.
 
     Args:
-        scene: with one garment.
+        scene: with one garment, or on a body with several.
         fine: simulate the subdivided mesh.
 
     Returns:
@@ -308,6 +310,8 @@ def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion 
     Raises:
         InputError: as :meth:`Stage.of`; a garment without a body that is attached, or pinned at a vertex that it lacks.
     """
+    if scene.character is not None and len(scene.garments) > 1:
+        return _layers_of(scene, fine)
     if scene.character is not None:
         stage = Stage.of(scene)
         settings, levels, motion = stage.settings, stage.levels, stage.motion()
@@ -331,6 +335,26 @@ def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion 
         options = fine_options(options, settings.subdivisions)
     model = build_model(mesh, fabric_of(settings), held)
     return Simulation(model, attachment if source else None, source, pose, options, scene.primitives), motion
+
+
+def _layers_of(scene: Scene, fine: bool) -> tuple[Simulation, Motion]:
+    """All garments of a scene on its body, as one model."""
+    stages = [Stage.of(replace(scene, garments=(garment,))) for garment in scene.garments]
+    options = replace(scene.solver.options(), coarse_sweeps=0)  # levels know one fabric
+    if fine:
+        options = fine_options(options, max(garment.subdivisions for garment in scene.garments))
+    models, attachments = [], []
+    for stage in stages:
+        levels = stage.levels
+        mesh, held = (levels.fine, levels.fine_held) if fine else (levels.coarse, levels.coarse_held)
+        models.append(build_model(mesh, fabric_of(stage.settings), held))
+        attachments.append(levels.fine_attachment if fine else levels.coarse_attachment)
+    joined = (
+        np.concatenate([getattr(part, name) for part in attachments]) for name in ("corners", "weights", "offset")
+    )
+    motion = stages[0].motion()
+    source, pose = body_source(stages[0].body), motion.pose(0.0)
+    return Simulation(layered(models), Attachment(*joined), source, pose, options, scene.primitives), motion
 
 
 def scene_of(database: WrinkleDatabase) -> Scene:

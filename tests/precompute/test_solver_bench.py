@@ -95,6 +95,7 @@ def test_the_cheapest_that_passes_is_found_and_written(tmp_path: Path) -> None:
 def test_the_command_measures_and_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(solver_bench, "SIDES", (32,))
     monkeypatch.setattr(solver_bench, "constraint_costs", lambda: {"distance_constraint_ns": 5.0})
+    monkeypatch.setattr(solver_bench, "self_collision_cost", lambda: {"self_collision_ms_64": 2.0})
     monkeypatch.setattr(solver_bench, "thread_speedups", lambda: {})
     monkeypatch.setattr(solver_bench, "measure", lambda scene, options: GOOD)
     assert command.main(["bench", "solver", "-o", str(tmp_path / "new"), "--json", str(tmp_path / "out.json")]) == 0

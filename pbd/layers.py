@@ -1,0 +1,92 @@
+"""Several garments worn over one another, as one model: they share time steps, contact and momentum."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pbd.errors import InputError
+from pbd.mesh import ClothMesh, Hinges
+from pbd.model import BLOCK, Model, blocks_of
+
+__all__ = ["layered"]
+
+
+def layered(models: Sequence[Model]) -> Model:
+    """One model of several garments, from the innermost outwards; its vertices, and those held, come in that order.
+
+    Contact knows one fabric: the greatest thickness of all, the least friction, and the innermost garment's drag.
+
+    Raises:
+        InputError: no garment, or garments with different factors on compression.
+    """
+    if not models:
+        raise InputError("no garment", key="models", received=0, expected="at least one")
+    squeeze = sorted({model.options.squeeze for model in models})
+    if len(squeeze) > 1:
+        raise InputError("layers that differ", key="squeeze", received=squeeze, expected="one value for all")
+    offsets = np.cumsum([0, *(model.vertex_count for model in models)])
+
+    def shifted(name: str, of: Sequence = models) -> list[np.ndarray]:
+        return [getattr(part, name) + offset for part, offset in zip(of, offsets, strict=False)]
+
+    def joined(name: str) -> np.ndarray:
+        return np.concatenate([getattr(model, name) for model in models])
+
+    def by_color(colors: str) -> tuple[np.ndarray, np.ndarray]:
+        counts = [np.diff(getattr(model, colors)) for model in models]
+        color = np.concatenate([np.repeat(np.arange(len(count)), count) for count in counts])
+        ends = np.concatenate([[0], np.cumsum(np.bincount(color, minlength=1))]).astype(np.int32)
+        return np.argsort(color, kind="stable"), ends
+
+    meshes = [model.mesh for model in models]
+    seam_hinges = None
+    if any(mesh.seam_hinges is not None for mesh in meshes):
+        parts = [
+            mesh.seam_hinges._replace(vertices=mesh.seam_hinges.vertices + offset)
+            for mesh, offset in zip(meshes, offsets, strict=False)
+            if mesh.seam_hinges is not None
+        ]
+        seam_hinges = Hinges(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+    mesh = ClothMesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate(shifted("faces", meshes)).astype(np.int32),
+        np.concatenate([mesh.flat for mesh in meshes]),
+        np.concatenate(shifted("stitches", meshes)).astype(np.int32),
+        np.concatenate([mesh.stitch_weights for mesh in meshes]),
+        seam_hinges,
+    )
+    # The first colour of the samples are the vertices; so it is here.
+    sampled, sample_colors = by_color("sample_colors")
+    meant, triangle_colors = by_color("triangle_colors")
+    bent, hinge_colors = by_color("hinge_colors")
+    blocks, block_colors = blocks_of(triangle_colors)
+    values = np.concatenate([model.triangle_data[:, : len(model.triangles)] for model in models], axis=1)[:, meant]
+    counts = [model.vertex_count for model in models]
+    fabrics = [model.fabric for model in models]
+    thickness, friction = max(f.thickness for f in fabrics), min(f.friction for f in fabrics)
+    return replace(
+        models[0],
+        mesh=mesh,
+        fabric=replace(fabrics[0], thickness=thickness, friction=friction),
+        mass=joined("mass"),
+        inverse_mass=joined("inverse_mass"),
+        held=np.concatenate(shifted("held")).astype(np.int32),
+        triangles=np.concatenate(shifted("triangles"))[meant].astype(np.int32),
+        triangle_blocks=blocks,
+        block_colors=block_colors,
+        triangle_data=np.ascontiguousarray(np.pad(values, ((0, 0), (0, BLOCK)))),
+        triangle_colors=triangle_colors,
+        hinges=np.concatenate(shifted("hinges"))[bent].astype(np.int32),
+        hinge_data=joined("hinge_data")[bent],
+        hinge_colors=hinge_colors,
+        stitches=np.concatenate(shifted("stitches")).astype(np.int32),
+        stitch_weights=joined("stitch_weights"),
+        tethers=np.concatenate(shifted("tethers")).astype(np.int32),
+        tether_lengths=joined("tether_lengths"),
+        samples=np.concatenate(shifted("samples"))[sampled].astype(np.int32),
+        sample_colors=sample_colors,
+        layer=np.repeat(np.arange(len(models), dtype=np.int32), counts),
+    )

@@ -1,0 +1,166 @@
+"""Cloth against itself, and one layer against another: pairs of features that may meet in a frame.
+
+A pair is a vertex and a face, or two edges. Pairs are found once a frame, by boxes around patches of faces in a tree
+that never changes; patches that hang together and are flat enough cannot touch one another and are left out (Volino
+and Magnenat-Thalmann 1994). Each feature belongs to one face, so that no pair is found twice (Curtis, Tamstorf,
+Manocha 2008). Within the frame a pair remembers the direction in which its features lie from one another; it is turned
+along with them, so that what has gone through is told from what has gone around.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components, dijkstra
+
+from pbd.engine import Launch
+from pbd.mesh import edges_of
+from pbd.model import Model, State
+from pbd.pairs import find_pairs
+
+__all__ = ["SelfCollision"]
+
+PATCH = 8  # most faces of a patch
+FURTHEST = 0.005  # that features of a pair go against each other between two searches [m]
+LANDMARKS = 6  # vertices from which ways along the cloth are measured
+
+
+def _patches(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Faces in patches that hang together along the cloth, and a binary tree over them.
+
+    Returns:
+        order of the faces, offsets of the patches in it, and the nodes as :func:`pbd.pairs.find_pairs` takes them.
+    """
+    edges, _ = edges_of(faces)
+    lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1) + 1e-9
+    graph = csr_matrix((lengths, (edges[:, 0], edges[:, 1])), (len(vertices), len(vertices)))
+    count, part = connected_components(graph, directed=False)
+    # Places are ways along the cloth to landmarks, each as far as can be from those before it.
+    nearest = np.full(len(vertices), np.inf)
+    places = [part * 1e3]
+    for landmark in range(LANDMARKS):
+        best = np.zeros(count)
+        sources = np.zeros(count, np.int64)
+        for piece in range(count):
+            members = np.flatnonzero(part == piece)
+            sources[piece] = members[0 if landmark == 0 else np.argmax(nearest[members])]
+            best[piece] = nearest[sources[piece]]
+        way = dijkstra(graph, directed=False, indices=sources, min_only=True)
+        nearest = np.minimum(nearest, way)
+        places.append(way)
+    centres = np.stack(places, axis=1)[faces].mean(axis=1)
+    order, starts, nodes = [], [0], []
+
+    def build(members: np.ndarray) -> None:
+        node = len(nodes)
+        nodes.append([0, 0, -1])
+        if len(members) <= PATCH:
+            nodes[node][2] = len(starts) - 1
+            order.append(members)
+            starts.append(starts[-1] + len(members))
+        else:
+            spread = np.ptp(centres[members], axis=0)
+            by_place = members[np.argsort(centres[members, np.argmax(spread)], kind="stable")]
+            build(by_place[: len(members) // 2])
+            build(by_place[len(members) // 2 :])
+        nodes[node][:2] = len(nodes), len(starts) - 2
+
+    build(np.arange(len(faces)))
+    return np.concatenate(order), np.array(starts, np.int32), np.array(nodes, np.int32)
+
+
+class SelfCollision:
+    """The pairs of one model, found anew every frame.
+
+    Args:
+        model: the garment, or several layers of garments.
+
+    Attributes:
+        pairs: (vertex, corners of a face), or (a, -b - 1, c, d) for the edges a-b and c-d, int32, shape (c, 4).
+        data: see :func:`pbd.pairs.solve_pairs`, float32, shape (c, 2, 4).
+        ready: how many of them there are, how many are ready, and which, int32, shape (c + 2,).
+    """
+
+    def __init__(self, model: Model) -> None:
+        mesh = model.mesh
+        count = len(mesh.vertices)
+        order, self._patch_start, self._nodes = _patches(mesh.vertices, mesh.faces)
+        self._faces = np.ascontiguousarray(mesh.faces[order], np.int32)
+        edges, side_edge = edges_of(self._faces)
+        self._edges = np.ascontiguousarray(edges[side_edge.ravel()])
+        owned = np.zeros(len(order), np.int32)
+        for bit, features in ((0, self._faces), (3, side_edge)):
+            _, first = np.unique(features.ravel(), return_index=True)
+            np.bitwise_or.at(owned, first // 3, 1 << (bit + first % 3))
+        self._owned = owned
+        patch = np.repeat(np.arange(len(self._patch_start) - 1), np.diff(self._patch_start))
+        corners = np.repeat(patch, 3), self._faces.ravel()
+        used = csr_matrix((np.ones(self._faces.size), corners), (patch[-1] + 1, count))
+        used.sum_duplicates()
+        self._patch_vertex_start, self._patch_vertices = used.indptr.astype(np.int32), used.indices.astype(np.int32)
+        shared = (used @ used.T).tocsr()  # patches that have a vertex in common
+        shared.sort_indices()
+        self._neighbour_start, self._neighbours = shared.indptr.astype(np.int32), shared.indices.astype(np.int32)
+        self._rest = (mesh.vertices - mesh.vertices.mean(axis=0)).astype(np.float32)
+        self._layer = model.layer
+        self._longest = float(np.linalg.norm(np.diff(self._rest[self._edges], axis=1), axis=2).max())
+        patches = len(self._patch_start) - 1
+        self._course, self._normals = np.zeros((count, 3), np.float32), np.zeros((count, 4), np.float32)
+        self._boxes = np.zeros((2 * (len(self._nodes) + patches), 3), np.float32)
+        self._face_boxes = np.zeros((3 * len(order), 3), np.float32)
+        self._cones = np.zeros((patches, 4), np.float32)
+        self._chain = np.zeros(count, np.int32)
+        self._fastest = np.zeros(1, np.float32)
+        self._find = Launch(find_pairs)
+        self._make_room(2 * count)
+
+    def _make_room(self, count: int) -> None:
+        self.pairs = np.zeros((count, 4), np.int32)
+        self.data = np.zeros((count, 2, 4), np.float32)
+        self.ready = np.zeros(count + 2, np.int32)
+
+    def find(self, state: State, h: float, steps: int, thickness: float) -> int:
+        """Find the pairs that may touch in steps of h [s], at most so many, and say for how many they are good."""
+        if len(self._chain) < len(self._layer) + len(state.pairs):
+            self._chain = np.zeros(len(self._layer) + 2 * len(state.pairs), np.int32)
+        while True:
+            self._find(
+                state.position,
+                state.velocity,
+                self._course,
+                self._normals,
+                self._rest,
+                self._layer,
+                self._faces,
+                self._patch_vertex_start,
+                self._patch_vertices,
+                self._owned,
+                self._edges,
+                self._patch_start,
+                self._nodes,
+                self._neighbour_start,
+                self._neighbours,
+                self._boxes,
+                self._face_boxes,
+                self._cones,
+                state.pairs,
+                state.pair_sides,
+                self._chain,
+                self.pairs,
+                self.data,
+                self.ready,
+                self._fastest,
+                steps * h,
+                thickness,
+                self._longest,
+            )
+            if self.ready[0] <= len(self.pairs):
+                return max(1, int(steps * min(1.0, FURTHEST / max(float(self._fastest[0]), 1e-9))))
+            self._make_room(int(self.ready[0]) * 3 // 2)
+
+    def remember(self, state: State) -> None:
+        """Keep in the state the pairs that touch at the end of the frame, with their directions."""
+        count = self.ready[0]
+        touching = self.data[:count, 1, 0] < self.data[:count, 0, 3]
+        state.pairs = np.ascontiguousarray(self.pairs[:count][touching])
+        state.pair_sides = np.concatenate([self.data[:count, 0, :3], self.data[:count, 1, :1]], axis=1)[touching]

@@ -1,0 +1,78 @@
+"""Garments in layers: one model of several, and which lies outside."""
+
+import numpy as np
+import pytest
+
+from pbd import Colliders, Fabric, InputError, ModelOptions, Solver, SolverOptions, Sphere, State, build_model
+from pbd.layers import layered
+from tests.pbd.meshes import cloth, free_model, grid
+from wrinkles.crossings import crossings
+
+
+def level(along: int, step: float, height: float) -> tuple[np.ndarray, np.ndarray]:
+    vertices, faces = grid(along, along, step)
+    vertices = vertices[:, [1, 2, 0]]
+    return vertices - vertices.mean(axis=0) + [0.0, height, 0.0], faces
+
+
+def step(model, state: State, frames: int, colliders: Colliders) -> None:
+    solver = Solver(model, SolverOptions(coarse_sweeps=0))
+    for _ in range(frames):
+        solver.follow(state, colliders)
+        solver.step(state, colliders, 1 / 60)
+
+
+def test_garments_that_never_meet_move_as_they_do_alone() -> None:
+    fabrics = Fabric(), Fabric(areal_density=0.3, stretch_warp=800.0, bend_warp=4e-5)
+    placed = level(6, 0.04, 0.0), level(5, 0.05, 0.5)
+    models = [
+        free_model(cloth(*sheet), fabric, np.array([0, 3])) for sheet, fabric in zip(placed, fabrics, strict=True)
+    ]
+    both = layered(models)
+    assert both.layer.tolist() == [0] * 49 + [1] * 36
+    assert both.held.tolist() == [0, 3, 49, 52]
+    together = State.at_rest(both)
+    step(both, together, 20, Colliders())
+    start = 0
+    for model in models:
+        alone = State.at_rest(model)
+        step(model, alone, 20, Colliders())
+        end = start + model.vertex_count
+        assert np.abs(together.world()[start:end] - alone.world()).max() < 1e-4
+        start = end
+
+
+@pytest.mark.parametrize("gap", [0.004, -0.004])
+def test_the_outer_garment_ends_outside_even_if_it_starts_inside(gap: float) -> None:
+    inner, outer = (free_model(cloth(*level(14, 0.02, y)), Fabric(friction=0.3)) for y in (0.31, 0.31 + gap))
+    model, colliders = layered([inner, outer]), Colliders([Sphere((0.0, 0.0, 0.0), 0.3)])
+    state = State.at_rest(model)
+    if gap < 0:
+        colliders = Colliders()
+    step(model, state, 18, colliders)
+    world = state.world()
+    assert len(crossings(world, model.mesh.faces)) == 0
+    assert np.mean(world[225:, 1] - world[:225, 1]) > 0.002
+
+
+def test_layers_share_momentum() -> None:
+    inner, outer = (free_model(cloth(*level(8, 0.02, y)), Fabric(air_drag=0.0)) for y in (0.0, 0.01))
+    model = layered([inner, outer])
+    state = State.at_rest(model)
+    state.velocity[81:, 1] = -1.0
+    solver = Solver(model, SolverOptions(gravity=(0.0, 0.0, 0.0), coarse_sweeps=0))
+    before = (model.mass[:, None] * state.velocity).sum(axis=0)
+    for _ in range(10):
+        solver.step(state, Colliders(), 1 / 60)
+    after = (model.mass[:, None] * state.velocity).sum(axis=0)
+    assert state.velocity[:81, 1].mean() < -0.2
+    assert np.abs(after - before).max() < 1e-5 * np.abs(before).max()
+
+
+def test_layers_that_differ_where_they_must_not_are_refused() -> None:
+    sheet = cloth(*level(3, 0.05, 0.0))
+    soft = build_model(sheet, Fabric(), options=ModelOptions(squeeze=4.0), bend_factor=1 / 3)
+    with pytest.raises(InputError, match="squeeze"):
+        layered([soft, free_model(sheet, Fabric())])
+    with pytest.raises(InputError, match="no garment"):
+        layered([])

@@ -1,0 +1,58 @@
+"""Where a cloth goes through itself, exactly enough to be trusted as a measure: in float64, edge against face."""
+
+import numpy as np
+
+from pbd.mesh import edges_of
+
+__all__ = ["cross", "crossings"]
+
+
+def cross(start: np.ndarray, end: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Whether segments go through triangles: the ends lie on both sides of the plane, the line runs inside the sides.
+
+    A segment that only touches a side or lies in the plane does not.
+
+    Args:
+        start, end: of the segments [m], float64, shape (k, 3).
+        corners: of the triangles [m], float64, shape (k, 3, 3).
+    """
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    volume = lambda p, q, r, s: np.einsum("ki,ki->k", np.cross(q - p, r - p), s - p)  # noqa: E731
+    sides = volume(a, b, c, start) * volume(a, b, c, end) < 0
+    around = np.stack([volume(start, end, p, q) for p, q in ((a, b), (b, c), (c, a))])
+    return sides & ((around > 0).all(axis=0) | (around < 0).all(axis=0))
+
+
+def crossings(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Edges that go through faces with which they share no vertex.
+
+    Args:
+        vertices: [m], float64, shape (n, 3).
+        faces: int, shape (m, 3).
+
+    Returns:
+        Rows (end, end, face), int64, shape (k, 3), sorted.
+    """
+    edges, _ = edges_of(faces)
+    vertices = np.asarray(vertices, float)
+    ends, corners = vertices[edges], vertices[faces]
+    edge_low, edge_high = ends.min(axis=1), ends.max(axis=1)
+    face_low, face_high = corners.min(axis=1), corners.max(axis=1)
+    # Along the longest axis of all, sorted; each edge looks at the faces that may begin before it ends.
+    axis = int(np.argmax(np.ptp(vertices, axis=0)))
+    order = np.argsort(face_low[:, axis], kind="stable")
+    width = (face_high - face_low)[:, axis].max()
+    first = np.searchsorted(face_low[order, axis], edge_low[:, axis] - width)
+    last = np.searchsorted(face_low[order, axis], edge_high[:, axis], side="right")
+    found = []
+    for edge in np.flatnonzero(last > first):
+        near = order[first[edge] : last[edge]]
+        meets = (face_low[near] <= edge_high[edge]) & (face_high[near] >= edge_low[edge])
+        near = near[meets.all(axis=1)]
+        near = near[~np.isin(faces[near], edges[edge]).any(axis=1)]
+        if near.size:
+            through = near[
+                cross(np.tile(ends[edge, 0], (len(near), 1)), np.tile(ends[edge, 1], (len(near), 1)), corners[near])
+            ]
+            found += [(*edges[edge], face) for face in through]
+    return np.array(sorted(found), np.int64).reshape(-1, 3)
