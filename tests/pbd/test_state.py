@@ -60,7 +60,7 @@ def wrong_files(folder: Path) -> list[Path]:
     (folder / "empty.npz").write_bytes(b"")
     (folder / "half.npz").write_bytes(whole[: len(whole) // 2])
     damaged = bytearray(whole)
-    damaged[len(whole) // 2] ^= 255
+    damaged[whole.index(state.velocity.tobytes())] ^= 255
     (folder / "damaged.npz").write_bytes(damaged)
     np.save(folder / "array.npy", state.position)
     np.savez(folder / "others.npz", a=state.position)
