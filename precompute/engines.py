@@ -50,7 +50,7 @@ class EngineRun:
 
 def _position_based_dynamics(scene: SolverScene, substeps: int) -> Steps:
     """Library PositionBasedDynamics, XPBD distances of 1e5 N/m, one iteration a substep."""
-    import pypbd as pbd
+    import pypbd as pbd  # pyright: ignore[reportMissingImports]
 
     simulation = pbd.Simulation.getCurrent()
     simulation.initDefault()
@@ -70,8 +70,8 @@ def _position_based_dynamics(scene: SolverScene, substeps: int) -> Steps:
 
 def _newton_xpbd(scene: SolverScene, substeps: int, stiffness: float) -> Steps:
     """Newton's XPBD on the processor: springs along all edges, one iteration a substep."""
-    import newton
-    import warp
+    import newton  # pyright: ignore[reportMissingImports]
+    import warp  # pyright: ignore[reportMissingImports]
 
     warp.config.quiet = True
     warp.set_device("cpu")
@@ -96,7 +96,7 @@ def _newton_xpbd(scene: SolverScene, substeps: int, stiffness: float) -> Steps:
 
 def _mujoco(scene: SolverScene, young: float, iterations: int) -> Steps:
     """MuJoCo's elastic sheet with one implicit step a frame."""
-    import mujoco
+    import mujoco  # pyright: ignore[reportMissingImports]
 
     mesh, held = scene.model.mesh, scene.model.held
     numbers = lambda values: " ".join(f"{value:.9g}" for value in np.ravel(values))  # noqa: E731
@@ -115,7 +115,7 @@ def _mujoco(scene: SolverScene, young: float, iterations: int) -> Steps:
 
 def _pybullet(scene: SolverScene, substeps: int, stiffness: float) -> Steps:
     """PyBullet's deformable mass-spring cloth."""
-    import pybullet
+    import pybullet  # pyright: ignore[reportMissingImports]
 
     mesh = scene.model.mesh
     client = pybullet.connect(pybullet.DIRECT)

@@ -83,7 +83,12 @@ def read_curves(path: Path) -> dict[tuple[str, str], LoadCurve]:
         errors.append(InputError("no curve", file=path, received=0, expected="at least one row"))
     if errors:
         raise InputError.join(errors)
-    return {key: LoadCurve(*np.array(sorted(found)).T, math.nan) for key, found in points.items()}
+    return {key: _curve(found) for key, found in points.items()}
+
+
+def _curve(points: list[tuple[float, float]]) -> LoadCurve:
+    deformation, load = np.array(sorted(points)).T
+    return LoadCurve(deformation, load, math.nan)
 
 
 def fit_fabric(

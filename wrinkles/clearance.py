@@ -11,7 +11,7 @@ __all__ = ["clearances", "facing"]
 MOST = 0.004  # added to the thickness at most [m]
 
 
-def clearances(vertices: np.ndarray, faces: np.ndarray, spacing: float, thickness: float) -> np.ndarray:
+def clearances(vertices: np.ndarray, faces: np.ndarray, spacing: np.ndarray | float, thickness: float) -> np.ndarray:
     """Distance that cloth vertices keep from a body near each of its vertices [m], float32, shape (b,).
 
     Between its ends an edge of the cloth sinks into what is convex. A body vertex that stands out over its surroundings
@@ -20,7 +20,7 @@ def clearances(vertices: np.ndarray, faces: np.ndarray, spacing: float, thicknes
     Args:
         vertices: of the body, in any pose [m], shape (b, 3).
         faces: int, counter-clockwise seen from outside, shape (k, 3).
-        spacing: mean length of the cloth's edges [m].
+        spacing: length of the cloth's edges near each vertex [m], shape (b,), or everywhere.
         thickness: that they keep from a flat body [m].
     """
     count = len(vertices)
@@ -28,10 +28,12 @@ def clearances(vertices: np.ndarray, faces: np.ndarray, spacing: float, thicknes
         return np.full(count, thickness, np.float32)
     normals, areas = _normals(vertices, faces)
     tree = cKDTree(vertices)
-    pairs = tree.query_pairs(spacing, output_type="ndarray")
+    reach = np.broadcast_to(spacing, count)
+    pairs = tree.query_pairs(float(reach.max()), output_type="ndarray")
     # What faces another way is another part of the body, and no surroundings.
     pairs = pairs[np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) > 0.0]
-    one, other = np.concatenate([pairs, pairs[:, ::-1], np.repeat(np.arange(count)[:, None], 2, axis=1)]).T
+    pairs = np.concatenate([pairs, pairs[:, ::-1], np.repeat(np.arange(count)[:, None], 2, axis=1)])
+    one, other = pairs[np.linalg.norm(vertices[pairs[:, 0]] - vertices[pairs[:, 1]], axis=1) <= reach[pairs[:, 0]]].T
     near = csr_matrix((areas[other], (one, other)), (count, count))
     total = np.maximum(np.asarray(near.sum(axis=1)).ravel(), 1e-20)
     height = ((vertices - (near @ vertices) / total[:, None]) * normals).sum(axis=1)

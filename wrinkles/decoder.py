@@ -1,6 +1,7 @@
 """The runtime half of the wrinkle layer: coarse state in, fine vertices and normals out; nothing allocated a frame."""
 
 import numpy as np
+from scipy.spatial import cKDTree
 from threadpoolctl import ThreadpoolController
 
 from pbd.colliders import Body
@@ -394,7 +395,10 @@ class Relaxation:
             body_faces: int, shape (k, 3).
             thickness: kept from a flat body [m].
         """
-        spacing = float(levels.fine.edge_lengths()[1].mean())
+        edges, lengths = levels.fine.edge_lengths()
+        longest = np.zeros(len(levels.fine.vertices))
+        np.maximum.at(longest, edges, lengths[:, None])
+        spacing = longest[cKDTree(levels.fine.vertices).query(body_vertices)[1]]
         return cls(
             levels.fine,
             levels.fine_held,
