@@ -19,6 +19,7 @@ __all__ = ["BDF2", "ExplicitSolver", "ImplicitEuler", "Midpoint", "QuasiStatic",
 STABLE = 0.7  # part of the limit 2/omega that an explicit step takes: cloth stiffens as it stretches
 CONTACT_STIFFNESS = 30.0  # r over the mean stiffness that a vertex feels
 SETTLED = 1e-4  # contact has settled when no force changes by more than this part of the largest
+NOTHING = 1e-3  # a contact that this part of Newton's tolerance would make is none
 SETTLINGS = 100  # rounds of contact at most
 
 
@@ -216,14 +217,15 @@ class NewtonSolver(ClothSolver):
         objective = (
             _Weighed(self.energy, aim, contact) if still else _Motion(self.energy, mass, aim, inverse_square, contact)
         )
-        tolerance = self.options.tolerance * self.edge
+        content = np.full(len(x), self.options.tolerance * self.edge)
+        tolerance, least = content, NOTHING * self.options.tolerance * self.edge
         for _ in range(SETTLINGS):
             x = minimise(objective, x, self.order, tolerance, self.iterations)
             if contact is None:
                 return x[:count]
-            error = contact.update(x)
+            error = contact.update(x, least)
             # Positions must be as sharp as the forces that they make.
-            tolerance = min(tolerance, 0.1 * SETTLED * contact.softest())
+            tolerance = np.minimum(content, 0.1 * SETTLED * contact.reach(least))
             if error <= SETTLED:
                 self._touching = contact.memory
                 return x[:count]

@@ -38,7 +38,9 @@ class Objective(Protocol):
     def hessian(self, x: np.ndarray, positive: bool = False) -> csr_matrix: ...
 
 
-def minimise(objective: Objective, x: np.ndarray, order: FreeOrder, tolerance: float, iterations: int) -> np.ndarray:
+def minimise(
+    objective: Objective, x: np.ndarray, order: FreeOrder, tolerance: float | np.ndarray, iterations: int
+) -> np.ndarray:
     """A minimum over the free vertices, from ``x`` downhill.
 
     Each step solves with the exact Hessian or, where that is not positive definite, with its positive neighbour.
@@ -47,7 +49,7 @@ def minimise(objective: Objective, x: np.ndarray, order: FreeOrder, tolerance: f
         objective: energy with two derivatives.
         x: start [m], shape (n, 3).
         order: free unknowns.
-        tolerance: largest move of a vertex in the last step [m].
+        tolerance: largest move of a vertex in the last step [m], of all or of each, shape (n,).
         iterations: at most.
 
     Raises:
@@ -62,7 +64,7 @@ def minimise(objective: Objective, x: np.ndarray, order: FreeOrder, tolerance: f
         move = -_newton_direction(objective, x, order, gradient)
         slope = float(gradient.ravel()[unknowns] @ move.ravel()[unknowns])
         largest = np.abs(move).max(initial=0.0)
-        if largest <= tolerance or abs(slope) <= NOTHING * abs(value):
+        if np.all(np.abs(move).max(axis=1) <= tolerance) or abs(slope) <= NOTHING * abs(value):
             return x + move
         if not slope < 0.0:
             raise StepError(f"no descent: slope {slope:.3g} J")

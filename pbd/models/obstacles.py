@@ -176,8 +176,11 @@ class ContactForces:
         rows = np.arange(len(x))
         return bsr_matrix((blocks, rows, np.arange(len(x) + 1)), shape=(3 * len(x), 3 * len(x))).tocsr()
 
-    def update(self, x: np.ndarray) -> float:
-        """Take over the forces at a minimum. Returns their largest change over the largest of them."""
+    def update(self, x: np.ndarray, least: float) -> float:
+        """Take over the forces at a minimum. Returns their largest change over the largest of them.
+
+        Forces that a move of ``least`` [m] makes are none.
+        """
         rubbed = self._rubbed(self._tried(x))
         pressed, self.normals = self._pressed(x)
         self.carried = self.obstacles.carried(x)
@@ -187,12 +190,12 @@ class ContactForces:
         rubbed *= np.minimum(1.0, limit / np.maximum(size, 1e-300))[..., None]
         change = np.abs(pressed - self.memory[0]) + np.linalg.norm(rubbed - self.memory[1], axis=2)
         self.memory = pressed, rubbed
-        return float(change.max(initial=0.0) / max(pressed.max(initial=0.0), 1e-300))
+        return float((change / np.maximum(pressed.max(initial=0.0), self.r * least)).max(initial=0.0))
 
-    def softest(self) -> float:
-        """Move that changes a force by the largest of them [m]; infinite without contact."""
-        pressed = self.memory[0]
-        return float((pressed.max() / self.r[pressed.max(axis=1) > 0.0].max()) if np.any(pressed > 0.0) else np.inf)
+    def reach(self, least: float) -> np.ndarray:
+        """Move of each vertex that changes its forces by the largest [m], shape (n,); infinite where it feels none."""
+        pressed, r = self.memory[0], self.r[:, 0]
+        return np.where(pressed.max(axis=1, initial=0.0) > r * least, pressed.max(initial=0.0) / r, np.inf)
 
     def _pressed(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Normal forces [N], shape (n, k), and normals."""
