@@ -19,7 +19,7 @@ __all__ = ["BDF2", "ExplicitSolver", "ImplicitEuler", "Midpoint", "QuasiStatic",
 STABLE = 0.7  # part of the limit 2/omega that an explicit step takes: cloth stiffens as it stretches
 CONTACT_STIFFNESS = 30.0  # r over the mean stiffness that a vertex feels
 SETTLED = 1e-4  # contact has settled when no force changes by more than this part of the largest
-NOTHING = 1e-3  # a contact that this part of Newton's tolerance would make is none
+NOTHING = 0.1  # a contact that this part of Newton's tolerance would make is none
 SETTLINGS = 100  # rounds of contact at most
 
 

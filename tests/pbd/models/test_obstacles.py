@@ -139,9 +139,9 @@ def over_a_cylinder(edges: int, friction: float) -> float:
     assert isinstance(solver, ClothSolver)
     state, right = State.at_rest(model), wound[held, 0] > 0
     cylinder = Colliders([Capsule((0.0, 0.0, -1.0), (0.0, 0.0, 1.0), radius - 1e-3)])
-    for k in range(12):
+    for k in range(1, 13):
         targets = wound[held].copy()
-        targets[:, 1] -= 0.01 * min(1.0, k / 4)
+        targets[:, 1] -= 0.01 * min(1.0, k / 3)
         targets[:, 1] += np.where(right, -0.003, 0.0028) * k
         solver.step(state, cylinder, 1 / 60, targets=targets)
     pull = -solver.energy.gradient(solver.position)[held, 1]
