@@ -22,7 +22,7 @@ def bent_energy(membrane: str, bending: str, edges: int, flat: bool) -> float:
         x[:, 0] += 0.004 * np.sin(u) * np.cos(0.5 * v)
         x[:, 1] += 0.003 * np.cos(0.7 * u + v)
     else:
-        x[:, 2] += 1e-4 * np.sin(u) * np.cos(0.5 * v)
+        x[:, 2] += 1e-4 * (np.sin(0.5 * u) * np.sin(0.5 * v)) ** 4  # without moment at the border
     energy = cloth_energy(model, membrane, bending, 0.3)
     part = energy.parts[0] if flat else energy.parts[1]
     return part.energy(energy.completed(x))
@@ -36,12 +36,12 @@ def bent_energy(membrane: str, bending: str, edges: int, flat: bool) -> float:
         ("fem-stvk", "isometric", True),
         ("baraff-witkin", "isometric", True),
         ("springs-square", "isometric", True),
-        ("fem-stvk", "morley", False),
+        ("fem-stvk", "isometric", False),
     ],
 )
 def test_energy_converges_with_the_square_of_the_edge(membrane: str, bending: str, flat: bool) -> None:
-    """Three meshes tell the order without an exact value."""
-    first, second, third = (bent_energy(membrane, bending, edges, flat) for edges in (8, 16, 32))
+    """Three meshes tell the order without an exact value. (Morley: the cantilever below.)"""
+    first, second, third = (bent_energy(membrane, bending, edges, flat) for edges in (10, 20, 40))
     assert np.log2(abs(first - second) / abs(second - third)) == pytest.approx(2.0, abs=0.3)
 
 

