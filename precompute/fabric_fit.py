@@ -83,12 +83,8 @@ def read_curves(path: Path) -> dict[tuple[str, str], LoadCurve]:
         errors.append(InputError("no curve", file=path, received=0, expected="at least one row"))
     if errors:
         raise InputError.join(errors)
-    return {key: _curve(found) for key, found in points.items()}
-
-
-def _curve(points: list[tuple[float, float]]) -> LoadCurve:
-    deformation, load = np.array(sorted(points)).T
-    return LoadCurve(deformation, load, math.nan)
+    ordered = {key: np.array(sorted(found)) for key, found in points.items()}
+    return {key: LoadCurve(curve[:, 0], curve[:, 1], math.nan) for key, curve in ordered.items()}
 
 
 def fit_fabric(
