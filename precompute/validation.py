@@ -129,7 +129,7 @@ def validate(
     best: tuple[Setting, Measured] | None = None
     reason = ""
     for name in [solver] if solver else row.best_solvers:
-        for edges in (first.edges,) if resolution else (first.edges, FINER * first.edges):
+        for edges in (first.edges,) if resolution or "edges" in row.parameters else (first.edges, FINER * first.edges):
             setting = replace(first, solver=name, edges=edges)
             if edges > first.edges:  # what was cheap enough is not tried again: four times the substeps are needed
                 setting = replace(setting, substeps=8 * setting.substeps)
