@@ -158,7 +158,7 @@ def validate(
                 if abs(found.error - last) < 0.1 * max(row.gate_best, 1e-12) or found.error == last:
                     reason = f"more substeps change nothing; {reason}"
                     break
-                if 2.0 * took > LONGEST:
+                if 2.0 * took > LONGEST and setting.substeps > first.substeps:  # the first one compiles
                     reason = f"more would take over {LONGEST:g} s; {reason}"
                     break
                 if setting.substeps >= MOST:
