@@ -426,7 +426,7 @@ def _unpacked(arrays: dict[str, np.ndarray]) -> WrinkleDatabase:
         other_fabrics=_other_fabrics_of(
             groups["other_fabrics"]["name"], groups["other_fabrics/fabric"], groups["other_fabrics/options"]
         ),
-        solver=SolverOptions(**groups["solver"]),
+        solver=SolverOptions(**groups["solver"] | {"self_collision": bool(groups["solver"]["self_collision"])}),
         atoms=Atoms(**groups["atoms"]),
         mapping=Mapping(**groups["mapping"]),
         unfamiliarity=Unfamiliarity(**groups["unfamiliarity"]),

@@ -106,6 +106,7 @@ ENTRIES = (
     Entry("solver/substep", DOUBLE, unit="s"),
     Entry("solver/gravity", DOUBLE, (3,), "m/s2"),
     Entry("solver/coarse_sweeps", WHOLE),
+    Entry("solver/self_collision", WHOLE),
     Entry("solver/contact_refreshes", DOUBLE, unit="Hz"),
     Entry("frame_rate", DOUBLE, unit="Hz"),
     *_in_steps("atoms/shapes", ("K", 3 * NODES), "m", along=1),
