@@ -48,7 +48,7 @@ def recording(layer: Layer) -> Recording:
         2 * np.arange(1, FRAMES + 1),
         fine.astype(np.float32),
         coarse.astype(np.float32),
-        np.full((FRAMES, count, 4), 0.02, np.float32),
+        np.full((FRAMES, count), 0.02, np.float32),
         np.zeros((FRAMES, count), np.int32),
         1.0,
     )
