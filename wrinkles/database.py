@@ -418,6 +418,7 @@ def _unpacked(arrays: dict[str, np.ndarray]) -> WrinkleDatabase:
     root = groups[""]
     for derived in ("format", "schema_version", "units", "topology_hash", "content_hash"):
         del root[derived]
+    groups["solver"]["self_collision"] = bool(groups["solver"]["self_collision"])
     return WrinkleDatabase(
         **root,
         binding=_binding_of(groups["binding"]),
@@ -426,7 +427,7 @@ def _unpacked(arrays: dict[str, np.ndarray]) -> WrinkleDatabase:
         other_fabrics=_other_fabrics_of(
             groups["other_fabrics"]["name"], groups["other_fabrics/fabric"], groups["other_fabrics/options"]
         ),
-        solver=SolverOptions(**groups["solver"] | {"self_collision": bool(groups["solver"]["self_collision"])}),
+        solver=SolverOptions(**groups["solver"]),
         atoms=Atoms(**groups["atoms"]),
         mapping=Mapping(**groups["mapping"]),
         unfamiliarity=Unfamiliarity(**groups["unfamiliarity"]),
