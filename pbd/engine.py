@@ -91,7 +91,7 @@ def ensure_initialized(arch: str = "cpu", threads: int | None = None) -> None:
                 default_ip=ti.i32,
                 offline_cache=True,
                 log_level=ti.ERROR,
-                fast_math=False,  # the same function in two kernels must round alike; it costs the solver nothing
+                fast_math=False,  # the same function in two kernels must round alike; costs a tenth of a frame
             )
         _settings = {"arch": arch, "threads": count}
 
