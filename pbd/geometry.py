@@ -159,6 +159,6 @@ def surface_normals(vertices: Vec3, faces: Int3, normals: Vec3):
             x0 = vertices[f[0]]
             n = (vertices[f[1]] - x0).cross(vertices[f[2]] - x0)
             for a in ti.static(range(3)):
-                normals[f[a]] += n
+                normals[f[a]] = normals[f[a]] + n
         for i in range(normals.shape[0]):
-            normals[i] /= ti.max(normals[i].norm(), 1e-20)
+            normals[i] = normals[i] / ti.max(normals[i].norm(), 1e-20)

@@ -150,8 +150,8 @@ def solve_patches(
         for k in range(color_starts[level], color_starts[level + 1]):
             for c in range(team.begin(colors[k], colors[k + 1]), team.end(colors[k], colors[k + 1])):
                 strain = -multipliers[c] * inverse_h2 * xyz(data[c, 2])
-                borne[links[c][0]] += vec4(shares[c, 0] * strain)
-                borne[links[c][1]] += vec4(shares[c, 1] * strain)
+                borne[links[c][0]] = borne[links[c][0]] + vec4(shares[c, 0] * strain)
+                borne[links[c][1]] = borne[links[c][1]] + vec4(shares[c, 1] * strain)
             team.meet()
     farthest = 0.0
     for a in range(team.begin(0, starts[1]), team.end(0, starts[1])):

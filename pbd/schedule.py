@@ -151,17 +151,17 @@ def cloth_normals(
                 x0 = xyz(position[f[0]])
                 n = vec4((xyz(position[f[1]]) - x0).cross(xyz(position[f[2]]) - x0))
                 for a in ti.static(range(3)):
-                    normals[f[a]] += n
+                    normals[f[a]] = normals[f[a]] + n
         team.meet()
     for i in range(team.begin(0, count), team.end(0, count)):
-        normals[i] /= ti.max(normals[i].norm(), 1e-20)
+        normals[i] = normals[i] / ti.max(normals[i].norm(), 1e-20)
 
 
 @ti.func
 def settle(position: ti.template(), shift: ti.template(), i: ti.i32, u: vec3) -> vec3:
     """Move vertex i by u [m]: whole steps go to the position, the rest to the shift; nothing is rounded away."""
     whole = ti.floor(u * FINEST + 0.5) / FINEST
-    position[i] += vec4(whole)
+    position[i] = position[i] + vec4(whole)
     shift[i] = vec4(u - whole)
     return u - whole
 
@@ -294,7 +294,7 @@ def advance_garment(
                 v = velocity[i] + (xyz(gained[i]) + gain)
                 dragged = drag_velocity(v - wind, xyz(normals[i]), h * drag[i])
                 u += h * (v + dragged)
-                gained[i] += vec4(gain + dragged)
+                gained[i] = gained[i] + vec4(gain + dragged)
             predicted[i] = vec4(settle(position, shift, i, u))
         team.meet()
         for c in range(team.begin(0, held.shape[0]), team.end(0, held.shape[0])):
@@ -402,11 +402,11 @@ def advance_garment(
                     slip = u - substep_start(velocity, predicted, gained, i, h)
                     u += collide_primitives(xyz(position[i]), u, slip, t, share, primitives, thickness, friction, h)
                     shift[i] = vec4(u)
-                gained[i] += inverse_h * vec4(u - xyz(predicted[i]))
+                gained[i] = gained[i] + inverse_h * vec4(u - xyz(predicted[i]))
         team.meet()
     for i in range(team.begin(0, count), team.end(0, count)):
-        position[i] += vec4(xyz(shift[i]))
-        velocity[i] += xyz(gained[i])
+        position[i] = position[i] + vec4(xyz(shift[i]))
+        velocity[i] = velocity[i] + xyz(gained[i])
         contact[i] = FAR
         if nearest[i] >= 0 and position[i][3] > 0.0:
             away = xyz(position[i]) - (xyz(touched[i, 0]) + xyz(touched[i, 1]))

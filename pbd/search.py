@@ -100,16 +100,16 @@ def search(
         if q.min() >= 0.0 and q[0] < nx and q[1] < ny and q[2] < nz:
             c = (int(q[0]) * ny + int(q[1])) * nz + int(q[2]) + 1
             item_cell[s] = c
-            cell_start[c] += 1
+            cell_start[c] = cell_start[c] + 1
     for c in range(nx * ny * nz):
-        cell_start[c + 1] += cell_start[c]
+        cell_start[c + 1] = cell_start[c + 1] + cell_start[c]
     total = cell_start[nx * ny * nz]
     # Filled from the back, cell c starts at cell_start[c + 1] in the end.
     for r in range(count):
         s = count - 1 - r
         c = item_cell[s]
         if c >= 0:
-            cell_start[c] -= 1
+            cell_start[c] = cell_start[c] - 1
             cell_items[cell_start[c]] = item(s, body_0, surface)
     cell_start[nx * ny * nz + 1] = total
 

@@ -92,3 +92,35 @@ def test_playing_loads_nothing_that_only_learning_needs() -> None:
     )
     result = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
+
+
+# What one garment on one thread and many on several threads are stepped by alike, see pbd.crowd.
+SHARED_BY_THREADS = ("constraints", "contact", "geometry", "hierarchy", "levels", "schedule", "search")
+
+
+def float_atomics(source: str) -> list[int]:
+    """Lines of Taichi functions that add to an element of an array in place: an atomic operation in a parallel loop.
+
+    Crowds were half as fast as one garment after another for it.
+    """
+    functions = [
+        node
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.FunctionDef)
+        and any(ast.unparse(mark).startswith("ti.") for mark in node.decorator_list)
+    ]
+    return [
+        node.lineno
+        for function in functions
+        for node in ast.walk(function)
+        if isinstance(node, ast.AugAssign) and isinstance(node.target, ast.Subscript)
+    ]
+
+
+@pytest.mark.parametrize("name", SHARED_BY_THREADS)
+def test_what_threads_share_adds_without_atomics(name: str) -> None:
+    assert float_atomics((ROOT / "pbd" / f"{name}.py").read_text(encoding="utf-8")) == []
+
+
+def test_float_atomics_are_found() -> None:
+    assert float_atomics("@ti.func\ndef f(x):\n    x[0] += 1.0\n    y = 0.0\n    y += 1.0") == [3]
