@@ -186,6 +186,33 @@ def contact_correction(gap: ti.f32, normal: vec3, slip: vec3, friction: ti.f32, 
 
 
 @ti.func
+def cushioned(gap: ti.f32, thickness: ti.f32, give: ti.f32):
+    """What is left to be closed of a gap where the cloth gives way by van Wyk's law, P = p_c ((T0/T)^3 - 1).
+
+    An implicit step of the vertex against the law: the correction c leaves the depth r = -gap - c, and the pressure
+    there must make it, c = (h^2/rho_A) P(r); by Newton's method.
+
+    Args:
+        gap: signed distance to the collider less the thickness without pressure [m].
+        thickness: T0 [m].
+        give: h^2 p_c / rho_A [m]; 0 for cloth that does not give.
+
+    Returns:
+        The gap that a correction has to close [m].
+    """
+    left = gap
+    if give > 0.0 and gap < 0.0:
+        # In y = (T0/T)^3: y - 1 + (T0/give) (1 - y^(-1/3)) = depth/give.
+        y = 1.0 - gap / give
+        for _ in range(8):
+            root = ti.pow(y, -1.0 / 3.0)
+            off = give * (y - 1.0) + thickness * (1.0 - root) + gap
+            y = ti.max(y - off / (give + thickness * root / (3.0 * y)), 1.0)
+        left = -give * (y - 1.0)
+    return left
+
+
+@ti.func
 def drag_velocity(velocity: vec3, normal: vec3, factor: ti.f32):
     """Air drag of a surface along its normal, stable at any step: v_n' = v_n / (1 + factor |v_n|).
 

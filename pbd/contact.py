@@ -1,6 +1,6 @@
 """Contact in a substep: with the faces of a body and with primitives."""
 
-from pbd.constraints import contact_correction
+from pbd.constraints import contact_correction, cushioned
 from pbd.engine import ti
 from pbd.geometry import between, closest_in_fan, descend, vec3, vec4, xyz
 
@@ -94,12 +94,11 @@ def collide_primitives(
     t: ti.f32,
     dt_share: ti.f32,
     primitives: ti.template(),
-    thickness: ti.f32,
-    friction: ti.f32,
+    contact_law: vec3,
     h: ti.f32,
 ):
     """Correction by planes (0), spheres (1), capsules (2); rows: kind, radius, a0, b0, a1, b1 (start, end)."""
-    total = vec3(0.0)
+    total, thickness = vec3(0.0), contact_law[0]
     for c in range(primitives.shape[0]):
         kind = int(primitives[c, 0])
         a0 = vec3(primitives[c, 2], primitives[c, 3], primitives[c, 4])
@@ -124,5 +123,6 @@ def collide_primitives(
             if size > 1e-9:
                 normal = offset / size
             gap = size - primitives[c, 1] - thickness
-        total += contact_correction(gap, normal, slip + total - carried, friction, h)
+        gap = cushioned(gap, thickness, contact_law[2] * h * h)
+        total += contact_correction(gap, normal, slip + total - carried, contact_law[1], h)
     return total

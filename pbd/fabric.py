@@ -24,7 +24,9 @@ class Fabric:
         shear: in-plane shear modulus times thickness, G h [N/m].
         bend_warp: bending stiffness per width for curvature along the warp [N m].
         bend_weft: the same along the weft [N m].
-        thickness: distance kept between the middle surface and a collider [m].
+        thickness: distance kept between the middle surface and a collider, without pressure [m].
+        compression: pressure p_c of van Wyk's law, by which the thickness T gives way to a pressure
+            P = p_c ((thickness/T)^3 - 1) [Pa]; 0 for a thickness that does not give.
         friction: Coulomb coefficient against colliders [-].
         air_drag: drag coefficient of the surface for flow along its normal [-].
 
@@ -41,12 +43,13 @@ class Fabric:
     bend_warp: float = 1.0e-5
     bend_weft: float = 1.0e-5
     thickness: float = 0.003
+    compression: float = 0.0
     friction: float = 0.3
     air_drag: float = 1.0
 
     def __post_init__(self) -> None:
         errors = []
-        may_be_zero = {"poisson", "friction", "air_drag", "bend_warp", "bend_weft"}
+        may_be_zero = {"poisson", "friction", "air_drag", "bend_warp", "bend_weft", "compression"}
         for field in fields(self):
             value = getattr(self, field.name)
             wanted = "a finite number, at least 0" if field.name in may_be_zero else "a finite number above 0"

@@ -17,7 +17,8 @@ __all__ = ["layered"]
 def layered(models: Sequence[Model]) -> Model:
     """One model of several garments, from the innermost outwards; its vertices, and those held, come in that order.
 
-    Contact knows one fabric: the greatest thickness of all, the least friction, and the innermost garment's drag.
+    Contact knows one fabric: the greatest thickness of all, which does not give, the least friction, and the innermost
+    garment's drag.
 
     Raises:
         InputError: no garment, or garments with different factors on compression.
@@ -70,7 +71,7 @@ def layered(models: Sequence[Model]) -> Model:
     return replace(
         models[0],
         mesh=mesh,
-        fabric=replace(fabrics[0], thickness=thickness, friction=friction),
+        fabric=replace(fabrics[0], thickness=thickness, friction=friction, compression=0.0),
         mass=joined("mass"),
         inverse_mass=joined("inverse_mass"),
         held=np.concatenate(shifted("held")).astype(np.int32),

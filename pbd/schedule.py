@@ -9,6 +9,7 @@ from functools import cache
 
 from pbd.constraints import (
     contact_correction,
+    cushioned,
     drag_velocity,
     hinge_multiplier,
     membrane_multipliers,
@@ -233,13 +234,13 @@ def advance_garment(
     gravity: vec3,
     wind: vec3,
     squeeze: ti.f32,
-    thickness: ti.f32,
-    friction: ti.f32,
+    contact_law: vec3,
 ):
     """Advance a garment by steps of h [s].
 
     ``steps``: the first, the one after the last, how many the frame has; how many between two looks at all contacts;
-    levels and passes over them.
+    levels and passes over them. ``contact_law``: thickness [m], coefficient of friction, and the pressure of the law by
+    which the thickness gives over the areal density [m/s2].
 
     Per substep: predict, held vertices, patches from coarse to fine, membrane, bending, stitches, tethers, contact with
     the body, of the cloth with itself, with primitives, velocities. Digits are kept in three places: a vertex stands at
@@ -256,7 +257,7 @@ def advance_garment(
     """
     inverse_h = 1.0 / h
     inverse_h2 = inverse_h * inverse_h
-    count = position.shape[0]
+    count, thickness, friction = position.shape[0], contact_law[0], contact_law[1]
     substeps, refresh, levels, sweeps = steps[2], steps[3], steps[4], steps[5]
     share = 1.0 / substeps
     # Whatever is nearer than this may touch before all are looked at again.
@@ -378,7 +379,8 @@ def advance_garment(
                         + substep_start(velocity, predicted, gained, j, h)
                     )
                     slip -= share * motion
-                    m = contact_correction(distance - thickness, normal, slip, friction, h)
+                    gap = cushioned(distance - thickness, thickness, contact_law[2] * h * h)
+                    m = contact_correction(gap, normal, slip, friction, h)
                     m *= 0.5 / weight
                     # A vertex is a sample with both ends the same: half and half make the whole.
                     shift[i] = vec4(xyz(shift[i]) + p[3] * m)
@@ -400,7 +402,7 @@ def advance_garment(
                 u = xyz(shift[i])
                 if primitives.shape[0] > 0:
                     slip = u - substep_start(velocity, predicted, gained, i, h)
-                    u += collide_primitives(xyz(position[i]), u, slip, t, share, primitives, thickness, friction, h)
+                    u += collide_primitives(xyz(position[i]), u, slip, t, share, primitives, contact_law, h)
                     shift[i] = vec4(u)
                 gained[i] = gained[i] + inverse_h * vec4(u - xyz(predicted[i]))
         team.meet()
@@ -481,8 +483,7 @@ def advance_kernel(with_patches: bool, with_pairs: bool = False) -> Callable[...
         gravity: vec3,
         wind: vec3,
         squeeze: ti.f32,
-        thickness: ti.f32,
-        friction: ti.f32,
+        contact_law: vec3,
     ):
         ti.loop_config(serialize=True)
         for _ in range(1):
@@ -494,7 +495,7 @@ def advance_kernel(with_patches: bool, with_pairs: bool = False) -> Callable[...
                 contact, body_0, body_1, body_normals, ring_start, ring, fan_start, fan, parent, part, ways, places,
                 first_ways, borne, starts, children, child_starts, links, link_colors, color_starts,
                 link_data, link_shares, link_lines, multipliers, way, room, pairs, pair_data, ready, steps, h, gravity,
-                wind, squeeze, thickness, friction,
+                wind, squeeze, contact_law,
             )  # fmt: skip
 
     return advance

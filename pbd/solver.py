@@ -250,8 +250,7 @@ class Solver:
             options.gravity,
             wind,
             model.options.squeeze,
-            thickness,
-            model.fabric.friction,
+            (thickness, model.fabric.friction, model.fabric.compression / model.fabric.areal_density),
         )
         return search, course
 

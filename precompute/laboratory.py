@@ -15,7 +15,10 @@ import numpy as np
 from pbd import Colliders, Fabric, Plane
 from precompute.trial import GRAVITY, RATE, Setting, Trial, level, strip
 
-__all__ = ["DIRECTIONS", "LoadCurve", "bending_curve", "friction_coefficient", "shear_curve", "tension_curve"]
+__all__ = [
+    "DIRECTIONS", "LoadCurve", "bending_curve", "compression_curve", "friction_coefficient", "shear_curve",
+    "tension_curve",
+]  # fmt: skip
 
 DIRECTIONS = {"warp": 0.0, "bias": 0.25 * math.pi, "weft": 0.5 * math.pi}  # of the sample to the warp [rad]
 STILL = 0.2  # time over which clamped cloth is damped [s]
@@ -123,6 +126,32 @@ def bending_curve(setting: Setting, fabric: Fabric, angle: float, curvatures: Se
         loads.append(abs((moment - np.cross(middle, force))[2]) / width)
         costs.append(trial.cost_ms)
     return LoadCurve(np.array(curvatures), np.array(loads), float(np.median(costs)))
+
+
+def compression_curve(setting: Setting, fabric: Fabric, pressures: Sequence[float]) -> LoadCurve:
+    """A sheet pressed onto a level plate by its own weight, as many times g as it takes: its height over the plate.
+
+    So pressure is known whatever a solver takes for a force.
+
+    Args:
+        setting: solver and resolution.
+        fabric: SI values.
+        pressures: above 0 [Pa].
+
+    Returns:
+        Pressures as load [Pa] and thickness as deformation [m].
+    """
+    patch = strip(0.05, 0.05, max(4, setting.edges // 4), clamp=0)
+    plate = Colliders([Plane((0.0, 0.0, 0.0))])
+    found, costs = [], []
+    for pressure in pressures:
+        gravity = (0.0, -pressure / fabric.areal_density, 0.0)
+        start = level(patch.flat) + [0.0, fabric.thickness, 0.0]
+        trial = Trial(patch, start, fabric, np.zeros(0, int), setting, gravity, colliders=plate)
+        trial.settle(0.05, limit=20.0, still=1e-6)
+        found.append(float(trial.model.mass @ trial.world()[:, 1] / trial.model.mass.sum()))
+        costs.append(trial.cost_ms)
+    return LoadCurve(np.array(found), np.array(pressures, float), float(np.median(costs)))
 
 
 def friction_coefficient(setting: Setting, fabric: Fabric) -> tuple[float, float]:

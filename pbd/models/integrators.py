@@ -10,7 +10,7 @@ from pbd.model import Model
 from pbd.models.elements import Sum
 from pbd.models.linear import Cholesky, FreeOrder, NotPositiveDefinite
 from pbd.models.newton import StepError, minimise
-from pbd.models.obstacles import ContactForces, Obstacles
+from pbd.models.obstacles import ContactForces, Cushion, Obstacles
 from pbd.models.springs import Springs
 from pbd.models.stepping import ClothSolver, Options
 
@@ -212,8 +212,9 @@ class NewtonSolver(ClothSolver):
             start = self.energy.completed(start)
             diagonal = self.energy.hessian(start).diagonal().reshape(-1, 3).mean(axis=1)
             stiffness = CONTACT_STIFFNESS * (mass[:, 0] * inverse_square + np.maximum(diagonal, 0.0))
-            friction = self.model.fabric.friction
-            contact = ContactForces(obstacles, start, self.free, stiffness, friction, h, self._touching)
+            contact = ContactForces(
+                obstacles, start, self.free, stiffness, self.model.fabric.friction, h, self._touching, self._cushion()
+            )
         objective = (
             _Weighed(self.energy, aim, contact) if still else _Motion(self.energy, mass, aim, inverse_square, contact)
         )
@@ -230,6 +231,15 @@ class NewtonSolver(ClothSolver):
                 self._touching = contact.memory
                 return x[:count]
         raise StepError(f"contact does not settle in {SETTLINGS} rounds")
+
+    def _cushion(self) -> Cushion | None:
+        """Of a fabric whose thickness gives."""
+        fabric = self.model.fabric
+        if fabric.compression == 0.0:
+            return None
+        area = np.zeros((len(self.mass) + len(self.hidden), 1))
+        area[: len(self.mass), 0] = self.model.mesh.vertex_areas
+        return Cushion(fabric.compression, fabric.thickness, area)
 
 
 class ImplicitEuler(NewtonSolver):

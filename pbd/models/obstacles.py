@@ -8,8 +8,9 @@ from scipy.sparse import bsr_matrix, csr_matrix
 from pbd.colliders import Colliders
 from pbd.errors import InputError
 
-__all__ = ["ContactForces", "Obstacles"]
+__all__ = ["Cushion", "ContactForces", "Obstacles"]
 
+THINNEST = 0.05  # of the thickness; from there on the law goes on along its slope
 PUSH_OUT = 0.5  # what starts a step inside an obstacle comes out no faster than this against its surface [m/s]
 
 
@@ -108,6 +109,47 @@ class Obstacles:
         return total
 
 
+class Cushion:
+    """Cloth that gives way to pressure through its thickness: van Wyk's law, P = p_c ((T0/T)^3 - 1).
+
+    C. M. van Wyk, Note on the compressibility of wool, Journal of the Textile Institute 37 (1946).
+
+    Args:
+        pressure: p_c [Pa], above 0.
+        thickness: T0 [m].
+        area: of each vertex [m2], shape (n, 1).
+    """
+
+    def __init__(self, pressure: float, thickness: float, area: np.ndarray) -> None:
+        self.pressure, self.thickness, self.area = pressure, thickness, area
+
+    def _parts(self, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Depth within the law and beyond it [m], and T0/T."""
+        pressed = np.clip(depth, 0.0, (1.0 - THINNEST) * self.thickness)
+        return pressed, np.maximum(depth - pressed, 0.0), self.thickness / (self.thickness - pressed)
+
+    def force(self, depth: np.ndarray) -> np.ndarray:
+        """Of each vertex at a depth under its thickness [N]."""
+        _, beyond, ratio = self._parts(depth)
+        return self.area * self.pressure * (ratio**3 - 1.0 + 3.0 * ratio**4 * beyond / self.thickness)
+
+    def stiffness(self, depth: np.ndarray) -> np.ndarray:
+        """Derivative of the force [N/m]."""
+        return self.area * self.pressure * 3.0 * self._parts(depth)[2] ** 4 / self.thickness * (depth > 0.0)
+
+    def depth(self, force: np.ndarray) -> np.ndarray:
+        """How far a force [N] presses each vertex in, within the law [m]."""
+        ratio = np.cbrt(1.0 + force / np.maximum(self.area * self.pressure, 1e-300))
+        return self.thickness * np.minimum(1.0 - 1.0 / ratio, 1.0 - THINNEST)
+
+    def energy(self, depth: np.ndarray) -> np.ndarray:
+        """Integral of the force [J]."""
+        pressed, beyond, ratio = self._parts(depth)
+        within = 0.5 * self.thickness * (ratio**2 - 1.0) - pressed
+        more = (ratio**3 - 1.0) * beyond + 1.5 * ratio**4 * beyond**2 / self.thickness
+        return self.area * self.pressure * (within + more)
+
+
 class ContactForces:
     """Contact and Coulomb friction as forces of an implicit step, by an augmented Lagrangian.
 
@@ -124,6 +166,7 @@ class ContactForces:
         friction: Coulomb coefficient [-].
         h: substep [s]; infinite where there is no time.
         memory: what the last substep's contact remembered; None to begin.
+        cushion: cloth that gives way through its thickness; None closes gaps exactly.
 
     Attributes:
         memory: normal forces [N], shape (n, k), and friction [N], shape (n, k, 3).
@@ -138,12 +181,14 @@ class ContactForces:
         friction: float,
         h: float,
         memory: tuple[np.ndarray, np.ndarray] | None,
+        cushion: Cushion | None = None,
     ) -> None:
+        self.cushion = cushion
         self.obstacles, self.start, self.friction, self.r = obstacles, start, friction, stiffness[:, None]
         self.feels = np.zeros((len(start), 1), bool)
         self.feels[free] = True
         gaps, self.normals = obstacles.gaps(start, at_start=True)
-        self.floor = np.minimum(0.0, gaps + PUSH_OUT * h)
+        self.floor = np.zeros_like(gaps) if cushion else np.minimum(0.0, gaps + PUSH_OUT * h)
         self.carried = obstacles.carried(start)
         if memory is None or memory[0].shape != gaps.shape:
             memory = np.zeros_like(gaps), np.zeros_like(self.normals)
@@ -154,7 +199,10 @@ class ContactForces:
         pressed, tried = self._pressed(x)[0], self._tried(x)
         size = np.linalg.norm(tried, axis=2)
         beyond = np.maximum(0.0, size - self.friction * self.memory[0])
-        return float((0.5 * (pressed**2 + size**2 - beyond**2) / self.r).sum())
+        rubbed = float((0.5 * (size**2 - beyond**2) / self.r).sum())
+        if self.cushion:
+            return rubbed + float((self.cushion.energy(self._depth(x)) * self.feels).sum())
+        return rubbed + float((0.5 * pressed**2 / self.r).sum())
 
     def gradient(self, x: np.ndarray) -> np.ndarray:
         pressed, normals = self._pressed(x)
@@ -162,7 +210,8 @@ class ContactForces:
 
     def hessian(self, x: np.ndarray) -> csr_matrix:
         pressed, normals = self._pressed(x)
-        blocks = np.einsum("nk,nki,nkj->nij", self.r * (pressed > 0.0), normals, normals)
+        rate = self.cushion.stiffness(self._depth(x)) if self.cushion else self.r
+        blocks = np.einsum("nk,nki,nkj->nij", rate * (pressed > 0.0), normals, normals)
         tried = self._tried(x)
         size = np.linalg.norm(tried, axis=2)
         limit = self.friction * self.memory[0]
@@ -195,12 +244,21 @@ class ContactForces:
     def reach(self, least: float) -> np.ndarray:
         """Move of each vertex that changes its forces by the largest [m], shape (n,); infinite where it feels none."""
         pressed, r = self.memory[0], self.r[:, 0]
+        if self.cushion:
+            depth = self.cushion.depth(pressed.max(axis=1, initial=0.0)[:, None])
+            r = np.maximum(r, self.cushion.stiffness(depth)[:, 0])
         return np.where(pressed.max(axis=1, initial=0.0) > r * least, pressed.max(initial=0.0) / r, np.inf)
 
     def _pressed(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Normal forces [N], shape (n, k), and normals."""
         gaps, normals = self.obstacles.gaps(x)
+        if self.cushion:
+            return self.cushion.force(self.floor - gaps) * self.feels, normals
         return np.maximum(0.0, self.memory[0] - self.r * (gaps - self.floor)) * self.feels, normals
+
+    def _depth(self, x: np.ndarray) -> np.ndarray:
+        """How far each vertex is nearer than its thickness [m], shape (n, k)."""
+        return self.floor - self.obstacles.gaps(x)[0]
 
     def _tried(self, x: np.ndarray) -> np.ndarray:
         """Friction that would hold all [N], shape (n, k, 3)."""

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pbd import Fabric, InputError
 
 stiffness = st.floats(1e-2, 1e5)
-MAY_BE_ZERO = ("poisson", "friction", "air_drag", "bend_warp", "bend_weft")
+MAY_BE_ZERO = ("compression", "poisson", "friction", "air_drag", "bend_warp", "bend_weft")
 
 
 @given(stiffness, stiffness, stiffness, st.floats(0.0, 0.95))

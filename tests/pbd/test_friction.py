@@ -100,3 +100,18 @@ def test_edges_with_one_end_held_rub_like_the_others() -> None:
     free = vertices[:, 0] > 1e-9
     # What is held once had no memory of where it stood, and friction pushed the cloth about.
     assert np.abs((state.world() - vertices)[free]).max() < 2e-3
+
+
+@pytest.mark.parametrize("pressure", [100.0, 1000.0, 5000.0])
+def test_thickness_gives_way_to_pressure_by_van_wyks_law(pressure: float) -> None:
+    """A sheet pressed onto a plate by its own weight in a strong field: T = T0 (1 + P/p_c)^(-1/3)."""
+    fabric = Fabric(thickness=0.003, compression=2000.0, air_drag=0.0)
+    vertices, faces = grid(6, 6, 0.01)
+    model = free_model(cloth(vertices[:, [1, 2, 0]] + [0.0, fabric.thickness, 0.0], faces), fabric)
+    state = State.at_rest(model)
+    solver = Solver(model, SolverOptions(gravity=(0.0, -pressure / fabric.areal_density, 0.0)))
+    for _ in range(30):
+        solver.step(state, Colliders([Plane((0.0, 0.0, 0.0))]), 1.0 / 60.0)
+        state.velocity *= np.float32(0.5)
+    expected = 0.003 * (1.0 + pressure / 2000.0) ** (-1.0 / 3.0)
+    assert state.position[:, 1] == pytest.approx(expected, rel=2e-4)

@@ -7,7 +7,7 @@ import pytest
 
 from pbd import Capsule, ClothMesh, Colliders, Fabric, Plane, Sphere, State
 from pbd.models import Options, make_solver
-from pbd.models.obstacles import ContactForces, Obstacles
+from pbd.models.obstacles import ContactForces, Cushion, Obstacles
 from pbd.models.stepping import ClothSolver
 from tests.pbd.meshes import cloth, free_model, grid, turn
 
@@ -179,3 +179,33 @@ def test_a_sheet_falls_on_obstacles_and_a_lift_carries_it(name: str, obstacle: C
     gaps, _ = Obstacles(Obstacles.of_frame(colliders, np.zeros(3)), 0.0, 1.0, THICKNESS).gaps(state.world())
     assert gaps.min() > -1e-4 and gaps.min() < 2e-3  # outside, and there
     assert state.world()[:, 1].max() < 0.06
+
+
+def test_a_cushion_s_force_and_stiffness_are_derivatives_of_its_energy() -> None:
+    """Within van Wyk's law, at its end and beyond."""
+    cushion = Cushion(2000.0, 0.003, np.full((1, 1), 1e-4))
+    depth = np.array([[1e-5, 5e-4, 1.5e-3, 2.7e-3, 2.84e-3, 2.86e-3, 4e-3]])
+    step = 1e-9
+    slope = (cushion.energy(depth + step) - cushion.energy(depth - step)) / (2.0 * step)
+    assert slope == pytest.approx(cushion.force(depth), rel=1e-5)
+    rate = (cushion.force(depth + step) - cushion.force(depth - step)) / (2.0 * step)
+    assert rate == pytest.approx(cushion.stiffness(depth), rel=1e-5)
+    assert cushion.force(np.full((1, 1), -1e-4)) == 0.0
+    assert cushion.depth(cushion.force(depth[:, :4])) == pytest.approx(depth[:, :4])
+
+
+def test_forces_of_cloth_that_gives_are_derivatives() -> None:
+    contact, x = forces()
+    contact.cushion = Cushion(2000.0, THICKNESS, np.full((len(x), 1), 1e-4))
+    contact.floor[:] = 0.0
+    rng = np.random.default_rng(3)
+    way, step = rng.normal(size=x.shape), 1e-7
+    slope = (contact.energy(x + step * way) - contact.energy(x - step * way)) / (2.0 * step)
+    assert slope == pytest.approx((contact.gradient(x) * way).sum(), rel=1e-5)
+    flat = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]])
+    contact.obstacles, contact.floor = Obstacles(flat, 0.0, 1.0, THICKNESS), contact.floor[:, :1]
+    contact.memory, contact.carried = (np.zeros((30, 1)), np.zeros((30, 1, 3))), np.zeros((30, 1, 3))
+    contact.normals = np.broadcast_to([0.0, 0.0, 1.0], (30, 1, 3))
+    x[:, 2] = rng.uniform(0.0005, 0.004, 30)
+    rate = (contact.gradient(x + step * way) - contact.gradient(x - step * way)) / (2.0 * step)
+    assert contact.hessian(x) @ way.ravel() == pytest.approx(rate.ravel(), rel=1e-3, abs=1e-3 * np.abs(rate).max())
