@@ -27,6 +27,7 @@ from pbd.team import Alone
 __all__ = ["advance_garment", "advance_kernel"]
 
 NEAR = 0.01  # nearer than this, a contact is looked at in every substep, even if nothing seems to move [m]
+SQUEEZED = 1e-4  # area of faces over the squares of their sides, below which they are lines [-]
 FINEST = 2.0**20  # inside a frame positions are whole multiples of 1 m / FINEST: exact in float32 up to 16 m
 
 
@@ -140,7 +141,7 @@ def cloth_normals(
     colors: ti.template(),
     normals: ti.template(),
 ):
-    """Unit vertex normals."""
+    """Unit vertex normals; the fourth component is 1 where faces are squeezed to lines and have none."""
     count = position.shape[0]
     for i in range(team.begin(0, count), team.end(0, count)):
         normals[i] = ti.math.vec4(0.0)
@@ -150,12 +151,24 @@ def cloth_normals(
             for c in range(blocks[b][0], blocks[b][0] + blocks[b][1]):
                 f = triangles[c]
                 x0 = xyz(position[f[0]])
-                n = vec4((xyz(position[f[1]]) - x0).cross(xyz(position[f[2]]) - x0))
+                side_1, side_2 = xyz(position[f[1]]) - x0, xyz(position[f[2]]) - x0
+                n = vec4(side_1.cross(side_2), side_1.dot(side_1) + side_2.dot(side_2))
                 for a in ti.static(range(3)):
                     normals[f[a]] = normals[f[a]] + n
         team.meet()
     for i in range(team.begin(0, count), team.end(0, count)):
-        normals[i] = normals[i] / ti.max(normals[i].norm(), 1e-20)
+        n = xyz(normals[i])
+        size = n.norm()
+        normals[i] = vec4(n / ti.max(size, 1e-20), ti.select(size > SQUEEZED * normals[i][3], 0.0, 1.0))
+
+
+@ti.func
+def sideways(i: ti.i32) -> vec3:
+    """A direction of vertex i's own: points spread over the unit ball's surface in a spiral (Vogel 1979)."""
+    height = 0.618033989 * i
+    height = 2.0 * (height - ti.floor(height)) - 1.0
+    across = ti.sqrt(1.0 - height * height)
+    return vec3(across * ti.cos(2.39996323 * i), height, across * ti.sin(2.39996323 * i))
 
 
 @ti.func
@@ -276,6 +289,8 @@ def advance_garment(
     cloth_normals(team, position, triangles, triangle_blocks, block_colors, normals)
     for i in range(team.begin(0, count), team.end(0, count)):
         p = xyz(position[i])
+        if normals[i][3] > 0.0 and position[i][3] > 0.0:
+            p += 0.5 * thickness * sideways(i)  # cloth squeezed to a line knows no way to open
         x = ti.floor(p * FINEST + 0.5) / FINEST
         position[i] = vec4(x, position[i][3])
         shift[i] = vec4(p - x)

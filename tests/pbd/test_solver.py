@@ -173,3 +173,19 @@ def test_a_long_pause_leaves_the_cloth_whole(pause: float) -> None:
         x = state.world()
         stretch = np.linalg.norm(x[edges[:, 0]] - x[edges[:, 1]], axis=1) / lengths
         assert np.isfinite(state.velocity).all() and stretch.max() < 1.2
+
+
+@pytest.mark.parametrize("squeezed", [(0.0, 1.0, 0.0), (0.0, 0.0, 0.0)], ids=["line", "point"])
+def test_cloth_squeezed_to_nothing_opens(squeezed: tuple[float, float, float]) -> None:
+    """Held by nothing, without gravity or air: it comes back to its own size and gains no speed."""
+    vertices, faces = grid(8, 8, 0.05)
+    model = free_model(cloth(vertices, faces), Fabric(**VACUUM))
+    state = State.at_rest(model, vertices * squeezed)
+    run(model, state, 180, gravity=0.0, keep=0.97)
+    x = state.world()
+    edges, rest = model.mesh.edge_lengths()
+    strain = np.linalg.norm(x[edges[:, 0]] - x[edges[:, 1]], axis=1) / rest - 1.0
+    assert np.median(np.abs(strain)) < 0.02 and strain.max() < 0.1
+    assert np.linalg.norm(momentum(model, state)[0]) < 1e-4 * model.mass.sum()
+    centre = model.mass @ (x - vertices * squeezed) / model.mass.sum()
+    assert np.linalg.norm(centre) < 2.0 * model.fabric.thickness  # by half a thickness a frame it is put aside
