@@ -139,10 +139,13 @@ def _cell(value: Any) -> str:
 
 def _chart(chart: Chart, name: str) -> str:
     drawing = svg(chart, name)
+    plain = COLOR_COUNT - 1 if chart.colors else None  # where colours mean something else, methods have none
     keys = [
-        f"<li>{swatch(k, all(p.quoted for p in chart.points if p.method == method))}{escape(method)}</li>"
+        f'<li class="method" data-method="{escape(method)}">'
+        f"{swatch(k, all(p.quoted for p in chart.points if p.method == method), plain)}{escape(method)}</li>"
         for k, method in enumerate(chart.methods())
     ]
+    keys += [f"<li>{swatch(0, color=color)}{escape(words)}</li>" for color, words in chart.colors.items()]
     keys.append(f"<li>{_FRONT_SWATCH}best of what was measured here</li>")
     if any(point.quoted for point in chart.points):
         keys.append("<li>hollow: quoted from elsewhere, not measured here</li>")
@@ -170,7 +173,7 @@ def _point_row(chart: Chart, k: int, name: str, on_front: bool) -> str:
     )
     return (
         f'<tr id="{name}"><td>{escape(point.method)}</td><td>{label}</td><td class="number">{_cell(point.x)}</td>'
-        f'<td class="number">{_cell(point.y)}</td><td><dl>{settings}</dl></td></tr>'
+        f'<td class="number">{_cell(None if point.off_scale else point.y)}</td><td><dl>{settings}</dl></td></tr>'
     )
 
 
@@ -232,6 +235,7 @@ text { fill: var(--ink); } .tick, .note { fill: var(--soft); font-size: 12px; } 
 .mark { stroke: var(--soft); stroke-width: 1.5; stroke-dasharray: 2 3; }
 .marker { fill: currentColor; stroke: var(--paper); stroke-width: 1; }
 .marker.hollow { fill: var(--paper); stroke: currentColor; stroke-width: 2.2; }
+.method[role] { cursor: pointer; } .method.chosen { font-weight: 700; } .point.dim { opacity: 0.12; }
 .touch { fill: transparent; } .point { cursor: pointer; outline: none; }
 .point:hover .touch, .point:focus .touch, .point.selected .touch { fill: currentColor; opacity: 0.18; }
 .tip, .panel { background: var(--raised); border: 1px solid var(--rule); border-radius: 4px; font-size: 0.88rem; }
@@ -266,6 +270,21 @@ for (const chart of document.querySelectorAll("figure.chart")) {
     title.textContent = point.getAttribute("aria-label");
     panel.replaceChildren(title, document.getElementById(point.dataset.row).querySelector("dl").cloneNode(true));
   };
+  for (const key of chart.querySelectorAll(".legend .method")) {
+    key.setAttribute("role", "button");
+    key.tabIndex = 0;
+    const choose = () => {
+      const off = key.classList.contains("chosen");
+      for (const other of chart.querySelectorAll(".legend .method")) other.classList.remove("chosen");
+      if (!off) key.classList.add("chosen");
+      for (const point of chart.querySelectorAll(".point"))
+        point.classList.toggle("dim", !off && point.dataset.method !== key.dataset.method);
+    };
+    key.addEventListener("click", choose);
+    key.addEventListener("keydown", (event) => {
+      if (event.key === "Enter" || event.key === " ") { event.preventDefault(); choose(); }
+    });
+  }
   for (const point of chart.querySelectorAll(".point")) {
     point.querySelector("title").remove();
     point.addEventListener("pointerenter", () => showTip(point));

@@ -22,7 +22,7 @@ _WIDTH, _HEIGHT = 880.0, 520.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 76.0, 856.0, 18.0, 464.0  # borders of the plot
 _LETTER, _LINE = 6.4, 15.0  # size of a letter of a label, on average [px]
 
-# Outlines in units of the marker's radius. Seven shapes and eight colours: 56 methods differ in one of them.
+# Outlines in units of the marker's radius. With eight colours 104 methods differ in one of them.
 _SHAPES = (
     "circle",
     ((-0.85, -0.85), (0.85, -0.85), (0.85, 0.85), (-0.85, 0.85)),
@@ -32,6 +32,13 @@ _SHAPES = (
     ((-0.4, -1.1), (0.4, -1.1), (0.4, -0.4), (1.1, -0.4), (1.1, 0.4), (0.4, 0.4),
      (0.4, 1.1), (-0.4, 1.1), (-0.4, 0.4), (-1.1, 0.4), (-1.1, -0.4), (-0.4, -0.4)),
     ((0, -1.15), (1.1, -0.35), (0.68, 0.93), (-0.68, 0.93), (-1.1, -0.35)),
+    ((0, -1.3), (0.32, -0.42), (1.24, -0.4), (0.52, 0.17), (0.76, 1.05),
+     (0, 0.54), (-0.76, 1.05), (-0.52, 0.17), (-1.24, -0.4), (-0.32, -0.42)),
+    ((-1.25, -0.5), (1.25, -0.5), (1.25, 0.5), (-1.25, 0.5)),
+    ((-0.5, -1.25), (0.5, -1.25), (0.5, 1.25), (-0.5, 1.25)),
+    ((-1, -1), (1, -1), (0.15, 0), (1, 1), (-1, 1), (-0.15, 0)),
+    ((-1.1, -1), (0, -0.2), (1.1, -1), (1.1, 0.2), (0, 1.1), (-1.1, 0.2)),
+    ((-1, -1), (-1, 1), (-0.15, 0.15), (-0.15, 1), (1, 0), (-0.15, -1), (-0.15, -0.15)),
 )  # fmt: skip
 _RADIUS = 6.0
 
@@ -42,10 +49,12 @@ class Point:
 
     Attributes:
         x, y: where it stands, in the units of the axes.
-        method: points of one method share a marker and a colour.
+        method: points of one method share a marker and, where they have none of their own, a colour.
         label: short name that stands beside the point; may be empty.
         settings: everything needed to repeat it, shown when the point is selected.
         quoted: taken from elsewhere, not measured here: a hollow marker, and no part of the front.
+        color: of its own, 0 to 7; None for the method's.
+        off_scale: the value along y is none: the point stands at the upper border and is no part of the front.
     """
 
     x: float
@@ -54,6 +63,8 @@ class Point:
     label: str = ""
     settings: Mapping[str, Any] = field(default_factory=dict)
     quoted: bool = False
+    color: int | None = None
+    off_scale: bool = False
 
 
 @dataclass(frozen=True)
@@ -76,7 +87,10 @@ class Line:
 
 @dataclass(frozen=True)
 class Chart:
-    """Cost along x against error along y, lower is better on both; see :class:`Point`, :class:`Band`, :class:`Line`."""
+    """Cost along x against error along y, lower is better on both; see :class:`Point`, :class:`Band`, :class:`Line`.
+
+    ``colors`` says what the points' own colours mean: words by colour.
+    """
 
     points: Sequence[Point]
     x_label: str
@@ -86,6 +100,7 @@ class Chart:
     bands: Sequence[Band] = ()
     lines: Sequence[Line] = ()
     caption: str = ""
+    colors: Mapping[int, str] = field(default_factory=dict)
 
     def methods(self) -> list[str]:
         """Methods in order of appearance: the order of markers and colours."""
@@ -94,7 +109,8 @@ class Chart:
 
 def pareto_front(points: Sequence[Point]) -> list[int]:
     """Indices of the measured points that no other measured point beats on both axes, by growing x."""
-    order = sorted((k for k, p in enumerate(points) if not p.quoted), key=lambda k: (points[k].x, points[k].y))
+    measured = (k for k, point in enumerate(points) if not (point.quoted or point.off_scale))
+    order = sorted(measured, key=lambda k: (points[k].x, points[k].y))
     front: list[int] = []
     for k in order:
         if not front or points[k].y < points[front[-1]].y:
@@ -109,9 +125,10 @@ def show(value: Any) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
-def swatch(index: int, hollow: bool = False) -> str:
+def swatch(index: int, hollow: bool = False, color: int | None = None) -> str:
     """The marker of a method as a small SVG, for a legend."""
-    return f'<svg class="swatch" viewBox="-9 -9 18 18" aria-hidden="true">{_marker(index, 0.0, 0.0, hollow)}</svg>'
+    marker = _marker(index, 0.0, 0.0, hollow, color)
+    return f'<svg class="swatch" viewBox="-9 -9 18 18" aria-hidden="true">{marker}</svg>'
 
 
 def svg(chart: Chart, name: str) -> str:
@@ -121,10 +138,11 @@ def svg(chart: Chart, name: str) -> str:
         InputError: there is no point, a value is not finite, or one on a logarithmic axis is not positive.
     """
     _check(chart)
-    ys = [p.y for p in chart.points] + [edge for band in chart.bands for edge in (band.low, band.high)]
+    ys = [point.y for point in chart.points if not point.off_scale]
+    ys += [edge for band in chart.bands for edge in (band.low, band.high)]
     x_axis = _Axis([p.x for p in chart.points] + _at(chart, "x"), chart.log_x, _LEFT, _RIGHT)
     y_axis = _Axis(ys + _at(chart, "y"), chart.log_y, _BOTTOM, _TOP)
-    places = [(x_axis.place(p.x), y_axis.place(p.y)) for p in chart.points]
+    places = [(x_axis.place(p.x), _TOP if p.off_scale else y_axis.place(p.y)) for p in chart.points]
     front = pareto_front(chart.points)
     corners = _corners([places[k] for k in front])
     stairs = [
@@ -187,7 +205,7 @@ def _check(chart: Chart) -> None:
         if line.axis not in ("x", "y"):
             raise InputError("unknown axis", key=f"line {line.label!r}", received=line.axis, expected="'x' or 'y'")
     for axis, log in (("x", chart.log_x), ("y", chart.log_y)):
-        values = [(point.label or point.method, getattr(point, axis)) for point in chart.points]
+        values = [(p.label or p.method, getattr(p, axis)) for p in chart.points if not (p.off_scale and axis == "y")]
         values += [(line.label, line.value) for line in chart.lines if line.axis == axis]
         for label, value in values:
             if not math.isfinite(value) or (log and value <= 0.0):
@@ -260,8 +278,8 @@ def _corners(places: Sequence[tuple[float, float]]) -> list[tuple[float, float]]
     return [*corners, (_RIGHT, corners[-1][1])]
 
 
-def _marker(index: int, x: float, y: float, hollow: bool) -> str:
-    kind = f'class="marker m{index % COLOR_COUNT}{" hollow" if hollow else ""}"'
+def _marker(index: int, x: float, y: float, hollow: bool, color: int | None = None) -> str:
+    kind = f'class="marker m{(index if color is None else color) % COLOR_COUNT}{" hollow" if hollow else ""}"'
     shape = _SHAPES[index % len(_SHAPES)]
     if isinstance(shape, str):
         return f'<circle {kind} cx="{x:.1f}" cy="{y:.1f}" r="{_RADIUS:g}"/>'
@@ -272,10 +290,11 @@ def _marker(index: int, x: float, y: float, hollow: bool) -> str:
 def _point(chart: Chart, k: int, place: tuple[float, float], row: str, on_front: bool) -> str:
     point = chart.points[k]
     name = f"{point.method}, {point.label}" if point.label and point.label != point.method else point.method
-    about = f"{name}: {chart.x_label} {show(point.x)}, {chart.y_label} {show(point.y)}"
+    reached = "none" if point.off_scale else show(point.y)
+    about = f"{name}: {chart.x_label} {show(point.x)}, {chart.y_label} {reached}"
     about += " (quoted)" if point.quoted else " (on the front)" if on_front else ""
     return (
-        f'<g class="point" tabindex="0" role="button" data-row="{escape(row)}" '
+        f'<g class="point" tabindex="0" role="button" data-row="{escape(row)}" data-method="{escape(point.method)}" '
         f'data-x="{point.x!r}" data-y="{point.y!r}" aria-label="{escape(about)}"><title>{escape(about)}</title>'
         f'<circle class="touch" cx="{place[0]:.1f}" cy="{place[1]:.1f}" r="13"/>'
         f"{_marker(chart.methods().index(point.method), *place, point.quoted)}</g>"

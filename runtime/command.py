@@ -117,13 +117,18 @@ def _parser() -> argparse.ArgumentParser:
 
     compare = _add_command(commands, "compare", _compare, "chart what every method costs against how right it is")
     compare.add_argument(
-        "source", type=Path, metavar="DB.h5|SCENE.toml", help="wrinkle database, or a scene to make one of"
+        "sources",
+        nargs="*",
+        metavar="SCENE",
+        help="built-in scenes (default: all); or a database (.h5, or .toml of it)",
     )
     compare.add_argument(
-        "-o", dest="output", type=Path, default=Path("."), metavar="DIR", help="folder of compare.html"
+        "-o", dest="output", type=Path, metavar="DIR", help="folder of compare.html (default: out/compare; . for .h5)"
     )
-    compare.add_argument("--wrinkles", action="store_true", help="other ways from coarse to fine instead")
-    compare.add_argument("--clip", metavar="NAME", help="a clip that nothing was learned from (default: held out)")
+    compare.add_argument("--methods", metavar="LIST", help="NAME or NAME@EDGESxSUBSTEPSxPASSES, parted by commas")
+    compare.add_argument("--budget", type=_duration, metavar="TIME", help="such as 90s, 15m (default), 1h")
+    compare.add_argument("--wrinkles", action="store_true", help="of a database: other ways from coarse to fine")
+    compare.add_argument("--clip", metavar="NAME", help="of a database: a clip that nothing was learned from")
     compare.add_argument("--seconds", type=_positive, metavar="S", help="cut the motion there")
 
     validate = _add_command(commands, "validate", _validate, "hold the solver to physics that is known exactly")
@@ -173,6 +178,18 @@ def _positive(text: str) -> float:
         value = math.nan
     if not 0.0 < value < math.inf:
         raise argparse.ArgumentTypeError(f"received {text!r}, expected a number above 0")
+    return value
+
+
+def _duration(text: str) -> float:
+    """Seconds."""
+    unit = {"s": 1.0, "m": 60.0, "h": 3600.0}.get(text[-1:])
+    try:
+        value = float(text[:-1]) * unit if unit else math.nan
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"received {text!r}, expected a time such as 90s, 15m or 1h")
     return value
 
 
@@ -336,6 +353,43 @@ def _check(options: argparse.Namespace) -> Report:
     return Report(rows=[check._asdict() for check in checks], passed=all(check.passed for check in checks))
 
 
+def _compare(options: argparse.Namespace) -> Report:
+    of_database = options.wrinkles or any(name.lower().endswith((".h5", ".toml")) for name in options.sources)
+    chosen = ("methods", "budget") if of_database else ("clip",)
+    for name in chosen:
+        if getattr(options, name) is not None:
+            expected = "built-in scenes" if of_database else "a database (.h5)"
+            raise InputError("cannot be chosen here", key=f"--{name}", received=options.sources, expected=expected)
+    if of_database and len(options.sources) != 1:
+        raise InputError("one database at a time", key="SCENE", received=options.sources, expected="DB.h5")
+    options.output = options.output or (Path(".") if of_database else Path("out/compare"))
+    check_folder(options.output)
+    if not of_database:
+        return _compare_scenes(options)
+    return _compare_wrinkles(options) if options.wrinkles else _compare_database(options)
+
+
+def _compare_scenes(options: argparse.Namespace) -> Report:
+    from precompute.scene_compare import BUDGET, compare_scenes
+    from precompute.scene_page import comparison_figures, comparison_text, write_comparison
+
+    methods = [] if options.methods is None else options.methods.split(",")
+    with Progress(sys.stderr) as progress:
+        found = compare_scenes(
+            options.sources,
+            options.output,
+            methods=methods,
+            budget_s=options.budget or BUDGET,
+            seconds=options.seconds,
+            report=progress,
+        )
+        progress("drawing")
+        write_comparison(options.output, found)
+    print("\n\n".join(comparison_text(one) for one in found))
+    print(f"\n{options.output / 'compare.html'}")
+    return Report(comparison_figures(found), [point.row(one.scene.name) for one in found for point in one.points])
+
+
 def _compare_wrinkles(options: argparse.Namespace) -> Report:
     from precompute.wrinkle_comparison import compare_wrinkles_file
     from precompute.wrinkle_page import wrinkle_rows, wrinkle_verdict, write_wrinkles
@@ -344,7 +398,7 @@ def _compare_wrinkles(options: argparse.Namespace) -> Report:
         if getattr(options, name) is not None:
             raise InputError("cannot be chosen with --wrinkles", key=f"--{name}", expected="the held-out motion")
     with Progress(sys.stderr) as progress:
-        found = compare_wrinkles_file(options.source, options.output, report=progress)
+        found = compare_wrinkles_file(Path(options.sources[0]), options.output, report=progress)
     page = options.output / "wrinkles.html"
     write_wrinkles(page, found)
     print(wrinkle_verdict(found))
@@ -354,17 +408,13 @@ def _compare_wrinkles(options: argparse.Namespace) -> Report:
     return Report(figures, rows)
 
 
-def _compare(options: argparse.Namespace) -> Report:
+def _compare_database(options: argparse.Namespace) -> Report:
     from precompute.compare import compare_file
     from precompute.comparison_page import verdict, write_comparison
 
-    check_folder(options.output)
-    if options.wrinkles:
-        return _compare_wrinkles(options)
+    source = Path(options.sources[0])
     with Progress(sys.stderr) as progress:
-        found = compare_file(
-            options.source, options.output, clip=options.clip, seconds=options.seconds, report=progress
-        )
+        found = compare_file(source, options.output, clip=options.clip, seconds=options.seconds, report=progress)
     page = options.output / "compare.html"
     write_comparison(page, found)
     print(verdict(found))
