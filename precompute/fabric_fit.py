@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from pbd import Fabric
 from pbd.errors import InputError
 from pbd.storage import replacing
-from precompute.laboratory import DIRECTIONS, LoadCurve, bending_curve, shear_curve, tension_curve
+from precompute.laboratory import DIRECTIONS, LoadCurve, bending_curve, compression_curve, shear_curve, tension_curve
 from precompute.trial import Setting
 
 __all__ = ["FittedCurve", "draw_fit", "fit_fabric", "read_curves"]
@@ -23,6 +23,7 @@ __all__ = ["FittedCurve", "draw_fit", "fit_fabric", "read_curves"]
 # Columns of a row: instrument, direction, deformation, load, in the units of :class:`precompute.laboratory.LoadCurve`.
 COLUMNS = ("instrument", "direction", "deformation", "load")
 INSTRUMENTS = {"tension": tension_curve, "shear": shear_curve, "bending": bending_curve}
+PRESSED = ("compression", "normal")
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,8 @@ class FittedCurve:
 def read_curves(path: Path) -> dict[tuple[str, str], LoadCurve]:
     """Curves of a CSV file with the columns instrument, direction, deformation, load, by instrument and direction.
 
-    Instruments are tension (strain, N/m), shear (rad, N/m) and bending (1/m, N); directions warp, weft and bias.
+    Instruments are tension (strain, N/m), shear (rad, N/m) and bending (1/m, N); directions warp, weft and bias. And
+    compression (thickness in m, Pa) in the direction normal.
 
     Raises:
         InputError: no such file, another header, an unknown word, or a number that is not finite and above 0.
@@ -61,9 +63,10 @@ def read_curves(path: Path) -> dict[tuple[str, str], LoadCurve]:
     points: dict[tuple[str, str], list[tuple[float, float]]] = {}
     errors = []
     for number, row in enumerate(rows, 2):
+        pressed = (row["instrument"], row["direction"]) == PRESSED
         for name, allowed in (("instrument", INSTRUMENTS), ("direction", DIRECTIONS)):
-            if row[name] not in allowed:
-                expected = " or ".join(allowed)
+            if row[name] not in allowed and not pressed:
+                expected = " or ".join(allowed) + ", or compression with normal"
                 errors.append(
                     InputError("unknown word", file=path, key=f"line {number}", received=row[name], expected=expected)
                 )
@@ -93,14 +96,19 @@ def fit_fabric(
     """The fabric whose straight lines are nearest to the curves, and what it gives in the same instruments.
 
     A fabric has one stiffness for each instrument and axis: a line through the origin is fitted by least squares of the
-    loads. Tension at the bias gives the shear stiffness where shear itself was not measured.
+    loads. Tension at the bias gives the shear stiffness where shear itself was not measured. Van Wyk's law is a line in
+    1/T^3.
 
     Args:
         curves: as :func:`read_curves` gives them.
         fabric: for what was not measured.
         setting: of the solver that stands in the instruments.
     """
-    line = {key: float(c.deformation @ c.load / (c.deformation @ c.deformation)) for key, c in curves.items()}
+    line = {
+        key: float(c.deformation @ c.load / (c.deformation @ c.deformation))
+        for key, c in curves.items()
+        if key != PRESSED
+    }
     names = {
         ("tension", "warp"): "stretch_warp",
         ("tension", "weft"): "stretch_weft",
@@ -120,7 +128,14 @@ def fit_fabric(
             )
         fitted = replace(fitted, shear=1.0 / softness)
     found = []
+    if PRESSED in curves:
+        fitted = _pressed(curves[PRESSED], fitted)
     for (instrument, direction), measured in curves.items():
+        if (instrument, direction) == PRESSED:
+            drawn = compression_curve(Setting(edges=setting.edges), fitted, tuple(measured.load))
+            error = float(np.sqrt(((drawn.deformation / measured.deformation - 1.0) ** 2).mean()))
+            found.append(FittedCurve(instrument, direction, measured, drawn, error))
+            continue
         drawn = INSTRUMENTS[instrument](setting, fitted, DIRECTIONS[direction], tuple(measured.deformation))
         # The strain in the middle of a strip is a little less than what its ends were given.
         difference = drawn.load * measured.deformation / drawn.deformation - measured.load
@@ -129,10 +144,23 @@ def fit_fabric(
     return fitted, found
 
 
+def _pressed(curve: LoadCurve, fabric: Fabric) -> Fabric:
+    """With the thickness and the p_c of the line P = p_c T0^3 / T^3 - p_c."""
+    inverse = curve.deformation**-3.0
+    if np.ptp(inverse) <= 1e-6 * inverse.max():  # it does not give
+        return replace(fabric, thickness=float(curve.deformation.mean()), compression=0.0)
+    slope, level = np.polyfit(inverse / inverse.max(), curve.load, 1)
+    if level >= 0.0 or slope <= 0.0:
+        expected = "thickness that falls with pressure, less and less"
+        raise InputError("no law of van Wyk's", key="compression normal", received=curve.load, expected=expected)
+    return replace(fabric, thickness=float((slope / inverse.max() / -level) ** (1.0 / 3.0)), compression=float(-level))
+
+
 def draw_fit(path: Path, found: Sequence[FittedCurve]) -> None:
     """Draw measured and fitted curves side by side, one panel each, as PNG."""
     figure = Figure(figsize=(4.2 * len(found), 3.6), layout="constrained")
     labels = {"tension": ("strain", "N/m"), "shear": ("shear [rad]", "N/m"), "bending": ("curvature [1/m]", "N")}
+    labels["compression"] = ("thickness [m]", "Pa")
     for panel, curve in zip(figure.subplots(1, len(found), squeeze=False)[0], found, strict=True):
         panel.plot(curve.fitted.deformation, curve.fitted.load, color="tab:red", label="fitted")
         panel.plot(curve.measured.deformation, curve.measured.load, "o", color="0.4", label="measured")

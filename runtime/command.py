@@ -12,6 +12,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import BrokenExecutor
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -138,6 +139,16 @@ def _parser() -> argparse.ArgumentParser:
     validate.add_argument("--param", action="append", default=[], metavar="KEY=VALUE", help="parameter of the test")
     validate.add_argument(
         "-o", dest="output", type=Path, default=Path("out/validate"), metavar="DIR", help="for pictures of curves"
+    )
+
+    fabric = _add_command(
+        commands, "fabric", _fabric, "measure a fabric in the instruments of a laboratory, or fit one"
+    )
+    fabric.add_argument("fabric", metavar="NAME|FILE.json", help="preset, or measured fabric as ARCSim stores it")
+    fabric.add_argument("--fit", type=Path, metavar="CURVES.csv", help="change it to what these measured curves say")
+    fabric.add_argument("--solver", metavar="S", default="fem-stvk/quasi-static", help="default: %(default)s")
+    fabric.add_argument(
+        "-o", dest="output", type=Path, default=Path("out/fabric"), metavar="DIR", help="for curves and their picture"
     )
 
     bench = commands.add_parser("bench", help="what each part is worth and costs", description="Print a table.")
@@ -443,6 +454,33 @@ def _validate(options: argparse.Namespace) -> Report:
         "passed_realtime": sum(row["passed_realtime"] for row in rows),
     }
     return Report(figures, rows, passed=all(row["passed_best"] and row["passed_realtime"] for row in rows))
+
+
+def _fabric(options: argparse.Namespace) -> Report:
+    from assets.fabrics import load_fabric
+    from precompute import fabric_fit, fabric_report
+    from precompute.trial import Setting
+
+    check_folder(options.output)
+    fabric, setting = load_fabric(options.fabric), Setting(solver=options.solver)
+    options.output.mkdir(parents=True, exist_ok=True)
+    if options.fit is not None:
+        fitted, found = fabric_fit.fit_fabric(fabric_fit.read_curves(options.fit), fabric, setting)
+        picture = options.output / "fit.png"
+        fabric_fit.draw_fit(picture, found)
+        print(fabric_report.fabric_text(fitted))
+        for curve in found:
+            print(f"# {curve.instrument} {curve.direction}: {100.0 * curve.error:.2g} % off")
+        print(f"# {picture}")
+        rows = [{"instrument": c.instrument, "direction": c.direction, "error": c.error} for c in found]
+        return Report(asdict(fitted), rows)
+    with Progress(sys.stderr) as progress:
+        curves, figures = fabric_report.measure_fabric(fabric, setting, progress)
+    print(fabric_report.curves_text(curves, figures))
+    fabric_report.write_curves(options.output / "curves.csv", curves)
+    fabric_report.draw_curves(options.output / "curves.png", curves)
+    print(f"\n{options.output / 'curves.png'}")
+    return Report(figures, fabric_report.curve_rows(curves))
 
 
 def _bench_wrinkles(options: argparse.Namespace) -> Report:

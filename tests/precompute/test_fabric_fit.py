@@ -51,3 +51,13 @@ def test_a_bias_stiffer_than_any_fabric(tmp_path: Path) -> None:
     (tmp_path / "curves.csv").write_text(CURVES.replace("0.1052632", "5"))
     with pytest.raises(InputError, match="tension bias"):
         fit_fabric(read_curves(tmp_path / "curves.csv"), FABRIC, Setting())
+
+
+def test_compression_gives_thickness_and_van_wyks_pressure(tmp_path: Path) -> None:
+    """T = 2 mm (1 + P/1500)^(-1/3), to the digits of the file."""
+    points = [(0.002 * (1.0 + pressure / 1500.0) ** (-1.0 / 3.0), pressure) for pressure in (50.0, 800.0, 5000.0)]
+    lines = [f"compression,normal,{thickness:.9f},{pressure}" for thickness, pressure in points]
+    (tmp_path / "curves.csv").write_text("\n".join([CURVES.splitlines()[0], *lines]))
+    fabric, found = fit_fabric(read_curves(tmp_path / "curves.csv"), FABRIC, Setting(edges=8))
+    assert (fabric.thickness, fabric.compression) == pytest.approx((0.002, 1500.0), rel=1e-3)
+    assert found[0].error < 0.01
