@@ -27,7 +27,8 @@ SHOWN = (  # of a strip's columns the cheapest of each that holds, so far as the
     "default", "xpbd", "pbd", "projective-dynamics", "fem-stvk+isometric/verlet", "fem-stvk+isometric/bdf2",
 )  # fmt: skip
 _NOTES = """All methods run the same scenes at 60 frames a second with the same fabric. Time of a frame is
-processor time on on one core (p50 and p99, the first frame left out); memory is what Python and NumPy held at most for model,
+processor time on one core (p50 and p99, the first frame left out); memory is what Python and NumPy held at most
+for model,
 solver, state and a step, without what Taichi compiles. A run's cloth is compared as the cubic spline through
 its vertices, so that a coarse mesh is not blamed for its facets.
 
