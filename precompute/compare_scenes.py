@@ -122,6 +122,11 @@ class CompareScene:
     def frame_count(self) -> int:
         return round(self.seconds * RATE)
 
+    @property
+    def driven(self) -> bool:
+        """Whether its clamp moves."""
+        return bool(np.any([self.rail(t) for t in (0.1, 0.37)]))
+
     def sheet(self, edges: int) -> Sheet:
         """The sheet with so many edges along its length."""
         return Sheet.of(*self.size, edges, self.clamped)
@@ -220,12 +225,12 @@ _ALL = (
         clamped=True, edges=(6, 12, 24), samples=24, moment=0.5,
     ),
     CompareScene(
-        "drape", "a sheet falls on a sphere with friction", False, 2.0, _COTTON, (1.0, 1.0), _above_ball, _nothing,
-        colliders=_ball, moment=1.5,
+        "drape", "a sheet falls on a sphere with friction", False, 1.5, _COTTON, (1.0, 1.0), _above_ball, _nothing,
+        colliders=_ball, moment=1.2,
     ),
     CompareScene(
-        "curtain", "a pleated curtain is shaken", False, 2.0, PRESETS["silk"], (1.0, 1.0), _pleated, _upper,
-        rail=_shaken, moment=1.5,
+        "curtain", "a pleated curtain is shaken", False, 1.5, PRESETS["silk"], (1.0, 1.0), _pleated, _upper,
+        rail=_shaken, moment=1.2,
     ),
 )  # fmt: skip
 SCENES = MappingProxyType({scene.name: scene for scene in _ALL})

@@ -24,6 +24,7 @@ __all__ = ["BUDGET", "METHODS", "Compared", "SceneComparison", "chosen_settings"
 BUDGET = 900.0  # for everything [s]
 WORKERS = 2  # processes at a time
 LENIENT = 6.0  # a run may take so many times its estimate, and at least 20 s
+PATIENCE = 20.0  # what is estimated to take longer is run only where its method is named [s]
 TRIED = 0.05  # what taking up a run costs besides [s]
 
 
@@ -59,6 +60,17 @@ METHODS = {
     "fem-stvk/implicit-euler": _Kind(_NEWTON, 2, 35.0, True),
     "fem-stvk+isometric/bdf2": _Kind(_NEWTON, 2, 20.0, True),
 }
+RIVALS = {
+    "newton": _Kind(((40, None), (150, None)), 2, 1.0),
+    "pypbd": _Kind(((10, None), (40, None)), 2, 0.2),
+    "mujoco": _Kind(((None, 20), (None, 100)), 2, 0.1),
+    "pybullet": _Kind(((40, None), (150, None)), 2, 0.5),
+}
+OTHER = _Kind(((None, None),), 2, 30.0)  # of the methods that are compared only where they are named
+
+
+def _kind(method: str) -> _Kind:
+    return METHODS.get(method) or RIVALS.get(method, OTHER)
 
 
 @dataclass(frozen=True)
@@ -121,6 +133,10 @@ class SceneComparison:
     points: tuple[Compared, ...]
     dropped: tuple[tuple[Setting, str], ...]
 
+    def runs(self) -> list[SceneRun]:
+        """Of the points."""
+        return [point.run for point in self.points]
+
     def front(self) -> list[Compared]:
         """Points that no other beats in both cost and error, by growing cost."""
         found: list[Compared] = []
@@ -134,6 +150,7 @@ class SceneComparison:
         name = self.scene.name
         found = {f"{name}_points": float(len(self.points)), f"{name}_floor": self.judge.floor}
         found[f"{name}_refined"] = self.judge.refined
+        found[f"{name}_processor_s"] = sum(run.total_s for run in [*self.judge.references, *self.runs()])
         for kind in ErrorClass:
             found[f"{name}_{kind.name.lower()}"] = float(sum(p.verdict.worst is kind for p in self.points))
         good = [p.frame_ms[0] for p in self.points if p.verdict.error <= max(self.judge.floor, 1.0)]
@@ -158,7 +175,7 @@ def chosen_settings(scene: CompareScene, methods: Sequence[str]) -> list[Setting
     settings = []
     for text in methods or METHODS:
         name, numbers = parse_setting(text)
-        kind = METHODS.get(name, _Kind(((None, None),), 2, 30.0))
+        kind = _kind(name)
         resolutions = [numbers[0]] if numbers and numbers[0] else scene.edges[: kind.edges]
         pairs = kind.numbers
         if len(numbers) > 1:
@@ -169,7 +186,7 @@ def chosen_settings(scene: CompareScene, methods: Sequence[str]) -> list[Setting
 
 def _estimate(scene: CompareScene, setting: Setting) -> float:
     """Processor time of a run, roughly [s]."""
-    kind = METHODS.get(setting.method, _Kind(((None, None),), 2, 30.0))
+    kind = _kind(setting.method)
     vertices = len(scene.sheet(setting.edges).flat)
     passes = (setting.substeps or 4) * (setting.iterations or 1)
     if setting.method.endswith(("symplectic-euler", "verlet")):
@@ -234,7 +251,11 @@ def compare_scenes(
             for setting, reference in wanted
         ]
     todo = {job.path: job for job in jobs if read_run(job.path) is None}
-    reasons = _run_all(list(todo.values()), budget_s - (time.monotonic() - began), began, budget_s, workers, report)
+    reasons = {}
+    for job in list(todo.values()):
+        if not methods and not job.reference and job.estimate > PATIENCE:
+            reasons[job.path] = f"about {todo.pop(job.path).estimate:.0f} s: only where it is named by --methods"
+    reasons |= _run_all(list(todo.values()), began + budget_s, workers, report)
     found = []
     for scene in scenes:
         own = [job for job in jobs if job.scene is scene]
@@ -255,15 +276,15 @@ def compare_scenes(
     return found
 
 
-def _run_all(
-    jobs: list[_Job],
-    left_s: float,
-    began: float,
-    budget_s: float,
-    workers: int,
-    report: Callable[[str], None] | None,
-) -> dict[Path, str]:
-    """Run jobs, references first and then the cheapest; returns why some were left out."""
+def _run_all(jobs: list[_Job], deadline: float, workers: int, report: Callable[[str], None] | None) -> dict[Path, str]:
+    """Run jobs, references first and then the cheapest; returns why some were left out.
+
+    Args:
+        jobs: to run.
+        deadline: by the monotonic clock [s].
+        workers: processes at a time.
+        report: told lines of progress.
+    """
     tell, reasons = report or (lambda line: None), {}
     waiting = sorted(jobs, key=lambda job: (not job.reference, job.estimate))
     if not waiting:
@@ -273,7 +294,7 @@ def _run_all(
 
     def trim() -> None:
         """Leave out the dearest of what does not fit into the time left."""
-        left = budget_s - (time.monotonic() - began)
+        left = deadline - time.monotonic()
         need = sum(cost * job.estimate for job in [*waiting, *running.values()]) / workers
         while need > left and waiting and not waiting[-1].reference:
             job = waiting.pop()

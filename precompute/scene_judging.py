@@ -90,7 +90,7 @@ class Judge:
             # A spline through few vertices is longer than the cloth: each on its own mesh.
             figures["edge_strain_p95"] = abs(float(run.strain[0] - self.reference.strain[0]))
             figures["edge_strain_max"] = max(0.0, float(run.strain[1] - self.reference.strain[1]))
-        if not self._driven():
+        if not self.scene.driven:
             figures |= self._energy_figures(run)
         classes = classify(figures)
         because = max(classes, key=lambda name: (classes[name], figures[name]))
@@ -115,9 +115,6 @@ class Judge:
 
     def _later(self, run: SceneRun) -> np.ndarray:
         return run.position[min(round(START * RATE), len(run.position) - 1) :].astype(float)
-
-    def _driven(self) -> bool:
-        return bool(np.any([self.scene.rail(t) for t in (0.1, 0.37)]))
 
     def _rail_speed(self) -> float:
         times = np.arange(self.scene.frame_count + 1) / RATE

@@ -52,6 +52,7 @@ def comparison_figures(found: Sequence[SceneComparison]) -> dict[str, float]:
     figures["methods"] = float(len({point.run.setting.method for one in found for point in one.points}))
     for one in found:
         figures |= one.figures()
+    figures["processor_s"] = sum(value for name, value in figures.items() if name.endswith("_processor_s"))
     return figures
 
 

@@ -6,6 +6,7 @@ import hashlib
 import json
 import time
 import tracemalloc
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -20,6 +21,7 @@ from pbd.storage import replacing
 from precompute import compare_scenes
 from precompute.compare_scenes import RATE, CompareScene
 from precompute.error_classes import GRAVITY, START
+from precompute.scene_rivals import RIVALS, start_rival
 
 __all__ = ["SceneRun", "Setting", "parse_setting", "read_run", "run_path", "run_setting"]
 
@@ -31,7 +33,7 @@ class Setting:
     """A method and how it is set.
 
     Attributes:
-        method: name in :data:`pbd.models.SOLVERS`.
+        method: name in :data:`pbd.models.SOLVERS` or :data:`precompute.scene_rivals.RIVALS`.
         edges: along the length of the cloth.
         substeps: of a frame of 1/60 s; None takes the method's own (explicit ones ask the mesh).
         iterations: passes or Newton steps of a substep at most; None takes the method's own.
@@ -60,6 +62,11 @@ class Setting:
         found += [f"{self.iterations} pass{'es' * (self.iterations > 1)}"] if self.iterations else []
         return ", ".join(found)
 
+    @property
+    def rival(self) -> bool:
+        """Whether it is another engine."""
+        return self.method in RIVALS
+
     def solver(self, model: Model) -> AnySolver:
         """The solver for a model; raises :class:`pbd.InputError` where it cannot take the mesh."""
         substep = None if self.substeps is None else 1.0 / (RATE * self.substeps)
@@ -75,8 +82,9 @@ def parse_setting(text: str) -> tuple[str, tuple[int | None, ...]]:
         InputError: no such method, or what are no such numbers.
     """
     name, sign, numbers = text.strip().partition("@")
-    if name not in SOLVERS:
-        raise InputError("no such method", key="--methods", received=name, expected=", ".join(SOLVERS))
+    if name not in SOLVERS and name not in RIVALS:
+        expected = ", ".join([*SOLVERS, *RIVALS])
+        raise InputError("no such method", key="--methods", received=name, expected=expected)
     parts = numbers.split("x") if sign else []
     if any(not part.isdecimal() or int(part) > 10_000 for part in parts) or len(parts) > 3 or (sign and not parts):
         expected = "NAME, NAME@EDGES, NAME@EDGESxSUBSTEPS or NAME@EDGESxSUBSTEPSxPASSES"
@@ -103,6 +111,7 @@ class SceneRun:
         memory_mb: greatest memory of Python and NumPy for model, solver, state and a step [MB].
         vertex_count: of the simulated mesh.
         substeps: of a frame, as they were.
+        total_s: processor time of everything [s].
         problem: why it ended before its time; empty if it did not.
         gave_up: ended because it took too long: it says nothing about the method's error.
     """
@@ -118,6 +127,7 @@ class SceneRun:
     memory_mb: float
     vertex_count: int
     substeps: int
+    total_s: float
     problem: str = ""
     gave_up: bool = False
 
@@ -136,20 +146,17 @@ def run_setting(scene: CompareScene, setting: Setting, limit_s: float = np.inf) 
     """
     began = time.process_time()
     model = scene.model(setting.edges, setting.seed)
-    solver = setting.solver(model)
+    stepped = _rival(scene, model, setting) if setting.rival else _ours(scene, model, setting)
     setup_s = time.process_time() - began
-    state, colliders = State.at_rest(model), scene.scene_colliders()
-    rail = model.mesh.vertices[model.held]
     frames, times, problem, gave_up = [], [], "", False
     for frame in range(1, scene.frame_count + 1):
         begin = time.process_time()
         try:
-            solver.step(state, colliders, 1.0 / RATE, rail + scene.rail(frame / RATE) if len(rail) else None)
+            frames.append(stepped(frame))
         except (StepError, InputError) as error:  # a state that is no longer finite is refused as input
             problem = f"after {frame / RATE:.2f} s: {error}"
             break
         times.append(1e3 * (time.process_time() - begin))
-        frames.append((state.world(), state.velocity.copy()))
         if not np.isfinite(frames[-1]).all():
             problem = f"after {frame / RATE:.2f} s: not finite"
             frames.pop()
@@ -168,17 +175,52 @@ def run_setting(scene: CompareScene, setting: Setting, limit_s: float = np.inf) 
         _strain(model, x),
         np.array(times),
         setup_s,
-        _memory_mb(scene, setting),
+        float("nan") if setting.rival else _memory_mb(scene, setting),
         model.vertex_count,
-        _substeps(setting, solver),
+        _substeps(setting, model),
+        time.process_time() - began,
         problem,
         gave_up,
     )
 
 
-def _substeps(setting: Setting, solver: AnySolver) -> int:
+_Stepped = Callable[[int], tuple[np.ndarray, np.ndarray]]  # makes a frame; positions and velocities after it
+
+
+def _ours(scene: CompareScene, model: Model, setting: Setting) -> _Stepped:
+    solver = setting.solver(model)
+    state, colliders = State.at_rest(model), scene.scene_colliders()
+    rail = model.mesh.vertices[model.held]
+
+    def stepped(frame: int) -> tuple[np.ndarray, np.ndarray]:
+        solver.step(state, colliders, 1.0 / RATE, rail + scene.rail(frame / RATE) if len(rail) else None)
+        return state.world(), state.velocity.copy()
+
+    return stepped
+
+
+def _rival(scene: CompareScene, model: Model, setting: Setting) -> _Stepped:
+    if scene.colliders() or scene.driven:
+        raise InputError("an engine that is driven on a still clamp alone", key="--methods", received=setting.method)
+    step, world = start_rival(setting.method, model, setting.substeps, setting.iterations)
+    last = [world()]
+
+    def stepped(frame: int) -> tuple[np.ndarray, np.ndarray]:
+        step()
+        now = world()
+        velocity = (now - last[0]) * RATE
+        last[0] = now
+        return now, velocity
+
+    return stepped
+
+
+def _substeps(setting: Setting, model: Model) -> int:
+    if setting.substeps or setting.rival:
+        return setting.substeps or 1
+    solver = setting.solver(model)
     substep = getattr(solver, "substep", None) or solver.options.substep  # pyright: ignore[reportAttributeAccessIssue]
-    return setting.substeps or max(1, int(np.ceil(1.0 / (RATE * substep) - 1e-6)))
+    return max(1, int(np.ceil(1.0 / (RATE * substep) - 1e-6)))
 
 
 def _energy(model: Model, x: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -239,7 +281,7 @@ def run_path(cache: Path, scene: CompareScene, setting: Setting) -> Path:
 
 
 _ARRAYS = ("position", "velocity", "energy", "depth", "strain", "frame_ms")
-_NUMBERS = ("setup_s", "memory_mb", "vertex_count", "substeps", "problem", "gave_up")
+_NUMBERS = ("setup_s", "memory_mb", "vertex_count", "substeps", "total_s", "problem", "gave_up")
 
 
 def write_run(path: Path, run: SceneRun) -> None:
