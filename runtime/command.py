@@ -132,6 +132,21 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument("--clip", metavar="NAME", help="of a database: a clip that nothing was learned from")
     compare.add_argument("--seconds", type=_positive, metavar="S", help="cut the motion there")
 
+    plan = _add_command(commands, "plan", _plan, "model no more than a scene needs")
+    plan.add_argument(
+        "source", type=Path, metavar="DB.h5|SCENE.toml", help="wrinkle database, or a scene to make one of"
+    )
+    plan.add_argument("--budget-ms", type=_positive, metavar="MS", default=2.0, help="for all garments (default: 2)")
+    plan.add_argument(
+        "--target", choices=("imperceptible", "accepted"), default="imperceptible", help="largest error: 1 or 10 px"
+    )
+    plan.add_argument("--distance", type=_positive, metavar="M", help="of the camera; the scene's own if absent")
+    plan.add_argument("--fov", type=_angle, metavar="DEG", help="vertical field of view; the scene's own if absent")
+    plan.add_argument("--garments", type=int, metavar="N", default=1, help="that share the budget")
+    plan.add_argument(
+        "-o", dest="output", type=Path, default=Path("out/plan"), metavar="DIR", help="for a scene's database"
+    )
+
     validate = _add_command(commands, "validate", _validate, "hold the solver to physics that is known exactly")
     validate.add_argument("names", nargs="*", metavar="NAME", help="test of the table; all if absent")
     validate.add_argument("--solver", metavar="S", help="this solver alone; all if absent")
@@ -201,6 +216,13 @@ def _duration(text: str) -> float:
         value = math.nan
     if not 0.0 < value < math.inf:
         raise argparse.ArgumentTypeError(f"received {text!r}, expected a time such as 90s, 15m or 1h")
+    return value
+
+
+def _angle(text: str) -> float:
+    value = _positive(text)
+    if value >= 180.0:
+        raise argparse.ArgumentTypeError(f"received {text!r}, expected a number above 0 and below 180")
     return value
 
 
@@ -432,6 +454,26 @@ def _compare_database(options: argparse.Namespace) -> Report:
     print(f"\n{page}")
     rows = [{"method": m.name, "frame_ms_p50": m.frame_ms, **m.settings, **m.figures} for m in found.methods]
     return Report(found.figures, rows)
+
+
+def _plan(options: argparse.Namespace) -> Report:
+    from precompute.planning import plan_file, plan_rows, plan_text
+    from runtime.planner import TARGETS
+
+    check_folder(options.output)
+    with Progress(sys.stderr) as progress:
+        found = plan_file(
+            options.source,
+            options.output,
+            target_px=TARGETS[options.target],
+            budget_ms=options.budget_ms,
+            distance=options.distance,
+            field_of_view_deg=options.fov,
+            garments=options.garments,
+            report=progress,
+        )
+    print(plan_text(found))
+    return Report(found.figures, plan_rows(found))
 
 
 def _validate(options: argparse.Namespace) -> Report:

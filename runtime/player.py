@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,17 +11,20 @@ from assets.character import Character
 from assets.sequence import Sequence
 from pbd import InputError, build_model
 from pbd.engine import Launch
+from runtime.detail import Detail
 from runtime.simulation import Simulation, body_source
 from wrinkles.charts import Charts
 from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Decoder, Relaxation, Upsampler, surface_normals
 from wrinkles.features import Stencil
-from wrinkles.isometry import Isometry
+from wrinkles.isometry import PASSES, Isometry
 from wrinkles.levels import Levels, levels_of
 from wrinkles.patches import Patches
 
-__all__ = ["Player"]
+__all__ = ["FADE", "Player"]
+
+FADE = 0.3  # a change of detail is drawn over this time [s]
 
 
 class Player:
@@ -38,6 +42,7 @@ class Player:
         vertices: fine vertices about ``origin`` [m], float32, shape (N, 3).
         normals: unit, float32, shape (N, 3).
         timings: what the last frame took, by part [ms].
+        full: the most detail there is: what the database was made for, and what a player begins with.
 
     Raises:
         InputError: a body that the database was not made for, a fabric that it was not learned in, or a bad pose.
@@ -74,7 +79,7 @@ class Player:
         subdivision = self.levels.subdivision
         patches, middle_patches = Patches.of(subdivision, charts), Patches.of(subdivision.middle, charts)
         self._filter = CoarseFilter(self.levels)
-        self._upsample = Upsampler(self.levels.subdivision)
+        self._upsample, self._upsample_velocity = (Upsampler(self.levels.subdivision) for _ in range(2))
         stencil = Stencil.of(charts, database.held)
         self._decoder = Decoder(
             stencil, patches, middle_patches, database.mapping, database.atoms, database.unfamiliarity
@@ -89,7 +94,16 @@ class Player:
         self._position = self.simulation.state.position.copy()
         self._before = self._position.copy()
         self._body_between = np.zeros((body_count, 3), np.float32)
+        substeps = max(1, int(np.ceil(1.0 / (database.frame_rate * database.solver.substep) - 1e-6)))
+        self.full = Detail(1, substeps, len(database.atoms.shapes), PASSES, 1)
+        self._detail, self._wait = self.full, 0  # ticks to leave out before the next update
+        self._idle, self._dt = 0.0, 0.0  # time since the last update, length of the last tick [s]
+        self._velocity = np.zeros_like(self._position)
+        self._updated, self._going, self._offset, self._scratch = np.zeros((4, count, 3), np.float32)
+        self._made = False  # whether the last update was decoded, where there are ticks without
+        self._left = 0.0  # of a change of detail: from 1 to 0
         self.timings = dict.fromkeys(("skin", "coarse", "decode", "relax", "normals", "frame"), 0.0)
+        self._alpha = 1.0
         self._warm_up(pose)
         self.decode()
 
@@ -103,13 +117,42 @@ class Player:
         """The body about ``origin`` [m], float32, shape (b, 3)."""
         return self.simulation.body.current
 
+    @property
+    def detail(self) -> Detail:
+        """How much is modelled; see :meth:`change`."""
+        return self._detail
+
+    def change(self, detail: Detail, wait: int = 0) -> None:
+        """Model more or less from now on. The coarse state goes on as it is, and nothing pops.
+
+        What is shown stays where it is; the difference to the same state at the new detail fades within :data:`FADE`.
+
+        Args:
+            detail: what to model; atoms beyond the dictionary's count as all of them.
+            wait: ticks that are left out before the next update, fewer than the detail's ``every``: garments that share
+                a frame take turns.
+        """
+        self._wait = min(wait, detail.every - 1)
+        if detail == self._detail:
+            return
+        np.copyto(self._scratch, self.vertices)
+        self._detail, self._made, self._left = detail, False, 0.0
+        substep = self.database.solver.substep
+        if (detail.every, detail.substeps) != (self.full.every, self.full.substeps):
+            substep = detail.every / (self.database.frame_rate * detail.substeps)
+        self.simulation.solver.options = replace(self.database.solver, substep=substep)
+        self.decode(self._alpha)
+        np.subtract(self._scratch, self.vertices, out=self._offset)
+        np.copyto(self.vertices, self._scratch)
+        self._left = 1.0
+
     def update(self, pose: np.ndarray, dt: float, wind: tuple = (0.0, 0.0, 0.0)) -> None:
         """One frame: advance the coarse garment to a pose in ``dt`` [s] and make the fine one; see :meth:`step`."""
         self.step(pose, dt, wind)
         self.decode()
 
     def step(self, pose: np.ndarray, dt: float, wind: tuple = (0.0, 0.0, 0.0)) -> None:
-        """Advance the coarse garment alone.
+        """Advance the coarse garment alone; with a :attr:`detail` that leaves ticks out, in some ticks only.
 
         Args:
             pose: of the body at the end of the step.
@@ -124,6 +167,13 @@ class Player:
             raise InputError("bad time step", key="dt", received=dt, expected="a finite number, at least 0 [s]")
         if np.shape(wind) != (3,) or not np.isfinite(wind).all():
             raise InputError("bad wind", key="wind", received=wind, expected="three finite numbers [m/s]")
+        self._left = max(0.0, self._left - dt / FADE)
+        self._dt, self._idle = dt, self._idle + dt
+        if self._wait:
+            self._wait -= 1
+            self.timings["skin"] = self.timings["coarse"] = 0.0
+            return
+        dt, self._idle, self._made, self._wait = self._idle, 0.0, False, self._detail.every - 1
         simulation = self.simulation
         began = time.perf_counter()
         origin = simulation.state.origin.copy()
@@ -141,7 +191,38 @@ class Player:
         Args:
             alpha: 0 for the state before the last step, 1 for the one after it, in between interpolated.
         """
-        simulation, timings = self.simulation, self.timings
+        self._alpha = alpha
+        if self._idle == 0.0 and self._detail.every == 1:
+            self._make(alpha)
+        else:
+            self._go_on(alpha)
+        if self._left > 0.0:
+            np.multiply(self._offset, self._left * self._left * (3.0 - 2.0 * self._left), out=self._scratch)
+            self.vertices += self._scratch
+        began = time.perf_counter()
+        if self._idle == 0.0:
+            self._surface_normals(self.vertices, self._faces, self.normals)
+            if self._stands_for is not None:
+                self.normals[:] = self.normals[self._stands_for]
+        timings = self.timings
+        timings["normals"] = 1e3 * (time.perf_counter() - began)
+        timings["frame"] = sum(timings[part] for part in ("skin", "coarse", "decode", "relax", "normals"))
+
+    def decoded(self, detail: Detail) -> np.ndarray:
+        """Fine vertices of the last update at a detail, about ``origin`` [m], float32, shape (N, 3), a copy.
+
+        Nothing else changes: this is what a detail is compared with another by.
+        """
+        kept, shown, memory = self.vertices.copy(), self._detail, self._relax.memory
+        self._detail = detail
+        self._make(1.0)
+        made = self.vertices.copy()
+        self._detail, self.vertices[:], self._relax.memory = shown, kept, memory
+        return made
+
+    def _make(self, alpha: float) -> None:
+        """Fine vertices of the last update, or between it and the one before."""
+        simulation, timings, detail = self.simulation, self.timings, self._detail
         state, body = simulation.state, simulation.body
         began = time.perf_counter()
         position, current = state.position, body.current
@@ -157,21 +238,36 @@ class Player:
         position = self._filter(position)
         middle = self._upsample.middle
         self._upsample(position, self.vertices)
-        self._decoder.add(position, state.contact, self.vertices, middle)
-        self._keep_lengths(middle, self.vertices)
+        if detail.atoms:
+            self._decoder.add(position, state.contact, self.vertices, middle, detail.atoms)
+        elif detail.passes:
+            self._decoder.look(position, state.contact)
+        if detail.sweeps:
+            self._keep_lengths(middle, self.vertices, detail.sweeps)
         decoded = time.perf_counter()
         targets = self.levels.fine_attachment.targets(current)
-        frames = self._decoder.frames
-        self._relax(self.vertices, targets, frames, state.nearest, state.contact, body, current)
-        relaxed = time.perf_counter()
-        self._surface_normals(self.vertices, self._faces, self.normals)
-        if self._stands_for is not None:
-            self.normals[:] = self.normals[self._stands_for]
-        ended = time.perf_counter()
+        if detail.passes:
+            frames = self._decoder.frames
+            self._relax(self.vertices, targets, frames, state.nearest, state.contact, body, current, detail.passes)
+        else:
+            self.vertices[self.levels.fine_held] = targets
         timings["decode"] = 1e3 * (decoded - began)
-        timings["relax"] = 1e3 * (relaxed - decoded)
-        timings["normals"] = 1e3 * (ended - relaxed)
-        timings["frame"] = sum(timings[part] for part in ("skin", "coarse", "decode", "relax", "normals"))
+        timings["relax"] = 1e3 * (time.perf_counter() - decoded)
+
+    def _go_on(self, alpha: float) -> None:
+        """Fine vertices between updates: the last one, carried on as the coarse garment went."""
+        began = time.perf_counter()
+        if not self._made:
+            self._make(1.0)
+            self._velocity[:, :3] = self.simulation.state.velocity
+            self._upsample_velocity(self._velocity, self._going)
+            np.copyto(self._updated, self.vertices)
+            self._made = True
+        else:
+            self.timings["relax"] = 0.0
+        np.multiply(self._going, np.float32(self._idle - (1.0 - alpha) * self._dt), out=self.vertices)
+        self.vertices += self._updated
+        self.timings["decode"] = 1e3 * (time.perf_counter() - began) - self.timings["relax"]
 
     def drag(self, vertex: int, target: np.ndarray | None) -> None:
         """Hold a coarse vertex at a point in the world [m], shape (3,); None lets it go.

@@ -150,37 +150,48 @@ class Decoder:
         self._add_to_fine, self._add_to_middle = Launch(add_patches), Launch(add_patches)
         self._blas = ThreadpoolController()
 
-    def add(self, position: np.ndarray, contact: np.ndarray, fine: np.ndarray, middle: np.ndarray) -> None:
+    def look(self, position: np.ndarray, contact: np.ndarray) -> None:
+        """Read a coarse state, see :meth:`add`: ``frames`` and ``features`` are those of the last one."""
+        m = self.mapping
+        self.stencil.gather(position, contact, self.frames, self.features, m.center, m.scale, CLIP)
+
+    def add(
+        self,
+        position: np.ndarray,
+        contact: np.ndarray,
+        fine: np.ndarray,
+        middle: np.ndarray,
+        atoms: int | None = None,
+    ) -> None:
         """Add wrinkles to fine and middle vertices for a coarse state.
 
         Args:
             position, contact: of the coarse garment, as in :class:`pbd.State`.
             fine, middle: [m], float32, shapes (N, 3), (q, 3); changed in place.
+            atoms: how many are used, the first ones, which matter most; None takes all.
         """
-        m = self.mapping
-        z = self.features
-        self.stencil.gather(position, contact, self.frames, z, m.center, m.scale, CLIP)
+        self.look(position, contact)
         # Matrices this small are slower on more threads, by far beside other work, and their bits would depend on it.
         with self._blas.limit(limits=1, user_api="blas"):
-            self._mix()
+            self._mix(len(self._shapes) if atoms is None else min(atoms, len(self._shapes)))
         p, q = self.patches, self.middle_patches
         self._add_to_fine(self._grids, self.frames, p.corners, p.blend, p.cell, p.within, fine)
         self._add_to_middle(self._grids, self.frames, q.corners, q.blend, q.cell, q.within, middle)
 
-    def _mix(self) -> None:
+    def _mix(self, atoms: int) -> None:
         """The network: features to grids."""
-        m = self.mapping
+        m, coefficients = self.mapping, self._coefficients[:, :atoms]
         np.matmul(self.features, m.weights_1, out=self._hidden_1)
         self._hidden_1 += m.place_bias
         np.maximum(self._hidden_1, 0.0, out=self._hidden_1)
         np.matmul(self._hidden_1, m.weights_2, out=self._hidden_2)
         self._hidden_2 += m.bias_2
         np.maximum(self._hidden_2, 0.0, out=self._hidden_2)
-        np.matmul(self._hidden_2, m.weights_3, out=self._coefficients)
-        self._coefficients += m.bias_3
+        np.matmul(self._hidden_2, m.weights_3[:, :atoms], out=coefficients)
+        coefficients += m.bias_3[:atoms]
         self.amplitude = self.unfamiliarity.amplitude(self.unfamiliarity.score(self._hidden_1))
-        self._coefficients *= self.amplitude[:, None]
-        np.matmul(self._coefficients, self._shapes, out=self._grids)
+        coefficients *= self.amplitude[:, None]
+        np.matmul(coefficients, self._shapes[:atoms], out=self._grids)
         self._grids += self._mean
 
 
@@ -406,6 +417,15 @@ class Relaxation:
             clearances(body_vertices, body_faces, spacing, thickness),
             facing(levels.coarse, body_vertices, body_faces),
         )
+
+    @property
+    def memory(self) -> tuple[np.ndarray, np.ndarray, int]:
+        """Where the next pass starts to look for the body: a copy; may be set again."""
+        return self._nearest.copy(), self._across.copy(), self._turn
+
+    @memory.setter
+    def memory(self, memory: tuple[np.ndarray, np.ndarray, int]) -> None:
+        self._nearest[:], self._across[:], self._turn = memory
 
     def __call__(
         self,

@@ -1,0 +1,236 @@
+"""Measures what each setting of a player costs and how far it is off the full detail, on held-out motion."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from assets.character import Character
+from pbd import InputError
+from precompute.evaluation import SETTLE
+from precompute.rivals import PROBE_FRAMES
+from runtime.detail import Detail
+from runtime.front import Front, Setting
+from runtime.play import Cast
+from runtime.player import Player
+from runtime.report import machine_description
+from runtime.simulation import Motion, Simulation, body_source
+from wrinkles.database import WrinkleDatabase
+
+__all__ = ["front_key", "measure_front"]
+
+TEMPOS = (1.0, 1.5)  # that the motion is played at: errors grow with speed
+EVERY = (1, 2, 4)
+SUBSTEPS = (1.0, 2 / 3, 1 / 2, 1 / 3, 1 / 6)  # a tick, shares of the full number
+ATOMS = (1.0, 1 / 2, 1 / 6)
+FLOOR = 1.5  # substeps of the run that chaos is told from, over the full number
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def measure_front(
+    database: WrinkleDatabase, cast: Cast, motion: Motion, report: Callable[[str], None] | None = None
+) -> Front:
+    """Measure every setting.
+
+    Each part of a setting is measured where it can be told apart, and squares of errors add up. What decodes is shown
+    the coarse states of the full detail, and so is what goes on between two updates: distances vertex by vertex, the
+    95th percentile of each tick, below which 99 % of the ticks stay. What changes the coarse simulation runs freely,
+    and free folding is chaotic: there the distance is that of statistics, the 2-Wasserstein distance between the
+    Gaussian distributions of each vertex over the run, as seen from the body, the 95th percentile over vertices, less
+    that of another run at full detail with finer substeps.
+
+    Args:
+        database: of the garment.
+        cast: with what it is played.
+        motion: that nothing was learned from; played at several tempos.
+        report: told lines of progress.
+    """
+    tell = report or (lambda line: None)
+    full = Player(database, cast.body, motion.pose(0.0), cast.primitives).full
+    layers = _layers(full)
+    pairs = [(every, max(1, round(every * full.substeps * share))) for every in EVERY for share in SUBSTEPS]
+    pairs = list(dict.fromkeys(pairs))
+    parts = []
+    for number, tempo in enumerate(TEMPOS):
+        tell(f"measuring settings: tempo {number + 1} of {len(TEMPOS)}, wrinkle layer")
+        poses = _poses(motion, tempo, 1.0 / database.frame_rate)
+        parts.append(_measure(database, cast, poses, pairs, layers, lambda line: tell(f"measuring settings: {line}")))
+    parts.sort(key=lambda part: part["speed"])
+    speeds = tuple(float(part["speed"]) for part in parts)
+    costs = {name: np.median([part[name] for part in parts], axis=0) for name in ("step", "rest", "between", "layer")}
+    errors = {name: np.array([part[name] for part in parts]) for name in ("layer_error", "going_error", "step_error")}
+    errors = {name: np.maximum.accumulate(values, axis=0) for name, values in errors.items()}
+    settings = []
+    for (p, (every, substeps)), (k, layer) in product(enumerate(pairs), enumerate(layers)):
+        squares = errors["layer_error"][:, k] ** 2 + errors["going_error"][:, EVERY.index(every)] ** 2
+        error = np.sqrt(squares + errors["step_error"][:, p] ** 2)
+        if not np.isfinite(error).all():
+            continue
+        peak = float(costs["step"][p] + costs["rest"][p] + costs["layer"][k])
+        cost = (peak + (every - 1) * float(costs["between"][p])) / every
+        settings.append(Setting(Detail(every, substeps, *layer), cost, peak, tuple(error.tolist())))
+    coarse = database.subdivision.meshes(database.coarse_vertices, database.warp)[0]
+    return Front(
+        database.garment_name,
+        front_key(database),
+        machine_description()["cpu"],
+        float(np.ptp(database.coarse_vertices[:, 1])),
+        float(coarse.edge_lengths()[1].mean()),
+        database.fabric.gravity_length,
+        speeds,
+        tuple(settings),
+    )
+
+
+def front_key(database: WrinkleDatabase) -> str:
+    """What tells whether a front is of this database and this code."""
+    return f"{database.code_version} {database.created} {len(database.coarse_vertices)} {database.fabric_name}"
+
+
+def _layers(full: Detail) -> list[tuple[int, int, int]]:
+    """Atoms, sweeps and passes, full detail first."""
+    atoms = sorted({max(1, round(full.atoms * share)) for share in ATOMS}, reverse=True)
+    found = [(count, full.sweeps, full.passes) for count in atoms]
+    found += [(full.atoms, full.sweeps // 4, full.passes), (full.atoms, full.sweeps, 0), (full.atoms, 0, 0)]
+    return found + [(0, full.sweeps, full.passes), (0, full.sweeps // 4, 0), (0, 0, full.passes), (0, 0, 0)]
+
+
+def _poses(motion: Motion, tempo: float, dt: float) -> np.ndarray:
+    """A motion faster or slower: poses every ``dt`` [s]."""
+    return np.stack([motion.pose(i * dt * tempo) for i in range(int(motion.duration / (dt * tempo) + 1e-6) + 1)])
+
+
+def _measure(
+    database: WrinkleDatabase,
+    cast: Cast,
+    poses: np.ndarray,
+    pairs: Sequence[tuple[int, int]],
+    layers: Sequence[tuple[int, int, int]],
+    tell: Callable[[str], None],
+) -> dict[str, np.ndarray]:
+    """Errors and costs of all parts on one run of poses."""
+    dt = 1.0 / database.frame_rate
+    first = min(round(SETTLE / dt), (len(poses) - 1) // 3)
+    player = Player(database, cast.body, poses[0], cast.primitives)
+    found = _decode(player, poses, dt, cast.wind, layers, first)
+    around = [_around(player, every, poses, dt, found["layer"][-1]) for every in EVERY]
+    full = (1, player.full.substeps)
+    coarse, spent = [], []
+    for number, (every, substeps) in enumerate([full, (1, round(FLOOR * full[1])), *pairs]):
+        tell(f"simulation {number + 1} of {len(pairs) + 2}")
+        options = database.solver
+        if (every, substeps) != full:
+            options = replace(options, substep=every * dt / substeps)
+        simulation = Simulation(
+            player.simulation.model,
+            player.levels.coarse_attachment,
+            body_source(cast.body),
+            poses[0],
+            options,
+            cast.primitives,
+        )
+        run = _run(simulation, every, poses, dt, cast.wind, isinstance(cast.body, Character))
+        coarse.append(run[0])
+        spent.append(run[1])
+    floor = _distances(coarse[0], coarse[1], first) ** 2
+    away = [np.maximum(_distances(coarse[0], run, first) ** 2 - floor, 0.0) for run in coarse[2:]]
+    step_error = [float(np.percentile(np.sqrt(a), 95)) if np.isfinite(a).all() else np.inf for a in away]
+    return found | {
+        "step_error": np.where([pair == full for pair in pairs], 0.0, step_error),
+        "step": np.array(spent[2:]),
+        "rest": np.array([around[EVERY.index(every)][0] for every, _ in pairs]),
+        "between": np.array([around[EVERY.index(every)][1] for every, _ in pairs]),
+    }
+
+
+def _decode(
+    player: Player, poses: np.ndarray, dt: float, wind: tuple, layers: Sequence[tuple[int, int, int]], first: int
+) -> dict[str, np.ndarray]:
+    """Play at full detail; every layer decodes every state, and every update goes on for some ticks."""
+    details = [Detail(1, player.full.substeps, *layer) for layer in layers]
+    past: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=max(EVERY) - 1)
+    spent, away, astray, speeds = [], [], [], []
+    for tick, pose in enumerate(poses[1:], 1):
+        player.update(pose, dt, wind)
+        truth = (player.vertices + player.origin).astype(np.float32)
+        velocity = player.simulation.state.velocity
+        if tick > first:
+            # How far off is what went on as it was for 1, 2, ... ticks.
+            astray.append([_p95(was + dt * j * going - truth) for j, (was, going) in enumerate(reversed(past), 1)])
+            speeds.append(np.mean(velocity.astype(float) ** 2) * 3.0)
+            times, distances, top = [], [], player.vertices
+            for detail in details:
+                began = time.process_time()
+                made = player.decoded(detail)
+                times.append(1e3 * (time.process_time() - began))
+                distances.append(_p95(made - top) if distances else 0.0)
+                top = made if len(distances) == 1 else top
+            spent.append(times)
+            away.append(distances)
+        past.append((truth, player.levels.subdivision.upsample(velocity).astype(np.float32)))
+    gone = np.array(astray)
+    going = [np.concatenate([np.zeros(len(gone)), gone[:, : every - 1].ravel()]) for every in EVERY]
+    return {
+        "speed": np.sqrt(np.mean(speeds)),
+        "layer": np.median(spent, axis=0),
+        "layer_error": np.percentile(away, 99, axis=0),
+        "going_error": np.array([np.percentile(errors, 99) for errors in going]),
+    }
+
+
+def _around(player: Player, every: int, poses: np.ndarray, dt: float, plain_ms: float) -> tuple[float, float]:
+    """Cost of an update besides the simulation and the wrinkle layer, and of a tick without update [ms]."""
+    player.change(Detail(every, 1, 0, 0, 0))
+    update, between = [], []
+    for tick, pose in enumerate(poses[1 : PROBE_FRAMES + 1]):
+        began = time.process_time()
+        player.step(pose, dt)
+        stepped = time.process_time()
+        player.decode()
+        decoded = time.process_time()
+        if tick % every:
+            between.append(decoded - began)
+        else:
+            update.append(decoded - stepped)
+    rest = max(0.0, 1e3 * float(np.median(update)) - plain_ms)
+    return rest, 1e3 * float(np.median(between)) if between else 0.0
+
+
+def _run(
+    simulation: Simulation, every: int, poses: np.ndarray, dt: float, wind: tuple, turn: bool
+) -> tuple[np.ndarray, float]:
+    """The coarse garment running freely: vertices in the frame of the body's root [m], shape (f, n, 3), at every tick
+    that all of :data:`EVERY` have; and processor time of an update [ms].
+    """
+    coarse, spent = [], []
+    for tick in range(every, len(poses), every):
+        began = time.process_time()
+        try:
+            simulation.step(poses[tick], every * dt, wind)
+        except InputError:  # it is no longer finite
+            return np.full((1, simulation.model.vertex_count, 3), np.inf), np.inf
+        spent.append(1e3 * (time.process_time() - began))
+        if tick % max(EVERY) == 0:
+            pose = poses[tick]
+            root = pose[0] if turn else np.eye(3, 4)
+            coarse.append((simulation.state.world() - root[:, 3]) @ root[:, :3])
+    return np.array(coarse), float(np.median(spent))
+
+
+def _distances(one: np.ndarray, other: np.ndarray, first: int) -> np.ndarray:
+    """2-Wasserstein distance of each vertex's Gaussian distribution over the ticks [m], shape (n,)."""
+    if not (np.isfinite(one).all() and np.isfinite(other).all()):
+        return np.full(one.shape[1], np.inf)
+    one, other = one[first // max(EVERY) :], other[first // max(EVERY) :]
+    means = ((one.mean(axis=0) - other.mean(axis=0)) ** 2).sum(axis=1)
+    return np.sqrt(means + ((one.std(axis=0) - other.std(axis=0)) ** 2).sum(axis=1))
+
+
+def _p95(offsets: np.ndarray) -> float:
+    return float(np.percentile(np.linalg.norm(offsets, axis=1), 95))

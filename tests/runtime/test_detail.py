@@ -1,0 +1,150 @@
+"""Modelling more or less while a garment is played: the coarse state goes on, and nothing pops."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pbd import InputError
+from runtime.detail import Detail
+from runtime.game_loop import GameLoop, LiveInput
+from runtime.player import FADE, Player
+from runtime.simulation import poses_of
+from tests.runtime.players import skirt_database, skirt_stage
+from wrinkles.metrics import PIXELS_PER_METRE, pixel_distance
+
+DT = 1.0 / 60.0
+
+
+@pytest.fixture(scope="module")
+def poses() -> np.ndarray:
+    return poses_of(skirt_stage().motion(), DT, 2.0)
+
+
+@pytest.fixture
+def player(poses: np.ndarray) -> Player:
+    return Player(skirt_database(), skirt_stage().body, poses[0])
+
+
+def world(player: Player) -> np.ndarray:
+    return player.vertices + player.origin
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("every", 0), ("substeps", 0), ("atoms", -1), ("sweeps", 1.5), ("passes", -2)]
+)
+def test_bad_details_are_refused(field: str, value: float) -> None:
+    with pytest.raises(InputError) as caught:
+        replace(Detail(1, 1, 0, 0, 0), **{field: value})
+    assert caught.value.key == field
+
+
+def test_a_player_begins_with_all_there_is(player: Player) -> None:
+    assert player.detail == player.full == Detail(1, 12, 5, 8, 1)
+
+
+def test_less_detail_and_back_leaves_the_coarse_garment_as_it_was(player: Player, poses: np.ndarray) -> None:
+    """What only decodes does not touch the simulation."""
+    other = Player(skirt_database(), skirt_stage().body, poses[0])
+    for tick, pose in enumerate(poses[1:60]):
+        if tick in (10, 20, 30):
+            player.change(replace(player.full, atoms=(0, 2, 5)[tick // 10 - 1], sweeps=2, passes=tick // 10 % 2))
+        player.update(pose, DT)
+        other.update(pose, DT)
+    assert player.simulation.state.hash() == other.simulation.state.hash()
+    player.change(player.full)
+    for pose in poses[60:90]:
+        player.update(pose, DT)
+        other.update(pose, DT)
+    assert np.abs(world(player) - world(other)).max() < 1e-4  # how relaxation finds the body remembers a little
+
+
+def test_details_are_seen_in_what_is_shown(player: Player, poses: np.ndarray) -> None:
+    for pose in poses[1:40]:
+        player.update(pose, DT)
+    shown = {
+        name: player.decoded(replace(player.full, **{name: value}))
+        for name, value in {"atoms": 0, "sweeps": 0, "passes": 0}.items()
+    }
+    assert np.abs(player.decoded(player.full) - player.vertices).max() < 1e-5
+    for vertices in shown.values():
+        assert np.abs(vertices - player.vertices).max() > 1e-4
+    beyond = player.decoded(replace(player.full, atoms=1000))
+    assert np.abs(beyond - player.decoded(player.full)).max() < 1e-6
+
+
+@pytest.mark.parametrize("every", [2, 4])
+def test_ticks_without_update_go_on_as_the_garment_went(player: Player, poses: np.ndarray, every: int) -> None:
+    other = Player(skirt_database(), skirt_stage().body, poses[0])
+    for pose in poses[1:61]:
+        player.update(pose, DT)
+        other.update(pose, DT)
+    player.change(replace(player.full, every=every, substeps=12 * every))
+    hashes, away = [], []
+    for pose in poses[61:101]:
+        player.update(pose, DT)
+        other.update(pose, DT)
+        hashes.append(player.simulation.state.hash())
+        away.append(np.percentile(pixel_distance(world(player), world(other)), 95))
+    assert len(set(hashes)) == 40 // every
+    # Falling freely it would be off by g (every dt)^2 / 2 at the end of a turn: 1.3 px at 2, 12 px at 4.
+    assert np.percentile(away, 90) < 3.0 * 0.5 * 9.81 * ((every - 1) * DT) ** 2 * PIXELS_PER_METRE + 3.0
+
+
+def test_garments_take_turns(player: Player, poses: np.ndarray) -> None:
+    player.change(replace(player.full, every=4), wait=2)
+    before, worked = player.simulation.state.hash(), []
+    for pose in poses[1:13]:
+        player.update(pose, DT)
+        after = player.simulation.state.hash()
+        worked.append(after != before)
+        before = after
+    assert worked == [False, False, True, False] * 3
+
+
+@pytest.mark.parametrize(("name", "value"), [("atoms", 0), ("passes", 0), ("substeps", 8), ("every", 2)])
+def test_a_change_does_not_pop(player: Player, poses: np.ndarray, name: str, value: int) -> None:
+    """Beside a player that does not change, seen from where less detail is off by one pixel: no hop is as large."""
+    less = replace(player.full, **{name: value})
+    if name == "every":
+        less = replace(less, substeps=value * player.full.substeps)
+    other = Player(skirt_database(), skirt_stage().body, poses[0])
+    away = []
+    for tick, pose in enumerate(poses[1:121]):
+        if tick in (40, 80):
+            player.change(less if tick == 40 else player.full)
+        player.update(pose, DT)
+        other.update(pose, DT)
+        away.append(world(player) - world(other))
+    away = np.array(away)
+    error = np.percentile(np.linalg.norm(away[60:80], axis=2), 95, axis=1).max()
+    jumps = np.percentile(np.linalg.norm(np.diff(away, axis=0), axis=2), 95, axis=1)
+    assert 1e-3 < error and jumps.max() < error
+
+
+def test_what_is_shown_stays_at_a_change_and_the_rest_fades_in_time(player: Player, poses: np.ndarray) -> None:
+    for pose in poses[1:40]:
+        player.update(pose, DT)
+    before = player.vertices.copy()
+    player.change(Detail(1, 12, 0, 0, 0))
+    assert np.array_equal(player.vertices, before)
+    ticks = int(FADE / DT) + 1
+    for pose in poses[40 : 40 + ticks]:
+        player.update(pose, DT)
+    assert np.abs(player.vertices - player.decoded(player.detail)).max() < 1e-6
+
+
+def test_a_game_loop_plays_between_ticks_at_any_detail(player: Player, poses: np.ndarray) -> None:
+    motion = skirt_stage().motion()
+    loop = GameLoop(player, lambda t: LiveInput(motion.pose(t)), 144.0, DT)
+    shown = []
+    for frame in range(200):
+        if frame == 80:
+            player.change(replace(player.full, every=4, substeps=24, atoms=0))
+        loop.advance(1.0 / 144.0)
+        shown.append(world(player))
+    hops = np.linalg.norm(np.diff(np.array(shown), axis=0), axis=2).max(axis=1)
+    assert hops[79] < 1.2 * hops[60:79].max()  # where less detail begins
+    assert 1e-3 < hops[90:].min() and hops[90:].max() < 0.05  # it moves in every picture, and stays on the body
