@@ -96,7 +96,8 @@ def draw_curves(path: Path, curves: Mapping[tuple[str, str], LoadCurve]) -> None
         panel.set_xlabel(labels[0])
         panel.set_ylabel(labels[1])
         panel.set_title(instrument)
-        panel.legend(fontsize=8)
+        if panel.lines:
+            panel.legend(fontsize=8)
     with replacing(path) as beside, open(beside, "wb") as file:
         FigureCanvasAgg(figure).print_png(file)
 
