@@ -25,7 +25,7 @@ from pbd.storage import replacing
 from runtime.simulation import Simulation, body_source, poses_of
 from wrinkles.levels import Levels
 
-__all__ = ["Recording", "Run", "body_source", "poses_of", "record_runs"]
+__all__ = ["begin_worker", "Recording", "Run", "body_source", "poses_of", "record_runs"]
 
 CHUNK_SECONDS = 1.0  # what a cut-off run loses at most [s of motion]
 
@@ -189,7 +189,7 @@ def record_runs(
             _record(run, folder, lambda: _tell(report, done(), before, total, began))
     elif todo:
         todo.sort(key=lambda item: -item[0].frame_count)
-        with ProcessPoolExecutor(min(workers, len(todo)), get_context("spawn"), _begin_worker) as pool:
+        with ProcessPoolExecutor(min(workers, len(todo)), get_context("spawn"), begin_worker) as pool:
             futures = [pool.submit(_record, run, folder) for run, folder in todo]
             pending = set(futures)
             try:
@@ -204,7 +204,7 @@ def record_runs(
     return [_read(run, folder) for run, folder in zip(runs, folders, strict=True)]
 
 
-def _begin_worker() -> None:
+def begin_worker() -> None:
     """One thread a worker; and a worker whose parent was killed ends too, instead of simulating on for nobody."""
     os.environ["GUBE_THREADS"] = "1"
     parent = parent_process()

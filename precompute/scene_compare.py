@@ -15,7 +15,7 @@ import numpy as np
 from pbd import InputError
 from precompute.compare_scenes import SCENES, CompareScene, scene_of
 from precompute.error_classes import ErrorClass
-from precompute.recording import _begin_worker
+from precompute.recording import begin_worker
 from precompute.scene_judging import Judge, Verdict, reference_settings
 from precompute.scene_runs import SceneRun, Setting, parse_setting, read_run, run_path, run_setting, write_run
 
@@ -202,7 +202,7 @@ def _estimate(scene: CompareScene, setting: Setting) -> float:
 
 def _warm() -> None:
     """One thread a worker, which ends with its parent; and what the default solver must compile."""
-    _begin_worker()
+    begin_worker()
     scene = scene_of("swing", 1.0 / 30.0)
     run_setting(scene, Setting("default", 4, 1))
 

@@ -5,23 +5,26 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
+from multiprocessing import get_context
 from typing import Any
 
 from pbd.errors import InputError
 from pbd.models import SOLVERS, StepError
 from precompute import bending_rows, contact_rows, drape_rows, laboratory_rows, membrane_rows, motion_rows
+from precompute.recording import begin_worker
 from precompute.trial import Measured, Setting
 from precompute.validation_row import Row
 
-__all__ = ["ROWS", "Verdict", "case_words", "chosen_rows", "validate", "validation_text", "verdict_row"]
+__all__ = ["ROWS", "Verdict", "case_words", "chosen_rows", "validate", "validate_all", "validation_text", "verdict_row"]
 
 ROWS: Mapping[str, Row] = {
     row.name: row
     for module in (bending_rows, membrane_rows, motion_rows, contact_rows, drape_rows, laboratory_rows)
     for row in module.ROWS
 }
-LONGEST = 6.0  # processor time of a run, on the way to the cheapest and to the best setting [s]
+LONGEST = 5.0  # processor time of a run, on the way to the cheapest and to the best setting [s]
 MOST = 4096  # substeps of a frame that are tried
 FINER = 2  # times as many edges, where more substeps do not help
 
@@ -172,6 +175,40 @@ def validate(
     assert default is not None and best is not None
     passed = _within(best[1].error, row.gate_best) and realtime is not None
     return Verdict(row, case, default, *(realtime or (None, None)), *best, "" if passed else reason)
+
+
+def validate_all(
+    tests: Sequence[tuple[Row, Sequence[Mapping[str, Any]]]],
+    solver: str | None,
+    resolution: int | None,
+    workers: int,
+    report: Callable[[str], None],
+) -> list[Verdict]:
+    """Run the cases of several tests, in the order of the table.
+
+    Args:
+        tests: as :func:`chosen_rows` gives them.
+        solver, resolution: as for :func:`validate`.
+        workers: processes at a time; one case stays in this process.
+        report: called with a line of progress.
+    """
+    cases = [(row, case) for row, cases in tests for case in cases]
+    if len(cases) == 1:
+        return [validate(*cases[0], solver, resolution, report)]
+    with ProcessPoolExecutor(workers, get_context("spawn"), begin_worker) as pool:
+        futures = {pool.submit(_validate_named, row.name, case, solver, resolution): row for row, case in cases}
+        try:
+            for done, future in enumerate(as_completed(futures), 1):
+                found = future.result()
+                report(f"{done} of {len(cases)}: {found.row.name} {case_words(found.case)}: {_short(found.best.error)}")
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+        return [future.result() for future in futures]
+
+
+def _validate_named(name: str, case: Mapping[str, Any], solver: str | None, resolution: int | None) -> Verdict:
+    return validate(ROWS[name], case, solver, resolution)
 
 
 def _short(value: Any) -> str:

@@ -477,15 +477,13 @@ def _plan(options: argparse.Namespace) -> Report:
 
 
 def _validate(options: argparse.Namespace) -> Report:
-    from precompute.validation import chosen_rows, validate, validation_text, verdict_row
+    from precompute.validation import chosen_rows, validate_all, validation_text, verdict_row
     from precompute.validation_pictures import draw_verdicts
 
     check_folder(options.output)
     tests = chosen_rows(options.names, options.param, options.solver)
-    verdicts = []
     with Progress(sys.stderr) as progress:
-        for row, cases in tests:
-            verdicts += [validate(row, case, options.solver, options.resolution, progress) for case in cases]
+        verdicts = validate_all(tests, options.solver, options.resolution, os.cpu_count() or 1, progress)
     print(validation_text(verdicts))
     for path in draw_verdicts(options.output, verdicts):
         print(path)
