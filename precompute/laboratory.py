@@ -62,7 +62,8 @@ def tension_curve(setting: Setting, fabric: Fabric, angle: float, strains: Seque
         trial = Trial(patch, start * [1.0 + strain, 1.0, 1.0], fabric, ends, setting, (0.0, 0.0, 0.0), warp=angle)
         trial.settle(STILL, limit=60.0, still=1e-3 * strain)
         moved = (trial.world() - start)[middle, 0]
-        found.append(np.linalg.lstsq(design, moved, rcond=None)[0][0])
+        weight = np.sqrt(trial.model.mesh.vertex_areas[middle])  # what lies along the sides stands for half as much
+        found.append(np.linalg.lstsq(weight[:, None] * design, weight * moved, rcond=None)[0][0])
         # The nearer end holds still, the farther one is read.
         loads.append(-trial.pull(ends[ends == ends.max()])[0][0] / width)
         costs.append(trial.cost_ms)

@@ -108,8 +108,12 @@ def test_a_step_that_fails_is_a_lost_run_and_takes_nothing_from_the_others() -> 
 
 
 def test_what_cannot_be_measured_is_lost_at_once_and_says_why() -> None:
-    verdict = validate(ROWS["kawabata"], {"instrument": "compression", "direction": "warp"})
-    assert not verdict.passed_best and verdict.realtime is None and "thickness" in verdict.reason
+    nothing = replace(
+        FAKE, measure=lambda setting, power: Measured(1.0, math.nan, math.nan, 1.0, missing="no such law")
+    )
+    verdict = validate(nothing, {"power": 1.0})
+    assert not verdict.passed_best and verdict.realtime is None and verdict.reason == "no such law"
+    assert verdict.best_setting == Setting()  # nothing else was tried
 
 
 def test_a_chosen_resolution_is_the_only_one() -> None:
