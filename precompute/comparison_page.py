@@ -13,7 +13,7 @@ from precompute.recording import body_source
 from precompute.stability import Stability
 from runtime.pictures import BODY_COLOR, Drawn, frame_camera, render, strip
 
-__all__ = ["draw_methods", "verdict", "write_comparison"]
+__all__ = ["comparison_sections", "draw_methods", "verdict", "write_comparison"]
 
 _ARTICLE = {"middle_mesh_": "the middle mesh", "equal_cost_fine_": "the fine cloth"}
 _ELSEWHERE = ("substeps_per_frame",)  # figures that stand among the settings
@@ -78,8 +78,13 @@ def write_comparison(
         picture: shown first, uint8, shape (h, w, 3); None shows none.
     """
     first = [] if picture is None else [Picture(picture, "the garment at several moments")]
-    sections: list[Section] = [
-        *first,
+    title = f"{comparison.garment}, {comparison.motion}: error against time"
+    write_page(path, title, [*first, *comparison_sections(comparison)])
+
+
+def comparison_sections(comparison: Comparison) -> list[Section]:
+    """Who wins, charts of error against time, one moment by all methods, and all figures."""
+    return [
         Text(verdict(comparison)),
         *(_chart(comparison, figure, label) for figure, label in _CHARTED.items()),
         *_pictures(comparison),
@@ -88,8 +93,6 @@ def write_comparison(
         _stability_table(comparison),
         Text(_NOTES),
     ]
-    title = f"{comparison.garment}, {comparison.motion}: error against time"
-    write_page(path, title, sections)
 
 
 def draw_methods(comparison: Comparison, methods: Sequence[Method]) -> np.ndarray:

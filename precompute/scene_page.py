@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from pbd import Plane, Sphere
 from pbd.storage import replacing
+from precompute.compare import Comparison
 from precompute.compare_scenes import RATE, CompareScene
+from precompute.comparison_page import comparison_sections
 from precompute.error_classes import ErrorClass
+from precompute.fabric_pictures import FABRICS, draw_fabrics, fabric_runs
 from precompute.page import Band, Chart, Heading, Picture, Point, Section, Table, Text, write_page
 from precompute.scene_chart import draw_charts
 from precompute.scene_compare import Compared, SceneComparison
@@ -19,7 +22,7 @@ from precompute.scene_judging import screen_mm
 from runtime.pictures import BODY_COLOR, Drawn, frame_camera, render, save_png, strip
 from runtime.report import machine_description, write_report
 
-__all__ = ["comparison_figures", "comparison_text", "write_comparison"]
+__all__ = ["comparison_figures", "comparison_text", "fabric_sections", "wrinkle_sections", "write_comparison"]
 
 COLORS = {ErrorClass.IMPERCEPTIBLE: 2, ErrorClass.ACCEPTED: 0, ErrorClass.VISIBLE: 1, ErrorClass.CATASTROPHIC: 6}
 PICTURE = (340, 400)
@@ -79,13 +82,29 @@ def comparison_text(one: SceneComparison) -> str:
     return "\n\n".join(lines)
 
 
-def write_comparison(folder: Path, found: Sequence[SceneComparison], pictures: Sequence[Picture] = ()) -> None:
+def wrinkle_sections(comparison: Comparison | None) -> list[Section]:
+    """With and without the wrinkle layer on the held-out motion of a database; without one, why that is missing."""
+    heading = Heading("With and without the wrinkle layer")
+    if comparison is None:
+        why = "Not compared: no database was named. `gube demo` makes out/demo/skirt.h5; name it beside the scenes."
+        return [heading, Text(why)]
+    return [heading, Text(f"{comparison.garment}, {comparison.motion}."), *comparison_sections(comparison)]
+
+
+def fabric_sections(folder: Path, report: Callable[[str], None] | None = None) -> list[Section]:
+    """One skirt in three fabrics, also written to ``fabrics.png``."""
+    image = draw_fabrics(fabric_runs(), folder / "runs", report=report)
+    save_png(folder / "fabrics.png", image)
+    return [Heading("One skirt in three fabrics"), Picture(image, ", ".join(FABRICS) + ": the same cut and motion")]
+
+
+def write_comparison(folder: Path, found: Sequence[SceneComparison], more: Sequence[Section] = ()) -> None:
     """Write ``compare.html``, ``.csv``, ``.json``, ``.png`` and ``.svg``, and a strip of each scene, into a folder.
 
     Args:
         folder: is made where it is missing.
         found: what :func:`precompute.scene_compare.compare_scenes` gave.
-        pictures: shown at the end of the page.
+        more: what stands on the page after the scenes.
     """
     folder.mkdir(parents=True, exist_ok=True)
     rows = [point.row(one.scene.name) for one in found for point in one.points]
@@ -99,7 +118,7 @@ def write_comparison(folder: Path, found: Sequence[SceneComparison], pictures: S
         save_png(folder / f"{one.scene.name}.png", image)
         sections += [Heading(one.scene.title), Text(comparison_text(one)), _chart(one)]
         sections.append(Picture(image, f"{one.scene.name} after {one.scene.moment:g} s, by methods"))
-    sections += pictures
+    sections += more
     machine = machine_description()
     sections += [Heading("How it was measured"), Text(_NOTES), _table(found)]
     sections.append(Text(f"Measured on {machine['cores']} cores of: {machine['cpu']}, {machine['date']}."))

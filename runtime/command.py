@@ -121,7 +121,7 @@ def _parser() -> argparse.ArgumentParser:
         "sources",
         nargs="*",
         metavar="SCENE",
-        help="built-in scenes (default: all); or a database (.h5, or .toml of it)",
+        help="built-in scenes (default: all) and a database, or one (.h5, .toml) alone",
     )
     compare.add_argument(
         "-o", dest="output", type=Path, metavar="DIR", help="folder of compare.html (default: out/compare; . for .h5)"
@@ -387,39 +387,48 @@ def _check(options: argparse.Namespace) -> Report:
 
 
 def _compare(options: argparse.Namespace) -> Report:
-    of_database = options.wrinkles or any(name.lower().endswith((".h5", ".toml")) for name in options.sources)
-    chosen = ("methods", "budget") if of_database else ("clip",)
-    for name in chosen:
+    databases = [name for name in options.sources if name.lower().endswith((".h5", ".toml"))]
+    scenes = [name for name in options.sources if name not in databases]
+    of_database = options.wrinkles or (bool(databases) and not scenes)
+    for name in ("methods", "budget") if of_database else () if databases else ("clip",):
         if getattr(options, name) is not None:
             expected = "built-in scenes" if of_database else "a database (.h5)"
             raise InputError("cannot be chosen here", key=f"--{name}", received=options.sources, expected=expected)
-    if of_database and len(options.sources) != 1:
+    if len(databases) > 1 or (options.wrinkles and (scenes or not databases)):
         raise InputError("one database at a time", key="SCENE", received=options.sources, expected="DB.h5")
     options.output = options.output or (Path(".") if of_database else Path("out/compare"))
+    options.database = Path(databases[0]) if databases else None
     check_folder(options.output)
     if not of_database:
-        return _compare_scenes(options)
+        return _compare_scenes(options, scenes)
     return _compare_wrinkles(options) if options.wrinkles else _compare_database(options)
 
 
-def _compare_scenes(options: argparse.Namespace) -> Report:
+def _compare_scenes(options: argparse.Namespace, scenes: Sequence[str]) -> Report:
+    from precompute.compare import compare_file
     from precompute.scene_compare import BUDGET, compare_scenes
-    from precompute.scene_page import comparison_figures, comparison_text, write_comparison
+    from precompute.scene_page import (
+        comparison_figures,
+        comparison_text,
+        fabric_sections,
+        wrinkle_sections,
+        write_comparison,
+    )
 
-    methods = [] if options.methods is None else options.methods.split(",")
+    methods, output = [] if options.methods is None else options.methods.split(","), options.output
     with Progress(sys.stderr) as progress:
+        budget = options.budget or BUDGET
         found = compare_scenes(
-            options.sources,
-            options.output,
-            methods=methods,
-            budget_s=options.budget or BUDGET,
-            seconds=options.seconds,
-            report=progress,
+            scenes, output, methods=methods, budget_s=budget, seconds=options.seconds, report=progress
         )
+        layer = None
+        if options.database is not None:
+            layer = compare_file(options.database, output, clip=options.clip, seconds=options.seconds, report=progress)
+        more = wrinkle_sections(layer) + ([] if scenes else fabric_sections(output, progress))
         progress("drawing")
-        write_comparison(options.output, found)
+        write_comparison(output, found, more)
     print("\n\n".join(comparison_text(one) for one in found))
-    print(f"\n{options.output / 'compare.html'}")
+    print(f"\n{output / 'compare.html'}")
     return Report(comparison_figures(found), [point.row(one.scene.name) for one in found for point in one.points])
 
 
@@ -431,7 +440,7 @@ def _compare_wrinkles(options: argparse.Namespace) -> Report:
         if getattr(options, name) is not None:
             raise InputError("cannot be chosen with --wrinkles", key=f"--{name}", expected="the held-out motion")
     with Progress(sys.stderr) as progress:
-        found = compare_wrinkles_file(Path(options.sources[0]), options.output, report=progress)
+        found = compare_wrinkles_file(options.database, options.output, report=progress)
     page = options.output / "wrinkles.html"
     write_wrinkles(page, found)
     print(wrinkle_verdict(found))
@@ -445,9 +454,10 @@ def _compare_database(options: argparse.Namespace) -> Report:
     from precompute.compare import compare_file
     from precompute.comparison_page import verdict, write_comparison
 
-    source = Path(options.sources[0])
     with Progress(sys.stderr) as progress:
-        found = compare_file(source, options.output, clip=options.clip, seconds=options.seconds, report=progress)
+        found = compare_file(
+            options.database, options.output, clip=options.clip, seconds=options.seconds, report=progress
+        )
     page = options.output / "compare.html"
     write_comparison(page, found)
     print(verdict(found))

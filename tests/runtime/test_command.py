@@ -117,6 +117,38 @@ def test_what_cannot_be_written_is_refused_before_anything_is_read_or_made(
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
+@pytest.mark.parametrize(
+    "arguments, key",
+    [
+        (["waltz"], "SCENE"),
+        (["swing", "--methods", "magic"], "--methods"),
+        (["swing", "--clip", "walk"], "--clip"),
+        (["no.h5", "--methods", "pbd"], "--methods"),
+        (["no.h5", "--budget", "5m"], "--budget"),
+        (["no.h5", "other.h5"], "SCENE"),
+        (["swing", "--wrinkles"], "SCENE"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(
+    arguments: list[str], key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command.main(["compare", *arguments, "-o", str(tmp_path / "out")]) == 2
+    message = capsys.readouterr().err
+    assert message.startswith(f"gube compare: {key}: ") and "expected" in message
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("text, seconds", [("90s", 90.0), ("1.5m", 90.0), ("2h", 7200.0)])
+def test_a_budget_is_a_time(text: str, seconds: float) -> None:
+    assert command._duration(text) == seconds
+
+
+@pytest.mark.parametrize("text", ["", "5", "-5m", "five m", "infs", "m"])
+def test_what_is_no_time_is_refused(text: str) -> None:
+    with pytest.raises(SystemExit):
+        command.main(["compare", f"--budget={text}"])
+
+
 def test_a_new_folder_is_made_only_with_its_file(scene: Path, tmp_path: Path) -> None:
     out = tmp_path / "a" / "b" / "out.json"
     assert command.main(["simulate", "--explain", str(tmp_path / "no.toml"), "--json", str(out)]) == 2
