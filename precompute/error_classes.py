@@ -20,6 +20,7 @@ __all__ = ["LIMITS", "ErrorClass", "Recorded", "classify", "deviations", "worst_
 
 START = 0.5  # what happens before is not judged [s]
 GRAVITY = 9.81  # [m/s2]
+FOLDED = 150.0  # angle from which an edge counts as folded back [deg]
 
 
 class ErrorClass(IntEnum):
@@ -34,7 +35,8 @@ class ErrorClass(IntEnum):
 # Of each figure of `deviations`: imperceptible up to, accepted up to, catastrophic above.
 LIMITS: Mapping[str, tuple[float, float, float]] = {
     "edge_strain_p95": (0.01, 0.10, np.inf),
-    "edge_strain_max": (0.03, 0.20, 1.0),
+    "edge_strain_max": (0.03, 0.20, np.inf),
+    "edge_strain_beyond": (1.0, 1.0, 1.0),
     "velocity_rms": (0.05, 0.30, np.inf),
     "speed_over_limit": (1.0, 1.0, 1.0),
     "energy_error": (0.02, np.inf, np.inf),
@@ -44,6 +46,8 @@ LIMITS: Mapping[str, tuple[float, float, float]] = {
     "position_px": (1.0, 10.0, np.inf),
     "box_ratio": (2.0, 2.0, 2.0),
     "jitter_px": (0.1, 1.0, 5.0),
+    "folded_percent": (0.5, 5.0, np.inf),
+    "through_percent": (0.0, 0.0, 0.0),
     "not_finite": (0.0, 0.0, 0.0),
 }
 NOISE = 1e-3  # growth of energy below this is rounding [-]
@@ -57,9 +61,11 @@ class Recorded:
         position: [m], shape (f, n, 3).
         velocity: [m/s], shape (f, n, 3).
         dt: time between frames [s].
-        energy: kinetic, gravity's and elastic energy [J], shape (f,); None where something drives the cloth.
+        energy: kinetic and gravity's energy, and the elastic one where a method has one of its own [J], shape (f,);
+            None where something drives the cloth.
         depth: deepest vertex under a collider's surface [m], shape (f,); None without colliders.
         at_rest: whether the end is meant to be at rest, so that jitter counts.
+        through: part of the layers that a collider has gone through [%], shape (f,); None where none can.
     """
 
     position: np.ndarray
@@ -68,6 +74,7 @@ class Recorded:
     energy: np.ndarray | None = None
     depth: np.ndarray | None = None
     at_rest: bool = False
+    through: np.ndarray | None = None
 
 
 def deviations(
@@ -78,6 +85,8 @@ def deviations(
     thickness: float,
     collider_speed: float = 0.0,
     chaotic: bool = False,
+    energy_scale: float | None = None,
+    hinges: np.ndarray | None = None,
 ) -> dict[str, float]:
     """Figures of a run by the names of :data:`LIMITS`; those that do not apply are absent.
 
@@ -89,6 +98,9 @@ def deviations(
         collider_speed: fastest collider [m/s].
         chaotic: the answer is not unique: strains are compared as distributions over edges and frames, positions and
             velocities not at all.
+        energy_scale: what errors of energy are measured by [J]; None takes what the reference's energy goes through.
+        hinges: both ends of an inner edge and the corners across, shape (h, 4); None leaves out how much of the cloth
+            is folded back on itself, more than it is in the reference.
 
     Raises:
         InputError: runs of different shapes.
@@ -105,10 +117,12 @@ def deviations(
     strain, wanted = _strain(x, edges, rest_lengths), _strain(truth, edges, rest_lengths)
     if chaotic:
         found["edge_strain_p95"] = abs(np.percentile(np.abs(strain), 95) - np.percentile(np.abs(wanted), 95))
-        found["edge_strain_max"] = max(0.0, strain.max() - wanted.max())
+        found["edge_strain_max"] = abs(strain.max() - wanted.max())
+        found["edge_strain_beyond"] = strain.max() - wanted.max()
     else:
         found["edge_strain_p95"] = float(np.percentile(np.abs(strain - wanted), 95))
         found["edge_strain_max"] = float(np.abs(strain - wanted).max())
+        found["edge_strain_beyond"] = float((strain - wanted).max())
         motion = np.sqrt(np.mean(np.sum(reference.velocity[later].astype(float) ** 2, axis=2)))
         off = np.sqrt(np.mean(np.sum((run.velocity[later].astype(float) - reference.velocity[later]) ** 2, axis=2)))
         if motion > 1e-3:
@@ -119,14 +133,18 @@ def deviations(
     found["speed_over_limit"] = float(np.linalg.norm(run.velocity[later], axis=2).max() / fastest)
     found["box_ratio"] = float(np.max(_box(x) / np.maximum(_box(truth), 1e-9)))
     if run.energy is not None and reference.energy is not None:
-        scale = max(float(np.ptp(reference.energy)), 1e-12)
-        growth = float((run.energy - run.energy[0]).max() / scale)
-        found["energy_growth"] = growth if growth > NOISE else 0.0
+        scale = max(float(np.ptp(reference.energy)) if energy_scale is None else energy_scale, 1e-12)
+        growth, fair = (float((energy - energy[0]).max()) / scale for energy in (run.energy, reference.energy))
+        found["energy_growth"] = growth - fair if growth - fair > NOISE else 0.0
         found["energy_error"] = float(np.abs(run.energy - reference.energy)[later].max() / scale)
     if run.depth is not None:
         deep = run.depth[later]
         found["penetration_thicknesses"] = float(max(deep.max(), 0.0) / thickness)
         found["penetration_s"] = run.dt * _longest(deep > thickness)
+    if hinges is not None:
+        found["folded_percent"] = max(0.0, float((_folded(x, hinges) - _folded(truth, hinges)).max()))
+    if run.through is not None:
+        found["through_percent"] = float(run.through[later].max())
     if run.at_rest:
         found["jitter_px"] = jitter_px(x[-max(3, round(0.5 / run.dt)) :])
     return {name: float(value) for name, value in found.items()}
@@ -153,6 +171,14 @@ def _class(value: float, limits: tuple[float, float, float]) -> ErrorClass:
 def _strain(position: np.ndarray, edges: np.ndarray, rest_lengths: np.ndarray) -> np.ndarray:
     """Shape (f, e)."""
     return np.linalg.norm(position[:, edges[:, 1]] - position[:, edges[:, 0]], axis=2) / rest_lengths - 1.0
+
+
+def _folded(position: np.ndarray, hinges: np.ndarray) -> np.ndarray:
+    """Inner edges whose two faces lie back on each other, further than ``FOLDED``, in each frame [%]."""
+    i, j, a, b = (position[:, hinges[:, k]] for k in range(4))
+    first, second = np.cross(j - i, a - i), np.cross(b - i, j - i)
+    size = np.linalg.norm(first, axis=2) * np.linalg.norm(second, axis=2)
+    return 100.0 * np.mean(np.einsum("fhi,fhi->fh", first, second) < np.cos(np.radians(FOLDED)) * size, axis=1)
 
 
 def _box(position: np.ndarray) -> np.ndarray:

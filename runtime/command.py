@@ -166,6 +166,15 @@ def _parser() -> argparse.ArgumentParser:
         "-o", dest="output", type=Path, default=Path("out/fabric"), metavar="DIR", help="for curves and their picture"
     )
 
+    stability = _add_command(commands, "stability", _stability, "map where methods fail, and how")
+    stability.add_argument(
+        "--method", action="append", metavar="M", help="solver, may be repeated (default: default and one explicit)"
+    )
+    stability.add_argument("--cell", metavar="MAP:X:Y", help="run this cell again and tell what goes and when")
+    stability.add_argument(
+        "-o", dest="output", type=Path, default=Path("out/stability"), metavar="DIR", help="folder of stability.html"
+    )
+
     bench = commands.add_parser("bench", help="what each part is worth and costs", description="Print a table.")
     tables = bench.add_subparsers(dest="table", required=True, metavar="TABLE")
     ablations = _add_command(tables, "wrinkles", _bench_wrinkles, "the wrinkle layer with parts left out")
@@ -531,6 +540,27 @@ def _fabric(options: argparse.Namespace) -> Report:
     fabric_report.draw_curves(options.output / "curves.png", curves)
     print(f"\n{options.output / 'curves.png'}")
     return Report(figures, fabric_report.curve_rows(curves))
+
+
+def _stability(options: argparse.Namespace) -> Report:
+    from precompute.stability_cells import run_cell
+    from precompute.stability_maps import chosen_cell
+    from precompute.stability_page import cell_row, cell_text, stability_text, write_stability
+    from precompute.stability_sweep import METHODS, check_methods, sweep
+
+    if options.cell is not None:
+        cell = chosen_cell(options.cell)
+        cells = [run_cell(*cell, method) for method in check_methods(options.method or METHODS[:1])]
+        print("\n".join(map(cell_text, cells)))
+        return Report(cells[0].figures, [cell_row(one) for one in cells])
+    check_folder(options.output)
+    with Progress(sys.stderr) as progress:
+        found = sweep(options.method or METHODS, workers=os.cpu_count() or 1, report=progress)
+        progress("drawing")
+        files = write_stability(options.output, found)
+    print(stability_text(found))
+    print(f"\n{files[0]}")
+    return Report(found.figures, [cell_row(cell) for cell in found.cells])
 
 
 def _bench_wrinkles(options: argparse.Namespace) -> Report:
