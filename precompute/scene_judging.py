@@ -89,7 +89,8 @@ class Judge:
         if chaotic:
             # A spline through few vertices is longer than the cloth: each on its own mesh.
             figures["edge_strain_p95"] = abs(float(run.strain[0] - self.reference.strain[0]))
-            figures["edge_strain_max"] = max(0.0, float(run.strain[1] - self.reference.strain[1]))
+            figures["edge_strain_beyond"] = float(run.strain[1] - self.reference.strain[1])
+            figures["edge_strain_max"] = max(0.0, figures["edge_strain_beyond"])
         if not self.scene.driven:
             figures |= self._energy_figures(run)
         classes = classify(figures)
