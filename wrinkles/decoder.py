@@ -248,7 +248,12 @@ def _relax(
                         looks = facing * vec3(frames[coarse, 6], frames[coarse, 7], frames[coarse, 8])
                         normal, other_normal, home = vec3(0.0), vec3(0.0), vec3(0.0)
                         gap, other_gap, kept, other_kept = NEARBY, NEARBY, 0.0, 0.0
-                        for side in range(2):  # the part of the body that the cloth covers, then one opposite to it
+                        # The part of the body that the cloth covers, then one opposite to it, where there is one.
+                        sides = 1
+                        for c in ti.static(range(3)):
+                            if across[leading[i][c]] >= 0:
+                                sides = 2
+                        for side in range(sides):
                             best = -1
                             distance = 1e30
                             # Starts: where the coarse vertices around this one are, and where it was itself last.
