@@ -21,7 +21,9 @@ from runtime.play import Cast
 from runtime.player import Player
 from runtime.report import machine_description
 from runtime.simulation import Motion, Simulation, body_source
+from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase
+from wrinkles.distance import BodyDistance
 
 __all__ = ["front_key", "measure_front"]
 
@@ -29,6 +31,7 @@ TEMPOS = (1.0, 1.5)  # that the motion is played at: errors grow with speed
 EVERY = (1, 2, 4)
 SUBSTEPS = (1.0, 2 / 3, 1 / 2, 1 / 3, 1 / 6)  # a tick, shares of the full number
 ATOMS = (1.0, 1 / 2, 1 / 6)
+LOOKS = 4  # ticks in which it is seen whether what is not relaxed is inside the body
 FLOOR = 1.5  # substeps of the run that chaos is told from, over the full number
 
 
@@ -40,7 +43,8 @@ def measure_front(
 
     Each part of a setting is measured where it can be told apart, and squares of errors add up. What decodes is shown
     the coarse states of the full detail, and so is what goes on between two updates: distances vertex by vertex, the
-    95th percentile of each tick, below which 99 % of the ticks stay. What changes the coarse simulation runs freely,
+    95th percentile of each tick, below which 99 % of the ticks stay, or the size of the hole where cloth is inside the
+    body that is not with full detail. What changes the coarse simulation runs freely,
     and free folding is chaotic: there the distance is that of statistics, the 2-Wasserstein distance between the
     Gaussian distributions of each vertex over the run, as seen from the body, the 95th percentile over vertices, less
     that of another run at full detail with finer substeps.
@@ -154,6 +158,10 @@ def _decode(
 ) -> dict[str, np.ndarray]:
     """Play at full detail; every layer decodes every state, and every update goes on for some ticks."""
     details = [Detail(1, player.full.substeps, *layer) for layer in layers]
+    still = CoarseFilter(player.levels)
+    distance, holes = BodyDistance(player.simulation.body.faces), np.zeros(len(layers))
+    spacing = float(player.levels.fine.edge_lengths()[1].mean())
+    looked_at = set(np.linspace(first + 1, len(poses) - 1, LOOKS).astype(int).tolist())
     past: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=max(EVERY) - 1)
     spent, away, astray, speeds = [], [], [], []
     for tick, pose in enumerate(poses[1:], 1):
@@ -165,21 +173,29 @@ def _decode(
             astray.append([_p95(was + dt * j * going - truth) for j, (was, going) in enumerate(reversed(past), 1)])
             speeds.append(np.mean(velocity.astype(float) ** 2) * 3.0)
             times, distances, top = [], [], player.vertices
+            body, hidden = player.body_vertices.astype(float), np.zeros(0, bool)
             for detail in details:
                 began = time.process_time()
                 made = player.decoded(detail)
                 times.append(1e3 * (time.process_time() - began))
                 distances.append(_p95(made - top) if distances else 0.0)
                 top = made if len(distances) == 1 else top
+                if tick in looked_at and (len(distances) == 1 or not detail.passes):
+                    inside = distance.signed_distance(made.astype(float), body) < 0.0
+                    hidden = inside if len(distances) == 1 else hidden
+                    # Cloth inside the body shows the body: a hole as large as all of it together.
+                    hole = spacing * np.sqrt(float((inside & ~hidden).sum()))
+                    holes[len(distances) - 1] = max(holes[len(distances) - 1], hole)
             spent.append(times)
             away.append(distances)
-        past.append((truth, player.levels.subdivision.upsample(velocity).astype(np.float32)))
+        going = player.levels.subdivision.upsample(still.matrix @ velocity)
+        past.append((truth, going.astype(np.float32)))
     gone = np.array(astray)
     going = [np.concatenate([np.zeros(len(gone)), gone[:, : every - 1].ravel()]) for every in EVERY]
     return {
         "speed": np.sqrt(np.mean(speeds)),
         "layer": np.median(spent, axis=0),
-        "layer_error": np.percentile(away, 99, axis=0),
+        "layer_error": np.maximum(np.percentile(away, 99, axis=0), holes),
         "going_error": np.array([np.percentile(errors, 99) for errors in going]),
     }
 

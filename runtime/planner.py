@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -28,6 +29,10 @@ ASPECT = 16.0 / 9.0
 RELIEF = 0.9  # a cheaper setting is taken up while the scene moves only where its error is this far below the target
 SAVING = 0.1  # and where it saves more than this part of the cost: so much dearer may a choice be than the cheapest
 HOLD = 0.5  # and only so long after the last change [s]
+TURNS = 1.03  # so much dearer may a tick be than it must before all turns are given out anew
+ROOM = 0.95  # of the budget is given out where it does not reach, so that the next tick need not choose again
+QUICK, SLOW = 0.3, 0.01  # parts of a difference by which the load follows a tick that took more, or less, than foretold
+SPIKE = 1.3  # times the load: one tick may be slow for any reason
 
 
 @dataclass(frozen=True)
@@ -78,7 +83,8 @@ class Choice:
 
     Attributes:
         index: of the setting in its front.
-        wait: ticks that it leaves out first, see :meth:`runtime.player.Player.change`.
+        wait: its turn: it works in the ticks, counted from the first plan, that are this many after a multiple of the
+            detail's ``every``.
         cost_ms, peak_ms: of the setting [ms].
         error_px: on screen [px].
         why: in a line.
@@ -119,6 +125,8 @@ class Planner:
         self.load = 1.0
         self._current: list[int | None] = [None] * len(fronts)
         self._since = np.zeros(len(fronts))
+        self._turns: dict[int, tuple[int, int]] = {}
+        self._short = False  # whether the budget does not reach
         self._slots = max(setting.detail.every for front in fronts for setting in front.settings)
 
     def plan(self, sights: Sequence[Sight], elapsed: float = math.inf) -> list[Choice]:
@@ -139,7 +147,7 @@ class Planner:
         budget = self.budget_ms / self.load
         errors = [_fitting(front, sight, budget) for sight, front in zip(sights, self.fronts, strict=True)]
         wanted = [self._wanted(i, errors[i]) for i in range(len(sights))]
-        chosen = self._within_budget(sights, errors, list(wanted))
+        chosen = self._within_budget(sights, errors, wanted, budget)
         for i, index in enumerate(chosen):
             if index != self._current[i]:
                 self._current[i], self._since[i] = index, 0.0
@@ -152,7 +160,7 @@ class Planner:
                 float(errors[i][index]),
                 self._why(front, sights[i], errors[i], index, wanted[i]),
             )
-            for i, (front, index, wait) in enumerate(zip(self.fronts, chosen, self._waits(chosen), strict=True))
+            for i, (front, index, wait) in enumerate(zip(self.fronts, chosen, self._waits(chosen, budget), strict=True))
         ]
 
     def tick_ms(self, choices: Sequence[Choice]) -> float:
@@ -162,8 +170,8 @@ class Planner:
     def report(self, spent_ms: float, foretold_ms: float) -> None:
         """Tell what a tick took and what it should have taken [ms]; budgets are met on the machine as it is."""
         ratio = min(max(spent_ms / max(foretold_ms, 1e-6), 0.25), 4.0)
-        # Up fast and down slowly: it settles near the 95th percentile of what is measured.
-        self.load += 0.02 * ratio * (0.95 if ratio > self.load else -0.05)
+        difference = min(ratio, SPIKE * self.load) - self.load
+        self.load += (QUICK if difference > 0.0 else SLOW) * difference
 
     def _wanted(self, i: int, errors: np.ndarray) -> int:
         """The setting that a garment should have, whatever the budget."""
@@ -176,11 +184,30 @@ class Planner:
         calm = cheapest(costs, errors, RELIEF * self.target_px)
         return calm if costs[calm] < (1.0 - SAVING) * costs[current] else current
 
-    def _within_budget(self, sights: Sequence[Sight], errors: list[np.ndarray], wanted: list[int]) -> list[int]:
-        """Take detail from where least is lost for each millisecond until the dearest tick is within the budget."""
-        budget = self.budget_ms / self.load
-        if self._share(wanted)[1].max() <= budget:
+    def _within_budget(
+        self, sights: Sequence[Sight], errors: list[np.ndarray], wanted: list[int], budget: float
+    ) -> list[int]:
+        """What fits into a budget [ms]: what is wanted, what there was, or what gives up least."""
+        current = [index for index in self._current if index is not None]
+        if not self._short or len(current) < len(wanted):
+            self._short = bool(self._share(wanted)[1].max() > budget)
+            return self._give_up(sights, errors, budget) if self._short else wanted
+        if self._share(wanted)[1].max() <= ROOM * budget:
+            self._short = False
             return wanted
+        if self._share(current)[1].max() <= budget and self._since.min() < HOLD:
+            return current
+        chosen = self._give_up(sights, errors, ROOM * budget)
+        if self._share(current)[1].max() > budget:
+            return chosen
+        lost = [
+            sum(self._losses(*seen)[index] for seen, index in zip(zip(sights, errors, strict=True), which, strict=True))
+            for which in (chosen, current)
+        ]
+        return chosen if lost[0] < (1.0 - SAVING) * lost[1] else current
+
+    def _give_up(self, sights: Sequence[Sight], errors: list[np.ndarray], budget: float) -> list[int]:
+        """Take detail from where least is lost for each millisecond until the dearest tick is within the budget."""
         # Many garments take turns and cost what they do on average; with few, the peaks decide.
         found = []
         for prices in ([front.costs for front in self.fronts], [front.peaks for front in self.fronts]):
@@ -214,8 +241,11 @@ class Planner:
 
         for i in range(len(chosen)):
             offer(i)
-        while steps and self._share(chosen)[1].max() > budget:
-            _, i, chosen[i] = heapq.heappop(steps)
+        mean = sum(front.costs[index] for front, index in zip(self.fronts, chosen, strict=True))
+        while steps and (mean > budget or self._share(chosen)[1].max() > budget):
+            _, i, index = heapq.heappop(steps)
+            mean += self.fronts[i].costs[index] - self.fronts[i].costs[chosen[i]]
+            chosen[i] = index
             offer(i)
         return chosen
 
@@ -223,20 +253,32 @@ class Planner:
         """How much of the picture is off by how much: nothing while it is below the target; shape (settings,)."""
         return np.maximum(errors - self.target_px, 0.0) * sight.size_px**2
 
-    def _share(self, chosen: Sequence[int]) -> tuple[list[int], np.ndarray]:
-        """Which tick of each garment's turn it works in, so that all ticks are alike, and what each tick costs [ms]."""
+    def _share(
+        self, chosen: Sequence[int], kept: Mapping[int, tuple[int, int]] = MappingProxyType({})
+    ) -> tuple[list[int], np.ndarray]:
+        """Which tick of each garment's turn it works in, so that all ticks are alike, and what each tick costs [ms].
+
+        ``kept``: setting and turn of garments; who still has that setting keeps the turn.
+        """
         ticks, waits = np.zeros(self._slots), [0] * len(chosen)
         settings = [front.settings[index] for front, index in zip(self.fronts, chosen, strict=True)]
-        for i in sorted(range(len(chosen)), key=lambda i: -settings[i].peak_ms):
+        fixed = {i for i, (index, _) in kept.items() if chosen[i] == index}
+        for i in sorted(range(len(chosen)), key=lambda i: (i not in fixed, -settings[i].peak_ms)):
             every, peak = settings[i].detail.every, settings[i].peak_ms
             between = (every * settings[i].cost_ms - peak) / max(1, every - 1)
-            waits[i] = min(range(every), key=lambda wait: ticks[wait::every].max())
+            waits[i] = kept[i][1] if i in fixed else min(range(every), key=lambda wait: ticks[wait::every].max())
             ticks += between if every > 1 else 0.0
             ticks[waits[i] :: every] += peak - (between if every > 1 else 0.0)
         return waits, ticks
 
-    def _waits(self, chosen: Sequence[int]) -> list[int]:
-        return self._share(chosen)[0]
+    def _waits(self, chosen: Sequence[int], budget: float) -> list[int]:
+        """Everyone's turn; who stays with a setting keeps it, unless some tick would be too dear."""
+        waits, ticks = self._share(chosen, self._turns)
+        anew = self._share(chosen)
+        if ticks.max() > max(TURNS * budget, TURNS * anew[1].max()):
+            waits = anew[0]
+        self._turns = dict(enumerate(zip(chosen, waits, strict=True)))
+        return waits
 
     def _why(self, front: Front, sight: Sight, errors: np.ndarray, index: int, wanted: int) -> str:
         """The choice explained in a line."""

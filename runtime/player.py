@@ -260,7 +260,7 @@ class Player:
         if not self._made:
             self._make(1.0)
             self._velocity[:, :3] = self.simulation.state.velocity
-            self._upsample_velocity(self._velocity, self._going)
+            self._upsample_velocity(self._filter(self._velocity), self._going)
             np.copyto(self._updated, self.vertices)
             self._made = True
         else:
