@@ -158,13 +158,22 @@ def _pressed(curve: LoadCurve, fabric: Fabric) -> Fabric:
 
 def draw_fit(path: Path, found: Sequence[FittedCurve]) -> None:
     """Draw measured and fitted curves side by side, one panel each, as PNG."""
-    figure = Figure(figsize=(4.2 * len(found), 3.6), layout="constrained")
+    columns = min(len(found), 4)
+    rows = -(-len(found) // columns)
+    figure = Figure(figsize=(4.2 * columns, 3.6 * rows), layout="constrained")
     labels = {"tension": ("strain", "N/m"), "shear": ("shear [rad]", "N/m"), "bending": ("curvature [1/m]", "N")}
     labels["compression"] = ("thickness [m]", "Pa")
-    for panel, curve in zip(figure.subplots(1, len(found), squeeze=False)[0], found, strict=True):
-        panel.plot(curve.fitted.deformation, curve.fitted.load, color="tab:red", label="fitted")
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    for panel in panels[len(found) :]:
+        panel.set_axis_off()
+    for panel, curve in zip(panels, found, strict=False):
+        through_zero = curve.instrument != "compression"
+        line = np.pad(np.stack([curve.fitted.deformation, curve.fitted.load]), ((0, 0), (int(through_zero), 0)))
+        panel.plot(*line, color="tab:red", label="fitted")
         panel.plot(curve.measured.deformation, curve.measured.load, "o", color="0.4", label="measured")
         x_label, y_label = labels[curve.instrument]
+        panel.set_xlim(0.0, 1.1 * curve.measured.deformation.max())
+        panel.set_ylim(0.0, 1.1 * curve.measured.load.max())
         panel.set_xlabel(x_label)
         panel.set_ylabel(y_label)
         panel.set_title(f"{curve.instrument}, {curve.direction}: {100.0 * curve.error:.2g} % off", fontsize=9)

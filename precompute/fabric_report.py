@@ -96,6 +96,10 @@ def draw_curves(path: Path, curves: Mapping[tuple[str, str], LoadCurve]) -> None
         panel.set_xlabel(labels[0])
         panel.set_ylabel(labels[1])
         panel.set_title(instrument)
+        panel.set_xlim(
+            0.0, 1.1 * max((c.deformation.max() for (name, _), c in curves.items() if name == instrument), default=1.0)
+        )
+        panel.set_ylim(bottom=0.0)
         if panel.lines:
             panel.legend(fontsize=8)
     with replacing(path) as beside, open(beside, "wb") as file:
