@@ -25,9 +25,9 @@ __all__ = ["FABRICS", "draw_fabrics", "fabric_runs"]
 # What is 3 mm thick bends as no woven cloth does: l_g is 5 cm, that of silk 1.6 cm.
 FELT = Fabric(0.40, 3000.0, 3000.0, 0.2, 1200.0, 6e-4, 6e-4, friction=0.5)
 FABRICS = MappingProxyType({"silk": PRESETS["silk"], "denim": PRESETS["denim"], "felt": FELT})
-CLIP, SECONDS = "twirl", 3.4  # of the mannequin
-MOMENTS = (0.7, 2.2, 3.2)  # it stands, it turns, it has stopped [s]
-PICTURE = (420, 460)
+CLIP, SECONDS = "twirl", 2.3  # of the mannequin
+MOMENTS = (0.7, 2.2)  # it stands, it turns [s]
+PICTURE = (460, 420)
 RATE = 60.0  # frames a second
 
 
@@ -83,8 +83,8 @@ def draw_fabrics(
             index = int(np.argmin(np.abs(recording.frames * run.dt - moment)))
             body = np.zeros((len(source.vertices), 3), np.float32)
             source.skin(run.poses[recording.frames[index]], np.zeros(3), body)
-            about = np.concatenate([body[body[:, 1] < 1.15], recordings[0].positions[index]])[None].astype(float)
-            camera = frame_camera(about, azimuth_deg=25.0, aspect=PICTURE[0] / PICTURE[1], margin=1.08)[0]
+            about = np.concatenate([other.positions[index] for other in recordings])[None].astype(float)
+            camera = frame_camera(about, azimuth_deg=25.0, aspect=PICTURE[0] / PICTURE[1], margin=1.15)[0]
             garment = Drawn(recording.positions[index].astype(float), run.levels.fine.faces)
             images.append(render([Drawn(body.astype(float), source.faces, BODY_COLOR), garment], camera, PICTURE))
         columns.append(images)

@@ -297,7 +297,7 @@ def _point(chart: Chart, k: int, place: tuple[float, float], row: str, on_front:
         f'<g class="point" tabindex="0" role="button" data-row="{escape(row)}" data-method="{escape(point.method)}" '
         f'data-x="{point.x!r}" data-y="{point.y!r}" aria-label="{escape(about)}"><title>{escape(about)}</title>'
         f'<circle class="touch" cx="{place[0]:.1f}" cy="{place[1]:.1f}" r="13"/>'
-        f"{_marker(chart.methods().index(point.method), *place, point.quoted)}</g>"
+        f"{_marker(chart.methods().index(point.method), *place, point.quoted, point.color)}</g>"
     )
 
 

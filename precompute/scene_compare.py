@@ -226,7 +226,7 @@ def compare_scenes(
 ) -> list[SceneComparison]:
     """Run everything that is not in ``output``'s cache yet, and judge it.
 
-    References are run whatever the budget. What does not fit into it is left out, the dearest first.
+    References are run whatever the budget, then settings from the cheapest; the dearest are left out where it ends.
 
     Args:
         names: of the scenes; all built-in ones if none is named.
@@ -293,19 +293,19 @@ def _run_all(jobs: list[_Job], deadline: float, workers: int, report: Callable[[
     total = len(jobs)
 
     def trim() -> None:
-        """Leave out the dearest of what does not fit into the time left."""
+        """Leave out all that is left once the cheapest of it does not fit into the time left."""
         left = deadline - time.monotonic()
-        need = sum(cost * job.estimate for job in [*waiting, *running.values()]) / workers
-        while need > left and waiting and not waiting[-1].reference:
-            job = waiting.pop()
-            need -= cost * job.estimate / workers
-            reasons[job.path] = f"left out: about {cost * job.estimate:.0f} s, more than the budget leaves"
+        if waiting and not waiting[0].reference and cost * waiting[0].estimate > left:
+            for job in waiting:
+                reasons[job.path] = f"left out: about {cost * job.estimate:.0f} s, more than the budget left"
+            waiting.clear()
 
     def limit(job: _Job) -> float:
         return np.inf if job.reference else max(20.0, LENIENT * job.estimate)
 
     def say(job: _Job) -> None:
         rest = sum(cost * job.estimate for job in [*waiting, *running.values()]) / workers
+        rest = max(0.0, min(rest, deadline - time.monotonic()))
         done = total - len(waiting) - len(running) - len(reasons)
         tell(f"{done} of {total} runs, {rest:.0f} s left: {job.scene.name}, {job.setting.method}, {job.setting.words}")
 

@@ -15,7 +15,7 @@ from precompute.compare_scenes import RATE, CompareScene
 from precompute.comparison_page import comparison_sections
 from precompute.error_classes import ErrorClass
 from precompute.fabric_pictures import FABRICS, draw_fabrics, fabric_runs
-from precompute.page import Band, Chart, Heading, Picture, Point, Section, Table, Text, write_page
+from precompute.page import Band, Chart, Heading, Line, Picture, Point, Section, Table, Text, write_page
 from precompute.scene_chart import draw_charts
 from precompute.scene_compare import Compared, SceneComparison
 from precompute.scene_judging import screen_mm
@@ -77,8 +77,8 @@ def comparison_text(one: SceneComparison) -> str:
         names = [f"{p.run.setting.method}@{p.run.setting.numbers} ({p.verdict.because})" for p in bad]
         lines.append("Catastrophic: " + "; ".join(names) + ".")
     if one.dropped:
-        names = [f"{setting.method}@{setting.numbers} ({why})" for setting, why in one.dropped]
-        lines.append(f"Not run to the end, {len(names)}: " + "; ".join(names) + ".")
+        names = list(dict.fromkeys(setting.method for setting, _ in one.dropped))
+        lines.append(f"Not run, for want of time: {len(one.dropped)} settings of {', '.join(names)}.")
     return "\n\n".join(lines)
 
 
@@ -121,6 +121,11 @@ def write_comparison(folder: Path, found: Sequence[SceneComparison], more: Seque
     sections += more
     machine = machine_description()
     sections += [Heading("How it was measured"), Text(_NOTES), _table(found)]
+    missing = [
+        [one.scene.name, f"{setting.method}@{setting.numbers}", why] for one in found for setting, why in one.dropped
+    ]
+    if missing:
+        sections.append(Table(["scene", "setting", "why"], missing, "Not run, or not to the end"))
     sections.append(Text(f"Measured on {machine['cores']} cores of: {machine['cpu']}, {machine['date']}."))
     write_page(folder / "compare.html", "Cost against error", sections)
 
@@ -140,7 +145,8 @@ def _chart(one: SceneComparison) -> Chart:
     caption = "Click a method to see it alone, a point for its settings. Points at the upper border did not end."
     colors = {COLORS[kind]: kind.name.lower() for kind in ErrorClass}
     bands = [Band(0.0, floor, "floor: two right answers differ so much")]
-    return Chart(points, "time of a frame, p50 [ms]", label, True, True, bands, (), caption, colors)
+    lines = [] if one.scene.unique else [Line("y", one.judge.refined, "a finer reference")]
+    return Chart(points, "time of a frame, p50 [ms]", label, True, True, bands, lines, caption, colors)
 
 
 def _point(scene: CompareScene, point: Compared) -> Point:

@@ -1,6 +1,7 @@
 """Comparison of methods on scenes: what a scene is, how runs are judged, what is left out, what is written."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from precompute.compare_scenes import SCENES, Sheet, scene_of
 from precompute.error_classes import ErrorClass
 from precompute.scene_compare import METHODS, SceneComparison, chosen_settings, compare_scenes
 from precompute.scene_judging import Judge, reference_settings
-from precompute.scene_page import comparison_figures, comparison_text, write_comparison
+from precompute.scene_page import COLORS, comparison_figures, comparison_text, write_comparison
 from precompute.scene_runs import SceneRun, Setting, parse_setting, read_run, run_path, run_setting, write_run
 
 SHORT = 0.7  # [s]
@@ -172,6 +173,9 @@ def test_everything_is_written(found: list[SceneComparison], tmp_path: Path) -> 
     write_comparison(tmp_path, found)
     page = (tmp_path / "compare.html").read_text(encoding="utf-8")
     assert 'src="http' not in page and page.count('class="point"') == 6
+    for point in found[0].points:
+        color = COLORS[point.verdict.worst]
+        assert re.search(f'data-method="{point.run.setting.method}"[^<]*<title>.*?class="marker m{color}"', page)
     for one in found:
         assert all(point.command in page for point in one.points)
         assert (tmp_path / f"{one.scene.name}.png").stat().st_size > 10_000
