@@ -11,6 +11,7 @@ from pbd.engine import Launch, ensure_initialized
 from pbd.errors import InputError
 from pbd.hierarchy import Hierarchy, build_hierarchy
 from pbd.model import GRID, Model, State
+from pbd.pace import carry_of, fastest_way
 from pbd.schedule import advance_kernel
 from pbd.search import MAX_CELLS, find_nearest
 from pbd.self_collision import SelfCollision
@@ -19,6 +20,10 @@ from pbd.team import MOST_WORKERS
 __all__ = ["Solver", "SolverOptions"]
 
 AIR_DENSITY = 1.2  # [kg/m3]
+# Colliders and held vertices that go further than this in a substep cut the frame finer: a share of an edge, but ...
+STRIDE = 0.25  # [-]
+LEAST_STRIDE = 0.01  # ... at least this [m] ...
+MOST_FINER = 8  # ... and no more than so many times as fine
 
 
 @dataclass(frozen=True)
@@ -26,7 +31,8 @@ class SolverOptions:
     """Options of the solver.
 
     Attributes:
-        substep: longest substep [s]; a frame is cut into equal substeps not longer than this.
+        substep: longest substep [s]; a frame is cut into equal substeps not longer than this, finer where a collider
+            or a held vertex is fast.
         gravity: [m/s2].
         coarse_sweeps: passes over each coarser level of the mesh (:mod:`pbd.hierarchy`) in a substep; 0 leaves all out.
         contact_refreshes: times a second that each contact is looked for again along the body's surface [Hz].
@@ -92,6 +98,7 @@ class Solver:
         self._pairs = SelfCollision(model) if self.in_contact else None
         self._no_pairs = np.zeros((1, 4), np.int32), np.zeros((1, 2, 4), np.float32), np.zeros(2, np.int32)
         self._steps = np.zeros(6, np.int32)
+        self._stride = max(LEAST_STRIDE, STRIDE * float(model.mesh.edge_lengths()[1].mean()))
         advance = advance_kernel(self.with_patches, self._pairs is not None)
         self._find_nearest, self._advance = Launch(find_nearest), Launch(advance)
 
@@ -158,9 +165,13 @@ class Solver:
         """
         model, options = self.model, self.options
         self._check(state, targets, wind)
+        rows, previous = self._keep_up(state, colliders, dt, targets)
         held_0 = np.ascontiguousarray(state.position[model.held, :3])
         held_1 = held_0 if targets is None else np.ascontiguousarray(targets - state.origin, np.float32)
         substeps = max(1, int(np.ceil(dt / options.substep - 1e-6)))
+        if len(rows) or targets is not None:
+            way = fastest_way(rows, held_0, held_1, np.float32(dt) * state.velocity.mean(axis=0))
+            substeps = max(substeps, min(int(np.ceil(way / self._stride)), MOST_FINER * substeps))
         refresh = max(1, round(substeps / max(1.0, dt * options.contact_refreshes)))
         levels = self._hierarchy
         thickness = model.fabric.thickness
@@ -179,7 +190,7 @@ class Solver:
             state.velocity,
             model.samples,
             state.nearest,
-            body.previous,
+            previous,
             body.current,
             body.ring_start,
             body.ring,
@@ -220,10 +231,10 @@ class Solver:
             held_0,
             held_1,
             self._drag,
-            colliders.rows(state.origin),
+            rows,
             state.nearest,
             state.contact,
-            body.previous,
+            previous,
             body.current,
             body.normals,
             body.ring_start,
@@ -253,6 +264,28 @@ class Solver:
             (thickness, model.fabric.friction, model.fabric.compression / model.fabric.areal_density),
         )
         return search, course
+
+    def _keep_up(
+        self, state: State, colliders: Colliders, dt: float, targets: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Primitives, and the body's pose, at the start of the frame.
+
+        Where what holds the cloth was put somewhere else, the garment goes with it as it is, and they stand still.
+        """
+        rows, body = colliders.rows(state.origin), colliders.body or self._nobody
+        carry = None
+        if targets is not None and len(self.model.held):
+            before, after = state.position[self.model.held, :3], targets - state.origin
+            carry = carry_of(before, after, state.velocity.mean(axis=0), dt)
+        elif colliders.body is not None and not len(self.model.held):
+            carry = carry_of(body.previous, body.current, state.velocity.mean(axis=0), dt)
+        if carry is None:
+            return rows, body.previous
+        state.position[:, :3] = carry.points(state.position[:, :3])
+        state.velocity[:] = state.velocity @ carry.turn.T
+        state.pair_sides[:, :3] = state.pair_sides[:, :3] @ carry.turn.T
+        rows[:, 2:8] = rows[:, 8:14]
+        return rows, body.current
 
     def _check(self, state: State, targets: np.ndarray | None, wind: tuple[float, float, float] | np.ndarray) -> None:
         """Refuse what the kernels could not take."""

@@ -185,6 +185,19 @@ def _parser() -> argparse.ArgumentParser:
         "-o", dest="output", type=Path, default=Path("out/bench"), metavar="DIR", help="folder of solver.html and .csv"
     )
     solver.add_argument("--rivals", action="store_true", help="measure other engines too: pip install 'gube[rivals]'")
+
+    failures = _add_command(
+        tables, "failures", _bench_failures, "where cloth engines fail, and how each method ends there"
+    )
+    failures.add_argument("--solver", metavar="S", help="this one alone; the default and the classic ones if absent")
+    failures.add_argument(
+        "-o",
+        dest="output",
+        type=Path,
+        metavar="OUT.csv",
+        default=Path("out/bench/failures.csv"),
+        help="table of all runs",
+    )
     return parser
 
 
@@ -584,3 +597,24 @@ def _bench_solver(options: argparse.Namespace) -> Report:
     print(bench_verdict(bench))
     print(f"\n{options.output / 'solver.html'}")
     return Report(bench.figures(), bench_rows(bench))
+
+
+def _bench_failures(options: argparse.Namespace) -> Report:
+    from precompute.failures import CLASSIC, failure_rows, failure_table, write_failures
+
+    check_file(options.output, ".csv")
+    solvers = (options.solver,) if options.solver else ("default", *CLASSIC)
+    with Progress(sys.stderr) as progress:
+        rows = [row for solver in solvers for row in failure_rows(solver, report=progress)]
+    write_failures(options.output, rows)
+    print(f"{failure_table(rows)}\n\n{options.output}")
+    ours = [row for row in rows if row["solver"] == "default"]
+    catastrophic = [row for row in rows if row["class"] == "catastrophic"]
+    figures = {
+        "failure_scenes": float(len(rows)),
+        "catastrophic_scenes": float(len(catastrophic)),
+        "catastrophic_scenes_default": float(sum(row in catastrophic for row in ours)),
+        "late_scenes_default": float(sum(row["recovered_s"] > 1.0 for row in ours)),
+    }
+    late = figures["catastrophic_scenes_default"] + figures["late_scenes_default"]
+    return Report(figures, rows, passed=late == 0.0)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-__all__ = ["data_path"]
+__all__ = ["ROOT", "data_path"]
 
 ROOT = Path(__file__).resolve().parent.parent
 

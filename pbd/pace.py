@@ -1,0 +1,72 @@
+"""How fast the world moves beside the cloth: when to cut a frame finer, and when the cloth was taken elsewhere."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+__all__ = ["Carry", "carry_of", "fastest_way"]
+
+TELEPORT = 30.0  # what holds the cloth goes faster than this against it only if it was put somewhere else [m/s]
+RIGID = 0.1  # part of the way by which it may deviate from a rigid motion [-]
+FEW = 64  # points of a body that are looked at
+
+
+class Carry(NamedTuple):
+    """A rigid motion, x to ``turn`` (x - ``centre``) + ``centre`` + ``way`` [m]."""
+
+    turn: np.ndarray
+    centre: np.ndarray
+    way: np.ndarray
+
+    def points(self, x: np.ndarray) -> np.ndarray:
+        """Moved points [m], shape (n, 3)."""
+        return (x - self.centre) @ self.turn.T + (self.centre + self.way)
+
+
+def carry_of(before: np.ndarray, after: np.ndarray, drift: np.ndarray, dt: float) -> Carry | None:
+    """The rigid motion with which points were put elsewhere; None if they moved, or not all alike.
+
+    Args:
+        before, after: points that hold the cloth at the start and end of the frame [m], shape (p, 3).
+        drift: mean velocity of the cloth [m/s], shape (3,).
+        dt: frame time [s].
+    """
+    if not len(before):
+        return None
+    chosen = slice(None, None, max(1, len(before) // FEW))
+    before, after = before[chosen].astype(float), after[chosen].astype(float)
+    centre = before.mean(axis=0)
+    way = after.mean(axis=0) - centre
+    length = float(np.linalg.norm(way))
+    if np.linalg.norm(way - dt * drift) < TELEPORT * dt:
+        return None
+    # The best rotation between two sets of points (Kabsch 1976).
+    spread = before - centre
+    u, sizes, v = np.linalg.svd(spread.T @ (after - centre - way))
+    turn = np.eye(3)
+    if sizes[1] > 1e-6 * max(sizes[0], 1e-12):
+        turn = v.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(v.T @ u.T))]) @ u.T
+    found = Carry(turn, centre, way)
+    off = np.linalg.norm(found.points(before) - after, axis=1).max()
+    return found if off <= RIGID * length else None
+
+
+def fastest_way(rows: np.ndarray, held_0: np.ndarray, held_1: np.ndarray, drift: np.ndarray) -> float:
+    """The furthest that colliders or held vertices go in a frame against the cloth's mean way [m].
+
+    Args:
+        rows: primitives as :meth:`pbd.Colliders.rows` gives them, shape (k, 14).
+        held_0, held_1: held vertices at its start and end [m], shape (p, 3).
+        drift: mean way of the cloth over the frame [m], shape (3,).
+    """
+    ways = [held_1 - held_0 - drift]
+    if len(rows):
+        ends = rows[:, 8:11] - rows[:, 2:5] - drift
+        plane = rows[:, 0] == 0.0
+        ends[plane] = np.einsum("ki,ki->k", ends[plane], rows[plane, 11:14])[:, None] * rows[plane, 11:14]
+        capsule = rows[:, 0] == 2.0
+        ways += [ends, rows[capsule, 11:14] - rows[capsule, 5:8] - drift]
+    squares = np.concatenate([np.einsum("ki,ki->k", way, way) for way in ways])
+    return float(np.sqrt(squares.max(initial=0.0)))

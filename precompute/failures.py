@@ -1,0 +1,99 @@
+"""Where cloth engines are known to fail: the class in which each known failure ends, for any solver."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from pbd import InputError
+from pbd.storage import replacing
+from precompute.error_classes import ErrorClass
+from precompute.failure_comparisons import comparisons
+from precompute.failure_play import Outcome, play
+from precompute.failure_scenes import scenes
+from runtime.report import machine_description
+
+__all__ = ["CLASSIC", "failure_rows", "failure_table", "write_failures"]
+
+CLASSIC = (
+    "pbd",
+    "xpbd",
+    "springs-triangle/symplectic-euler",
+    "fem-stvk/implicit-euler",
+    "baraff-witkin/implicit-euler",
+    "vertex-block-descent",
+    "projective-dynamics",
+)
+
+
+def failure_rows(
+    solver: str = "default", report: Callable[[str], None] = lambda line: None, lines: Sequence[str] | None = None
+) -> list[dict[str, Any]]:
+    """A row of each scene.
+
+    Columns are ``line``, ``scene``, ``solver``, ``class`` in which it ends, ``by`` which figure, its ``value``,
+    ``recovered_s`` and ``frame_ms`` (see :class:`precompute.failure_play.Outcome`).
+
+    Args:
+        solver: a key of :data:`pbd.models.registry.SOLVERS`.
+        report: called with a line of progress.
+        lines: of the list; None takes all that the solver can take.
+
+    Raises:
+        InputError: no such solver.
+    """
+    rows = []
+    for scene in scenes():
+        if (lines is None or scene.line in lines) and (solver == "default" or not scene.default_only):
+            report(f"{solver}: {scene.name}")
+            rows.append(_row(scene.line, scene.name, solver, play(scene, solver)))
+    for line, name, default_only, run in comparisons():
+        if (lines is None or line in lines) and (solver == "default" or not default_only):
+            report(f"{solver}: {name}")
+            rows.append(_row(line, name, solver, run(solver)))
+    return rows
+
+
+def _row(line: str, name: str, solver: str, outcome: Outcome) -> dict[str, Any]:
+    error_class, by = outcome.worst
+    return {
+        "line": line,
+        "scene": name,
+        "solver": solver,
+        "class": error_class.name.lower(),
+        "by": outcome.note or by,
+        "value": outcome.figures[by],
+        "recovered_s": outcome.recovered_s,
+        "frame_ms": outcome.frame_ms,
+    }
+
+
+def failure_table(rows: Sequence[dict[str, Any]]) -> str:
+    """Classes of each line's worst scene, a column a solver."""
+    order = [error.name.lower() for error in ErrorClass]
+    solvers = list(dict.fromkeys(row["solver"] for row in rows))
+    lines = list(dict.fromkeys(row["line"] for row in rows))
+    text = [" | ".join(["line", *solvers])]
+    for line in lines:
+        cells = []
+        for solver in solvers:
+            found = [row["class"] for row in rows if row["line"] == line and row["solver"] == solver]
+            cells.append(max(found, key=order.index) if found else "-")
+        text.append(" | ".join([line, *cells]))
+    return "\n".join(text)
+
+
+def write_failures(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """Write rows as CSV with machine and date."""
+    if not rows:
+        raise InputError("nothing to write", key="rows", received=0, expected="at least one row")
+    machine = machine_description()
+    named = [{**row, "cpu": machine["cpu"], "date": machine["date"]} for row in rows]
+    with replacing(path) as beside, open(beside, "w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(named[0]))
+        writer.writeheader()
+        writer.writerows(
+            {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in row.items()} for row in named
+        )
