@@ -46,11 +46,20 @@ def carry_of(before: np.ndarray, after: np.ndarray, drift: np.ndarray, dt: float
     spread = before - centre
     u, sizes, v = np.linalg.svd(spread.T @ (after - centre - way))
     turn = np.eye(3)
-    if sizes[1] > 1e-6 * max(sizes[0], 1e-12):
+    if sizes[1] > 1e-6 * sizes[0]:
         turn = v.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(v.T @ u.T))]) @ u.T
+    elif sizes[0] > 1e-12:  # points on a line do not tell how far they rolled: not at all
+        turn = _shortest_turn(u[:, 0], v[0])
     found = Carry(turn, centre, way)
     off = np.linalg.norm(found.points(before) - after, axis=1).max()
     return found if off <= RIGID * length else None
+
+
+def _shortest_turn(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The rotation from unit vector a to b by the least angle (Rodrigues); half a turn has no axis and is left out."""
+    axis, cosine = np.cross(a, b), float(a @ b)
+    cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
+    return np.eye(3) + cross + cross @ cross / (1.0 + cosine) if cosine > -0.999999 else np.eye(3)
 
 
 def fastest_way(rows: np.ndarray, held_0: np.ndarray, held_1: np.ndarray, drift: np.ndarray) -> float:
