@@ -28,9 +28,10 @@ from wrinkles.distance import BodyDistance
 __all__ = ["front_key", "measure_front"]
 
 TEMPOS = (1.0, 1.5)  # that the motion is played at: errors grow with speed
-EVERY = (1, 2, 4)
+EVERY = (1, 2, 4, 8)
 SUBSTEPS = (1.0, 2 / 3, 1 / 2, 1 / 3, 1 / 6)  # a tick, shares of the full number
 ATOMS = (1.0, 1 / 2, 1 / 6)
+MOST = 400  # ticks that are played at each tempo
 LOOKS = 4  # ticks in which it is seen whether what is not relaxed is inside the body
 FLOOR = 1.5  # substeps of the run that chaos is told from, over the full number
 
@@ -93,7 +94,7 @@ def measure_front(
 
 
 def front_key(database: WrinkleDatabase) -> str:
-    """What tells whether a front is of this database and this code."""
+    """What tells whether a front is of this database."""
     return f"{database.code_version} {database.created} {len(database.coarse_vertices)} {database.fabric_name}"
 
 
@@ -107,7 +108,8 @@ def _layers(full: Detail) -> list[tuple[int, int, int]]:
 
 def _poses(motion: Motion, tempo: float, dt: float) -> np.ndarray:
     """A motion faster or slower: poses every ``dt`` [s]."""
-    return np.stack([motion.pose(i * dt * tempo) for i in range(int(motion.duration / (dt * tempo) + 1e-6) + 1)])
+    count = min(MOST, int(motion.duration / (dt * tempo) + 1e-6))
+    return np.stack([motion.pose(i * dt * tempo) for i in range(count + 1)])
 
 
 def _measure(

@@ -43,7 +43,7 @@ class Planned:
 
 
 def front_of(database: WrinkleDatabase, path: Path, report: Callable[[str], None] | None = None) -> Front:
-    """The front kept beside a database, measured first where there is none of this database, code and machine.
+    """The front kept beside a database, measured first where there is none of it and of this machine.
 
     Args:
         database: the database.
