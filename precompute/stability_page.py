@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.patheffects import Normal, Stroke
 
 from pbd.storage import replacing
 from precompute.error_classes import LIMITS, ErrorClass, classify
@@ -163,7 +164,8 @@ def _draw(path: Path, one: StabilityMap, method: str, found: Stability) -> None:
         axes.plot([b.x for b in border], at, "o-", color="black", markersize=4, label="border, by bisection")
         bottom = min(bottom, min(at) / BELOW)
     for curve, style in zip(theory_of(one, method), ("--", ":"), strict=False):
-        axes.plot(curve.x, curve.y, style, color="#1f3fbf", linewidth=2.2, label=curve.label)
+        around = [Stroke(linewidth=4.5, foreground="white"), Normal()]
+        axes.plot(curve.x, curve.y, style, color="#1f3fbf", linewidth=2.2, label=curve.label, path_effects=around)
     for axis, set_scale in ((one.x, axes.set_xscale), (one.y, axes.set_yscale)):
         set_scale("log" if axis.log else "linear")
     axes.set_xlim(*_walls(one.x)[[0, -1]])

@@ -126,7 +126,7 @@ def _stretch_curves(one: StabilityMap, method: str) -> list[Curve]:
     """Where g h^2 N^2/(2 n L) is ``LAW``: h a substep, n passes in it, N edges along L."""
     label = f"XPBD stretch law, {LAW:.0%}"
     if one.name == "resolution":
-        y = np.geomspace(one.y.values[0], one.y.values[-1], 200)
+        y = np.array(one.y.values)  # a step between these may be split better or worse
         split = np.ceil(y / SolverOptions().substep - 1e-6) if method == "default" else np.ones_like(y)
         passes = 1 if method == "default" else XPBD_PASSES
         return [Curve(label, np.sqrt(2.0 * passes * LAW / GRAVITY) / (y / split), y)]
