@@ -153,16 +153,20 @@ def _draw(path: Path, one: StabilityMap, method: str, found: Stability) -> None:
         _walls(one.x), _walls(one.y), kinds, cmap=colors, norm=BoundaryNorm([-0.5, 0.5, 1.5, 2.5, 3.5], 4),
         edgecolors="white", linewidth=0.8,
     )  # fmt: skip
-    for cell in cells.values():
-        dark = cell.error_class is ErrorClass.CATASTROPHIC
-        text = f"{cell.went.replace(' ', chr(10))}\n{cell.frame_ms:.2g} ms" if cell.went else f"{cell.frame_ms:.2g} ms"
-        axes.text(cell.x, cell.y, text, ha="center", va="center", fontsize=5.5, color="white" if dark else "black")
     bottom, top = _walls(one.y)[[0, -1]]
     border = [b for b in found.borders if (b.map, b.method) == (one.name, method)]
     if border:
         at = [0.5 * (b.safe + b.catastrophic) for b in border]
         axes.plot([b.x for b in border], at, "o-", color="black", markersize=4, label="border, by bisection")
         bottom = min(bottom, min(at) / BELOW)
+    tall = bottom == _walls(one.y)[0]  # cells have room for several lines
+    for cell in cells.values():
+        went = cell.went.replace(" ", "\n") + "\n" if tall and cell.went else f"{cell.went} "
+        color = "white" if cell.error_class is ErrorClass.CATASTROPHIC else "black"
+        axes.text(
+            cell.x, cell.y, f"{went}{cell.frame_ms:.2g} ms", ha="center", va="center",
+            fontsize=5.5 if tall else 4.5, color=color,
+        )  # fmt: skip
     for curve, style in zip(theory_of(one, method), ("--", ":"), strict=False):
         around = [Stroke(linewidth=4.5, foreground="white"), Normal()]
         axes.plot(curve.x, curve.y, style, color="#1f3fbf", linewidth=2.2, label=curve.label, path_effects=around)
