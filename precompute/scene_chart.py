@@ -54,7 +54,7 @@ def draw_charts(folder: Path, found: Sequence[SceneComparison]) -> None:
     keys += [Line2D([], [], ls="", marker="o", color=INK[kind], label=kind.name.lower()) for kind in ErrorClass]
     keys += [Line2D([], [], ls="--", color="k", lw=0.9, label="front")]
     keys += [Line2D([], [], color="0.87", lw=6, label="floor")]
-    figure.legend(handles=keys, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    figure.legend(handles=keys, loc="outside lower center", ncols=2 * columns, fontsize=8, frameon=False)
     for kind in ("png", "svg"):
         with replacing(folder / f"compare.{kind}") as beside:
             figure.savefig(beside, format=kind, dpi=110)

@@ -153,7 +153,8 @@ class SceneComparison:
         found[f"{name}_processor_s"] = sum(run.total_s for run in [*self.judge.references, *self.runs()])
         for kind in ErrorClass:
             found[f"{name}_{kind.name.lower()}"] = float(sum(p.verdict.worst is kind for p in self.points))
-        good = [p.frame_ms[0] for p in self.points if p.verdict.error <= max(self.judge.floor, 1.0)]
+        enough = max(self.judge.floor, 1.0 if self.scene.unique else self.judge.refined)
+        good = [p.frame_ms[0] for p in self.points if p.verdict.error <= enough]
         return found | ({f"{name}_cheapest_good_ms": min(good)} if good else {})
 
 
