@@ -272,6 +272,7 @@ def compare_scenes(
                 dropped.append((job.setting, run.problem if run else reasons.get(job.path, "not run")))
                 continue
             text = f"gube compare {scene.name} --methods {job.setting.method}@{job.setting.numbers} -o {output}"
+            text += "" if seconds is None else f" --seconds {seconds:g}"
             points.append(Compared(run, judge.judge(run), text))
         found.append(SceneComparison(scene, judge, tuple(points), tuple(dropped)))
     return found
