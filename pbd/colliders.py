@@ -14,6 +14,8 @@ from pbd.mesh import vertex_rings
 
 __all__ = ["Body", "Capsule", "Colliders", "Plane", "Sphere"]
 
+MOST_PROBES = 1_000_000  # points on the large faces of a body, about
+
 
 def _vector(value: Sequence[float], key: str) -> np.ndarray:
     vector = np.asarray(value, float)
@@ -137,10 +139,14 @@ class Body:
 
 
 def _probes(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points no further than FAR apart on faces with sides longer than 1.5 FAR; see :class:`Body`."""
+    """Points no further than FAR apart on faces with sides longer than 1.5 FAR; see :class:`Body`.
+
+    Bodies of many metres, which may be a mistake of scale, get a bounded number, further apart.
+    """
     corners = vertices[faces]
     longest = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1, initial=0.0)
-    parts = np.where(longest > 1.5 * FAR, np.ceil(longest / FAR), 1).astype(int)
+    apart = max(FAR, float(np.sqrt(0.5 * np.sum(longest.astype(float) ** 2) / MOST_PROBES)))
+    parts = np.where(longest > 1.5 * apart, np.ceil(longest / apart), 1).astype(int)
     probes, weights = [np.zeros((0, 3), np.int32)], [np.zeros((0, 3), np.float32)]
     for count in np.unique(parts[parts > 1]):
         a, b = np.divmod(np.arange((count + 1) ** 2), count + 1)

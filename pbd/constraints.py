@@ -21,6 +21,7 @@ vec3 = ti.math.vec3
 mat3x2 = ti.types.matrix(3, 2, ti.f32)
 PUSH_OUT = 0.5  # what starts a substep inside a body comes out no faster than this against its surface [m/s]
 SHORTEST = 0.05  # a warp or weft squeezed below this part of its length keeps its direction but not its slope
+SLIVER = 1e-6  # least determinant of a triangle's system over the product of its diagonal [-]
 # The shear answers as if warp and weft met at no sharper angle than 51 deg: where they lie along each other, the true
 # slope of the cosine is nothing, and the correction would be without bounds.
 SHEARED = 0.6  # square of the sine of that angle
@@ -81,7 +82,8 @@ def membrane_multipliers(side_1: vec3, side_2: vec3, inverse_flat, gram, complia
     # Symmetric 3 by 3 solve by cofactors; the matrix is positive definite.
     c00, c01, c02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
     c11, c12, c22 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
-    scale = -unit / (a00 * c00 + a01 * c01 + a02 * c02)
+    # In float32 the determinant of a sliver may come to nothing or less.
+    scale = -unit / ti.max(a00 * c00 + a01 * c01 + a02 * c02, SLIVER * a00 * a11 * a22)
     lu = scale * (c00 * cu + c01 * cv + c02 * cs_left)
     lv = scale * (c01 * cu + c11 * cv + c12 * cs_left)
     ls = scale * (c02 * cu + c12 * cv + c22 * cs_left)

@@ -20,7 +20,7 @@ from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4
 from pbd.model import State
 from pbd.schedule import advance_garment, advance_kernel
 from pbd.search import find_nearest, find_of_garment
-from pbd.solver import Solver
+from pbd.solver import SHORTEST_FRAME, Solver
 from pbd.team import MOST_WORKERS, Part, Team
 
 __all__ = ["Crowd"]
@@ -181,7 +181,7 @@ class Crowd:
 
         Args:
             states, colliders, targets, winds: of each garment as in :meth:`pbd.Solver.step`.
-            dt: frame time [s]; 0 does nothing.
+            dt: frame time [s]; 0, or below 1e-5, does nothing.
 
         Raises:
             InputError: as in :meth:`pbd.Solver.step`, or not one of each for every garment.
@@ -192,7 +192,7 @@ class Crowd:
         for name, given in (("states", states), ("colliders", colliders), ("targets", targets), ("winds", winds)):
             if given is not None and len(given) != count:
                 raise InputError("not one for every garment", key=name, received=len(given), expected=str(count))
-        if dt == 0:
+        if dt < SHORTEST_FRAME:
             return
         layout = self._layout
         arrays, reals, wholes = [], [], []

@@ -21,6 +21,9 @@ __all__ = ["Model", "ModelOptions", "State", "build_model"]
 
 SAMPLE_SPACING = 0.025  # edges longer than this are tested for contact in their middle too [m]: a foot is narrower
 BLOCK = 16  # triangles of one colour that are solved at once
+SOFTEST = (
+    1e4  # compliance over mobility of a triangle, from which it counts as none at all [s2]: float32 holds its cube
+)
 GRID = 1.0  # origins are whole multiples of this power of two [m], so that moving one rounds nothing away
 
 
@@ -183,6 +186,8 @@ def _membrane(mesh: ClothMesh, fabric: Fabric, inverse_mass: np.ndarray) -> tupl
     softness = np.linalg.inv(fabric.membrane_stiffness()) / mesh.face_areas[order][:, None, None]
     trace = np.trace(gram, axis1=1, axis2=2)
     unit = np.where(trace > 0, 1.0 / np.where(trace > 0, trace, 1.0), 1.0)  # without a free corner nothing moves
+    softest = unit * np.abs(softness).max(axis=(1, 2))
+    softness *= (SOFTEST / np.maximum(softest, SOFTEST))[:, None, None]
     data = np.zeros((12, len(faces) + BLOCK), np.float32)
     data[:, : len(faces)] = [
         *inverse.reshape(-1, 4).T,

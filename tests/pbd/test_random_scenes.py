@@ -1,0 +1,150 @@
+"""Any cloth in any scene stays finite and within sane bounds: 50 scenes here, 1,000 in the proofs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+from scipy.spatial import Delaunay
+
+from pbd import Capsule, ClothMesh, Colliders, Fabric, ModelOptions, Plane, Solver, Sphere, State, build_model
+from pbd.colliders import Body
+from tests.pbd.meshes import icosphere
+
+GRAVITY = 9.81
+FASTEST = 100.0  # cloth at the start, wind, colliders, held vertices [m/s]
+FRAMES = 5
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What hypothesis draws; the rest follows from the seed. Sizes in m, kg, s."""
+
+    seed: int
+    components: int
+    points: int
+    scale: float
+    squash: float
+    dt: float
+    stretch: float
+    bend: float
+    density: float
+    held: int
+    speed: float
+    colliders: tuple[str, ...]
+    tethers: bool
+    squeezed: float
+
+
+def powers(low: float, high: float) -> st.SearchStrategy[float]:
+    """Numbers spread evenly over their logarithm."""
+    return st.floats(low, high).map(lambda power: 10.0**power)
+
+
+SCENES = st.builds(
+    Drawn,
+    seed=st.integers(0, 2**31),
+    components=st.integers(1, 3),
+    points=st.integers(3, 25),
+    scale=powers(-3.0, 3.0),
+    squash=powers(-1.5, 0.0),
+    dt=st.one_of(st.just(0.0), st.just(1 / 60), st.floats(0.0, 0.5)),
+    stretch=st.one_of(st.just(1e-30), powers(-6.0, 9.0)),
+    bend=st.one_of(st.just(0.0), powers(-9.0, 3.0)),
+    density=powers(-3.0, 3.0),
+    held=st.integers(0, 4),
+    speed=st.floats(0.0, FASTEST),
+    colliders=st.lists(st.sampled_from(["plane", "sphere", "capsule", "body"]), max_size=2, unique=True).map(tuple),
+    tethers=st.booleans(),
+    squeezed=st.sampled_from([1.0, 1.0, 0.1, 0.0]),
+)
+
+
+def sheets(drawn: Drawn, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Random triangulations, as slim as they come, in random planes."""
+    vertices, faces = [], []
+    for _ in range(drawn.components):
+        flat = rng.uniform(-0.5, 0.5, (drawn.points, 2)) * [1.0, drawn.squash]
+        found = Delaunay(flat / [1.0, drawn.squash]).simplices
+        side_1, side_2 = flat[found[:, 1]] - flat[found[:, 0]], flat[found[:, 2]] - flat[found[:, 0]]
+        twice_area = side_1[:, 0] * side_2[:, 1] - side_1[:, 1] * side_2[:, 0]
+        found[twice_area < 0] = found[twice_area < 0][:, ::-1]
+        found = found[np.abs(twice_area) * drawn.scale**2 > 4e-12]
+        used, index = np.unique(found, return_inverse=True)
+        if not len(found):
+            continue
+        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        faces.append(index.reshape(-1, 3) + sum(len(part) for part in vertices))
+        vertices.append(drawn.scale * (flat[used] @ turn[:2] + 0.3 * rng.normal(size=3)))
+    if not faces:
+        flat = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+        return max(drawn.scale, 1e-3) * flat, np.array([[0, 1, 2]])
+    return np.concatenate(vertices), np.concatenate(faces)
+
+
+def play(drawn: Drawn) -> None:
+    rng = np.random.default_rng(drawn.seed)
+    vertices, faces = sheets(drawn, rng)
+    mesh = ClothMesh.from_surface(vertices, faces, warp=(0.9, 0.3, 0.2))
+    fabric = Fabric(
+        areal_density=drawn.density, stretch_warp=drawn.stretch, stretch_weft=0.5 * drawn.stretch,
+        shear=0.3 * drawn.stretch, bend_warp=drawn.bend, bend_weft=drawn.bend, friction=float(rng.uniform(0.0, 1.0)),
+    )  # fmt: skip
+    held = rng.choice(len(vertices), min(drawn.held, len(vertices)), replace=False)
+    model = build_model(mesh, fabric, held, ModelOptions(tether_slack=1.03 * drawn.tethers), bend_factor=1 / 3)
+    direction = lambda: drawn.speed * (lambda u: u / np.linalg.norm(u))(rng.normal(size=3))  # noqa: E731
+    state, solver = State.at_rest(model, drawn.squeezed * vertices), Solver(model)
+    state.velocity[:] = np.where(model.inverse_mass[:, None] > 0.0, direction(), 0.0)
+    size = drawn.scale
+    plane, sphere = Plane((0.0, -size, 0.0)), Sphere(tuple(0.5 * size * rng.normal(size=3)), 0.3 * size)
+    capsule = Capsule((-size, -0.4 * size, 0.0), (size, -0.4 * size, 0.0), 0.2 * size)
+    primitives = {"plane": plane, "sphere": sphere, "capsule": capsule}
+    ball, ball_faces = icosphere(2, 0.3 * size)
+    body = None
+    if "body" in drawn.colliders:
+        body = Body(ball_faces, len(ball))
+        body.origin = state.origin.copy()
+        body.place((ball - state.origin).astype(np.float32))
+    colliders = Colliders([primitives[name] for name in drawn.colliders if name != "body"], body)
+    ways = [direction() for _ in range(4)]
+    targets = state.world()[model.held]
+    for frame in range(FRAMES):
+        moved = drawn.dt * np.array(ways)
+        sphere.centre = tuple(np.add(sphere.centre, moved[0]))
+        capsule.start, capsule.end = (tuple(np.add(end, moved[1])) for end in (capsule.start, capsule.end))
+        targets = targets + moved[2]
+        solver.follow(state, colliders)
+        if body is not None:
+            body.advance((ball + (frame + 1) * moved[3] - state.origin).astype(np.float32))
+        solver.step(state, colliders, drawn.dt, targets, ways[3])
+        height = float(np.ptp(vertices, axis=0).max())
+        within(drawn, state, (frame + 1) * drawn.dt, height)
+
+
+def within(drawn: Drawn, state: State, time: float, height: float) -> None:
+    """Ten times further or faster than all that moves could bring it is beyond what anyone would call cloth."""
+    assert np.isfinite(state.position).all() and np.isfinite(state.velocity).all()
+    falling = GRAVITY * time + np.sqrt(2.0 * GRAVITY * height)
+    sprung = np.sqrt(drawn.stretch / drawn.density) if drawn.squeezed < 1.0 else 0.0  # what squeezed cloth gives back
+    fastest = 10.0 * (3.0 * drawn.speed + 3.0 * falling + 1.0) + 3.0 * sprung
+    assert np.linalg.norm(state.velocity, axis=1).max() < fastest + 10.0 * height / max(drawn.dt, 1e-3)
+    assert np.abs(state.world()).max() < 3.0 * drawn.scale + 10.0 * height + time * fastest + 1.0
+
+
+PHASES = (Phase.explicit, Phase.reuse, Phase.generate)  # what fails names its scene; to shrink it takes minutes
+
+
+@settings(max_examples=50, deadline=None, derandomize=True, phases=PHASES, suppress_health_check=list(HealthCheck))
+@given(SCENES)
+def test_any_cloth_stays_finite(drawn: Drawn) -> None:
+    play(drawn)
+
+
+@pytest.mark.proof
+@settings(max_examples=1000, deadline=None, phases=PHASES, suppress_health_check=list(HealthCheck))
+@given(SCENES)
+def test_a_thousand_cloths_stay_finite(drawn: Drawn) -> None:
+    play(drawn)
