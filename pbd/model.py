@@ -21,9 +21,7 @@ __all__ = ["Model", "ModelOptions", "State", "build_model"]
 
 SAMPLE_SPACING = 0.025  # edges longer than this are tested for contact in their middle too [m]: a foot is narrower
 BLOCK = 16  # triangles of one colour that are solved at once
-SOFTEST = (
-    1e4  # compliance over mobility of a triangle, from which it counts as none at all [s2]: float32 holds its cube
-)
+SOFTEST = 1e4  # compliance over mobility of a triangle; more is as good as none, and float32 holds its cube [s2]
 GRID = 1.0  # origins are whole multiples of this power of two [m], so that moving one rounds nothing away
 
 
