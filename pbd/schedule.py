@@ -28,6 +28,7 @@ __all__ = ["advance_garment", "advance_kernel"]
 
 NEAR = 0.01  # nearer than this, a contact is looked at in every substep, even if nothing seems to move [m]
 SQUEEZED = 1e-4  # area of faces over the squares of their sides, below which they are lines [-]
+NOTHING = 1e-12  # sides of a face at a point, squared, where loose points have no face at all [m2]
 FINEST = 2.0**20  # inside a frame positions are whole multiples of 1 m / FINEST: exact in float32 up to 16 m
 
 
@@ -152,14 +153,14 @@ def cloth_normals(
                 f = triangles[c]
                 x0 = xyz(position[f[0]])
                 side_1, side_2 = xyz(position[f[1]]) - x0, xyz(position[f[2]]) - x0
-                n = vec4(side_1.cross(side_2), side_1.dot(side_1) + side_2.dot(side_2))
+                n = vec4(side_1.cross(side_2), side_1.dot(side_1) + side_2.dot(side_2) + NOTHING)
                 for a in ti.static(range(3)):
                     normals[f[a]] = normals[f[a]] + n
         team.meet()
     for i in range(team.begin(0, count), team.end(0, count)):
         n = xyz(normals[i])
         size = n.norm()
-        normals[i] = vec4(n / ti.max(size, 1e-20), ti.select(size > SQUEEZED * normals[i][3], 0.0, 1.0))
+        normals[i] = vec4(n / ti.max(size, 1e-20), ti.select(size >= SQUEEZED * normals[i][3], 0.0, 1.0))
 
 
 @ti.func

@@ -24,7 +24,7 @@ AIR_DENSITY = 1.2  # [kg/m3]
 STRIDE = 0.25  # [-]
 LEAST_STRIDE = 0.01  # ... at least this [m] ...
 MOST_FINER = 8  # ... and no more than so many times as fine
-SHORTEST_FRAME = 1e-6  # shorter ones are none [s]: float32 does not hold the square of their inverse
+SHORTEST_FRAME = 1e-7  # shorter ones are none [s]: float32 does not hold the square of their inverse
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class Solver:
         Args:
             state: of this model.
             colliders: what it collides with; a body's ``origin`` must be the state's.
-            dt: frame time [s]; 0, or below 1e-6, does nothing.
+            dt: frame time [s]; 0, or below 1e-7, does nothing.
             targets: where the held vertices stand at the end of the frame, world [m], shape (p, 3);
                 None leaves them where they are.
             wind: velocity of the air [m/s].

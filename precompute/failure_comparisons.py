@@ -67,7 +67,8 @@ def _softness(name: str, first: tuple[float, float], second: tuple[float, float]
                 strains.append(np.linalg.norm(x[edges[:, 1]] - x[edges[:, 0]], axis=1) / rest - 1.0)
         found.append(np.mean(strains, axis=0))
     off = np.abs(found[0] - found[1])
-    figures = {"edge_strain_p95": float(np.percentile(off, 95)), "edge_strain_max": float(off.max())}
+    worst = float(off.max())
+    figures = {"edge_strain_p95": float(np.percentile(off, 95)), "edge_strain_max": worst, "edge_strain_beyond": worst}
     return Outcome(figures, 0.0, 1e3 * float(np.median(costs)))
 
 

@@ -229,7 +229,7 @@ def _judged(scene: Scene, model: Model, seen: Sequence[tuple], frame_ms: float) 
     # A gust or a blow stretches any cloth: only when it has been over for a second is the length a mistake.
     judged = moments >= max(START, scene.quiet + 1.0 if scene.quiet else 0.0)
     figures["edge_strain_p95"] = float(np.percentile(np.maximum(strain, 0.0)[judged], 95))
-    figures["edge_strain_max"] = float(strain[judged].max())
+    figures["edge_strain_max"] = figures["edge_strain_beyond"] = float(strain[judged].max())
     figures.pop("energy_error", None)
     if scene.truth is not None:
         true = np.stack([scene.truth(moment) for moment in moments])
