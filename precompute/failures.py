@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pbd import InputError
+from pbd.models import SOLVERS
 from pbd.storage import replacing
 from precompute.error_classes import ErrorClass
 from precompute.failure_comparisons import comparisons
@@ -44,6 +45,8 @@ def failure_rows(
     Raises:
         InputError: no such solver.
     """
+    if solver not in SOLVERS:
+        raise InputError("unknown solver", key="--solver", received=solver, expected=", ".join(SOLVERS))
     rows = []
     for scene in scenes():
         if (lines is None or scene.line in lines) and (solver == "default" or not scene.default_only):

@@ -116,10 +116,21 @@ def dust(points: np.ndarray) -> tuple[Model, State]:
     return model, state
 
 
-# The same draws every time, without 2724: one of its points misses its nearest face by 7 um, which is not mended yet.
-@settings(max_examples=12, deadline=None, derandomize=True)
-@given(st.integers(0, 10_000).filter(lambda seed: seed != 2724))
+MISSED = 2724  # the face nearest to one of its points, 2 mm away, does not touch the nearest vertex
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 10_000).filter(lambda seed: seed != MISSED))
 def test_contact_distance_against_all_faces(seed: int) -> None:
+    check_distances(seed)
+
+
+@pytest.mark.xfail(reason="only faces around the nearest vertex are looked at: 7 um too far", strict=True)
+def test_contact_distance_where_the_nearest_face_is_elsewhere() -> None:
+    check_distances(MISSED)
+
+
+def check_distances(seed: int) -> None:
     vertices, faces = bodies(seed)
     rng = np.random.default_rng(seed)
     corners = vertices[faces[rng.integers(len(faces), size=150)]]
