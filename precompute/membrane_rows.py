@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import brentq
 
 from precompute.plate_references import hencky_rise
 from precompute.strip_references import elastic_catenary, hanging_stretch
@@ -44,18 +45,26 @@ def _catenary(setting: Setting, span: float) -> Measured:
     x, y = patch.flat.T
     weight = ROPE.areal_density * GRAVITY * length
     sag, curve_x, curve_y = elastic_catenary(span, weight, ROPE.stretch_warp)
-    # Let down from an arc of about the right length.
-    rise = sag if span < 1.0 else 0.0
     at = x / length - 0.5
-    start = np.stack([at * span, -4.0 * rise * (0.25 - at**2), -y], axis=1)
+    start = np.stack([*_parabola(min(span, 1.0), at) * [[max(span, 1.0)], [1.0]], -y], axis=1)
     trial = Trial(patch, start, ROPE, (x < 1e-9) | (x > length - 1e-9), setting)
     trial.settle(math.sqrt(length / GRAVITY), still=1e-6)
     places = trial.world()
-    middle = np.abs(at) < 0.6 / setting.edges
-    parabola = np.polyfit(places[middle, 0], places[middle, 1], 2) if middle.sum() > 6 else None
-    lowest = float(np.polyval(parabola, 0.0)) if parabola is not None else float(places[middle, 1].mean())
+    # Over the width by area: the rows at the sides do not weigh quite their share and sag less or more.
+    middle, weights = np.abs(at) < 0.15, np.sqrt(trial.model.mesh.vertex_areas)
+    even = np.polynomial.Polynomial.fit(places[middle, 0] ** 2, places[middle, 1], 2, w=weights[middle])
+    lowest = float(even(0.0))
     curve = Curve("x / L", "y / L", (curve_x, curve_y - curve_y[0]), (places[:, 0], places[:, 1]))
     return Measured.relative(sag, -lowest, trial.cost_ms, curve)
+
+
+def _parabola(span: float, at: np.ndarray) -> np.ndarray:
+    """Places over L on a parabola as long as the strip, by the way along it over L from its middle, shape (2, n)."""
+    x = np.linspace(-0.5 * span, 0.5 * span, 2001)
+    way = lambda bend: 0.5 * x * np.sqrt(1.0 + (bend * x) ** 2) + np.arcsinh(bend * x) / (2.0 * bend)  # noqa: E731
+    bend = brentq(lambda bend: way(bend)[-1] - 0.5, 1e-6, 1e3) if span < 1.0 else 1e-6
+    found = np.interp(at, way(bend), x)
+    return np.stack([found, 0.5 * bend * (found**2 - 0.25 * span**2)])
 
 
 def _hencky(setting: Setting, poisson: float) -> Measured:
