@@ -142,7 +142,7 @@ def cloth_normals(
     colors: ti.template(),
     normals: ti.template(),
 ):
-    """Unit vertex normals; the fourth component is above 0 where faces are squeezed to lines and have none."""
+    """Unit vertex normals; the fourth component is 1 where faces are squeezed to lines and have none."""
     count = position.shape[0]
     for i in range(team.begin(0, count), team.end(0, count)):
         normals[i] = ti.math.vec4(0.0)
@@ -153,16 +153,14 @@ def cloth_normals(
                 f = triangles[c]
                 x0 = xyz(position[f[0]])
                 side_1, side_2 = xyz(position[f[1]]) - x0, xyz(position[f[2]]) - x0
-                across = side_1.cross(side_2)
-                # Sizes, not vectors, tell what is squeezed: the faces of a sharp fold cancel out and are whole.
-                sides = side_1.dot(side_1) + side_2.dot(side_2) + NOTHING
-                n = vec4(across, SQUEEZED * sides - across.norm())
+                n = vec4(side_1.cross(side_2), side_1.dot(side_1) + side_2.dot(side_2) + NOTHING)
                 for a in ti.static(range(3)):
                     normals[f[a]] = normals[f[a]] + n
         team.meet()
     for i in range(team.begin(0, count), team.end(0, count)):
         n = xyz(normals[i])
-        normals[i] = vec4(n / ti.max(n.norm(), 1e-20), normals[i][3])
+        size = n.norm()
+        normals[i] = vec4(n / ti.max(size, 1e-20), ti.select(size >= SQUEEZED * normals[i][3], 0.0, 1.0))
 
 
 @ti.func

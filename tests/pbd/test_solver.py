@@ -189,14 +189,3 @@ def test_cloth_squeezed_to_nothing_opens(squeezed: tuple[float, float, float]) -
     assert np.linalg.norm(momentum(model, state)[0]) < 1e-4 * model.mass.sum()
     centre = model.mass @ (x - vertices * squeezed) / model.mass.sum()
     assert np.linalg.norm(centre) < 2.0 * model.fabric.thickness  # by half a thickness a frame it is put aside
-
-
-def test_sharp_fold_is_left_alone() -> None:
-    """Laid double, the faces at the crease cancel out; they are whole, and nothing moves that bends freely."""
-    vertices, faces = grid(8, 8, 0.05)
-    model = free_model(cloth(vertices, faces), Fabric(bend_warp=0.0, bend_weft=0.0, **VACUUM))
-    folded = vertices.copy()
-    folded[:, 0] = np.abs(vertices[:, 0] - vertices[:, 0].mean())
-    state = State.at_rest(model, folded)
-    run(model, state, 2, gravity=0.0)
-    assert np.abs(state.world() - folded).max() < 1e-3 * model.fabric.thickness
