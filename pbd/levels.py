@@ -160,4 +160,8 @@ def solve_patches(
     team.meet()
     for w in range(team.size()):
         farthest = ti.max(farthest, room[w])
-    return ti.min(1.0, FASTEST * h / ti.max(farthest, 1e-20))
+    taken = ti.min(1.0, FASTEST * h / ti.max(farthest, 1e-20))
+    # What is not taken is not borne either. Told of strain that nobody took out, the membranes would stretch by it.
+    for a in range(team.begin(0, starts[1]), team.end(0, starts[1])):
+        borne[a] = taken * borne[a]
+    return taken
