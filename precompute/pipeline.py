@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from assets.scene import Scene, scene_text
 from pbd import Fabric, InputError, SolverOptions
 from pbd.bending import hinge_calibration
-from precompute.calibration import Calibration, calibrate
+from precompute.calibration import GAINS, Calibration, calibrate
 from precompute.coverage import PART, choose
 from precompute.evaluation import Evaluation, Truth, evaluate, fine_run, given_frames, settled, truth_of
 from precompute.recording import Recording, Run, body_source, record_runs
@@ -126,17 +126,21 @@ def precompute(
     worn = [fabric_features(run.fabric, own) for run in runs]
     told = np.repeat(worn, [len(recording.frames) for recording in learned], axis=0)
     mapping = fit_layer(layer, data, hidden=(2 * width, width), epochs=EPOCHS, seed=seed, report=tell, fabrics=told)
-    mappings = [mapping.for_fabric(features) for features in worn]
 
     coarse_bend = hinge_calibration(levels.coarse)
-    calibrations = {}
+    calibrations: dict[str, Calibration] = {}
     for first, name in zip(range(0, len(runs), len(motions)), fabrics, strict=True):
         chosen = [(first + number, short) for number, short in _excerpts(runs[first : first + len(motions)])]
         excerpts = [_start_of(recordings[number], short) for number, short in chosen]
         shorts = [short for _, short in chosen]
+        # The own fabric comes first and chooses how strongly wrinkles are drawn; the others share its network.
+        gains = (1.0,) if calibrations else GAINS
         calibrations[name] = calibrate(
-            layer, mappings[first], data.atoms, shorts, excerpts, solver, coarse_bend, cache, workers, tell
-        )
+            layer, mapping.for_fabric(worn[first]), data.atoms, shorts, excerpts, solver, coarse_bend, cache, workers,
+            tell, gains,
+        )  # fmt: skip
+        mapping = mapping.amplified(calibrations[name].gain)
+    mappings = [mapping.for_fabric(features) for features in worn]
     own_name, *others = fabrics
     calibration = calibrations[own_name]
     database = WrinkleDatabase(
@@ -185,6 +189,7 @@ def precompute(
         "feature_shift_after": calibration.shift_after,
         "feature_mismatch_before": calibration.mismatch_before,
         "feature_mismatch_after": calibration.mismatch_after,
+        "wrinkle_gain": calibration.gain,
         "atoms_kept": data.atoms.kept,
     }
     database = replace(database, quality=quality, training_minutes=(time.monotonic() - began) / 60.0)

@@ -94,6 +94,11 @@ class Mapping:
         bias = np.asarray(features, np.float32) @ self.fabric_weights
         return replace(self, place_bias=self.place_bias + bias, fabric_weights=np.zeros_like(self.fabric_weights))
 
+    def amplified(self, gain: float) -> Mapping:
+        """The mapping with all of its coefficients times ``gain`` [-]."""
+        by = np.float32(gain)
+        return replace(self, weights_3=by * self.weights_3, bias_3=by * self.bias_3)
+
     def predict(self, features: np.ndarray) -> np.ndarray:
         """Coefficients for features, shape (..., n, DYNAMIC_COUNT) to (..., n, K); the reference of the decoder."""
         return self.coefficients(self.hidden(features))

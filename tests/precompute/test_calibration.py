@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pbd import ModelOptions, SolverOptions
-from precompute.calibration import calibrate, filtered
+from precompute.calibration import GAINS, calibrate, filtered
 from precompute.decoding import decode_recording
 from precompute.recording import Run, poses_of, record_runs
 from precompute.training import build_layer
@@ -17,14 +17,16 @@ from tests.wrinkles.databases import small_database
 from wrinkles.coarse_filter import CoarseFilter
 
 
-@pytest.mark.parametrize("stiff", [1.0, 30.0])
-def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(stiff: float, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("stiff", "gain"), [(1.0, 1.0), (30.0, 1.0), (1.0, 1.6)])
+def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(
+    stiff: float, gain: float, tmp_path: Path
+) -> None:
     stage = Stage.of(scene())
     layer = build_layer(stage.levels)
     small, count = small_database(), len(stage.levels.coarse.vertices)
     place = 0.01 * np.random.default_rng(0).standard_normal((count, small.mapping.place_bias.shape[1]))
     mapping = replace(small.mapping, place_bias=place.astype(np.float32))
-    predict = lambda features, pose: mapping.predict(features)  # noqa: E731
+    predict = lambda features, pose: mapping.amplified(gain).predict(features)  # noqa: E731
     solver = SolverOptions(substep=1.0 / 240.0)
     poses = poses_of(stage.motion(scene().training.held_out[0]), 1.0 / 60.0, 1.0)
     fine = Run(
@@ -36,7 +38,8 @@ def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(stiff: 
         # What this coarse garment looks like when it is decoded is given out as the fine run.
         told = replace(run, positions=decode_recording(layer, predict, small.atoms, coarse, run)[1])
         found = calibrate(layer, mapping, small.atoms, [fine], [told], solver, 0.3, tmp_path, 1)
-    assert found.options == coarse.options
-    errors = {row["bend_scale"]: row["spectrum_error"] for row in found.rows}
-    assert errors[stiff] < 1e-2 < 0.1 < errors[31.0 - stiff]
+    assert (found.options, found.gain) == (coarse.options, gain)
+    errors = {(row["bend_scale"], row["gain"]): row["spectrum_error"] for row in found.rows}
+    assert errors[stiff, gain] < 1e-2 < 0.1 < errors[31.0 - stiff, gain]
+    assert all(errors[stiff, other] > 1e-3 > errors[stiff, gain] for other in GAINS if other != gain)
     assert found.mismatch_after == pytest.approx(0.0, abs=1e-3)  # its own statistics, but for rounding
