@@ -9,6 +9,7 @@ GRID_SIDE = 48
 MAX_CELLS = GRID_SIDE**3
 CELL = FAR  # least width of a cell [m]
 MOST_SEARCHES = 8  # in a frame
+PULLED = 2  # edges that a fast body pulls cloth from into its own way
 
 
 @ti.func
@@ -163,10 +164,28 @@ def closing_way(velocity: ti.template(), dt: ti.f32, body_0: ti.template(), body
 
 
 @ti.func
+def spread_nearest(count: ti.i32, triangles: ti.template(), nearest: ti.template()):
+    """Vertices that have no body vertex take one of their neighbours', PULLED edges far."""
+    for _ in range(PULLED):
+        for c in range(triangles.shape[0]):
+            best = -1
+            for a in ti.static(range(3)):
+                best = ti.max(best, nearest[triangles[c][a]])
+            if best >= 0:
+                for a in ti.static(range(3)):
+                    if nearest[triangles[c][a]] == -1:
+                        nearest[triangles[c][a]] = -2 - best  # no start for others in this round
+        for i in range(count):
+            if nearest[i] < -1:
+                nearest[i] = -2 - nearest[i]
+
+
+@ti.func
 def find_of_garment(
     position: ti.template(),
     velocity: ti.template(),
     samples: ti.template(),
+    triangles: ti.template(),
     nearest: ti.template(),
     body_0: ti.template(),
     body_1: ti.template(),
@@ -185,8 +204,9 @@ def find_of_garment(
     """For every contact sample a body vertex near it: the nearest within FAR, or the one that it had; else -1.
 
     Searched at the start of the frame and, where body or cloth move far in it, at later times on the cloth's present
-    course. ``way`` receives how far cloth and body can come nearer to one another in the frame [m], accelerations
-    aside. Large body faces are found by probes, points spread over them; each stands for its heaviest corner.
+    course. Then what lies around cloth that has found one starts from there as well, for it may be pulled into the way.
+    ``way`` receives how far cloth and body can come nearer to one another in the frame [m], accelerations aside. Large
+    body faces are found by probes, points spread over them; each stands for its heaviest corner.
 
     The first samples are the vertices themselves; the others stand in the middle of long edges and search from what
     the ends of their edge found. ``surface`` are the body vertices that lie in a face.
@@ -201,6 +221,8 @@ def find_of_garment(
             position, velocity, dt, t, nearest, body_0, body_1, surface, probes, weights,
             cell_start, cell_items, item_cell,
         )  # fmt: skip
+    if later > 0:
+        spread_nearest(position.shape[0], triangles, nearest)
     for c in range(position.shape[0], samples.shape[0]):
         p = 0.5 * (xyz(position[samples[c][0]]) + xyz(position[samples[c][1]]))
         best = -1
@@ -225,6 +247,7 @@ def find_nearest(
     position: Vec4,
     velocity: Vec3,
     samples: Int2,
+    triangles: Int3,
     nearest: Int1,
     body_0: Vec3,
     body_1: Vec3,
@@ -244,6 +267,6 @@ def find_nearest(
     ti.loop_config(serialize=True)
     for _ in range(1):
         find_of_garment(
-            position, velocity, samples, nearest, body_0, body_1, ring_start, ring, surface, probes, weights,
+            position, velocity, samples, triangles, nearest, body_0, body_1, ring_start, ring, surface, probes, weights,
             cell_start, cell_items, item_cell, way, dt, thickness,
         )  # fmt: skip

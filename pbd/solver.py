@@ -42,7 +42,7 @@ class SolverOptions:
 
     substep: float = 1.0 / 720.0
     gravity: tuple[float, float, float] = (0.0, -9.81, 0.0)
-    coarse_sweeps: int = 0
+    coarse_sweeps: int = 4
     contact_refreshes: float = 240.0
     self_collision: bool = False
 
@@ -190,6 +190,7 @@ class Solver:
             state.position,
             state.velocity,
             model.samples,
+            model.triangles,
             state.nearest,
             previous,
             body.current,
