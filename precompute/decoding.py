@@ -8,10 +8,11 @@ import numpy as np
 from pbd import Body
 from precompute.recording import Recording, Run, body_source
 from precompute.training import Layer
-from wrinkles.decoder import Relaxation, Upsampler, add_patches
+from wrinkles.decoder import Upsampler, add_patches
 from wrinkles.dictionary import Atoms
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.isometry import Isometry
+from wrinkles.relaxation import Relaxation
 
 __all__ = ["Lift", "Predict", "by_patches", "decode_recording", "lifted_frames"]
 

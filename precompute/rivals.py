@@ -16,12 +16,13 @@ import numpy as np
 from pbd import Model, ModelOptions, SolverOptions, build_model
 from pbd.attachment import Attachment
 from pbd.engine import Launch
+from pbd.geometry import surface_normals
 from precompute.evaluation import Truth, levels_from
 from precompute.recording import Run, body_source
 from runtime.player import Player
 from runtime.simulation import BodySource, Simulation
 from wrinkles.database import WrinkleDatabase
-from wrinkles.decoder import Upsampler, surface_normals
+from wrinkles.decoder import Upsampler
 from wrinkles.levels import Levels, levels_of
 from wrinkles.surface import Subdivision
 

@@ -11,16 +11,18 @@ from assets.character import Character
 from assets.sequence import Sequence
 from pbd import InputError, build_model
 from pbd.engine import Launch
+from pbd.geometry import surface_normals
 from runtime.detail import Detail
 from runtime.simulation import Simulation, body_source
 from wrinkles.charts import Charts
 from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase
-from wrinkles.decoder import Decoder, Relaxation, Upsampler, surface_normals
+from wrinkles.decoder import Decoder, Upsampler
 from wrinkles.features import Stencil
 from wrinkles.isometry import PASSES, Isometry
 from wrinkles.levels import Levels, levels_of
 from wrinkles.patches import Patches
+from wrinkles.relaxation import Relaxation
 
 __all__ = ["FADE", "Player"]
 

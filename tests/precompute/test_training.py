@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pbd.geometry import surface_normals
 from precompute.recording import Recording
 from precompute.training import (
     FeatureStatistics,
@@ -17,7 +18,7 @@ from precompute.training import (
     training_set,
 )
 from tests.runtime.players import skirt_stage
-from wrinkles.decoder import add_patches, surface_normals
+from wrinkles.decoder import add_patches
 from wrinkles.dictionary import fit_mapping
 from wrinkles.features import DYNAMIC_COUNT
 

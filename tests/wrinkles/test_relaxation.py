@@ -1,0 +1,135 @@
+"""Relaxation on the fine mesh: what is stretched, what is held, what a body pushes out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pbd import Body
+from pbd.geometry import FAR
+from tests.pbd.meshes import grid
+from tests.wrinkles.meshes import icosphere
+from wrinkles.charts import leading_vertices
+from wrinkles.levels import Levels, build_levels
+from wrinkles.relaxation import Relaxation
+
+NOBODY = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
+THICKNESS = 0.002
+
+
+class Cloth:
+    """A flat sheet above a body, to relax."""
+
+    def __init__(self, held: tuple = (), body: tuple[np.ndarray, np.ndarray] = NOBODY, facing: float = 1.0) -> None:
+        vertices, faces = grid(8, 8, 0.03, "equilateral")
+        self.levels: Levels = build_levels(vertices, faces, np.array(held, int), *NOBODY, 2)
+        leading = leading_vertices(self.levels.subdivision)
+        clearance = np.full(max(1, len(body[0])), THICKNESS, np.float32)
+        self.relax = Relaxation(self.levels.fine, self.levels.fine_held, leading, clearance, facing)
+        self.frames = np.zeros((len(vertices), 9), np.float32)
+        self.frames[:, 8] = facing  # the sheet's own faces look up or down; it covers what is under it
+        self.body = Body(body[1], max(1, len(body[0])))
+        if len(body[0]):
+            self.body.place(body[0].astype(np.float32))
+        self.rest = self.levels.fine.vertices
+        self.edges, self.lengths = self.levels.fine.edge_lengths()
+
+    def __call__(self, fine: np.ndarray, targets: np.ndarray | None = None, passes: int = 1) -> np.ndarray:
+        """Relaxed vertices, from contacts that were found on the way."""
+        count = len(self.levels.coarse.vertices)
+        nearest, contact = np.full(count, -1, np.int32), np.full(count, FAR, np.float32)
+        if len(self.body.faces):
+            away = np.linalg.norm(self.levels.coarse.vertices[:, None] - self.body.current, axis=2)
+            nearest, contact = away.argmin(axis=1).astype(np.int32), away.min(axis=1).astype(np.float32)
+        fine = fine.astype(np.float32)
+        targets = np.zeros((0, 3)) if targets is None else targets
+        self.relax(fine, targets, self.frames, nearest, contact, self.body, self.body.current, passes)
+        return fine.astype(float)
+
+    def strain(self, vertices: np.ndarray) -> np.ndarray:
+        side = vertices[self.edges[:, 1]] - vertices[self.edges[:, 0]]
+        return np.linalg.norm(side, axis=1) / self.lengths - 1.0
+
+
+def test_relaxation_takes_stretch_back() -> None:
+    cloth = Cloth()
+    pull = lambda x: np.maximum(cloth.strain(x), 0.0).mean()  # noqa: E731
+    # Of single edges at once, of the whole sheet from its rim inwards.
+    noisy = cloth.rest + 5e-4 * np.random.default_rng(0).standard_normal(cloth.rest.shape)
+    assert pull(cloth(noisy)) < 0.8 * pull(noisy) and pull(cloth(noisy, passes=3)) < 0.8 * pull(cloth(noisy))
+    large = 1.03 * cloth.rest
+    assert pull(cloth(large, passes=100)) < 0.8 * pull(cloth(large)) < 0.8 * pull(large)
+    for start in (noisy, large):
+        np.testing.assert_allclose(cloth(start).mean(axis=0), start.mean(axis=0), atol=1e-6)  # no vertex weighs more
+
+
+def test_relaxation_does_not_push_short_edges_apart() -> None:
+    cloth = Cloth()
+    centre = cloth.rest.mean(axis=0)
+    shrunk = (centre + 0.9 * (cloth.rest - centre)).astype(np.float32)
+    assert np.array_equal(cloth(shrunk), shrunk)
+
+
+def test_a_mesh_that_fits_stays() -> None:
+    cloth = Cloth()
+    np.testing.assert_allclose(cloth(cloth.rest), cloth.rest, atol=1e-7)
+    bent = cloth.rest.copy()  # rolled up: chords are shorter than the cloth, nothing is stretched
+    bent[:, 0], bent[:, 2] = 0.1 * np.sin(cloth.rest[:, 0] / 0.1), 0.1 * np.cos(cloth.rest[:, 0] / 0.1)
+    np.testing.assert_allclose(cloth(bent, passes=3), bent, atol=1e-5)
+
+
+def test_held_vertices_go_to_their_targets_and_others_to_them() -> None:
+    cloth = Cloth(held=tuple(range(9)))
+    held = cloth.levels.fine_held
+    assert len(held) == 33
+    targets = cloth.rest[held] + [-0.004, 0.0, 0.003]
+    relaxed = cloth(cloth.rest, targets)
+    assert np.array_equal(relaxed[held], targets.astype(np.float32))
+    moved = np.linalg.norm(relaxed - cloth.rest, axis=1)
+    ring = np.setdiff1d(cloth.edges[np.isin(cloth.edges, held).any(axis=1)], held)
+    assert (moved[ring] > 5e-4).all()
+
+
+def test_relaxation_pushes_vertices_out_of_the_body_and_leaves_others() -> None:
+    ball, faces = icosphere(4, 0.1)
+    centre = np.array([0.1, 0.13, -0.09])  # under the sheet at z = 0, which cuts 1 cm into it
+    cloth = Cloth(body=(ball + centre, faces))
+    start = cloth.rest + [0.0, 0.0, 0.0]
+    radius = np.linalg.norm(start - centre, axis=1)
+    inside = radius < 0.1
+    assert 30 < inside.sum() < 500 and radius.min() < 0.091
+    relaxed = cloth(start)
+    after = np.linalg.norm(relaxed - centre, axis=1)
+    sag = 0.1 - np.linalg.norm((ball[faces]).mean(axis=1), axis=1).min()  # faces lie inside the sphere
+    assert after.min() > 0.1 + THICKNESS - sag - 1e-4
+    assert after[inside].max() < 0.1 + THICKNESS + 1e-4
+    away = radius > 0.1 + THICKNESS + 1e-3
+    np.testing.assert_allclose(relaxed[away], start[away], atol=1e-6)
+    # They go out where they are, not to somewhere else on the body.
+    outward = (start[inside] - centre) / radius[inside][:, None]
+    moved = relaxed[inside] - start[inside]
+    assert np.linalg.norm(moved - (moved * outward).sum(axis=1, keepdims=True) * outward, axis=1).max() < 1e-3
+
+
+@pytest.mark.parametrize("facing", [1.0, -1.0])
+@pytest.mark.parametrize("room", [0.002, 0.0, -0.004])
+def test_cloth_between_two_parts_of_a_body_ends_inside_neither(facing: float, room: float) -> None:
+    """Less room than the clearances of both, or none."""
+    ball, faces = icosphere(4, 0.1)
+    middle, apart = np.array([0.1, 0.13, 0.0]), (0.1 + 0.5 * room) * np.array([0.3, 0.0, np.sqrt(0.91)])
+    under, over = middle - apart, middle + apart
+    both = np.concatenate([ball + under, ball + over]), np.concatenate([faces, faces + len(ball)])
+    cloth = Cloth(body=both, facing=facing)
+    nearest = np.linalg.norm(cloth.levels.coarse.vertices[:, None] - both[0].astype(np.float32), axis=2).argmin(axis=1)
+    assert min((nearest < len(ball)).sum(), (nearest >= len(ball)).sum()) > 20  # each part is touched by some
+    start = cloth.rest.copy()
+    start[:, 2] -= 0.3 * (start[:, 0] - middle[0])  # between both, with folds that cut into them
+    start[:, 2] += 0.005 * np.sin(200.0 * start[:, 0])
+    relaxed = cloth(start)
+    pinched = np.linalg.norm(start[:, :2] - middle[:2], axis=1) < 0.03
+    sag = 0.1 - np.linalg.norm(ball[faces].mean(axis=1), axis=1).min()  # faces lie inside the sphere
+    assert pinched.sum() > 30 and (np.linalg.norm(start - relaxed, axis=1)[pinched] > 1e-3).sum() > 15
+    own, other = (np.linalg.norm(relaxed[pinched] - c, axis=1) - 0.1 for c in (under, over))
+    assert own.min() > -sag
+    nearer = np.where(np.abs(own) < np.abs(other), own, other)  # where they overlap the nearer surface counts
+    assert (nearer if room < 0.0 else other).min() > -2.0 * sag
