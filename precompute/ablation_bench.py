@@ -36,6 +36,7 @@ class Way:
         begin: gives the mapping at the start of a run; one that remembers is shown all frames in order.
         passes: of relaxation.
         options: of the coarse model in the free run; None for the calibrated ones.
+        gain: on what the mapping says [-].
     """
 
     layer: Layer
@@ -43,10 +44,12 @@ class Way:
     begin: Callable[[], Predict]
     passes: int = 1
     options: ModelOptions | None = None
+    gain: float = 1.0
 
     def lift(self) -> Lift:
         """Adds wrinkles to a run from its first frame on."""
-        return by_patches(self.layer, self.begin(), self.atoms)
+        predict = self.begin()
+        return by_patches(self.layer, lambda features, pose: self.gain * predict(features, pose), self.atoms)
 
 
 class Bench:
@@ -111,7 +114,8 @@ class Bench:
     def way(self, mapping: Mapping, layer: Layer | None = None, atoms: Atoms | None = None, **settings) -> Way:
         """One that differs from the full one in what is given."""
         predict = lambda features, pose: mapping.predict(features)  # noqa: E731
-        return Way(layer or self.layer, atoms or self.data.atoms, lambda: predict, **settings)
+        gain = self.database.wrinkle_gain
+        return Way(layer or self.layer, atoms or self.data.atoms, lambda: predict, gain=gain, **settings)
 
     def mapped(self, predict: Predict) -> Way:
         """One with another mapping."""

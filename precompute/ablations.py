@@ -246,6 +246,10 @@ def _relaxed(bench: Bench, passes: int) -> Way:
     return replace(bench.full, passes=passes)
 
 
+def _not_raised(bench: Bench) -> Way:
+    return replace(bench.full, gain=1.0)
+
+
 def _coarse_model(bench: Bench, squeeze: float, bend_scale: float) -> Way:
     return replace(bench.full, options=ModelOptions(squeeze=squeeze, bend_scale=bend_scale))
 
@@ -271,6 +275,7 @@ ABLATIONS = (
     Ablation("relaxation", "no pass", partial(_relaxed, passes=0)),
     Ablation("relaxation", "2 passes", partial(_relaxed, passes=2)),
     Ablation("relaxation", "3 passes", partial(_relaxed, passes=3)),
+    Ablation("calibration", "wrinkles not raised", _not_raised),
     Ablation("calibration", "off: squeeze 1, bending 1", partial(_coarse_model, squeeze=1.0, bend_scale=1.0)),
     Ablation("calibration", "squeeze 10, bending 1", partial(_coarse_model, squeeze=10.0, bend_scale=1.0)),
     Ablation("calibration", "squeeze 1, bending 10", partial(_coarse_model, squeeze=1.0, bend_scale=10.0)),

@@ -28,7 +28,8 @@ __all__ = ["Calibration", "calibrate"]
 
 SQUEEZE = (1.0, 3.0, 10.0)
 BEND = (1.0, 3.0, 10.0)
-GAINS = (1.0, 1.2, 1.4, 1.6, 1.8)
+GAINS = (1.0, 1.2, 1.4, 1.6, 1.8, 2.0)
+SKIPPED = 3
 EVERY = 8  # recorded frames from one that is decoded to the next: bending energy changes slowly
 SETTLE = 1.5  # the blend from the bind pose does not count [s]
 
@@ -109,24 +110,40 @@ def calibrate(
     matrix = CoarseFilter(layer.levels).matrix
     found = record_runs(tries, cache, workers, report)
     coarse = [settled(filtered(r, matrix), run) for r, run in zip(found, tries, strict=True)]
-    rows = []
-    for number, option in enumerate(options):
+    rows: list[dict[str, float]] = []
+
+    def judge(number: int, gain: float) -> None:
         mine = coarse[number * len(runs) : (number + 1) * len(runs)]
         features = np.concatenate([features_of(layer, r)[0] for r in mine])
-        common = {"squeeze": option.squeeze, "bend_scale": option.bend_scale, "shift": statistics.shift(features),
-                  "mismatch": statistics.mismatch(features)}  # fmt: skip
-        for gain in gains:
-            louder = mapping.amplified(gain)
-            predict = lambda features, pose, by=louder: by.predict(features)  # noqa: E731
-            energies = [
-                bands.energy(decode_recording(layer, predict, atoms, run, r.where(slice(None, None, EVERY)))[1])
-                for run, r in zip(runs, mine, strict=True)
-            ]
-            error = np.log(np.concatenate(energies).mean(axis=0) / wanted)
-            rows.append({"spectrum_error": float(np.sqrt((error**2).mean())), "gain": gain, **common})
+        louder = mapping.amplified(gain)
+        predict = lambda features, pose: louder.predict(features)  # noqa: E731
+        energies = [
+            bands.energy(decode_recording(layer, predict, atoms, run, r.where(slice(None, None, EVERY)))[1])
+            for run, r in zip(runs, mine, strict=True)
+        ]
+        error = np.log(np.concatenate(energies).mean(axis=0) / wanted)
+        rows.append(
+            {
+                "spectrum_error": float(np.sqrt((error**2).mean())),
+                "squeeze": options[number].squeeze,
+                "bend_scale": options[number].bend_scale,
+                "gain": gain,
+                "shift": statistics.shift(features),
+                "mismatch": statistics.mismatch(features),
+            }
+        )
+
+    best_of = lambda: int(np.argmin([row["spectrum_error"] for row in rows]))  # noqa: E731
+    for number in range(len(options)):  # every coarse model at two gains, then the best one at all of them
+        for gain in gains[::SKIPPED]:
+            judge(number, gain)
         if report is not None:
             report(f"calibrating the coarse model: {number + 1} of {len(options)}")
-    best = int(np.argmin([row["spectrum_error"] for row in rows]))
+    first = best_of() // len(gains[::SKIPPED])
+    for gain in gains:
+        if gain not in gains[::SKIPPED]:
+            judge(first, gain)
+    best = best_of()
     plain, kept = rows[0], rows[best]
     chosen = ModelOptions(squeeze=kept["squeeze"], bend_scale=kept["bend_scale"])
     return Calibration(

@@ -189,5 +189,6 @@ def compare_wrinkles_file(
     chosen = spread_frames(recordings, TRAINING_FRAMES)
     data = training_set(layer, chosen, len(database.atoms.shapes), database.seed)
     poses = np.concatenate([run.poses[r.frames] for run, r in zip(runs, chosen, strict=True)])
-    rivals = fit_rivals(layer, data, poses, epochs=EPOCHS, seed=database.seed, report=report)
+    gain = database.wrinkle_gain
+    rivals = fit_rivals(layer, data, poses, epochs=EPOCHS, seed=database.seed, gain=gain, report=report)
     return compare_wrinkles(layer, database, rivals, mesh_options, held_out, report)

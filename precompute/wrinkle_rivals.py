@@ -68,6 +68,7 @@ def fit_rivals(
     *,
     epochs: int,
     seed: int,
+    gain: float = 1.0,
     report: Callable[[str], None] | None = None,
 ) -> list[WrinkleRival]:
     """Fit every rival to a training set.
@@ -79,6 +80,7 @@ def fit_rivals(
             nothing is driven by them.
         epochs: of the wide network.
         seed: of every random choice.
+        gain: on the wrinkles of the wide network, which is ours but for its width [-].
         report: told lines of progress.
     """
     tell = report or (lambda line: None)
@@ -93,7 +95,7 @@ def fit_rivals(
     tell("fitting rivals: modes")
     rivals.append(k_means_modes(data, seed))
     tell("fitting rivals: wide network")
-    wide = fit_layer(layer, data, hidden=WIDE, epochs=epochs, seed=seed)
+    wide = fit_layer(layer, data, hidden=WIDE, epochs=epochs, seed=seed).amplified(gain)
     return [*rivals, WrinkleRival("wide network", lambda f, pose: wide.predict(f), tuple(wide.arrays().values()))]
 
 

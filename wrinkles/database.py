@@ -146,6 +146,11 @@ class WrinkleDatabase:
         return vertices
 
     @property
+    def wrinkle_gain(self) -> float:
+        """By how much the mapping was raised when it was calibrated [-]; 1 where nothing is said of it."""
+        return self.quality.get("wrinkle_gain", 1.0)
+
+    @property
     def subdivision(self) -> Subdivision:
         """From the coarse to the fine mesh."""
         return Subdivision.of(self.coarse_faces, len(self.coarse_vertices), self.subdivisions, self.binding)

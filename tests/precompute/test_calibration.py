@@ -40,6 +40,6 @@ def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(
         found = calibrate(layer, mapping, small.atoms, [fine], [told], solver, 0.3, tmp_path, 1)
     assert (found.options, found.gain) == (coarse.options, gain)
     errors = {(row["bend_scale"], row["gain"]): row["spectrum_error"] for row in found.rows}
-    assert errors[stiff, gain] < 1e-2 < 0.1 < errors[31.0 - stiff, gain]
+    assert errors[stiff, gain] < 1e-2 < 0.1 < errors[31.0 - stiff, 1.0]
     assert all(errors[stiff, other] > 1e-3 > errors[stiff, gain] for other in GAINS if other != gain)
     assert found.mismatch_after == pytest.approx(0.0, abs=1e-3)  # its own statistics, but for rounding
