@@ -81,8 +81,8 @@ def calibrate(
 ) -> Calibration:
     """Try coarse models and gains on training motion and keep those whose decoded garment folds as the fine one does.
 
-    Judged by bending energy in octave bands of wavelength, of what is seen in the end and not of the coarse garment:
-    root mean square of log(decoded / fine).
+    Judged by bending energy in octave bands of wavelength, and in all of them together, of what is seen in the end and
+    not of the coarse garment: root mean square of log(decoded / fine).
 
     Args:
         layer: of the garment.
@@ -121,7 +121,7 @@ def calibrate(
             bands.energy(decode_recording(layer, predict, atoms, run, r.where(slice(None, None, EVERY)))[1])
             for run, r in zip(runs, mine, strict=True)
         ]
-        error = np.log(np.concatenate(energies).mean(axis=0) / wanted)
+        error = np.log(_with_sum(np.concatenate(energies).mean(axis=0)) / _with_sum(wanted))
         rows.append(
             {
                 "spectrum_error": float(np.sqrt((error**2).mean())),
@@ -149,3 +149,7 @@ def calibrate(
     return Calibration(
         chosen, kept["gain"], plain["shift"], kept["shift"], plain["mismatch"], kept["mismatch"], tuple(rows)
     )
+
+
+def _with_sum(energy: np.ndarray) -> np.ndarray:
+    return np.append(energy, energy.sum())
