@@ -39,12 +39,15 @@ def even_mesh(
     return vertices, faces
 
 
-def decimated(vertices: Floats, faces: Faces, count: int) -> tuple[NDArray[np.int64], Faces]:
+def decimated(
+    vertices: Floats, faces: Faces, count: int, marked: NDArray[np.int64] | None = None
+) -> tuple[NDArray[np.int64], Faces]:
     """Nearly equilateral triangles between some vertices of a fine mesh, its boundary loops kept.
 
     Args:
         vertices, faces: the fine mesh, manifold, at least eight vertices for each one asked for.
         count: vertices to start from; about a tenth is taken out again for better triangles.
+        marked: fine vertices each of which is to have a chosen one among them within about an edge of the result.
 
     Returns:
         the chosen vertices, shape (n,), and faces between them.
@@ -58,12 +61,31 @@ def decimated(vertices: Floats, faces: Faces, count: int) -> tuple[NDArray[np.in
         places = np.concatenate([[0.0], np.cumsum(steps)[:-1]])
         number = max(6, round(steps.sum() / spacing))
         anchors.append(loop[np.unique(np.searchsorted(places, steps.sum() * np.arange(number) / number))])
-    chosen, coarse = even_triangles(vertices, faces, count, anchors=np.concatenate(anchors) if anchors else None)
+    fixed = np.concatenate([np.zeros(0, np.int64), *anchors])
+    if marked is not None:
+        fixed = _with_marked(vertices, fixed, marked, spacing)
+    chosen, coarse = even_triangles(vertices, faces, count, anchors=fixed if len(fixed) else None)
     points = vertices[chosen]
     for _ in range(4):
         points, coarse = drop_vertices(points, coarse)
         coarse = flip_edges(points, coarse)
     return chosen[cKDTree(vertices[chosen]).query(points)[1]], coarse
+
+
+def _with_marked(
+    vertices: Floats, anchors: NDArray[np.int64], marked: NDArray[np.int64], spacing: float
+) -> NDArray[np.int64]:
+    """Anchors, of which some are moved to a marked vertex beside them, and marked ones where there was none."""
+    kept = anchors.tolist()
+    own = set(marked.tolist())
+    for vertex in marked.tolist():
+        away = np.linalg.norm(vertices[kept] - vertices[vertex], axis=1) if kept else np.full(1, np.inf)
+        near = np.flatnonzero(away < spacing)
+        if not len(near):
+            kept.append(vertex)
+        elif not any(kept[k] in own for k in near):
+            kept[int(away.argmin())] = vertex
+    return np.array(kept, np.int64)
 
 
 def even_triangles(

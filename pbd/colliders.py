@@ -129,6 +129,25 @@ class Body:
         self._placed = False
         self.advance(vertices)
 
+    def thinned(self, vertices: np.ndarray, spacing: float) -> np.ndarray:
+        """Vertices that are enough to find the surface by: any other has one of them beside it, nearer than a spacing.
+
+        Args:
+            vertices: in the bind pose [m], shape (n, 3).
+            spacing: [m].
+
+        Returns:
+            int32, shape (s,), ascending.
+        """
+        left = np.ones(len(vertices), bool)
+        chosen = []
+        for vertex in self.surface.tolist():
+            if left[vertex]:
+                chosen.append(vertex)
+                ring = self.ring[self.ring_start[vertex] : self.ring_start[vertex + 1]]
+                left[ring[np.linalg.norm(vertices[ring] - vertices[vertex], axis=1) < spacing]] = False
+        return np.array(chosen, np.int32)
+
     def move_origin(self, origin: np.ndarray) -> None:
         """Count from another origin; see :meth:`pbd.State.move_origin`."""
         if np.any(origin != self.origin):

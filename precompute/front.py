@@ -20,8 +20,9 @@ from runtime.front import Front, Setting
 from runtime.play import Cast
 from runtime.player import Player
 from runtime.report import machine_description
-from runtime.simulation import Motion, Simulation, body_source
+from runtime.simulation import Motion
 from wrinkles.coarse_filter import CoarseFilter
+from wrinkles.coarser import coarser_of
 from wrinkles.database import WrinkleDatabase
 from wrinkles.distance import BodyDistance
 
@@ -30,6 +31,7 @@ __all__ = ["front_key", "measure_front"]
 TEMPOS = (1.0, 1.5)  # that the motion is played at: errors grow with speed
 EVERY = (1, 2, 4, 8)
 SUBSTEPS = (1.0, 2 / 3, 1 / 2, 1 / 3, 1 / 6)  # a tick, shares of the full number
+BELOW = (2 / 3, 1 / 2, 1 / 3)  # the same on the mesh below, whose longer edges need fewer
 ATOMS = (1.0, 1 / 2, 1 / 6)
 MOST = 400  # ticks that are played at each tempo
 LOOKS = 4  # ticks in which it is seen whether what is not relaxed is inside the body
@@ -48,7 +50,8 @@ def measure_front(
     body that is not with full detail. What changes the coarse simulation runs freely,
     and free folding is chaotic: there the distance is that of statistics, the 2-Wasserstein distance between the
     Gaussian distributions of each vertex over the run, as seen from the body, the 95th percentile over vertices, less
-    that of another run at full detail with finer substeps.
+    that of another run at full detail with finer substeps. The mesh below the coarse one is simulated without the
+    wrinkle layer only: it has no folds that the dictionary could read.
 
     Args:
         database: of the garment.
@@ -57,9 +60,16 @@ def measure_front(
         report: told lines of progress.
     """
     tell = report or (lambda line: None)
-    full = Player(database, cast.body, motion.pose(0.0), cast.primitives).full
+    player = Player(database, cast.body, motion.pose(0.0), cast.primitives)
+    full = player.full
     layers = _layers(full)
-    pairs = [(every, max(1, round(every * full.substeps * share))) for every in EVERY for share in SUBSTEPS]
+    levels = [(0, SUBSTEPS)] if coarser_of(player.levels, database.warp) is None else [(0, SUBSTEPS), (1, BELOW)]
+    pairs = [
+        Detail(every, max(1, round(every * full.substeps * share)), 0, 0, 0, level)
+        for level, shares in levels
+        for every in EVERY
+        for share in shares
+    ]
     pairs = list(dict.fromkeys(pairs))
     parts = []
     for number, tempo in enumerate(TEMPOS):
@@ -72,14 +82,15 @@ def measure_front(
     errors = {name: np.array([part[name] for part in parts]) for name in ("layer_error", "going_error", "step_error")}
     errors = {name: np.maximum.accumulate(values, axis=0) for name, values in errors.items()}
     settings = []
-    for (p, (every, substeps)), (k, layer) in product(enumerate(pairs), enumerate(layers)):
-        squares = errors["layer_error"][:, k] ** 2 + errors["going_error"][:, EVERY.index(every)] ** 2
+    for (p, pair), (k, layer) in product(enumerate(pairs), enumerate(layers)):
+        squares = errors["layer_error"][:, k] ** 2 + errors["going_error"][:, EVERY.index(pair.every)] ** 2
         error = np.sqrt(squares + errors["step_error"][:, p] ** 2)
-        if not np.isfinite(error).all():
+        if not np.isfinite(error).all() or (pair.level and layer[0]):
             continue
         peak = float(costs["step"][p] + costs["rest"][p] + costs["layer"][k])
-        cost = (peak + (every - 1) * float(costs["between"][p])) / every
-        settings.append(Setting(Detail(every, substeps, *layer), cost, peak, tuple(error.tolist())))
+        cost = (peak + (pair.every - 1) * float(costs["between"][p])) / pair.every
+        detail = Detail(pair.every, pair.substeps, *layer, pair.level)
+        settings.append(Setting(detail, cost, peak, tuple(error.tolist())))
     coarse = database.subdivision.meshes(database.coarse_vertices, database.warp)[0]
     return Front(
         database.garment_name,
@@ -116,7 +127,7 @@ def _measure(
     database: WrinkleDatabase,
     cast: Cast,
     poses: np.ndarray,
-    pairs: Sequence[tuple[int, int]],
+    pairs: Sequence[Detail],
     layers: Sequence[tuple[int, int, int]],
     tell: Callable[[str], None],
 ) -> dict[str, np.ndarray]:
@@ -124,34 +135,29 @@ def _measure(
     dt = 1.0 / database.frame_rate
     first = min(round(SETTLE / dt), (len(poses) - 1) // 3)
     player = Player(database, cast.body, poses[0], cast.primitives)
+    start = player.simulation.state.copy()
     found = _decode(player, poses, dt, cast.wind, layers, first)
     around = [_around(player, every, poses, dt, found["layer"][-1]) for every in EVERY]
-    full = (1, player.full.substeps)
-    coarse, spent = [], []
-    for number, (every, substeps) in enumerate([full, (1, round(FLOOR * full[1])), *pairs]):
+    bare = Detail(1, player.full.substeps, 0, 0, 0)
+    coarse, spent, holes = [], [], []
+    for number, detail in enumerate([bare, replace(bare, substeps=round(FLOOR * bare.substeps)), *pairs]):
         tell(f"simulation {number + 1} of {len(pairs) + 2}")
-        options = database.solver
-        if (every, substeps) != full:
-            options = replace(options, substep=every * dt / substeps)
-        simulation = Simulation(
-            player.simulation.model,
-            player.levels.coarse_attachment,
-            body_source(cast.body),
-            poses[0],
-            options,
-            cast.primitives,
-        )
-        run = _run(simulation, every, poses, dt, cast.wind, isinstance(cast.body, Character))
+        player.simulation.state = start.copy()
+        player.change(player.full)
+        player.simulation.place_body(poses[0])
+        player.change(detail, detail.every - 1)
+        run = _run(player, poses, dt, cast.wind, isinstance(cast.body, Character), first)
         coarse.append(run[0])
         spent.append(run[1])
+        holes.append(run[2])
     floor = _distances(coarse[0], coarse[1], first) ** 2
     away = [np.maximum(_distances(coarse[0], run, first) ** 2 - floor, 0.0) for run in coarse[2:]]
     step_error = [float(np.percentile(np.sqrt(a), 95)) if np.isfinite(a).all() else np.inf for a in away]
     return found | {
-        "step_error": np.where([pair == full for pair in pairs], 0.0, step_error),
+        "step_error": np.where([pair == bare for pair in pairs], 0.0, np.maximum(step_error, holes[2:])),
         "step": np.array(spent[2:]),
-        "rest": np.array([around[EVERY.index(every)][0] for every, _ in pairs]),
-        "between": np.array([around[EVERY.index(every)][1] for every, _ in pairs]),
+        "rest": np.array([around[EVERY.index(pair.every)][0] for pair in pairs]),
+        "between": np.array([around[EVERY.index(pair.every)][1] for pair in pairs]),
     }
 
 
@@ -221,24 +227,35 @@ def _around(player: Player, every: int, poses: np.ndarray, dt: float, plain_ms: 
 
 
 def _run(
-    simulation: Simulation, every: int, poses: np.ndarray, dt: float, wind: tuple, turn: bool
-) -> tuple[np.ndarray, float]:
-    """The coarse garment running freely: vertices in the frame of the body's root [m], shape (f, n, 3), at every tick
-    that all of :data:`EVERY` have; and processor time of an update [ms].
+    player: Player, poses: np.ndarray, dt: float, wind: tuple, turn: bool, first: int
+) -> tuple[np.ndarray, float, float]:
+    """The coarse garment running freely at the player's detail.
+
+    Returns:
+        vertices in the frame of the body's root [m], shape (f, n, 3), at every tick that all of :data:`EVERY` have;
+        processor time of an update [ms]; with the mesh below, the hole that cloth inside the body makes [m].
     """
+    state, detail, hole = player.simulation.state, player.detail, 0.0
     coarse, spent = [], []
-    for tick in range(every, len(poses), every):
+    often = max(EVERY)
+    looked_at = set((often * np.linspace(first // often + 1, (len(poses) - 1) // often, LOOKS).astype(int)).tolist())
+    distance, spacing = BodyDistance(player.simulation.body.faces), float(player.levels.fine.edge_lengths()[1].mean())
+    for tick, pose in enumerate(poses[1:], 1):
         began = time.process_time()
         try:
-            simulation.step(poses[tick], every * dt, wind)
+            player.step(pose, dt, wind)
         except InputError:  # it is no longer finite
-            return np.full((1, simulation.model.vertex_count, 3), np.inf), np.inf
-        spent.append(1e3 * (time.process_time() - began))
-        if tick % max(EVERY) == 0:
-            pose = poses[tick]
+            return np.full((1, len(state.position), 3), np.inf), np.inf, np.inf
+        if tick % detail.every == 0:
+            spent.append(1e3 * (time.process_time() - began))
+        if tick % often == 0:
             root = pose[0] if turn else np.eye(3, 4)
-            coarse.append((simulation.state.world() - root[:, 3]) @ root[:, :3])
-    return np.array(coarse), float(np.median(spent))
+            coarse.append((state.world() - root[:, 3]) @ root[:, :3])
+        if detail.level and tick in looked_at:
+            fine, body = player.decoded(detail).astype(float), player.body_vertices.astype(float)
+            inside = distance.signed_distance(fine, body) < 0.0
+            hole = max(hole, spacing * float(np.sqrt(inside.sum())))
+    return np.array(coarse), float(np.median(spent)), hole
 
 
 def _distances(one: np.ndarray, other: np.ndarray, first: int) -> np.ndarray:

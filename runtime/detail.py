@@ -19,6 +19,8 @@ class Detail:
         atoms: how many of the dictionary's atoms are used, the most important ones; 0 leaves the wrinkle layer out.
         sweeps: over the edges of the middle mesh that bring lengths back.
         passes: of relaxation on the fine mesh; with 0 the body is not kept out of the fine mesh either.
+        level: 0 to simulate the mesh that the dictionary reads; 1 for the one below it, of a quarter of its vertices,
+            on which it then hangs (:mod:`wrinkles.coarser`).
     """
 
     every: int
@@ -26,6 +28,7 @@ class Detail:
     atoms: int
     sweeps: int
     passes: int
+    level: int = 0
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -33,8 +36,11 @@ class Detail:
             if not isinstance(value, int) or value < least:
                 expected = f"a whole number, at least {least}"
                 raise InputError("bad detail", key=field.name, received=value, expected=expected)
+        if self.level > 1:
+            raise InputError("bad detail", key="level", received=self.level, expected="0 or 1")
 
     def __str__(self) -> str:
         layer = f"{self.atoms} atoms" if self.atoms else "no wrinkle layer"
         every = "every tick" if self.every == 1 else f"every {self.every} ticks"
-        return f"{every} {self.substeps} substeps, {layer}, {self.sweeps} sweeps, {self.passes} relaxation passes"
+        mesh = " of a quarter mesh" if self.level else ""
+        return f"{every} {self.substeps} substeps{mesh}, {layer}, {self.sweeps} sweeps, {self.passes} relaxation passes"

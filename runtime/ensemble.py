@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -24,6 +24,8 @@ class Changeable(Protocol):
 
     @property
     def detail(self) -> Detail: ...
+
+    def prepare(self, details: Iterable[Detail]) -> Any: ...
 
     def change(self, detail: Detail, wait: int = ...) -> Any: ...
 
@@ -53,6 +55,8 @@ class Ensemble:
             expected = f"{len(planner.fronts)}, as the planner has"
             raise InputError("bad ensemble", key="players", received=len(players), expected=expected)
         self.players, self.planner, self._clock = tuple(players), planner, clock
+        for player, front in zip(players, planner.fronts, strict=True):
+            player.prepare(setting.detail for setting in front.settings)
         self.choices: list[Choice] = []
         self.spent_ms = 0.0
         self._tick, self._elapsed = 0, math.inf

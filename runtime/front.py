@@ -18,7 +18,7 @@ from runtime.detail import Detail
 __all__ = ["Front", "Setting", "front_path", "read_front", "write_front"]
 
 FORMAT = "gube front"
-VERSION = 1
+VERSION = 2
 
 
 @dataclass(frozen=True)

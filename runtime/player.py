@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -12,10 +13,12 @@ from assets.sequence import Sequence
 from pbd import InputError, build_model
 from pbd.engine import Launch
 from pbd.geometry import surface_normals
+from runtime.coarser import CoarserSimulation
 from runtime.detail import Detail
 from runtime.simulation import Simulation, body_source
 from wrinkles.charts import Charts
 from wrinkles.coarse_filter import CoarseFilter
+from wrinkles.coarser import coarser_of
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Decoder, Upsampler
 from wrinkles.features import Stencil
@@ -99,6 +102,8 @@ class Player:
         substeps = max(1, int(np.ceil(1.0 / (database.frame_rate * database.solver.substep) - 1e-6)))
         self.full = Detail(1, substeps, len(database.atoms.shapes), PASSES, 1)
         self._detail, self._wait = self.full, 0  # ticks to leave out before the next update
+        self._coarser: CoarserSimulation | None = None  # made when it is first asked for
+        self._bind_vertices = source.vertices
         self._idle, self._dt = 0.0, 0.0  # time since the last update, length of the last tick [s]
         self._velocity = np.zeros_like(self._position)
         self._updated, self._going, self._offset, self._scratch = np.zeros((4, count, 3), np.float32)
@@ -137,16 +142,43 @@ class Player:
         self._wait = min(wait, detail.every - 1)
         if detail == self._detail:
             return
+        if detail.level:
+            self.prepare([detail])
         np.copyto(self._scratch, self.vertices)
-        self._detail, self._made, self._left = detail, False, 0.0
+        before, self._detail, self._made, self._left = self._detail, detail, False, 0.0
         substep = self.database.solver.substep
         if (detail.every, detail.substeps) != (self.full.every, self.full.substeps):
             substep = detail.every / (self.database.frame_rate * detail.substeps)
-        self.simulation.solver.options = replace(self.database.solver, substep=substep)
+        self._moved.solver.options = replace(self.database.solver, substep=substep)
+        if self._coarser is not None and detail.level > before.level:
+            self._coarser.take_over()
+            self._before[:, :3] = self._coarser.carried(self._before[:, :3])
+        elif self._coarser is not None and detail.level < before.level:
+            self._coarser.give_back()
         self.decode(self._alpha)
         np.subtract(self._scratch, self.vertices, out=self._offset)
         np.copyto(self.vertices, self._scratch)
         self._left = 1.0
+
+    def prepare(self, details: Iterable[Detail]) -> None:
+        """Make what details need before they are needed: the mesh below the coarse one takes some tenths of a second.
+
+        Raises:
+            InputError: a level that this garment does not have.
+        """
+        if self._coarser is not None or not any(detail.level for detail in details):
+            return
+        coarser = coarser_of(self.levels, self.database.warp)
+        if coarser is None:
+            raise InputError("no such mesh", key="level", received=1, expected="0: this garment's mesh is too coarse")
+        self._coarser = CoarserSimulation(
+            coarser, self.simulation, self.database.options, self._bind_vertices, self.levels.coarse_attachment
+        )
+
+    @property
+    def _moved(self) -> Simulation:
+        """What is stepped."""
+        return self._coarser.simulation if self._coarser is not None and self._detail.level else self.simulation
 
     def update(self, pose: np.ndarray, dt: float, wind: tuple = (0.0, 0.0, 0.0)) -> None:
         """One frame: advance the coarse garment to a pose in ``dt`` [s] and make the fine one; see :meth:`step`."""
@@ -176,14 +208,16 @@ class Player:
             self.timings["skin"] = self.timings["coarse"] = 0.0
             return
         dt, self._idle, self._made, self._wait = self._idle, 0.0, False, self._detail.every - 1
-        simulation = self.simulation
+        simulation, moved = self.simulation, self._moved
         began = time.perf_counter()
         origin = simulation.state.origin.copy()
         self._before[:] = simulation.state.position
-        simulation.pose_body(pose)
-        self._before[:, :3] -= (simulation.state.origin - origin).astype(np.float32)
+        moved.pose_body(pose)
+        self._before[:, :3] -= (moved.state.origin - origin).astype(np.float32)
         skinned = time.perf_counter()
-        simulation.step_cloth(dt, wind)
+        moved.step_cloth(dt, wind)
+        if self._coarser is not None and self._detail.level:
+            self._coarser.lead()
         self.timings["skin"] = 1e3 * (skinned - began)
         self.timings["coarse"] = 1e3 * (time.perf_counter() - skinned)
 
@@ -283,6 +317,8 @@ class Player:
         if not 0 <= vertex < count:
             raise InputError("no such coarse vertex", key="vertex", received=vertex, expected=f"0..{count - 1}")
         self.simulation.drag(vertex, target)
+        if self._coarser is not None and self._detail.level:
+            self._coarser.hold()
 
     def _check_pose(self, pose: np.ndarray) -> None:
         if np.shape(pose) != self._pose_shape:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Protocol
 
 import numpy as np
@@ -83,6 +84,13 @@ class Simulation:
         self.colliders = Colliders(primitives, self.body if source else None)
         if pose is not None:
             self.place_body(pose)
+
+    def beside(self, model: Model, attachment: Attachment | None) -> Simulation:
+        """Another model of the garment on the same body, which both move."""
+        other = copy(self)
+        other.model, other.attachment = model, attachment
+        other.solver, other.state = Solver(model, self.solver.options), State.at_rest(model)
+        return other
 
     def place_body(self, pose: np.ndarray) -> None:
         """Put the body into a pose without motion, about the garment's origin."""

@@ -18,7 +18,7 @@ from pbd.bending import hinge_rows
 from pbd.mesh import Hinges, edges_of
 from wrinkles.surface import Subdivision
 
-__all__ = ["Binding", "bind"]
+__all__ = ["Binding", "bind", "faces_around", "label_of", "nearest_places"]
 
 ROUNDS = 4  # of binding and fitting
 SMOOTH_STEPS = 3  # of smoothing the bound surface,
@@ -232,11 +232,11 @@ def bind(
     number = np.searchsorted(used, stands)  # of each fine vertex in the closed surface
     chosen, coarse_faces = decimated(vertices[used], whole, count)
     plain = Subdivision.of(coarse_faces, len(chosen), levels)
-    near = _around(coarse_faces, _labels(vertices[used], whole, chosen)[number])
+    near = faces_around(coarse_faces, label_of(vertices[used], whole, chosen)[number])
     coarse = vertices[used][chosen]
     for _ in range(ROUNDS):
-        face, place = _nearest(plain, plain.upsample(coarse), coarse, vertices, near)
-        near = _around(coarse_faces, coarse_faces[face // 4**levels])
+        face, place = nearest_places(plain, plain.upsample(coarse), coarse, vertices, near)
+        near = faces_around(coarse_faces, coarse_faces[face // 4**levels])
         binding = Binding(face, place, faces, flat, seams.vertices, seams.weights)
         bound = Subdivision.of(coarse_faces, len(chosen), levels, binding)
         # A little weight on staying, for coarse vertices that carry next to nothing.
@@ -272,7 +272,7 @@ def _mean_of_neighbours(sewn: Sewn, count: int) -> tuple[csr_matrix, np.ndarray]
     return diags(1.0 / np.where(total == 0.0, 1.0, total)) @ weights, stays
 
 
-def _labels(vertices: np.ndarray, faces: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+def label_of(vertices: np.ndarray, faces: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     """The chosen vertex that is nearest along the mesh to each vertex, as a number in the choice: int, shape (n,)."""
     edges = edges_of(faces)[0]
     lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
@@ -282,7 +282,7 @@ def _labels(vertices: np.ndarray, faces: np.ndarray, chosen: np.ndarray) -> np.n
     return order[np.searchsorted(chosen[order], source)]
 
 
-def _around(faces: np.ndarray, corners: np.ndarray) -> np.ndarray:
+def faces_around(faces: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Faces around some vertices in each row, filled up with the first: int, shape (p, k).
 
     Args:
@@ -300,7 +300,7 @@ def _around(faces: np.ndarray, corners: np.ndarray) -> np.ndarray:
     return found.indices[found.indptr[:-1, None] + np.where(slot < sizes[:, None], slot, 0)]
 
 
-def _nearest(
+def nearest_places(
     plain: Subdivision, smooth: np.ndarray, coarse: np.ndarray, points: np.ndarray, near: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Nearest points of a smooth surface: face of it, int32, shape (p,), and weights of its corners, shape (p, 3).

@@ -33,7 +33,7 @@ def world(player: Player) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("every", 0), ("substeps", 0), ("atoms", -1), ("sweeps", 1.5), ("passes", -2)]
+    ("field", "value"), [("every", 0), ("substeps", 0), ("atoms", -1), ("sweeps", 1.5), ("passes", -2), ("level", 2)]
 )
 def test_bad_details_are_refused(field: str, value: float) -> None:
     with pytest.raises(InputError) as caught:
@@ -104,7 +104,7 @@ def test_garments_take_turns(player: Player, poses: np.ndarray) -> None:
     assert worked == [False, False, True, False] * 3
 
 
-@pytest.mark.parametrize(("name", "value"), [("atoms", 0), ("passes", 0), ("substeps", 8), ("every", 2)])
+@pytest.mark.parametrize(("name", "value"), [("atoms", 0), ("passes", 0), ("substeps", 8), ("every", 2), ("level", 1)])
 def test_a_change_does_not_pop(player: Player, poses: np.ndarray, name: str, value: int) -> None:
     """Beside a player that does not change, seen from where less detail is off by one pixel: no hop is as large."""
     less = replace(player.full, **{name: value})
@@ -136,6 +136,61 @@ def test_what_is_shown_stays_at_a_change_and_the_rest_fades_in_time(player: Play
     for pose in poses[40 : 40 + ticks]:
         player.update(pose, DT)
     assert np.abs(player.vertices - player.decoded(player.detail)).max() < 1e-6
+
+
+def test_the_mesh_below_goes_on_from_where_the_garment_was_and_back(player: Player, poses: np.ndarray) -> None:
+    for pose in poses[1:40]:
+        player.update(pose, DT)
+    simulation = player.simulation
+    mass, before = simulation.model.mass, simulation.state.copy()
+    player.change(Detail(1, 6, 0, 0, 0, 1))
+    after = simulation.state
+    assert 1e-4 < np.linalg.norm(after.world() - before.world(), axis=1).max() < 0.03  # folds that it cannot have
+    assert mass @ after.velocity == pytest.approx(mass @ before.velocity, abs=1e-6)
+    slaved = []
+    for pose in poses[40:80]:
+        player.update(pose, DT)
+        slaved.append(np.sqrt(3.0 * np.mean(after.velocity**2)))
+    shown = after.copy()
+    player.change(player.full)
+    assert simulation.state is after and after.hash() == shown.hash()
+    for pose in poses[80:120]:
+        player.update(pose, DT)
+        slaved.append(np.sqrt(3.0 * np.mean(simulation.state.velocity**2)))
+    # A garment that had to snap into its shape would be fast.
+    assert max(slaved[40:45]) < 1.5 * max(slaved[:40])
+    assert np.isfinite(player.vertices).all()
+
+
+def test_the_mesh_below_follows_the_body_and_hangs_as_low(player: Player, poses: np.ndarray) -> None:
+    other = Player(skirt_database(), skirt_stage().body, poses[0])
+    player.change(Detail(1, 6, 0, 0, 0, 1))
+    far = np.array([0.0, 0.0, 7.3])  # the origin goes along
+    low = []
+    for tick, pose in enumerate(poses[1:121]):
+        pose = pose.copy()
+        pose[:, :, 3] += far * tick / 120.0
+        for one in (player, other):
+            one.update(pose, DT)
+        assert np.array_equal(player.origin, player.simulation.body.origin)
+        low.append([world(one)[:, 1].mean() for one in (player, other)])
+    assert player.origin[2] > 5.0
+    assert np.abs(np.diff(np.array(low)[30:], axis=1)).max() < 0.015
+    assert np.percentile(np.linalg.norm(world(player) - world(other), axis=1), 95) < 0.08
+
+
+def test_a_drag_holds_on_the_mesh_below(player: Player, poses: np.ndarray) -> None:
+    player.change(Detail(1, 6, 0, 0, 0, 1))
+    vertex = int(player.simulation.state.position[:, 1].argmin())
+    target = player.simulation.state.world()[vertex] + [0.0, 0.1, 0.1]
+    for pose in poses[1:30]:
+        player.drag(vertex, target)
+        player.update(pose, DT)
+    assert np.linalg.norm(player.simulation.state.world()[vertex] - target) < 0.04  # half an edge
+    player.drag(vertex, None)
+    for pose in poses[30:60]:
+        player.update(pose, DT)
+    assert np.linalg.norm(player.simulation.state.world()[vertex] - target) > 0.06
 
 
 def test_a_game_loop_plays_between_ticks_at_any_detail(player: Player, poses: np.ndarray) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import pytest
 
@@ -37,6 +39,9 @@ class Garment:
         self._by_detail = {setting.detail: setting for setting in front.settings}
         self._machine, self.detail = machine, front.settings[0].detail
         self.changes, self._wait = 0, 0
+
+    def prepare(self, details: Iterable[Detail]) -> None:
+        assert set(details) == set(self._by_detail)
 
     def change(self, detail: Detail, wait: int = 0) -> None:
         assert 0 <= wait < detail.every
