@@ -94,7 +94,7 @@ def collide_primitives(
     t: ti.f32,
     dt_share: ti.f32,
     primitives: ti.template(),
-    contact_law: vec3,
+    contact_law: ti.math.vec4,
     h: ti.f32,
 ):
     """Correction by planes (0), spheres (1), capsules (2); rows: kind, radius, a0, b0, a1, b1 (start, end)."""

@@ -173,6 +173,12 @@ def sideways(i: ti.i32) -> vec3:
 
 
 @ti.func
+def bulge(edge: vec3, normal: vec3, other_normal: vec3) -> vec3:
+    """From the middle of an edge to the smooth surface over it (Vlachos et al. 2001, "Curved PN triangles") [m]."""
+    return 0.0625 * edge.dot(other_normal - normal) * (normal + other_normal)
+
+
+@ti.func
 def settle(position: ti.template(), shift: ti.template(), i: ti.i32, u: vec3) -> vec3:
     """Move vertex i by u [m]: whole steps go to the position, the rest to the shift; nothing is rounded away."""
     whole = ti.floor(u * FINEST + 0.5) / FINEST
@@ -248,13 +254,13 @@ def advance_garment(
     gravity: vec3,
     wind: vec3,
     squeeze: ti.f32,
-    contact_law: vec3,
+    contact_law: ti.math.vec4,
 ):
     """Advance a garment by steps of h [s].
 
     ``steps``: the first, the one after the last, how many the frame has; how many between two looks at all contacts;
-    levels and passes over them. ``contact_law``: thickness [m], coefficient of friction, and the pressure of the law by
-    which the thickness gives over the areal density [m/s2].
+    levels and passes over them. ``contact_law``: thickness [m], coefficient of friction, the pressure of the law by
+    which the thickness gives over the areal density [m/s2], and above 0 where contact is with the smooth surface.
 
     Per substep: predict, held vertices, patches from coarse to fine, membrane, bending, stitches, tethers, contact with
     the body, of the cloth with itself, with primitives, velocities. Digits are kept in three places: a vertex stands at
@@ -371,6 +377,8 @@ def advance_garment(
                 p, q = position[i], position[j]
                 x = 0.5 * (xyz(p) + xyz(q))
                 u = 0.5 * (xyz(shift[i]) + xyz(shift[j]))
+                if contact_law[3] > 0.0:
+                    x += bulge(xyz(q) - xyz(p), xyz(normals[i]), xyz(normals[j]))
                 if looked_at:
                     again = step == 0
                     if not again:
@@ -499,7 +507,7 @@ def advance_kernel(with_patches: bool, with_pairs: bool = False) -> Callable[...
         gravity: vec3,
         wind: vec3,
         squeeze: ti.f32,
-        contact_law: vec3,
+        contact_law: ti.math.vec4,
     ):
         ti.loop_config(serialize=True)
         for _ in range(1):

@@ -263,7 +263,12 @@ class Solver:
             options.gravity,
             wind,
             model.options.squeeze,
-            (thickness, model.fabric.friction, model.fabric.compression / model.fabric.areal_density),
+            (
+                thickness,
+                model.fabric.friction,
+                model.fabric.compression / model.fabric.areal_density,
+                float(model.smooth),
+            ),
         )
         return search, course
 

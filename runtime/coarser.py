@@ -1,5 +1,7 @@
 """A garment simulated on the mesh below its coarse one, which follows."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from pbd import ModelOptions, State, build_model
@@ -12,6 +14,7 @@ from wrinkles.surface import csr_arrays
 
 __all__ = ["CoarserSimulation"]
 
+STAND_OFF = 0.035  # of a mean edge, kept from the body besides the thickness: what hangs on the mesh dips below it
 THINNED = 0.6 * FAR  # what touches the body is nearer than FAR to a vertex of it that is left for the search [m]
 
 
@@ -68,7 +71,9 @@ class CoarserSimulation:
         body_vertices: np.ndarray,
         attachment: Attachment,
     ) -> None:
-        model = build_model(coarser.mesh, above.model.fabric, coarser.held, options)
+        fabric, edge = above.model.fabric, float(coarser.mesh.edge_lengths()[1].mean())
+        thicker = replace(fabric, thickness=fabric.thickness + STAND_OFF * edge)
+        model = replace(build_model(coarser.mesh, thicker, coarser.held, options), smooth=True)
         own = Attachment.bind(coarser.mesh.vertices[coarser.held], body_vertices, above.body.faces)
         self.simulation = above.beside(model, own)
         self._coarser, self._above, self._attachment = coarser, above, attachment

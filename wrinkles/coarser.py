@@ -10,7 +10,7 @@ from scipy.sparse.linalg import splu
 
 from assets.remesh import decimated
 from pbd import ClothMesh, InputError
-from pbd.mesh import edges_of, flatten_by_lengths
+from pbd.mesh import edges_of, flatten_by_lengths, hinges_of
 from wrinkles.binding import faces_around, label_of, nearest_places
 from wrinkles.levels import Levels, held_between
 from wrinkles.surface import Subdivision
@@ -64,11 +64,11 @@ def coarser_of(levels: Levels, warp: tuple[float, float, float] = (0.0, 1.0, 0.0
         plain = Subdivision.of(faces, len(chosen), 1)
         weight = np.where(np.isin(np.arange(len(coarse.vertices)), levels.coarse_held), HELD, 1.0)
         vertices, face, place = _bound(plain, places, middle.faces, chosen, coarse.vertices, weight)
-        mesh = _in_metric(plain, vertices, coarse, face // 4, warp)
-        edges_of(mesh.faces)
+        matrix = (_weights(plain, face, place) @ plain.matrix).tocsr()
+        mesh = _in_metric(plain, vertices, coarse, abs(matrix), warp)
+        hinges_of(mesh.faces)
     except (InputError, ValueError):  # straps and tatters of which too little is left
         return None
-    matrix = (_weights(plain, face, place) @ plain.matrix).tocsr()
     area = diags(coarse.vertex_areas)
     inverse = splu((matrix.T @ area @ matrix).tocsc()).solve((matrix.T @ area).toarray())
     size = np.abs(matrix.toarray())
@@ -112,25 +112,20 @@ def _weights(plain: Subdivision, face: np.ndarray, place: np.ndarray) -> csr_mat
 
 
 def _in_metric(
-    plain: Subdivision, vertices: np.ndarray, coarse: ClothMesh, carrier: np.ndarray, warp: tuple[float, float, float]
+    plain: Subdivision, vertices: np.ndarray, coarse: ClothMesh, near: csr_matrix, warp: tuple[float, float, float]
 ) -> ClothMesh:
     """The mesh with sides as long as its smooth surface, as far as the coarse mesh's sides are as long as theirs.
 
-    ``carrier``: face that carries each coarse vertex, shape (n,).
+    ``near``: how much each coarse vertex has to do with each vertex, shape (n, k).
     """
     mesh = plain.meshes(vertices, warp)[0]
     # How much longer the cloth is at rest than it is drawn: not at all, but for patterns that are draped.
     drawn = Subdivision.of(coarse.faces, len(coarse.vertices), 1).meshes(coarse.vertices, warp)[0]
     edges, rest = coarse.edge_lengths()
-    ratio = rest / drawn.edge_lengths()[1]
-    count = len(coarse.vertices)
-    longer = np.bincount(edges.ravel(), np.repeat(ratio, 2), count) / np.bincount(edges.ravel(), minlength=count)
-    carried = np.bincount(carrier, minlength=len(mesh.faces))
-    mean = np.bincount(carrier, longer, len(mesh.faces)) / np.maximum(carried, 1)
-    mean[carried == 0] = longer.mean()
+    ratio = np.repeat(rest / drawn.edge_lengths()[1], 2)
+    longer = np.bincount(edges.ravel(), ratio) / np.bincount(edges.ravel())
+    longer = (near.T @ longer) / np.maximum(near.T @ np.ones(len(longer)), 1e-12)
     own, lengths = mesh.edge_lengths()
-    side_edge = edges_of(mesh.faces)[1]
-    share = np.bincount(side_edge.ravel(), np.repeat(mean, 3), len(own)) / np.bincount(side_edge.ravel())
-    flat = flatten_by_lengths(mesh.flat, mesh.faces, lengths * share, side_edge)
+    flat = flatten_by_lengths(mesh.flat, mesh.faces, lengths * longer[own].mean(axis=1), edges_of(mesh.faces)[1])
     mesh = replace(mesh, flat=flat)
     return replace(mesh, flat=flat * np.sqrt(coarse.face_areas.sum() / mesh.face_areas.sum()))
