@@ -72,8 +72,8 @@ class Model:
         sample_colors: offsets of the samples that share no vertex, the vertices first, shape (colours + 1,).
         bend_factor: c of the hinge energy, measured on this mesh [-].
         layer: number of the garment that each vertex belongs to, from the innermost, 0, outwards, int32, shape (n,).
-        smooth: whether middles of edges are tested for contact where the smooth surface passes over them: long edges cut
-            short round a body.
+        smooth: whether middles of edges are tested for contact where the smooth surface passes over them: long edges
+            cut through what is round.
     """
 
     mesh: ClothMesh
