@@ -12,8 +12,8 @@ from assets.scene import CameraSettings
 from pbd import InputError
 from precompute.compare import database_of
 from precompute.front import front_key, measure_front
-from runtime.front import Front, front_path, read_front, write_front
-from runtime.planner import Choice, Planner, Sight, exhaustive, sight_of
+from runtime.front import FOLD, Front, front_path, read_front, write_front
+from runtime.planner import Choice, Planner, Sight, cheapest, exhaustive, sight_of
 from runtime.play import cast_of
 from runtime.report import machine_description
 from runtime.stage import scene_of
@@ -22,6 +22,7 @@ from wrinkles.database import WrinkleDatabase, read_database
 __all__ = ["Planned", "front_of", "plan_file", "plan_rows", "plan_text"]
 
 NEAR, FAR = 2.0, 20.0  # whose costs are compared [m]
+LOOKED = 50  # distances
 ENDLESS = 1e9  # a budget that bounds nothing [ms]
 
 
@@ -126,7 +127,14 @@ def plan_figures(
         "screen_error_px": max(choice.error_px for choice in choices),
         "regret_percent": 100.0 * max(0.0, cost / exhaustive([front] * len(sights), sights, target_px) - 1.0),
         "cost_ratio_2m_20m": near / far,
+        "changed_by_l_g": changed_by_fineness(front, target_px),
     }
+
+
+def changed_by_fineness(front: Front, target_px: float) -> float:
+    """In how many of :data:`LOOKED` distances from 1 to 100 m the cheapest good setting has too fine a mesh for l_g."""
+    looks = [seen_from(front, float(distance)).errors(front) for distance in np.geomspace(1.0, 100.0, LOOKED)]
+    return float(sum(front.too_fine[cheapest(front.costs, errors, target_px)] for errors in looks))
 
 
 def plan_text(planned: Planned) -> str:
@@ -143,9 +151,20 @@ def plan_text(planned: Planned) -> str:
             f"full detail {front.settings[0].cost_ms * len(planned.choices):.3g}",
             f"error on screen {figures['screen_error_px']:.2g} px",
             f"at 2 m {figures['cost_ratio_2m_20m']:.3g} times the cost at 20 m",
-            f"mesh of {1e3 * front.edge:.0f} mm; folds shorter than l_g = {1e3 * front.gravity_length:.0f} mm "
-            "do not form in this fabric",
+            _fineness(front, figures),
         ]
+    )
+
+
+def _fineness(front: Front, figures: dict[str, float | str]) -> str:
+    """What l_g says about the meshes that are simulated, in a line."""
+    meshes = " and ".join(f"{1e3 * edge:.0f}" for edge in front.edges)
+    line = f"meshes of {meshes} mm; l_g = {1e3 * front.gravity_length:.0f} mm makes folds of {FOLD:g} l_g and longer"
+    if not front.too_fine.any():
+        return f"{line}: none is finer than such a fold needs"
+    changed = float(figures["changed_by_l_g"])
+    return (
+        f"{line}: the finest is finer than such a fold needs; without it {changed:.0f} of {LOOKED} choices would change"
     )
 
 

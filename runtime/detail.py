@@ -19,7 +19,7 @@ class Detail:
         atoms: how many of the dictionary's atoms are used, the most important ones; 0 leaves the wrinkle layer out.
         sweeps: over the edges of the middle mesh that bring lengths back.
         passes: of relaxation on the fine mesh; with 0 the body is not kept out of the fine mesh either.
-        level: 0 to simulate the mesh that the dictionary reads; 1 for the one below it, of a quarter of its vertices,
+        level: 0 to simulate the mesh that the dictionary reads; 1 for the one below it, of a third of its vertices,
             on which it then hangs (:mod:`wrinkles.coarser`).
     """
 
@@ -42,5 +42,5 @@ class Detail:
     def __str__(self) -> str:
         layer = f"{self.atoms} atoms" if self.atoms else "no wrinkle layer"
         every = "every tick" if self.every == 1 else f"every {self.every} ticks"
-        mesh = " of a quarter mesh" if self.level else ""
+        mesh = " on the mesh below" if self.level else ""
         return f"{every} {self.substeps} substeps{mesh}, {layer}, {self.sweeps} sweeps, {self.passes} relaxation passes"

@@ -15,10 +15,12 @@ from pbd.errors import InputError
 from pbd.storage import replacing
 from runtime.detail import Detail
 
-__all__ = ["Front", "Setting", "front_path", "read_front", "write_front"]
+__all__ = ["FOLD", "Front", "Setting", "front_path", "read_front", "write_front"]
 
 FORMAT = "gube front"
 VERSION = 2
+FOLD = 6.0  # shortest fold under gravity over l_g [-] ...
+FOLD_EDGES = 3.0  # ... and over the edges of the coarsest mesh that carries it, as in wrinkles.levels [-]
 
 
 @dataclass(frozen=True)
@@ -48,8 +50,8 @@ class Front:
         database: the code version and the creation of the database that it was measured on, and its size.
         machine: processor.
         size: height of the garment [m].
-        edge: mean edge of its coarse mesh [m].
-        gravity_length: of its fabric [m].
+        edges: mean edge of the mesh that is simulated, at each level that its settings name [m].
+        gravity_length: of its fabric, l_g [m].
         speeds: at which errors were measured: root mean square of the cloth's speed [m/s], ascending.
         settings: full detail first.
     """
@@ -58,10 +60,21 @@ class Front:
     database: str
     machine: str
     size: float
-    edge: float
+    edges: tuple[float, ...]
     gravity_length: float
     speeds: tuple[float, ...]
     settings: tuple[Setting, ...]
+
+    @cached_property
+    def too_fine(self) -> np.ndarray:
+        """Settings that simulate a finer mesh than the fabric has folds for: bool, shape (settings,).
+
+        Folds that gravity makes are :data:`FOLD` times l_g long or longer, and a mesh carries a fold of
+        :data:`FOLD_EDGES` edges: a mesh is finer than that is worth if the next coarser one would do.
+        """
+        useful = [edge <= FOLD * self.gravity_length / FOLD_EDGES for edge in self.edges]
+        enough = max((level for level, fits in enumerate(useful) if fits), default=0)
+        return np.array([setting.detail.level < enough for setting in self.settings])
 
     @cached_property
     def costs(self) -> np.ndarray:
@@ -119,11 +132,14 @@ def read_front(path: Path) -> Front:
         if (content.pop("format"), content.pop("version")) != (FORMAT, VERSION):
             raise ValueError("another format")
         settings = tuple(_setting(row) for row in content.pop("settings"))
-        front = Front(**content | {"speeds": tuple(content["speeds"]), "settings": settings})
+        tuples = {"speeds": tuple(content["speeds"]), "edges": tuple(content["edges"]), "settings": settings}
+        front = Front(**content | tuples)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"cannot be read: {error}", file=path, expected=expected) from error
     numbers = np.array([[s.cost_ms, s.peak_ms, *s.error_m] for s in settings], float)
-    shaped = numbers.ndim == 2 and numbers.shape[1] == 2 + len(front.speeds) and len(front.speeds) > 0
+    levels = {setting.detail.level for setting in settings}
+    known = len(front.edges) > max(levels, default=0) and min(front.edges) > 0.0
+    shaped = known and numbers.ndim == 2 and numbers.shape[1] == 2 + len(front.speeds) and len(front.speeds) > 0
     if not shaped or not np.isfinite(numbers).all() or (numbers < 0.0).any() or np.any(np.diff(front.speeds) <= 0.0):
         raise InputError("bad values", file=path, key="settings", expected=expected)
     return front

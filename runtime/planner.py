@@ -19,7 +19,7 @@ from assets.scene import CameraSettings
 from pbd.errors import InputError
 from runtime.front import Front
 
-__all__ = ["TARGETS", "Choice", "Planner", "Sight", "exhaustive", "sight_of"]
+__all__ = ["TARGETS", "Choice", "Planner", "Sight", "cheapest", "exhaustive", "sight_of"]
 
 TARGETS = {"imperceptible": 1.0, "accepted": 10.0}
 """Largest error on screen [px] by the name of its class."""

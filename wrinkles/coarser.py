@@ -17,7 +17,7 @@ from wrinkles.surface import Subdivision
 
 __all__ = ["Coarser", "coarser_of"]
 
-SHARE = 4  # coarse vertices for each of its own
+SHARE = 3  # coarse vertices for each of its own
 FEWEST = 16  # vertices of its own; with fewer a garment has no shape left
 ROUNDS = 4  # of binding and fitting
 HELD = 100.0  # weight of the places of held vertices in it
@@ -26,7 +26,7 @@ STAY = 0.02  # weight on staying, for vertices that carry next to nothing
 
 @dataclass(frozen=True)
 class Coarser:
-    """A mesh with about a quarter of the coarse vertices. The coarse ones hang on its smooth surface.
+    """A mesh with about a third of the coarse vertices. The coarse ones hang on its smooth surface.
 
     Attributes:
         mesh: with the rest metric of the coarse mesh; the areas of both sum to the same.

@@ -19,4 +19,4 @@ def made_front(count: int = 60, seed: int = 0) -> Front:
         error = 0.03 * (k / count) ** 2 * 10.0 ** rng.uniform(-0.3, 0.3)
         detail = Detail(every, 1 + k % 12, 48 * (k % 2), 8, k % 3)
         settings.append(Setting(detail, cost, (0.9 * every if every > 1 else 1.0) * cost, (error, 1.5 * error)))
-    return Front("cloak", "made up", "none", 0.8, 0.05, 0.019, (0.5, 2.0), tuple(settings))
+    return Front("cloak", "made up", "none", 0.8, (0.05,), 0.019, (0.5, 2.0), tuple(settings))

@@ -30,13 +30,13 @@ def coarser(levels: Levels) -> Coarser:
     return found
 
 
-def test_a_quarter_of_the_vertices_carries_all_of_them(coarser: Coarser, levels: Levels) -> None:
+def test_a_third_of_the_vertices_carries_all_of_them(coarser: Coarser, levels: Levels) -> None:
     count = len(levels.coarse.vertices)
-    assert count / 5 < len(coarser.mesh.vertices) <= count / 4
+    assert count / 4 < len(coarser.mesh.vertices) <= count / 3
     assert len(hinges_of(coarser.mesh.faces)) > len(coarser.mesh.vertices)
     assert np.abs(coarser.matrix.sum(axis=1) - 1.0).max() < 1e-12
     away = np.linalg.norm(coarser.matrix @ coarser.mesh.vertices - levels.coarse.vertices, axis=1)
-    assert np.sqrt((away**2).mean()) < 0.001 and away.max() < 0.005  # edges are 83 mm long
+    assert np.sqrt((away**2).mean()) < 0.001 and away.max() < 0.005  # edges are 70 mm long
 
 
 def test_masses_sum_to_the_same(coarser: Coarser, levels: Levels) -> None:
@@ -83,7 +83,7 @@ def test_a_longer_metric_is_taken_over_where_it_is(levels: Levels) -> None:
 
 def test_a_delivered_garment_has_one_too() -> None:
     vertices, faces, seams = two_panels(20, 20, 17)
-    for count, there in ((80, True), (60, False)):
+    for count, there in ((80, True), (45, False)):
         coarse, subdivision = bind(bent(vertices), faces, vertices[:, :2], seams, count, 2)
         held = np.flatnonzero(coarse[:, 0] < 0.02)
         made = coarser_of(build_levels(coarse, subdivision.coarse_faces, held, *NOBODY, 2, binding=subdivision.binding))
