@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from precompute import front as measuring
-from precompute.pipeline import Precomputed
+from precompute.pipeline import Precomputed, default_cache
 from precompute.planning import front_of
 from runtime import command
 from runtime.front import Front, front_path
+from tests.precompute.miniature import SCENE, miniature
 from tests.runtime.fronts import made_front
 
 
@@ -43,6 +44,9 @@ def test_the_front_has_the_full_detail_first_and_all_others_once(measured: Front
 def test_less_detail_costs_less_and_shows_more(measured: Front) -> None:
     by_detail = {setting.detail: setting for setting in measured.settings}
     full = measured.settings[0].detail
+    below = [setting for setting in measured.settings if setting.detail.level]
+    assert below and all(setting.detail.atoms == 0 < min(setting.error_m) for setting in below)
+    assert len(measured.edges) == 2 and 1.5 < measured.edges[1] / measured.edges[0] < 2.5
     bare, half = replace(full, atoms=0, sweeps=0, passes=0), replace(full, substeps=full.substeps // 2)
     seldom = replace(full, every=2, substeps=2 * full.substeps)
     for detail in (bare, half, seldom):
@@ -85,6 +89,65 @@ def test_plan_takes_the_camera_of_the_scene(learned: Precomputed, measured: Fron
     figures = json.loads(out.read_text(encoding="utf-8"))["figures"]
     assert 2.5 < figures["distance_m"] < 3.5
     assert figures["screen_error_px"] <= 10.0
+
+
+def test_plan_of_a_scene_makes_its_database_and_its_front_once(
+    learned: Precomputed, small: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From a scene file to a plan; the recorded runs are found again, what is learned from them is made anew."""
+    scene, out = tmp_path / "little.toml", tmp_path / "out"
+    scene.write_text(SCENE, encoding="utf-8")
+    out.mkdir()
+    (out / ".gube-cache").symlink_to(default_cache(learned.path), target_is_directory=True)
+    words = ["plan", str(scene), "-o", str(out), "--distance", "20", "--budget-ms", "1000", "--json"]
+    with miniature():
+        assert command.main([*words, str(tmp_path / "first.json")]) == 0
+        made = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
+        assert set(made) == {"little.h5", "little.front.json"}
+        monkeypatch.setattr("precompute.compare.precompute", None)
+        monkeypatch.setattr("precompute.planning.measure_front", None)
+        assert command.main([*words, str(tmp_path / "second.json")]) == 0
+    first, second = (
+        json.loads((tmp_path / f"{name}.json").read_text(encoding="utf-8"))["figures"] for name in ("first", "second")
+    )
+    assert first == second and first["distance_m"] == 20.0 and first["settings"] >= 24
+    assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == made
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (None, "cannot be read"),
+        ("[[garment]\n", "not TOML"),
+        (SCENE.replace("builtin:skirt", "builtin:kilt"), "builtin:kilt"),
+        (SCENE.replace("atoms = 6", "atom = 6"), "atom"),
+        (SCENE.split("[character]")[0], "character"),
+    ],
+)
+def test_scenes_that_cannot_be_planned_end_with_a_message(
+    content: str | None, expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = tmp_path / "wrong.toml"
+    if content is not None:
+        scene.write_text(content, encoding="utf-8")
+    assert command.main(["plan", str(scene), "-o", str(tmp_path / "out")]) == 2
+    message = capsys.readouterr().err
+    assert expected in message and "Traceback" not in message
+    assert not list(tmp_path.rglob("*.h5"))
+
+
+def test_a_front_that_is_none_is_refused(
+    learned: Precomputed, measured: Front, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = front_path(learned.path)
+    kept = path.read_text(encoding="utf-8")
+    try:
+        for content in ("{", kept.replace('"version": 2', '"version": 1'), kept.replace('"level": 1', '"level": 2')):
+            path.write_text(content, encoding="utf-8")
+            assert command.main(["plan", str(learned.path)]) == 2
+            assert "remove it to measure anew" in capsys.readouterr().err
+    finally:
+        path.write_text(kept, encoding="utf-8")
 
 
 @pytest.mark.parametrize(
