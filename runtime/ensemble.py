@@ -16,6 +16,7 @@ from runtime.planner import Choice, Planner, Sight
 __all__ = ["Changeable", "Ensemble"]
 
 PLANNED = 5  # ticks from one plan to the next
+CUT = 1.5  # times as large as in the last tick, or not seen then: the picture was cut, and nothing of it goes on
 CHANGES = 2  # garments that change their detail in one tick: each takes another decoding
 
 
@@ -27,7 +28,7 @@ class Changeable(Protocol):
 
     def prepare(self, details: Iterable[Detail]) -> Any: ...
 
-    def change(self, detail: Detail, wait: int = ...) -> Any: ...
+    def change(self, detail: Detail, wait: int = ..., fade: bool = ...) -> Any: ...
 
     def update(self, pose: np.ndarray, dt: float, wind: tuple = ...) -> Any: ...
 
@@ -61,6 +62,7 @@ class Ensemble:
         self.spent_ms = 0.0
         self._tick, self._elapsed = 0, math.inf
         self._places: list[tuple[int, int]] = [(0, 0)] * len(players)  # setting, tick of its turn
+        self._seen = np.zeros(len(players))  # how large each was [px/m]
 
     def update(
         self,
@@ -80,10 +82,12 @@ class Ensemble:
         began = self._clock()
         planner = self.planner
         foretold = self._foretold()
-        if self._tick % PLANNED == 0 or self.spent_ms > planner.budget_ms:
+        seen = np.array([sight.pixels_per_metre for sight in sights])
+        cut, self._seen = set(np.flatnonzero(seen > CUT * self._seen).tolist()), seen
+        if self._tick % PLANNED == 0 or self.spent_ms > planner.budget_ms or cut:
             self.choices = planner.plan(sights, self._elapsed)
             self._elapsed = 0.0
-        self._change()
+        self._change(cut)
         for player, pose in zip(self.players, poses, strict=True):
             player.update(pose, dt, wind)
         self._tick += 1
@@ -92,15 +96,17 @@ class Ensemble:
         if foretold > 0.0:
             planner.report(self.spent_ms, foretold)
 
-    def _change(self) -> None:
-        """Let garments take up their choices: those that save most first."""
+    def _change(self, cut: set[int]) -> None:
+        """Let garments take up their choices: those that a cut made larger at once, of others what saves most first."""
         waiting = [i for i, choice in enumerate(self.choices) if choice.index != self._places[i][0] or not self._tick]
         fronts = self.planner.fronts
         waiting.sort(key=lambda i: self.choices[i].cost_ms - fronts[i].settings[self._places[i][0]].cost_ms)
         turned = [i for i, choice in enumerate(self.choices) if i not in waiting and choice.wait != self._places[i][1]]
-        for i in (waiting if not self._tick else waiting[:CHANGES]) + turned:
+        first = [i for i in waiting if i in cut or not self._tick]
+        others = [i for i in waiting if i not in first][:CHANGES]
+        for i in first + others + turned:
             choice, detail = self.choices[i], fronts[i].settings[self.choices[i].index].detail
-            self.players[i].change(detail, (choice.wait - self._tick) % detail.every)
+            self.players[i].change(detail, (choice.wait - self._tick) % detail.every, i not in cut)
             self._places[i] = choice.index, choice.wait
 
     def _foretold(self) -> float:

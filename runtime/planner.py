@@ -296,10 +296,11 @@ class Planner:
         cheaper = np.flatnonzero(costs < setting.cost_ms)
         if not len(cheaper):
             return f"{seen}: the cheapest setting shows {error:.2g} px, below {self.target_px:g}"
-        k = cheaper[np.argmin(errors[cheaper])]
+        least = float(errors[cheaper].min())
+        other = f"shows {least:.2g} px and more" if math.isfinite(least) else "takes more than the budget in one tick"
         return (
             f"{seen}: the cheapest below {self.target_px:g} px shows {error:.2g} px for {setting.cost_ms:.3g} ms; "
-            f"what is cheaper shows {errors[k]:.2g} px and more"
+            f"what is cheaper {other}"
         )
 
 

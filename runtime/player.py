@@ -129,7 +129,7 @@ class Player:
         """How much is modelled; see :meth:`change`."""
         return self._detail
 
-    def change(self, detail: Detail, wait: int = 0) -> None:
+    def change(self, detail: Detail, wait: int = 0, fade: bool = True) -> None:
         """Model more or less from now on. The coarse state goes on as it is, and nothing pops.
 
         What is shown stays where it is; the difference to the same state at the new detail fades within :data:`FADE`.
@@ -138,6 +138,7 @@ class Player:
             detail: what to model; atoms beyond the dictionary's count as all of them.
             wait: ticks that are left out before the next update, fewer than the detail's ``every``: garments that share
                 a frame take turns.
+            fade: False shows the new detail at once: after a cut there is no picture that it could jump in.
         """
         self._wait = min(wait, detail.every - 1)
         if detail == self._detail:
@@ -156,6 +157,8 @@ class Player:
         elif self._coarser is not None and detail.level < before.level:
             self._coarser.give_back()
         self.decode(self._alpha)
+        if not fade:
+            return
         np.subtract(self._scratch, self.vertices, out=self._offset)
         np.copyto(self.vertices, self._scratch)
         self._left = 1.0

@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csr_matrix, diags, identity
 from scipy.sparse.linalg import splu
+from scipy.spatial import cKDTree
 
-from assets.remesh import decimated
+from assets.remesh import decimated, even_triangles, flip_edges
 from pbd import ClothMesh, InputError
+from pbd.attachment import closest_points
 from pbd.mesh import edges_of, flatten_by_lengths, hinges_of
 from wrinkles.binding import faces_around, label_of, nearest_places
 from wrinkles.levels import Levels, held_between
@@ -20,7 +22,9 @@ __all__ = ["Coarser", "coarser_of"]
 SHARE = 3  # coarse vertices for each of its own
 FEWEST = 16  # vertices of its own; with fewer a garment has no shape left
 ROUNDS = 4  # of binding and fitting
-HELD = 100.0  # weight of the places of held vertices in it
+KEPT = 100.0  # weight of the places of held and refined vertices in it
+APART = 0.75  # nearer to a refined vertex than this there is none of the mesh below, in coarse edges
+PIECES = 4  # of a side, laid on the coarse mesh's surface
 STAY = 0.02  # weight on staying, for vertices that carry next to nothing
 
 
@@ -46,12 +50,16 @@ class Coarser:
     leading: np.ndarray
 
 
-def coarser_of(levels: Levels, warp: tuple[float, float, float] = (0.0, 1.0, 0.0)) -> Coarser | None:
+def coarser_of(
+    levels: Levels, warp: tuple[float, float, float] = (0.0, 1.0, 0.0), refined: np.ndarray | None = None
+) -> Coarser | None:
     """The mesh below the coarse one of a garment; None where it is too small, or decimated comes to no mesh.
 
     Args:
         levels: of the garment.
         warp: direction of the warp in space, shape (3,).
+        refined: coarse vertices where it is as fine as the coarse mesh, bool, shape (n,); what is held is then fine
+            too. All others hang on it.
     """
     coarse, middle = levels.coarse, levels.subdivision.middle
     count = len(coarse.vertices) // SHARE
@@ -61,11 +69,15 @@ def coarser_of(levels: Levels, warp: tuple[float, float, float] = (0.0, 1.0, 0.0
     held = held_between(middle, levels.coarse_held)
     try:
         chosen, faces = decimated(places, middle.faces, count, np.union1d(held, levels.coarse_held))
+        kept = np.isin(np.arange(len(coarse.vertices)), levels.coarse_held)
+        if refined is not None:
+            kept |= refined
+            chosen, faces = _refined(places, middle.faces, chosen, np.flatnonzero(kept), coarse)
         plain = Subdivision.of(faces, len(chosen), 1)
-        weight = np.where(np.isin(np.arange(len(coarse.vertices)), levels.coarse_held), HELD, 1.0)
+        weight = np.where(kept, KEPT, 1.0)
         vertices, face, place = _bound(plain, places, middle.faces, chosen, coarse.vertices, weight)
         matrix = (_weights(plain, face, place) @ plain.matrix).tocsr()
-        mesh = _in_metric(plain, vertices, coarse, abs(matrix), warp)
+        mesh = _in_metric(vertices, plain.coarse_faces, coarse, middle, abs(matrix), warp)
         hinges_of(mesh.faces)
     except (InputError, ValueError):  # straps and tatters of which too little is left
         return None
@@ -74,6 +86,20 @@ def coarser_of(levels: Levels, warp: tuple[float, float, float] = (0.0, 1.0, 0.0
     size = np.abs(matrix.toarray())
     at = np.flatnonzero(np.isin(chosen, held))
     return Coarser(mesh, at, matrix, inverse, size.argmax(axis=0), size.argmax(axis=1).astype(np.int32))
+
+
+def _refined(
+    surface: np.ndarray, faces: np.ndarray, chosen: np.ndarray, fine: np.ndarray, coarse: ClothMesh
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices of the mesh below where it is not refined, those of the coarse mesh where it is, and faces among them.
+
+    Vertices of the cut surface go with the nearest of them along the cloth, and its faces that meet three make the
+    mesh: where all are refined it is the coarse one.
+    """
+    away = cKDTree(surface[fine]).query(surface[chosen])[0]
+    sites = np.concatenate([fine, chosen[away > APART * coarse.edge_lengths()[1].mean()]])
+    found, mixed = even_triangles(surface, faces, len(sites), anchors=sites, rounds=0)
+    return found, flip_edges(surface[found], mixed)
 
 
 def _bound(
@@ -112,20 +138,39 @@ def _weights(plain: Subdivision, face: np.ndarray, place: np.ndarray) -> csr_mat
 
 
 def _in_metric(
-    plain: Subdivision, vertices: np.ndarray, coarse: ClothMesh, near: csr_matrix, warp: tuple[float, float, float]
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    coarse: ClothMesh,
+    middle: Subdivision,
+    near: csr_matrix,
+    warp: tuple[float, float, float],
 ) -> ClothMesh:
-    """The mesh with sides as long as its smooth surface, as far as the coarse mesh's sides are as long as theirs.
+    """The mesh with sides as long as the ways below them on the coarse mesh's surface, in its metric.
 
-    ``near``: how much each coarse vertex has to do with each vertex, shape (n, k).
+    Ways on the mesh's own smooth surface would not do: where triangles are uneven it creeps in its plane, and lengths
+    that fit no flat surface make the cloth buckle.
+
+    Args:
+        vertices, faces: the mesh.
+        coarse: what hangs on it.
+        middle: the coarse mesh cut once.
+        near: how much each coarse vertex has to do with each vertex, shape (n, k).
+        warp: direction of the warp in space, shape (3,).
     """
-    mesh = plain.meshes(vertices, warp)[0]
+    mesh = ClothMesh.from_surface(vertices, faces, warp)
+    own, side_edge = edges_of(faces)
+    along = np.linspace(0.0, 1.0, PIECES + 1)[:, None, None]
+    ways = (1.0 - along) * vertices[own[:, 0]] + along * vertices[own[:, 1]]
+    surface = middle.upsample(coarse.vertices)
+    face, weights = closest_points(ways.reshape(-1, 3), surface, middle.faces)
+    ways = np.einsum("pc,pci->pi", weights, surface[middle.faces[face]]).reshape(ways.shape)
+    lengths = np.linalg.norm(np.diff(ways, axis=0), axis=2).sum(axis=0)
     # How much longer the cloth is at rest than it is drawn: not at all, but for patterns that are draped.
-    drawn = Subdivision.of(coarse.faces, len(coarse.vertices), 1).meshes(coarse.vertices, warp)[0]
+    drawn = middle.meshes(coarse.vertices, warp)[0]
     edges, rest = coarse.edge_lengths()
     ratio = np.repeat(rest / drawn.edge_lengths()[1], 2)
     longer = np.bincount(edges.ravel(), ratio) / np.bincount(edges.ravel())
     longer = (near.T @ longer) / np.maximum(near.T @ np.ones(len(longer)), 1e-12)
-    own, lengths = mesh.edge_lengths()
-    flat = flatten_by_lengths(mesh.flat, mesh.faces, lengths * longer[own].mean(axis=1), edges_of(mesh.faces)[1])
+    flat = flatten_by_lengths(mesh.flat, faces, lengths * longer[own].mean(axis=1), side_edge)
     mesh = replace(mesh, flat=flat)
     return replace(mesh, flat=flat * np.sqrt(coarse.face_areas.sum() / mesh.face_areas.sum()))

@@ -193,6 +193,16 @@ def test_a_drag_holds_on_the_mesh_below(player: Player, poses: np.ndarray) -> No
     assert np.linalg.norm(player.simulation.state.world()[vertex] - target) > 0.06
 
 
+def test_a_change_at_a_cut_is_shown_at_once(player: Player, poses: np.ndarray) -> None:
+    for pose in poses[1:40]:
+        player.update(pose, DT)
+    less = Detail(1, 12, 0, 0, 0)
+    player.change(less, fade=False)
+    assert np.abs(player.vertices - player.decoded(less)).max() < 1e-6
+    player.update(poses[40], DT)
+    assert np.abs(player.vertices - player.decoded(less)).max() < 1e-6
+
+
 def test_a_game_loop_plays_between_ticks_at_any_detail(player: Player, poses: np.ndarray) -> None:
     motion = skirt_stage().motion()
     loop = GameLoop(player, lambda t: LiveInput(motion.pose(t)), 144.0, DT)

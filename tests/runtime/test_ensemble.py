@@ -38,15 +38,16 @@ class Garment:
     def __init__(self, front: Front, machine: Machine) -> None:
         self._by_detail = {setting.detail: setting for setting in front.settings}
         self._machine, self.detail = machine, front.settings[0].detail
-        self.changes, self._wait = 0, 0
+        self.changes, self._wait, self.faded = 0, 0, False
 
     def prepare(self, details: Iterable[Detail]) -> None:
         assert set(details) == set(self._by_detail)
 
-    def change(self, detail: Detail, wait: int = 0) -> None:
+    def change(self, detail: Detail, wait: int = 0, fade: bool = True) -> None:
         assert 0 <= wait < detail.every
         self._wait = wait
         if detail != self.detail:
+            self.faded = fade
             self.detail, self.changes = detail, self.changes + 1
             self._machine.spend(self._by_detail[detail].peak_ms / 3.0)
 
@@ -112,6 +113,18 @@ def test_what_is_seen_least_is_given_up_first_and_given_back() -> None:
     assert [error > 1.0 for error in hard] == sorted(error > 1.0 for error in hard)
     machine.load = 1.0
     play(ensemble, sights, 1200)
+    assert max(choice.error_px for choice in ensemble.choices) <= 1.0
+
+
+def test_a_cut_changes_at_once_and_without_a_fade() -> None:
+    ensemble, garments, _ = crowd(4, 1e6)
+    play(ensemble, [seen(2.0)] * 4, 63)
+    play(ensemble, [seen(30.0)] * 4, 63)
+    assert all(garment.faded for garment in garments)
+    before = [garment.detail for garment in garments]
+    play(ensemble, [seen(2.0)] * 3 + [seen(25.0)], 1)
+    assert [garment.detail != detail for garment, detail in zip(garments, before, strict=True)] == [True] * 3 + [False]
+    assert not any(garment.faded for garment in garments[:3])
     assert max(choice.error_px for choice in ensemble.choices) <= 1.0
 
 
