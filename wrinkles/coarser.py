@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csr_matrix, diags, identity
 from scipy.sparse.linalg import splu
-from scipy.spatial import cKDTree
 
-from assets.remesh import decimated, even_triangles, flip_edges
+from assets.remesh import decimated
 from pbd import ClothMesh, InputError
 from pbd.attachment import closest_points
 from pbd.mesh import edges_of, flatten_by_lengths, hinges_of
@@ -22,8 +21,7 @@ __all__ = ["Coarser", "coarser_of"]
 SHARE = 3  # coarse vertices for each of its own
 FEWEST = 16  # vertices of its own; with fewer a garment has no shape left
 ROUNDS = 4  # of binding and fitting
-KEPT = 100.0  # weight of the places of held and refined vertices in it
-APART = 0.75  # nearer to a refined vertex than this there is none of the mesh below, in coarse edges
+HELD = 100.0  # weight of the places of held vertices in it
 PIECES = 4  # of a side, laid on the coarse mesh's surface
 STAY = 0.02  # weight on staying, for vertices that carry next to nothing
 
@@ -50,16 +48,12 @@ class Coarser:
     leading: np.ndarray
 
 
-def coarser_of(
-    levels: Levels, warp: tuple[float, float, float] = (0.0, 1.0, 0.0), refined: np.ndarray | None = None
-) -> Coarser | None:
+def coarser_of(levels: Levels, warp: tuple[float, float, float] = (0.0, 1.0, 0.0)) -> Coarser | None:
     """The mesh below the coarse one of a garment; None where it is too small, or decimated comes to no mesh.
 
     Args:
         levels: of the garment.
         warp: direction of the warp in space, shape (3,).
-        refined: coarse vertices where it is as fine as the coarse mesh, bool, shape (n,); what is held is then fine
-            too. All others hang on it.
     """
     coarse, middle = levels.coarse, levels.subdivision.middle
     count = len(coarse.vertices) // SHARE
@@ -69,12 +63,8 @@ def coarser_of(
     held = held_between(middle, levels.coarse_held)
     try:
         chosen, faces = decimated(places, middle.faces, count, np.union1d(held, levels.coarse_held))
-        kept = np.isin(np.arange(len(coarse.vertices)), levels.coarse_held)
-        if refined is not None:
-            kept |= refined
-            chosen, faces = _refined(places, middle.faces, chosen, np.flatnonzero(kept), coarse)
         plain = Subdivision.of(faces, len(chosen), 1)
-        weight = np.where(kept, KEPT, 1.0)
+        weight = np.where(np.isin(np.arange(len(coarse.vertices)), levels.coarse_held), HELD, 1.0)
         vertices, face, place = _bound(plain, places, middle.faces, chosen, coarse.vertices, weight)
         matrix = (_weights(plain, face, place) @ plain.matrix).tocsr()
         mesh = _in_metric(vertices, plain.coarse_faces, coarse, middle, abs(matrix), warp)
@@ -86,20 +76,6 @@ def coarser_of(
     size = np.abs(matrix.toarray())
     at = np.flatnonzero(np.isin(chosen, held))
     return Coarser(mesh, at, matrix, inverse, size.argmax(axis=0), size.argmax(axis=1).astype(np.int32))
-
-
-def _refined(
-    surface: np.ndarray, faces: np.ndarray, chosen: np.ndarray, fine: np.ndarray, coarse: ClothMesh
-) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices of the mesh below where it is not refined, those of the coarse mesh where it is, and faces among them.
-
-    Vertices of the cut surface go with the nearest of them along the cloth, and its faces that meet three make the
-    mesh: where all are refined it is the coarse one.
-    """
-    away = cKDTree(surface[fine]).query(surface[chosen])[0]
-    sites = np.concatenate([fine, chosen[away > APART * coarse.edge_lengths()[1].mean()]])
-    found, mixed = even_triangles(surface, faces, len(sites), anchors=sites, rounds=0)
-    return found, flip_edges(surface[found], mixed)
 
 
 def _bound(
