@@ -45,7 +45,6 @@ def test_the_front_is_wide_enough_to_choose_from(skirt: tuple[WrinkleDatabase, C
 
 
 @pytest.mark.proof
-@pytest.mark.xfail(strict=False, reason="2.5 was measured: there is no coarser mesh to simulate far away yet")
 def test_two_metres_cost_three_times_what_twenty_do(skirt: tuple[WrinkleDatabase, Cast, Front]) -> None:
     front = skirt[2]
     sights = [seen_from(front, 3.0)]
