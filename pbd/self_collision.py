@@ -16,7 +16,9 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from pbd.engine import Launch
 from pbd.mesh import edges_of
 from pbd.model import Model, State
-from pbd.pairs import find_pairs
+from pbd.pair_search import find_pairs
+from pbd.pairs import PULL
+from pbd.tangles import Tangles
 
 __all__ = ["SelfCollision"]
 
@@ -29,7 +31,7 @@ def _patches(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nd
     """Faces in patches that hang together along the cloth, and a binary tree over them.
 
     Returns:
-        order of the faces, offsets of the patches in it, and the nodes as :func:`pbd.pairs.find_pairs` takes them.
+        order of the faces, offsets of the patches in it, and the nodes for :func:`pbd.pair_search.find_pairs`.
     """
     edges, _ = edges_of(faces)
     lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1) + 1e-9
@@ -111,6 +113,7 @@ class SelfCollision:
         self._cones = np.zeros((patches, 4), np.float32)
         self._chain = np.zeros(count, np.int32)
         self._fastest = np.zeros(1, np.float32)
+        self._tangles = Tangles(self._faces, self._layer, mesh.vertex_areas)
         self._find = Launch(find_pairs)
         self._make_room(2 * count)
 
@@ -123,6 +126,17 @@ class SelfCollision:
         """Find the pairs that may touch in steps of h [s], at most so many, and say for how many they are good."""
         if len(self._chain) < len(self._layer) + len(state.pairs):
             self._chain = np.zeros(len(self._layer) + 2 * len(state.pairs), np.int32)
+        tangles = self._tangles
+        tangles.strayed[:] = 0
+        self._search(state, steps * h, thickness)
+        pulls = tangles.pulls(state.position[:, :3])
+        if pulls is not None:
+            tangles.calm(state.velocity)
+            self._search(state, steps * h, thickness)
+            self._append(*pulls)
+        return max(1, int(steps * min(1.0, FURTHEST / max(float(self._fastest[0]), 1e-9))))
+
+    def _search(self, state: State, dt: float, thickness: float) -> None:
         while True:
             self._find(
                 state.position,
@@ -131,6 +145,7 @@ class SelfCollision:
                 self._normals,
                 self._rest,
                 self._layer,
+                self._tangles.strayed,
                 self._faces,
                 self._patch_vertex_start,
                 self._patch_vertices,
@@ -149,18 +164,32 @@ class SelfCollision:
                 self.pairs,
                 self.data,
                 self.ready,
+                self._tangles.crossed,
                 self._fastest,
-                steps * h,
+                dt,
                 thickness,
                 self._longest,
             )
-            if self.ready[0] <= len(self.pairs):
-                return max(1, int(steps * min(1.0, FURTHEST / max(float(self._fastest[0]), 1e-9))))
-            self._make_room(int(self.ready[0]) * 3 // 2)
+            if self.ready[0] > len(self.pairs):
+                self._make_room(int(self.ready[0]) * 3 // 2)
+            elif self._tangles.has_room():
+                return
+
+    def _append(self, pairs: np.ndarray, data: np.ndarray) -> None:
+        """Add pairs that were not searched for."""
+        old = int(self.ready[0])
+        count = old + len(pairs)
+        if count > len(self.pairs):
+            known = self.pairs[:old], self.data[:old]
+            self._make_room(count * 3 // 2)
+            self.pairs[:old], self.data[:old] = known
+        self.pairs[old:count], self.data[old:count] = pairs, data
+        self.ready[0] = count
 
     def remember(self, state: State) -> None:
         """Keep in the state the pairs that touch at the end of the frame, with their directions."""
         count = self.ready[0]
-        touching = self.data[:count, 1, 0] < self.data[:count, 0, 3]
+        data = self.data[:count]
+        touching = (data[:, 1, 0] < data[:, 0, 3]) & (data[:, 1, 1] != PULL)
         state.pairs = np.ascontiguousarray(self.pairs[:count][touching])
         state.pair_sides = np.concatenate([self.data[:count, 0, :3], self.data[:count, 1, :1]], axis=1)[touching]

@@ -37,7 +37,8 @@ class SolverOptions:
         gravity: [m/s2].
         coarse_sweeps: passes over each coarser level of the mesh (:mod:`pbd.hierarchy`) in a substep; 0 leaves all out.
         contact_refreshes: times a second that each contact is looked for again along the body's surface [Hz].
-        self_collision: whether the cloth keeps its thickness from itself. Layers always keep it from one another.
+        self_collision: whether the cloth keeps its thickness from itself. Layers always keep it from one another. Cloth
+            that starts up to 3 cm through itself, with edges of 2 cm, is apart within 0.5 s (:mod:`pbd.tangles`).
     """
 
     substep: float = 1.0 / 720.0
@@ -63,6 +64,8 @@ class SolverOptions:
 
 class Solver:
     """Steps the garment of one model. Owns no scene and no state.
+
+    A garment that starts inside a body, up to 3 cm deep, or a layer through another, is out within 0.5 s.
 
     Args:
         model: the garment.

@@ -6,6 +6,8 @@ from pbd.mesh import edges_of
 
 __all__ = ["cross", "crossings"]
 
+_PAIRS = 1_000_000  # of an edge and a face that are looked at together
+
 
 def cross(start: np.ndarray, end: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Whether segments go through triangles: the ends lie on both sides of the plane, the line runs inside the sides.
@@ -44,15 +46,24 @@ def crossings(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     width = (face_high - face_low)[:, axis].max()
     first = np.searchsorted(face_low[order, axis], edge_low[:, axis] - width)
     last = np.searchsorted(face_low[order, axis], edge_high[:, axis], side="right")
-    found = []
-    for edge in np.flatnonzero(last > first):
-        near = order[first[edge] : last[edge]]
-        meets = (face_low[near] <= edge_high[edge]) & (face_high[near] >= edge_low[edge])
-        near = near[meets.all(axis=1)]
-        near = near[~np.isin(faces[near], edges[edge]).any(axis=1)]
-        if near.size:
-            through = near[
-                cross(np.tile(ends[edge, 0], (len(near), 1)), np.tile(ends[edge, 1], (len(near), 1)), corners[near])
-            ]
-            found += [(*edges[edge], face) for face in through]
-    return np.array(sorted(found), np.int64).reshape(-1, 3)
+    # Pairs of an edge and a face whose boxes meet, so many edges at a time that memory is bounded.
+    counts = np.maximum(last - first, 0)
+    ends_of_runs = np.cumsum(counts)
+    found = [np.zeros((0, 3), np.int64)]
+    begin = 0
+    while begin < len(edges):
+        before = ends_of_runs[begin - 1] if begin else 0
+        end = max(begin + 1, int(np.searchsorted(ends_of_runs, before + _PAIRS, side="right")))
+        many = counts[begin:end]
+        edge = np.repeat(np.arange(begin, end), many)
+        place = np.arange(len(edge)) - np.repeat(np.cumsum(many) - many, many)
+        face = order[first[edge] + place]
+        meets = (face_low[face] <= edge_high[edge]).all(axis=1) & (face_high[face] >= edge_low[edge]).all(axis=1)
+        edge, face = edge[meets], face[meets]
+        apart = (faces[face][:, :, None] != edges[edge][:, None, :]).all(axis=(1, 2))
+        edge, face = edge[apart], face[apart]
+        through = cross(ends[edge, 0], ends[edge, 1], corners[face])
+        found.append(np.column_stack([edges[edge[through]], face[through]]).astype(np.int64))
+        begin = end
+    rows = np.concatenate(found)
+    return rows[np.lexsort(rows.T[::-1])]
