@@ -19,8 +19,9 @@ from pbd.pairs import PULL
 __all__ = ["Tangles", "note_crossings"]
 
 TOUCH = 1e-4  # a strayed end of an edge is pulled so far beyond the plane of the face [m]
-MOST_CURVES = 8  # along which sheets are brought back at once
+MOST_CURVES = 4  # along which sheets are brought back at once
 MOST_LEFT, FEW_LEFT = 0.5, 4  # edges that may hold together what a curve cuts apart, for each that it cuts, and always
+LONG = 8  # edges that a curve goes through at least before it is closed by a cut
 CALM = 0.3  # part of their motion against one another that strays keep at a look [-]
 RINGS = 3  # so many edges from where it goes through, cloth counts as strayed
 ROOM = 256  # crossings that there is room for at first
@@ -152,6 +153,7 @@ class Tangles:
         # The first and the last face of an edge; the same where it has one.
         self._beside = np.stack([order[starts[:-1]], order[starts[1:] - 1]], axis=1) // 3
         self._keys = self._edges @ [len(layer), 1]
+        self._pieces = self._parts_of(self._edges)
         self.crossed = np.zeros((ROOM, 3), np.int32)
         self.strayed = np.zeros(len(layer), np.int32)
 
@@ -163,11 +165,12 @@ class Tangles:
         self.crossed = np.zeros((2 * count, 3), np.int32)
         return False
 
-    def pulls(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Tell which vertices have strayed, and what brings them back; None where no garment goes through itself.
+    def pulls(self, position: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """Tell which vertices have strayed, and what brings them back; None if nothing has.
 
         Args:
             position: [m], shape (n, 3).
+            free: which vertices no body touches, shape (n,): what limbs pinch has no right place.
 
         Returns:
             Pairs and their data as :func:`pbd.pairs.solve_pairs` takes them.
@@ -179,13 +182,12 @@ class Tangles:
         found = _Crossings(rows[np.lexsort(rows.T[::-1])], self._faces, position)
         for first, second in self._contours(found):
             self._mark(found, first, second)
-        return found.pulls(self.strayed, position)
+        self.strayed[~free] = 0
+        return found.pulls(self.strayed, position) if self.strayed.any() else None
 
     def calm(self, velocity: np.ndarray) -> None:
         """Take from what has strayed, and from what is around it, most of its motion against one another [m/s]."""
-        near = self.strayed > 0
-        for _ in range(RINGS):
-            near[self._edges[near[self._edges].any(axis=1)]] = True
+        near = self._around(np.flatnonzero(self.strayed), np.ones(len(self.strayed), bool))
         if near.any():
             weight = self._areas[near, None]
             mean = (weight * velocity[near]).sum(axis=0) / weight.sum()
@@ -249,6 +251,24 @@ class Tangles:
             return []
         count = len(self._layer)
         kept = self._edges[~np.isin(self._keys, np.sort(ends, axis=1) @ [count, 1])]
+        part, whole = self._parts_of(kept), self._pieces == self._pieces[below[0]]
+        if not np.isin(part[above], part[below]).any():
+            upper = np.isin(part, part[above])
+        else:
+            if len(which) < LONG:  # only a corner can be cut off, which lies near
+                near = self._around(ends, np.ones(count, bool))
+                kept = kept[near[kept].all(axis=1)]
+                whole &= near
+            cut = self._least_cut(kept, above, below, max(MOST_LEFT * len(which), FEW_LEFT))
+            if cut is None:
+                return []
+            upper = cut
+        lower = ~upper & whole
+        return [(half, float(self._areas[half].sum())) for half in (upper, lower)]
+
+    def _least_cut(self, kept: np.ndarray, above: np.ndarray, below: np.ndarray, most: float) -> np.ndarray | None:
+        """The side of the vertices above in the least cut of the edges kept; None if it goes through more than that."""
+        count = len(self._layer)
         # The least cut between both sides is as large as the flow from one to the other.
         much = len(kept) + 1
         rows = np.concatenate([kept[:, 0], kept[:, 1], np.full(len(above), count), below])
@@ -256,21 +276,27 @@ class Tangles:
         values = np.concatenate([np.ones(2 * len(kept)), np.full(len(above) + len(below), much)])
         room = csr_matrix((values, (rows, columns)), (count + 2, count + 2)).astype(np.int32)
         found_flow = maximum_flow(room, count, count + 1)
-        if found_flow.flow_value > max(FEW_LEFT, MOST_LEFT * len(which)):
-            return []
+        if found_flow.flow_value > most:
+            return None
         rest = room - found_flow.flow
         rest.data = np.maximum(rest.data, 0)
         rest.eliminate_zeros()
-        upper, lower = np.zeros((2, count), bool)
+        upper = np.zeros(count, bool)
         reached = breadth_first_order(rest, count, return_predecessors=False)
         upper[reached[reached < count]] = True
-        graph = coo_matrix((np.ones(len(self._edges)), self._edges.T), (count, count))
-        piece = connected_components(graph, directed=False)[1]
-        lower = ~upper & (piece == piece[below[0]])
-        return [(upper, float(self._areas[upper].sum())), (lower, float(self._areas[lower].sum()))]
+        return upper
+
+    def _parts_of(self, edges: np.ndarray) -> np.ndarray:
+        """Number of the part of the cloth in which each vertex is, shape (n,)."""
+        count = len(self._layer)
+        return connected_components(coo_matrix((np.ones(len(edges)), edges.T), (count, count)), directed=False)[1]
 
     def _add(self, part: np.ndarray, ends: np.ndarray) -> None:
         """Mark what lies in a part, a few edges from ends of edges that go through something."""
+        self.strayed[self._around(ends, part)] = 1
+
+    def _around(self, ends: np.ndarray, part: np.ndarray) -> np.ndarray:
+        """Vertices of a part, a few edges from ends of edges at most, as a mask."""
         near = np.zeros(len(part), bool)
         near[ends] = True
         near &= part
@@ -278,4 +304,4 @@ class Tangles:
             touched = near[self._edges].any(axis=1)
             near[self._edges[touched]] = True
             near &= part
-        self.strayed[near] = 1
+        return near

@@ -16,7 +16,7 @@ import numpy as np
 from pbd import InputError
 from wrinkles.metrics import jitter_px, pixel_distance
 
-__all__ = ["LIMITS", "ErrorClass", "Recorded", "classify", "deviations", "worst_class"]
+__all__ = ["LIMITS", "ErrorClass", "Recorded", "classify", "deviations", "longest_run", "worst_class"]
 
 START = 0.5  # what happens before is not judged [s]
 GRAVITY = 9.81  # [m/s2]
@@ -140,7 +140,7 @@ def deviations(
     if run.depth is not None:
         deep = run.depth[later]
         found["penetration_thicknesses"] = float(max(deep.max(), 0.0) / thickness)
-        found["penetration_s"] = run.dt * _longest(deep > thickness)
+        found["penetration_s"] = run.dt * longest_run(deep > thickness)
     if hinges is not None:
         found["folded_percent"] = max(0.0, float((_folded(x, hinges) - _folded(truth, hinges)).max()))
     if run.through is not None:
@@ -186,7 +186,7 @@ def _box(position: np.ndarray) -> np.ndarray:
     return np.linalg.norm(position.max(axis=1) - position.min(axis=1), axis=1)
 
 
-def _longest(flags: np.ndarray) -> int:
+def longest_run(flags: np.ndarray) -> int:
     """Most frames in a row that are true."""
     padded = np.concatenate([[0], flags.astype(int), [0]])
     turns = np.flatnonzero(np.diff(padded))

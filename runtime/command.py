@@ -198,6 +198,17 @@ def _parser() -> argparse.ArgumentParser:
         default=Path("out/bench/failures.csv"),
         help="table of all runs",
     )
+
+    clips = _add_command(tables, "clips", _bench_clips, "real garments on real clips: body, layers, speed, time")
+    clips.add_argument("names", nargs="*", metavar="NAME", help="these alone; all if absent")
+    clips.add_argument(
+        "-o",
+        dest="output",
+        type=Path,
+        metavar="OUT.csv",
+        default=Path("out/bench/clips.csv"),
+        help="table; pictures come beside it",
+    )
     return parser
 
 
@@ -618,3 +629,27 @@ def _bench_failures(options: argparse.Namespace) -> Report:
     }
     late = figures["catastrophic_scenes_default"] + figures["late_scenes_default"]
     return Report(figures, rows, passed=late == 0.0)
+
+
+def _bench_clips(options: argparse.Namespace) -> Report:
+    from precompute.clips import LIMBS, clip_rows, write_clips
+
+    check_file(options.output, ".csv")
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    with Progress(sys.stderr) as progress:
+        rows = clip_rows(options.names, progress, options.output.parent)
+    write_clips(options.output, rows)
+    for row in rows:
+        print(row["clip"])
+        print("\n".join(f"    {name} {value:.4g}" for name, value in row.items() if name != "clip"))
+    print(options.output)
+    figures = {f"{row['clip']}_{name}": value for row in rows for name, value in row.items() if name != "clip"}
+    well = all(
+        row["finite"] == 1.0
+        and row["inside_s"] <= 0.5
+        and row["crossings_layers"] == 0.0
+        and row["catastrophic_frames"] == 0.0
+        and row["speed_over_limb"] < LIMBS
+        for row in rows
+    )
+    return Report(figures, rows, passed=well)

@@ -11,10 +11,10 @@ from pbd.errors import InputError
 from pbd.geometry import closest_on_triangle
 from pbd.mesh import edges_of
 
-__all__ = ["BodyDistance", "penetration_figures"]
+__all__ = ["TOLERANCE", "BodyDistance", "penetration_figures"]
 
 _LEAF = 4  # faces in a leaf
-_TOLERANCE = 5e-5  # [m]
+TOLERANCE = 5e-5  # deeper than this is inside: numeric noise, no contact thickness [m]
 
 vec3 = ti.types.vector(3, ti.f64)
 array3 = ti.types.ndarray(dtype=vec3, ndim=1)
@@ -92,7 +92,7 @@ class BodyDistance:
             bool, shape (n,).
         """
         room = np.ones(len(points), bool)
-        inside = np.flatnonzero(distances < -_TOLERANCE)
+        inside = np.flatnonzero(distances < -TOLERANCE)
         if len(inside):
             vertices = _finite_points(body_vertices, "body_vertices", len(self._vertex_normals))
             found = np.ascontiguousarray(points[inside], np.float64)
@@ -100,10 +100,31 @@ class BodyDistance:
             outward = (closest - found) / -distance[:, None]
             place = closest + thickness * outward
             clear, _ = self._ask(place, vertices, self._nearest[inside])
-            winding = np.zeros(len(inside))
-            _winding_numbers(place, vertices, self.faces, winding)
-            room[inside] = (clear > 0.9 * thickness) & (winding < 0.5)
+            room[inside] = (clear > 0.9 * thickness) & (self.winding(place, vertices) < 0.5)
         return room
+
+    def winding(self, points: np.ndarray, body_vertices: np.ndarray) -> np.ndarray:
+        """How often the surface winds about each point: 0 outside, 1 inside, more where limbs go through one another.
+
+        Every face is looked at for every point.
+
+        Args:
+            points: [m], shape (n, 3).
+            body_vertices: [m], shape (v, 3).
+
+        Returns:
+            Shape (n,); fractions come from holes.
+        """
+        ensure_initialized()
+        winding = np.zeros(len(points))
+        if len(points):
+            _winding_numbers(
+                _finite_points(points, "points", 0),
+                _finite_points(body_vertices, "body_vertices", len(self._vertex_normals)),
+                self.faces,
+                winding,
+            )
+        return winding
 
     def _ask(self, points: np.ndarray, vertices: np.ndarray, nearest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signed distances, shape (n,), and closest points, shape (n, 3) [m]; ``nearest`` faces are renewed."""
@@ -131,7 +152,7 @@ def penetration_figures(distances: np.ndarray, room: np.ndarray) -> dict[str, fl
     distances = np.asarray(distances)
     figures = {}
     for suffix, counted in (("", np.ones_like(room)), ("_with_room", room)):
-        inside = (distances < -_TOLERANCE) & counted
+        inside = (distances < -TOLERANCE) & counted
         figures[f"inside_body{suffix}_percent"] = 100.0 * float(inside.mean())
         figures[f"deepest{suffix}_mm"] = -1e3 * float(distances[inside].min()) if inside.any() else 0.0
     return figures

@@ -1,0 +1,272 @@
+"""Real garments on real clips at 60 Hz: whether they stay out of the body, out of each other, and within bounds."""
+
+from __future__ import annotations
+
+import csv
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from assets.fabrics import PRESETS
+from assets.garment import load_garment
+from assets.scene import MotionSettings, parse_scene
+from pbd import ClothMesh, InputError, SolverOptions, build_model
+from pbd.storage import replacing
+from precompute.error_classes import LIMITS, longest_run
+from runtime.pictures import Drawn, frame_camera, render, save_png, strip
+from runtime.report import machine_description
+from runtime.simulation import Motion, Simulation, body_source
+from runtime.stage import load_body, motion_of, simulation_of
+from wrinkles.crossings import crossings
+from wrinkles.distance import TOLERANCE, BodyDistance
+
+__all__ = ["CLIPS", "LIMBS", "clip_rows", "run_clip", "write_clips"]
+
+RATE = 60.0  # frames a second
+START = 0.5  # what happens before is not judged [s]
+LIMBS = 2.0  # that cloth may be faster than the fastest limb of the last half second [m/s]
+LAYERS = ((0.31, 0.50, 0.70), (0.74, 0.44, 0.34))
+SHRINKING, SETTLING = np.linspace(2.0, 1.0, 11), 12  # sizes of the loose dress, frames of each
+SHOWN = 6  # frames in the picture
+
+_MAKEHUMAN = """
+[[garment]]
+name = "{inner}"
+mesh = "${{GUBE_DATA}}/garments/mh_female_{inner}.obj"
+fabric = "{inner_fabric}"
+attach = "top"
+subdivisions = 1
+[[garment]]
+name = "tshirt"
+mesh = "${{GUBE_DATA}}/garments/mh_female_tshirt.obj"
+fabric = "jersey"
+attach = "top"
+subdivisions = 1
+[character]
+file = "${{GUBE_DATA}}/characters/{character}.glb"
+clip = "{clip}"
+[solver]
+self_collision = true
+"""
+_DRESS = """
+[[garment]]
+name = "cipc_dress"
+mesh = "${GUBE_DATA}/garments/cipc_dress_draped.obj"
+pattern = true
+seams = "${GUBE_DATA}/garments/cipc_dress_stitches.csv"
+coarse_vertices = 1000
+fabric = "cotton"
+[character]
+sequence = "${GUBE_DATA}/sequences/cipc_body_rumba_dancing.npz"
+[solver]
+self_collision = true
+"""
+
+
+def _of_scene(text: str, fine: bool = False) -> tuple[Simulation, Motion]:
+    simulation, motion = simulation_of(parse_scene(text, "clip"), fine)
+    assert motion is not None
+    return simulation, motion
+
+
+def _loose_dress() -> tuple[Simulation, Motion]:
+    """The ARCSim dress in its pattern's own size; nothing holds it but the shoulders.
+
+    Its file has it stretched up to three times: it starts from what has shrunk to the pattern without speed.
+    """
+    scene = parse_scene(
+        '[[garment]]\nname = "dress"\nmesh = "${GUBE_DATA}/garments/arcsim_dress_yellow_sub2_NC.obj"\npattern = true\n'
+        '[character]\nfile = "${GUBE_DATA}/characters/arcsim_female_dance_NC.glb"\n',
+        "clip",
+    )
+    garment = load_garment(scene.garments[0].mesh, pattern=True)
+    assert garment.pattern is not None and scene.character is not None and scene.character.file is not None
+    mesh = ClothMesh.from_pattern(garment.vertices, garment.faces, garment.pattern)
+    body = load_body(scene.character.file)
+    motion = motion_of(body, MotionSettings(file=scene.character.file, clip=next(iter(body.clips))))
+    options, pose, source = SolverOptions(self_collision=True), motion.pose(0.0), body_source(body)
+    for scale in SHRINKING:
+        model = build_model(replace(mesh, flat=scale * mesh.flat), PRESETS["cotton"])
+        simulation = Simulation(model, None, source, pose, options)
+        for _ in range(SETTLING):
+            simulation.step(pose, 1.0 / RATE)
+            simulation.state.velocity[:] = 0.0
+        mesh = replace(mesh, vertices=_unposed(simulation.state.world(), pose))
+    return Simulation(build_model(mesh, PRESETS["cotton"]), None, source, pose, options), motion
+
+
+def _unposed(world: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Where points of the world are in the bind pose that a pose moves as a whole."""
+    return (world - pose[0, :, 3]) @ np.linalg.inv(pose[0, :, :3]).T
+
+
+def _makehuman(inner: str, inner_fabric: str, character: str, clip: str) -> Callable[[], tuple[Simulation, Motion]]:
+    text = _MAKEHUMAN.format(inner=inner, inner_fabric=inner_fabric, character=character, clip=clip)
+    return lambda: _of_scene(text)
+
+
+CLIPS: Mapping[str, Callable[[], tuple[Simulation, Motion]]] = {
+    "trousers-tshirt-dance": _makehuman("trousers", "denim", "mh_female_cmu_rokoko", "dance_rokoko"),
+    "skirt-tshirt-run": _makehuman("skirt_long", "wool", "mh_female_bandai_NC", "run_bandai"),
+    "cipc-dress-rumba": lambda: _of_scene(_DRESS, fine=True),
+    "arcsim-dress-dance": _loose_dress,
+}
+
+
+def run_clip(
+    simulation: Simulation, motion: Motion, seconds: float | None = None, picture: Path | None = None
+) -> dict[str, float]:
+    """Play a clip to its end and judge it.
+
+    A vertex is inside where the body's surface has it inside and winds about it once; where limbs go through one
+    another it winds twice, and no place is right.
+
+    Args:
+        simulation: at its start.
+        motion: what the body does.
+        seconds: only the start of it.
+        picture: where a few frames are drawn.
+
+    Returns:
+        ``frames``, ``vertex_count``, ``frame_ms_p50``, ``frame_ms_p99``: processor time of body and garments;
+        ``inside_s``: longest time that a vertex is inside the body; ``inside_body_percent``: of vertices, on average;
+        ``crossings_layers``, ``crossings_self``: edges that go through faces at the end; ``speed_over_limb``: most that
+        cloth is faster than the fastest limb of the last half second [m/s]; ``edge_strain_p99``, ``edge_strain_max``;
+        ``catastrophic_frames``: by the limits of :mod:`precompute.error_classes`, the start for the reference;
+        ``finite``: 1 if all is.
+    """
+    model, count = simulation.model, simulation.model.vertex_count
+    duration = motion.duration if seconds is None else min(seconds, motion.duration)
+    frames = int(np.floor(duration * RATE + 1e-6))
+    distance = BodyDistance(simulation.body.faces)
+    edges, lengths = model.mesh.edge_lengths()
+    box = _diagonal(simulation.state.world())
+    height = float(np.ptp(simulation.state.world(), axis=0).max())
+    inside = np.zeros((frames, count), bool)
+    times, limbs, fastest, strains, boxes = np.zeros((5, frames))
+    worst = np.zeros((frames, len(edges)), np.float32)
+    shown: list[tuple[np.ndarray, np.ndarray]] = []
+    for frame in range(frames):
+        pose = motion.pose((frame + 1) / RATE)
+        begin = time.process_time()
+        simulation.step(pose, 1.0 / RATE)
+        times[frame] = time.process_time() - begin
+        world, body = simulation.state.world(), simulation.body
+        if not (np.isfinite(world).all() and np.isfinite(simulation.state.velocity).all()):
+            return {"frames": float(frame + 1), "vertex_count": float(count), "finite": 0.0}
+        posed = body.current + body.origin
+        depth = distance.signed_distance(world, posed)
+        under = np.flatnonzero(depth < -TOLERANCE)
+        winding = distance.winding(world[under], posed)
+        inside[frame, under] = (winding > 0.5) & (winding < 1.5)
+        limbs[frame] = np.linalg.norm(body.current - body.previous, axis=1).max() * RATE
+        fastest[frame] = np.linalg.norm(simulation.state.velocity, axis=1).max()
+        worst[frame] = np.linalg.norm(world[edges[:, 1]] - world[edges[:, 0]], axis=1) / lengths - 1.0
+        boxes[frame] = _diagonal(world) / box
+        if picture is not None and frame in _moments(frames):
+            shown.append((world, posed))
+    if picture is not None:
+        _draw(picture, simulation, shown, [f"{(frame + 1) / RATE:.1f} s" for frame in _moments(frames)])
+    later = min(round(START * RATE), frames - 1)
+    strains = worst.max(axis=1)
+    bound = 3.0 * np.sqrt(2.0 * 9.81 * height) + limbs
+    recent = np.array([limbs[max(0, k - round(0.5 * RATE)) : k + 1].max() for k in range(frames)])
+    catastrophic = (
+        (strains > LIMITS["edge_strain_beyond"][2])
+        | (fastest > bound * LIMITS["speed_over_limit"][2])
+        | (boxes > LIMITS["box_ratio"][2])
+    )
+    catastrophic |= _held(inside, round(LIMITS["penetration_s"][2] * RATE))
+    rows = crossings(simulation.state.world(), model.mesh.faces)
+    between = model.layer[rows[:, 0]] != model.layer[model.mesh.faces[rows[:, 2], 0]]
+    return {
+        "frames": float(frames),
+        "vertex_count": float(count),
+        "frame_ms_p50": 1e3 * float(np.median(times[1:])),
+        "frame_ms_p99": 1e3 * float(np.percentile(times[1:], 99)),
+        "inside_s": max(longest_run(column) for column in inside[later:].T) / RATE,
+        "inside_body_percent": 100.0 * float(inside[later:].mean()),
+        "crossings_layers": float(between.sum()),
+        "crossings_self": float((~between).sum()),
+        "speed_over_limb": float((fastest - recent)[later:].max()),
+        "edge_strain_p99": float(np.percentile(worst[later:], 99)),
+        "edge_strain_max": float(strains[later:].max()),
+        "catastrophic_frames": float(catastrophic[later:].sum()),
+        "finite": 1.0,
+    }
+
+
+def _held(inside: np.ndarray, frames: int) -> np.ndarray:
+    """Frames in which some vertex has been inside for more than so many frames, shape (f,)."""
+    row, found = np.zeros(inside.shape[1], int), np.zeros(len(inside), bool)
+    for frame, now in enumerate(inside):
+        row = np.where(now, row + 1, 0)
+        found[frame] = (row > frames).any()
+    return found
+
+
+def _diagonal(points: np.ndarray) -> float:
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
+def _moments(frames: int) -> list[int]:
+    return np.linspace(0, frames - 1, SHOWN + 1).astype(int)[1:].tolist()
+
+
+def _draw(path: Path, simulation: Simulation, shown: Sequence, titles: list[str]) -> None:
+    """A row of frames from before, and one from behind."""
+    model = simulation.model
+    columns = []
+    for world, posed in shown:
+        images = []
+        for azimuth in (25.0, 205.0):
+            (camera,) = frame_camera(posed[None], azimuth_deg=azimuth, aspect=0.75)
+            meshes = [Drawn(posed, simulation.body.faces, (0.76, 0.61, 0.53))]
+            for layer in range(int(model.layer.max()) + 1):
+                faces = model.mesh.faces[model.layer[model.mesh.faces[:, 0]] == layer]
+                meshes.append(Drawn(world, faces, LAYERS[layer]))
+            images.append(render(meshes, camera, (420, 560), floor=None))
+        columns.append(images)
+    save_png(path, strip(columns, titles, ["front", "back"]))
+
+
+def clip_rows(
+    names: Sequence[str] = (), report: Callable[[str], None] = lambda line: None, pictures: Path | None = None
+) -> list[dict[str, Any]]:
+    """A row of each clip, see :func:`run_clip`; all of :data:`CLIPS` where no name is given.
+
+    Args:
+        names: keys of :data:`CLIPS`.
+        report: called with a line of progress.
+        pictures: folder of a picture of each.
+
+    Raises:
+        InputError: no such clip, or its data are not in ``GUBE_DATA``.
+    """
+    for name in names:
+        if name not in CLIPS:
+            raise InputError("no such clip", key="NAME", received=name, expected=", ".join(CLIPS))
+    rows = []
+    for name in names or CLIPS:
+        report(name)
+        simulation, motion = CLIPS[name]()
+        picture = None if pictures is None else pictures / f"{name}.png"
+        rows.append({"clip": name, **run_clip(simulation, motion, picture=picture)})
+    return rows
+
+
+def write_clips(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write rows as CSV with machine and date."""
+    machine = machine_description()
+    named = [{**row, "cpu": machine["cpu"], "date": machine["date"]} for row in rows]
+    columns = list(dict.fromkeys(key for row in named for key in row))
+    with replacing(path) as beside, open(beside, "w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, columns)
+        writer.writeheader()
+        writer.writerows(
+            {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in row.items()} for row in named
+        )
