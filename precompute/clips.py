@@ -89,14 +89,17 @@ def _loose_dress() -> tuple[Simulation, Motion]:
     body = load_body(scene.character.file)
     motion = motion_of(body, MotionSettings(file=scene.character.file, clip=next(iter(body.clips))))
     options, pose, source = SolverOptions(self_collision=True), motion.pose(0.0), body_source(body)
+    bend_factor = build_model(mesh, PRESETS["cotton"]).bend_factor
     for scale in SHRINKING:
-        model = build_model(replace(mesh, flat=scale * mesh.flat), PRESETS["cotton"])
+        shrunk = replace(mesh, flat=scale * mesh.flat)
+        model = build_model(shrunk, PRESETS["cotton"], bend_factor=bend_factor)
         simulation = Simulation(model, None, source, pose, options)
         for _ in range(SETTLING):
             simulation.step(pose, 1.0 / RATE)
             simulation.state.velocity[:] = 0.0
         mesh = replace(mesh, vertices=_unposed(simulation.state.world(), pose))
-    return Simulation(build_model(mesh, PRESETS["cotton"]), None, source, pose, options), motion
+    model = build_model(mesh, PRESETS["cotton"], bend_factor=bend_factor)
+    return Simulation(model, None, source, pose, options), motion
 
 
 def _unposed(world: np.ndarray, pose: np.ndarray) -> np.ndarray:
@@ -135,7 +138,8 @@ def run_clip(
         ``frames``, ``vertex_count``, ``frame_ms_p50``, ``frame_ms_p99``: processor time of body and garments;
         ``inside_s``: longest time that a vertex is inside the body; ``inside_body_percent``: of vertices, on average;
         ``crossings_layers``, ``crossings_self``: edges that go through faces at the end; ``speed_over_limb``: most that
-        cloth is faster than the fastest limb of the last half second [m/s]; ``edge_strain_p99``, ``edge_strain_max``;
+        cloth is faster than the fastest limb of the last half second [m/s]; ``edge_strain_p99``, ``edge_strain_max``,
+        and ``edges_beyond_percent``: of edges over twice as long as at rest, on average;
         ``catastrophic_frames``: by the limits of :mod:`precompute.error_classes`, the start for the reference;
         ``finite``: 1 if all is.
     """
@@ -194,6 +198,7 @@ def run_clip(
         "crossings_self": float((~between).sum()),
         "speed_over_limb": float((fastest - recent)[later:].max()),
         "edge_strain_p99": float(np.percentile(worst[later:], 99)),
+        "edges_beyond_percent": 100.0 * float((worst[later:] > LIMITS["edge_strain_beyond"][2]).mean()),
         "edge_strain_max": float(strains[later:].max()),
         "catastrophic_frames": float(catastrophic[later:].sum()),
         "finite": 1.0,

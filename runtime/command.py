@@ -635,7 +635,6 @@ def _bench_clips(options: argparse.Namespace) -> Report:
     from precompute.clips import LIMBS, clip_rows, write_clips
 
     check_file(options.output, ".csv")
-    options.output.parent.mkdir(parents=True, exist_ok=True)
     with Progress(sys.stderr) as progress:
         rows = clip_rows(options.names, progress, options.output.parent)
     write_clips(options.output, rows)

@@ -153,6 +153,15 @@ def test_between_two_walls_there_is_room_or_not() -> None:
         assert list(body.leaves_room(points, distances, vertices, thickness)) == [expected, True, True]
 
 
+def test_a_surface_winds_once_about_what_is_inside_and_twice_where_two_overlap() -> None:
+    ball, faces = icosphere(3, 0.1)
+    vertices = np.concatenate([ball, ball + [0.12, 0.0, 0.0]])
+    both = BodyDistance(np.concatenate([faces, faces + len(ball)]))
+    found = both.winding(np.array([[0.0, 0.0, 0.0], [0.06, 0.0, 0.0], [0.06, 0.2, 0.0]]), vertices)
+    assert found == pytest.approx([1.0, 2.0, 0.0], abs=1e-9)
+    assert len(both.winding(np.zeros((0, 3)), vertices)) == 0
+
+
 def test_bad_input_is_refused() -> None:
     body = BodyDistance(CUBE_FACES)
     with pytest.raises(InputError, match=r"points\[1\]"):
