@@ -113,7 +113,6 @@ class SelfCollision:
         self._cones = np.zeros((patches, 4), np.float32)
         self._chain = np.zeros(count, np.int32)
         self._fastest = np.zeros(1, np.float32)
-        self._pulls: tuple[np.ndarray, np.ndarray] | None = None
         self._tangles = Tangles(self._faces, self._layer, mesh.vertex_areas)
         self._find = Launch(find_pairs)
         self._make_room(2 * count)
@@ -123,25 +122,19 @@ class SelfCollision:
         self.data = np.zeros((count, 2, 4), np.float32)
         self.ready = np.zeros(count + 2, np.int32)
 
-    def find(self, state: State, h: float, steps: int, thickness: float, begins: bool = True) -> int:
-        """Find the pairs that may touch in steps of h [s], at most so many, and say for how many they are good.
-
-        What has strayed through the cloth is told where a frame begins.
-        """
+    def find(self, state: State, h: float, steps: int, thickness: float) -> int:
+        """Find the pairs that may touch in steps of h [s], at most so many, and say for how many they are good."""
         if len(self._chain) < len(self._layer) + len(state.pairs):
             self._chain = np.zeros(len(self._layer) + 2 * len(state.pairs), np.int32)
         tangles = self._tangles
-        if begins:
-            tangles.strayed[:] = 0
-            self._pulls = None
+        tangles.strayed[:] = 0
         self._search(state, steps * h, thickness)
-        if begins:
-            self._pulls = tangles.pulls(state.position[:, :3], state.contact > 2.0 * thickness)
-            if self._pulls is not None:
-                tangles.calm(state.velocity)
-                self._search(state, steps * h, thickness)
-        if self._pulls is not None:
-            self._append(*self._pulls)
+        free = (state.contact > 2.0 * thickness) | (state.nearest[: len(state.contact)] < 0)
+        pulls = tangles.pulls(state.position[:, :3], free)
+        if pulls is not None:
+            tangles.calm(state.velocity)
+            self._search(state, steps * h, thickness)
+            self._append(*pulls)
         return max(1, int(steps * min(1.0, FURTHEST / max(float(self._fastest[0]), 1e-9))))
 
     def _search(self, state: State, dt: float, thickness: float) -> None:

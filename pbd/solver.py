@@ -147,7 +147,7 @@ class Solver:
         _, _, substeps, refresh, _, _ = self._steps.tolist()
         end = 0
         while end < substeps:
-            good = self._pairs.find(state, dt / substeps, substeps - end, self.model.fabric.thickness, end == 0)
+            good = self._pairs.find(state, dt / substeps, substeps - end, self.model.fabric.thickness)
             begin, end = end, min(end + refresh * max(1, good // refresh), substeps)
             self._steps[:2] = begin, end
             self._advance(*course[:where], self._pairs.pairs, self._pairs.data, self._pairs.ready, *course[where + 3 :])

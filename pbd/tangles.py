@@ -177,6 +177,7 @@ class Tangles:
         """
         rows = self.crossed[1 : int(self.crossed[0, 0]) + 1].astype(np.int64)
         rows = rows[self._layer[rows[:, 0]] == self._layer[self._faces[rows[:, 2], 0]]]  # layers know their sides
+        rows = rows[free[rows[:, :2]].any(axis=1) & free[self._faces[rows[:, 2]]].any(axis=1)]
         if not len(rows):
             return None
         found = _Crossings(rows[np.lexsort(rows.T[::-1])], self._faces, position)
