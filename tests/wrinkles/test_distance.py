@@ -158,7 +158,7 @@ def test_a_surface_winds_once_about_what_is_inside_and_twice_where_two_overlap()
     vertices = np.concatenate([ball, ball + [0.12, 0.0, 0.0]])
     both = BodyDistance(np.concatenate([faces, faces + len(ball)]))
     found = both.winding(np.array([[0.0, 0.0, 0.0], [0.06, 0.0, 0.0], [0.06, 0.2, 0.0]]), vertices)
-    assert found == pytest.approx([1.0, 2.0, 0.0], abs=1e-9)
+    assert found == pytest.approx([1.0, 2.0, 0.0], abs=1e-6)
     assert len(both.winding(np.zeros((0, 3)), vertices)) == 0
 
 
