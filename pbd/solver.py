@@ -38,7 +38,7 @@ class SolverOptions:
         coarse_sweeps: passes over each coarser level of the mesh (:mod:`pbd.hierarchy`) in a substep; 0 leaves all out.
         contact_refreshes: times a second that each contact is looked for again along the body's surface [Hz].
         self_collision: whether the cloth keeps its thickness from itself. Layers always keep it from one another. Cloth
-            that starts up to 3 cm through itself, with edges of 2 cm, is apart within 0.5 s (:mod:`pbd.tangles`).
+            that starts up to 3 cm through itself, with edges of 2 cm, is apart in 0.5 s without patches.
     """
 
     substep: float = 1.0 / 720.0
