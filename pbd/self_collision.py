@@ -76,6 +76,7 @@ class SelfCollision:
 
     Args:
         model: the garment, or several layers of garments.
+        untangles: whether cloth that is through itself is told and pulled back; it costs time.
 
     Attributes:
         pairs: (vertex, corners of a face), or (a, -b - 1, c, d) for the edges a-b and c-d, int32, shape (c, 4).
@@ -83,7 +84,7 @@ class SelfCollision:
         ready: how many of them there are, how many are ready, and which, int32, shape (c + 2,).
     """
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model, untangles: bool = True) -> None:
         mesh = model.mesh
         count = len(mesh.vertices)
         order, self._patch_start, self._nodes = _patches(mesh.vertices, mesh.faces)
@@ -113,7 +114,8 @@ class SelfCollision:
         self._cones = np.zeros((patches, 4), np.float32)
         self._chain = np.zeros(count, np.int32)
         self._fastest = np.zeros(1, np.float32)
-        self._tangles = Tangles(self._faces, self._layer, mesh.vertex_areas)
+        self._tangles, self._untangles = Tangles(self._faces, self._layer, mesh.vertex_areas), untangles
+        self._untold = np.zeros((1, 3), np.int32)
         self._find = Launch(find_pairs)
         self._make_room(2 * count)
 
@@ -129,12 +131,17 @@ class SelfCollision:
         tangles = self._tangles
         tangles.strayed[:] = 0
         self._search(state, steps * h, thickness)
+        if not self._untangles:
+            return self._good_for(steps)
         free = (state.contact > 2.0 * thickness) | (state.nearest[: len(state.contact)] < 0)
         pulls = tangles.pulls(state.position[:, :3], free)
         if pulls is not None:
             tangles.calm(state.velocity)
             self._search(state, steps * h, thickness)
             self._append(*pulls)
+        return self._good_for(steps)
+
+    def _good_for(self, steps: int) -> int:
         return max(1, int(steps * min(1.0, FURTHEST / max(float(self._fastest[0]), 1e-9))))
 
     def _search(self, state: State, dt: float, thickness: float) -> None:
@@ -165,7 +172,7 @@ class SelfCollision:
                 self.pairs,
                 self.data,
                 self.ready,
-                self._tangles.crossed,
+                self._tangles.crossed if self._untangles else self._untold,
                 self._fastest,
                 dt,
                 thickness,
@@ -173,7 +180,7 @@ class SelfCollision:
             )
             if self.ready[0] > len(self.pairs):
                 self._make_room(int(self.ready[0]) * 3 // 2)
-            elif self._tangles.has_room():
+            elif not self._untangles or self._tangles.has_room():
                 return
 
     def _append(self, pairs: np.ndarray, data: np.ndarray) -> None:

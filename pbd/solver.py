@@ -99,7 +99,7 @@ class Solver:
         # Substeps are never longer than this, so that levels that are of no use in it are of none in any.
         self.with_patches = levels.useful(self.options.substep) > 0
         self.in_contact = self.options.self_collision or bool(model.layer.any())
-        self._pairs = SelfCollision(model) if self.in_contact else None
+        self._pairs = SelfCollision(model, self.options.self_collision) if self.in_contact else None
         self._no_pairs = np.zeros((1, 4), np.int32), np.zeros((1, 2, 4), np.float32), np.zeros(2, np.int32)
         self._steps = np.zeros(6, np.int32)
         self._stride = max(LEAST_STRIDE, STRIDE * float(model.mesh.edge_lengths()[1].mean()))

@@ -59,8 +59,9 @@ def note_crossings(
     face_boxes: ti.template(),
     crossed: ti.template(),
 ):
-    """Add the own sides of either of two faces that go through the other; see :func:`pbd.pair_search.find_pairs`."""
-    if not (to_one_side(f, g, position, faces, face_boxes) or to_one_side(g, f, position, faces, face_boxes)):
+    """Add the own sides of either of two faces that go through the other, if there is room for any at all."""
+    asked = crossed.shape[0] > 1
+    if asked and not (to_one_side(f, g, position, faces, face_boxes) or to_one_side(g, f, position, faces, face_boxes)):
         for n in range(6):
             one, two, side = f, g, n
             if n >= 3:
