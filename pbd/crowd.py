@@ -81,8 +81,8 @@ class _Layout:
                 found[name] = local(subscript(reals, garment, real))
                 real += 1
             else:
-                found[name] = local(ti.Vector([subscript(reals, garment, real + c) for c in range(3)]))
-                real += 3
+                found[name] = local(ti.Vector([subscript(reals, garment, real + c) for c in range(wish.n)]))
+                real += wish.n
         return _Arguments([found[name] for name in self.search], [found[name] for name in self.course])
 
 
