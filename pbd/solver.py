@@ -43,7 +43,7 @@ class SolverOptions:
 
     substep: float = 1.0 / 720.0
     gravity: tuple[float, float, float] = (0.0, -9.81, 0.0)
-    coarse_sweeps: int = 4
+    coarse_sweeps: int = 0
     contact_refreshes: float = 240.0
     self_collision: bool = False
 
