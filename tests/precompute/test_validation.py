@@ -116,6 +116,19 @@ def test_what_cannot_be_measured_is_lost_at_once_and_says_why() -> None:
     assert verdict.best_setting == Setting()  # nothing else was tried
 
 
+def test_an_equilibrium_that_is_lost_is_not_sought_on_a_finer_mesh() -> None:
+    tried: list[Setting] = []
+
+    def lost(setting: Setting, power: float) -> Measured:
+        tried.append(setting)
+        raise StepError("no end", setting.solver)
+
+    quasi = "fem-stvk/quasi-static"
+    verdict = validate(replace(FAKE, measure=lost, best_solvers=(quasi, "fem-stvk/verlet")), {"power": 1.0})
+    assert [(setting.solver, setting.edges) for setting in tried] == [(quasi, 20), ("fem-stvk/verlet", 20)]
+    assert not verdict.passed_best and "no end" in verdict.reason
+
+
 def test_a_chosen_resolution_is_the_only_one() -> None:
     verdict = validate(FAKE, {"power": 0.0}, "default", 30)
     assert verdict.best_setting.edges == 30
