@@ -19,7 +19,7 @@ from wrinkles.coarse_filter import CoarseFilter
 
 @pytest.mark.parametrize(("stiff", "gain"), [(1.0, 1.0), (30.0, 1.0), (1.0, 1.25)])
 def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(
-    stiff: float, gain: float, tmp_path: Path
+    stiff: float, gain: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stage = Stage.of(scene())
     layer = build_layer(stage.levels)
@@ -42,4 +42,9 @@ def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(
     errors = {(row["bend_scale"], row["gain"]): row["spectrum_error"] for row in found.rows}
     assert errors[stiff, gain] < 1e-2 < 0.1 < errors[31.0 - stiff, 1.0]
     assert all(errors[stiff, other] > 1e-3 > errors[stiff, gain] for other in GAINS if other != gain)
+    excess = {(row["bend_scale"], row["gain"]): row["excess"] for row in found.rows}
+    assert excess[stiff, gain] == pytest.approx(1.0, abs=1e-3)
+    with miniature(), monkeypatch.context() as less:  # as if that were noise already
+        less.setattr("precompute.calibration.EXCESS", 0.5)
+        assert calibrate(layer, mapping, small.atoms, [fine], [told], solver, 0.3, tmp_path, 1).gain == 1.0
     assert found.mismatch_after == pytest.approx(0.0, abs=1e-3)  # its own statistics, but for rounding
