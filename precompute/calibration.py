@@ -112,28 +112,32 @@ def calibrate(
     matrix = CoarseFilter(layer.levels).matrix
     found = record_runs(tries, cache, workers, report)
     coarse = [settled(filtered(r, matrix), run) for r, run in zip(found, tries, strict=True)]
+    of_option = [coarse[number * len(runs) : (number + 1) * len(runs)] for number in range(len(options))]
     rows: list[dict[str, float]] = []
 
-    def judge(number: int, gain: float) -> None:
-        mine = coarse[number * len(runs) : (number + 1) * len(runs)]
+    def away(mine: list[Recording]) -> dict[str, float]:
         features = np.concatenate([features_of(layer, r)[0] for r in mine])
+        return {"shift": statistics.shift(features), "mismatch": statistics.mismatch(features)}
+
+    shifts = [away(mine) for mine in of_option]
+
+    def judge(number: int, gain: float) -> None:
         louder = mapping.amplified(gain)
         predict = lambda features, pose: louder.predict(features)  # noqa: E731
         energies = [
             bands.energy(decode_recording(layer, predict, atoms, run, r.where(slice(None, None, EVERY)))[1])
-            for run, r in zip(runs, mine, strict=True)
+            for run, r in zip(runs, of_option[number], strict=True)
         ]
-        found = np.concatenate(energies).mean(axis=0)
-        error = np.log(_with_sum(found) / _with_sum(wanted))
+        total = np.concatenate(energies).mean(axis=0)
+        error = np.log(_with_sum(total) / _with_sum(wanted))
         rows.append(
             {
                 "spectrum_error": float(np.sqrt((error**2).mean())),
                 "squeeze": options[number].squeeze,
                 "bend_scale": options[number].bend_scale,
                 "gain": gain,
-                "excess": float((found / wanted).max()),
-                "shift": statistics.shift(features),
-                "mismatch": statistics.mismatch(features),
+                "excess": float((total / wanted).max()),
+                **shifts[number],
             }
         )
 

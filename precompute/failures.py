@@ -46,7 +46,7 @@ def failure_rows(
         InputError: no such solver.
     """
     if solver not in SOLVERS:
-        raise InputError("unknown solver", key="--solver", received=solver, expected=", ".join(SOLVERS))
+        raise InputError("no such solver", key="solver", received=solver, expected=", ".join(SOLVERS))
     rows = []
     for scene in scenes():
         if (lines is None or scene.line in lines) and (solver == "default" or not scene.default_only):

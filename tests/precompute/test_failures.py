@@ -146,4 +146,4 @@ def test_a_step_that_fails_is_catastrophic_and_says_why(monkeypatch: pytest.Monk
 
 def test_the_command_refuses_unknown_solvers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "failures", "--solver", "best", "-o", str(tmp_path / "x.csv")]) == 2
-    assert "unknown solver" in capsys.readouterr().err
+    assert "no such solver" in capsys.readouterr().err
