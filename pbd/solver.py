@@ -65,7 +65,7 @@ class SolverOptions:
 class Solver:
     """Steps the garment of one model. Owns no scene and no state.
 
-    A garment that starts inside a body, up to 3 cm deep, or a layer through another, is out within 0.5 s.
+    A garment that starts inside a body, up to 2.5 cm deep, or a layer 1.5 cm through another, is out within 0.5 s.
 
     Args:
         model: the garment.
