@@ -162,6 +162,8 @@ class Launch:
     def __call__(self, *arguments: Any) -> None:
         """Run the kernel; arguments and errors are its own."""
         if not self._prepare(arguments):
+            if _settings is None:  # Taichi's own message says nothing to the user
+                ensure_initialized()
             self._kernel(*arguments)  # compiles it, and says what is wrong with an argument
             if not self._ordinary:
                 self._bind(arguments)

@@ -26,7 +26,7 @@ __all__ = ["Hierarchy", "build_hierarchy"]
 SMALLEST = 12  # patches: a level of fewer vertices is not made coarser
 # Patches much heavier than what is around them do not move; a held vertex weighs this much more than all the cloth.
 HELD_MASS = 1e9
-USEFUL = 1.0  # stiffness of a link times h^2 over the mass of its ends, above which its level is worth a pass [-]
+USEFUL = 2.0  # stiffness of a link times h^2 over the mass of its ends, above which its level is worth a pass [-]
 
 
 @dataclass(frozen=True)

@@ -245,7 +245,6 @@ def advance_garment(
     link_lines: ti.template(),
     multipliers: ti.template(),
     way: ti.template(),
-    room: ti.template(),
     pairs: ti.template(),
     pair_data: ti.template(),
     ready: ti.template(),
@@ -331,14 +330,14 @@ def advance_garment(
         if ti.static(with_patches):
             if levels > 0:
                 gather_ways(team, velocity, gained, h, part, ways, starts, children, child_starts, levels)
-                taken = solve_patches(
+                solve_patches(
                     team, count, parent, places, ways, first_ways, borne, starts, links, link_colors,
-                    color_starts, link_data, link_shares, link_lines, multipliers, room, levels, sweeps, h,
+                    color_starts, link_data, link_shares, link_lines, multipliers, levels, sweeps, h,
                 )  # fmt: skip
                 for i in range(team.begin(0, count), team.end(0, count)):
                     if position[i][3] > 0.0:
                         a = parent[i]
-                        shift[i] = vec4(xyz(shift[i]) + taken * (xyz(ways[a]) - xyz(first_ways[a])))
+                        shift[i] = vec4(xyz(shift[i]) + (xyz(ways[a]) - xyz(first_ways[a])))
                 team.meet()
         for k in range(block_colors.shape[0] - 1):
             solve_membrane(
@@ -498,7 +497,6 @@ def advance_kernel(with_patches: bool, with_pairs: bool = False) -> Callable[...
         link_lines: Vec4,
         multipliers: Float1,
         way: Float1,
-        room: Float1,
         pairs: Int4,
         pair_data: Vec4Rows,
         ready: Int1,
@@ -518,7 +516,7 @@ def advance_kernel(with_patches: bool, with_pairs: bool = False) -> Callable[...
                 stitches, stitch_weights, tethers, tether_lengths, held, target_0, target_1, drag, primitives, nearest,
                 contact, body_0, body_1, body_normals, ring_start, ring, fan_start, fan, parent, part, ways, places,
                 first_ways, borne, starts, children, child_starts, links, link_colors, color_starts,
-                link_data, link_shares, link_lines, multipliers, way, room, pairs, pair_data, ready, steps, h, gravity,
+                link_data, link_shares, link_lines, multipliers, way, pairs, pair_data, ready, steps, h, gravity,
                 wind, squeeze, contact_law,
             )  # fmt: skip
 

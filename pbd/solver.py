@@ -35,15 +35,16 @@ class SolverOptions:
         substep: longest substep [s]; a frame is cut into equal substeps not longer than this, finer where a collider
             or a held vertex is fast.
         gravity: [m/s2].
-        coarse_sweeps: passes over each coarser level of the mesh (:mod:`pbd.hierarchy`) in a substep; 0 leaves all out.
+        coarse_sweeps: passes over each coarser level of the mesh (:mod:`pbd.hierarchy`) in a substep; 0 leaves all out,
+            and so does a model of several layers.
         contact_refreshes: times a second that each contact is looked for again along the body's surface [Hz].
         self_collision: whether the cloth keeps its thickness from itself. Layers always keep it from one another. Cloth
-            that starts up to 3 cm through itself, with edges of 2 cm, is apart in 0.5 s without patches.
+            that starts up to 3 cm through itself, with edges of 2 cm, is apart in 0.5 s.
     """
 
     substep: float = 1.0 / 720.0
     gravity: tuple[float, float, float] = (0.0, -9.81, 0.0)
-    coarse_sweeps: int = 0
+    coarse_sweeps: int = 4
     contact_refreshes: float = 240.0
     self_collision: bool = False
 
@@ -80,7 +81,6 @@ class Solver:
         self._touched = np.zeros((samples, 3, 4), np.float32)
         self._awake = np.zeros(2 * samples, np.int32)
         self._listed = np.zeros((MOST_WORKERS * (len(model.sample_colors) - 1), 2), np.int32)
-        self._room = np.zeros(MOST_WORKERS, np.float32)
         area = model.mesh.vertex_areas
         self._drag = (0.5 * AIR_DENSITY * fabric.air_drag * area / model.mass).astype(np.float32)
         self._nobody = Body(np.zeros((0, 3), np.int32), 1)
@@ -88,7 +88,7 @@ class Solver:
         self._way = np.zeros(1, np.float32)
         self._items, self._item_cells = np.zeros((2, 1), np.int32)
         levels = Hierarchy.flat(count)
-        if self.options.coarse_sweeps:
+        if self.options.coarse_sweeps and not model.layer.any():  # levels know one fabric
             levels = build_hierarchy(model.mesh, model.mass, model.inverse_mass, fabric)
         self._hierarchy, patches = levels, len(levels.inverse_mass)
         self._children = levels.children()
@@ -259,7 +259,6 @@ class Solver:
             self._link_lines,
             self._multipliers,
             self._way,
-            self._room,
             *self._no_pairs,
             self._steps,
             dt / substeps,

@@ -340,7 +340,7 @@ def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion 
 def _layers_of(scene: Scene, fine: bool) -> tuple[Simulation, Motion]:
     """All garments of a scene on its body, as one model."""
     stages = [Stage.of(replace(scene, garments=(garment,))) for garment in scene.garments]
-    options = replace(scene.solver.options(), coarse_sweeps=0)  # levels know one fabric
+    options = scene.solver.options()
     if fine:
         options = fine_options(options, max(garment.subdivisions for garment in scene.garments))
     models, attachments = [], []

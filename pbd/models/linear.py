@@ -3,15 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from functools import cache
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 from scipy.sparse import coo_matrix, csr_matrix, spmatrix
 from scipy.sparse.csgraph import reverse_cuthill_mckee
+from threadpoolctl import ThreadpoolController
 
 from pbd.models.elements import ElementEnergy
 
 __all__ = ["Cholesky", "FreeOrder", "NotPositiveDefinite"]
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    return ThreadpoolController()  # looks through all loaded libraries, which takes milliseconds
+
+
+def _one_thread() -> AbstractContextManager:
+    """BLAS on one thread: of a narrow band, two wait for one another longest, on a busy machine 50 times as long."""
+    return _libraries().limit(limits=1, user_api="blas")
 
 
 class NotPositiveDefinite(ArithmeticError):
@@ -67,7 +80,8 @@ class Cholesky:
         band = np.zeros((int((row - column).max(initial=0)) + 1, len(order.unknowns)))
         band[row - column, column] = values
         try:
-            self.band = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
+            with _one_thread():
+                self.band = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
         except LinAlgError as error:
             raise NotPositiveDefinite(str(error)) from error
 
@@ -75,5 +89,6 @@ class Cholesky:
         """Solution for a right side, shape (n, 3); zero at held vertices."""
         solution = np.zeros(right.size)
         unknowns = self.order.unknowns
-        solution[unknowns] = cho_solve_banded((self.band, True), right.ravel()[unknowns], check_finite=False)
+        with _one_thread():
+            solution[unknowns] = cho_solve_banded((self.band, True), right.ravel()[unknowns], check_finite=False)
         return solution.reshape(-1, 3)

@@ -96,9 +96,9 @@ def humped() -> tuple[Model, np.ndarray]:
 
 
 def crossed() -> tuple[Model, np.ndarray]:
-    """Two sheets through one another from side to side, 5 cm from their ends, at 50 degrees."""
+    """Two sheets through one another from side to side, 4 cm from their ends, at 50 degrees."""
     flat, faces = level(14, 14, 0.02)
-    tilted = (flat + [0.09, 0.0, 0.0]) @ turn((0.0, 0.0, 1.0), 50.0).T + [-0.087, 0.001, 0.002]
+    tilted = (flat + [0.10, 0.0, 0.0]) @ turn((0.0, 0.0, 1.0), 50.0).T + [-0.097, 0.001, 0.002]
     vertices = np.concatenate([flat, tilted])
     return free_model(cloth(vertices, np.concatenate([faces, faces + len(flat)])), FABRIC), vertices
 
@@ -119,7 +119,7 @@ def test_cloth_that_starts_through_itself_comes_apart(start: Callable[[], tuple[
     state = State.at_rest(model, vertices)
     world = vertices.astype(np.float32)
     assert len(crossings(world, model.mesh.faces)) > 0
-    mass, options = model.mass[:, None], SolverOptions(self_collision=True, gravity=(0.0, 0.0, 0.0), coarse_sweeps=0)
+    mass, options = model.mass[:, None], SolverOptions(self_collision=True, gravity=(0.0, 0.0, 0.0))
     assert fastest_of(model, state, options=options) < SPEED
     assert len(crossings(state.world(), model.mesh.faces)) == 0
     edges, lengths = model.mesh.edge_lengths()

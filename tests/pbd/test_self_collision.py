@@ -15,7 +15,7 @@ from tests.pbd.meshes import cloth, free_model, grid, turn
 from wrinkles.crossings import crossings
 
 THICKNESS = 0.003
-ON = SolverOptions(self_collision=True, coarse_sweeps=0)
+ON = SolverOptions(self_collision=True)
 
 
 def sheets(*placed: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

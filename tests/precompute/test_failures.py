@@ -126,7 +126,10 @@ def test_rows_and_the_table(tmp_path: Path) -> None:
     rows = failure_rows("default", lines=[line])
     assert [row["scene"] for row in rows] == ["2 edges", "4 edges", "8 edges", "16 edges", "32 edges"]
     worse = {**rows[0], "solver": "pbd", "class": "catastrophic"}
-    assert failure_table([*rows, worse]).splitlines() == ["line | default | pbd", f"{line} | accepted | catastrophic"]
+    assert failure_table([*rows, worse]).splitlines() == [
+        "line | default | pbd",
+        f"{line} | imperceptible | catastrophic",
+    ]
     write_failures(tmp_path / "failures.csv", rows)
     with open(tmp_path / "failures.csv", encoding="utf-8") as file:
         read = list(csv.DictReader(file))
