@@ -27,7 +27,7 @@ __all__ = ["ROWS", "hinge_poisson"]
 LENGTH, WIDTH = 0.2, 0.04  # of a strip [m]
 SIDE = 2e-4  # side load of a strip that is to tip over, over its weight [-]
 NEAR = 0.85  # of the critical Gamma, where its last estimate is made
-FIRST_BEND = math.radians(10.0)  # of the end of a strip that is going to slip
+FIRST_BEND = math.radians(5.0)  # of the end of a strip that is going to slip
 HIGHEST = 0.1  # tip displacement over the length beyond which a strip has tipped over [-]
 
 
@@ -163,7 +163,7 @@ def _stick_slip(setting: Setting, mu: float) -> Measured:
     side, height = (np.interp(along, s, part) for part in bent.T)
     start = np.stack([side, height - np.minimum(along, 0.0), patch.flat[:, 1]], axis=1)
     begin = 1.0 - bent[0, 1] / LENGTH
-    fabric = replace(_fabric(10.0), friction=mu, thickness=1e-3)
+    fabric = replace(_fabric(40.0), friction=mu, thickness=1e-3)
     floor = Colliders([Plane((0.0, -fabric.thickness, 0.0))])
     held, tip = along < 1e-9, along > LENGTH - 1e-9
     trial = Trial(patch, start, fabric, held, setting, (0.0, 0.0, 0.0), colliders=floor)
@@ -172,7 +172,7 @@ def _stick_slip(setting: Setting, mu: float) -> Measured:
     assert exact is not None, "the parameter's range ends before"
     keep = np.float32(math.exp(-2.0 / (RATE * scale)))
     targets = start[trial.model.held]
-    frames = 100 if setting.timeless else math.ceil(20.0 * scale * RATE)
+    frames = 200 if setting.timeless else math.ceil(20.0 * scale * RATE)
     for frame in range(2 * frames):  # to twice what it should take
         lowering = begin + (exact.lowering - begin) * frame / frames
         trial.frame(targets - [0.0, (lowering - begin) * LENGTH, 0.0])

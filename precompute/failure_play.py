@@ -34,6 +34,7 @@ from precompute.error_classes import GRAVITY, LIMITS, START, ErrorClass, Recorde
 __all__ = ["RATE", "Outcome", "Scene", "Stage", "play"]
 
 RATE = 60.0  # frames a second
+LONGEST = 60.0  # processor time of a run; one that takes longer is judged by what it came to [s]
 THROUGH = 10.0  # depth that stands for what has gone through [thicknesses]
 
 
@@ -122,7 +123,7 @@ class Outcome:
         recovered_s: from the end of the disturbance to the last instant that is not acceptable [s]; infinite if that
             is the run's end.
         frame_ms: processor time of a frame, median [ms].
-        note: why it stopped, if it did.
+        note: why it stopped before its end, if it did.
     """
 
     figures: dict[str, float]
@@ -180,9 +181,14 @@ def play(scene: Scene, solver: str = "default") -> Outcome:
             note = "not finite"
             break
         seen.append((stage.time, x, state.velocity.astype(float), _depth(scene, stage, x)))
+        if sum(times) > LONGEST:
+            break
     if note or not seen:
         return Outcome({"not_finite": 1.0}, np.inf, 1e3 * float(np.median(times or [np.inf])), note)
-    return _judged(scene, model, seen, 1e3 * float(np.median(times)))
+    outcome = _judged(scene, model, seen, 1e3 * float(np.median(times)))
+    if stage.time < scene.seconds - 1e-9:
+        return replace(outcome, note=f"{outcome.worst[1]} (judged up to {stage.time:.2g} of {scene.seconds:g} s: slow)")
+    return outcome
 
 
 def _depth(scene: Scene, stage: Stage, x: np.ndarray) -> float:
@@ -227,7 +233,7 @@ def _judged(scene: Scene, model: Model, seen: Sequence[tuple], frame_ms: float) 
     strain = np.linalg.norm(position[:, edges[:, 1]] - position[:, edges[:, 0]], axis=2) / rest_lengths - 1.0
     # Coarse cloth may shorten instead of buckling; what must not be is length that it does not have.
     # A gust or a blow stretches any cloth: only when it has been over for a second is the length a mistake.
-    judged = moments >= max(START, scene.quiet + 1.0 if scene.quiet else 0.0)
+    judged = moments >= min(max(START, scene.quiet + 1.0 if scene.quiet else 0.0), moments[-1])
     figures["edge_strain_p95"] = float(np.percentile(np.maximum(strain, 0.0)[judged], 95))
     figures["edge_strain_max"] = figures["edge_strain_beyond"] = float(strain[judged].max())
     figures.pop("energy_error", None)

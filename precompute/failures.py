@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +16,10 @@ from precompute.error_classes import ErrorClass
 from precompute.failure_comparisons import comparisons
 from precompute.failure_play import Outcome, play
 from precompute.failure_scenes import scenes
+from precompute.recording import begin_worker
 from runtime.report import machine_description
 
-__all__ = ["CLASSIC", "failure_rows", "failure_table", "write_failures"]
+__all__ = ["CLASSIC", "all_failure_rows", "failure_rows", "failure_table", "write_failures"]
 
 CLASSIC = (
     "pbd",
@@ -45,8 +48,7 @@ def failure_rows(
     Raises:
         InputError: no such solver.
     """
-    if solver not in SOLVERS:
-        raise InputError("no such solver", key="solver", received=solver, expected=", ".join(SOLVERS))
+    _check(solver)
     rows = []
     for scene in scenes():
         if (lines is None or scene.line in lines) and (solver == "default" or not scene.default_only):
@@ -57,6 +59,40 @@ def failure_rows(
             report(f"{solver}: {name}")
             rows.append(_row(line, name, solver, run(solver)))
     return rows
+
+
+def all_failure_rows(
+    solvers: Sequence[str], workers: int, report: Callable[[str], None] = lambda line: None
+) -> list[dict[str, Any]]:
+    """The rows of several solvers, in order.
+
+    Args:
+        solvers: as for :func:`failure_rows`.
+        workers: processes at a time.
+        report: called with a line of progress.
+
+    Raises:
+        InputError: no such solver.
+    """
+    for name in solvers:
+        _check(name)
+    lines = list(dict.fromkeys([*(scene.line for scene in scenes()), *(row[0] for row in comparisons())]))
+    with ProcessPoolExecutor(workers, get_context("spawn"), begin_worker) as pool:
+        futures = [(name, line, pool.submit(failure_rows, name, lines=[line])) for name in solvers for line in lines]
+        rows: list[dict[str, Any]] = []
+        try:
+            for done, (name, line, future) in enumerate(futures, 1):
+                rows += future.result()
+                report(f"{done} of {len(futures)}: {name}: {line}")
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return rows
+
+
+def _check(solver: str) -> None:
+    if solver not in SOLVERS:
+        raise InputError("no such solver", key="solver", received=solver, expected=", ".join(SOLVERS))
 
 
 def _row(line: str, name: str, solver: str, outcome: Outcome) -> dict[str, Any]:

@@ -137,7 +137,7 @@ def validate(
             setting = replace(first, solver=name, edges=edges)
             if edges > first.edges:  # what was cheap enough is not tried again: four times the substeps are needed
                 setting = replace(setting, substeps=8 * setting.substeps)
-            last = math.nan
+            last, alike = math.nan, 0
             while True:
                 begin, lost = time.process_time(), ""
                 try:
@@ -159,7 +159,8 @@ def validate(
                 reason = lost or found.missing or f"{name}: {_short(found.error)} at {_setting_words(setting)}"
                 if setting.fixed or found.missing:
                     break
-                if abs(found.error - last) < 0.1 * max(row.gate_best, 1e-12) or found.error == last:
+                alike = alike + 1 if abs(found.error - last) < 0.1 * max(row.gate_best, 1e-12) else 0
+                if alike == 2 or found.error == last:  # once may be by chance
                     reason = f"more substeps change nothing; {reason}"
                     break
                 if 2.0 * took > LONGEST and setting.substeps > first.substeps:  # the first one compiles

@@ -611,12 +611,12 @@ def _bench_solver(options: argparse.Namespace) -> Report:
 
 
 def _bench_failures(options: argparse.Namespace) -> Report:
-    from precompute.failures import CLASSIC, failure_rows, failure_table, write_failures
+    from precompute.failures import CLASSIC, all_failure_rows, failure_table, write_failures
 
     check_file(options.output, ".csv")
     solvers = (options.solver,) if options.solver else ("default", *CLASSIC)
     with Progress(sys.stderr) as progress:
-        rows = [row for solver in solvers for row in failure_rows(solver, report=progress)]
+        rows = all_failure_rows(solvers, os.cpu_count() or 1, progress)
     write_failures(options.output, rows)
     print(f"{failure_table(rows)}\n\n{options.output}")
     ours = [row for row in rows if row["solver"] == "default"]

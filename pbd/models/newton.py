@@ -15,6 +15,7 @@ ENOUGH = 1e-4  # part of the decrease that the slope foretells, with which the l
 SHORTEST = 1e-10  # step length at which it gives up
 NOTHING = 1e-17  # a decrease below this part of the value is none, whatever soft modes still move
 ROUNDING = 1e-13  # part of the value that rounding may add
+NEAR = 1e-9  # part of the value within which the slope judges a step, since the value is a difference of larger ones
 
 
 class StepError(RuntimeError):
@@ -74,6 +75,10 @@ def minimise(
             tried_value = objective.energy(tried)
             if tried_value <= value + ENOUGH * length * slope + ROUNDING * abs(value):
                 break
+            if tried_value <= value + NEAR * abs(value):  # the approximate condition of Hager and Zhang (2005), 4.1
+                ahead = float(objective.gradient(tried).ravel()[unknowns] @ move.ravel()[unknowns])
+                if abs(ahead) <= (1.0 - 2.0 * ENOUGH) * abs(slope):
+                    break
             length *= 0.5
             if length < SHORTEST:
                 raise StepError(f"line search stuck: next move {largest:.3g} m")

@@ -12,11 +12,12 @@ import pytest
 
 from pbd import Colliders, InputError, Plane, Solver, State
 from pbd.models.newton import StepError
+from precompute import failure_play
 from precompute.error_classes import ErrorClass
 from precompute.failure_comparisons import comparisons
 from precompute.failure_play import Outcome, Scene, play
 from precompute.failure_scenes import HUNG, scenes, square
-from precompute.failures import failure_rows, failure_table, write_failures
+from precompute.failures import all_failure_rows, failure_rows, failure_table, write_failures
 from runtime.command import main
 from tests.data import ROOT
 
@@ -136,6 +137,20 @@ def test_rows_and_the_table(tmp_path: Path) -> None:
     assert [row["class"] for row in read] == [row["class"] for row in rows] and all(row["cpu"] for row in read)
     with pytest.raises(InputError, match="nothing to write"):
         write_failures(tmp_path / "none.csv", [])
+
+
+def test_a_run_that_is_too_slow_is_judged_by_what_it_came_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(failure_play, "LONGEST", 0.0)
+    row, *_ = failure_rows("default", lines=["resolution sweep"])
+    assert "(judged up to 0.017 of 2 s: slow)" in row["by"] and row["class"] == "imperceptible"
+
+
+@pytest.mark.proof
+def test_lines_in_several_processes_come_in_order() -> None:
+    told: list[str] = []
+    rows = all_failure_rows(["default"], 2, told.append)
+    assert [row["scene"] for row in rows] == [row["scene"] for row in failure_rows("default")]
+    assert len(told) == len({row["line"] for row in rows})
 
 
 def test_a_step_that_fails_is_catastrophic_and_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
