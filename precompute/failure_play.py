@@ -34,7 +34,7 @@ from precompute.error_classes import GRAVITY, LIMITS, START, ErrorClass, Recorde
 __all__ = ["RATE", "Outcome", "Scene", "Stage", "play"]
 
 RATE = 60.0  # frames a second
-LONGEST = 60.0  # processor time of a run; one that takes longer is judged by what it came to [s]
+LONGEST = 30.0  # processor time of a run; one that takes longer is judged by what it came to [s]
 THROUGH = 10.0  # depth that stands for what has gone through [thicknesses]
 
 

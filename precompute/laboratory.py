@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ __all__ = [
 ]  # fmt: skip
 
 DIRECTIONS = {"warp": 0.0, "bias": 0.25 * math.pi, "weft": 0.5 * math.pi}  # of the sample to the warp [rad]
+FLAT = 1e-2  # bending stiffness that keeps a sheared sample flat, as its tension does in the instrument [N m]
 STILL = 0.2  # time over which clamped cloth is damped [s]
 
 
@@ -80,6 +81,7 @@ def shear_curve(setting: Setting, fabric: Fabric, angle: float, shears: Sequence
         shears: ways of the clamp over the height.
     """
     height, widths = 0.05, (0.1, 0.2)
+    fabric = replace(fabric, bend_warp=FLAT, bend_weft=FLAT)
     edges = max(4, setting.edges // 2)
     loads, costs = np.zeros((2, len(shears))), []
     for row, width in enumerate(widths):

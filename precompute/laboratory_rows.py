@@ -47,12 +47,17 @@ def _tension(setting: Setting, angle_deg: float, strain: float) -> Measured:
     return Measured.relative(_elastic(WOVEN, angle), found, measured.cost_ms, curve)
 
 
-def _shear_stiffness(fabric: Fabric, angle: float) -> float:
-    """Resistance to simple shear at an angle to the warp with the sides held: the turned plane-stress matrix [N/m]."""
+def _shear_forces(fabric: Fabric, angle: float, shears: np.ndarray) -> np.ndarray:
+    """Forces per width that simple shear takes, the height at an angle to the warp and kept [N/m].
+
+    St. Venant-Kirchhoff: P = F C (F^T F - I)/2. Off the axes shear pulls the sample too, so that it is no line.
+    """
     c, s = math.cos(angle), math.sin(angle)
-    turn = np.array([-2.0 * c * s, 2.0 * c * s, c * c - s * s])  # strains along the axes of one unit of shear
-    turn[:2] *= 0.5
-    return float(turn @ fabric.membrane_stiffness() @ turn)
+    # Strains (warp, weft, shear) along the fabric's axes of those along the sample's.
+    turn = np.array([[c * c, s * s, -c * s], [s * s, c * c, c * s], [2.0 * c * s, -2.0 * c * s, c * c - s * s]])
+    strains = np.stack([0.5 * shears**2, np.zeros_like(shears), shears])
+    pull, _, slide = turn.T @ fabric.membrane_stiffness() @ turn @ strains
+    return slide + shears * pull
 
 
 def _bend_stiffness(fabric: Fabric, angle: float) -> float:
@@ -76,16 +81,16 @@ def _kawabata(setting: Setting, instrument: str, direction: str) -> Measured:
         found, cost = friction_coefficient(setting, WOVEN)
         return Measured.relative(WOVEN.friction, found, cost)
     if instrument == "tension":
-        measured, stiffness = tension_curve(setting, WOVEN, angle, STRAINS), _elastic(WOVEN, angle)
-        labels = "strain", "tension [N/m]"
+        measured = tension_curve(setting, WOVEN, angle, STRAINS)
+        own, labels = _elastic(WOVEN, angle) * measured.deformation, ("strain", "tension [N/m]")
     elif instrument == "shear":
-        measured, stiffness = shear_curve(setting, WOVEN, angle, SHEARS), _shear_stiffness(WOVEN, angle)
-        labels = "shear [rad]", "shear force [N/m]"
+        measured = shear_curve(setting, WOVEN, angle, SHEARS)
+        own, labels = _shear_forces(WOVEN, angle, measured.deformation), ("shear [rad]", "shear force [N/m]")
     else:
-        measured, stiffness = bending_curve(setting, WOVEN, angle, CURVATURES), _bend_stiffness(WOVEN, angle)
-        labels = "curvature [1/m]", "moment [N]"
-    own = stiffness * measured.deformation
-    line = float(measured.deformation @ measured.load / (measured.deformation @ measured.deformation))
+        measured = bending_curve(setting, WOVEN, angle, CURVATURES)
+        own, labels = _bend_stiffness(WOVEN, angle) * measured.deformation, ("curvature [1/m]", "moment [N]")
+    design = measured.deformation / (measured.deformation @ measured.deformation)
+    stiffness, line = float(design @ own), float(design @ measured.load)
     error = float(np.abs(measured.load / own - 1.0).max())
     curve = Curve(*labels, (measured.deformation, own), (measured.deformation, measured.load))
     return Measured(stiffness, line, error, measured.cost_ms, curve)
@@ -95,7 +100,7 @@ INSTRUMENTS = ("tension", "shear", "bending", "compression", "friction")
 ROWS = (
     Row("tension", "strip pulled at an angle to the warp: E h [N/m]", _tension, 0.005, 0.02,
         {"angle_deg": Parameter("strip against warp [deg]", 0.0, 0.0, 180.0),
-         "strain": Parameter("strain of the strip", 0.005, 1e-4, 0.1)},
+         "strain": Parameter("strain of the strip", 0.002, 1e-4, 0.1)},
         tuple({"angle_deg": a} for a in (0.0, 22.5, 45.0, 67.5, 90.0))),
     Row("kawabata", "the fabric's own curves by Kawabata's instruments", _kawabata, 0.01, 0.05,
         {"instrument": Choice("instrument", "tension", INSTRUMENTS),

@@ -232,7 +232,10 @@ class Trial:
         # What finds equilibria is there after a frame or two; a sheet that buckles goes from one to the next for ever.
         frames = EQUILIBRIA if self.setting.timeless else max(10, math.ceil(limit * scale * RATE))
         for _ in range(frames):
+            last = self.state.position.copy()
             self.frame()
+            if self.setting.timeless and np.abs(self.state.position - last).max() < still * size:
+                return
             self.state.velocity *= keep
             speed = float(np.abs(self.state.velocity).max())
             if not speed < 1e6:
