@@ -70,7 +70,7 @@ def test_all_that_is_wrong_is_said_at_once() -> None:
 
 def test_a_parameter_takes_the_place_of_the_cases() -> None:
     ((row, cases),) = chosen_rows(["tension"], ["angle_deg=30"], None)
-    assert row.name == "tension" and cases == [{"angle_deg": 30.0, "strain": 0.005}]
+    assert row.name == "tension" and cases == [{"angle_deg": 30.0, "strain": 0.002}]
     assert len(chosen_rows([], [], None)) == len(ROWS)
     ((_, cases),) = chosen_rows(["tension"], ["strain=0.01"], None)
     assert [case["angle_deg"] for case in cases] == [0.0, 22.5, 45.0, 67.5, 90.0]
@@ -225,7 +225,7 @@ def test_the_command_says_what_is_unknown(capsys: pytest.CaptureFixture) -> None
     ("name", "case"),
     [
         ("cantilever", {"gamma": 10.0}),
-        ("tension", {"angle_deg": 22.5, "strain": 0.005}),
+        ("tension", {"angle_deg": 22.5, "strain": 0.002}),
         ("hanging_strip", {"edges": 50.0}),
         ("hencky", {"poisson": 0.3}),
         ("catenary", {"span": 0.8}),
