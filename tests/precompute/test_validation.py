@@ -87,7 +87,7 @@ def test_the_cheapest_setting_that_passes_is_found() -> None:
 
 
 def test_what_never_passes_is_lost_with_its_reason() -> None:
-    verdict = validate(FAKE, {"power": 0.0})
+    verdict = validate(replace(FAKE, gate_realtime=0.2), {"power": 0.0})
     assert not verdict.passed_best and verdict.realtime is None
     assert verdict.best_setting.edges == 40
     assert "change nothing" in verdict.reason and verdict.reason in validation_text([verdict])
