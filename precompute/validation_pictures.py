@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from precompute.validation import Verdict, case_words
 
 __all__ = ["draw_verdicts"]
 
+WIDEST = 4  # panels in a row
+
 
 def draw_verdicts(folder: Path, verdicts: Sequence[Verdict]) -> list[Path]:
     """One PNG per test, a panel per case that has a curve; the best run's. Returns the files."""
@@ -21,9 +24,13 @@ def draw_verdicts(folder: Path, verdicts: Sequence[Verdict]) -> list[Path]:
         drawn = [v for v in verdicts if v.row.name == name and v.best.curve is not None]
         if not drawn:
             continue
-        figure = Figure(figsize=(4.2 * len(drawn), 3.6), layout="constrained")
-        panels = figure.subplots(1, len(drawn), squeeze=False)[0]
-        for panel, verdict in zip(panels, drawn, strict=True):
+        columns = min(len(drawn), WIDEST)
+        rows = math.ceil(len(drawn) / columns)
+        figure = Figure(figsize=(4.2 * columns, 3.6 * rows), layout="constrained")
+        panels = figure.subplots(rows, columns, squeeze=False).ravel()
+        for panel in panels[len(drawn) :]:
+            panel.set_axis_off()
+        for panel, verdict in zip(panels, drawn, strict=False):
             curve = verdict.best.curve
             assert curve is not None
             panel.plot(*curve.reference, color="0.6", linewidth=2.5, label="reference")
