@@ -185,8 +185,9 @@ def play(scene: Scene, solver: str = "default") -> Outcome:
             break
     if note or not seen:
         return Outcome({"not_finite": 1.0}, np.inf, 1e3 * float(np.median(times or [np.inf])), note)
-    outcome = _judged(scene, model, seen, 1e3 * float(np.median(times)))
-    if stage.time < scene.seconds - 1e-9:
+    cut = stage.time < scene.seconds - 1e-9
+    outcome = _judged(replace(scene, at_rest=scene.at_rest and not cut), model, seen, 1e3 * float(np.median(times)))
+    if cut:
         return replace(outcome, note=f"{outcome.worst[1]} (judged up to {stage.time:.2g} of {scene.seconds:g} s: slow)")
     return outcome
 
