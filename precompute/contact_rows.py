@@ -110,7 +110,7 @@ def _capstan(setting: Setting, mu: float, wrap_deg: float, collider: str) -> Mea
     start = np.stack([x, y, across], axis=1)
     ends = np.abs(s) > 0.5 * length - 1e-9
     if collider == "mesh":
-        around = np.linspace(-0.5, -2.5, 129)[:, None] * math.pi  # its seam is where no belt lies
+        around = np.linspace(-2.5, -0.5, 129)[:, None] * math.pi  # outside out; its seam is where no belt lies
         circle = radius * np.concatenate([np.cos(around), np.sin(around), 0.0 * around], axis=1)
         surface = _wall(circle, np.arange(-0.06, 0.061, 0.01)[:, None] * [0.0, 0.0, 1.0])
         trial: Trial = _OnMesh(patch, start, fabric, ends, setting, (0.0, 0.0, 0.0), surface=surface)

@@ -192,6 +192,12 @@ def test_what_the_default_solver_passes_at_its_default_setting(name: str, case: 
     assert error <= ROWS[name].gate_realtime
 
 
+def test_a_belt_lies_on_a_cylinder_of_triangles() -> None:
+    """With the cylinder inside out it lay in it, crumpled, and the ratio of its legs was anything."""
+    found = ROWS["capstan"].run(replace(Setting(), substeps=384), {"mu": 0.4, "wrap_deg": 90.0, "collider": "mesh"})
+    assert found.error < 0.02
+
+
 def test_swings_lose_what_implicit_euler_loses_or_less() -> None:
     """Patches pull along the substep's start, which loses nothing: without them it is the law of implicit Euler."""
     fewest, twice = (ROWS["damping"].run(replace(Setting(), substeps=count), {}) for count in (12, 24))
