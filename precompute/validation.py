@@ -135,9 +135,8 @@ def validate(
     for name in [solver] if solver else row.best_solvers:
         for edges in (first.edges,) if resolution or "edges" in row.parameters else (first.edges, FINER * first.edges):
             setting = replace(first, solver=name, edges=edges)
-            if (
-                edges > first.edges and not setting.fixed
-            ):  # what was cheap enough is not tried again: four times the substeps are needed
+            # What was cheap enough is not tried again: four times the substeps are needed.
+            if edges > first.edges and not setting.fixed:
                 setting = replace(setting, substeps=8 * setting.substeps)
             last, alike = math.nan, 0
             while True:

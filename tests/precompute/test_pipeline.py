@@ -109,7 +109,7 @@ def test_strange_states_fade_and_ordinary_ones_do_not(made: Precomputed) -> None
     quality, mapping, unfamiliarity = made.database.quality, made.database.mapping, made.database.unfamiliarity
     assert made.evaluation is not None
     # 0.28 to 0.31 by the solver's order of corrections, as little as is learned here; 0 would be no score at all.
-    assert quality["unfamiliarity_spearman"] > 0.25 and quality["faded_percent"] < 10.0
+    assert quality["unfamiliarity_spearman"] > 0.27 and quality["faded_percent"] < 10.0
     rng = np.random.default_rng(0)
     strange = 8.0 * rng.standard_normal((20, len(mapping.place_bias), len(mapping.center)))
     far = unfamiliarity.amplitude(unfamiliarity.score(mapping.hidden(mapping.center + strange / mapping.scale)))

@@ -214,4 +214,4 @@ def test_a_game_loop_plays_between_ticks_at_any_detail(player: Player, poses: np
         shown.append(world(player))
     hops = np.linalg.norm(np.diff(np.array(shown), axis=0), axis=2).max(axis=1)
     assert hops[79] < 1.2 * hops[60:79].max()  # where less detail begins
-    assert 1e-4 < hops[90:].min() and hops[90:].max() < 0.05  # it moves in every picture, and stays on the body
+    assert 5e-4 < hops[90:].min() and hops[90:].max() < 0.05  # it moves in every picture, and stays on the body
