@@ -189,9 +189,13 @@ class Colliders:
         self.primitives = list(primitives)
         self.body = body
         self._last: np.ndarray | None = None
+        self._none = np.zeros((0, 14), np.float32)
 
     def rows(self, origin: np.ndarray) -> np.ndarray:
         """Primitives at the start and end of the frame about an origin: float32, shape (k, 14)."""
+        if not self.primitives:
+            self._last = None
+            return self._none
         now = np.array([p.row() for p in self.primitives]).reshape(-1, 8)
         before = self._last if self._last is not None and self._last.shape == now.shape else now
         self._last = now

@@ -11,9 +11,9 @@ KEPT_SHARE = 0.1  # ... or less than this share of its height over it [-]
 
 
 @ti.func
-def substep_start(velocity: ti.template(), predicted: ti.template(), gained: ti.template(), i: ti.i32, h: ti.f32):
-    """Shift of vertex i at the start of the substep [m]."""
-    return xyz(predicted[i]) - h * (velocity[i] + xyz(gained[i]))
+def substep_start(velocity: ti.template(), gained: ti.template(), i: ti.i32, h: ti.f32):
+    """Shift of vertex i at the start of the substep [m]; see :func:`pbd.schedule.advance_garment`."""
+    return -h * (velocity[i] + xyz(gained[i]))
 
 
 @ti.func

@@ -34,8 +34,8 @@ READ = (
 )  # fmt: skip
 WRITTEN = ("position", "velocity", "nearest", "contact")
 ROOM = (
-    "contact", "shift", "predicted", "normals", "gained", "touched", "awake", "listed", "ways", "places", "first_ways",
-    "borne", "link_lines", "multipliers", "way", "cell_start", "cell_items", "item_cell",
+    "contact", "shift", "normals", "gained", "touched", "awake", "listed", "ways", "places", "first_ways",
+    "borne", "link_room", "way", "cell_start", "cell_items", "item_cell",
 )  # fmt: skip
 POOLS = (Float1, Vec3, Vec4, Int1, Int2, Int3, Int4)
 

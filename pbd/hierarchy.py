@@ -74,15 +74,18 @@ class Hierarchy:
         return order.astype(np.int32), offsets.astype(np.int32)
 
     @cached_property
-    def _rates(self) -> np.ndarray:
-        """Of each level: median of its links' stiffness times the inverse mass of their ends [1/s2]."""
+    def _rates(self) -> list[float]:
+        """Of each level: median of its links' stiffness times the inverse mass of their ends, but at most that of the
+        finer levels [1/s2].
+        """
         total = self.inverse_mass[self.links].sum(axis=1) / self.link_data[:, 0, 1]
         bounds = zip(self.link_starts[:-1], self.link_starts[1:], strict=True)
-        return np.array([np.median(total[a:b]) if b > a else 0.0 for a, b in bounds])
+        rates = np.array([np.median(total[a:b]) if b > a else 0.0 for a, b in bounds])
+        return np.minimum.accumulate(rates).tolist()
 
     def useful(self, h: float) -> int:
         """How many levels help in a substep of h [s]: in softer ones, one pass over the next finer level is enough."""
-        return int(np.count_nonzero(np.minimum.accumulate(self._rates * h * h) > USEFUL))
+        return sum(rate * h * h > USEFUL for rate in self._rates)
 
 
 @dataclass

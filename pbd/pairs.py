@@ -102,7 +102,6 @@ def solve_pairs(
     position: ti.template(),
     velocity: ti.template(),
     shift: ti.template(),
-    predicted: ti.template(),
     gained: ti.template(),
     pairs: ti.template(),
     data: ti.template(),
@@ -161,10 +160,10 @@ def solve_pairs(
             )
             if give > 0.0:
                 slip = (
-                    shares[0] * (u0 - substep_start(velocity, predicted, gained, v0, h))
-                    + shares[1] * (u1 - substep_start(velocity, predicted, gained, v1, h))
-                    + shares[2] * (u2 - substep_start(velocity, predicted, gained, v2, h))
-                    + shares[3] * (u3 - substep_start(velocity, predicted, gained, v3, h))
+                    shares[0] * (u0 - substep_start(velocity, gained, v0, h))
+                    + shares[1] * (u1 - substep_start(velocity, gained, v1, h))
+                    + shares[2] * (u2 - substep_start(velocity, gained, v2, h))
+                    + shares[3] * (u3 - substep_start(velocity, gained, v3, h))
                 )
                 move = contact_correction(gap - thickness, normal, slip, held_by, h)
                 # What is through comes back without speed: the rest would go on when it is out.
@@ -175,4 +174,4 @@ def solve_pairs(
                 for a in ti.static(range(4)):
                     share = position[k[a]][3] * shares[a]
                     shift[k[a]] = vec4(xyz(shift[k[a]]) + share * move)
-                    predicted[k[a]] = vec4(xyz(predicted[k[a]]) + share * back)
+                    gained[k[a]] = gained[k[a]] - vec4(share / h * back)

@@ -19,7 +19,7 @@ from pbd.constraints import (
 from pbd.contact import collide_primitives, slid_off, substep_start, touch_body
 from pbd.engine import ti
 from pbd.geometry import FAR, Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, vec3, vec4, xyz
-from pbd.levels import gather_places, gather_ways, solve_patches
+from pbd.levels import gather_patches, solve_patches
 from pbd.model import BLOCK
 from pbd.pairs import solve_pairs
 from pbd.team import Alone
@@ -50,7 +50,8 @@ def solve_membrane(
     """One pass over the triangles of blocks ``first`` to ``last``, which is left out; each block is of one colour.
 
     A block is read, solved and written in turn. What is solved lies in local arrays that nothing else can point to, so
-    that the compiler solves eight triangles at once: a third of the time.
+    that the compiler solves eight triangles at once: a third of the time. They are read one at a time: gathers, which
+    the compiler would take, cost twice as much; it leaves a loop that it cannot count.
     """
     x1, y1, z1 = ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK)
     x2, y2, z2 = ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK)
@@ -59,9 +60,11 @@ def solve_membrane(
         begin, size = blocks[b][0], blocks[b][1]
         for a in range(size):
             f = triangles[begin + a]
-            x0, u0 = xyz(position[f[0]]), xyz(shift[f[0]])
-            side_1 = (xyz(position[f[1]]) - x0) + (xyz(shift[f[1]]) - u0)
-            side_2 = (xyz(position[f[2]]) - x0) + (xyz(shift[f[2]]) - u0)
+            if f[0] < 0:  # never; see above
+                break
+            x0, u0 = position[f[0]], shift[f[0]]
+            side_1 = (position[f[1]] - x0) + (shift[f[1]] - u0)
+            side_2 = (position[f[2]] - x0) + (shift[f[2]] - u0)
             x1[a], y1[a], z1[a] = side_1[0], side_1[1], side_1[2]
             x2[a], y2[a], z2[a] = side_2[0], side_2[1], side_2[2]
             if levels > 0:
@@ -85,10 +88,10 @@ def solve_membrane(
             x2[a], y2[a], z2[a] = m2[0], m2[1], m2[2]
         for a in range(size):
             f = triangles[begin + a]
-            m1, m2 = vec3(x1[a], y1[a], z1[a]), vec3(x2[a], y2[a], z2[a])
-            shift[f[0]] = vec4(xyz(shift[f[0]]) - position[f[0]][3] * (m1 + m2))
-            shift[f[1]] = vec4(xyz(shift[f[1]]) + position[f[1]][3] * m1)
-            shift[f[2]] = vec4(xyz(shift[f[2]]) + position[f[2]][3] * m2)
+            m1, m2 = ti.math.vec4(x1[a], y1[a], z1[a], 0.0), ti.math.vec4(x2[a], y2[a], z2[a], 0.0)
+            shift[f[0]] = shift[f[0]] - position[f[0]][3] * (m1 + m2)
+            shift[f[1]] = shift[f[1]] + position[f[1]][3] * m1
+            shift[f[2]] = shift[f[2]] + position[f[2]][3] * m2
 
 
 @ti.func
@@ -179,15 +182,6 @@ def bulge(edge: vec3, normal: vec3, other_normal: vec3) -> vec3:
 
 
 @ti.func
-def settle(position: ti.template(), shift: ti.template(), i: ti.i32, u: vec3) -> vec3:
-    """Move vertex i by u [m]: whole steps go to the position, the rest to the shift; nothing is rounded away."""
-    whole = ti.floor(u * FINEST + 0.5) / FINEST
-    position[i] = position[i] + vec4(whole)
-    shift[i] = vec4(u - whole)
-    return u - whole
-
-
-@ti.func
 def advance_garment(
     team: ti.template(),
     with_patches: ti.template(),
@@ -195,7 +189,6 @@ def advance_garment(
     position: ti.template(),
     velocity: ti.template(),
     shift: ti.template(),
-    predicted: ti.template(),
     normals: ti.template(),
     gained: ti.template(),
     touched: ti.template(),
@@ -242,8 +235,7 @@ def advance_garment(
     color_starts: ti.template(),
     link_data: ti.template(),
     link_shares: ti.template(),
-    link_lines: ti.template(),
-    multipliers: ti.template(),
+    link_room: ti.template(),
     way: ti.template(),
     pairs: ti.template(),
     pair_data: ti.template(),
@@ -265,7 +257,8 @@ def advance_garment(
     the body, of the cloth with itself, with primitives, velocities. Digits are kept in three places: a vertex stands at
     ``position`` (on a grid) plus a small ``shift`` that takes the corrections; velocity takes (shift - predicted
     shift)/h, the sum of the corrections, instead of a difference of world positions; and what it gains over the frame
-    is summed apart.
+    is summed apart, in ``gained``: less the predicted shift/h while the substep lasts, so that the vertex started it
+    at -h (velocity + gained).
 
     In the first substep every contact sample finds where it touches. Every ``refresh`` substeps all are looked at:
     those nearer to the body than ``waking`` [m] are awake until the next time, and find again where they touch if
@@ -304,135 +297,140 @@ def advance_garment(
     for c in range(team.begin(0, held.shape[0]), team.end(0, held.shape[0])):
         velocity[held[c]] = (target_1[c] - target_0[c]) * (inverse_h * share)
     team.meet()
-    for step in range(steps[0], steps[1]):
+    for step in range(steps[0], steps[1] + 1):
         t = (step + 1) * share
-        if ti.static(with_patches):
-            if levels > 0:
-                gather_places(team, position, shift, part, places, starts, children, child_starts, levels)
-        for i in range(team.begin(0, count), team.end(0, count)):
-            u = xyz(shift[i])
-            if position[i][3] > 0.0:
-                gain = h * gravity
-                v = velocity[i] + (xyz(gained[i]) + gain)
-                dragged = drag_velocity(v - wind, xyz(normals[i]), h * drag[i])
-                u += h * (v + dragged)
-                gained[i] = gained[i] + vec4(gain + dragged)
-            predicted[i] = vec4(settle(position, shift, i, u))
-        team.meet()
-        for c in range(team.begin(0, held.shape[0]), team.end(0, held.shape[0])):
-            i = held[c]
-            u = (target_0[c] - xyz(position[i])) + t * (target_1[c] - target_0[c])
-            predicted[i] = vec4(u)
-            gained[i] = ti.math.vec4(0.0)
-            shift[i] = vec4(u)
-        team.meet()
-
-        if ti.static(with_patches):
-            if levels > 0:
-                gather_ways(team, velocity, gained, h, part, ways, starts, children, child_starts, levels)
-                solve_patches(
-                    team, count, parent, places, ways, first_ways, borne, starts, links, link_colors,
-                    color_starts, link_data, link_shares, link_lines, multipliers, levels, sweeps, h,
-                )  # fmt: skip
-                for i in range(team.begin(0, count), team.end(0, count)):
-                    if position[i][3] > 0.0:
-                        a = parent[i]
-                        shift[i] = vec4(xyz(shift[i]) + (xyz(ways[a]) - xyz(first_ways[a])))
-                team.meet()
-        for k in range(block_colors.shape[0] - 1):
-            solve_membrane(
-                position, shift, triangles, triangle_blocks, triangle_data, inverse_h2, squeeze, parent, borne, levels,
-                team.begin(block_colors[k], block_colors[k + 1]),
-                team.end(block_colors[k], block_colors[k + 1]),
-            )  # fmt: skip
-            team.meet()
-        for k in range(hinge_colors.shape[0] - 1):
-            solve_bending(
-                position, shift, hinges, hinge_data, inverse_h2,
-                team.begin(hinge_colors[k], hinge_colors[k + 1]),
-                team.end(hinge_colors[k], hinge_colors[k + 1]),
-            )  # fmt: skip
-            team.meet()
-        if team.first():  # they are few
-            solve_stitches(position, shift, stitches, stitch_weights)
-        team.meet()
-        for c in range(team.begin(0, tethers.shape[0]), team.end(0, tethers.shape[0])):
-            i, j = tethers[c][0], tethers[c][1]
-            u = xyz(shift[i])
-            offset = (xyz(position[i]) - xyz(position[j])) + (u - xyz(shift[j]))
-            shift[i] = vec4(u + tether_correction(offset, tether_lengths[c]))
-        team.meet()
-
-        looked_at = step % refresh == 0
-        for k in range(sample_colors.shape[0] - 1):
-            region = team.begin(sample_colors[k], sample_colors[k + 1])
-            row = team.row(k)
-            looks = listed[row][0] if looked_at else listed[row][1]
-            begin = region if looked_at else half + region
-            awake_count = 0
-            for s in range(begin, begin + looks):
-                c = awake[s]
-                i, j = samples[c][0], samples[c][1]
-                p, q = position[i], position[j]
-                x = 0.5 * (xyz(p) + xyz(q))
-                u = 0.5 * (xyz(shift[i]) + xyz(shift[j]))
-                if contact_law[3] > 0.0:
-                    x += bulge(xyz(q) - xyz(p), xyz(normals[i]), xyz(normals[j]))
-                if looked_at:
-                    again = step == 0
-                    if not again:
-                        offset = (x - (xyz(touched[c, 0]) + t * xyz(touched[c, 1]))) + u
-                        normal = xyz(touched[c, 2])
-                        again = offset.dot(normal) < waking and slid_off(offset, normal)
-                    if again:
-                        touch_body(
-                            x + u, c, t, nearest, body_0, body_1,
-                            ring_start, ring, fan_start, fan, body_normals, touched,
-                        )  # fmt: skip
-                motion = xyz(touched[c, 1])
-                normal = xyz(touched[c, 2])
-                distance = ((x - (xyz(touched[c, 0]) + t * motion)) + u).dot(normal)
-                if looked_at and distance < waking:
-                    awake[half + region + awake_count] = c
-                    awake_count += 1
-                if distance < thickness:
-                    weight = 0.25 * (p[3] + q[3])
-                    slip = u - 0.5 * (
-                        substep_start(velocity, predicted, gained, i, h)
-                        + substep_start(velocity, predicted, gained, j, h)
-                    )
-                    slip -= share * motion
-                    gap = cushioned(distance - thickness, thickness, contact_law[2] * h * h)
-                    m = contact_correction(gap, normal, slip, friction, h)
-                    m *= 0.5 / weight
-                    # A vertex is a sample with both ends the same: half and half make the whole.
-                    shift[i] = vec4(xyz(shift[i]) + p[3] * m)
-                    if i != j:
-                        shift[j] = vec4(xyz(shift[j]) + q[3] * m)
-            if looked_at:
-                listed[row][1] = awake_count
-            team.meet()
-        if ti.static(with_pairs):
-            # After the body, whose outside is known however deep: cloth that it pinches must not go through itself.
-            if team.first():
-                solve_pairs(
-                    position, velocity, shift, predicted, gained, pairs, pair_data, ready,
-                    looked_at, refresh * share, friction, h,
-                )  # fmt: skip
-            team.meet()
-        for i in range(team.begin(0, count), team.end(0, count)):
-            if position[i][3] > 0.0:
-                u = xyz(shift[i])
-                if primitives.shape[0] > 0:
-                    slip = u - substep_start(velocity, predicted, gained, i, h)
-                    u += collide_primitives(xyz(position[i]), u, slip, t, share, primitives, contact_law, h)
+        if primitives.shape[0] > 0 and step > steps[0]:
+            for i in range(team.begin(0, count), team.end(0, count)):
+                if position[i][3] > 0.0:
+                    u = xyz(shift[i])
+                    slip = u - substep_start(velocity, gained, i, h)
+                    u += collide_primitives(xyz(position[i]), u, slip, t - share, share, primitives, contact_law, h)
                     shift[i] = vec4(u)
-                gained[i] = gained[i] + inverse_h * vec4(u - xyz(predicted[i]))
+        for i in range(team.begin(0, count), team.end(0, count)):
+            if position[i][3] > 0.0:
+                u, gain = xyz(shift[i]), xyz(gained[i])
+                if step > steps[0]:
+                    gain += inverse_h * u
+                if step < steps[1]:
+                    gain += h * gravity
+                    v = velocity[i] + gain
+                    dragged = drag_velocity(v - wind, xyz(normals[i]), h * drag[i])
+                    u += h * (v + dragged)
+                    # Whole steps of the grid go to the position, the rest to the shift: nothing is rounded away.
+                    whole = ti.floor(u * FINEST + 0.5) / FINEST
+                    position[i] = position[i] + vec4(whole)
+                    u -= whole
+                    gain += dragged - inverse_h * u
+                shift[i] = vec4(u)
+                gained[i] = vec4(gain)
         team.meet()
+        if step < steps[1]:
+            for c in range(team.begin(0, held.shape[0]), team.end(0, held.shape[0])):
+                i = held[c]
+                u = (target_0[c] - xyz(position[i])) + t * (target_1[c] - target_0[c])
+                shift[i] = vec4(u)
+                gained[i] = vec4(-inverse_h * u)
+            team.meet()
+
+            if ti.static(with_patches):
+                if levels > 0:
+                    gather_patches(
+                        team, position, shift, velocity, gained, h, part, places, ways, starts, children, child_starts,
+                        levels,
+                    )  # fmt: skip
+                    solve_patches(
+                        team, count, parent, places, ways, first_ways, borne, starts, links, link_colors,
+                        color_starts, link_data, link_shares, link_room, levels, sweeps, h,
+                    )  # fmt: skip
+                    for i in range(team.begin(0, count), team.end(0, count)):
+                        if position[i][3] > 0.0:
+                            a = parent[i]
+                            shift[i] = vec4(xyz(shift[i]) + (xyz(ways[a]) - xyz(first_ways[a])))
+                    team.meet()
+            for k in range(block_colors.shape[0] - 1):
+                solve_membrane(
+                    position, shift, triangles, triangle_blocks, triangle_data, inverse_h2, squeeze, parent, borne,
+                    levels,
+                    team.begin(block_colors[k], block_colors[k + 1]),
+                    team.end(block_colors[k], block_colors[k + 1]),
+                )  # fmt: skip
+                team.meet()
+            for k in range(hinge_colors.shape[0] - 1):
+                solve_bending(
+                    position, shift, hinges, hinge_data, inverse_h2,
+                    team.begin(hinge_colors[k], hinge_colors[k + 1]),
+                    team.end(hinge_colors[k], hinge_colors[k + 1]),
+                )  # fmt: skip
+                team.meet()
+            if team.first():  # they are few
+                solve_stitches(position, shift, stitches, stitch_weights)
+            team.meet()
+            for c in range(team.begin(0, tethers.shape[0]), team.end(0, tethers.shape[0])):
+                i, j = tethers[c][0], tethers[c][1]
+                u = xyz(shift[i])
+                offset = (xyz(position[i]) - xyz(position[j])) + (u - xyz(shift[j]))
+                shift[i] = vec4(u + tether_correction(offset, tether_lengths[c]))
+            team.meet()
+
+            looked_at = step % refresh == 0
+            for k in range(sample_colors.shape[0] - 1):
+                region = team.begin(sample_colors[k], sample_colors[k + 1])
+                row = team.row(k)
+                looks = listed[row][0] if looked_at else listed[row][1]
+                begin = region if looked_at else half + region
+                awake_count = 0
+                for s in range(begin, begin + looks):
+                    c = awake[s]
+                    i, j = samples[c][0], samples[c][1]
+                    p, q = position[i], position[j]
+                    x = 0.5 * (xyz(p) + xyz(q))
+                    u = 0.5 * (xyz(shift[i]) + xyz(shift[j]))
+                    if contact_law[3] > 0.0:
+                        x += bulge(xyz(q) - xyz(p), xyz(normals[i]), xyz(normals[j]))
+                    if looked_at:
+                        again = step == 0
+                        if not again:
+                            offset = (x - (xyz(touched[c, 0]) + t * xyz(touched[c, 1]))) + u
+                            normal = xyz(touched[c, 2])
+                            again = offset.dot(normal) < waking and slid_off(offset, normal)
+                        if again:
+                            touch_body(
+                                x + u, c, t, nearest, body_0, body_1,
+                                ring_start, ring, fan_start, fan, body_normals, touched,
+                            )  # fmt: skip
+                    motion = xyz(touched[c, 1])
+                    normal = xyz(touched[c, 2])
+                    distance = ((x - (xyz(touched[c, 0]) + t * motion)) + u).dot(normal)
+                    if looked_at and distance < waking:
+                        awake[half + region + awake_count] = c
+                        awake_count += 1
+                    if distance < thickness:
+                        weight = 0.25 * (p[3] + q[3])
+                        slip = u - 0.5 * (substep_start(velocity, gained, i, h) + substep_start(velocity, gained, j, h))
+                        slip -= share * motion
+                        gap = cushioned(distance - thickness, thickness, contact_law[2] * h * h)
+                        m = contact_correction(gap, normal, slip, friction, h)
+                        m *= 0.5 / weight
+                        # A vertex is a sample with both ends the same: half and half make the whole.
+                        shift[i] = vec4(xyz(shift[i]) + p[3] * m)
+                        if i != j:
+                            shift[j] = vec4(xyz(shift[j]) + q[3] * m)
+                if looked_at:
+                    listed[row][1] = awake_count
+                team.meet()
+            if ti.static(with_pairs):
+                # After the body, whose outside is known however deep: cloth that it pinches must not go through itself.
+                if team.first():
+                    solve_pairs(
+                        position, velocity, shift, gained, pairs, pair_data, ready,
+                        looked_at, refresh * share, friction, h,
+                    )  # fmt: skip
+                team.meet()
     for i in range(team.begin(0, count), team.end(0, count)):
         position[i] = position[i] + vec4(xyz(shift[i]))
-        velocity[i] = velocity[i] + xyz(gained[i])
         contact[i] = FAR
+        if position[i][3] > 0.0:
+            velocity[i] = velocity[i] + xyz(gained[i])
         if nearest[i] >= 0 and position[i][3] > 0.0:
             away = xyz(position[i]) - (xyz(touched[i, 0]) + xyz(touched[i, 1]))
             contact[i] = ti.math.clamp(away.dot(xyz(touched[i, 2])), -FAR, FAR)
@@ -447,7 +445,6 @@ def advance_kernel(with_patches: bool, with_pairs: bool = False) -> Callable[...
         position: Vec4,
         velocity: Vec3,
         shift: Vec4,
-        predicted: Vec4,
         normals: Vec4,
         gained: Vec4,
         touched: Vec4Rows,
@@ -494,8 +491,7 @@ def advance_kernel(with_patches: bool, with_pairs: bool = False) -> Callable[...
         color_starts: Int1,
         link_data: Vec4Rows,
         link_shares: Float2,
-        link_lines: Vec4,
-        multipliers: Float1,
+        link_room: Float2,
         way: Float1,
         pairs: Int4,
         pair_data: Vec4Rows,
@@ -511,12 +507,12 @@ def advance_kernel(with_patches: bool, with_pairs: bool = False) -> Callable[...
         for _ in range(1):
             advance_garment(
                 Alone(), with_patches, with_pairs,
-                position, velocity, shift, predicted, normals, gained, touched, awake, samples, sample_colors,
+                position, velocity, shift, normals, gained, touched, awake, samples, sample_colors,
                 listed, triangles, triangle_blocks, block_colors, triangle_data, hinges, hinge_colors, hinge_data,
                 stitches, stitch_weights, tethers, tether_lengths, held, target_0, target_1, drag, primitives, nearest,
                 contact, body_0, body_1, body_normals, ring_start, ring, fan_start, fan, parent, part, ways, places,
                 first_ways, borne, starts, children, child_starts, links, link_colors, color_starts,
-                link_data, link_shares, link_lines, multipliers, way, pairs, pair_data, ready, steps, h, gravity,
+                link_data, link_shares, link_room, way, pairs, pair_data, ready, steps, h, gravity,
                 wind, squeeze, contact_law,
             )  # fmt: skip
 

@@ -10,7 +10,7 @@ from pbd.colliders import Body, Colliders
 from pbd.engine import Launch, ensure_initialized
 from pbd.errors import InputError
 from pbd.hierarchy import Hierarchy, build_hierarchy
-from pbd.model import GRID, Model, State
+from pbd.model import BLOCK, GRID, Model, State
 from pbd.pace import carry_of, fastest_way
 from pbd.schedule import advance_kernel
 from pbd.search import MAX_CELLS, find_nearest
@@ -77,7 +77,7 @@ class Solver:
         ensure_initialized()
         self.model, self.options = model, options or SolverOptions()
         count, samples, fabric = model.vertex_count, len(model.samples), model.fabric
-        self._shift, self._predicted, self._normals, self._gained = np.zeros((4, count, 4), np.float32)
+        self._shift, self._normals, self._gained = np.zeros((3, count, 4), np.float32)
         self._touched = np.zeros((samples, 3, 4), np.float32)
         self._awake = np.zeros(2 * samples, np.int32)
         self._listed = np.zeros((MOST_WORKERS * (len(model.sample_colors) - 1), 2), np.int32)
@@ -92,10 +92,10 @@ class Solver:
             levels = build_hierarchy(model.mesh, model.mass, model.inverse_mass, fabric)
         self._hierarchy, patches = levels, len(levels.inverse_mass)
         self._children = levels.children()
-        self._patches = np.zeros((4, max(1, patches), 4), np.float32)
-        self._patches[0, :patches, 3] = levels.inverse_mass
-        self._link_lines = np.zeros((max(1, len(levels.links)), 4), np.float32)
-        self._multipliers = np.zeros(max(1, len(levels.links)), np.float32)
+        # Kept one by one: an array that is the same object as at the last call need not be handed over again.
+        self._patches = [np.zeros((max(1, patches), 4), np.float32) for _ in range(4)]
+        self._patches[0][:patches, 3] = levels.inverse_mass
+        self._link_room = np.zeros((9, len(levels.links) + BLOCK), np.float32)
         # Substeps are never longer than this, so that levels that are of no use in it are of none in any.
         self.with_patches = levels.useful(self.options.substep) > 0
         self.in_contact = self.options.self_collision or bool(model.layer.any())
@@ -213,7 +213,6 @@ class Solver:
             state.position,
             state.velocity,
             self._shift,
-            self._predicted,
             self._normals,
             self._gained,
             self._touched,
@@ -256,8 +255,7 @@ class Solver:
             levels.color_starts,
             levels.link_data,
             levels.link_shares,
-            self._link_lines,
-            self._multipliers,
+            self._link_room,
             self._way,
             *self._no_pairs,
             self._steps,

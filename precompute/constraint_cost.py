@@ -9,7 +9,9 @@ from pbd import Fabric, State
 from pbd.constraints import link_multiplier
 from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec4, Vec4Rows, vec4, xyz
+from pbd.levels import solve_links
 from pbd.mesh import greedy_colors
+from pbd.model import BLOCK
 from pbd.schedule import solve_bending, solve_membrane
 from precompute.solver_scenes import hanging_square
 
@@ -47,18 +49,12 @@ def _hinges(position: Vec4, shift: Vec4, hinges: Int4, data: Vec4Rows, inverse_h
 
 
 @ti.kernel
-def _distances(position: Vec4, edges: Int2, lengths: Float1):
+def _distances(ways: Vec4, edges: Int2, colors: Int1, room: Float2):
     ti.loop_config(serialize=True)
     for _ in range(1):
         for _pass in range(PASSES):
-            for c in range(edges.shape[0]):
-                i, j = edges[c][0], edges[c][1]
-                p, q = position[i], position[j]
-                offset = xyz(p) - xyz(q)
-                direction = offset.normalized()
-                change = link_multiplier(offset, direction, lengths[c], 0.0, p[3] + q[3], 0.0)
-                position[i] = vec4(xyz(p) + p[3] * change * direction, p[3])
-                position[j] = vec4(xyz(q) - q[3] * change * direction, q[3])
+            for k in range(colors.shape[0] - 1):
+                solve_links(ways, edges, room, colors[k], colors[k + 1])
 
 
 @ti.kernel
@@ -80,14 +76,21 @@ def constraint_costs() -> dict[str, float]:
     model = hanging_square(SIDE, fabric=Fabric()).model
     count, noise = model.vertex_count, np.random.default_rng(0)
     edges, lengths = model.mesh.edge_lengths()
-    order = np.argsort(greedy_colors(edges, count), kind="stable")
+    colors = greedy_colors(edges, count)
+    order = np.argsort(colors, kind="stable")
     edges, lengths = np.ascontiguousarray(edges[order]), lengths[order].astype(np.float32)
+    color_starts = np.concatenate([[0], np.cumsum(np.bincount(colors))]).astype(np.int32)
     shift, borne = np.zeros((count, 4), np.float32), np.zeros((1, 4), np.float32)
     position = State.at_rest(model).position
     position[:, :3] += noise.normal(0.0, 1e-4, (count, 3))
     offsets = position[edges[:, 0]] - position[edges[:, 1]]
     offsets[:, 3] = 2.0 * position[:, 3].max()
     corrections = np.zeros_like(offsets)
+    ways, room = np.zeros((count, 4), np.float32), np.zeros((9, len(edges) + BLOCK), np.float32)
+    ways[:, 3] = position[:, 3]
+    distances = np.linalg.norm(offsets[:, :3], axis=1)
+    room[:7, : len(edges)] = [*(offsets[:, :3].T / distances), distances, lengths, 0.0 * lengths, offsets[:, 3]]
+    room[8] = -1.0
     parent, rate = np.zeros(count, np.int32), 480.0**2
     costs = {
         "scalar_limit": _time(len(edges), lambda: _limit(offsets, lengths, corrections)),
@@ -98,7 +101,7 @@ def constraint_costs() -> dict[str, float]:
             ),
         ),
         "hinge": _time(len(model.hinges), lambda: _hinges(position, shift, model.hinges, model.hinge_data, rate)),
-        "distance": _time(len(edges), lambda: _distances(position, edges, lengths)),
+        "distance": _time(len(edges), lambda: _distances(ways, edges, color_starts, room)),
     }
     return {f"{name}_constraint_ns": cost for name, cost in costs.items()}
 
