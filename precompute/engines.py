@@ -145,6 +145,42 @@ def _pybullet(scene: SolverScene, substeps: int, stiffness: float) -> Steps:
     return step, world
 
 
+def _blender(scene: SolverScene, steps: int, stiffness: float) -> Steps:
+    """Blender's cloth modifier: implicit mass-spring with the mass of a vertex that it comes with.
+
+    Its stiffness goes with that mass; with that of a real vertex its solver stops before the cloth has moved.
+    """
+    import bpy  # pyright: ignore[reportMissingImports]
+
+    model, mesh = scene.model, scene.model.mesh
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    world = bpy.context.scene
+    world.render.fps, world.gravity = int(RATE), (0.0, GRAVITY, 0.0)
+    shape = bpy.data.meshes.new("cloth")
+    shape.from_pydata(mesh.vertices.tolist(), [], mesh.faces.tolist())
+    item = bpy.data.objects.new("cloth", shape)
+    world.collection.objects.link(item)
+    item.vertex_groups.new(name="held").add(model.held.tolist(), 1.0, "REPLACE")
+    cloth = item.modifiers.new("cloth", "CLOTH")
+    cloth.point_cache.frame_end = 1_000_000
+    cloth.collision_settings.use_collision = False
+    settings = cloth.settings
+    settings.quality, settings.mass = steps, 0.3
+    settings.tension_stiffness = settings.compression_stiffness = settings.shear_stiffness = stiffness
+    settings.bending_stiffness = settings.air_damping = settings.bending_damping = 0.01
+    settings.tension_damping = settings.compression_damping = settings.shear_damping = 0.1
+    settings.vertex_group_mass = "held"
+    world.frame_set(1)
+
+    def vertices() -> np.ndarray:
+        moved = item.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.vertices
+        found = np.zeros(3 * len(moved), np.float32)
+        moved.foreach_get("co", found)
+        return found.reshape(-1, 3).astype(float)
+
+    return lambda: world.frame_set(world.frame_current + 1), vertices
+
+
 @dataclass(frozen=True)
 class _Engine:
     """How an engine is installed and set.
@@ -167,6 +203,9 @@ ENGINES = MappingProxyType({
     ),
     "MuJoCo, elastic": _Engine(
         "mujoco", _mujoco, [{"young": e, "iterations": n} for e, n in ((1e6, 100), (2e6, 100), (4e6, 200))]
+    ),
+    "Blender": _Engine(
+        "bpy", _blender, [{"steps": n, "stiffness": k} for n, k in ((1, 160.0), (1, 240.0), (2, 160.0))]
     ),
     "PyBullet": _Engine("pybullet", _pybullet, [{"substeps": n, "stiffness": 1500.0} for n in (140, 180)]),
 })  # fmt: skip

@@ -17,6 +17,7 @@ from precompute.solver_scenes import SolverScene
 
 __all__ = ["RIVALS", "start_rival"]
 
+BLENDER = 160.0  # its stiffness for E h = 1e5 N/m at 64 by 64; has no unit that could be told from another fabric
 SPRING = 0.75  # stiffness of an edge over E h, as in the square lattice of natural lengths
 
 
@@ -36,6 +37,7 @@ class _Rival:
 RIVALS = MappingProxyType({
     "newton": _Rival("Newton XPBD", lambda modulus, n, k: {"substeps": n, "stiffness": SPRING * modulus}),
     "pypbd": _Rival("PositionBasedDynamics", lambda modulus, n, k: {"substeps": n}),
+    "bpy": _Rival("Blender", lambda modulus, n, k: {"steps": n, "stiffness": BLENDER}),
     "mujoco": _Rival("MuJoCo, elastic", lambda modulus, n, k: {"young": modulus / 1e-3, "iterations": k}),
     "pybullet": _Rival("PyBullet", lambda modulus, n, k: {"substeps": n, "stiffness": SPRING * modulus}),
 })  # fmt: skip

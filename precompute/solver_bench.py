@@ -25,7 +25,7 @@ BUDGET_MS = {32: 0.5, 64: 2.5, 128: 15.0}  # wanted of one core of a server at 2
 # Substeps a frame, by passes over coarser levels and by vertices a side: around the cheapest that passes.
 SETTINGS: Mapping[int, Mapping[int, Sequence[int]]] = {
     0: {32: (10, 20, 40), 64: (40, 80, 110), 128: (80,)},
-    4: {32: (4, 5, 6, 8), 64: (8, 10, 12, 14), 128: (12, 14, 16, 18)},
+    4: {32: (4, 5, 6, 8), 64: (8, 10, 11, 12), 128: (12, 14, 15, 16)},
 }
 REFINED = {32: (32, 4), 64: (40, 4), 128: (56, 4)}  # substeps and passes of the run whose amplitude is the measure
 METHODS = {0: "small steps", 4: "small steps, patches from coarse to fine"}
