@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from runtime import command
+from runtime.arguments import parser
 from runtime.report import Report
 
 SCENE = '[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\n'
@@ -140,7 +141,7 @@ def test_what_cannot_be_compared_is_refused(
 
 @pytest.mark.parametrize("text, seconds", [("90s", 90.0), ("1.5m", 90.0), ("2h", 7200.0)])
 def test_a_budget_is_a_time(text: str, seconds: float) -> None:
-    assert command._duration(text) == seconds
+    assert parser().parse_args(["compare", f"--budget={text}"]).budget == seconds
 
 
 @pytest.mark.parametrize("text", ["", "5", "-5m", "five m", "infs", "m"])
