@@ -27,7 +27,7 @@ from pbd.errors import InputError
 
 __all__ = [
     "Launch", "cuda_is_here", "ensure_initialized", "in_kernel", "local", "running_arch", "running_threads",
-    "signature", "subscript", "ti",
+    "same", "signature", "subscript", "ti",
 ]  # fmt: skip
 
 
@@ -126,6 +126,12 @@ def in_kernel(function: Any) -> Any:
 def subscript(array: Any, *index: Any) -> Any:
     """Element of an array in a kernel, to be read or written."""
     return impl.subscript(None, array, *index)
+
+
+@in_kernel
+def same(array: Any, other: Any) -> bool:
+    """Whether two arguments of a function in a kernel are one: known while it is compiled."""
+    return array is other
 
 
 def signature(kernel: Callable[..., None]) -> dict[str, Any]:

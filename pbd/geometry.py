@@ -1,6 +1,6 @@
 """What kernels share: array types, small vectors, triangles and the surface of a body."""
 
-from pbd.engine import ti
+from pbd.engine import same, ti
 
 __all__ = [
     "FAR", "Float1", "Float2", "Int1", "Int2", "Int3", "Int4", "Vec3", "Vec4", "Vec4Rows", "between",
@@ -75,7 +75,9 @@ def closest_on_triangle(p, a, b, c):
 def between(b: ti.i32, t: ti.f32, body_0: ti.template(), body_1: ti.template()) -> vec3:
     """Body vertex b at t in [0, 1] of the frame."""
     x = body_0[b]
-    return x + t * (body_1[b] - x)
+    if ti.static(not same(body_0, body_1)):  # the compiler must not know that nothing times zero is nothing
+        x += t * (body_1[b] - x)
+    return x
 
 
 @ti.func
