@@ -78,7 +78,7 @@ class Hierarchy:
         """Of each level: median of its links' stiffness times the inverse mass of their ends, but at most that of the
         finer levels [1/s2].
         """
-        total = self.inverse_mass[self.links].sum(axis=1) / self.link_data[:, 0, 1]
+        total = self.inverse_mass[self.links].sum(axis=1) / np.maximum(self.link_data[:, 0, 1], 1e-30)
         bounds = zip(self.link_starts[:-1], self.link_starts[1:], strict=True)
         rates = np.array([np.median(total[a:b]) if b > a else 0.0 for a, b in bounds])
         return np.minimum.accumulate(rates).tolist()
