@@ -81,6 +81,9 @@ def take_pair(
         old = chain[k[0]]
         while old >= 0 and not (old_pairs[old] == q).all():
             old = chain[position.shape[0] + old]
+        # Edges that seem so far through one another have gone around: crossings would have been told and pulled back.
+        if old >= 0 and q[1] < 0 and old_normals[old][3] < -thickness:
+            old = -1
     if close:
         fastest[0] = ti.max(fastest[0], way)
         c = ready[0]

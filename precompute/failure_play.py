@@ -31,7 +31,7 @@ from pbd.models.registry import AnySolver, make_solver
 from pbd.models.stepping import Options
 from precompute.error_classes import GRAVITY, LIMITS, START, ErrorClass, Recorded, classify, deviations
 
-__all__ = ["RATE", "Outcome", "Scene", "Stage", "play"]
+__all__ = ["LONGEST", "RATE", "Outcome", "Scene", "Stage", "play"]
 
 RATE = 60.0  # frames a second
 LONGEST = 30.0  # processor time of a run; one that takes longer is judged by what it came to [s]
