@@ -1,12 +1,13 @@
 """Pairs of cloth features that may touch in a frame, and edges that go through faces, found in a tree of boxes."""
 
 from pbd.engine import ti
-from pbd.geometry import Float1, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, vec3, vec4, xyz
+from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, vec3, vec4, xyz
 from pbd.pairs import corners_of, meet
 from pbd.tangles import note_crossings
 
-__all__ = ["find_pairs"]
+__all__ = ["PATCH", "find_pairs"]
 
+PATCH = 8  # most faces of a patch
 SLACK = 0.003  # pairs are kept up to this distance beyond thickness and expected motion [m]
 ALIKE = 0.5  # cosine of the greatest angle between two layers that face the same way [-]
 EDGES = 0.5  # part of the thickness at which edges repel: vertices keep the sheets apart, edges from crossing [-]
@@ -133,17 +134,33 @@ def bound_faces(
     patch_start: ti.template(),
     face_boxes: ti.template(),
 ):
-    """Boxes of a patch's faces over the way of a frame, if it has none yet."""
-    if face_boxes[3 * patch_start[patch]][0] == NOT_YET:
-        for f in range(patch_start[patch], patch_start[patch + 1]):
+    """Boxes of a patch's faces over the way of a frame, if it has none yet: those that it lacks overlap nothing."""
+    if face_boxes[patch, 0] == NOT_YET:
+        for a in range(PATCH):
             low, high = vec3(1e30), vec3(-1e30)
-            for a in range(3):
-                x = xyz(position[faces[f][a]])
-                y = x + course[faces[f][a]]
-                low = ti.min(low, ti.min(x, y))
-                high = ti.max(high, ti.max(x, y))
-            face_boxes[3 * f] = low - margin
-            face_boxes[3 * f + 1] = high + margin
+            if patch_start[patch] + a < patch_start[patch + 1]:
+                f = patch_start[patch] + a
+                for b in range(3):
+                    x = xyz(position[faces[f][b]])
+                    y = x + course[faces[f][b]]
+                    low = ti.min(low, ti.min(x, y))
+                    high = ti.max(high, ti.max(x, y))
+                low, high = low - margin, high + margin
+            for axis in ti.static(range(3)):
+                face_boxes[patch, axis * PATCH + a] = low[axis]
+                face_boxes[patch, (3 + axis) * PATCH + a] = high[axis]
+
+
+@ti.func
+def faces_within(patch: ti.i32, low: vec3, high: vec3, face_boxes: ti.template()) -> ti.i32:
+    """Bits of those faces of a patch whose boxes overlap a given one; the compiler takes all of them at once."""
+    bits = 0
+    for a in range(PATCH):
+        hit = (face_boxes[patch, a] <= high[0]) & (face_boxes[patch, 3 * PATCH + a] >= low[0])
+        hit &= (face_boxes[patch, PATCH + a] <= high[1]) & (face_boxes[patch, 4 * PATCH + a] >= low[1])
+        hit &= (face_boxes[patch, 2 * PATCH + a] <= high[2]) & (face_boxes[patch, 5 * PATCH + a] >= low[2])
+        bits |= ti.select(hit, 1 << a, 0)
+    return bits
 
 
 @ti.func
@@ -163,10 +180,10 @@ def beside(
     position: ti.template(),
     course: ti.template(),
     faces: ti.template(),
-    face_boxes: ti.template(),
+    face_normals: ti.template(),
 ):
     """Whether face g stays more than ``reach`` [m] to one side of the plane of face f."""
-    normal = face_boxes[3 * f + 2]
+    normal = face_normals[f]
     origin, drift = xyz(position[faces[f][0]]), course[faces[f][0]]
     low, high = 1e30, -1e30
     for a in ti.static(range(3)):
@@ -225,7 +242,8 @@ def find_pairs(
     neighbour_start: Int1,
     neighbours: Int1,
     boxes: Vec3,
-    face_boxes: Vec3,
+    face_boxes: Float2,
+    face_normals: Vec3,
     cones: Vec4,
     old_pairs: Int4,
     old_normals: Vec4,
@@ -284,16 +302,16 @@ def find_pairs(
                     normals[b] += vec4(normal)
                     normals[c] += vec4(normal)
                 normal /= ti.max(normal.norm(), 1e-20)
-                face_boxes[3 * f + 2] = normal
+                face_normals[f] = normal
                 axis += normal
             axis /= ti.max(axis.norm(), 1e-20)
             least = 1.0
             for f in range(patch_start[patch], patch_start[patch + 1]):
-                least = ti.min(least, axis.dot(face_boxes[3 * f + 2]))
+                least = ti.min(least, axis.dot(face_normals[f]))
             cones[patch] = vec4(axis, least)
             boxes[2 * (nodes.shape[0] + patch)] = low - margin
             boxes[2 * (nodes.shape[0] + patch) + 1] = high + margin
-            face_boxes[3 * patch_start[patch]] = vec3(NOT_YET)
+            face_boxes[patch, 0] = NOT_YET
         for r in range(nodes.shape[0]):
             node = nodes.shape[0] - 1 - r
             patch = nodes[node][2]
@@ -341,28 +359,34 @@ def find_pairs(
                             other_low = boxes[2 * (nodes.shape[0] + other)]
                             other_high = boxes[2 * (nodes.shape[0] + other) + 1]
                             for f in range(patch_start[patch], patch_start[patch + 1]):
-                                face_low, face_high = face_boxes[3 * f], face_boxes[3 * f + 1]
+                                face_low, face_high = vec3(0.0), vec3(0.0)
+                                for axis in ti.static(range(3)):
+                                    face_low[axis] = face_boxes[patch, axis * PATCH + f - patch_start[patch]]
+                                    face_high[axis] = face_boxes[patch, (3 + axis) * PATCH + f - patch_start[patch]]
+                                second = 0
                                 if overlap(face_low, face_high, other_low, other_high):
-                                    begin = patch_start[other]
-                                    if other == patch:
-                                        begin = f + 1
-                                    for g in range(begin, patch_start[other + 1]):
-                                        meets = overlap(face_low, face_high, face_boxes[3 * g], face_boxes[3 * g + 1])
-                                        if meets and near and face_boxes[3 * f + 2].dot(face_boxes[3 * g + 2]) > 0.0:
-                                            meets = not share_corner(faces[f], faces[g])
-                                        if meets:
-                                            meets = not beside(f, g, 2.0 * margin, position, course, faces, face_boxes)
-                                        if meets:
-                                            meets = not beside(g, f, 2.0 * margin, position, course, faces, face_boxes)
-                                        if meets:
-                                            note_crossings(f, g, position, faces, edges, owned, face_boxes, crossed)
-                                            bits = owned_pairs(owned[f], owned[g])
-                                            while bits != 0:
-                                                q = feature_pair(f, g, 31 - ti.math.clz(bits & -bits), faces, edges)
-                                                bits &= bits - 1
-                                                if q[0] >= 0:
-                                                    take_pair(
-                                                        q, position, course, rest, layer, strayed, normals,
-                                                        old_pairs, old_normals, chain, pairs, data, ready, fastest,
-                                                        thickness, longest,
-                                                    )  # fmt: skip
+                                    second = faces_within(other, face_low, face_high, face_boxes)
+                                if other == patch:
+                                    second &= -2 << (f - patch_start[patch])
+                                while second != 0:
+                                    g = patch_start[other] + 31 - ti.math.clz(second & -second)
+                                    second &= second - 1
+                                    meets = True
+                                    if near and face_normals[f].dot(face_normals[g]) > 0.0:
+                                        meets = not share_corner(faces[f], faces[g])
+                                    if meets:
+                                        meets = not beside(f, g, 2.0 * margin, position, course, faces, face_normals)
+                                    if meets:
+                                        meets = not beside(g, f, 2.0 * margin, position, course, faces, face_normals)
+                                    if meets:
+                                        note_crossings(f, g, position, faces, edges, owned, face_normals, crossed)
+                                        bits = owned_pairs(owned[f], owned[g])
+                                        while bits != 0:
+                                            q = feature_pair(f, g, 31 - ti.math.clz(bits & -bits), faces, edges)
+                                            bits &= bits - 1
+                                            if q[0] >= 0:
+                                                take_pair(
+                                                    q, position, course, rest, layer, strayed, normals,
+                                                    old_pairs, old_normals, chain, pairs, data, ready, fastest,
+                                                    thickness, longest,
+                                                )  # fmt: skip

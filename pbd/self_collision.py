@@ -16,13 +16,12 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from pbd.engine import Launch
 from pbd.mesh import edges_of
 from pbd.model import Model, State
-from pbd.pair_search import find_pairs
+from pbd.pair_search import PATCH, find_pairs
 from pbd.pairs import PULL
 from pbd.tangles import Tangles
 
 __all__ = ["SelfCollision"]
 
-PATCH = 8  # most faces of a patch
 FURTHEST = 0.005  # that features of a pair go against each other between two searches [m]
 LANDMARKS = 6  # vertices from which ways along the cloth are measured
 
@@ -110,7 +109,8 @@ class SelfCollision:
         patches = len(self._patch_start) - 1
         self._course, self._normals = np.zeros((count, 3), np.float32), np.zeros((count, 4), np.float32)
         self._boxes = np.zeros((2 * (len(self._nodes) + patches), 3), np.float32)
-        self._face_boxes = np.zeros((3 * len(order), 3), np.float32)
+        self._face_boxes = np.zeros((patches, 6 * PATCH), np.float32)
+        self._face_normals = np.zeros((len(order), 3), np.float32)
         self._cones = np.zeros((patches, 4), np.float32)
         self._chain = np.zeros(count, np.int32)
         self._fastest = np.zeros(1, np.float32)
@@ -165,6 +165,7 @@ class SelfCollision:
                 self._neighbours,
                 self._boxes,
                 self._face_boxes,
+                self._face_normals,
                 self._cones,
                 state.pairs,
                 state.pair_sides,
