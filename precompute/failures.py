@@ -50,15 +50,21 @@ def failure_rows(
     """
     _check(solver)
     rows = []
-    for scene in scenes():
-        if (lines is None or scene.line in lines) and (solver == "default" or not scene.default_only):
-            report(f"{solver}: {scene.name}")
-            rows.append(_row(scene.line, scene.name, solver, play(scene, solver)))
-    for line, name, default_only, run in comparisons():
-        if (lines is None or line in lines) and (solver == "default" or not default_only):
-            report(f"{solver}: {name}")
-            rows.append(_row(line, name, solver, run(solver)))
+    for wanted in _lines() if lines is None else lines:
+        for scene in scenes():
+            if scene.line == wanted and (solver == "default" or not scene.default_only):
+                report(f"{solver}: {scene.name}")
+                rows.append(_row(wanted, scene.name, solver, play(scene, solver)))
+        for line, name, default_only, run in comparisons():
+            if line == wanted and (solver == "default" or not default_only):
+                report(f"{solver}: {name}")
+                rows.append(_row(wanted, name, solver, run(solver)))
     return rows
+
+
+def _lines() -> list[str]:
+    """All lines of the list, in order."""
+    return list(dict.fromkeys([*(scene.line for scene in scenes()), *(row[0] for row in comparisons())]))
 
 
 def all_failure_rows(
@@ -76,9 +82,8 @@ def all_failure_rows(
     """
     for name in solvers:
         _check(name)
-    lines = list(dict.fromkeys([*(scene.line for scene in scenes()), *(row[0] for row in comparisons())]))
     with ProcessPoolExecutor(workers, get_context("spawn"), begin_worker) as pool:
-        futures = [(name, line, pool.submit(failure_rows, name, lines=[line])) for name in solvers for line in lines]
+        futures = [(name, line, pool.submit(failure_rows, name, lines=[line])) for name in solvers for line in _lines()]
         rows: list[dict[str, Any]] = []
         try:
             for done, (name, line, future) in enumerate(futures, 1):
