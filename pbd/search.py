@@ -211,35 +211,37 @@ def find_of_garment(
     The first samples are the vertices themselves; the others stand in the middle of long edges and search from what
     the ends of their edge found. ``surface`` are the body vertices that lie in a face.
     """
-    way[0] = closing_way(velocity, dt, body_0, body_1)
-    # What moves further than can be seen is looked for again on its way.
-    unseen = (way[0] + thickness - FAR) / (1.5 * FAR)
-    later = int(ti.ceil(ti.math.clamp(unseen, 0.0, MOST_SEARCHES - 1.0)))
-    for k in range(later + 1):
-        t = k / (later + 0.5)
-        search(
-            position, velocity, dt, t, nearest, body_0, body_1, surface, probes, weights,
-            cell_start, cell_items, item_cell,
-        )  # fmt: skip
-    if later > 0:
-        spread_nearest(position.shape[0], triangles, nearest)
-    for c in range(position.shape[0], samples.shape[0]):
-        p = 0.5 * (xyz(position[samples[c][0]]) + xyz(position[samples[c][1]]))
-        best = -1
-        distance = 1e30
-        for a in ti.static(range(3)):
-            start = nearest[c]
-            reach = 4.0 * FAR * FAR  # of the vertex that it had; what an end found is near enough
-            if ti.static(a < 2):
-                start = nearest[samples[c][a]]
-                reach = 1e30
-            if start >= 0 and start != best:
-                found = descend(p, start, 0.0, body_0, body_1, ring_start, ring)
-                offset = body_0[found] - p
-                if offset.dot(offset) < ti.min(distance, reach):
-                    distance = offset.dot(offset)
-                    best = found
-        nearest[c] = best
+    way[0] = 0.0
+    if surface.shape[0] > 0:  # in a crowd, garments without a body come along
+        way[0] = closing_way(velocity, dt, body_0, body_1)
+        # What moves further than can be seen is looked for again on its way.
+        unseen = (way[0] + thickness - FAR) / (1.5 * FAR)
+        later = int(ti.ceil(ti.math.clamp(unseen, 0.0, MOST_SEARCHES - 1.0)))
+        for k in range(later + 1):
+            t = k / (later + 0.5)
+            search(
+                position, velocity, dt, t, nearest, body_0, body_1, surface, probes, weights,
+                cell_start, cell_items, item_cell,
+            )  # fmt: skip
+        if later > 0:
+            spread_nearest(position.shape[0], triangles, nearest)
+        for c in range(position.shape[0], samples.shape[0]):
+            p = 0.5 * (xyz(position[samples[c][0]]) + xyz(position[samples[c][1]]))
+            best = -1
+            distance = 1e30
+            for a in ti.static(range(3)):
+                start = nearest[c]
+                reach = 4.0 * FAR * FAR  # of the vertex that it had; what an end found is near enough
+                if ti.static(a < 2):
+                    start = nearest[samples[c][a]]
+                    reach = 1e30
+                if start >= 0 and start != best:
+                    found = descend(p, start, 0.0, body_0, body_1, ring_start, ring)
+                    offset = body_0[found] - p
+                    if offset.dot(offset) < ti.min(distance, reach):
+                        distance = offset.dot(offset)
+                        best = found
+            nearest[c] = best
 
 
 @ti.kernel
