@@ -89,7 +89,8 @@ def constraint_costs() -> dict[str, float]:
     ways, room = np.zeros((count, 4), np.float32), np.zeros((9, len(edges) + BLOCK), np.float32)
     ways[:, 3] = position[:, 3]
     distances = np.linalg.norm(offsets[:, :3], axis=1)
-    room[:7, : len(edges)] = [*(offsets[:, :3].T / distances), distances, lengths, 0.0 * lengths, offsets[:, 3]]
+    # All are too long, so that none is passed over: links only pull.
+    room[:7, : len(edges)] = [*(offsets[:, :3].T / distances), distances, 0.9 * lengths, 0.0 * lengths, offsets[:, 3]]
     room[8] = -1.0
     parent, rate = np.zeros(count, np.int32), 480.0**2
     costs = {

@@ -89,6 +89,23 @@ def test_every_pair_that_brute_force_finds_is_found_once(seed: int) -> None:
     assert len(found) == len(rows)  # none twice
 
 
+@pytest.mark.parametrize(("gap", "through"), [(-0.5 * THICKNESS, True), (-1.5 * THICKNESS, False)])
+def test_edges_are_through_one_another_only_so_far(gap: float, through: bool) -> None:
+    """What seems further through than cloth is thick has gone around; taken for through, it trembled for good."""
+    flat, faces = level(3, 3, 0.02)
+    vertices, faces = sheets(flat, flat @ turn(np.array([0.0, 1.0, 0.0]), 30.0).T + [0.003, 0.002, 0.001], faces=faces)
+    model = free_model(cloth(vertices, faces), Fabric(thickness=THICKNESS))
+    state, pairs = State.at_rest(model), SelfCollision(model)
+    pairs.find(state, 1e-6, 1, THICKNESS)
+    count = pairs.ready[0]
+    (edges, *_) = np.flatnonzero((pairs.pairs[:count, 1] < 0) & (np.abs(pairs.data[:count, 0, 1]) > 0.99))
+    pair, normal = pairs.pairs[edges].copy(), pairs.data[edges, 0, :3].copy()
+    state.pairs, state.pair_sides = pair[None], np.append(-normal, np.float32(gap))[None].astype(np.float32)
+    pairs.find(state, 1e-6, 1, THICKNESS)
+    (again,) = np.flatnonzero((pairs.pairs[: pairs.ready[0]] == pair).all(axis=1))
+    assert (pairs.data[again, 0, :3] @ normal < 0.0) == through
+
+
 def run(model, state: State, frames: int, colliders: Colliders | None = None, options: SolverOptions = ON) -> Solver:
     solver, colliders = Solver(model, options), colliders or Colliders()
     for _ in range(frames):

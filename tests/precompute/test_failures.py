@@ -12,7 +12,7 @@ import pytest
 
 from pbd import Colliders, InputError, Plane, Solver, State
 from pbd.models.newton import StepError
-from precompute import failure_play
+from precompute import failure_comparisons, failure_play
 from precompute.error_classes import ErrorClass
 from precompute.failure_comparisons import comparisons
 from precompute.failure_play import Outcome, Scene, play
@@ -143,6 +143,12 @@ def test_a_run_that_is_too_slow_is_judged_by_what_it_came_to(monkeypatch: pytest
     monkeypatch.setattr(failure_play, "LONGEST", 0.0)
     row, *_ = failure_rows("default", lines=["resolution sweep"])
     assert "(judged up to 0.017 of 2 s: slow)" in row["by"] and row["class"] == "imperceptible"
+
+
+def test_a_comparison_that_is_too_slow_is_judged_by_what_it_came_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(failure_comparisons, "LONGEST", 1e-9)
+    outcome = COMPARISONS["hung cloth at 25 and 75 Hz"]("default")
+    assert "(judged up to 0.04 of 3 s: slow)" in outcome.note and np.isfinite(outcome.figures["edge_strain_max"])
 
 
 @pytest.mark.proof
