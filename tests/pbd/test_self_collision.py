@@ -93,7 +93,7 @@ def test_every_pair_that_brute_force_finds_is_found_once(seed: int) -> None:
 def test_edges_are_through_one_another_only_so_far(gap: float, through: bool) -> None:
     """What seems further through than cloth is thick has gone around; taken for through, it trembled for good."""
     flat, faces = level(3, 3, 0.02)
-    vertices, faces = sheets(flat, flat @ turn(np.array([0.0, 1.0, 0.0]), 30.0).T + [0.003, 0.002, 0.001], faces=faces)
+    vertices, faces = sheets(flat, flat @ turn((0.0, 1.0, 0.0), 30.0).T + [0.003, 0.002, 0.001], faces=faces)
     model = free_model(cloth(vertices, faces), Fabric(thickness=THICKNESS))
     state, pairs = State.at_rest(model), SelfCollision(model)
     pairs.find(state, 1e-6, 1, THICKNESS)
