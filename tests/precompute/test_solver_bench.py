@@ -124,6 +124,7 @@ def test_a_measured_rival_takes_the_place_of_a_quoted_one(tmp_path: Path) -> Non
     figures = bench.figures()
     assert figures["rival_newton_xpbd_ms_64"] == 20.0 and figures["thread_speedup_128"] == 1.7
     assert "thread_speedup_128 1.70" in bench_verdict(bench)
+    assert "cheapest measured: Newton XPBD, 20 ms with 100 % of the swing." in bench_verdict(bench)
     write_bench(tmp_path, bench)
     with open(tmp_path / "solver.csv", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
