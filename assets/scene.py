@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ from assets.settings import (
     whole,
 )
 from pbd import Capsule, Fabric, InputError, Plane, SolverOptions, Sphere
+from pbd.wind import Wind
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -99,7 +100,10 @@ class GarmentSettings:
         attach: boundary vertices that the body carries: "top" (the highest loop), "none", or numbers of loops.
         attach_vertices: more vertices that the body carries.
         pins: vertices fixed in space.
+        limits: path of a .csv file of limits painted on the coarse mesh, about where the body carries its vertices,
+            with the columns vertex, maximum_distance, backstop, stiffness; see :class:`pbd.Limits`.
         thickness: distance kept from the body [m]; None for the fabric's own.
+        pressure: of the air inside over that outside [Pa].
     """
 
     name: str = entry(text())
@@ -112,7 +116,9 @@ class GarmentSettings:
     attach: str | tuple[int, ...] = entry(_ATTACH, "none")
     attach_vertices: tuple[int, ...] = entry(indices(), ())
     pins: tuple[int, ...] = entry(indices(), ())
+    limits: Path | None = entry(file_path(".csv"), None)
     thickness: float | None = entry(number(above=0, unit="m"), None)
+    pressure: float = entry(number(unit="Pa"), 0.0)
 
     def __post_init__(self) -> None:
         if self.seams is not None and self.coarse_vertices is None:
@@ -249,9 +255,20 @@ def _read_collider(reader: Reader, value: Any, key: str) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class WindSettings:
-    """Uniform wind: ``velocity`` [m/s]."""
+    """Wind with the mean ``velocity`` [m/s].
+
+    Attributes:
+        velocity: mean.
+        turbulence: root mean square of each component of what eddies add, over the mean speed [-].
+        length: wavelength of the largest eddies [m].
+    """
 
     velocity: Vector = entry(vector(unit="m/s"), (0.0, 0.0, 0.0))
+    turbulence: float = entry(number(at_least=0), 0.0)
+    length: float = entry(number(above=0, unit="m"), 1.0)
+
+    def air(self) -> Wind:
+        return Wind(self.velocity, self.turbulence, self.length)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -265,6 +282,9 @@ class SolverSettings:
         coarse_sweeps: passes over each coarser level of the mesh in a step; 0 leaves all out.
         contact_refreshes: times a second that each contact is looked for again [Hz].
         self_collision: whether garments keep their thickness from themselves. Layers always keep it from one another.
+        local_damping: rate at which velocities against a garment's motion as a whole die away [1/s].
+        linear_inertia, angular_inertia: part that the cloth feels of changes of the motion of what carries it [-]: 1 is
+            physical, 0 goes along unmoved.
     """
 
     frame_rate: float = entry(number(above=0, unit="Hz"), 60.0)
@@ -273,11 +293,12 @@ class SolverSettings:
     coarse_sweeps: int = entry(whole(at_least=0), SolverOptions.coarse_sweeps)
     contact_refreshes: float = entry(number(above=0, unit="Hz"), SolverOptions.contact_refreshes)
     self_collision: bool = entry(truth(), SolverOptions.self_collision)
+    local_damping: float = entry(number(at_least=0, unit="1/s"), SolverOptions.local_damping)
+    linear_inertia: float = entry(number(at_least=0, at_most=1), SolverOptions.linear_inertia)
+    angular_inertia: float = entry(number(at_least=0, at_most=1), SolverOptions.angular_inertia)
 
     def options(self) -> SolverOptions:
-        return SolverOptions(
-            self.substep, self.gravity, self.coarse_sweeps, self.contact_refreshes, self.self_collision
-        )
+        return SolverOptions(**{one.name: getattr(self, one.name) for one in fields(SolverOptions)})
 
 
 @dataclass(frozen=True, kw_only=True)

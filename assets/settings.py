@@ -122,15 +122,22 @@ class Reader:
         self._add(error.problem.replace("\n", "\n  "), _join(key, name), error.received, error.expected)
 
 
-def number(*, above: float = -math.inf, at_least: float = -math.inf, below: float = math.inf, unit: str = "") -> Check:
+def number(
+    *,
+    above: float = -math.inf,
+    at_least: float = -math.inf,
+    at_most: float = math.inf,
+    below: float = math.inf,
+    unit: str = "",
+) -> Check:
     """A finite number within bounds; integers become floats."""
 
     def convert(reader: Reader, value: Any, key: str) -> float:
-        if not _is_number(value) or not above < value < below or value < at_least:
+        if not _is_number(value) or not above < value < below or not at_least <= value <= at_most:
             raise Refused
         return float(value)
 
-    bounds = [("above", above), ("at least", at_least), ("below", below)]
+    bounds = [("above", above), ("at least", at_least), ("at most", at_most), ("below", below)]
     words = [f"{word} {bound:g}" for word, bound in bounds if math.isfinite(bound)]
     return Check(" ".join(["a finite number", ", ".join(words)]).rstrip(), convert, unit)
 

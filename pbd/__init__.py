@@ -5,6 +5,7 @@ from pbd.crowd import Crowd
 from pbd.engine import ensure_initialized
 from pbd.errors import InputError
 from pbd.fabric import Fabric
+from pbd.limits import Limits
 from pbd.mesh import ClothMesh
 from pbd.model import Model, ModelOptions, State, build_model
 from pbd.solver import Solver, SolverOptions
@@ -17,6 +18,7 @@ __all__ = [
     "Crowd",
     "Fabric",
     "InputError",
+    "Limits",
     "Model",
     "ModelOptions",
     "Plane",

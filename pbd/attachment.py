@@ -1,6 +1,6 @@
 """Vertices attached to a body: each rides on a point of a body face at a fixed distance along its normal."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from pbd.engine import Launch, ensure_initialized, ti
 from pbd.errors import InputError
 
-__all__ = ["Attachment", "closest_points", "closest_weights", "push_outside"]
+__all__ = ["Attachment", "closest_points", "closest_weights", "push_outside", "smooth_normals"]
 
 double3 = ti.types.vector(3, ti.f64)
 Double3 = ti.types.ndarray(dtype=double3, ndim=1)
@@ -65,7 +65,8 @@ def closest_weights(p: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) 
     return best
 
 
-def _smooth_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def smooth_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit vertex normals, weighted by area, shape (n, 3)."""
     corner = vertices[faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     total = np.zeros_like(vertices, float)
@@ -87,7 +88,7 @@ def push_outside(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, cl
     Returns:
         [m], shape (p, 3).
     """
-    normals = _smooth_normals(vertices, faces)
+    normals = smooth_normals(vertices, faces)
     points = np.array(points, float)
     for _ in range(4):  # a point pushed out of one face may come too near to the next
         face, weights = closest_points(points, vertices, faces)
@@ -153,6 +154,11 @@ class Attachment:
         w = self.weights
         surface = w[:, :1] * a + w[:, 1:2] * b + w[:, 2:] * c
         return surface, np.stack([side, normal, np.cross(side, normal)], axis=2)
+
+    def moved(self, ways: np.ndarray, vertices: np.ndarray) -> "Attachment":
+        """The same points, each moved by its way [m], shape (p, 3), in the bind pose."""
+        _, frame = self._frames(np.asarray(vertices, float))
+        return replace(self, offset=self.offset + np.einsum("pi,pij->pj", ways, frame))
 
     def targets(self, vertices: np.ndarray) -> np.ndarray:
         """Where the points are for a pose of the body [m], shape (n, 3): float64, shape (p, 3)."""

@@ -12,6 +12,7 @@ __all__ = [
     "drag_velocity",
     "hinge_multiplier",
     "larger",
+    "limit_correction",
     "link_multiplier",
     "membrane_multipliers",
     "stitch_multiplier",
@@ -160,6 +161,33 @@ def tether_correction(offset: vec3, length: ti.f32):
     if distance > length:
         correction = offset * (length / distance - 1.0)
     return correction
+
+
+@ti.func
+def limit_correction(offset: vec3, normal: vec3, law: ti.math.vec4, inverse_h2: ti.f32, inverse_mass: ti.f32):
+    """Soft and hard limits of a vertex about the place to which the body carries it.
+
+    A spring draws it there (XPBD, its multiplier from zero), a sphere keeps it near, a wall keeps it from going deep.
+
+    Args:
+        offset: from the place [m].
+        normal: of the garment there, unit.
+        law: maximum distance [m], depth of the wall under the place [m], compliance of the spring [m/N]; nothing
+            below zero is there.
+        inverse_h2: [1/s2].
+        inverse_mass: [1/kg].
+
+    Returns:
+        Correction of the position [m].
+    """
+    x = offset
+    if law[2] >= 0.0:
+        x *= 1.0 - inverse_mass / ti.max(inverse_mass + law[2] * inverse_h2, 1e-20)
+    if law[0] >= 0.0:
+        x *= ti.min(1.0, law[0] / ti.max(x.norm(), 1e-20))
+    if law[1] >= 0.0:
+        x += ti.max(0.0, -law[1] - x.dot(normal)) * normal
+    return ti.select(inverse_mass > 0.0, x - offset, vec3(0.0))
 
 
 @ti.func

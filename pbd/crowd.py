@@ -17,6 +17,7 @@ from pbd.colliders import Colliders
 from pbd.engine import Launch, in_kernel, local, running_arch, running_threads, signature, subscript, ti
 from pbd.errors import InputError
 from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4
+from pbd.limits import Places
 from pbd.model import State
 from pbd.schedule import advance_garment, advance_kernel
 from pbd.search import find_nearest, find_of_garment
@@ -29,8 +30,8 @@ BLOCK = 512  # Taichi gives a thread no less than this much of a loop
 # Of each garment alone: what a step reads of the world, what it writes for it, and room for the step. All else is of
 # its model or its body's mesh, and garments may share it.
 READ = (
-    "position", "velocity", "nearest", "target_0", "target_1", "primitives", "body_0", "body_1", "body_normals",
-    "steps",
+    "position", "velocity", "nearest", "target_0", "target_1", "limits", "air", "primitives", "body_0",
+    "body_1", "body_normals", "steps",
 )  # fmt: skip
 WRITTEN = ("position", "velocity", "nearest", "contact")
 ROOM = (
@@ -176,11 +177,12 @@ class Crowd:
         dt: float,
         targets: Sequence[np.ndarray | None] | None = None,
         winds: Sequence[tuple[float, float, float] | np.ndarray] | None = None,
+        places: Sequence[Places | None] | None = None,
     ) -> None:
         """Advance the states in place.
 
         Args:
-            states, colliders, targets, winds: of each garment as in :meth:`pbd.Solver.step`.
+            states, colliders, targets, winds, places: of each garment as in :meth:`pbd.Solver.step`.
             dt: frame time [s]; 0, or below 1e-7, does nothing.
 
         Raises:
@@ -189,7 +191,8 @@ class Crowd:
         if not np.isfinite(dt) or dt < 0:
             raise InputError("bad time step", key="dt", received=dt, expected="a finite number, at least 0 [s]")
         count = len(self._solvers)
-        for name, given in (("states", states), ("colliders", colliders), ("targets", targets), ("winds", winds)):
+        every = {"states": states, "colliders": colliders, "targets": targets, "winds": winds, "places": places}
+        for name, given in every.items():
             if given is not None and len(given) != count:
                 raise InputError("not one for every garment", key=name, received=len(given), expected=str(count))
         if dt < SHORTEST_FRAME:
@@ -199,7 +202,8 @@ class Crowd:
         for garment, solver in enumerate(self._solvers):
             target = None if targets is None else targets[garment]
             wind = (0.0, 0.0, 0.0) if winds is None else winds[garment]
-            search, course = solver.prepare(states[garment], colliders[garment], dt, target, wind)
+            place = None if places is None else places[garment]
+            search, course = solver.prepare(states[garment], colliders[garment], dt, target, wind, place)
             found = {**dict(zip(layout.search, search, strict=True)), **dict(zip(layout.course, course, strict=True))}
             arrays.append({name: found[name] for name in layout.arrays})
             numbers = [(wish, found[name]) for name, wish in layout.numbers.items()]
@@ -207,9 +211,9 @@ class Crowd:
             reals.append(np.concatenate([np.atleast_1d(value) for wish, value in numbers if wish is not ti.i32]))
         if not self._fits(arrays):
             self._lay_out(arrays)
-        for own, places in zip(arrays, self._places, strict=True):
+        for own, there in zip(arrays, self._places, strict=True):
             for name in READ:
-                places[name][:] = own[name]
+                there[name][:] = own[name]
         self._meetings[:] = 0
         self._launch(
             *self._pools,
@@ -219,9 +223,9 @@ class Crowd:
             self._meetings,
             self._workers,
         )
-        for own, places in zip(arrays, self._places, strict=True):
+        for own, there in zip(arrays, self._places, strict=True):
             for name in WRITTEN:
-                own[name][:] = places[name]
+                own[name][:] = there[name]
 
     def _fits(self, arrays: list[dict[str, np.ndarray]]) -> bool:
         """Whether the long arrays were made for these."""

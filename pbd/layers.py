@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pbd.errors import InputError
+from pbd.limits import Limits
 from pbd.mesh import ClothMesh, Hinges
 from pbd.model import BLOCK, Model, blocks_of
 
@@ -67,6 +68,8 @@ def layered(models: Sequence[Model]) -> Model:
     values = np.concatenate([model.triangle_data[:, : len(model.triangles)] for model in models], axis=1)[:, meant]
     counts = [model.vertex_count for model in models]
     fabrics = [model.fabric for model in models]
+    pressed = [np.resize(model.pressure, model.vertex_count) for model in models]  # nothing becomes zeros
+    limits = [model.limits for model in models]
     thickness, friction = max(f.thickness for f in fabrics), min(f.friction for f in fabrics)
     return replace(
         models[0],
@@ -89,5 +92,13 @@ def layered(models: Sequence[Model]) -> Model:
         tether_lengths=joined("tether_lengths"),
         samples=np.concatenate(shifted("samples"))[sampled].astype(np.int32),
         sample_colors=sample_colors,
+        pressure=np.concatenate(pressed) if any(len(model.pressure) for model in models) else models[0].pressure,
+        limits=Limits(
+            np.concatenate(shifted("vertices", limits)),
+            *(
+                np.concatenate([getattr(part, name) for part in limits])
+                for name in ("maximum_distance", "backstop", "stiffness")
+            ),
+        ),
         layer=np.repeat(np.arange(len(models), dtype=np.int32), counts),
     )

@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import dijkstra
 from pbd.bending import hinge_calibration, hinge_rows
 from pbd.errors import InputError
 from pbd.fabric import Fabric
+from pbd.limits import Limits
 from pbd.mesh import ClothMesh, greedy_colors
 from pbd.storage import replacing
 
@@ -34,13 +35,18 @@ class ModelOptions:
             so its triangles may shorten instead.
         bend_scale: factor on the bending stiffness [-].
         tether_slack: length of a tether over the geodesic distance [-]; 0 leaves tethers out.
+        pressure: of the air behind the cloth over that before it, where its normals point [Pa].
     """
 
     squeeze: float = 1.0
     bend_scale: float = 1.0
     tether_slack: float = 1.03
+    pressure: float = 0.0
 
     def __post_init__(self) -> None:
+        if not np.isfinite(self.pressure):
+            expected = "a finite number [Pa]"
+            raise InputError("bad model option", key="pressure", received=self.pressure, expected=expected)
         for name in ("squeeze", "bend_scale", "tether_slack"):
             value = getattr(self, name)
             if not np.isfinite(value) or value < 0 or (name == "squeeze" and value < 1):
@@ -72,6 +78,8 @@ class Model:
         sample_colors: offsets of the samples that share no vertex, the vertices first, shape (colours + 1,).
         bend_factor: c of the hinge energy, measured on this mesh [-].
         layer: number of the garment that each vertex belongs to, from the innermost, 0, outwards, int32, shape (n,).
+        pressure: at each vertex [Pa], float32, shape (n,); no number where there is none anywhere.
+        limits: soft and hard limits about where a body carries vertices.
         smooth: whether middles of edges are tested for contact where the smooth surface passes over them: long edges
             cut through what is round.
     """
@@ -98,6 +106,8 @@ class Model:
     sample_colors: np.ndarray
     bend_factor: float
     layer: np.ndarray
+    pressure: np.ndarray
+    limits: Limits
     smooth: bool = False
 
     @property
@@ -111,6 +121,7 @@ def build_model(
     held: np.ndarray | None = None,
     options: ModelOptions | None = None,
     bend_factor: float | None = None,
+    limits: Limits | None = None,
 ) -> Model:
     """Model of a mesh in a fabric.
 
@@ -120,15 +131,19 @@ def build_model(
         held: vertices that are moved from outside (pins, attachments to a body), int, shape (p,).
         options: reduced-model factors and tethers.
         bend_factor: hinge factor c if it was measured before; None measures it.
+        limits: about where a body carries vertices.
 
     Raises:
-        InputError: a held vertex outside the mesh.
+        InputError: a held or limited vertex outside the mesh.
     """
-    options = options or ModelOptions()
+    options, limits = options or ModelOptions(), limits or Limits.none()
     count = len(mesh.vertices)
     held = np.unique(np.asarray([] if held is None else held, np.int32))
     if held.size and (held[0] < 0 or held[-1] >= count):
         raise InputError("held vertex outside the mesh", key="held", received=int(held[-1]), expected=f"0..{count - 1}")
+    if limits.vertices.max(initial=0) >= count:
+        received, expected = int(limits.vertices.max()), f"0..{count - 1}"
+        raise InputError("limited vertex outside the mesh", key="limits", received=received, expected=expected)
     mass = fabric.areal_density * mesh.vertex_areas
     if np.any(mass <= 0):
         vertex = int(np.argmin(mass))
@@ -162,6 +177,8 @@ def build_model(
         *_samples(mesh),
         float(bend_factor),
         np.zeros(count, np.int32),
+        np.full(count if options.pressure else 0, options.pressure, np.float32),
+        limits,
     )
 
 
@@ -264,6 +281,8 @@ class State:
         contact: distance to the body [m], float32, shape (n,); ``pbd.geometry.FAR`` where nothing is near.
         pairs: features of the cloth that touch one another, as :class:`pbd.self_collision.SelfCollision` counts them,
             int32, shape (c, 4).
+        carrier: velocity of what carries the cloth in the last frame, B x + b at a place x, as (B, b) [1/s], [m/s],
+            float64, shape (3, 4); for :func:`pbd.inertia.relieve`.
         pair_sides: direction in which the first feature of each lies from the second and how far [m], negative once it
             has gone through, float32, shape (c, 4).
     """
@@ -273,6 +292,7 @@ class State:
     velocity: np.ndarray
     nearest: np.ndarray
     contact: np.ndarray = field(repr=False)
+    carrier: np.ndarray = field(repr=False)
     pairs: np.ndarray = field(repr=False)
     pair_sides: np.ndarray = field(repr=False)
 
@@ -287,7 +307,8 @@ class State:
         position = np.concatenate([vertices - origin, model.inverse_mass[:, None]], axis=1).astype(np.float32)
         velocity, contact = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
         nearest, pairs = np.full(len(model.samples), -1, np.int32), np.zeros((0, 4), np.int32)
-        return cls(origin, position, velocity, nearest, contact, pairs, np.zeros((0, 4), np.float32))
+        carrier, sides = np.zeros((3, 4)), np.zeros((0, 4), np.float32)
+        return cls(origin, position, velocity, nearest, contact, carrier, pairs, sides)
 
     def world(self) -> np.ndarray:
         """World positions [m], float64, shape (n, 3)."""
@@ -297,12 +318,13 @@ class State:
         """Count positions from another origin; both are whole multiples of a power of two."""
         if np.any(origin != self.origin):
             self.position[:, :3] -= (origin - self.origin).astype(np.float32)
+            self.carrier[:, 3] += self.carrier[:, :3] @ (origin - self.origin)
             self.origin = np.array(origin, float)
 
     def copy(self) -> State:
         return State(*(getattr(self, name).copy() for name in self._names))
 
-    _names = ("origin", "position", "velocity", "nearest", "contact", "pairs", "pair_sides")
+    _names = ("origin", "position", "velocity", "nearest", "contact", "carrier", "pairs", "pair_sides")
 
     def hash(self) -> str:
         """SHA-256 over every bit of the state."""
@@ -330,8 +352,8 @@ class State:
             raise InputError(f"not a saved state: {error}", file=path, expected="a file of State.save") from error
         received = [(array.dtype.name, array.shape) for array in (getattr(state, name) for name in cls._names)]
         count, samples, pairs = len(state.position), len(state.nearest), len(state.pairs)
-        shapes = ((3,), (count, 4), (count, 3), (samples,), (count,), (pairs, 4), (pairs, 4))
-        kinds = ("float64", "float32", "float32", "int32", "float32", "int32", "float32")
+        shapes = ((3,), (count, 4), (count, 3), (samples,), (count,), (3, 4), (pairs, 4), (pairs, 4))
+        kinds = ("float64", "float32", "float32", "int32", "float32", "float64", "int32", "float32")
         expected = list(zip(kinds, shapes, strict=True))
         if received != expected:
             raise InputError("not a saved state", file=path, received=received, expected=str(expected))

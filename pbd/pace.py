@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["Carry", "carry_of", "fastest_way"]
+__all__ = ["Carry", "carry_of", "fastest_way", "rigid_motion"]
 
 TELEPORT = 30.0  # what holds the cloth goes faster than this against it only if it was put somewhere else [m/s]
 RIGID = 0.1  # part of the way by which it may deviate from a rigid motion [-]
@@ -36,23 +36,29 @@ def carry_of(before: np.ndarray, after: np.ndarray, drift: np.ndarray, dt: float
     if not len(before):
         return None
     chosen = slice(None, None, max(1, len(before) // FEW))
-    before, after = before[chosen].astype(float), after[chosen].astype(float)
+    found = rigid_motion(before[chosen], after[chosen])
+    if np.linalg.norm(found.way - dt * drift) < TELEPORT * dt:
+        return None
+    off = np.linalg.norm(found.points(before[chosen].astype(float)) - after[chosen], axis=1).max()
+    return found if off <= RIGID * np.linalg.norm(found.way) else None
+
+
+def rigid_motion(before: np.ndarray, after: np.ndarray) -> Carry:
+    """The rigid motion nearest to that of some points (Kabsch 1976).
+
+    Args:
+        before, after: [m], shape (k, 3), k > 0. Points on a line do not tell how far they rolled: not at all.
+    """
+    before, after = before.astype(float), after.astype(float)
     centre = before.mean(axis=0)
     way = after.mean(axis=0) - centre
-    length = float(np.linalg.norm(way))
-    if np.linalg.norm(way - dt * drift) < TELEPORT * dt:
-        return None
-    # The best rotation between two sets of points (Kabsch 1976).
-    spread = before - centre
-    u, sizes, v = np.linalg.svd(spread.T @ (after - centre - way))
+    u, sizes, v = np.linalg.svd((before - centre).T @ (after - centre - way))
     turn = np.eye(3)
     if sizes[1] > 1e-6 * sizes[0]:
         turn = v.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(v.T @ u.T))]) @ u.T
-    elif sizes[0] > 1e-12:  # points on a line do not tell how far they rolled: not at all
+    elif sizes[0] > 1e-12:
         turn = _shortest_turn(u[:, 0], v[0])
-    found = Carry(turn, centre, way)
-    off = np.linalg.norm(found.points(before) - after, axis=1).max()
-    return found if off <= RIGID * length else None
+    return Carry(turn, centre, way)
 
 
 def _shortest_turn(a: np.ndarray, b: np.ndarray) -> np.ndarray:

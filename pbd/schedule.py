@@ -12,6 +12,7 @@ from pbd.constraints import (
     cushioned,
     drag_velocity,
     hinge_multiplier,
+    limit_correction,
     membrane_multipliers,
     stitch_multiplier,
     tether_correction,
@@ -145,7 +146,7 @@ def cloth_normals(
     colors: ti.template(),
     normals: ti.template(),
 ):
-    """Unit vertex normals; the fourth component is 1 where faces are squeezed to lines and have none."""
+    """Unit vertex normals and areas [m2]; the area is below 0 where faces are squeezed to lines and have no normal."""
     count = position.shape[0]
     for i in range(team.begin(0, count), team.end(0, count)):
         normals[i] = ti.math.vec4(0.0)
@@ -163,7 +164,7 @@ def cloth_normals(
     for i in range(team.begin(0, count), team.end(0, count)):
         n = xyz(normals[i])
         size = n.norm()
-        normals[i] = vec4(n / ti.max(size, 1e-20), ti.select(size >= SQUEEZED * normals[i][3], 0.0, 1.0))
+        normals[i] = vec4(n / ti.max(size, 1e-20), ti.select(size >= SQUEEZED * normals[i][3], size / 6.0, -1.0))
 
 
 @ti.func
@@ -210,7 +211,9 @@ def advance_garment(
     held: ti.template(),
     target_0: ti.template(),
     target_1: ti.template(),
-    drag: ti.template(),
+    limits: ti.template(),
+    air: ti.template(),
+    pressure: ti.template(),
     primitives: ti.template(),
     nearest: ti.template(),
     contact: ti.template(),
@@ -243,7 +246,6 @@ def advance_garment(
     steps: ti.template(),
     h: ti.f32,
     gravity: vec3,
-    wind: vec3,
     squeeze: ti.f32,
     contact_law: ti.math.vec4,
 ):
@@ -253,12 +255,15 @@ def advance_garment(
     levels and passes over them. ``contact_law``: thickness [m], coefficient of friction, the pressure of the law by
     which the thickness gives over the areal density [m/s2], and above 0 where contact is with the smooth surface.
 
-    Per substep: predict, held vertices, patches from coarse to fine, membrane, bending, stitches, tethers, contact with
-    the body, of the cloth with itself, with primitives, velocities. Digits are kept in three places: a vertex stands at
-    ``position`` (on a grid) plus a small ``shift`` that takes the corrections; velocity takes (shift - predicted
-    shift)/h, the sum of the corrections, instead of a difference of world positions; and what it gains over the frame
-    is summed apart, in ``gained``: less the predicted shift/h while the substep lasts, so that the vertex started it
-    at -h (velocity + gained).
+    ``air``: velocity of the air at each vertex [m/s] and its drag over the mass [1/m]. ``limits``: place at the frame's
+    start and the vertex, motion of the place, normal there, law of :func:`pbd.constraints.limit_correction`.
+
+    Per substep: predict, held vertices, patches from coarse to fine, membrane, bending, stitches, tethers, limits,
+    contact with the body, of the cloth with itself, with primitives, velocities. Digits are kept in three places: a
+    vertex stands at ``position`` (on a grid) plus a small ``shift`` that takes the corrections; velocity takes (shift -
+    predicted shift)/h, the sum of the corrections, instead of a difference of world positions; and what it gains over
+    the frame is summed apart, in ``gained``: less the predicted shift/h while the substep lasts, so that the vertex
+    started it at -h (velocity + gained).
 
     In the first substep every contact sample finds where it touches. Every ``refresh`` substeps all are looked at:
     those nearer to the body than ``waking`` [m] are awake until the next time, and find again where they touch if
@@ -288,12 +293,16 @@ def advance_garment(
     cloth_normals(team, position, triangles, triangle_blocks, block_colors, normals)
     for i in range(team.begin(0, count), team.end(0, count)):
         p = xyz(position[i])
-        if normals[i][3] > 0.0 and position[i][3] > 0.0:
+        if normals[i][3] < 0.0 and position[i][3] > 0.0:
             p += 0.5 * thickness * sideways(i)  # cloth squeezed to a line knows no way to open
         x = ti.floor(p * FINEST + 0.5) / FINEST
         position[i] = vec4(x, position[i][3])
         shift[i] = vec4(p - x)
         gained[i] = ti.math.vec4(0.0)
+        pushed = 0.0  # by pressure, along the normal [m/s2]
+        if pressure.shape[0] > 0:
+            pushed = pressure[i] * position[i][3] * ti.max(normals[i][3], 0.0)
+        normals[i][3] = pushed
     for c in range(team.begin(0, held.shape[0]), team.end(0, held.shape[0])):
         velocity[held[c]] = (target_1[c] - target_0[c]) * (inverse_h * share)
     team.meet()
@@ -312,9 +321,12 @@ def advance_garment(
                 if step > steps[0]:
                     gain += inverse_h * u
                 if step < steps[1]:
+                    n = xyz(normals[i])
                     gain += h * gravity
+                    if pressure.shape[0] > 0:
+                        gain += (h * normals[i][3]) * n
                     v = velocity[i] + gain
-                    dragged = drag_velocity(v - wind, xyz(normals[i]), h * drag[i])
+                    dragged = drag_velocity(v - xyz(air[i]), n, h * air[i][3])
                     u += h * (v + dragged)
                     # Whole steps of the grid go to the position, the rest to the shift: nothing is rounded away.
                     whole = ti.floor(u * FINEST + 0.5) / FINEST
@@ -370,6 +382,13 @@ def advance_garment(
                 u = xyz(shift[i])
                 offset = (xyz(position[i]) - xyz(position[j])) + (u - xyz(shift[j]))
                 shift[i] = vec4(u + tether_correction(offset, tether_lengths[c]))
+            team.meet()
+            for c in range(team.begin(0, limits.shape[0]), team.end(0, limits.shape[0])):
+                i = int(limits[c, 0][3])
+                u = xyz(shift[i])
+                offset = (xyz(position[i]) - xyz(limits[c, 0])) + (u - t * xyz(limits[c, 1]))
+                correction = limit_correction(offset, xyz(limits[c, 2]), limits[c, 3], inverse_h2, position[i][3])
+                shift[i] = vec4(u + correction)
             team.meet()
 
             looked_at = step % refresh == 0
@@ -466,7 +485,9 @@ def advance_kernel(with_patches: bool, with_pairs: bool = False) -> Callable[...
         held: Int1,
         target_0: Vec3,
         target_1: Vec3,
-        drag: Float1,
+        limits: Vec4Rows,
+        air: Vec4,
+        pressure: Float1,
         primitives: Float2,
         nearest: Int1,
         contact: Float1,
@@ -499,7 +520,6 @@ def advance_kernel(with_patches: bool, with_pairs: bool = False) -> Callable[...
         steps: Int1,
         h: ti.f32,
         gravity: vec3,
-        wind: vec3,
         squeeze: ti.f32,
         contact_law: ti.math.vec4,
     ):
@@ -509,11 +529,11 @@ def advance_kernel(with_patches: bool, with_pairs: bool = False) -> Callable[...
                 Alone(), with_patches, with_pairs,
                 position, velocity, shift, normals, gained, touched, awake, samples, sample_colors,
                 listed, triangles, triangle_blocks, block_colors, triangle_data, hinges, hinge_colors, hinge_data,
-                stitches, stitch_weights, tethers, tether_lengths, held, target_0, target_1, drag, primitives, nearest,
-                contact, body_0, body_1, body_normals, ring_start, ring, fan_start, fan, parent, part, ways, places,
-                first_ways, borne, starts, children, child_starts, links, link_colors, color_starts,
-                link_data, link_shares, link_room, way, pairs, pair_data, ready, steps, h, gravity,
-                wind, squeeze, contact_law,
+                stitches, stitch_weights, tethers, tether_lengths, held, target_0, target_1, limits, air, pressure,
+                primitives, nearest, contact, body_0, body_1, body_normals,
+                ring_start, ring, fan_start, fan, parent, part, ways, places, first_ways, borne, starts, children,
+                child_starts, links, link_colors, color_starts, link_data, link_shares, link_room, way, pairs,
+                pair_data, ready, steps, h, gravity, squeeze, contact_law,
             )  # fmt: skip
 
     return advance

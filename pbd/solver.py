@@ -10,8 +10,10 @@ from pbd.colliders import Body, Colliders
 from pbd.engine import Launch, ensure_initialized
 from pbd.errors import InputError
 from pbd.hierarchy import Hierarchy, build_hierarchy
+from pbd.inertia import damp_locally, relieve
+from pbd.limits import Places
 from pbd.model import BLOCK, GRID, Model, State
-from pbd.pace import carry_of, fastest_way
+from pbd.pace import Carry, carry_of, fastest_way
 from pbd.schedule import advance_kernel
 from pbd.search import MAX_CELLS, find_nearest
 from pbd.self_collision import SelfCollision
@@ -40,6 +42,9 @@ class SolverOptions:
         contact_refreshes: times a second that each contact is looked for again along the body's surface [Hz].
         self_collision: whether the cloth keeps its thickness from itself. Layers always keep it from one another. Cloth
             that starts up to 3 cm through itself, with edges of 2 cm, is apart in 0.5 s.
+        local_damping: rate at which velocities against the garment's motion as a whole die away [1/s].
+        linear_inertia, angular_inertia: part that the cloth feels of changes of the motion of what carries it (the held
+            vertices, else the body), centrifugal force included [-]: 1 is physical, 0 goes along unmoved.
     """
 
     substep: float = 1.0 / 720.0
@@ -47,8 +52,17 @@ class SolverOptions:
     coarse_sweeps: int = 4
     contact_refreshes: float = 240.0
     self_collision: bool = False
+    local_damping: float = 0.0
+    linear_inertia: float = 1.0
+    angular_inertia: float = 1.0
 
     def __post_init__(self) -> None:
+        if not (np.isfinite(self.local_damping) and self.local_damping >= 0):
+            expected = "a finite number, at least 0 [1/s]"
+            raise InputError("bad rate", key="local_damping", received=self.local_damping, expected=expected)
+        for name in ("linear_inertia", "angular_inertia"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise InputError("bad part", key=name, received=getattr(self, name), expected="0 to 1")
         if not np.isfinite(self.substep) or self.substep <= 0:
             raise InputError("bad substep", key="substep", received=self.substep, expected="above 0 [s]")
         if len(self.gravity) != 3 or not np.isfinite(self.gravity).all():
@@ -82,7 +96,11 @@ class Solver:
         self._awake = np.zeros(2 * samples, np.int32)
         self._listed = np.zeros((MOST_WORKERS * (len(model.sample_colors) - 1), 2), np.int32)
         area = model.mesh.vertex_areas
-        self._drag = (0.5 * AIR_DENSITY * fabric.air_drag * area / model.mass).astype(np.float32)
+        self._air = np.zeros((count, 4), np.float32)
+        self._air[:, 3] = 0.5 * AIR_DENSITY * fabric.air_drag * area / model.mass
+        self._wind: tuple | None = (0.0, 0.0, 0.0)  # in it, where it is the same everywhere
+        self._limits = model.limits.rows(model.mesh.vertex_areas)
+        self._unlimited = self._limits[:0]
         self._nobody = Body(np.zeros((0, 3), np.int32), 1)
         self._cells = np.zeros(MAX_CELLS + 2, np.int32)
         self._way = np.zeros(1, np.float32)
@@ -113,6 +131,7 @@ class Solver:
         dt: float,
         targets: np.ndarray | None = None,
         wind: tuple[float, float, float] | np.ndarray = (0.0, 0.0, 0.0),
+        places: Places | None = None,
     ) -> None:
         """Advance the state in place.
 
@@ -122,17 +141,18 @@ class Solver:
             dt: frame time [s]; 0, or below 1e-7, does nothing.
             targets: where the held vertices stand at the end of the frame, world [m], shape (p, 3);
                 None leaves them where they are.
-            wind: velocity of the air [m/s].
+            wind: velocity of the air [m/s], shape (3,), or at each vertex, shape (n, 3).
+            places: where the body carries the vertices that the model limits; None sets them free.
 
         Raises:
-            InputError: dt below zero or not finite, a state of another model or not finite, bad targets or wind, or a
-                body about another origin.
+            InputError: dt below zero or not finite, a state of another model or not finite, bad targets, wind or
+                places, or a body about another origin.
         """
         if not np.isfinite(dt) or dt < 0:
             raise InputError("bad time step", key="dt", received=dt, expected="a finite number, at least 0 [s]")
         if dt < SHORTEST_FRAME:
             return
-        search, course = self.prepare(state, colliders, dt, targets, wind)
+        search, course = self.prepare(state, colliders, dt, targets, wind, places)
         if colliders.body is not None:
             self._find_nearest(*search)
         if self._pairs is None:
@@ -160,6 +180,7 @@ class Solver:
         dt: float,
         targets: np.ndarray | None,
         wind: tuple[float, float, float] | np.ndarray,
+        places: Places | None = None,
     ) -> tuple[tuple, tuple]:
         """Arguments of the kernels of a step, see :meth:`step`.
 
@@ -168,8 +189,13 @@ class Solver:
             :func:`pbd.schedule.advance_kernel`. They hold until the next call.
         """
         model, options = self.model, self.options
-        self._check(state, targets, wind)
-        rows, previous = self._keep_up(state, colliders, dt, targets)
+        self._check(state, targets, wind, places)
+        rows, previous, moved = self._keep_up(state, colliders, dt, targets)
+        if options.local_damping > 0.0:
+            damp_locally(state, model.mass, options.local_damping, dt)
+        if np.ndim(wind) > 1 or self._wind != tuple(wind):
+            self._air[:, :3] = wind
+            self._wind = tuple(wind) if np.ndim(wind) == 1 else None
         held_0 = np.ascontiguousarray(state.position[model.held, :3])
         held_1 = held_0 if targets is None else np.ascontiguousarray(targets - state.origin, np.float32)
         substeps = max(1, int(np.ceil(dt / options.substep - 1e-6)))
@@ -179,6 +205,11 @@ class Solver:
         refresh = max(1, round(substeps / max(1.0, dt * options.contact_refreshes)))
         levels = self._hierarchy
         thickness = model.fabric.thickness
+        limited = self._unlimited
+        if places is not None and len(model.limits.vertices):
+            limited, start = self._limits, places.start if moved is None else places.end
+            limited[:, 0, :3], limited[:, 1, :3] = start - state.origin, places.end - start
+            limited[:, 2, :3] = places.normals
         self._steps[:] = 0, substeps, substeps, refresh, levels.useful(dt / substeps), options.coarse_sweeps
         self._way[0] = 0.0
         body = colliders.body or self._nobody
@@ -234,7 +265,9 @@ class Solver:
             model.held,
             held_0,
             held_1,
-            self._drag,
+            limited,
+            self._air,
+            model.pressure,
             rows,
             state.nearest,
             state.contact,
@@ -261,7 +294,6 @@ class Solver:
             self._steps,
             dt / substeps,
             options.gravity,
-            wind,
             model.options.squeeze,
             (
                 thickness,
@@ -274,27 +306,36 @@ class Solver:
 
     def _keep_up(
         self, state: State, colliders: Colliders, dt: float, targets: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Primitives, and the body's pose, at the start of the frame.
+    ) -> tuple[np.ndarray, np.ndarray, Carry | None]:
+        """Primitives, and the body's pose, at the start of the frame; how what holds the cloth was put elsewhere.
 
-        Where what holds the cloth was put somewhere else, the garment goes with it as it is, and they stand still.
+        Where it was, the garment goes with it as it is, and they stand still.
         """
-        rows, body = colliders.rows(state.origin), colliders.body or self._nobody
-        carry = None
+        rows, body, options = colliders.rows(state.origin), colliders.body or self._nobody, self.options
         if targets is not None and len(self.model.held):
             before, after = state.position[self.model.held, :3], targets - state.origin
-            carry = carry_of(before, after, state.velocity.mean(axis=0), dt)
         elif colliders.body is not None and not len(self.model.held):
-            carry = carry_of(body.previous, body.current, state.velocity.mean(axis=0), dt)
+            before, after = body.previous, body.current
+        else:
+            return rows, body.previous, None
+        carry = carry_of(before, after, state.velocity.mean(axis=0), dt)
         if carry is None:
-            return rows, body.previous
+            if min(options.linear_inertia, options.angular_inertia) < 1.0:
+                relieve(state, before, after, options.linear_inertia, options.angular_inertia, dt)
+            return rows, body.previous, None
         state.position[:, :3] = carry.points(state.position[:, :3])
         state.velocity[:] = state.velocity @ carry.turn.T
         state.pair_sides[:, :3] = state.pair_sides[:, :3] @ carry.turn.T
         rows[:, 2:8] = rows[:, 8:14]
-        return rows, body.current
+        return rows, body.current, carry
 
-    def _check(self, state: State, targets: np.ndarray | None, wind: tuple[float, float, float] | np.ndarray) -> None:
+    def _check(
+        self,
+        state: State,
+        targets: np.ndarray | None,
+        wind: tuple[float, float, float] | np.ndarray,
+        places: Places | None,
+    ) -> None:
         """Refuse what the kernels could not take."""
         model = self.model
         received = (len(state.position), len(state.velocity), len(state.nearest), len(state.contact))
@@ -307,8 +348,15 @@ class Solver:
             raise InputError(
                 "bad targets", key="targets", received=np.shape(targets), expected=f"finite, ({len(model.held)}, 3)"
             )
-        if np.shape(wind) != (3,) or not np.isfinite(wind).all():
-            raise InputError("bad wind", key="wind", received=wind, expected="three finite numbers [m/s]")
+        if np.shape(wind) not in ((3,), (model.vertex_count, 3)) or not np.isfinite(wind).all():
+            received = wind if np.size(wind) <= 3 else np.shape(wind)
+            expected = f"three finite numbers [m/s], or shape ({model.vertex_count}, 3)"
+            raise InputError("bad wind", key="wind", received=received, expected=expected)
+        limited = (len(model.limits.vertices), 3)
+        for name, points in places._asdict().items() if places is not None else ():
+            if np.shape(points) != limited or not np.isfinite(points).all():
+                expected = f"finite, {limited}"
+                raise InputError("bad places", key=f"places.{name}", received=np.shape(points), expected=expected)
 
     def follow(self, state: State, colliders: Colliders) -> np.ndarray:
         """Move the origin of state and body to the grid point nearest to the garment, and return it [m], shape (3,)."""

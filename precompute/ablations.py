@@ -251,7 +251,8 @@ def _not_raised(bench: Bench) -> Way:
 
 
 def _coarse_model(bench: Bench, squeeze: float, bend_scale: float) -> Way:
-    return replace(bench.full, options=ModelOptions(squeeze=squeeze, bend_scale=bend_scale))
+    options = replace(bench.full.options or ModelOptions(), squeeze=squeeze, bend_scale=bend_scale)
+    return replace(bench.full, options=options)
 
 
 ABLATIONS = (

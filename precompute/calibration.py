@@ -103,7 +103,9 @@ def calibrate(
     energies = [bands.energy(r.positions[::EVERY]) for r in recordings]
     wanted = np.concatenate(energies).mean(axis=0)
     # The first is the fabric itself: what calibration is compared with.
-    options = [ModelOptions(squeeze=squeeze, bend_scale=bend) for squeeze, bend in itertools.product(SQUEEZE, BEND)]
+    options = [
+        replace(runs[0].options, squeeze=squeeze, bend_scale=bend) for squeeze, bend in itertools.product(SQUEEZE, BEND)
+    ]
     tries = [
         replace(run, fine=False, options=option, solver=solver, bend_factor=bend_factor)
         for option in options
@@ -156,7 +158,7 @@ def calibrate(
             judge(first, gain)
     best = best_of()
     plain, kept = rows[0], rows[best]
-    chosen = ModelOptions(squeeze=kept["squeeze"], bend_scale=kept["bend_scale"])
+    chosen = replace(runs[0].options, squeeze=kept["squeeze"], bend_scale=kept["bend_scale"])
     return Calibration(
         chosen, kept["gain"], plain["shift"], kept["shift"], plain["mismatch"], kept["mismatch"], tuple(rows)
     )

@@ -16,6 +16,7 @@ from assets.character import Character
 from assets.sequence import Sequence as VertexSequence
 from pbd import InputError, ModelOptions
 from pbd.bending import hinge_calibration
+from pbd.wind import CALM, Air
 from precompute.decoding import decode_recording
 from precompute.in_time import Pause, popping, step_response_frames
 from precompute.recording import Recording, Run, body_source, poses_of, record_runs
@@ -67,6 +68,7 @@ def levels_from(database: WrinkleDatabase, body: Character | VertexSequence) -> 
         database.subdivisions,
         database.warp,
         database.binding,
+        database.limits,
     )
 
 
@@ -76,7 +78,7 @@ def fine_run(
     motion: Motion,
     database_like,
     *,
-    wind: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    wind: Air = CALM,
     primitives: tuple = (),
 ) -> Run:
     """The converged fine simulation of a motion.
@@ -85,7 +87,7 @@ def fine_run(
         levels: of the garment.
         body: what moves.
         motion: how.
-        database_like: gives ``fabric``, ``solver`` and ``frame_rate``.
+        database_like: gives ``fabric``, ``options``, ``solver`` and ``frame_rate``.
         wind: velocity of the air [m/s].
         primitives: what the garment meets besides the body.
     """
@@ -98,7 +100,7 @@ def fine_run(
         poses_of(motion, dt),
         dt,
         database_like.fabric,
-        ModelOptions(),
+        ModelOptions(pressure=database_like.options.pressure),
         fine_options(database_like.solver, len(levels.subdivision.steps)),
         bend_factor=_fine_bend(levels),
         wind=wind,

@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from assets.character import Character
 from pbd import InputError, State
+from pbd.wind import Air
 from precompute.evaluation import SETTLE
 from precompute.rivals import PROBE_FRAMES
 from runtime.detail import Detail
@@ -169,7 +170,7 @@ def _measure(
 
 
 def _decode(
-    player: Player, poses: np.ndarray, dt: float, wind: tuple, layers: Sequence[tuple[int, int, int]], first: int
+    player: Player, poses: np.ndarray, dt: float, wind: Air, layers: Sequence[tuple[int, int, int]], first: int
 ) -> dict[str, np.ndarray]:
     """Play at full detail; every layer decodes every state, and every update goes on for some ticks."""
     details = [Detail(1, player.full.substeps, *layer) for layer in layers]
@@ -239,7 +240,7 @@ def _run(
     detail: Detail,
     poses: np.ndarray,
     dt: float,
-    wind: tuple,
+    wind: Air,
     turn: bool,
     first: int,
     seed: int,

@@ -12,7 +12,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from assets.scene import Scene, scene_text
-from pbd import Fabric, InputError, SolverOptions
+from pbd import Fabric, InputError, ModelOptions, SolverOptions
 from pbd.bending import hinge_calibration
 from precompute.calibration import GAINS, Calibration, calibrate
 from precompute.coverage import PART, choose
@@ -68,6 +68,7 @@ class Precomputed:
 @dataclass(frozen=True)
 class _Settings:
     fabric: Fabric
+    options: ModelOptions
     solver: SolverOptions
     frame_rate: float
 
@@ -149,6 +150,7 @@ def precompute(
         coarse_faces=levels.coarse.faces,
         subdivisions=stage.settings.subdivisions,
         held=levels.coarse_held.astype(np.int32),
+        limits=levels.coarse_limits,
         warp=(0.0, 1.0, 0.0),
         binding=levels.subdivision.binding,
         fabric_name=own_name,
@@ -248,8 +250,9 @@ def scene_run(stage: Stage, scene: Scene, motion: Motion, fabric: str | None = N
     """The fine run of a motion under a scene's settings, in one of its fabrics; None takes the garment's own."""
     fabrics = fabrics_of(scene, stage.settings)
     worn = fabrics[next(iter(fabrics)) if fabric is None else fabric]
-    settings = _Settings(worn, scene.solver.options(), scene.solver.frame_rate)
-    return fine_run(stage.levels, stage.body, motion, settings, wind=scene.wind.velocity, primitives=scene.primitives)
+    options = ModelOptions(pressure=stage.settings.pressure)
+    settings = _Settings(worn, options, scene.solver.options(), scene.solver.frame_rate)
+    return fine_run(stage.levels, stage.body, motion, settings, wind=scene.wind.air(), primitives=scene.primitives)
 
 
 def _given_figures(

@@ -9,6 +9,7 @@ import numpy as np
 
 from assets.scene import CameraSettings
 from pbd import InputError
+from pbd.wind import Air
 from runtime.ensemble import Ensemble
 from runtime.front import Front
 from runtime.planner import Planner, Sight, sight_of
@@ -126,7 +127,7 @@ def _sight(player: Player, cameras: tuple[CameraSettings, ...], front: Front) ->
     return sight_of(cameras, (0.0, 0.0, 0.0), front.size, speed)
 
 
-def _truth(player: Player, shadow: Player, motion: Motion, times: np.ndarray, dt: float, wind: tuple) -> np.ndarray:
+def _truth(player: Player, shadow: Player, motion: Motion, times: np.ndarray, dt: float, wind: Air) -> np.ndarray:
     """Full detail of the player's coarse state, some ticks on: world [m], shape (N, 3)."""
     if len(times) == 1:
         return player.decoded(player.full) + player.origin

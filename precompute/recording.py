@@ -22,6 +22,7 @@ from assets.character import Character
 from assets.sequence import Sequence as VertexSequence
 from pbd import Fabric, ModelOptions, SolverOptions, State, build_model
 from pbd.storage import replacing
+from pbd.wind import CALM, Air, Wind
 from runtime.simulation import Simulation, body_source, poses_of
 from wrinkles.levels import Levels
 
@@ -58,7 +59,7 @@ class Run:
     solver: SolverOptions
     every: int = 2
     bend_factor: float | None = None
-    wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    wind: Air = CALM
     primitives: tuple = ()
     lead_in: float = 0.0
 
@@ -93,6 +94,7 @@ class Run:
         ]
         arrays += [
             levels.fine_held if self.fine else levels.coarse_held,
+            *asdict(levels.fine_limits if self.fine else levels.coarse_limits).values(),
             self.poses,
             self.body.vertices,
             self.body.faces,
@@ -103,19 +105,23 @@ class Run:
             digest.update(np.ascontiguousarray(array).tobytes())
         settings = [asdict(self.fabric), asdict(self.options), asdict(self.solver), self.dt, self.every]
         settings += [self.chunk]  # files of other lengths would be put together wrongly
-        settings += [self.bend_factor, self.wind, [primitive.row().tolist() for primitive in self.primitives]]
+        settings += [
+            self.bend_factor,
+            asdict(self.wind) if isinstance(self.wind, Wind) else self.wind,
+            [primitive.row().tolist() for primitive in self.primitives],
+        ]
         digest.update(json.dumps(settings, sort_keys=True).encode())
         return digest.hexdigest()[:24]
 
     def simulation(self) -> Simulation:
         """The simulation at the first pose."""
         levels = self.levels
-        mesh, held, attachment = (
-            (levels.fine, levels.fine_held, levels.fine_attachment)
+        mesh, held, attachment, limits = (
+            (levels.fine, levels.fine_held, levels.fine_attachment, levels.fine_limits)
             if self.fine
-            else (levels.coarse, levels.coarse_held, levels.coarse_attachment)
+            else (levels.coarse, levels.coarse_held, levels.coarse_attachment, levels.coarse_limits)
         )
-        model = build_model(mesh, self.fabric, held, self.options, self.bend_factor)
+        model = build_model(mesh, self.fabric, held, self.options, self.bend_factor, limits)
         return Simulation(model, attachment, body_source(self.body), self.poses[0], self.solver, self.primitives)
 
 

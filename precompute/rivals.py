@@ -183,14 +183,21 @@ def equal_cost_substeps(cost: Callable[[int], float], budget: float) -> int:
 def fine_cloth(truth: Truth) -> Cloth:
     """The truth's own garment and settings."""
     run, levels = truth.run, truth.levels
-    model = build_model(levels.fine, run.fabric, levels.fine_held, run.options, run.bend_factor)
+    model = build_model(levels.fine, run.fabric, levels.fine_held, run.options, run.bend_factor, levels.fine_limits)
     return Cloth(model, levels.fine_attachment, body_source(run.body), run, run.solver, None, levels.fine.faces)
 
 
 def coarse_cloth(database: WrinkleDatabase, truth: Truth) -> Cloth:
     """The coarse garment with its calibrated model."""
     levels = truth.levels
-    model = build_model(levels.coarse, database.fabric, levels.coarse_held, database.options, database.bend_factor)
+    model = build_model(
+        levels.coarse,
+        database.fabric,
+        levels.coarse_held,
+        database.options,
+        database.bend_factor,
+        levels.coarse_limits,
+    )
     source = body_source(truth.run.body)
     faces = levels.fine.faces
     return Cloth(model, levels.coarse_attachment, source, truth.run, database.solver, levels.subdivision, faces)
@@ -212,7 +219,10 @@ def middle_levels(database: WrinkleDatabase, truth: Truth) -> Levels | None:
     vertices = plain.subdivision.upsample(database.coarse_vertices)[: one.fine_count]
     held = levels_from(plain, truth.run.body).fine_held
     held = held[held < one.fine_count]
-    return levels_of(vertices, one.faces, held, *body, database.subdivisions - 1, database.warp, database.binding)
+    limits = database.limits.between(one.matrix)
+    return levels_of(
+        vertices, one.faces, held, *body, database.subdivisions - 1, database.warp, database.binding, limits
+    )
 
 
 def middle_cloth(database: WrinkleDatabase, truth: Truth, options: ModelOptions | None = None) -> Cloth | None:
@@ -220,7 +230,8 @@ def middle_cloth(database: WrinkleDatabase, truth: Truth, options: ModelOptions 
     levels = middle_levels(database, truth)
     if levels is None:
         return None
-    model = build_model(levels.coarse, database.fabric, levels.coarse_held, options)
+    options = options or ModelOptions(pressure=database.options.pressure)
+    model = build_model(levels.coarse, database.fabric, levels.coarse_held, options, limits=levels.coarse_limits)
     # The stretch law of small steps asks for h N: one subdivision halves the edges, and so the substep.
     solver = replace(database.solver, substep=database.solver.substep / 2.0)
     source = body_source(truth.run.body)

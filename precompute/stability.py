@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pbd import SolverOptions
+from pbd.wind import Air
 from runtime.simulation import BodySource, Simulation
 
 __all__ = ["LONGEST", "SHORTEST", "Stability", "largest_stable_step", "real_substep"]
@@ -43,7 +44,7 @@ def largest_stable_step(
     options: SolverOptions,
     poses: np.ndarray,
     dt: float,
-    wind: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    wind: Air = (0.0, 0.0, 0.0),
 ) -> Stability:
     """Bisect, on a logarithmic scale, for the longest substep that is no catastrophe.
 
@@ -101,7 +102,7 @@ def _fate(
     poses: np.ndarray,
     dt: float,
     substep: float,
-    wind: tuple[float, float, float],
+    wind: Air,
     edges: np.ndarray,
     rest: np.ndarray,
     speed_limit: float,

@@ -73,7 +73,8 @@ class CoarserSimulation:
     ) -> None:
         fabric, edge = above.model.fabric, float(coarser.mesh.edge_lengths()[1].mean())
         thicker = replace(fabric, thickness=fabric.thickness + STAND_OFF * edge)
-        model = replace(build_model(coarser.mesh, thicker, coarser.held, options), smooth=True)
+        limits = above.model.limits.taken(coarser.nearest)
+        model = replace(build_model(coarser.mesh, thicker, coarser.held, options, limits=limits), smooth=True)
         own = Attachment.bind(coarser.mesh.vertices[coarser.held], body_vertices, above.body.faces)
         self.simulation = above.beside(model, own)
         self._coarser, self._above, self._attachment = coarser, above, attachment

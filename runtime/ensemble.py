@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from pbd.errors import InputError
+from pbd.wind import CALM, Air
 from runtime.detail import Detail
 from runtime.planner import Choice, Planner, Sight
 
@@ -30,7 +31,7 @@ class Changeable(Protocol):
 
     def change(self, detail: Detail, wait: int = ..., fade: bool = ...) -> Any: ...
 
-    def update(self, pose: np.ndarray, dt: float, wind: tuple = ...) -> Any: ...
+    def update(self, pose: np.ndarray, dt: float, wind: Air = ...) -> Any: ...
 
 
 class Ensemble:
@@ -69,7 +70,7 @@ class Ensemble:
         poses: Sequence[np.ndarray],
         dt: float,
         sights: Sequence[Sight],
-        wind: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        wind: Air = CALM,
     ) -> None:
         """Play one tick of all garments.
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from pbd.errors import InputError
+from pbd.wind import CALM, Air
 from runtime.simulation import Motion, Simulation
 
 __all__ = ["GameLoop", "LiveInput", "Playable", "ScriptedInput"]
@@ -28,14 +29,14 @@ class LiveInput(NamedTuple):
     """
 
     pose: np.ndarray
-    wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    wind: Air = CALM
     drag: tuple[int, np.ndarray] | None = None
 
 
 class Playable(Protocol):
     """What the loop needs of a :class:`runtime.player.Player`."""
 
-    def step(self, pose: np.ndarray, dt: float, wind: tuple = ...) -> Any: ...
+    def step(self, pose: np.ndarray, dt: float, wind: Air = ...) -> Any: ...
 
     def decode(self, alpha: float = ...) -> Any: ...
 

@@ -252,7 +252,9 @@ def check_database(path: str | Path) -> list[Check]:
         subdivision = database.subdivision
         coarse, fine = subdivision.meshes(database.coarse_vertices, database.warp)
         checks.append(_check_areas(coarse, fine))
-        model = build_model(coarse, database.fabric, database.held, database.options, database.bend_factor)
+        model = build_model(
+            coarse, database.fabric, database.held, database.options, database.bend_factor, database.limits
+        )
         detail = f"{model.vertex_count} vertices, {1e3 * model.mass.sum():.0f} g, {len(model.hinges)} hinges"
         checks.append(Check("coarse model", True, detail))
         charts = Charts.of(coarse)

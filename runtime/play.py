@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from assets.motion import ClipMotion
 from assets.scene import MotionSettings, Scene
 from assets.sequence import Sequence, SequenceMotion, load_sequence
 from pbd import InputError
+from pbd.wind import CALM, Air, Wind
 from runtime.bake import bake_glb, bake_obj, bake_pc2
 from runtime.game_loop import GameLoop, LiveInput, ScriptedInput
 from runtime.outputs import check_file
@@ -53,13 +54,13 @@ class Cast:
     Attributes:
         body: the character or vertex sequence.
         motions: what it does, one after the other.
-        wind: velocity of the air [m/s].
+        wind: see :mod:`pbd.wind`.
         primitives: colliders besides the body.
     """
 
     body: Character | Sequence
     motions: tuple[Motion, ...]
-    wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    wind: Wind = Wind(CALM)
     primitives: tuple = ()
 
 
@@ -78,7 +79,7 @@ def cast_of(database: WrinkleDatabase, character: Path | None = None, clip: str 
         scene = scene_of(database)
         body = body_of(scene)
         database.require_body(body)
-        return Cast(body, _motions(body, clip, database, scene), scene.wind.velocity, scene.primitives)
+        return Cast(body, _motions(body, clip, database, scene), scene.wind.air(), scene.primitives)
     body = load_sequence(character) if character.suffix.lower() == ".npz" else load_body(character)
     database.require_body(body)
     return Cast(body, _motions(body, clip, database, None))
@@ -137,7 +138,7 @@ def play(
     player: Player,
     poses: np.ndarray,
     dt: float,
-    wind: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    wind: Air = CALM,
     *,
     every: int = 10,
     after: float = 0.0,
@@ -232,7 +233,7 @@ def loop_figures(
 
     def live(t: float) -> LiveInput:
         said = script(t)
-        return said._replace(wind=tuple(np.add(said.wind, cast.wind)))
+        return said._replace(wind=replace(cast.wind, gust=said.wind))
 
     return GameLoop(player, live, rate_hz, 1.0 / database.frame_rate).run(seconds)
 
@@ -303,7 +304,7 @@ def simulated_frames(
     spent, frames = [], [simulation.state.world()]
     for number in range(1, count + 1):
         began = time.perf_counter()
-        simulation.step(None if motion is None else motion.pose(number * dt), dt, scene.wind.velocity)
+        simulation.step(None if motion is None else motion.pose(number * dt), dt, scene.wind.air())
         spent.append(1e3 * (time.perf_counter() - began))
         if number % every == 0:
             frames.append(simulation.state.world())

@@ -13,6 +13,7 @@ from assets.sequence import Sequence
 from pbd import InputError, build_model
 from pbd.engine import Launch
 from pbd.geometry import surface_normals
+from pbd.wind import CALM, Air, Wind
 from runtime.coarser import CoarserSimulation
 from runtime.detail import Detail
 from runtime.simulation import Simulation, body_source
@@ -77,8 +78,16 @@ class Player:
             database.subdivisions,
             database.warp,
             database.binding,
+            database.limits,
         )
-        model = build_model(self.levels.coarse, database.fabric, database.held, database.options, database.bend_factor)
+        model = build_model(
+            self.levels.coarse,
+            database.fabric,
+            database.held,
+            database.options,
+            database.bend_factor,
+            database.limits,
+        )
         self.simulation = Simulation(model, self.levels.coarse_attachment, source, pose, database.solver, primitives)
         charts = Charts.of(self.levels.coarse)
         subdivision = self.levels.subdivision
@@ -183,12 +192,12 @@ class Player:
         """What is stepped."""
         return self._coarser.simulation if self._coarser is not None and self._detail.level else self.simulation
 
-    def update(self, pose: np.ndarray, dt: float, wind: tuple = (0.0, 0.0, 0.0)) -> None:
+    def update(self, pose: np.ndarray, dt: float, wind: Air = CALM) -> None:
         """One frame: advance the coarse garment to a pose in ``dt`` [s] and make the fine one; see :meth:`step`."""
         self.step(pose, dt, wind)
         self.decode()
 
-    def step(self, pose: np.ndarray, dt: float, wind: tuple = (0.0, 0.0, 0.0)) -> None:
+    def step(self, pose: np.ndarray, dt: float, wind: Air = CALM) -> None:
         """Advance the coarse garment alone; with a :attr:`detail` that leaves ticks out, in some ticks only.
 
         Args:
@@ -202,7 +211,7 @@ class Player:
         self._check_pose(pose)
         if not (np.isfinite(dt) and dt >= 0.0):
             raise InputError("bad time step", key="dt", received=dt, expected="a finite number, at least 0 [s]")
-        if np.shape(wind) != (3,) or not np.isfinite(wind).all():
+        if not isinstance(wind, Wind) and (np.shape(wind) != (3,) or not np.isfinite(wind).all()):
             raise InputError("bad wind", key="wind", received=wind, expected="three finite numbers [m/s]")
         self._left = max(0.0, self._left - dt / FADE)
         self._dt, self._idle = dt, self._idle + dt
@@ -218,7 +227,9 @@ class Player:
         moved.pose_body(pose)
         self._before[:, :3] -= (moved.state.origin - origin).astype(np.float32)
         skinned = time.perf_counter()
+        moved.time = simulation.time
         moved.step_cloth(dt, wind)
+        simulation.time = moved.time
         if self._coarser is not None and self._detail.level:
             self._coarser.lead()
         self.timings["skin"] = 1e3 * (skinned - began)

@@ -12,6 +12,8 @@ from assets.sequence import Sequence, SequenceBody
 from assets.skinning import SkinnedBody
 from pbd import Body, Colliders, Model, Solver, SolverOptions, State
 from pbd.attachment import Attachment
+from pbd.limits import Carried
+from pbd.wind import CALM, Air, Wind
 
 __all__ = ["BodySource", "Motion", "Simulation", "body_source", "poses_of"]
 
@@ -63,6 +65,7 @@ class Simulation:
 
     Attributes:
         body: what the garment collides with; without a body it has no faces.
+        time: that has passed, which turbulent wind goes by [s].
     """
 
     def __init__(
@@ -82,6 +85,8 @@ class Simulation:
         self.state = State.at_rest(model, vertices)
         self.body = Body(source.faces, len(source.vertices)) if source else Body(np.zeros((0, 3), np.int32), 1)
         self.colliders = Colliders(primitives, self.body if source else None)
+        self.time = 0.0
+        self._carried = self._bind(model)
         if pose is not None:
             self.place_body(pose)
 
@@ -90,7 +95,13 @@ class Simulation:
         other = copy(self)
         other.model, other.attachment = model, attachment
         other.solver, other.state = Solver(model, self.solver.options), State.at_rest(model)
+        other._carried = self._bind(model)
         return other
+
+    def _bind(self, model: Model) -> Carried | None:
+        if self.source is None or not len(model.limits.vertices):
+            return None
+        return Carried(model.limits, model.mesh.vertices, model.mesh.faces, self.source.vertices, self.source.faces)
 
     def place_body(self, pose: np.ndarray) -> None:
         """Put the body into a pose without motion, about the garment's origin."""
@@ -99,7 +110,7 @@ class Simulation:
         self.source.skin(pose, self.state.origin, self.body.current)
         self.body.place(self.body.current.copy())
 
-    def step(self, pose: np.ndarray | None, dt: float, wind: tuple = (0.0, 0.0, 0.0)) -> None:
+    def step(self, pose: np.ndarray | None, dt: float, wind: Air = CALM) -> None:
         """Bring body and garment to the end of a frame.
 
         Args:
@@ -121,12 +132,18 @@ class Simulation:
         self.source.skin(pose, origin, body.current)
         body.finish_pose()
 
-    def step_cloth(self, dt: float, wind: tuple = (0.0, 0.0, 0.0)) -> None:
+    def step_cloth(self, dt: float, wind: Air = CALM) -> None:
         """Advance the garment while the body goes from its last pose to the current one."""
         targets = None
         if self.attachment is not None:
             targets = self.attachment.targets(self.body.current) + self.state.origin
-        self.solver.step(self.state, self.colliders, dt, targets, wind)
+        places = None
+        if self._carried is not None:
+            previous = self.body.previous if dt > 0.0 else self.body.current
+            places = self._carried.places(previous, self.body.current, self.state.origin)
+        self.time += dt
+        air = wind.at(self.state.world(), self.time) if isinstance(wind, Wind) else wind
+        self.solver.step(self.state, self.colliders, dt, targets, air, places)
 
     def drag(self, vertex: int, target: np.ndarray | None) -> None:
         """Hold a vertex at a point in the world [m], shape (3,); None lets it go."""

@@ -14,12 +14,13 @@ from assets.character import Character, load_character, with_clips
 from assets.exploration import exploration_clip, exploration_motion
 from assets.fabrics import PRESETS
 from assets.garment import Garment, boundary_loops, highest_loop, load_garment
+from assets.limits import load_limits
 from assets.mannequin import builtin_mannequin
 from assets.motion import ClipMotion, part_of
 from assets.scene import GarmentSettings, MotionSettings, Scene, parse_scene
 from assets.seams import load_seams
 from assets.sequence import Sequence, SequenceMotion, load_sequence
-from pbd import Fabric, InputError, SolverOptions, build_model
+from pbd import Fabric, InputError, Model, ModelOptions, SolverOptions, build_model
 from pbd.attachment import Attachment
 from pbd.layers import layered
 from runtime.simulation import Motion, Simulation, body_source
@@ -220,8 +221,16 @@ class Stage:
         vertices = body.vertices if isinstance(body, Character) else body.vertices[0].astype(float)
         garment, binding = coarse_garment(garment, settings)
         held = held_vertices(garment, settings)
+        limits = None if settings.limits is None else load_limits(settings.limits, len(garment.vertices))
         levels = build_levels(
-            garment.vertices, garment.faces, held, vertices, body.faces, settings.subdivisions, binding=binding
+            garment.vertices,
+            garment.faces,
+            held,
+            vertices,
+            body.faces,
+            settings.subdivisions,
+            binding=binding,
+            limits=limits,
         )
         return cls(scene, settings, garment, body, levels)
 
@@ -320,6 +329,9 @@ def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion 
         settings, garment = _garment_of(scene)
         if settings.attach != "none" or settings.attach_vertices:
             raise InputError("nothing to attach to", key="garment[0].attach", expected="pins, or a [character]")
+        if settings.limits is not None:
+            expected = "a [character]: limits are about where a body carries vertices"
+            raise InputError("nothing to be carried by", key="garment[0].limits", expected=expected)
         if max(settings.pins, default=0) >= len(garment.vertices):
             expected = f"0..{len(garment.vertices) - 1}"
             raise InputError("no such vertex", key="garment[0].pins", received=max(settings.pins), expected=expected)
@@ -328,13 +340,18 @@ def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion 
             garment.vertices, garment.faces, np.array(settings.pins, int), *nothing, settings.subdivisions
         )
         motion = source = pose = None
-    mesh, held, attachment = levels.coarse, levels.coarse_held, levels.coarse_attachment
-    options = scene.solver.options()
-    if fine:
-        mesh, held, attachment = levels.fine, levels.fine_held, levels.fine_attachment
-        options = fine_options(options, settings.subdivisions)
-    model = build_model(mesh, fabric_of(settings), held)
+    attachment = levels.fine_attachment if fine else levels.coarse_attachment
+    options = fine_options(scene.solver.options(), settings.subdivisions) if fine else scene.solver.options()
+    model = _model_of(settings, levels, fine)
     return Simulation(model, attachment if source else None, source, pose, options, scene.primitives), motion
+
+
+def _model_of(settings: GarmentSettings, levels: Levels, fine: bool) -> Model:
+    """A garment of a scene, coarse or fine, in its fabric."""
+    mesh, held, limits = levels.coarse, levels.coarse_held, levels.coarse_limits
+    if fine:
+        mesh, held, limits = levels.fine, levels.fine_held, levels.fine_limits
+    return build_model(mesh, fabric_of(settings), held, ModelOptions(pressure=settings.pressure), limits=limits)
 
 
 def _layers_of(scene: Scene, fine: bool) -> tuple[Simulation, Motion]:
@@ -346,8 +363,7 @@ def _layers_of(scene: Scene, fine: bool) -> tuple[Simulation, Motion]:
     models, attachments = [], []
     for stage in stages:
         levels = stage.levels
-        mesh, held = (levels.fine, levels.fine_held) if fine else (levels.coarse, levels.coarse_held)
-        models.append(build_model(mesh, fabric_of(stage.settings), held))
+        models.append(_model_of(stage.settings, levels, fine))
         attachments.append(levels.fine_attachment if fine else levels.coarse_attachment)
     joined = (
         np.concatenate([getattr(part, name) for part in attachments]) for name in ("corners", "weights", "offset")

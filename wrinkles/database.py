@@ -21,7 +21,7 @@ import h5py
 import numpy as np
 
 import pbd
-from pbd import Fabric, InputError, ModelOptions, SolverOptions
+from pbd import Fabric, InputError, Limits, ModelOptions, SolverOptions
 from pbd.mesh import edges_of
 from pbd.storage import replacing
 from wrinkles.binding import Binding
@@ -83,6 +83,7 @@ class WrinkleDatabase:
         coarse_faces: int32, shape (m, 3).
         subdivisions: from the coarse to the fine mesh.
         held: coarse vertices attached to the body, ascending, int32, shape (p,).
+        limits: of coarse vertices about where the body carries them.
         warp: direction of the warp in space.
         binding: of a delivered fine mesh; None where the subdivided mesh is the fine one.
         fabric_name: of the garment's own fabric.
@@ -112,6 +113,7 @@ class WrinkleDatabase:
     coarse_faces: np.ndarray
     subdivisions: int
     held: np.ndarray
+    limits: Limits
     warp: tuple[float, float, float]
     binding: Binding | None
     fabric_name: str
@@ -427,6 +429,7 @@ def _unpacked(arrays: dict[str, np.ndarray]) -> WrinkleDatabase:
     return WrinkleDatabase(
         **root,
         binding=_binding_of(groups["binding"]),
+        limits=Limits(**groups["limits"]),
         fabric=Fabric(**groups["fabric"]),
         options=ModelOptions(**groups["options"]),
         other_fabrics=_other_fabrics_of(

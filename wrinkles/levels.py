@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import splu
 
-from pbd import ClothMesh, InputError
+from pbd import ClothMesh, InputError, Limits
 from pbd.attachment import Attachment, push_outside
 from pbd.bending import hinge_rows
 from wrinkles.binding import Binding
@@ -35,6 +35,7 @@ class Levels:
         coarse, fine: cloth meshes in the bind pose; areas agree to 0.5 %.
         coarse_held, fine_held: attached vertices, int, shapes (p,), (P,).
         coarse_attachment, fine_attachment: how they ride on the body; empty where there is none.
+        coarse_limits, fine_limits: about where the body carries vertices.
     """
 
     subdivision: Subdivision
@@ -44,6 +45,8 @@ class Levels:
     fine_held: np.ndarray
     coarse_attachment: Attachment
     fine_attachment: Attachment
+    coarse_limits: Limits
+    fine_limits: Limits
 
     def __getstate__(self) -> dict:
         return {field.name: getattr(self, field.name) for field in fields(self)}  # factors cannot be sent to a worker
@@ -103,6 +106,7 @@ def build_levels(
     levels: int = 2,
     warp: tuple[float, float, float] = (0.0, 1.0, 0.0),
     binding: Binding | None = None,
+    limits: Limits | None = None,
 ) -> Levels:
     """Move a garment out of the body's bind pose, refine it and attach it.
 
@@ -115,6 +119,7 @@ def build_levels(
         levels: times that each coarse face is cut in four.
         warp: direction of the warp in space, shape (3,).
         binding: of a delivered fine mesh, if there is one.
+        limits: of coarse vertices about where the body carries them.
 
     Raises:
         InputError: a number of levels outside 1..4, or a subdivided mesh whose area differs by more than 2 %.
@@ -129,7 +134,7 @@ def build_levels(
             outside = push_outside(subdivision.upsample(vertices), body_vertices, body_faces, CLEARANCE)
             vertices = subdivision.fit(outside)
         vertices = push_outside(vertices, body_vertices, body_faces, CLEARANCE)
-    return levels_of(vertices, faces, held, body_vertices, body_faces, levels, warp, binding)
+    return levels_of(vertices, faces, held, body_vertices, body_faces, levels, warp, binding, limits)
 
 
 def levels_of(
@@ -141,6 +146,7 @@ def levels_of(
     levels: int,
     warp: tuple[float, float, float] = (0.0, 1.0, 0.0),
     binding: Binding | None = None,
+    limits: Limits | None = None,
 ) -> Levels:
     """Levels of a garment that stands outside the body already; arguments as for :func:`build_levels`."""
     subdivision = Subdivision.of(faces, len(vertices), levels, binding)
@@ -156,7 +162,9 @@ def levels_of(
     fine_held = held_between(subdivision, held)
     carried = (coarse.vertices[held], fine.vertices[fine_held]) if len(body_faces) else (np.zeros((0, 3)),) * 2
     attachments = [Attachment.bind(points, body_vertices, body_faces) for points in carried]
-    return Levels(subdivision, coarse, fine, held, fine_held, *attachments)
+    limits = limits or Limits.none()
+    fine_limits = limits.between(subdivision.matrix) if len(limits.vertices) else limits
+    return Levels(subdivision, coarse, fine, held, fine_held, attachments[0], attachments[1], limits, fine_limits)
 
 
 def held_between(subdivision: Subdivision, held: np.ndarray) -> np.ndarray:

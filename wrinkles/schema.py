@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 8
+SCHEMA_VERSION = 9
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE, STEPS = "text", "float32", "float64", "int32", "int64", "int8"
 
@@ -71,7 +71,7 @@ def _in_steps(name: str, shape: tuple[int | str, int | str], unit: str = "-", al
 def _in_fabric(group: str, shape: tuple[str, ...]) -> Iterator[Entry]:
     """Entries of a fabric and of the coarse model that was calibrated for it, or of several."""
     units = {"areal_density": "kg/m2", "stretch_warp": "N/m", "stretch_weft": "N/m", "shear": "N/m"}
-    units |= {"bend_warp": "N m", "bend_weft": "N m", "thickness": "m"}
+    units |= {"bend_warp": "N m", "bend_weft": "N m", "thickness": "m", "pressure": "Pa"}
     for part, kind in (("fabric", Fabric), ("options", ModelOptions)):
         for field in fields(kind):
             yield Entry(f"{group}{part}/{field.name}", DOUBLE, shape, units.get(field.name, "-"))
@@ -91,6 +91,10 @@ ENTRIES = (
     Entry("coarse_faces", INDEX, ("m", 3)),
     Entry("subdivisions", WHOLE),
     Entry("held", INDEX, ("p",)),
+    Entry("limits/vertices", INDEX, ("l",)),
+    Entry("limits/maximum_distance", SINGLE, ("l",), "m"),
+    Entry("limits/backstop", SINGLE, ("l",), "m"),
+    Entry("limits/stiffness", SINGLE, ("l",), "N/m3"),
     Entry("warp", DOUBLE, (3,)),
     Entry("binding/face", INDEX, ("N",)),
     Entry("binding/place", SINGLE, ("N", 2)),
@@ -108,6 +112,9 @@ ENTRIES = (
     Entry("solver/coarse_sweeps", WHOLE),
     Entry("solver/self_collision", WHOLE),
     Entry("solver/contact_refreshes", DOUBLE, unit="Hz"),
+    Entry("solver/local_damping", DOUBLE, unit="1/s"),
+    Entry("solver/linear_inertia", DOUBLE),
+    Entry("solver/angular_inertia", DOUBLE),
     Entry("frame_rate", DOUBLE, unit="Hz"),
     *_in_steps("atoms/shapes", ("K", 3 * NODES), "m", along=1),
     Entry("atoms/mean", SINGLE, (3 * NODES,), "m"),
@@ -137,9 +144,9 @@ ENTRIES = (
     Entry("scene", TEXT),
 )
 LARGEST_STEP = 127
-# Sizes; there is no garment without vertices, but one without pins, in one fabric, or whose fine mesh is the subdivided
-# coarse one.
-MAY_BE_ZERO = ("p", "q", "h", "t", "N", "M", "s", "f")
+# Sizes; there is no garment without vertices, but one without pins or limits, in one fabric, or whose fine mesh is the
+# subdivided coarse one.
+MAY_BE_ZERO = ("p", "l", "q", "h", "t", "N", "M", "s", "f")
 POSITIVE = ("unfamiliarity/fade_from", "bend_factor", "frame_rate", "cutoff")
 
 
@@ -255,12 +262,16 @@ def check_values(arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
         if (least := arrays[name].min(initial=np.inf)) <= 0:
             refuse("out of range", name, least.item(), "above 0")
     count, faces, held = len(arrays["coarse_vertices"]), arrays["coarse_faces"], arrays["held"]
-    for name, index in (("coarse_faces", faces), ("held", held)):
+    for name, index in (("coarse_faces", faces), ("held", held), ("limits/vertices", arrays["limits/vertices"])):
         if index.size and not 0 <= index.min() <= index.max() < count:
             bad = int(index.min() if index.min() < 0 else index.max())
             refuse("a vertex that does not exist", name, bad, f"0 to {count - 1}")
-    if (np.diff(held) <= 0).any():
-        refuse("not in ascending order", "held", held.tolist()[:8], "each held vertex once, ascending")
+    for name in ("held", "limits/vertices"):
+        if (np.diff(arrays[name]) <= 0).any():
+            refuse("not in ascending order", name, arrays[name].tolist()[:8], "each vertex once, ascending")
+    for name in ("maximum_distance", "backstop", "stiffness"):
+        if (least := arrays[f"limits/{name}"].min(initial=0.0)) < 0:
+            refuse("out of range", f"limits/{name}", least.item(), "at least 0")
     levels = arrays["subdivisions"].item()
     if not 1 <= levels <= 4:
         refuse("out of range", "subdivisions", levels, "1 to 4")

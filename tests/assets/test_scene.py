@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from assets.fabrics import PRESETS
 from assets.scene import CapsuleSettings, CharacterSettings, MotionSettings, Scene, load_scene, parse_scene, scene_text
 from pbd import Capsule, Fabric, InputError, SolverOptions
+from pbd.wind import Wind
 
 SKIRT = '[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\n'
 FULL = """
@@ -21,7 +22,9 @@ subdivisions = 1
 attach = [0, 2]
 attach_vertices = [7]
 pins = [5, 6]
+limits = "limits.csv"
 thickness = 0.002
+pressure = 50
 
 [[garment]]
 name = "skirt"
@@ -55,6 +58,8 @@ radius = 0.1
 
 [wind]
 velocity = [1, 0, 0.5]
+turbulence = 0.2
+length = 3
 
 [solver]
 frame_rate = 50
@@ -63,6 +68,9 @@ gravity = [0, -1.62, 0]
 coarse_sweeps = 2
 self_collision = true
 contact_refreshes = 100
+local_damping = 2
+linear_inertia = 0.5
+angular_inertia = 0.25
 
 [wrinkles]
 hidden_width = 32
@@ -80,6 +88,7 @@ field_of_view_deg = 35
 def load(tmp_path: Path):
     """Writes a scene file beside a garment and loads it."""
     (tmp_path / "dress.obj").touch()
+    (tmp_path / "limits.csv").touch()
     (tmp_path / "bad.json").write_text("{}", encoding="utf-8")
     measured = {"density": 0.2, "stretching": [[1000, 0, 1000, 50]] * 6, "bending": [[4e-5] * 5] * 3}
     (tmp_path / "measured.json").write_text(json.dumps(measured), encoding="utf-8")
@@ -117,6 +126,8 @@ def test_every_key_is_read(load, tmp_path: Path) -> None:
     assert dress.mesh == (tmp_path / "dress.obj").resolve()
     assert dress.fabric == Fabric(areal_density=0.2, bend_warp=0)
     assert (dress.pattern, dress.subdivisions, dress.thickness) == (True, 1, 0.002)
+    assert (dress.limits, dress.pressure) == ((tmp_path / "limits.csv").resolve(), 50.0)
+    assert scene.wind.air() == Wind((1.0, 0.0, 0.5), 0.2, 3.0)
     assert (dress.attach, dress.attach_vertices, dress.pins, skirt.attach) == ((0, 2), (7,), (5, 6), "top")
     assert scene.character == CharacterSettings(file="builtin:mannequin", clip="walk")
     assert [motion.clip for motion in scene.training.clips + scene.training.held_out] == ["walk", "turn"]
@@ -124,7 +135,7 @@ def test_every_key_is_read(load, tmp_path: Path) -> None:
     assert scene.colliders[2] == CapsuleSettings(start=(0.0, 0.0, 0.0), end=(0.0, 1.0, 0.0), radius=0.1)
     primitive = scene.colliders[2].primitive()
     assert primitive == Capsule(start=(0.0, 0.0, 0.0), end=(0.0, 1.0, 0.0), radius=0.1)
-    assert scene.solver.options() == SolverOptions(0.002, (0.0, -1.62, 0.0), 2, 100.0, True)
+    assert scene.solver.options() == SolverOptions(0.002, (0.0, -1.62, 0.0), 2, 100.0, True, 2.0, 0.5, 0.25)
     # No section is left at its defaults: each default would show that its keys went unread.
     sections = (scene.training, scene.wind, scene.solver, scene.wrinkles, scene.camera)
     for section in sections:
@@ -264,6 +275,9 @@ def test_any_name_survives_printing(name: str, tmp_path_factory: pytest.TempPath
         (SKIRT + '[[collider]]\ntype = "sphere"', ["collider[0].centre: missing key", "collider[0].radius"]),
         (SKIRT + '[[collider]]\ntype = "plane"\nnormal = [0, 0, 0]', ["collider[0].normal", "not all zero"]),
         (SKIRT + "[wind]\nvelocity = [1, 2]", ["wind.velocity", "received [1, 2]", "three finite numbers [m/s]"]),
+        (SKIRT + "[wind]\nturbulence = -1", ["wind.turbulence", "received -1", "at least 0"]),
+        (SKIRT + "[solver]\nlinear_inertia = 2", ["solver.linear_inertia", "received 2", "at least 0, at most 1"]),
+        (SKIRT + 'limits = "absent.csv"', ["garment[0].limits: no such file", "absent.csv"]),
         (SKIRT + "[camera]\nfield_of_view_deg = 180", ["camera.field_of_view_deg", "below 180 [deg]"]),
         (SKIRT + "solver = 3\n", ["garment[0].solver: unknown key"]),
         ("solver = 3\n" + SKIRT, ["solver: bad value", "received 3", "a table"]),

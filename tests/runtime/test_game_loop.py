@@ -10,7 +10,7 @@ import pytest
 from assets.builtin import builtin_garment
 from assets.mannequin import builtin_mannequin
 from assets.motion import ClipMotion
-from pbd import Fabric, InputError, ModelOptions, SolverOptions
+from pbd import Fabric, InputError, Limits, ModelOptions, SolverOptions
 from runtime.game_loop import GameLoop, LiveInput, ScriptedInput
 from runtime.player import Player
 from wrinkles.database import WrinkleDatabase, body_hash
@@ -317,6 +317,7 @@ def database() -> WrinkleDatabase:
         coarse_faces=levels.coarse.faces,
         subdivisions=1,
         held=held,
+        limits=Limits.none(),
         warp=(0.0, 1.0, 0.0),
         binding=None,
         fabric_name="own",

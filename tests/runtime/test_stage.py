@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from assets.builtin import builtin_garment
 from assets.fabrics import PRESETS
 from assets.scene import Scene, parse_scene
 from pbd import InputError
+from pbd.attachment import Attachment
 from runtime.player import Player
 from runtime.simulation import poses_of
-from runtime.stage import Stage, fabrics_of, motion_of
+from runtime.stage import Stage, fabrics_of, motion_of, simulation_of
 from tests.assets.panels import two_panels
 from tests.wrinkles.databases import small_database
 from tests.wrinkles.meshes import icosphere
@@ -153,3 +155,53 @@ def test_the_fabrics_of_a_scene_go_by_the_names_of_presets() -> None:
     twice = parse_scene(text.replace("wool", "silk") + others, "scene.toml")
     with pytest.raises(InputError, match=r"training\.fabrics: the garment's own fabric.*others than.*silk"):
         fabrics_of(twice, twice.garments[0])
+
+
+def skirt_with(folder: Path, keys: str, more: str = "", rows: str = "") -> Scene:
+    (folder / "limits.csv").write_text("vertex,maximum_distance,backstop,stiffness\n" + rows)
+    text = f'[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\nattach = "top"\nsubdivisions = 1\n{keys}\n'
+    return parse_scene(text + f'[character]\nfile = "builtin:mannequin"\nclip = "twirl"\n{more}', folder / "scene.toml")
+
+
+@pytest.mark.parametrize("fine", [False, True])
+def test_painted_limits_hold_both_meshes(tmp_path: Path, fine: bool) -> None:
+    count = len(builtin_garment("skirt").vertices)
+    rows = "".join(f"{vertex},0.02,,\n" for vertex in range(count))
+    simulation, motion = simulation_of(skirt_with(tmp_path, 'limits = "limits.csv"', rows=rows), fine)
+    free, _ = simulation_of(skirt_with(tmp_path, ""), fine)
+    assert motion is not None and simulation.source is not None
+    model = simulation.model
+    carried = Attachment.bind(model.mesh.vertices, simulation.source.vertices, simulation.source.faces)
+    for frame in range(1, 76):  # a second of lead-in, a quarter of a turn
+        for one in (simulation, free):
+            one.step(motion.pose(frame / 60), 1 / 60)
+    place = carried.targets(simulation.body.current) + simulation.state.origin
+    off = np.linalg.norm(simulation.state.world() - place, axis=1)
+    assert np.percentile(off, 95) < 0.02 + 1e-4  # contact with the body may push further
+    assert np.linalg.norm(free.state.world() - place, axis=1).max() > 0.05
+
+
+def test_wind_and_pressure_of_a_scene_are_felt(tmp_path: Path) -> None:
+    calm, _ = simulation_of(skirt_with(tmp_path, ""))
+    wind = "[wind]\nvelocity = [0, 0, 8]\nturbulence = 0.3"
+    blown, motion = simulation_of(skirt_with(tmp_path, "", wind))
+    inflated, _ = simulation_of(skirt_with(tmp_path, "pressure = 5"))
+    assert motion is not None
+    air = parse_scene(wind + "\n[[garment]]\nname = 'a'\nmesh = 'builtin:skirt'", "scene.toml").wind.air()
+    for frame in range(1, 16):
+        pose = motion.pose(frame / 60)
+        calm.step(pose, 1 / 60)
+        blown.step(pose, 1 / 60, air)
+        inflated.step(pose, 1 / 60)
+    assert blown.time == pytest.approx(0.25)
+    assert (blown.state.world() - calm.state.world())[:, 2].mean() > 0.002
+    axis = calm.state.world()[:, [0, 2]].mean(axis=0)
+    girth = [np.linalg.norm(one.state.world()[:, [0, 2]] - axis, axis=1).mean() for one in (calm, inflated)]
+    assert girth[1] > girth[0] + 0.002
+
+
+def test_limits_need_a_body(tmp_path: Path) -> None:
+    text = '[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\nlimits = "limits.csv"\n'
+    (tmp_path / "limits.csv").write_text("vertex,maximum_distance,backstop,stiffness\n")
+    with pytest.raises(InputError, match=r"garment\[0\].limits: nothing to be carried by"):
+        simulation_of(parse_scene(text, tmp_path / "scene.toml"))

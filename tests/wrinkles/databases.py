@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pbd import Fabric, ModelOptions, SolverOptions
+from pbd import Fabric, Limits, ModelOptions, SolverOptions
 from tests.wrinkles.meshes import flat_sheet
 from wrinkles.database import WrinkleDatabase
 from wrinkles.dictionary import FABRIC_COUNT, Atoms, Mapping
@@ -31,6 +31,7 @@ def small_database(side: int = 7, atoms: int = 5, hidden: tuple[int, int] = (8, 
         "coarse_faces": faces,
         "subdivisions": 2,
         "held": np.arange(side, dtype=np.int32),
+        "limits": Limits([3, side + 2], [0.05, 1e6], [1e6, 0.01], [0.0, 300.0]),
         "warp": (0.0, 0.6, 0.8),
         "binding": None,
         "fabric_name": "muslin",
@@ -38,7 +39,7 @@ def small_database(side: int = 7, atoms: int = 5, hidden: tuple[int, int] = (8, 
         "options": ModelOptions(squeeze=100.0, bend_scale=30.0),
         "other_fabrics": (),
         "bend_factor": 1.0 / 3.0,
-        "solver": SolverOptions(substep=1.0 / 900.0, gravity=(0.0, -9.81, 0.1)),
+        "solver": SolverOptions(1.0 / 900.0, (0.0, -9.81, 0.1), local_damping=1.5, linear_inertia=0.5),
         "frame_rate": 60.0,
         "atoms": Atoms(weights(atoms, 3 * NODES), weights(3 * NODES), 0.97),
         "mapping": Mapping(
