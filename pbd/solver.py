@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pbd.colliders import Body, Colliders
+from pbd.distance_field import MOTION
 from pbd.engine import Launch, ensure_initialized
 from pbd.errors import InputError
 from pbd.hierarchy import Hierarchy, build_hierarchy
@@ -169,12 +170,12 @@ class Solver:
         """
         model, options = self.model, self.options
         self._check(state, targets, wind)
-        rows, previous = self._keep_up(state, colliders, dt, targets)
+        rows, fields, field_values, previous = self._keep_up(state, colliders, dt, targets)
         held_0 = np.ascontiguousarray(state.position[model.held, :3])
         held_1 = held_0 if targets is None else np.ascontiguousarray(targets - state.origin, np.float32)
         substeps = max(1, int(np.ceil(dt / options.substep - 1e-6)))
-        if len(rows) or targets is not None:
-            way = fastest_way(rows, held_0, held_1, np.float32(dt) * state.velocity.mean(axis=0))
+        if len(rows) or len(fields) or targets is not None:
+            way = fastest_way(rows, fields, held_0, held_1, np.float32(dt) * state.velocity.mean(axis=0))
             substeps = max(substeps, min(int(np.ceil(way / self._stride)), MOST_FINER * substeps))
         refresh = max(1, round(substeps / max(1.0, dt * options.contact_refreshes)))
         levels = self._hierarchy
@@ -236,6 +237,8 @@ class Solver:
             held_1,
             self._drag,
             rows,
+            fields,
+            field_values,
             state.nearest,
             state.contact,
             previous,
@@ -274,12 +277,13 @@ class Solver:
 
     def _keep_up(
         self, state: State, colliders: Colliders, dt: float, targets: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Primitives, and the body's pose, at the start of the frame.
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Primitives, fields with their values, and the body's pose, at the start of the frame.
 
         Where what holds the cloth was put somewhere else, the garment goes with it as it is, and they stand still.
         """
         rows, body = colliders.rows(state.origin), colliders.body or self._nobody
+        fields, field_values = colliders.fields(state.origin)
         carry = None
         if targets is not None and len(self.model.held):
             before, after = state.position[self.model.held, :3], targets - state.origin
@@ -287,12 +291,13 @@ class Solver:
         elif colliders.body is not None and not len(self.model.held):
             carry = carry_of(body.previous, body.current, state.velocity.mean(axis=0), dt)
         if carry is None:
-            return rows, body.previous
+            return rows, fields, field_values, body.previous
         state.position[:, :3] = carry.points(state.position[:, :3])
         state.velocity[:] = state.velocity @ carry.turn.T
         state.pair_sides[:, :3] = state.pair_sides[:, :3] @ carry.turn.T
         rows[:, 2:8] = rows[:, 8:14]
-        return rows, body.current
+        fields[:, MOTION] = 0.0
+        return rows, fields, field_values, body.current
 
     def _check(self, state: State, targets: np.ndarray | None, wind: tuple[float, float, float] | np.ndarray) -> None:
         """Refuse what the kernels could not take."""

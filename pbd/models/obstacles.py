@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import bsr_matrix, csr_matrix
 
-from pbd.colliders import Colliders
+from pbd.colliders import Colliders, DistanceField
 from pbd.errors import InputError
 
 __all__ = ["Cushion", "ContactForces", "Obstacles"]
@@ -35,11 +35,14 @@ class Obstacles:
         """Rows of a frame for the constructor. Called once a frame: the colliders remember where they were.
 
         Raises:
-            InputError: a body, which these solvers do not know.
+            InputError: a body or a distance field, which these solvers do not know.
         """
         if colliders.body is not None:
             expected = "planes, spheres and capsules"
             raise InputError("a collider that this solver does not know", key="colliders.body", expected=expected)
+        if any(isinstance(primitive, DistanceField) for primitive in colliders.primitives):
+            expected = "planes, spheres and capsules"
+            raise InputError("a collider that this solver does not know", key="colliders.primitives", expected=expected)
         rows = colliders.rows(origin).astype(float)
         for columns in (slice(2, 5), slice(8, 11)):
             rows[:, columns] += origin
