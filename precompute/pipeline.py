@@ -21,7 +21,7 @@ from precompute.recording import Recording, Run, body_source, record_runs
 from precompute.training import Layer, build_layer, fit_layer, spread_frames, training_set
 from precompute.unfamiliarity import fit_unfamiliarity
 from runtime.simulation import Motion
-from runtime.stage import Stage, fabrics_of
+from runtime.stage import Stage, colliders_of, fabrics_of
 from wrinkles.charts import leading_vertices
 from wrinkles.database import LearnedFabric, WrinkleDatabase, as_stored, body_hash, code_version, write_database
 from wrinkles.dictionary import fabric_features
@@ -249,7 +249,8 @@ def scene_run(stage: Stage, scene: Scene, motion: Motion, fabric: str | None = N
     fabrics = fabrics_of(scene, stage.settings)
     worn = fabrics[next(iter(fabrics)) if fabric is None else fabric]
     settings = _Settings(worn, scene.solver.options(), scene.solver.frame_rate)
-    return fine_run(stage.levels, stage.body, motion, settings, wind=scene.wind.velocity, primitives=scene.primitives)
+    colliders = colliders_of(scene)
+    return fine_run(stage.levels, stage.body, motion, settings, wind=scene.wind.velocity, primitives=colliders)
 
 
 def _given_figures(
