@@ -44,6 +44,7 @@ __all__ = [
     "CameraSettings",
     "CapsuleSettings",
     "CharacterSettings",
+    "FieldSettings",
     "GarmentSettings",
     "MotionSettings",
     "PlaneSettings",
@@ -243,7 +244,23 @@ class CapsuleSettings:
         return Capsule(self.start, self.end, self.radius)
 
 
-_COLLIDERS = {"plane": PlaneSettings, "sphere": SphereSettings, "capsule": CapsuleSettings}
+@dataclass(frozen=True, kw_only=True)
+class FieldSettings:
+    """A solid of any shape, given by signed distances on a grid.
+
+    Attributes:
+        mesh: path of a closed mesh.
+        spacing: of the grid [m]; what is finer is smoothed away.
+        centre: where the mesh's own origin stands [m].
+    """
+
+    type: str = entry(choice("field"), "field")
+    mesh: Path = entry(file_path(".obj", ".glb", ".gltf"))
+    spacing: float = entry(number(above=0, unit="m"), 0.01)
+    centre: Vector = entry(vector(unit="m"), (0.0, 0.0, 0.0))
+
+
+_COLLIDERS = {"plane": PlaneSettings, "sphere": SphereSettings, "capsule": CapsuleSettings, "field": FieldSettings}
 
 
 def _read_collider(reader: Reader, value: Any, key: str) -> Any:
@@ -334,18 +351,13 @@ class Scene:
     )
     character: CharacterSettings | None = entry(table(CharacterSettings, one_of=("file", "sequence")), None)
     training: TrainingSettings = entry(table(TrainingSettings), TrainingSettings())
-    colliders: tuple[PlaneSettings | SphereSettings | CapsuleSettings, ...] = entry(
+    colliders: tuple[PlaneSettings | SphereSettings | CapsuleSettings | FieldSettings, ...] = entry(
         tables(Check("a table", _read_collider)), (), key="collider"
     )
     wind: WindSettings = entry(table(WindSettings), WindSettings())
     solver: SolverSettings = entry(table(SolverSettings), SolverSettings())
     wrinkles: WrinkleSettings = entry(table(WrinkleSettings), WrinkleSettings())
     camera: CameraSettings = entry(table(CameraSettings), CameraSettings())
-
-    @property
-    def primitives(self) -> tuple[Plane | Sphere | Capsule, ...]:
-        """The colliders, new ones each time: they may be moved."""
-        return tuple(collider.primitive() for collider in self.colliders)
 
 
 def load_scene(path: str | Path) -> Scene:

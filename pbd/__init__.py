@@ -1,6 +1,6 @@
 """Cloth, fabrics, colliders and time: the solvers and everything they stand on."""
 
-from pbd.colliders import Body, Capsule, Colliders, Plane, Sphere
+from pbd.colliders import Body, Capsule, Colliders, DistanceField, Plane, Sphere
 from pbd.crowd import Crowd
 from pbd.engine import ensure_initialized
 from pbd.errors import InputError
@@ -16,6 +16,7 @@ __all__ = [
     "ClothMesh",
     "Colliders",
     "Crowd",
+    "DistanceField",
     "Fabric",
     "InputError",
     "Limits",

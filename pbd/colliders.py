@@ -1,18 +1,20 @@
-"""Colliders: planes, spheres, capsules and one animated triangle mesh (a body)."""
+"""Colliders: planes, spheres, capsules, distance fields and one animated triangle mesh (a body)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
+from pbd.distance_field import ROW, DistanceField, field_rows
 from pbd.engine import Launch
 from pbd.errors import InputError
 from pbd.geometry import FAR, surface_normals
 from pbd.mesh import vertex_rings
 
-__all__ = ["Body", "Capsule", "Colliders", "Plane", "Sphere"]
+__all__ = ["Body", "Capsule", "Colliders", "DistanceField", "Plane", "Primitive", "Sphere"]
 
 MOST_PROBES = 1_000_000  # points on the large faces of a body, about
 
@@ -177,26 +179,34 @@ def _probes(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nda
     return np.concatenate(probes), np.concatenate(weights)
 
 
+Primitive: TypeAlias = Plane | Sphere | Capsule | DistanceField
+
+
 class Colliders:
     """What a garment collides with in one step.
 
     Args:
-        primitives: planes, spheres, capsules in world coordinates.
+        primitives: planes, spheres, capsules in world coordinates, and distance fields.
         body: animated mesh, or None.
     """
 
-    def __init__(self, primitives: Sequence[Plane | Sphere | Capsule] = (), body: Body | None = None) -> None:
+    def __init__(self, primitives: Sequence[Primitive] = (), body: Body | None = None) -> None:
         self.primitives = list(primitives)
         self.body = body
         self._last: np.ndarray | None = None
         self._none = np.zeros((0, 14), np.float32)
+        self._last_fields: np.ndarray | None = None
+        self._no_fields = np.zeros((0, ROW), np.float32)
+        self._grids: list[np.ndarray] = []
+        self._values = np.zeros(1, np.float32)
 
     def rows(self, origin: np.ndarray) -> np.ndarray:
-        """Primitives at the start and end of the frame about an origin: float32, shape (k, 14)."""
-        if not self.primitives:
+        """Planes, spheres, capsules at the start and end of the frame about an origin: float32, shape (k, 14)."""
+        found = [p.row() for p in self.primitives if not isinstance(p, DistanceField)]
+        if not found:
             self._last = None
             return self._none
-        now = np.array([p.row() for p in self.primitives]).reshape(-1, 8)
+        now = np.array(found).reshape(-1, 8)
         before = self._last if self._last is not None and self._last.shape == now.shape else now
         self._last = now
         rows = np.concatenate([before, now[:, 2:]], axis=1)
@@ -206,3 +216,24 @@ class Colliders:
         rows[capsule, 5:8] -= origin
         rows[capsule, 11:14] -= origin
         return rows.astype(np.float32)
+
+    def fields(self, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distance fields and how they move in the frame, about an origin; and the values of all, end to end [m].
+
+        Returns:
+            float32, shape (k, 25), see :mod:`pbd.distance_field`; float32, shape (sum of all grids,), the same array as
+            long as the grids are the same.
+        """
+        found = [p for p in self.primitives if isinstance(p, DistanceField)]
+        if not found:
+            self._last_fields = None
+            return self._no_fields, self._values
+        now = np.array([p.row() for p in found])
+        before = self._last_fields if self._last_fields is not None and self._last_fields.shape == now.shape else now
+        self._last_fields = now
+        if [id(p.values) for p in found] != [id(grid) for grid in self._grids]:
+            self._grids = [p.values for p in found]
+            self._values = np.concatenate([grid.ravel() for grid in self._grids])
+        rows = field_rows(now, before)
+        rows[:, 16:19] -= origin
+        return rows.astype(np.float32), self._values

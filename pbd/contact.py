@@ -1,10 +1,10 @@
-"""Contact in a substep: with the faces of a body and with primitives."""
+"""Contact in a substep: with the faces of a body, with primitives and with distance fields."""
 
 from pbd.constraints import contact_correction, cushioned
 from pbd.engine import ti
 from pbd.geometry import between, closest_in_fan, descend, vec3, vec4, xyz
 
-__all__ = ["collide_primitives", "slid_off", "substep_start", "touch_body"]
+__all__ = ["collide_fields", "collide_primitives", "slid_off", "substep_start", "touch_body"]
 
 KEPT = 0.0015  # a touched point is kept while the cloth slides less than this along the surface [m] ...
 KEPT_SHARE = 0.1  # ... or less than this share of its height over it [-]
@@ -126,3 +126,90 @@ def collide_primitives(
         gap = cushioned(gap, thickness, contact_law[2] * h * h)
         total += contact_correction(gap, normal, slip + total - carried, contact_law[1], h)
     return total
+
+
+@ti.func
+def collide_fields(
+    team: ti.template(),
+    position: ti.template(),
+    velocity: ti.template(),
+    shift: ti.template(),
+    gained: ti.template(),
+    t: ti.f32,
+    dt_share: ti.f32,
+    fields: ti.template(),
+    values: ti.template(),
+    contact_law: ti.math.vec4,
+    h: ti.f32,
+):
+    """Put a worker's vertices out of distance fields, one field after the other; rows as in pbd.distance_field."""
+    thickness, first = contact_law[0], 0
+    for c in range(fields.shape[0]):
+        size = ti.Vector([int(fields[c, 0]), int(fields[c, 1]), int(fields[c, 2])])
+        spacing, corner = fields[c, 3], row3(fields, c, 4)
+        way, spin = row3(fields, c, 19), row3(fields, c, 22)
+        angle = spin.norm()
+        axis = spin / ti.max(angle, 1e-20)
+        centre = row3(fields, c, 16) + (t - 1.0) * way
+        x = turned(row3(fields, c, 7), axis, (t - 1.0) * angle)
+        y = turned(row3(fields, c, 10), axis, (t - 1.0) * angle)
+        z = turned(row3(fields, c, 13), axis, (t - 1.0) * angle)
+        for i in range(team.begin(0, position.shape[0]), team.end(0, position.shape[0])):
+            if position[i][3] > 0.0:
+                u = xyz(shift[i])
+                offset = (xyz(position[i]) - centre) + u
+                place = (vec3(offset.dot(x), offset.dot(y), offset.dot(z)) - corner) / spacing
+                if place.min() >= 0.0 and (size - 1.0 - place).min() >= 0.0:
+                    found = interpolated(values, first, size, place)
+                    if found[3] < thickness:
+                        normal = found[0] * x + found[1] * y + found[2] * z
+                        steepness = normal.norm()
+                        normal = normal / steepness if steepness > 1e-6 * spacing else vec3(0.0, 1.0, 0.0)
+                        foot = offset - found[3] * normal
+                        carried = dt_share * way + (foot - turned(foot, axis, -dt_share * angle))
+                        slip = u - substep_start(velocity, gained, i, h)
+                        gap = cushioned(found[3] - thickness, thickness, contact_law[2] * h * h)
+                        u += contact_correction(gap, normal, slip - carried, contact_law[1], h)
+                        shift[i] = vec4(u)
+        first += size[0] * size[1] * size[2]
+
+
+@ti.func
+def row3(rows: ti.template(), c: ti.i32, begin: ti.i32) -> vec3:
+    """Three numbers of a row."""
+    return vec3(rows[c, begin], rows[c, begin + 1], rows[c, begin + 2])
+
+
+@ti.func
+def turned(r: vec3, axis: vec3, angle: ti.f32) -> vec3:
+    """R turned about a unit axis through the origin (Rodrigues); exactly r for no angle."""
+    across, half = axis.cross(r), ti.sin(0.5 * angle)
+    return r + (ti.sin(angle) * across + 2.0 * half * half * axis.cross(across))
+
+
+@ti.func
+def interpolated(values: ti.template(), first: ti.i32, size, place: vec3):
+    """Gradient times the spacing, and value [m], of the trilinear interpolant at a place within the grid.
+
+    ``size``: grid points along each axis; ``place``: in spacings from the first of them, whose value is at ``first``.
+    """
+    cell = ti.math.clamp(int(ti.floor(place)), 0, size - 2)  # whatever the place is, what is read exists
+    f = place - cell
+    corners = ti.Vector([0.0] * 8)
+    for k in ti.static(range(8)):
+        a, b, d = cell[0] + k // 4, cell[1] + k // 2 % 2, cell[2] + k % 2
+        corners[k] = values[first + (a * size[1] + b) * size[2] + d]
+    rise = ti.Vector([0.0] * 4)  # along the last axis, on the four edges of the cell
+    level = ti.Vector([0.0] * 4)
+    for k in ti.static(range(4)):
+        rise[k] = corners[2 * k + 1] - corners[2 * k]
+        level[k] = corners[2 * k] + f[2] * rise[k]
+    low, high = level[0] + f[1] * (level[1] - level[0]), level[2] + f[1] * (level[3] - level[2])
+    rise_low, rise_high = rise[0] + f[1] * (rise[1] - rise[0]), rise[2] + f[1] * (rise[3] - rise[2])
+    steep_low, steep_high = level[1] - level[0], level[3] - level[2]
+    return ti.math.vec4(
+        high - low,
+        steep_low + f[0] * (steep_high - steep_low),
+        rise_low + f[0] * (rise_high - rise_low),
+        low + f[0] * (high - low),
+    )

@@ -30,8 +30,8 @@ BLOCK = 512  # Taichi gives a thread no less than this much of a loop
 # Of each garment alone: what a step reads of the world, what it writes for it, and room for the step. All else is of
 # its model or its body's mesh, and garments may share it.
 READ = (
-    "position", "velocity", "nearest", "target_0", "target_1", "limits", "air", "primitives", "body_0",
-    "body_1", "body_normals", "steps",
+    "position", "velocity", "nearest", "target_0", "target_1", "limits", "air", "primitives", "fields",
+    "body_0", "body_1", "body_normals", "steps",
 )  # fmt: skip
 WRITTEN = ("position", "velocity", "nearest", "contact")
 ROOM = (

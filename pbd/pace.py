@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -68,11 +69,14 @@ def _shortest_turn(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.eye(3) + cross + cross @ cross / (1.0 + cosine) if cosine > -0.999999 else np.eye(3)
 
 
-def fastest_way(rows: np.ndarray, held_0: np.ndarray, held_1: np.ndarray, drift: np.ndarray) -> float:
+def fastest_way(
+    rows: np.ndarray, fields: np.ndarray, held_0: np.ndarray, held_1: np.ndarray, drift: np.ndarray
+) -> float:
     """The furthest that colliders or held vertices go in a frame against the cloth's mean way [m].
 
     Args:
         rows: primitives as :meth:`pbd.Colliders.rows` gives them, shape (k, 14).
+        fields: as :meth:`pbd.Colliders.fields` gives them, shape (l, 25); of each the corners of its box count.
         held_0, held_1: held vertices at its start and end [m], shape (p, 3).
         drift: mean way of the cloth over the frame [m], shape (3,).
     """
@@ -83,5 +87,9 @@ def fastest_way(rows: np.ndarray, held_0: np.ndarray, held_1: np.ndarray, drift:
         ends[plane] = np.einsum("ki,ki->k", ends[plane], rows[plane, 11:14])[:, None] * rows[plane, 11:14]
         capsule = rows[:, 0] == 2.0
         ways += [ends, rows[capsule, 11:14] - rows[capsule, 5:8] - drift]
+    for row in fields:
+        size, first, axes = row[3] * (row[:3] - 1.0), row[4:7], row[7:16].reshape(3, 3)
+        corners = (first + size * np.array(list(product((0.0, 1.0), repeat=3)))) @ axes
+        ways.append(row[19:22] + np.cross(row[22:25], corners) - drift)
     squares = np.concatenate([np.einsum("ki,ki->k", way, way) for way in ways])
     return float(np.sqrt(squares.max(initial=0.0)))

@@ -17,7 +17,7 @@ from pbd.constraints import (
     stitch_multiplier,
     tether_correction,
 )
-from pbd.contact import collide_primitives, slid_off, substep_start, touch_body
+from pbd.contact import collide_fields, collide_primitives, slid_off, substep_start, touch_body
 from pbd.engine import ti
 from pbd.geometry import FAR, Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, vec3, vec4, xyz
 from pbd.levels import gather_patches, solve_patches
@@ -215,6 +215,8 @@ def advance_garment(
     air: ti.template(),
     pressure: ti.template(),
     primitives: ti.template(),
+    fields: ti.template(),
+    field_values: ti.template(),
     nearest: ti.template(),
     contact: ti.template(),
     body_0: ti.template(),
@@ -315,6 +317,10 @@ def advance_garment(
                     slip = u - substep_start(velocity, gained, i, h)
                     u += collide_primitives(xyz(position[i]), u, slip, t - share, share, primitives, contact_law, h)
                     shift[i] = vec4(u)
+        if fields.shape[0] > 0 and step > steps[0]:
+            collide_fields(
+                team, position, velocity, shift, gained, t - share, share, fields, field_values, contact_law, h
+            )
         for i in range(team.begin(0, count), team.end(0, count)):
             if position[i][3] > 0.0:
                 u, gain = xyz(shift[i]), xyz(gained[i])
@@ -489,6 +495,8 @@ def advance_kernel(with_patches: bool, with_pairs: bool = False) -> Callable[...
         air: Vec4,
         pressure: Float1,
         primitives: Float2,
+        fields: Float2,
+        field_values: Float1,
         nearest: Int1,
         contact: Float1,
         body_0: Vec3,
@@ -530,7 +538,7 @@ def advance_kernel(with_patches: bool, with_pairs: bool = False) -> Callable[...
                 position, velocity, shift, normals, gained, touched, awake, samples, sample_colors,
                 listed, triangles, triangle_blocks, block_colors, triangle_data, hinges, hinge_colors, hinge_data,
                 stitches, stitch_weights, tethers, tether_lengths, held, target_0, target_1, limits, air, pressure,
-                primitives, nearest, contact, body_0, body_1, body_normals,
+                primitives, fields, field_values, nearest, contact, body_0, body_1, body_normals,
                 ring_start, ring, fan_start, fan, parent, part, ways, places, first_ways, borne, starts, children,
                 child_starts, links, link_colors, color_starts, link_data, link_shares, link_room, way, pairs,
                 pair_data, ready, steps, h, gravity, squeeze, contact_law,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pbd.colliders import Body, Colliders
+from pbd.distance_field import MOTION
 from pbd.engine import Launch, ensure_initialized
 from pbd.errors import InputError
 from pbd.hierarchy import Hierarchy, build_hierarchy
@@ -190,7 +191,7 @@ class Solver:
         """
         model, options = self.model, self.options
         self._check(state, targets, wind, places)
-        rows, previous, moved = self._keep_up(state, colliders, dt, targets)
+        rows, fields, field_values, previous, moved = self._keep_up(state, colliders, dt, targets)
         if options.local_damping > 0.0:
             damp_locally(state, model.mass, options.local_damping, dt)
         if np.ndim(wind) > 1 or self._wind != tuple(wind):
@@ -199,8 +200,8 @@ class Solver:
         held_0 = np.ascontiguousarray(state.position[model.held, :3])
         held_1 = held_0 if targets is None else np.ascontiguousarray(targets - state.origin, np.float32)
         substeps = max(1, int(np.ceil(dt / options.substep - 1e-6)))
-        if len(rows) or targets is not None:
-            way = fastest_way(rows, held_0, held_1, np.float32(dt) * state.velocity.mean(axis=0))
+        if len(rows) or len(fields) or targets is not None:
+            way = fastest_way(rows, fields, held_0, held_1, np.float32(dt) * state.velocity.mean(axis=0))
             substeps = max(substeps, min(int(np.ceil(way / self._stride)), MOST_FINER * substeps))
         refresh = max(1, round(substeps / max(1.0, dt * options.contact_refreshes)))
         levels = self._hierarchy
@@ -269,6 +270,8 @@ class Solver:
             self._air,
             model.pressure,
             rows,
+            fields,
+            field_values,
             state.nearest,
             state.contact,
             previous,
@@ -306,28 +309,30 @@ class Solver:
 
     def _keep_up(
         self, state: State, colliders: Colliders, dt: float, targets: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray, Carry | None]:
-        """Primitives, and the body's pose, at the start of the frame; how what holds the cloth was put elsewhere.
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Carry | None]:
+        """Primitives, fields, their values and the body's pose at the frame's start; how what holds the cloth was put.
 
-        Where it was, the garment goes with it as it is, and they stand still.
+        Where it was put elsewhere, the garment goes with it as it is, and they stand still.
         """
         rows, body, options = colliders.rows(state.origin), colliders.body or self._nobody, self.options
+        fields, field_values = colliders.fields(state.origin)
         if targets is not None and len(self.model.held):
             before, after = state.position[self.model.held, :3], targets - state.origin
         elif colliders.body is not None and not len(self.model.held):
             before, after = body.previous, body.current
         else:
-            return rows, body.previous, None
+            return rows, fields, field_values, body.previous, None
         carry = carry_of(before, after, state.velocity.mean(axis=0), dt)
         if carry is None:
             if min(options.linear_inertia, options.angular_inertia) < 1.0:
                 relieve(state, before, after, options.linear_inertia, options.angular_inertia, dt)
-            return rows, body.previous, None
+            return rows, fields, field_values, body.previous, None
         state.position[:, :3] = carry.points(state.position[:, :3])
         state.velocity[:] = state.velocity @ carry.turn.T
         state.pair_sides[:, :3] = state.pair_sides[:, :3] @ carry.turn.T
         rows[:, 2:8] = rows[:, 8:14]
-        return rows, body.current, carry
+        fields[:, MOTION] = 0.0
+        return rows, fields, field_values, body.current, carry
 
     def _check(
         self,

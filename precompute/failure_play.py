@@ -206,6 +206,7 @@ def _depth(scene: Scene, stage: Stage, x: np.ndarray) -> float:
         elif isinstance(primitive, Sphere):
             distance = np.linalg.norm(x - primitive.centre, axis=1) - primitive.radius
         else:
+            assert isinstance(primitive, Capsule)  # no scene has a distance field
             distance = np.linalg.norm(x - _on_axis(primitive, x), axis=1) - primitive.radius
         deepest = max(deepest, float(-distance.min()))
     return deepest

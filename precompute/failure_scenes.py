@@ -201,7 +201,7 @@ def _arms(gap: float) -> list[Plane | Sphere | Capsule]:
 
 
 def _pinch(stage: Stage) -> None:
-    stage.colliders.primitives = _arms(_gap(stage.time + stage.dt))
+    stage.colliders.primitives[:] = _arms(_gap(stage.time + stage.dt))
 
 
 def _limbs(arm: trimesh.Trimesh) -> Body:

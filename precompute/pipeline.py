@@ -21,7 +21,7 @@ from precompute.recording import Recording, Run, body_source, record_runs
 from precompute.training import Layer, build_layer, fit_layer, spread_frames, training_set
 from precompute.unfamiliarity import fit_unfamiliarity
 from runtime.simulation import Motion
-from runtime.stage import Stage, fabrics_of
+from runtime.stage import Stage, colliders_of, fabrics_of
 from wrinkles.charts import leading_vertices
 from wrinkles.database import LearnedFabric, WrinkleDatabase, as_stored, body_hash, code_version, write_database
 from wrinkles.dictionary import fabric_features
@@ -252,7 +252,7 @@ def scene_run(stage: Stage, scene: Scene, motion: Motion, fabric: str | None = N
     worn = fabrics[next(iter(fabrics)) if fabric is None else fabric]
     options = ModelOptions(pressure=stage.settings.pressure)
     settings = _Settings(worn, options, scene.solver.options(), scene.solver.frame_rate)
-    return fine_run(stage.levels, stage.body, motion, settings, wind=scene.wind.air(), primitives=scene.primitives)
+    return fine_run(stage.levels, stage.body, motion, settings, wind=scene.wind.air(), primitives=colliders_of(scene))
 
 
 def _given_figures(

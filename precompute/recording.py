@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 import pbd
 from assets.character import Character
 from assets.sequence import Sequence as VertexSequence
-from pbd import Fabric, ModelOptions, SolverOptions, State, build_model
+from pbd import DistanceField, Fabric, ModelOptions, SolverOptions, State, build_model
 from pbd.storage import replacing
 from pbd.wind import CALM, Air, Wind
 from runtime.simulation import Simulation, body_source, poses_of
@@ -42,7 +42,7 @@ class Run:
         poses: shape (frames + 1, ...), one every ``dt`` [s]; the first is where the garment starts.
         fabric, options, solver: of the model and the solver.
         wind: velocity of the air [m/s].
-        primitives: what the garment meets besides the body: planes, spheres, capsules.
+        primitives: what the garment meets besides the body: planes, spheres, capsules, fields.
         lead_in: time at the start that only leads to the motion that is meant [s].
         every: frames from one recorded frame to the next.
         bend_factor: hinge factor if known; None measures it.
@@ -101,6 +101,7 @@ class Run:
         ]
         if isinstance(self.body, Character):
             arrays += [self.body.joint_indices, self.body.joint_weights]
+        arrays += [primitive.values for primitive in self.primitives if isinstance(primitive, DistanceField)]
         for array in arrays:
             digest.update(np.ascontiguousarray(array).tobytes())
         settings = [asdict(self.fabric), asdict(self.options), asdict(self.solver), self.dt, self.every]

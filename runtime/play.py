@@ -21,7 +21,7 @@ from runtime.outputs import check_file
 from runtime.player import Player
 from runtime.report import process_age
 from runtime.simulation import BodySource, Motion, Simulation, body_source, poses_of
-from runtime.stage import body_of, load_body, motion_of, scene_of
+from runtime.stage import body_of, colliders_of, load_body, motion_of, scene_of
 from runtime.strips import draw_strips_apart
 from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels
@@ -79,7 +79,7 @@ def cast_of(database: WrinkleDatabase, character: Path | None = None, clip: str 
         scene = scene_of(database)
         body = body_of(scene)
         database.require_body(body)
-        return Cast(body, _motions(body, clip, database, scene), scene.wind.air(), scene.primitives)
+        return Cast(body, _motions(body, clip, database, scene), scene.wind.air(), colliders_of(scene))
     body = load_sequence(character) if character.suffix.lower() == ".npz" else load_body(character)
     database.require_body(body)
     return Cast(body, _motions(body, clip, database, None))

@@ -17,21 +17,34 @@ from assets.garment import Garment, boundary_loops, highest_loop, load_garment
 from assets.limits import load_limits
 from assets.mannequin import builtin_mannequin
 from assets.motion import ClipMotion, part_of
-from assets.scene import GarmentSettings, MotionSettings, Scene, parse_scene
+from assets.scene import FieldSettings, GarmentSettings, MotionSettings, Scene, parse_scene
 from assets.seams import load_seams
 from assets.sequence import Sequence, SequenceMotion, load_sequence
-from pbd import Fabric, InputError, Model, ModelOptions, SolverOptions, build_model
+from pbd import (
+    Capsule,
+    DistanceField,
+    Fabric,
+    InputError,
+    Model,
+    ModelOptions,
+    Plane,
+    SolverOptions,
+    Sphere,
+    build_model,
+)
 from pbd.attachment import Attachment
 from pbd.layers import layered
 from runtime.simulation import Motion, Simulation, body_source
 from wrinkles.binding import Binding, bind
 from wrinkles.database import WrinkleDatabase
+from wrinkles.field import field_of_mesh
 from wrinkles.levels import Levels, build_levels
 
 __all__ = [
     "PROCEDURAL_PIECE",
     "Stage",
     "body_of",
+    "colliders_of",
     "coarse_garment",
     "fabric_of",
     "fabrics_of",
@@ -343,7 +356,7 @@ def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion 
     attachment = levels.fine_attachment if fine else levels.coarse_attachment
     options = fine_options(scene.solver.options(), settings.subdivisions) if fine else scene.solver.options()
     model = _model_of(settings, levels, fine)
-    return Simulation(model, attachment if source else None, source, pose, options, scene.primitives), motion
+    return Simulation(model, attachment if source else None, source, pose, options, colliders_of(scene)), motion
 
 
 def _model_of(settings: GarmentSettings, levels: Levels, fine: bool) -> Model:
@@ -370,7 +383,36 @@ def _layers_of(scene: Scene, fine: bool) -> tuple[Simulation, Motion]:
     )
     motion = stages[0].motion()
     source, pose = body_source(stages[0].body), motion.pose(0.0)
-    return Simulation(layered(models), Attachment(*joined), source, pose, options, scene.primitives), motion
+    return Simulation(layered(models), Attachment(*joined), source, pose, options, colliders_of(scene)), motion
+
+
+def colliders_of(scene: Scene) -> tuple[Plane | Sphere | Capsule | DistanceField, ...]:
+    """What a scene's garments meet besides the body, new ones each time: they may be moved.
+
+    Raises:
+        InputError: a mesh that cannot be loaded, or as :func:`wrinkles.field.field_of_mesh`.
+    """
+    found = []
+    for number, collider in enumerate(scene.colliders):
+        if not isinstance(collider, FieldSettings):
+            found.append(collider.primitive())
+            continue
+        try:
+            found.append(replace(_field(collider.mesh, collider.spacing), position=collider.centre))
+        except InputError as error:
+            key = f"collider[{number}].{'spacing' if error.key == 'spacing' else 'mesh'}"
+            if error.file is not None:
+                raise
+            raise InputError(
+                error.problem, file=collider.mesh, key=key, received=error.received, expected=error.expected
+            ) from error
+    return tuple(found)
+
+
+@cache
+def _field(mesh: Path, spacing: float) -> DistanceField:
+    solid = load_garment(mesh)
+    return field_of_mesh(solid.vertices, solid.faces, spacing)
 
 
 def scene_of(database: WrinkleDatabase) -> Scene:

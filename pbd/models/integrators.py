@@ -14,7 +14,17 @@ from pbd.models.obstacles import ContactForces, Cushion, Obstacles
 from pbd.models.springs import Springs
 from pbd.models.stepping import ClothSolver, Options
 
-__all__ = ["BDF2", "ExplicitSolver", "ImplicitEuler", "Midpoint", "QuasiStatic", "SymplecticEuler", "Verlet", "highest"]
+__all__ = [
+    "BDF2",
+    "ExplicitSolver",
+    "ImplicitEuler",
+    "Midpoint",
+    "PenaltyEuler",
+    "QuasiStatic",
+    "SymplecticEuler",
+    "Verlet",
+    "highest",
+]
 
 STABLE = 0.7  # part of the limit 2/omega that an explicit step takes: cloth stiffens as it stretches
 CONTACT_STIFFNESS = 30.0  # r over the mean stiffness that a vertex feels
@@ -91,6 +101,21 @@ class SymplecticEuler(ExplicitSolver):
     ) -> tuple[np.ndarray, np.ndarray]:
         faster = v + h * self.acceleration(x, v, h, wind)
         return self.finish(x + h * faster, faster, x, h, target, obstacles)
+
+
+class PenaltyEuler(SymplecticEuler):
+    """The same with contact by penalty forces, see :meth:`pbd.models.obstacles.Obstacles.penalty`."""
+
+    def advance(
+        self, x: np.ndarray, v: np.ndarray, h: float, target: np.ndarray, obstacles: Obstacles, wind: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        force = obstacles.penalty(x, v, self.mass, self.model.fabric.friction, h)
+        return super().advance(x, v + h * force / self.mass, h, target, obstacles, wind)
+
+    def correct(
+        self, x: np.ndarray, v: np.ndarray, start: np.ndarray, h: float, obstacles: Obstacles
+    ) -> tuple[np.ndarray, np.ndarray]:
+        return x, v
 
 
 class Verlet(ExplicitSolver):

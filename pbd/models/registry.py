@@ -12,7 +12,7 @@ from pbd.errors import InputError
 from pbd.model import Model, State
 from pbd.models.descent import ProjectiveDynamics, VertexBlockDescent
 from pbd.models.elements import ElementEnergy, QuadraticElements, Sum
-from pbd.models.integrators import BDF2, ImplicitEuler, Midpoint, QuasiStatic, SymplecticEuler, Verlet
+from pbd.models.integrators import BDF2, ImplicitEuler, Midpoint, PenaltyEuler, QuasiStatic, SymplecticEuler, Verlet
 from pbd.models.membrane import condition_membrane, continuum_membrane
 from pbd.models.plate import angle_bending, isometric_bending, morley_bending
 from pbd.models.position_based import PBD, XPBD, StrainBased
@@ -129,6 +129,8 @@ def _all() -> dict[str, Factory]:
         for membrane in ("springs-triangle", "springs-square"):
             name = f"{membrane}-limited/{integrator}"
             solvers[name] = _factory(solver, name, membrane, "hinges", limit=PROVOT)
+    name = "springs-triangle-penalty/symplectic-euler"
+    solvers[name] = _factory(PenaltyEuler, name, "springs-triangle", "hinges")
     for name, (solver, membrane, bending) in METHODS.items():
         solvers[name] = _factory(solver, name, membrane, bending)
     return solvers

@@ -7,7 +7,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from assets.fabrics import PRESETS
-from assets.scene import CapsuleSettings, CharacterSettings, MotionSettings, Scene, load_scene, parse_scene, scene_text
+from assets.scene import (
+    CapsuleSettings,
+    CharacterSettings,
+    FieldSettings,
+    MotionSettings,
+    Scene,
+    load_scene,
+    parse_scene,
+    scene_text,
+)
 from pbd import Capsule, Fabric, InputError, SolverOptions
 from pbd.wind import Wind
 
@@ -55,6 +64,12 @@ type = "capsule"
 start = [0, 0, 0]
 end = [0, 1, 0]
 radius = 0.1
+
+[[collider]]
+type = "field"
+mesh = "dress.obj"
+spacing = 0.02
+centre = [0, 1, 0]
 
 [wind]
 velocity = [1, 0, 0.5]
@@ -131,8 +146,10 @@ def test_every_key_is_read(load, tmp_path: Path) -> None:
     assert (dress.attach, dress.attach_vertices, dress.pins, skirt.attach) == ((0, 2), (7,), (5, 6), "top")
     assert scene.character == CharacterSettings(file="builtin:mannequin", clip="walk")
     assert [motion.clip for motion in scene.training.clips + scene.training.held_out] == ["walk", "turn"]
-    assert [collider.type for collider in scene.colliders] == ["plane", "sphere", "capsule"]
+    assert [collider.type for collider in scene.colliders] == ["plane", "sphere", "capsule", "field"]
     assert scene.colliders[2] == CapsuleSettings(start=(0.0, 0.0, 0.0), end=(0.0, 1.0, 0.0), radius=0.1)
+    field = FieldSettings(mesh=(tmp_path / "dress.obj").resolve(), spacing=0.02, centre=(0.0, 1.0, 0.0))
+    assert scene.colliders[3] == field
     primitive = scene.colliders[2].primitive()
     assert primitive == Capsule(start=(0.0, 0.0, 0.0), end=(0.0, 1.0, 0.0), radius=0.1)
     assert scene.solver.options() == SolverOptions(0.002, (0.0, -1.62, 0.0), 2, 100.0, True, 2.0, 0.5, 0.25)
@@ -273,6 +290,8 @@ def test_any_name_survives_printing(name: str, tmp_path_factory: pytest.TempPath
         (SKIRT + '[character]\nfile = "dress.obj"', ["character.file", "received 'dress.obj'", ".glb"]),
         (SKIRT + "[[collider]]", ["collider[0].type", "'capsule'"]),
         (SKIRT + '[[collider]]\ntype = "sphere"', ["collider[0].centre: missing key", "collider[0].radius"]),
+        (SKIRT + '[[collider]]\ntype = "field"\nspacing = 0', ["collider[0].mesh: missing key", "collider[0].spacing"]),
+        (SKIRT + '[[collider]]\ntype = "field"\nmesh = "no.obj"', ["collider[0].mesh: no such file"]),
         (SKIRT + '[[collider]]\ntype = "plane"\nnormal = [0, 0, 0]', ["collider[0].normal", "not all zero"]),
         (SKIRT + "[wind]\nvelocity = [1, 2]", ["wind.velocity", "received [1, 2]", "three finite numbers [m/s]"]),
         (SKIRT + "[wind]\nturbulence = -1", ["wind.turbulence", "received -1", "at least 0"]),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pbd import Capsule, Colliders, Fabric, Plane, Solver, SolverOptions, Sphere, State
+from pbd import Capsule, Colliders, DistanceField, Fabric, Plane, Solver, SolverOptions, Sphere, State
 from pbd.pace import carry_of, fastest_way
 from tests.pbd.meshes import body_of, cloth, free_model, grid, icosphere, turn
 
@@ -20,15 +20,29 @@ def moved(before: list, after: list) -> np.ndarray:
 
 
 def test_the_fastest_way_is_that_of_each_kind_against_the_cloth() -> None:
-    none = np.zeros((0, 3))
+    none, no_fields = np.zeros((0, 3)), np.zeros((0, 25))
     ball = moved([Sphere((0.0, 0.0, 0.0), 0.1)], [Sphere((0.3, 0.4, 0.0), 0.1)])
-    assert fastest_way(ball, none, none, STILL) == pytest.approx(0.5)
-    assert fastest_way(ball, none, none, np.array([0.3, 0.4, 0.0])) == pytest.approx(0.0, abs=1e-6)
+    assert fastest_way(ball, no_fields, none, none, STILL) == pytest.approx(0.5)
+    assert fastest_way(ball, no_fields, none, none, np.array([0.3, 0.4, 0.0])) == pytest.approx(0.0, abs=1e-6)
     arm = moved([Capsule((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.1)], [Capsule((0.0, 0.0, 0.0), (1.0, 0.2, 0.0), 0.1)])
-    assert fastest_way(arm, none, none, STILL) == pytest.approx(0.2)
+    assert fastest_way(arm, no_fields, none, none, STILL) == pytest.approx(0.2)
     ground = moved([Plane((0.0, 0.0, 0.0))], [Plane((5.0, 0.1, 0.0))])  # along itself it goes nowhere
-    assert fastest_way(ground, none, none, STILL) == pytest.approx(0.1)
-    assert fastest_way(np.zeros((0, 14)), np.zeros((1, 3)), np.full((1, 3), 0.1), STILL) == pytest.approx(0.03**0.5)
+    assert fastest_way(ground, no_fields, none, none, STILL) == pytest.approx(0.1)
+    nothing = np.zeros((0, 14))
+    held = fastest_way(nothing, no_fields, np.zeros((1, 3)), np.full((1, 3), 0.1), STILL)
+    assert held == pytest.approx(0.03**0.5)
+
+
+def test_of_a_distance_field_the_fastest_corner_counts() -> None:
+    """A stick of 1 m by 2 cm that turns about its end: the other end goes a radius times the angle."""
+    none, nothing = np.zeros((0, 3)), np.zeros((0, 14))
+    stick = DistanceField(np.ones((3, 3, 101)), (-0.01, -0.01, 0.0), 0.01)
+    colliders = Colliders([stick])
+    assert fastest_way(nothing, colliders.fields(STILL)[0], none, none, STILL) == 0.0
+    stick.rotation, stick.position = turn((0.0, 1.0, 0.0), 30.0), (0.0, 0.3, 0.0)
+    found = fastest_way(nothing, colliders.fields(STILL)[0], none, none, STILL)
+    assert found == pytest.approx(np.hypot(0.3, np.pi / 6 * np.hypot(1.0, 0.01)), rel=1e-5)
+    assert fastest_way(nothing, colliders.fields(STILL)[0], none, none, STILL) == 0.0
 
 
 def test_a_rigid_jump_is_found_and_nothing_else() -> None:

@@ -11,11 +11,11 @@ import pytest
 from assets.builtin import builtin_garment
 from assets.fabrics import PRESETS
 from assets.scene import Scene, parse_scene
-from pbd import InputError
+from pbd import DistanceField, InputError, Plane
 from pbd.attachment import Attachment
 from runtime.player import Player
 from runtime.simulation import poses_of
-from runtime.stage import Stage, fabrics_of, motion_of, simulation_of
+from runtime.stage import Stage, colliders_of, fabrics_of, motion_of, simulation_of
 from tests.assets.panels import two_panels
 from tests.wrinkles.databases import small_database
 from tests.wrinkles.meshes import icosphere
@@ -205,3 +205,36 @@ def test_limits_need_a_body(tmp_path: Path) -> None:
     (tmp_path / "limits.csv").write_text("vertex,maximum_distance,backstop,stiffness\n")
     with pytest.raises(InputError, match=r"garment\[0\].limits: nothing to be carried by"):
         simulation_of(parse_scene(text, tmp_path / "scene.toml"))
+
+
+def solids(folder: Path, faces: np.ndarray, more: str = "") -> Scene:
+    """A skirt over a ball of a mesh and a floor."""
+    vertices, _ = icosphere(2, 0.15)
+    lines = [f"v {x:.17g} {y:.17g} {z:.17g}" for x, y, z in vertices]
+    lines += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
+    (folder / "ball.obj").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    text = '[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\n'
+    text += '[[collider]]\ntype = "field"\nmesh = "ball.obj"\ncentre = [0.0, 1.0, 0.0]\n'
+    return parse_scene(text + more + '[[collider]]\ntype = "plane"\n', folder / "scene.toml")
+
+
+def test_a_mesh_of_a_scene_becomes_a_distance_field(tmp_path: Path) -> None:
+    found = solids(tmp_path, icosphere(2, 0.15)[1])
+    field, floor = colliders_of(found)
+    assert isinstance(field, DistanceField) and isinstance(floor, Plane)
+    assert (field.position, field.spacing) == ((0.0, 1.0, 0.0), 0.01)
+    assert field.values.min() == pytest.approx(-0.15, abs=0.01)
+    again = colliders_of(found)[0]
+    assert again is not field and isinstance(again, DistanceField) and again.values is field.values
+    simulation, _ = simulation_of(found)
+    assert len(simulation.colliders.fields(np.zeros(3))[0]) == 1
+    simulation.step(None, 1 / 60)
+
+
+def test_a_mesh_that_is_no_solid_is_refused(tmp_path: Path) -> None:
+    faces = icosphere(2, 0.15)[1]
+    with pytest.raises(InputError, match=r"ball\.obj: collider\[0\]\.mesh: a mesh that is not closed.*watertight"):
+        colliders_of(solids(tmp_path, faces[1:]))
+    (tmp_path / "fine").mkdir()
+    with pytest.raises(InputError, match=r"ball\.obj: collider\[0\]\.spacing: a grid of .* points.*10,000,000"):
+        colliders_of(solids(tmp_path / "fine", faces, "spacing = 0.0005\n"))

@@ -7,7 +7,7 @@ import pytest
 
 from pbd import Capsule, ClothMesh, Colliders, Fabric, Plane, Sphere, State
 from pbd.models import Options, make_solver
-from pbd.models.obstacles import ContactForces, Cushion, Obstacles
+from pbd.models.obstacles import DAMPING, PENALTY, VISCOSITY, ContactForces, Cushion, Obstacles
 from pbd.models.stepping import ClothSolver
 from tests.pbd.meshes import cloth, free_model, grid, turn
 
@@ -209,3 +209,52 @@ def test_forces_of_cloth_that_gives_are_derivatives() -> None:
     x[:, 2] = rng.uniform(0.0005, 0.004, 30)
     rate = (contact.gradient(x + step * way) - contact.gradient(x - step * way)) / (2.0 * step)
     assert contact.hessian(x) @ way.ravel() == pytest.approx(rate.ravel(), rel=1e-3, abs=1e-3 * np.abs(rate).max())
+
+
+PENALISED = "springs-triangle-penalty/symplectic-euler"
+
+
+def on_a_floor(name: str, degrees: float, speed: float, frames: int) -> tuple[np.ndarray, float]:
+    """A sheet on a floor, tilted, at the surface with a speed into it: places in the floor's axes [m], by substep.
+
+    Returns:
+        shape (frames, n, 3), about the start; the substep [s].
+    """
+    rotation = turn((0.0, 0.0, 1.0), degrees)
+    vertices, faces = grid(3, 3, 0.05)
+    start = (vertices[:, [1, 2, 0]] + [-0.1, THICKNESS, -0.1]) @ rotation.T
+    fabric = Fabric(friction=0.5, thickness=THICKNESS, air_drag=0.0, stretch_warp=100.0, stretch_weft=100.0, shear=40.0)
+    model = free_model(cloth(start, faces, tuple(rotation[:, 0])), fabric)
+    solver, state = make_solver(name, model), State.at_rest(model)
+    assert isinstance(solver, ClothSolver)
+    state.velocity[:] = -speed * rotation[:, 1]
+    colliders, places = Colliders([Plane((0.0, 0.0, 0.0), tuple(rotation[:, 1]))]), []
+    for _ in range(frames):
+        solver.step(state, colliders, solver.substep)
+        places.append((solver.position - start) @ rotation)
+    return np.array(places), solver.substep
+
+
+def test_penalty_forces_carry_a_sheet_at_the_depth_of_their_spring() -> None:
+    places, h = on_a_floor(PENALISED, 0.0, 0.0, 400)
+    depth = 9.81 * h**2 / PENALTY
+    assert places[-1, :, 1] == pytest.approx(np.full(16, -depth), rel=1e-3)
+    assert np.abs(on_a_floor("springs-triangle/symplectic-euler", 0.0, 0.0, 400)[0][-1, :, 1]).max() < 1e-3 * depth
+
+
+def test_penalty_forces_creep_below_the_angle_of_friction() -> None:
+    """10 degrees with mu 0.5, which holds up to 26.6: at the speed at which viscosity carries the weight."""
+    places, h = on_a_floor(PENALISED, 10.0, 0.0, 800)
+    speed = 9.81 * np.sin(np.radians(10.0)) * h / VISCOSITY
+    found = (places[400, :, 0] - places[-1, :, 0]) / (399 * h)
+    assert found == pytest.approx(np.full(16, speed), rel=0.01)
+    assert np.abs(on_a_floor("springs-triangle/symplectic-euler", 10.0, 0.0, 800)[0][-1, :, 0]).max() < 1e-9
+
+
+def test_penalty_forces_let_fast_cloth_dive_in() -> None:
+    """At 5 m/s so deep as a damped oscillator swings from its middle, 12 mm; by position nothing is ever inside."""
+    places, h = on_a_floor(PENALISED, 0.0, 5.0, 60)
+    root = np.sqrt(1.0 - DAMPING**2)
+    swing = 5.0 * h / np.sqrt(PENALTY) * np.exp(-DAMPING / root * np.arctan2(root, DAMPING))
+    assert -places[:, :, 1].min() == pytest.approx(swing, rel=0.1)
+    assert on_a_floor("springs-triangle/symplectic-euler", 0.0, 5.0, 60)[0][:, :, 1].min() > -1e-9
