@@ -96,6 +96,8 @@ class _Level:
         mass: [kg], shape (n,).
         area: [m2], shape (n,).
         place: where it starts [m], shape (n, 3).
+        stretch: how many times longer than at rest the cloth starts there, along whatever it is stretched most, at
+            least 1 [-], shape (n,).
         normal: unit, shape (n, 3).
         warp: unit, at right angles to the normal, shape (n, 3).
         edges: each way, sorted by their first end, shape (e, 2).
@@ -105,6 +107,7 @@ class _Level:
     mass: np.ndarray
     area: np.ndarray
     place: np.ndarray
+    stretch: np.ndarray
     normal: np.ndarray
     warp: np.ndarray
     edges: np.ndarray
@@ -182,9 +185,13 @@ def _finest(mesh: ClothMesh, mass: np.ndarray) -> _Level:
     corners = mesh.vertices[faces]
     sides = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
     face_normals = np.cross(sides[:, :, 0], sides[:, :, 1])
-    face_warps = (sides @ np.linalg.inv(mesh.flat))[:, :, 0] * mesh.face_areas[:, None]
+    slopes = sides @ np.linalg.inv(mesh.flat)
+    face_warps = slopes[:, :, 0] * mesh.face_areas[:, None]
     sums = np.zeros((2, count, 3))
+    stretch = np.zeros(count)
+    face_stretch = np.linalg.svd(slopes, compute_uv=False)[:, 0]
     for corner in range(3):
+        np.maximum.at(stretch, faces[:, corner], face_stretch)
         np.add.at(sums[0], faces[:, corner], face_normals)
         np.add.at(sums[1], faces[:, corner], face_warps)
     normal = _unit(sums[0])
@@ -194,7 +201,8 @@ def _finest(mesh: ClothMesh, mass: np.ndarray) -> _Level:
     order = np.lexsort((both[:, 1], both[:, 0]))
     both, lengths = both[order], lengths[order]
     ways = _unit(_tangent(mesh.vertices[both[:, 1]] - mesh.vertices[both[:, 0]], normal[both[:, 0]]))
-    return _Level(mass, mesh.vertex_areas, mesh.vertices, normal, warp, both, ways * lengths[:, None])
+    areas, stretch = mesh.vertex_areas, np.maximum(stretch, 1.0)
+    return _Level(mass, areas, mesh.vertices, stretch, normal, warp, both, ways * lengths[:, None])
 
 
 def _patches(level: _Level) -> tuple[np.ndarray, np.ndarray]:
@@ -251,13 +259,15 @@ def _coarser(level: _Level, patch: np.ndarray, roots: np.ndarray) -> tuple[_Leve
     which = which.ravel()
     mean = lambda values: np.bincount(which, values, len(pairs)) / times  # noqa: E731
     # The longest counts, and no way is shorter than the straight one: a line that is too short would be a stiffness
-    # that no cloth has, one that is too long only helps less.
+    # that no cloth has, one that is too long only helps less. Where the cloth starts stretched, so is the straight one.
     direction = _unit(np.stack([mean(way[:, axis]) for axis in range(3)], axis=1))
     straight = np.stack([np.bincount(patch, share * level.place[:, axis], count) for axis in range(3)], axis=1)
-    lengths = np.linalg.norm(straight[pairs[:, 0]] - straight[pairs[:, 1]], axis=1)
+    stretch = np.bincount(patch, share * level.stretch, count)
+    lengths = np.linalg.norm(straight[pairs[:, 0]] - straight[pairs[:, 1]], axis=1) / stretch[pairs].max(axis=1)
     np.maximum.at(lengths, which, np.linalg.norm(way, axis=1))
     area = np.bincount(patch, level.area, count)
-    coarse = _Level(mass, area, straight, normal[roots], level.warp[roots], pairs, direction * lengths[:, None])
+    ways = direction * lengths[:, None]
+    coarse = _Level(mass, area, straight, stretch, normal[roots], level.warp[roots], pairs, ways)
     return coarse, share
 
 
