@@ -19,7 +19,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from pbd.fabric import Fabric
-from pbd.mesh import ClothMesh, greedy_colors
+from pbd.mesh import ClothMesh, edges_of, greedy_colors
 
 __all__ = ["Hierarchy", "build_hierarchy"]
 
@@ -101,7 +101,7 @@ class _Level:
         normal: unit, shape (n, 3).
         warp: unit, at right angles to the normal, shape (n, 3).
         edges: each way, sorted by their first end, shape (e, 2).
-        ways: along each edge, in the tangent plane of its first end [m], shape (e, 3).
+        ways: along each edge at rest, in the tangent plane of its first end [m], shape (e, 3).
     """
 
     mass: np.ndarray
@@ -189,18 +189,25 @@ def _finest(mesh: ClothMesh, mass: np.ndarray) -> _Level:
     face_warps = slopes[:, :, 0] * mesh.face_areas[:, None]
     sums = np.zeros((2, count, 3))
     stretch = np.zeros(count)
-    face_stretch = np.linalg.svd(slopes, compute_uv=False)[:, 0]
+    # Along the cloth as it would lie there at rest: faces turned into place, but not stretched (polar decomposition).
+    left, face_stretch, right = np.linalg.svd(slopes, full_matrices=False)
+    side_1, side_2 = np.moveaxis(left @ right @ mesh.flat, 2, 0)
+    edges, side_edge = edges_of(faces)
+    forwards = np.where(faces < np.roll(faces, -1, axis=1), 1.0, -1.0)
+    at_rest = np.zeros((len(edges), 3))
+    for side, way in enumerate((side_1, side_2 - side_1, -side_2)):
+        np.add.at(at_rest, side_edge[:, side], forwards[:, side, None] * way)
     for corner in range(3):
-        np.maximum.at(stretch, faces[:, corner], face_stretch)
+        np.maximum.at(stretch, faces[:, corner], face_stretch[:, 0])
         np.add.at(sums[0], faces[:, corner], face_normals)
         np.add.at(sums[1], faces[:, corner], face_warps)
     normal = _unit(sums[0])
     warp = _unit(_tangent(sums[1], normal))
-    edges, lengths = mesh.edge_lengths()
-    both, lengths = np.concatenate([edges, edges[:, ::-1]]), np.concatenate([lengths, lengths])
+    lengths = np.tile(mesh.edge_lengths()[1], 2)
+    both, at_rest = np.concatenate([edges, edges[:, ::-1]]), np.concatenate([at_rest, -at_rest])
     order = np.lexsort((both[:, 1], both[:, 0]))
     both, lengths = both[order], lengths[order]
-    ways = _unit(_tangent(mesh.vertices[both[:, 1]] - mesh.vertices[both[:, 0]], normal[both[:, 0]]))
+    ways = _unit(_tangent(at_rest[order], normal[both[:, 0]]))
     areas, stretch = mesh.vertex_areas, np.maximum(stretch, 1.0)
     return _Level(mass, areas, mesh.vertices, stretch, normal, warp, both, ways * lengths[:, None])
 

@@ -63,11 +63,12 @@ def test_on_a_tube_links_have_the_length_of_the_unrolled_sheet() -> None:
         assert length == pytest.approx(np.linalg.norm(rolled[a] - rolled[b]), rel=0.02)
 
 
-def test_links_are_as_long_as_the_pattern_says_where_cloth_starts_stretched() -> None:
+@pytest.mark.parametrize("stretch", [(1.5, 1.5, 1.0), (3.0, 1.0, 1.0), (0.8, 1.2, 1.0)])
+def test_links_are_as_long_as_the_pattern_says_where_cloth_starts_stretched(stretch: tuple) -> None:
     vertices, faces = flat_sheet(25, 1.0)
     mesh = cloth(vertices, faces)
     at_rest = hierarchy_of(free_model(mesh, Fabric()))
-    stretched = hierarchy_of(free_model(replace(mesh, vertices=1.5 * vertices), Fabric()))
+    stretched = hierarchy_of(free_model(replace(mesh, vertices=vertices * stretch), Fabric()))
     assert stretched.link_data[:, 0, 0] == pytest.approx(at_rest.link_data[:, 0, 0], rel=1e-5)
 
 
