@@ -19,7 +19,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from pbd.fabric import Fabric
-from pbd.mesh import ClothMesh, greedy_colors
+from pbd.mesh import ClothMesh, edges_of, greedy_colors
 
 __all__ = ["Hierarchy", "build_hierarchy"]
 
@@ -96,15 +96,18 @@ class _Level:
         mass: [kg], shape (n,).
         area: [m2], shape (n,).
         place: where it starts [m], shape (n, 3).
+        stretch: how many times longer than at rest the cloth starts there, along whatever it is stretched most, at
+            least 1 [-], shape (n,).
         normal: unit, shape (n, 3).
         warp: unit, at right angles to the normal, shape (n, 3).
         edges: each way, sorted by their first end, shape (e, 2).
-        ways: along each edge, in the tangent plane of its first end [m], shape (e, 3).
+        ways: along each edge at rest, in the tangent plane of its first end [m], shape (e, 3).
     """
 
     mass: np.ndarray
     area: np.ndarray
     place: np.ndarray
+    stretch: np.ndarray
     normal: np.ndarray
     warp: np.ndarray
     edges: np.ndarray
@@ -182,19 +185,31 @@ def _finest(mesh: ClothMesh, mass: np.ndarray) -> _Level:
     corners = mesh.vertices[faces]
     sides = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
     face_normals = np.cross(sides[:, :, 0], sides[:, :, 1])
-    face_warps = (sides @ np.linalg.inv(mesh.flat))[:, :, 0] * mesh.face_areas[:, None]
+    slopes = sides @ np.linalg.inv(mesh.flat)
+    face_warps = slopes[:, :, 0] * mesh.face_areas[:, None]
     sums = np.zeros((2, count, 3))
+    stretch = np.zeros(count)
+    # Along the cloth as it would lie there at rest: faces turned into place, but not stretched (polar decomposition).
+    left, face_stretch, right = np.linalg.svd(slopes, full_matrices=False)
+    side_1, side_2 = np.moveaxis(left @ right @ mesh.flat, 2, 0)
+    edges, side_edge = edges_of(faces)
+    forwards = np.where(faces < np.roll(faces, -1, axis=1), 1.0, -1.0)
+    at_rest = np.zeros((len(edges), 3))
+    for side, way in enumerate((side_1, side_2 - side_1, -side_2)):
+        np.add.at(at_rest, side_edge[:, side], forwards[:, side, None] * way)
     for corner in range(3):
+        np.maximum.at(stretch, faces[:, corner], face_stretch[:, 0])
         np.add.at(sums[0], faces[:, corner], face_normals)
         np.add.at(sums[1], faces[:, corner], face_warps)
     normal = _unit(sums[0])
     warp = _unit(_tangent(sums[1], normal))
-    edges, lengths = mesh.edge_lengths()
-    both, lengths = np.concatenate([edges, edges[:, ::-1]]), np.concatenate([lengths, lengths])
+    lengths = np.tile(mesh.edge_lengths()[1], 2)
+    both, at_rest = np.concatenate([edges, edges[:, ::-1]]), np.concatenate([at_rest, -at_rest])
     order = np.lexsort((both[:, 1], both[:, 0]))
     both, lengths = both[order], lengths[order]
-    ways = _unit(_tangent(mesh.vertices[both[:, 1]] - mesh.vertices[both[:, 0]], normal[both[:, 0]]))
-    return _Level(mass, mesh.vertex_areas, mesh.vertices, normal, warp, both, ways * lengths[:, None])
+    ways = _unit(_tangent(at_rest[order], normal[both[:, 0]]))
+    areas, stretch = mesh.vertex_areas, np.maximum(stretch, 1.0)
+    return _Level(mass, areas, mesh.vertices, stretch, normal, warp, both, ways * lengths[:, None])
 
 
 def _patches(level: _Level) -> tuple[np.ndarray, np.ndarray]:
@@ -251,13 +266,15 @@ def _coarser(level: _Level, patch: np.ndarray, roots: np.ndarray) -> tuple[_Leve
     which = which.ravel()
     mean = lambda values: np.bincount(which, values, len(pairs)) / times  # noqa: E731
     # The longest counts, and no way is shorter than the straight one: a line that is too short would be a stiffness
-    # that no cloth has, one that is too long only helps less.
+    # that no cloth has, one that is too long only helps less. Where the cloth starts stretched, so is the straight one.
     direction = _unit(np.stack([mean(way[:, axis]) for axis in range(3)], axis=1))
     straight = np.stack([np.bincount(patch, share * level.place[:, axis], count) for axis in range(3)], axis=1)
-    lengths = np.linalg.norm(straight[pairs[:, 0]] - straight[pairs[:, 1]], axis=1)
+    stretch = np.bincount(patch, share * level.stretch, count)
+    lengths = np.linalg.norm(straight[pairs[:, 0]] - straight[pairs[:, 1]], axis=1) / stretch[pairs].max(axis=1)
     np.maximum.at(lengths, which, np.linalg.norm(way, axis=1))
     area = np.bincount(patch, level.area, count)
-    coarse = _Level(mass, area, straight, normal[roots], level.warp[roots], pairs, direction * lengths[:, None])
+    ways = direction * lengths[:, None]
+    coarse = _Level(mass, area, straight, stretch, normal[roots], level.warp[roots], pairs, ways)
     return coarse, share
 
 

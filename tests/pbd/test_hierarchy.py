@@ -1,5 +1,7 @@
 """Patches from coarse to fine: what they are made of, and what they do to the cloth's physics."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -59,6 +61,15 @@ def test_on_a_tube_links_have_the_length_of_the_unrolled_sheet() -> None:
             turned = radius * side * ((angle[members] - middle + np.pi) % (2 * np.pi) - np.pi)
             rolled[patch] = levels.share[members] @ np.stack([turned, vertices[members, 1]], axis=1)
         assert length == pytest.approx(np.linalg.norm(rolled[a] - rolled[b]), rel=0.02)
+
+
+@pytest.mark.parametrize("stretch", [(1.5, 1.5, 1.0), (3.0, 1.0, 1.0), (0.8, 1.2, 1.0)])
+def test_links_are_as_long_as_the_pattern_says_where_cloth_starts_stretched(stretch: tuple) -> None:
+    vertices, faces = flat_sheet(25, 1.0)
+    mesh = cloth(vertices, faces)
+    at_rest = hierarchy_of(free_model(mesh, Fabric()))
+    stretched = hierarchy_of(free_model(replace(mesh, vertices=vertices * stretch), Fabric()))
+    assert stretched.link_data[:, 0, 0] == pytest.approx(at_rest.link_data[:, 0, 0], rel=1e-5)
 
 
 def test_every_vertex_has_a_patch_and_shares_make_a_whole() -> None:

@@ -1,6 +1,7 @@
 """Real garments on real clips: what is counted, and, as proofs, what came."""
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from assets.garment import highest_loop
 from assets.mannequin import builtin_mannequin
 from assets.motion import ClipMotion
 from pbd import ClothMesh, Fabric, InputError, build_model
-from precompute.clips import CLIPS, LIMBS, clip_rows, run_clip, write_clips
+from precompute.clips import CLIPS, LIMBS, clip_rows, run_clip, shrinking, write_clips
 from runtime.simulation import Simulation, body_source
 from tests.data import data_path
 
@@ -63,6 +64,18 @@ def test_what_stays_inside_or_is_not_finite_is_counted(monkeypatch: pytest.Monke
     assert found["catastrophic_frames"] > 0  # its edges are over twice as long
     monkeypatch.setattr(simulation, "step", lambda pose, dt: simulation.state.position.fill(np.nan))
     assert run_clip(simulation, motion)["finite"] == 0.0
+
+
+def test_a_stretched_garment_shrinks_to_its_pattern_and_never_grows() -> None:
+    vertices = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.1], [0.0, 0.2, 0.0], [0.3, 0.2, 0.0]])
+    faces = np.array([[0, 1, 2], [1, 3, 2]])
+    flat = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.2], [0.1, 0.2]])
+    mesh = ClothMesh.from_pattern(vertices, faces, flat[faces])
+    sizes = [replace(mesh, flat=flat).edge_lengths()[1] for flat in shrinking(mesh, 4)]
+    edges = mesh.edge_lengths()[0]
+    start = np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1)
+    assert sizes[-1] == pytest.approx(mesh.edge_lengths()[1])
+    assert np.all(np.diff([start, *sizes], axis=0) < 1e-12)
 
 
 def test_rows_are_written_and_unknown_names_refused(tmp_path: Path) -> None:
