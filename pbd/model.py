@@ -23,6 +23,7 @@ __all__ = ["Model", "ModelOptions", "State", "build_model"]
 SAMPLE_SPACING = 0.025  # edges longer than this are tested for contact in their middle too [m]: a foot is narrower
 BLOCK = 16  # triangles of one colour that are solved at once
 SOFTEST = 1e4  # compliance over mobility of a triangle; more is as good as none, and float32 holds its cube [s2]
+SHARING = 8  # rounds in which stitches even out masses
 GRID = 1.0  # origins are whole multiples of this power of two [m], so that moving one rounds nothing away
 
 
@@ -62,7 +63,7 @@ class Model:
         mesh: the cloth mesh.
         fabric: its fabric.
         options: how it was built.
-        mass: [kg], float64, shape (n,).
+        mass: [kg], float64, shape (n,); what is sewn together shares it.
         inverse_mass: [1/kg], 0 where a vertex is held, shape (n,).
         held: vertices that follow targets (pins and attachments), int32, shape (p,).
         triangles: shape (m, 3); triangle_data: inverse flat, gram, unit, compliance, see
@@ -148,6 +149,7 @@ def build_model(
     if np.any(mass <= 0):
         vertex = int(np.argmin(mass))
         raise InputError("vertex in no face", key=f"vertex {vertex}", expected="every vertex in a face")
+    mass = _shared(mass, mesh)
     inverse_mass = 1.0 / mass
     inverse_mass[held] = 0.0
     if bend_factor is None:
@@ -180,6 +182,25 @@ def build_model(
         np.full(count if options.pressure else 0, options.pressure, np.float32),
         limits,
     )
+
+
+def _shared(mass: np.ndarray, mesh: ClothMesh) -> np.ndarray:
+    """Masses evened out over the stitches; their sum stays [kg], shape (n,).
+
+    What is sewn together is in one place and moves as one, whatever the shares. A light corner of a panel that is sewn
+    to heavy cloth would take nearly all of a stitch's correction, and hand on next to nothing of what pulls at it.
+    """
+    if not len(mesh.stitches):
+        return mass
+    (v, a, b), w = mesh.stitches.T, mesh.stitch_weights
+    used = np.bincount(mesh.stitches.ravel(), minlength=len(mass))
+    for _ in range(SHARING):
+        flow = [
+            0.5 * part * (mass[end] - mass[v]) / np.maximum(used[end], used[v]) for part, end in ((1.0 - w, a), (w, b))
+        ]
+        for vertices, gained in ((v, flow[0] + flow[1]), (a, -flow[0]), (b, -flow[1])):
+            mass = mass + np.bincount(vertices, gained, len(mass))
+    return mass
 
 
 def _by_color(members: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -30,6 +30,7 @@ __all__ = ["advance_garment", "advance_kernel"]
 NEAR = 0.01  # nearer than this, a contact is looked at in every substep, even if nothing seems to move [m]
 SQUEEZED = 1e-4  # area of faces over the squares of their sides, below which they are lines [-]
 NOTHING = 1e-12  # sides of a face at a point, squared, where loose points have no face at all [m2]
+STITCHING = 4  # passes over the stitches, of which several may meet in one vertex
 FINEST = 2.0**20  # inside a frame positions are whole multiples of 1 m / FINEST: exact in float32 up to 16 m
 
 
@@ -381,7 +382,8 @@ def advance_garment(
                 )  # fmt: skip
                 team.meet()
             if team.first():  # they are few
-                solve_stitches(position, shift, stitches, stitch_weights)
+                for _ in range(STITCHING):
+                    solve_stitches(position, shift, stitches, stitch_weights)
             team.meet()
             for c in range(team.begin(0, tethers.shape[0]), team.end(0, tethers.shape[0])):
                 i, j = tethers[c][0], tethers[c][1]

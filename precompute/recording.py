@@ -108,7 +108,7 @@ class Run:
         settings += [self.chunk]  # files of other lengths would be put together wrongly
         settings += [
             self.bend_factor,
-            asdict(self.wind) if isinstance(self.wind, Wind) else self.wind,
+            asdict(self.wind if isinstance(self.wind, Wind) else Wind(tuple(self.wind))),
             [primitive.row().tolist() for primitive in self.primitives],
         ]
         digest.update(json.dumps(settings, sort_keys=True).encode())

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pbd import ClothMesh, Fabric, InputError, State
+from pbd import ClothMesh, Colliders, Fabric, InputError, Solver, State
 from tests.assets.panels import two_panels
 from tests.pbd.meshes import cloth, free_model, grid, run
 
@@ -64,3 +64,44 @@ def test_stitches_of_vertices_that_do_not_exist_are_refused() -> None:
     mesh = sewn(vertices, faces, seams)
     with pytest.raises(InputError, match=r"stitches.*received 999"):
         replace(mesh, stitches=np.array([[0, 1, 999]], np.int32), stitch_weights=np.array([0.5]))
+
+
+def test_what_is_sewn_together_shares_its_mass() -> None:
+    vertices, faces, seams = two_panels(6, 6, 4)
+    mesh = sewn(vertices, faces, seams)
+    apart, model = (free_model(one, Fabric()) for one in (cloth(vertices, faces), mesh))
+    assert model.mass.sum() == pytest.approx(apart.mass.sum(), rel=1e-12)
+    sewn_up = np.unique(mesh.stitches)
+    assert model.mass[sewn_up].min() > 1.2 * apart.mass[sewn_up].min()  # corners
+    far = np.setdiff1d(np.arange(len(vertices)), mesh.stitches)
+    assert np.array_equal(model.mass[far], apart.mass[far])
+    (v, a, b), w = mesh.stitches.T, mesh.stitch_weights
+    off = [np.abs(one.mass[v] - (1.0 - w) * one.mass[a] - w * one.mass[b]).sum() for one in (apart, model)]
+    assert off[1] < 0.5 * off[0]
+
+
+def test_a_vertex_that_is_sewn_to_several_panels_holds_them_all() -> None:
+    """Three strips sewn to one held one at the same line, and pulled apart by the wind."""
+    vertices, faces = grid(4, 4, 0.05)
+    count, strips = len(vertices), [vertices + [0.2 * (k > 0), 0.0, 0.0] for k in range(4)]
+    end, start = np.flatnonzero(vertices[:, 0] > 0.19), np.flatnonzero(vertices[:, 0] < 0.01)
+    stitches = [
+        (s + k * count, e + j * count, e + j * count + 1)
+        for k, j in ((1, 0), (2, 0), (3, 0))
+        for s, e in zip(start[:-1].tolist(), end[:-1].tolist(), strict=True)
+    ]
+    stitches += [(s + 1 * count, s + 2 * count, s + 2 * count + 1) for s in start[:-1].tolist()]
+    mesh = replace(
+        cloth(np.concatenate(strips), np.concatenate([faces + k * count for k in range(4)])),
+        stitches=np.array(stitches, np.int32),
+        stitch_weights=np.zeros(len(stitches)),
+    )
+    model = free_model(mesh, Fabric(), np.flatnonzero(mesh.vertices[:, 0] < 0.01)[:5])
+    state, air = State.at_rest(model), np.zeros((4 * count, 3))
+    for k, blow in ((1, 15.0), (2, -15.0)):
+        air[k * count : (k + 1) * count, 2] = blow
+    solver = Solver(model)
+    for _ in range(60):
+        solver.step(state, Colliders(), 1 / 60, wind=air)
+    assert np.ptp(state.world()[:, 2]) > 0.2
+    assert gaps(mesh, state.world()).max() < 1e-3

@@ -14,6 +14,7 @@ import pytest
 from assets.scene import parse_scene
 from assets.sequence import Sequence
 from pbd import InputError
+from pbd.wind import Wind
 from runtime import command
 from runtime.play import cast_of, play, simulated_frames
 from runtime.player import Player
@@ -64,7 +65,7 @@ def test_without_a_held_out_clip_the_scenes_own_is_played() -> None:
 def test_wind_and_colliders_come_from_the_scene() -> None:
     scene = SCENE + '[wind]\nvelocity = [3.0, 0.0, 1.0]\n[[collider]]\ntype = "plane"\n'
     cast = cast_of(skirt_database(scene=scene))
-    assert cast.wind == (3.0, 0.0, 1.0)
+    assert cast.wind == Wind((3.0, 0.0, 1.0))
     assert len(cast.primitives) == 1
 
 
