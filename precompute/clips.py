@@ -27,6 +27,9 @@ from wrinkles.distance import TOLERANCE, BodyDistance
 __all__ = ["CLIPS", "LIMBS", "clip_rows", "run_clip", "shrinking", "write_clips"]
 
 RATE = 60.0  # frames a second
+# Half the default: what is light between heavier cloth (straps of 6 mg a vertex that carry a skirt of 96 g, slivers of a
+# tight sleeve) is drawn out in longer ones [s].
+SUBSTEP = 1.0 / 1440.0
 START = 0.5  # what happens before is not judged [s]
 LIMBS = 2.0  # that cloth may be faster than the fastest limb of the last half second [m/s]
 LAYERS = ((0.31, 0.50, 0.70), (0.74, 0.44, 0.34))
@@ -52,26 +55,29 @@ file = "${{GUBE_DATA}}/characters/{character}.glb"
 clip = "{clip}"
 [solver]
 self_collision = true
+substep = {substep}
 """
 _DRESS = """
 [[garment]]
 name = "cipc_dress"
-mesh = "${GUBE_DATA}/garments/cipc_dress_draped.obj"
+mesh = "${{GUBE_DATA}}/garments/cipc_dress_draped.obj"
 pattern = true
-seams = "${GUBE_DATA}/garments/cipc_dress_stitches.csv"
+seams = "${{GUBE_DATA}}/garments/cipc_dress_stitches.csv"
 coarse_vertices = 1000
 fabric = "cotton"
 [character]
-sequence = "${GUBE_DATA}/sequences/cipc_body_rumba_dancing.npz"
+sequence = "${{GUBE_DATA}}/sequences/cipc_body_rumba_dancing.npz"
 [solver]
 self_collision = true
+substep = {substep}
 """
 
 
 def _delivered_dress() -> tuple[Simulation, Motion]:
     """The C-IPC dress, fine, where its file has it: the surface bound to its coarse mesh crowds in the pleats."""
-    bound, motion = _of_scene(_DRESS, fine=True)
-    garment = load_garment(parse_scene(_DRESS, "clip").garments[0].mesh, pattern=True)
+    text = _DRESS.format(substep=SUBSTEP)
+    bound, motion = _of_scene(text, fine=True)
+    garment = load_garment(parse_scene(text, "clip").garments[0].mesh, pattern=True)
     mesh, made = replace(bound.model.mesh, vertices=garment.vertices), bound.model
     model = build_model(mesh, made.fabric, made.held, made.options, made.bend_factor)
     return Simulation(model, None, bound.source, motion.pose(0.0), bound.solver.options), motion
@@ -99,8 +105,7 @@ def _loose_dress() -> tuple[Simulation, Motion]:
     body = load_body(scene.character.file)
     motion = motion_of(body, MotionSettings(file=scene.character.file, clip=next(iter(body.clips))))
     pose, source = motion.pose(0.0), body_source(body)
-    # Straps of 6 mg a vertex carry a skirt of 96 g: in substeps of 1/720 s they are a fifth too long.
-    options = SolverOptions(substep=1.0 / 1440.0, self_collision=True)
+    options = SolverOptions(substep=SUBSTEP, self_collision=True)
     bend_factor = build_model(mesh, PRESETS["cotton"]).bend_factor
     for flat in shrinking(mesh, SHRINKING):
         model = build_model(replace(mesh, flat=flat), PRESETS["cotton"], options=GATHERED, bend_factor=bend_factor)
@@ -138,7 +143,7 @@ def _unposed(world: np.ndarray, pose: np.ndarray) -> np.ndarray:
 
 
 def _makehuman(inner: str, inner_fabric: str, character: str, clip: str) -> Callable[[], tuple[Simulation, Motion]]:
-    text = _MAKEHUMAN.format(inner=inner, inner_fabric=inner_fabric, character=character, clip=clip)
+    text = _MAKEHUMAN.format(inner=inner, inner_fabric=inner_fabric, character=character, clip=clip, substep=SUBSTEP)
     return lambda: _of_scene(text)
 
 
