@@ -27,8 +27,8 @@ from wrinkles.distance import TOLERANCE, BodyDistance
 __all__ = ["CLIPS", "LIMBS", "clip_rows", "run_clip", "shrinking", "write_clips"]
 
 RATE = 60.0  # frames a second
-# Half the default: what is light between heavier cloth, straps of 6 mg a vertex that carry a skirt of 96 g or slivers of
-# a tight sleeve, is drawn out in longer ones [s].
+# Half the default [s]: in longer ones what is light between heavier cloth is drawn out, such as straps of 6 mg a vertex
+# that carry a skirt of 96 g, or slivers of a tight sleeve.
 SUBSTEP = 1.0 / 1440.0
 START = 0.5  # what happens before is not judged [s]
 LIMBS = 2.0  # that cloth may be faster than the fastest limb of the last half second [m/s]
