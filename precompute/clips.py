@@ -27,8 +27,8 @@ from wrinkles.distance import TOLERANCE, BodyDistance
 __all__ = ["CLIPS", "LIMBS", "clip_rows", "run_clip", "shrinking", "write_clips"]
 
 RATE = 60.0  # frames a second
-# Half the default [s]: in longer ones what is light between heavier cloth is drawn out, such as straps of 6 mg a vertex
-# that carry a skirt of 96 g, or slivers of a tight sleeve.
+# Of coarse garments, half the default [s]: in longer ones what is light between heavier cloth is drawn out, such as
+# straps of 6 mg a vertex that carry a skirt of 96 g, or slivers of a tight sleeve.
 SUBSTEP = 1.0 / 1440.0
 START = 0.5  # what happens before is not judged [s]
 LIMBS = 2.0  # that cloth may be faster than the fastest limb of the last half second [m/s]
@@ -60,24 +60,22 @@ substep = {substep}
 _DRESS = """
 [[garment]]
 name = "cipc_dress"
-mesh = "${{GUBE_DATA}}/garments/cipc_dress_draped.obj"
+mesh = "${GUBE_DATA}/garments/cipc_dress_draped.obj"
 pattern = true
-seams = "${{GUBE_DATA}}/garments/cipc_dress_stitches.csv"
+seams = "${GUBE_DATA}/garments/cipc_dress_stitches.csv"
 coarse_vertices = 1000
 fabric = "cotton"
 [character]
-sequence = "${{GUBE_DATA}}/sequences/cipc_body_rumba_dancing.npz"
+sequence = "${GUBE_DATA}/sequences/cipc_body_rumba_dancing.npz"
 [solver]
 self_collision = true
-substep = {substep}
 """
 
 
 def _delivered_dress() -> tuple[Simulation, Motion]:
     """The C-IPC dress, fine, where its file has it: the surface bound to its coarse mesh crowds in the pleats."""
-    text = _DRESS.format(substep=SUBSTEP)
-    bound, motion = _of_scene(text, fine=True)
-    garment = load_garment(parse_scene(text, "clip").garments[0].mesh, pattern=True)
+    bound, motion = _of_scene(_DRESS, fine=True)
+    garment = load_garment(parse_scene(_DRESS, "clip").garments[0].mesh, pattern=True)
     mesh, made = replace(bound.model.mesh, vertices=garment.vertices), bound.model
     model = build_model(mesh, made.fabric, made.held, made.options, made.bend_factor)
     return Simulation(model, None, bound.source, motion.pose(0.0), bound.solver.options), motion
