@@ -103,7 +103,7 @@ class SelfCollision:
         shared = (used @ used.T).tocsr()  # patches that have a vertex in common
         shared.sort_indices()
         self._neighbour_start, self._neighbours = shared.indptr.astype(np.int32), shared.indices.astype(np.int32)
-        self._rest = (mesh.vertices - mesh.vertices.mean(axis=0)).astype(np.float32)
+        self._rest = np.ascontiguousarray(mesh.vertices - mesh.vertices.mean(axis=0), np.float32)
         self._layer = model.layer
         self._longest = float(np.linalg.norm(np.diff(self._rest[self._edges], axis=1), axis=2).max())
         patches = len(self._patch_start) - 1

@@ -106,6 +106,14 @@ def test_edges_are_through_one_another_only_so_far(gap: float, through: bool) ->
     assert (pairs.data[again, 0, :3] @ normal < 0.0) == through
 
 
+def test_meshes_in_columns_cost_no_copies() -> None:
+    """The kernel takes arrays in rows; others it would copy at every search, and be launched the slow way."""
+    vertices, faces = level(3, 3, 0.02)
+    model = free_model(replace(cloth(vertices, faces), vertices=np.asfortranarray(vertices)), Fabric())
+    assert not model.mesh.vertices.flags.c_contiguous
+    assert SelfCollision(model)._rest.flags.c_contiguous
+
+
 def run(model, state: State, frames: int, colliders: Colliders | None = None, options: SolverOptions = ON) -> Solver:
     solver, colliders = Solver(model, options), colliders or Colliders()
     for _ in range(frames):
