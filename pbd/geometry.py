@@ -3,7 +3,7 @@
 from pbd.engine import same, ti
 
 __all__ = [
-    "FAR", "Float1", "Float2", "Int1", "Int2", "Int3", "Int4", "Vec3", "Vec4", "Vec4Rows", "between",
+    "FAR", "Byte2", "Float1", "Float2", "Int1", "Int2", "Int3", "Int4", "Vec3", "Vec4", "Vec4Rows", "between",
     "closest_in_fan", "closest_on_triangle", "descend", "surface_normals", "vec3", "vec4", "xyz",
 ]  # fmt: skip
 
@@ -15,6 +15,7 @@ Int4 = ti.types.ndarray(dtype=ti.types.vector(4, ti.i32), ndim=1)
 Int3 = ti.types.ndarray(dtype=ti.types.vector(3, ti.i32), ndim=1)
 Int2 = ti.types.ndarray(dtype=ti.types.vector(2, ti.i32), ndim=1)
 Int1 = ti.types.ndarray(dtype=ti.i32, ndim=1)
+Byte2 = ti.types.ndarray(dtype=ti.u8, ndim=2)
 Float1 = ti.types.ndarray(dtype=ti.f32, ndim=1)
 Float2 = ti.types.ndarray(dtype=ti.f32, ndim=2)
 

@@ -1,23 +1,29 @@
 """Pairs of cloth features that may touch in a frame, and edges that go through faces, found in a tree of boxes."""
 
+from pbd.blocks import CORNERS, HIGH, LOW, NORMAL, WAYS, Blocks, facing, features, put, sides, take, within
 from pbd.engine import ti
-from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, vec3, vec4, xyz
+from pbd.geometry import Byte2, Float1, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, vec3, vec4, xyz
 from pbd.pairs import corners_of, meet
 from pbd.tangles import note_crossings
 
-__all__ = ["PATCH", "find_pairs"]
+__all__ = ["find_pairs"]
 
-PATCH = 8  # most faces of a patch
 SLACK = 0.003  # pairs are kept up to this distance beyond thickness and expected motion [m]
 ALIKE = 0.5  # cosine of the greatest angle between two layers that face the same way [-]
 EDGES = 0.5  # part of the thickness at which edges repel: vertices keep the sheets apart, edges from crossing [-]
+ROUNDING = 1e-5  # that boxes of features may be further apart where they are than seen from one of them [m]
 NEVER = -1.0  # thickness of a pair that is never in contact [m]
-NOT_YET = 1e30  # in the place of a box
 
 
 @ti.func
 def overlap(low_a: vec3, high_a: vec3, low_b: vec3, high_b: vec3):
     return (ti.max(low_a, low_b) <= ti.min(high_a, high_b)).all()
+
+
+@ti.func
+def lowest(bits: ti.i32) -> ti.i32:
+    """Place of the lowest bit that is set."""
+    return 31 - ti.math.clz(bits & -bits)
 
 
 @ti.func
@@ -125,74 +131,11 @@ def take_pair(
 
 
 @ti.func
-def bound_faces(
-    patch: ti.i32,
-    margin: ti.f32,
-    position: ti.template(),
-    course: ti.template(),
-    faces: ti.template(),
-    patch_start: ti.template(),
-    face_boxes: ti.template(),
-):
-    """Boxes of a patch's faces over the way of a frame, if it has none yet: those that it lacks overlap nothing."""
-    if face_boxes[patch, 0] == NOT_YET:
-        for a in range(PATCH):
-            low, high = vec3(1e30), vec3(-1e30)
-            if patch_start[patch] + a < patch_start[patch + 1]:
-                f = patch_start[patch] + a
-                for b in range(3):
-                    x = xyz(position[faces[f][b]])
-                    y = x + course[faces[f][b]]
-                    low = ti.min(low, ti.min(x, y))
-                    high = ti.max(high, ti.max(x, y))
-                low, high = low - margin, high + margin
-            for axis in ti.static(range(3)):
-                face_boxes[patch, axis * PATCH + a] = low[axis]
-                face_boxes[patch, (3 + axis) * PATCH + a] = high[axis]
-
-
-@ti.func
-def faces_within(patch: ti.i32, low: vec3, high: vec3, face_boxes: ti.template()) -> ti.i32:
-    """Bits of those faces of a patch whose boxes overlap a given one; the compiler takes all of them at once."""
-    bits = 0
-    for a in range(PATCH):
-        hit = (face_boxes[patch, a] <= high[0]) & (face_boxes[patch, 3 * PATCH + a] >= low[0])
-        hit &= (face_boxes[patch, PATCH + a] <= high[1]) & (face_boxes[patch, 4 * PATCH + a] >= low[1])
-        hit &= (face_boxes[patch, 2 * PATCH + a] <= high[2]) & (face_boxes[patch, 5 * PATCH + a] >= low[2])
-        bits |= ti.select(hit, 1 << a, 0)
-    return bits
-
-
-@ti.func
-def share_corner(f, g):
-    """Whether two faces have a corner in common."""
-    found = False
-    for a in ti.static(range(3)):
-        found = found or f[0] == g[a] or f[1] == g[a] or f[2] == g[a]
-    return found
-
-
-@ti.func
-def beside(
-    f: ti.i32,
-    g: ti.i32,
-    reach: ti.f32,
-    position: ti.template(),
-    course: ti.template(),
-    faces: ti.template(),
-    face_normals: ti.template(),
-):
-    """Whether face g stays more than ``reach`` [m] to one side of the plane of face f."""
-    normal = face_normals[f]
-    origin, drift = xyz(position[faces[f][0]]), course[faces[f][0]]
-    low, high = 1e30, -1e30
-    for a in ti.static(range(3)):
-        k = faces[g][a]
-        height = (xyz(position[k]) - origin).dot(normal)
-        rise = (course[k] - drift).dot(normal)
-        low = ti.min(low, height + ti.min(rise, 0.0))
-        high = ti.max(high, height + ti.max(rise, 0.0))
-    return low > reach or high < -reach
+def flat(one, two):
+    """Whether two patches that hang together cannot touch: all their normals, in cones (axis, cosine), look one way."""
+    sine_1, sine_2 = ti.sqrt(ti.max(1.0 - one[3] * one[3], 0.0)), ti.sqrt(ti.max(1.0 - two[3] * two[3], 0.0))
+    narrow = one[3] > 0.0 and two[3] > 0.0 and one[3] * two[3] > sine_1 * sine_2
+    return narrow and xyz(one).dot(xyz(two)) > sine_1 * two[3] + one[3] * sine_2
 
 
 @ti.func
@@ -233,18 +176,19 @@ def find_pairs(
     layer: Int1,
     strayed: Int1,
     faces: Int3,
-    patch_vertex_start: Int1,
-    patch_vertices: Int1,
     owned: Int1,
     edges: Int2,
     patch_start: Int1,
+    group_start: Int1,
     nodes: Int3,
     neighbour_start: Int1,
     neighbours: Int1,
+    common: Byte2,
     boxes: Vec3,
-    face_boxes: Float2,
-    face_normals: Vec3,
+    patch_boxes: Blocks,
+    face_blocks: Blocks,
     cones: Vec4,
+    near_groups: Int1,
     old_pairs: Int4,
     old_normals: Vec4,
     chain: Int1,
@@ -259,11 +203,13 @@ def find_pairs(
 ):
     """Find the pairs that may touch in a frame of ``dt`` [s]; ``ready[0]`` receives how many there are.
 
-    More than the buffers take are counted and left out. ``nodes`` are those of the tree in preorder: where to go on
-    behind the node, its last patch, its patch if it is a leaf or else -1. ``owned``: of each face, bits of the corners
-    and of the sides that belong to it. ``edges``: the ends of the three sides of each face. ``longest``: side at rest.
-    ``strayed``: vertices on the wrong side of their own garment. ``crossed`` receives how many
-    edges go through faces, and those for which it has room: their ends, and the face.
+    More than the buffers take are counted and left out. Faces lie in patches, patches in groups, of eight at most.
+    ``nodes`` are those of the tree over the groups in preorder: where to go on behind the node, its last group, its
+    group if it is a leaf or else -1. ``neighbours``: of each patch those, itself too, that it has a vertex in common
+    with, ascending; ``common``: for each of its faces, bits of the neighbour's that have one in common with it.
+    ``owned``: of each face, bits of the corners and of the sides that belong to it. ``edges``: the ends of the three
+    sides of each face. ``longest``: side at rest. ``strayed``: vertices on the wrong side of their own garment.
+    ``crossed`` receives how many edges go through faces, and those for which it has room: their ends, and the face.
     """
     ti.loop_config(serialize=True)
     for _ in range(1):
@@ -285,43 +231,48 @@ def find_pairs(
             layers = ti.max(layers, layer[i])
         margin = 0.5 * (thickness + SLACK)
         # Boxes over the way of a frame, half of the least distance larger, and cones of the patches' normals.
-        for patch in range(patch_start.shape[0] - 1):
-            low, high, axis = vec3(1e30), vec3(-1e30), vec3(0.0)
-            for r in range(patch_vertex_start[patch], patch_vertex_start[patch + 1]):
-                i = patch_vertices[r]
-                x = xyz(position[i])
-                y = x + course[i]
-                low = ti.min(low, ti.min(x, y))
-                high = ti.max(high, ti.max(x, y))
-            for f in range(patch_start[patch], patch_start[patch + 1]):
-                a, b, c = faces[f][0], faces[f][1], faces[f][2]
-                x = xyz(position[a])
-                normal = (xyz(position[b]) - x).cross(xyz(position[c]) - x)
-                if layers > 0:
-                    normals[a] += vec4(normal)
-                    normals[b] += vec4(normal)
-                    normals[c] += vec4(normal)
-                normal /= ti.max(normal.norm(), 1e-20)
-                face_normals[f] = normal
-                axis += normal
-            axis /= ti.max(axis.norm(), 1e-20)
-            least = 1.0
-            for f in range(patch_start[patch], patch_start[patch + 1]):
-                least = ti.min(least, axis.dot(face_normals[f]))
-            cones[patch] = vec4(axis, least)
-            boxes[2 * (nodes.shape[0] + patch)] = low - margin
-            boxes[2 * (nodes.shape[0] + patch) + 1] = high + margin
-            face_boxes[patch, 0] = NOT_YET
+        for group in range(group_start.shape[0] - 1):
+            for patch in range(group_start[group], group_start[group + 1]):
+                low, high, axis = vec3(1e30), vec3(-1e30), vec3(0.0)
+                for f in range(patch_start[patch], patch_start[patch + 1]):
+                    lane = f - patch_start[patch]
+                    face_low, face_high = vec3(1e30), vec3(-1e30)
+                    for k in ti.static(range(3)):
+                        x, way = xyz(position[faces[f][k]]), course[faces[f][k]]
+                        face_low = ti.min(face_low, ti.min(x, x + way))
+                        face_high = ti.max(face_high, ti.max(x, x + way))
+                        put(face_blocks, patch, CORNERS + 3 * k, lane, x)
+                        put(face_blocks, patch, WAYS + 3 * k, lane, way)
+                    x = xyz(position[faces[f][0]])
+                    normal = (xyz(position[faces[f][1]]) - x).cross(xyz(position[faces[f][2]]) - x)
+                    if layers > 0:
+                        for k in ti.static(range(3)):
+                            normals[faces[f][k]] += vec4(normal)
+                    normal /= ti.max(normal.norm(), 1e-20)
+                    axis += normal
+                    put(face_blocks, patch, NORMAL, lane, normal)
+                    put(face_blocks, patch, LOW, lane, face_low - margin)
+                    put(face_blocks, patch, HIGH, lane, face_high + margin)
+                    low, high = ti.min(low, face_low - margin), ti.max(high, face_high + margin)
+                axis /= ti.max(axis.norm(), 1e-20)
+                least = 1.0
+                for lane in range(patch_start[patch + 1] - patch_start[patch]):
+                    least = ti.min(least, axis.dot(take(face_blocks, patch, NORMAL, lane)))
+                cones[patch] = vec4(axis, least)
+                put(patch_boxes, group, LOW, patch - group_start[group], low)
+                put(patch_boxes, group, HIGH, patch - group_start[group], high)
         for r in range(nodes.shape[0]):
             node = nodes.shape[0] - 1 - r
-            patch = nodes[node][2]
-            if patch >= 0:
-                boxes[2 * node] = boxes[2 * (nodes.shape[0] + patch)]
-                boxes[2 * node + 1] = boxes[2 * (nodes.shape[0] + patch) + 1]
+            group = nodes[node][2]
+            low, high = vec3(1e30), vec3(-1e30)
+            if group >= 0:
+                for lane in range(group_start[group + 1] - group_start[group]):
+                    low = ti.min(low, take(patch_boxes, group, LOW, lane))
+                    high = ti.max(high, take(patch_boxes, group, HIGH, lane))
             else:
                 one, other = node + 1, nodes[node + 1][0]
-                boxes[2 * node] = ti.min(boxes[2 * one], boxes[2 * other])
-                boxes[2 * node + 1] = ti.max(boxes[2 * one + 1], boxes[2 * other + 1])
+                low, high = ti.min(boxes[2 * one], boxes[2 * other]), ti.max(boxes[2 * one + 1], boxes[2 * other + 1])
+            boxes[2 * node], boxes[2 * node + 1] = low, high
         if layers > 0:
             for i in range(count):
                 normals[i] /= ti.max(normals[i].norm(), 1e-20)
@@ -329,64 +280,83 @@ def find_pairs(
         ready[1] = 0
         crossed[0] = ti.Vector([0, 0, 0])
         fastest[0] = 0.0
-        for patch in range(patch_start.shape[0] - 1):
-            low = boxes[2 * (nodes.shape[0] + patch)]
-            high = boxes[2 * (nodes.shape[0] + patch) + 1]
+        leaf = 0  # of the group; leaves come in the order of the groups
+        for group in range(group_start.shape[0] - 1):
+            while nodes[leaf][2] < 0:
+                leaf += 1
+            near_count = 0  # groups near it, from itself on
+            low, high = boxes[2 * leaf], boxes[2 * leaf + 1]
+            leaf += 1
             node = 0
             while node < nodes.shape[0]:
                 entry = nodes[node]
-                if entry[1] < patch or not overlap(low, high, boxes[2 * node], boxes[2 * node + 1]):
+                if entry[1] < group or not overlap(low, high, boxes[2 * node], boxes[2 * node + 1]):
                     node = entry[0]
                 else:
                     node += 1
-                    other = entry[2]
-                    if other >= 0:
-                        near = other == patch
-                        for r in range(neighbour_start[patch], neighbour_start[patch + 1]):
-                            if neighbours[r] == other:
-                                near = True
-                        flat = False
-                        if near:
-                            one, two = cones[patch], cones[other]
-                            sine_1 = ti.sqrt(ti.max(1.0 - one[3] * one[3], 0.0))
-                            sine_2 = ti.sqrt(ti.max(1.0 - two[3] * two[3], 0.0))
-                            spread = sine_1 * two[3] + one[3] * sine_2
-                            narrow = one[3] > 0.0 and two[3] > 0.0 and one[3] * two[3] > sine_1 * sine_2
-                            flat = narrow and xyz(one).dot(xyz(two)) > spread
-                        if not flat:
-                            bound_faces(patch, margin, position, course, faces, patch_start, face_boxes)
-                            bound_faces(other, margin, position, course, faces, patch_start, face_boxes)
-                            other_low = boxes[2 * (nodes.shape[0] + other)]
-                            other_high = boxes[2 * (nodes.shape[0] + other) + 1]
-                            for f in range(patch_start[patch], patch_start[patch + 1]):
-                                face_low, face_high = vec3(0.0), vec3(0.0)
-                                for axis in ti.static(range(3)):
-                                    face_low[axis] = face_boxes[patch, axis * PATCH + f - patch_start[patch]]
-                                    face_high[axis] = face_boxes[patch, (3 + axis) * PATCH + f - patch_start[patch]]
-                                second = 0
-                                if overlap(face_low, face_high, other_low, other_high):
-                                    second = faces_within(other, face_low, face_high, face_boxes)
-                                if other == patch:
-                                    second &= -2 << (f - patch_start[patch])
-                                while second != 0:
-                                    g = patch_start[other] + 31 - ti.math.clz(second & -second)
-                                    second &= second - 1
-                                    meets = True
-                                    if near and face_normals[f].dot(face_normals[g]) > 0.0:
-                                        meets = not share_corner(faces[f], faces[g])
-                                    if meets:
-                                        meets = not beside(f, g, 2.0 * margin, position, course, faces, face_normals)
-                                    if meets:
-                                        meets = not beside(g, f, 2.0 * margin, position, course, faces, face_normals)
-                                    if meets:
-                                        note_crossings(f, g, position, faces, edges, owned, face_normals, crossed)
-                                        bits = owned_pairs(owned[f], owned[g])
-                                        while bits != 0:
-                                            q = feature_pair(f, g, 31 - ti.math.clz(bits & -bits), faces, edges)
-                                            bits &= bits - 1
-                                            if q[0] >= 0:
-                                                take_pair(
-                                                    q, position, course, rest, layer, strayed, normals,
-                                                    old_pairs, old_normals, chain, pairs, data, ready, fastest,
-                                                    thickness, longest,
-                                                )  # fmt: skip
+                    if entry[2] >= 0:
+                        near_groups[near_count] = entry[2]
+                        near_count += 1
+            for patch in range(group_start[group], group_start[group + 1]):
+                low = take(patch_boxes, group, LOW, patch - group_start[group])
+                high = take(patch_boxes, group, HIGH, patch - group_start[group])
+                neighbour, last_neighbour = neighbour_start[patch], neighbour_start[patch + 1]
+                for r in range(near_count):
+                    others = within(patch_boxes, near_groups[r], low, high)
+                    if near_groups[r] == group:
+                        others &= -1 << (patch - group_start[group])
+                    while others != 0:
+                        place = lowest(others)
+                        others &= others - 1
+                        other = group_start[near_groups[r]] + place
+                        while neighbour < last_neighbour and neighbours[neighbour] < other:
+                            neighbour += 1
+                        joined = neighbour < last_neighbour and neighbours[neighbour] == other
+                        if joined and flat(cones[patch], cones[other]):
+                            continue
+                        other_low = take(patch_boxes, near_groups[r], LOW, place)
+                        other_high = take(patch_boxes, near_groups[r], HIGH, place)
+                        firsts = within(face_blocks, patch, other_low, other_high)
+                        while firsts != 0:
+                            lane = lowest(firsts)
+                            firsts &= firsts - 1
+                            seconds = within(
+                                face_blocks, other,
+                                take(face_blocks, patch, LOW, lane), take(face_blocks, patch, HIGH, lane),
+                            )  # fmt: skip
+                            if other == patch:
+                                seconds &= -2 << lane
+                            # Faces with a common corner that face the same way cannot touch.
+                            shared = 0
+                            if joined:
+                                shared = seconds & ti.cast(common[neighbour, lane], ti.i32)
+                            if shared != 0:
+                                seconds &= ~(
+                                    shared & facing(face_blocks, other, take(face_blocks, patch, NORMAL, lane))
+                                )
+                            uncut = 0
+                            if seconds != 0:
+                                beside, uncut = sides(face_blocks, patch, lane, other, 2.0 * margin)
+                                seconds &= ~beside
+                            if seconds != 0:
+                                f = patch_start[patch] + lane
+                                near = features(
+                                    face_blocks, patch, lane, owned[f], other,
+                                    margin + ROUNDING, EDGES * thickness + SLACK + ROUNDING,
+                                )  # fmt: skip
+                                while seconds != 0:
+                                    second = lowest(seconds)
+                                    seconds &= seconds - 1
+                                    g = patch_start[other] + second
+                                    if (uncut >> second) & 1 == 0:
+                                        note_crossings(f, g, position, faces, edges, owned, crossed)
+                                    bits = near[second] & owned_pairs(owned[f], owned[g])
+                                    while bits != 0:
+                                        q = feature_pair(f, g, lowest(bits), faces, edges)
+                                        bits &= bits - 1
+                                        if q[0] >= 0:
+                                            take_pair(
+                                                q, position, course, rest, layer, strayed, normals,
+                                                old_pairs, old_normals, chain, pairs, data, ready, fastest,
+                                                thickness, longest,
+                                            )  # fmt: skip

@@ -13,10 +13,11 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
+from pbd.blocks import LANES, empty_blocks
 from pbd.engine import Launch
 from pbd.mesh import edges_of
 from pbd.model import Model, State
-from pbd.pair_search import PATCH, find_pairs
+from pbd.pair_search import find_pairs
 from pbd.pairs import PULL
 from pbd.tangles import Tangles
 
@@ -26,11 +27,12 @@ FURTHEST = 0.005  # that features of a pair go against each other between two se
 LANDMARKS = 6  # vertices from which ways along the cloth are measured
 
 
-def _patches(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Faces in patches that hang together along the cloth, and a binary tree over them.
+def _patches(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Faces in patches that hang together along the cloth, these in groups, and a binary tree over the groups.
 
     Returns:
-        order of the faces, offsets of the patches in it, and the nodes for :func:`pbd.pair_search.find_pairs`.
+        order of the faces, offsets of the patches in it and of the groups in those, and the nodes for
+        :func:`pbd.pair_search.find_pairs`.
     """
     edges, _ = edges_of(faces)
     lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1) + 1e-9
@@ -50,24 +52,36 @@ def _patches(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nd
         nearest = np.minimum(nearest, way)
         places.append(way)
     centres = np.stack(places, axis=1)[faces].mean(axis=1)
-    order, starts, nodes = [], [0], []
+    order, starts, group_starts, nodes = [], [0], [0], []
+
+    def halves(members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        spread = np.ptp(centres[members], axis=0)
+        by_place = members[np.argsort(centres[members, np.argmax(spread)], kind="stable")]
+        return by_place[: len(members) // 2], by_place[len(members) // 2 :]
+
+    def cut(members: np.ndarray) -> None:
+        if len(members) > LANES:
+            for half in halves(members):
+                cut(half)
+        else:
+            order.append(members)
+            starts.append(starts[-1] + len(members))
 
     def build(members: np.ndarray) -> None:
         node = len(nodes)
         nodes.append([0, 0, -1])
-        if len(members) <= PATCH:
-            nodes[node][2] = len(starts) - 1
-            order.append(members)
-            starts.append(starts[-1] + len(members))
+        if len(members) > LANES * LANES:
+            for half in halves(members):
+                build(half)
         else:
-            spread = np.ptp(centres[members], axis=0)
-            by_place = members[np.argsort(centres[members, np.argmax(spread)], kind="stable")]
-            build(by_place[: len(members) // 2])
-            build(by_place[len(members) // 2 :])
-        nodes[node][:2] = len(nodes), len(starts) - 2
+            nodes[node][2] = len(group_starts) - 1
+            cut(members)
+            group_starts.append(len(starts) - 1)
+        nodes[node][:2] = len(nodes), len(group_starts) - 2
 
     build(np.arange(len(faces)))
-    return np.concatenate(order), np.array(starts, np.int32), np.array(nodes, np.int32)
+    offsets, group_offsets = np.array(starts, np.int32), np.array(group_starts, np.int32)
+    return np.concatenate(order), offsets, group_offsets, np.array(nodes, np.int32)
 
 
 class SelfCollision:
@@ -86,7 +100,7 @@ class SelfCollision:
     def __init__(self, model: Model, untangles: bool = True) -> None:
         mesh = model.mesh
         count = len(mesh.vertices)
-        order, self._patch_start, self._nodes = _patches(mesh.vertices, mesh.faces)
+        order, self._patch_start, self._group_start, self._nodes = _patches(mesh.vertices, mesh.faces)
         self._faces = np.ascontiguousarray(mesh.faces[order], np.int32)
         edges, side_edge = edges_of(self._faces)
         self._edges = np.ascontiguousarray(edges[side_edge.ravel()])
@@ -95,22 +109,26 @@ class SelfCollision:
             _, first = np.unique(features.ravel(), return_index=True)
             np.bitwise_or.at(owned, first // 3, 1 << (bit + first % 3))
         self._owned = owned
+        # Patches that have a vertex in common; for each of their faces, bits of the other's faces that have one.
         patch = np.repeat(np.arange(len(self._patch_start) - 1), np.diff(self._patch_start))
-        corners = np.repeat(patch, 3), self._faces.ravel()
-        used = csr_matrix((np.ones(self._faces.size), corners), (patch[-1] + 1, count))
-        used.sum_duplicates()
-        self._patch_vertex_start, self._patch_vertices = used.indptr.astype(np.int32), used.indices.astype(np.int32)
-        shared = (used @ used.T).tocsr()  # patches that have a vertex in common
-        shared.sort_indices()
-        self._neighbour_start, self._neighbours = shared.indptr.astype(np.int32), shared.indices.astype(np.int32)
+        corners = np.repeat(np.arange(len(order)), 3), self._faces.ravel()
+        used = csr_matrix((np.ones(self._faces.size), corners), (len(order), count))
+        one, other = (used @ used.T).nonzero()
+        pairs, neighbour = np.unique(patch[one].astype(np.int64) * len(order) + patch[other], return_inverse=True)
+        self._neighbours = (pairs % len(order)).astype(np.int32)
+        self._neighbour_start = np.searchsorted(pairs // len(order), np.arange(patch[-1] + 2)).astype(np.int32)
+        lane = np.arange(len(order)) - self._patch_start[patch]
+        self._common = np.zeros((len(pairs), LANES), np.uint8)
+        np.bitwise_or.at(self._common, (neighbour, lane[one]), (1 << lane[other]).astype(np.uint8))
         self._rest = np.ascontiguousarray(mesh.vertices - mesh.vertices.mean(axis=0), np.float32)
         self._layer = model.layer
         self._longest = float(np.linalg.norm(np.diff(self._rest[self._edges], axis=1), axis=2).max())
         patches = len(self._patch_start) - 1
         self._course, self._normals = np.zeros((count, 3), np.float32), np.zeros((count, 4), np.float32)
-        self._boxes = np.zeros((2 * (len(self._nodes) + patches), 3), np.float32)
-        self._face_boxes = np.zeros((patches, 6 * PATCH), np.float32)
-        self._face_normals = np.zeros((len(order), 3), np.float32)
+        groups = len(self._group_start) - 1
+        self._boxes = np.zeros((2 * len(self._nodes), 3), np.float32)
+        self._patch_boxes, self._face_blocks = empty_blocks(groups, False), empty_blocks(patches, True)
+        self._near_groups = np.zeros(groups, np.int32)
         self._cones = np.zeros((patches, 4), np.float32)
         self._chain = np.zeros(count, np.int32)
         self._fastest = np.zeros(1, np.float32)
@@ -155,18 +173,19 @@ class SelfCollision:
                 self._layer,
                 self._tangles.strayed,
                 self._faces,
-                self._patch_vertex_start,
-                self._patch_vertices,
                 self._owned,
                 self._edges,
                 self._patch_start,
+                self._group_start,
                 self._nodes,
                 self._neighbour_start,
                 self._neighbours,
+                self._common,
                 self._boxes,
-                self._face_boxes,
-                self._face_normals,
+                self._patch_boxes,
+                self._face_blocks,
                 self._cones,
+                self._near_groups,
                 state.pairs,
                 state.pair_sides,
                 self._chain,

@@ -37,18 +37,6 @@ def goes_through(b: vec3, x1: vec3, x2: vec3, x3: vec3):
 
 
 @ti.func
-def to_one_side(f: ti.i32, g: ti.i32, position: ti.template(), faces: ti.template(), face_normals: ti.template()):
-    """Whether all of face g lies on one side of the plane of face f."""
-    normal, origin = face_normals[f], xyz(position[faces[f][0]])
-    low, high = 1e30, -1e30
-    for a in ti.static(range(3)):
-        height = (xyz(position[faces[g][a]]) - origin).dot(normal)
-        low = ti.min(low, height)
-        high = ti.max(high, height)
-    return low >= 0.0 or high <= 0.0
-
-
-@ti.func
 def note_crossings(
     f: ti.i32,
     g: ti.i32,
@@ -56,14 +44,10 @@ def note_crossings(
     faces: ti.template(),
     edges: ti.template(),
     owned: ti.template(),
-    face_normals: ti.template(),
     crossed: ti.template(),
 ):
     """Add the own sides of either of two faces that go through the other, if there is room for any at all."""
-    asked = crossed.shape[0] > 1
-    if asked and not (
-        to_one_side(f, g, position, faces, face_normals) or to_one_side(g, f, position, faces, face_normals)
-    ):
+    if crossed.shape[0] > 1:
         for n in range(6):
             one, two, side = f, g, n
             if n >= 3:
