@@ -121,29 +121,12 @@ def corner_box(blocks: ti.template(), block: ti.i32, corner: ti.template(), lane
 
 
 @ti.func
-def side_box(blocks: ti.template(), block: ti.i32, side: ti.template(), lane: ti.i32):
-    """Box of a side of a face over the way of a frame."""
-    low_0, high_0 = corner_box(blocks, block, side, lane)
-    low_1, high_1 = corner_box(blocks, block, (side + 1) % 3, lane)
-    return smaller(low_0, low_1), greater(high_0, high_1)
-
-
-@ti.func
-def features(
-    blocks: ti.template(),
-    own: ti.i32,
-    lane: ti.i32,
-    owned: ti.i32,
-    block: ti.i32,
-    face_reach: ti.f32,
-    edge_reach: ti.f32,
-):
+def features(blocks: ti.template(), own: ti.i32, lane: ti.i32, block: ti.i32, face_reach: ti.f32, edge_reach: ti.f32):
     """For each face of a block bits of those of its 15 pairs of features with one face whose boxes are near.
 
     Args:
         blocks: of faces.
         own: block of the one face, and ``lane``: its place there.
-        owned: bits of its corners and sides that count.
         block: of the others.
         face_reach: from a vertex to the box of a face, beyond its margin [m].
         edge_reach: between two edges [m].
@@ -153,20 +136,23 @@ def features(
     """
     bits = ti.Vector([0] * LANES)
     own_low, own_high = take(blocks, own, LOW, lane), take(blocks, own, HIGH, lane)
+    low_0, high_0 = corner_box(blocks, own, 0, lane)
+    low_1, high_1 = corner_box(blocks, own, 1, lane)
+    low_2, high_2 = corner_box(blocks, own, 2, lane)
     for a in range(LANES):
+        face_low, face_high = take(blocks, block, LOW, a), take(blocks, block, HIGH, a)
+        near = ti.select(gap(low_0, high_0, face_low, face_high) <= face_reach, 1, 0)
+        near |= ti.select(gap(low_1, high_1, face_low, face_high) <= face_reach, 2, 0)
+        near |= ti.select(gap(low_2, high_2, face_low, face_high) <= face_reach, 4, 0)
         for k in ti.static(range(3)):
             low, high = corner_box(blocks, block, k, a)
-            bits[a] |= ti.select(gap(low, high, own_low, own_high) <= face_reach, 8 << k, 0)
-    for k in ti.static(range(3)):
-        if (owned >> k) & 1:
-            own_low, own_high = corner_box(blocks, own, k, lane)
-            for a in range(LANES):
-                low, high = take(blocks, block, LOW, a), take(blocks, block, HIGH, a)
-                bits[a] |= ti.select(gap(low, high, own_low, own_high) <= face_reach, 1 << k, 0)
-        if (owned >> (3 + k)) & 1:
-            own_low, own_high = side_box(blocks, own, k, lane)
-            for a in range(LANES):
-                for s in ti.static(range(3)):
-                    low, high = side_box(blocks, block, s, a)
-                    bits[a] |= ti.select(gap(low, high, own_low, own_high) <= edge_reach, 64 << (3 * k + s), 0)
+            end_low, end_high = corner_box(blocks, block, (k + 1) % 3, a)
+            near |= ti.select(gap(low, high, own_low, own_high) <= face_reach, 8 << k, 0)
+            low, high = smaller(low, end_low), greater(high, end_high)
+            near |= ti.select(gap(smaller(low_0, low_1), greater(high_0, high_1), low, high) <= edge_reach, 64 << k, 0)
+            near |= ti.select(gap(smaller(low_1, low_2), greater(high_1, high_2), low, high) <= edge_reach, 512 << k, 0)
+            near |= ti.select(
+                gap(smaller(low_2, low_0), greater(high_2, high_0), low, high) <= edge_reach, 4096 << k, 0
+            )
+        bits[a] = near
     return bits

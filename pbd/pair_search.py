@@ -341,7 +341,7 @@ def find_pairs(
                             if seconds != 0:
                                 f = patch_start[patch] + lane
                                 near = features(
-                                    face_blocks, patch, lane, owned[f], other,
+                                    face_blocks, patch, lane, other,
                                     margin + ROUNDING, EDGES * thickness + SLACK + ROUNDING,
                                 )  # fmt: skip
                                 while seconds != 0:
