@@ -9,7 +9,7 @@ from wrinkles.binding import bind
 from wrinkles.levels import Levels, build_levels
 from wrinkles.surface import Subdivision
 
-__all__ = ["NOBODY", "delivered_levels", "delivered_panels"]
+__all__ = ["NOBODY", "bent", "delivered_levels", "delivered_panels"]
 
 NOBODY = (np.zeros((0, 3)), np.zeros((0, 3), np.int32))
 HEIGHT = 0.02
@@ -18,8 +18,8 @@ HEIGHT = 0.02
 def delivered_panels() -> tuple[np.ndarray, np.ndarray, np.ndarray, Subdivision]:
     """Delivered vertices, their faces, coarse vertices, the subdivision between them."""
     vertices, faces, seams = two_panels(20, 20, 17)
-    coarse, subdivision = bind(_bent(vertices), faces, vertices[:, :2], seams, 60, 2)
-    return _bent(vertices), faces, coarse, subdivision
+    coarse, subdivision = bind(bent(vertices), faces, vertices[:, :2], seams, 60, 2)
+    return bent(vertices), faces, coarse, subdivision
 
 
 def delivered_levels(coarse: np.ndarray, subdivision: Subdivision) -> Levels:
@@ -28,6 +28,6 @@ def delivered_levels(coarse: np.ndarray, subdivision: Subdivision) -> Levels:
     return build_levels(coarse, subdivision.coarse_faces, held, *NOBODY, 2, binding=subdivision.binding)
 
 
-def _bent(flat: np.ndarray) -> np.ndarray:
+def bent(flat: np.ndarray) -> np.ndarray:
     """A gentle arch over the two panels, without stretch along it to first order."""
     return np.stack([flat[:, 0], flat[:, 1], HEIGHT * np.sin(np.pi * flat[:, 0] / 0.48)], axis=1)
