@@ -8,7 +8,7 @@ import numpy as np
 from pbd import Body
 from precompute.recording import Recording, Run, body_source
 from precompute.training import Layer
-from wrinkles.decoder import Upsampler, add_patches
+from wrinkles.decoder import PatchWriter, Upsampler
 from wrinkles.dictionary import Atoms
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.isometry import Isometry
@@ -27,11 +27,12 @@ features and frames of the coarse vertices, float32, shapes (n, DYNAMIC_COUNT) a
 def by_patches(layer: Layer, predict: Predict, atoms: Atoms) -> Lift:
     """Wrinkles from patches whose coefficients a mapping gives."""
     keep_lengths = Isometry(layer.levels)
+    add_to_fine, add_to_middle = PatchWriter(layer.patches, atoms), PatchWriter(layer.middle_patches, atoms)
 
     def lift(fine: np.ndarray, upsample: Upsampler, features: np.ndarray, frames: np.ndarray, pose: np.ndarray) -> None:
         grids = (predict(features, pose) @ atoms.shapes + atoms.mean).astype(np.float32)
-        for p, surface in ((layer.patches, fine), (layer.middle_patches, upsample.middle)):
-            add_patches(grids, frames, p.corners, p.blend, p.cell, p.within, surface)
+        add_to_fine(grids, frames, fine)
+        add_to_middle(grids, frames, upsample.middle)
         keep_lengths(upsample.middle, fine)
 
     return lift

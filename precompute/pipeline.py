@@ -32,6 +32,7 @@ __all__ = [
     "TRAINING_FRAMES",
     "Precomputed",
     "default_cache",
+    "epochs_for",
     "precompute",
     "scene_run",
     "training_motions",
@@ -44,6 +45,7 @@ CALIBRATION_SECONDS = (
 )
 TRAINING_FRAMES = 2400
 EPOCHS = 6
+MOST_EPOCHS = 18  # where there are few frames
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,8 @@ def precompute(
     width, own = scene.wrinkles.hidden_width, runs[0].fabric
     worn = [fabric_features(run.fabric, own) for run in runs]
     told = np.repeat(worn, [len(recording.frames) for recording in learned], axis=0)
-    mapping = fit_layer(layer, data, hidden=(2 * width, width), epochs=EPOCHS, seed=seed, report=tell, fabrics=told)
+    epochs = epochs_for(len(data.features))
+    mapping = fit_layer(layer, data, hidden=(2 * width, width), epochs=epochs, seed=seed, report=tell, fabrics=told)
 
     coarse_bend = hinge_calibration(levels.coarse)
     calibrations: dict[str, Calibration] = {}
@@ -197,6 +200,11 @@ def precompute(
     database = replace(database, quality=quality, training_minutes=(time.monotonic() - began) / 60.0)
     write_database(output, database)
     return Precomputed(database, output, calibration, truth, evaluation)
+
+
+def epochs_for(frame_count: int) -> int:
+    """Passes over the training frames: ``EPOCHS`` from half of ``TRAINING_FRAMES`` on, as much learning from fewer."""
+    return max(EPOCHS, min(MOST_EPOCHS, EPOCHS * TRAINING_FRAMES // (2 * frame_count)))
 
 
 def training_motions(

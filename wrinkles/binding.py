@@ -23,6 +23,8 @@ __all__ = ["Binding", "bind", "faces_around", "label_of", "nearest_places"]
 ROUNDS = 4  # of binding and fitting
 SMOOTH_STEPS = 3  # of smoothing the bound surface,
 SMOOTH_SHARE = 0.7  # each so much of the way to the mean of the neighbours
+CROWDED = (0.5, 1.5)  # lengths on the bound surface, as shares of the pattern's, beyond which places crowd or jump
+CROWDED_RINGS = 2  # of faces around them
 COTANGENTS = (0.05, 5.0)  # bounds of their weights, so that slivers neither tear nor tie
 PLACE_STEP = 2.0**-12  # places are rounded to this share of a face, some micrometres, so that a file holds them exactly
 FLAT_STEP = 2.0**-18  # and the pattern to this [m]
@@ -65,12 +67,33 @@ class Binding:
 
         In pleats that the coarse mesh does not have, places crowd and jump, and the surface that they make is rough.
         """
+        return self.smoothing_where(np.ones(len(self.face), bool))
+
+    def smoothing_where(self, chosen: np.ndarray) -> csr_matrix:
+        """The same steps for some vertices alone, bool, shape (N,): shape (N, N)."""
         mean, stays = _mean_of_neighbours(self.sewn, len(self.face))
-        step = identity(len(stays)) + diags(np.where(stays, 0.0, SMOOTH_SHARE)) @ (mean - identity(len(stays)))
+        share = np.where(chosen & ~stays, SMOOTH_SHARE, 0.0)
+        step = identity(len(stays)) + diags(share) @ (mean - identity(len(stays)))
         made = identity(len(stays), format="csr")
         for _ in range(SMOOTH_STEPS):
             made = (step @ made).tocsr()
         return made[self.sewn.one]
+
+    def crowded(self, bound: np.ndarray) -> np.ndarray:
+        """Vertices whose places crowd or jump, and those around them: bool, shape (N,).
+
+        Args:
+            bound: where their places lie on the surface at rest [m], shape (N, 3).
+        """
+        faces, flat = self.sewn.faces, self.sewn.flat
+        corners = bound[faces]
+        length, rest = (np.linalg.norm(np.roll(c, -1, axis=1) - c, axis=2) for c in (corners, flat))
+        bad = (length < CROWDED[0] * rest) | (length > CROWDED[1] * rest)
+        found = np.zeros(len(bound), bool)
+        found[faces[bad]] = found[np.roll(faces, -1, axis=1)[bad]] = True
+        for _ in range(CROWDED_RINGS):
+            found[faces[found[faces].any(axis=1)]] = True
+        return found[self.sewn.one]
 
     def mesh(self, vertices: np.ndarray) -> ClothMesh:
         """The panels, stitched, with the pattern as their rest shape, at given places [m], shape (N, 3)."""

@@ -19,7 +19,7 @@ from wrinkles.patches import NODES, SIDE, Patches
 from wrinkles.surface import Subdivision, csr_arrays
 from wrinkles.unfamiliarity import Unfamiliarity
 
-__all__ = ["Decoder", "Upsampler", "add_patches"]
+__all__ = ["Decoder", "PatchWriter", "Upsampler", "add_patches"]
 
 
 @ti.func
@@ -70,6 +70,62 @@ def add_patches(grids: Float2, frames: Float2, corners: Int3, blend: Vec3, cell:
             fine[i] += total
 
 
+@ti.kernel
+def _add_smoothed(start: Int1, index: Int1, value: Float1, displacement: Vec3, fine: Vec3):
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        for i in range(fine.shape[0]):
+            fine[i] += _sparse_row(start, index, value, displacement, i)
+
+
+@ti.kernel
+def _add_turned(start: Int1, index: Int1, value: Float1, frames: Float2, mean: Vec3, fine: Vec3):
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        for i in range(fine.shape[0]):
+            d, total = mean[i], vec3(0.0)
+            for q in range(start[i], start[i + 1]):
+                j = index[q]
+                for a in ti.static(range(3)):
+                    total[a] += value[q] * (d[0] * frames[j, a] + d[1] * frames[j, 3 + a] + d[2] * frames[j, 6 + a])
+            fine[i] += total
+
+
+class PatchWriter:
+    """Adds grids to the vertices of a mesh; on a delivered one smoothly where places crowd, and with its vertex mean.
+
+    Args:
+        patches: how the grids reach the vertices.
+        atoms: have the vertex mean.
+    """
+
+    def __init__(self, patches: Patches, atoms: Atoms) -> None:
+        self._patches = patches
+        self._add_patches = Launch(add_patches)
+        if patches.smoothing is not None and patches.turning is not None:
+            self._smoothing, self._turning = csr_arrays(patches.smoothing), csr_arrays(patches.turning)
+            self._mean = atoms.vertex_mean
+            self._displacement = np.zeros((len(patches.corners), 3), np.float32)
+            self._add_smoothed, self._add_turned = Launch(_add_smoothed), Launch(_add_turned)
+
+    def __call__(self, grids: np.ndarray, frames: np.ndarray, vertices: np.ndarray) -> None:
+        """Add them in place.
+
+        Args:
+            grids: float32, shape (n, 3 NODES).
+            frames: of the coarse vertices, float32, shape (n, 9).
+            vertices: [m], float32, shape (N, 3).
+        """
+        p = self._patches
+        if p.smoothing is None:
+            self._add_patches(grids, frames, p.corners, p.blend, p.cell, p.within, vertices)
+            return
+        self._displacement[:] = 0.0
+        self._add_patches(grids, frames, p.corners, p.blend, p.cell, p.within, self._displacement)
+        self._add_smoothed(*self._smoothing, self._displacement, vertices)
+        self._add_turned(*self._turning, frames, self._mean, vertices)
+
+
 class Upsampler:
     """Smooth fine positions from a coarse state in two sparse steps.
 
@@ -116,7 +172,6 @@ class Decoder:
         unfamiliarity: Unfamiliarity,
     ) -> None:
         self.stencil, self.mapping, self.unfamiliarity = stencil, mapping, unfamiliarity
-        self.patches, self.middle_patches = patches, middle_patches
         self.amplitude = np.ones(len(stencil.corners), np.float32)
         count, (width_1, width_2) = len(stencil.corners), mapping.weights_2.shape
         self.frames = np.zeros((count, 9), np.float32)
@@ -127,7 +182,7 @@ class Decoder:
         self._grids = np.zeros((count, 3 * NODES), np.float32)
         self._shapes = np.ascontiguousarray(atoms.shapes)
         self._mean = atoms.mean
-        self._add_to_fine, self._add_to_middle = Launch(add_patches), Launch(add_patches)
+        self._add_to_fine, self._add_to_middle = PatchWriter(patches, atoms), PatchWriter(middle_patches, atoms)
         self._blas = ThreadpoolController()
 
     def look(self, position: np.ndarray, contact: np.ndarray) -> None:
@@ -154,9 +209,8 @@ class Decoder:
         # Matrices this small are slower on more threads, by far beside other work, and their bits would depend on it.
         with self._blas.limit(limits=1, user_api="blas"):
             self._mix(len(self._shapes) if atoms is None else min(atoms, len(self._shapes)))
-        p, q = self.patches, self.middle_patches
-        self._add_to_fine(self._grids, self.frames, p.corners, p.blend, p.cell, p.within, fine)
-        self._add_to_middle(self._grids, self.frames, q.corners, q.blend, q.cell, q.within, middle)
+        self._add_to_fine(self._grids, self.frames, fine)
+        self._add_to_middle(self._grids, self.frames, middle)
 
     def _mix(self, atoms: int) -> None:
         """The network: features to grids."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -28,11 +28,14 @@ class Atoms:
         shapes: displacements [m] of unit coefficients, float32, shape (K, 3 NODES): warp, weft, normal of node 0, ...
         mean: [m], float32, shape (3 NODES,).
         kept: share of the metric's variance that the atoms hold.
+        vertex_mean: mean of what each vertex of a delivered mesh has over its smooth surface besides, in its frame
+            [m], float32, shape (N, 3), see :mod:`wrinkles.vertex_mean`; (0, 3) for other meshes.
     """
 
     shapes: np.ndarray
     mean: np.ndarray
     kept: float
+    vertex_mean: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.float32))
 
     @cached_property
     def analysis(self) -> np.ndarray:
@@ -113,7 +116,7 @@ class Mapping:
         return np.maximum(hidden @ self.weights_2 + self.bias_2, 0.0) @ self.weights_3 + self.bias_3
 
     def arrays(self) -> dict[str, np.ndarray]:
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return {entry.name: getattr(self, entry.name) for entry in fields(self)}
 
 
 def fabric_features(fabric: Fabric, own: Fabric) -> np.ndarray:

@@ -50,6 +50,8 @@ def _spread(start: Int1, index: Int1, value: Float1, before: Vec3, middle: Vec3,
 class Isometry:
     """Sweeps over the edges of the middle mesh, both ways; held vertices stay.
 
+    A delivered mesh is left as it is: the length that its smooth surface lacks in pleats is in its vertex mean.
+
     Args:
         levels: of the garment.
     """
@@ -58,6 +60,7 @@ class Isometry:
         ensure_initialized()
         edges, lengths = middle_edges(levels)
         middle = levels.subdivision.middle
+        self._delivered = levels.subdivision.binding is not None
         self._inverse_mass = np.ones(middle.fine_count, np.float32)
         self._inverse_mass[held_between(middle, levels.coarse_held)] = 0.0
         free = self._inverse_mass[edges].any(axis=1)
@@ -76,6 +79,8 @@ class Isometry:
             middle, fine: [m], float32, shapes (q, 3), (N, 3); changed in place.
             passes: sweeps over all edges.
         """
+        if self._delivered:
+            return
         self._before[:] = middle
         self._keep_lengths(middle, self._inverse_mass, self._edges, self._lengths, passes)
         self._spread(*self._from_middle, self._before, middle, fine)

@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 9
+SCHEMA_VERSION = 10
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE, STEPS = "text", "float32", "float64", "int32", "int64", "int8"
 
@@ -119,6 +119,7 @@ ENTRIES = (
     *_in_steps("atoms/shapes", ("K", 3 * NODES), "m", along=1),
     Entry("atoms/mean", SINGLE, (3 * NODES,), "m"),
     Entry("atoms/kept", DOUBLE),
+    Entry("atoms/vertex_mean", SINGLE, ("N", 3), "m"),
     Entry("mapping/center", SINGLE, (DYNAMIC_COUNT,)),
     Entry("mapping/scale", SINGLE, (DYNAMIC_COUNT,)),
     *_in_steps("mapping/weights_1", (DYNAMIC_COUNT, "h1")),

@@ -61,6 +61,7 @@ def miniature() -> Iterator[None]:
     with ExitStack() as stack:
         for module, name, value in (
             (pipeline, "EPOCHS", 6),
+            (pipeline, "MOST_EPOCHS", 6),
             (pipeline, "CALIBRATION_SECONDS", 1.0),
             (pipeline, "GAINS", (1.0, 1.25)),  # so little is learned that more only raises noise
             (calibration, "SETTLE", 0.3),

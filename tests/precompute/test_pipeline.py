@@ -14,7 +14,7 @@ from assets.fabrics import PRESETS
 from pbd import InputError
 from precompute import pipeline
 from precompute.evaluation import judged_from, levels_from, settled
-from precompute.pipeline import Precomputed, default_cache, precompute, scene_run, training_recordings
+from precompute.pipeline import Precomputed, default_cache, epochs_for, precompute, scene_run, training_recordings
 from precompute.recording import Recording, Run
 from runtime.player import Player
 from runtime.stage import Stage, scene_of
@@ -45,6 +45,10 @@ def assert_same(first: WrinkleDatabase, second: WrinkleDatabase) -> None:
         for name, array in vars(getattr(first, part)).items():
             assert np.array_equal(array, getattr(getattr(second, part), name)), f"{part}.{name}"
     assert first.options == second.options and first.bend_factor == second.bend_factor
+
+
+def test_few_frames_are_learned_from_more_often() -> None:
+    assert [epochs_for(frames) for frames in (2400, 1200, 600, 400, 301, 10)] == [6, 6, 12, 18, 18, 18]
 
 
 def test_what_is_written_is_what_was_made(made: Precomputed, folder: Path, told: list[str]) -> None:

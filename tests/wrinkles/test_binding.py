@@ -8,35 +8,24 @@ from assets.seams import Seams
 from pbd import ClothMesh
 from tests.assets.panels import two_panels
 from tests.pbd.meshes import grid
+from tests.wrinkles.delivered import delivered_levels, delivered_panels
 from wrinkles.binding import PLACE_STEP, Binding, bind
 from wrinkles.charts import Charts, fine_places, leading_vertices
 from wrinkles.decoder import Upsampler
-from wrinkles.levels import Levels, build_levels
+from wrinkles.levels import Levels
 from wrinkles.patches import Patches
 from wrinkles.surface import Subdivision
-
-NOBODY = (np.zeros((0, 3)), np.zeros((0, 3), np.int32))
-HEIGHT = 0.02
-
-
-def bent(flat: np.ndarray) -> np.ndarray:
-    """A gentle arch over the two panels, without stretch along it to first order."""
-    return np.stack([flat[:, 0], flat[:, 1], HEIGHT * np.sin(np.pi * flat[:, 0] / 0.48)], axis=1)
 
 
 @pytest.fixture(scope="module")
 def bound() -> tuple[np.ndarray, np.ndarray, np.ndarray, Subdivision]:
     """Delivered vertices, their faces, coarse vertices, the subdivision between them."""
-    vertices, faces, seams = two_panels(20, 20, 17)
-    coarse, subdivision = bind(bent(vertices), faces, vertices[:, :2], seams, 60, 2)
-    return bent(vertices), faces, coarse, subdivision
+    return delivered_panels()
 
 
 @pytest.fixture(scope="module")
 def levels(bound) -> Levels:
-    _, _, coarse, subdivision = bound
-    held = np.flatnonzero(coarse[:, 0] < 0.02)
-    return build_levels(coarse, subdivision.coarse_faces, held, *NOBODY, 2, binding=subdivision.binding)
+    return delivered_levels(*bound[2:])
 
 
 def test_the_bound_surface_is_the_delivered_one(bound) -> None:
@@ -115,6 +104,25 @@ def test_places_that_jump_do_not_make_the_surface_rough(bound) -> None:
     assert np.abs(left[inner]).std() < 0.4 * noise.std()
     rim = np.concatenate(boundary_loops(subdivision.faces))
     assert np.array_equal((binding.smoothing @ noise)[rim], noise[rim])  # the hem keeps its length
+
+
+def test_places_that_jump_are_found(bound) -> None:
+    vertices, faces, coarse, subdivision = bound
+    binding = subdivision.binding
+    inner = np.setdiff1d(np.arange(len(vertices)), np.concatenate(boundary_loops(faces)))
+    assert binding.crowded(vertices).mean() < 0.1
+    moved, jumps = vertices.copy(), inner[len(inner) // 2]
+    moved[jumps, 0] += 0.05
+    found = binding.crowded(moved) & ~binding.crowded(vertices)
+    assert found[jumps]
+    away = np.linalg.norm(binding.flat - binding.flat[jumps], axis=1)
+    edge = np.median(np.linalg.norm(vertices[faces[:, 1]] - vertices[faces[:, 0]], axis=1))
+    assert found[away < 2.0 * edge].all() and not found[away > 8.0 * edge].any()
+    some = np.zeros(len(vertices), bool)
+    some[jumps] = True
+    change = binding.smoothing_where(some) @ np.eye(len(vertices))
+    stays = ~some & (binding.sewn.one == np.arange(len(vertices)))
+    assert np.array_equal(change[stays], np.eye(len(vertices))[stays]) and change[jumps, jumps] < 0.2
 
 
 def test_the_levels_of_a_bound_mesh(bound, levels: Levels) -> None:

@@ -12,7 +12,7 @@ from pbd import build_model
 from pbd.mesh import hinges_of
 from tests.assets.panels import two_panels
 from tests.runtime.players import skirt_stage
-from tests.wrinkles.test_binding import NOBODY, bent
+from tests.wrinkles.delivered import NOBODY, bent
 from wrinkles.binding import bind
 from wrinkles.coarser import Coarser, coarser_of
 from wrinkles.levels import Levels, build_levels

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.pbd.meshes import grid
+from tests.wrinkles.delivered import delivered_levels, delivered_panels
 from wrinkles.isometry import PASSES, Isometry, middle_edges
 from wrinkles.levels import Levels, build_levels
 
@@ -110,3 +111,10 @@ def test_the_fine_mesh_moves_along_by_the_rule_of_subdivision() -> None:
     moved = keep_lengths(levels, middle)
     assert np.abs(moved).max() > 1e-4
     np.testing.assert_allclose(moved, levels.subdivision.from_middle @ (middle - before), atol=1e-7)
+
+
+def test_a_delivered_mesh_is_left_as_it_is() -> None:
+    levels = delivered_levels(*delivered_panels()[2:])
+    middle = 1.1 * (levels.subdivision.to_middle @ levels.coarse.vertices).astype(np.float32)
+    before = middle.copy()
+    assert not keep_lengths(levels, middle).any() and np.array_equal(middle, before)

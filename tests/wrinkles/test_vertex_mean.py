@@ -1,0 +1,95 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.sparse import identity
+
+from pbd.geometry import surface_normals
+from tests.wrinkles.delivered import delivered_levels, delivered_panels
+from wrinkles.charts import Charts
+from wrinkles.decoder import PatchWriter, add_patches
+from wrinkles.dictionary import Atoms
+from wrinkles.features import DYNAMIC_COUNT, Stencil
+from wrinkles.levels import Levels
+from wrinkles.patches import NODES, Patches
+from wrinkles.vertex_mean import STEP, fit_vertex_mean, turned
+
+
+@pytest.fixture(scope="module")
+def levels() -> Levels:
+    return delivered_levels(*delivered_panels()[2:])
+
+
+@pytest.fixture(scope="module")
+def patches(levels: Levels) -> Patches:
+    return Patches.of(levels.subdivision, Charts.of(levels.coarse))
+
+
+def frames_of(levels: Levels, coarse: np.ndarray) -> np.ndarray:
+    """Frames of the coarse vertices, float32, shape (n, 9)."""
+    count = len(coarse)
+    position, frames = np.zeros((count, 4), np.float32), np.zeros((count, 9), np.float32)
+    position[:, :3] = coarse
+    stencil = Stencil.of(Charts.of(levels.coarse), levels.coarse_held)
+    stencil.gather(position, np.zeros(count, np.float32), frames, np.zeros((count, DYNAMIC_COUNT), np.float32))
+    return frames
+
+
+def rotation(axis: int, angle: float) -> np.ndarray:
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.roll(np.array([[1.0, 0.0, 0.0], [0.0, cos, -sin], [0.0, sin, cos]]), axis, axis=(0, 1))
+
+
+def test_the_frames_of_a_delivered_mesh_turn_with_the_cloth(levels: Levels, patches: Patches) -> None:
+    assert patches.turning is not None
+    assert np.asarray(patches.turning.sum(axis=1)).ravel() == pytest.approx(1.0)
+    assert np.diff(patches.turning.indptr).max() < 16
+    smooth = levels.subdivision.upsample(levels.coarse.vertices).astype(np.float32)
+    normals = np.zeros(smooth.shape, np.float32)
+    surface_normals(smooth, levels.subdivision.faces, normals)
+    up = np.tile([0.0, 0.0, 1.0], (len(smooth), 1))
+    turn = rotation(1, 0.7)
+    for by in (np.eye(3), turn):
+        out = turned(patches.turning, frames_of(levels, levels.coarse.vertices @ by.T), up)
+        size = np.linalg.norm(out, axis=1)
+        cosine = np.abs((out * (normals[levels.subdivision.stands_for] @ by.T)).sum(axis=1)) / size
+        assert size.min() > 0.95 and np.median(cosine) > 0.999
+
+
+def test_the_mean_is_found_again(patches: Patches) -> None:
+    rng = np.random.default_rng(0)
+    count = patches.turning.shape[1]
+    turns = [rotation(axis, angle) for axis, angle in ((0, 0.4), (1, -1.1), (2, 2.0))]
+    frames = np.array([np.tile(turn.ravel(), (count, 1)) for turn in turns])
+    mean = 0.01 * rng.standard_normal((patches.turning.shape[0], 3))
+    noise = 0.002 * rng.standard_normal((1, *mean.shape))
+    residual = np.array([turned(patches.turning, frame, mean) for frame in frames])
+    found = fit_vertex_mean(patches.turning, frames, residual)
+    assert found == pytest.approx(mean, abs=5e-5) and found.dtype == np.float32
+    assert np.array_equal(found / STEP, np.round(found / STEP))
+    # What comes and goes is no mean.
+    still = np.concatenate([frames[:1]] * 2)
+    swaying = fit_vertex_mean(patches.turning, still, residual[:1] + np.concatenate([noise, -noise]))
+    assert swaying == pytest.approx(mean, abs=5e-5)
+
+
+def test_patches_are_written_smoothly_where_places_crowd(levels: Levels, patches: Patches) -> None:
+    rng, binding = np.random.default_rng(1), levels.subdivision.binding
+    assert binding is not None and patches.smoothing is not None
+    even = identity(len(binding.face), format="csr")[binding.sewn.one]
+    assert abs(patches.smoothing - even).max() == 0.0
+    patches = replace(patches, smoothing=binding.smoothing_where(levels.fine.vertices[:, 0] > 0.3))
+    frames = frames_of(levels, levels.coarse.vertices)
+    grids = rng.standard_normal((len(frames), 3 * NODES)).astype(np.float32)
+    mean = rng.standard_normal((levels.subdivision.fine_count, 3)).astype(np.float32)
+    atoms = Atoms(np.zeros((1, 3 * NODES), np.float32), np.zeros(3 * NODES, np.float32), 1.0, mean)
+    fine, read = np.full(mean.shape, 0.5, np.float32), np.zeros(mean.shape, np.float32)
+    add_patches(grids, frames, patches.corners, patches.blend, patches.cell, patches.within, read)
+    write = PatchWriter(patches, atoms)
+    expected = patches.smoothing @ read + turned(patches.turning, frames, mean)
+    for _ in range(2):  # nothing is kept
+        fine[:] = 0.5
+        write(grids, frames, fine)
+        np.testing.assert_allclose(fine - 0.5, expected, atol=1e-5)

@@ -1,0 +1,41 @@
+"""What each vertex of a delivered mesh has over its smooth surface on average, in a frame that turns with the cloth.
+
+Pleats that are sewn down, gathers and seams hardly change, differ from vertex to vertex, and lie in layers over one
+place of the coarse mesh: no patch that all layers read can tell them. Their mean is drawn as it is, and patches are
+left with what changes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+__all__ = ["fit_vertex_mean", "turned"]
+
+STEP = 2.0**-15  # means are rounded to this [m], so that a file of them is small
+LEAST = 1e-3  # of a frame's square, so that one that is turned to nothing is no division by zero
+
+
+def fit_vertex_mean(turning: csr_matrix, frames: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """The displacements d that are nearest to residuals r in all frames: least sum of |r - M^T d|^2 over them.
+
+    Args:
+        turning: weights of the coarse vertices' frames in M, see :class:`wrinkles.patches.Patches`, shape (N, n).
+        frames: of the coarse vertices, shape (f, n, 9).
+        residual: [m], shape (f, N, 3).
+
+    Returns:
+        [m], float32, shape (N, 3).
+    """
+    left, right = np.tile(LEAST * np.eye(3), (turning.shape[0], 1, 1)), np.zeros((turning.shape[0], 3))
+    for at, found in zip(frames, residual, strict=True):
+        basis = (turning @ at).reshape(-1, 3, 3)
+        left += basis @ basis.transpose(0, 2, 1)
+        right += np.einsum("nax,nx->na", basis, found)
+    mean = np.linalg.solve(left, right[..., None])[..., 0]
+    return (np.round(mean / STEP) * STEP).astype(np.float32)
+
+
+def turned(turning: csr_matrix, frames: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """The means turned from the frames of one state into space [m], shape (N, 3); frames have shape (n, 9)."""
+    return np.einsum("nax,na->nx", (turning @ frames).reshape(-1, 3, 3), mean)
