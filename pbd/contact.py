@@ -4,7 +4,16 @@ from pbd.constraints import contact_correction, cushioned
 from pbd.engine import ti
 from pbd.geometry import between, closest_in_fan, descend, vec3, vec4, xyz
 
-__all__ = ["collide_fields", "collide_primitives", "slid_off", "substep_start", "touch_body"]
+__all__ = [
+    "collide_fields",
+    "collide_primitives",
+    "height_over",
+    "push_out",
+    "sample_point",
+    "slid_off",
+    "substep_start",
+    "touch_body",
+]
 
 KEPT = 0.0015  # a touched point is kept while the cloth slides less than this along the surface [m] ...
 KEPT_SHARE = 0.1  # ... or less than this share of its height over it [-]
@@ -75,6 +84,59 @@ def touch_body(
     touched[i, 0] = vec4(start, 0.0)
     touched[i, 1] = vec4(end - start, 0.0)
     touched[i, 2] = vec4(normal, 0.0)
+
+
+@ti.func
+def bulge(edge: vec3, normal: vec3, other_normal: vec3) -> vec3:
+    """From the middle of an edge to the smooth surface over it (Vlachos et al. 2001, "Curved PN triangles") [m]."""
+    return 0.0625 * edge.dot(other_normal - normal) * (normal + other_normal)
+
+
+@ti.func
+def sample_point(i: ti.i32, j: ti.i32, position: ti.template(), normals: ti.template(), smooth: ti.f32) -> vec3:
+    """Where the cloth is between two vertices, or at one that is both, before their shift [m]."""
+    x, y = xyz(position[i]), xyz(position[j])
+    middle = 0.5 * (x + y)
+    if smooth > 0.0:
+        middle += bulge(y - x, xyz(normals[i]), xyz(normals[j]))
+    return middle
+
+
+@ti.func
+def height_over(
+    x: vec3, c: ti.i32, i: ti.i32, j: ti.i32, t: ti.f32, shift: ti.template(), touched: ti.template()
+) -> ti.f32:
+    """Height of sample c, which stands at x plus the mean shift of its two vertices, over what it touched [m]."""
+    u = 0.5 * (xyz(shift[i]) + xyz(shift[j]))
+    return ((x - (xyz(touched[c, 0]) + t * xyz(touched[c, 1]))) + u).dot(xyz(touched[c, 2]))
+
+
+@ti.func
+def push_out(
+    c: ti.i32,
+    i: ti.i32,
+    j: ti.i32,
+    gap: ti.f32,
+    friction: ti.f32,
+    dt_share: ti.f32,
+    h: ti.f32,
+    position: ti.template(),
+    velocity: ti.template(),
+    shift: ti.template(),
+    gained: ti.template(),
+    touched: ti.template(),
+):
+    """Close the gap [m] of sample c to what it touched."""
+    p, q = position[i], position[j]
+    u, v = xyz(shift[i]), xyz(shift[j])
+    slip = 0.5 * (u + v) - 0.5 * (substep_start(velocity, gained, i, h) + substep_start(velocity, gained, j, h))
+    slip -= dt_share * xyz(touched[c, 1])
+    m = contact_correction(gap, xyz(touched[c, 2]), slip, friction, h)
+    m *= 0.5 / (0.25 * (p[3] + q[3]))
+    # A vertex is a sample with both ends the same: half and half make the whole.
+    shift[i] = vec4(u + p[3] * m)
+    if i != j:
+        shift[j] = vec4(v + q[3] * m)
 
 
 @ti.func

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from functools import cache
 
 from pbd.constraints import (
-    contact_correction,
     cushioned,
     drag_velocity,
     hinge_multiplier,
@@ -17,12 +16,22 @@ from pbd.constraints import (
     stitch_multiplier,
     tether_correction,
 )
-from pbd.contact import collide_fields, collide_primitives, slid_off, substep_start, touch_body
+from pbd.contact import (
+    collide_fields,
+    collide_primitives,
+    height_over,
+    push_out,
+    sample_point,
+    slid_off,
+    substep_start,
+    touch_body,
+)
 from pbd.engine import ti
 from pbd.geometry import FAR, Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, vec3, vec4, xyz
 from pbd.levels import gather_patches, solve_patches
 from pbd.model import BLOCK
 from pbd.pairs import solve_pairs
+from pbd.strain_limits import list_stretched, solve_strain_limits
 from pbd.team import Alone
 
 __all__ = ["advance_garment", "advance_kernel"]
@@ -30,6 +39,7 @@ __all__ = ["advance_garment", "advance_kernel"]
 NEAR = 0.01  # nearer than this, a contact is looked at in every substep, even if nothing seems to move [m]
 SQUEEZED = 1e-4  # area of faces over the squares of their sides, below which they are lines [-]
 NOTHING = 1e-12  # sides of a face at a point, squared, where loose points have no face at all [m2]
+LIMITING = 8, 2  # most passes over stretched edges before and after contact of the cloth with itself
 STITCHING = 4  # passes over the stitches, of which several may meet in one vertex
 FINEST = 2.0**20  # inside a frame positions are whole multiples of 1 m / FINEST: exact in float32 up to 16 m
 
@@ -178,12 +188,6 @@ def sideways(i: ti.i32) -> vec3:
 
 
 @ti.func
-def bulge(edge: vec3, normal: vec3, other_normal: vec3) -> vec3:
-    """From the middle of an edge to the smooth surface over it (Vlachos et al. 2001, "Curved PN triangles") [m]."""
-    return 0.0625 * edge.dot(other_normal - normal) * (normal + other_normal)
-
-
-@ti.func
 def advance_garment(
     team: ti.template(),
     with_patches: ti.template(),
@@ -246,6 +250,7 @@ def advance_garment(
     pairs: ti.template(),
     pair_data: ti.template(),
     ready: ti.template(),
+    strain_limits: ti.template(),
     steps: ti.template(),
     h: ti.f32,
     gravity: vec3,
@@ -262,11 +267,11 @@ def advance_garment(
     start and the vertex, motion of the place, normal there, law of :func:`pbd.constraints.limit_correction`.
 
     Per substep: predict, held vertices, patches from coarse to fine, membrane, bending, stitches, tethers, limits,
-    contact with the body, of the cloth with itself, with primitives, velocities. Digits are kept in three places: a
-    vertex stands at ``position`` (on a grid) plus a small ``shift`` that takes the corrections; velocity takes (shift -
-    predicted shift)/h, the sum of the corrections, instead of a difference of world positions; and what it gains over
-    the frame is summed apart, in ``gained``: less the predicted shift/h while the substep lasts, so that the vertex
-    started it at -h (velocity + gained).
+    contact with the body, strain limits and contact of the cloth with itself, with primitives, velocities. Digits are
+    kept in three places: a vertex stands at ``position`` (on a grid) plus a small ``shift`` that takes the corrections;
+    velocity takes (shift - predicted shift)/h, the sum of the corrections, instead of a difference of world positions;
+    and what it gains over the frame is summed apart, in ``gained``: less the predicted shift/h while the substep lasts,
+    so that the vertex started it at -h (velocity + gained).
 
     In the first substep every contact sample finds where it touches. Every ``refresh`` substeps all are looked at:
     those nearer to the body than ``waking`` [m] are awake until the next time, and find again where they touch if
@@ -309,6 +314,7 @@ def advance_garment(
     for c in range(team.begin(0, held.shape[0]), team.end(0, held.shape[0])):
         velocity[held[c]] = (target_1[c] - target_0[c]) * (inverse_h * share)
     team.meet()
+    stretched = 0
     for step in range(steps[0], steps[1] + 1):
         t = (step + 1) * share
         if primitives.shape[0] > 0 and step > steps[0]:
@@ -409,12 +415,9 @@ def advance_garment(
                 for s in range(begin, begin + looks):
                     c = awake[s]
                     i, j = samples[c][0], samples[c][1]
-                    p, q = position[i], position[j]
-                    x = 0.5 * (xyz(p) + xyz(q))
-                    u = 0.5 * (xyz(shift[i]) + xyz(shift[j]))
-                    if contact_law[3] > 0.0:
-                        x += bulge(xyz(q) - xyz(p), xyz(normals[i]), xyz(normals[j]))
+                    x = sample_point(i, j, position, normals, contact_law[3])
                     if looked_at:
+                        u = 0.5 * (xyz(shift[i]) + xyz(shift[j]))
                         again = step == 0
                         if not again:
                             offset = (x - (xyz(touched[c, 0]) + t * xyz(touched[c, 1]))) + u
@@ -425,32 +428,43 @@ def advance_garment(
                                 x + u, c, t, nearest, body_0, body_1,
                                 ring_start, ring, fan_start, fan, body_normals, touched,
                             )  # fmt: skip
-                    motion = xyz(touched[c, 1])
-                    normal = xyz(touched[c, 2])
-                    distance = ((x - (xyz(touched[c, 0]) + t * motion)) + u).dot(normal)
-                    if looked_at and distance < waking:
+                    height = height_over(x, c, i, j, t, shift, touched)
+                    if looked_at and height < waking:
                         awake[half + region + awake_count] = c
                         awake_count += 1
-                    if distance < thickness:
-                        weight = 0.25 * (p[3] + q[3])
-                        slip = u - 0.5 * (substep_start(velocity, gained, i, h) + substep_start(velocity, gained, j, h))
-                        slip -= share * motion
-                        gap = cushioned(distance - thickness, thickness, contact_law[2] * h * h)
-                        m = contact_correction(gap, normal, slip, friction, h)
-                        m *= 0.5 / weight
-                        # A vertex is a sample with both ends the same: half and half make the whole.
-                        shift[i] = vec4(xyz(shift[i]) + p[3] * m)
-                        if i != j:
-                            shift[j] = vec4(xyz(shift[j]) + q[3] * m)
+                    if height < thickness:
+                        gap = cushioned(height - thickness, thickness, contact_law[2] * h * h)
+                        push_out(c, i, j, gap, friction, share, h, position, velocity, shift, gained, touched)
                 if looked_at:
                     listed[row][1] = awake_count
                 team.meet()
             if ti.static(with_pairs):
-                # After the body, whose outside is known however deep: cloth that it pinches must not go through itself.
+                # After the body, whose outside is known however deep: cloth that it pinches must not go through itself,
+                # nor be drawn out between limbs that push it apart. What that takes under the surface comes out again.
                 if team.first():
+                    if looked_at:
+                        stretched = list_stretched(position, shift, strain_limits)
+                    solve_strain_limits(
+                        position, shift, strain_limits, stretched, LIMITING[0], t, nearest, touched
+                    )  # fmt: skip
                     solve_pairs(
                         position, velocity, shift, gained, pairs, pair_data, ready,
                         looked_at, refresh * share, friction, h,
+                    )  # fmt: skip
+                team.meet()
+                for k in range(sample_colors.shape[0] - 1):
+                    begin = half + team.begin(sample_colors[k], sample_colors[k + 1])
+                    for s in range(begin, begin + listed[team.row(k)][1]):
+                        c = awake[s]
+                        i, j = samples[c][0], samples[c][1]
+                        x = sample_point(i, j, position, normals, contact_law[3])
+                        height = height_over(x, c, i, j, t, shift, touched)
+                        if height < 0.0:
+                            push_out(c, i, j, height, 0.0, share, h, position, velocity, shift, gained, touched)
+                    team.meet()
+                if team.first():
+                    solve_strain_limits(
+                        position, shift, strain_limits, stretched, LIMITING[1], t, nearest, touched
                     )  # fmt: skip
                 team.meet()
     for i in range(team.begin(0, count), team.end(0, count)):
@@ -527,6 +541,7 @@ def advance_kernel(with_patches: bool, with_pairs: bool = False) -> Callable[...
         pairs: Int4,
         pair_data: Vec4Rows,
         ready: Int1,
+        strain_limits: Vec4,
         steps: Int1,
         h: ti.f32,
         gravity: vec3,
@@ -543,7 +558,7 @@ def advance_kernel(with_patches: bool, with_pairs: bool = False) -> Callable[...
                 primitives, fields, field_values, nearest, contact, body_0, body_1, body_normals,
                 ring_start, ring, fan_start, fan, parent, part, ways, places, first_ways, borne, starts, children,
                 child_starts, links, link_colors, color_starts, link_data, link_shares, link_room, way, pairs,
-                pair_data, ready, steps, h, gravity, squeeze, contact_law,
+                pair_data, ready, strain_limits, steps, h, gravity, squeeze, contact_law,
             )  # fmt: skip
 
     return advance

@@ -19,6 +19,7 @@ from pbd.mesh import edges_of
 from pbd.model import Model, State
 from pbd.pair_search import find_pairs
 from pbd.pairs import PULL
+from pbd.strain_limits import LONGEST
 from pbd.tangles import Tangles
 
 __all__ = ["SelfCollision"]
@@ -95,6 +96,7 @@ class SelfCollision:
         pairs: (vertex, corners of a face), or (a, -b - 1, c, d) for the edges a-b and c-d, int32, shape (c, 4).
         data: see :func:`pbd.pairs.solve_pairs`, float32, shape (c, 2, 4).
         ready: how many of them there are, how many are ready, and which, int32, shape (c + 2,).
+        strain_limits: see :func:`pbd.strain_limits.solve_strain_limits`, float32, shape (e, 4).
     """
 
     def __init__(self, model: Model, untangles: bool = True) -> None:
@@ -135,12 +137,19 @@ class SelfCollision:
         self._tangles, self._untangles = Tangles(self._faces, self._layer, mesh.vertex_areas), untangles
         self._untold = np.zeros((1, 3), np.int32)
         self._find = Launch(find_pairs)
+        ends, lengths = mesh.edge_lengths()
+        self.strain_limits = np.zeros((len(ends), 4), np.float32)
+        self.strain_limits[:, :2], self.strain_limits[:, 2] = ends, LONGEST * lengths
         self._make_room(2 * count)
 
     def _make_room(self, count: int) -> None:
         self.pairs = np.zeros((count, 4), np.int32)
         self.data = np.zeros((count, 2, 4), np.float32)
         self.ready = np.zeros(count + 2, np.int32)
+
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """What :func:`pbd.schedule.advance_kernel` takes of it."""
+        return self.pairs, self.data, self.ready, self.strain_limits
 
     def find(self, state: State, h: float, steps: int, thickness: float) -> int:
         """Find the pairs that may touch in steps of h [s], at most so many, and say for how many they are good."""
