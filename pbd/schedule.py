@@ -31,7 +31,7 @@ from pbd.geometry import FAR, Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4
 from pbd.levels import gather_patches, solve_patches
 from pbd.model import BLOCK
 from pbd.pairs import solve_pairs
-from pbd.strain_limits import list_stretched, solve_strain_limits
+from pbd.strain_limits import near_limits, solve_strain_limits
 from pbd.team import Alone
 
 __all__ = ["advance_garment", "advance_kernel"]
@@ -39,7 +39,7 @@ __all__ = ["advance_garment", "advance_kernel"]
 NEAR = 0.01  # nearer than this, a contact is looked at in every substep, even if nothing seems to move [m]
 SQUEEZED = 1e-4  # area of faces over the squares of their sides, below which they are lines [-]
 NOTHING = 1e-12  # sides of a face at a point, squared, where loose points have no face at all [m2]
-LIMITING = 8, 2  # most passes over stretched edges before and after contact of the cloth with itself
+LIMITING = 8  # most passes over the edges before contact of the cloth with itself, and as many after it
 STITCHING = 4  # passes over the stitches, of which several may meet in one vertex
 FINEST = 2.0**20  # inside a frame positions are whole multiples of 1 m / FINEST: exact in float32 up to 16 m
 
@@ -314,7 +314,7 @@ def advance_garment(
     for c in range(team.begin(0, held.shape[0]), team.end(0, held.shape[0])):
         velocity[held[c]] = (target_1[c] - target_0[c]) * (inverse_h * share)
     team.meet()
-    stretched = 0
+    stretched = 0  # whether any edge is near its limit
     for step in range(steps[0], steps[1] + 1):
         t = (step + 1) * share
         if primitives.shape[0] > 0 and step > steps[0]:
@@ -443,9 +443,9 @@ def advance_garment(
                 # nor be drawn out between limbs that push it apart. What that takes under the surface comes out again.
                 if team.first():
                     if looked_at:
-                        stretched = list_stretched(position, shift, strain_limits)
+                        stretched = near_limits(position, shift, strain_limits)
                     solve_strain_limits(
-                        position, shift, strain_limits, stretched, LIMITING[0], t, nearest, touched
+                        position, velocity, shift, gained, strain_limits, stretched * LIMITING, h, t, nearest, touched,
                     )  # fmt: skip
                     solve_pairs(
                         position, velocity, shift, gained, pairs, pair_data, ready,
@@ -464,7 +464,7 @@ def advance_garment(
                     team.meet()
                 if team.first():
                     solve_strain_limits(
-                        position, shift, strain_limits, stretched, LIMITING[1], t, nearest, touched
+                        position, velocity, shift, gained, strain_limits, stretched * LIMITING, h, t, nearest, touched,
                     )  # fmt: skip
                 team.meet()
     for i in range(team.begin(0, count), team.end(0, count)):

@@ -24,7 +24,7 @@ from runtime.stage import load_body, motion_of, simulation_of
 from wrinkles.crossings import crossings
 from wrinkles.distance import TOLERANCE, BodyDistance
 
-__all__ = ["CLIPS", "LIMBS", "clip_rows", "run_clip", "shrinking", "write_clips"]
+__all__ = ["CLIPS", "LIMBS", "clip_rows", "overlapping", "run_clip", "shrinking", "write_clips"]
 
 RATE = 60.0  # frames a second
 # Of coarse garments, half the default [s]: in longer ones what is light between heavier cloth is drawn out, such as
@@ -159,7 +159,8 @@ def run_clip(
     """Play a clip to its end and judge it.
 
     A vertex is inside where the body's surface has it inside and winds about it once; where limbs go through one
-    another it winds twice, and no place is right.
+    another it winds twice, and no place is right. Nor is any length there: edges with an end or their middle in it are
+    counted apart.
 
     Args:
         simulation: at its start.
@@ -176,6 +177,7 @@ def run_clip(
         ``edge_strain_p99``, ``edge_strain_max``, and ``edges_beyond_percent``: of edges over twice as long as at rest,
         on average;
         ``catastrophic_frames``: by the limits of :mod:`precompute.error_classes`, the start for the reference;
+        ``overlap_frames``: those in which only edges where the body goes through itself are over the limit;
         ``finite``: 1 if all is.
     """
     model, count = simulation.model, simulation.model.vertex_count
@@ -189,6 +191,7 @@ def run_clip(
     times, limbs, fastest, moved, boxes = np.zeros((5, frames))
     before = simulation.state.world()
     worst = np.zeros((frames, len(edges)), np.float32)
+    drawn, excused = np.zeros((2, frames), bool)  # edges over the limit, and where no length is right
     shown: list[tuple[np.ndarray, np.ndarray]] = []
     for frame in range(frames):
         pose = motion.pose((frame + 1) / RATE)
@@ -207,20 +210,18 @@ def run_clip(
         fastest[frame] = np.linalg.norm(simulation.state.velocity, axis=1).max()
         moved[frame], before = np.linalg.norm(world - before, axis=1).max() * RATE, world
         worst[frame] = np.linalg.norm(world[edges[:, 1]] - world[edges[:, 0]], axis=1) / lengths - 1.0
+        over = np.flatnonzero(worst[frame] > LIMITS["edge_strain_beyond"][2])
+        apart = overlapping(distance, world[edges[over]], posed)
+        drawn[frame], excused[frame] = not apart.all(), apart.any()
         boxes[frame] = _diagonal(world) / box
         if picture is not None and frame in _moments(frames):
             shown.append((world, posed))
     if picture is not None:
         _draw(picture, simulation, shown, [f"{(frame + 1) / RATE:.1f} s" for frame in _moments(frames)])
     later = min(round(START * RATE), frames - 1)
-    strains = worst.max(axis=1)
     bound = 3.0 * np.sqrt(2.0 * 9.81 * height) + limbs
     recent = np.array([limbs[max(0, k - round(0.5 * RATE)) : k + 1].max() for k in range(frames)])
-    catastrophic = (
-        (strains > LIMITS["edge_strain_beyond"][2])
-        | (fastest > bound * LIMITS["speed_over_limit"][2])
-        | (boxes > LIMITS["box_ratio"][2])
-    )
+    catastrophic = drawn | (fastest > bound * LIMITS["speed_over_limit"][2]) | (boxes > LIMITS["box_ratio"][2])
     catastrophic |= _held(inside, round(LIMITS["penetration_s"][2] * RATE))
     rows = crossings(simulation.state.world(), model.mesh.faces)
     between = model.layer[rows[:, 0]] != model.layer[model.mesh.faces[rows[:, 2], 0]]
@@ -237,8 +238,9 @@ def run_clip(
         "velocity_over_limb": float((fastest - recent)[later:].max()),
         "edge_strain_p99": float(np.percentile(worst[later:], 99)),
         "edges_beyond_percent": 100.0 * float((worst[later:] > LIMITS["edge_strain_beyond"][2]).mean()),
-        "edge_strain_max": float(strains[later:].max()),
+        "edge_strain_max": float(worst[later:].max()),
         "catastrophic_frames": float(catastrophic[later:].sum()),
+        "overlap_frames": float((excused & ~catastrophic)[later:].sum()),
         "finite": 1.0,
     }
 
@@ -250,6 +252,12 @@ def _held(inside: np.ndarray, frames: int) -> np.ndarray:
         row = np.where(now, row + 1, 0)
         found[frame] = (row > frames).any()
     return found
+
+
+def overlapping(distance: BodyDistance, ends: np.ndarray, posed: np.ndarray) -> np.ndarray:
+    """Edges with an end or their middle where the body goes through itself, from shape (k, 2, 3): bool, shape (k,)."""
+    places = np.stack([ends[:, 0], ends[:, 1], ends.mean(axis=1)], axis=1)
+    return (distance.winding(places.reshape(-1, 3), posed).reshape(-1, 3) > 1.5).any(axis=1)
 
 
 def _diagonal(points: np.ndarray) -> float:

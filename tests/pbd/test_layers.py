@@ -5,8 +5,9 @@ import pytest
 
 from pbd import Colliders, Fabric, InputError, ModelOptions, Solver, SolverOptions, Sphere, State, build_model
 from pbd.layers import layered
-from tests.pbd.meshes import cloth, free_model, grid
+from tests.pbd.meshes import body_of, cloth, free_model, grid, icosphere
 from wrinkles.crossings import crossings
+from wrinkles.distance import BodyDistance
 
 
 def level(along: int, step: float, height: float) -> tuple[np.ndarray, np.ndarray]:
@@ -76,3 +77,18 @@ def test_layers_that_differ_where_they_must_not_are_refused() -> None:
         layered([soft, free_model(sheet, Fabric())])
     with pytest.raises(InputError, match="no garment"):
         layered([])
+
+
+def test_what_lies_on_a_layer_does_not_push_it_into_the_body() -> None:
+    """A light layer under one of two hundred times its weight, on a ball of triangles."""
+    light, heavy = Fabric(areal_density=0.05), Fabric(areal_density=10.0)
+    model = layered([free_model(cloth(*level(12, 0.02, y)), fabric) for y, fabric in ((0.105, light), (0.11, heavy))])
+    ball, faces = icosphere(3)
+    state, deepest = State.at_rest(model), 0.0
+    body = body_of(0.1 * ball, faces, state)
+    solver, distance = Solver(model, SolverOptions(coarse_sweeps=0)), BodyDistance(faces)
+    for _ in range(60):
+        solver.follow(state, Colliders(body=body))
+        solver.step(state, Colliders(body=body), 1 / 60)
+        deepest = min(deepest, float(distance.signed_distance(state.world(), 0.1 * ball).min()))
+    assert deepest > -5e-5

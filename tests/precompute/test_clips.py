@@ -12,9 +12,11 @@ from assets.garment import highest_loop
 from assets.mannequin import builtin_mannequin
 from assets.motion import ClipMotion
 from pbd import ClothMesh, Fabric, InputError, build_model
-from precompute.clips import CLIPS, LIMBS, clip_rows, run_clip, shrinking, write_clips
+from precompute.clips import CLIPS, LIMBS, clip_rows, overlapping, run_clip, shrinking, write_clips
 from runtime.simulation import Simulation, body_source
 from tests.data import data_path
+from tests.wrinkles.meshes import icosphere
+from wrinkles.distance import BodyDistance
 
 
 class Still:
@@ -95,3 +97,14 @@ def test_real_garments_on_whole_clips(name: str) -> None:
     assert row["finite"] == 1.0
     assert row["inside_s"] <= 0.5 and row["crossings_layers"] == 0.0, row
     assert row["catastrophic_frames"] == 0.0 and row["speed_over_limb"] < LIMBS, row
+
+
+def test_no_length_is_right_where_the_body_goes_through_itself() -> None:
+    ball, faces = icosphere(2)
+    body = np.concatenate([ball, ball + [1.2, 0.0, 0.0]])
+    distance = BodyDistance(np.concatenate([faces, faces + len(ball)]))
+    ends = np.array(
+        [[[0.6, 0.0, 0.0], [0.6, 3.0, 0.0]], [[-0.6, 0.0, 0.0], [1.8, 0.0, 0.0]], [[0.0, 0, 0], [0, 0.5, 0]]]
+    )
+    assert overlapping(distance, ends, body).tolist() == [True, True, False]
+    assert overlapping(distance, ends[:0], body).shape == (0,)
