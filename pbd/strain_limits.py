@@ -8,7 +8,7 @@ from pbd.geometry import vec3, vec4, xyz
 __all__ = ["LONGEST", "near_limits", "solve_strain_limits"]
 
 LONGEST = 1.5  # greatest length of an edge over its rest length [-]
-DRAWN_BACK = 1.0  # what starts a substep longer comes back no faster: a correction is also a velocity [m/s]
+DRAWN_BACK = 3.0  # what starts a substep longer comes back no faster: a correction is also a velocity [m/s]
 NEAR = 0.8  # part of their greatest length from which edges are near it [-]
 
 

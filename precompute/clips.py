@@ -257,7 +257,7 @@ def _held(inside: np.ndarray, frames: int) -> np.ndarray:
 def overlapping(distance: BodyDistance, ends: np.ndarray, posed: np.ndarray) -> np.ndarray:
     """Edges with an end or their middle where the body goes through itself, from shape (k, 2, 3): bool, shape (k,)."""
     places = np.stack([ends[:, 0], ends[:, 1], ends.mean(axis=1)], axis=1)
-    return (distance.winding(places.reshape(-1, 3), posed).reshape(-1, 3) > 1.5).any(axis=1)
+    return np.any(distance.winding(places.reshape(-1, 3), posed).reshape(-1, 3) > 1.5, axis=1)
 
 
 def _diagonal(points: np.ndarray) -> float:
