@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pbd import ModelOptions
-from precompute.decoding import Lift, Predict, by_patches, lifted_frames
+from precompute.decoding import Lift, Predict, by_patches, lifted_frames, with_vertex_mean
 from precompute.evaluation import Truth
 from precompute.held_out import HeldOut, held_out_truth
 from precompute.pipeline import EPOCHS, TRAINING_FRAMES, default_cache, training_recordings, training_runs
@@ -114,8 +114,9 @@ class Bench:
     def way(self, mapping: Mapping, layer: Layer | None = None, atoms: Atoms | None = None, **settings) -> Way:
         """One that differs from the full one in what is given."""
         predict = lambda features, pose: mapping.predict(features)  # noqa: E731
-        gain = self.database.wrinkle_gain
-        return Way(layer or self.layer, atoms or self.data.atoms, lambda: predict, gain=gain, **settings)
+        layer, atoms, gain = layer or self.layer, atoms or self.data.atoms, self.database.wrinkle_gain
+        atoms = with_vertex_mean(layer, [mapping] * len(self.runs), atoms, self.runs, self.learned)
+        return Way(layer, atoms, lambda: predict, gain=gain, **settings)
 
     def mapped(self, predict: Predict) -> Way:
         """One with another mapping."""

@@ -1,20 +1,24 @@
 """Decoding recorded coarse states, frame by frame, by whatever gives the coefficients of the patches."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from pbd import Body
 from precompute.recording import Recording, Run, body_source
-from precompute.training import Layer
-from wrinkles.decoder import PatchWriter, Upsampler
-from wrinkles.dictionary import Atoms
+from precompute.training import Layer, features_of, spread_frames
+from wrinkles.decoder import MeanWriter, PatchWriter, Upsampler
+from wrinkles.dictionary import Atoms, Mapping
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.isometry import Isometry
 from wrinkles.relaxation import Relaxation
+from wrinkles.vertex_mean import fit_vertex_mean
 
-__all__ = ["Lift", "Predict", "by_patches", "decode_recording", "lifted_frames"]
+__all__ = ["Lift", "Predict", "by_patches", "decode_recording", "lifted_frames", "with_vertex_mean"]
+
+MEAN_FRAMES = 400  # that the means of vertices are fitted to
 
 Predict = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Features of one frame, float32, shape (n, DYNAMIC_COUNT), and the body's pose to coefficients, shape (n, K)."""
@@ -27,11 +31,13 @@ features and frames of the coarse vertices, float32, shapes (n, DYNAMIC_COUNT) a
 def by_patches(layer: Layer, predict: Predict, atoms: Atoms) -> Lift:
     """Wrinkles from patches whose coefficients a mapping gives."""
     keep_lengths = Isometry(layer.levels)
-    add_to_fine, add_to_middle = PatchWriter(layer.patches, atoms), PatchWriter(layer.middle_patches, atoms)
+    add_to_fine, add_to_middle = PatchWriter(layer.patches), PatchWriter(layer.middle_patches)
+    add_mean = MeanWriter(layer.patches, atoms.vertex_mean)
 
     def lift(fine: np.ndarray, upsample: Upsampler, features: np.ndarray, frames: np.ndarray, pose: np.ndarray) -> None:
         grids = (predict(features, pose) @ atoms.shapes + atoms.mean).astype(np.float32)
         add_to_fine(grids, frames, fine)
+        add_mean(frames, fine)
         add_to_middle(grids, frames, upsample.middle)
         keep_lengths(upsample.middle, fine)
 
@@ -59,6 +65,26 @@ def decode_recording(
     for f, (smooth_frame, decoded_frame, _) in enumerate(frames):
         smooth[f], decoded[f] = smooth_frame, decoded_frame
     return smooth, decoded
+
+
+def with_vertex_mean(
+    layer: Layer, mappings: Sequence[Mapping], atoms: Atoms, runs: Sequence[Run], recordings: Sequence[Recording]
+) -> Atoms:
+    """Atoms with the mean of what decoding recorded coarse states lacks at each vertex, relaxation included.
+
+    Args:
+        layer: of the garment.
+        mappings: for the fabric of each run.
+        atoms: that their coefficients count, without a mean.
+        runs, recordings: what is learned from.
+    """
+    frames, left = [], []
+    for mapping, run, some in zip(mappings, runs, spread_frames(recordings, MEAN_FRAMES), strict=True):
+        _, decoded = decode_recording(layer, lambda features, pose, m=mapping: m.predict(features), atoms, run, some)
+        frames.append(features_of(layer, some)[1])
+        left.append(some.positions - decoded)
+    mean = fit_vertex_mean(layer.patches.turning, np.concatenate(frames), np.concatenate(left))
+    return replace(atoms, vertex_mean=mean)
 
 
 def lifted_frames(

@@ -16,6 +16,7 @@ from pbd import Fabric, InputError, ModelOptions, SolverOptions
 from pbd.bending import hinge_calibration
 from precompute.calibration import GAINS, Calibration, calibrate
 from precompute.coverage import PART, choose
+from precompute.decoding import with_vertex_mean
 from precompute.evaluation import Evaluation, Truth, evaluate, fine_run, given_frames, settled, truth_of
 from precompute.recording import Recording, Run, body_source, record_runs
 from precompute.training import Layer, build_layer, fit_layer, spread_frames, training_set
@@ -130,6 +131,8 @@ def precompute(
     told = np.repeat(worn, [len(recording.frames) for recording in learned], axis=0)
     epochs = epochs_for(len(data.features))
     mapping = fit_layer(layer, data, hidden=(2 * width, width), epochs=epochs, seed=seed, report=tell, fabrics=told)
+    worn_mappings = [mapping.for_fabric(features) for features in worn]
+    atoms = with_vertex_mean(layer, worn_mappings, data.atoms, runs, learned)
 
     coarse_bend = hinge_calibration(levels.coarse)
     calibrations: dict[str, Calibration] = {}
@@ -140,7 +143,7 @@ def precompute(
         # The own fabric comes first and chooses how strongly wrinkles are drawn; the others share its network.
         gains = (1.0,) if calibrations else GAINS
         calibrations[name] = calibrate(
-            layer, mapping.for_fabric(worn[first]), data.atoms, shorts, excerpts, solver, coarse_bend, cache, workers,
+            layer, mapping.for_fabric(worn[first]), atoms, shorts, excerpts, solver, coarse_bend, cache, workers,
             tell, gains,
         )  # fmt: skip
         mapping = mapping.amplified(calibrations[name].gain)
@@ -163,9 +166,9 @@ def precompute(
         bend_factor=coarse_bend,
         solver=solver,
         frame_rate=scene.solver.frame_rate,
-        atoms=data.atoms,
+        atoms=atoms,
         mapping=mapping,
-        unfamiliarity=fit_unfamiliarity(layer, mappings, data.atoms, runs, recordings, seed),
+        unfamiliarity=fit_unfamiliarity(layer, mappings, atoms, runs, recordings, seed),
         cutoff=levels.cutoff,
         body_hash=body_hash(stage.body),
         body_vertex_count=len(body_source(stage.body).vertices),
@@ -195,7 +198,7 @@ def precompute(
         "feature_mismatch_before": calibration.mismatch_before,
         "feature_mismatch_after": calibration.mismatch_after,
         "wrinkle_gain": calibration.gain,
-        "atoms_kept": data.atoms.kept,
+        "atoms_kept": atoms.kept,
     }
     database = replace(database, quality=quality, training_minutes=(time.monotonic() - began) / 60.0)
     write_database(output, database)

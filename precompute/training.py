@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,7 +13,6 @@ from wrinkles.dictionary import Atoms, Mapping, fit_atoms, fit_mapping
 from wrinkles.features import DYNAMIC_COUNT, Stencil
 from wrinkles.levels import Levels
 from wrinkles.patches import NODES, Patches
-from wrinkles.vertex_mean import fit_vertex_mean, turned
 
 __all__ = [
     "FeatureStatistics",
@@ -88,25 +87,18 @@ def training_set(layer: Layer, recordings: Sequence[Recording], atom_count: int,
         atom_count: number of atoms.
         seed: of the choice of patches that the atoms are fitted to.
     """
-    features, frames, residual = _residuals(layer, recordings)
-    turning, vertex_mean = layer.patches.turning, None
-    if turning is not None:
-        vertex_mean = fit_vertex_mean(turning, frames, residual)
-    patches_at, count = _patch_reader(layer, frames, residual, vertex_mean)
+    features, patches_at, count = _patch_reader(layer, recordings)
     rng = np.random.default_rng(seed)
     frame_count = len(features)
     some = rng.choice(frame_count, min(frame_count, max(1, 60_000 // count)), replace=False)
     sample = np.stack([patches_at(i)[some] for i in range(count)], axis=1)
-    atoms = fit_atoms(sample.reshape(-1, 3 * NODES), atom_count)
-    if vertex_mean is not None:
-        atoms = replace(atoms, vertex_mean=vertex_mean)
+    atoms = fit_atoms(sample.reshape(-1, 3 * NODES), atom_count, layer.levels.subdivision.fine_count)
     return TrainingSet(features, _reduced(patches_at, count, atoms), atoms)
 
 
 def coefficients_of(layer: Layer, recordings: Sequence[Recording], atoms: Atoms) -> np.ndarray:
     """What the patches of recorded frames are in atoms: float32, shape (S, n, K)."""
-    _, frames, residual = _residuals(layer, recordings)
-    patches_at, count = _patch_reader(layer, frames, residual, atoms.vertex_mean)
+    _, patches_at, count = _patch_reader(layer, recordings)
     return _reduced(patches_at, count, atoms)
 
 
@@ -115,25 +107,13 @@ def _reduced(patches_at: Callable[[int], np.ndarray], count: int, atoms: Atoms) 
     return coefficients.astype(np.float32)
 
 
-def _residuals(layer: Layer, recordings: Sequence[Recording]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Features, vertex frames and residuals of all recorded frames together."""
-    features, frames = zip(*(features_of(layer, r) for r in recordings), strict=True)
+def _patch_reader(layer: Layer, recordings: Sequence[Recording]) -> tuple[np.ndarray, Callable[[int], np.ndarray], int]:
+    """Features of recorded frames, a function that gives the fitted patches of a coarse vertex, and their number."""
+    features, turned = zip(*(features_of(layer, r) for r in recordings), strict=True)
     residual = np.concatenate([residual_of(layer, r) for r in recordings])
-    return np.concatenate(features), np.concatenate(frames), residual
-
-
-def _patch_reader(
-    layer: Layer, frames: np.ndarray, residual: np.ndarray, vertex_mean: np.ndarray | None
-) -> tuple[Callable[[int], np.ndarray], int]:
-    """A function that gives the fitted patches of a coarse vertex in all frames, and the number of these vertices.
-
-    What is drawn by a mean of each vertex is taken from the residual, which is changed in place.
-    """
-    if layer.patches.turning is not None and vertex_mean is not None:
-        for at, rest in zip(frames, residual, strict=True):
-            rest -= turned(layer.patches.turning, at, vertex_mean)
+    frames = np.concatenate(turned)
     fits = layer.patches.fits(layer.levels.subdivision.coarse_count)
-    return lambda i: _patches(residual, frames, fits, i), len(fits)
+    return np.concatenate(features), lambda i: _patches(residual, frames, fits, i), len(fits)
 
 
 def residual_of(layer: Layer, recording: Recording) -> np.ndarray:

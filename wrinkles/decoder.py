@@ -19,7 +19,7 @@ from wrinkles.patches import NODES, SIDE, Patches
 from wrinkles.surface import Subdivision, csr_arrays
 from wrinkles.unfamiliarity import Unfamiliarity
 
-__all__ = ["Decoder", "PatchWriter", "Upsampler", "add_patches"]
+__all__ = ["Decoder", "MeanWriter", "PatchWriter", "Upsampler", "add_patches"]
 
 
 @ti.func
@@ -92,21 +92,19 @@ def _add_turned(start: Int1, index: Int1, value: Float1, frames: Float2, mean: V
 
 
 class PatchWriter:
-    """Adds grids to the vertices of a mesh; on a delivered one smoothly where places crowd, and with its vertex mean.
+    """Adds grids to the vertices of a mesh; on a delivered one smoothly where places crowd.
 
     Args:
         patches: how the grids reach the vertices.
-        atoms: have the vertex mean.
     """
 
-    def __init__(self, patches: Patches, atoms: Atoms) -> None:
+    def __init__(self, patches: Patches) -> None:
         self._patches = patches
         self._add_patches = Launch(add_patches)
-        if patches.smoothing is not None and patches.turning is not None:
-            self._smoothing, self._turning = csr_arrays(patches.smoothing), csr_arrays(patches.turning)
-            self._mean = atoms.vertex_mean
+        if patches.smoothing is not None:
+            self._smoothing = csr_arrays(patches.smoothing)
             self._displacement = np.zeros((len(patches.corners), 3), np.float32)
-            self._add_smoothed, self._add_turned = Launch(_add_smoothed), Launch(_add_turned)
+            self._add_smoothed = Launch(_add_smoothed)
 
     def __call__(self, grids: np.ndarray, frames: np.ndarray, vertices: np.ndarray) -> None:
         """Add them in place.
@@ -123,6 +121,22 @@ class PatchWriter:
         self._displacement[:] = 0.0
         self._add_patches(grids, frames, p.corners, p.blend, p.cell, p.within, self._displacement)
         self._add_smoothed(*self._smoothing, self._displacement, vertices)
+
+
+class MeanWriter:
+    """Adds the mean of each vertex, turned into space, see :mod:`wrinkles.vertex_mean`.
+
+    Args:
+        patches: have the frames' weights.
+        mean: [m], float32, shape (N, 3).
+    """
+
+    def __init__(self, patches: Patches, mean: np.ndarray) -> None:
+        self._turning, self._mean = csr_arrays(patches.turning), mean
+        self._add_turned = Launch(_add_turned)
+
+    def __call__(self, frames: np.ndarray, vertices: np.ndarray) -> None:
+        """Add it in place; arguments as for :class:`PatchWriter`."""
         self._add_turned(*self._turning, frames, self._mean, vertices)
 
 
@@ -182,7 +196,8 @@ class Decoder:
         self._grids = np.zeros((count, 3 * NODES), np.float32)
         self._shapes = np.ascontiguousarray(atoms.shapes)
         self._mean = atoms.mean
-        self._add_to_fine, self._add_to_middle = PatchWriter(patches, atoms), PatchWriter(middle_patches, atoms)
+        self._add_to_fine, self._add_to_middle = PatchWriter(patches), PatchWriter(middle_patches)
+        self._add_mean = MeanWriter(patches, atoms.vertex_mean)
         self._blas = ThreadpoolController()
 
     def look(self, position: np.ndarray, contact: np.ndarray) -> None:
@@ -210,7 +225,8 @@ class Decoder:
         with self._blas.limit(limits=1, user_api="blas"):
             self._mix(len(self._shapes) if atoms is None else min(atoms, len(self._shapes)))
         self._add_to_fine(self._grids, self.frames, fine)
-        self._add_to_middle(self._grids, self.frames, middle)
+        self._add_mean(self.frames, fine)
+        self._add_to_middle(self._grids, self.frames, middle)  # lengths are brought back without the mean
 
     def _mix(self, atoms: int) -> None:
         """The network: features to grids."""

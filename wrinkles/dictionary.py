@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -28,14 +28,14 @@ class Atoms:
         shapes: displacements [m] of unit coefficients, float32, shape (K, 3 NODES): warp, weft, normal of node 0, ...
         mean: [m], float32, shape (3 NODES,).
         kept: share of the metric's variance that the atoms hold.
-        vertex_mean: mean of what each vertex of a delivered mesh has over its smooth surface besides, in its frame
-            [m], float32, shape (N, 3), see :mod:`wrinkles.vertex_mean`; (0, 3) for other meshes.
+        vertex_mean: what each fine vertex has besides on average, in its frame [m], float32, shape (N, 3), see
+            :mod:`wrinkles.vertex_mean`.
     """
 
     shapes: np.ndarray
     mean: np.ndarray
     kept: float
-    vertex_mean: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.float32))
+    vertex_mean: np.ndarray
 
     @cached_property
     def analysis(self) -> np.ndarray:
@@ -45,12 +45,13 @@ class Atoms:
         return (lower @ (lower.T @ shapes)).reshape(3 * NODES, -1).astype(np.float32)
 
 
-def fit_atoms(patches: np.ndarray, count: int) -> Atoms:
-    """Principal components of patches in the slope metric.
+def fit_atoms(patches: np.ndarray, count: int, fine_count: int) -> Atoms:
+    """Principal components of patches in the slope metric; vertices have no mean yet.
 
     Args:
         patches: [m], shape (S, 3 NODES).
         count: number of atoms K.
+        fine_count: number of fine vertices N.
     """
     from sklearn.decomposition import PCA
 
@@ -65,6 +66,7 @@ def fit_atoms(patches: np.ndarray, count: int) -> Atoms:
         np.ascontiguousarray(shapes.reshape(3 * NODES, -1).T, np.float32),
         mean.ravel().astype(np.float32),
         float(components.explained_variance_ratio_.sum()),
+        np.zeros((fine_count, 3), np.float32),
     )
 
 

@@ -31,9 +31,9 @@ class Patches:
         cell: lower node of the grid cell in each patch, int32, shape (N, 3).
         within: place in the cell along both axes in 0..1, float32, shape (N, 6).
         spacing: of the grid's nodes [m].
+        turning: weights of the coarse vertices' frames in the frame of each fine vertex, rows sum to one, shape (N, n):
+            the blend's, which on a delivered mesh change smoothly in the pattern however places jump.
         smoothing: of what a delivered mesh reads, where its places crowd, shape (N, N); None for others.
-        turning: weights of the coarse vertices' frames in the frame of each vertex of a delivered mesh, which changes
-            smoothly in the pattern however places jump, rows sum to one, shape (N, n); None for others.
     """
 
     corners: np.ndarray
@@ -41,8 +41,8 @@ class Patches:
     cell: np.ndarray
     within: np.ndarray
     spacing: float
+    turning: csr_matrix
     smoothing: csr_matrix | None = None
-    turning: csr_matrix | None = None
 
     @classmethod
     def of(cls, subdivision: Subdivision, charts: Charts) -> Patches:
@@ -53,21 +53,20 @@ class Patches:
         grid = charts.locate(face, place) / spacing + SIDE // 2
         grid = np.clip(grid, 0.0, SIDE - 1 - 1e-5)
         lower = grid.astype(np.int64)
-        blend = _blend(place)
+        blend, binding = _blend(place), subdivision.binding
         read = cls(
             np.ascontiguousarray(mesh.faces[face], np.int32),
             np.ascontiguousarray(blend, np.float32),
             np.ascontiguousarray(lower[..., 0] * SIDE + lower[..., 1], np.int32),
             np.ascontiguousarray((grid - lower).reshape(len(face), 6), np.float32),
             spacing,
+            _turning(binding, mesh.faces[face], blend, len(mesh.vertices)),
         )
-        binding = subdivision.binding
         if binding is None:
             return read
         corners = subdivision.cut_surface(mesh.vertices)[subdivision.cut[binding.face]]
         crowded = binding.crowded(np.einsum("pc,pci->pi", binding.place, corners))
-        turning = _turning(binding, read.corners, blend, len(mesh.vertices))
-        return replace(read, smoothing=binding.smoothing_where(crowded), turning=turning)
+        return replace(read, smoothing=binding.smoothing_where(crowded))
 
     def fits(self, coarse_count: int) -> list[tuple[np.ndarray, np.ndarray]]:
         """For each coarse vertex the fine vertices of its patch and the matrix that fits a grid to values there.
@@ -120,11 +119,11 @@ def _blend(place: np.ndarray) -> np.ndarray:
     return weight / weight.sum(axis=1, keepdims=True)
 
 
-def _turning(binding: Binding, corners: np.ndarray, blend: np.ndarray, coarse_count: int) -> csr_matrix:
-    """The blend's weights of the patches, smoothed as the bound surface is: shape (N, n)."""
+def _turning(binding: Binding | None, corners: np.ndarray, blend: np.ndarray, coarse_count: int) -> csr_matrix:
+    """The blend's weights of the patches, smoothed as a bound surface is: shape (N, n)."""
     rows = np.repeat(np.arange(len(corners)), 3)
     weights = csr_matrix((blend.ravel(), (rows, corners.ravel())), (len(corners), coarse_count))
-    smooth = (binding.smoothing @ weights).tocsr()
+    smooth = weights if binding is None else (binding.smoothing @ weights).tocsr()
     smooth.data[smooth.data < LEAST_TURNING] = 0.0
     smooth.eliminate_zeros()
     return (diags(1.0 / np.asarray(smooth.sum(axis=1)).ravel()) @ smooth).tocsr()

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from pbd import Fabric, InputError, ModelOptions
+from pbd.mesh import edges_of
 from wrinkles.dictionary import FABRIC_COUNT
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.patches import NODES
@@ -35,7 +36,7 @@ __all__ = [
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 10
+SCHEMA_VERSION = 11
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE, STEPS = "text", "float32", "float64", "int32", "int64", "int8"
 
@@ -119,7 +120,7 @@ ENTRIES = (
     *_in_steps("atoms/shapes", ("K", 3 * NODES), "m", along=1),
     Entry("atoms/mean", SINGLE, (3 * NODES,), "m"),
     Entry("atoms/kept", DOUBLE),
-    Entry("atoms/vertex_mean", SINGLE, ("N", 3), "m"),
+    Entry("atoms/vertex_mean", SINGLE, ("v", 3), "m"),
     Entry("mapping/center", SINGLE, (DYNAMIC_COUNT,)),
     Entry("mapping/scale", SINGLE, (DYNAMIC_COUNT,)),
     *_in_steps("mapping/weights_1", (DYNAMIC_COUNT, "h1")),
@@ -244,6 +245,14 @@ def check_layout(layout: Mapping[str, tuple[np.dtype, tuple[int, ...] | None]], 
         raise InputError.join(errors)
 
 
+def _subdivided_count(vertices: int, faces: np.ndarray, levels: int) -> int:
+    """How many vertices a mesh has whose faces are cut in four so many times."""
+    edges, count = len(edges_of(faces)[0]), len(faces)
+    for _ in range(levels):
+        vertices, edges, count = vertices + edges, 2 * edges + 3 * count, 4 * count
+    return vertices
+
+
 def check_values(arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
     """What types and shapes cannot say."""
 
@@ -293,6 +302,9 @@ def check_values(arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
     stored, computed = arrays["topology_hash"].item().decode(), topology_hash(faces, levels, count)
     if stored != computed:
         refuse("does not belong to these faces and subdivisions", "topology_hash", stored, computed)
+    vertices, means = fine or _subdivided_count(count, faces, levels), len(arrays["atoms/vertex_mean"])
+    if means != vertices:
+        refuse("another number of fine vertices", "atoms/vertex_mean", means, str(vertices))
     if arrays["units"].item().decode() != UNITS:
         refuse("other units", "units", arrays["units"].item().decode(), repr(UNITS))
     stored, computed = arrays["content_hash"].item().decode(), content_hash(arrays)

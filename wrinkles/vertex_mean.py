@@ -1,8 +1,8 @@
-"""What each vertex of a delivered mesh has over its smooth surface on average, in a frame that turns with the cloth.
+"""What patches leave of each fine vertex's displacement on average, in a frame that turns with the cloth.
 
-Pleats that are sewn down, gathers and seams hardly change, differ from vertex to vertex, and lie in layers over one
-place of the coarse mesh: no patch that all layers read can tell them. Their mean is drawn as it is, and patches are
-left with what changes.
+Hems, seams, gathers and pleats hardly change and differ from vertex to vertex; pleats that are sewn down lie in layers
+over one place of the coarse mesh, so that no patch that all layers read can tell them. The mean of what decoding lacks
+is drawn as it is, and not before lengths are brought back, so that it takes back what these do wrong on average.
 """
 
 from __future__ import annotations

@@ -25,6 +25,8 @@ def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(
     layer = build_layer(stage.levels)
     small, count = small_database(), len(stage.levels.coarse.vertices)
     place = 0.01 * np.random.default_rng(0).standard_normal((count, small.mapping.place_bias.shape[1]))
+    still = np.zeros((stage.levels.subdivision.fine_count, 3), np.float32)
+    atoms = replace(small.atoms, vertex_mean=still)
     mapping = replace(small.mapping, place_bias=place.astype(np.float32))
     predict = lambda features, pose: mapping.amplified(gain).predict(features)  # noqa: E731
     solver = SolverOptions(substep=1.0 / 240.0)
@@ -36,8 +38,8 @@ def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(
     with miniature():
         run = filtered(record_runs([coarse], tmp_path, 1)[0], CoarseFilter(stage.levels).matrix)
         # What this coarse garment looks like when it is decoded is given out as the fine run.
-        told = replace(run, positions=decode_recording(layer, predict, small.atoms, coarse, run)[1])
-        found = calibrate(layer, mapping, small.atoms, [fine], [told], solver, 0.3, tmp_path, 1)
+        told = replace(run, positions=decode_recording(layer, predict, atoms, coarse, run)[1])
+        found = calibrate(layer, mapping, atoms, [fine], [told], solver, 0.3, tmp_path, 1)
     assert (found.options, found.gain) == (coarse.options, gain)
     errors = {(row["bend_scale"], row["gain"]): row["spectrum_error"] for row in found.rows}
     assert errors[stiff, gain] < 1e-2 < 0.1 < errors[31.0 - stiff, 1.0]
@@ -46,5 +48,5 @@ def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(
     assert excess[stiff, gain] == pytest.approx(1.0, abs=1e-3)
     with miniature(), monkeypatch.context() as less:  # as if that were noise already
         less.setattr("precompute.calibration.EXCESS", 0.5)
-        assert calibrate(layer, mapping, small.atoms, [fine], [told], solver, 0.3, tmp_path, 1).gain == 1.0
+        assert calibrate(layer, mapping, atoms, [fine], [told], solver, 0.3, tmp_path, 1).gain == 1.0
     assert found.mismatch_after == pytest.approx(0.0, abs=1e-3)  # its own statistics, but for rounding

@@ -52,6 +52,7 @@ def database() -> WrinkleDatabase:
         held=levels.coarse_held.astype(np.int32),
         subdivisions=2,
         cutoff=levels.cutoff,
+        atoms=replace(plain.atoms, vertex_mean=np.zeros((levels.subdivision.fine_count, 3), np.float32)),
         mapping=replace(plain.mapping, place_bias=bias),
         solver=SolverOptions(substep=1.0 / 240.0),
         frame_rate=30.0,

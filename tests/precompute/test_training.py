@@ -19,11 +19,9 @@ from precompute.training import (
     training_set,
 )
 from tests.runtime.players import skirt_stage
-from tests.wrinkles.delivered import delivered_levels, delivered_panels
 from wrinkles.decoder import add_patches
 from wrinkles.dictionary import fit_mapping
 from wrinkles.features import DYNAMIC_COUNT
-from wrinkles.vertex_mean import turned
 
 FRAMES = 12
 
@@ -71,6 +69,7 @@ def test_coefficients_say_what_the_residual_is(layer: Layer, recording: Recordin
     data = training_set(layer, [recording], atom_count=64, seed=0)
     assert data.features.shape == (FRAMES, len(layer.levels.coarse.vertices), DYNAMIC_COUNT)
     assert data.coefficients.shape == (*data.features.shape[:2], 64) and data.atoms.kept > 0.98
+    assert np.array_equal(coefficients_of(layer, [recording], data.atoms), data.coefficients)
     frames, residual, patches = features_of(layer, recording)[1], residual_of(layer, recording), layer.patches
     for f in (0, FRAMES // 2, FRAMES - 1):
         grids = (data.coefficients[f] @ data.atoms.shapes + data.atoms.mean).astype(np.float32)
@@ -78,25 +77,6 @@ def test_coefficients_say_what_the_residual_is(layer: Layer, recording: Recordin
         add_patches(grids, frames[f], patches.corners, patches.blend, patches.cell, patches.within, decoded)
         rest = np.sqrt(((decoded - residual[f]) ** 2).sum(axis=1).mean())
         assert rest < 0.1 * np.sqrt((residual[f] ** 2).sum(axis=1).mean())
-
-
-def test_what_a_delivered_mesh_always_has_is_no_coefficient() -> None:
-    rng, layer = np.random.default_rng(0), build_layer(delivered_levels(*delivered_panels()[2:]))
-    coarse = layer.levels.coarse.vertices + 0.002 * rng.standard_normal((FRAMES, *layer.levels.coarse.vertices.shape))
-    fine = layer.levels.subdivision.upsample(coarse)
-    count = len(layer.levels.coarse.vertices)
-    contact, nearest = np.full((FRAMES, count), 0.02, np.float32), np.zeros((FRAMES, count), np.int32)
-    positions = fine.astype(np.float32), coarse.astype(np.float32)
-    recording = Recording("sway", np.arange(FRAMES), *positions, contact, nearest, 1.0)
-    pleats = 0.01 * rng.standard_normal(fine.shape[1:])
-    for frame, at in zip(fine, features_of(layer, recording)[1], strict=True):
-        frame += turned(layer.patches.turning, at, pleats)
-    pleated = replace(recording, positions=fine.astype(np.float32))
-    data = training_set(layer, [pleated], atom_count=8, seed=0)
-    assert data.atoms.vertex_mean == pytest.approx(pleats, abs=1e-4)
-    grids = data.coefficients @ data.atoms.shapes + data.atoms.mean
-    assert np.sqrt((grids**2).mean()) < 1e-4
-    np.testing.assert_allclose(coefficients_of(layer, [pleated], data.atoms), data.coefficients, atol=1e-6)
 
 
 def test_frames_are_spread_over_all_recordings(layer: Layer, recording: Recording) -> None:

@@ -13,6 +13,7 @@ from pbd import SolverOptions
 from runtime.stage import Stage
 from tests.wrinkles.databases import small_database
 from wrinkles.database import WrinkleDatabase, body_hash
+from wrinkles.surface import Subdivision
 
 __all__ = ["SCENE", "skirt_database", "skirt_stage"]
 
@@ -51,15 +52,19 @@ def skirt_database(**changes: Any) -> WrinkleDatabase:
     place = (0.01 * rng.standard_normal((len(coarse.vertices), database.mapping.place_bias.shape[1]))).astype(
         np.float32
     )
+    subdivisions = changes.get("subdivisions", stage.settings.subdivisions)
+    fine_count = Subdivision.of(coarse.faces, len(coarse.vertices), subdivisions).fine_count
+    vertex_mean = 0.001 * rng.standard_normal((fine_count, 3))
     fields: dict[str, Any] = {
         "garment_name": "skirt",
         "coarse_vertices": coarse.vertices,
         "coarse_faces": coarse.faces,
-        "subdivisions": stage.settings.subdivisions,
+        "subdivisions": subdivisions,
         "held": stage.levels.coarse_held.astype(np.int32),
         "warp": (0.0, 1.0, 0.0),
         "fabric": stage.settings.fabric,
         "solver": SolverOptions(),
+        "atoms": replace(database.atoms, vertex_mean=vertex_mean.astype(np.float32)),
         "mapping": replace(database.mapping, place_bias=place),
         "cutoff": stage.levels.cutoff,
         "body_hash": body_hash(stage.body),

@@ -327,7 +327,7 @@ def database() -> WrinkleDatabase:
         bend_factor=0.3,
         solver=SolverOptions(substep=1.0 / 480.0),
         frame_rate=60.0,
-        atoms=Atoms(0.01 * small(atoms, 3 * NODES), zero(3 * NODES), 1.0),
+        atoms=Atoms(0.01 * small(atoms, 3 * NODES), zero(3 * NODES), 1.0, zero(levels.subdivision.fine_count, 3)),
         mapping=Mapping(
             center=zero(DYNAMIC_COUNT),
             scale=one(DYNAMIC_COUNT),

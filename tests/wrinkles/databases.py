@@ -12,6 +12,7 @@ from wrinkles.database import WrinkleDatabase
 from wrinkles.dictionary import FABRIC_COUNT, Atoms, Mapping
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.patches import NODES
+from wrinkles.surface import Subdivision
 from wrinkles.unfamiliarity import Unfamiliarity
 
 __all__ = ["small_database"]
@@ -25,7 +26,8 @@ def small_database(side: int = 7, atoms: int = 5, hidden: tuple[int, int] = (8, 
     def weights(*shape: int) -> np.ndarray:
         return (0.01 * rng.standard_normal(shape)).astype(np.float32)
 
-    delivered = 0 if changes.get("binding") is None else len(changes["binding"].face)
+    shown, count = changes.get("coarse_faces", faces), len(changes.get("coarse_vertices", vertices))
+    made = Subdivision.of(shown, count, changes.get("subdivisions", 2), changes.get("binding"))
     fields: dict[str, Any] = {
         "garment_name": "curtain č",
         "coarse_vertices": vertices + np.array([0.1, 1.2, -0.3]),
@@ -42,7 +44,7 @@ def small_database(side: int = 7, atoms: int = 5, hidden: tuple[int, int] = (8, 
         "bend_factor": 1.0 / 3.0,
         "solver": SolverOptions(1.0 / 900.0, (0.0, -9.81, 0.1), local_damping=1.5, linear_inertia=0.5),
         "frame_rate": 60.0,
-        "atoms": Atoms(weights(atoms, 3 * NODES), weights(3 * NODES), 0.97, weights(delivered, 3)),
+        "atoms": Atoms(weights(atoms, 3 * NODES), weights(3 * NODES), 0.97, weights(made.fine_count, 3)),
         "mapping": Mapping(
             center=weights(DYNAMIC_COUNT),
             scale=1.0 + weights(DYNAMIC_COUNT),

@@ -234,6 +234,11 @@ REFUSED: dict[str, tuple[Callable[[h5py.File], Any], str, str]] = {
         "mapping/weights_2: wrong type",
         "received 'float32', expected int8",
     ),
+    "other vertices": (
+        put("atoms/vertex_mean", np.zeros((7, 3), np.float32)),
+        "atoms/vertex_mean: another number of fine vertices",
+        "received 7, expected 625",
+    ),
     "too few scales": (put("atoms/shapes_scale", np.ones(4, np.float32)), "atoms/shapes_scale: wrong shape", "K = 5"),
     "no scale": (edit("mapping/weights_3_scale", 2, 0.0), "mapping/weights_3_scale: out of range", "above 0"),
     "NaN alone": (edit("cutoff", (), np.nan), "cutoff: not finite", "expected finite numbers"),

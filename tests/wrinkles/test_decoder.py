@@ -15,6 +15,7 @@ from wrinkles.features import DYNAMIC_COUNT, Stencil
 from wrinkles.patches import NODES, SIDE, Patches
 from wrinkles.surface import Subdivision
 from wrinkles.unfamiliarity import Unfamiliarity
+from wrinkles.vertex_mean import turned
 
 
 def single(*shape: int, seed: int = 0, size: float = 1.0) -> np.ndarray:
@@ -52,7 +53,8 @@ class Layer:
         self.stencil, self.patches = Stencil.of(charts, np.array([0])), Patches.of(self.subdivision, charts)
         self.middle_patches = Patches.of(self.subdivision.middle, charts)
         shapes, mean = single(atoms, 3 * NODES, size=0.01), single(3 * NODES, seed=1, size=0.01)
-        self.atoms = Atoms(shapes, mean, 1.0)
+        vertex_mean = single(self.subdivision.fine_count, 3, seed=11, size=0.01)
+        self.atoms = Atoms(shapes, mean, 1.0, vertex_mean)
         self.mapping = Mapping(
             center=single(DYNAMIC_COUNT, seed=2, size=0.3),
             scale=np.abs(single(DYNAMIC_COUNT, seed=3)),
@@ -107,9 +109,9 @@ def test_the_decoder_adds_what_the_mapping_predicts(layer: Layer) -> None:
             node = p.cell[i, c]
             near = spatial[p.corners[i, c]][[node, node + 1, node + SIDE, node + SIDE + 1]]
             expected[i] += p.blend[i, c] * (np.array([(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v]) @ near)
-    added = layer.add(layer.decoder())
     assert np.abs(expected).max() > 0.01
-    np.testing.assert_allclose(added, expected, atol=1e-5)
+    expected += turned(p.turning, frames, layer.atoms.vertex_mean)
+    np.testing.assert_allclose(layer.add(layer.decoder()), expected, atol=1e-5)
 
 
 def test_the_decoder_adds_to_what_is_there_and_keeps_nothing(layer: Layer) -> None:
@@ -124,9 +126,10 @@ def test_the_decoder_adds_to_what_is_there_and_keeps_nothing(layer: Layer) -> No
     np.testing.assert_allclose(fine - 0.5, first, atol=1e-6)
 
 
-def test_middle_vertices_get_what_the_fine_ones_there_get(layer: Layer) -> None:
-    fine, middle = np.zeros((layer.subdivision.fine_count, 3), np.float32), layer.middle()
-    layer.decoder().add(layer.position, layer.contact, fine, middle)
+def test_middle_vertices_get_what_the_fine_ones_there_get_but_the_mean(layer: Layer) -> None:
+    fine, middle, decoder = np.zeros((layer.subdivision.fine_count, 3), np.float32), layer.middle(), layer.decoder()
+    decoder.add(layer.position, layer.contact, fine, middle)
+    fine -= turned(layer.patches.turning, decoder.frames, layer.atoms.vertex_mean).astype(np.float32)
     np.testing.assert_allclose(middle, fine[: len(middle)], atol=1e-6)
 
 
@@ -144,7 +147,8 @@ def test_wrinkles_fade_where_the_state_is_unfamiliar(layer: Layer) -> None:
     assert not none.amplitude.any()
     familiar = (some.amplitude[layer.patches.corners] == 1.0).all(axis=1)
     np.testing.assert_allclose(faded[familiar], full[familiar], atol=1e-6)
-    # What is left is the mean patch, the same in every state.
-    assert np.linalg.norm(flat, axis=1).max() <= np.linalg.norm(layer.atoms.mean.reshape(NODES, 3), axis=1).max()
+    # What is left are the means, the same in every state.
+    rest = flat - turned(layer.patches.turning, frames, layer.atoms.vertex_mean)
+    assert np.linalg.norm(rest, axis=1).max() <= np.linalg.norm(layer.atoms.mean.reshape(NODES, 3), axis=1).max()
     between = np.linalg.norm(faded - flat, axis=1).sum() / np.linalg.norm(full - flat, axis=1).sum()
     assert 0.4 < between < 0.95

@@ -29,14 +29,14 @@ def patches() -> np.ndarray:
 
 
 def test_atoms_are_orthonormal_in_the_slope_metric(patches: np.ndarray) -> None:
-    atoms = fit_atoms(patches, 5)
+    atoms = fit_atoms(patches, 5, 0)
     assert atoms.shapes.shape == (5, 3 * NODES) and atoms.analysis.shape == (3 * NODES, 5)
     np.testing.assert_allclose(seen(atoms.shapes) @ seen(atoms.shapes).T, np.eye(5), atol=1e-4)
     np.testing.assert_allclose(atoms.shapes @ atoms.analysis, np.eye(5), atol=1e-4)
 
 
 def test_patches_in_the_span_of_the_atoms_are_given_back(patches: np.ndarray) -> None:
-    atoms = fit_atoms(patches, 6)  # as many as there are waves
+    atoms = fit_atoms(patches, 6, 0)  # as many as there are waves
     assert atoms.kept == pytest.approx(1.0, abs=1e-5)
     back = (patches - atoms.mean) @ atoms.analysis @ atoms.shapes + atoms.mean
     assert np.abs(back - patches).max() < 1e-4 * np.abs(patches).max()
@@ -46,7 +46,7 @@ def test_patches_in_the_span_of_the_atoms_are_given_back(patches: np.ndarray) ->
 def test_kept_is_the_share_of_what_is_seen_that_the_atoms_hold(patches: np.ndarray) -> None:
     shares = []
     for count in (1, 3, 5):
-        atoms = fit_atoms(patches, count)
+        atoms = fit_atoms(patches, count, 0)
         back = (patches - atoms.mean) @ atoms.analysis @ atoms.shapes
         lost = (seen(patches - atoms.mean - back) ** 2).sum() / (seen(patches - atoms.mean) ** 2).sum()
         assert atoms.kept == pytest.approx(1.0 - lost, abs=1e-4)
@@ -55,7 +55,7 @@ def test_kept_is_the_share_of_what_is_seen_that_the_atoms_hold(patches: np.ndarr
 
 
 def test_coefficients_are_the_nearest_in_the_slope_metric(patches: np.ndarray) -> None:
-    atoms = fit_atoms(patches, 3)
+    atoms = fit_atoms(patches, 3, 0)
     patch = patches[:20] - atoms.mean
     best, *_ = np.linalg.lstsq(seen(atoms.shapes).T, seen(patch).T, rcond=None)
     np.testing.assert_allclose(patch @ atoms.analysis, best.T, atol=1e-5 * np.abs(best).max())

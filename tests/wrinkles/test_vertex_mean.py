@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 from scipy.sparse import identity
 
+from pbd import ClothMesh
 from pbd.geometry import surface_normals
 from tests.wrinkles.delivered import delivered_levels, delivered_panels
+from tests.wrinkles.meshes import icosphere
 from wrinkles.charts import Charts
-from wrinkles.decoder import PatchWriter, add_patches
-from wrinkles.dictionary import Atoms
+from wrinkles.decoder import MeanWriter, PatchWriter, add_patches
 from wrinkles.features import DYNAMIC_COUNT, Stencil
 from wrinkles.levels import Levels
 from wrinkles.patches import NODES, Patches
+from wrinkles.surface import Subdivision
 from wrinkles.vertex_mean import STEP, fit_vertex_mean, turned
 
 
@@ -43,7 +45,6 @@ def rotation(axis: int, angle: float) -> np.ndarray:
 
 
 def test_the_frames_of_a_delivered_mesh_turn_with_the_cloth(levels: Levels, patches: Patches) -> None:
-    assert patches.turning is not None
     assert np.asarray(patches.turning.sum(axis=1)).ravel() == pytest.approx(1.0)
     assert np.diff(patches.turning.indptr).max() < 16
     smooth = levels.subdivision.upsample(levels.coarse.vertices).astype(np.float32)
@@ -83,13 +84,27 @@ def test_patches_are_written_smoothly_where_places_crowd(levels: Levels, patches
     patches = replace(patches, smoothing=binding.smoothing_where(levels.fine.vertices[:, 0] > 0.3))
     frames = frames_of(levels, levels.coarse.vertices)
     grids = rng.standard_normal((len(frames), 3 * NODES)).astype(np.float32)
-    mean = rng.standard_normal((levels.subdivision.fine_count, 3)).astype(np.float32)
-    atoms = Atoms(np.zeros((1, 3 * NODES), np.float32), np.zeros(3 * NODES, np.float32), 1.0, mean)
-    fine, read = np.full(mean.shape, 0.5, np.float32), np.zeros(mean.shape, np.float32)
+    fine, read = np.zeros((2, levels.subdivision.fine_count, 3), np.float32)
     add_patches(grids, frames, patches.corners, patches.blend, patches.cell, patches.within, read)
-    write = PatchWriter(patches, atoms)
-    expected = patches.smoothing @ read + turned(patches.turning, frames, mean)
+    write = PatchWriter(patches)
     for _ in range(2):  # nothing is kept
         fine[:] = 0.5
         write(grids, frames, fine)
-        np.testing.assert_allclose(fine - 0.5, expected, atol=1e-5)
+        np.testing.assert_allclose(fine - 0.5, patches.smoothing @ read, atol=1e-5)
+
+
+def test_the_mean_is_written_as_it_is_turned(levels: Levels, patches: Patches) -> None:
+    frames = frames_of(levels, levels.coarse.vertices @ rotation(2, 0.3))
+    mean = np.random.default_rng(2).standard_normal((levels.subdivision.fine_count, 3)).astype(np.float32)
+    fine = np.full(mean.shape, 0.5, np.float32)
+    MeanWriter(patches, mean)(frames, fine)
+    np.testing.assert_allclose(fine - 0.5, turned(patches.turning, frames, mean), atol=1e-5)
+
+
+def test_frames_of_a_subdivided_mesh_are_blended_as_its_patches() -> None:
+    vertices, faces = icosphere(1)
+    subdivision = Subdivision.of(faces, len(vertices), 2)
+    patches = Patches.of(subdivision, Charts.of(ClothMesh.from_surface(vertices, faces)))
+    weights = patches.turning.toarray()
+    read = np.take_along_axis(weights, patches.corners, axis=1)
+    assert weights.sum(axis=1) == pytest.approx(1.0) and np.abs(read - patches.blend).max() < 0.03
