@@ -13,13 +13,14 @@ from typing import Any
 
 import numpy as np
 
+from pbd.advance import advance_kernel
 from pbd.colliders import Colliders
 from pbd.engine import Launch, in_kernel, local, running_arch, running_threads, signature, subscript, ti
 from pbd.errors import InputError
 from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4
 from pbd.limits import Places
 from pbd.model import State
-from pbd.schedule import advance_garment, advance_kernel
+from pbd.schedule import advance_garment
 from pbd.search import find_nearest, find_of_garment
 from pbd.solver import SHORTEST_FRAME, Solver
 from pbd.team import MOST_WORKERS, Part, Team

@@ -148,7 +148,7 @@ class SelfCollision:
         self.ready = np.zeros(count + 2, np.int32)
 
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """What :func:`pbd.schedule.advance_kernel` takes of it."""
+        """What :func:`pbd.advance.advance_kernel` takes of it."""
         return self.pairs, self.data, self.ready, self.strain_limits
 
     def find(self, state: State, h: float, steps: int, thickness: float) -> int:

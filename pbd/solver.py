@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pbd.advance import advance_kernel
 from pbd.colliders import Body, Colliders
 from pbd.distance_field import MOTION
 from pbd.engine import Launch, ensure_initialized
@@ -15,7 +16,6 @@ from pbd.inertia import damp_locally, relieve
 from pbd.limits import Places
 from pbd.model import BLOCK, GRID, Model, State
 from pbd.pace import Carry, carry_of, fastest_way
-from pbd.schedule import advance_kernel
 from pbd.search import MAX_CELLS, find_nearest
 from pbd.self_collision import SelfCollision
 from pbd.team import MOST_WORKERS
@@ -193,7 +193,7 @@ class Solver:
 
         Returns:
             Those of :func:`pbd.search.find_nearest`, to be called if there is a body, and of
-            :func:`pbd.schedule.advance_kernel`. They hold until the next call.
+            :func:`pbd.advance.advance_kernel`. They hold until the next call.
         """
         model, options = self.model, self.options
         self._check(state, targets, wind, places)
