@@ -42,8 +42,8 @@ class SolverOptions:
             and so does a model of several layers.
         contact_refreshes: times a second that each contact is looked for again along the body's surface [Hz].
         self_collision: whether the cloth keeps its thickness from itself. Layers always keep it from one another. Cloth
-            that starts up to 3 cm through itself, with edges of 2 cm, is apart in 0.5 s. Either way no edge is drawn
-            out to more than 1.5 times its length (Provot 1995), whatever pinches the cloth.
+            that starts up to 3 cm through itself, with edges of 2 cm, is apart in 0.5 s. Either way edges are drawn out
+            to no more than 1.5 times their length (Provot 1995) where the body leaves them room.
         local_damping: rate at which velocities against the garment's motion as a whole die away [1/s].
         linear_inertia, angular_inertia: part that the cloth feels of changes of the motion of what carries it (the held
             vertices, else the body), centrifugal force included [-]: 1 is physical, 0 goes along unmoved.

@@ -1,7 +1,7 @@
 """Edges that contact may not draw out: the last word where limbs pinch cloth and push its vertices apart."""
 
 from pbd.constraints import tether_correction
-from pbd.contact import substep_start
+from pbd.contact import height_over, substep_start
 from pbd.engine import ti
 from pbd.geometry import vec3, vec4, xyz
 
@@ -77,6 +77,6 @@ def along_body(
     allowed = move
     if not free and nearest[i] >= 0:
         normal = xyz(touched[i, 2])
-        height = ((xyz(position[i]) - (xyz(touched[i, 0]) + t * xyz(touched[i, 1]))) + xyz(shift[i])).dot(normal)
+        height = height_over(xyz(position[i]), i, i, i, t, shift, touched)
         allowed -= ti.min(ti.max(height, 0.0) + move.dot(normal), 0.0) * normal
     return allowed
