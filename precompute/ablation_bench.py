@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
 
 from pbd import ModelOptions
-from precompute.decoding import Lift, Predict, by_patches, lifted_frames, with_vertex_mean
+from precompute.decoding import Lift, Predict, by_features, by_patches, lifted_frames, with_vertex_mean
 from precompute.evaluation import Truth
 from precompute.held_out import HeldOut, held_out_truth
 from precompute.pipeline import EPOCHS, TRAINING_FRAMES, default_cache, training_recordings, training_runs
@@ -111,16 +111,19 @@ class Bench:
     def full(self) -> Way:
         return self.way(self.fit(self.data))
 
-    def way(self, mapping: Mapping, layer: Layer | None = None, atoms: Atoms | None = None, **settings) -> Way:
+    def way(self, mapping: Mapping, layer: Layer | None = None, atoms: Atoms | None = None) -> Way:
         """One that differs from the full one in what is given."""
-        predict = lambda features, pose: mapping.predict(features)  # noqa: E731
-        layer, atoms, gain = layer or self.layer, atoms or self.data.atoms, self.database.wrinkle_gain
-        atoms = with_vertex_mean(layer, [mapping] * len(self.runs), atoms, self.runs, self.learned)
-        return Way(layer, atoms, lambda: predict, gain=gain, **settings)
+        return self.mapped(by_features(mapping), layer, atoms)
 
-    def mapped(self, predict: Predict) -> Way:
-        """One with another mapping."""
-        return replace(self.full, begin=lambda: predict)
+    def mapped(
+        self, predict: Predict, layer: Layer | None = None, atoms: Atoms | None = None, gain: float | None = None
+    ) -> Way:
+        """The same with any mapping; vertices have the mean of what it leaves."""
+        layer, atoms = layer or self.layer, atoms or self.data.atoms
+        gain = self.database.wrinkle_gain if gain is None else gain
+        raised = lambda features, pose: gain * predict(features, pose)  # noqa: E731
+        atoms = with_vertex_mean(layer, [raised] * len(self.runs), atoms, self.runs, self.learned)
+        return Way(layer, atoms, lambda: predict, gain=gain)
 
     def judge(self, way: Way) -> dict[str, float]:
         """Figures given the coarse state and running freely, and the time of decoding over the full one's."""

@@ -247,7 +247,7 @@ def _relaxed(bench: Bench, passes: int) -> Way:
 
 
 def _not_raised(bench: Bench) -> Way:
-    return replace(bench.full, gain=1.0)
+    return bench.mapped(bench.full.begin(), gain=1.0)
 
 
 def _coarse_model(bench: Bench, squeeze: float, bend_scale: float) -> Way:

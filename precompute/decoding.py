@@ -16,7 +16,16 @@ from wrinkles.isometry import Isometry
 from wrinkles.relaxation import Relaxation
 from wrinkles.vertex_mean import fit_vertex_mean
 
-__all__ = ["Lift", "Predict", "by_patches", "decode_recording", "lifted_frames", "with_vertex_mean"]
+__all__ = [
+    "MEAN_FRAMES",
+    "Lift",
+    "Predict",
+    "by_features",
+    "by_patches",
+    "decode_recording",
+    "lifted_frames",
+    "with_vertex_mean",
+]
 
 MEAN_FRAMES = 400  # that the means of vertices are fitted to
 
@@ -26,6 +35,11 @@ Predict = Callable[[np.ndarray, np.ndarray], np.ndarray]
 Lift = Callable[[np.ndarray, Upsampler, np.ndarray, np.ndarray, np.ndarray], None]
 """Puts wrinkles on smooth fine vertices [m], float32, shape (N, 3), in place; told the upsampler that made them, the
 features and frames of the coarse vertices, float32, shapes (n, DYNAMIC_COUNT) and (n, 9), and the body's pose."""
+
+
+def by_features(mapping: Mapping) -> Predict:
+    """What the network says, whatever the pose."""
+    return lambda features, pose: mapping.predict(features)
 
 
 def by_patches(layer: Layer, predict: Predict, atoms: Atoms) -> Lift:
@@ -68,19 +82,20 @@ def decode_recording(
 
 
 def with_vertex_mean(
-    layer: Layer, mappings: Sequence[Mapping], atoms: Atoms, runs: Sequence[Run], recordings: Sequence[Recording]
+    layer: Layer, mappings: Sequence[Predict], atoms: Atoms, runs: Sequence[Run], recordings: Sequence[Recording]
 ) -> Atoms:
     """Atoms with the mean of what decoding recorded coarse states lacks at each vertex, relaxation included.
 
     Args:
         layer: of the garment.
-        mappings: for the fabric of each run.
-        atoms: that their coefficients count, without a mean.
+        mappings: for the fabric of each run; shown MEAN_FRAMES spread over its recordings, in order.
+        atoms: that their coefficients count; a mean that they have is left out.
         runs, recordings: what is learned from.
     """
+    atoms = replace(atoms, vertex_mean=np.zeros_like(atoms.vertex_mean))
     frames, left = [], []
     for mapping, run, some in zip(mappings, runs, spread_frames(recordings, MEAN_FRAMES), strict=True):
-        _, decoded = decode_recording(layer, lambda features, pose, m=mapping: m.predict(features), atoms, run, some)
+        _, decoded = decode_recording(layer, mapping, atoms, run, some)
         frames.append(features_of(layer, some)[1])
         left.append(some.positions - decoded)
     mean = fit_vertex_mean(layer.patches.turning, np.concatenate(frames), np.concatenate(left))

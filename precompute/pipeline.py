@@ -16,7 +16,7 @@ from pbd import Fabric, InputError, ModelOptions, SolverOptions
 from pbd.bending import hinge_calibration
 from precompute.calibration import GAINS, Calibration, calibrate
 from precompute.coverage import PART, choose
-from precompute.decoding import with_vertex_mean
+from precompute.decoding import by_features, with_vertex_mean
 from precompute.evaluation import Evaluation, Truth, evaluate, fine_run, given_frames, settled, truth_of
 from precompute.recording import Recording, Run, body_source, record_runs
 from precompute.training import Layer, build_layer, fit_layer, spread_frames, training_set
@@ -131,8 +131,8 @@ def precompute(
     told = np.repeat(worn, [len(recording.frames) for recording in learned], axis=0)
     epochs = epochs_for(len(data.features))
     mapping = fit_layer(layer, data, hidden=(2 * width, width), epochs=epochs, seed=seed, report=tell, fabrics=told)
-    worn_mappings = [mapping.for_fabric(features) for features in worn]
-    atoms = with_vertex_mean(layer, worn_mappings, data.atoms, runs, learned)
+    mappings = [mapping.for_fabric(features) for features in worn]
+    atoms = with_vertex_mean(layer, [by_features(one) for one in mappings], data.atoms, runs, learned)
 
     coarse_bend = hinge_calibration(levels.coarse)
     calibrations: dict[str, Calibration] = {}
@@ -148,6 +148,7 @@ def precompute(
         )  # fmt: skip
         mapping = mapping.amplified(calibrations[name].gain)
     mappings = [mapping.for_fabric(features) for features in worn]
+    atoms = with_vertex_mean(layer, [by_features(one) for one in mappings], atoms, runs, learned)  # of what is raised
     own_name, *others = fabrics
     calibration = calibrations[own_name]
     database = WrinkleDatabase(

@@ -15,7 +15,15 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from precompute.compare import database_of, equal_cost_rivals
-from precompute.decoding import Lift, by_patches, lifted_frames
+from precompute.decoding import (
+    MEAN_FRAMES,
+    Lift,
+    Predict,
+    by_features,
+    by_patches,
+    lifted_frames,
+    with_vertex_mean,
+)
 from precompute.held_out import JUDGED, HeldOut, held_out_truth
 from precompute.pipeline import EPOCHS, TRAINING_FRAMES, default_cache, training_recordings, training_runs
 from precompute.recording import Recording, Run
@@ -40,7 +48,7 @@ class Wrinkles:
     Attributes:
         name: for people.
         frame_ms: processor time of a whole frame [ms].
-        megabytes: that it has to store besides the mesh, as float32; 0 for one that learns nothing.
+        megabytes: that it has to store besides the mesh, atoms included, as float32; 0 for one that learns nothing.
         given: figures given the truth's coarse states; none for a simulation.
         free: figures of its free run; none where it broke.
         settings: what was chosen for it.
@@ -78,6 +86,8 @@ def compare_wrinkles(
     rivals: Sequence[WrinkleRival],
     mesh_options: WrinkleMeshOptions,
     held_out: HeldOut,
+    runs: Sequence[Run],
+    recordings: Sequence[Recording],
     report: Callable[[str], None] | None = None,
 ) -> WrinkleComparison:
     """Judge the smooth surface, the database's mapping, every rival and simulations at equal cost.
@@ -88,6 +98,7 @@ def compare_wrinkles(
         rivals: fitted mappings.
         mesh_options: of wrinkle meshes.
         held_out: what is judged on.
+        runs, recordings: what the rivals have learned from; their means of vertices are fitted to it as ours is.
         report: told lines of progress.
     """
     tell = report or (lambda line: None)
@@ -95,12 +106,18 @@ def compare_wrinkles(
     tell("comparing wrinkles: ours")
     ours_ms, smooth_ms = player_times(database, truth)
     mapping, atoms = database.mapping, database.atoms
-    ours = WrinkleRival("ours", lambda f, pose: mapping.predict(f), tuple(mapping.arrays().values()))
+    ours = WrinkleRival("ours", by_features(mapping), tuple(mapping.arrays().values()))
     given, freely = (
-        held_out.show(layer, _patches(layer, ours, database)(), r) for r in (truth.recording, held_out.free)
+        held_out.show(layer, by_patches(layer, ours.predict, atoms), r) for r in (truth.recording, held_out.free)
     )
     figures = held_out.given_figures(*given[:2]), held_out.free_figures(freely[1])
-    ways = [Wrinkles("ours", typical_ms(ours_ms), ours.megabytes, *figures)]
+    drawn = 4e-6 * (atoms.shapes.size + atoms.mean.size + atoms.vertex_mean.size)
+    ways = [Wrinkles("ours", typical_ms(ours_ms), ours.megabytes + drawn, *figures)]
+
+    def with_own_mean(begin: Callable[[], Predict]) -> Callable[[], Lift]:
+        predict = begin()
+        own = with_vertex_mean(layer, [predict] * len(runs), atoms, runs, recordings)
+        return lambda: by_patches(layer, begin(), own)
 
     def judge(name: str, begin: Callable[[], Lift], megabytes: float, settings: str, free: Recording) -> None:
         tell(f"comparing wrinkles: {name}")
@@ -110,7 +127,8 @@ def compare_wrinkles(
         ways.append(Wrinkles(name, frame_ms, megabytes, held_out.given_figures(*shown), figures, settings))
 
     for rival in rivals:
-        judge(rival.name, _patches(layer, rival, database), rival.megabytes, rival.settings, held_out.free)
+        begin = with_own_mean(lambda rival=rival: rival.predict)
+        judge(rival.name, begin, rival.megabytes + drawn, rival.settings, held_out.free)
     # Ways that learn nothing come last: where a chart leaves them out, the others keep their marks.
     smooth = np.stack([levels.subdivision.upsample(frame) for frame in held_out.plain.coarse[JUDGED]])
     figures = held_out.given_figures(given[0], given[0]), held_out.free_figures(smooth.astype(np.float32))
@@ -122,15 +140,12 @@ def compare_wrinkles(
         free = {} if method.frames is None else held_out.free_figures(method.frames[JUDGED])
         count = f"{method.settings['substeps a frame']} substeps a frame"
         ways.append(Wrinkles(method.name, method.frame_ms, 0.0, {}, free, count))
-    tell("comparing wrinkles: floor")
-    told = iter(coefficients_of(layer, [truth.recording], atoms))
-    *shown, _ = held_out.show(layer, by_patches(layer, lambda f, pose: next(told), atoms), truth.recording)
+    tell("comparing wrinkles: true patches")
+    told = iter(coefficients_of(layer, [*spread_frames(recordings, MEAN_FRAMES), truth.recording], atoms))
+    limit = with_own_mean(lambda: lambda f, pose: next(told))  # told what is learned from first, then what is judged
+    *shown, _ = held_out.show(layer, limit(), truth.recording)
     floor = held_out.free_figures(held_out.judged.floor)
     return WrinkleComparison(database.garment_name, truth.run.name, tuple(ways), held_out.given_figures(*shown), floor)
-
-
-def _patches(layer: Layer, rival: WrinkleRival, database: WrinkleDatabase) -> Callable[[], Lift]:
-    return lambda: by_patches(layer, rival.predict, database.atoms)
 
 
 def _wrinkle_mesh(layer: Layer, options: WrinkleMeshOptions) -> Lift:
@@ -191,4 +206,4 @@ def compare_wrinkles_file(
     poses = np.concatenate([run.poses[r.frames] for run, r in zip(runs, chosen, strict=True)])
     gain = database.wrinkle_gain
     rivals = fit_rivals(layer, data, poses, epochs=EPOCHS, seed=database.seed, gain=gain, report=report)
-    return compare_wrinkles(layer, database, rivals, mesh_options, held_out, report)
+    return compare_wrinkles(layer, database, rivals, mesh_options, held_out, runs, chosen, report)
