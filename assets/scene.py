@@ -323,7 +323,7 @@ class WrinkleSettings:
     """What is learned.
 
     Attributes:
-        hidden_width: width of the network's second hidden layer; the first is twice as wide.
+        hidden_width: width of the network's second hidden layer; the first is three times as wide.
         atoms: atoms of the dictionary.
         seed: seed of every random choice in learning.
     """

@@ -70,7 +70,7 @@ class Bench:
         self._path, self._scene = path, scene_of(self.database)
         self.stage = Stage.of(self._scene)
         self.layer = build_layer(self.stage.levels)
-        self.hidden = self.database.mapping.weights_2.shape
+        self.hidden = self.database.mapping.weights_2.shape[1:]
         self.held_out = cache(self._held_out)
 
     @cached_property

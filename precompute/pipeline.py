@@ -130,7 +130,7 @@ def precompute(
     worn = [fabric_features(run.fabric, own) for run in runs]
     told = np.repeat(worn, [len(recording.frames) for recording in learned], axis=0)
     epochs = epochs_for(len(data.features))
-    mapping = fit_layer(layer, data, hidden=(2 * width, width), epochs=epochs, seed=seed, report=tell, fabrics=told)
+    mapping = fit_layer(layer, data, hidden=(3 * width, width), epochs=epochs, seed=seed, report=tell, fabrics=told)
     mappings = [mapping.for_fabric(features) for features in worn]
     atoms = with_vertex_mean(layer, [by_features(one) for one in mappings], data.atoms, runs, learned)
 

@@ -141,7 +141,6 @@ def fit_layer(
     fabrics: np.ndarray | None = None,
 ) -> Mapping:
     """Fit the mapping to a training set; arguments as for :func:`wrinkles.dictionary.fit_mapping`."""
-    tell = None if report is None else (lambda e, n, loss: report(f"fitting: pass {e} of {n}, loss {loss:.4f}"))
     return fit_mapping(
         data.features,
         layer.stencil.static,
@@ -149,8 +148,9 @@ def fit_layer(
         hidden=hidden,
         epochs=epochs,
         seed=seed,
-        on_epoch=tell,
+        report=report,
         fabrics=fabrics,
+        region=layer.stencil.regions(),
     )
 
 

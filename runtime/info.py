@@ -103,8 +103,9 @@ def _figures(database: WrinkleDatabase) -> dict[str, float]:
         "fine_vertex_count": database.fine_vertex_count,
         "held_vertex_count": len(database.held),
         "feature_count": len(mapping.center),
-        "hidden_width_1": mapping.weights_2.shape[0],
-        "hidden_width_2": mapping.weights_2.shape[1],
+        "hidden_width_1": mapping.weights_2.shape[1],
+        "hidden_width_2": mapping.weights_2.shape[2],
+        "region_count": len(mapping.weights_2),
         "atom_count": len(database.atoms.shapes),
     }
     values = dict(vars(database))
@@ -153,6 +154,7 @@ def _sections(database: WrinkleDatabase, figures: Mapping[str, float]) -> Iterat
         [
             ("atoms", f"{figures['atom_count']}, holding {100.0 * database.atoms.kept:.1f} % of the wrinkles' slopes"),
             ("network", " - ".join(map(str, widths))),
+            ("regions", f"{figures['region_count']}, each with a second and third layer of its own"),
             ("cut-off", f"{database.cutoff:.4g} m: shorter folds are the dictionary's"),
         ],
     )

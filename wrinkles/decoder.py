@@ -187,12 +187,18 @@ class Decoder:
     ) -> None:
         self.stencil, self.mapping, self.unfamiliarity = stencil, mapping, unfamiliarity
         self.amplitude = np.ones(len(stencil.corners), np.float32)
-        count, (width_1, width_2) = len(stencil.corners), mapping.weights_2.shape
+        count, (regions, width_1, width_2) = len(stencil.corners), mapping.weights_2.shape
         self.frames = np.zeros((count, 9), np.float32)
         self.features = np.zeros((count, DYNAMIC_COUNT), np.float32)
+        # The network runs region by region, over rows that lie together.
+        self._order = np.argsort(mapping.region, kind="stable")
+        ends = np.searchsorted(mapping.region[self._order], np.arange(regions + 1))
+        self._spans = [slice(*ends[r : r + 2]) for r in range(regions)]
+        self._place_bias = np.ascontiguousarray(mapping.place_bias[self._order])
+        self._features = np.zeros_like(self.features)
         self._hidden_1 = np.zeros((count, width_1), np.float32)
         self._hidden_2 = np.zeros((count, width_2), np.float32)
-        self._coefficients = np.zeros((count, len(atoms.shapes)), np.float32)
+        self._said, self._coefficients = (np.zeros((count, len(atoms.shapes)), np.float32) for _ in range(2))
         self._grids = np.zeros((count, 3 * NODES), np.float32)
         self._shapes = np.ascontiguousarray(atoms.shapes)
         self._mean = atoms.mean
@@ -230,16 +236,20 @@ class Decoder:
 
     def _mix(self, atoms: int) -> None:
         """The network: features to grids."""
-        m, coefficients = self.mapping, self._coefficients[:, :atoms]
-        np.matmul(self.features, m.weights_1, out=self._hidden_1)
-        self._hidden_1 += m.place_bias
+        m, said, coefficients = self.mapping, self._said[:, :atoms], self._coefficients[:, :atoms]
+        np.take(self.features, self._order, axis=0, out=self._features)
+        np.matmul(self._features, m.weights_1, out=self._hidden_1)
+        self._hidden_1 += self._place_bias
         np.maximum(self._hidden_1, 0.0, out=self._hidden_1)
-        np.matmul(self._hidden_1, m.weights_2, out=self._hidden_2)
-        self._hidden_2 += m.bias_2
-        np.maximum(self._hidden_2, 0.0, out=self._hidden_2)
-        np.matmul(self._hidden_2, m.weights_3[:, :atoms], out=coefficients)
-        coefficients += m.bias_3[:atoms]
-        self.amplitude = self.unfamiliarity.amplitude(self.unfamiliarity.score(self._hidden_1))
-        coefficients *= self.amplitude[:, None]
+        for r, rows in enumerate(self._spans):
+            second = self._hidden_2[rows]
+            np.matmul(self._hidden_1[rows], m.weights_2[r], out=second)
+            second += m.bias_2[r]
+            np.maximum(second, 0.0, out=second)
+            np.matmul(second, m.weights_3[r, :, :atoms], out=said[rows])
+            said[rows] += m.bias_3[r, :atoms]
+        amplitude = self.unfamiliarity.amplitude(self.unfamiliarity.score(self._hidden_1))
+        said *= amplitude[:, None]
+        self.amplitude[self._order], coefficients[self._order] = amplitude, said
         np.matmul(coefficients, self._shapes[:atoms], out=self._grids)
         self._grids += self._mean

@@ -17,6 +17,7 @@ __all__ = ["FABRIC_COUNT", "Atoms", "Mapping", "fabric_features", "fit_atoms", "
 NOISE = 0.05  # of the features in training, in standard deviations
 FABRIC_COUNT = 2  # see fabric_features
 SHORTEST = 1e-3  # gravity lengths below it [m] are all the same: no mesh shows their folds
+REGION_RATE = 4e-3  # of Adam where a region goes on from what all places have learned
 CLIP = 4.0  # features further out than this many standard deviations count as if they stood there
 
 
@@ -72,32 +73,44 @@ def fit_atoms(patches: np.ndarray, count: int, fine_count: int) -> Atoms:
 
 @dataclass(frozen=True)
 class Mapping:
-    """From features to coefficients: two hidden layers of rectified units.
+    """From features to coefficients: two hidden layers of rectified units, of which each region has its own second.
 
-    The first layer's share of the static features is a bias of its own at every coarse vertex, and its share of the
-    fabric is one more, the same everywhere: neither costs anything in playing.
+    The first layer is shared by all places. Its share of the static features is a bias of its own at every coarse
+    vertex, and its share of the fabric is one more, the same everywhere: neither costs anything in playing, nor does
+    it that the layers after it differ from region to region.
 
     Attributes:
         center, scale: of the dynamic features, float32, shape (DYNAMIC_COUNT,).
-        weights: of the three layers, float32; biases: of the second and third; place_bias: of the first,
-            shape (n, hidden).
-        fabric_weights: of the first layer for :func:`fabric_features`, float32, shape (FABRIC_COUNT, hidden).
+        place: static features, float32, shape (n, s).
+        region: of each coarse vertex, int32, shape (n,), 0 to r - 1.
+        weights_1, place_weights, bias_1: of the first layer, float32, shapes (DYNAMIC_COUNT, h1), (s, h1), (h1,).
+        fabric_weights: of the first layer for :func:`fabric_features`, float32, shape (FABRIC_COUNT, h1).
+        weights_2, bias_2, weights_3, bias_3: of the other layers in each region, float32, shapes (r, h1, h2), (r, h2),
+            (r, h2, K), (r, K).
     """
 
     center: np.ndarray
     scale: np.ndarray
+    place: np.ndarray
+    region: np.ndarray
     weights_1: np.ndarray
-    weights_2: np.ndarray
-    weights_3: np.ndarray
-    place_bias: np.ndarray
+    place_weights: np.ndarray
+    bias_1: np.ndarray
     fabric_weights: np.ndarray
+    weights_2: np.ndarray
     bias_2: np.ndarray
+    weights_3: np.ndarray
     bias_3: np.ndarray
+
+    @cached_property
+    def place_bias(self) -> np.ndarray:
+        """Of the first layer at each coarse vertex, float32, shape (n, h1)."""
+        return self.place @ self.place_weights + self.bias_1
 
     def for_fabric(self, features: np.ndarray) -> Mapping:
         """The mapping of a fabric, by its :func:`fabric_features`, shape (FABRIC_COUNT,)."""
         bias = np.asarray(features, np.float32) @ self.fabric_weights
-        return replace(self, place_bias=self.place_bias + bias, fabric_weights=np.zeros_like(self.fabric_weights))
+        return replace(self, bias_1=self.bias_1 + bias, fabric_weights=np.zeros_like(self.fabric_weights))
 
     def amplified(self, gain: float) -> Mapping:
         """The mapping with all of its coefficients times ``gain`` [-]."""
@@ -115,7 +128,12 @@ class Mapping:
 
     def coefficients(self, hidden: np.ndarray) -> np.ndarray:
         """Coefficients for the first hidden layer, shape (..., n, h1) to (..., n, K)."""
-        return np.maximum(hidden @ self.weights_2 + self.bias_2, 0.0) @ self.weights_3 + self.bias_3
+        found = np.zeros((*hidden.shape[:-1], self.bias_3.shape[1]), np.float32)
+        for r in range(len(self.bias_3)):
+            there = self.region == r
+            second = np.maximum(hidden[..., there, :] @ self.weights_2[r] + self.bias_2[r], 0.0)
+            found[..., there, :] = second @ self.weights_3[r] + self.bias_3[r]
+        return found
 
     def arrays(self) -> dict[str, np.ndarray]:
         return {entry.name: getattr(self, entry.name) for entry in fields(self)}
@@ -140,10 +158,13 @@ def fit_mapping(
     hidden: tuple[int, int] = (96, 64),
     epochs: int = 8,
     seed: int = 0,
-    on_epoch: Callable[[int, int, float], None] | None = None,
+    report: Callable[[str], None] | None = None,
     fabrics: np.ndarray | None = None,
+    region: np.ndarray | None = None,
 ) -> Mapping:
-    """Fit the mapping on training frames.
+    """Fit the mapping on training frames: one for all places first, from which that of each region goes on.
+
+    What all places have in common is learned from all of them, and what is left is small enough to learn from a part.
 
     Features are learned from with noise on them: a garment that runs freely has at its mesh's limit folds of its own,
     as faint as what the filter leaves of true ones there, and what hangs on these must not be raised. With the noise
@@ -154,10 +175,11 @@ def fit_mapping(
         static: float32, shape (n, s).
         coefficients: targets, float32, shape (S, n, K).
         hidden: widths of the hidden layers.
-        epochs: passes over the data.
+        epochs: passes over the data, all places first and then region by region.
         seed: of weights and shuffling.
-        on_epoch: told (passes done, epochs, loss) after each pass.
+        report: told lines of progress.
         fabrics: :func:`fabric_features` of each frame, shape (S, FABRIC_COUNT); None where all are the garment's own.
+        region: of each place, int, shape (n,), 0 to r - 1; None is one for all.
 
     Returns:
         The mapping, for the garment's own fabric.
@@ -176,33 +198,43 @@ def fit_mapping(
     inputs = np.zeros((len(z), count + len(usual)), np.float32)
     np.matmul(z, axes, out=inputs[:, :count])
     inputs[:, count:] = np.repeat((told[:, differs] - usual) / spread, features.shape[1], axis=0)
-    place = (static - static.mean(axis=0)) / (static.std(axis=0) + 1e-2)
+    middle_place, spread_place = static.mean(axis=0), static.std(axis=0) + 1e-2
+    place = ((static - middle_place) / spread_place).astype(np.float32)
     unit = float(np.sqrt((coefficients**2).mean()))
-    network = Network((inputs.shape[1] + place.shape[1], *hidden, coefficients.shape[2]), seed)
-    network.fit(
-        inputs,
-        place.astype(np.float32),
-        (coefficients / unit).reshape(-1, coefficients.shape[2]),
-        epochs=epochs,
-        on_epoch=on_epoch,
-    )
-    first, second, third = network.weights
-    bias_1, bias_2, bias_3 = network.biases
+    targets = (coefficients / unit).astype(np.float32)
+    network = Network((inputs.shape[1] + place.shape[1], *hidden, targets.shape[2]), seed)
+    tell = report or (lambda line: None)
+    told_pass = lambda e, n, loss: tell(f"fitting: pass {e} of {n}, loss {loss:.4f}")  # noqa: E731
+    network.fit(inputs, place, targets.reshape(-1, targets.shape[2]), epochs=epochs, on_epoch=told_pass)
+    first, bias_1 = network.weights[0], network.biases[0]
+    region = np.zeros(len(static), np.int32) if region is None else np.asarray(region, np.int32)
+    heads = [network.after_first(seed) for _ in range(int(region.max()) + 1)]
+    for r, head in enumerate(heads if len(heads) > 1 else []):
+        there = np.flatnonzero(region == r)
+        seen = inputs.reshape(len(features), -1, inputs.shape[1])[:, there] @ first[: inputs.shape[1]]
+        seen = np.maximum(seen + (place[there] @ first[inputs.shape[1] :] + bias_1), 0.0)
+        own = targets[:, there].reshape(-1, targets.shape[2])
+        nowhere = np.zeros((len(there), 0), np.float32)  # the first layer has told the place
+        loss = head.fit(seen.reshape(len(own), -1), nowhere, own, epochs=epochs, rate=REGION_RATE)
+        tell(f"fitting: region {r + 1} of {len(heads)}, loss {loss:.4f}")
     single = lambda a: np.ascontiguousarray(a, np.float32)  # noqa: E731
-    weights_1, by_place = axes @ first[:count], first[inputs.shape[1] :]
+    weights_1, by_place = axes @ first[:count], first[inputs.shape[1] :] / spread_place[:, None]
     by_fabric = np.zeros((FABRIC_COUNT, hidden[0]))
     by_fabric[differs] = first[count : inputs.shape[1]] / spread[:, None]
-    own = usual @ by_fabric[differs]
+    own_fabric = usual @ by_fabric[differs]
     return Mapping(
         single(center),
         single(scale),
+        single(static),
+        region,
         single(weights_1),
-        single(second),
-        single(third * unit),
-        single(place @ by_place + bias_1 - middle @ weights_1 - own),
+        single(by_place),
+        single(bias_1 - middle_place @ by_place - middle @ weights_1 - own_fabric),
         single(by_fabric),
-        single(bias_2),
-        single(bias_3 * unit),
+        single([head.weights[0] for head in heads]),
+        single([head.biases[0] for head in heads]),
+        single([head.weights[1] * unit for head in heads]),
+        single([head.biases[1] * unit for head in heads]),
     )
 
 

@@ -27,6 +27,7 @@ DYNAMIC_COUNT = 3 * len(OTHERS) + 3 + len(INNER)
 # Features that are offsets of the ring of eight points around the centre.
 INNER_OFFSETS = [3 * OTHERS.index(p) + a for p in INNER if p != CENTRE for a in range(3)]
 MODES = 8
+REGIONS, SMALLEST = 8, 40  # that a garment is parted into; least coarse vertices in one on average
 
 vec3 = ti.math.vec3
 Vec4 = ti.types.ndarray(dtype=ti.math.vec4, ndim=1)
@@ -130,6 +131,19 @@ class Stencil:
             spacing,
             static.astype(np.float32),
         )
+
+    def regions(self, count: int = REGIONS) -> np.ndarray:
+        """Parts of the garment of about one size, each in one piece: int, shape (n,), 0 to ``count`` - 1 or fewer.
+
+        Args:
+            count: that are wanted; fewer where they would have less than SMALLEST vertices on average, and one where
+                places are not told apart.
+        """
+        from sklearn.cluster import KMeans
+
+        modes = self.static[:, -MODES:]
+        count = max(1, min(count, len(modes) // SMALLEST, len(np.unique(modes, axis=0))))
+        return KMeans(count, n_init=3, random_state=0).fit_predict(modes)
 
     def gather(
         self,

@@ -8,7 +8,7 @@ import numpy as np
 
 __all__ = ["Network"]
 
-RATE, WARM_UP = 8e-3, 0.05  # of Adam; share of the steps until the rate is reached
+RATE, WARM_UP = 8e-3, 0.05  # of Adam, at its highest; share of the steps until the rate is reached
 BATCHES = (64, 1024)  # samples in a batch, at least and at most
 DECAY = 1e-5  # of the weights
 KNEE = 0.1  # errors below this count squared, errors above it by their size; in units of the targets' RMS
@@ -42,8 +42,9 @@ class Network:
         targets: np.ndarray,
         *,
         epochs: int,
+        rate: float = RATE,
         on_epoch: Callable[[int, int, float], None] | None = None,
-    ) -> None:
+    ) -> float:
         """Fit to samples that run over all places again and again.
 
         Args:
@@ -51,14 +52,18 @@ class Network:
             place: what belongs to each place, float32, shape (n, s); sample k is at place k modulo n.
             targets: of unit variance, float32, shape (S n, K).
             epochs: passes over the samples.
+            rate: of Adam, at its highest.
             on_epoch: told (passes done, epochs, mean loss) after each pass.
+
+        Returns:
+            the mean loss of the last pass.
         """
         count = len(inputs)
         batch = min(count, int(np.clip(count // 64, *BATCHES)))  # few samples still make enough steps
         steps = epochs * (count // batch)
         layers = [*self.weights, *self.biases]
         first, second = [np.zeros_like(p) for p in layers], [np.zeros_like(p) for p in layers]
-        step = 0
+        step, mean = 0, 0.0
         for epoch in range(epochs):
             order, total = self._rng.permutation(count), 0.0
             for begin in range(0, count - batch + 1, batch):
@@ -68,16 +73,25 @@ class Network:
                     np.concatenate([inputs[chosen], place[chosen % len(place)]], axis=1), targets[chosen]
                 )
                 total += loss
-                rate = RATE * min(1.0, step / (WARM_UP * steps)) * 0.5 * (1.0 + np.cos(np.pi * step / steps))
+                now = rate * min(1.0, step / (WARM_UP * steps)) * 0.5 * (1.0 + np.cos(np.pi * step / steps))
                 even_1, even_2 = 1.0 - 0.9**step, 1.0 - 0.999**step
                 for parameter, gradient, m, v in zip(layers, gradients, first, second, strict=True):
                     m *= 0.9
                     m += 0.1 * gradient
                     v *= 0.999
                     v += 0.001 * gradient**2
-                    parameter -= np.float32(rate / even_1) * m / (np.sqrt(v / np.float32(even_2)) + 1e-8)
+                    parameter -= np.float32(now / even_1) * m / (np.sqrt(v / np.float32(even_2)) + 1e-8)
+            mean = total / max(1, count // batch)
             if on_epoch is not None:
-                on_epoch(epoch + 1, epochs, total / max(1, count // batch))
+                on_epoch(epoch + 1, epochs, mean)
+        return mean
+
+    def after_first(self, seed: int) -> Network:
+        """A copy of the layers after the first, to be fitted further on what the first one gives."""
+        sizes = [weight.shape[0] for weight in self.weights[1:]]
+        copied = Network((*sizes, self.weights[-1].shape[1]), seed)
+        copied.weights, copied.biases = ([one.copy() for one in a[1:]] for a in (self.weights, self.biases))
+        return copied
 
     def _gradients(self, x: np.ndarray, targets: np.ndarray) -> tuple[float, list[np.ndarray]]:
         """Mean loss of a batch and its gradients by weights and biases."""

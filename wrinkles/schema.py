@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 11
+SCHEMA_VERSION = 12
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE, STEPS = "text", "float32", "float64", "int32", "int64", "int8"
 
@@ -63,10 +63,10 @@ class Entry:
     scaled_along: int | None = None
 
 
-def _in_steps(name: str, shape: tuple[int | str, int | str], unit: str = "-", along: int = 0) -> tuple[Entry, Entry]:
+def _in_steps(name: str, shape: tuple[int | str, ...], unit: str = "-", along: int = 0) -> tuple[Entry, Entry]:
     """Entries of a float32 array that the file holds in steps of a byte, and of its scales."""
     steps = Entry(name, STEPS, shape, scaled_along=along)
-    return steps, Entry(f"{name}_scale", SINGLE, (shape[1 - along],), unit)
+    return steps, Entry(f"{name}_scale", SINGLE, (*shape[:along], *shape[along + 1 :]), unit)
 
 
 def _in_fabric(group: str, shape: tuple[str, ...]) -> Iterator[Entry]:
@@ -123,13 +123,16 @@ ENTRIES = (
     Entry("atoms/vertex_mean", SINGLE, ("v", 3), "m"),
     Entry("mapping/center", SINGLE, (DYNAMIC_COUNT,)),
     Entry("mapping/scale", SINGLE, (DYNAMIC_COUNT,)),
+    *_in_steps("mapping/place", ("n", "d")),
+    Entry("mapping/region", INDEX, ("n",)),
     *_in_steps("mapping/weights_1", (DYNAMIC_COUNT, "h1")),
-    *_in_steps("mapping/weights_2", ("h1", "h2")),
-    *_in_steps("mapping/weights_3", ("h2", "K")),
-    *_in_steps("mapping/place_bias", ("n", "h1")),
+    *_in_steps("mapping/place_weights", ("d", "h1")),
+    Entry("mapping/bias_1", SINGLE, ("h1",)),
     Entry("mapping/fabric_weights", SINGLE, (FABRIC_COUNT, "h1")),
-    Entry("mapping/bias_2", SINGLE, ("h2",)),
-    Entry("mapping/bias_3", SINGLE, ("K",)),
+    *_in_steps("mapping/weights_2", ("r", "h1", "h2"), along=1),
+    Entry("mapping/bias_2", SINGLE, ("r", "h2")),
+    *_in_steps("mapping/weights_3", ("r", "h2", "K"), along=1),
+    Entry("mapping/bias_3", SINGLE, ("r", "K")),
     Entry("unfamiliarity/weights_1", SINGLE, ("h1", "u")),
     Entry("unfamiliarity/bias_1", SINGLE, ("u",)),
     Entry("unfamiliarity/weights_2", SINGLE, ("u",)),
@@ -188,7 +191,7 @@ def quantised(entry: Entry, values: np.ndarray) -> dict[str, np.ndarray]:
     scale[scale < np.finfo(np.float32).tiny] = 1.0  # of nothing but zeros
     return {
         entry.name: np.rint(values / scale).astype(np.int8),
-        f"{entry.name}_scale": scale.ravel().astype(np.float32),
+        f"{entry.name}_scale": scale.squeeze(entry.scaled_along).astype(np.float32),
     }
 
 
@@ -282,6 +285,10 @@ def check_values(arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
     for name in ("maximum_distance", "backstop", "stiffness"):
         if (least := arrays[f"limits/{name}"].min(initial=0.0)) < 0:
             refuse("out of range", f"limits/{name}", least.item(), "at least 0")
+    region, regions = arrays["mapping/region"], len(arrays["mapping/bias_2"])
+    if not 0 <= region.min() <= region.max() < regions:
+        bad = int(region.min() if region.min() < 0 else region.max())
+        refuse("a region that does not exist", "mapping/region", bad, f"0 to {regions - 1}")
     levels = arrays["subdivisions"].item()
     if not 1 <= levels <= 4:
         refuse("out of range", "subdivisions", levels, "1 to 4")

@@ -13,7 +13,7 @@ from precompute.recording import Run, poses_of, record_runs
 from precompute.training import build_layer
 from runtime.stage import Stage, fabric_of
 from tests.precompute.miniature import miniature, scene
-from tests.wrinkles.databases import small_database
+from tests.wrinkles.databases import placed, small_database
 from wrinkles.coarse_filter import CoarseFilter
 
 
@@ -27,7 +27,7 @@ def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(
     place = 0.01 * np.random.default_rng(0).standard_normal((count, small.mapping.place_bias.shape[1]))
     still = np.zeros((stage.levels.subdivision.fine_count, 3), np.float32)
     atoms = replace(small.atoms, vertex_mean=still)
-    mapping = replace(small.mapping, place_bias=place.astype(np.float32))
+    mapping = placed(small.mapping, place)
     predict = lambda features, pose: mapping.amplified(gain).predict(features)  # noqa: E731
     solver = SolverOptions(substep=1.0 / 240.0)
     poses = poses_of(stage.motion(scene().training.held_out[0]), 1.0 / 60.0, 1.0)

@@ -19,6 +19,7 @@ from precompute.rivals import PROBE_FRAMES, Cloth, equal_cost_substeps, fine_clo
 from precompute.stability import LONGEST, SHORTEST, largest_stable_step, real_substep
 from runtime.simulation import Simulation
 from tests.runtime.players import skirt_database, skirt_stage
+from tests.wrinkles.databases import placed
 from wrinkles.database import WrinkleDatabase, write_database
 from wrinkles.levels import build_levels
 
@@ -44,7 +45,7 @@ def database() -> WrinkleDatabase:
     body = skirt_stage().body
     levels = build_levels(vertices, faces, held, body.vertices, body.faces, 2)
     plain = skirt_database()
-    bias = np.zeros((len(vertices), plain.mapping.place_bias.shape[1]), np.float32)
+    bias = np.zeros((len(vertices), plain.mapping.place_bias.shape[1]))
     return replace(
         plain,
         coarse_vertices=levels.coarse.vertices,
@@ -53,7 +54,7 @@ def database() -> WrinkleDatabase:
         subdivisions=2,
         cutoff=levels.cutoff,
         atoms=replace(plain.atoms, vertex_mean=np.zeros((levels.subdivision.fine_count, 3), np.float32)),
-        mapping=replace(plain.mapping, place_bias=bias),
+        mapping=placed(plain.mapping, bias),
         solver=SolverOptions(substep=1.0 / 240.0),
         frame_rate=30.0,
     )

@@ -10,7 +10,7 @@ from precompute.recording import Recording, Run, poses_of
 from precompute.training import build_layer, features_of
 from runtime.stage import Stage
 from tests.precompute.miniature import scene
-from tests.wrinkles.databases import small_database
+from tests.wrinkles.databases import placed, small_database
 from wrinkles.vertex_mean import STEP, turned
 
 FRAMES = 6
@@ -21,7 +21,7 @@ def test_the_mean_is_of_what_decoding_lacks() -> None:
     layer = build_layer(stage.levels)
     coarse, fine_count = layer.levels.coarse.vertices, layer.levels.subdivision.fine_count
     place = 0.1 * rng.standard_normal((len(coarse), small.mapping.place_bias.shape[1]))
-    mapping = replace(small.mapping, place_bias=place.astype(np.float32))
+    mapping = placed(small.mapping, place)
     poses = poses_of(stage.motion(scene().training.held_out[0]), 1.0 / 60.0, 1.0)
     run = Run("sway", layer.levels, True, stage.body, poses, 1.0 / 60.0, Fabric(), ModelOptions(), SolverOptions())
     swaying = (coarse + 0.002 * rng.standard_normal((FRAMES, *coarse.shape))).astype(np.float32)

@@ -11,7 +11,7 @@ import numpy as np
 from assets.scene import parse_scene, scene_text
 from pbd import SolverOptions
 from runtime.stage import Stage
-from tests.wrinkles.databases import small_database
+from tests.wrinkles.databases import placed, small_database
 from wrinkles.database import WrinkleDatabase, body_hash
 from wrinkles.surface import Subdivision
 
@@ -49,9 +49,7 @@ def skirt_database(**changes: Any) -> WrinkleDatabase:
     coarse = stage.levels.coarse
     database = small_database()
     rng = np.random.default_rng(1)
-    place = (0.01 * rng.standard_normal((len(coarse.vertices), database.mapping.place_bias.shape[1]))).astype(
-        np.float32
-    )
+    place = 0.01 * rng.standard_normal((len(coarse.vertices), database.mapping.place_bias.shape[1]))
     subdivisions = changes.get("subdivisions", stage.settings.subdivisions)
     fine_count = Subdivision.of(coarse.faces, len(coarse.vertices), subdivisions).fine_count
     vertex_mean = 0.001 * rng.standard_normal((fine_count, 3))
@@ -65,7 +63,7 @@ def skirt_database(**changes: Any) -> WrinkleDatabase:
         "fabric": stage.settings.fabric,
         "solver": SolverOptions(),
         "atoms": replace(database.atoms, vertex_mean=vertex_mean.astype(np.float32)),
-        "mapping": replace(database.mapping, place_bias=place),
+        "mapping": placed(database.mapping, place),
         "cutoff": stage.levels.cutoff,
         "body_hash": body_hash(stage.body),
         "body_vertex_count": len(stage.body.vertices),

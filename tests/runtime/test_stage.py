@@ -17,7 +17,7 @@ from runtime.player import Player
 from runtime.simulation import poses_of
 from runtime.stage import Stage, colliders_of, fabrics_of, motion_of, simulation_of
 from tests.assets.panels import two_panels
-from tests.wrinkles.databases import small_database
+from tests.wrinkles.databases import placed, small_database
 from tests.wrinkles.meshes import icosphere
 from wrinkles.database import body_hash, read_database, write_database
 
@@ -125,7 +125,7 @@ def test_a_database_plays_a_delivered_mesh_without_its_file(stage: Stage, tmp_pa
         held=np.zeros(0, np.int32),
         warp=(0.0, 1.0, 0.0),
         binding=stage.levels.subdivision.binding,
-        mapping=replace(small.mapping, place_bias=np.zeros((count, small.mapping.place_bias.shape[1]), np.float32)),
+        mapping=placed(small.mapping, np.zeros((count, small.mapping.place_bias.shape[1]))),
         body_hash=body_hash(body),
     )
     write_database(tmp_path / "cloth.h5", database)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,19 @@ from wrinkles.patches import NODES
 from wrinkles.surface import Subdivision
 from wrinkles.unfamiliarity import Unfamiliarity
 
-__all__ = ["small_database"]
+__all__ = ["placed", "small_database"]
+
+
+def placed(mapping: Mapping, bias: np.ndarray) -> Mapping:
+    """The mapping on another garment, with a bias of the first layer at each vertex, shape (n, h1), in two regions."""
+    count, width = bias.shape
+    return replace(
+        mapping,
+        place=bias.astype(np.float32),
+        place_weights=np.eye(width, dtype=np.float32),
+        bias_1=np.zeros(width, np.float32),
+        region=(np.arange(count) % 2).astype(np.int32),
+    )
 
 
 def small_database(side: int = 7, atoms: int = 5, hidden: tuple[int, int] = (8, 6), **changes: Any) -> WrinkleDatabase:
@@ -49,11 +62,14 @@ def small_database(side: int = 7, atoms: int = 5, hidden: tuple[int, int] = (8, 
             center=weights(DYNAMIC_COUNT),
             scale=1.0 + weights(DYNAMIC_COUNT),
             weights_1=weights(DYNAMIC_COUNT, hidden[0]),
-            weights_2=weights(*hidden),
-            weights_3=weights(hidden[1], atoms),
-            place_bias=weights(len(vertices), hidden[0]),
-            bias_2=weights(hidden[1]),
-            bias_3=weights(atoms),
+            place=weights(len(vertices), 5),
+            region=(np.arange(len(vertices)) % 2).astype(np.int32),
+            place_weights=weights(5, hidden[0]),
+            bias_1=weights(hidden[0]),
+            weights_2=weights(2, *hidden),
+            weights_3=weights(2, hidden[1], atoms),
+            bias_2=weights(2, hidden[1]),
+            bias_3=weights(2, atoms),
             fabric_weights=weights(FABRIC_COUNT, hidden[0]),
         ),
         "unfamiliarity": Unfamiliarity(weights(hidden[0], 3), weights(3), weights(3), 1.5, 12.0),

@@ -29,7 +29,9 @@ from wrinkles.dictionary import fabric_features
 from wrinkles.schema import ENTRIES, SCHEMA_VERSION
 from wrinkles.surface import Subdivision
 
-QUANTISED = {"atoms.shapes", "mapping.weights_1", "mapping.weights_2", "mapping.weights_3", "mapping.place_bias"}
+QUANTISED = {"atoms.shapes"} | {
+    f"mapping.{name}" for name in ("weights_1", "weights_2", "weights_3", "place", "place_weights")
+}
 DERIVED = {"format", "schema_version", "units", "topology_hash", "content_hash"}
 
 
@@ -216,17 +218,18 @@ REFUSED: dict[str, tuple[Callable[[h5py.File], Any], str, str]] = {
     "no vertices": (put("coarse_vertices", np.zeros((0, 3))), "coarse_vertices: wrong shape", "received (0, 3)"),
     "too many vertices": (
         put("coarse_vertices", np.zeros((50, 3))),
-        "mapping/place_bias: wrong shape",
-        "received (49, 8), expected (n, h1) with n = 50",
+        "mapping/place: wrong shape",
+        "received (49, 5), expected (n, d) with n = 50",
     ),
     "too few atoms": (
-        put("mapping/bias_3", np.zeros(4, np.float32)),
+        put("mapping/bias_3", np.zeros((2, 4), np.float32)),
         "mapping/bias_3: wrong shape",
-        "received (4,), expected (K) with K = 5",
+        "received (2, 4), expected (r, K) with r = 2, K = 5",
     ),
-    "other layer": (put("mapping/weights_2", np.zeros((8, 9), np.int8)), "mapping/weights_3", "h2 = 9"),
+    "other layer": (put("mapping/weights_2", np.zeros((2, 8, 9), np.int8)), "mapping/weights_3", "h2 = 9"),
     "other features": (put("mapping/center", np.zeros(9, np.float32)), "mapping/center: wrong shape", "received (9,)"),
     "figure without value": (put("quality/values", np.ones(2)), "quality/values", "with q = 3"),
+    "no such region": (edit("mapping/region", 7, 2), "mapping/region: a region that does not exist", "received 2"),
     "not a number": (edit("mapping/center", 3, np.nan), "mapping/center[3]: not finite", "nan"),
     "infinite": (edit("coarse_vertices", (0, 1), np.inf), "coarse_vertices[0, 1]: not finite", "received inf"),
     "single for steps": (
@@ -240,7 +243,7 @@ REFUSED: dict[str, tuple[Callable[[h5py.File], Any], str, str]] = {
         "received 7, expected 625",
     ),
     "too few scales": (put("atoms/shapes_scale", np.ones(4, np.float32)), "atoms/shapes_scale: wrong shape", "K = 5"),
-    "no scale": (edit("mapping/weights_3_scale", 2, 0.0), "mapping/weights_3_scale: out of range", "above 0"),
+    "no scale": (edit("mapping/weights_3_scale", (1, 2), 0.0), "mapping/weights_3_scale: out of range", "above 0"),
     "NaN alone": (edit("cutoff", (), np.nan), "cutoff: not finite", "expected finite numbers"),
     "frame rate": (edit("frame_rate", (), 0.0), "frame_rate: out of range", "received 0.0, expected above 0"),
     "subdivisions": (edit("subdivisions", (), 9), "subdivisions: out of range", "received 9, expected 1 to 4"),
@@ -331,10 +334,10 @@ def test_a_flipped_bit_is_refused_or_does_not_matter(path: Path) -> None:
     ("changes", "place"),
     [
         ({"bend_factor": float("nan")}, "bend_factor: not finite"),
-        ({"mapping": replace(small_database().mapping, weights_2=np.full((8, 6), np.inf))}, "weights_2: not finite"),
+        ({"mapping": replace(small_database().mapping, weights_2=np.full((2, 8, 6), np.inf))}, "weights_2: not finite"),
         ({"held": np.array([3, 1], np.int32)}, "held: not in ascending order"),
         ({"held": np.array([0.5, 1.0])}, "held: wrong type"),
-        ({"coarse_vertices": np.zeros((50, 3))}, "mapping/place_bias: wrong shape"),
+        ({"coarse_vertices": np.zeros((50, 3))}, "mapping/place: wrong shape"),
         ({"warp": (0.0, 1.0)}, "warp: wrong shape"),
         ({"other_fabrics": (DENIM, replace(SILK, name="muslin"))}, "other_fabrics/name: the same name twice"),
         ({"subdivisions": 0}, "subdivisions: out of range"),

@@ -59,12 +59,15 @@ class Layer:
             center=single(DYNAMIC_COUNT, seed=2, size=0.3),
             scale=np.abs(single(DYNAMIC_COUNT, seed=3)),
             weights_1=single(DYNAMIC_COUNT, 9, seed=4, size=0.2),
-            weights_2=single(9, 7, seed=5, size=0.4),
-            weights_3=single(7, atoms, seed=6, size=0.4),
-            place_bias=single(count, 9, seed=7),
+            place=single(count, 4, seed=7),
+            region=np.random.default_rng(16).integers(0, 3, count).astype(np.int32),
+            place_weights=single(4, 9, seed=17),
+            bias_1=single(9, seed=18),
             fabric_weights=single(FABRIC_COUNT, 9, seed=10),
-            bias_2=single(7, seed=8),
-            bias_3=single(atoms, seed=9),
+            weights_2=single(3, 9, 7, seed=5, size=0.4),
+            weights_3=single(3, 7, atoms, seed=6, size=0.4),
+            bias_2=single(3, 7, seed=8),
+            bias_3=single(3, atoms, seed=9),
         )
         self.position = single(count, 4, seed=10, size=0.01)
         self.position[:, :3] += vertices.astype(np.float32)

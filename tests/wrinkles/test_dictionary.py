@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -96,12 +98,30 @@ def test_the_mapping_learns_a_known_function(examples: tuple, mapping: Mapping) 
     assert wrong[2] > 10.0 * error[2]
 
 
+def test_regions_go_on_from_what_all_places_have_learned(examples: tuple) -> None:
+    features, static, coefficients = examples
+    there = np.arange(12) >= 6
+    opposed = np.where(there, -1.0, 1.0)[:, None] * coefficients[..., 1:2]  # of two minds, and no place is told
+    learned = features[:TRAINED], 0.0 * static, opposed[:TRAINED]
+    fit = partial(fit_mapping, *learned, hidden=(32, 24), epochs=12, seed=3)
+    one, two = fit(), fit(region=there)
+    assert np.array_equal(one.weights_1, two.weights_1) and np.array_equal(one.bias_1, two.bias_1)
+    assert one.weights_2.shape == (1, 32, 24) and two.weights_2.shape == (2, 32, 24)
+    error = [((m.predict(features[TRAINED:]) - opposed[TRAINED:]) ** 2).mean() for m in (one, two)]
+    assert error[1] < 0.4 * error[0]
+    told: list[str] = []
+    fit(region=there, report=told.append)
+    assert [line.split(",")[0] for line in told[-3:]] == [
+        "fitting: pass 12 of 12", "fitting: region 1 of 2", "fitting: region 2 of 2",
+    ]  # fmt: skip
+
+
 def test_the_same_seed_gives_the_same_bits(examples: tuple) -> None:
     features, static, coefficients = (part[:100] if len(part) == ALL else part for part in examples)
     fit = lambda seed: fit_mapping(features, static, coefficients, hidden=(8, 6), epochs=3, seed=seed).arrays()  # noqa: E731
     first, again, other = fit(5), fit(5), fit(6)
     assert all(np.array_equal(first[name], again[name]) for name in first)
-    assert all(array.dtype == np.float32 for array in first.values())
+    assert all(array.dtype == np.float32 for name, array in first.items() if name != "region")
     assert not np.array_equal(first["weights_2"], other["weights_2"])
 
 

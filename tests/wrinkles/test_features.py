@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -135,3 +137,13 @@ def test_slow_modes_are_smooth_orthogonal_and_the_same_every_time() -> None:
     plane, *_ = np.linalg.lstsq(np.c_[np.ones(81), vertices[:, [0, 2]]], modes[:, :2], rcond=None)
     rest = modes[:, :2] - np.c_[np.ones(81), vertices[:, [0, 2]]] @ plane
     assert (rest.var(axis=0) < 0.1).all()
+
+
+def test_regions_are_parts_that_hang_together(cloth: Cloth) -> None:
+    region = cloth.stencil.regions(4)
+    assert sorted(set(region)) == [0, 1, 2, 3] and np.bincount(region).min() > len(region) // 12
+    edges = cloth.mesh.edge_lengths()[0]
+    assert (region[edges[:, 0]] == region[edges[:, 1]]).mean() > 0.75
+    assert cloth.stencil.regions(8).max() + 1 == min(8, len(region) // 40)
+    nowhere = replace(cloth.stencil, static=np.zeros_like(cloth.stencil.static))
+    assert not nowhere.regions(4).any()
