@@ -102,10 +102,10 @@ class Bench:
         """The training set of a layer that looks or writes elsewhere."""
         return training_set(layer, self.learned, len(self.database.atoms.shapes), self.database.seed)
 
-    def fit(self, data: TrainingSet, layer: Layer | None = None, hidden: tuple[int, int] | None = None) -> Mapping:
-        """The network, fitted as for a database."""
-        seed = self.database.seed
-        return fit_layer(layer or self.layer, data, hidden=hidden or self.hidden, epochs=EPOCHS, seed=seed)
+    def fit(self, data: TrainingSet, layer: Layer | None = None, **changes) -> Mapping:
+        """The network, fitted as for a database but for ``changes``, arguments of :func:`fit_layer`."""
+        settings = {"hidden": self.hidden, "epochs": EPOCHS, "seed": self.database.seed} | changes
+        return fit_layer(layer or self.layer, data, **settings)
 
     @cached_property
     def full(self) -> Way:

@@ -242,6 +242,10 @@ def _hidden(bench: Bench, widths: tuple[int, int]) -> Way:
     return bench.way(bench.fit(bench.data, hidden=widths))
 
 
+def _one_region(bench: Bench) -> Way:
+    return bench.way(bench.fit(bench.data, regions=1))
+
+
 def _relaxed(bench: Bench, passes: int) -> Way:
     return replace(bench.full, passes=passes)
 
@@ -266,8 +270,9 @@ ABLATIONS = (
     Ablation("dictionary", "32 atoms", partial(_atoms, count=32)),
     Ablation("dictionary", "k-means modes", _modes),
     Ablation("dictionary", "ridge regression", _linear),
-    Ablation("dictionary", "hidden 64, 32", partial(_hidden, widths=(64, 32))),
-    Ablation("dictionary", "hidden 256, 256", partial(_hidden, widths=(256, 256))),
+    Ablation("dictionary", "one region", _one_region),
+    Ablation("dictionary", "hidden 128, 64", partial(_hidden, widths=(128, 64))),
+    Ablation("dictionary", "hidden 512, 256", partial(_hidden, widths=(512, 256))),
     Ablation("mixing", "nearest patch alone", _single_patch),
     Ablation("mixing", "barycentric weights", _barycentric),
     Ablation("history", "previous coefficients, true ones told", _history_told),

@@ -45,8 +45,8 @@ CALIBRATION_SECONDS = (
     6.0  # motion that the coarse model is calibrated on: enough to see it move, short enough to try many
 )
 TRAINING_FRAMES = 2400
-EPOCHS = 6
-MOST_EPOCHS = 18  # where there are few frames
+EPOCHS = 12
+MOST_EPOCHS = 24  # where there are few frames
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from precompute.recording import Recording
 from wrinkles.charts import Charts
 from wrinkles.dictionary import Atoms, Mapping, fit_atoms, fit_mapping
-from wrinkles.features import DYNAMIC_COUNT, Stencil
+from wrinkles.features import DYNAMIC_COUNT, REGIONS, Stencil
 from wrinkles.levels import Levels
 from wrinkles.patches import NODES, Patches
 
@@ -139,8 +139,9 @@ def fit_layer(
     seed: int,
     report: Callable[[str], None] | None = None,
     fabrics: np.ndarray | None = None,
+    regions: int = REGIONS,
 ) -> Mapping:
-    """Fit the mapping to a training set; arguments as for :func:`wrinkles.dictionary.fit_mapping`."""
+    """Fit the mapping to a training set; arguments as for :func:`wrinkles.dictionary.fit_mapping`, in ``regions``."""
     return fit_mapping(
         data.features,
         layer.stencil.static,
@@ -150,7 +151,7 @@ def fit_layer(
         seed=seed,
         report=report,
         fabrics=fabrics,
-        region=layer.stencil.regions(),
+        region=layer.stencil.regions(regions),
     )
 
 

@@ -25,7 +25,7 @@ from precompute.decoding import (
     with_vertex_mean,
 )
 from precompute.held_out import JUDGED, HeldOut, held_out_truth
-from precompute.pipeline import EPOCHS, TRAINING_FRAMES, default_cache, training_recordings, training_runs
+from precompute.pipeline import TRAINING_FRAMES, default_cache, epochs_for, training_recordings, training_runs
 from precompute.recording import Recording, Run
 from precompute.rivals import player_times, typical_ms
 from precompute.training import Layer, build_layer, coefficients_of, spread_frames, training_set
@@ -205,5 +205,6 @@ def compare_wrinkles_file(
     data = training_set(layer, chosen, len(database.atoms.shapes), database.seed)
     poses = np.concatenate([run.poses[r.frames] for run, r in zip(runs, chosen, strict=True)])
     gain = database.wrinkle_gain
-    rivals = fit_rivals(layer, data, poses, epochs=EPOCHS, seed=database.seed, gain=gain, report=report)
+    epochs = epochs_for(len(data.features))
+    rivals = fit_rivals(layer, data, poses, epochs=epochs, seed=database.seed, gain=gain, report=report)
     return compare_wrinkles(layer, database, rivals, mesh_options, held_out, runs, chosen, report)

@@ -175,7 +175,7 @@ def fit_mapping(
         static: float32, shape (n, s).
         coefficients: targets, float32, shape (S, n, K).
         hidden: widths of the hidden layers.
-        epochs: passes over the data, all places first and then region by region.
+        epochs: passes over the data by all places together; half as many follow region by region.
         seed: of weights and shuffling.
         report: told lines of progress.
         fabrics: :func:`fabric_features` of each frame, shape (S, FABRIC_COUNT); None where all are the garment's own.
@@ -215,7 +215,7 @@ def fit_mapping(
         seen = np.maximum(seen + (place[there] @ first[inputs.shape[1] :] + bias_1), 0.0)
         own = targets[:, there].reshape(-1, targets.shape[2])
         nowhere = np.zeros((len(there), 0), np.float32)  # the first layer has told the place
-        loss = head.fit(seen.reshape(len(own), -1), nowhere, own, epochs=epochs, rate=REGION_RATE)
+        loss = head.fit(seen.reshape(len(own), -1), nowhere, own, epochs=-(-epochs // 2), rate=REGION_RATE)
         tell(f"fitting: region {r + 1} of {len(heads)}, loss {loss:.4f}")
     single = lambda a: np.ascontiguousarray(a, np.float32)  # noqa: E731
     weights_1, by_place = axes @ first[:count], first[inputs.shape[1] :] / spread_place[:, None]

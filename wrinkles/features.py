@@ -14,7 +14,7 @@ from pbd.engine import Launch, ensure_initialized, ti
 from pbd.geometry import FAR
 from wrinkles.charts import Charts
 
-__all__ = ["DYNAMIC_COUNT", "INNER_OFFSETS", "Stencil"]
+__all__ = ["DYNAMIC_COUNT", "INNER_OFFSETS", "REGIONS", "Stencil"]
 
 SIDE = 5
 POINTS = SIDE * SIDE

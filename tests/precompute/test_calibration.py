@@ -44,6 +44,9 @@ def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(
     errors = {(row["bend_scale"], row["gain"]): row["spectrum_error"] for row in found.rows}
     assert errors[stiff, gain] < 1e-2 < 0.1 < errors[31.0 - stiff, 1.0]
     assert all(errors[stiff, other] > 1e-3 > errors[stiff, gain] for other in GAINS if other != gain)
+    apart = {row["bend_scale"]: row["apart_mm"] for row in found.rows}
+    assert apart[stiff] < 1e-3 < 1.0 < apart[31.0 - stiff]
+    assert all(row["error"] >= row["spectrum_error"] for row in found.rows)
     excess = {(row["bend_scale"], row["gain"]): row["excess"] for row in found.rows}
     assert excess[stiff, gain] == pytest.approx(1.0, abs=1e-3)
     with miniature(), monkeypatch.context() as less:  # as if that were noise already
