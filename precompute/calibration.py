@@ -86,8 +86,8 @@ def calibrate(
     Judged by two logarithms that count alike: bending energy in octave bands of wavelength, and in all of them
     together, of what is seen in the end and not of the coarse garment, root mean square of log(decoded / fine); and how
     far the filtered coarse garment is from the filtered fine one, over the least that any model comes to. The spectrum
-    alone takes false folds of a coarse model that is too stiff under compression for wrinkles. These are raised only as far
-    as no octave has more energy than the fine cloth's.
+    alone takes false folds of a coarse model that is too stiff under compression for wrinkles. These are raised only
+    as far as no octave has more energy than the fine cloth's.
 
     Args:
         layer: of the garment.

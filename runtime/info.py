@@ -170,7 +170,8 @@ def _sections(database: WrinkleDatabase, figures: Mapping[str, float]) -> Iterat
     yield (
         "File",
         [
-            ("size", f"{figures['database_mb']:.2f} MB, {figures['bytes_per_fine_vertex']:.1f} bytes a fine vertex"),
+            ("size", f"{figures['database_mb']:.2f} MB, of which meshes {figures['mesh_mb']:.2f}"),
+            ("beyond meshes", f"{figures['bytes_per_fine_vertex']:.1f} bytes a fine vertex"),
             ("compression", f"{figures['compression_ratio']:.2f}"),
             ("load", f"{figures['load_s']:.3f} s"),
         ],

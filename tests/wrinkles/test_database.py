@@ -393,9 +393,10 @@ def test_fine_vertices_are_counted_without_refining(subdivisions: int) -> None:
 def test_the_figures_are_those_of_the_file(path: Path) -> None:
     figures = database_figures(path)
     size = path.stat().st_size
-    assert list(figures) == ["database_mb", "bytes_per_fine_vertex", "compression_ratio", "load_s"]
+    assert list(figures) == ["database_mb", "mesh_mb", "bytes_per_fine_vertex", "compression_ratio", "load_s"]
     assert figures["database_mb"] == size / 1e6
-    assert figures["bytes_per_fine_vertex"] == pytest.approx(size / 625)  # 25 by 25
+    assert 49 * 3 < 1e6 * figures["mesh_mb"] < size / 4
+    assert figures["bytes_per_fine_vertex"] == pytest.approx((size - 1e6 * figures["mesh_mb"]) / 625)  # 25 by 25
     numbers = [np.size(value) for value in arrays_of(small_database())]
     assert figures["compression_ratio"] * size == pytest.approx(4 * sum(numbers), rel=0.1)  # words are few
     assert 0 < figures["load_s"] < 1
