@@ -21,7 +21,7 @@ __all__ = ["fit_unfamiliarity"]
 
 FRAMES, STRANGE_FRAMES = 800, 80  # of training motion as it is, and with noise on its features
 NOISE = (1.0, 4.0)  # of it, in standard deviations
-UNITS, EPOCHS = 8, 12
+UNITS, EPOCHS = 24, 24
 LEAST = 0.5  # errors below it need not be told apart [deg]
 BLOCK, KEPT_OUT = 20, 8  # every eighth block of twenty frames says where fading starts
 FAMILIAR = 99.5  # percentile of the score there
