@@ -1,7 +1,7 @@
 """`gube bench wrinkles`: what each part of the wrinkle layer is worth, by leaving it out or doing it otherwise.
 
-Every row is learned from the same recorded runs, half of the frames of a database, and judged on its first held-out
-motion. Rows that are finished are kept beside the recorded runs.
+Every row is learned from the same recorded runs, half of the frames of a database in half the passes, and judged on its
+first held-out motion. Rows that are finished are kept beside the recorded runs.
 """
 
 from __future__ import annotations
