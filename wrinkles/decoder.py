@@ -237,7 +237,7 @@ class Decoder:
     def _mix(self, atoms: int) -> None:
         """The network: features to grids."""
         m, said, coefficients = self.mapping, self._said[:, :atoms], self._coefficients[:, :atoms]
-        np.take(self.features, self._order, axis=0, out=self._features)
+        np.take(self.features, self._order, axis=0, out=self._features, mode="clip")  # the default copies once more
         np.matmul(self._features, m.weights_1, out=self._hidden_1)
         self._hidden_1 += self._place_bias
         np.maximum(self._hidden_1, 0.0, out=self._hidden_1)

@@ -34,7 +34,10 @@ class Unfamiliarity:
 
     def score(self, hidden: np.ndarray) -> np.ndarray:
         """Log of the error to be expected [log deg] for the first hidden layer, shape (..., n, h1) to (..., n)."""
-        return np.maximum(hidden @ self.weights_1 + self.bias_1, 0.0) @ self.weights_2 + np.float32(self.bias_2)
+        seen = hidden @ self.weights_1
+        seen += self.bias_1
+        np.maximum(seen, 0.0, out=seen)
+        return seen @ self.weights_2 + np.float32(self.bias_2)
 
     def amplitude(self, score: np.ndarray) -> np.ndarray:
         """Share of the wrinkles that is drawn: 1 in familiar states, 0 from twice the error on where fading starts."""
