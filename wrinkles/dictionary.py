@@ -206,17 +206,10 @@ def fit_mapping(
     tell = report or (lambda line: None)
     told_pass = lambda e, n, loss: tell(f"fitting: pass {e} of {n}, loss {loss:.4f}")  # noqa: E731
     network.fit(inputs, place, targets.reshape(-1, targets.shape[2]), epochs=epochs, on_epoch=told_pass)
-    first, bias_1 = network.weights[0], network.biases[0]
     region = np.zeros(len(static), np.int32) if region is None else np.asarray(region, np.int32)
-    heads = [network.after_first(seed) for _ in range(int(region.max()) + 1)]
-    for r, head in enumerate(heads if len(heads) > 1 else []):
-        there = np.flatnonzero(region == r)
-        seen = inputs.reshape(len(features), -1, inputs.shape[1])[:, there] @ first[: inputs.shape[1]]
-        seen = np.maximum(seen + (place[there] @ first[inputs.shape[1] :] + bias_1), 0.0)
-        own = targets[:, there].reshape(-1, targets.shape[2])
-        nowhere = np.zeros((len(there), 0), np.float32)  # the first layer has told the place
-        loss = head.fit(seen.reshape(len(own), -1), nowhere, own, epochs=-(-epochs // 2), rate=REGION_RATE)
-        tell(f"fitting: region {r + 1} of {len(heads)}, loss {loss:.4f}")
+    seen = inputs.reshape(len(features), -1, inputs.shape[1])
+    heads = _fit_regions(network, seen, place, targets, region, -(-epochs // 2), seed, tell)
+    first, bias_1 = network.weights[0], network.biases[0]
     single = lambda a: np.ascontiguousarray(a, np.float32)  # noqa: E731
     weights_1, by_place = axes @ first[:count], first[inputs.shape[1] :] / spread_place[:, None]
     by_fabric = np.zeros((FABRIC_COUNT, hidden[0]))
@@ -236,6 +229,36 @@ def fit_mapping(
         single([head.weights[1] * unit for head in heads]),
         single([head.biases[1] * unit for head in heads]),
     )
+
+
+def _fit_regions(
+    network: Network,
+    inputs: np.ndarray,
+    place: np.ndarray,
+    targets: np.ndarray,
+    region: np.ndarray,
+    epochs: int,
+    seed: int,
+    tell: Callable[[str], None],
+) -> list[Network]:
+    """The layers after the first for each region, fitted further on what the first one gives there.
+
+    Args:
+        network: of all places; is left as it is.
+        inputs, targets: shapes (S, n, d), (S, n, K).
+        place, region: of each place, shapes (n, s), (n,); with one region alone there is nothing to go on to.
+        epochs, seed, tell: as for :func:`fit_mapping`.
+    """
+    heads = [network.after_first(seed) for _ in range(int(region.max()) + 1)]
+    by_input, by_place = np.split(network.weights[0], [inputs.shape[2]])
+    for r, head in enumerate(heads if len(heads) > 1 else []):
+        there = np.flatnonzero(region == r)
+        seen = np.maximum(inputs[:, there] @ by_input + (place[there] @ by_place + network.biases[0]), 0.0)
+        own = targets[:, there].reshape(-1, targets.shape[2])
+        nowhere = np.zeros((len(there), 0), np.float32)  # the first layer has told the place
+        loss = head.fit(seen.reshape(len(own), -1), nowhere, own, epochs=epochs, rate=REGION_RATE)
+        tell(f"fitting: region {r + 1} of {len(heads)}, loss {loss:.4f}")
+    return heads
 
 
 def whitening(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

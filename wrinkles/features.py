@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import eigsh
+from threadpoolctl import threadpool_limits
 
 from pbd import ClothMesh
 from pbd.engine import Launch, ensure_initialized, ti
@@ -133,7 +134,7 @@ class Stencil:
         )
 
     def regions(self, count: int = REGIONS) -> np.ndarray:
-        """Parts of the garment of about one size, each in one piece: int, shape (n,), 0 to ``count`` - 1 or fewer.
+        """Parts of the garment that lie together, by its slow modes: int, shape (n,), 0 to ``count`` - 1 or fewer.
 
         Args:
             count: that are wanted; fewer where they would have less than SMALLEST vertices on average, and one where
@@ -143,7 +144,8 @@ class Stencil:
 
         modes = self.static[:, -MODES:]
         count = max(1, min(count, len(modes) // SMALLEST, len(np.unique(modes, axis=0))))
-        return KMeans(count, n_init=3, random_state=0).fit_predict(modes)
+        with threadpool_limits(limits=1):  # sums of several threads depend on their number
+            return KMeans(count, n_init=3, random_state=0).fit_predict(modes)
 
     def gather(
         self,
