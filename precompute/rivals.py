@@ -17,13 +17,13 @@ from pbd import Model, ModelOptions, SolverOptions, build_model
 from pbd.attachment import Attachment
 from pbd.engine import Launch
 from pbd.geometry import surface_normals
-from precompute.evaluation import Truth, levels_from
+from precompute.evaluation import Truth
 from precompute.recording import Run, body_source
 from runtime.player import Player
 from runtime.simulation import BodySource, Simulation
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Upsampler
-from wrinkles.levels import Levels, levels_of
+from wrinkles.levels import Levels, held_between, levels_of
 from wrinkles.surface import Subdivision
 
 __all__ = [
@@ -217,8 +217,7 @@ def middle_levels(database: WrinkleDatabase, truth: Truth) -> Levels | None:
     # Points of the smooth surface, so that the smooth surface through them is the same.
     plain = replace(database, binding=None)
     vertices = plain.subdivision.upsample(database.coarse_vertices)[: one.fine_count]
-    held = levels_from(plain, truth.run.body).fine_held
-    held = held[held < one.fine_count]
+    held = held_between(one, database.held)
     limits = database.limits.between(one.matrix)
     return levels_of(
         vertices, one.faces, held, *body, database.subdivisions - 1, database.warp, database.binding, limits

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,13 +14,14 @@ from assets.fabrics import PRESETS
 from assets.scene import Scene, parse_scene
 from pbd import DistanceField, InputError, Plane
 from pbd.attachment import Attachment
+from precompute.rivals import middle_levels
 from runtime.player import Player
 from runtime.simulation import poses_of
 from runtime.stage import Stage, colliders_of, fabrics_of, motion_of, simulation_of
 from tests.assets.panels import two_panels
 from tests.wrinkles.databases import placed, small_database
 from tests.wrinkles.meshes import icosphere
-from wrinkles.database import body_hash, read_database, write_database
+from wrinkles.database import WrinkleDatabase, body_hash, read_database, write_database
 
 SCENE = """
 [[garment]]
@@ -115,19 +117,30 @@ def test_what_cannot_be_bound_is_refused(folder: Path, old: str, new: str, messa
         Stage.of(scene(folder, old, new))
 
 
-def test_a_database_plays_a_delivered_mesh_without_its_file(stage: Stage, tmp_path: Path) -> None:
-    coarse, body = stage.levels.coarse, stage.body
-    small = small_database()
-    count = len(coarse.vertices)
-    database = small_database(
+def database_of(stage: Stage) -> WrinkleDatabase:
+    coarse, small = stage.levels.coarse, small_database()
+    return small_database(
         coarse_vertices=coarse.vertices,
         coarse_faces=coarse.faces,
         held=np.zeros(0, np.int32),
         warp=(0.0, 1.0, 0.0),
         binding=stage.levels.subdivision.binding,
-        mapping=placed(small.mapping, np.zeros((count, small.mapping.place_bias.shape[1]))),
-        body_hash=body_hash(body),
+        mapping=placed(small.mapping, np.zeros((len(coarse.vertices), small.mapping.place_bias.shape[1]))),
+        body_hash=body_hash(stage.body),
     )
+
+
+def test_a_delivered_mesh_has_a_middle_one(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    # As if the subdivided mesh had another area than the coarse one, which is nothing to a mesh that came fine.
+    monkeypatch.setattr("wrinkles.levels.NEAR_AREA", -1.0)
+    truth = SimpleNamespace(run=SimpleNamespace(body=stage.body))
+    middle = middle_levels(database_of(stage), truth)
+    assert middle is not None and np.array_equal(middle.fine.faces, stage.levels.fine.faces)
+    assert len(stage.levels.coarse.vertices) < len(middle.coarse.vertices) < len(middle.fine.vertices)
+
+
+def test_a_database_plays_a_delivered_mesh_without_its_file(stage: Stage, tmp_path: Path) -> None:
+    body, database = stage.body, database_of(stage)
     write_database(tmp_path / "cloth.h5", database)
     poses = poses_of(stage.motion(), 1.0 / 60.0, 0.1)
     player = Player(read_database(tmp_path / "cloth.h5"), body, poses[0])
