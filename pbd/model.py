@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import zipfile
 import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -34,12 +34,15 @@ class ModelOptions:
     Attributes:
         squeeze: factor on the in-plane compliance under compression [-]. A coarse mesh cannot buckle where cloth does,
             so its triangles may shorten instead.
+        shear_scale: factor on the shear stiffness [-]. Nor can it buckle along the bias, which is how cloth that is
+            sheared gives way.
         bend_scale: factor on the bending stiffness [-].
         tether_slack: length of a tether over the geodesic distance [-]; 0 leaves tethers out.
         pressure: of the air behind the cloth over that before it, where its normals point [Pa].
     """
 
     squeeze: float = 1.0
+    shear_scale: float = 1.0
     bend_scale: float = 1.0
     tether_slack: float = 1.03
     pressure: float = 0.0
@@ -48,11 +51,20 @@ class ModelOptions:
         if not np.isfinite(self.pressure):
             expected = "a finite number [Pa]"
             raise InputError("bad model option", key="pressure", received=self.pressure, expected=expected)
-        for name in ("squeeze", "bend_scale", "tether_slack"):
+        allowed = {
+            "squeeze": (self.squeeze >= 1.0, "at least 1"),
+            "shear_scale": (self.shear_scale > 0.0, "above 0"),
+            "bend_scale": (self.bend_scale >= 0.0, "at least 0"),
+            "tether_slack": (self.tether_slack >= 0.0, "at least 0"),
+        }
+        for name, (fits, expected) in allowed.items():
             value = getattr(self, name)
-            if not np.isfinite(value) or value < 0 or (name == "squeeze" and value < 1):
-                expected = "a finite number, at least 1" if name == "squeeze" else "a finite number, at least 0"
-                raise InputError("bad model option", key=name, received=value, expected=expected)
+            if not np.isfinite(value) or not fits:
+                raise InputError("bad model option", key=name, received=value, expected=f"a finite number, {expected}")
+
+    def membrane(self, fabric: Fabric) -> Fabric:
+        """The fabric as the model has it in its plane."""
+        return replace(fabric, shear=self.shear_scale * fabric.shear)
 
 
 @dataclass(frozen=True)
@@ -154,7 +166,7 @@ def build_model(
     inverse_mass[held] = 0.0
     if bend_factor is None:
         bend_factor = hinge_calibration(mesh)
-    triangles, triangle_data, triangle_colors = _membrane(mesh, fabric, inverse_mass)
+    triangles, triangle_data, triangle_colors = _membrane(mesh, options.membrane(fabric), inverse_mass)
     hinges, hinge_data, hinge_colors = _bending(mesh, fabric, inverse_mass, options.bend_scale * bend_factor)
     order, _ = _by_color(mesh.stitches, count)
     tethers, lengths = _tethers(mesh, held, options.tether_slack)

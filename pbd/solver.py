@@ -109,7 +109,7 @@ class Solver:
         self._items, self._item_cells = np.zeros((2, 1), np.int32)
         levels = Hierarchy.flat(count)
         if self.options.coarse_sweeps and not model.layer.any():  # levels know one fabric
-            levels = build_hierarchy(model.mesh, model.mass, model.inverse_mass, fabric)
+            levels = build_hierarchy(model.mesh, model.mass, model.inverse_mass, model.options.membrane(fabric))
         self._hierarchy, patches = levels, len(levels.inverse_mass)
         self._children = levels.children()
         # Kept one by one: an array that is the same object as at the last call need not be handed over again.

@@ -254,8 +254,9 @@ def _not_raised(bench: Bench) -> Way:
     return bench.mapped(bench.full.begin(), gain=1.0)
 
 
-def _coarse_model(bench: Bench, squeeze: float, bend_scale: float) -> Way:
-    options = replace(bench.full.options or ModelOptions(), squeeze=squeeze, bend_scale=bend_scale)
+def _coarse_model(bench: Bench, squeeze: float, bend_scale: float, shear_scale: float = 1.0) -> Way:
+    own = bench.full.options or ModelOptions()
+    options = replace(own, squeeze=squeeze, bend_scale=bend_scale, shear_scale=shear_scale)
     return replace(bench.full, options=options)
 
 
@@ -285,7 +286,9 @@ ABLATIONS = (
     Ablation("calibration", "off: squeeze 1, bending 1", partial(_coarse_model, squeeze=1.0, bend_scale=1.0)),
     Ablation("calibration", "squeeze 10, bending 1", partial(_coarse_model, squeeze=10.0, bend_scale=1.0)),
     Ablation("calibration", "squeeze 1, bending 10", partial(_coarse_model, squeeze=1.0, bend_scale=10.0)),
-    Ablation("calibration", "squeeze 10, bending 10", partial(_coarse_model, squeeze=10.0, bend_scale=10.0)),
+    Ablation(
+        "calibration", "squeeze 10, shear 0.3", partial(_coarse_model, squeeze=10.0, bend_scale=1.0, shear_scale=0.3)
+    ),
 )
 
 

@@ -1,5 +1,5 @@
-"""Calibration: compression and bending of the coarse model, and how strongly wrinkles are drawn, chosen so that the
-coarse garment goes where the fine one does and the decoded one folds as it does.
+"""Calibration: compression, bending and shear of the coarse model, and how strongly wrinkles are drawn, chosen so that
+the coarse garment goes where the fine one does and the decoded one folds as it does.
 
 A mapping fitted to single folds leaves out what it cannot tell, so that all it draws together is too smooth. Raising
 its coefficients a little gives the energy back, for little error in each fold: the expectation of a quantity known with
@@ -28,11 +28,12 @@ __all__ = ["Calibration", "calibrate"]
 
 SQUEEZE = (1.0, 10.0, 100.0)
 BEND = (1.0, 3.0, 10.0)
+SHEAR = (0.3, 0.1)  # tried once the others are chosen
 GAINS = (1.0, 1.25, 1.5)  # beyond that the spectrum may be better still, but lumps are seen
 SKIPPED = 2
 EXCESS = 1.2  # over the fine cloth's energy in an octave, from which on wrinkles are not raised: that is noise
 EVERY = 8  # recorded frames from one that is decoded to the next: bending energy changes slowly
-CHAOS = 1e-3  # how far apart two runs of one garment may be for no reason [m]
+CHAOS = 1.0  # how far apart two runs of one garment may be for no reason [mm]
 SETTLE = 1.5  # the blend from the bind pose does not count [s]
 
 
@@ -100,74 +101,79 @@ def calibrate(
         gains: on the wrinkles, to choose from.
     """
     recordings = [settled(r, run) for r, run in zip(recordings, runs, strict=True)]
-    reference = np.concatenate([features_of(layer, r)[0] for r in recordings])
-    statistics = FeatureStatistics.of(reference)
+    statistics = FeatureStatistics.of(np.concatenate([features_of(layer, r)[0] for r in recordings]))
     bands = BandedEnergy(layer.levels.rest_vertices, layer.levels.fine.faces)
     energies = [bands.energy(r.positions[::EVERY]) for r in recordings]
     wanted = np.concatenate(energies).mean(axis=0)
-    # The first is the fabric itself: what calibration is compared with.
-    options = [
-        replace(runs[0].options, squeeze=squeeze, bend_scale=bend) for squeeze, bend in itertools.product(SQUEEZE, BEND)
-    ]
-    tries = [
-        replace(run, fine=False, options=option, solver=solver, bend_factor=bend_factor)
-        for option in options
-        for run in runs
-    ]
     matrix = CoarseFilter(layer.levels).matrix
-    found = record_runs(tries, cache, workers, report)
-    coarse = [settled(filtered(r, matrix), run) for r, run in zip(found, tries, strict=True)]
-    of_option = [coarse[number * len(runs) : (number + 1) * len(runs)] for number in range(len(options))]
+    models: list[tuple[ModelOptions, list[Recording]]] = []
     rows: list[dict[str, float]] = []
 
-    def away(mine: list[Recording]) -> dict[str, float]:
-        features = np.concatenate([features_of(layer, r)[0] for r in mine])
-        return {"shift": statistics.shift(features), "mismatch": statistics.mismatch(features)}
-
-    shifts = [away(mine) for mine in of_option]
-    apart = np.array([_apart(mine, recordings) for mine in of_option])
-    lost = np.log((apart + CHAOS) / (apart.min() + CHAOS))
+    def run_all(options: list[ModelOptions]) -> None:
+        """Run the coarse garment by further models and judge each at two gains."""
+        tries = [
+            replace(run, fine=False, options=option, solver=solver, bend_factor=bend_factor)
+            for option in options
+            for run in runs
+        ]
+        found = record_runs(tries, cache, workers, report)
+        coarse = [settled(filtered(r, matrix), run) for r, run in zip(found, tries, strict=True)]
+        for number, option in enumerate(options):
+            models.append((option, coarse[number * len(runs) : (number + 1) * len(runs)]))
+            for gain in gains[::SKIPPED]:
+                judge(len(models) - 1, gain)
+            if report is not None:
+                report(f"calibrating the coarse model: {len(models)} of {len(SQUEEZE) * len(BEND) + len(SHEAR)}")
 
     def judge(number: int, gain: float) -> None:
-        louder = mapping.amplified(gain)
+        louder, (option, mine) = mapping.amplified(gain), models[number]
         predict = lambda features, pose: louder.predict(features)  # noqa: E731
         energies = [
             bands.energy(decode_recording(layer, predict, atoms, run, r.where(slice(None, None, EVERY)))[1])
-            for run, r in zip(runs, of_option[number], strict=True)
+            for run, r in zip(runs, mine, strict=True)
         ]
         total = np.concatenate(energies).mean(axis=0)
-        spectrum = float(np.sqrt((np.log(_with_sum(total) / _with_sum(wanted)) ** 2).mean()))
+        features = np.concatenate([features_of(layer, r)[0] for r in mine])
         rows.append(
             {
-                "error": float(np.hypot(spectrum, lost[number])),
-                "spectrum_error": spectrum,
-                "apart_mm": 1e3 * float(apart[number]),
-                "squeeze": options[number].squeeze,
-                "bend_scale": options[number].bend_scale,
+                "model": number,
+                "spectrum_error": float(np.sqrt((np.log(_with_sum(total) / _with_sum(wanted)) ** 2).mean())),
+                "apart_mm": 1e3 * _apart(mine, recordings),
+                "squeeze": option.squeeze,
+                "shear_scale": option.shear_scale,
+                "bend_scale": option.bend_scale,
                 "gain": gain,
                 "excess": float((total / wanted).max()),
-                **shifts[number],
+                "shift": statistics.shift(features),
+                "mismatch": statistics.mismatch(features),
             }
         )
 
-    def best_of() -> int:
-        fit = [row["gain"] == gains[0] or row["excess"] <= EXCESS for row in rows]
-        return int(np.argmin([row["error"] if fits else np.inf for row, fits in zip(rows, fit, strict=True)]))
+    def best() -> dict[str, float]:
+        least = min(row["apart_mm"] for row in rows)
+        for row in rows:
+            lost = np.log((row["apart_mm"] + CHAOS) / (least + CHAOS))
+            row["error"] = float(np.hypot(row["spectrum_error"], lost))
+        fitting = [row for row in rows if row["gain"] == gains[0] or row["excess"] <= EXCESS]
+        return min(fitting, key=lambda row: row["error"])
 
-    for number in range(len(options)):  # every coarse model at two gains, then the best one at all of them
-        for gain in gains[::SKIPPED]:
-            judge(number, gain)
-        if report is not None:
-            report(f"calibrating the coarse model: {number + 1} of {len(options)}")
-    first = best_of() // len(gains[::SKIPPED])
+    own = runs[0].options  # with the fabric itself calibration is compared
+    run_all([replace(own, squeeze=squeeze, bend_scale=bend) for squeeze, bend in itertools.product(SQUEEZE, BEND)])
+    chosen = models[int(best()["model"])][0]
+    run_all([replace(chosen, shear_scale=shear) for shear in SHEAR])
+    first = int(best()["model"])
     for gain in gains:
         if gain not in gains[::SKIPPED]:
             judge(first, gain)
-    best = best_of()
-    plain, kept = rows[0], rows[best]
-    chosen = replace(runs[0].options, squeeze=kept["squeeze"], bend_scale=kept["bend_scale"])
+    plain, kept = rows[0], best()
     return Calibration(
-        chosen, kept["gain"], plain["shift"], kept["shift"], plain["mismatch"], kept["mismatch"], tuple(rows)
+        models[int(kept["model"])][0],
+        kept["gain"],
+        plain["shift"],
+        kept["shift"],
+        plain["mismatch"],
+        kept["mismatch"],
+        tuple(rows),
     )
 
 

@@ -184,6 +184,7 @@ def _settings(cloth: Cloth) -> dict[str, float]:
         "substeps a frame": cloth.substeps,
         "substep [s]": cloth.run.dt / cloth.substeps,
         "squeeze": options.squeeze,
+        "shear_scale": options.shear_scale,
         "bend_scale": options.bend_scale,
     }
 

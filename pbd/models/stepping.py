@@ -62,7 +62,8 @@ class ClothSolver(ABC):
     next step goes on from those; what was changed, or another state, is taken over.
 
     Args:
-        model: the garment. Tethers and ``squeeze``, which are the default solver's, are left out.
+        model: the garment. Tethers, ``squeeze`` and ``shear_scale``, which are the default solver's, are left
+            out.
         options: see :class:`Options`.
         name: in messages.
 

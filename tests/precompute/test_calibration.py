@@ -17,9 +17,9 @@ from tests.wrinkles.databases import placed, small_database
 from wrinkles.coarse_filter import CoarseFilter
 
 
-@pytest.mark.parametrize(("stiff", "gain"), [(1.0, 1.0), (30.0, 1.0), (1.0, 1.25)])
+@pytest.mark.parametrize(("stiff", "shear", "gain"), [(1.0, 1.0, 1.0), (30.0, 1.0, 1.0), (1.0, 0.1, 1.25)])
 def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(
-    stiff: float, gain: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    stiff: float, shear: float, gain: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stage = Stage.of(scene())
     layer = build_layer(stage.levels)
@@ -34,21 +34,22 @@ def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(
     fine = Run(
         "walk", stage.levels, True, stage.body, poses, 1.0 / 60.0, fabric_of(stage.settings), ModelOptions(), solver
     )
-    coarse = replace(fine, fine=False, options=ModelOptions(bend_scale=stiff), bend_factor=0.3)
+    coarse = replace(fine, fine=False, options=ModelOptions(shear_scale=shear, bend_scale=stiff), bend_factor=0.3)
     with miniature():
         run = filtered(record_runs([coarse], tmp_path, 1)[0], CoarseFilter(stage.levels).matrix)
         # What this coarse garment looks like when it is decoded is given out as the fine run.
         told = replace(run, positions=decode_recording(layer, predict, atoms, coarse, run)[1])
         found = calibrate(layer, mapping, atoms, [fine], [told], solver, 0.3, tmp_path, 1)
     assert (found.options, found.gain) == (coarse.options, gain)
-    errors = {(row["bend_scale"], row["gain"]): row["spectrum_error"] for row in found.rows}
-    assert errors[stiff, gain] < 1e-2 < 0.1 < errors[31.0 - stiff, 1.0]
-    assert all(errors[stiff, other] > 1e-3 > errors[stiff, gain] for other in GAINS if other != gain)
-    apart = {row["bend_scale"]: row["apart_mm"] for row in found.rows}
-    assert apart[stiff] < 1e-3 < 1.0 < apart[31.0 - stiff]
+    told_of = lambda key: {(r["bend_scale"], r["shear_scale"], r["gain"]): r[key] for r in found.rows}  # noqa: E731
+    errors = told_of("spectrum_error")
+    assert errors[stiff, shear, gain] < 1e-2 < 0.1 < errors[31.0 - stiff, 1.0, 1.0]
+    assert all(errors[stiff, shear, other] > 1e-3 > errors[stiff, shear, gain] for other in GAINS if other != gain)
+    apart = told_of("apart_mm")
+    assert apart[stiff, shear, gain] < 1e-3 < 1.0 < apart[31.0 - stiff, 1.0, 1.0]
+    assert apart[stiff, 0.1 if shear == 1.0 else 1.0, 1.0] > 0.1
     assert all(row["error"] >= row["spectrum_error"] for row in found.rows)
-    excess = {(row["bend_scale"], row["gain"]): row["excess"] for row in found.rows}
-    assert excess[stiff, gain] == pytest.approx(1.0, abs=1e-3)
+    assert told_of("excess")[stiff, shear, gain] == pytest.approx(1.0, abs=1e-3)
     with miniature(), monkeypatch.context() as less:  # as if that were noise already
         less.setattr("precompute.calibration.EXCESS", 0.5)
         assert calibrate(layer, mapping, atoms, [fine], [told], solver, 0.3, tmp_path, 1).gain == 1.0

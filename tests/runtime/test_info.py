@@ -99,7 +99,7 @@ def test_other_fabrics_are_said_and_checked(write: Callable[..., Path]) -> None:
     path = write(other_fabrics=OTHERS, quality=quality)
     text, figures = info_text(path)
     assert row(text, "name").split() == ["name", "muslin"]
-    words = "squeeze 3, bend scale 7; held out: normal error 6.25 deg, skill 0.440"
+    words = "squeeze 3, shear scale 1, bend scale 7; held out: normal error 6.25 deg, skill 0.440"
     assert row(text, "denim").split(maxsplit=1) == ["denim", words]
     assert (figures["denim_squeeze"], figures["denim_normal_skill"]) == (3.0, 0.44)
     checks = check_database(path)
