@@ -323,12 +323,12 @@ class WrinkleSettings:
     """What is learned.
 
     Attributes:
-        hidden_width: width of the network's second hidden layer; the first is three times as wide.
+        hidden_width: width of the network's second hidden layer; the first is eight thirds as wide.
         atoms: atoms of the dictionary.
         seed: seed of every random choice in learning.
     """
 
-    hidden_width: int = entry(whole(at_least=1), 128)
+    hidden_width: int = entry(whole(at_least=1), 192)
     atoms: int = entry(whole(at_least=1), 48)
     seed: int = entry(whole(at_least=0), 0)
 

@@ -127,10 +127,11 @@ def precompute(
     learned = spread_frames(recordings, TRAINING_FRAMES)
     data = training_set(layer, learned, scene.wrinkles.atoms, seed)
     width, own = scene.wrinkles.hidden_width, runs[0].fabric
+    hidden = (8 * width // 3, width)
     worn = [fabric_features(run.fabric, own) for run in runs]
     told = np.repeat(worn, [len(recording.frames) for recording in learned], axis=0)
     epochs = epochs_for(len(data.features))
-    mapping = fit_layer(layer, data, hidden=(3 * width, width), epochs=epochs, seed=seed, report=tell, fabrics=told)
+    mapping = fit_layer(layer, data, hidden=hidden, epochs=epochs, seed=seed, report=tell, fabrics=told)
     mappings = [mapping.for_fabric(features) for features in worn]
     atoms = with_vertex_mean(layer, [by_features(one) for one in mappings], data.atoms, runs, learned)
 

@@ -55,6 +55,7 @@ __all__ = [
 ]
 
 LARGE = 4096  # arrays from this size on are stored in compressed chunks [bytes]
+LAYOUT = ("v110", "v110")  # of HDF5 1.10, whose headers take a third of those before
 PACKED = {"chunks": True, "shuffle": True, "compression": "gzip"}
 
 
@@ -285,7 +286,7 @@ def write_database(path: str | Path, database: WrinkleDatabase) -> None:
     check_layout({name: (array.dtype, array.shape) for name, array in arrays.items()}, path)
     check_values(arrays, path)
     image = io.BytesIO()  # HDF5 takes a full disk badly: an error while closing, or a broken process
-    with h5py.File(image, "w") as file:
+    with h5py.File(image, "w", libver=LAYOUT) as file:
         for entry in ENTRIES:
             array = arrays[entry.name]
             if entry.dtype == TEXT:

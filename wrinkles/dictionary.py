@@ -17,7 +17,7 @@ __all__ = ["FABRIC_COUNT", "Atoms", "Mapping", "fabric_features", "fit_atoms", "
 NOISE = 0.05  # of the features in training, in standard deviations
 FABRIC_COUNT = 2  # see fabric_features
 SHORTEST = 1e-3  # gravity lengths below it [m] are all the same: no mesh shows their folds
-REGION_RATE = 4e-3  # of Adam where a region goes on from what all places have learned
+REGION_RATE = 0.015  # where a region goes on from what all places have learned
 CLIP = 4.0  # features further out than this many standard deviations count as if they stood there
 
 

@@ -28,7 +28,7 @@ DYNAMIC_COUNT = 3 * len(OTHERS) + 3 + len(INNER)
 # Features that are offsets of the ring of eight points around the centre.
 INNER_OFFSETS = [3 * OTHERS.index(p) + a for p in INNER if p != CENTRE for a in range(3)]
 MODES = 8
-REGIONS, SMALLEST = 8, 40  # that a garment is parted into; least coarse vertices in one on average
+REGIONS, SMALLEST = 5, 40  # that a garment is parted into; least coarse vertices in one on average
 
 vec3 = ti.math.vec3
 Vec4 = ti.types.ndarray(dtype=ti.math.vec4, ndim=1)

@@ -15,7 +15,8 @@ __all__ = ["Relaxation"]
 
 STRETCH_SHARE = 0.25  # of an edge's stretch that a relaxation pass takes back
 LEVEL = 0.025  # where the coarse garment is further than this from the body, so is the fine one [m]
-NEARBY = 0.008  # fine vertices within this height over the tangent plane are tested against faces [m]
+NEARBY = 0.008  # fine vertices within this height over the tangent plane are near the body [m]
+CURVED = 0.003  # those of them that are no more than this over their clearance are tested against faces [m]
 ACROSS = 0.05  # another part of the body is looked for this far from the part that a coarse vertex covers [m]
 TURNS = 8  # frames in which every coarse vertex looks for that once
 OPPOSITE = 0.3  # least cosine between the normals of two parts, one turned round, with cloth between them
@@ -120,7 +121,7 @@ def _relax(
                                 nearest[i] = best
                                 home, looks = body[best], body_normals[best]
                             n, h, c = body_normals[best], (p - body[best]).dot(body_normals[best]), 0.0
-                            if h < NEARBY:
+                            if h < ti.min(clearance[best] + CURVED, NEARBY):
                                 n, h, c = _height(p, best, body, body_normals, fan_start, fan, clearance)
                             if side == 0:
                                 normal, gap, kept = n, h, c

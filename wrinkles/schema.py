@@ -133,7 +133,7 @@ ENTRIES = (
     Entry("mapping/bias_2", SINGLE, ("r", "h2")),
     *_in_steps("mapping/weights_3", ("r", "h2", "K"), along=1),
     Entry("mapping/bias_3", SINGLE, ("r", "K")),
-    Entry("unfamiliarity/weights_1", SINGLE, ("h1", "u")),
+    *_in_steps("unfamiliarity/weights_1", ("h1", "u")),
     Entry("unfamiliarity/bias_1", SINGLE, ("u",)),
     Entry("unfamiliarity/weights_2", SINGLE, ("u",)),
     Entry("unfamiliarity/bias_2", DOUBLE),
