@@ -273,7 +273,7 @@ ABLATIONS = (
     Ablation("dictionary", "ridge regression", _linear),
     Ablation("dictionary", "one region", _one_region),
     Ablation("dictionary", "hidden 128, 64", partial(_hidden, widths=(128, 64))),
-    Ablation("dictionary", "hidden 768, 256", partial(_hidden, widths=(768, 256))),
+    Ablation("dictionary", "hidden 640, 256", partial(_hidden, widths=(640, 256))),
     Ablation("mixing", "nearest patch alone", _single_patch),
     Ablation("mixing", "barycentric weights", _barycentric),
     Ablation("history", "previous coefficients, true ones told", _history_told),

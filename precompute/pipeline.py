@@ -41,9 +41,7 @@ __all__ = [
     "training_runs",
 ]
 
-CALIBRATION_SECONDS = (
-    6.0  # motion that the coarse model is calibrated on: enough to see it move, short enough to try many
-)
+CALIBRATION_SECONDS = 6.0  # of each motion, to calibrate on: enough to see it move, short enough to try many models
 TRAINING_FRAMES = 2400
 EPOCHS = 12
 MOST_EPOCHS = 24  # where there are few frames
@@ -138,9 +136,8 @@ def precompute(
     coarse_bend = hinge_calibration(levels.coarse)
     calibrations: dict[str, Calibration] = {}
     for first, name in zip(range(0, len(runs), len(motions)), fabrics, strict=True):
-        chosen = [(first + number, short) for number, short in _excerpts(runs[first : first + len(motions)])]
-        excerpts = [_start_of(recordings[number], short) for number, short in chosen]
-        shorts = [short for _, short in chosen]
+        shorts = _excerpts(runs[first : first + len(motions)])
+        excerpts = [_start_of(recordings[first + number], short) for number, short in enumerate(shorts)]
         # The own fabric comes first and chooses how strongly wrinkles are drawn; the others share its network.
         gains = (1.0,) if calibrations else GAINS
         calibrations[name] = calibrate(
@@ -280,10 +277,9 @@ def _given_figures(
     return {name: float(figures[name]) for name in ("normal_error_deg", "normal_error_smooth_deg", "normal_skill")}
 
 
-def _excerpts(runs: list[Run]) -> list[tuple[int, Run]]:
-    """The start of the first and the last training run, to calibrate on: number and shortened run."""
-    cut = lambda run: run.poses[: round(CALIBRATION_SECONDS / run.dt) + 1]  # noqa: E731
-    return [(number, replace(runs[number], poses=cut(runs[number]))) for number in sorted({0, len(runs) - 1})]
+def _excerpts(runs: list[Run]) -> list[Run]:
+    """The start of each training run, to calibrate on."""
+    return [replace(run, poses=run.poses[: round(CALIBRATION_SECONDS / run.dt) + 1]) for run in runs]
 
 
 def _start_of(recording: Recording, run: Run) -> Recording:
