@@ -1,10 +1,5 @@
 """Cloth, fabrics, colliders and time: the solvers and everything they stand on."""
 
-# ruff: noqa: E402, I001
-from pbd.blas import choose_kernels
-
-choose_kernels()  # before NumPy is loaded for the first time
-
 from pbd.colliders import Body, Capsule, Colliders, DistanceField, Plane, Sphere
 from pbd.crowd import Crowd
 from pbd.engine import ensure_initialized
