@@ -101,6 +101,7 @@ def machine_description() -> dict[str, Any]:
         "platform": platform.platform(),
         "python": platform.python_version(),
         "taichi": package_version("taichi"),
+        "blas": _blas_kernels(),
         "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
     }
 
@@ -111,6 +112,13 @@ def package_version(name: str) -> str:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
         return "not installed"
+
+
+def _blas_kernels() -> str:
+    """Whose kernels OpenBLAS runs, "SkylakeX": by default the widest that it has for this processor."""
+    from threadpoolctl import threadpool_info
+
+    return ", ".join(sorted({pool["architecture"] for pool in threadpool_info() if "architecture" in pool}))
 
 
 def _cpu_model() -> str:
