@@ -1,4 +1,4 @@
-"""Calibration: compression, bending and shear of the coarse model, and how strongly wrinkles are drawn, chosen so that
+"""Calibration: compression, shear and bending of the coarse model, and how strongly wrinkles are drawn, chosen so that
 the coarse garment goes where the fine one does and the decoded one folds as it does.
 
 A mapping fitted to single folds leaves out what it cannot tell, so that all it draws together is too smooth. Raising
@@ -27,8 +27,8 @@ from wrinkles.spectrum import BandedEnergy
 __all__ = ["Calibration", "calibrate"]
 
 SQUEEZE = (1.0, 10.0, 100.0)
-BEND = (1.0, 3.0, 10.0)
-SHEAR = (0.3, 0.1)  # tried once the others are chosen
+SHEAR = (1.0, 0.3, 0.1)
+BEND = (3.0, 10.0)  # besides 1; tried once the others are chosen
 GAINS = (1.0, 1.25, 1.5)  # beyond that the spectrum may be better still, but lumps are seen
 SKIPPED = 2
 EXCESS = 1.2  # over the fine cloth's energy in an octave, from which on wrinkles are not raised: that is noise
@@ -123,7 +123,7 @@ def calibrate(
             for gain in gains[::SKIPPED]:
                 judge(len(models) - 1, gain)
             if report is not None:
-                report(f"calibrating the coarse model: {len(models)} of {len(SQUEEZE) * len(BEND) + len(SHEAR)}")
+                report(f"calibrating the coarse model: {len(models)} of {len(SQUEEZE) * len(SHEAR) + len(BEND)}")
 
     def judge(number: int, gain: float) -> None:
         louder, (option, mine) = mapping.amplified(gain), models[number]
@@ -158,9 +158,9 @@ def calibrate(
         return min(fitting, key=lambda row: row["error"])
 
     own = runs[0].options  # with the fabric itself calibration is compared
-    run_all([replace(own, squeeze=squeeze, bend_scale=bend) for squeeze, bend in itertools.product(SQUEEZE, BEND)])
+    run_all([replace(own, squeeze=squeeze, shear_scale=shear) for squeeze, shear in itertools.product(SQUEEZE, SHEAR)])
     chosen = models[int(best()["model"])][0]
-    run_all([replace(chosen, shear_scale=shear) for shear in SHEAR])
+    run_all([replace(chosen, bend_scale=bend) for bend in BEND])
     first = int(best()["model"])
     for gain in gains:
         if gain not in gains[::SKIPPED]:

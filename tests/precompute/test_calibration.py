@@ -43,11 +43,11 @@ def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(
     assert (found.options, found.gain) == (coarse.options, gain)
     told_of = lambda key: {(r["bend_scale"], r["shear_scale"], r["gain"]): r[key] for r in found.rows}  # noqa: E731
     errors = told_of("spectrum_error")
-    assert errors[stiff, shear, gain] < 1e-2 < 0.1 < errors[31.0 - stiff, 1.0, 1.0]
+    assert errors[stiff, shear, gain] < 1e-2 < 0.1 < errors[31.0 - stiff, shear, 1.0]
     assert all(errors[stiff, shear, other] > 1e-3 > errors[stiff, shear, gain] for other in GAINS if other != gain)
     apart = told_of("apart_mm")
-    assert apart[stiff, shear, gain] < 1e-3 < 1.0 < apart[31.0 - stiff, 1.0, 1.0]
-    assert apart[stiff, 0.1 if shear == 1.0 else 1.0, 1.0] > 0.1
+    assert apart[stiff, shear, gain] < 1e-3 < 1.0 < apart[31.0 - stiff, shear, 1.0]
+    assert apart[1.0, 0.1 if shear == 1.0 else 1.0, 1.0] > 0.1
     assert all(row["error"] >= row["spectrum_error"] for row in found.rows)
     assert told_of("excess")[stiff, shear, gain] == pytest.approx(1.0, abs=1e-3)
     with miniature(), monkeypatch.context() as less:  # as if that were noise already
