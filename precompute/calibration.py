@@ -123,7 +123,7 @@ def calibrate(
             for gain in gains[::SKIPPED]:
                 judge(len(models) - 1, gain)
             if report is not None:
-                report(f"calibrating the coarse model: {len(models)} of {len(SQUEEZE) * len(SHEAR) + len(BEND)}")
+                report(f"calibrating the coarse model: {len(models)} tried")
 
     def judge(number: int, gain: float) -> None:
         louder, (option, mine) = mapping.amplified(gain), models[number]
@@ -161,6 +161,9 @@ def calibrate(
     run_all([replace(own, squeeze=squeeze, shear_scale=shear) for squeeze, shear in itertools.product(SQUEEZE, SHEAR)])
     chosen = models[int(best()["model"])][0]
     run_all([replace(chosen, bend_scale=bend) for bend in BEND])
+    chosen = models[int(best()["model"])][0]
+    if chosen.bend_scale != 1.0:
+        run_all([replace(chosen, shear_scale=shear) for shear in SHEAR if shear != chosen.shear_scale])
     first = int(best()["model"])
     for gain in gains:
         if gain not in gains[::SKIPPED]:
