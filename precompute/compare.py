@@ -56,7 +56,7 @@ class Method:
         figures: by name, without the prefix; none where it broke.
         settings: everything needed to repeat it.
         frames: fine vertices [m], float32, shape (f, N, 3); None where it broke.
-        broke_at: when a vertex was no longer finite [s].
+        broke_at: when it burst, see :class:`precompute.rivals.Played` [s].
     """
 
     prefix: str

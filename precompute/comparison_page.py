@@ -60,7 +60,7 @@ def verdict(comparison: Comparison) -> str:
         for m, limit in _beyond_their_limits(comparison)
     ]
     paragraphs += [
-        f"{_called(m).capitalize()} broke: after {m.broke_at:.2f} s a vertex was no longer finite."
+        f"{_called(m).capitalize()} broke: after {m.broke_at:.2f} s it had burst."
         for m in comparison.methods
         if m.broke_at is not None
     ]

@@ -40,6 +40,7 @@ __all__ = [
 ]
 
 PROBE_FRAMES = 90  # frames of a run that only a cost is measured on
+BURST = 10.0  # extents of the garment, over which cloth is all over the place: nothing can be asked of it any more
 MOST_SUBSTEPS = 128  # that are tried to fill a frame's time
 
 
@@ -50,7 +51,7 @@ class Played:
     Attributes:
         frames: fine vertices [m], float32, shape (f, N, 3), at the truth's recorded frames; fewer where it broke.
         frame_ms: median processor time of a frame: skinning, simulation, upsampling, normals [ms].
-        broke_at: when a vertex was no longer finite [s]; None if that never was.
+        broke_at: when it burst [s]: a vertex was no longer finite or all over the place; None if that never was.
     """
 
     frames: np.ndarray
@@ -106,6 +107,7 @@ class Cloth:
         vertices, normals = np.zeros((2, count, 3), np.float32)
         shade = Launch(surface_normals)  # as the player calls it, so that rivals do not pay for calls
         wanted, kept, times = set(keep.tolist()), [], []
+        burst = BURST * np.ptp(self.model.mesh.vertices, axis=0).max()
         for frame in range(1, (frame_count or self.run.frame_count) + 1):
             began = time.process_time()
             simulation.step(self.run.poses[frame], self.run.dt, self.run.wind)
@@ -116,7 +118,7 @@ class Cloth:
                 upsample(state.position, vertices)
             shade(vertices, self.fine_faces, normals)
             times.append(1e3 * (time.process_time() - began))
-            if not (np.isfinite(state.position).all() and np.isfinite(state.velocity).all()):
+            if not (np.isfinite(state.velocity).all() and np.ptp(state.position[:, :3], axis=0).max() < burst):
                 return Played(_stacked(kept, count), typical_ms(times), frame * self.run.dt)
             if frame in wanted:
                 kept.append((vertices + state.origin).astype(np.float32))

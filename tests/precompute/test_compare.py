@@ -160,14 +160,15 @@ def test_the_ends_of_the_search_are_told_apart() -> None:
     assert (never.dt_max, never.first_to_go, never.unstable) == (0.0, "speed", SHORTEST)
 
 
-def test_a_cloth_that_breaks_says_when(truth: Truth, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("array", "value"), [("velocity", np.inf), ("position", 40.0)])
+def test_a_cloth_that_breaks_says_when(array: str, value: float, truth: Truth, monkeypatch: pytest.MonkeyPatch) -> None:
     step, frames = Simulation.step, []
 
     def breaking(simulation: Simulation, *arguments: object) -> None:
         step(simulation, *arguments)
         frames.append(1)
         if len(frames) == 6:
-            simulation.state.velocity[0] = np.inf
+            getattr(simulation.state, array)[0] = value
 
     monkeypatch.setattr(Simulation, "step", breaking)
     played = fine_cloth(truth).with_substeps(2).play(np.array([2, 4, 8]))
