@@ -81,6 +81,7 @@ def calibrate(
     workers: int,
     report: Callable[[str], None] | None = None,
     gains: Sequence[float] = GAINS,
+    gathers: np.ndarray | None = None,
 ) -> Calibration:
     """Try coarse models and gains on training motion and keep those that come nearest to the fine garment.
 
@@ -99,6 +100,7 @@ def calibrate(
         bend_factor: hinge factor of the coarse mesh.
         cache, workers, report: as for :func:`precompute.recording.record_runs`.
         gains: on the wrinkles, to choose from.
+        gathers: of the coarse mesh.
     """
     recordings = [settled(r, run) for r, run in zip(recordings, runs, strict=True)]
     statistics = FeatureStatistics.of(np.concatenate([features_of(layer, r)[0] for r in recordings]))
@@ -112,7 +114,7 @@ def calibrate(
     def run_all(options: list[ModelOptions]) -> None:
         """Run the coarse garment by further models and judge each at two gains."""
         tries = [
-            replace(run, fine=False, options=option, solver=solver, bend_factor=bend_factor)
+            replace(run, fine=False, options=option, solver=solver, bend_factor=bend_factor, gathers=gathers)
             for option in options
             for run in runs
         ]

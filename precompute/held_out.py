@@ -50,6 +50,7 @@ def coarse_run(database: WrinkleDatabase, run: Run, options: ModelOptions | None
         options=options or database.options,
         solver=database.solver,
         bend_factor=database.bend_factor,
+        gathers=database.gathers,
     )
 
 

@@ -20,10 +20,11 @@ from threadpoolctl import threadpool_limits
 import pbd
 from assets.character import Character
 from assets.sequence import Sequence as VertexSequence
-from pbd import DistanceField, Fabric, ModelOptions, SolverOptions, State, build_model
+from pbd import ClothMesh, DistanceField, Fabric, ModelOptions, SolverOptions, State, build_model
 from pbd.storage import replacing
 from pbd.wind import CALM, Air, Wind
 from runtime.simulation import Simulation, body_source, poses_of
+from wrinkles.gathers import gathered
 from wrinkles.levels import Levels
 
 __all__ = ["begin_worker", "Recording", "Run", "body_source", "poses_of", "record_runs"]
@@ -46,6 +47,7 @@ class Run:
         lead_in: time at the start that only leads to the motion that is meant [s].
         every: frames from one recorded frame to the next.
         bend_factor: hinge factor if known; None measures it.
+        gathers: of the coarse mesh, see :mod:`wrinkles.gathers`; None where there are none.
     """
 
     name: str
@@ -62,6 +64,7 @@ class Run:
     wind: Air = CALM
     primitives: tuple = ()
     lead_in: float = 0.0
+    gathers: np.ndarray | None = None
 
     @property
     def frame_count(self) -> int:
@@ -80,7 +83,7 @@ class Run:
         """Hash of everything that the result depends on, the solver's source included."""
         digest = hashlib.sha256(_solver_version().encode())
         levels = self.levels
-        mesh = levels.fine if self.fine else levels.coarse
+        mesh = self._mesh()
         attachment = levels.fine_attachment if self.fine else levels.coarse_attachment
         arrays = [
             mesh.vertices,
@@ -114,15 +117,20 @@ class Run:
         digest.update(json.dumps(settings, sort_keys=True).encode())
         return digest.hexdigest()[:24]
 
+    def _mesh(self) -> ClothMesh:
+        if self.fine or self.gathers is None:
+            return self.levels.fine if self.fine else self.levels.coarse
+        return gathered(self.levels.coarse, self.gathers)
+
     def simulation(self) -> Simulation:
         """The simulation at the first pose."""
         levels = self.levels
-        mesh, held, attachment, limits = (
-            (levels.fine, levels.fine_held, levels.fine_attachment, levels.fine_limits)
+        held, attachment, limits = (
+            (levels.fine_held, levels.fine_attachment, levels.fine_limits)
             if self.fine
-            else (levels.coarse, levels.coarse_held, levels.coarse_attachment, levels.coarse_limits)
+            else (levels.coarse_held, levels.coarse_attachment, levels.coarse_limits)
         )
-        model = build_model(mesh, self.fabric, held, self.options, self.bend_factor, limits)
+        model = build_model(self._mesh(), self.fabric, held, self.options, self.bend_factor, limits)
         return Simulation(model, attachment, body_source(self.body), self.poses[0], self.solver, self.primitives)
 
 

@@ -23,6 +23,7 @@ from runtime.player import Player
 from runtime.simulation import BodySource, Simulation
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Upsampler
+from wrinkles.gathers import gathered
 from wrinkles.levels import Levels, held_between, levels_of
 from wrinkles.surface import Subdivision
 
@@ -193,7 +194,7 @@ def coarse_cloth(database: WrinkleDatabase, truth: Truth) -> Cloth:
     """The coarse garment with its calibrated model."""
     levels = truth.levels
     model = build_model(
-        levels.coarse,
+        gathered(levels.coarse, database.gathers),
         database.fabric,
         levels.coarse_held,
         database.options,

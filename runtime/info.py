@@ -14,6 +14,7 @@ from wrinkles.charts import Charts
 from wrinkles.database import LearnedFabric, WrinkleDatabase, code_version, database_figures, read_database
 from wrinkles.decoder import Decoder
 from wrinkles.features import Stencil
+from wrinkles.gathers import gathered
 from wrinkles.patches import Patches
 from wrinkles.schema import ENTRIES
 from wrinkles.surface import Subdivision
@@ -256,7 +257,12 @@ def check_database(path: str | Path) -> list[Check]:
         coarse, fine = subdivision.meshes(database.coarse_vertices, database.warp)
         checks.append(_check_areas(coarse, fine))
         model = build_model(
-            coarse, database.fabric, database.held, database.options, database.bend_factor, database.limits
+            gathered(coarse, database.gathers),
+            database.fabric,
+            database.held,
+            database.options,
+            database.bend_factor,
+            database.limits,
         )
         detail = f"{model.vertex_count} vertices, {1e3 * model.mass.sum():.0f} g, {len(model.hinges)} hinges"
         checks.append(Check("coarse model", True, detail))

@@ -82,6 +82,7 @@ class WrinkleDatabase:
         garment_name: for messages.
         coarse_vertices: bind pose, already outside the body [m], float64, shape (n, 3).
         coarse_faces: int32, shape (m, 3).
+        gathers: what the coarse garment is simulated with, float32, shape (m, 3), see :mod:`wrinkles.gathers`.
         subdivisions: from the coarse to the fine mesh.
         held: coarse vertices attached to the body, ascending, int32, shape (p,).
         limits: of coarse vertices about where the body carries them.
@@ -112,6 +113,7 @@ class WrinkleDatabase:
     garment_name: str
     coarse_vertices: np.ndarray
     coarse_faces: np.ndarray
+    gathers: np.ndarray
     subdivisions: int
     held: np.ndarray
     limits: Limits

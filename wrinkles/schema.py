@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 13
+SCHEMA_VERSION = 14
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE, STEPS = "text", "float32", "float64", "int32", "int64", "int8"
 
@@ -91,6 +91,7 @@ ENTRIES = (
     Entry("coarse_vertices", DOUBLE, ("n", 3), "m"),
     Entry("coarse_faces", INDEX, ("m", 3)),
     Entry("subdivisions", WHOLE),
+    Entry("gathers", SINGLE, ("m", 3)),
     Entry("held", INDEX, ("p",)),
     Entry("limits/vertices", INDEX, ("l",)),
     Entry("limits/maximum_distance", SINGLE, ("l",), "m"),

@@ -19,6 +19,7 @@ from runtime.simulation import Simulation
 from tests.data import ROOT
 from tests.runtime.players import skirt_stage
 from tests.wrinkles.meshes import flat_sheet, icosphere
+from wrinkles.gathers import no_gathers
 from wrinkles.levels import build_levels
 
 FRAMES, CHUNK = 40, 10
@@ -234,6 +235,7 @@ def test_the_key_tells_what_the_result_depends_on() -> None:
         replace(run, levels=replace(levels, coarse_held=levels.coarse_held[1:])),
         replace(run, levels=replace(levels, coarse=replace(levels.coarse, flat=1.001 * levels.coarse.flat))),
         replace(run, body=replace(body, joint_weights=weights)),
+        replace(run, gathers=0.9 * no_gathers(len(levels.coarse.faces))),
     ]
     keys = [run.key(), *(other.key() for other in others)]
     assert len(set(keys)) == len(keys)
