@@ -108,7 +108,7 @@ def calibrate(
     energies = [bands.energy(r.positions[::EVERY]) for r in recordings]
     wanted = np.concatenate(energies).mean(axis=0)
     matrix = CoarseFilter(layer.levels).matrix
-    models: list[tuple[ModelOptions, list[Recording]]] = []
+    models: list[tuple[ModelOptions, list[Recording], dict[str, float]]] = []
     rows: list[dict[str, float]] = []
 
     def run_all(options: list[ModelOptions]) -> None:
@@ -121,33 +121,33 @@ def calibrate(
         found = record_runs(tries, cache, workers, report)
         coarse = [settled(filtered(r, matrix), run) for r, run in zip(found, tries, strict=True)]
         for number, option in enumerate(options):
-            models.append((option, coarse[number * len(runs) : (number + 1) * len(runs)]))
+            mine = coarse[number * len(runs) : (number + 1) * len(runs)]
+            features = np.concatenate([features_of(layer, r)[0] for r in mine])
+            off = {"shift": statistics.shift(features), "mismatch": statistics.mismatch(features)}
+            models.append((option, mine, {"apart_mm": 1e3 * _apart(mine, recordings), **off}))
             for gain in gains[::SKIPPED]:
                 judge(len(models) - 1, gain)
             if report is not None:
                 report(f"calibrating the coarse model: {len(models)} tried")
 
     def judge(number: int, gain: float) -> None:
-        louder, (option, mine) = mapping.amplified(gain), models[number]
+        louder, (option, mine, off) = mapping.amplified(gain), models[number]
         predict = lambda features, pose: louder.predict(features)  # noqa: E731
         energies = [
             bands.energy(decode_recording(layer, predict, atoms, run, r.where(slice(None, None, EVERY)))[1])
             for run, r in zip(runs, mine, strict=True)
         ]
         total = np.concatenate(energies).mean(axis=0)
-        features = np.concatenate([features_of(layer, r)[0] for r in mine])
         rows.append(
             {
                 "model": number,
                 "spectrum_error": float(np.sqrt((np.log(_with_sum(total) / _with_sum(wanted)) ** 2).mean())),
-                "apart_mm": 1e3 * _apart(mine, recordings),
                 "squeeze": option.squeeze,
                 "shear_scale": option.shear_scale,
                 "bend_scale": option.bend_scale,
                 "gain": gain,
                 "excess": float((total / wanted).max()),
-                "shift": statistics.shift(features),
-                "mismatch": statistics.mismatch(features),
+                **off,
             }
         )
 

@@ -290,6 +290,11 @@ def check_values(arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
     if not 0 <= region.min() <= region.max() < regions:
         bad = int(region.min() if region.min() < 0 else region.max())
         refuse("a region that does not exist", "mapping/region", bad, f"0 to {regions - 1}")
+    one, across, two = arrays["gathers"].T.astype(float)
+    flat = (np.minimum(one, two) <= 0.0) | (one * two <= across**2)
+    if flat.any():
+        bad = int(np.argmax(flat))
+        refuse("a face without area", f"gathers[{bad}]", arrays["gathers"][bad].tolist(), "a positive definite stretch")
     levels = arrays["subdivisions"].item()
     if not 1 <= levels <= 4:
         refuse("out of range", "subdivisions", levels, "1 to 4")

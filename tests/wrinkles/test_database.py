@@ -334,6 +334,7 @@ def test_a_flipped_bit_is_refused_or_does_not_matter(path: Path) -> None:
     ("changes", "place"),
     [
         ({"bend_factor": float("nan")}, "bend_factor: not finite"),
+        ({"gathers": np.tile(np.float32([1.0, 1.0, 1.0]), (72, 1))}, r"gathers\[0\]: a face without area"),
         ({"mapping": replace(small_database().mapping, weights_2=np.full((2, 8, 6), np.inf))}, "weights_2: not finite"),
         ({"held": np.array([3, 1], np.int32)}, "held: not in ascending order"),
         ({"held": np.array([0.5, 1.0])}, "held: wrong type"),
