@@ -14,7 +14,7 @@ from scipy.sparse.linalg import spsolve
 
 from pbd.mesh import ClothMesh, Hinges, edges_of, hinges_of, vertex_rings
 
-__all__ = ["hinge_calibration", "hinge_rows"]
+__all__ = ["bends_of", "hinge_calibration", "hinge_rows"]
 
 
 def hinge_rows(mesh: ClothMesh, held: np.ndarray | None = None) -> Hinges:
@@ -55,6 +55,23 @@ def hinge_rows(mesh: ClothMesh, held: np.ndarray | None = None) -> Hinges:
         bends[np.isin(mesh.faces, held).all(axis=1)] = 0.0
     areas = np.maximum(bends[first // 3] + bends[second // 3], 1e-12)
     return Hinges(hinges, rows, areas, np.arctan2(direction[:, 1], direction[:, 0]))
+
+
+def bends_of(mesh: ClothMesh, positions: np.ndarray) -> np.ndarray:
+    """How far each hinge is bent: n . K x, for small angles the angle times the edge's length, with a sign.
+
+    Args:
+        mesh: the cloth; K is of its rest metric, see :func:`hinge_rows`.
+        positions: of its vertices [m], shape (f, n, 3).
+
+    Returns:
+        [m], shape (f, h), in the order of :func:`pbd.mesh.hinges_of`; n is the unit vector along (j - i) x (k - l).
+    """
+    hinges, rows, _, _ = hinge_rows(mesh)
+    i, j, k, l = np.moveaxis(np.asarray(positions, float)[:, hinges], 2, 0)  # noqa: E741
+    normal = np.cross(j - i, k - l)
+    normal /= np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), 1e-12)
+    return np.einsum("ha,ahfx,fhx->fh", rows, np.stack([i, j, k, l]).swapaxes(1, 2), normal)
 
 
 DIRECTIONS = np.arange(8) * np.pi / 8

@@ -8,6 +8,7 @@ term of XPBD (Macklin, Mueller, Chentanez 2016, eq. 18) keeps material stiffness
 from pbd.engine import ti
 
 __all__ = [
+    "bent_hinge",
     "contact_correction",
     "drag_velocity",
     "hinge_multiplier",
@@ -27,6 +28,8 @@ SLIVER = 1e-6  # least determinant of a triangle's system over the product of it
 # The shear answers as if warp and weft met at no sharper angle than 51 deg: where they lie along each other, the true
 # slope of the cosine is nothing, and the correction would be without bounds.
 SHEARED = 0.6  # square of the sine of that angle
+
+CLOSED = 0.1  # a hinge is nearly closed when (x_j - x_i) x (x_k - x_l) is no longer than this times its edge squared
 
 
 @ti.func
@@ -135,6 +138,33 @@ def hinge_multiplier(d1: vec3, d2: vec3, d3: vec3, rows, inverse_sum: ti.f32):
         lambda as vec3; vertex a moves by w_a K_a lambda.
     """
     return -(rows[1] * d1 + rows[2] * d2 + rows[3] * d3) * inverse_sum
+
+
+@ti.func
+def bent_hinge(d1: vec3, d2: vec3, d3: vec3, rows, rest: ti.f32, inverse_sum: ti.f32):
+    """Quadratic hinge that rests bent: energy |K x - c n|^2 / (2 alpha), n unit along (x_j - x_i) x (x_k - x_l).
+
+    The turning of n counts, so that forces turn nothing: momentum and angular momentum are kept. Where the hinge is
+    nearly closed, and its n undetermined, c fades.
+
+    Args:
+        d1, d2, d3, rows, inverse_sum: as for :func:`hinge_multiplier`.
+        rest: c, see :func:`pbd.bending.bends_of` [m].
+
+    Returns:
+        lambda, and vectors p and q: vertices i, j, k, l move by w (K lambda - p), w (K lambda + p), w (K lambda + q)
+        and w (K lambda - q).
+    """
+    across = d2 - d3
+    normal = d1.cross(across)
+    length, least = normal.norm(), CLOSED * d1.dot(d1)
+    normal /= ti.max(length, least)
+    multiplier = -(rows[1] * d1 + rows[2] * d2 + rows[3] * d3 - rest * normal) * inverse_sum
+    turning = multiplier
+    if length > least:
+        turning -= normal * normal.dot(multiplier)
+    turning *= rest / ti.max(length, least)
+    return multiplier, turning.cross(across), d1.cross(turning)
 
 
 @ti.func

@@ -181,6 +181,8 @@ class ClothMesh:
         stitches: vertices (v, a, b), each v sewn to a point of the edge a-b, int32, shape (s, 3).
         stitch_weights: w of each stitch, x_v = (1 - w) x_a + w x_b, shape (s,).
         seam_hinges: hinges across the seams; None where seams bend freely, or there are none.
+        rest_bends: of each hinge of :func:`hinges_of` at rest, see :func:`pbd.bending.bends_of` [m], shape (h,); None
+            where the cloth rests flat. Only the default solver knows them.
     """
 
     vertices: np.ndarray
@@ -189,6 +191,7 @@ class ClothMesh:
     stitches: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int32))
     stitch_weights: np.ndarray = field(default_factory=lambda: np.zeros(0))
     seam_hinges: Hinges | None = None
+    rest_bends: np.ndarray | None = None
 
     @classmethod
     def from_surface(cls, vertices: np.ndarray, faces: np.ndarray, warp: tuple = (0.0, 1.0, 0.0)) -> ClothMesh:
@@ -219,6 +222,11 @@ class ClothMesh:
             bad = np.flatnonzero(~np.isfinite(getattr(self, name)).reshape(len(getattr(self, name)), -1).all(axis=1))
             if bad.size:
                 raise InputError("value that is not finite", key=f"{name}[{bad[0]}]", expected="finite numbers")
+        if self.rest_bends is not None:
+            bends, count = np.asarray(self.rest_bends), len(hinges_of(self.faces))
+            if bends.shape != (count,) or not np.isfinite(bends).all():
+                expected = f"({count},), finite"
+                raise InputError("bad bends at rest", key="rest_bends", received=bends.shape, expected=expected)
         area = self.face_areas
         if np.any(area <= 1e-12):
             face = int(np.argmin(area))

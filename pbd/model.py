@@ -83,7 +83,7 @@ class Model:
         triangle_colors, hinge_colors: offsets of the colours, shape (colours + 1,).
         triangle_blocks: first triangle and size of each block, all of one colour, shape (b, 2).
         block_colors: offsets of the colours of the blocks, shape (colours + 1,).
-        hinges: shape (h, 4); hinge_data: K row | sum of w K^2, compliance, shape (h, 2, 4).
+        hinges: shape (h, 4); hinge_data: K row | sum of w K^2, compliance, bend at rest, shape (h, 2, 4).
         stitches: (v, a, b), shape (s, 3); stitch_weights: place of v between a and b, shape (s,).
         tethers: (vertex, held vertex), shape (t, 2); tether_lengths: [m], shape (t,).
         samples: where contact with a body is tested: the vertices (i, i), then the ends (i, j) of long edges, tested in
@@ -261,9 +261,11 @@ def _bending(
     mesh: ClothMesh, fabric: Fabric, inverse_mass: np.ndarray, factor: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     hinges, rows, areas, angle = hinge_rows(mesh, np.flatnonzero(inverse_mass == 0.0))
+    rest = np.zeros(len(hinges)) if mesh.rest_bends is None else mesh.rest_bends
     if mesh.seam_hinges is not None:
         pairs = zip((hinges, rows, areas, angle), mesh.seam_hinges, strict=True)
         hinges, rows, areas, angle = (np.concatenate(pair) for pair in pairs)
+        rest = np.concatenate([rest, np.zeros(len(hinges) - len(rest))])
     # A hinge bends at right angles to its edge; between the axes the stiffness follows the square of a mixed root.
     along_warp, along_weft = np.sin(angle) ** 2, np.cos(angle) ** 2
     bend = (np.sqrt(fabric.bend_warp) * along_warp + np.sqrt(fabric.bend_weft) * along_weft) ** 2
@@ -271,11 +273,11 @@ def _bending(
     sums = (inverse_mass[hinges] * rows**2).sum(axis=1)
     stiffness[sums == 0] = 0.0  # all held
     works = stiffness > 1e-9 * stiffness.max(initial=0.0)
-    hinges, rows, stiffness, sums = hinges[works], rows[works], stiffness[works], sums[works]
+    hinges, rows, stiffness, sums, rest = (some[works] for some in (hinges, rows, stiffness, sums, rest))
     order, offsets = _by_color(hinges, len(mesh.vertices))
     data = np.zeros((len(hinges), 2, 4), np.float32)
     data[:, 0] = rows[order]
-    data[:, 1, 0], data[:, 1, 1] = sums[order], 1.0 / stiffness[order]
+    data[:, 1, :3] = np.stack([sums[order], 1.0 / stiffness[order], rest[order]], axis=1)
     return np.ascontiguousarray(hinges[order]), data, offsets
 
 

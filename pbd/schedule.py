@@ -5,6 +5,7 @@ several workers may share them (:mod:`pbd.team`); the default is one, who never 
 """
 
 from pbd.constraints import (
+    bent_hinge,
     cushioned,
     drag_velocity,
     hinge_multiplier,
@@ -117,14 +118,12 @@ def solve_bending(
         p0, p1, p2, p3 = position[q[0]], position[q[1]], position[q[2]], position[q[3]]
         u0, u1, u2, u3 = xyz(shift[q[0]]), xyz(shift[q[1]]), xyz(shift[q[2]]), xyz(shift[q[3]])
         rows, give = data[c, 0], data[c, 1]
-        x0 = xyz(p0)
-        multiplier = hinge_multiplier(
-            (xyz(p1) - x0) + (u1 - u0),
-            (xyz(p2) - x0) + (u2 - u0),
-            (xyz(p3) - x0) + (u3 - u0),
-            rows,
-            1.0 / (give[0] + give[1] * inverse_h2),
-        )
+        x0, inverse_sum = xyz(p0), 1.0 / (give[0] + give[1] * inverse_h2)
+        d1, d2, d3 = (xyz(p1) - x0) + (u1 - u0), (xyz(p2) - x0) + (u2 - u0), (xyz(p3) - x0) + (u3 - u0)
+        multiplier = hinge_multiplier(d1, d2, d3, rows, inverse_sum)
+        if give[2] != 0.0:
+            multiplier, along, across = bent_hinge(d1, d2, d3, rows, give[2], inverse_sum)
+            u0, u1, u2, u3 = u0 - p0[3] * along, u1 + p1[3] * along, u2 + p2[3] * across, u3 - p3[3] * across
         shift[q[0]] = vec4(u0 + p0[3] * rows[0] * multiplier)
         shift[q[1]] = vec4(u1 + p1[3] * rows[1] * multiplier)
         shift[q[2]] = vec4(u2 + p2[3] * rows[2] * multiplier)

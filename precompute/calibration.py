@@ -17,23 +17,26 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from pbd import ModelOptions, SolverOptions
-from precompute.decoding import decode_recording
+from precompute.decoding import by_features, decode_recording
 from precompute.recording import Recording, Run, record_runs
 from precompute.training import FeatureStatistics, Layer, features_of
 from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.dictionary import Atoms, Mapping
+from wrinkles.gathers import Gathers
+from wrinkles.metrics import normal_error_deg
 from wrinkles.spectrum import BandedEnergy
 
 __all__ = ["Calibration", "calibrate"]
 
 SQUEEZE = (1.0, 10.0, 100.0)
 SHEAR = (1.0, 0.3, 0.1)
-BEND = (3.0, 10.0)  # besides 1; tried once the others are chosen
+BEND = (1.0, 3.0, 10.0)
+NEIGHBOUR = 0.5  # weight of a model's neighbours in judging it
 GAINS = (1.0, 1.25, 1.5)  # beyond that the spectrum may be better still, but lumps are seen
 SKIPPED = 2
 EXCESS = 1.2  # over the fine cloth's energy in an octave, from which on wrinkles are not raised: that is noise
-EVERY = 8  # recorded frames from one that is decoded to the next: bending energy changes slowly
-CHAOS = 1.0  # how far apart two runs of one garment may be for no reason [mm]
+EVERY = 16  # recorded frames from one that is decoded to the next: energy and error change slowly
+CHAOS = 1.0  # how far apart two runs of one garment may be for no reason [mm, deg]
 SETTLE = 1.5  # the blend from the bind pose does not count [s]
 
 
@@ -81,15 +84,17 @@ def calibrate(
     workers: int,
     report: Callable[[str], None] | None = None,
     gains: Sequence[float] = GAINS,
-    gathers: np.ndarray | None = None,
+    gathers: Gathers | None = None,
 ) -> Calibration:
     """Try coarse models and gains on training motion and keep those that come nearest to the fine garment.
 
-    Judged by two logarithms that count alike: bending energy in octave bands of wavelength, and in all of them
-    together, of what is seen in the end and not of the coarse garment, root mean square of log(decoded / fine); and how
-    far the filtered coarse garment is from the filtered fine one, over the least that any model comes to. The spectrum
-    alone takes false folds of a coarse model that is too stiff under compression for wrinkles. These are raised only
-    as far as no octave has more energy than the fine cloth's.
+    Judged by three logarithms that count alike: bending energy in octave bands of wavelength, and in all of them
+    together, of what is seen in the end and not of the coarse garment, root mean square of log(decoded / fine); how far
+    the filtered coarse garment is from the filtered fine one, and how far the normals of what is seen are turned from
+    the true ones, both over the least that any model comes to. The spectrum alone takes false folds of a coarse model
+    that is too stiff under compression for wrinkles. These are raised only as far as no octave has more energy than the
+    fine cloth's. Cloth is chaotic, and one run of a model may come out better or worse by a fifth for no reason: a
+    model is judged together with its neighbours.
 
     Args:
         layer: of the garment.
@@ -104,75 +109,65 @@ def calibrate(
     """
     recordings = [settled(r, run) for r, run in zip(recordings, runs, strict=True)]
     statistics = FeatureStatistics.of(np.concatenate([features_of(layer, r)[0] for r in recordings]))
-    bands = BandedEnergy(layer.levels.rest_vertices, layer.levels.fine.faces)
-    energies = [bands.energy(r.positions[::EVERY]) for r in recordings]
+    faces = layer.levels.fine.faces
+    bands = BandedEnergy(layer.levels.rest_vertices, faces)
+    fine = [r.positions[::EVERY] for r in recordings]
+    energies = [bands.energy(frames) for frames in fine]
     wanted = np.concatenate(energies).mean(axis=0)
     matrix = CoarseFilter(layer.levels).matrix
-    models: list[tuple[ModelOptions, list[Recording], dict[str, float]]] = []
+    own = runs[0].options  # with the fabric itself calibration is compared
+    models = [
+        replace(own, squeeze=squeeze, shear_scale=shear, bend_scale=bend)
+        for squeeze, shear, bend in itertools.product(SQUEEZE, SHEAR, BEND)
+    ]
+    tries = [
+        replace(run, fine=False, options=model, solver=solver, bend_factor=bend_factor, gathers=gathers)
+        for model in models
+        for run in runs
+    ]
+    found = record_runs(tries, cache, workers, report)
+    coarse = [settled(filtered(r, matrix), run) for r, run in zip(found, tries, strict=True)]
     rows: list[dict[str, float]] = []
 
-    def run_all(options: list[ModelOptions]) -> None:
-        """Run the coarse garment by further models and judge each at two gains."""
-        tries = [
-            replace(run, fine=False, options=option, solver=solver, bend_factor=bend_factor, gathers=gathers)
-            for option in options
-            for run in runs
-        ]
-        found = record_runs(tries, cache, workers, report)
-        coarse = [settled(filtered(r, matrix), run) for r, run in zip(found, tries, strict=True)]
-        for number, option in enumerate(options):
-            mine = coarse[number * len(runs) : (number + 1) * len(runs)]
-            features = np.concatenate([features_of(layer, r)[0] for r in mine])
-            off = {"shift": statistics.shift(features), "mismatch": statistics.mismatch(features)}
-            models.append((option, mine, {"apart_mm": 1e3 * _apart(mine, recordings), **off}))
-            for gain in gains[::SKIPPED]:
-                judge(len(models) - 1, gain)
-            if report is not None:
-                report(f"calibrating the coarse model: {len(models)} tried")
+    def judge(number: int, some_gains: Sequence[float]) -> None:
+        model, mine = models[number], coarse[number * len(runs) : (number + 1) * len(runs)]
+        features = np.concatenate([features_of(layer, r)[0] for r in mine])
+        off = {"shift": statistics.shift(features), "mismatch": statistics.mismatch(features)}
+        off["apart_mm"] = 1e3 * _apart(mine, recordings)
+        for gain in some_gains:
+            predict = by_features(mapping.amplified(gain))
+            decoded = [
+                decode_recording(layer, predict, atoms, run, r.where(slice(None, None, EVERY)))[1]
+                for run, r in zip(runs, mine, strict=True)
+            ]
+            total = np.concatenate([bands.energy(frames) for frames in decoded]).mean(axis=0)
+            turned = [normal_error_deg(one, other, faces) for one, other in zip(decoded, fine, strict=True)]
+            rows.append(
+                {
+                    "model": number,
+                    "squeeze": model.squeeze,
+                    "shear_scale": model.shear_scale,
+                    "bend_scale": model.bend_scale,
+                    "gain": gain,
+                    "spectrum_error": float(np.sqrt((np.log(_with_sum(total) / _with_sum(wanted)) ** 2).mean())),
+                    "normal_error_deg": float(np.concatenate(turned).mean()),
+                    "excess": float((total / wanted).max()),
+                    **off,
+                }
+            )
 
-    def judge(number: int, gain: float) -> None:
-        louder, (option, mine, off) = mapping.amplified(gain), models[number]
-        predict = lambda features, pose: louder.predict(features)  # noqa: E731
-        energies = [
-            bands.energy(decode_recording(layer, predict, atoms, run, r.where(slice(None, None, EVERY)))[1])
-            for run, r in zip(runs, mine, strict=True)
-        ]
-        total = np.concatenate(energies).mean(axis=0)
-        rows.append(
-            {
-                "model": number,
-                "spectrum_error": float(np.sqrt((np.log(_with_sum(total) / _with_sum(wanted)) ** 2).mean())),
-                "squeeze": option.squeeze,
-                "shear_scale": option.shear_scale,
-                "bend_scale": option.bend_scale,
-                "gain": gain,
-                "excess": float((total / wanted).max()),
-                **off,
-            }
-        )
-
-    def best() -> dict[str, float]:
-        least = min(row["apart_mm"] for row in rows)
-        for row in rows:
-            lost = np.log((row["apart_mm"] + CHAOS) / (least + CHAOS))
-            row["error"] = float(np.hypot(row["spectrum_error"], lost))
-        fitting = [row for row in rows if row["gain"] == gains[0] or row["excess"] <= EXCESS]
-        return min(fitting, key=lambda row: row["error"])
-
-    own = runs[0].options  # with the fabric itself calibration is compared
-    run_all([replace(own, squeeze=squeeze, shear_scale=shear) for squeeze, shear in itertools.product(SQUEEZE, SHEAR)])
-    chosen = models[int(best()["model"])][0]
-    run_all([replace(chosen, bend_scale=bend) for bend in BEND])
-    chosen = models[int(best()["model"])][0]
-    if chosen.bend_scale != 1.0:
-        run_all([replace(chosen, shear_scale=shear) for shear in SHEAR if shear != chosen.shear_scale])
-    first = int(best()["model"])
-    for gain in gains:
-        if gain not in gains[::SKIPPED]:
-            judge(first, gain)
-    plain, kept = rows[0], best()
+    for number in range(len(models)):
+        judge(number, gains[::SKIPPED])
+        if report is not None:
+            report(f"calibrating the coarse model: {number + 1} of {len(models)}")
+    _rate(rows)
+    first = min(_together(rows, gains[0]), key=lambda row: row["together"])["model"]
+    judge(int(first), [gain for gain in gains if gain not in gains[::SKIPPED]])
+    _rate(rows)
+    fitting = [row for row in rows if row["model"] == first and (row["gain"] == gains[0] or row["excess"] <= EXCESS)]
+    plain, kept = rows[0], min(fitting, key=lambda row: row["error"])
     return Calibration(
-        models[int(kept["model"])][0],
+        models[int(kept["model"])],
         kept["gain"],
         plain["shift"],
         kept["shift"],
@@ -180,6 +175,30 @@ def calibrate(
         kept["mismatch"],
         tuple(rows),
     )
+
+
+def _rate(rows: list[dict[str, float]]) -> None:
+    """Give each row its error."""
+    least = {name: min(row[name] for row in rows) for name in ("apart_mm", "normal_error_deg")}
+    for row in rows:
+        logs = [np.log((row[name] + CHAOS) / (value + CHAOS)) for name, value in least.items()]
+        row["error"] = float(np.linalg.norm([row["spectrum_error"], *logs]))
+
+
+def _together(rows: list[dict[str, float]], lowest: float) -> list[dict[str, float]]:
+    """Rows that may be chosen, with the error that a model and its neighbours have together at one gain."""
+    places = np.array(list(np.ndindex(len(SQUEEZE), len(SHEAR), len(BEND))))
+    steps = np.abs(places[:, None] - places).sum(axis=2)
+    weights = (steps == 0) + NEIGHBOUR * (steps == 1)
+    weights /= weights.sum(axis=1, keepdims=True)
+    chosen = []
+    for gain in {row["gain"] for row in rows}:
+        same = [row for row in rows if row["gain"] == gain]
+        error, excess = (weights @ [row[name] for row in same] for name in ("error", "excess"))
+        for row, one, other in zip(same, error, excess, strict=True):
+            if gain == lowest or other <= EXCESS:
+                chosen.append(row | {"together": float(one)})
+    return chosen
 
 
 def _apart(some: Sequence[Recording], others: Sequence[Recording]) -> float:

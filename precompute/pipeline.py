@@ -26,7 +26,7 @@ from runtime.stage import Stage, colliders_of, fabrics_of
 from wrinkles.charts import leading_vertices
 from wrinkles.database import LearnedFabric, WrinkleDatabase, as_stored, body_hash, code_version, write_database
 from wrinkles.dictionary import fabric_features
-from wrinkles.gathers import gathers_of, no_gathers
+from wrinkles.gathers import Gathers
 from wrinkles.metrics import given_coarse_figures
 
 __all__ = [
@@ -135,9 +135,9 @@ def precompute(
     atoms = with_vertex_mean(layer, [by_features(one) for one in mappings], data.atoms, runs, learned)
 
     coarse_bend = hinge_calibration(levels.coarse)
-    gathers = no_gathers(len(levels.coarse.faces))
+    gathers = Gathers.none(levels.coarse.faces)
     if levels.subdivision.binding is not None:  # sewn as it came, perhaps in pleats
-        gathers = gathers_of(levels.coarse, np.concatenate([recording.coarse for recording in learned]))
+        gathers = Gathers.of(levels.coarse, np.concatenate([recording.coarse for recording in learned]))
     calibrations: dict[str, Calibration] = {}
     for first, name in zip(range(0, len(runs), len(motions)), fabrics, strict=True):
         shorts = _excerpts(runs[first : first + len(motions)])

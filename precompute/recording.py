@@ -24,7 +24,7 @@ from pbd import ClothMesh, DistanceField, Fabric, ModelOptions, SolverOptions, S
 from pbd.storage import replacing
 from pbd.wind import CALM, Air, Wind
 from runtime.simulation import Simulation, body_source, poses_of
-from wrinkles.gathers import gathered
+from wrinkles.gathers import Gathers
 from wrinkles.levels import Levels
 
 __all__ = ["begin_worker", "Recording", "Run", "body_source", "poses_of", "record_runs"]
@@ -64,7 +64,7 @@ class Run:
     wind: Air = CALM
     primitives: tuple = ()
     lead_in: float = 0.0
-    gathers: np.ndarray | None = None
+    gathers: Gathers | None = None
 
     @property
     def frame_count(self) -> int:
@@ -91,6 +91,7 @@ class Run:
             mesh.flat,
             mesh.stitches,
             mesh.stitch_weights,
+            np.zeros(0) if mesh.rest_bends is None else mesh.rest_bends,
             attachment.corners,
             attachment.weights,
             attachment.offset,
@@ -120,7 +121,7 @@ class Run:
     def _mesh(self) -> ClothMesh:
         if self.fine or self.gathers is None:
             return self.levels.fine if self.fine else self.levels.coarse
-        return gathered(self.levels.coarse, self.gathers)
+        return self.gathers.applied(self.levels.coarse)
 
     def simulation(self) -> Simulation:
         """The simulation at the first pose."""

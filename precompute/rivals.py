@@ -23,7 +23,6 @@ from runtime.player import Player
 from runtime.simulation import BodySource, Simulation
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Upsampler
-from wrinkles.gathers import gathered
 from wrinkles.levels import Levels, held_between, levels_of
 from wrinkles.surface import Subdivision
 
@@ -194,7 +193,7 @@ def coarse_cloth(database: WrinkleDatabase, truth: Truth) -> Cloth:
     """The coarse garment with its calibrated model."""
     levels = truth.levels
     model = build_model(
-        gathered(levels.coarse, database.gathers),
+        database.gathers.applied(levels.coarse),
         database.fabric,
         levels.coarse_held,
         database.options,

@@ -14,7 +14,6 @@ from wrinkles.charts import Charts
 from wrinkles.database import LearnedFabric, WrinkleDatabase, code_version, database_figures, read_database
 from wrinkles.decoder import Decoder
 from wrinkles.features import Stencil
-from wrinkles.gathers import gathered
 from wrinkles.patches import Patches
 from wrinkles.schema import ENTRIES
 from wrinkles.surface import Subdivision
@@ -257,7 +256,7 @@ def check_database(path: str | Path) -> list[Check]:
         coarse, fine = subdivision.meshes(database.coarse_vertices, database.warp)
         checks.append(_check_areas(coarse, fine))
         model = build_model(
-            gathered(coarse, database.gathers),
+            database.gathers.applied(coarse),
             database.fabric,
             database.held,
             database.options,

@@ -23,7 +23,6 @@ from wrinkles.coarser import coarser_of
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Decoder, Upsampler
 from wrinkles.features import Stencil
-from wrinkles.gathers import gathered
 from wrinkles.isometry import PASSES, Isometry
 from wrinkles.levels import Levels, levels_of
 from wrinkles.patches import Patches
@@ -82,7 +81,7 @@ class Player:
             database.limits,
         )
         model = build_model(
-            gathered(self.levels.coarse, database.gathers),
+            database.gathers.applied(self.levels.coarse),
             database.fabric,
             database.held,
             database.options,

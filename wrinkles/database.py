@@ -26,6 +26,7 @@ from pbd.mesh import edges_of
 from pbd.storage import replacing
 from wrinkles.binding import Binding
 from wrinkles.dictionary import Atoms, Mapping, fabric_features
+from wrinkles.gathers import Gathers
 from wrinkles.schema import (
     ENTRIES,
     FORMAT,
@@ -82,7 +83,7 @@ class WrinkleDatabase:
         garment_name: for messages.
         coarse_vertices: bind pose, already outside the body [m], float64, shape (n, 3).
         coarse_faces: int32, shape (m, 3).
-        gathers: what the coarse garment is simulated with, float32, shape (m, 3), see :mod:`wrinkles.gathers`.
+        gathers: how the coarse garment rests where not as its pattern says.
         subdivisions: from the coarse to the fine mesh.
         held: coarse vertices attached to the body, ascending, int32, shape (p,).
         limits: of coarse vertices about where the body carries them.
@@ -113,7 +114,7 @@ class WrinkleDatabase:
     garment_name: str
     coarse_vertices: np.ndarray
     coarse_faces: np.ndarray
-    gathers: np.ndarray
+    gathers: Gathers
     subdivisions: int
     held: np.ndarray
     limits: Limits
@@ -436,6 +437,7 @@ def _unpacked(arrays: dict[str, np.ndarray]) -> WrinkleDatabase:
     return WrinkleDatabase(
         **root,
         binding=_binding_of(groups["binding"]),
+        gathers=Gathers(**groups["gathers"]),
         limits=Limits(**groups["limits"]),
         fabric=Fabric(**groups["fabric"]),
         options=ModelOptions(**groups["options"]),

@@ -1,37 +1,66 @@
-"""Pleats that are narrower than a coarse mesh can hold: its faces are made as narrow as they are on average."""
+"""Pleats that are narrower than a coarse mesh can hold: it rests as narrow as it is on average, and bent as it is.
+
+Cloth with folds narrower than its mesh has their width in its rest shape and nowhere to put it: it crumples.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pbd import ClothMesh
+from pbd.bending import bends_of
+from pbd.mesh import hinges_of
 
-__all__ = ["gathered", "gathers_of", "no_gathers"]
+__all__ = ["Gathers"]
 
 LEAST = 0.3  # share of a side's length that is left of it at least
 NARROWEST, WIDEST = 0.05, 1.2  # of a face's squared stretches
+SHARPEST = 1.0  # bend at rest over the length of its edge, about its angle [rad]
 
 
-def no_gathers(face_count: int) -> np.ndarray:
-    """Gathers that change nothing: float32, shape (m, 3)."""
-    return np.tile(np.array([1.0, 0.0, 1.0], np.float32), (face_count, 1))
+@dataclass(frozen=True)
+class Gathers:
+    """How a coarse mesh rests where it does not rest as its pattern says.
 
-
-def gathers_of(mesh: ClothMesh, positions: np.ndarray) -> np.ndarray:
-    """The symmetric stretch of each face's rest shape with which its sides are as long as they are on average.
-
-    Cloth with folds narrower than its mesh has their width in its rest shape and nowhere to put it: it crumples. Sides
-    are only made shorter; what is stretched on average is left as it is.
-
-    Args:
-        mesh: the coarse garment with its rest shape.
-        positions: of its vertices in filtered fine runs [m], shape (f, n, 3).
-
-    Returns:
-        (U11, U12, U22) of each face in (warp, weft), float32, shape (m, 3); see :func:`gathered`.
+    Attributes:
+        stretch: symmetric stretch of each face's rest shape, (U11, U12, U22) in (warp, weft), float32, shape (m, 3).
+        bends: of each hinge at rest, see :func:`pbd.bending.bends_of` [m], float32, shape (b,).
     """
+
+    stretch: np.ndarray
+    bends: np.ndarray
+
+    @classmethod
+    def none(cls, faces: np.ndarray) -> Gathers:
+        """Gathers that change nothing."""
+        stretch = np.tile(np.array([1.0, 0.0, 1.0], np.float32), (len(faces), 1))
+        return cls(stretch, np.zeros(len(hinges_of(faces)), np.float32))
+
+    @classmethod
+    def of(cls, mesh: ClothMesh, positions: np.ndarray) -> Gathers:
+        """Gathers with which the sides of faces are as long, and hinges as bent, as they are on average.
+
+        Sides are only made shorter; what is stretched on average is left as it is.
+
+        Args:
+            mesh: the coarse garment with its rest shape.
+            positions: of its vertices in filtered fine runs [m], shape (f, n, 3).
+        """
+        stretched = cls(_stretch(mesh, positions), cls.none(mesh.faces).bends)
+        bends = bends_of(stretched.applied(mesh), positions).mean(axis=0)
+        ends = mesh.vertices[hinges_of(mesh.faces)[:, :2]]
+        most = SHARPEST * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        return replace(stretched, bends=np.clip(bends, -most, most).astype(np.float32))
+
+    def applied(self, mesh: ClothMesh) -> ClothMesh:
+        """The mesh with this rest shape."""
+        stretch = np.asarray(self.stretch, float)[:, [[0, 1], [1, 2]]]
+        return replace(mesh, flat=stretch @ mesh.flat, rest_bends=self.bends)
+
+
+def _stretch(mesh: ClothMesh, positions: np.ndarray) -> np.ndarray:
     one, two = mesh.flat[:, :, 0], mesh.flat[:, :, 1]
     sides = np.stack([one, two - one, two], axis=1)  # (m, 3, 2)
     rest = np.linalg.norm(sides, axis=2)
@@ -44,9 +73,3 @@ def gathers_of(mesh: ClothMesh, positions: np.ndarray) -> np.ndarray:
     squares, axes = np.linalg.eigh(metric[:, [[0, 1], [1, 2]]])
     stretch = np.einsum("mik,mk,mjk->mij", axes, np.sqrt(np.clip(squares, NARROWEST, WIDEST)), axes)
     return stretch[:, [0, 0, 1], [0, 1, 1]].astype(np.float32)
-
-
-def gathered(mesh: ClothMesh, gathers: np.ndarray) -> ClothMesh:
-    """The mesh with the rest shape of each face stretched, see :func:`gathers_of`."""
-    stretch = np.asarray(gathers, float)[:, [[0, 1], [1, 2]]]
-    return replace(mesh, flat=stretch @ mesh.flat)

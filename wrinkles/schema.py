@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 14
+SCHEMA_VERSION = 15
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE, STEPS = "text", "float32", "float64", "int32", "int64", "int8"
 
@@ -91,7 +91,8 @@ ENTRIES = (
     Entry("coarse_vertices", DOUBLE, ("n", 3), "m"),
     Entry("coarse_faces", INDEX, ("m", 3)),
     Entry("subdivisions", WHOLE),
-    Entry("gathers", SINGLE, ("m", 3)),
+    Entry("gathers/stretch", SINGLE, ("m", 3)),
+    Entry("gathers/bends", SINGLE, ("b",), "m"),
     Entry("held", INDEX, ("p",)),
     Entry("limits/vertices", INDEX, ("l",)),
     Entry("limits/maximum_distance", SINGLE, ("l",), "m"),
@@ -152,7 +153,7 @@ ENTRIES = (
 LARGEST_STEP = 127
 # Sizes; there is no garment without vertices, but one without pins or limits, in one fabric, or whose fine mesh is the
 # subdivided coarse one.
-MAY_BE_ZERO = ("p", "l", "q", "h", "t", "N", "M", "s", "f")
+MAY_BE_ZERO = ("b", "p", "l", "q", "h", "t", "N", "M", "s", "f")
 POSITIVE = ("unfamiliarity/fade_from", "bend_factor", "frame_rate", "cutoff")
 
 
@@ -290,11 +291,15 @@ def check_values(arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
     if not 0 <= region.min() <= region.max() < regions:
         bad = int(region.min() if region.min() < 0 else region.max())
         refuse("a region that does not exist", "mapping/region", bad, f"0 to {regions - 1}")
-    one, across, two = arrays["gathers"].T.astype(float)
+    one, across, two = arrays["gathers/stretch"].T.astype(float)
     flat = (np.minimum(one, two) <= 0.0) | (one * two <= across**2)
     if flat.any():
         bad = int(np.argmax(flat))
-        refuse("a face without area", f"gathers[{bad}]", arrays["gathers"][bad].tolist(), "a positive definite stretch")
+        received = arrays["gathers/stretch"][bad].tolist()
+        refuse("a face without area", f"gathers/stretch[{bad}]", received, "a positive definite stretch")
+    bends, hinges = len(arrays["gathers/bends"]), 3 * len(faces) - len(edges_of(faces)[0])
+    if bends != hinges:
+        refuse("another number of hinges", "gathers/bends", bends, str(hinges))
     levels = arrays["subdivisions"].item()
     if not 1 <= levels <= 4:
         refuse("out of range", "subdivisions", levels, "1 to 4")

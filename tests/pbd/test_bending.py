@@ -1,15 +1,17 @@
 """The quadratic hinge and its calibration."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
-from pbd import Fabric, build_model
-from pbd.bending import _disc, _flat_patch, _strip_stiffness, hinge_calibration, hinge_rows
+from pbd import Fabric, InputError, State, build_model
+from pbd.bending import _disc, _flat_patch, _strip_stiffness, bends_of, hinge_calibration, hinge_rows
 from pbd.mesh import ClothMesh, vertex_rings
-from tests.pbd.meshes import cloth, free_model, grid, icosphere, turn
+from tests.pbd.meshes import cloth, free_model, grid, icosphere, run, turn
 
 DIRECTIONS = np.arange(4) * np.pi / 4
 
@@ -48,6 +50,35 @@ def test_a_small_fold_gives_the_edge_times_the_angle(seed: int, degrees: float) 
     size = np.linalg.norm(rows[0] @ folded[hinges[0]])
     angle = abs(np.radians(degrees))
     assert size == pytest.approx(np.linalg.norm(corners[1] - corners[0]) * angle, rel=5e-2 * angle + 1e-6, abs=1e-12)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_cloth_that_rests_bent_rolls_up_as_far_and_to_its_side(side: float) -> None:
+    """A flat strip whose hinges rest as those of a cylinder becomes that cylinder, and does not start to spin."""
+    vertices, faces = grid(16, 4, 0.02)
+    flat = cloth(vertices, faces)
+    turned, radius = (vertices[:, 0] - vertices[:, 0].mean()) / 0.1, 0.1
+    rolled = np.stack([radius * np.sin(turned), vertices[:, 1], side * radius * np.cos(turned)], axis=1)
+    bends = bends_of(flat, rolled[None])[0]
+    assert bends_of(flat, vertices[None])[0] == pytest.approx(0.0, abs=1e-12)
+    mesh = replace(flat, rest_bends=bends)
+    model = free_model(mesh, Fabric(bend_warp=1e-4, bend_weft=1e-4))
+    state = State.at_rest(model)
+    run(model, state, 240, gravity=0.0, keep=0.95)
+    found = bends_of(flat, state.position[None, :, :3])[0]
+    assert np.abs(bends).max() > 1e-3
+    assert np.corrcoef(found, bends)[0, 1] > 0.99
+    assert np.linalg.norm(found - bends) < 0.1 * np.linalg.norm(bends)
+    spin = np.cross(state.position[:, :3] - state.position[:, :3].mean(axis=0), state.velocity[:, :3]).mean(axis=0)
+    assert np.abs(spin).max() < 1e-6
+
+
+def test_bends_at_rest_that_do_not_belong_to_the_mesh_are_refused() -> None:
+    mesh = cloth(*grid(4, 3, 0.1))
+    count = len(hinge_rows(mesh).vertices)
+    for bends in (np.zeros(count - 1), np.full(count, np.nan)):
+        with pytest.raises(InputError, match=f"rest_bends.*\\({count},\\), finite"):
+            replace(mesh, rest_bends=bends)
 
 
 def test_a_curved_mesh_is_flat_at_rest_in_its_pattern() -> None:

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from pbd.constraints import (
+    CLOSED,
     PUSH_OUT,
+    bent_hinge,
     contact_correction,
     drag_velocity,
     hinge_multiplier,
@@ -52,6 +54,24 @@ def hinge_multipliers(differences: Rows, rows: Rows, inverse_sum: Rows, out: Row
         )
         for a in ti.static(range(3)):
             out[c, a] = m[a]
+
+
+@ti.kernel
+def bent_hinges(differences: Rows, rows: Rows, rest: Rows, out: Rows):
+    for c in range(differences.shape[0]):
+        m, p, q = bent_hinge(
+            vec3(differences[c, 0], differences[c, 1], differences[c, 2]),
+            vec3(differences[c, 3], differences[c, 4], differences[c, 5]),
+            vec3(differences[c, 6], differences[c, 7], differences[c, 8]),
+            ti.math.vec4(rows[c, 0], rows[c, 1], rows[c, 2], rows[c, 3]),
+            rest[c, 0],
+            1.0,
+        )
+        for a in ti.static(range(3)):
+            out[c, a] = rows[c, 0] * m[a] - p[a]
+            out[c, 3 + a] = rows[c, 1] * m[a] + p[a]
+            out[c, 6 + a] = rows[c, 2] * m[a] + q[a]
+            out[c, 9 + a] = rows[c, 3] * m[a] - q[a]
 
 
 @ti.kernel
@@ -260,6 +280,34 @@ def test_the_hinge_minimises_its_energy() -> None:
     bent = np.einsum("ck,ckx->cx", rows, moved)
     # At the minimum the force of the hinge balances inertia: K x' = -alpha lambda.
     assert bent == pytest.approx(-alpha[:, None] * multiplier, abs=1e-4)
+
+
+def test_a_hinge_that_rests_bent_pulls_down_its_energy_and_turns_nothing() -> None:
+    """Forces are the slope of |K x - c n|^2 / 2 where the hinge is not nearly closed; everywhere they add to none."""
+    rng = np.random.default_rng(6)
+    rows = rng.normal(size=(COUNT, 4))
+    rows[:, 0] = -rows[:, 1:].sum(axis=1)
+    x, rest = rng.normal(size=(COUNT, 4, 3)), rng.uniform(-1.0, 1.0, COUNT)
+    x[: COUNT // 4, 2] = x[: COUNT // 4, 3] + 0.05 * rng.normal(size=(COUNT // 4, 3))  # closed, or nearly
+
+    def energy(x: np.ndarray) -> np.ndarray:
+        normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 3])
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        return 0.5 * ((np.einsum("ck,ckx->cx", rows, x) - rest[:, None] * normal) ** 2).sum(axis=1)
+
+    moves = call(bent_hinges, (x[:, 1:] - x[:, :1]).reshape(-1, 9), rows, rest[:, None], width=12).reshape(-1, 4, 3)
+    size = np.abs(moves).max(axis=(1, 2))
+    assert np.abs(moves.sum(axis=1)).max(axis=1) == pytest.approx(0.0, abs=1e-5 * size.max())
+    assert np.abs(np.cross(x, moves).sum(axis=1)).max(axis=1) == pytest.approx(0.0, abs=1e-5 * size.max())
+    along = x[:, 1] - x[:, 0]
+    crossed = np.linalg.norm(np.cross(along, x[:, 2] - x[:, 3]), axis=1)
+    opened = crossed > CLOSED * (along**2).sum(axis=1)
+    assert COUNT // 2 < opened.sum() < COUNT
+    for a, axis in np.ndindex(4, 3):
+        step = np.zeros((4, 3))
+        step[a, axis] = 1e-6
+        slope = (energy(x + step) - energy(x - step)) / 2e-6
+        assert moves[opened, a, axis] == pytest.approx(-slope[opened], abs=1e-4 * size[opened].max())
 
 
 def test_a_tether_pulls_only_what_is_beyond_its_length() -> None:

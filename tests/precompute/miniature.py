@@ -67,7 +67,7 @@ def miniature() -> Iterator[None]:
             (calibration, "SETTLE", 0.3),
             (calibration, "SQUEEZE", (1.0,)),
             (calibration, "SHEAR", (1.0, 0.1)),
-            (calibration, "BEND", (30.0,)),
+            (calibration, "BEND", (1.0, 30.0)),
             (evaluation, "SETTLE", 0.9),
             (evaluation, "poses_of", short),
             (recording, "CHUNK_SECONDS", 0.5),

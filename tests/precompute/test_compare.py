@@ -21,7 +21,7 @@ from runtime.simulation import Simulation
 from tests.runtime.players import skirt_database, skirt_stage
 from tests.wrinkles.databases import placed
 from wrinkles.database import WrinkleDatabase, write_database
-from wrinkles.gathers import no_gathers
+from wrinkles.gathers import Gathers
 from wrinkles.levels import build_levels
 
 
@@ -51,7 +51,7 @@ def database() -> WrinkleDatabase:
         plain,
         coarse_vertices=levels.coarse.vertices,
         coarse_faces=faces,
-        gathers=no_gathers(len(faces)),
+        gathers=Gathers.none(faces),
         held=levels.coarse_held.astype(np.int32),
         subdivisions=2,
         cutoff=levels.cutoff,

@@ -78,7 +78,7 @@ def test_the_figures_are_of_the_held_out_motion(made: Precomputed) -> None:
     assert {"normal_error_deg", "bending_energy_ratio", "inside_body_percent", "frame_ms_p50"} <= set(quality)
     assert quality["attached_off_mm"] < 0.01 and 0.0 < quality["atoms_kept"] <= 1.0
     assert quality["floor_low_frequency_ratio_to_floor"] == pytest.approx(1.0)
-    assert len(made.calibration.rows) == 4  # two coarse models, one of other bending, the best at another gain
+    assert len(made.calibration.rows) == 5  # four coarse models, the best at another gain
     # Six atoms from a second of motion are not much, but they are no worse than nothing.
     assert quality["normal_error_deg"] < quality["normal_error_smooth_deg"]
 

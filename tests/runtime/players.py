@@ -13,7 +13,7 @@ from pbd import SolverOptions
 from runtime.stage import Stage
 from tests.wrinkles.databases import placed, small_database
 from wrinkles.database import WrinkleDatabase, body_hash
-from wrinkles.gathers import no_gathers
+from wrinkles.gathers import Gathers
 from wrinkles.surface import Subdivision
 
 __all__ = ["SCENE", "skirt_database", "skirt_stage"]
@@ -58,7 +58,7 @@ def skirt_database(**changes: Any) -> WrinkleDatabase:
         "garment_name": "skirt",
         "coarse_vertices": coarse.vertices,
         "coarse_faces": coarse.faces,
-        "gathers": no_gathers(len(coarse.faces)),
+        "gathers": Gathers.none(coarse.faces),
         "subdivisions": subdivisions,
         "held": stage.levels.coarse_held.astype(np.int32),
         "warp": (0.0, 1.0, 0.0),

@@ -16,7 +16,7 @@ from runtime.player import Player
 from wrinkles.database import WrinkleDatabase, body_hash
 from wrinkles.dictionary import FABRIC_COUNT, Atoms, Mapping
 from wrinkles.features import DYNAMIC_COUNT
-from wrinkles.gathers import no_gathers
+from wrinkles.gathers import Gathers
 from wrinkles.levels import build_levels
 from wrinkles.patches import NODES
 from wrinkles.unfamiliarity import Unfamiliarity
@@ -316,7 +316,7 @@ def database() -> WrinkleDatabase:
         garment_name="skirt",
         coarse_vertices=levels.coarse.vertices,
         coarse_faces=levels.coarse.faces,
-        gathers=no_gathers(len(levels.coarse.faces)),
+        gathers=Gathers.none(levels.coarse.faces),
         subdivisions=1,
         held=held,
         limits=Limits.none(),

@@ -22,7 +22,7 @@ from tests.assets.panels import two_panels
 from tests.wrinkles.databases import placed, small_database
 from tests.wrinkles.meshes import icosphere
 from wrinkles.database import WrinkleDatabase, body_hash, read_database, write_database
-from wrinkles.gathers import no_gathers
+from wrinkles.gathers import Gathers
 
 SCENE = """
 [[garment]]
@@ -123,7 +123,7 @@ def database_of(stage: Stage) -> WrinkleDatabase:
     return small_database(
         coarse_vertices=coarse.vertices,
         coarse_faces=coarse.faces,
-        gathers=no_gathers(len(coarse.faces)),
+        gathers=Gathers.none(coarse.faces),
         held=np.zeros(0, np.int32),
         warp=(0.0, 1.0, 0.0),
         binding=stage.levels.subdivision.binding,

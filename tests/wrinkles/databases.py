@@ -12,7 +12,7 @@ from tests.wrinkles.meshes import flat_sheet
 from wrinkles.database import WrinkleDatabase
 from wrinkles.dictionary import FABRIC_COUNT, Atoms, Mapping
 from wrinkles.features import DYNAMIC_COUNT
-from wrinkles.gathers import no_gathers
+from wrinkles.gathers import Gathers
 from wrinkles.patches import NODES
 from wrinkles.surface import Subdivision
 from wrinkles.unfamiliarity import Unfamiliarity
@@ -46,7 +46,7 @@ def small_database(side: int = 7, atoms: int = 5, hidden: tuple[int, int] = (8, 
         "garment_name": "curtain č",
         "coarse_vertices": vertices + np.array([0.1, 1.2, -0.3]),
         "coarse_faces": faces,
-        "gathers": no_gathers(len(shown)),
+        "gathers": Gathers.none(shown),
         "subdivisions": 2,
         "held": np.arange(side, dtype=np.int32),
         "limits": Limits([3, side + 2], [0.05, 1e6], [1e6, 0.01], [0.0, 300.0]),

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from pbd import ClothMesh
+from pbd.bending import bends_of
+from pbd.mesh import hinges_of
 from tests.pbd.meshes import grid
-from wrinkles.gathers import LEAST, gathered, gathers_of, no_gathers
+from wrinkles.gathers import LEAST, SHARPEST, Gathers
 
 
 @pytest.fixture
@@ -29,19 +31,39 @@ def test_faces_become_as_narrow_as_they_are_on_average(sheet: ClothMesh) -> None
     along = np.array([1.0, 1.0, 1.0])
     along[np.ptp(sheet.vertices, axis=0).argmax()] = 0.6  # gathered along one axis, by half of what is gathered
     positions = np.stack([sheet.vertices * along, sheet.vertices])
-    gathers = gathers_of(sheet, positions)
-    assert gathers.dtype == np.float32 and gathers.shape == (len(sheet.faces), 3)
-    assert lengths(gathered(sheet, gathers)) == pytest.approx(sides(sheet, positions), rel=1e-5)
+    gathers = Gathers.of(sheet, positions)
+    stretch = gathers.stretch
+    assert stretch.dtype == gathers.bends.dtype == np.float32 and stretch.shape == (len(sheet.faces), 3)
+    assert lengths(gathers.applied(sheet)) == pytest.approx(sides(sheet, positions), rel=1e-5)
     # The sheet's warp stays the warp: what is left of a side that lies along an axis is told by that axis alone.
-    assert gathers[:, 1] == pytest.approx(0.0, abs=0.05)
-    assert sorted({round(float(v), 2) for v in gathers[:, [0, 2]].ravel()}) == [0.8, 1.0]
+    assert stretch[:, 1] == pytest.approx(0.0, abs=0.05)
+    assert sorted({round(float(v), 2) for v in stretch[:, [0, 2]].ravel()}) == [0.8, 1.0]
 
 
 def test_stretched_cloth_keeps_its_rest_shape_and_crushed_cloth_some_of_it(sheet: ClothMesh) -> None:
-    assert gathers_of(sheet, 1.3 * sheet.vertices[None]) == pytest.approx(no_gathers(len(sheet.faces)), abs=1e-6)
-    crushed = gathered(sheet, gathers_of(sheet, 0.01 * sheet.vertices[None]))
+    stretched = Gathers.of(sheet, 1.3 * sheet.vertices[None])
+    assert stretched.stretch == pytest.approx(Gathers.none(sheet.faces).stretch, abs=1e-6)
+    crushed = Gathers.of(sheet, 0.01 * sheet.vertices[None]).applied(sheet)
     assert lengths(crushed) == pytest.approx(LEAST * lengths(sheet), rel=1e-5)
 
 
+def test_hinges_rest_as_bent_as_they_are_on_average_but_not_sharply(sheet: ClothMesh) -> None:
+    """A wave that is there half of the time, in the rest shape that its own gathers leave."""
+    x = sheet.vertices[:, 0]
+    waving, sharp = sheet.vertices.copy(), sheet.vertices.copy()
+    waving[:, 2] += 0.01 * np.sin(x / 0.1)
+    sharp[:, 2] += 1.0 * np.cos(x / 0.1 * np.pi)  # a fold at each row
+    gathers = Gathers.of(sheet, np.stack([waving, sheet.vertices]))
+    wanted = bends_of(gathers.applied(sheet), np.stack([waving, sheet.vertices])).mean(axis=0)
+    assert gathers.bends == pytest.approx(wanted, abs=1e-6)
+    assert np.abs(gathers.bends).max() > 1e-3
+    ends = sheet.vertices[hinges_of(sheet.faces)[:, :2]]
+    most = SHARPEST * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    bends = np.abs(Gathers.of(sheet, sharp[None]).bends)
+    assert (bends <= 1.001 * most).all() and (bends > 0.99 * most).any()
+
+
 def test_without_gathers_nothing_changes(sheet: ClothMesh) -> None:
-    assert np.array_equal(gathered(sheet, no_gathers(len(sheet.faces))).flat, sheet.flat)
+    mesh = Gathers.none(sheet.faces).applied(sheet)
+    assert np.array_equal(mesh.flat, sheet.flat)
+    assert not mesh.rest_bends.any()
