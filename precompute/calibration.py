@@ -111,9 +111,9 @@ def calibrate(
     statistics = FeatureStatistics.of(np.concatenate([features_of(layer, r)[0] for r in recordings]))
     faces = layer.levels.fine.faces
     bands = BandedEnergy(layer.levels.rest_vertices, faces)
-    fine = [r.positions[::EVERY] for r in recordings]
-    energies = [bands.energy(frames) for frames in fine]
-    wanted = np.concatenate(energies).mean(axis=0)
+    whole = replace(runs[0], poses=np.concatenate([run.poses for run in runs]))  # set up once to decode all of them
+    fine = _joined(recordings, runs).positions
+    wanted = bands.energy(fine).mean(axis=0)
     matrix = CoarseFilter(layer.levels).matrix
     own = runs[0].options  # with the fabric itself calibration is compared
     models = [
@@ -136,12 +136,8 @@ def calibrate(
         off["apart_mm"] = 1e3 * _apart(mine, recordings)
         for gain in some_gains:
             predict = by_features(mapping.amplified(gain))
-            decoded = [
-                decode_recording(layer, predict, atoms, run, r.where(slice(None, None, EVERY)))[1]
-                for run, r in zip(runs, mine, strict=True)
-            ]
-            total = np.concatenate([bands.energy(frames) for frames in decoded]).mean(axis=0)
-            turned = [normal_error_deg(one, other, faces) for one, other in zip(decoded, fine, strict=True)]
+            _, decoded = decode_recording(layer, predict, atoms, whole, _joined(mine, runs))
+            total = bands.energy(decoded).mean(axis=0)
             rows.append(
                 {
                     "model": number,
@@ -150,7 +146,7 @@ def calibrate(
                     "bend_scale": model.bend_scale,
                     "gain": gain,
                     "spectrum_error": float(np.sqrt((np.log(_with_sum(total) / _with_sum(wanted)) ** 2).mean())),
-                    "normal_error_deg": float(np.concatenate(turned).mean()),
+                    "normal_error_deg": float(normal_error_deg(decoded, fine, faces).mean()),
                     "excess": float((total / wanted).max()),
                     **off,
                 }
@@ -199,6 +195,17 @@ def _together(rows: list[dict[str, float]], lowest: float) -> list[dict[str, flo
             if gain == lowest or other <= EXCESS:
                 chosen.append(row | {"together": float(one)})
     return chosen
+
+
+def _joined(recordings: Sequence[Recording], runs: Sequence[Run]) -> Recording:
+    """Some frames of all of them, counted on from run to run."""
+    firsts = np.cumsum([0, *(len(run.poses) for run in runs)])
+    some = [r.where(slice(None, None, EVERY)) for r in recordings]
+    joined = {
+        name: np.concatenate([getattr(r, name) for r in some]) for name in ("positions", "coarse", "contact", "nearest")
+    }
+    frames = np.concatenate([r.frames + first for r, first in zip(some, firsts, strict=False)])
+    return replace(recordings[0], frames=frames, **joined)
 
 
 def _apart(some: Sequence[Recording], others: Sequence[Recording]) -> float:
