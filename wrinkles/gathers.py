@@ -17,6 +17,7 @@ __all__ = ["Gathers"]
 
 LEAST = 0.3  # share of a side's length that is left of it at least
 NARROWEST, WIDEST = 0.05, 1.2  # of a face's squared stretches
+CHUNK = 64  # frames worked on at once: bounds the memory
 SHARPEST = 1.0  # bend at rest over the length of its edge, about its angle [rad]
 
 
@@ -49,7 +50,9 @@ class Gathers:
             positions: of its vertices in filtered fine runs [m], shape (f, n, 3).
         """
         stretched = cls(_stretch(mesh, positions), cls.none(mesh.faces).bends)
-        bends = bends_of(stretched.applied(mesh), positions).mean(axis=0)
+        shape = stretched.applied(mesh)
+        parts = [positions[at : at + CHUNK] for at in range(0, len(positions), CHUNK)]
+        bends = sum(bends_of(shape, part).sum(axis=0) for part in parts) / len(positions)
         ends = mesh.vertices[hinges_of(mesh.faces)[:, :2]]
         most = SHARPEST * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
         return replace(stretched, bends=np.clip(bends, -most, most).astype(np.float32))
