@@ -8,12 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pbd import ClothMesh, InputError, State, build_model
+from pbd import InputError, State, build_model
 from pbd.geometry import FAR
 from wrinkles.charts import Charts
 from wrinkles.database import LearnedFabric, WrinkleDatabase, code_version, database_figures, read_database
 from wrinkles.decoder import Decoder
 from wrinkles.features import Stencil
+from wrinkles.levels import NEAR_AREA, with_area_of
 from wrinkles.patches import Patches
 from wrinkles.schema import ENTRIES
 from wrinkles.surface import Subdivision
@@ -97,11 +98,14 @@ def info_text(path: str | Path) -> tuple[str, dict[str, float]]:
 def _figures(database: WrinkleDatabase) -> dict[str, float]:
     """Single numbers of the database by the names that they have in the file, and its counts."""
     mapping = database.mapping
+    area_ratio, bend_deg = database.gathers.figures(database.coarse_vertices, database.coarse_faces)
     figures: dict[str, float] = {
         "coarse_vertex_count": len(database.coarse_vertices),
         "coarse_face_count": len(database.coarse_faces),
         "fine_vertex_count": database.fine_vertex_count,
         "held_vertex_count": len(database.held),
+        "rest_area_ratio": area_ratio,
+        "rest_bend_deg": bend_deg,
         "feature_count": len(mapping.center),
         "hidden_width_1": mapping.weights_2.shape[1],
         "hidden_width_2": mapping.weights_2.shape[2],
@@ -125,7 +129,7 @@ def _sections(database: WrinkleDatabase, figures: Mapping[str, float]) -> Iterat
         show = lambda v: " ".join(f"{x:g}" for x in v) if isinstance(v, tuple) else f"{v:.6g}"  # noqa: E731
         return [(name.replace("_", " "), show(v) + units[f"{group}/{name}"]) for name, v in values]
 
-    coarse, fine = figures["coarse_vertex_count"], figures["fine_vertex_count"]
+    coarse, fine = len(database.coarse_vertices), database.fine_vertex_count
     yield (
         "Garment",
         [
@@ -138,6 +142,11 @@ def _sections(database: WrinkleDatabase, figures: Mapping[str, float]) -> Iterat
                 f"{fine} vertices"
                 + (" delivered, bound to" if database.binding else " of")
                 + f" {database.subdivisions} subdivisions",
+            ),
+            (
+                "coarse at rest",
+                f"{100.0 * figures['rest_area_ratio']:.0f} % of the pattern's area, hinges bent by "
+                f"{figures['rest_bend_deg']:.1f} deg (RMS)",
             ),
             ("body", f"{database.body_vertex_count} vertices, hash {database.body_hash[:12]}"),
         ],
@@ -254,7 +263,9 @@ def check_database(path: str | Path) -> list[Check]:
     try:
         subdivision = database.subdivision
         coarse, fine = subdivision.meshes(database.coarse_vertices, database.warp)
-        checks.append(_check_areas(coarse, fine))
+        coarse, ratio = with_area_of(coarse, fine)
+        near = database.binding is not None or abs(ratio - 1.0) <= NEAR_AREA
+        checks.append(Check("one rest metric", near, f"coarse area over fine area {ratio:.5f}"))
         model = build_model(
             database.gathers.applied(coarse),
             database.fabric,
@@ -288,11 +299,6 @@ def _check_quality(database: WrinkleDatabase) -> Check:
     if error is None or smooth is None:
         return Check("held-out motion", True, "not measured")
     return Check("held-out motion", error < smooth, f"normal error {error:.2f} deg, smooth {smooth:.2f} deg")
-
-
-def _check_areas(coarse: ClothMesh, fine: ClothMesh) -> Check:
-    ratio = float(coarse.face_areas.sum() / fine.face_areas.sum())
-    return Check("one rest metric", abs(ratio - 1.0) <= 0.005, f"coarse area over fine area {ratio:.5f}")
 
 
 def _check_patches(patches: Patches, count: int) -> Check:

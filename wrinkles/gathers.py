@@ -53,14 +53,25 @@ class Gathers:
         shape = stretched.applied(mesh)
         parts = [positions[at : at + CHUNK] for at in range(0, len(positions), CHUNK)]
         bends = sum(bends_of(shape, part).sum(axis=0) for part in parts) / len(positions)
-        ends = mesh.vertices[hinges_of(mesh.faces)[:, :2]]
-        most = SHARPEST * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        most = SHARPEST * _edge_lengths(mesh.vertices, mesh.faces)
         return replace(stretched, bends=np.clip(bends, -most, most).astype(np.float32))
 
     def applied(self, mesh: ClothMesh) -> ClothMesh:
         """The mesh with this rest shape."""
         stretch = np.asarray(self.stretch, float)[:, [[0, 1], [1, 2]]]
         return replace(mesh, flat=stretch @ mesh.flat, rest_bends=self.bends)
+
+    def figures(self, vertices: np.ndarray, faces: np.ndarray) -> tuple[float, float]:
+        """Mean area of a face at rest over its pattern's [-], and RMS angle of the hinges at rest [deg]."""
+        one, across, two = self.stretch.T.astype(float)
+        angles = np.degrees(self.bends / np.maximum(_edge_lengths(vertices, faces), 1e-9))
+        return float((one * two - across**2).mean()), float(np.sqrt((angles**2).mean())) if len(angles) else 0.0
+
+
+def _edge_lengths(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Of the hinges [m], shape (b,)."""
+    ends = np.asarray(vertices, float)[hinges_of(faces)[:, :2]]
+    return np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
 
 
 def _stretch(mesh: ClothMesh, positions: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from pbd.bending import hinge_rows
 from wrinkles.binding import Binding
 from wrinkles.surface import Subdivision
 
-__all__ = ["Levels", "build_levels", "held_between", "levels_of"]
+__all__ = ["NEAR_AREA", "Levels", "build_levels", "held_between", "levels_of", "with_area_of"]
 
 CLEARANCE = 0.003  # attached vertices start at least 2 mm outside the body; the smooth surface dips between them [m]
 SAME_AREA = 0.005  # the areas of coarse and fine mesh differ by no more than this share,
@@ -151,13 +151,10 @@ def levels_of(
     """Levels of a garment that stands outside the body already; arguments as for :func:`build_levels`."""
     subdivision = Subdivision.of(faces, len(vertices), levels, binding)
     coarse, fine = subdivision.meshes(vertices, warp)
-    ratio = float(coarse.face_areas.sum() / fine.face_areas.sum())
+    coarse, ratio = with_area_of(coarse, fine)
     if binding is None and abs(ratio - 1.0) > NEAR_AREA:
         expected = f"1 within {100.0 * NEAR_AREA:g} %"
         raise InputError("coarse and fine mesh differ in area", key="subdivisions", received=ratio, expected=expected)
-    # Along sharp bends the ways on the smooth surface are too long; a decimated border cuts corners.
-    if abs(ratio - 1.0) > SAME_AREA:
-        coarse = replace(coarse, flat=coarse.flat / np.sqrt(ratio))
     held = np.unique(np.asarray(held, np.int64))  # the order in which a model takes its targets
     fine_held = held_between(subdivision, held)
     carried = (coarse.vertices[held], fine.vertices[fine_held]) if len(body_faces) else (np.zeros((0, 3)),) * 2
@@ -165,6 +162,16 @@ def levels_of(
     limits = limits or Limits.none()
     fine_limits = limits.between(subdivision.matrix) if len(limits.vertices) else limits
     return Levels(subdivision, coarse, fine, held, fine_held, attachments[0], attachments[1], limits, fine_limits)
+
+
+def with_area_of(coarse: ClothMesh, fine: ClothMesh) -> tuple[ClothMesh, float]:
+    """The coarse mesh with the area of the fine one, and the ratio of both areas before.
+
+    Along sharp bends the ways on the smooth surface are too long; a decimated border cuts corners.
+    """
+    ratio = float(coarse.face_areas.sum() / fine.face_areas.sum())
+    same = abs(ratio - 1.0) <= SAME_AREA
+    return coarse if same else replace(coarse, flat=coarse.flat / np.sqrt(ratio)), ratio
 
 
 def held_between(subdivision: Subdivision, held: np.ndarray) -> np.ndarray:

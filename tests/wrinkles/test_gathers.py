@@ -66,4 +66,12 @@ def test_hinges_rest_as_bent_as_they_are_on_average_but_not_sharply(sheet: Cloth
 def test_without_gathers_nothing_changes(sheet: ClothMesh) -> None:
     mesh = Gathers.none(sheet.faces).applied(sheet)
     assert np.array_equal(mesh.flat, sheet.flat)
-    assert not mesh.rest_bends.any()
+    assert not np.any(mesh.rest_bends)
+    assert Gathers.none(sheet.faces).figures(sheet.vertices, sheet.faces) == (1.0, 0.0)
+
+
+def test_figures_tell_how_narrow_and_how_bent_it_rests(sheet: ClothMesh) -> None:
+    hinges = hinges_of(sheet.faces)
+    lengths = np.linalg.norm(np.diff(sheet.vertices[hinges[:, :2]], axis=1)[:, 0], axis=1)
+    gathers = Gathers(np.tile([0.9, 0.1, 0.5], (len(sheet.faces), 1)), np.radians(20.0) * lengths)
+    assert gathers.figures(sheet.vertices, sheet.faces) == pytest.approx((0.44, 20.0))
