@@ -14,7 +14,8 @@ from wrinkles.levels import Levels
 __all__ = ["Relaxation"]
 
 STRETCH_SHARE = 0.25  # of an edge's stretch that a relaxation pass takes back
-LEVEL = 0.025  # where the coarse garment is further than this from the body, so is the fine one [m]
+LEVEL = 0.025  # where the coarse garment is further than this from the body, so is the fine one [m],
+PLEATED = 0.045  # unless it came with pleats, which go deeper
 NEARBY = 0.008  # fine vertices within this height over the tangent plane are near the body [m]
 CURVED = 0.003  # those of them that are no more than this over their clearance are tested against faces [m]
 ACROSS = 0.05  # another part of the body is looked for this far from the part that a coarse vertex covers [m]
@@ -41,6 +42,7 @@ def _relax(
     nearest: Int1,
     turn: ti.i32,
     across: Int1,
+    level: ti.f32,
     body: Vec3,
     body_normals: Vec3,
     ring_start: Int1,
@@ -67,13 +69,13 @@ def _relax(
                     d *= STRETCH_SHARE * (size - lengths[c]) / (size * total)
                     fine[i] += inverse_mass[i] * d
                     fine[j] -= inverse_mass[j] * d
-            _look_across(turn, coarse_nearest, coarse_contact, body, body_normals, across)
+            _look_across(turn, coarse_nearest, coarse_contact, level, body, body_normals, across)
             for i in range(fine.shape[0]):
                 if inverse_mass[i] > 0.0:
                     coarse = leading[i][0]
                     last = nearest[i]
                     nearest[i] = -1
-                    if coarse_contact[coarse] < LEVEL:
+                    if coarse_contact[coarse] < level:
                         p = fine[i]
                         looks = facing * vec3(frames[coarse, 6], frames[coarse, 7], frames[coarse, 8])
                         normal, other_normal, home = vec3(0.0), vec3(0.0), vec3(0.0)
@@ -155,13 +157,14 @@ def _look_across(
     turn: ti.i32,
     coarse_nearest: ti.template(),
     coarse_contact: ti.template(),
+    level: ti.f32,
     body: ti.template(),
     normals: ti.template(),
     across: ti.template(),
 ):
     """A body vertex opposite to what a coarse vertex touches, -1 for none: one that the garment touches elsewhere."""
     for c in range(across.shape[0]):
-        if coarse_nearest[c] < 0 or coarse_contact[c] >= LEVEL:
+        if coarse_nearest[c] < 0 or coarse_contact[c] >= level:
             across[c] = -1
         elif turn < 0 or c % TURNS == turn:
             own = coarse_nearest[c]
@@ -169,7 +172,7 @@ def _look_across(
             across[c] = -1
             for k in range(across.shape[0]):
                 seed = coarse_nearest[k]
-                if seed >= 0 and coarse_contact[k] < LEVEL:
+                if seed >= 0 and coarse_contact[k] < level:
                     offset = body[seed] - body[own]
                     away = offset.dot(offset)
                     if away < distance and _opposed(body[own], normals[own], body[seed], normals[seed]):
@@ -210,10 +213,17 @@ class Relaxation:
         clearance: kept from the body at each of its vertices [m], float32, shape (b,); see
             :func:`wrinkles.clearance.clearances`.
         facing: 1 where the garment's faces look away from the body, -1 where they look at it.
+        level: where a coarse vertex is further than this from the body, so are the fine ones around it [m].
     """
 
     def __init__(
-        self, mesh: ClothMesh, held: np.ndarray, leading: np.ndarray, clearance: np.ndarray, facing: float
+        self,
+        mesh: ClothMesh,
+        held: np.ndarray,
+        leading: np.ndarray,
+        clearance: np.ndarray,
+        facing: float,
+        level: float = LEVEL,
     ) -> None:
         ensure_initialized()
         self._inverse_mass = np.ones(len(mesh.vertices), np.float32)
@@ -225,7 +235,7 @@ class Relaxation:
         self._edges, self._lengths = np.ascontiguousarray(edges[order]), lengths[order].astype(np.float32)
         self._held = np.asarray(held, np.int32)
         self._targets = np.zeros((len(held), 3), np.float32)
-        self._leading, self._clearance, self._facing = leading, clearance, facing
+        self._leading, self._clearance, self._facing, self._level = leading, clearance, facing, level
         self._nearest = np.full(len(mesh.vertices), -1, np.int32)
         self._across = np.full(int(leading.max()) + 1, -1, np.int32)
         self._turn = -1  # everyone's
@@ -251,6 +261,7 @@ class Relaxation:
             leading_vertices(levels.subdivision),
             clearances(body_vertices, body_faces, spacing, thickness),
             facing(levels.coarse, body_vertices, body_faces),
+            LEVEL if levels.subdivision.binding is None else PLEATED,
         )
 
     @property
@@ -301,6 +312,7 @@ class Relaxation:
             self._nearest,
             self._turn,
             self._across,
+            self._level,
             current,
             body.normals,
             body.ring_start,

@@ -11,7 +11,7 @@ from tests.pbd.meshes import grid
 from tests.wrinkles.meshes import icosphere
 from wrinkles.charts import leading_vertices
 from wrinkles.levels import Levels, build_levels
-from wrinkles.relaxation import Relaxation
+from wrinkles.relaxation import LEVEL, PLEATED, Relaxation
 
 NOBODY = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
 THICKNESS = 0.002
@@ -20,12 +20,18 @@ THICKNESS = 0.002
 class Cloth:
     """A flat sheet above a body, to relax."""
 
-    def __init__(self, held: tuple = (), body: tuple[np.ndarray, np.ndarray] = NOBODY, facing: float = 1.0) -> None:
+    def __init__(
+        self,
+        held: tuple = (),
+        body: tuple[np.ndarray, np.ndarray] = NOBODY,
+        facing: float = 1.0,
+        level: float = LEVEL,
+    ) -> None:
         vertices, faces = grid(8, 8, 0.03, "equilateral")
         self.levels: Levels = build_levels(vertices, faces, np.array(held, int), *NOBODY, 2)
         leading = leading_vertices(self.levels.subdivision)
         clearance = np.full(max(1, len(body[0])), THICKNESS, np.float32)
-        self.relax = Relaxation(self.levels.fine, self.levels.fine_held, leading, clearance, facing)
+        self.relax = Relaxation(self.levels.fine, self.levels.fine_held, leading, clearance, facing, level)
         self.frames = np.zeros((len(vertices), 9), np.float32)
         self.frames[:, 8] = facing  # the sheet's own faces look up or down; it covers what is under it
         self.body = Body(body[1], max(1, len(body[0])))
@@ -109,6 +115,20 @@ def test_relaxation_pushes_vertices_out_of_the_body_and_leaves_others() -> None:
     outward = (start[inside] - centre) / radius[inside][:, None]
     moved = relaxed[inside] - start[inside]
     assert np.linalg.norm(moved - (moved * outward).sum(axis=1, keepdims=True) * outward, axis=1).max() < 1e-3
+
+
+@pytest.mark.parametrize(("level", "outside"), [(LEVEL, False), (PLEATED, True)])
+def test_pleats_that_go_deep_below_the_coarse_garment_are_pushed_out_where_they_are_looked_for(
+    level: float, outside: bool
+) -> None:
+    ball, faces = icosphere(4, 0.1)
+    centre = np.array([0.1, 0.13, -0.135])  # 35 mm under the sheet
+    cloth = Cloth(body=(ball + centre, faces), level=level)
+    start = cloth.rest.copy()
+    pleat = np.argsort(np.linalg.norm(start[:, :2] - centre[:2], axis=1))[:40]
+    start[pleat, 2] -= 0.045  # 10 mm into the ball
+    depth = 0.1 - np.linalg.norm(cloth(start)[pleat] - centre, axis=1)
+    assert depth.max() < 1e-3 if outside else depth.max() > 5e-3
 
 
 @pytest.mark.parametrize("facing", [1.0, -1.0])
