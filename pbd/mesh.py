@@ -183,6 +183,8 @@ class ClothMesh:
         seam_hinges: hinges across the seams; None where seams bend freely, or there are none.
         rest_bends: of each hinge of :func:`hinges_of` at rest, see :func:`pbd.bending.bends_of` [m], shape (h,); None
             where the cloth rests flat. Only the default solver knows them.
+        cloth_areas: of the cloth in each face [m2], shape (m,); None where it is as much as the rest shape has, and not
+            gathered.
     """
 
     vertices: np.ndarray
@@ -192,6 +194,7 @@ class ClothMesh:
     stitch_weights: np.ndarray = field(default_factory=lambda: np.zeros(0))
     seam_hinges: Hinges | None = None
     rest_bends: np.ndarray | None = None
+    cloth_areas: np.ndarray | None = None
 
     @classmethod
     def from_surface(cls, vertices: np.ndarray, faces: np.ndarray, warp: tuple = (0.0, 1.0, 0.0)) -> ClothMesh:
@@ -227,6 +230,10 @@ class ClothMesh:
             if bends.shape != (count,) or not np.isfinite(bends).all():
                 expected = f"({count},), finite"
                 raise InputError("bad bends at rest", key="rest_bends", received=bends.shape, expected=expected)
+        if self.cloth_areas is not None:
+            cloth, expected = np.asarray(self.cloth_areas), f"({len(self.faces)},), above 0"
+            if cloth.shape != (len(self.faces),) or not (np.isfinite(cloth) & (cloth > 0.0)).all():
+                raise InputError("bad areas of cloth", key="cloth_areas", received=cloth.shape, expected=expected)
         area = self.face_areas
         if np.any(area <= 1e-12):
             face = int(np.argmin(area))
@@ -245,8 +252,20 @@ class ClothMesh:
     @property
     def vertex_areas(self) -> np.ndarray:
         """A third of the rest areas around each vertex [m2], shape (n,)."""
-        area = np.repeat(self.face_areas / 3.0, 3)
-        return np.bincount(self.faces.ravel(), weights=area, minlength=len(self.vertices))
+        return self._thirds(self.face_areas)
+
+    @property
+    def face_cloth_areas(self) -> np.ndarray:
+        """Areas of the cloth in each face [m2], which is what weighs and pulls, shape (m,)."""
+        return self.face_areas if self.cloth_areas is None else np.asarray(self.cloth_areas)
+
+    @property
+    def vertex_cloth_areas(self) -> np.ndarray:
+        """A third of the cloth around each vertex [m2], shape (n,)."""
+        return self._thirds(self.face_cloth_areas)
+
+    def _thirds(self, areas: np.ndarray) -> np.ndarray:
+        return np.bincount(self.faces.ravel(), weights=np.repeat(areas / 3.0, 3), minlength=len(self.vertices))
 
     def side_lengths(self) -> np.ndarray:
         """Rest lengths of the sides 0-1, 1-2, 2-0 of each face [m], shape (m, 3)."""

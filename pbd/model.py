@@ -157,7 +157,7 @@ def build_model(
     if limits.vertices.max(initial=0) >= count:
         received, expected = int(limits.vertices.max()), f"0..{count - 1}"
         raise InputError("limited vertex outside the mesh", key="limits", received=received, expected=expected)
-    mass = fabric.areal_density * mesh.vertex_areas
+    mass = fabric.areal_density * mesh.vertex_cloth_areas
     if np.any(mass <= 0):
         vertex = int(np.argmin(mass))
         raise InputError("vertex in no face", key=f"vertex {vertex}", expected="every vertex in a face")
@@ -234,7 +234,7 @@ def _membrane(mesh: ClothMesh, fabric: Fabric, inverse_mass: np.ndarray) -> tupl
     order, offsets = _by_color(mesh.faces[by_answer], len(mesh.vertices))
     order = by_answer[order]
     faces, inverse, gram = mesh.faces[order], inverse[order], gram[order]
-    softness = np.linalg.inv(fabric.membrane_stiffness()) / mesh.face_areas[order][:, None, None]
+    softness = np.linalg.inv(fabric.membrane_stiffness()) / mesh.face_cloth_areas[order][:, None, None]
     trace = np.trace(gram, axis1=1, axis2=2)
     unit = np.where(trace > 0, 1.0 / np.where(trace > 0, trace, 1.0), 1.0)  # without a free corner nothing moves
     softest = unit * np.abs(softness).max(axis=(1, 2))

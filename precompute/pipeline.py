@@ -45,7 +45,7 @@ __all__ = [
 CALIBRATION_SECONDS = 6.0  # of each motion, to calibrate on: enough to see it move, short enough to try many models
 TRAINING_FRAMES = 2400
 EPOCHS = 12
-MOST_EPOCHS = 24  # where there are few frames
+MOST_EPOCHS = 48  # where there are few frames
 
 
 @dataclass(frozen=True)

@@ -92,6 +92,7 @@ class Run:
             mesh.stitches,
             mesh.stitch_weights,
             np.zeros(0) if mesh.rest_bends is None else mesh.rest_bends,
+            np.zeros(0) if mesh.cloth_areas is None else mesh.cloth_areas,
             attachment.corners,
             attachment.weights,
             attachment.offset,

@@ -57,9 +57,9 @@ class Gathers:
         return replace(stretched, bends=np.clip(bends, -most, most).astype(np.float32))
 
     def applied(self, mesh: ClothMesh) -> ClothMesh:
-        """The mesh with this rest shape."""
+        """The mesh with this rest shape, and as much cloth in each face as before."""
         stretch = np.asarray(self.stretch, float)[:, [[0, 1], [1, 2]]]
-        return replace(mesh, flat=stretch @ mesh.flat, rest_bends=self.bends)
+        return replace(mesh, flat=stretch @ mesh.flat, rest_bends=self.bends, cloth_areas=mesh.face_areas)
 
     def figures(self, vertices: np.ndarray, faces: np.ndarray) -> tuple[float, float]:
         """Mean area of a face at rest over its pattern's [-], and RMS angle of the hinges at rest [deg]."""

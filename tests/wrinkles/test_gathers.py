@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from pbd import ClothMesh
+from pbd import ClothMesh, Fabric, InputError
 from pbd.bending import bends_of
 from pbd.mesh import hinges_of
+from pbd.model import build_model
 from tests.pbd.meshes import grid
 from wrinkles.gathers import LEAST, SHARPEST, Gathers
 
@@ -61,6 +64,23 @@ def test_hinges_rest_as_bent_as_they_are_on_average_but_not_sharply(sheet: Cloth
     most = SHARPEST * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     bends = np.abs(Gathers.of(sheet, sharp[None]).bends)
     assert (bends <= 1.001 * most).all() and (bends > 0.99 * most).any()
+
+
+def test_gathered_cloth_weighs_what_it_did_and_pulls_as_hard(sheet: ClothMesh) -> None:
+    """Half as wide across the warp: all of it still hangs along the warp."""
+    narrow = sheet.vertices * [1.0, 0.5, 1.0]
+    mesh = Gathers.of(sheet, narrow[None]).applied(sheet)
+    assert mesh.face_areas == pytest.approx(0.5 * sheet.face_areas, rel=1e-5)
+    one, other = (build_model(m, Fabric(), bend_factor=1.0) for m in (sheet, mesh))
+    assert other.mass == pytest.approx(one.mass)
+    softness = [m.triangle_data[8, : len(m.triangles)] / m.triangle_data[7, : len(m.triangles)] for m in (one, other)]
+    assert np.sort(softness[1]) == pytest.approx(np.sort(softness[0]), rel=1e-5)
+
+
+def test_areas_of_cloth_that_do_not_belong_to_the_mesh_are_refused(sheet: ClothMesh) -> None:
+    for areas in (np.ones(len(sheet.faces) - 1), np.zeros(len(sheet.faces))):
+        with pytest.raises(InputError, match=f"cloth_areas.*\\({len(sheet.faces)},\\), above 0"):
+            replace(sheet, cloth_areas=areas)
 
 
 def test_without_gathers_nothing_changes(sheet: ClothMesh) -> None:
