@@ -20,8 +20,9 @@ NEARBY = 0.008  # fine vertices within this height over the tangent plane are ne
 CURVED = 0.003  # those of them that are no more than this over their clearance are tested against faces [m]
 ACROSS = 0.05  # another part of the body is looked for this far from the part that a coarse vertex covers [m]
 TURNS = 8  # frames in which every coarse vertex looks for that once
-OPPOSITE = 0.3  # least cosine between the normals of two parts, one turned round, with cloth between them
-BEHIND = 0.7  # greatest sine by which one part may lie behind the other: more, and both are sides of one bump
+BEHIND = 0.7  # greatest sine by which one part may lie behind the other: more, and both are sides of one bump,
+OVERLAP = 0.008  # unless it is by no more than this, and they look apart: then they overlap [m]
+COVERED = 0.04  # further away than this is no part that the cloth covers, if another is right at it [m]
 ROOM_SHARE = 0.3  # of the room between two parts that the cloth keeps from each, if that is less than its clearance
 LEAST = 0.0003  # kept from what it covers where there is no room [m]
 
@@ -75,7 +76,8 @@ def _relax(
                     coarse = leading[i][0]
                     last = nearest[i]
                     nearest[i] = -1
-                    if coarse_contact[coarse] < level:
+                    others = ti.min(coarse_contact[leading[i][1]], coarse_contact[leading[i][2]])
+                    if ti.min(coarse_contact[coarse], others) < level:
                         p = fine[i]
                         looks = facing * vec3(frames[coarse, 6], frames[coarse, 7], frames[coarse, 8])
                         normal, other_normal, home = vec3(0.0), vec3(0.0), vec3(0.0)
@@ -101,9 +103,9 @@ def _relax(
                                     offset = body[seed] - p
                                     away = offset.dot(offset)
                                     # The part that is covered looks the way the cloth does. Others will do if there is
-                                    # no such one.
+                                    # no such one near: what strikes the cloth from its other side.
                                     if side == 0 and body_normals[seed].dot(looks) < 0.0:
-                                        away += 1.0
+                                        away += COVERED * COVERED
                                     if side == 1 and not _opposed(home, looks, body[seed], body_normals[seed]):
                                         away = 1e30
                                     if away < distance:
@@ -135,8 +137,8 @@ def _relax(
                             room = gap + other_gap
                             kept = ti.min(kept, ti.max(ROOM_SHARE * ti.abs(room), LEAST))
                             other_kept = ti.min(other_kept, ti.max(ROOM_SHARE * room, LEAST))
-                            if room > 0.0 and other_gap < other_kept:
-                                d = (other_kept - other_gap) * other_normal
+                            if other_gap < other_kept and gap > kept:
+                                d = ti.min(other_kept - other_gap, gap - kept) * other_normal
                                 p += d
                                 gap += d.dot(normal)
                         if gap < kept:
@@ -148,8 +150,9 @@ def _relax(
 def _opposed(p: vec3, normal: vec3, q: vec3, other_normal: vec3) -> bool:
     """Whether two places of the body face one another; both sides of a bump look apart as well, but from behind."""
     offset = q - p
-    limit = -BEHIND * offset.norm()
-    return normal.dot(other_normal) < -OPPOSITE and offset.dot(normal) > limit and -offset.dot(other_normal) > limit
+    apart = -normal.dot(other_normal)
+    limit = -ti.max(BEHIND * offset.norm(), OVERLAP * apart)
+    return apart > 0.0 and offset.dot(normal) > limit and -offset.dot(other_normal) > limit
 
 
 @ti.func
@@ -164,20 +167,25 @@ def _look_across(
 ):
     """A body vertex opposite to what a coarse vertex touches, -1 for none: one that the garment touches elsewhere."""
     for c in range(across.shape[0]):
-        if coarse_nearest[c] < 0 or coarse_contact[c] >= level:
+        own, old = coarse_nearest[c], across[c]
+        if own < 0 or coarse_contact[c] >= level:
             across[c] = -1
-        elif turn < 0 or c % TURNS == turn:
-            own = coarse_nearest[c]
-            distance = ACROSS * ACROSS
-            across[c] = -1
-            for k in range(across.shape[0]):
-                seed = coarse_nearest[k]
-                if seed >= 0 and coarse_contact[k] < level:
-                    offset = body[seed] - body[own]
-                    away = offset.dot(offset)
-                    if away < distance and _opposed(body[own], normals[own], body[seed], normals[seed]):
-                        distance = away
-                        across[c] = seed
+        else:
+            # A coarse vertex that goes over from one part to the other leaves behind what was opposite to the first.
+            stale = old >= 0 and not _opposed(body[own], normals[own], body[old], normals[old])
+            if stale or turn < 0 or c % TURNS == turn:
+                best, distance = -1, ACROSS * ACROSS
+                for k in range(across.shape[0]):
+                    if coarse_contact[k] < level:
+                        for other in ti.static(range(2)):
+                            seed = across[k] if ti.static(other == 1) else coarse_nearest[k]
+                            if seed >= 0:
+                                offset = body[seed] - body[own]
+                                away = offset.dot(offset)
+                                if away < distance and _opposed(body[own], normals[own], body[seed], normals[seed]):
+                                    distance = away
+                                    best = seed
+                across[c] = best
 
 
 @ti.func
@@ -213,7 +221,7 @@ class Relaxation:
         clearance: kept from the body at each of its vertices [m], float32, shape (b,); see
             :func:`wrinkles.clearance.clearances`.
         facing: 1 where the garment's faces look away from the body, -1 where they look at it.
-        level: where a coarse vertex is further than this from the body, so are the fine ones around it [m].
+        level: where the coarse vertices around a fine one are all further than this from the body, so is that one [m].
     """
 
     def __init__(

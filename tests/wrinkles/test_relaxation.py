@@ -11,7 +11,7 @@ from tests.pbd.meshes import grid
 from tests.wrinkles.meshes import icosphere
 from wrinkles.charts import leading_vertices
 from wrinkles.levels import Levels, build_levels
-from wrinkles.relaxation import LEVEL, PLEATED, Relaxation
+from wrinkles.relaxation import LEVEL, PLEATED, ROOM_SHARE, Relaxation
 
 NOBODY = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
 THICKNESS = 0.002
@@ -40,13 +40,20 @@ class Cloth:
         self.rest = self.levels.fine.vertices
         self.edges, self.lengths = self.levels.fine.edge_lengths()
 
-    def __call__(self, fine: np.ndarray, targets: np.ndarray | None = None, passes: int = 1) -> np.ndarray:
+    def contacts(self, of: slice | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """The body's nearest vertex to each coarse vertex, of some of them, and how far it is."""
+        offered = np.arange(len(self.body.current))[of or slice(None)]
+        away = np.linalg.norm(self.levels.coarse.vertices[:, None] - self.body.current[offered], axis=2)
+        return offered[away.argmin(axis=1)].astype(np.int32), away.min(axis=1).astype(np.float32)
+
+    def __call__(
+        self, fine: np.ndarray, targets: np.ndarray | None = None, passes: int = 1, contacts: tuple | None = None
+    ) -> np.ndarray:
         """Relaxed vertices, from contacts that were found on the way."""
         count = len(self.levels.coarse.vertices)
         nearest, contact = np.full(count, -1, np.int32), np.full(count, FAR, np.float32)
         if len(self.body.faces):
-            away = np.linalg.norm(self.levels.coarse.vertices[:, None] - self.body.current, axis=2)
-            nearest, contact = away.argmin(axis=1).astype(np.int32), away.min(axis=1).astype(np.float32)
+            nearest, contact = contacts or self.contacts()
         fine = fine.astype(np.float32)
         targets = np.zeros((0, 3)) if targets is None else targets
         self.relax(fine, targets, self.frames, nearest, contact, self.body, self.body.current, passes)
@@ -153,3 +160,46 @@ def test_cloth_between_two_parts_of_a_body_ends_inside_neither(facing: float, ro
     assert own.min() > -sag
     nearer = np.where(np.abs(own) < np.abs(other), own, other)  # where they overlap the nearer surface counts
     assert (nearer if room < 0.0 else other).min() > -2.0 * sag
+    if room < 0.0:  # and what is outside one by much is not inside the other by more than they overlap
+        assert np.minimum(own, other).min() > (1.0 + ROOM_SHARE) * room - 2.0 * sag
+
+
+def test_what_strikes_the_cloth_from_its_other_side_is_left_too() -> None:
+    """Some coarse vertices see what strikes, the others what they cover, which is far below."""
+    ball, faces = icosphere(4, 0.1)
+    strikes, covered = np.array([0.1, 0.13, 0.09]), np.array([0.1, 0.13, -0.16])
+    cloth = Cloth(body=(np.concatenate([ball + strikes, ball + covered]), np.concatenate([faces, faces + len(ball)])))
+    one, other = cloth.contacts(slice(0, len(ball))), cloth.contacts(slice(len(ball), None))
+    alternating = np.arange(len(one[0])) % 2 == 0
+    contacts = tuple(np.where(alternating, a, b) for a, b in zip(one, other, strict=True))
+    depth = lambda x: 0.1 - np.linalg.norm(x - strikes, axis=1).min()  # noqa: E731
+    assert depth(cloth.rest) > 0.009
+    assert depth(cloth(cloth.rest, contacts=contacts)) < 1e-3
+
+
+def test_a_vertex_is_pushed_out_where_any_coarse_vertex_around_it_touches_the_body() -> None:
+    ball, faces = icosphere(4, 0.1)
+    centre = np.array([0.1, 0.13, -0.09])
+    cloth = Cloth(body=(ball + centre, faces))
+    nearest, contact = cloth.contacts()
+    toucher = int(contact.argmin())
+    contact[np.arange(len(contact)) != toucher] = FAR
+    leading = leading_vertices(cloth.levels.subdivision)
+    beside = (leading[:, 1:] == toucher).any(axis=1) & (np.linalg.norm(cloth.rest - centre, axis=1) < 0.099)
+    assert beside.sum() > 5
+    relaxed = cloth(cloth.rest, contacts=(nearest, contact))
+    assert np.linalg.norm(relaxed[beside] - centre, axis=1).min() > 0.099
+
+
+def test_a_coarse_vertex_that_goes_over_to_another_part_remembers_the_one_that_it_left() -> None:
+    """First the middle touches the upper part and its surroundings the lower one, then all of them touch the lower."""
+    ball, faces = icosphere(4, 0.1)
+    under, over = np.array([0.1, 0.13, -0.102]), np.array([0.1, 0.13, 0.102])
+    cloth = Cloth(body=(np.concatenate([ball + under, ball + over]), np.concatenate([faces, faces + len(ball)])))
+    low, high = cloth.contacts(slice(0, len(ball))), cloth.contacts(slice(len(ball), None))
+    middle = np.linalg.norm(cloth.levels.coarse.vertices[:, :2] - under[:2], axis=1) < 0.04
+    cloth(cloth.rest, contacts=tuple(np.where(middle, a, b) for a, b in zip(high, low, strict=True)))
+    raised = cloth.rest + [0.0, 0.0, 0.006]
+    depth = lambda x: 0.1 - np.linalg.norm(x - over, axis=1).min()  # noqa: E731
+    assert middle.sum() > 3 and depth(raised) > 0.003
+    assert depth(cloth(raised, contacts=low)) < 1e-3
