@@ -17,10 +17,15 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+import assets.skinning
 import pbd
+import runtime.simulation
+import wrinkles.levels
+import wrinkles.surface
 from assets.character import Character
 from assets.sequence import Sequence as VertexSequence
 from pbd import ClothMesh, DistanceField, Fabric, ModelOptions, SolverOptions, State, build_model
+from pbd.fingerprint import source_fingerprint
 from pbd.storage import replacing
 from pbd.wind import CALM, Air, Wind
 from runtime.simulation import Simulation, body_source, poses_of
@@ -139,12 +144,7 @@ class Run:
 @lru_cache(maxsize=1)
 def _solver_version() -> str:
     """Hash of the source of the solver, of what moves bodies and of what filters the result."""
-    digest = hashlib.sha256()
-    root = Path(pbd.__file__).parent
-    others = ("runtime/simulation.py", "assets/skinning.py", "wrinkles/surface.py", "wrinkles/levels.py")
-    for path in sorted(root.glob("*.py")) + [root.parent / name for name in others]:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
+    return source_fingerprint(pbd, assets.skinning, runtime.simulation, wrinkles.levels, wrinkles.surface)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 
 import pbd
 from pbd import Colliders, InputError, Model, Plane, State
+from pbd.fingerprint import source_fingerprint
 from pbd.models import SOLVERS, AnySolver, Options, StepError, make_solver
 from pbd.storage import replacing
 from precompute import compare_scenes
@@ -267,11 +268,7 @@ def _memory_mb(scene: CompareScene, setting: Setting) -> float:
 @lru_cache(maxsize=1)
 def _version() -> str:
     """Hash of the source of the solvers and of the scenes."""
-    digest = hashlib.sha256()
-    sources = sorted(Path(pbd.__file__).parent.rglob("*.py"))
-    for path in [*sources, Path(compare_scenes.__file__), Path(__file__)]:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
+    return source_fingerprint(pbd, compare_scenes, Path(__file__))
 
 
 def run_path(cache: Path, scene: CompareScene, setting: Setting) -> Path:
