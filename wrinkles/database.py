@@ -241,7 +241,7 @@ def body_hash(body: Any) -> str:
     another character.
 
     Args:
-        body: :class:`assets.character.Character` or :class:`assets.sequence.Sequence`.
+        body: :class:`assets.character.Character` or :class:`assets.io.sequence.Sequence`.
     """
     vertices = body.vertices if body.vertices.ndim == 2 else body.vertices[0]
     digest = hashlib.sha256()
