@@ -199,7 +199,7 @@ def load_character(path: str | PathLike[str], name: str | None = None) -> Charac
         InputError: the file cannot be read, has no skin or no weights, holds values that are not finite, looks like
             centimetres, or asks for something that is not supported; the message names the element.
     """
-    from assets.gltf_character import read_character  # needs pygltflib, which building a character does not
+    from assets.io.gltf_character import read_character  # needs pygltflib, which building a character does not
 
     return read_character(Path(path), name)
 

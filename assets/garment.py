@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from assets.gltf import read_document
-from assets.obj import read_obj
+from assets.io.gltf import read_document
+from assets.io.obj import read_obj
 from assets.weld import check_unit, group_rows, weld
 from pbd.errors import InputError
 from pbd.mesh import edges_of

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 import assets
-from assets.scene import load_scene
-from precompute.evaluation import Evaluation, Truth, body_source
-from precompute.pipeline import precompute
+from assets.io.scene import load_scene
+from precompute.learning.evaluation import Evaluation, Truth, body_source
+from precompute.learning.pipeline import precompute
 from runtime.bake import bake_glb
 from runtime.pictures import BODY_COLOR, Camera, Drawn, frame_camera, render, save_png, strip
 
@@ -66,8 +66,8 @@ def run_demo(output: Path, report: Callable[[str], None] | None = None) -> dict[
     Returns:
         the figures.
     """
-    from precompute.compare import compare
-    from precompute.comparison_page import write_comparison
+    from precompute.wrinkle_comparison.compare import compare
+    from precompute.wrinkle_comparison.comparison_page import write_comparison
 
     tell = report or (lambda line: None)
     result = precompute(load_scene(SCENE), output / "skirt.h5", report=report)

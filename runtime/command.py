@@ -70,7 +70,7 @@ def _disk_problem(error: OSError) -> str:
 
 
 def _simulate(options: argparse.Namespace) -> Report:
-    from assets.scene import load_scene, scene_text
+    from assets.io.scene import load_scene, scene_text
 
     scene = load_scene(options.scene)
     if options.explain:
@@ -109,8 +109,8 @@ def _demo(options: argparse.Namespace) -> Report:
 
 
 def _precompute(options: argparse.Namespace) -> Report:
-    from assets.scene import load_scene
-    from precompute.pipeline import precompute
+    from assets.io.scene import load_scene
+    from precompute.learning.pipeline import precompute
     from runtime.info import info_text
 
     if options.workers < 1:
@@ -159,10 +159,10 @@ def _play(options: argparse.Namespace) -> Report:
 
 def _beside_truth(options: argparse.Namespace, database: WrinkleDatabase, cast: Cast, motion: Motion) -> dict[str, Any]:
     """Figures of a motion beside the fine simulation, and pictures of both."""
-    from precompute.compare import equal_cost_rivals
-    from precompute.evaluation import evaluate, fine_run, levels_from, truth_of
-    from precompute.pipeline import default_cache
-    from precompute.rivals import player_times, typical_ms
+    from precompute.learning.evaluation import evaluate, fine_run, levels_from, truth_of
+    from precompute.learning.pipeline import default_cache
+    from precompute.wrinkle_comparison.compare import equal_cost_rivals
+    from precompute.wrinkle_comparison.rivals import player_times, typical_ms
     from runtime.play import posed_bodies
     from runtime.strips import draw_strips
 
@@ -242,15 +242,15 @@ def _compare(options: argparse.Namespace) -> Report:
 
 
 def _compare_scenes(options: argparse.Namespace, scenes: Sequence[str]) -> Report:
-    from precompute.compare import compare_file
-    from precompute.scene_compare import BUDGET, compare_scenes
-    from precompute.scene_page import (
+    from precompute.method_comparison.scene_compare import BUDGET, compare_scenes
+    from precompute.method_comparison.scene_page import (
         comparison_figures,
         comparison_text,
         fabric_sections,
         wrinkle_sections,
         write_comparison,
     )
+    from precompute.wrinkle_comparison.compare import compare_file
 
     methods, output = [] if options.methods is None else options.methods.split(","), options.output
     with Progress(sys.stderr) as progress:
@@ -270,8 +270,8 @@ def _compare_scenes(options: argparse.Namespace, scenes: Sequence[str]) -> Repor
 
 
 def _compare_wrinkles(options: argparse.Namespace) -> Report:
-    from precompute.wrinkle_comparison import compare_wrinkles_file
-    from precompute.wrinkle_page import wrinkle_rows, wrinkle_verdict, write_wrinkles
+    from precompute.wrinkle_comparison.wrinkle_comparison import compare_wrinkles_file
+    from precompute.wrinkle_comparison.wrinkle_page import wrinkle_rows, wrinkle_verdict, write_wrinkles
 
     for name in ("clip", "seconds"):
         if getattr(options, name) is not None:
@@ -288,8 +288,8 @@ def _compare_wrinkles(options: argparse.Namespace) -> Report:
 
 
 def _compare_database(options: argparse.Namespace) -> Report:
-    from precompute.compare import compare_file
-    from precompute.comparison_page import verdict, write_comparison
+    from precompute.wrinkle_comparison.compare import compare_file
+    from precompute.wrinkle_comparison.comparison_page import verdict, write_comparison
 
     with Progress(sys.stderr) as progress:
         found = compare_file(
@@ -304,7 +304,7 @@ def _compare_database(options: argparse.Namespace) -> Report:
 
 
 def _plan(options: argparse.Namespace) -> Report:
-    from precompute.planning import plan_file, plan_rows, plan_text
+    from precompute.planning.planning import plan_file, plan_rows, plan_text
     from runtime.planner import TARGETS
 
     check_folder(options.output)
@@ -324,8 +324,8 @@ def _plan(options: argparse.Namespace) -> Report:
 
 
 def _validate(options: argparse.Namespace) -> Report:
-    from precompute.validation import chosen_rows, validate_all, validation_text, verdict_row
-    from precompute.validation_pictures import draw_verdicts
+    from precompute.validation.validation import chosen_rows, validate_all, validation_text, verdict_row
+    from precompute.validation.validation_pictures import draw_verdicts
 
     check_folder(options.output)
     tests = chosen_rows(options.names, options.param, options.solver)
@@ -345,8 +345,8 @@ def _validate(options: argparse.Namespace) -> Report:
 
 def _fabric(options: argparse.Namespace) -> Report:
     from assets.fabrics import load_fabric
-    from precompute import fabric_fit, fabric_report
-    from precompute.trial import Setting
+    from precompute.fabric_lab import fabric_fit, fabric_report
+    from precompute.validation.trial import Setting
 
     check_folder(options.output)
     fabric, setting = load_fabric(options.fabric), Setting(solver=options.solver)
@@ -371,10 +371,10 @@ def _fabric(options: argparse.Namespace) -> Report:
 
 
 def _stability(options: argparse.Namespace) -> Report:
-    from precompute.stability_cells import run_cell
-    from precompute.stability_maps import chosen_cell
-    from precompute.stability_page import cell_row, cell_text, stability_text, write_stability
-    from precompute.stability_sweep import METHODS, check_methods, sweep
+    from precompute.stability.stability_cells import run_cell
+    from precompute.stability.stability_maps import chosen_cell
+    from precompute.stability.stability_page import cell_row, cell_text, stability_text, write_stability
+    from precompute.stability.stability_sweep import METHODS, check_methods, sweep
 
     if options.cell is not None:
         cell = chosen_cell(options.cell)
@@ -392,7 +392,7 @@ def _stability(options: argparse.Namespace) -> Report:
 
 
 def _bench_wrinkles(options: argparse.Namespace) -> Report:
-    from precompute.ablations import ablate_file, table
+    from precompute.wrinkle_comparison.ablations import ablate_file, table
 
     with Progress(sys.stderr) as progress:
         rows = ablate_file(options.database, report=progress)
@@ -402,7 +402,7 @@ def _bench_wrinkles(options: argparse.Namespace) -> Report:
 
 
 def _bench_solver(options: argparse.Namespace) -> Report:
-    from precompute.solver_bench import bench_rows, bench_solver, bench_verdict, write_bench
+    from precompute.benchmarks.solver_bench import bench_rows, bench_solver, bench_verdict, write_bench
 
     check_folder(options.output)
     with Progress(sys.stderr) as progress:
@@ -415,7 +415,7 @@ def _bench_solver(options: argparse.Namespace) -> Report:
 
 
 def _bench_failures(options: argparse.Namespace) -> Report:
-    from precompute.failures import CLASSIC, all_failure_rows, failure_table, write_failures
+    from precompute.failures.failures import CLASSIC, all_failure_rows, failure_table, write_failures
 
     check_file(options.output, ".csv")
     solvers = (options.solver,) if options.solver else ("default", *CLASSIC)
@@ -436,7 +436,7 @@ def _bench_failures(options: argparse.Namespace) -> Report:
 
 
 def _bench_clips(options: argparse.Namespace) -> Report:
-    from precompute.clips import LIMBS, clip_rows, write_clips
+    from precompute.benchmarks.clips import LIMBS, clip_rows, write_clips
 
     check_file(options.output, ".csv")
     with Progress(sys.stderr) as progress:

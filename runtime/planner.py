@@ -15,7 +15,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from assets.scene import CameraSettings
+from assets.io.scene import CameraSettings
 from pbd.errors import InputError
 from runtime.front import Front
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from assets.character import Character
+from assets.io.scene import MotionSettings, Scene
+from assets.io.sequence import Sequence, SequenceMotion, load_sequence
 from assets.motion import ClipMotion
-from assets.scene import MotionSettings, Scene
-from assets.sequence import Sequence, SequenceMotion, load_sequence
 from pbd import InputError
 from pbd.wind import CALM, Air, Wind
 from runtime.bake import bake_glb, bake_obj, bake_pc2

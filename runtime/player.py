@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from assets.character import Character
-from assets.sequence import Sequence
+from assets.io.sequence import Sequence
 from pbd import InputError, build_model
 from pbd.engine import Launch
 from pbd.geometry import surface_normals

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from assets.character import Character
-from assets.sequence import Sequence, SequenceBody
+from assets.io.sequence import Sequence, SequenceBody
 from assets.skinning import SkinnedBody
 from pbd import Body, Colliders, Model, Solver, SolverOptions, State
 from pbd.attachment import Attachment

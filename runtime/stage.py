@@ -9,17 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.builtin import builtin_garment
 from assets.character import Character, load_character, with_clips
-from assets.exploration import exploration_clip, exploration_motion
 from assets.fabrics import PRESETS
 from assets.garment import Garment, boundary_loops, highest_loop, load_garment
+from assets.io.scene import FieldSettings, GarmentSettings, MotionSettings, Scene, parse_scene
+from assets.io.sequence import Sequence, SequenceMotion, load_sequence
 from assets.limits import load_limits
-from assets.mannequin import builtin_mannequin
 from assets.motion import ClipMotion, part_of
-from assets.scene import FieldSettings, GarmentSettings, MotionSettings, Scene, parse_scene
+from assets.procedural.builtin import builtin_garment
+from assets.procedural.exploration import exploration_clip, exploration_motion
+from assets.procedural.mannequin import builtin_mannequin
 from assets.seams import load_seams
-from assets.sequence import Sequence, SequenceMotion, load_sequence
 from pbd import (
     Capsule,
     DistanceField,

@@ -22,6 +22,7 @@ import numpy as np
 
 import pbd
 from pbd import Fabric, InputError, Limits, ModelOptions, SolverOptions
+from pbd.fingerprint import source_fingerprint
 from pbd.mesh import edges_of
 from pbd.storage import replacing
 from wrinkles.binding import Binding
@@ -240,7 +241,7 @@ def body_hash(body: Any) -> str:
     another character.
 
     Args:
-        body: :class:`assets.character.Character` or :class:`assets.sequence.Sequence`.
+        body: :class:`assets.character.Character` or :class:`assets.io.sequence.Sequence`.
     """
     vertices = body.vertices if body.vertices.ndim == 2 else body.vertices[0]
     digest = hashlib.sha256()
@@ -266,11 +267,7 @@ def code_version() -> str:
         version = metadata.version("gube")
     except metadata.PackageNotFoundError:  # run from a source tree
         version = "0"
-    digest = hashlib.sha256()
-    for folder in (Path(pbd.__file__).parent, Path(__file__).parent):
-        for path in sorted(folder.glob("*.py")):
-            digest.update(path.name.encode() + b"\0" + path.read_bytes())
-    return f"{version}+{digest.hexdigest()[:12]}"
+    return f"{version}+{source_fingerprint(pbd, Path(__file__).parent)[:12]}"
 
 
 def as_stored(database: WrinkleDatabase) -> WrinkleDatabase:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from assets.garment import Garment, boundary_loops, highest_loop, load_garment
-from assets.obj import read_obj, triangulate
+from assets.io.obj import read_obj, triangulate
 from assets.weld import weld
 from pbd.errors import InputError
 from tests.assets.files import Glb

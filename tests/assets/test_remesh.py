@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from assets.implicit import ellipsoid, field_gradient, project, smooth_max, smooth_min, surface_mesh, tapered_tube
+from assets.procedural.implicit import (
+    ellipsoid,
+    field_gradient,
+    project,
+    smooth_max,
+    smooth_min,
+    surface_mesh,
+    tapered_tube,
+)
 from assets.remesh import drop_vertices, even_mesh, flip_edges
 from pbd.mesh import edges_of
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from precompute.pipeline import Precomputed, precompute
+from precompute.learning.pipeline import Precomputed, precompute
 from tests.precompute.miniature import miniature, scene
 
 

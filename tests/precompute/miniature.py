@@ -6,17 +6,9 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from unittest.mock import patch
 
-from assets.scene import Scene, parse_scene
-from precompute import (
-    ablation_bench,
-    calibration,
-    evaluation,
-    in_time,
-    pipeline,
-    recording,
-    wrinkle_comparison,
-    wrinkle_rivals,
-)
+from assets.io.scene import Scene, parse_scene
+from precompute.learning import calibration, evaluation, in_time, pipeline, recording
+from precompute.wrinkle_comparison import ablation_bench, wrinkle_comparison, wrinkle_rivals
 from runtime.simulation import poses_of
 
 __all__ = ["SCENE", "miniature", "scene"]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from assets.scene import parse_scene, scene_text
+from assets.io.scene import parse_scene, scene_text
 from pbd import SolverOptions
 from runtime.stage import Stage
 from tests.wrinkles.databases import placed, small_database

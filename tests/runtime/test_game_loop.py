@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from assets.builtin import builtin_garment
-from assets.mannequin import builtin_mannequin
 from assets.motion import ClipMotion
+from assets.procedural.builtin import builtin_garment
+from assets.procedural.mannequin import builtin_mannequin
 from pbd import Fabric, InputError, Limits, ModelOptions, SolverOptions
 from runtime.game_loop import GameLoop, LiveInput, ScriptedInput
 from runtime.player import Player

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from assets.scene import CameraSettings
+from assets.io.scene import CameraSettings
 from pbd import InputError
-from precompute.error_classes import LIMITS
+from precompute.method_comparison.error_classes import LIMITS
 from runtime.detail import Detail
 from runtime.front import Front, Setting, read_front, write_front
 from runtime.planner import HOLD, TARGETS, Planner, Sight, exhaustive, sight_of

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from assets.scene import parse_scene
-from assets.sequence import Sequence
+from assets.io.scene import parse_scene
+from assets.io.sequence import Sequence
 from pbd import InputError
 from pbd.wind import Wind
 from runtime import command
@@ -133,7 +133,7 @@ def test_play_loads_nothing_that_only_learning_needs_and_prints_nothing_of_its_e
 
 def test_truth_is_found_where_precompute_left_it(path: Path) -> None:
     """Both must ask for the same run, or the fine cloth is simulated again."""
-    from precompute.evaluation import fine_run, levels_from
+    from precompute.learning.evaluation import fine_run, levels_from
 
     stage, database = skirt_stage(), read_database(path)
     learned = fine_run(stage.levels, stage.body, stage.motion(stage.scene.training.held_out[0]), database)

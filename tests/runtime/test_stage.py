@@ -9,12 +9,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from assets.builtin import builtin_garment
 from assets.fabrics import PRESETS
-from assets.scene import Scene, parse_scene
+from assets.io.scene import Scene, parse_scene
+from assets.procedural.builtin import builtin_garment
 from pbd import DistanceField, InputError, Plane
 from pbd.attachment import Attachment
-from precompute.rivals import middle_levels
+from precompute.wrinkle_comparison.rivals import middle_levels
 from runtime.player import Player
 from runtime.simulation import poses_of
 from runtime.stage import Stage, colliders_of, fabrics_of, motion_of, simulation_of

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from assets.builtin import builtin_garment
+from assets.procedural.builtin import builtin_garment
 from pbd import ClothMesh
 from pbd.mesh import edges_of
 from tests.wrinkles.meshes import flat_sheet, icosphere, tube

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from assets.builtin import builtin_garment
-from assets.mannequin import builtin_mannequin
+from assets.procedural.builtin import builtin_garment
+from assets.procedural.mannequin import builtin_mannequin
 from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.levels import Levels, build_levels
 

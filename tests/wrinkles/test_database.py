@@ -474,7 +474,7 @@ def test_the_code_version_follows_the_source(tmp_path: Path, monkeypatch: pytest
     for folder in ("pbd", "wrinkles"):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "a.py").write_text("x = 1\n")
-    monkeypatch.setattr(module.pbd, "__file__", str(tmp_path / "pbd" / "__init__.py"))
+    monkeypatch.setattr(module.pbd, "__path__", [str(tmp_path / "pbd")])
     monkeypatch.setattr(module, "__file__", str(tmp_path / "wrinkles" / "database.py"))
     versions = []
     for text in ("x = 1\n", "x = 2\n", "x = 1\n"):

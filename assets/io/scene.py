@@ -1,0 +1,404 @@
+"""Scene files: TOML in, frozen settings out.
+
+Lengths are metres, times seconds, masses kilograms, Y up. A path is relative to the scene file, and ``${GUBE_DATA}`` in
+it stands for the data folder. Every error of a file is reported at once.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from assets.fabrics import PRESETS, load_fabric
+from assets.io.settings import (
+    Check,
+    Reader,
+    Refused,
+    choice,
+    entry,
+    file_path,
+    indices,
+    number,
+    settings_text,
+    several,
+    table,
+    tables,
+    text,
+    truth,
+    vector,
+    whole,
+)
+from assets.procedural.builtin import BUILTIN_GARMENTS
+from pbd import Capsule, Fabric, InputError, Plane, SolverOptions, Sphere
+from pbd.wind import Wind
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+__all__ = [
+    "CameraSettings",
+    "CapsuleSettings",
+    "CharacterSettings",
+    "FieldSettings",
+    "GarmentSettings",
+    "MotionSettings",
+    "PlaneSettings",
+    "Scene",
+    "SolverSettings",
+    "SphereSettings",
+    "TrainingSettings",
+    "WindSettings",
+    "WrinkleSettings",
+    "load_scene",
+    "parse_scene",
+    "scene_text",
+]
+
+Vector = tuple[float, float, float]
+
+_MESH = file_path(".obj", ".glb", ".gltf", builtins=[f"builtin:{name}" for name in BUILTIN_GARMENTS])
+_CHARACTER_FILE = file_path(".glb", ".gltf", builtins=["builtin:mannequin"])
+_MOTION_FILE = file_path(".glb", ".gltf", ".npz", builtins=["builtin:mannequin"])
+
+
+def _read_attach(reader: Reader, value: Any, key: str) -> str | tuple[int, ...]:
+    check = indices() if isinstance(value, list) else choice("top", "none")
+    return check.convert(reader, value, key)
+
+
+def _read_fabric(reader: Reader, value: Any, key: str) -> Fabric | None:
+    if isinstance(value, dict):
+        return reader.table(Fabric, value, key)
+    if isinstance(value, str) and value.endswith(".json"):
+        return load_fabric(file_path(".json").convert(reader, value, key))
+    if isinstance(value, str):
+        return PRESETS[choice(*PRESETS).convert(reader, value, key)]
+    raise Refused
+
+
+_ATTACH = Check("'top', 'none' or a list of boundary loop numbers", _read_attach)
+_FABRIC = Check(f"one of {', '.join(PRESETS)}, path of a .json file or a table of SI values", _read_fabric)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GarmentSettings:
+    """One piece of clothing.
+
+    Attributes:
+        name: name in figures and files, unique in the scene.
+        mesh: path of the garment's mesh, or a built-in one: "builtin:skirt".
+        pattern: whether the mesh's texture coordinates are a flat pattern [m].
+        fabric: what it is made of; in a file a preset's name, the path of a .json file or a table of SI values.
+        seams: path of the stitches between the mesh's panels: a .csv file with the columns v, a, b, w.
+        coarse_vertices: about how many vertices the coarse mesh gets; the mesh is then the fine one, bound to the
+            subdivided coarse mesh. None where the mesh itself is the coarse one.
+        subdivisions: how often the coarse mesh is subdivided for the fine one.
+        attach: boundary vertices that the body carries: "top" (the highest loop), "none", or numbers of loops.
+        attach_vertices: more vertices that the body carries.
+        pins: vertices fixed in space.
+        limits: path of a .csv file of limits painted on the coarse mesh, about where the body carries its vertices,
+            with the columns vertex, maximum_distance, backstop, stiffness; see :class:`pbd.Limits`.
+        thickness: distance kept from the body [m]; None for the fabric's own.
+        pressure: of the air inside over that outside [Pa].
+    """
+
+    name: str = entry(text())
+    mesh: Path | str = entry(_MESH)
+    pattern: bool = entry(truth(), False)
+    fabric: Fabric = entry(_FABRIC, Fabric())
+    seams: Path | None = entry(file_path(".csv"), None)
+    coarse_vertices: int | None = entry(whole(at_least=50), None)
+    subdivisions: int = entry(whole(at_least=0), 2)
+    attach: str | tuple[int, ...] = entry(_ATTACH, "none")
+    attach_vertices: tuple[int, ...] = entry(indices(), ())
+    pins: tuple[int, ...] = entry(indices(), ())
+    limits: Path | None = entry(file_path(".csv"), None)
+    thickness: float | None = entry(number(above=0, unit="m"), None)
+    pressure: float = entry(number(unit="Pa"), 0.0)
+
+    def __post_init__(self) -> None:
+        if self.seams is not None and self.coarse_vertices is None:
+            raise InputError("seams of a mesh that is not the fine one", key="seams", expected="coarse_vertices beside")
+        if self.coarse_vertices is not None and not self.pattern:
+            expected = "pattern = true: the rest shape of a mesh that is decimated is its pattern"
+            raise InputError("no pattern", key="pattern", received=self.pattern, expected=expected)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CharacterSettings:
+    """The body and what it does: a glTF character, or a sequence of vertex positions.
+
+    Attributes:
+        file: path of a glTF file, or "builtin:mannequin".
+        sequence: path of a vertex sequence instead.
+        clip: name of the clip to play; None for the file's first.
+    """
+
+    file: Path | str | None = entry(_CHARACTER_FILE, None)
+    sequence: Path | None = entry(file_path(".npz"), None)
+    clip: str | None = entry(text(), None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionSettings:
+    """One clip of a character's file, or a vertex sequence, or a part of it.
+
+    Attributes:
+        file: path of a glTF file or of a vertex sequence, or "builtin:mannequin".
+        clip: name of the clip; None for a vertex sequence.
+        start, end: part of it that is meant [s]; None ends where it ends.
+        speed: its seconds per second [-].
+    """
+
+    file: Path | str = entry(_MOTION_FILE)
+    clip: str | None = entry(text(), None)
+    start: float = entry(number(at_least=0, unit="s"), 0.0)
+    end: float | None = entry(number(above=0, unit="s"), None)
+    speed: float = entry(number(above=0), 1.0)
+
+    def __post_init__(self) -> None:
+        sequence = str(self.file).lower().endswith(".npz")
+        if sequence != (self.clip is None):
+            expected = "none: a vertex sequence has no clips" if sequence else "name of a clip"
+            raise InputError("bad clip", key="clip", received=self.clip, expected=expected)
+        if self.end is not None and self.end <= self.start:
+            expected = f"after the start, {self.start:g} [s]"
+            raise InputError("a part that ends before it starts", key="end", received=self.end, expected=expected)
+
+    @property
+    def name(self) -> str:
+        """Name for figures and files: the clip's, with the part and the speed where they are not the whole and 1."""
+        words = [self.clip or Path(self.file).stem]
+        if self.start or self.end is not None:
+            words.append(f"{self.start:g}-{'' if self.end is None else f'{self.end:g}'} s")
+        if self.speed != 1.0:
+            words.append(f"x {self.speed:g}")
+        return " ".join(words)
+
+    def overlaps(self, other: MotionSettings) -> bool:
+        """Whether both are parts of one clip that have time in common, at whatever speed."""
+        ends = [math.inf if end is None else end for end in (self.end, other.end)]
+        same = (self.file, self.clip) == (other.file, other.clip)
+        return same and self.start < ends[1] and other.start < ends[0]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingSettings:
+    """The motions that the wrinkles are learned from and judged on.
+
+    Attributes:
+        clips: clips to learn from.
+        held_out: clips that nothing is learned from.
+        procedural_seconds: length of procedural motion to learn from as well [s].
+        choose_s: learn only from those parts of all this that add most, so many seconds in all [s]; None learns from
+            everything.
+        fabrics: presets to learn the wrinkles in besides the garment's own fabric.
+    """
+
+    clips: tuple[MotionSettings, ...] = entry(tables(table(MotionSettings)), ())
+    held_out: tuple[MotionSettings, ...] = entry(tables(table(MotionSettings)), ())
+    procedural_seconds: float = entry(number(at_least=0, unit="s"), 0.0)
+    choose_s: float | None = entry(number(above=0, unit="s"), None)
+    fabrics: tuple[str, ...] = entry(several(choice(*PRESETS)), ())
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaneSettings:
+    """A solid half space below a plane through ``point`` [m], with ``normal`` [-] of any length."""
+
+    type: str = entry(choice("plane"), "plane")
+    point: Vector = entry(vector(unit="m"), (0.0, 0.0, 0.0))
+    normal: Vector = entry(vector(not_zero=True), (0.0, 1.0, 0.0))
+
+    def primitive(self) -> Plane:
+        return Plane(self.point, self.normal)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SphereSettings:
+    """A solid sphere: ``centre`` [m], ``radius`` [m]."""
+
+    type: str = entry(choice("sphere"), "sphere")
+    centre: Vector = entry(vector(unit="m"))
+    radius: float = entry(number(above=0, unit="m"))
+
+    def primitive(self) -> Sphere:
+        return Sphere(self.centre, self.radius)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CapsuleSettings:
+    """A solid capsule around the segment from ``start`` to ``end`` [m]: ``radius`` [m]."""
+
+    type: str = entry(choice("capsule"), "capsule")
+    start: Vector = entry(vector(unit="m"))
+    end: Vector = entry(vector(unit="m"))
+    radius: float = entry(number(above=0, unit="m"))
+
+    def primitive(self) -> Capsule:
+        return Capsule(self.start, self.end, self.radius)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FieldSettings:
+    """A solid of any shape, given by signed distances on a grid.
+
+    Attributes:
+        mesh: path of a closed mesh.
+        spacing: of the grid [m]; what is finer is smoothed away.
+        centre: where the mesh's own origin stands [m].
+    """
+
+    type: str = entry(choice("field"), "field")
+    mesh: Path = entry(file_path(".obj", ".glb", ".gltf"))
+    spacing: float = entry(number(above=0, unit="m"), 0.01)
+    centre: Vector = entry(vector(unit="m"), (0.0, 0.0, 0.0))
+
+
+_COLLIDERS = {"plane": PlaneSettings, "sphere": SphereSettings, "capsule": CapsuleSettings, "field": FieldSettings}
+
+
+def _read_collider(reader: Reader, value: Any, key: str) -> Any:
+    if not isinstance(value, dict):
+        raise Refused
+    kind = reader.value(choice(*_COLLIDERS), value.get("type"), f"{key}.type")
+    return reader.table(_COLLIDERS[kind], value, key) if kind else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class WindSettings:
+    """Wind with the mean ``velocity`` [m/s].
+
+    Attributes:
+        velocity: mean.
+        turbulence: root mean square of each component of what eddies add, over the mean speed [-].
+        length: wavelength of the largest eddies [m].
+    """
+
+    velocity: Vector = entry(vector(unit="m/s"), (0.0, 0.0, 0.0))
+    turbulence: float = entry(number(at_least=0), 0.0)
+    length: float = entry(number(above=0, unit="m"), 1.0)
+
+    def air(self) -> Wind:
+        return Wind(self.velocity, self.turbulence, self.length)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolverSettings:
+    """How a scene is simulated.
+
+    Attributes:
+        frame_rate: frames per second [Hz].
+        substep: longest step of the solver [s].
+        gravity: acceleration of free fall [m/s2].
+        coarse_sweeps: passes over each coarser level of the mesh in a step; 0 leaves all out.
+        contact_refreshes: times a second that each contact is looked for again [Hz].
+        self_collision: whether garments keep their thickness from themselves. Layers always keep it from one another.
+        local_damping: rate at which velocities against a garment's motion as a whole die away [1/s].
+        linear_inertia, angular_inertia: part that the cloth feels of changes of the motion of what carries it [-]: 1 is
+            physical, 0 goes along unmoved.
+    """
+
+    frame_rate: float = entry(number(above=0, unit="Hz"), 60.0)
+    substep: float = entry(number(above=0, unit="s"), SolverOptions.substep)
+    gravity: Vector = entry(vector(unit="m/s2"), SolverOptions.gravity)
+    coarse_sweeps: int = entry(whole(at_least=0), SolverOptions.coarse_sweeps)
+    contact_refreshes: float = entry(number(above=0, unit="Hz"), SolverOptions.contact_refreshes)
+    self_collision: bool = entry(truth(), SolverOptions.self_collision)
+    local_damping: float = entry(number(at_least=0, unit="1/s"), SolverOptions.local_damping)
+    linear_inertia: float = entry(number(at_least=0, at_most=1), SolverOptions.linear_inertia)
+    angular_inertia: float = entry(number(at_least=0, at_most=1), SolverOptions.angular_inertia)
+
+    def options(self) -> SolverOptions:
+        return SolverOptions(**{one.name: getattr(self, one.name) for one in fields(SolverOptions)})
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrinkleSettings:
+    """What is learned.
+
+    Attributes:
+        hidden_width: width of the network's second hidden layer; the first is eight thirds as wide.
+        atoms: atoms of the dictionary.
+        seed: seed of every random choice in learning.
+    """
+
+    hidden_width: int = entry(whole(at_least=1), 192)
+    atoms: int = entry(whole(at_least=1), 48)
+    seed: int = entry(whole(at_least=0), 0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraSettings:
+    """A camera of 16:9: ``position`` and ``target`` [m], vertical ``field_of_view_deg`` [deg]."""
+
+    position: Vector = entry(vector(unit="m"), (0.0, 1.0, 3.0))
+    target: Vector = entry(vector(unit="m"), (0.0, 1.0, 0.0))
+    field_of_view_deg: float = entry(number(above=0, below=180, unit="deg"), 40.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """A resolved scene: every default filled in, every path absolute. Garments come from the innermost outwards."""
+
+    garments: tuple[GarmentSettings, ...] = entry(
+        tables(table(GarmentSettings), at_least=1, unique="name"), key="garment"
+    )
+    character: CharacterSettings | None = entry(table(CharacterSettings, one_of=("file", "sequence")), None)
+    training: TrainingSettings = entry(table(TrainingSettings), TrainingSettings())
+    colliders: tuple[PlaneSettings | SphereSettings | CapsuleSettings | FieldSettings, ...] = entry(
+        tables(Check("a table", _read_collider)), (), key="collider"
+    )
+    wind: WindSettings = entry(table(WindSettings), WindSettings())
+    solver: SolverSettings = entry(table(SolverSettings), SolverSettings())
+    wrinkles: WrinkleSettings = entry(table(WrinkleSettings), WrinkleSettings())
+    camera: CameraSettings = entry(table(CameraSettings), CameraSettings())
+
+
+def load_scene(path: str | Path) -> Scene:
+    """Read a scene file.
+
+    Raises:
+        InputError: the file cannot be read or is not TOML; or what it says cannot be used, with every such place.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        problem = f"cannot be read: {(error.strerror or str(error)).lower()}"
+        raise InputError(problem, file=path, expected="a scene file (TOML)") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"not TOML: {error}", file=path) from error
+    return parse_scene(text, path)
+
+
+def parse_scene(text: str, path: str | Path) -> Scene:
+    """Read a scene that is not in a file of its own.
+
+    Args:
+        text: TOML.
+        path: what errors name, and what relative paths in the scene are relative to the folder of.
+
+    Raises:
+        InputError: not TOML, or what it says cannot be used, with every such place.
+    """
+    path = Path(path)
+    try:
+        values = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"not TOML: {error}", file=path) from error
+    reader = Reader(path)
+    scene = reader.table(Scene, values)
+    if reader.errors:
+        raise InputError.join(reader.errors)
+    return scene
+
+
+def scene_text(scene: Scene) -> str:
+    """The scene as TOML that :func:`parse_scene` reads back to the same settings."""
+    return settings_text(scene)

@@ -1,0 +1,53 @@
+"""The built-in clothes: a flag, a tablecloth, and a skirt and a T-shirt for the built-in mannequin."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from assets.garment import Garment
+from assets.procedural.mannequin import DATA
+from pbd.errors import InputError
+
+__all__ = ["BUILTIN_GARMENTS", "builtin_garment"]
+
+BUILTIN_GARMENTS = ("flag", "skirt", "tablecloth", "tshirt")
+
+_EDGE = 0.04  # of flag and tablecloth [m]
+
+
+def builtin_garment(name: str) -> Garment:
+    """One of the built-in clothes.
+
+    `flag` is upright, 1.2 m long, its pole at x = 0, its lower edge 1 m up. `tablecloth` is level, 1.2 m square,
+    0.75 m up. `skirt` and `tshirt` are worn by :func:`~assets.procedural.mannequin.builtin_mannequin` in its bind pose.
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    if name == "flag":
+        return _sheet(name, (1.2, 0.8), np.array([0.0, 1.0, 0.0]), np.array([0.0, 1.0, 0.0]))
+    if name == "tablecloth":
+        return _sheet(name, (1.2, 1.2), np.array([-0.6, 0.75, 0.6]), np.array([0.0, 0.0, -1.0]))
+    if name not in BUILTIN_GARMENTS:
+        expected = "one of " + ", ".join(BUILTIN_GARMENTS)
+        raise InputError("no such built-in garment", received=name, expected=expected)
+    with np.load(DATA / f"{name}.npz", allow_pickle=False) as data:
+        vertices, faces = data["vertices"].astype(np.float64), data["faces"].astype(np.int32)
+        pattern = data["pattern"].astype(np.float64) if "pattern" in data else None
+    return Garment(name, vertices, faces, pattern, f"builtin:{name}")
+
+
+def _sheet(name: str, size: tuple[float, float], corner: NDArray[np.float64], up: NDArray[np.float64]) -> Garment:
+    """A rectangle from a corner along X and `up`: squares cut along diagonals that alternate, for no bias."""
+    columns, rows = (round(length / _EDGE) for length in size)
+    index = np.arange((rows + 1) * (columns + 1)).reshape(rows + 1, columns + 1)
+    row, column = np.divmod(np.arange(index.size), columns + 1)
+    flat = _EDGE * np.stack([column, row], axis=1).astype(np.float64)
+    vertices = corner + flat[:, :1] * [1.0, 0.0, 0.0] + flat[:, 1:] * up
+    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
+    even = ((row[a] + column[a]) % 2 == 0)[:, None]
+    first = np.where(even, np.stack([a, b, c], axis=1), np.stack([a, b, d], axis=1))
+    second = np.where(even, np.stack([a, c, d], axis=1), np.stack([b, c, d], axis=1))
+    faces = np.stack([first, second], axis=1).reshape(-1, 3).astype(np.int32)
+    return Garment(name, vertices, faces, flat[faces], f"builtin:{name}")

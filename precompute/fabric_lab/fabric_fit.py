@@ -1,0 +1,189 @@
+"""Fabrics fitted to measured curves: a CSV file of force against strain in, a fabric and a picture of both out."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from pbd import Fabric
+from pbd.errors import InputError
+from pbd.storage import replacing
+from precompute.fabric_lab.laboratory import (
+    DIRECTIONS,
+    LoadCurve,
+    bending_curve,
+    compression_curve,
+    shear_curve,
+    tension_curve,
+)
+from precompute.validation.trial import Setting
+
+__all__ = ["FittedCurve", "draw_fit", "fit_fabric", "read_curves"]
+
+# Columns of a row, in the units of :class:`precompute.fabric_lab.laboratory.LoadCurve`.
+COLUMNS = ("instrument", "direction", "deformation", "load")
+INSTRUMENTS = {"tension": tension_curve, "shear": shear_curve, "bending": bending_curve}
+PRESSED = ("compression", "normal")
+
+
+@dataclass(frozen=True)
+class FittedCurve:
+    """One measured curve and what the fitted fabric gives in the same instrument.
+
+    Attributes:
+        instrument, direction: what was measured, and along what.
+        measured, fitted: the curves.
+        error: root mean squared difference of the loads over that of the measured ones [-].
+    """
+
+    instrument: str
+    direction: str
+    measured: LoadCurve
+    fitted: LoadCurve
+    error: float
+
+
+def read_curves(path: Path) -> dict[tuple[str, str], LoadCurve]:
+    """Curves of a CSV file with the columns instrument, direction, deformation, load, by instrument and direction.
+
+    Instruments are tension (strain, N/m), shear (rad, N/m) and bending (1/m, N); directions warp, weft and bias. And
+    compression (thickness in m, Pa) in the direction normal.
+
+    Raises:
+        InputError: no such file, another header, an unknown word, or a number that is not finite and above 0.
+    """
+    try:
+        with open(path, newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            if tuple(reader.fieldnames or ()) != COLUMNS:
+                raise InputError("bad header", file=path, received=reader.fieldnames, expected=", ".join(COLUMNS))
+            rows = list(reader)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"cannot be read: {error}", file=path, expected="a CSV file") from error
+    points: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    errors = []
+    for number, row in enumerate(rows, 2):
+        pressed = (row["instrument"], row["direction"]) == PRESSED
+        for name, allowed in (("instrument", INSTRUMENTS), ("direction", DIRECTIONS)):
+            if row[name] not in allowed and not pressed:
+                expected = " or ".join(allowed) + ", or compression with normal"
+                errors.append(
+                    InputError("unknown word", file=path, key=f"line {number}", received=row[name], expected=expected)
+                )
+        try:
+            point = (float(row["deformation"]), float(row["load"]))
+        except (TypeError, ValueError):
+            point = (math.nan, math.nan)
+        if not all(0.0 < value < math.inf for value in point):
+            received = (row["deformation"], row["load"])
+            errors.append(
+                InputError(
+                    "bad point", file=path, key=f"line {number}", received=received, expected="two numbers above 0"
+                )
+            )
+        points.setdefault((row["instrument"], row["direction"]), []).append(point)
+    if not rows:
+        errors.append(InputError("no curve", file=path, received=0, expected="at least one row"))
+    if errors:
+        raise InputError.join(errors)
+    ordered = {key: np.array(sorted(found)) for key, found in points.items()}
+    return {key: LoadCurve(curve[:, 0], curve[:, 1], math.nan) for key, curve in ordered.items()}
+
+
+def fit_fabric(
+    curves: dict[tuple[str, str], LoadCurve], fabric: Fabric, setting: Setting
+) -> tuple[Fabric, list[FittedCurve]]:
+    """The fabric whose straight lines are nearest to the curves, and what it gives in the same instruments.
+
+    A fabric has one stiffness for each instrument and axis: a line through the origin is fitted by least squares of the
+    loads. Tension at the bias gives the shear stiffness where shear itself was not measured. Van Wyk's law is a line in
+    1/T^3.
+
+    Args:
+        curves: as :func:`read_curves` gives them.
+        fabric: for what was not measured.
+        setting: of the solver that stands in the instruments.
+    """
+    line = {
+        key: float(c.deformation @ c.load / (c.deformation @ c.deformation))
+        for key, c in curves.items()
+        if key != PRESSED
+    }
+    names = {
+        ("tension", "warp"): "stretch_warp",
+        ("tension", "weft"): "stretch_weft",
+        ("shear", "warp"): "shear",
+        ("bending", "warp"): "bend_warp",
+        ("bending", "weft"): "bend_weft",
+    }
+    fitted = replace(fabric, **{names[key]: value for key, value in line.items() if key in names})
+    bias, shear = line.get(("tension", "bias")), ("shear", "warp") in line
+    if bias is not None and not shear:
+        # 4/E45 = 1/E1 + 1/E2 + 1/G - 2 nu12/E1
+        rest = 1.0 / fitted.stretch_warp + 1.0 / fitted.stretch_weft - 2.0 * fitted.poisson / fitted.stretch_warp
+        softness = 4.0 / bias - rest
+        if softness <= 0.0:
+            raise InputError(
+                "no fabric is so stiff at the bias", key="tension bias", received=bias, expected=f"below {4 / rest:.4g}"
+            )
+        fitted = replace(fitted, shear=1.0 / softness)
+    found = []
+    if PRESSED in curves:
+        fitted = _pressed(curves[PRESSED], fitted)
+    for (instrument, direction), measured in curves.items():
+        if (instrument, direction) == PRESSED:
+            drawn = compression_curve(Setting(edges=setting.edges), fitted, tuple(measured.load))
+            error = float(np.sqrt(((drawn.deformation / measured.deformation - 1.0) ** 2).mean()))
+            found.append(FittedCurve(instrument, direction, measured, drawn, error))
+            continue
+        drawn = INSTRUMENTS[instrument](setting, fitted, DIRECTIONS[direction], tuple(measured.deformation))
+        # The strain in the middle of a strip is a little less than what its ends were given.
+        difference = drawn.load * measured.deformation / drawn.deformation - measured.load
+        error = float(np.sqrt((difference**2).mean() / (measured.load**2).mean()))
+        found.append(FittedCurve(instrument, direction, measured, drawn, error))
+    return fitted, found
+
+
+def _pressed(curve: LoadCurve, fabric: Fabric) -> Fabric:
+    """With the thickness and the p_c of the line P = p_c T0^3 / T^3 - p_c."""
+    inverse = curve.deformation**-3.0
+    if np.ptp(inverse) <= 1e-6 * inverse.max():  # it does not give
+        return replace(fabric, thickness=float(curve.deformation.mean()), compression=0.0)
+    slope, level = np.polyfit(inverse / inverse.max(), curve.load, 1)
+    if level >= 0.0 or slope <= 0.0:
+        expected = "thickness that falls with pressure, less and less"
+        raise InputError("no law of van Wyk's", key="compression normal", received=curve.load, expected=expected)
+    return replace(fabric, thickness=float((slope / inverse.max() / -level) ** (1.0 / 3.0)), compression=float(-level))
+
+
+def draw_fit(path: Path, found: Sequence[FittedCurve]) -> None:
+    """Draw measured and fitted curves side by side, one panel each, as PNG."""
+    columns = min(len(found), 4)
+    rows = -(-len(found) // columns)
+    figure = Figure(figsize=(4.2 * columns, 3.6 * rows), layout="constrained")
+    labels = {"tension": ("strain", "N/m"), "shear": ("shear [rad]", "N/m"), "bending": ("curvature [1/m]", "N")}
+    labels["compression"] = ("thickness [m]", "Pa")
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    for panel in panels[len(found) :]:
+        panel.set_axis_off()
+    for panel, curve in zip(panels, found, strict=False):
+        through_zero = curve.instrument != "compression"
+        line = np.pad(np.stack([curve.fitted.deformation, curve.fitted.load]), ((0, 0), (int(through_zero), 0)))
+        panel.plot(*line, color="tab:red", label="fitted")
+        panel.plot(curve.measured.deformation, curve.measured.load, "o", color="0.4", label="measured")
+        x_label, y_label = labels[curve.instrument]
+        panel.set_xlim(0.0, 1.1 * curve.measured.deformation.max())
+        panel.set_ylim(0.0, 1.1 * curve.measured.load.max())
+        panel.set_xlabel(x_label)
+        panel.set_ylabel(y_label)
+        panel.set_title(f"{curve.instrument}, {curve.direction}: {100.0 * curve.error:.2g} % off", fontsize=9)
+        panel.legend(fontsize=8)
+    with replacing(path) as beside, open(beside, "wb") as file:
+        FigureCanvasAgg(figure).print_png(file)

@@ -1,0 +1,111 @@
+"""Lines of the list of known failures that compare two runs, or that no run should come to."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pbd import ClothMesh, Colliders, Crowd, Fabric, InputError, Solver, State, build_model
+from pbd.engine import running_threads
+from pbd.models.newton import StepError
+from pbd.models.registry import make_solver
+from pbd.models.stepping import ClothSolver, Options
+from precompute.failures.failure_play import LONGEST, RATE, Outcome
+from precompute.failures.failure_scenes import HUNG, square
+
+__all__ = ["comparisons"]
+
+# Stretches by 7 % under its own weight.
+SOFT = Fabric(stretch_warp=20.0, stretch_weft=20.0, shear=6.0, air_drag=0.0)
+SECONDS = 3.0  # of which strains are averaged over the last two thirds
+
+
+def comparisons() -> Sequence[tuple[str, str, bool, Callable[[str], Outcome]]]:
+    """Line, name, whether it is the default solver's alone, and what runs it with a solver."""
+    return [
+        (
+            "multipliers reset every iteration (stiffness lost)",
+            "hung cloth with four times the substeps",
+            False,
+            lambda solver: _softness(solver, (RATE, 1.0), (RATE, 0.25)),
+        ),
+        (
+            "softness that changes with frame rate",
+            "hung cloth at 25 and 75 Hz",
+            False,
+            lambda solver: _softness(solver, (25.0, 1.0), (75.0, 1.0)),
+        ),
+        ("slivers, duplicate and non-manifold faces", "a face given twice is refused", True, _twice),
+        ("slivers, duplicate and non-manifold faces", "three faces at an edge are refused", True, _three_at_an_edge),
+        ("thread count (results must not depend on it)", "two threads", True, _threads),
+    ]
+
+
+def _softness(name: str, first: tuple[float, float], second: tuple[float, float]) -> Outcome:
+    """Difference of the strains of hanging cloth at two rates of frames [Hz] and factors on the substep."""
+    mesh, held = square(10), np.flatnonzero(square(10).vertices[:, 1] > -1e-9)
+    model = build_model(mesh, SOFT, held, bend_factor=1 / 3)
+    own = make_solver(name, model)
+    substep = own.substep if isinstance(own, ClothSolver) else Solver(model).options.substep
+    edges, rest = mesh.edge_lengths()
+    solvers = [make_solver(name, model, Options(substep=substep * factor)) for _, factor in (first, second)]
+    states, strains, costs = [State.at_rest(model) for _ in solvers], [], []
+    slower = min(first[0], second[0])
+    while len(strains) < round(SECONDS * slower) and sum(costs) < LONGEST:  # side by side, for the same time
+        strains.append([])
+        for solver, state, (rate, _) in zip(solvers, states, (first, second), strict=True):
+            for _ in range(round(rate / slower)):
+                begin = time.process_time()
+                try:
+                    solver.step(state, Colliders(), 1.0 / rate)
+                except StepError as error:
+                    return Outcome({"not_finite": 1.0}, np.inf, 0.0, error.problem)
+                costs.append(time.process_time() - begin)
+            x = state.world()
+            strains[-1].append(np.linalg.norm(x[edges[:, 1]] - x[edges[:, 0]], axis=1) / rest - 1.0)
+    found = np.mean(strains[len(strains) // 3 :], axis=0)
+    off = np.abs(found[0] - found[1])
+    worst = float(off.max())
+    figures = {"edge_strain_p95": float(np.percentile(off, 95)), "edge_strain_max": worst, "edge_strain_beyond": worst}
+    outcome = Outcome(figures, 0.0, 1e3 * float(np.median(costs)))
+    reached = len(strains) / slower
+    if reached < SECONDS - 1e-9:
+        return replace(outcome, note=f"{outcome.worst[1]} (judged up to {reached:.2g} of {SECONDS:g} s: slow)")
+    return outcome
+
+
+def _refused(faces: list[list[int]]) -> Outcome:
+    """A mesh that may not come as far as a solver."""
+    vertices = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.1, 0.1, 0.0], [0.0, 0.0, 0.1]])
+    try:
+        build_model(ClothMesh.from_surface(vertices, np.array(faces), warp=(1.0, 0.2, 0.0)), Fabric())
+    except InputError:
+        return Outcome({"not_finite": 0.0}, 0.0, 0.0)
+    return Outcome({"not_finite": 1.0}, np.inf, 0.0, "taken")
+
+
+def _twice(name: str) -> Outcome:
+    return _refused([[0, 1, 2], [1, 3, 2], [0, 1, 4], [0, 1, 2]])
+
+
+def _three_at_an_edge(name: str) -> Outcome:
+    return _refused([[0, 1, 2], [1, 0, 3], [0, 1, 4]])
+
+
+def _threads(name: str) -> Outcome:
+    """The default solver alone and on all threads there are, 30 frames: largest distance, in pixels at 3 m."""
+    mesh, held = HUNG
+    model = build_model(mesh, Fabric(), np.array(held), bend_factor=1 / 3)
+    solver, states, times = Solver(model), [State.at_rest(model) for _ in range(2)], []
+    crowd = Crowd([solver], max(1, running_threads()))
+    for _ in range(30):
+        begin = time.process_time()
+        solver.step(states[0], Colliders(), 1.0 / RATE)
+        times.append(time.process_time() - begin)
+        crowd.step(states[1:], [Colliders()], 1.0 / RATE)
+    off = 0.0 if states[0].hash() == states[1].hash() else float(np.abs(states[0].world() - states[1].world()).max())
+    same = off == 0.0 and states[0].hash() == states[1].hash()
+    return Outcome({"position_px": 0.0 if same else max(off / 2.02e-3, 1.01)}, 0.0, 1e3 * float(np.median(times)))

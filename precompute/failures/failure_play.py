@@ -1,0 +1,267 @@
+"""Small scenes of cloth in difficulties, and the error class in which a solver ends them.
+
+They need no reference run: strain counts from the rest shape, speed from a free fall of the garment's height, depth
+from the colliders' surfaces.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from pbd import (
+    Capsule,
+    ClothMesh,
+    Colliders,
+    Fabric,
+    Model,
+    ModelOptions,
+    Plane,
+    Solver,
+    SolverOptions,
+    Sphere,
+    State,
+    build_model,
+)
+from pbd.models.newton import StepError
+from pbd.models.registry import AnySolver, make_solver
+from pbd.models.stepping import Options
+from precompute.method_comparison.error_classes import (
+    GRAVITY,
+    LIMITS,
+    START,
+    ErrorClass,
+    Recorded,
+    classify,
+    deviations,
+)
+
+__all__ = ["LONGEST", "RATE", "Outcome", "Scene", "Stage", "play"]
+
+RATE = 60.0  # frames a second
+LONGEST = 30.0  # processor time of a run; one that takes longer is judged by what it came to [s]
+THROUGH = 10.0  # depth that stands for what has gone through [thicknesses]
+
+
+@dataclass
+class Stage:
+    """What a scene may change before a frame.
+
+    Attributes:
+        time: at the frame's start [s].
+        dt: of the frame [s].
+        targets: of the held vertices [m], shape (p, 3).
+        wind: [m/s].
+        colliders: that the cloth meets.
+        fabric: of the cloth from here on.
+    """
+
+    time: float
+    dt: float
+    targets: np.ndarray
+    wind: tuple[float, float, float]
+    colliders: Colliders
+    fabric: Fabric
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Cloth in a known difficulty.
+
+    Attributes:
+        line: what fails, in the words of the list.
+        name: of the scene; a line may have several.
+        mesh: whose vertices are its rest shape in space.
+        fabric: that it is made of.
+        held: vertices that follow targets.
+        start: positions [m], shape (n, 3); None starts from the rest shape.
+        velocity: of all vertices at the start [m/s].
+        seconds: of the run.
+        colliders: makes them anew.
+        direct: called before every frame.
+        quiet: when what disturbs the cloth is over [s]; depth counts from then, strain from a second later.
+        speed: fastest collider, pin, wind or vertex at the start [m/s].
+        gravity: [m/s2].
+        truth: exact positions at a time [m], shape (n, 3).
+        free: nothing gives energy to the cloth.
+        at_rest: the end is meant to be at rest.
+        through: whether cloth has gone through something, of positions [m], shape (n, 3).
+        build: makes the model; None takes the mesh as it is.
+        self_collision: asked of the default solver, the only one that has it.
+        default_only: other solvers cannot take the scene.
+    """
+
+    line: str
+    name: str
+    mesh: ClothMesh
+    fabric: Fabric = field(default_factory=Fabric)
+    held: Sequence[int] = ()
+    start: np.ndarray | None = None
+    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    seconds: float = 2.0
+    colliders: Callable[[], Colliders] = Colliders
+    direct: Callable[[Stage], None] = lambda stage: None
+    quiet: float = 0.0
+    speed: float = 0.0
+    gravity: float = GRAVITY
+    truth: Callable[[float], np.ndarray] | None = None
+    free: bool = False
+    at_rest: bool = False
+    through: Callable[[np.ndarray], bool] | None = None
+    build: Callable[[Fabric], Model] | None = None
+    self_collision: bool = False
+    default_only: bool = False
+
+    def model(self, fabric: Fabric) -> Model:
+        """The cloth in a fabric."""
+        if self.build is not None:
+            return self.build(fabric)
+        return build_model(self.mesh, fabric, np.array(self.held, int), ModelOptions(), bend_factor=1 / 3)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a scene ended.
+
+    Attributes:
+        figures: by the names of :data:`precompute.method_comparison.error_classes.LIMITS`.
+        recovered_s: from the end of the disturbance to the last instant that is not acceptable [s]; infinite if that
+            is the run's end.
+        frame_ms: processor time of a frame, median [ms].
+        note: why it stopped before its end, if it did.
+    """
+
+    figures: dict[str, float]
+    recovered_s: float
+    frame_ms: float
+    note: str = ""
+
+    @property
+    def worst(self) -> tuple[ErrorClass, str]:
+        """The class in which it ends, and the figure that says so."""
+        classes = classify(self.figures)
+        name = max(classes, key=lambda key: (classes[key], self.figures[key] / max(LIMITS[key][0], 1e-3)))
+        return classes[name], name
+
+
+def solver_for(scene: Scene, name: str, model: Model) -> AnySolver:
+    """A solver by name with its default options."""
+    gravity = (0.0, -scene.gravity, 0.0)
+    if name == "default":
+        return Solver(model, SolverOptions(gravity=gravity, self_collision=scene.self_collision))
+    return make_solver(name, model, Options(gravity=gravity))
+
+
+def play(scene: Scene, solver: str = "default") -> Outcome:
+    """Run a scene with a solver of :data:`pbd.models.registry.SOLVERS`.
+
+    Raises:
+        InputError: no such solver.
+    """
+    model = scene.model(scene.fabric)
+    state = State.at_rest(model, scene.start)
+    state.velocity[:] = np.where(model.inverse_mass[:, None] > 0.0, np.array(scene.velocity), 0.0)
+    stage = Stage(0.0, 1.0 / RATE, state.world()[model.held], (0.0, 0.0, 0.0), scene.colliders(), scene.fabric)
+    stepper = solver_for(scene, solver, model)
+    times: list[float] = []
+    seen: list[tuple[float, np.ndarray, np.ndarray, float]] = []
+    note = ""
+    while stage.time < scene.seconds - 1e-9:
+        before = stage.fabric
+        scene.direct(stage)
+        if stage.fabric is not before:
+            model = scene.model(stage.fabric)
+            stepper = solver_for(scene, solver, model)
+        begin = time.process_time()
+        try:
+            stepper.follow(state, stage.colliders)
+            stepper.step(state, stage.colliders, stage.dt, stage.targets, stage.wind)
+        except StepError as error:
+            note = error.problem
+            break
+        times.append(time.process_time() - begin)
+        stage.time += max(stage.dt, 1e-4)  # a frame without time passes all the same
+        x = state.world()
+        if not (np.isfinite(x).all() and np.isfinite(state.velocity).all()):
+            note = "not finite"
+            break
+        seen.append((stage.time, x, state.velocity.astype(float), _depth(scene, stage, x)))
+        if sum(times) > LONGEST:
+            break
+    if note or not seen:
+        return Outcome({"not_finite": 1.0}, np.inf, 1e3 * float(np.median(times or [np.inf])), note)
+    cut = stage.time < scene.seconds - 1e-9
+    outcome = _judged(replace(scene, at_rest=scene.at_rest and not cut), model, seen, 1e3 * float(np.median(times)))
+    if cut:
+        return replace(outcome, note=f"{outcome.worst[1]} (judged up to {stage.time:.2g} of {scene.seconds:g} s: slow)")
+    return outcome
+
+
+def _depth(scene: Scene, stage: Stage, x: np.ndarray) -> float:
+    """Deepest vertex under a collider's surface [m]."""
+    if stage.time < scene.quiet:
+        return 0.0
+    if scene.through is not None and scene.through(x):
+        return THROUGH * stage.fabric.thickness
+    deepest = 0.0
+    for primitive in stage.colliders.primitives:
+        if isinstance(primitive, Plane):
+            normal = np.asarray(primitive.normal, float)
+            distance = (x - primitive.point) @ (normal / np.linalg.norm(normal))
+        elif isinstance(primitive, Sphere):
+            distance = np.linalg.norm(x - primitive.centre, axis=1) - primitive.radius
+        else:
+            assert isinstance(primitive, Capsule)  # no scene has a distance field
+            distance = np.linalg.norm(x - _on_axis(primitive, x), axis=1) - primitive.radius
+        deepest = max(deepest, float(-distance.min()))
+    return deepest
+
+
+def _on_axis(capsule: Capsule, x: np.ndarray) -> np.ndarray:
+    a, axis = np.asarray(capsule.start, float), np.subtract(capsule.end, capsule.start)
+    return a + np.clip((x - a) @ axis / max(float(axis @ axis), 1e-20), 0.0, 1.0)[:, None] * axis
+
+
+def _judged(scene: Scene, model: Model, seen: Sequence[tuple], frame_ms: float) -> Outcome:
+    """Figures of a run beside cloth that lies in its rest shape."""
+    moments = np.array([row[0] for row in seen])
+    position, velocity = np.stack([row[1] for row in seen]), np.stack([row[2] for row in seen])
+    depth = np.array([row[3] for row in seen])
+    dt = 1.0 / RATE
+    energy = None
+    if scene.free:
+        kinetic = 0.5 * np.einsum("v,fvx->f", model.mass, velocity**2)
+        energy = kinetic + scene.gravity * (position[:, :, 1] @ model.mass)
+    edges, rest_lengths = model.mesh.edge_lengths()
+    rest = Recorded(np.broadcast_to(model.mesh.vertices, position.shape), np.zeros_like(velocity), dt, energy)
+    run = Recorded(position, velocity, dt, energy, depth, scene.at_rest)
+    thickness = model.fabric.thickness
+    figures = deviations(run, rest, edges, rest_lengths, thickness, scene.speed, chaotic=True)
+    strain = np.linalg.norm(position[:, edges[:, 1]] - position[:, edges[:, 0]], axis=2) / rest_lengths - 1.0
+    # Coarse cloth may shorten instead of buckling; what must not be is length that it does not have.
+    # A gust or a blow stretches any cloth: only when it has been over for a second is the length a mistake.
+    judged = moments >= min(max(START, scene.quiet + 1.0 if scene.quiet else 0.0), moments[-1])
+    figures["edge_strain_p95"] = float(np.percentile(np.maximum(strain, 0.0)[judged], 95))
+    figures["edge_strain_max"] = figures["edge_strain_beyond"] = float(strain[judged].max())
+    figures.pop("energy_error", None)
+    if scene.truth is not None:
+        true = np.stack([scene.truth(moment) for moment in moments])
+        figures["position_px"] = deviations(
+            replace(run, at_rest=False), replace(rest, position=true), edges, rest_lengths, thickness
+        )["position_px"]
+    height = np.ptp(model.mesh.vertices, axis=0).max()
+    fastest = 3.0 * np.sqrt(2.0 * GRAVITY * height) + scene.speed
+    bad = (
+        (np.percentile(strain, 95, axis=1) > LIMITS["edge_strain_p95"][1])
+        | (strain.max(axis=1) > LIMITS["edge_strain_max"][1])
+        | (depth > thickness)
+        | (np.linalg.norm(velocity, axis=2).max(axis=1) > fastest)
+    ) & (moments > scene.quiet)
+    recovered = 0.0
+    if bad.any():
+        last = int(np.flatnonzero(bad)[-1])
+        recovered = np.inf if last == len(bad) - 1 else float(moments[last] - scene.quiet)
+    return Outcome(figures, recovered, frame_ms)

@@ -1,0 +1,143 @@
+"""Where cloth engines are known to fail: the class in which each known failure ends, for any solver."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from pbd import InputError
+from pbd.models import SOLVERS
+from pbd.storage import replacing
+from precompute.failures.failure_comparisons import comparisons
+from precompute.failures.failure_play import Outcome, play
+from precompute.failures.failure_scenes import scenes
+from precompute.learning.recording import begin_worker
+from precompute.method_comparison.error_classes import ErrorClass
+from runtime.report import machine_description
+
+__all__ = ["CLASSIC", "all_failure_rows", "failure_rows", "failure_table", "write_failures"]
+
+CLASSIC = (
+    "pbd",
+    "xpbd",
+    "springs-triangle/symplectic-euler",
+    "fem-stvk/implicit-euler",
+    "baraff-witkin/implicit-euler",
+    "vertex-block-descent",
+    "projective-dynamics",
+)
+
+
+def failure_rows(
+    solver: str = "default", report: Callable[[str], None] = lambda line: None, lines: Sequence[str] | None = None
+) -> list[dict[str, Any]]:
+    """A row of each scene.
+
+    Columns are ``line``, ``scene``, ``solver``, ``class`` in which it ends, ``by`` which figure, its ``value``,
+    ``recovered_s`` and ``frame_ms`` (see :class:`precompute.failures.failure_play.Outcome`).
+
+    Args:
+        solver: a key of :data:`pbd.models.registry.SOLVERS`.
+        report: called with a line of progress.
+        lines: of the list; None takes all that the solver can take.
+
+    Raises:
+        InputError: no such solver.
+    """
+    _check(solver)
+    rows = []
+    for wanted in _lines() if lines is None else lines:
+        for scene in scenes():
+            if scene.line == wanted and (solver == "default" or not scene.default_only):
+                report(f"{solver}: {scene.name}")
+                rows.append(_row(wanted, scene.name, solver, play(scene, solver)))
+        for line, name, default_only, run in comparisons():
+            if line == wanted and (solver == "default" or not default_only):
+                report(f"{solver}: {name}")
+                rows.append(_row(wanted, name, solver, run(solver)))
+    return rows
+
+
+def _lines() -> list[str]:
+    """All lines of the list, in order."""
+    return list(dict.fromkeys([*(scene.line for scene in scenes()), *(row[0] for row in comparisons())]))
+
+
+def all_failure_rows(
+    solvers: Sequence[str], workers: int, report: Callable[[str], None] = lambda line: None
+) -> list[dict[str, Any]]:
+    """The rows of several solvers, in order.
+
+    Args:
+        solvers: as for :func:`failure_rows`.
+        workers: processes at a time.
+        report: called with a line of progress.
+
+    Raises:
+        InputError: no such solver.
+    """
+    for name in solvers:
+        _check(name)
+    with ProcessPoolExecutor(workers, get_context("spawn"), begin_worker) as pool:
+        futures = [(name, line, pool.submit(failure_rows, name, lines=[line])) for name in solvers for line in _lines()]
+        rows: list[dict[str, Any]] = []
+        try:
+            for done, (name, line, future) in enumerate(futures, 1):
+                rows += future.result()
+                report(f"{done} of {len(futures)}: {name}: {line}")
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return rows
+
+
+def _check(solver: str) -> None:
+    if solver not in SOLVERS:
+        raise InputError("no such solver", key="solver", received=solver, expected=", ".join(SOLVERS))
+
+
+def _row(line: str, name: str, solver: str, outcome: Outcome) -> dict[str, Any]:
+    error_class, by = outcome.worst
+    return {
+        "line": line,
+        "scene": name,
+        "solver": solver,
+        "class": error_class.name.lower(),
+        "by": outcome.note or by,
+        "value": outcome.figures[by],
+        "recovered_s": outcome.recovered_s,
+        "frame_ms": outcome.frame_ms,
+    }
+
+
+def failure_table(rows: Sequence[dict[str, Any]]) -> str:
+    """Classes of each line's worst scene, a column a solver."""
+    order = [error.name.lower() for error in ErrorClass]
+    solvers = list(dict.fromkeys(row["solver"] for row in rows))
+    lines = list(dict.fromkeys(row["line"] for row in rows))
+    text = [" | ".join(["line", *solvers])]
+    for line in lines:
+        cells = []
+        for solver in solvers:
+            found = [row["class"] for row in rows if row["line"] == line and row["solver"] == solver]
+            cells.append(max(found, key=order.index) if found else "-")
+        text.append(" | ".join([line, *cells]))
+    return "\n".join(text)
+
+
+def write_failures(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """Write rows as CSV with machine and date."""
+    if not rows:
+        raise InputError("nothing to write", key="rows", received=0, expected="at least one row")
+    machine = machine_description()
+    named = [{**row, "cpu": machine["cpu"], "date": machine["date"]} for row in rows]
+    with replacing(path) as beside, open(beside, "w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(named[0]))
+        writer.writeheader()
+        writer.writerows(
+            {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in row.items()} for row in named
+        )

@@ -1,0 +1,136 @@
+"""Fourteen runs that break cloth engines: stiff cloth, long frames, a corner that jumps, cloth squeezed at the start.
+
+A square of 1 m, 0.2 kg/m2 and 32 by 32 vertices hangs by two corners for five seconds; what other engines came to on
+such a square is quoted in :data:`QUOTED`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pbd import Colliders, Fabric, InputError, State, build_model
+from pbd.models.newton import StepError
+from pbd.models.registry import make_solver
+from precompute.benchmarks.solver_scenes import RATE, STIFF, hanging_square
+
+__all__ = ["QUOTED", "RUNS", "StressRun", "stress_rows"]
+
+SIDE = 32  # vertices
+SECONDS = 5.0  # of a run; the corner jumps after the first
+MOST_STRETCH = 0.2  # of the worst face, median over the last second [-]
+FURTHEST = 10.0  # from where it hangs; what is further away has exploded [m]
+BUDGET = 0.25  # of a frame's own length that its computation may take [-]
+FABRIC = replace(STIFF, bend_warp=1e-5, bend_weft=1e-5, air_drag=1.0)
+# Engine: runs that ended well, over 20 % stretched, exploded; 2026-11-21.
+QUOTED: Mapping[str, tuple[int, int, int]] = {
+    "MuJoCo elastic flex": (13, 1, 0),
+    "Newton Style3D (implicit)": (12, 2, 0),
+    "Blender": (10, 4, 0),
+    "PositionBasedDynamics XPBD (20 iterations)": (3, 11, 0),
+    "Newton VBD": (3, 10, 1),
+    "Genesis PBD": (3, 10, 1),
+    "Newton XPBD": (1, 3, 10),
+    "PyBullet": (1, 0, 13),
+    "Taichi mass-spring example": (3, 0, 11),
+    "Newton semi-implicit": (0, 0, 14),
+}
+
+
+@dataclass(frozen=True)
+class StressRun:
+    """One of the runs.
+
+    Attributes:
+        name: of the run.
+        fabric: of the square.
+        dt: length of a frame [s].
+        start: from the square's vertices, about the middle of its upper side, to those that it starts with [m].
+        jumps: whether a pinned corner is moved by 1 m in one frame, about the other one by 60 deg: no further than the
+            cloth's own length.
+    """
+
+    name: str
+    fabric: Fabric = FABRIC
+    dt: float = 1.0 / RATE
+    start: Callable[[np.ndarray], np.ndarray] = np.array
+    jumps: bool = False
+
+
+def _stiffness(stretch: float) -> Fabric:
+    return replace(FABRIC, stretch_warp=stretch, stretch_weft=stretch, shear=0.375 * stretch)
+
+
+RUNS: Sequence[StressRun] = (
+    *(StressRun(f"E h 1e{power} N/m", _stiffness(10.0**power)) for power in range(2, 9)),
+    *(StressRun(f"frames of 1/{rate} s", dt=1.0 / rate) for rate in (30, 20, 15, 10)),
+    StressRun("a pinned corner jumps by 1 m", jumps=True),
+    StressRun("starts on a line", start=lambda x: x * [1.0, 0.0, 0.0]),
+    StressRun("starts ten times compressed", start=lambda x: 0.1 * x),
+)
+
+
+def stress_rows(
+    solver: str = "default", names: Sequence[str] | None = None, seconds: float = SECONDS
+) -> list[dict[str, Any]]:
+    """A row of each run: ``run``, ``solver``, ``verdict``, ``worst_stretch``, ``frame_ms``, ``budget_ms``.
+
+    The verdict is "ok" (finite, within 10 m, the worst face stretched by at most 20 % along warp or weft in the median
+    over the last second), "stretched" or "exploded". The default solver is asked with its default options.
+
+    Args:
+        solver: a key of :data:`pbd.models.registry.SOLVERS`.
+        names: of the runs; None takes all.
+        seconds: of each run.
+
+    Raises:
+        InputError: no such solver or run.
+    """
+    known = [run.name for run in RUNS]
+    for name in names or ():
+        if name not in known:
+            raise InputError("no such run", key="names", received=name, expected=", ".join(known))
+    return [_row(run, solver, seconds) for run in RUNS if names is None or run.name in names]
+
+
+def _row(run: StressRun, solver: str, seconds: float) -> dict[str, Any]:
+    square = hanging_square(SIDE).model
+    model = build_model(square.mesh, run.fabric, square.held, bend_factor=1 / 3)
+    verdict, stretch, times = "ok", [], []
+    state, colliders = State.at_rest(model, run.start(square.mesh.vertices)), Colliders()
+    targets, inverse_flat = state.world()[model.held], np.linalg.inv(model.mesh.flat)
+    stepper = make_solver(solver, model)
+    try:
+        stepper.step(state.copy(), colliders, run.dt)  # compiles
+        for frame in range(round(seconds / run.dt)):
+            if run.jumps and frame == round(1.0 / run.dt):
+                targets[0] = [0.0, 0.0, np.sin(np.pi / 3)]
+            begin = time.process_time()
+            stepper.step(state, colliders, run.dt, targets)
+            times.append(time.process_time() - begin)
+            if not np.abs(state.world()).max() < FURTHEST:
+                verdict = "exploded"
+                break
+            stretch.append(_worst_stretch(model.mesh.faces, inverse_flat, state.world()))
+    except StepError:
+        verdict = "exploded"
+    worst = float(np.median(stretch[-round(1.0 / run.dt) :])) if verdict == "ok" else np.inf
+    return {
+        "run": run.name,
+        "solver": solver,
+        "verdict": "stretched" if verdict == "ok" and worst > MOST_STRETCH else verdict,
+        "worst_stretch": worst,
+        "frame_ms": 1e3 * float(np.median(times)) if times else np.inf,
+        "budget_ms": 1e3 * BUDGET * run.dt,
+    }
+
+
+def _worst_stretch(faces: np.ndarray, inverse_flat: np.ndarray, x: np.ndarray) -> float:
+    """Largest elongation of a face along warp or weft [-]."""
+    corners = x[faces]
+    sides = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
+    return float(np.linalg.norm(sides @ inverse_flat, axis=1).max()) - 1.0

@@ -1,0 +1,348 @@
+"""How good a database is: on a motion, given the coarse state and running freely, beside smooth and the floor."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import spearmanr
+from threadpoolctl import threadpool_limits
+
+from assets.character import Character
+from assets.io.sequence import Sequence as VertexSequence
+from pbd import InputError, ModelOptions
+from pbd.bending import hinge_calibration
+from pbd.wind import CALM, Air
+from precompute.learning.decoding import decode_recording
+from precompute.learning.in_time import Pause, popping, step_response_frames
+from precompute.learning.recording import Recording, Run, body_source, poses_of, record_runs
+from precompute.learning.training import build_layer, features_of
+from runtime.play import Free, play, timing_figures
+from runtime.player import Player
+from runtime.simulation import Motion
+from runtime.stage import fine_options
+from wrinkles.charts import leading_vertices
+from wrinkles.database import WrinkleDatabase
+from wrinkles.distance import BodyDistance, penetration_figures
+from wrinkles.levels import Levels, levels_of
+from wrinkles.metrics import (
+    bending_energy,
+    bending_energy_ratio,
+    given_coarse_figures,
+    jitter_px,
+    low_frequency_rmse_mm,
+    normal_error_deg,
+    patch_normal_errors,
+)
+from wrinkles.spectrum import BandedEnergy, LowPass, spectrum_band_error_max
+
+__all__ = [
+    "Evaluation",
+    "Free",
+    "Truth",
+    "evaluate",
+    "fine_run",
+    "free_figures",
+    "given_frames",
+    "levels_from",
+    "play_freely",
+    "truth_of",
+]
+
+SETTLE = 1.5  # the blend from the bind pose is not judged [s]
+
+
+def levels_from(database: WrinkleDatabase, body: Character | VertexSequence) -> Levels:
+    """Levels of a database's garment on its body."""
+    source = body_source(body)
+    return levels_of(
+        database.coarse_vertices,
+        database.coarse_faces,
+        database.held,
+        source.vertices,
+        source.faces,
+        database.subdivisions,
+        database.warp,
+        database.binding,
+        database.limits,
+    )
+
+
+def fine_run(
+    levels: Levels,
+    body: Character | VertexSequence,
+    motion: Motion,
+    database_like,
+    *,
+    wind: Air = CALM,
+    primitives: tuple = (),
+) -> Run:
+    """The converged fine simulation of a motion.
+
+    Args:
+        levels: of the garment.
+        body: what moves.
+        motion: how.
+        database_like: gives ``fabric``, ``options``, ``solver`` and ``frame_rate``.
+        wind: velocity of the air [m/s].
+        primitives: what the garment meets besides the body.
+    """
+    dt = 1.0 / database_like.frame_rate
+    return Run(
+        motion.name,
+        levels,
+        True,
+        body,
+        poses_of(motion, dt),
+        dt,
+        database_like.fabric,
+        ModelOptions(pressure=database_like.options.pressure),
+        fine_options(database_like.solver, len(levels.subdivision.steps)),
+        bend_factor=_fine_bend(levels),
+        wind=wind,
+        primitives=primitives,
+        lead_in=motion.lead_in,
+    )
+
+
+_BENDS: dict[str, float] = {}
+
+
+def _fine_bend(levels: Levels) -> float:
+    """The hinge factor of a fine mesh, measured once and not by every run."""
+    key = hashlib.sha256(levels.fine.flat.tobytes()).hexdigest()
+    if key not in _BENDS:
+        _BENDS[key] = hinge_calibration(levels.fine)
+    return _BENDS[key]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Two converged fine runs of one motion and what they are judged by.
+
+    Attributes:
+        run: the first.
+        levels: of the garment.
+        recording: the first run, settled frames only.
+        floor: positions of the second [m], float32, shape (f, N, 3).
+        bands: octave bands of the fine mesh.
+        energy: of the truth by frame and band.
+        low_pass: what coarse and fine have in common.
+    """
+
+    run: Run
+    levels: Levels
+    recording: Recording
+    floor: np.ndarray
+    bands: BandedEnergy
+    energy: np.ndarray
+    low_pass: LowPass
+
+    @property
+    def frames(self) -> np.ndarray:
+        return self.recording.positions
+
+    @cached_property
+    def low_frequency_floor_mm(self) -> float:
+        """Low-frequency mismatch of both runs [mm].
+
+        Free folding is chaotic: two converged simulations of one scene part company, and a mismatch below theirs
+        means nothing.
+        """
+        return low_frequency_rmse_mm(self.floor, self.recording.positions, self.low_pass)
+
+    def until(self, seconds: float) -> Truth:
+        """The start of it.
+
+        Raises:
+            InputError: nothing of it is left to judge.
+        """
+        last = round(seconds / self.run.dt)
+        keep = self.recording.frames <= last
+        if not keep.any():
+            raise InputError(
+                "too short", key="seconds", received=seconds, expected=f"above {judged_from(self.run):g} [s]"
+            )
+        return replace(
+            self,
+            run=replace(self.run, poses=self.run.poses[: last + 1]),
+            recording=self.recording.where(keep),
+            floor=self.floor[keep],
+            energy=self.energy[keep],
+        )
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def truth_of(run: Run, cache: Path, workers: int, report: Callable[[str], None] | None = None) -> Truth:
+    """Record (or read) the fine run and one with substeps two thirds as long."""
+    twin = replace(run, name=f"{run.name} (floor)", solver=replace(run.solver, substep=run.solver.substep / 1.5))
+    first, second = record_runs([run, twin], cache, workers, report)
+    first, second = settled(first, run), settled(second, run)
+    levels = run.levels
+    bands = BandedEnergy(levels.rest_vertices, levels.fine.faces)
+    low_pass = LowPass(levels.rest_vertices, levels.fine.faces, levels.cutoff)
+    return Truth(run, levels, first, second.positions, bands, bands.energy(first.positions), low_pass)
+
+
+def judged_from(run: Run) -> float:
+    """Time after which a run is judged [s]: the garment has settled, and what leads to the motion is over."""
+    return max(SETTLE, run.lead_in)
+
+
+def settled(recording: Recording, run: Run) -> Recording:
+    """Recorded frames after the blend from the bind pose."""
+    keep = recording.frames * run.dt > judged_from(run)
+    if not keep.any():
+        keep[:] = True
+    return recording.where(keep)
+
+
+def given_frames(
+    database: WrinkleDatabase, run: Run, recording: Recording
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Smooth and decoded garment for a fine run's own coarse states, and how unfamiliar they are.
+
+    Returns:
+        vertices [m], float32, shape (f, N, 3) twice, and scores of :class:`wrinkles.unfamiliarity.Unfamiliarity`,
+        shape (f, n).
+    """
+    layer = build_layer(run.levels)
+    mapping, unfamiliarity, scores = database.mapping, database.unfamiliarity, []
+
+    def predict(features: np.ndarray, pose: np.ndarray) -> np.ndarray:
+        hidden = mapping.hidden(features)
+        scores.append(unfamiliarity.score(hidden))
+        return mapping.coefficients(hidden) * unfamiliarity.amplitude(scores[-1])[:, None]
+
+    smooth, decoded = decode_recording(layer, predict, database.atoms, run, recording)
+    return smooth, decoded, np.array(scores)
+
+
+def play_freely(database: WrinkleDatabase, body: Character | VertexSequence, run: Run) -> Free:
+    """Play a run's poses with the player, and keep what the run records of settled frames."""
+    player = Player(database, body, run.poses[0], run.primitives)
+    return play(player, run.poses, run.dt, run.wind, every=run.every, after=judged_from(run))
+
+
+def body_distances(truth: Truth, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Signed distance of every vertex of recorded frames to the body [m], and whether there is room: shape (f, N)."""
+    source = body_source(truth.run.body)
+    distance = BodyDistance(source.faces)
+    posed = np.zeros((len(source.vertices), 3), np.float32)
+    rows = []
+    for frame, vertices in zip(truth.recording.frames, frames, strict=True):
+        origin = np.round(vertices.mean(axis=0).astype(float))
+        source.skin(truth.run.poses[frame], origin, posed)
+        points, body = vertices.astype(float) - origin, posed.astype(float)
+        found = distance.signed_distance(points, body)
+        rows.append((found, distance.leaves_room(points, found, body, truth.run.fabric.thickness)))
+    distances, room = zip(*rows, strict=True)
+    return np.array(distances), np.array(room)
+
+
+def free_figures(truth: Truth, frames: np.ndarray, prefix: str = "") -> dict[str, float]:
+    """Statistics of a free run against the truth; names as in the design, with a prefix."""
+    rest, faces = truth.levels.rest_vertices, truth.levels.fine.faces
+    ratios = truth.bands.band_ratios(truth.bands.energy(frames), truth.energy)
+    figures = {
+        "bending_energy_ratio": bending_energy_ratio(frames, truth.frames, rest, faces),
+        "spectrum_band_error_max": spectrum_band_error_max(ratios),
+        "spectrum_band_ratio_min": min(ratios.values()),
+        "spectrum_band_ratio_max": max(ratios.values()),
+        "low_frequency_ratio_to_floor": low_frequency_rmse_mm(frames, truth.frames, truth.low_pass)
+        / truth.low_frequency_floor_mm,
+        "free_normal_error_deg": float(np.mean(normal_error_deg(frames, truth.frames, faces))),
+        "jitter_px": jitter_px(frames),
+    }
+    return {prefix + name: float(value) for name, value in figures.items()} | {
+        f"{prefix}band_ratio_{name.replace(' ', '_')}": float(value) for name, value in ratios.items()
+    }
+
+
+def contact_bending_ratio(
+    truth: Truth, frames: np.ndarray, distances: np.ndarray, truth_distances: np.ndarray
+) -> float:
+    """Bending energy of what lies on the body (within 8 mm) over the truth's, per vertex."""
+    rest, faces = truth.levels.rest_vertices, truth.levels.fine.faces
+
+    def density(vertices: np.ndarray, distance: np.ndarray) -> float:
+        touching = distance < 0.008
+        return float(bending_energy(vertices, rest, faces, where=touching).sum() / max(1, touching.sum()))
+
+    return density(frames, distances) / density(truth.frames, truth_distances)
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A database on one motion.
+
+    Attributes:
+        figures: by their names in the design.
+        free: the free run.
+        smooth, decoded: fine vertices given the truth's coarse state [m], float32, shape (f, N, 3).
+    """
+
+    figures: dict[str, float]
+    free: Free
+    smooth: np.ndarray
+    decoded: np.ndarray
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def evaluate(
+    database: WrinkleDatabase, truth: Truth, cache: Path, report: Callable[[str], None] | None = None
+) -> Evaluation:
+    """All figures of a database on one motion.
+
+    Args:
+        database: what is judged.
+        truth: of the motion.
+        cache: folder of simulated runs; the fine run of a pause goes there.
+        report: told lines of progress.
+    """
+    tell = report or (lambda line: None)
+    tell("evaluating: given the coarse state")
+    smooth, decoded, scores = given_frames(database, truth.run, truth.recording)
+    owner = leading_vertices(truth.levels.subdivision)[:, 0]
+    faces = truth.levels.fine.faces
+    figures = {k: float(v) for k, v in given_coarse_figures(decoded, truth.frames, smooth, faces, owner).items()}
+    errors = patch_normal_errors(decoded, truth.frames, faces, owner)  # of the coarse vertices that lead fine ones
+    figures["unfamiliarity_spearman"] = float(spearmanr(scores[:, np.unique(owner)].ravel(), errors.ravel()).statistic)
+    figures["faded_percent"] = float(100.0 * (database.unfamiliarity.amplitude(scores) < 1.0).mean())
+    frames, deviation = features_of(build_layer(truth.levels), truth.recording)[1], truth.frames - smooth
+    figures |= {"popping": popping(decoded - smooth, frames, owner), "truth_popping": popping(deviation, frames, owner)}
+    tell("evaluating: running freely")
+    free = play_freely(database, truth.run.body, truth.run)
+    figures |= free_figures(truth, free.frames)
+    figures |= free_figures(truth, free.smooth, "smooth_")
+    figures |= free_figures(truth, truth.floor, "floor_")
+    tell("evaluating: contact with the body")
+    distances, room = body_distances(truth, free.frames)
+    truth_distances, truth_room = body_distances(truth, truth.frames)
+    figures |= penetration_figures(distances, room)
+    figures |= {f"truth_{k}": v for k, v in penetration_figures(truth_distances, truth_room).items()}
+    figures["contact_bending_ratio"] = contact_bending_ratio(truth, free.frames, distances, truth_distances)
+    figures["attached_off_mm"] = 1e3 * free.held_off
+    figures |= timing_figures(free, truth.levels)
+    figures["fine_simulation_ms"] = truth.recording.step_ms
+    figures["speedup_over_fine"] = truth.recording.step_ms / figures["frame_ms_p50"]
+    tell("evaluating: in time")
+    figures |= _pause_figures(database, truth, cache, report)
+    return Evaluation(figures, free, smooth, decoded)
+
+
+def _pause_figures(
+    database: WrinkleDatabase, truth: Truth, cache: Path, report: Callable[[str], None] | None
+) -> dict[str, float]:
+    """What shows where the body stops, and goes back: ours, smooth and the truth's."""
+    pause = Pause.of(truth.run, judged_from(truth.run))
+    run = pause.run
+    figures = pause.figures(record_runs([run], cache, 1, report)[0].positions, "truth_")
+    player = Player(database, run.body, run.poses[0], run.primitives)
+    free = play(player, run.poses, run.dt, run.wind, every=1)
+    figures |= pause.figures(free.frames) | pause.figures(free.smooth, "smooth_")
+    return figures | {"step_response_frames": float(step_response_frames(player, pause.onward, run.dt))}

@@ -1,0 +1,134 @@
+"""What mappings are judged on: a motion that nothing was learned from, with and without its coarse states given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from assets.io.scene import Scene
+from pbd import InputError, ModelOptions
+from precompute.learning.calibration import filtered
+from precompute.learning.decoding import Lift, lifted_frames
+from precompute.learning.evaluation import Truth, free_figures, settled, truth_of
+from precompute.learning.pipeline import scene_run
+from precompute.learning.recording import Recording, Run, record_runs
+from precompute.learning.training import Layer
+from runtime.stage import Stage
+from wrinkles.charts import leading_vertices
+from wrinkles.coarse_filter import CoarseFilter
+from wrinkles.database import WrinkleDatabase
+from wrinkles.metrics import given_coarse_figures
+
+__all__ = ["JUDGED", "HeldOut", "coarse_run", "held_out_truth"]
+
+EVERY = 4  # recorded frames from one that is judged to the next: their figures change slowly
+JUDGED = slice(EVERY // 2, None, EVERY)
+
+
+def held_out_truth(
+    path: Path, stage: Stage, scene: Scene, cache: Path, report: Callable[[str], None] | None = None
+) -> Truth:
+    """The converged fine runs of a scene's first held-out motion.
+
+    Raises:
+        InputError: nothing is held out; ``path`` is the database that is told.
+    """
+    if not scene.training.held_out:
+        raise InputError("nothing is held out", file=path, key="training.held_out", expected="a clip to compare on")
+    return truth_of(scene_run(stage, scene, stage.motion(scene.training.held_out[0])), cache, 2, report)
+
+
+def coarse_run(database: WrinkleDatabase, run: Run, options: ModelOptions | None = None) -> Run:
+    """The coarse garment running freely over a fine run's poses; ``options`` None takes the calibrated ones."""
+    return replace(
+        run,
+        name=f"{run.name} (coarse)",
+        fine=False,
+        options=options or database.options,
+        solver=database.solver,
+        bend_factor=database.bend_factor,
+        gathers=database.gathers,
+    )
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """A held-out motion, and the coarse garment running freely over it, recorded once for every way that decodes it.
+
+    Every way is shown all settled frames in order; every EVERYth of them is judged.
+
+    Attributes:
+        truth: all settled frames.
+        judged: the frames that are judged.
+        plain, free: the free run of the coarse garment, as it is and filtered as the player filters it.
+    """
+
+    truth: Truth
+    judged: Truth
+    plain: Recording
+    free: Recording
+
+    @classmethod
+    def of(
+        cls,
+        database: WrinkleDatabase,
+        truth: Truth,
+        cache: Path,
+        options: ModelOptions | None = None,
+        report: Callable[[str], None] | None = None,
+    ) -> HeldOut:
+        """Record the coarse garment, or read it.
+
+        Args:
+            database: gives the coarse model.
+            truth: of the motion.
+            cache: folder of recorded runs.
+            options: of the coarse model; None takes the calibrated ones.
+            report: told lines of progress.
+        """
+        (plain,) = record_runs([coarse_run(database, truth.run, options)], cache, 1, report)
+        plain = settled(plain, truth.run)
+        recording, floor, energy = truth.recording.where(JUDGED), truth.floor[JUDGED], truth.energy[JUDGED]
+        judged = replace(truth, recording=recording, floor=floor, energy=energy)
+        return cls(truth, judged, plain, filtered(plain, CoarseFilter(truth.levels).matrix))
+
+    def show(
+        self, layer: Layer, lift: Lift, recording: Recording, passes: int = 1
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """Show recorded coarse states to one way, from the first to the last.
+
+        Args:
+            layer, lift, passes: as for :func:`precompute.learning.decoding.lifted_frames`.
+            recording: the truth's own, ``plain`` or ``free``.
+
+        Returns:
+            smooth and decoded garment at the judged frames [m], float32, shape (f, N, 3) each, and the median
+            processor time from the smooth surface to the relaxed one [ms].
+        """
+        wanted = set(range(len(recording.frames))[JUDGED])
+        smooth, decoded, times = [], [], []
+        for number, frame in enumerate(lifted_frames(layer, lift, self.truth.run, recording, passes)):
+            times.append(frame[2])
+            if number in wanted:
+                smooth.append(frame[0])
+                decoded.append(frame[1])
+        return np.array(smooth), np.array(decoded), float(np.median(times))
+
+    def given_figures(self, smooth: np.ndarray, decoded: np.ndarray) -> dict[str, float]:
+        """Figures of judged frames, decoded from the truth's own coarse states: [m], shape (f, N, 3) each."""
+        levels = self.truth.levels
+        owner = leading_vertices(levels.subdivision)[:, 0]
+        figures = given_coarse_figures(decoded, self.judged.frames, smooth, levels.fine.faces, owner)
+        ratios = self.judged.bands.band_ratios(self.judged.bands.energy(decoded), self.judged.energy)
+        return {name: float(value) for name, value in figures.items()} | {
+            f"given_band_ratio_{name.replace(' ', '_')}": float(value) for name, value in ratios.items()
+        }
+
+    def free_figures(self, frames: np.ndarray) -> dict[str, float]:
+        """Figures of judged frames of a free run [m], shape (f, N, 3)."""
+        figures = free_figures(self.judged, frames)
+        del figures["jitter_px"]  # asks for every recorded frame
+        return figures

@@ -1,0 +1,114 @@
+"""Wrinkles in time: jitter at rest, the answer to a step, memory of the way there, popping."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from precompute.learning.recording import Run
+from runtime.player import Player
+from wrinkles.metrics import jitter_px, rmse_mm
+
+__all__ = ["Pause", "popping", "step_response_frames"]
+
+STILL = 1.0  # the body stands still for so long after its motion [s]; judged in the second half
+PIECE, SLOWED = 0.5, 3  # then this much of the motion there and back [s], so many times slower
+DECODED = 12  # times that a state is decoded while nothing else changes
+ARRIVED = 0.9  # share of the change that counts as the answer to a step
+
+
+@dataclass(frozen=True)
+class Pause:
+    """A motion that stops dead, stands still, and then goes slowly on and back.
+
+    Attributes:
+        run: the fine run of it; every frame is recorded, so that frame k is the one at pose k + 1.
+        still: frames in which the body has stood still for a while.
+        there, back: frames at the same poses, the further from the turn the earlier.
+        onward: poses from where the run ends, at full speed.
+    """
+
+    run: Run
+    still: slice
+    there: slice
+    back: slice
+    onward: np.ndarray
+
+    @classmethod
+    def of(cls, run: Run, start: float) -> Pause:
+        """A pause ``start`` [s] after a run's beginning, or as late as the run is long."""
+        last = len(run.poses) - 1
+        turn = min(round(start / run.dt), last - 1)
+        count, stand = SLOWED * min(round(PIECE / run.dt), last - turn), round(STILL / run.dt)
+        steps = turn + np.arange(1, count + 1) / SLOWED
+        lower = np.minimum(steps.astype(int), last - 1)
+        part = (steps - lower).reshape(-1, *[1] * (run.poses.ndim - 1))
+        there = (1.0 - part) * run.poses[lower] + part * run.poses[lower + 1]
+        still = np.repeat(run.poses[turn : turn + 1], stand, axis=0)
+        poses = np.concatenate([run.poses[: turn + 1], still, there, there[-2::-1], still[:1]])
+        begin, half = turn + stand, count // 2
+        return cls(
+            replace(run, name=f"{run.name} (pause)", poses=poses.astype(run.poses.dtype), every=1),
+            slice(begin - stand // 2, begin),
+            slice(begin, begin + half),
+            slice(begin + 2 * count - 2, begin + 2 * count - 2 - half, -1),
+            run.poses[turn : turn + count // SLOWED + 1],
+        )
+
+    def figures(self, frames: np.ndarray, prefix: str = "") -> dict[str, float]:
+        """Jitter at rest [px a frame] and distance of vertices at the same poses, there and back [mm].
+
+        Args:
+            frames: vertices at each pose after the first [m], shape (f, N, 3).
+            prefix: of the figures' names.
+        """
+        gap = rmse_mm(frames[self.back], frames[self.there])
+        return {
+            f"{prefix}rest_jitter_px": jitter_px(frames[self.still]),
+            f"{prefix}reverse_gap_mm": float(np.sqrt((gap**2).mean())),
+        }
+
+
+def popping(displacements: np.ndarray, frames: np.ndarray, patches: np.ndarray) -> float:
+    """Largest change of a patch's wrinkles from one frame to the next, over the RMS of all wrinkles [-].
+
+    Args:
+        displacements: from the smooth surface, in space [m], shape (f, N, 3).
+        frames: of the coarse vertices, rows (warp, weft, normal), shape (f, n, 9).
+        patches: coarse vertex of each fine one, in whose frame it is seen, int, shape (N,).
+    """
+    own = frames.reshape(*frames.shape[:2], 3, 3)[:, patches]
+    local = np.einsum("fnai,fni->fna", own, displacements)
+    change = (np.diff(local, axis=0) ** 2).sum(axis=2)
+    size = np.bincount(patches, minlength=frames.shape[1])
+    mean_of = csr_matrix((1.0 / size[patches], (patches, np.arange(len(patches)))), shape=(len(size), len(patches)))
+    return float(np.sqrt((mean_of @ change.T).max() / (local**2).sum(axis=2).mean()))
+
+
+def step_response_frames(player: Player, poses: np.ndarray, dt: float) -> int:
+    """Decoded frames until the wrinkles have made nine tenths of their change after a jump of the coarse state.
+
+    The coarse garment is taken along the poses; then its state at the end follows on that at the start at once, and
+    each is decoded over and over.
+
+    Args:
+        player: stands at the first pose.
+        poses: shape (f, ...), one every ``dt`` [s].
+        dt: [s].
+    """
+    simulation, upsample = player.simulation, player.levels.subdivision.upsample
+    states = [simulation.state.copy()]
+    for pose in poses[1:]:
+        player.step(pose, dt)
+    states.append(simulation.state.copy())
+    wrinkles = []
+    for state, pose in zip(states, (poses[0], poses[-1]), strict=True):
+        simulation.state = state
+        simulation.place_body(pose)
+        for _ in range(DECODED):
+            player.decode()
+            wrinkles.append(player.vertices - upsample(state.position[:, :3]))
+    left = [np.linalg.norm(frame - wrinkles[-1]) for frame in wrinkles[DECODED - 1 :]]
+    return int(np.argmax(np.array(left) <= (1.0 - ARRIVED) * left[0]))

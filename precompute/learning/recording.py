@@ -1,0 +1,299 @@
+"""Simulated runs on disk: cached by the hash of everything they depend on, resumed where they were cut off."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from multiprocessing import get_context, parent_process
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+import assets.skinning
+import pbd
+import runtime.simulation
+import wrinkles.levels
+import wrinkles.surface
+from assets.character import Character
+from assets.io.sequence import Sequence as VertexSequence
+from pbd import ClothMesh, DistanceField, Fabric, ModelOptions, SolverOptions, State, build_model
+from pbd.fingerprint import source_fingerprint
+from pbd.storage import replacing
+from pbd.wind import CALM, Air, Wind
+from runtime.simulation import Simulation, body_source, poses_of
+from wrinkles.gathers import Gathers
+from wrinkles.levels import Levels
+
+__all__ = ["begin_worker", "Recording", "Run", "body_source", "poses_of", "record_runs"]
+
+CHUNK_SECONDS = 1.0  # what a cut-off run loses at most [s of motion]
+
+
+@dataclass(frozen=True)
+class Run:
+    """One simulation to record.
+
+    Attributes:
+        name: for progress lines.
+        levels: of the garment; ``fine`` says which of both meshes is simulated.
+        body: the character or vertex sequence.
+        poses: shape (frames + 1, ...), one every ``dt`` [s]; the first is where the garment starts.
+        fabric, options, solver: of the model and the solver.
+        wind: velocity of the air [m/s].
+        primitives: what the garment meets besides the body: planes, spheres, capsules, fields.
+        lead_in: time at the start that only leads to the motion that is meant [s].
+        every: frames from one recorded frame to the next.
+        bend_factor: hinge factor if known; None measures it.
+        gathers: of the coarse mesh, see :mod:`wrinkles.gathers`; None where there are none.
+    """
+
+    name: str
+    levels: Levels
+    fine: bool
+    body: Character | VertexSequence
+    poses: np.ndarray
+    dt: float
+    fabric: Fabric
+    options: ModelOptions
+    solver: SolverOptions
+    every: int = 2
+    bend_factor: float | None = None
+    wind: Air = CALM
+    primitives: tuple = ()
+    lead_in: float = 0.0
+    gathers: Gathers | None = None
+
+    @property
+    def frame_count(self) -> int:
+        return len(self.poses) - 1
+
+    @property
+    def chunk(self) -> int:
+        """Frames in a chunk: a whole number of recorded frames."""
+        return max(1, round(CHUNK_SECONDS / self.dt / self.every)) * self.every
+
+    @property
+    def chunk_count(self) -> int:
+        return -(-self.frame_count // self.chunk)
+
+    def key(self) -> str:
+        """Hash of everything that the result depends on, the solver's source included."""
+        digest = hashlib.sha256(_solver_version().encode())
+        levels = self.levels
+        mesh = self._mesh()
+        attachment = levels.fine_attachment if self.fine else levels.coarse_attachment
+        arrays = [
+            mesh.vertices,
+            mesh.faces,
+            mesh.flat,
+            mesh.stitches,
+            mesh.stitch_weights,
+            np.zeros(0) if mesh.rest_bends is None else mesh.rest_bends,
+            np.zeros(0) if mesh.cloth_areas is None else mesh.cloth_areas,
+            attachment.corners,
+            attachment.weights,
+            attachment.offset,
+        ]
+        arrays += [
+            levels.fine_held if self.fine else levels.coarse_held,
+            *asdict(levels.fine_limits if self.fine else levels.coarse_limits).values(),
+            self.poses,
+            self.body.vertices,
+            self.body.faces,
+        ]
+        if isinstance(self.body, Character):
+            arrays += [self.body.joint_indices, self.body.joint_weights]
+        arrays += [primitive.values for primitive in self.primitives if isinstance(primitive, DistanceField)]
+        for array in arrays:
+            digest.update(np.ascontiguousarray(array).tobytes())
+        settings = [asdict(self.fabric), asdict(self.options), asdict(self.solver), self.dt, self.every]
+        settings += [self.chunk]  # files of other lengths would be put together wrongly
+        settings += [
+            self.bend_factor,
+            asdict(self.wind if isinstance(self.wind, Wind) else Wind(tuple(self.wind))),
+            [primitive.row().tolist() for primitive in self.primitives],
+        ]
+        digest.update(json.dumps(settings, sort_keys=True).encode())
+        return digest.hexdigest()[:24]
+
+    def _mesh(self) -> ClothMesh:
+        if self.fine or self.gathers is None:
+            return self.levels.fine if self.fine else self.levels.coarse
+        return self.gathers.applied(self.levels.coarse)
+
+    def simulation(self) -> Simulation:
+        """The simulation at the first pose."""
+        levels = self.levels
+        held, attachment, limits = (
+            (levels.fine_held, levels.fine_attachment, levels.fine_limits)
+            if self.fine
+            else (levels.coarse_held, levels.coarse_attachment, levels.coarse_limits)
+        )
+        model = build_model(self._mesh(), self.fabric, held, self.options, self.bend_factor, limits)
+        return Simulation(model, attachment, body_source(self.body), self.poses[0], self.solver, self.primitives)
+
+
+@lru_cache(maxsize=1)
+def _solver_version() -> str:
+    """Hash of the source of the solver, of what moves bodies and of what filters the result."""
+    return source_fingerprint(pbd, assets.skinning, runtime.simulation, wrinkles.levels, wrinkles.surface)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Recorded frames of a run, in the world.
+
+    Attributes:
+        name: of the run.
+        frames: index of each recorded frame into the run's poses, int, shape (f,).
+        positions: of the simulated mesh [m], float32, shape (f, N, 3).
+        coarse: a fine run filtered down (a coarse run itself) [m], float32, shape (f, n, 3).
+        contact: of the coarse vertices, as in :class:`pbd.State`, float32, shape (f, n).
+        nearest: body vertices near the coarse ones, int32, shape (f, n).
+        step_ms: median time of a step [ms].
+    """
+
+    name: str
+    frames: np.ndarray
+    positions: np.ndarray
+    coarse: np.ndarray
+    contact: np.ndarray
+    nearest: np.ndarray
+    step_ms: float
+
+    def where(self, keep: np.ndarray | slice) -> Recording:
+        """Some of the frames."""
+        names = ("frames", "positions", "coarse", "contact", "nearest")
+        return replace(self, **{name: getattr(self, name)[keep] for name in names})
+
+
+def record_runs(
+    runs: Sequence[Run],
+    cache: Path,
+    workers: int = 2,
+    report: Callable[[str], None] | None = None,
+) -> list[Recording]:
+    """Simulate what is not in the cache yet, and read everything back.
+
+    Args:
+        runs: what to record.
+        cache: folder; each run has a folder of its own in it, named by :meth:`Run.key`.
+        workers: processes at a time; each run stays on one.
+        report: told a line of progress now and then.
+    """
+    folders = [cache / run.key() for run in runs]
+    total = sum(run.frame_count for run in runs)
+    done = lambda: sum(  # noqa: E731
+        min(run.frame_count, run.chunk * len(list(folder.glob("chunk_*.npz"))))
+        for run, folder in zip(runs, folders, strict=True)
+    )
+    todo = [
+        (run, folder)
+        for run, folder in zip(runs, folders, strict=True)
+        if len(list(folder.glob("chunk_*.npz"))) < run.chunk_count
+    ]
+    began, before = time.monotonic(), done()
+    if len(todo) == 1 or workers == 1:
+        for run, folder in todo:
+            _record(run, folder, lambda: _tell(report, done(), before, total, began))
+    elif todo:
+        todo.sort(key=lambda item: -item[0].frame_count)
+        with ProcessPoolExecutor(min(workers, len(todo)), get_context("spawn"), begin_worker) as pool:
+            futures = [pool.submit(_record, run, folder) for run, folder in todo]
+            pending = set(futures)
+            try:
+                while pending:
+                    finished, pending = wait(pending, timeout=5.0, return_when=FIRST_COMPLETED)
+                    for future in finished:
+                        future.result()
+                    _tell(report, done(), before, total, began)
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)  # runs that wait their turn would only delay the message
+                raise
+    return [_read(run, folder) for run, folder in zip(runs, folders, strict=True)]
+
+
+def begin_worker() -> None:
+    """One thread a worker; and a worker whose parent was killed ends too, instead of simulating on for nobody."""
+    os.environ["GUBE_THREADS"] = "1"
+    parent = parent_process()
+    assert parent is not None
+
+    def follow() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
+
+
+def _tell(report: Callable[[str], None] | None, done: int, before: int, total: int, began: float) -> None:
+    if report is None:
+        return
+    spent = time.monotonic() - began
+    left = spent * (total - done) / (done - before) if done > before else float("nan")
+    rest = f", {left:.0f} s left" if np.isfinite(left) else ""
+    report(f"simulating: {done} of {total} frames{rest}")
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def _record(run: Run, folder: Path, after_chunk: Callable[[], None] | None = None) -> None:
+    """Simulate a run chunk by chunk; each chunk holds the state at its end, from which the next one goes on."""
+    simulation = run.simulation()
+    levels, count = run.levels, run.levels.subdivision.coarse_count
+    at_coarse = levels.subdivision.at_coarse if run.fine else np.arange(count)
+    first = 0
+    while (folder / f"chunk_{first:04d}.npz").exists():
+        first += 1
+    if 0 < first < run.chunk_count:
+        with np.load(folder / f"chunk_{first - 1:04d}.npz", allow_pickle=False) as last:
+            simulation.state = State(*(last[f"state_{name}"] for name in State._names))
+        body = simulation.body
+        probes = body.probes, body.probe_weights  # chosen by the first pose, not by the one to go on from
+        simulation.place_body(run.poses[first * run.chunk])
+        body.probes, body.probe_weights = probes
+    for chunk in range(first, run.chunk_count):
+        rows: dict[str, list] = {"frames": [], "positions": [], "contact": [], "nearest": []}
+        times = []
+        for frame in range(chunk * run.chunk, min((chunk + 1) * run.chunk, run.frame_count)):
+            simulation.pose_body(run.poses[frame + 1])
+            began = time.perf_counter()
+            simulation.step_cloth(run.dt, run.wind)
+            times.append(time.perf_counter() - began)
+            if (frame + 1) % run.every == 0:
+                state = simulation.state
+                rows["frames"].append(frame + 1)
+                rows["positions"].append(state.world().astype(np.float32))
+                rows["contact"].append(state.contact[at_coarse])
+                rows["nearest"].append(state.nearest[at_coarse])
+        arrays = {name: np.array(values) for name, values in rows.items()}
+        if not len(arrays["frames"]):
+            arrays["positions"] = np.zeros((0, simulation.model.vertex_count, 3), np.float32)
+            arrays["contact"], arrays["nearest"] = np.zeros((0, count), np.float32), np.zeros((0, count), np.int32)
+        arrays["coarse"] = arrays["positions"]
+        if run.fine:
+            arrays["coarse"] = levels.filter_down(arrays["positions"]).astype(np.float32)
+        arrays["step_ms"] = np.array(1e3 * np.median(times))
+        arrays |= {f"state_{name}": getattr(simulation.state, name) for name in State._names}
+        with replacing(folder / f"chunk_{chunk:04d}.npz") as temporary, open(temporary, "wb") as file:
+            np.savez(file, allow_pickle=False, **arrays)
+        if after_chunk is not None:
+            after_chunk()
+
+
+def _read(run: Run, folder: Path) -> Recording:
+    names = ("frames", "positions", "coarse", "contact", "nearest", "step_ms")
+    parts: dict[str, list] = {name: [] for name in names}
+    for chunk in range(run.chunk_count):
+        with np.load(folder / f"chunk_{chunk:04d}.npz", allow_pickle=False) as data:
+            for name in names:
+                parts[name].append(data[name])
+    step_ms = float(np.median(parts.pop("step_ms")))
+    return Recording(name=run.name, step_ms=step_ms, **{name: np.concatenate(parts[name]) for name in names[:-1]})

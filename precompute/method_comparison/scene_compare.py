@@ -1,0 +1,350 @@
+"""`gube compare SCENE...`: every method at several settings on the same scenes, within a budget of time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pbd import InputError
+from precompute.learning.recording import begin_worker
+from precompute.method_comparison.compare_scenes import SCENES, CompareScene, scene_of
+from precompute.method_comparison.error_classes import ErrorClass
+from precompute.method_comparison.scene_judging import Judge, Verdict, reference_settings
+from precompute.method_comparison.scene_runs import (
+    SceneRun,
+    Setting,
+    parse_setting,
+    read_run,
+    run_path,
+    run_setting,
+    write_run,
+)
+
+__all__ = ["BUDGET", "METHODS", "Compared", "SceneComparison", "chosen_settings", "compare_scenes"]
+
+BUDGET = 900.0  # for everything [s]
+WORKERS = 2  # processes at a time
+LENIENT = 6.0  # a run may take so many times its estimate, and at least 20 s
+PATIENCE = 20.0  # what is estimated to take longer is run only where its method is named [s]
+TRIED = 0.05  # what taking up a run costs besides [s]
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """How a method is set for a comparison.
+
+    Attributes:
+        numbers: substeps and passes that are tried at every resolution.
+        edges: how many of the scene's resolutions, from the coarsest.
+        pass_ms: processor time of a pass over 153 vertices, about [ms].
+        newton: its passes take longer in contact and in folds.
+    """
+
+    numbers: Sequence[tuple[int | None, int | None]]
+    edges: int
+    pass_ms: float
+    newton: bool = False
+
+
+_FEW, _NEWTON = ((1, 10), (10, 1)), ((1, None), (4, None))
+METHODS = {
+    "default": _Kind(((4, None), (8, None), (16, None), (48, None)), 3, 0.005),
+    "pbd": _Kind(_FEW, 2, 5.6),
+    "xpbd": _Kind(_FEW, 2, 5.6),
+    "strain-based": _Kind(((1, 6), (6, 1)), 2, 8.6),
+    "vertex-block-descent": _Kind(((1, 5), (4, 2)), 2, 13.0),
+    "projective-dynamics": _Kind(((1, 10), (4, 10)), 2, 1.5),
+    "springs-square/symplectic-euler": _Kind(((None, None),), 2, 0.8),
+    "fem-stvk+isometric/verlet": _Kind(((None, None),), 2, 0.7),
+    "springs-triangle/implicit-euler": _Kind(_NEWTON, 2, 22.0, True),
+    "baraff-witkin/implicit-euler": _Kind(_NEWTON, 2, 25.0, True),
+    "fem-stvk/implicit-euler": _Kind(_NEWTON, 2, 35.0, True),
+    "fem-stvk+isometric/bdf2": _Kind(_NEWTON, 2, 20.0, True),
+}
+RIVALS = {
+    "newton": _Kind(((40, None), (150, None)), 2, 1.0),
+    "pypbd": _Kind(((10, None), (40, None)), 2, 0.2),
+    "mujoco": _Kind(((None, 20), (None, 100)), 2, 0.1),
+    "pybullet": _Kind(((40, None), (150, None)), 2, 0.5),
+}
+OTHER = _Kind(((None, None),), 2, 30.0)  # of the methods that are compared only where they are named
+
+
+def _kind(method: str) -> _Kind:
+    return METHODS.get(method) or RIVALS.get(method, OTHER)
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One point of the chart.
+
+    Attributes:
+        run: what it cost and gave.
+        verdict: how wrong it is.
+        command: that repeats it.
+    """
+
+    run: SceneRun = field(repr=False)
+    verdict: Verdict
+    command: str
+
+    @property
+    def frame_ms(self) -> tuple[float, float]:
+        """Processor time of a frame after the first, p50 and p99 [ms]."""
+        times = self.run.frame_ms[1:] if len(self.run.frame_ms) > 1 else self.run.frame_ms
+        if not len(times):
+            return float("nan"), float("nan")
+        return float(np.median(times)), float(np.percentile(times, 99))
+
+    def row(self, scene: str) -> dict[str, Any]:
+        """Everything in one line."""
+        setting, (p50, p99) = self.run.setting, self.frame_ms
+        return {
+            "scene": scene,
+            "method": setting.method,
+            "edges": setting.edges,
+            "substeps": self.run.substeps,
+            "passes": setting.iterations,
+            "vertex_count": self.run.vertex_count,
+            "frame_ms_p50": p50,
+            "frame_ms_p99": p99,
+            "setup_s": self.run.setup_s,
+            "memory_mb": self.run.memory_mb,
+            "error": self.verdict.error,
+            "error_class": self.verdict.worst.name.lower(),
+            "because": self.verdict.because,
+            "command": self.command,
+            **self.verdict.figures,
+        }
+
+
+@dataclass(frozen=True)
+class SceneComparison:
+    """All methods on one scene.
+
+    Attributes:
+        scene: what was simulated.
+        judge: with its references and the floor.
+        points: by method and setting.
+        dropped: settings that were not run or not finished, with the reason.
+    """
+
+    scene: CompareScene
+    judge: Judge = field(repr=False)
+    points: tuple[Compared, ...]
+    dropped: tuple[tuple[Setting, str], ...]
+
+    def runs(self) -> list[SceneRun]:
+        """Of the points."""
+        return [point.run for point in self.points]
+
+    def front(self) -> list[Compared]:
+        """Points that no other beats in both cost and error, by growing cost."""
+        found: list[Compared] = []
+        for point in sorted(self.points, key=lambda point: (point.frame_ms[0], point.verdict.error)):
+            if np.isfinite(point.verdict.error) and (not found or point.verdict.error < found[-1].verdict.error):
+                found.append(point)
+        return found
+
+    def figures(self) -> dict[str, float]:
+        """Figures of the scene, with its name before each."""
+        name = self.scene.name
+        found = {f"{name}_points": float(len(self.points)), f"{name}_floor": self.judge.floor}
+        found[f"{name}_refined"] = self.judge.refined
+        found[f"{name}_processor_s"] = sum(run.total_s for run in [*self.judge.references, *self.runs()])
+        for kind in ErrorClass:
+            found[f"{name}_{kind.name.lower()}"] = float(sum(p.verdict.worst is kind for p in self.points))
+        enough = max(self.judge.floor, 1.0 if self.scene.unique else self.judge.refined)
+        good = [p.frame_ms[0] for p in self.points if p.verdict.error <= enough]
+        return found | ({f"{name}_cheapest_good_ms": min(good)} if good else {})
+
+
+@dataclass(frozen=True)
+class _Job:
+    scene: CompareScene
+    setting: Setting
+    path: Path
+    estimate: float  # processor time [s]
+    reference: bool
+
+
+def chosen_settings(scene: CompareScene, methods: Sequence[str]) -> list[Setting]:
+    """Settings of some methods for a scene; of all that are compared by default if none is named.
+
+    Raises:
+        InputError: no such method, or a bad setting.
+    """
+    settings = []
+    for text in methods or METHODS:
+        name, numbers = parse_setting(text)
+        kind = _kind(name)
+        resolutions = [numbers[0]] if numbers and numbers[0] else scene.edges[: kind.edges]
+        pairs = kind.numbers
+        if len(numbers) > 1:
+            pairs = [(numbers[1], numbers[2] if len(numbers) > 2 else None)]
+        settings += [Setting(name, edges, *pair) for edges in resolutions for pair in pairs]
+    return list(dict.fromkeys(settings))
+
+
+def _estimate(scene: CompareScene, setting: Setting) -> float:
+    """Processor time of a run, roughly [s]."""
+    kind = _kind(setting.method)
+    vertices = len(scene.sheet(setting.edges).flat)
+    passes = (setting.substeps or 4) * (setting.iterations or 1)
+    if setting.method.endswith(("symplectic-euler", "verlet")):
+        fabric, step = scene.fabric, scene.size[0] / setting.edges
+        stiff = max(fabric.stretch_warp, fabric.stretch_weft)
+        stretch = 0.57 * step * (fabric.areal_density / stiff) ** 0.5
+        bend = 0.18 * step**2 * (fabric.areal_density / max(fabric.bend_warp, 1e-12)) ** 0.5
+        passes = 1.0 / 60.0 / min(stretch, bend)
+    size = 0.4 + 0.6 * vertices / 153.0
+    harder = (10.0 if scene.colliders() else 3.0 if not scene.unique else 1.0) if kind.newton else 1.0
+    return TRIED + 1e-3 * scene.frame_count * passes * kind.pass_ms * size * harder
+
+
+def _warm() -> None:
+    """One thread a worker, which ends with its parent; and what the default solver must compile."""
+    begin_worker()
+    scene = scene_of("swing", 1.0 / 30.0)
+    run_setting(scene, Setting("default", 4, 1))
+
+
+def _run_job(name: str, seconds: float, setting: Setting, path: Path, limit: float) -> float:
+    """Run, write, and say how much processor time it took [s]."""
+    began = time.process_time()
+    write_run(path, run_setting(scene_of(name, seconds), setting, limit))
+    return time.process_time() - began
+
+
+def compare_scenes(
+    names: Sequence[str],
+    output: Path,
+    *,
+    methods: Sequence[str] = (),
+    budget_s: float = BUDGET,
+    seconds: float | None = None,
+    workers: int = WORKERS,
+    report: Callable[[str], None] | None = None,
+) -> list[SceneComparison]:
+    """Run everything that is not in ``output``'s cache yet, and judge it.
+
+    References are run whatever the budget, then settings from the cheapest; the dearest are left out where it ends.
+
+    Args:
+        names: of the scenes; all built-in ones if none is named.
+        output: runs are kept in its folder ``runs`` and found again.
+        methods: see :func:`precompute.method_comparison.scene_runs.parse_setting`; none takes the default ones.
+        budget_s: time for everything [s].
+        seconds: cut each motion there.
+        workers: processes at a time; 1 stays in this one.
+        report: told lines of progress.
+
+    Raises:
+        InputError: no such scene or method.
+    """
+    began = time.monotonic()
+    scenes = [scene_of(name, seconds) for name in dict.fromkeys(names or SCENES)]
+    cache, jobs = output / "runs", []
+    for scene in scenes:
+        wanted = [(setting, True) for setting in reference_settings(scene)]
+        wanted += [(setting, False) for setting in chosen_settings(scene, methods)]
+        jobs += [
+            _Job(scene, setting, run_path(cache, scene, setting), _estimate(scene, setting), reference)
+            for setting, reference in wanted
+        ]
+    todo = {job.path: job for job in jobs if read_run(job.path) is None}
+    reasons = {}
+    for job in list(todo.values()):
+        if not methods and not job.reference and job.estimate > PATIENCE:
+            reasons[job.path] = f"about {todo.pop(job.path).estimate:.0f} s: only where it is named by --methods"
+    reasons |= _run_all(list(todo.values()), began + budget_s, workers, report)
+    found = []
+    for scene in scenes:
+        own = [job for job in jobs if job.scene is scene]
+        references = [read_run(job.path) for job in own if job.reference]
+        if any(run is None or run.problem for run in references):
+            problems = [run.problem if run else "not run" for run in references]
+            raise InputError("a reference did not come to its end", key=scene.name, received=problems)
+        judge = Judge(scene, [run for run in references if run is not None])
+        points, dropped = [], []
+        for job in (job for job in own if not job.reference):
+            run = read_run(job.path)
+            if run is None or run.gave_up:
+                dropped.append((job.setting, run.problem if run else reasons.get(job.path, "not run")))
+                continue
+            text = f"gube compare {scene.name} --methods {job.setting.method}@{job.setting.numbers} -o {output}"
+            text += "" if seconds is None else f" --seconds {seconds:g}"
+            points.append(Compared(run, judge.judge(run), text))
+        found.append(SceneComparison(scene, judge, tuple(points), tuple(dropped)))
+    return found
+
+
+def _run_all(jobs: list[_Job], deadline: float, workers: int, report: Callable[[str], None] | None) -> dict[Path, str]:
+    """Run jobs, references first and then the cheapest; returns why some were left out.
+
+    Args:
+        jobs: to run.
+        deadline: by the monotonic clock [s].
+        workers: processes at a time.
+        report: told lines of progress.
+    """
+    tell, reasons = report or (lambda line: None), {}
+    waiting = sorted(jobs, key=lambda job: (not job.reference, job.estimate))
+    if not waiting:
+        return reasons
+    spent, guessed, running, cost = 0.0, 0.0, {}, 1.0  # cost: seconds of a worker for a second of an estimate
+    total = len(jobs)
+
+    def trim() -> None:
+        """Leave out all that is left once the cheapest of it does not fit into the time left."""
+        left = deadline - time.monotonic()
+        if waiting and not waiting[0].reference and cost * waiting[0].estimate > left:
+            for job in waiting:
+                reasons[job.path] = f"left out: about {cost * job.estimate:.0f} s, more than the budget left"
+            waiting.clear()
+
+    def limit(job: _Job) -> float:
+        return np.inf if job.reference else max(20.0, LENIENT * job.estimate)
+
+    def say(job: _Job) -> None:
+        rest = sum(cost * job.estimate for job in [*waiting, *running.values()]) / workers
+        rest = max(0.0, min(rest, deadline - time.monotonic()))
+        done = total - len(waiting) - len(running) - len(reasons)
+        tell(f"{done} of {total} runs, {rest:.0f} s left: {job.scene.name}, {job.setting.method}, {job.setting.words}")
+
+    if workers == 1:
+        while waiting:
+            trim()
+            if waiting:
+                job = waiting.pop(0)
+                say(job)
+                _run_job(job.scene.name, job.scene.seconds, job.setting, job.path, limit(job))
+        return reasons
+    with ProcessPoolExecutor(workers, get_context("spawn"), _warm) as pool:
+        try:
+            starts: dict[Future, float] = {}
+            while waiting or running:
+                trim()
+                while waiting and len(running) < workers:
+                    job = waiting.pop(0)
+                    future = pool.submit(_run_job, job.scene.name, job.scene.seconds, job.setting, job.path, limit(job))
+                    running[future], starts[future] = job, time.monotonic()
+                    say(job)
+                finished, _ = wait(running, timeout=5.0, return_when=FIRST_COMPLETED)
+                for future in finished:
+                    future.result()
+                    job = running.pop(future)
+                    spent, guessed = spent + time.monotonic() - starts.pop(future), guessed + job.estimate
+                    if guessed > 10.0:
+                        cost = spent / guessed
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return reasons

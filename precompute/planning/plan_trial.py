@@ -1,0 +1,144 @@
+"""Plans put to the test: a garment played under a planner for minutes, beside full detail of the same coarse states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from assets.io.scene import CameraSettings
+from pbd import InputError
+from pbd.wind import Air
+from runtime.ensemble import Ensemble
+from runtime.front import Front
+from runtime.planner import Planner, Sight, sight_of
+from runtime.play import Cast
+from runtime.player import Player
+from runtime.simulation import Motion
+from wrinkles.database import WrinkleDatabase
+
+__all__ = ["SCENES", "PlanTrial", "try_plan"]
+
+LOOK = 13  # ticks from one that is compared to the next: no multiple of any turn
+
+
+def _flight(t: float) -> tuple[CameraSettings, ...]:
+    """A camera that comes near and goes far, from 1.5 to 40 m, every twenty seconds."""
+    distance = 1.5 * (40.0 / 1.5) ** (0.5 - 0.5 * np.cos(2.0 * np.pi * t / 20.0))
+    return (CameraSettings(position=(0.0, 0.0, float(distance)), target=(0.0, 0.0, 0.0)),)
+
+
+def _cuts(t: float) -> tuple[CameraSettings, ...]:
+    """Cuts between a close picture, a long one, a zoom and one that shows something else, three seconds each."""
+    position, angle = (
+        ((0.0, 0.0, 2.0), 40.0),
+        ((20.0, 5.0, 0.0), 40.0),
+        ((0.0, 0.0, -30.0), 8.0),
+        ((0.0, 0.0, 5.0), 40.0),
+    )[int(t / 3.0) % 4]
+    away = (0.0, 0.0, 10.0) if int(t / 3.0) % 4 == 3 else (0.0, 0.0, 0.0)
+    return (CameraSettings(position=position, target=away, field_of_view_deg=angle),)
+
+
+def _pair(t: float) -> tuple[CameraSettings, ...]:
+    """Two cameras at once, of which one trembles and the other goes round."""
+    turn = 2.0 * np.pi * t / 30.0
+    tremble = 6.0 + 0.05 * np.sin(40.0 * t)
+    return (
+        CameraSettings(position=(0.0, 0.5, float(tremble)), target=(0.0, 0.0, 0.0)),
+        CameraSettings(
+            position=(12.0 * float(np.sin(turn)), 1.0, 12.0 * float(np.cos(turn))),
+            target=(0.0, 0.0, 0.0),
+            field_of_view_deg=25.0,
+        ),
+    )
+
+
+SCENES: dict[str, Callable[[float], tuple[CameraSettings, ...]]] = {"flight": _flight, "cuts": _cuts, "pair": _pair}
+"""Cameras over time [s], about a garment at the origin."""
+
+
+@dataclass(frozen=True)
+class PlanTrial:
+    """What came of a trial.
+
+    Attributes:
+        error_px: on screen, in the ticks that were compared, the 95th percentile over vertices, shape (f,).
+        changes: of detail.
+        cost_ms: by the table, on average [ms].
+        catastrophic: ticks that were not finite or whose garment's box was over twice as large as at full detail.
+    """
+
+    error_px: np.ndarray
+    changes: int
+    cost_ms: float
+    catastrophic: int
+
+
+def try_plan(
+    database: WrinkleDatabase,
+    cast: Cast,
+    motion: Motion,
+    front: Front,
+    cameras: Callable[[float], tuple[CameraSettings, ...]],
+    seconds: float,
+) -> PlanTrial:
+    """Play one garment under a planner whose target is imperceptible and whose budget never binds.
+
+    What is shown is compared with what the full detail makes of the same coarse state: in a tick with an update of that
+    state, in others of the state that full detail steps to from the last update.
+
+    Args:
+        database, cast, front: of the garment.
+        motion: played forth and back for as long as it takes.
+        cameras: about the garment, see :data:`SCENES`.
+        seconds: to play [s].
+    """
+    dt = 1.0 / database.frame_rate
+    times = _there_and_back(motion.duration, dt, round(seconds / dt))
+    player, shadow = (Player(database, cast.body, motion.pose(0.0), cast.primitives) for _ in range(2))
+    ensemble = Ensemble([player], Planner([front], 1.0, 1e9))
+    errors, changes, cost, catastrophic, idle, updated = [], 0, 0.0, 0, 0, times[0]
+    for tick in range(1, len(times)):
+        sight = _sight(player, cameras(tick * dt), front)
+        before, hash_before = player.detail, player.simulation.state.position.copy()
+        try:
+            ensemble.update([motion.pose(times[tick])], dt, [sight], cast.wind)
+        except InputError:  # the state is not finite
+            catastrophic += 1
+            break
+        changes += player.detail != before
+        cost += ensemble.choices[0].cost_ms
+        worked = not np.array_equal(player.simulation.state.position, hash_before)
+        idle, updated = (0, times[tick]) if worked else (idle + 1, updated)
+        if tick % LOOK == 0 and tick * dt > 1.5:
+            full = _truth(player, shadow, motion, times[tick - idle : tick + 1], dt, cast.wind)
+            away = np.linalg.norm(player.vertices + player.origin - full, axis=1)
+            errors.append(min(sight.pixels_per_metre * float(np.percentile(away, 95)), sight.size_px))
+            box = np.ptp(player.vertices, axis=0), np.ptp(full, axis=0)
+            large = np.linalg.norm(box[0]) > 2.0 * np.linalg.norm(box[1])
+            catastrophic += bool(large or not np.isfinite(player.vertices).all())
+    return PlanTrial(np.array(errors), changes, cost / (len(times) - 1), catastrophic)
+
+
+def _sight(player: Player, cameras: tuple[CameraSettings, ...], front: Front) -> Sight:
+    speed = float(np.sqrt(3.0 * np.mean(player.simulation.state.velocity.astype(float) ** 2)))
+    return sight_of(cameras, (0.0, 0.0, 0.0), front.size, speed)
+
+
+def _truth(player: Player, shadow: Player, motion: Motion, times: np.ndarray, dt: float, wind: Air) -> np.ndarray:
+    """Full detail of the player's coarse state, some ticks on: world [m], shape (N, 3)."""
+    if len(times) == 1:
+        return player.decoded(player.full) + player.origin
+    shadow.simulation.state = player.simulation.state.copy()
+    shadow.simulation.place_body(motion.pose(times[0]))
+    for t in times[1:]:
+        shadow.update(motion.pose(t), dt, wind)
+    return shadow.vertices + shadow.origin
+
+
+def _there_and_back(duration: float, dt: float, count: int) -> np.ndarray:
+    """Times of a motion that turns round gently at both ends, shape (count + 1,)."""
+    phase = np.arange(count + 1) * dt % (2.0 * duration)
+    return np.minimum(phase, 2.0 * duration - phase)

@@ -1,0 +1,287 @@
+"""One cell of a stability map: a short run of a method, beside a converged run of the same scene."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pbd import Colliders, Solver, SolverOptions, State, build_model
+from pbd.mesh import hinges_of
+from pbd.models import AnySolver, Options, StepError, make_solver
+from precompute.method_comparison.error_classes import ErrorClass, Recorded, classify, deviations
+from precompute.stability.stability_maps import CellScene, StabilityMap
+
+__all__ = ["Cell", "Frames", "Reference", "breaks", "judge", "lattice_of", "reference_of", "run_cell"]
+
+SECONDS = 1.0  # of a run
+KEPT = 1.0 / 60.0  # frames nearer to each other than this are left out of what is judged [s]
+REFERENCE_STEP = 1.0 / 5760.0  # substep of the reference; the one that it is held against takes twice that [s]
+REFERENCE_FRAME = 1.0 / 480.0  # [s]
+SHORT = 150  # frames in which an unstable step shows
+LEAST = 0.01  # energies are measured by no less than a fall by this part of the cloth's size [-]
+STEPS = 6  # bisections of a border
+# What went, by the figures that say so, the gravest first.
+WENT = {
+    "not_finite": "not finite",
+    "through_percent": "tunnelling",
+    "edge_strain_beyond": "stretch",
+    "energy_growth": "energy growth",
+    "speed_over_limit": "speed",
+    "box_ratio": "size",
+    "edge_strain_max": "stretch",
+    "edge_strain_p95": "stretch",
+    "folded_percent": "inversion",
+    "penetration_s": "penetration",
+    "penetration_thicknesses": "penetration",
+    "position_px": "position",
+    "velocity_rms": "velocity",
+    "energy_error": "energy",
+}
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The converged run of a scene.
+
+    Attributes:
+        times: [s], shape (t,).
+        position: [m], float32, shape (t, n, 3).
+        velocity: [m/s], float32, shape (t, n, 3).
+        floor_px: distance to the same run with substeps twice as long, p95 [px].
+        chaotic: the two do not agree to what is accepted of a run: the answer is not unique.
+    """
+
+    times: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    floor_px: float
+    chaotic: bool
+
+    def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and velocities at other times, between neighbours."""
+        place = np.clip(times / self.times[1], 0.0, len(self.times) - 1.0)
+        first = np.minimum(place.astype(int), len(self.times) - 2)
+        share = (place - first)[:, None, None]
+        position = (1.0 - share) * self.position[first] + share * self.position[first + 1]
+        return position, (1.0 - share) * self.velocity[first] + share * self.velocity[first + 1]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What one run came to.
+
+    Attributes:
+        map, x, y, method: which.
+        error_class: of the worst figure.
+        went: which figure that is, in a word; empty where nothing went.
+        figures: of :func:`precompute.method_comparison.error_classes.deviations`.
+        frame_ms: processor time of a frame, median [ms].
+        dt: of a frame [s].
+        failed_s: when the first catastrophic limit was passed [s]; not a number where none was.
+        message: what the solver said when it gave up.
+        floor_px: of the reference.
+        chaotic: whether the answer is not unique.
+    """
+
+    map: str
+    x: float
+    y: float
+    method: str
+    error_class: ErrorClass
+    went: str
+    figures: dict[str, float]
+    frame_ms: float
+    dt: float
+    failed_s: float
+    message: str
+    floor_px: float
+    chaotic: bool
+
+
+def lattice_of(method: str) -> str:
+    """The lattice that a method's maps are on: "squares" where its springs need them."""
+    return "squares" if method.startswith(("springs-square", "springs-prestressed")) else "triangles"
+
+
+def _solver(method: str, scene: CellScene, substep: float | None = None) -> AnySolver:
+    """The default solver splits a frame as it does, and has its tethers; all others take it as it is.
+
+    Where passes are varied, one is an iteration if the method has any that matter to it, else a substep.
+    """
+    if substep is not None:
+        return Solver(scene.model, SolverOptions(substep=substep))
+    if method == "default":
+        cloth, passes = scene.model, scene.passes
+        tethered = build_model(cloth.mesh, cloth.fabric, cloth.held, bend_factor=cloth.bend_factor)
+        return Solver(tethered, SolverOptions() if passes is None else SolverOptions(substep=scene.dt / passes))
+    steps = ("symplectic-euler", "verlet", "midpoint", "implicit-euler", "bdf2")
+    if scene.passes is not None and method.endswith(steps):
+        return make_solver(method, scene.model, Options(scene.dt / scene.passes))
+    return make_solver(method, scene.model, Options(scene.dt, iterations=scene.passes))
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Frames about what drives the scene: where it goes is taken away [m], [m/s]."""
+
+    times: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    frame_ms: float
+    message: str
+
+
+def _simulate(scene: CellScene, solver: AnySolver, dt: float, seconds: float = SECONDS, kept: float = KEPT) -> Frames:
+    """Run until it ends or is not finite; frames that were not reached are not numbers."""
+    model = scene.model
+    state = State.at_rest(model, scene.start)
+    stride = max(1, round(kept / dt))
+    count = max(1, math.ceil(seconds / dt / stride - 1e-6))
+    drift = np.array([scene.speed, 0.0, 0.0])
+    position = np.full((count + 1, model.vertex_count, 3), np.nan, np.float32)
+    velocity = position.copy()
+    position[0], velocity[0] = scene.start, -drift
+    post = None if scene.post is None else replace(scene.post)
+    colliders = Colliders([] if post is None else [post])
+    if post is not None:
+        colliders.rows(state.origin)  # so that the first frame knows that it moves
+    spent, message = [], ""
+    for frame in range(1, count * stride + 1):
+        way = frame * dt * drift
+        if post is not None and scene.post is not None:
+            post.start, post.end = (tuple(np.asarray(end) + way) for end in (scene.post.start, scene.post.end))
+        targets = scene.start[model.held] + way if scene.speed else None
+        begin = time.process_time()
+        try:
+            solver.step(state, colliders, dt, targets)
+        except StepError as error:
+            message = error.problem
+            break
+        spent.append(time.process_time() - begin)
+        if not (np.isfinite(state.position).all() and np.isfinite(state.velocity).all()):
+            message = "positions or velocities are not finite"
+            break
+        if frame % stride == 0:
+            position[frame // stride] = state.world() - way
+            velocity[frame // stride] = state.velocity - drift
+        solver.follow(state, colliders)
+    times = dt * stride * np.arange(count + 1)
+    return Frames(times, position, velocity, 1e3 * float(np.median(spent or [math.nan])), message)
+
+
+def reference_of(scene: CellScene, seconds: float = SECONDS) -> Reference:
+    """The default solver with many short substeps, without tethers."""
+    plain = replace(scene, passes=None)
+    fine, coarse = (
+        _simulate(plain, _solver("default", plain, step), REFERENCE_FRAME, seconds + 0.2, REFERENCE_FRAME)
+        for step in (REFERENCE_STEP, 2.0 * REFERENCE_STEP)
+    )
+    found = Reference(fine.times, fine.position, fine.velocity, 0.0, False)
+    if fine.message or coarse.message:
+        return replace(found, floor_px=math.inf, chaotic=True)
+    stride = round(KEPT / REFERENCE_FRAME)
+    times = fine.times[::stride]
+    runs = [Recorded(run.position[::stride], run.velocity[::stride], times[1]) for run in (coarse, fine)]
+    edges, lengths = scene.model.mesh.edge_lengths()
+    figures = deviations(runs[0], runs[1], edges, lengths, scene.model.fabric.thickness)
+    chaotic = classify({"position_px": figures["position_px"]})["position_px"] > ErrorClass.ACCEPTED
+    return replace(found, floor_px=figures["position_px"], chaotic=chaotic)
+
+
+def breaks(scene: CellScene, method: str) -> bool:
+    """Whether a run of ``SHORT`` frames ends in numbers that are none, or in a speed that is none."""
+    return bool(_simulate(scene, _solver(method, scene), scene.dt, SHORT * scene.dt).message)
+
+
+def judge(scene: CellScene, run: Frames, reference: Reference, until: int | None = None) -> dict[str, float]:
+    """Figures of a run beside the reference.
+
+    Args:
+        scene: of both.
+        run: of a method.
+        reference: of the scene.
+        until: frames that count; None for all.
+    """
+    model, frames = scene.model, slice(0, until)
+    truth_position, truth_velocity = reference.at(run.times[frames])
+    position, velocity = run.position[frames], run.velocity[frames]
+    energy = truth_energy = scale = None
+    if not scene.speed and np.isfinite(position).all():
+        energy, kinetic = _energies(scene, position, velocity)
+        truth_energy, kinetic = _energies(scene, truth_position, truth_velocity)
+        size = float(np.ptp(scene.start, axis=0).max())
+        scale = max(float(kinetic.max()), float(np.ptp(truth_energy)), LEAST * 9.81 * size * float(model.mass.sum()))
+    return deviations(
+        Recorded(position, velocity, run.times[1], energy, _depth(scene, position), through=_through(scene, position)),
+        Recorded(truth_position, truth_velocity, run.times[1], truth_energy),
+        *model.mesh.edge_lengths(),
+        model.fabric.thickness,
+        scene.speed,
+        reference.chaotic,
+        scale,
+        hinges_of(model.mesh.faces),
+    )
+
+
+def _energies(scene: CellScene, position: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Kinetic energy and gravity's, and the kinetic part of it, of each frame [J].
+
+    Elastic energy is left out: the strain that a position-based pass leaves would count for much in stiff cloth, but
+    never comes back as motion.
+    """
+    model = scene.model
+    mass = model.mass * (model.inverse_mass > 0.0)
+    kinetic = 0.5 * np.einsum("n,fni,fni->f", mass, velocity, velocity, dtype=float)
+    return kinetic + 9.81 * position[:, :, 1].astype(float) @ mass, kinetic
+
+
+def _depth(scene: CellScene, position: np.ndarray) -> np.ndarray | None:
+    """Deepest vertex in the upright post of each frame [m]."""
+    if scene.post is None:
+        return None
+    axis = np.asarray(scene.post.start)[[0, 2]]
+    return scene.post.radius - np.linalg.norm(position[:, :, [0, 2]] - axis, axis=2).min(axis=1)
+
+
+def _through(scene: CellScene, position: np.ndarray) -> np.ndarray | None:
+    """Rings that no longer go around the post's axis once, of each frame [%]."""
+    if scene.post is None:
+        return None
+    around = position[:, scene.rings][..., [0, 2]] - np.asarray(scene.post.start)[[0, 2]]
+    angle = np.arctan2(around[..., 1], around[..., 0])
+    turn = np.angle(np.exp(1j * (np.roll(angle, -1, axis=2) - angle))).sum(axis=2) / (2.0 * math.pi)
+    return 100.0 * np.mean(np.abs(np.abs(turn) - 1.0) > 0.5, axis=1)
+
+
+def run_cell(
+    one: StabilityMap, x: float, y: float, method: str, reference: Reference | None = None, seconds: float = SECONDS
+) -> Cell:
+    """Run and class one cell; the reference is made where it is not given.
+
+    Raises:
+        InputError: a method that cannot take the scene.
+    """
+    scene = one.scene(x, y, lattice_of(method))
+    reference = reference or reference_of(scene, seconds)
+    run = _simulate(scene, _solver(method, scene), scene.dt, seconds)
+    figures = judge(scene, run, reference)
+    classes = classify(figures)
+    worst = max(classes.values())
+    went = next((words for name, words in WENT.items() if classes.get(name) == worst), "") if worst else ""
+    failed = math.nan
+    if worst is ErrorClass.CATASTROPHIC:
+        low, high = 1, len(run.times)  # it is not catastrophic over `low` frames, but over `high`
+        while high - low > 1:
+            middle = (low + high) // 2
+            if max(classify(judge(scene, run, reference, middle)).values()) is ErrorClass.CATASTROPHIC:
+                high = middle
+            else:
+                low = middle
+        failed = float(run.times[high - 1])
+    return Cell(
+        one.name, x, y, method, worst, went, figures, run.frame_ms, scene.dt, failed, run.message, reference.floor_px,
+        reference.chaotic,
+    )  # fmt: skip

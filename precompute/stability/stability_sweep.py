@@ -1,0 +1,197 @@
+"""All maps of a few methods: cells, borders by bisection, figures; columns of cells on several processes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from multiprocessing import get_context
+
+from threadpoolctl import threadpool_limits
+
+from pbd import InputError
+from pbd.models import SOLVERS
+from precompute.learning.recording import begin_worker
+from precompute.method_comparison.error_classes import ErrorClass
+from precompute.stability.stability_cells import (
+    SECONDS,
+    Cell,
+    Reference,
+    breaks,
+    lattice_of,
+    reference_of,
+    run_cell,
+)
+from precompute.stability.stability_maps import MAPS, StabilityMap
+from precompute.stability.stability_theory import ExplicitLimit, explicit_limits
+
+__all__ = ["METHODS", "Border", "Stability", "cell_command", "check_methods", "sweep"]
+
+METHODS = ("default", "springs-triangle/symplectic-euler")
+STEPS = 6  # bisections of a border between two cells
+DOWN = 4.0  # factor by which a border below the map is approached
+SMALLEST = 1e-5  # time step down to which a border is looked for below the map [s]
+
+
+@dataclass(frozen=True)
+class Border:
+    """Between catastrophic and not, in one column of a map.
+
+    Attributes:
+        map, x, method: where.
+        safe, catastrophic: y on both sides of it.
+    """
+
+    map: str
+    x: float
+    method: str
+    safe: float
+    catastrophic: float
+
+
+@dataclass(frozen=True)
+class Stability:
+    """What a sweep found."""
+
+    maps: tuple[StabilityMap, ...]
+    methods: tuple[str, ...]
+    cells: tuple[Cell, ...]
+    borders: tuple[Border, ...]
+    limits: tuple[ExplicitLimit, ...]
+
+    def of(self, one: StabilityMap, method: str) -> list[Cell]:
+        """The cells of a map by a method."""
+        return [cell for cell in self.cells if (cell.map, cell.method) == (one.name, method)]
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """By name; ``catastrophic_cells_MAP_METHOD`` for each map too."""
+        found: dict[str, float] = {"explicit_limit_error_percent": max(one.error_percent for one in self.limits)}
+        for method in self.methods:
+            counts = {one.name: _catastrophic(self.of(one, method)) for one in self.maps}
+            found[f"catastrophic_cells_{method}"] = sum(counts.values())
+            found |= {f"catastrophic_cells_{name}_{method}": count for name, count in counts.items()}
+        return found | {"cells": len(self.cells)}
+
+
+def _catastrophic(cells: Sequence[Cell]) -> int:
+    return sum(map(_lost, cells))
+
+
+def cell_command(cell: Cell) -> str:
+    """The command that runs a cell again and tells what goes."""
+    return f"gube stability --cell {cell.map}:{cell.x:g}:{cell.y:g} --method {cell.method}"
+
+
+def check_methods(names: Sequence[str]) -> tuple[str, ...]:
+    """The methods asked for, each once.
+
+    Raises:
+        InputError: no such method.
+    """
+    for name in names:
+        if name not in SOLVERS:
+            raise InputError("no such method", key="--method", received=name, expected=", ".join(SOLVERS))
+    return tuple(dict.fromkeys(names))
+
+
+def sweep(
+    methods: Sequence[str] = METHODS,
+    maps: Sequence[StabilityMap] = MAPS,
+    *,
+    workers: int = 1,
+    seconds: float = SECONDS,
+    report: Callable[[str], None] | None = None,
+) -> Stability:
+    """Run every cell of every map by every method.
+
+    Args:
+        methods: names of :data:`pbd.models.SOLVERS`.
+        maps: which.
+        workers: processes at a time.
+        seconds: of each run [s].
+        report: told lines of progress.
+
+    Raises:
+        InputError: no such method.
+    """
+    methods, tell = check_methods(methods), report or (lambda line: None)
+    jobs = [(one, x, methods, seconds) for one in maps for x in one.x.values]
+    jobs.sort(key=lambda job: (job[0].column, job[0].name != "resolution", -job[1]))  # the longest first
+    cells: list[Cell] = []
+    borders: list[Border] = []
+    if workers == 1:
+        for done, job in enumerate(jobs):
+            tell(f"stability: {done} of {len(jobs)} columns")
+            found = _column(*job)
+            cells, borders = cells + found[0], borders + found[1]
+        limits = explicit_limits()
+    else:
+        with ProcessPoolExecutor(workers, get_context("spawn"), begin_worker) as pool:
+            try:
+                futures = [pool.submit(_column, *job) for job in jobs]
+                limit = pool.submit(explicit_limits)
+                for done, future in enumerate(as_completed(futures)):
+                    found = future.result()
+                    cells, borders = cells + found[0], borders + found[1]
+                    tell(f"stability: {done + 1} of {len(jobs)} columns")
+                limits = limit.result()
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+    order = [one.name for one in maps]
+    cells.sort(key=lambda cell: (methods.index(cell.method), order.index(cell.map), cell.x, cell.y))
+    borders.sort(key=lambda border: (methods.index(border.method), order.index(border.map), border.x))
+    return Stability(tuple(maps), methods, tuple(cells), tuple(borders), tuple(limits))
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def _column(one: StabilityMap, x: float, methods: tuple[str, ...], seconds: float) -> tuple[list[Cell], list[Border]]:
+    """Cells and borders of a column, which share what references they can."""
+    references: dict[tuple[str, float], Reference] = {}
+
+    def run(y: float, method: str) -> Cell:
+        key = lattice_of(method), 0.0 if one.column else y
+        if key not in references:
+            references[key] = reference_of(one.scene(x, y, key[0]), seconds)
+        return run_cell(one, x, y, method, references[key], seconds)
+
+    cells, borders = [], []
+    for method in methods:
+        column = [run(y, method) for y in one.y.values]
+        cells += column
+        for one_side, other in pairwise(column):
+            if _lost(one_side) != _lost(other):
+                safe, bad = (one_side, other) if _lost(other) else (other, one_side)
+                gone = partial(lambda y, method: _lost(run(y, method)), method=method)
+                borders.append(_bisected(one, x, method, safe.y, bad.y, gone))
+        if one.y.values[0] == column[0].dt and all(map(_lost, column)):
+            borders += _below(one, x, method)
+    return cells, borders
+
+
+def _lost(cell: Cell) -> bool:
+    return cell.error_class is ErrorClass.CATASTROPHIC
+
+
+def _below(one: StabilityMap, x: float, method: str) -> list[Border]:
+    """The border of a column that is catastrophic at every time step of the map: where numbers break."""
+    gone = lambda y: breaks(one.scene(x, y, lattice_of(method)), method)  # noqa: E731
+    bad = one.y.values[0]
+    if not gone(bad):  # it is lost in another way
+        return []
+    while bad > SMALLEST and gone(bad / DOWN):
+        bad /= DOWN
+    return [_bisected(one, x, method, bad / DOWN, bad, gone)] if bad > SMALLEST else []
+
+
+def _bisected(
+    one: StabilityMap, x: float, method: str, safe: float, bad: float, gone: Callable[[float], bool]
+) -> Border:
+    for _ in range(STEPS):
+        middle = math.sqrt(safe * bad) if one.y.log else 0.5 * (safe + bad)
+        safe, bad = (safe, middle) if gone(middle) else (middle, bad)
+    return Border(one.name, x, method, safe, bad)

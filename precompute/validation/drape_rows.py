@@ -1,0 +1,120 @@
+"""Rows of the validation table about drape: discs held in their middle."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from pbd import Fabric
+from precompute.validation.drape_model import cone_load, least_energy_cone
+from precompute.validation.strip_references import cusick_estimate
+from precompute.validation.trial import FABRIC, GRAVITY, Curve, Measured, Setting, Trial, disc, level
+from precompute.validation.validation_row import Parameter, Row
+
+__all__ = ["ROWS", "cusick_drape"]
+
+DISC, PEDESTAL = 0.15, 0.09  # Cusick's drape meter [m]
+
+
+def _fabric(gravity_length: float) -> Fabric:
+    bend = FABRIC.areal_density * GRAVITY * gravity_length**3
+    return replace(FABRIC, bend_warp=bend, bend_weft=bend)
+
+
+def _draped(setting: Setting, fabric: Fabric, radius: float, clamp: float, folds: int) -> Trial:
+    """A disc let go from a shallow wave of a number of folds. ``setting.edges`` lie along its diameter."""
+    patch = disc(radius, clamp, setting.edges // 2)
+    reach, turn = np.linalg.norm(patch.flat, axis=1), np.arctan2(patch.flat[:, 1], patch.flat[:, 0])
+    over = np.maximum(reach - clamp, 0.0)
+    # A cone whose slope waves around a mean that keeps its rim long enough.
+    slope = 0.3 * np.cos(folds * turn) - 0.15
+    start = level(patch.flat) * ((clamp + over * np.cos(slope)) / np.maximum(reach, clamp))[:, None]
+    inner = reach < clamp + 1e-9
+    start[inner] = level(patch.flat)[inner]
+    start[:, 1] = over * np.sin(slope)
+    trial = Trial(patch, start, fabric, inner, setting)
+    trial.settle(math.sqrt(radius / GRAVITY), limit=60.0, still=1e-4)
+    return trial
+
+
+def _rim(trial: Trial) -> np.ndarray:
+    """Places of the rim in order around it [m], shape (k, 3)."""
+    flat = trial.patch.flat
+    rim = np.flatnonzero(np.linalg.norm(flat, axis=1) > np.linalg.norm(flat, axis=1).max() - 1e-9)
+    return trial.world()[rim[np.argsort(np.arctan2(flat[rim, 1], flat[rim, 0]))]]
+
+
+def _folds(trial: Trial) -> int:
+    """Waves of the rim's height: the strongest."""
+    height = _rim(trial)[:, 1]
+    return int(np.argmax(np.abs(np.fft.rfft(height - height.mean()))))
+
+
+def _energy(trial: Trial) -> float:
+    """Bending energy and weight [J]."""
+    model, places = trial.model, trial.world()
+    bent = np.einsum("hk,hki->hi", model.hinge_data[:, 0].astype(float), places[model.hinges])
+    bending = 0.5 * float(((bent**2).sum(axis=1) / model.hinge_data[:, 1, 1]).sum())
+    return bending + GRAVITY * float(model.mass @ places[:, 1])
+
+
+def _disc_folds(setting: Setting, radius_over_length: float, radius_over_clamp: float) -> Measured:
+    """From 2 to n + 3 folds, what each start comes to; the folds of the one with the least energy."""
+    length = 0.02  # l_g of the fabric [m]
+    radius = radius_over_length * length
+    clamp = radius / radius_over_clamp
+    cone = least_energy_cone(cone_load(radius, clamp, length))
+    ended = [_draped(setting, _fabric(length), radius, clamp, n) for n in range(2, cone.folds + 4)]
+    best = min(ended, key=_energy)
+    rim = _rim(best)
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(cone.curve, axis=0), axis=1))])
+    half = np.interp(np.linspace(0.0, along[-1], 40), along, cone.curve[:, 2])
+    wave = np.tile(np.concatenate([half, half[::-1]]), cone.folds)
+    curve = Curve("around the rim", "height / R", (np.linspace(0.0, 1.0, len(wave)), wave),
+                  (np.linspace(0.0, 1.0, len(rim)), rim[:, 1] / radius))  # fmt: skip
+    found = _folds(best)
+    cost = float(np.median([trial.cost_ms for trial in ended]))
+    return Measured(float(cone.folds), float(found), float(abs(found - cone.folds)), cost, curve)
+
+
+@lru_cache(maxsize=16)
+def cusick_drape(setting: Setting, gravity_length: float) -> tuple[float, float, np.ndarray]:
+    """Cusick's drape coefficient of a fabric [-], cost of a frame [ms], rim from above [m], shape (k, 2)."""
+    trial = _draped(setting, _fabric(gravity_length), DISC, PEDESTAL, 6)
+    x, _, z = _rim(trial).T
+    # The shadow: the farthest that the cloth reaches in each direction.
+    places = trial.world()
+    turn, reach = np.arctan2(places[:, 2], places[:, 0]), np.hypot(places[:, 0], places[:, 2])
+    bins = np.arange(len(x)) * 2.0 * math.pi / len(x) - math.pi
+    k = np.digitize(turn, bins) - 1
+    farthest = np.full(len(x), PEDESTAL)
+    np.maximum.at(farthest, k, reach)
+    area = 0.5 * float((farthest**2).sum()) * 2.0 * math.pi / len(x)
+    shadow = (area - math.pi * PEDESTAL**2) / (math.pi * (DISC**2 - PEDESTAL**2))
+    return shadow, trial.cost_ms, np.stack([x, z], axis=1)
+
+
+def _cusick(setting: Setting, gravity_length_cm: float) -> Measured:
+    """Above the estimate by radial strips, and below the coefficient of a fabric with a fifth more l_g."""
+    shadow, cost, rim = cusick_drape(setting, 0.01 * gravity_length_cm)
+    stiffer, _, _ = cusick_drape(setting, 0.012 * gravity_length_cm)
+    estimate = cusick_estimate(0.01 * gravity_length_cm, DISC, PEDESTAL)
+    turn = np.linspace(0.0, 2.0 * math.pi, 100)
+    size = math.sqrt(estimate * (DISC**2 - PEDESTAL**2) + PEDESTAL**2)
+    curve = Curve("x [m]", "z [m]", (size * np.cos(turn), size * np.sin(turn)), (rim[:, 0], rim[:, 1]))
+    error = max(0.0, estimate - shadow) + max(0.0, shadow - stiffer)
+    return Measured(estimate, shadow, error, cost, curve)
+
+
+ROWS = (
+    Row("disc_folds", "disc held at its centre: folds of least energy", _disc_folds, 1.0, 2.0,
+        {"radius_over_length": Parameter("R / l_g", 6.0, 2.0, 16.0),
+         "radius_over_clamp": Parameter("R / R*", 5.0, 1.5, 20.0)},
+        tuple({"radius_over_length": r} for r in (4.0, 6.0, 8.0))),
+    Row("cusick", "drape coefficient: above the estimate by radial strips, and it grows with l_g", _cusick, 0.0, 0.0,
+        {"gravity_length_cm": Parameter("l_g [cm]", 2.0, 0.5, 6.0)},
+        tuple({"gravity_length_cm": length} for length in (1.5, 2.0, 2.8))),
+)  # fmt: skip

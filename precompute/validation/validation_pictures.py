@@ -1,0 +1,48 @@
+"""Pictures of the validation table: each measured curve against its reference."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from pbd.storage import replacing
+from precompute.validation.validation import Verdict, case_words
+
+__all__ = ["draw_verdicts"]
+
+WIDEST = 4  # panels in a row
+
+
+def draw_verdicts(folder: Path, verdicts: Sequence[Verdict]) -> list[Path]:
+    """One PNG per test, a panel per case that has a curve; the best run's. Returns the files."""
+    files = []
+    for name in dict.fromkeys(verdict.row.name for verdict in verdicts):
+        drawn = [v for v in verdicts if v.row.name == name and v.best.curve is not None]
+        if not drawn:
+            continue
+        columns = min(len(drawn), WIDEST)
+        rows = math.ceil(len(drawn) / columns)
+        figure = Figure(figsize=(4.2 * columns, 3.6 * rows), layout="constrained")
+        panels = figure.subplots(rows, columns, squeeze=False).ravel()
+        for panel in panels[len(drawn) :]:
+            panel.set_axis_off()
+        for panel, verdict in zip(panels, drawn, strict=False):
+            curve = verdict.best.curve
+            assert curve is not None
+            panel.plot(*curve.reference, color="0.6", linewidth=2.5, label="reference")
+            panel.plot(*curve.measured, ".", color="tab:red", markersize=3.5, label="measured")
+            panel.set_xlabel(curve.x_label)
+            panel.set_ylabel(curve.y_label)
+            panel.set_title(case_words(verdict.case) or name, fontsize=9)
+            panel.legend(fontsize=8)
+        figure.suptitle(drawn[0].row.words, fontsize=10)
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / f"{name}.png"
+        with replacing(path) as beside, open(beside, "wb") as file:
+            FigureCanvasAgg(figure).print_png(file)
+        files.append(path)
+    return files

@@ -1,0 +1,327 @@
+"""`gube bench wrinkles`: what each part of the wrinkle layer is worth, by leaving it out or doing it otherwise.
+
+Every row is learned from the same recorded runs, half of the frames of a database in half the passes, and judged on its
+first held-out motion. Rows that are finished are kept beside the recorded runs.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from pbd import ModelOptions
+from pbd.storage import replacing
+from precompute.learning import decoding, held_out, training
+from precompute.learning.calibration import filtered
+from precompute.learning.decoding import Predict
+from precompute.learning.held_out import coarse_run
+from precompute.learning.pipeline import EPOCHS, default_cache, training_recordings
+from precompute.learning.training import (
+    coefficients_of,
+    features_of,
+    spread_frames,
+)
+from precompute.wrinkle_comparison.ablation_bench import FRAMES, Bench, Way
+from precompute.wrinkle_comparison.wrinkle_rivals import k_means_modes
+from wrinkles.charts import fine_places
+from wrinkles.coarse_filter import CoarseFilter
+from wrinkles.database import code_version
+from wrinkles.dictionary import Mapping
+from wrinkles.features import DYNAMIC_COUNT
+from wrinkles.patches import Patches
+from wrinkles.surface import Subdivision
+
+__all__ = ["ABLATIONS", "COLUMNS", "Ablation", "ablate_file", "table"]
+
+HISTORY_NOISE = 0.3  # of what is told of the past in training, in standard deviations
+COLUMNS = (
+    "normal_error_deg",
+    "normal_skill",
+    "rmse_skill",
+    "worse_than_smooth_percent",
+    "bending_energy_ratio",
+    "spectrum_band_error_max",
+    "decode_ratio",
+)
+
+
+@dataclass(frozen=True)
+class Ablation:
+    """A row of the table.
+
+    Attributes:
+        group: what is ablated.
+        name: how.
+        make: the way.
+    """
+
+    group: str
+    name: str
+    make: Callable[[Bench], Way]
+
+    def key(self, database: bytes) -> str:
+        """Hash of what the row's figures depend on."""
+        digest = hashlib.sha256(database)
+        made = getattr(self.make, "func", self.make), training, decoding, held_out
+        sources = (inspect.getsource(part) for part in made)
+        for part in (code_version(), self.group, self.name, str((FRAMES, EPOCHS)), *sources):
+            digest.update(part.encode() + b"\0")
+        return digest.hexdigest()[:24]
+
+
+def _seeing(bench: Bench, kept: np.ndarray) -> Way:
+    """With some of the features only."""
+    mapping = bench.fit(replace(bench.data, features=bench.data.features[..., kept]))
+    return bench.mapped(lambda features, pose: mapping.predict(features[..., kept]))
+
+
+_OFFSETS = DYNAMIC_COUNT - 12  # then gravity 3 and distances 9; see wrinkles.features
+
+
+def _without_gravity(bench: Bench) -> Way:
+    return _seeing(bench, np.setdiff1d(np.arange(DYNAMIC_COUNT), np.arange(_OFFSETS, _OFFSETS + 3)))
+
+
+def _without_body(bench: Bench) -> Way:
+    return _seeing(bench, np.arange(DYNAMIC_COUNT - 9))
+
+
+def _ring(points: int) -> np.ndarray:
+    """Features without the offsets of stencil points further than so many steps away."""
+    side = round((_OFFSETS / 3 + 1) ** 0.5)
+    steps = np.abs(np.arange(side) - side // 2)
+    reach = np.maximum.outer(steps, steps).ravel()
+    kept = np.repeat(reach[reach > 0] <= points, 3)
+    return np.flatnonzero(np.concatenate([kept, np.ones(DYNAMIC_COUNT - _OFFSETS, bool)]))
+
+
+def _three_by_three(bench: Bench) -> Way:
+    return _seeing(bench, _ring(1))
+
+
+def _without_place(bench: Bench) -> Way:
+    stencil = bench.layer.stencil
+    layer = replace(bench.layer, stencil=replace(stencil, static=np.zeros_like(stencil.static)))
+    return bench.way(bench.fit(bench.data, layer))
+
+
+def _blended(bench: Bench, blend: Callable[[np.ndarray], np.ndarray]) -> Way:
+    """With other weights of the three patches around a vertex, made from its barycentric weights."""
+
+    def changed(patches: Patches, mesh: Subdivision) -> Patches:
+        return replace(patches, blend=np.ascontiguousarray(blend(fine_places(mesh)[1]), np.float32))
+
+    layer, whole = bench.layer, bench.layer.levels.subdivision
+    fine, middle = changed(layer.patches, whole), changed(layer.middle_patches, whole.middle)
+    layer = replace(layer, patches=fine, middle_patches=middle)
+    data = bench.learn_from(layer)
+    return bench.way(bench.fit(data, layer), layer, data.atoms)
+
+
+def _single_patch(bench: Bench) -> Way:
+    return _blended(bench, lambda place: np.eye(3)[place.argmax(axis=1)])
+
+
+def _barycentric(bench: Bench) -> Way:
+    return _blended(bench, lambda place: place)
+
+
+def _remembering(bench: Bench, past: np.ndarray, seed: int = 0) -> Mapping:
+    """A network that is told the coefficients of one recorded frame before, with noise on them."""
+    spread = past.std(axis=(0, 1))
+    noise = np.random.default_rng(seed).standard_normal(past.shape, np.float32) * (HISTORY_NOISE * spread)
+    told = np.concatenate([bench.data.features, past + noise.astype(np.float32)], axis=2)
+    return bench.fit(replace(bench.data, features=told))
+
+
+def _before(bench: Bench, sequences: Sequence[np.ndarray]) -> np.ndarray:
+    """What sequences of coefficients, one a recording and all frames of it, hold a frame before those learned from."""
+    rows = []
+    for recording, some, sequence in zip(bench.recordings, bench.learned, sequences, strict=True):
+        at = np.searchsorted(recording.frames, some.frames)
+        rows.append(sequence[np.maximum(at - 1, 0)])
+    return np.concatenate(rows)
+
+
+def _rolled_out(mapping: Mapping, features: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Coefficients of a sequence by a mapping that is told its own; shape (f, n, K)."""
+    found, past = np.zeros((len(features), *first.shape), np.float32), first
+    for frame, seen in enumerate(features):
+        found[frame] = past = mapping.predict(np.concatenate([seen, past], axis=1))
+    return found
+
+
+def _true_past(bench: Bench) -> np.ndarray:
+    atoms = bench.data.atoms
+    return _before(bench, [coefficients_of(bench.layer, [recording], atoms) for recording in bench.recordings])
+
+
+def _recalling(bench: Bench, mapping: Mapping) -> Way:
+    """Begin at rest, go on from what was said before."""
+    shape = bench.data.coefficients.shape[1:]
+
+    def begin() -> Predict:
+        past = np.zeros(shape, np.float32)
+
+        def predict(features: np.ndarray, pose: np.ndarray) -> np.ndarray:
+            past[:] = mapping.predict(np.concatenate([features, past], axis=1))
+            return past.copy()
+
+        return predict
+
+    return replace(bench.full, begin=begin)
+
+
+def _history_told(bench: Bench) -> Way:
+    """The truth itself is told of the frame before: what history could give at best. No free run can be told it."""
+    mapping = _remembering(bench, _true_past(bench))
+    truth = coefficients_of(bench.layer, [bench.truth.recording], bench.data.atoms)
+    past = np.concatenate([truth[:1], truth[:-1]])
+
+    def begin() -> Predict:
+        told = iter(past)
+        return lambda features, pose: mapping.predict(np.concatenate([features, next(told)], axis=1))
+
+    return replace(bench.full, begin=begin)
+
+
+def _history(bench: Bench) -> Way:
+    return _recalling(bench, _remembering(bench, _true_past(bench)))
+
+
+def _history_of_its_own(bench: Bench) -> Way:
+    """Learned again from what the first network says when it goes on from its own words."""
+    mapping = _remembering(bench, _true_past(bench))
+    rest = np.zeros(bench.data.coefficients.shape[1:], np.float32)
+    said = [_rolled_out(mapping, features_of(bench.layer, r)[0], rest) for r in bench.recordings]
+    return _recalling(bench, _remembering(bench, _before(bench, said)))
+
+
+def _independent_pairs(bench: Bench) -> Way:
+    """Pairs C: learned from the free coarse garment, with the wrinkles of the fine one that ran beside it."""
+    runs = [coarse_run(bench.database, run) for run in bench.runs]
+    matrix = CoarseFilter(bench.stage.levels).matrix
+    coarse = [filtered(recording, matrix) for recording in training_recordings(runs, bench.cache, 2, bench.report)]
+    features = np.concatenate([features_of(bench.layer, r)[0] for r in spread_frames(coarse, FRAMES)])
+    return bench.way(bench.fit(replace(bench.data, features=features)))
+
+
+def _atoms(bench: Bench, count: int) -> Way:
+    """The first so many: principal components come in order."""
+    whole = bench.data
+    atoms = replace(whole.atoms, shapes=np.ascontiguousarray(whole.atoms.shapes[:count]))
+    data = replace(whole, atoms=atoms, coefficients=whole.coefficients[..., :count])
+    return bench.way(bench.fit(data), atoms=atoms)
+
+
+def _modes(bench: Bench) -> Way:
+    return bench.mapped(k_means_modes(bench.data, bench.database.seed).predict)
+
+
+def _linear(bench: Bench) -> Way:
+    """One ridge regression from features and place, shared by all places."""
+    from sklearn.linear_model import Ridge
+
+    data, static = bench.data, bench.layer.stencil.static
+    spread = data.features.std(axis=(0, 1)) + 1e-4
+    told = lambda f: np.concatenate([f / spread, np.broadcast_to(static, (*f.shape[:-1], static.shape[1]))], axis=-1)  # noqa: E731
+    inputs = told(data.features).reshape(-1, data.features.shape[2] + static.shape[1])
+    ridge = Ridge(1.0).fit(inputs, data.coefficients.reshape(len(inputs), -1))
+    return bench.mapped(lambda features, pose: ridge.predict(told(features)).astype(np.float32))
+
+
+def _hidden(bench: Bench, widths: tuple[int, int]) -> Way:
+    return bench.way(bench.fit(bench.data, hidden=widths))
+
+
+def _one_region(bench: Bench) -> Way:
+    return bench.way(bench.fit(bench.data, regions=1))
+
+
+def _relaxed(bench: Bench, passes: int) -> Way:
+    return replace(bench.full, passes=passes)
+
+
+def _not_raised(bench: Bench) -> Way:
+    return bench.mapped(bench.full.begin(), gain=1.0)
+
+
+def _coarse_model(bench: Bench, squeeze: float, bend_scale: float, shear_scale: float = 1.0) -> Way:
+    own = bench.full.options or ModelOptions()
+    options = replace(own, squeeze=squeeze, bend_scale=bend_scale, shear_scale=shear_scale)
+    return replace(bench.full, options=options)
+
+
+ABLATIONS = (
+    Ablation("full", "", lambda bench: bench.full),
+    Ablation("features", "without gravity", _without_gravity),
+    Ablation("features", "without the body", _without_body),
+    Ablation("features", "stencil 3 by 3", _three_by_three),
+    Ablation("features", "without place", _without_place),
+    Ablation("pairs", "C: both run independently", _independent_pairs),
+    Ablation("dictionary", "16 atoms", partial(_atoms, count=16)),
+    Ablation("dictionary", "32 atoms", partial(_atoms, count=32)),
+    Ablation("dictionary", "k-means modes", _modes),
+    Ablation("dictionary", "ridge regression", _linear),
+    Ablation("dictionary", "one region", _one_region),
+    Ablation("dictionary", "hidden 128, 64", partial(_hidden, widths=(128, 64))),
+    Ablation("dictionary", "hidden 640, 256", partial(_hidden, widths=(640, 256))),
+    Ablation("mixing", "nearest patch alone", _single_patch),
+    Ablation("mixing", "barycentric weights", _barycentric),
+    Ablation("history", "previous coefficients, true ones told", _history_told),
+    Ablation("history", "previous coefficients, its own", _history),
+    Ablation("history", "previous coefficients, learned from its own", _history_of_its_own),
+    Ablation("relaxation", "no pass", partial(_relaxed, passes=0)),
+    Ablation("relaxation", "2 passes", partial(_relaxed, passes=2)),
+    Ablation("relaxation", "3 passes", partial(_relaxed, passes=3)),
+    Ablation("calibration", "wrinkles not raised", _not_raised),
+    Ablation("calibration", "off: squeeze 1, bending 1", partial(_coarse_model, squeeze=1.0, bend_scale=1.0)),
+    Ablation("calibration", "squeeze 10, bending 1", partial(_coarse_model, squeeze=10.0, bend_scale=1.0)),
+    Ablation("calibration", "squeeze 1, bending 10", partial(_coarse_model, squeeze=1.0, bend_scale=10.0)),
+    Ablation(
+        "calibration", "squeeze 10, shear 0.3", partial(_coarse_model, squeeze=10.0, bend_scale=1.0, shear_scale=0.3)
+    ),
+)
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def ablate_file(path: Path, *, report: Callable[[str], None] | None = None) -> list[dict[str, float | str]]:
+    """Every row of the table; those that are finished are read back.
+
+    Args:
+        path: a database; its recorded runs lie beside it, or are simulated again.
+        report: told lines of progress.
+
+    Raises:
+        InputError: what cannot be read, or a scene without held-out motion.
+    """
+    content, folder = path.read_bytes() if path.is_file() else b"", default_cache(path) / "ablations"
+    bench = Bench(path, report)
+    rows = []
+    for ablation in ABLATIONS:
+        kept = folder / f"{ablation.key(content)}.json"
+        if not kept.exists():
+            if report is not None:
+                report(f"ablation: {ablation.group} {ablation.name}")
+            figures = bench.judge(ablation.make(bench))
+            with replacing(kept) as beside:
+                beside.write_text(json.dumps(figures), encoding="utf-8")
+        rows.append({"group": ablation.group, "name": ablation.name, **json.loads(kept.read_text(encoding="utf-8"))})
+    return rows
+
+
+def table(rows: Sequence[dict[str, float | str]]) -> str:
+    """The rows as a table in Markdown."""
+    lines = ["| | | " + " | ".join(COLUMNS) + " |", "|" + "---|" * (len(COLUMNS) + 2)]
+    for row in rows:
+        figures = " | ".join(f"{row[name]:.3g}" for name in COLUMNS)
+        lines.append(f"| {row['group']} | {row['name']} | {figures} |")
+    return "\n".join(lines)

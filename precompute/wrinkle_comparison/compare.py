@@ -1,0 +1,260 @@
+"""`gube compare`: what every method costs against how right it is, on one held-out motion that all run freely."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from assets.io.scene import load_scene, scene_text
+from pbd import InputError
+from precompute.learning.evaluation import (
+    Truth,
+    body_distances,
+    fine_run,
+    free_figures,
+    levels_from,
+    play_freely,
+    truth_of,
+)
+from precompute.learning.pipeline import default_cache, precompute
+from precompute.stability.stability import Stability, largest_stable_step
+from precompute.wrinkle_comparison.rivals import (
+    PROBE_FRAMES,
+    Cloth,
+    coarse_cloth,
+    equal_cost_substeps,
+    fine_cloth,
+    middle_cloth,
+    player_times,
+    typical_ms,
+)
+from runtime.play import cast_of
+from wrinkles.database import WrinkleDatabase, code_version, read_database
+from wrinkles.distance import penetration_figures
+from wrinkles.metrics import edge_stretch
+
+__all__ = ["Comparison", "Method", "compare", "compare_file", "database_of", "equal_cost_rivals", "winners"]
+
+STABILITY_SECONDS = 3.5  # the blend from the bind pose and two seconds of motion
+TIE = 1.05  # free runs are chaotic: what differs by less is the same
+AT_EQUAL_COST = ("", "smooth_", "middle_mesh_", "equal_cost_fine_")  # smooth costs less
+
+
+@dataclass(frozen=True)
+class Method:
+    """One way to make the fine garment.
+
+    Attributes:
+        prefix: of its figures' names; ours has none.
+        name: for people.
+        frame_ms: median processor time of a frame, body included [ms]; nan for the floor, which is no method.
+        figures: by name, without the prefix; none where it broke.
+        settings: everything needed to repeat it.
+        frames: fine vertices [m], float32, shape (f, N, 3); None where it broke.
+        broke_at: when it burst, see :class:`precompute.wrinkle_comparison.rivals.Played` [s].
+    """
+
+    prefix: str
+    name: str
+    frame_ms: float
+    figures: Mapping[str, float]
+    settings: Mapping[str, float]
+    frames: np.ndarray | None = field(default=None, repr=False)
+    broke_at: float | None = None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All methods on one motion.
+
+    Attributes:
+        garment, motion: names.
+        truth: what is right.
+        methods: in the order of the page.
+        stability: the largest stable substep of each garment.
+    """
+
+    garment: str
+    motion: str
+    truth: Truth = field(repr=False)
+    methods: tuple[Method, ...]
+    stability: tuple[Stability, ...]
+
+    def method(self, prefix: str) -> Method:
+        """The method whose figures have a prefix."""
+        return next(method for method in self.methods if method.prefix == prefix)
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """Every figure by its full name."""
+        found = {method.prefix + name: value for method in self.methods for name, value in method.figures.items()}
+        for method in self.methods:
+            if np.isfinite(method.frame_ms):
+                found[f"{method.prefix}frame_ms_p50"] = method.frame_ms
+        return found | {f"{one.name}_dt_max_s": one.dt_max for one in self.stability}
+
+    def winners(self, figure: str) -> tuple[str, ...]:
+        """Prefixes of the methods at equal cost that win by a figure; several where they are alike."""
+        values = {m.prefix: m.figures[figure] for m in self.methods if m.prefix in AT_EQUAL_COST and m.figures}
+        return winners(values, self.method("floor_").figures[figure])
+
+
+def winners(errors: Mapping[str, float], floor: float) -> tuple[str, ...]:
+    """Who has the least error. What lies within the floor or within 5 % of the least has won alike."""
+    finite = {name: error for name, error in errors.items() if np.isfinite(error)}
+    limit = max(floor, TIE * min(finite.values(), default=0.0))
+    return tuple(name for name, error in finite.items() if error <= limit)
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def compare(database: WrinkleDatabase, truth: Truth, *, report: Callable[[str], None] | None = None) -> Comparison:
+    """Run every method freely over the truth's motion and measure it.
+
+    Args:
+        database: what was learned.
+        truth: two converged fine runs, as :func:`precompute.learning.evaluation.truth_of` gives.
+        report: told lines of progress.
+    """
+    tell = report or (lambda line: None)
+    run = truth.run
+    tell("comparing: ours and smooth")
+    free = play_freely(database, run.body, run)
+    ours_ms, smooth_ms = player_times(database, truth)
+    settings = _settings(coarse_cloth(database, truth))
+    methods = [
+        Method("smooth_", "smooth", typical_ms(smooth_ms), _all_figures(truth, free.smooth), settings, free.smooth),
+        Method("", "ours", typical_ms(ours_ms), _all_figures(truth, free.frames), settings, free.frames),
+    ]
+    fine, middle = fine_cloth(truth), middle_cloth(database, truth)
+    methods += equal_cost_rivals(database, truth, ours_ms, report=report)
+    if middle is not None:
+        tell("comparing: middle mesh, converged")
+        methods.append(_cloth(truth, middle, "middle_mesh_converged_", "middle mesh, converged"))
+    tell("comparing: truth and floor")
+    settings = _settings(fine)
+    methods.append(Method("truth_", "truth", fine.cost(), _shared_figures(truth, truth.frames), settings, truth.frames))
+    figures = _all_figures(truth, truth.floor)
+    settings = _settings(fine.with_substeps(math.ceil(1.5 * fine.substeps)))
+    methods.append(Method("floor_", "floor", math.nan, figures, settings, truth.floor))
+    clothes = {"coarse": coarse_cloth(database, truth), "middle_mesh": middle, "fine": fine}
+    stability = []
+    poses = run.poses[: round(STABILITY_SECONDS / run.dt) + 1]
+    for name, cloth in clothes.items():
+        if cloth is not None:
+            tell(f"stability: {name.replace('_', ' ')}")
+            stability.append(largest_stable_step(name, cloth.simulation, cloth.options, poses, run.dt, run.wind))
+    return Comparison(database.garment_name, run.name, truth, tuple(methods), tuple(stability))
+
+
+def equal_cost_rivals(
+    database: WrinkleDatabase, truth: Truth, ours_ms: np.ndarray, *, report: Callable[[str], None] | None = None
+) -> list[Method]:
+    """The middle mesh, where there is one, and the fine cloth, with the substeps that the player's cost allows.
+
+    Args:
+        database: what was learned.
+        truth: as for :func:`compare`.
+        ours_ms: processor time of each of the player's frames [ms], by
+            :func:`precompute.wrinkle_comparison.rivals.player_times`.
+        report: told lines of progress.
+    """
+    tell, methods = report or (lambda line: None), []
+    budget = typical_ms(ours_ms[:PROBE_FRAMES])  # on the frames that rivals are tried on
+    middle = middle_cloth(database, truth)
+    if middle is not None:
+        tell("comparing: middle mesh at equal cost")
+        methods.append(_cloth(truth, _at_cost(middle, budget), "middle_mesh_", "middle mesh, equal cost"))
+    tell("comparing: fine cloth with few substeps")
+    fine = _at_cost(fine_cloth(truth), budget)
+    return [*methods, _cloth(truth, fine, "equal_cost_fine_", "fine cloth, few substeps")]
+
+
+def _at_cost(cloth: Cloth, budget: float) -> Cloth:
+    return cloth.with_substeps(equal_cost_substeps(lambda count: cloth.with_substeps(count).cost(), budget))
+
+
+def _settings(cloth: Cloth) -> dict[str, float]:
+    options = cloth.model.options
+    return {
+        "simulated vertices": cloth.model.vertex_count,
+        "substeps a frame": cloth.substeps,
+        "substep [s]": cloth.run.dt / cloth.substeps,
+        "squeeze": options.squeeze,
+        "shear_scale": options.shear_scale,
+        "bend_scale": options.bend_scale,
+    }
+
+
+def _shared_figures(truth: Truth, frames: np.ndarray) -> dict[str, float]:
+    """What can be asked of any run, the truth's too: contact with the body and stretch."""
+    stretch = edge_stretch(frames, *truth.levels.fine.edge_lengths())
+    figures = {name: float(value) for name, value in penetration_figures(*body_distances(truth, frames)).items()}
+    return figures | {
+        "edge_stretch_p99_percent": 100.0 * stretch.p99,
+        "edge_stretch_max_percent": 100.0 * stretch.max,
+    }
+
+
+def _all_figures(truth: Truth, frames: np.ndarray) -> dict[str, float]:
+    return free_figures(truth, frames) | _shared_figures(truth, frames)
+
+
+def _cloth(truth: Truth, cloth: Cloth, prefix: str, name: str) -> Method:
+    played = cloth.play(truth.recording.frames)
+    settings = _settings(cloth)
+    if played.broke_at is not None:
+        return Method(prefix, name, played.frame_ms, {}, settings, None, played.broke_at)
+    figures = _all_figures(truth, played.frames)
+    figures["substeps_per_frame"] = float(cloth.substeps)
+    return Method(prefix, name, played.frame_ms, figures, settings, played.frames)
+
+
+def compare_file(
+    path: Path,
+    output: Path,
+    *,
+    clip: str | None = None,
+    seconds: float | None = None,
+    report: Callable[[str], None] | None = None,
+) -> Comparison:
+    """Compare on the held-out motion of a database or a scene.
+
+    Args:
+        path: a database, or a scene (``.toml``), whose database is made first where ``output`` does not have it yet.
+        output: folder of that database.
+        clip: name of a clip that nothing was learned from; None takes the first that is held out.
+        seconds: cut the motion there.
+        report: told lines of progress.
+
+    Raises:
+        InputError: what cannot be read, a clip that does not exist or was learned from, or too short a motion.
+    """
+    path = database_of(path, output, report)
+    database = read_database(path)
+    cast = cast_of(database, clip=clip)
+    motion, levels = cast.motions[0], levels_from(database, cast.body)
+    if motion.name in database.trained_on:
+        held_out = ", ".join(database.held_out) or "a clip that nothing was learned from"
+        raise InputError(
+            "the database has learned from this clip", key="--clip", received=motion.name, expected=held_out
+        )
+    run = fine_run(levels, cast.body, motion, database, wind=cast.wind, primitives=cast.primitives)
+    truth = truth_of(run, default_cache(path), 2, report)
+    return compare(database, truth if seconds is None else truth.until(seconds), report=report)
+
+
+def database_of(path: Path, output: Path, report: Callable[[str], None] | None) -> Path:
+    """A database, or that of a scene (``.toml``), made where ``output`` has none of this scene and this code yet."""
+    if path.suffix != ".toml":
+        return path
+    scene, made = load_scene(path), output / f"{path.stem}.h5"
+    if made.exists():
+        database = read_database(made)
+        if database.scene == scene_text(scene) and database.code_version == code_version():
+            return made
+    return precompute(scene, made, report=report).path

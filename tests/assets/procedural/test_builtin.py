@@ -1,0 +1,152 @@
+"""The built-in clothes: sound meshes that fit."""
+
+import functools
+
+import numpy as np
+import pytest
+import trimesh
+
+from assets.garment import boundary_loops
+from assets.procedural.builtin import BUILTIN_GARMENTS, builtin_garment
+from assets.procedural.builtin_shape import make_skirt, tshirt_field
+from assets.procedural.mannequin import builtin_mannequin
+from pbd.errors import InputError
+
+LOOPS = {"flag": 1, "tablecloth": 1, "skirt": 2, "tshirt": 4}
+LEAST_ANGLE = {"flag": 44.0, "tablecloth": 44.0, "skirt": 45.0, "tshirt": 25.0}
+
+
+def angles(name: str) -> np.ndarray:
+    garment = builtin_garment(name)
+    p = garment.vertices[garment.faces]
+    u, v = np.roll(p, -1, axis=1) - p, np.roll(p, 1, axis=1) - p
+    return np.degrees(np.arctan2(np.linalg.norm(np.cross(u, v), axis=2), (u * v).sum(axis=2)))
+
+
+@functools.cache
+def body_mesh() -> trimesh.Trimesh:
+    body = builtin_mannequin()
+    return trimesh.Trimesh(body.vertices, body.faces, process=False)
+
+
+def gap(points: np.ndarray) -> np.ndarray:
+    """Signed distance to the body's triangles [m], positive outside, from the forty nearest by centre."""
+    from scipy.spatial import cKDTree
+
+    mesh = body_mesh()
+    near = cKDTree(mesh.triangles_center).query(points, k=40)[1]
+    repeated = np.repeat(points, near.shape[1], axis=0)
+    closest = trimesh.triangles.closest_point(mesh.triangles[near.ravel()], repeated).reshape(*near.shape, 3)
+    offset = points[:, None] - closest
+    distance = np.linalg.norm(offset, axis=2)
+    best = distance.argmin(axis=1)
+    rows = np.arange(len(points))
+    outside = (offset[rows, best] * mesh.face_normals[near[rows, best]]).sum(axis=1) > 0.0
+    return np.where(outside, 1.0, -1.0) * distance[rows, best]
+
+
+@pytest.mark.parametrize("name", BUILTIN_GARMENTS)
+def test_mesh_is_manifold_with_the_right_openings(name: str) -> None:
+    garment = builtin_garment(name)
+    sides = np.concatenate([garment.faces[:, [0, 1]], garment.faces[:, [1, 2]], garment.faces[:, [2, 0]]])
+    assert len(np.unique(sides, axis=0)) == len(sides)  # no edge twice in one direction: manifold, one winding
+    assert len(boundary_loops(garment.faces)) == LOOPS[name]
+    assert np.array_equal(np.unique(garment.faces), np.arange(len(garment.vertices)))
+    edges = len(np.unique(np.sort(sides, axis=1), axis=0))
+    assert len(garment.vertices) - edges + len(garment.faces) == 2 - LOOPS[name]  # a sphere with holes
+    assert garment.vertices.dtype == np.float64 and garment.faces.dtype == np.int32
+    assert garment.source == f"builtin:{name}"
+
+
+@pytest.mark.parametrize("name", BUILTIN_GARMENTS)
+def test_triangles_are_even(name: str) -> None:
+    garment = builtin_garment(name)
+    p = garment.vertices[garment.faces]
+    lengths = np.linalg.norm(p - np.roll(p, -1, axis=1), axis=2)
+    sides = np.sort(np.stack([garment.faces, np.roll(garment.faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    mean = lengths.ravel()[np.unique(sides, axis=0, return_index=True)[1]].mean()
+    assert 0.028 < mean < 0.048
+    assert 0.5 * mean < lengths.min() and lengths.max() < 1.6 * mean
+    assert angles(name).min() > LEAST_ANGLE[name]
+    assert 450 <= len(garment.vertices) <= 1000
+
+
+@pytest.mark.parametrize("name", ["skirt", "tshirt"])
+def test_is_worn_outside_the_body_everywhere(name: str) -> None:
+    garment = builtin_garment(name)
+    assert gap(garment.vertices).min() > 0.004
+    middles = garment.vertices[garment.faces].mean(axis=1)
+    sides = garment.vertices[np.concatenate([garment.faces[:, [0, 1]], garment.faces[:, [1, 2]]])].mean(axis=1)
+    assert gap(np.concatenate([middles, sides])).min() > 0.003
+
+
+@pytest.mark.parametrize("name", ["skirt", "tshirt"])
+def test_faces_look_away_from_the_body(name: str) -> None:
+    garment = builtin_garment(name)
+    p = garment.vertices[garment.faces]
+    normals = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    middles = p.mean(axis=1)
+    closest = body_mesh().triangles_center
+    from scipy.spatial import cKDTree
+
+    away = middles - closest[cKDTree(closest).query(middles)[1]]
+    assert ((normals * away).sum(axis=1) > 0.0).mean() > 0.99
+
+
+def test_flag_hangs_upright_and_the_tablecloth_lies_level() -> None:
+    flag, cloth = builtin_garment("flag"), builtin_garment("tablecloth")
+    assert np.ptp(flag.vertices, axis=0) == pytest.approx([1.2, 0.8, 0.0])
+    assert np.ptp(cloth.vertices, axis=0) == pytest.approx([1.2, 0.0, 1.2])
+    p = cloth.vertices[cloth.faces]
+    assert (np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])[:, 1] > 0.0).all()  # upper side up
+
+
+def test_flag_has_no_bias() -> None:
+    """As many diagonals run one way as the other."""
+    flag = builtin_garment("flag")
+    p = flag.vertices[flag.faces]
+    sides = (p - np.roll(p, -1, axis=1)).reshape(-1, 3)
+    diagonal = np.abs(sides[:, 0] * sides[:, 1]) > 1e-6
+    assert np.sign(sides[diagonal, 0] * sides[diagonal, 1]).sum() == 0
+
+
+@pytest.mark.parametrize("name", ["flag", "tablecloth", "skirt"])
+def test_pattern_is_flat_and_keeps_lengths(name: str) -> None:
+    garment = builtin_garment(name)
+    assert garment.pattern is not None
+    p, q = garment.vertices[garment.faces], garment.pattern
+    ratio = np.linalg.norm(p - np.roll(p, -1, axis=1), axis=2) / np.linalg.norm(q - np.roll(q, -1, axis=1), axis=2)
+    assert ratio == pytest.approx(1.0, abs=0.005)
+    u, v = q[:, 1] - q[:, 0], q[:, 2] - q[:, 0]
+    assert (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] > 0.0).all()  # seen from outside, not mirrored
+
+
+def test_skirt_sits_at_the_waist_and_flares() -> None:
+    skirt = builtin_garment("skirt")
+    loops = sorted(boundary_loops(skirt.faces), key=lambda loop: -skirt.vertices[loop, 1].mean())
+    waist, hem = (skirt.vertices[loop] for loop in loops)
+    assert 0.004 < gap(waist).min() and gap(waist).max() < 0.008
+    around = [np.linalg.norm(loop - np.roll(loop, 1, axis=0), axis=1).sum() for loop in (waist, hem)]
+    hips = body_mesh().section([0.0, 1.0, 0.0], [0.0, 0.88, 0.0])
+    assert hips is not None
+    middle = max(hips.entities, key=lambda entity: entity.length(hips.vertices))
+    assert 1.6 < around[1] / middle.length(hips.vertices) < 2.0
+    assert 0.35 < hem[:, 1].mean() < 0.55  # between the knee and the calf
+    valence = np.bincount(skirt.faces.ravel())
+    assert set(np.unique(valence)) == {3, 6}  # no irregular vertex, at the boundary or inside
+
+
+def test_data_files_are_what_the_generator_makes() -> None:
+    skirt, made = builtin_garment("skirt"), make_skirt()
+    assert np.abs(skirt.vertices - made["vertices"]).max() < 1e-5
+    assert np.array_equal(skirt.faces, made["faces"])
+    shirt = builtin_garment("tshirt")
+    inner = np.setdiff1d(np.arange(len(shirt.vertices)), np.concatenate(boundary_loops(shirt.faces)))
+    assert np.abs(tshirt_field(shirt.vertices[inner])).max() < 3e-4
+    assert np.abs(tshirt_field(shirt.vertices)).max() < 3e-3
+
+
+def test_an_unknown_name_is_refused() -> None:
+    with pytest.raises(InputError, match="flag, skirt, tablecloth, tshirt"):
+        builtin_garment("toga")

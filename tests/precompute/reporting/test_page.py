@@ -1,0 +1,254 @@
+"""Pages: complete, offline, readable; and charts that put every point where it belongs."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pbd.errors import InputError
+from precompute.reporting.page import Band, Chart, Heading, Line, Picture, Point, Table, Text, write_page
+from precompute.reporting.scatter import pareto_front
+from runtime.pictures import save_png
+
+VOID = {"meta", "img"}
+HOSTILE = "<script>alert(\"x\")</script> & <b onclick='y'>"
+
+
+class Page(HTMLParser):
+    """Elements as (tag, attributes) and the text outside style and script; complains about tags that do not nest."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.text, self.words, self.open = "", [], []
+        self.feed(path.read_text(encoding="utf-8"))
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] not in ("style", "script"):
+            self.text += data
+            self.words.append(data.strip())
+
+    def all(self, tag: str, kind: str | None = None) -> list[dict[str, str | None]]:
+        return [
+            attributes
+            for name, attributes in self.elements
+            if name == tag and (kind is None or kind in (attributes.get("class") or "").split())
+        ]
+
+
+def grid_of_points(**settings: object) -> list[Point]:
+    return [
+        Point(x, y, method, f"{method} {x:g}", {"substeps": x, **settings})
+        for method, shift in (("ours", 0.0), ("middle mesh", 1.0))
+        for x, y in ((1.0, 10.0 + shift), (10.0, 5.0 + shift), (100.0, 2.0 + shift))
+    ]
+
+
+def chart(points: list[Point] | None = None, **kwargs) -> Chart:
+    return Chart(grid_of_points() if points is None else points, "frame time [ms]", "normal error [deg]", **kwargs)
+
+
+def written(path: Path, *sections) -> Page:
+    write_page(path, "A title", sections)
+    return Page(path)
+
+
+def places(page: Page) -> list[tuple[float, float]]:
+    return [(float(a["cx"] or 0), float(a["cy"] or 0)) for a in page.all("circle", "touch")]
+
+
+def test_a_page_holds_all_it_shows_and_asks_for_nothing(tmp_path):
+    image = np.random.default_rng(0).integers(0, 255, (20, 30, 3)).astype(np.uint8)
+    save_png(tmp_path / "b.png", image)
+    page = written(
+        tmp_path / "a.html",
+        Heading("Pictures"),
+        Text("One.\n\nTwo\nlines."),
+        Picture(image, "drawn"),
+        Picture(tmp_path / "b.png", "read"),
+        Table(["name", "value"], [["rmse_mm", 2.4]]),
+        chart(log_x=True, bands=[Band(0.0, 1.5, "floor")], lines=[Line("x", 16.7, "60 Hz")]),
+    )
+    content = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert not re.search(r"https?://|//cdn|@import|url\(", content)
+    for _, attributes in page.elements:
+        for name in ("src", "href", "srcset", "data", "action"):
+            assert (attributes.get(name) or "data:").startswith("data:")
+    assert [a["src"].split(",")[0] for a in page.all("img")] == ["data:image/jpeg;base64", "data:image/png;base64"]  # type: ignore[union-attr]
+    assert len(page.all("p")) == 2 and "Two lines." in page.text
+    assert not page.all("link") and len(page.all("script")) == 1
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["a.html", "b.png"]
+
+
+def test_every_text_is_escaped(tmp_path):
+    points = [Point(1.0, 2.0, HOSTILE, HOSTILE, {HOSTILE: HOSTILE}), Point(2.0, 1.0, HOSTILE, HOSTILE, quoted=True)]
+    hostile_chart = Chart(
+        points, HOSTILE, HOSTILE, bands=[Band(0, 1, HOSTILE)], lines=[Line("y", 2.0, HOSTILE)], caption=HOSTILE
+    )
+    table = Table([HOSTILE], [[HOSTILE]], HOSTILE)
+    image = Picture(np.zeros((4, 4, 3), np.uint8), HOSTILE)
+    write_page(tmp_path / "a.html", HOSTILE, [Heading(HOSTILE), Text(HOSTILE), image, table, hostile_chart])
+    page = Page(tmp_path / "a.html")
+    assert len(page.all("script")) == 1 and not page.all("b")
+    assert all(not name.startswith("on") for _, attributes in page.elements for name in attributes)
+    assert page.text.count(HOSTILE) >= 20
+
+
+def test_every_point_is_drawn_listed_and_linked(tmp_path):
+    points = [*grid_of_points(seed=3, fabric="gray-interlock"), Point(3.0, 4.0, "a paper", "table 2", quoted=True)]
+    page = written(tmp_path / "a.html", chart(points), chart(points[:2]))
+    marks, rows = page.all("g", "point"), [a["id"] for a in page.all("tr") if "id" in a]
+    assert [(a["data-x"], a["data-y"]) for a in marks[:7]] == [(repr(p.x), repr(p.y)) for p in points]
+    assert [a["data-row"] for a in marks] == rows and len(set(rows)) == len(points) + 2
+    assert all(a["tabindex"] == "0" and a["aria-label"] for a in marks)
+    assert page.text.count("gray-interlock") == 6 + 2
+    assert page.all("circle", "hollow") or page.all("polygon", "hollow")
+    assert "table 2" in page.text and "quoted" in page.text
+
+
+def test_methods_differ_in_marker_or_color_and_the_legend_says_which(tmp_path):
+    points = [Point(float(k), 1.0, f"method {k}") for k in range(1, 21)]
+    page = written(tmp_path / "a.html", chart(points))
+    markers = [
+        (name, attributes["class"], attributes.get("points"))
+        for name, attributes in page.elements
+        if "marker" in (attributes.get("class") or "").split()
+    ]
+    legend, drawn = markers[:20], markers[20:]
+    assert len(set(legend)) == 20
+    assert [marker[:2] for marker in drawn] == [marker[:2] for marker in legend]
+
+
+def test_a_linear_axis_is_linear_and_a_logarithmic_one_keeps_ratios(tmp_path):
+    spots = places(written(tmp_path / "a.html", chart(log_x=True)))
+    x, y = np.array(spots[:3]).T
+    assert x[1] - x[0] == pytest.approx(x[2] - x[1], abs=0.2) and x[1] > x[0]
+    assert (y[1] - y[0]) / (y[2] - y[1]) == pytest.approx((10 - 5) / (5 - 2), abs=0.01) and y[1] > y[0]  # down is less
+
+
+@pytest.mark.parametrize(
+    ("log", "values"),
+    [(False, [0.2, 7.0]), (False, [-3e-5, 4e-5]), (True, [4e-3, 900.0]), (True, [3.0, 3.0]), (False, [0.0, 0.0])],
+)
+def test_an_axis_has_a_few_round_ticks(tmp_path, log, values):
+    points = [Point(1.0 + k, value, "m") for k, value in enumerate(values)]
+    content = (written(tmp_path / "a.html", chart(points, log_y=log)), (tmp_path / "a.html").read_text())[1]
+    ticks = re.findall(r'class="tick" x="68.0" y="[\d.]+" text-anchor="end">([^<]+)<', content)
+    assert 2 <= len(ticks) <= 10
+    assert all(len(tick) <= 7 for tick in ticks)
+
+
+def test_a_floor_that_starts_at_zero_fits_a_logarithmic_axis(tmp_path):
+    page = written(tmp_path / "a.html", chart(log_y=True, bands=[Band(0.0, 1.5, "floor")]))
+    (band,) = page.all("rect", "band")
+    top, height = float(band["y"] or 0), float(band["height"] or 0)
+    assert max(y for _, y in places(page)) < top and height > 5
+    assert "floor" in page.text
+
+
+def test_the_front_is_what_no_other_point_beats():
+    rng = np.random.default_rng(2)
+    for _ in range(50):
+        points = [
+            Point(float(x), float(y), "m", quoted=bool(q)) for x, y, q in rng.integers(0, 6, (12, 3)) // [1, 1, 4]
+        ]
+        measured = [p for p in points if not p.quoted]
+        front = [points[k] for k in pareto_front(points)]
+        unbeaten = {
+            (p.x, p.y)
+            for p in measured
+            if not any(o.x <= p.x and o.y <= p.y and (o.x, o.y) != (p.x, p.y) for o in measured)
+        }
+        assert {(p.x, p.y) for p in front} == unbeaten and len(front) == len(unbeaten)
+
+
+def test_labels_hide_neither_each_other_nor_points(tmp_path):
+    rng = np.random.default_rng(7)
+    points = [Point(float(x), float(y), "m", f"a point {k}") for k, (x, y) in enumerate(rng.random((40, 2)))]
+    page = written(tmp_path / "a.html", chart(points))
+    boxes = []
+    for label in page.all("text", "label"):
+        x, y, width = float(label["x"] or 0), float(label["y"] or 0), 5.5 * len("a point 1")
+        left = x - {"start": 0, "middle": width / 2, "end": width}[label["text-anchor"] or ""]
+        boxes.append((left, y - 9, left + width, y))
+    boxes += [(x - 5, y - 5, x + 5, y + 5) for x, y in places(page)]
+    labels = len(boxes) - 40
+    assert labels >= 15
+    for k, other in itertools.combinations(range(len(boxes)), 2):
+        if k < labels:
+            a, b = boxes[k], boxes[other]
+            assert a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1]
+
+
+def luminance(color: str) -> float:
+    channels = np.array([int(color[k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
+    linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+def test_colors_stand_out_in_light_and_dark(tmp_path):
+    written(tmp_path / "a.html", Text("x"))
+    content = (tmp_path / "a.html").read_text(encoding="utf-8")
+    themes = [dict(re.findall(r"--(\w+): (#\w{6});", part)) for part in content.split("color-scheme")[1:]]
+    dark = dict(re.findall(r"--(\w+): (#\w{6});", content.split("prefers-color-scheme: dark")[1].split("}")[0]))
+    assert len(dark) == 14
+    for theme in (themes[0], dark, themes[-1]):
+        paper = luminance(theme["paper"])
+        for name, color in theme.items():
+            if name in ("ink", "soft") or re.fullmatch(r"m\d", name):
+                high, low = sorted((luminance(color), paper), reverse=True)
+                assert (high + 0.05) / (low + 0.05) >= 4.5, name
+
+
+@pytest.mark.parametrize(
+    ("section", "message"),
+    [
+        (Table(["a", "b"], [[1, 2], [1]]), r"rows\[1\].*1 cells"),
+        (chart([]), "at least one point"),
+        (chart([Point(0.0, 1.0, "ours", "x0")], log_x=True), "x of 'x0'.*positive"),
+        (chart([Point(1.0, float("nan"), "ours")]), "y of 'ours'.*nan"),
+        (chart(lines=[Line("z", 1.0, "budget")]), "budget.*'z'"),
+    ],
+)
+def test_bad_sections_are_refused_and_leave_the_old_page(tmp_path, section, message):
+    path = tmp_path / "a.html"
+    path.write_text("old")
+    with pytest.raises(InputError, match=message):
+        write_page(path, "t", [section])
+    assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_that_is_no_picture_is_refused(tmp_path):
+    (tmp_path / "x.png").write_bytes(b"GIF89a")
+    with pytest.raises(InputError, match=r"x\.png.*PNG or JPEG"):
+        write_page(tmp_path / "a.html", "t", [Picture(tmp_path / "x.png", "c")])
+
+
+def test_figures_are_shown_plainly(tmp_path):
+    rows = [["a", np.float32(1.23456789), True], ["b", None, False], ["c", float("nan"), False]]
+    page = written(tmp_path / "a.html", Table(["name", "value", "holds"], rows))
+    assert "1.2346" in page.words and page.words.count("–") == 2 and page.words.count("no") == 2
+    assert [a.get("class") for a in page.all("th")] == [None, "number", None]
+
+
+def test_a_page_is_the_same_every_time(tmp_path):
+    for name in ("a", "b"):
+        write_page(tmp_path / f"{name}.html", "t", [chart(), Text("x")])
+    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()

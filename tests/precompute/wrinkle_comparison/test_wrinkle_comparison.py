@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from assets.io.scene import scene_text
+from pbd import InputError
+from precompute.learning.pipeline import Precomputed
+from precompute.wrinkle_comparison.wrinkle_comparison import compare_wrinkles_file
+from precompute.wrinkle_comparison.wrinkle_page import wrinkle_rows, wrinkle_verdict, write_wrinkles
+from runtime import command
+from tests.precompute.miniature import SCENE, miniature, scene
+from tests.runtime.players import skirt_database
+from wrinkles.database import write_database
+
+
+def test_all_ways_are_judged_on_the_same_states(learned: Precomputed, tmp_path: Path) -> None:
+    with miniature():
+        found = compare_wrinkles_file(learned.path, tmp_path)
+    ways = {way.name: way for way in found.ways}
+    assert list(ways)[0] == "ours" and list(ways)[-3:] == ["smooth", "wrinkle meshes", "fine cloth, few substeps"]
+    assert len(ways) == 11
+    shown = [way for way in found.ways if way.given]
+    assert len({way.given["normal_error_smooth_deg"] for way in shown}) == 1
+    assert ways["smooth"].given["normal_skill"] == 0.0 and not ways["fine cloth, few substeps"].given
+    assert all(np.isfinite(list(way.given.values())).all() and way.frame_ms > 0.0 for way in shown)
+    assert {way.name for way in found.ways if not way.megabytes} == {
+        "smooth", "wrinkle meshes", "fine cloth, few substeps",
+    }  # fmt: skip
+    assert learned.evaluation is not None
+    quality = learned.evaluation.figures  # of all frames, not of every fourth
+    assert ways["ours"].given["normal_error_deg"] == pytest.approx(quality["normal_error_deg"], rel=0.2)
+    assert ways["ours"].free["bending_energy_ratio"] == pytest.approx(quality["bending_energy_ratio"], rel=0.2)
+    assert ways["smooth"].free["bending_energy_ratio"] == pytest.approx(quality["smooth_bending_energy_ratio"], rel=0.2)
+    # What the atoms can hold is nearer than what any mapping says.
+    assert found.limit["normal_error_deg"] < min(way.given["normal_error_deg"] for way in shown)
+    assert found.floor["low_frequency_ratio_to_floor"] == pytest.approx(1.0)
+    assert [row["method"] for row in wrinkle_rows(found)] == [*ways, "floor"]
+    page = tmp_path / "wrinkles.html"
+    write_wrinkles(page, found)
+    text = page.read_text(encoding="utf-8")
+    assert all(name in text for name in ways)
+    assert all(escape(paragraph) in text for paragraph in wrinkle_verdict(found).split("\n\n"))
+
+
+def test_what_cannot_be_compared_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.main(["compare", "x.h5", "--wrinkles", "--clip", "walk", "-o", str(tmp_path)]) == 2
+    assert "--clip: cannot be chosen with --wrinkles" in capsys.readouterr().err
+    path, text = tmp_path / "skirt.h5", SCENE[: SCENE.index("[[training.held_out]]")] + SCENE[SCENE.index("[solver]") :]
+    write_database(path, skirt_database(scene=scene_text(scene(text))))
+    with pytest.raises(InputError, match="nothing is held out"):
+        compare_wrinkles_file(path, tmp_path)
