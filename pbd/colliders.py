@@ -34,6 +34,11 @@ class Plane:
     normal: Sequence[float] = (0.0, 1.0, 0.0)
 
     def row(self) -> np.ndarray:
+        """Kind 0, no radius, point [m] and unit normal: shape (8,).
+
+        Raises:
+            InputError: vectors that are not three finite numbers, or a normal without direction.
+        """
         normal = _vector(self.normal, "plane.normal")
         size = np.linalg.norm(normal)
         if size == 0:
@@ -49,6 +54,11 @@ class Sphere:
     radius: float
 
     def row(self) -> np.ndarray:
+        """Kind 1, radius and centre [m], three zeros: shape (8,).
+
+        Raises:
+            InputError: a radius that is not positive, or a centre that is not three finite numbers.
+        """
         _positive_radius(self.radius, "sphere.radius")
         return np.concatenate([[1.0, self.radius], _vector(self.centre, "sphere.centre"), np.zeros(3)])
 
@@ -62,6 +72,11 @@ class Capsule:
     radius: float
 
     def row(self) -> np.ndarray:
+        """Kind 2, radius and both ends [m]: shape (8,).
+
+        Raises:
+            InputError: a radius that is not positive, or an end that is not three finite numbers.
+        """
         _positive_radius(self.radius, "capsule.radius")
         ends = _vector(self.start, "capsule.start"), _vector(self.end, "capsule.end")
         return np.concatenate([[2.0, self.radius], *ends])

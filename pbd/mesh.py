@@ -256,11 +256,14 @@ class ClothMesh:
                 tablecloth, its height along -z and its normals along y.
 
         Raises:
-            InputError: a size that is not positive, or fewer than one column or row.
+            InputError: a size that is not positive, or no whole number of columns or rows.
         """
-        for key, value in (("width", width), ("height", height), ("columns", columns), ("rows", rows)):
+        for key, value in (("width", width), ("height", height)):
             if not (np.isfinite(value) and value > 0):
-                raise InputError("bad grid", key=key, received=value, expected="a finite number above 0")
+                raise InputError("bad size", key=key, received=value, expected="a finite number above 0 [m]")
+        for key, value in (("columns", columns), ("rows", rows)):
+            if value != int(value) or value < 1:
+                raise InputError("bad number of squares", key=key, received=value, expected="a whole number above 0")
         x, y = np.meshgrid(
             width * (np.arange(columns + 1) / columns - 0.5), height * (np.arange(rows + 1) / rows - 0.5), indexing="ij"
         )

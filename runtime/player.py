@@ -11,6 +11,7 @@ import numpy as np
 from assets.character import Character
 from assets.io.sequence import Sequence
 from pbd import InputError, build_model
+from pbd.colliders import Primitive
 from pbd.engine import Launch
 from pbd.geometry import surface_normals
 from pbd.wind import CALM, Air, Wind
@@ -39,7 +40,7 @@ class Player:
     Args:
         database: what was learned.
         body: the character or vertex sequence that it was learned on.
-        pose: where the body is at the start (its bind pose, moved as a whole).
+        pose: where the body is at the start: its bind pose, moved as a whole; None takes the bind pose where it is.
         primitives: what the coarse garment meets besides the body: planes, spheres, capsules.
         fabric: name of one that the database was learned in; None takes the garment's own.
 
@@ -58,11 +59,13 @@ class Player:
         self,
         database: WrinkleDatabase,
         body: Character | Sequence,
-        pose: np.ndarray,
-        primitives: tuple = (),
+        pose: np.ndarray | None = None,
+        primitives: Iterable[Primitive] = (),
         fabric: str | None = None,
     ) -> None:
         database.require_body(body)
+        if pose is None:
+            pose = body.bind_pose() if isinstance(body, Character) else body.vertices[0]
         if fabric is not None:
             database = database.in_fabric(fabric)
         self._pose_shape = (len(body.joint_names), 3, 4) if isinstance(body, Character) else body.vertices.shape[1:]
