@@ -26,7 +26,7 @@ def run_python(script: str) -> subprocess.CompletedProcess[str]:
 
 
 def used_names(text: str) -> set[str]:
-    """Names after ``gube.`` in a document; ``gube.NAME(...)`` and ``import gube`` count, ``gube.toml`` in a path not."""
+    """Names after ``gube.`` in a document, but not the ending of a file ``gube.toml`` in a path."""
     return set(re.findall(r"(?<![\w/.-])gube\.([A-Za-z_]\w*)", text))
 
 
@@ -88,11 +88,8 @@ def test_a_wrong_name_is_refused_with_those_that_look_like_it(wrong: str, hint: 
 
 def for_type_checkers(source: str) -> dict[str, str]:
     """What the block under ``TYPE_CHECKING`` imports: public name to ``module:attribute``."""
-    (block,) = (
-        node
-        for node in ast.parse(source).body
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
-    )
+    blocks = (node for node in ast.parse(source).body if isinstance(node, ast.If))
+    (block,) = (node for node in blocks if ast.unparse(node.test) == "TYPE_CHECKING")
     return {
         alias.asname or "without `as`": f"{node.module}:{alias.name}"
         for node in block.body
