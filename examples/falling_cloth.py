@@ -9,7 +9,7 @@ import gube
 
 RADIUS, BALL = 0.3, np.array([0.0, 0.5, 0.0])
 
-mesh = gube.ClothMesh.grid(1.0, 1.0, 30, 30, center=(0.0, 1.0, 0.0), level=True)
+mesh = gube.ClothMesh.grid(1.0, 1.0, 30, 30, centre=(0.0, 1.0, 0.0), level=True)
 model = gube.build_model(mesh, gube.load_fabric("cotton"))
 cloth = gube.Simulation(model, primitives=[gube.Sphere(BALL, RADIUS), gube.Plane((0.0, 0.0, 0.0))])
 for _ in range(240):

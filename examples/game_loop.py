@@ -14,20 +14,20 @@ attach = "top"
 
 [character]
 file = "builtin:mannequin"
-clip = "twirl"
 """
+TWIRL = gube.ClipMotion(gube.load_character("builtin:mannequin"), "twirl")
 
 
 def loop_at(rate_hz: float) -> tuple[gube.GameLoop, gube.Simulation]:
     """The skirt in a loop that draws so many frames a second."""
-    skirt, motion = gube.simulation_of(gube.parse_scene(SCENE))
+    skirt, _ = gube.simulation_of(gube.parse_scene(SCENE))
     hem = int(skirt.vertices[:, 1].argmin())
     pulled = skirt.vertices[hem] + [0.2, 0.1, 0.0]
 
     def live_input(t: float) -> gube.LiveInput:
         """A gust of wind in the first half second, then a pull at the hem for a tenth of a second."""
         wind = (3.0, 0.0, 0.0) if t < 0.5 else (0.0, 0.0, 0.0)
-        return gube.LiveInput(motion.pose(t), wind, drag=(hem, pulled) if 0.5 < t < 0.6 else None)
+        return gube.LiveInput(TWIRL.pose(t), wind, drag=(hem, pulled) if 0.5 < t < 0.6 else None)
 
     return gube.GameLoop(skirt, live_input, rate_hz), skirt
 

@@ -16,11 +16,11 @@ attach = "top"
 
 [character]
 file = "builtin:mannequin"
-clip = "walk"
 """
 RATE = 60.0  # frames a second
 
-skirt, walk = gube.simulation_of(gube.parse_scene(SCENE))
+skirt, _ = gube.simulation_of(gube.parse_scene(SCENE))
+walk = gube.ClipMotion(gube.load_character("builtin:mannequin"), "walk")
 waist, hem = skirt.model.held, np.argmin(skirt.vertices[:, 1])
 frames, bodies, gaps = [skirt.vertices], [skirt.body.current + skirt.state.origin], []
 for frame in range(1, 181):

@@ -19,7 +19,7 @@ __all__ = ["Body", "Capsule", "Colliders", "DistanceField", "Plane", "Primitive"
 MOST_PROBES = 1_000_000  # points on the large faces of a body, about
 
 
-def _vector(value: Sequence[float], key: str) -> np.ndarray:
+def _vector(value: Sequence[float] | np.ndarray, key: str) -> np.ndarray:
     vector = np.asarray(value, float)
     if vector.shape != (3,) or not np.isfinite(vector).all():
         raise InputError("bad vector", key=key, received=value, expected="three finite numbers")
@@ -30,8 +30,8 @@ def _vector(value: Sequence[float], key: str) -> np.ndarray:
 class Plane:
     """Half space below a plane. ``point`` [m] may be moved between frames; ``normal`` points to the free side."""
 
-    point: Sequence[float]
-    normal: Sequence[float] = (0.0, 1.0, 0.0)
+    point: Sequence[float] | np.ndarray
+    normal: Sequence[float] | np.ndarray = (0.0, 1.0, 0.0)
 
     def row(self) -> np.ndarray:
         """Kind 0, no radius, point [m] and unit normal: shape (8,).
@@ -50,7 +50,7 @@ class Plane:
 class Sphere:
     """Ball; ``centre`` [m] may be moved between frames."""
 
-    centre: Sequence[float]
+    centre: Sequence[float] | np.ndarray
     radius: float
 
     def row(self) -> np.ndarray:
@@ -67,8 +67,8 @@ class Sphere:
 class Capsule:
     """Points within ``radius`` [m] of a segment; both ends [m] may be moved between frames."""
 
-    start: Sequence[float]
-    end: Sequence[float]
+    start: Sequence[float] | np.ndarray
+    end: Sequence[float] | np.ndarray
     radius: float
 
     def row(self) -> np.ndarray:

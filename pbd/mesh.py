@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -240,7 +241,7 @@ class ClothMesh:
         height: float,
         columns: int,
         rows: int,
-        center: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        centre: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
         level: bool = False,
     ) -> ClothMesh:
         """A rectangle of squares cut along alternating diagonals, with the warp along its height.
@@ -251,7 +252,7 @@ class ClothMesh:
         Args:
             width, height: [m].
             columns, rows: number of squares along the width and the height.
-            center: middle of the rectangle [m].
+            centre: of the rectangle [m], shape (3,).
             level: False for a curtain, its width along x, its height along y and its normals along z; True for a
                 tablecloth, its height along -z and its normals along y.
 
@@ -268,7 +269,7 @@ class ClothMesh:
             width * (np.arange(columns + 1) / columns - 0.5), height * (np.arange(rows + 1) / rows - 0.5), indexing="ij"
         )
         up = (0.0, 0.0, -1.0) if level else (0.0, 1.0, 0.0)
-        vertices = np.asarray(center, float) + x.reshape(-1, 1) * [1.0, 0.0, 0.0] + y.reshape(-1, 1) * up
+        vertices = np.asarray(centre, float) + x.reshape(-1, 1) * [1.0, 0.0, 0.0] + y.reshape(-1, 1) * up
         faces = lattice_faces(np.arange(x.size).reshape(x.shape))
         return cls.from_surface(vertices, faces, warp=up)
 

@@ -64,12 +64,12 @@ class Player:
         fabric: str | None = None,
     ) -> None:
         database.require_body(body)
-        if pose is None:
-            pose = body.bind_pose() if isinstance(body, Character) else body.vertices[0]
+        bind_pose = body.bind_pose() if isinstance(body, Character) else body.vertices[0]
+        start = bind_pose if pose is None else pose
         if fabric is not None:
             database = database.in_fabric(fabric)
         self._pose_shape = (len(body.joint_names), 3, 4) if isinstance(body, Character) else body.vertices.shape[1:]
-        self._check_pose(pose)
+        self._check_pose(start)
         self.database = database
         source = body_source(body)
         self.levels: Levels = levels_of(
@@ -91,7 +91,7 @@ class Player:
             database.bend_factor,
             database.limits,
         )
-        self.simulation = Simulation(model, self.levels.coarse_attachment, source, pose, database.solver, primitives)
+        self.simulation = Simulation(model, self.levels.coarse_attachment, source, start, database.solver, primitives)
         charts = Charts.of(self.levels.coarse)
         subdivision = self.levels.subdivision
         patches, middle_patches = Patches.of(subdivision, charts), Patches.of(subdivision.middle, charts)
@@ -123,7 +123,7 @@ class Player:
         self._left = 0.0  # of a change of detail: from 1 to 0
         self.timings = dict.fromkeys(("skin", "coarse", "decode", "relax", "normals", "frame"), 0.0)
         self._alpha = 1.0
-        self._warm_up(pose)
+        self._warm_up(start)
         self.decode()
 
     @property

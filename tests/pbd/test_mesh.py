@@ -187,16 +187,16 @@ def test_a_lattice_is_cut_as_squares_are(kind: str) -> None:
 
 @pytest.mark.parametrize("level", [False, True])
 def test_a_grid_is_a_rectangle_with_its_warp_along_its_height(level: bool) -> None:
-    center, up, normal = (1.0, 2.0, 3.0), np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    centre, up, normal = (1.0, 2.0, 3.0), np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
     if level:
         up, normal = -normal, up
-    mesh = ClothMesh.grid(0.6, 0.4, 3, 5, center, level)
+    mesh = ClothMesh.grid(0.6, 0.4, 3, 5, centre, level)
     assert len(mesh.vertices) == 4 * 6 and len(mesh.faces) == 2 * 3 * 5
     assert mesh.face_areas == pytest.approx(0.6 * 0.4 / 30)
     corners = mesh.vertices[mesh.faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     np.testing.assert_allclose(across / np.linalg.norm(across, axis=1)[:, None], np.tile(normal, (30, 1)), atol=1e-12)
-    np.testing.assert_allclose(mesh.vertices.mean(axis=0), center)
+    np.testing.assert_allclose(mesh.vertices.mean(axis=0), centre)
     np.testing.assert_allclose(mesh.vertices[5] - mesh.vertices[0], 0.4 * up, atol=1e-12)
     np.testing.assert_allclose(mesh.vertices[18] - mesh.vertices[0], [0.6, 0.0, 0.0], atol=1e-12)
     # The first material axis is the warp: sides of the faces have their rise there.

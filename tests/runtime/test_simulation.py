@@ -15,7 +15,7 @@ NO_POSE = np.zeros(0)  # of a garment without a body
 
 
 def square(height: float = 1.0) -> Simulation:
-    mesh = ClothMesh.grid(0.2, 0.2, 4, 4, center=(0.0, height, 0.0), level=True)
+    mesh = ClothMesh.grid(0.2, 0.2, 4, 4, centre=(0.0, height, 0.0), level=True)
     return Simulation(build_model(mesh, VACUUM), primitives=[Plane((0.0, 0.0, 0.0))])
 
 
