@@ -79,6 +79,12 @@ def test_a_bad_first_pose_and_another_body_are_refused(poses: np.ndarray) -> Non
         Player(skirt_database(body_hash="0" * 64), body, poses[0])
 
 
+def test_it_starts_in_the_bind_pose_unless_told_another() -> None:
+    database, body = skirt_database(), skirt_stage().body
+    assert isinstance(body, Character)
+    assert bits(Player(database, body)) == bits(Player(database, body, body.bind_pose()))
+
+
 def test_a_garment_is_played_in_any_fabric_that_it_was_learned_in(poses: np.ndarray) -> None:
     denim = LearnedFabric("denim", PRESETS["denim"], ModelOptions(squeeze=3.0))
     database, body = skirt_database(other_fabrics=(denim,)), skirt_stage().body
