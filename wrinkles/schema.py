@@ -9,7 +9,7 @@ import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn, Protocol
 
 import numpy as np
 
@@ -217,7 +217,15 @@ def unpack(entry: Entry, array: np.ndarray) -> Any:
 
 
 def check_layout(layout: Mapping[str, tuple[np.dtype, tuple[int, ...] | None]], path: str | Path) -> None:
-    """Types and shapes, before anything large is read."""
+    """Check types and shapes, before anything large is read.
+
+    Args:
+        layout: type and shape of every entry of :data:`ENTRIES` by its name.
+        path: of the file, for the message.
+
+    Raises:
+        InputError: every entry whose type or shape is wrong, all of them at once.
+    """
     errors: list[InputError] = []
     sizes: dict[str, int] = {}
     for entry in ENTRIES:
@@ -259,11 +267,43 @@ def _subdivided_count(vertices: int, faces: np.ndarray, levels: int) -> int:
 
 
 def check_values(arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
-    """What types and shapes cannot say."""
+    """Refuse values that have the right types and shapes and still make no database.
 
-    def refuse(problem: str, key: str, received: Any, expected: str) -> None:
+    Args:
+        arrays: every entry of :data:`ENTRIES` by its name.
+        path: of the file, for the message.
+
+    Raises:
+        InputError: the first value found that cannot be: its key, the value and what is expected.
+    """
+
+    def refuse(problem: str, key: str, received: Any, expected: str) -> NoReturn:
         raise InputError(problem, file=path, key=key, received=received, expected=expected)
 
+    _check_numbers(arrays, refuse)
+    _check_indices(arrays, refuse)
+    _check_rest_shape(arrays, refuse)
+    _check_fine_mesh(arrays, refuse)
+    names = [arrays["fabric_name"].item(), *arrays["other_fabrics/name"].tolist()]
+    if len(set(names)) < len(names):
+        refuse("the same name twice", "other_fabrics/name", [name.decode() for name in names], "different names")
+    if not arrays["warp"].any():
+        refuse("no direction", "warp", arrays["warp"].tolist(), "a vector that is not zero")
+    if arrays["units"].item().decode() != UNITS:
+        refuse("other units", "units", arrays["units"].item().decode(), repr(UNITS))
+    stored, computed = arrays["content_hash"].item().decode(), content_hash(arrays)
+    if stored != computed:
+        refuse("damaged or changed by hand", "content_hash", stored, computed)
+
+
+class _Refuse(Protocol):
+    """Raises the :class:`pbd.InputError` of a bad value."""
+
+    def __call__(self, problem: str, key: str, received: Any, expected: str) -> NoReturn: ...
+
+
+def _check_numbers(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:
+    """Texts are UTF-8, numbers are finite and in their ranges."""
     for name, array in arrays.items():
         if array.dtype.kind == "S":
             try:
@@ -274,23 +314,41 @@ def check_values(arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
             place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
             refuse("not finite", f"{name}{list(place) if place else ''}", float(array[place]), "finite numbers")
     for name in (*POSITIVE, *(entry.name for entry in ENTRIES if entry.name.endswith("scale"))):
-        if (least := arrays[name].min(initial=np.inf)) <= 0:
-            refuse("out of range", name, least.item(), "above 0")
-    count, faces, held = len(arrays["coarse_vertices"]), arrays["coarse_faces"], arrays["held"]
-    for name, index in (("coarse_faces", faces), ("held", held), ("limits/vertices", arrays["limits/vertices"])):
-        if index.size and not 0 <= index.min() <= index.max() < count:
+        if (lowest := arrays[name].min(initial=np.inf)) <= 0:
+            refuse("out of range", name, lowest.item(), "above 0")
+    for name in ("maximum_distance", "backstop", "stiffness"):
+        if (lowest := arrays[f"limits/{name}"].min(initial=0.0)) < 0:
+            refuse("out of range", f"limits/{name}", lowest.item(), "at least 0")
+    levels = arrays["subdivisions"].item()
+    if not 1 <= levels <= 4:
+        refuse("out of range", "subdivisions", levels, "1 to 4")
+
+
+def _check_indices(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:
+    """Every index points to something that exists, and lists of vertices ascend."""
+    count, faces, fine = len(arrays["coarse_vertices"]), arrays["coarse_faces"], len(arrays["binding/face"])
+    cut_count = len(faces) * 4 ** arrays["subdivisions"].item()
+    for name, limit, kind in (
+        ("coarse_faces", count, "a vertex"),
+        ("held", count, "a vertex"),
+        ("limits/vertices", count, "a vertex"),
+        ("mapping/region", len(arrays["mapping/bias_2"]), "a region"),
+        ("binding/face", cut_count, "an index"),
+        ("binding/panels", fine, "an index"),
+        ("binding/stitches", fine, "an index"),
+    ):
+        index = arrays[name]
+        if index.size and not 0 <= index.min() <= index.max() < limit:
             bad = int(index.min() if index.min() < 0 else index.max())
-            refuse("a vertex that does not exist", name, bad, f"0 to {count - 1}")
+            refuse(f"{kind} that does not exist", name, bad, f"0 to {limit - 1}")
     for name in ("held", "limits/vertices"):
         if (np.diff(arrays[name]) <= 0).any():
             refuse("not in ascending order", name, arrays[name].tolist()[:8], "each vertex once, ascending")
-    for name in ("maximum_distance", "backstop", "stiffness"):
-        if (least := arrays[f"limits/{name}"].min(initial=0.0)) < 0:
-            refuse("out of range", f"limits/{name}", least.item(), "at least 0")
-    region, regions = arrays["mapping/region"], len(arrays["mapping/bias_2"])
-    if not 0 <= region.min() <= region.max() < regions:
-        bad = int(region.min() if region.min() < 0 else region.max())
-        refuse("a region that does not exist", "mapping/region", bad, f"0 to {regions - 1}")
+
+
+def _check_rest_shape(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:
+    """The corrected rest shape has an area in each face and a bend at each hinge."""
+    faces = arrays["coarse_faces"]
     one, across, two = arrays["gathers/stretch"].T.astype(float)
     flat = (np.minimum(one, two) <= 0.0) | (one * two <= across**2)
     if flat.any():
@@ -300,31 +358,17 @@ def check_values(arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
     bends, hinges = len(arrays["gathers/bends"]), 3 * len(faces) - len(edges_of(faces)[0])
     if bends != hinges:
         refuse("another number of hinges", "gathers/bends", bends, str(hinges))
-    levels = arrays["subdivisions"].item()
-    if not 1 <= levels <= 4:
-        refuse("out of range", "subdivisions", levels, "1 to 4")
-    fine = len(arrays["binding/face"])
+
+
+def _check_fine_mesh(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:
+    """The fine mesh, subdivided or delivered, belongs to the coarse one and has all of its values."""
+    count, faces, fine = len(arrays["coarse_vertices"]), arrays["coarse_faces"], len(arrays["binding/face"])
     if (fine == 0) != (len(arrays["binding/panels"]) == 0):
         refuse("a mesh without a binding, or one without a mesh", "binding", fine, "both or none")
-    limits = {"face": len(faces) * 4**levels, "panels": fine, "stitches": fine}
-    for name, limit in limits.items():
-        index = arrays[f"binding/{name}"]
-        if index.size and not 0 <= index.min() <= index.max() < limit:
-            bad = int(index.min() if index.min() < 0 else index.max())
-            refuse("an index that does not exist", f"binding/{name}", bad, f"0 to {limit - 1}")
-    names = [arrays["fabric_name"].item(), *arrays["other_fabrics/name"].tolist()]
-    if len(set(names)) < len(names):
-        refuse("the same name twice", "other_fabrics/name", [name.decode() for name in names], "different names")
-    if not arrays["warp"].any():
-        refuse("no direction", "warp", arrays["warp"].tolist(), "a vector that is not zero")
+    levels = arrays["subdivisions"].item()
     stored, computed = arrays["topology_hash"].item().decode(), topology_hash(faces, levels, count)
     if stored != computed:
         refuse("does not belong to these faces and subdivisions", "topology_hash", stored, computed)
     vertices, means = fine or _subdivided_count(count, faces, levels), len(arrays["atoms/vertex_mean"])
     if means != vertices:
         refuse("another number of fine vertices", "atoms/vertex_mean", means, str(vertices))
-    if arrays["units"].item().decode() != UNITS:
-        refuse("other units", "units", arrays["units"].item().decode(), repr(UNITS))
-    stored, computed = arrays["content_hash"].item().decode(), content_hash(arrays)
-    if stored != computed:
-        refuse("damaged or changed by hand", "content_hash", stored, computed)

@@ -8,9 +8,7 @@ import numpy as np
 
 __all__ = ["Unfamiliarity"]
 
-FADED_OUT = np.log(
-    2.0
-)  # wrinkles are gone where the error foretold is this factor (log) beyond where they start to fade
+FADED_OUT = np.log(2.0)  # from where wrinkles start to fade to where they are gone, in the error foretold (log)
 
 
 @dataclass(frozen=True)
