@@ -35,7 +35,7 @@ def frames_of(levels: Levels, coarse: np.ndarray) -> np.ndarray:
     position, frames = np.zeros((count, 4), np.float32), np.zeros((count, 9), np.float32)
     position[:, :3] = coarse
     stencil = Stencil.of(Charts.of(levels.coarse), levels.coarse_held)
-    stencil.gather(position, np.zeros(count, np.float32), frames, np.zeros((count, DYNAMIC_COUNT), np.float32))
+    stencil.read(position, np.zeros(count, np.float32), frames, np.zeros((count, DYNAMIC_COUNT), np.float32))
     return frames
 
 
