@@ -3,7 +3,7 @@
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from pbd.engine import Launch, ensure_initialized, ti
+from pbd.engine import ensure_initialized, ti
 from pbd.geometry import (
     Float1,
     Float2,
@@ -13,6 +13,7 @@ from pbd.geometry import (
     Vec4,
     vec3,
 )
+from pbd.taichi_internals import Launch
 from wrinkles.dictionary import CLIP, Atoms, Mapping
 from wrinkles.features import DYNAMIC_COUNT, Stencil
 from wrinkles.patches import NODES, SIDE, Patches

@@ -8,9 +8,10 @@ edge by edge; the middle mesh has no room for them, and what it moves by is spre
 
 import numpy as np
 
-from pbd.engine import Launch, ensure_initialized, ti
+from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Float1, Int1, Int2, Vec3, vec3
 from pbd.mesh import greedy_colors
+from pbd.taichi_internals import Launch
 from wrinkles.levels import Levels, held_between
 from wrinkles.surface import Subdivision, csr_arrays
 
