@@ -294,7 +294,7 @@ class Player:
         if detail.atoms:
             self._decoder.add(position, state.contact, self.vertices, middle, detail.atoms)
         elif detail.passes:
-            self._decoder.look(position, state.contact)
+            self._decoder.read(position, state.contact)
         if detail.sweeps:
             self._keep_lengths(middle, self.vertices, detail.sweeps)
         decoded = time.perf_counter()
