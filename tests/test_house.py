@@ -11,8 +11,8 @@ import pytest
 
 from tests.data import ROOT
 
-FLOORS = ("pbd", "assets", "wrinkles", "runtime", "precompute")  # ground floor first
-PLAYING = FLOORS[:-1]
+FLOORS = ("pbd", "assets", "wrinkles", "runtime", "precompute", "gube")  # ground floor first, the roof last
+PLAYING = FLOORS[:4]
 NOT_FOR_PLAYING = ("sklearn", "matplotlib", "pyvista", "dask")
 TABLE_OF_COMMANDS = Path("runtime/command.py")  # alone names modules above its own floor, and imports them by name
 MODULES = [path for floor in FLOORS for path in sorted((ROOT / floor).rglob("*.py"))]
@@ -77,6 +77,8 @@ def test_imports_run_one_way(path: Path) -> None:
         ("wrinkles/a.py", "from sklearn.linear_model import Ridge", "imports sklearn outside a function"),
         ("assets/a.py", "from . import b", "imports ."),
         ("precompute/a.py", "import tests.data", "imports tests"),
+        ("precompute/a.py", "from gube import Player", "imports gube"),
+        ("runtime/command.py", "def demo():\n    import gube", "imports gube"),
     ],
 )
 def test_a_breach_is_found(module: str, source: str, problem: str) -> None:
@@ -90,6 +92,7 @@ def test_a_breach_is_found(module: str, source: str, problem: str) -> None:
         ("runtime/a.py", '"""What precompute.learning.pipeline makes."""\nB = "wrinkles.database"'),
         ("wrinkles/a.py", "def fit():\n    import sklearn"),
         ("precompute/a.py", "import pbd, assets, wrinkles, runtime, sklearn"),
+        ("gube/a.py", "import pbd, assets, wrinkles, runtime, precompute"),
     ],
 )
 def test_what_is_allowed_passes(module: str, source: str) -> None:
