@@ -24,7 +24,7 @@ from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Decoder, Upsampler
 from wrinkles.features import Stencil
 from wrinkles.isometry import PASSES, Isometry
-from wrinkles.levels import Levels, levels_of
+from wrinkles.levels import Levels
 from wrinkles.patches import Patches
 from wrinkles.relaxation import Relaxation
 
@@ -69,17 +69,7 @@ class Player:
         self._check_pose(pose)
         self.database = database
         source = body_source(body)
-        self.levels: Levels = levels_of(
-            database.coarse_vertices,
-            database.coarse_faces,
-            database.held,
-            source.vertices,
-            source.faces,
-            database.subdivisions,
-            database.warp,
-            database.binding,
-            database.limits,
-        )
+        self.levels: Levels = database.levels(source.vertices, source.faces)
         model = build_model(
             database.gathers.applied(self.levels.coarse),
             database.fabric,

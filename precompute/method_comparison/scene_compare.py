@@ -70,6 +70,7 @@ METHODS = {
 RIVALS = {
     "newton": _Kind(((40, None), (150, None)), 2, 1.0),
     "pypbd": _Kind(((10, None), (40, None)), 2, 0.2),
+    "bpy": _Kind(((1, None), (2, None)), 2, 1.3),
     "mujoco": _Kind(((None, 20), (None, 100)), 2, 0.1),
     "pybullet": _Kind(((40, None), (150, None)), 2, 0.5),
 }
