@@ -125,6 +125,7 @@ class Model:
 
     @property
     def vertex_count(self) -> int:
+        """Number of vertices n [-]."""
         return len(self.mesh.vertices)
 
 
@@ -357,6 +358,7 @@ class State:
             self.origin = np.array(origin, float)
 
     def copy(self) -> State:
+        """A state of its own with the same bits."""
         return State(*(getattr(self, name).copy() for name in self._names))
 
     _names = ("origin", "position", "velocity", "nearest", "contact", "carrier", "pairs", "pair_sides")

@@ -14,7 +14,7 @@ from wrinkles.charts import Charts
 from wrinkles.database import LearnedFabric, WrinkleDatabase, code_version, database_figures, read_database
 from wrinkles.decoder import Decoder
 from wrinkles.features import Stencil
-from wrinkles.levels import NEAR_AREA, with_area_of
+from wrinkles.levels import MAX_AREA_CORRECTION, with_area_of
 from wrinkles.patches import Patches
 from wrinkles.schema import ENTRIES
 from wrinkles.surface import Subdivision
@@ -264,7 +264,7 @@ def check_database(path: str | Path) -> list[Check]:
         subdivision = database.subdivision
         coarse, fine = subdivision.meshes(database.coarse_vertices, database.warp)
         coarse, ratio = with_area_of(coarse, fine)
-        near = database.binding is not None or abs(ratio - 1.0) <= NEAR_AREA
+        near = database.binding is not None or abs(ratio - 1.0) <= MAX_AREA_CORRECTION
         checks.append(Check("one rest metric", near, f"coarse area over fine area {ratio:.5f}"))
         model = build_model(
             database.gathers.applied(coarse),

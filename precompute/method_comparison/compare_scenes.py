@@ -19,7 +19,7 @@ from assets.fabrics import PRESETS
 from pbd import ClothMesh, Colliders, InputError, Model, ModelOptions, Plane, Sphere, build_model
 from pbd.bending import hinge_calibration
 from pbd.fabric import Fabric
-from precompute.lattices import square_faces
+from pbd.mesh import lattice_faces
 
 __all__ = ["RATE", "SCENES", "CompareScene", "Sheet", "scene_of"]
 
@@ -60,7 +60,7 @@ class Sheet:
     def faces(self) -> np.ndarray:
         """Counter-clockwise in the plane, int32, shape (m, 3)."""
         index = np.arange(len(self.xs) * len(self.ys)).reshape(len(self.xs), -1)
-        return square_faces(index, alternating=True).astype(np.int32)
+        return lattice_faces(index)
 
     def sampled(self, vertices: np.ndarray, other: Sheet) -> np.ndarray:
         """The spline through vertices at the vertices of another sheet.

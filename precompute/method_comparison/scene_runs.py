@@ -19,7 +19,7 @@ from pbd import Colliders, InputError, Model, State
 from pbd.fingerprint import source_fingerprint
 from pbd.models import SOLVERS, AnySolver, Options, StepError, make_solver
 from pbd.storage import replacing
-from precompute import lattices, mechanics
+from precompute import mechanics
 from precompute.mechanics import mechanical_energy, signed_distance
 from precompute.method_comparison import compare_scenes
 from precompute.method_comparison.compare_scenes import RATE, CompareScene
@@ -258,7 +258,7 @@ def _memory_mb(scene: CompareScene, setting: Setting) -> float:
 @lru_cache(maxsize=1)
 def _version() -> str:
     """Hash of the source of the solvers and of the scenes."""
-    return source_fingerprint(pbd, lattices, mechanics, compare_scenes, Path(__file__))
+    return source_fingerprint(pbd, mechanics, compare_scenes, Path(__file__))
 
 
 def run_path(cache: Path, scene: CompareScene, setting: Setting) -> Path:

@@ -11,7 +11,7 @@ import numpy as np
 
 from pbd import Capsule, ClothMesh, Fabric, InputError, Model, ModelOptions, build_model
 from pbd.bending import hinge_calibration
-from precompute.lattices import square_faces
+from pbd.mesh import lattice_faces
 
 __all__ = ["MAPS", "Axis", "CellScene", "StabilityMap", "chosen_cell", "lattice_model"]
 
@@ -111,7 +111,7 @@ def _flat(length: float, width: float, edges: int, kind: str) -> tuple[np.ndarra
 
 def _faces(index: np.ndarray, kind: str) -> np.ndarray:
     """Triangles between rows of vertices; every other row of equilateral ones is moved by half an edge."""
-    straight = square_faces(index)
+    straight = lattice_faces(index, alternating=False)
     if kind == "squares":
         return straight
     a, b, c, d = (part.reshape(-1) for part in (index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]))

@@ -153,7 +153,7 @@ def test_a_delivered_mesh_may_have_another_area_than_its_coarse_one(
         limits=Limits.none(),
     )
     write_database(path, database)
-    monkeypatch.setattr("runtime.info.NEAR_AREA", 0.001)
+    monkeypatch.setattr("runtime.info.MAX_AREA_CORRECTION", 0.001)
     areas = next(check for check in check_database(path) if check.check == "one rest metric")
     assert areas.passed and abs(float(areas.detail.split()[-1]) - 1.0) > 0.001
     assert [check.check for check in check_database(path) if not check.passed] == []
