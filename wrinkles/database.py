@@ -146,7 +146,7 @@ class WrinkleDatabase:
 
     @property
     def fine_vertex_count(self) -> int:
-        """Number N of vertices of the fine mesh, subdivided or delivered."""
+        """Number of vertices of the fine mesh [-]."""
         if self.binding is not None:
             return len(self.binding.face)
         vertices, edges, faces = len(self.coarse_vertices), len(edges_of(self.coarse_faces)[0]), len(self.coarse_faces)
