@@ -192,13 +192,20 @@ def load_character(path: str | PathLike[str], name: str | None = None) -> Charac
     Morph targets and meshes without a skin are left out.
 
     Args:
-        path: the file.
+        path: the file, or "builtin:mannequin" for the built-in character.
         name: name for messages; the file's name without its suffix if None.
 
     Raises:
         InputError: the file cannot be read, has no skin or no weights, holds values that are not finite, looks like
             centimetres, or asks for something that is not supported; the message names the element.
     """
+    if str(path).startswith("builtin:"):
+        from assets.procedural.mannequin import builtin_mannequin  # is made of this module's parts
+
+        if str(path) != "builtin:mannequin":
+            raise InputError("no such built-in character", received=str(path), expected="builtin:mannequin")
+        mannequin = builtin_mannequin()
+        return mannequin if name is None else replace(mannequin, name=name)
     from assets.io.gltf_character import read_character  # needs pygltflib, which building a character does not
 
     return read_character(Path(path), name)

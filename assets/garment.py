@@ -55,7 +55,8 @@ def load_garment(path: str | PathLike[str], *, pattern: bool = False) -> Garment
     order of vertices and faces stays.
 
     Args:
-        path: the file.
+        path: the file; or "builtin:flag", "builtin:skirt", "builtin:tablecloth" or "builtin:tshirt" for one of the
+            built-in clothes, which have a pattern of their own where they need one.
         pattern: whether the texture coordinates are a flat pattern in metres.
 
     Raises:
@@ -64,6 +65,10 @@ def load_garment(path: str | PathLike[str], *, pattern: bool = False) -> Garment
             size that cannot be metres; or, with ``pattern``, texture coordinates that are missing or no pattern. The
             message names the vertex, the face (counted from 0, after triangulation) or the edge.
     """
+    if str(path).startswith("builtin:"):
+        from assets.procedural.builtin import builtin_garment  # is made of this module's parts
+
+        return builtin_garment(str(path).removeprefix("builtin:"))
     path = Path(path)
     if path.suffix.lower() == ".obj":
         mesh = read_obj(path)

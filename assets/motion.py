@@ -49,7 +49,7 @@ class ClipMotion:
 
     Args:
         character: whose.
-        clip: one of its clips.
+        clip: one of its clips, or the name of one.
         blend: time from the bind pose to the clip's first frame [s]; 0 starts in the clip.
         speed: clip seconds per second [-].
         loop: whether the clip starts again at its end; it must then end as it starts.
@@ -60,12 +60,15 @@ class ClipMotion:
         lead_in: 0; the blend can be learned from.
 
     Raises:
-        InputError: a negative blend, a speed that is not positive, or ``loop`` for a clip that does not close.
+        InputError: no clip of that name, a negative blend, a speed that is not positive, or ``loop`` for a clip that
+            does not close.
     """
 
     def __init__(
-        self, character: Character, clip: Clip, blend: float = 1.0, speed: float = 1.0, loop: bool = False
+        self, character: Character, clip: Clip | str, blend: float = 1.0, speed: float = 1.0, loop: bool = False
     ) -> None:
+        if isinstance(clip, str):
+            clip = character.clip(clip)
         key = f"clip {clip.name}"
         if not 0.0 <= blend < np.inf:
             raise InputError("bad blend", key=key, received=blend, expected="0 or more seconds")

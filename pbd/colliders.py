@@ -19,7 +19,7 @@ __all__ = ["Body", "Capsule", "Colliders", "DistanceField", "Plane", "Primitive"
 MOST_PROBES = 1_000_000  # points on the large faces of a body, about
 
 
-def _vector(value: Sequence[float], key: str) -> np.ndarray:
+def _vector(value: Sequence[float] | np.ndarray, key: str) -> np.ndarray:
     vector = np.asarray(value, float)
     if vector.shape != (3,) or not np.isfinite(vector).all():
         raise InputError("bad vector", key=key, received=value, expected="three finite numbers")
@@ -30,10 +30,15 @@ def _vector(value: Sequence[float], key: str) -> np.ndarray:
 class Plane:
     """Half space below a plane. ``point`` [m] may be moved between frames; ``normal`` points to the free side."""
 
-    point: Sequence[float]
-    normal: Sequence[float] = (0.0, 1.0, 0.0)
+    point: Sequence[float] | np.ndarray
+    normal: Sequence[float] | np.ndarray = (0.0, 1.0, 0.0)
 
     def row(self) -> np.ndarray:
+        """Kind 0, no radius, point [m] and unit normal: shape (8,).
+
+        Raises:
+            InputError: vectors that are not three finite numbers, or a normal without direction.
+        """
         normal = _vector(self.normal, "plane.normal")
         size = np.linalg.norm(normal)
         if size == 0:
@@ -45,10 +50,15 @@ class Plane:
 class Sphere:
     """Ball; ``centre`` [m] may be moved between frames."""
 
-    centre: Sequence[float]
+    centre: Sequence[float] | np.ndarray
     radius: float
 
     def row(self) -> np.ndarray:
+        """Kind 1, radius and centre [m], three zeros: shape (8,).
+
+        Raises:
+            InputError: a radius that is not positive, or a centre that is not three finite numbers.
+        """
         _positive_radius(self.radius, "sphere.radius")
         return np.concatenate([[1.0, self.radius], _vector(self.centre, "sphere.centre"), np.zeros(3)])
 
@@ -57,11 +67,16 @@ class Sphere:
 class Capsule:
     """Points within ``radius`` [m] of a segment; both ends [m] may be moved between frames."""
 
-    start: Sequence[float]
-    end: Sequence[float]
+    start: Sequence[float] | np.ndarray
+    end: Sequence[float] | np.ndarray
     radius: float
 
     def row(self) -> np.ndarray:
+        """Kind 2, radius and both ends [m]: shape (8,).
+
+        Raises:
+            InputError: a radius that is not positive, or an end that is not three finite numbers.
+        """
         _positive_radius(self.radius, "capsule.radius")
         ends = _vector(self.start, "capsule.start"), _vector(self.end, "capsule.end")
         return np.concatenate([[2.0, self.radius], *ends])

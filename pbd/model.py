@@ -32,16 +32,16 @@ class ModelOptions:
     """How a model is made from a mesh and a fabric. Units as stated; the defaults are the fabric itself.
 
     Attributes:
-        squeeze: factor on the in-plane compliance under compression [-]. A coarse mesh cannot buckle where cloth does,
-            so its triangles may shorten instead.
-        shear_scale: factor on the shear stiffness [-]. Nor can it buckle along the bias, which is how cloth that is
-            sheared gives way.
+        compression_compliance_scale: factor on the in-plane compliance under compression [-]. A coarse mesh cannot
+            buckle where cloth does, so its triangles may shorten instead.
+        shear_scale: factor on the shear stiffness [-]. Cloth that is sheared buckles along the bias; a coarse mesh
+            cannot do that either.
         bend_scale: factor on the bending stiffness [-].
         tether_slack: length of a tether over the geodesic distance [-]; 0 leaves tethers out.
         pressure: of the air behind the cloth over that before it, where its normals point [Pa].
     """
 
-    squeeze: float = 1.0
+    compression_compliance_scale: float = 1.0
     shear_scale: float = 1.0
     bend_scale: float = 1.0
     tether_slack: float = 1.03
@@ -52,7 +52,7 @@ class ModelOptions:
             expected = "a finite number [Pa]"
             raise InputError("bad model option", key="pressure", received=self.pressure, expected=expected)
         allowed = {
-            "squeeze": (self.squeeze >= 1.0, "at least 1"),
+            "compression_compliance_scale": (self.compression_compliance_scale >= 1.0, "at least 1"),
             "shear_scale": (self.shear_scale > 0.0, "above 0"),
             "bend_scale": (self.bend_scale >= 0.0, "at least 0"),
             "tether_slack": (self.tether_slack >= 0.0, "at least 0"),
@@ -125,6 +125,7 @@ class Model:
 
     @property
     def vertex_count(self) -> int:
+        """Number of vertices n [-]."""
         return len(self.mesh.vertices)
 
 
@@ -357,6 +358,7 @@ class State:
             self.origin = np.array(origin, float)
 
     def copy(self) -> State:
+        """A state of its own with the same bits."""
         return State(*(getattr(self, name).copy() for name in self._names))
 
     _names = ("origin", "position", "velocity", "nearest", "contact", "carrier", "pairs", "pair_sides")

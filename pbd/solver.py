@@ -281,7 +281,7 @@ class Solver:
         return StepParameters(
             h,
             *self.options.gravity,
-            model.options.squeeze,
+            model.options.compression_compliance_scale,
             fabric.thickness,
             fabric.friction,
             fabric.compression / fabric.areal_density,

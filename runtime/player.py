@@ -11,6 +11,7 @@ import numpy as np
 from assets.character import Character
 from assets.io.sequence import Sequence
 from pbd import InputError, build_model
+from pbd.colliders import Primitive
 from pbd.geometry import surface_normals
 from pbd.taichi_internals import Launch
 from pbd.wind import CALM, Air, Wind
@@ -39,7 +40,7 @@ class Player:
     Args:
         database: what was learned.
         body: the character or vertex sequence that it was learned on.
-        pose: where the body is at the start (its bind pose, moved as a whole).
+        pose: where the body is at the start: its bind pose, moved as a whole; None takes the bind pose where it is.
         primitives: what the coarse garment meets besides the body: planes, spheres, capsules.
         fabric: name of one that the database was learned in; None takes the garment's own.
 
@@ -58,15 +59,17 @@ class Player:
         self,
         database: WrinkleDatabase,
         body: Character | Sequence,
-        pose: np.ndarray,
-        primitives: tuple = (),
+        pose: np.ndarray | None = None,
+        primitives: Iterable[Primitive] = (),
         fabric: str | None = None,
     ) -> None:
         database.require_body(body)
+        bind_pose = body.bind_pose() if isinstance(body, Character) else body.vertices[0]
+        start = bind_pose if pose is None else pose
         if fabric is not None:
             database = database.in_fabric(fabric)
         self._pose_shape = (len(body.joint_names), 3, 4) if isinstance(body, Character) else body.vertices.shape[1:]
-        self._check_pose(pose)
+        self._check_pose(start)
         self.database = database
         source = body_source(body)
         self.levels: Levels = levels_of(
@@ -88,7 +91,7 @@ class Player:
             database.bend_factor,
             database.limits,
         )
-        self.simulation = Simulation(model, self.levels.coarse_attachment, source, pose, database.solver, primitives)
+        self.simulation = Simulation(model, self.levels.coarse_attachment, source, start, database.solver, primitives)
         charts = Charts.of(self.levels.coarse)
         subdivision = self.levels.subdivision
         patches, middle_patches = Patches.of(subdivision, charts), Patches.of(subdivision.middle, charts)
@@ -120,7 +123,7 @@ class Player:
         self._left = 0.0  # of a change of detail: from 1 to 0
         self.timings = dict.fromkeys(("skin", "coarse", "decode", "relax", "normals", "frame"), 0.0)
         self._alpha = 1.0
-        self._warm_up(pose)
+        self._warm_up(start)
         self.decode()
 
     @property
@@ -291,7 +294,7 @@ class Player:
         if detail.atoms:
             self._decoder.add(position, state.contact, self.vertices, middle, detail.atoms)
         elif detail.passes:
-            self._decoder.look(position, state.contact)
+            self._decoder.read(position, state.contact)
         if detail.sweeps:
             self._keep_lengths(middle, self.vertices, detail.sweeps)
         decoded = time.perf_counter()

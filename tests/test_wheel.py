@@ -9,7 +9,7 @@ import pytest
 
 from tests.data import ROOT
 
-PACKAGES = ("pbd", "assets", "wrinkles", "precompute", "runtime")
+PACKAGES = ("gube", "pbd", "assets", "wrinkles", "precompute", "runtime")
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +23,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_it_holds_the_five_packages_whole_and_nothing_else(wheel: Path) -> None:
+def test_it_holds_the_six_packages_whole_and_nothing_else(wheel: Path) -> None:
     shipped = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     in_checkout = {
         path.relative_to(ROOT).as_posix()

@@ -377,12 +377,13 @@ def load_scene(path: str | Path) -> Scene:
     return parse_scene(text, path)
 
 
-def parse_scene(text: str, path: str | Path) -> Scene:
+def parse_scene(text: str, path: str | Path = "scene.toml") -> Scene:
     """Read a scene that is not in a file of its own.
 
     Args:
         text: TOML.
-        path: what errors name, and what relative paths in the scene are relative to the folder of.
+        path: the file that errors name. Paths in the scene are relative to its folder; by default that is the working
+            folder.
 
     Raises:
         InputError: not TOML, or what it says cannot be used, with every such place.

@@ -62,7 +62,7 @@ class ClothSolver(ABC):
     next step goes on from those; what was changed, or another state, is taken over.
 
     Args:
-        model: the garment. Tethers, ``squeeze`` and ``shear_scale``, which are the default solver's, are left
+        model: the garment. Tethers, ``compression_compliance_scale`` and ``shear_scale`` belong to the default solver and are left
             out.
         options: see :class:`Options`.
         name: in messages.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -11,13 +10,12 @@ from typing import Any
 
 from pbd import InputError
 from pbd.models import SOLVERS
-from pbd.storage import replacing
 from precompute.failures.failure_comparisons import comparisons
 from precompute.failures.failure_play import Outcome, play
 from precompute.failures.failure_scenes import scenes
 from precompute.learning.recording import begin_worker
 from precompute.method_comparison.error_classes import ErrorClass
-from runtime.report import machine_description
+from precompute.reporting.tables import write_table
 
 __all__ = ["CLASSIC", "all_failure_rows", "failure_rows", "failure_table", "write_failures"]
 
@@ -133,11 +131,4 @@ def write_failures(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     """Write rows as CSV with machine and date."""
     if not rows:
         raise InputError("nothing to write", key="rows", received=0, expected="at least one row")
-    machine = machine_description()
-    named = [{**row, "cpu": machine["cpu"], "date": machine["date"]} for row in rows]
-    with replacing(path) as beside, open(beside, "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(named[0]))
-        writer.writeheader()
-        writer.writerows(
-            {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in row.items()} for row in named
-        )
+    write_table(path, rows, digits=4, machine=True)

@@ -136,7 +136,7 @@ def lifted_frames(
         contact = np.ascontiguousarray(recording.contact[f])
         nearest, targets = np.ascontiguousarray(recording.nearest[f]), levels.fine_attachment.targets(body.current)
         decoded, began = smooth.copy(), time.process_time()
-        layer.stencil.gather(position, contact, frames, features)
+        layer.stencil.read(position, contact, frames, features)
         lift(decoded, upsample, features, frames, run.poses[frame])
         relax(decoded, targets, frames, nearest, contact, body, body.current, passes)
         spent = 1e3 * (time.process_time() - began)

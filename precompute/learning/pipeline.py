@@ -83,7 +83,7 @@ def default_cache(output: Path) -> Path:
 @threadpool_limits.wrap(limits=1, user_api="blas")  # small systems: more threads only wait for each other
 def precompute(
     scene: Scene,
-    output: Path,
+    output: str | Path,
     *,
     cache: Path | None = None,
     workers: int = 2,
@@ -105,7 +105,7 @@ def precompute(
         InputError: a scene that names nothing to learn from, a held-out motion that is trained on too, and whatever
             cannot be loaded.
     """
-    began = time.monotonic()
+    began, output = time.monotonic(), Path(output)
     tell = report or (lambda line: None)
     stage = Stage.of(scene)
     cache = cache or default_cache(output)

@@ -19,6 +19,7 @@ from assets.fabrics import PRESETS
 from pbd import ClothMesh, Colliders, InputError, Model, ModelOptions, Plane, Sphere, build_model
 from pbd.bending import hinge_calibration
 from pbd.fabric import Fabric
+from pbd.mesh import lattice_faces
 
 __all__ = ["RATE", "SCENES", "CompareScene", "Sheet", "scene_of"]
 
@@ -59,12 +60,7 @@ class Sheet:
     def faces(self) -> np.ndarray:
         """Counter-clockwise in the plane, int32, shape (m, 3)."""
         index = np.arange(len(self.xs) * len(self.ys)).reshape(len(self.xs), -1)
-        a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
-        row, column = np.divmod(a, len(self.ys))
-        even = ((row + column) % 2 == 0)[:, None]
-        first = np.where(even, np.stack([a, b, c], axis=1), np.stack([a, b, d], axis=1))
-        second = np.where(even, np.stack([a, c, d], axis=1), np.stack([b, c, d], axis=1))
-        return np.stack([first, second], axis=1).reshape(-1, 3).astype(np.int32)
+        return lattice_faces(index)
 
     def sampled(self, vertices: np.ndarray, other: Sheet) -> np.ndarray:
         """The spline through vertices at the vertices of another sheet.

@@ -24,41 +24,23 @@ from pbd.body_search import MAX_CELLS, find_nearest
 from pbd.constraints import PUSH_OUT
 from pbd.engine import ti
 from pbd.geometry import FAR, closest_on_triangle
-from tests.pbd.meshes import body_of, cloth, free_model, grid, icosphere, run, turn
+from tests.pbd.meshes import (
+    RADIUS,
+    THICKNESS,
+    bodies,
+    body_of,
+    cloth,
+    free_model,
+    grid,
+    icosphere,
+    level_sheet,
+    run,
+    to_triangles,
+    turn,
+)
 
-THICKNESS = 0.003
-RADIUS = 0.15
 vec3 = ti.math.vec3
 Rows = ti.types.ndarray(dtype=ti.f32, ndim=2)
-
-
-def sheet(edges: int, size: float, height: float) -> tuple[np.ndarray, np.ndarray]:
-    """Level sheet, normals up, a little off the middle so that nothing is balanced."""
-    vertices, faces = grid(edges, edges, size / edges)
-    return vertices[:, [1, 2, 0]] + [0.013 - size / 2, height, -0.007 - size / 2], faces
-
-
-def to_triangles(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance [m] of points to a mesh and the closest points, by trying all faces: each inside, then at its sides."""
-    a, b, c = (vertices[faces[:, k]][None] for k in range(3))
-    p = points[:, None, :]
-    normal = np.cross(b - a, c - a)
-    normal = normal / np.linalg.norm(normal, axis=2, keepdims=True)
-    foot = p - ((p - a) * normal).sum(axis=2, keepdims=True) * normal
-    inside = np.ones(foot.shape[:2], bool)
-    best, best_distance = np.zeros_like(foot), np.full(foot.shape[:2], np.inf)
-    for start, end in ((a, b), (b, c), (c, a)):
-        side = end - start
-        inside &= (np.cross(side, foot - start) * normal).sum(axis=2) >= 0
-        t = np.clip(((p - start) * side).sum(axis=2) / (side**2).sum(axis=2), 0.0, 1.0)
-        on_side = start + t[..., None] * side
-        distance = np.linalg.norm(on_side - p, axis=2)
-        nearer = distance < best_distance
-        best[nearer], best_distance[nearer] = on_side[nearer], distance[nearer]
-    best[inside], best_distance[inside] = foot[inside], np.linalg.norm(foot - p, axis=2)[inside]
-    face = best_distance.argmin(axis=1)
-    rows = np.arange(len(points))
-    return best_distance[rows, face], best[rows, face]
 
 
 # -- The search ------------------------------------------------------------------------------------------------------
@@ -88,21 +70,6 @@ def test_the_closest_point_of_a_triangle() -> None:
         [to_triangles(p[None], c, np.array([[0, 1, 2]]))[0][0] for p, c in zip(points, corners, strict=True)]
     )
     assert np.linalg.norm(found - points, axis=1) == pytest.approx(exact, abs=1e-4)
-
-
-def bodies(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Ellipsoids, lumpy balls and boxes, from fine to coarser than the distance searched."""
-    rng = np.random.default_rng(seed)
-    if seed % 3 == 2:
-        corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * rng.uniform(0.05, 0.2, 3)
-        quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
-        faces = np.array([[q[0], q[i], q[i + 1]] for q in quads for i in (1, 2)], np.int32)
-        return corners, faces
-    vertices, faces = icosphere(int(rng.integers(1, 5)), 0.15)
-    vertices = vertices * rng.uniform(0.4, 1.3, 3)
-    if seed % 3 == 1:
-        vertices = vertices * (1.0 + 0.08 * np.sin(20.0 * vertices[:, :1]) * np.cos(25.0 * vertices[:, 1:2]))
-    return vertices, faces
 
 
 def dust(points: np.ndarray) -> tuple[Model, State]:
@@ -180,7 +147,7 @@ def test_loose_body_vertices_are_passed_over() -> None:
     ball, faces = icosphere(4, RADIUS)
     results = []
     for extra in (np.zeros((0, 3)), np.array([[0.0, RADIUS + 0.001, 0.0], [0.05, RADIUS, 0.0]])):
-        vertices, cloth_faces = sheet(8, 0.2, RADIUS + 0.005)
+        vertices, cloth_faces = level_sheet(8, 0.2, RADIUS + 0.005)
         model = free_model(cloth(vertices, cloth_faces), Fabric())
         state = State.at_rest(model)
         run(model, state, 20, colliders=Colliders((), body_of(np.concatenate([ball, extra]), faces, state)))
@@ -189,7 +156,7 @@ def test_loose_body_vertices_are_passed_over() -> None:
 
 
 def test_a_body_that_goes_away_or_becomes_another_is_forgotten() -> None:
-    vertices, faces = sheet(8, 0.2, RADIUS + 0.005)
+    vertices, faces = level_sheet(8, 0.2, RADIUS + 0.005)
     model = free_model(cloth(vertices, faces), Fabric())
     state = State.at_rest(model)
     run(model, state, 10, colliders=Colliders((), body_of(*icosphere(4, RADIUS), state)))
@@ -224,7 +191,7 @@ def test_cloth_falls_on_a_primitive_and_rests_on_it(kind: str, place: float) -> 
         collider = Sphere(tuple(np.add(collider.centre, moved)), RADIUS)
     else:
         collider = Capsule(tuple(np.add(collider.start, moved)), tuple(np.add(collider.end, moved)), RADIUS)
-    vertices, faces = sheet(12, 0.45, RADIUS + 0.05)
+    vertices, faces = level_sheet(12, 0.45, RADIUS + 0.05)
     model = free_model(cloth(vertices + moved, faces), Fabric(thickness=THICKNESS, friction=0.5))
     state, colliders = State.at_rest(model), Colliders([collider])
     for _ in range(12):
@@ -239,7 +206,7 @@ def test_cloth_falls_on_a_primitive_and_rests_on_it(kind: str, place: float) -> 
 def test_cloth_drapes_over_a_body(level: int) -> None:
     """A ball of triangles; the coarser one has edges of 8 cm, longer than the distance searched."""
     ball, ball_faces = icosphere(level, RADIUS)
-    vertices, faces = sheet(12, 0.45, RADIUS + 0.05)
+    vertices, faces = level_sheet(12, 0.45, RADIUS + 0.05)
     model = free_model(cloth(vertices, faces), Fabric(thickness=THICKNESS, friction=0.5))
     state = State.at_rest(model)
     colliders = Colliders((), body_of(ball, ball_faces, state))
@@ -259,7 +226,7 @@ def test_cloth_drapes_over_a_body(level: int) -> None:
 @pytest.mark.parametrize("as_body", [False, True])
 def test_a_moving_ground_carries_the_cloth(as_body: bool) -> None:
     """Without slip, but for what the frames cost: a body's speed jumps from frame to frame."""
-    vertices, faces = sheet(6, 0.2, THICKNESS)
+    vertices, faces = level_sheet(6, 0.2, THICKNESS)
     model = free_model(cloth(vertices, faces), Fabric(thickness=THICKNESS, friction=0.4, air_drag=0.0))
     state, solver = State.at_rest(model), Solver(model)
     ground, ground_faces = grid(16, 16, 0.04)
@@ -288,7 +255,7 @@ def test_a_moving_ground_carries_the_cloth(as_body: bool) -> None:
 @pytest.mark.parametrize("kind", ["sphere", "body"])
 def test_a_rising_ball_lifts_the_cloth_and_a_fast_one_does_not_pass_through(kind: str) -> None:
     for speed in (0.3, 1.5):
-        vertices, faces = sheet(10, 0.3, RADIUS + 0.03)
+        vertices, faces = level_sheet(10, 0.3, RADIUS + 0.03)
         model = free_model(cloth(vertices, faces), Fabric(thickness=THICKNESS, friction=0.5))
         state, solver = State.at_rest(model), Solver(model)
         ball, ball_faces = icosphere(4, RADIUS)
@@ -325,7 +292,7 @@ def test_a_body_faster_than_it_is_large_meets_the_cloth_in_its_way(speed: float)
 @pytest.mark.parametrize("kind", ["sphere", "body"])
 @pytest.mark.parametrize("depth", [0.01, 0.04])
 def test_cloth_that_starts_inside_comes_out_and_is_not_thrown(kind: str, depth: float) -> None:
-    vertices, faces = sheet(10, 0.2, RADIUS - depth)
+    vertices, faces = level_sheet(10, 0.2, RADIUS - depth)
     model = free_model(cloth(vertices, faces), Fabric(thickness=THICKNESS, air_drag=0.0))
     state = State.at_rest(model)
     body = Colliders((), body_of(*icosphere(4, RADIUS), state))

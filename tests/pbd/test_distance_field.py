@@ -11,8 +11,7 @@ from pbd.distance_field import field_rows
 from pbd.engine import ti
 from pbd.geometry import Float1, Float2
 from pbd.models import make_solver
-from tests.pbd.meshes import cloth, free_model, grid, run, turn
-from tests.pbd.test_colliders import RADIUS, THICKNESS, sheet
+from tests.pbd.meshes import RADIUS, THICKNESS, cloth, free_model, grid, level_sheet, run, turn
 
 SPACING = 0.01
 DT = 1.0 / 60.0
@@ -88,7 +87,7 @@ def test_cloth_drapes_over_the_field_of_a_ball_as_over_the_ball(place: float) ->
         field = ball()
         field.position, field.rotation = moved, turn((1.0, 2.0, 0.5), 37.0)
         colliders = Colliders([field if kind == "field" else Sphere(tuple(moved), RADIUS)])
-        vertices, faces = sheet(12, 0.45, RADIUS + 0.02)
+        vertices, faces = level_sheet(12, 0.45, RADIUS + 0.02)
         model = free_model(cloth(vertices + moved, faces), Fabric(thickness=THICKNESS, friction=0.8))
         state = State.at_rest(model)
         for _ in range(5):
@@ -103,7 +102,7 @@ def test_cloth_drapes_over_the_field_of_a_ball_as_over_the_ball(place: float) ->
 @pytest.mark.parametrize("motion", ["shift", "turn"])
 def test_a_moving_field_carries_the_cloth(motion: str) -> None:
     """At constant speed from the start, which friction has to give the cloth first; then without slip."""
-    vertices, faces = sheet(6, 0.2, 0.05 + THICKNESS)
+    vertices, faces = level_sheet(6, 0.2, 0.05 + THICKNESS)
     model = free_model(cloth(vertices, faces), Fabric(thickness=THICKNESS, friction=0.6, air_drag=0.0))
     state, solver, table = State.at_rest(model), Solver(model), block((0.3, 0.05, 0.3))
     colliders, offset, slip = Colliders([table]), np.zeros_like(vertices), []
@@ -126,7 +125,7 @@ def test_a_moving_field_carries_the_cloth(motion: str) -> None:
 def test_a_tilted_field_holds_cloth_below_the_angle_of_friction_only(friction: float) -> None:
     """20 degrees: tan is 0.364. What sticks does not creep; what slides keeps Coulomb's law."""
     rotation = turn((0.0, 0.0, 1.0), 20.0)
-    flat, faces = sheet(6, 0.2, 0.05 + THICKNESS)
+    flat, faces = level_sheet(6, 0.2, 0.05 + THICKNESS)
     start = (flat + [0.2, 0.0, 0.0]) @ rotation.T
     model = free_model(cloth(start, faces), Fabric(thickness=THICKNESS, friction=friction, air_drag=0.0))
     table = block((0.5, 0.05, 0.2))
@@ -165,7 +164,7 @@ def test_a_fast_field_takes_the_curtain_along(speed: float) -> None:
 def test_cloth_inside_the_grid_s_box_but_clear_of_the_surface_keeps_its_bits() -> None:
     hashes = []
     for colliders in (Colliders(), Colliders([ball()])):
-        vertices, faces = sheet(6, 0.1, RADIUS + 0.025)
+        vertices, faces = level_sheet(6, 0.1, RADIUS + 0.025)
         model = free_model(cloth(vertices, faces), Fabric(thickness=THICKNESS))
         state = State.at_rest(model)
         run(model, state, 3, colliders=colliders)
@@ -178,7 +177,7 @@ def test_a_batch_on_fields_has_the_bits_of_each_alone() -> None:
     """One garment on two fields, one on another, one on none; they move, and one is exchanged."""
     models, starts = [], []
     for edges in (8, 7, 6):
-        vertices, faces = sheet(edges, 0.25, RADIUS + 0.005)
+        vertices, faces = level_sheet(edges, 0.25, RADIUS + 0.005)
         models.append(free_model(cloth(vertices, faces), Fabric(thickness=THICKNESS)))
         starts.append(State.at_rest(models[-1]))
 
@@ -231,7 +230,7 @@ def test_bad_fields_are_refused(change: dict, text: str) -> None:
 
 
 def test_float64_solvers_refuse_fields() -> None:
-    vertices, faces = sheet(3, 0.1, 0.3)
+    vertices, faces = level_sheet(3, 0.1, 0.3)
     model = free_model(cloth(vertices, faces), Fabric())
     with pytest.raises(InputError, match="planes, spheres and capsules"):
         make_solver("springs-triangle/symplectic-euler", model).step(State.at_rest(model), Colliders([ball()]), DT)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from pbd import Colliders, Fabric, InputError, Solver, SolverOptions, State
-from tests.pbd.meshes import cloth, free_model, grid, turn
-from tests.pbd.test_solver import momentum, wavy
+from tests.pbd.meshes import cloth, free_model, grid, momentum, turn, wavy
 
 AIRLESS = Fabric(air_drag=0.0)
 NO_WEIGHT = (0.0, 0.0, 0.0)

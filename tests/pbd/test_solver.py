@@ -3,26 +3,12 @@
 import numpy as np
 import pytest
 
-from pbd import Colliders, Fabric, Model, Plane, Solver, SolverOptions, Sphere, State
-from tests.pbd.meshes import body_of, cloth, free_model, grid, icosphere, run, turn
+from pbd import Colliders, Fabric, Plane, Solver, SolverOptions, Sphere, State
+from tests.pbd.meshes import body_of, cloth, free_model, grid, icosphere, momentum, run, turn, wavy
 
 GRAVITY = 9.81
 PLACES = [0.0, 8.0, 100.0]  # from the origin [m]
 VACUUM = {"air_drag": 0.0}
-
-
-def momentum(model: Model, state: State) -> tuple[np.ndarray, np.ndarray]:
-    """Linear momentum [kg m/s] and angular momentum about the centre of mass [kg m2/s], each shape (3,)."""
-    mass, velocity, position = model.mass[:, None], state.velocity.astype(float), state.world()
-    total = (mass * velocity).sum(axis=0)
-    arm = position - (mass * position).sum(axis=0) / mass.sum()
-    return total, np.cross(arm, mass * (velocity - total / mass.sum())).sum(axis=0)
-
-
-def wavy(place: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    vertices, faces = grid(12, 10, 0.04, "equilateral")
-    vertices[:, 2] = 0.03 * np.sin(9.0 * vertices[:, 0]) * np.cos(7.0 * vertices[:, 1])
-    return vertices @ turn((1.0, 2.0, 0.5), 40.0).T + [place, place, 0.0], faces
 
 
 @pytest.mark.parametrize("place", PLACES)

@@ -7,7 +7,13 @@ from tests.precompute.miniature import miniature, scene
 
 
 @pytest.fixture(scope="session")
-def learned(tmp_path_factory: pytest.TempPathFactory) -> Precomputed:
-    """The miniature's database, its recorded runs beside it."""
+def reports() -> list[str]:
+    """Lines that `learned` reported while it was made."""
+    return []
+
+
+@pytest.fixture(scope="session")
+def learned(tmp_path_factory: pytest.TempPathFactory, reports: list[str]) -> Precomputed:
+    """The miniature's database, its recorded runs beside it; modules that ask for it run in one process."""
     with miniature():
-        return precompute(scene(), tmp_path_factory.mktemp("learned") / "skirt.h5", workers=1)
+        return precompute(scene(), tmp_path_factory.mktemp("learned") / "skirt.h5", workers=1, report=reports.append)

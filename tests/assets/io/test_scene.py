@@ -122,6 +122,13 @@ def refused(load, text: str) -> str:
     return str(caught.value)
 
 
+def test_a_scene_without_a_file_of_its_own_is_read_in_the_working_folder(load, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert parse_scene(FULL) == load(FULL)
+    with pytest.raises(InputError, match="scene.toml: garment"):
+        parse_scene("")
+
+
 def test_a_short_scene_has_the_defaults(load) -> None:
     scene = load(SKIRT)
     (skirt,) = scene.garments

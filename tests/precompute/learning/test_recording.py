@@ -14,25 +14,15 @@ from assets.character import Character
 from assets.io.sequence import Sequence
 from pbd import Fabric, ModelOptions, Plane, SolverOptions
 from precompute.learning import recording
-from precompute.learning.recording import Recording, Run, poses_of, record_runs
+from precompute.learning.recording import Recording, record_runs
 from runtime.simulation import Simulation
 from tests.data import ROOT
-from tests.runtime.players import skirt_stage
+from tests.precompute.learning.runs import CHUNK, FRAMES, skirt_run
 from tests.wrinkles.meshes import flat_sheet, icosphere
 from wrinkles.gathers import Gathers
 from wrinkles.levels import build_levels
 
-FRAMES, CHUNK = 40, 10
 ARRAYS = ("frames", "positions", "coarse", "contact", "nearest")
-
-
-def skirt_run(fine: bool = False) -> Run:
-    """The skirt on a mannequin that is carried off at 3 m/s, so that the origin moves along."""
-    stage = skirt_stage()
-    poses = poses_of(stage.motion(), 1 / 60, FRAMES / 60)
-    poses[:, :, 2, 3] += 0.05 * np.arange(FRAMES + 1)[:, None]
-    solver = SolverOptions(substep=1 / 240)
-    return Run("walk", stage.levels, fine, stage.body, poses, 1 / 60, Fabric(), ModelOptions(), solver, bend_factor=0.4)
 
 
 @pytest.fixture(autouse=True)
@@ -112,7 +102,7 @@ import os, signal, sys
 from pathlib import Path
 from precompute.learning import recording
 from runtime.simulation import Simulation
-from tests.precompute.learning.test_recording import CHUNK, skirt_run
+from tests.precompute.learning.runs import CHUNK, skirt_run
 
 recording.CHUNK_SECONDS = CHUNK / 60
 step, count = Simulation.step_cloth, 0
