@@ -62,8 +62,8 @@ class ClothSolver(ABC):
     next step goes on from those; what was changed, or another state, is taken over.
 
     Args:
-        model: the garment. Tethers, ``compression_compliance_scale`` and ``shear_scale`` belong to the default solver and are left
-            out.
+        model: the garment. Tethers, ``compression_compliance_scale`` and ``shear_scale`` belong to the default
+            solver and are left out.
         options: see :class:`Options`.
         name: in messages.
 
