@@ -117,15 +117,15 @@ def test_playing_loads_nothing_that_only_learning_needs() -> None:
     assert result.returncode == 0, result.stderr
 
 
-# What one garment on one thread and many on several threads are stepped by alike, see pbd.batch_solver.
+# What one garment on one thread and many on several threads are stepped by alike, see pbd.xpbd.batch_solver.
 SHARED_BY_THREADS = (
-    "body_search",
-    "constraint_passes",
-    "constraints",
-    "contact",
+    "contact/body_search",
+    "contact/response",
     "geometry",
-    "multigrid_cycle",
-    "schedule",
+    "xpbd/constraint_passes",
+    "xpbd/constraints",
+    "xpbd/multigrid_cycle",
+    "xpbd/schedule",
 )
 
 

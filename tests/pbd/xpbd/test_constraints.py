@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from pbd.constraints import (
+from pbd.engine import ti
+from pbd.xpbd.constraints import (
     CLOSED,
     PUSH_OUT,
     bent_hinge,
@@ -14,7 +15,6 @@ from pbd.constraints import (
     stitch_multiplier,
     tether_correction,
 )
-from pbd.engine import ti
 from tests.pbd.meshes import turn
 
 vec3 = ti.math.vec3
