@@ -15,6 +15,7 @@ from contextlib import redirect_stdout
 
 os.environ.setdefault("TI_ENABLE_TORCH", "0")  # torch, if installed, would add seconds to the import
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+os.environ.setdefault("TI_ENABLE_PYBUF", "0")  # where output is caught it says so, for `print` in kernels
 
 import taichi as ti
 
