@@ -43,7 +43,7 @@ class Changeable(Protocol):
 
 
 class Ensemble:
-    """Plays garments within one budget.
+    """Plays several garments within one frame budget, each at the detail that the planner chooses.
 
     Args:
         players: one for each garment.
@@ -87,6 +87,9 @@ class Ensemble:
             dt: length of the tick [s].
             sights: view of each garment.
             wind: velocity of the air [m/s].
+
+        Raises:
+            InputError: another number of sights than of garments, or as :meth:`runtime.player.Player.step`.
         """
         began = self._clock()
         planner = self.planner

@@ -1,4 +1,4 @@
-"""A game loop at 30 or 60 Hz: fixed ticks, pictures in between, and what became of the deadlines."""
+"""A game loop at 30 or 60 Hz: fixed ticks, pictures in between, and a count of missed deadlines."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from runtime.simulation import Motion, Simulation
 
 __all__ = ["GameLoop", "LiveInput", "Playable", "ScriptedInput"]
 
-_SPIN = 1e-3  # sleeping may end this late [s]; the rest of a wait is spent awake
-_ROUNDING = 1e-6  # times closer than this are one time [tick]
+_SPIN = 1e-3  # the last part of a wait is spent awake, because sleeping may end this late [s]
+_ROUNDING = 1e-6  # two times that are closer than this count as one [tick]
 
 
 class LiveInput(NamedTuple):
-    """What the game says at one time.
+    """The game's input at one time.
 
     Attributes:
-        pose: of the body; what ``player.step`` takes.
+        pose: of the body, as ``player.step`` takes it.
         wind: velocity of the air [m/s].
         drag: a coarse vertex and the point in the world [m], shape (3,), at which it is held; None for none.
     """
@@ -34,7 +34,7 @@ class LiveInput(NamedTuple):
 
 
 class Playable(Protocol):
-    """What the loop needs of a :class:`runtime.player.Player`."""
+    """The methods that the loop calls: of :class:`runtime.player.Player` or :class:`runtime.simulation.Simulation`."""
 
     def step(self, pose: np.ndarray, dt: float, wind: Air = ...) -> Any: ...
 
@@ -61,8 +61,8 @@ class GameLoop:
 
     Args:
         player: steps and decodes.
-        input: what the game says at a time [s] of the garment, called once a tick with the time of the tick's end.
-            Live input has no future: what holds now is right.
+        input: gives the game's input at a time [s] of the garment; called once a tick with the time of the tick's
+            end. Live input has no future: it may return what holds now.
         rate_hz: frames a second.
         tick: [s].
         max_ticks: in a frame.
@@ -113,13 +113,13 @@ class GameLoop:
         """Make the next picture.
 
         Args:
-            elapsed: time since the last picture [s]; 0 leaves everything as it is.
+            elapsed: time since the last picture [s]; 0 changes nothing.
 
         Returns:
-            How many ticks it took.
+            number of ticks that were made.
 
         Raises:
-            InputError: time that runs backwards or is not finite.
+            InputError: a time below 0 or one that is not finite.
         """
         if not 0.0 <= elapsed < math.inf:
             raise InputError("bad time", key="elapsed", received=elapsed, expected="a finite number, at least 0 [s]")
@@ -146,7 +146,7 @@ class GameLoop:
 
         Args:
             seconds: by the clock, rounded to frames.
-            show: draws or hands on the player's vertices; its time counts as the frame's. What it raises ends the run.
+            show: draws or hands on the player's vertices; its time counts as the frame's. Its exceptions end the run.
 
         Returns:
             :meth:`figures` of this run.
@@ -177,7 +177,7 @@ class GameLoop:
         return self.figures()
 
     def figures(self) -> dict[str, float]:
-        """Of the last run, also of one that was broken off: frame times without the waits, deadlines, ticks."""
+        """Figures of the last run, even if it ended early: frame times without waits [ms], deadlines, ticks."""
         frame_ms = self._frame_ms[: self._frame_count]
         p50, p99 = np.percentile(frame_ms, [50, 99]) if len(frame_ms) else (math.nan, math.nan)
         figures = {
@@ -220,19 +220,19 @@ class GameLoop:
 class ScriptedInput:
     """Input for demonstrations and measurements: a motion, a gust of wind, and a pull at the garment.
 
-    The gust swells and ebbs over the middle fifth of the time. At seven tenths of it the lowest vertex in front is
-    held for half a second, carried along with the body and drawn outwards.
+    The gust rises and falls over the middle fifth of the time. After seven tenths of the time the lowest vertex in
+    front is held for half a second; it moves along with the body and is pulled outwards.
 
     Args:
-        simulation: of the garment that is played.
-        motion: of its body.
-        seconds: that it is played for.
-        gust: the wind at its strongest [m/s].
-        pull: how far the vertex is drawn [m].
+        simulation: simulation of the garment that is played.
+        motion: motion of its body.
+        seconds: length of the play [s].
+        gust: strongest wind of the gust [m/s].
+        pull: distance over which the vertex is pulled [m].
 
     Attributes:
         vertex: the coarse vertex that is held.
-        gust_time, drag_time: start and end [s].
+        gust_time, drag_time: start and end of each [s].
     """
 
     def __init__(
@@ -249,7 +249,7 @@ class ScriptedInput:
         self.drag_time = 0.7 * seconds, 0.7 * seconds + 0.5
         model = simulation.model
         height, front = model.mesh.vertices[:, 1], model.mesh.vertices[:, 2]
-        # Of a hem, which is level or nearly so, the part in front.
+        # Height counts five times as much as depth: a hem is nearly level, and its front part is chosen.
         self.vertex = int(np.argmax(np.where(model.inverse_mass > 0.0, front - 5.0 * height, -np.inf)))
         self._grip: np.ndarray | None = None  # where the vertex was taken, less where the body was
         self._outwards = np.zeros(3)

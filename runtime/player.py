@@ -27,21 +27,23 @@ __all__ = ["FADE", "Player"]
 
 
 class Player:
-    """One garment on one body. Nothing is allocated a frame but what NumPy needs for small matrices.
+    """Plays one garment of a wrinkle database on one body: poses in, fine vertices and normals out.
+
+    A frame allocates no memory, except for small matrices of NumPy.
 
     Args:
-        database: what was learned.
+        database: the garment and its wrinkles.
         body: the character or vertex sequence that it was learned on.
         pose: where the body is at the start: its bind pose, moved as a whole; None takes the bind pose where it is.
-        primitives: what the coarse garment meets besides the body: planes, spheres, capsules.
+        primitives: further colliders of the coarse garment: planes, spheres, capsules, distance fields.
         fabric: name of one that the database was learned in; None takes the garment's own.
 
     Attributes:
         levels: coarse and fine mesh.
         vertices: fine vertices about ``origin`` [m], float32, shape (N, 3).
         normals: unit, float32, shape (N, 3).
-        timings: what the last frame took, by part [ms].
-        full: the most detail there is: what the database was made for, and what a player begins with.
+        timings: of the last frame, by part [ms].
+        full: the most detail there is; the player begins with it.
 
     Raises:
         InputError: a body that the database was not made for, a fabric that it was not learned in, or a bad pose.
@@ -118,10 +120,11 @@ class Player:
     def change(self, detail: Detail, wait: int = 0, fade: bool = True) -> None:
         """Model more or less from now on. The coarse state goes on as it is, and nothing pops.
 
-        What is shown stays where it is; the difference to the same state at the new detail fades within :data:`FADE`.
+        The shown vertices stay where they are; their distance from the same state at the new detail fades within
+        :data:`FADE`.
 
         Args:
-            detail: what to model; atoms beyond the dictionary's count as all of them.
+            detail: how much to model; more atoms than the dictionary has count as all of them.
             wait: ticks that are left out before the next update, fewer than the detail's ``every``: garments that share
                 a frame take turns.
             fade: False shows the new detail at once: after a cut there is no picture that it could jump in.
@@ -147,7 +150,7 @@ class Player:
             self._fade.start()
 
     def prepare(self, details: Iterable[Detail]) -> None:
-        """Make what details need before they are needed: the mesh below the coarse one takes some tenths of a second.
+        """Make in advance all that some details need: the mesh below the coarse one takes some tenths of a second.
 
         Raises:
             InputError: a level that this garment does not have.
