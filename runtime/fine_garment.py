@@ -7,8 +7,8 @@ import time
 import numpy as np
 
 from pbd import Body, State
-from pbd.engine import Launch
 from pbd.geometry import surface_normals
+from pbd.taichi_internals import Launch
 from runtime.detail import Detail
 from runtime.simulation import BodySource
 from wrinkles.charts import Charts

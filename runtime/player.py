@@ -21,7 +21,7 @@ from runtime.transitions import FADE, Extrapolation, Fade, Interpolation
 from wrinkles.coarser import coarser_of
 from wrinkles.database import WrinkleDatabase
 from wrinkles.isometry import PASSES
-from wrinkles.levels import Levels, levels_of
+from wrinkles.levels import Levels
 
 __all__ = ["FADE", "Player"]
 
@@ -66,17 +66,7 @@ class Player:
         self._check_pose(start)
         self.database = database
         source = body_source(body)
-        self.levels: Levels = levels_of(
-            database.coarse_vertices,
-            database.coarse_faces,
-            database.held,
-            source.vertices,
-            source.faces,
-            database.subdivisions,
-            database.warp,
-            database.binding,
-            database.limits,
-        )
+        self.levels: Levels = database.levels(source.vertices, source.faces)
         model = build_model(
             database.gathers.applied(self.levels.coarse),
             database.fabric,

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.data import ROOT
+from tests.imports import imports
 
 FLOORS = ("pbd", "assets", "wrinkles", "runtime", "precompute", "gube")  # ground floor first, the roof last
 PLAYING = FLOORS[:4]
@@ -19,16 +20,6 @@ TABLES = (TABLE_OF_COMMANDS, Path("gube/__init__.py"))  # alone import modules b
 MODULES = [path for floor in FLOORS for path in sorted((ROOT / floor).rglob("*.py"))]
 
 
-def imports(tree: ast.AST, inside_function: bool = False) -> Iterator[tuple[str, bool]]:
-    """Top-level names that a module imports, each with whether a function holds the import."""
-    for node in ast.iter_child_nodes(tree):
-        if isinstance(node, ast.Import):
-            yield from ((alias.name.partition(".")[0], inside_function) for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            yield ("." * node.level or (node.module or "").partition(".")[0], inside_function)
-        else:
-            deeper = inside_function or isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
-            yield from imports(node, deeper)
 
 
 def names_of_modules(tree: ast.AST) -> Iterator[str]:
