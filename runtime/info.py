@@ -54,7 +54,7 @@ EXPLANATIONS = {
     "offered_s": "length of the motion from which it was chosen",
     "coverage": "how well the chosen patches cover held-out ones: 1 as well as all that were offered",
     "coverage_even": "the same for as much motion chosen at even intervals",
-    "feature_shift_before": "distance of the coarse garment's features from the training's, before calibration; 1 as its own",
+    "feature_shift_before": "distance of the coarse garment's features from the training's, uncalibrated; 1 is its own",
     "feature_shift_after": "the same after calibration",
     "feature_mismatch_before": "distance between both distributions of features, before calibration",
     "feature_mismatch_after": "the same after calibration",

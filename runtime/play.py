@@ -350,11 +350,11 @@ def write_baked(
     """Bake to the kind of file that the extension names; only .glb takes normals and the body along.
 
     Args:
-        path: file ending in .glb, .pc2 or .obj.
-        faces: faces of the garment, int, shape (m, 3).
-        frames: vertices in the world [m], shape (f, n, 3).
-        rate_hz: rate of the frames [Hz].
-        normals: unit normals, shape (f, n, 3).
+        path: .glb, .pc2 or .obj.
+        faces: of the garment, int, shape (m, 3).
+        frames: world [m], shape (f, n, 3).
+        rate_hz: [Hz].
+        normals: unit, shape (f, n, 3).
         body_faces: int, shape (k, 3).
         bodies: world [m], shape (f, b, 3).
 
