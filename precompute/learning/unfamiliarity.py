@@ -14,7 +14,7 @@ from precompute.learning.training import Layer, spread_frames
 from wrinkles.charts import leading_vertices
 from wrinkles.dictionary import Atoms, Mapping
 from wrinkles.metrics import patch_normal_errors
-from wrinkles.network import Network
+from wrinkles.network import Network, Samples
 from wrinkles.unfamiliarity import Unfamiliarity
 
 __all__ = ["fit_unfamiliarity"]
@@ -56,8 +56,9 @@ def fit_unfamiliarity(
     middle, spread = seen.mean(axis=0), seen.std(axis=0) + 1e-3
     level, unit = target.mean(), target.std()
     network = Network((seen.shape[1], UNITS, 1), seed)
-    nowhere = np.zeros((hidden.shape[1], 0), np.float32)  # places have told the first layer already
-    network.fit((seen - middle) / spread, nowhere, ((target - level) / unit).astype(np.float32), epochs=EPOCHS)
+    nowhere = np.zeros((1, 0), np.float32)  # places have told the first layer already
+    samples = Samples((seen - middle) / spread, nowhere, ((target - level) / unit).astype(np.float32))
+    network.fit(samples, epochs=EPOCHS)
     weights = network.weights[0] / spread[:, None]
     found = Unfamiliarity(
         weights.astype(np.float32),

@@ -112,7 +112,7 @@ def test_regions_go_on_from_what_all_places_have_learned(examples: tuple) -> Non
     told: list[str] = []
     fit(region=there, report=told.append)
     assert [line.split(",")[0] for line in told[-3:]] == [
-        "fitting: pass 12 of 12", "fitting: region 1 of 2", "fitting: region 2 of 2",
+        "fitting: 12.0 of at most 12 passes", "fitting: region 1 of 2", "fitting: region 2 of 2",
     ]  # fmt: skip
 
 
