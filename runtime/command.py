@@ -111,6 +111,7 @@ def _demo(options: argparse.Namespace) -> Report:
 def _precompute(options: argparse.Namespace) -> Report:
     from assets.io.scene import load_scene
     from precompute.learning.pipeline import precompute
+    from precompute.learning.stages import stage_figures, stage_table
     from runtime.info import info_text
 
     if options.workers < 1:
@@ -120,11 +121,12 @@ def _precompute(options: argparse.Namespace) -> Report:
         check_folder(options.cache, "--cache")
     scene = load_scene(options.scene)
     with Progress(sys.stderr) as progress:
-        precompute(scene, options.output, cache=options.cache, workers=options.workers, report=progress)
+        made = precompute(scene, options.output, cache=options.cache, workers=options.workers, report=progress)
     text, figures = info_text(options.output)
     print(text)
+    print(f"where the time went:\n{stage_table(made.stages)}")
     print(f"To see it: gube play {options.output} --truth\nFor others: gube bake {options.output} -o OUT.glb")
-    return Report(figures)
+    return Report({**figures, **stage_figures(made.stages)})
 
 
 def _play(options: argparse.Namespace) -> Report:

@@ -17,7 +17,7 @@ __all__ = ["FABRIC_COUNT", "Atoms", "Mapping", "fabric_features", "fit_atoms", "
 NOISE = 0.05  # of the features in training, in standard deviations
 FABRIC_COUNT = 2  # see fabric_features
 SHORTEST = 1e-3  # gravity lengths below it [m] are all the same: no mesh shows their folds
-REGION_RATE = 0.015  # where a region goes on from what all places have learned
+REGION_RATE = 0.03  # where a region goes on from what all places have learned
 BLOCK, KEPT_OUT = 20, 8  # every eighth block of twenty frames says when the fit may stop
 VALIDATED = 40_000  # samples of these that are asked: the mean loss of more is the same
 PARTS = 16  # that what the first layer gives is computed in
@@ -194,7 +194,7 @@ def fit_mapping(
         scaling.inputs(features, told, seed).reshape(-1, scaling.width),
         scaling.place(static),
         (coefficients / np.float32(unit)).reshape(-1, coefficients.shape[2]),
-        _validation(*features.shape[:2], seed),
+        _validation(len(features), features.shape[1], seed),
     )
     network = Network((scaling.width + static.shape[1], *hidden, coefficients.shape[2]), seed)
     tell = report or (lambda line: None)
@@ -206,16 +206,20 @@ def fit_mapping(
     region = np.zeros(len(static), np.int32) if region is None else np.asarray(region, np.int32)
     heads = _fit_regions(network, samples, region, -(-epochs // 2), seed, tell)
     single = lambda a: np.ascontiguousarray(a, np.float32)  # noqa: E731
+    weights_1, place_weights, bias_1, fabric_weights = scaling.unscaled(network.weights[0], network.biases[0])
     return Mapping(
         single(scaling.center),
         single(scaling.scale),
         single(static),
         region,
-        **{name: single(array) for name, array in scaling.unscaled(network.weights[0], network.biases[0]).items()},
-        weights_2=single([head.weights[0] for head in heads]),
-        bias_2=single([head.biases[0] for head in heads]),
-        weights_3=single([head.weights[1] * unit for head in heads]),
-        bias_3=single([head.biases[1] * unit for head in heads]),
+        single(weights_1),
+        single(place_weights),
+        single(bias_1),
+        single(fabric_weights),
+        single([head.weights[0] for head in heads]),
+        single([head.biases[0] for head in heads]),
+        single([head.weights[1] * unit for head in heads]),
+        single([head.biases[1] * unit for head in heads]),
     )
 
 
@@ -249,9 +253,9 @@ class _Scaling:
         some += NOISE * np.random.default_rng(seed).standard_normal(some.shape, np.float32)
         differs = np.ptp(told, axis=0) > 0.0
         usual, spread = told[:, differs].mean(axis=0), told[:, differs].std(axis=0)
-        return cls(
-            center, scale, *whitening(some), differs, usual, spread, static.mean(axis=0), static.std(axis=0) + 1e-2
-        )
+        middle, axes = whitening(some)
+        middle_place, spread_place = static.mean(axis=0), static.std(axis=0) + 1e-2
+        return cls(center, scale, middle, axes, differs, usual, spread, middle_place, spread_place)
 
     @property
     def width(self) -> int:
@@ -261,7 +265,7 @@ class _Scaling:
     def inputs(self, features: np.ndarray, told: np.ndarray, seed: int) -> np.ndarray:
         """Dynamic and fabric features as the network sees them, with noise, float32, shape (S, n, width)."""
         total, places, count = features.shape
-        found = np.empty((total, places, self.width), np.float32)
+        found = np.zeros((total, places, self.width), np.float32)
         found[..., count:] = ((told[:, self.differs] - self.usual) / self.spread)[:, None]
 
         def fill(first: int) -> None:
@@ -279,18 +283,15 @@ class _Scaling:
         """Static features as the network sees them, float32, shape (n, s)."""
         return ((static - self.middle_place) / self.spread_place).astype(np.float32)
 
-    def unscaled(self, weights: np.ndarray, bias: np.ndarray) -> dict[str, np.ndarray]:
-        """The first layer for features as :class:`Mapping` sees them."""
+    def unscaled(self, weights: np.ndarray, bias: np.ndarray) -> tuple[np.ndarray, ...]:
+        """The first layer for unscaled features: weights of dynamic and static ones, bias, weights of fabrics."""
         count = len(self.center)
         weights_1, by_place = self.axes @ weights[:count], weights[self.width :] / self.spread_place[:, None]
         by_fabric = np.zeros((FABRIC_COUNT, weights.shape[1]))
         by_fabric[self.differs] = weights[count : self.width] / self.spread[:, None]
-        return {
-            "weights_1": weights_1,
-            "place_weights": by_place,
-            "bias_1": bias - self.middle_place @ by_place - self.middle @ weights_1 - self.usual @ by_fabric[self.differs],
-            "fabric_weights": by_fabric,
-        }
+        own_fabric = self.usual @ by_fabric[self.differs]
+        bias_1 = bias - self.middle_place @ by_place - self.middle @ weights_1 - own_fabric
+        return weights_1, by_place, bias_1, by_fabric
 
 
 def _validation(frames: int, places: int, seed: int) -> np.ndarray:

@@ -14,9 +14,9 @@ __all__ = ["Network", "Samples", "in_threads"]
 
 RATE = 0.04  # of weights, at its highest
 WARM_UP = 0.05  # share of the steps until the rate is reached
-DECAY_SHARE = 0.35  # share of all steps in which the rate falls to zero
+DECAY_SHARE = 0.6  # share of all steps in which the rate falls to zero
 CHECKS = 2  # of the validation loss in one pass
-LEAST_GAIN = 0.005  # relative; where the validation loss gains less from one check to the next, the rate falls
+LEAST_GAIN = 0.015  # relative; where the validation loss gains less from one check to the next, the rate falls
 BIAS_SHARE = 0.25  # of the rate, for biases
 MOMENTUM, SQUARES = 0.9, 0.999  # shares of running means that stay from step to step
 # Newton-Schulz iteration towards the nearest orthogonal matrix: x becomes a x + b x^3 + c x^5 for each singular value.
@@ -63,7 +63,7 @@ class Samples:
     def of(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Inputs with those of the places, shape (r, d + s), and targets, shape (r, K), of some samples."""
         width = self.inputs.shape[1]
-        x = np.empty((len(rows), width + self.place.shape[1]), np.float32)
+        x = np.zeros((len(rows), width + self.place.shape[1]), np.float32)
         x[:, :width] = self.inputs[rows]
         x[:, width:] = self.place[rows % len(self.place)]
         return x, self.targets[rows]
@@ -188,7 +188,7 @@ class Network:
         """Mean loss of a batch and its gradients by weights and biases."""
         found = list(pool.map(lambda part: self._sums(*samples.of(part)), _parts(rows)))
         share = np.float32(1.0 / len(rows))
-        gradients = [share * sum(parts) for parts in zip(*(part for _, part in found), strict=True)]
+        gradients = [share * np.sum(parts, axis=0) for parts in zip(*(part for _, part in found), strict=True)]
         for gradient, weight in zip(gradients, self.weights, strict=False):
             gradient += np.float32(WEIGHT_DECAY) * weight
         return sum(loss for loss, _ in found) / len(rows) - KNEE, gradients

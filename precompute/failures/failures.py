@@ -15,8 +15,8 @@ from pbd.storage import replacing
 from precompute.failures.failure_comparisons import comparisons
 from precompute.failures.failure_play import Outcome, play
 from precompute.failures.failure_scenes import scenes
-from precompute.learning.recording import begin_worker
 from precompute.method_comparison.error_classes import ErrorClass
+from precompute.workers import begin_worker
 from runtime.report import machine_description
 
 __all__ = ["CLASSIC", "all_failure_rows", "failure_rows", "failure_table", "write_failures"]

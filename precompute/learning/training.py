@@ -126,7 +126,7 @@ class _Residuals:
         features, frames = (
             np.concatenate(parts) for parts in zip(*(features_of(layer, r) for r in recordings), strict=True)
         )
-        rows = np.empty((3, layer.levels.subdivision.fine_count, len(frames)), np.float32)
+        rows = np.zeros((3, layer.levels.subdivision.fine_count, len(frames)), np.float32)
         firsts = np.cumsum([0, *(len(r.frames) for r in recordings)])
         blocks = [
             (recording, first, slice(begin, min(begin + BLOCK, len(recording.frames))))
@@ -159,7 +159,7 @@ class _Residuals:
 
     def coefficients(self, atoms: Atoms) -> np.ndarray:
         """What the grids of all patches are in atoms, float32, shape (f, n, K)."""
-        found = np.empty((len(self.features), len(self.fits), len(atoms.shapes)), np.float32)
+        found = np.zeros((len(self.features), len(self.fits), len(atoms.shapes)), np.float32)
         analysis = atoms.analysis.astype(float).reshape(NODES, 3, -1)
         offset = (atoms.mean @ atoms.analysis).astype(np.float32)
 

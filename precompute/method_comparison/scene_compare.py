@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from pbd import InputError
-from precompute.learning.recording import begin_worker
 from precompute.method_comparison.compare_scenes import SCENES, CompareScene, scene_of
 from precompute.method_comparison.error_classes import ErrorClass
 from precompute.method_comparison.scene_judging import Judge, Verdict, reference_settings
@@ -26,6 +25,7 @@ from precompute.method_comparison.scene_runs import (
     run_setting,
     write_run,
 )
+from precompute.workers import begin_worker
 
 __all__ = ["BUDGET", "METHODS", "Compared", "SceneComparison", "chosen_settings", "compare_scenes"]
 

@@ -14,7 +14,6 @@ from threadpoolctl import threadpool_limits
 
 from pbd import InputError
 from pbd.models import SOLVERS
-from precompute.learning.recording import begin_worker
 from precompute.method_comparison.error_classes import ErrorClass
 from precompute.stability.stability_cells import (
     SECONDS,
@@ -27,6 +26,7 @@ from precompute.stability.stability_cells import (
 )
 from precompute.stability.stability_maps import MAPS, StabilityMap
 from precompute.stability.stability_theory import ExplicitLimit, explicit_limits
+from precompute.workers import begin_worker
 
 __all__ = ["METHODS", "Border", "Stability", "cell_command", "check_methods", "sweep"]
 

@@ -12,10 +12,10 @@ from typing import Any
 
 from pbd.errors import InputError
 from pbd.models import SOLVERS, StepError
-from precompute.learning.recording import begin_worker
 from precompute.validation import bending_rows, contact_rows, drape_rows, laboratory_rows, membrane_rows, motion_rows
 from precompute.validation.trial import Measured, Setting
 from precompute.validation.validation_row import Row
+from precompute.workers import begin_worker
 
 __all__ = ["ROWS", "Verdict", "case_words", "chosen_rows", "validate", "validate_all", "validation_text", "verdict_row"]
 

@@ -14,10 +14,11 @@ from assets.fabrics import PRESETS
 from pbd import InputError
 from precompute.learning import pipeline
 from precompute.learning.evaluation import judged_from, levels_from, settled
+from precompute.learning.options import LearningOptions
 from precompute.learning.pipeline import (
+    STAGES,
     Precomputed,
     default_cache,
-    epochs_for,
     precompute,
     scene_run,
     training_recordings,
@@ -26,7 +27,7 @@ from precompute.learning.recording import Recording, Run
 from runtime.player import Player
 from runtime.stage import Stage, scene_of
 from tests.data import ROOT
-from tests.precompute.miniature import SCENE, miniature, scene
+from tests.precompute.miniature import OPTIONS, SCENE, scene
 from wrinkles.database import WrinkleDatabase, read_database
 
 
@@ -42,8 +43,7 @@ def told() -> list[str]:
 
 @pytest.fixture(scope="module")
 def made(folder: Path, told: list[str]) -> Precomputed:
-    with miniature():
-        return precompute(scene(), folder / "skirt.h5", workers=1, report=told.append)
+    return precompute(scene(), folder / "skirt.h5", workers=1, report=told.append, options=OPTIONS)
 
 
 def assert_same(first: WrinkleDatabase, second: WrinkleDatabase) -> None:
@@ -55,7 +55,8 @@ def assert_same(first: WrinkleDatabase, second: WrinkleDatabase) -> None:
 
 
 def test_few_frames_are_learned_from_more_often() -> None:
-    assert [epochs_for(frames) for frames in (2400, 1200, 600, 400, 301, 10)] == [12, 12, 24, 36, 47, 48]
+    options = LearningOptions(training_frames=2400, epochs=6, most_epochs=24)
+    assert [options.epochs_for(frames) for frames in (2400, 1200, 600, 400, 301, 10)] == [6, 6, 12, 18, 23, 24]
 
 
 def test_what_is_written_is_what_was_made(made: Precomputed, folder: Path, told: list[str]) -> None:
@@ -71,9 +72,15 @@ def test_what_is_written_is_what_was_made(made: Precomputed, folder: Path, told:
     stage, levels = Stage.of(scene_of(database)), levels_from(database, Stage.of(scene()).body)
     assert np.array_equal(levels.fine.vertices, stage.levels.fine.vertices)
     assert np.array_equal(levels.coarse_held, stage.levels.coarse_held)
-    kinds = [line.split(":")[0] for line in told]
-    order = ["simulating", "fitting patches", "fitting", "calibrating the coarse model", "evaluating"]
-    assert list(dict.fromkeys(kinds)) == order
+    begun = [f"stage {number} of {len(STAGES)}: {name}" for number, name in enumerate(STAGES, start=1)]
+    assert [line for line in told if line in begun] == begun
+    assert all(line.startswith("stage ") for line in told)
+
+
+def test_it_says_where_the_time_went(made: Precomputed) -> None:
+    assert [one.name for one in made.stages] == list(STAGES)
+    assert all(one.wall_s > 0.0 and one.processor_s > 0.0 for one in made.stages)
+    assert sum(one.wall_s for one in made.stages) <= 60.0 * made.database.training_minutes
 
 
 def test_the_figures_are_of_the_held_out_motion(made: Precomputed) -> None:
@@ -85,7 +92,9 @@ def test_the_figures_are_of_the_held_out_motion(made: Precomputed) -> None:
     assert {"normal_error_deg", "bending_energy_ratio", "inside_body_percent", "frame_ms_p50"} <= set(quality)
     assert quality["attached_off_mm"] < 0.01 and 0.0 < quality["atoms_kept"] <= 1.0
     assert quality["floor_low_frequency_ratio_to_floor"] == pytest.approx(1.0)
-    assert len(made.calibration.rows) == 5  # four coarse models, the best at another gain
+    # Four coarse models at the lowest gain, and two of them on everything at both.
+    assert [row["rung"] for row in made.calibration.rows].count(0.0) == 4
+    assert {row["gain"] for row in made.calibration.rows if row["rung"] == 1.0} == {1.0, 1.25}
     # Six atoms from a second of motion are not much, but they are no worse than nothing.
     assert quality["normal_error_deg"] < quality["normal_error_smooth_deg"]
 
@@ -151,10 +160,10 @@ def test_nothing_goes_wild_after_a_teleport(made: Precomputed) -> None:
 
 
 def test_the_same_seed_gives_the_same_bits_whatever_is_held_out(made: Precomputed, folder: Path) -> None:
-    lone = scene(SCENE.replace('[[training.held_out]]\nfile = "builtin:mannequin"\nclip = "walk"\n', ""))
+    lone = scene(SCENE.replace('[[training.held_out]]\nfile = "builtin:mannequin"\nclip = "walk"\nend = 1.2\n', ""))
     assert not lone.training.held_out
-    with miniature():
-        again = precompute(lone, folder / "again.h5", cache=default_cache(folder / "skirt.h5"), workers=1)
+    cache = default_cache(folder / "skirt.h5")
+    again = precompute(lone, folder / "again.h5", cache=cache, workers=1, options=OPTIONS)
     assert_same(again.database, made.database)
     assert again.truth is None and again.evaluation is None and "normal_error_deg" not in again.database.quality
     assert again.database.held_out == ()
@@ -178,13 +187,13 @@ speed = 1.75
 
 def test_one_database_holds_several_speeds_and_fabrics(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Only what is measured in the other fabric is of interest here.
+    monkeypatch.setattr(pipeline, "truth_runs", lambda *_: [])
     monkeypatch.setattr(pipeline, "truth_of", lambda *_: None)
     monkeypatch.setattr(pipeline, "evaluate", lambda *_: SimpleNamespace(figures={}))
     several = scene(SCENE.replace("procedural_seconds = 2.0\n", "").replace("\n[[training.held_out]]\n", SPEEDS))
-    with miniature():
-        stage = Stage.of(several)
-        slow, fast = (scene_run(stage, several, motion).poses for motion in stage.training_motions())
-        made = precompute(several, folder / "several.h5", cache=default_cache(folder / "skirt.h5"), workers=1)
+    stage, cache = Stage.of(several), default_cache(folder / "skirt.h5")
+    slow, fast = (scene_run(stage, several, motion).poses for motion in stage.training_motions())
+    made = precompute(several, folder / "several.h5", cache=cache, workers=1, options=OPTIONS)
     # A second of blending, then 0.28 s of the clip in 0.16 s.
     assert np.allclose(slow[60:89:7], fast[60:77:4]) and not np.allclose(slow[60:77], fast[60:77])
     database = read_database(made.path)
@@ -248,7 +257,7 @@ import os, signal, sys
 from pathlib import Path
 from precompute.learning.pipeline import precompute
 from runtime.simulation import Simulation
-from tests.precompute.miniature import miniature, scene
+from tests.precompute.miniature import OPTIONS, scene
 
 step, count = Simulation.step_cloth, 0
 
@@ -260,8 +269,7 @@ def mortal(self, *args):
     step(self, *args)
 
 Simulation.step_cloth = mortal
-with miniature():
-    precompute(scene(), Path(sys.argv[1]), workers=1)
+precompute(scene(), Path(sys.argv[1]), workers=1, options=OPTIONS)
 """
 
 
@@ -271,8 +279,7 @@ def test_a_killed_precompute_gives_the_same_database(made: Precomputed, tmp_path
     killed = subprocess.run([sys.executable, "-c", KILLED, str(output)], cwd=ROOT, capture_output=True, text=True)
     assert killed.returncode == -9, killed.stderr
     assert not output.exists() and list(default_cache(output).glob("*/chunk_*.npz"))
-    with miniature():
-        again = precompute(scene(), output, workers=1)
+    again = precompute(scene(), output, workers=2, options=OPTIONS)  # nor does it depend on the number of workers
     assert_same(read_database(output), made.database)
     timed = ("_ms", "us_per_fine_vertex", "speedup_over_fine")
     for name, value in made.database.quality.items():

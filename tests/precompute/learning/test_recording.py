@@ -184,7 +184,7 @@ def test_a_worker_does_not_outlive_a_killed_parent(tmp_path: Path) -> None:
         "import os, time\n"
         "from concurrent.futures import ProcessPoolExecutor\n"
         "from multiprocessing import get_context\n"
-        "from precompute.learning.recording import begin_worker\n"
+        "from precompute.workers import begin_worker\n"
         "if __name__ == '__main__':\n"
         "    pool = ProcessPoolExecutor(1, get_context('spawn'), begin_worker)\n"
         "    print(pool.submit(os.getpid).result(), flush=True)\n"
