@@ -178,7 +178,7 @@ def fit_mapping(
         static: float32, shape (n, s).
         coefficients: targets, float32, shape (S, n, K).
         hidden: widths of the hidden layers.
-        epochs: passes over the data by all places together, at most; half as many at most follow region by region.
+        epochs: passes over the data by all places together, at most; half as many follow region by region.
         seed: of weights and shuffling.
         report: told lines of progress.
         fabrics: :func:`fabric_features` of each frame, shape (S, FABRIC_COUNT); None where all are the garment's own.
@@ -322,13 +322,10 @@ def _fit_regions(
     """
     heads = [network.after_first(seed) for _ in range(int(region.max()) + 1)]
     nowhere = np.zeros((1, 0), np.float32)  # the first layer has told the place
-    is_kept_out = np.zeros(len(samples), bool)
-    is_kept_out[samples.validation] = True
     for r, head in enumerate(heads if len(heads) > 1 else []):
         own = np.flatnonzero(np.resize(region == r, len(samples)))
         seen = np.concatenate(in_threads(lambda rows: network.first(samples, rows), np.array_split(own, PARTS)))
-        there = Samples(seen, nowhere, samples.targets[own], np.flatnonzero(is_kept_out[own]))
-        loss = head.fit(there, epochs=epochs, rate=REGION_RATE)
+        loss = head.fit(Samples(seen, nowhere, samples.targets[own]), epochs=epochs, rate=REGION_RATE)
         tell(f"fitting: region {r + 1} of {len(heads)}, loss {loss:.4f}")
     return heads
 

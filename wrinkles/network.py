@@ -15,7 +15,7 @@ __all__ = ["Network", "Samples", "in_threads"]
 RATE = 0.04  # of weights, at its highest
 WARM_UP = 0.05  # share of the steps until the rate is reached
 DECAY_SHARE = 0.6  # share of all steps in which the rate falls to zero
-CHECKS = 2  # of the validation loss in one pass
+CHECKS = 12  # of the validation loss in the longest fit
 LEAST_GAIN = 0.015  # relative; where the validation loss gains less from one check to the next, the rate falls
 BIAS_SHARE = 0.25  # of the rate, for biases
 MOMENTUM, SQUARES = 0.9, 0.999  # shares of running means that stay from step to step
@@ -112,7 +112,7 @@ class Network:
             samples: to learn from.
             epochs: passes over the samples at most; the samples for validation say whether fewer do.
             rate: of weights, at its highest.
-            on_check: told (passes done, mean loss since the last time) several times a pass.
+            on_check: told (passes done, mean loss since the last time) now and then.
 
         Returns:
             the mean loss of the last steps that were told.
@@ -121,7 +121,7 @@ class Network:
         batch = min(count, int(np.clip(count // 64, *BATCHES)))  # few samples still make enough steps
         steps = epochs * (count // batch)
         last, falling = steps, steps - round(DECAY_SHARE * steps)
-        every, warm_up = max(1, count // batch // CHECKS), WARM_UP * steps
+        every, warm_up = max(1, steps // CHECKS), WARM_UP * steps
         learned = np.delete(np.arange(count), samples.validation)
         order, motion = learned[:0], _Motion.of(self)
         before, mean, losses = np.inf, 0.0, []
