@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -198,11 +199,13 @@ def fit_mapping(
     )
     network = Network((scaling.width + static.shape[1], *hidden, coefficients.shape[2]), seed)
     tell = report or (lambda line: None)
-    network.fit(
-        samples,
-        epochs=epochs,
-        on_check=lambda done, loss: tell(f"fitting: {done:.1f} of at most {epochs} passes, loss {loss:.4f}"),
-    )
+    began = time.monotonic()
+
+    def tell_pass(done: float, loss: float) -> None:
+        left = (time.monotonic() - began) * max(0.0, epochs - done) / done
+        tell(f"fitting: {done:.1f} of at most {epochs} passes, loss {loss:.4f}, at most {left:.0f} s left")
+
+    network.fit(samples, epochs=epochs, on_check=tell_pass)
     region = np.zeros(len(static), np.int32) if region is None else np.asarray(region, np.int32)
     heads = _fit_regions(network, samples, region, -(-epochs // 2), seed, tell)
     single = lambda a: np.ascontiguousarray(a, np.float32)  # noqa: E731

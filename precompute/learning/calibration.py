@@ -13,7 +13,6 @@ Optimization"). Most models are much worse than the best, and little motion show
 from __future__ import annotations
 
 import itertools
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,7 +24,7 @@ from pbd import ModelOptions, SolverOptions
 from precompute.learning.decoding import bands_of, by_features, decode_recording, joined
 from precompute.learning.options import LearningOptions
 from precompute.learning.recording import Recording, Run, record_runs
-from precompute.learning.stages import remaining
+from precompute.learning.stages import counted
 from precompute.learning.training import FeatureStatistics, Layer, features_of
 from precompute.workers import Workers
 from wrinkles.coarse_filter import CoarseFilter
@@ -137,20 +136,13 @@ def calibrate(
     sizes = [len(models)]
     while sizes[-1] > KEPT:
         sizes.append(-(-sizes[-1] // KEPT))
-    total, began = sum(sizes), time.monotonic()
     alive, rows = list(range(len(models))), []
     for rung in range(len(sizes)):
         share = (rung + 1) / len(sizes)
         bench = _Bench.of(layer, mapping, atoms, runs, recordings, coarse, cache, options, share)
         gains = options.gains if rung == len(sizes) - 1 else options.gains[::SKIPPED]
-        before = sum(sizes[:rung])
-
-        def tell(done: int, before: int = before) -> None:
-            if report is not None:
-                left = remaining(began, (before + done) / total)
-                report(f"calibrating the coarse model: {min(before + done, total)} of {total} trials{left}")
-
         tried = alive if 0 in alive else [0, *alive]  # the fabric itself is compared with to the end
+        tell = counted(report, f"calibrating, round {rung + 1} of {len(sizes)}: models", len(tried))
         found = workers.map(_judge, [(bench, number, models[number], gains) for number in tried], tell)
         here = [row | {"rung": float(rung)} for some in found for row in some]
         _rate(here)

@@ -22,6 +22,7 @@ from precompute.learning.decoding import bands_of, decode_recording
 from precompute.learning.in_time import Pause, popping, step_response_frames
 from precompute.learning.options import LearningOptions
 from precompute.learning.recording import Recording, Run, body_source, poses_of, record_runs
+from precompute.learning.stages import counted
 from precompute.learning.training import build_layer, features_of
 from precompute.workers import Workers
 from runtime.play import Free, play, timing_figures
@@ -319,18 +320,17 @@ def evaluate(
     pause = Pause.of(run, judged_from(run), options.still_s, options.piece_s)
     with Workers.of(workers) as pool:
         (paused,) = record_runs([pause.run], cache, pool, report)
-        tell("evaluating: running freely, given the coarse state, and in time")
-        free, given, in_time, *of_truth = pool.map(
-            _call,
-            [
-                (play_freely, database, run.body, run),
-                (_given_figures, database, run, recording),
-                (_pause_figures, database, pause),
-                *_distance_items(truth, truth.frames),
-            ],
-        )
+        items = [
+            (play_freely, database, run.body, run),
+            (_pause_figures, database, pause),
+            (_given_figures, database, run, recording),
+            *_distance_items(truth, truth.frames),
+        ]
+        tell("evaluating: running freely, in time, given the coarse state")
+        free, in_time, given, *of_truth = pool.map(_call, items, counted(report, "evaluating: parts", len(items)))
+        items = _distance_items(truth, free.frames)
         tell("evaluating: contact with the body")
-        distances, room = _joined(pool.map(_call, _distance_items(truth, free.frames)))
+        distances, room = _joined(pool.map(_call, items, counted(report, "evaluating: parts", len(items))))
     truth_distances, truth_room = _joined(of_truth)
     figures, smooth, decoded = given
     figures |= free_figures(truth, free.frames)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from precompute.workers import Workers
 
-__all__ = ["StageClock", "StageTime", "remaining", "stage_figures", "stage_table"]
+__all__ = ["StageClock", "StageTime", "counted", "remaining", "stage_figures", "stage_table"]
 
 
 @dataclass(frozen=True)
@@ -67,6 +67,17 @@ class StageClock:
 def remaining(began: float, share: float) -> str:
     """``, 12 s left`` for work that began at a time of the monotonic clock [s] and is done to a share."""
     return f", {(time.monotonic() - began) * (1.0 - share) / share:.0f} s left" if 0.0 < share else ""
+
+
+def counted(report: Callable[[str], None] | None, what: str, total: int) -> Callable[[int], None]:
+    """Reports how many of ``total`` parts of some work are done, and the time left: to be told the number."""
+    began = time.monotonic()
+
+    def tell(done: int) -> None:
+        if report is not None and done:
+            report(f"{what}: {done} of {total}{remaining(began, done / total)}")
+
+    return tell
 
 
 def stage_figures(times: Sequence[StageTime]) -> dict[str, float]:

@@ -15,7 +15,8 @@ def samples(count: int, noise: float, validated: int = 0, seed: int = 0) -> Samp
     x, place = rng.standard_normal((count, 4)), rng.standard_normal((10, 1))
     there = np.tile(place[:, 0], count // 10)
     y = np.stack([np.tanh(x[:, 0]) + there, x[:, 1] * x[:, 2]], axis=1) + noise * rng.standard_normal((count, 2))
-    return Samples(*(a.astype(np.float32) for a in (x, place, y)), np.arange(validated))
+    x, place, y = (a.astype(np.float32) for a in (x, place, y))
+    return Samples(x, place, y, np.arange(validated))
 
 
 def test_the_fit_stops_when_the_kept_out_samples_say_so() -> None:

@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from precompute.learning.stages import StageClock, StageTime, remaining, stage_figures, stage_table
+from precompute.learning.stages import StageClock, StageTime, counted, remaining, stage_figures, stage_table
 from precompute.workers import Workers
 
 
@@ -43,3 +43,11 @@ def test_the_table_says_how_many_cores_were_busy() -> None:
 def test_the_time_left_follows_from_the_share_that_is_done() -> None:
     assert remaining(time.monotonic() - 10.0, 0.25) == ", 30 s left"
     assert remaining(time.monotonic(), 0.0) == ""
+
+
+def test_parts_are_counted() -> None:
+    told: list[str] = []
+    tell = counted(told.append, "evaluating", 4)
+    for done in (0, 2, 4):
+        tell(done)
+    assert told == ["evaluating: 2 of 4, 0 s left", "evaluating: 4 of 4, 0 s left"]
