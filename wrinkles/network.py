@@ -185,7 +185,7 @@ class Network:
     def _gradients(
         self, samples: Samples, rows: np.ndarray, pool: ThreadPoolExecutor
     ) -> tuple[float, list[np.ndarray]]:
-        """Mean loss of a batch and its gradients by weights and biases."""
+        """Mean loss of a batch and K times its gradients by weights and biases: their common size does not matter."""
         found = list(pool.map(lambda part: self._sums(*samples.of(part)), _parts(rows)))
         share = np.float32(1.0 / len(rows))
         gradients = [share * np.sum(parts, axis=0) for parts in zip(*(part for _, part in found), strict=True)]
@@ -194,7 +194,7 @@ class Network:
         return sum(loss for loss, _ in found) / len(rows) - KNEE, gradients
 
     def _sums(self, x: np.ndarray, targets: np.ndarray) -> tuple[float, list[np.ndarray]]:
-        """Loss of a part of a batch, and its gradients by weights and biases, summed over the samples."""
+        """Loss of a part of a batch, and K times its gradients by weights and biases, summed over the samples."""
         *seen, back = self._outputs(x)
         back -= targets
         size = _size(back)

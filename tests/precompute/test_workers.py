@@ -4,6 +4,7 @@ import os
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
 
@@ -20,6 +21,7 @@ def process(number: int) -> int:
 
 
 def blas_threads(number: int) -> int:
+    assert np.ones((2, 2)).sum() == 4.0  # numpy is there, and its BLAS with it
     return max(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
 
 

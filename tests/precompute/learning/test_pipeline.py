@@ -64,7 +64,7 @@ def test_what_is_written_is_what_was_made(made: Precomputed, folder: Path, told:
     database = read_database(made.path)
     assert_same(database, made.database)
     assert database.garment_name == "skirt" and database.subdivisions == 1 and database.seed == 4
-    assert database.trained_on == ("exploration_4",) and database.held_out == ("walk",)
+    assert database.trained_on == ("exploration_4",) and database.held_out == ("walk 0-1.2 s",)
     assert len(database.atoms.shapes) == 6 and database.mapping.weights_2.shape == (5, 21, 8)
     assert database.options == made.calibration.options
     assert 0.0 < database.training_minutes < 5.0 and database.quality == made.database.quality
@@ -86,7 +86,7 @@ def test_it_says_where_the_time_went(made: Precomputed) -> None:
 def test_the_figures_are_of_the_held_out_motion(made: Precomputed) -> None:
     assert made.truth is not None and made.evaluation is not None
     quality, count = made.database.quality, made.database.fine_vertex_count
-    assert made.truth.run.name == "walk"
+    assert made.truth.run.name == "walk 0-1.2 s"
     assert made.evaluation.decoded.shape == made.evaluation.smooth.shape == (len(made.truth.frames), count, 3)
     assert all(np.isfinite(value) for value in quality.values())
     assert {"normal_error_deg", "bending_energy_ratio", "inside_body_percent", "frame_ms_p50"} <= set(quality)
@@ -219,7 +219,7 @@ def test_a_held_out_clip_that_is_trained_on_is_refused(tmp_path: Path) -> None:
 def test_parts_of_a_clip_that_overlap_are_refused(tmp_path: Path) -> None:
     clip = 'file = "builtin:mannequin"\nclip = "walk"\n'
     learned = f"[[training.clips]]\n{clip}end = 1.5\nspeed = 0.5\n\n[[training.held_out]]\nstart = 1.0\n"
-    with pytest.raises(InputError, match=r"a held-out clip is trained on.*builtin:mannequin: walk 1- s"):
+    with pytest.raises(InputError, match=r"a held-out clip is trained on.*builtin:mannequin: walk 1-1\.2 s"):
         precompute(scene(SCENE.replace("[[training.held_out]]\n", learned)), tmp_path / "db.h5")
 
 
