@@ -138,7 +138,7 @@ def build_model(
     bend_factor: float | None = None,
     limits: Limits | None = None,
 ) -> Model:
-    """Model of a mesh in a fabric.
+    """Model of a mesh in a fabric. Over 60 lines: half of them list arguments and fields.
 
     Args:
         mesh: the cloth.

@@ -45,6 +45,8 @@ def membrane_multipliers(
 ):
     """Orthotropic plane-stress membrane of one triangle: three constraints solved together.
 
+    Over 60 lines: one system of equations, whose parts have no meaning alone.
+
     The strains are those of Baraff and Witkin 1998 in engineering form: |w_u| - 1, |w_v| - 1 and the cosine between
     w_u and w_v, with [w_u w_v] = [x1-x0, x2-x0] Dm^-1. To first order they are e11, e22 and 2 e12, so that the energy
     A/2 e^T D e is linear elasticity; turning the triangle leaves them as they are. The 3 by 3 system

@@ -222,6 +222,8 @@ class Solver:
     ) -> dict[str, Any]:
         """Arguments of the kernels of a step by their names, see :meth:`step`; they hold until the next call.
 
+        Over 60 lines: half of them list names.
+
         Returns:
             Those of :func:`pbd.contact.body_search.find_nearest`, to be called if there is a body, and of
             :func:`pbd.xpbd.advance.advance_kernel`.
