@@ -20,15 +20,15 @@ from runtime.stage import Stage, scene_of
 from wrinkles.database import WrinkleDatabase, read_database
 from wrinkles.dictionary import Atoms, Mapping
 
-__all__ = ["Bench", "Way"]
+__all__ = ["Experiment", "Variant"]
 
 FRAMES = TRAINING_FRAMES // 2
 TIMED_FRAMES = 30
 
 
 @dataclass(frozen=True)
-class Way:
-    """One way from coarse to fine.
+class Variant:
+    """One variant from coarse to fine.
 
     Attributes:
         layer: where it looks and writes.
@@ -52,7 +52,7 @@ class Way:
         return by_patches(self.layer, lambda features, pose: self.gain * predict(features, pose), self.atoms)
 
 
-class Bench:
+class Experiment:
     """A database with what it was learned from and what it is judged on; everything is made when it is asked for.
 
     Args:
@@ -108,31 +108,31 @@ class Bench:
         return fit_layer(layer or self.layer, data, **settings)
 
     @cached_property
-    def full(self) -> Way:
-        return self.way(self.fit(self.data))
+    def full(self) -> Variant:
+        return self.variant(self.fit(self.data))
 
-    def way(self, mapping: Mapping, layer: Layer | None = None, atoms: Atoms | None = None) -> Way:
+    def variant(self, mapping: Mapping, layer: Layer | None = None, atoms: Atoms | None = None) -> Variant:
         """One that differs from the full one in what is given."""
         return self.mapped(by_features(mapping), layer, atoms)
 
     def mapped(
         self, predict: Predict, layer: Layer | None = None, atoms: Atoms | None = None, gain: float | None = None
-    ) -> Way:
+    ) -> Variant:
         """The same with any mapping; vertices have the mean of what it leaves."""
         layer, atoms = layer or self.layer, atoms or self.data.atoms
         gain = self.database.wrinkle_gain if gain is None else gain
         raised = lambda features, pose: gain * predict(features, pose)  # noqa: E731
         atoms = with_vertex_mean(layer, [raised] * len(self.runs), atoms, self.runs, self.learned)
-        return Way(layer, atoms, lambda: predict, gain=gain)
+        return Variant(layer, atoms, lambda: predict, gain=gain)
 
-    def judge(self, way: Way) -> dict[str, float]:
+    def judge(self, variant: Variant) -> dict[str, float]:
         """Figures given the coarse state and running freely, and the time of decoding over the full one's."""
-        held_out = self.held_out(way.options)
+        held_out = self.held_out(variant.options)
         given = held_out.truth.recording
-        smooth, decoded, _ = held_out.show(way.layer, way.lift(), given, way.passes)
+        smooth, decoded, _ = held_out.show(variant.layer, variant.lift(), given, variant.passes)
         figures = held_out.given_figures(smooth, decoded)
-        figures |= held_out.free_figures(held_out.show(way.layer, way.lift(), held_out.free, way.passes)[1])
+        figures |= held_out.free_figures(held_out.show(variant.layer, variant.lift(), held_out.free, variant.passes)[1])
         some, run = given.where(slice(TIMED_FRAMES)), self.truth.run
-        both = (lifted_frames(one.layer, one.lift(), run, some, one.passes) for one in (way, self.full))
+        both = (lifted_frames(one.layer, one.lift(), run, some, one.passes) for one in (variant, self.full))
         ratios = [mine[2] / full[2] for mine, full in zip(*both, strict=True)]  # frame by frame, in turns
         return figures | {"decode_ratio": float(np.median(ratios))}

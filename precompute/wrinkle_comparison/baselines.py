@@ -105,7 +105,7 @@ class Cloth:
         upsample = None if self.subdivision is None else Upsampler(self.subdivision)
         count = self.model.vertex_count if self.subdivision is None else self.subdivision.fine_count
         vertices, normals = np.zeros((2, count, 3), np.float32)
-        shade = Launch(surface_normals)  # as the player calls it, so that rivals do not pay for calls
+        shade = Launch(surface_normals)  # as the player calls it, so that baselines do not pay for calls
         wanted, kept, times = set(keep.tolist()), [], []
         burst = BURST * np.ptp(self.model.mesh.vertices, axis=0).max()
         for frame in range(1, (frame_count or self.run.frame_count) + 1):

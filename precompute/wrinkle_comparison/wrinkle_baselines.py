@@ -18,7 +18,7 @@ from precompute.learning.decoding import Predict
 from precompute.learning.training import Layer, TrainingSet, fit_layer
 from wrinkles.features import INNER_OFFSETS
 
-__all__ = ["WrinkleRival", "fit_rivals", "k_means_modes"]
+__all__ = ["WrinkleBaseline", "fit_baselines", "k_means_modes"]
 
 COMPONENTS = 128  # of the whole garment's features and of its coefficients
 CENTRES = 400  # of the pose-driven basis
@@ -41,7 +41,7 @@ KERNELS = tuple(
 
 
 @dataclass(frozen=True)
-class WrinkleRival:
+class WrinkleBaseline:
     """A fitted mapping.
 
     Attributes:
@@ -61,7 +61,7 @@ class WrinkleRival:
         return sum(array.size for array in self.arrays) * 4e-6  # as float32
 
 
-def fit_rivals(
+def fit_baselines(
     layer: Layer,
     data: TrainingSet,
     poses: np.ndarray,
@@ -70,8 +70,8 @@ def fit_rivals(
     seed: int,
     gain: float = 1.0,
     report: Callable[[str], None] | None = None,
-) -> list[WrinkleRival]:
-    """Fit every rival to a training set.
+) -> list[WrinkleBaseline]:
+    """Fit every baseline to a training set.
 
     Args:
         layer: of the garment.
@@ -84,19 +84,19 @@ def fit_rivals(
         report: told lines of progress.
     """
     tell = report or (lambda line: None)
-    tell("fitting rivals: linear operator")
-    rivals = [_linear_operator(data)]
-    tell("fitting rivals: whole garment")
+    tell("fitting baselines: linear operator")
+    baselines = [_linear_operator(data)]
+    tell("fitting baselines: whole garment")
     whole = _Whole(data, seed)
-    rivals += [_principal(whole), _kernel(whole), _neighbour(whole, data)]
+    baselines += [_principal(whole), _kernel(whole), _neighbour(whole, data)]
     if poses.ndim == 4:
-        tell("fitting rivals: pose-driven")
-        rivals.append(_pose_driven(poses, whole, seed))
-    tell("fitting rivals: modes")
-    rivals.append(k_means_modes(data, seed))
-    tell("fitting rivals: wide network")
+        tell("fitting baselines: pose-driven")
+        baselines.append(_pose_driven(poses, whole, seed))
+    tell("fitting baselines: modes")
+    baselines.append(k_means_modes(data, seed))
+    tell("fitting baselines: wide network")
     wide = fit_layer(layer, data, hidden=WIDE, epochs=epochs, seed=seed).amplified(gain)
-    return [*rivals, WrinkleRival("wide network", lambda f, pose: wide.predict(f), tuple(wide.arrays().values()))]
+    return [*baselines, WrinkleBaseline("wide network", lambda f, pose: wide.predict(f), tuple(wide.arrays().values()))]
 
 
 def _chosen(settings: Sequence[Any], fit: Callable, inputs: np.ndarray, outputs: np.ndarray) -> Any:
@@ -118,7 +118,7 @@ def _chosen(settings: Sequence[Any], fit: Callable, inputs: np.ndarray, outputs:
     return min(settings, key=error)
 
 
-def _linear_operator(data: TrainingSet) -> WrinkleRival:
+def _linear_operator(data: TrainingSet) -> WrinkleBaseline:
     from sklearn.linear_model import Ridge
 
     places = data.features.shape[1]
@@ -139,7 +139,7 @@ def _linear_operator(data: TrainingSet) -> WrinkleRival:
     softness = _chosen(SOFTNESS, fit, data.features[:, some], data.coefficients[:, some])
     weights, bias = solve(softness, data.features, data.coefficients)
     predict = lambda f, pose: np.matmul(f[:, None], weights)[:, 0] + bias  # noqa: E731
-    return WrinkleRival("linear operator", predict, (weights, bias), f"softness {softness:g}")
+    return WrinkleBaseline("linear operator", predict, (weights, bias), f"softness {softness:g}")
 
 
 class _Whole:
@@ -183,15 +183,15 @@ def _ridge(softness: float, inputs: np.ndarray, outputs: np.ndarray) -> Callable
     return Ridge(softness).fit(inputs, outputs).predict
 
 
-def _principal(whole: _Whole) -> WrinkleRival:
+def _principal(whole: _Whole) -> WrinkleBaseline:
     softness = _chosen(SOFTNESS, _ridge, whole.inputs, whole.outputs)
     fitted = _ridge(softness, whole.inputs, whole.outputs)
     arrays = (*whole.bases, np.zeros((whole.inputs.shape[1], whole.outputs.shape[1])))
     predict = lambda f, pose: whole.draw(fitted(whole.see(f)))  # noqa: E731
-    return WrinkleRival("PCA and ridge", predict, arrays, f"softness {softness:g}")
+    return WrinkleBaseline("PCA and ridge", predict, arrays, f"softness {softness:g}")
 
 
-def _kernel(whole: _Whole) -> WrinkleRival:
+def _kernel(whole: _Whole) -> WrinkleBaseline:
     from sklearn.kernel_ridge import KernelRidge
 
     def fit(setting: tuple[float, float], inputs: np.ndarray, outputs: np.ndarray) -> Callable:
@@ -202,10 +202,10 @@ def _kernel(whole: _Whole) -> WrinkleRival:
     fitted = fit(chosen, whole.inputs, whole.outputs)
     predict = lambda f, pose: whole.draw(fitted(whole.see(f)))  # noqa: E731
     arrays = (*whole.bases, whole.inputs, whole.outputs)  # as many weights as outputs
-    return WrinkleRival("kernel ridge", predict, arrays, f"alpha {alpha:g}, gamma {width:g} / components")
+    return WrinkleBaseline("kernel ridge", predict, arrays, f"alpha {alpha:g}, gamma {width:g} / components")
 
 
-def _neighbour(whole: _Whole, data: TrainingSet) -> WrinkleRival:
+def _neighbour(whole: _Whole, data: TrainingSet) -> WrinkleBaseline:
     """The neighbour's wrinkles, and the difference that a linear model makes between it and here."""
     from sklearn.neighbors import NearestNeighbors
 
@@ -240,10 +240,10 @@ def _neighbour(whole: _Whole, data: TrainingSet) -> WrinkleRival:
         return data.coefficients[nearest[0]] + whole.draw(delta) - origin
 
     arrays = (*whole.bases, whole.inputs, whole.outputs, data.coefficients)
-    return WrinkleRival("nearest neighbour with delta", predict, arrays, f"by {count} components")
+    return WrinkleBaseline("nearest neighbour with delta", predict, arrays, f"by {count} components")
 
 
-def _pose_driven(poses: np.ndarray, whole: _Whole, seed: int) -> WrinkleRival:
+def _pose_driven(poses: np.ndarray, whole: _Whole, seed: int) -> WrinkleBaseline:
     """Radial basis (distance itself) over the joints' turns against the first joint, thinned to CENTRES poses."""
     from scipy.interpolate import RBFInterpolator
     from sklearn.decomposition import PCA
@@ -262,10 +262,10 @@ def _pose_driven(poses: np.ndarray, whole: _Whole, seed: int) -> WrinkleRival:
     spline = fit(smoothing, places, outputs)
     predict = lambda f, pose: whole.draw(spline(reduce.transform(turns(pose)[None])))  # noqa: E731
     arrays = (*whole.bases[2:], places, outputs, reduce.components_)
-    return WrinkleRival("pose-driven RBF", predict, arrays, f"smoothing {smoothing:g}")
+    return WrinkleBaseline("pose-driven RBF", predict, arrays, f"smoothing {smoothing:g}")
 
 
-def k_means_modes(data: TrainingSet, seed: int) -> WrinkleRival:
+def k_means_modes(data: TrainingSet, seed: int) -> WrinkleBaseline:
     """The mean wrinkles of each cluster of stencils."""
     from sklearn.cluster import MiniBatchKMeans
 
@@ -280,4 +280,4 @@ def k_means_modes(data: TrainingSet, seed: int) -> WrinkleRival:
     means /= size
     predict = lambda f, pose: means[modes.predict((f - centre) * scale)]  # noqa: E731
     arrays = (modes.cluster_centers_, means, centre, scale)
-    return WrinkleRival("k-means modes", predict, arrays, f"{modes.n_clusters} modes")
+    return WrinkleBaseline("k-means modes", predict, arrays, f"{modes.n_clusters} modes")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from precompute.learning.training import TrainingSet, build_layer
-from precompute.wrinkle_comparison.wrinkle_rivals import SOFTNESS, fit_rivals
+from precompute.wrinkle_comparison.wrinkle_baselines import SOFTNESS, fit_baselines
 from tests.precompute.miniature import miniature
 from tests.runtime.players import skirt_stage
 from wrinkles.dictionary import fit_atoms
@@ -15,8 +15,8 @@ FRAMES, ATOMS = 24, 5
 
 
 @pytest.fixture(scope="module")
-def rivals() -> tuple[list, TrainingSet, np.ndarray]:
-    """Rivals fitted to wrinkles that are a linear function of the features."""
+def baselines() -> tuple[list, TrainingSet, np.ndarray]:
+    """Baselines fitted to wrinkles that are a linear function of the features."""
     layer, rng = build_layer(skirt_stage().levels), np.random.default_rng(0)
     count = len(layer.levels.coarse.vertices)
     sway = rng.standard_normal((FRAMES, 3))
@@ -29,17 +29,17 @@ def rivals() -> tuple[list, TrainingSet, np.ndarray]:
     poses[:, 1, 0, 0] = poses[:, 1, 1, 1] = np.cos(turn)
     poses[:, 1, 1, 0], poses[:, 1, 0, 1] = np.sin(turn), -np.sin(turn)
     with miniature():
-        return fit_rivals(layer, data, poses, epochs=2, seed=0), data, poses
+        return fit_baselines(layer, data, poses, epochs=2, seed=0), data, poses
 
 
-def test_every_rival_learns_what_it_can(rivals: tuple) -> None:
-    fitted, data, poses = rivals
+def test_every_rival_learns_what_it_can(baselines: tuple) -> None:
+    fitted, data, poses = baselines
     spread = np.sqrt((data.coefficients**2).mean())
     off = {}
-    for rival in fitted:
-        guesses = np.stack([rival.predict(data.features[f], poses[f]) for f in range(0, FRAMES, 7)])
-        assert guesses.shape[1:] == data.coefficients.shape[1:] and rival.megabytes > 0.0
-        off[rival.name] = np.sqrt(((guesses - data.coefficients[::7]) ** 2).mean()) / spread
+    for baseline in fitted:
+        guesses = np.stack([baseline.predict(data.features[f], poses[f]) for f in range(0, FRAMES, 7)])
+        assert guesses.shape[1:] == data.coefficients.shape[1:] and baseline.megabytes > 0.0
+        off[baseline.name] = np.sqrt(((guesses - data.coefficients[::7]) ** 2).mean()) / spread
     assert list(off) == [
         "linear operator", "PCA and ridge", "kernel ridge", "nearest neighbour with delta", "pose-driven RBF",
         "k-means modes", "wide network",
@@ -50,11 +50,11 @@ def test_every_rival_learns_what_it_can(rivals: tuple) -> None:
     assert off["pose-driven RBF"] < 0.5  # poses that it has seen
 
 
-def test_a_sequence_has_no_joints_to_be_driven_by(rivals: tuple) -> None:
-    _, data, _ = rivals
+def test_a_sequence_has_no_joints_to_be_driven_by(baselines: tuple) -> None:
+    _, data, _ = baselines
     with miniature():
-        fitted = fit_rivals(build_layer(skirt_stage().levels), data, np.zeros((FRAMES, 9, 3)), epochs=1, seed=0)
-    assert "pose-driven RBF" not in [rival.name for rival in fitted]
+        fitted = fit_baselines(build_layer(skirt_stage().levels), data, np.zeros((FRAMES, 9, 3)), epochs=1, seed=0)
+    assert "pose-driven RBF" not in [baseline.name for baseline in fitted]
 
 
 def test_softness_is_chosen_by_motion_that_was_left_out() -> None:
@@ -64,5 +64,5 @@ def test_softness_is_chosen_by_motion_that_was_left_out() -> None:
     atoms = fit_atoms(rng.standard_normal((500, 3 * NODES)), ATOMS, 0)
     noise = rng.standard_normal((60, count, ATOMS)).astype(np.float32)  # nothing to be learned: the softest is best
     with miniature():
-        fitted = fit_rivals(layer, TrainingSet(features, noise, atoms), np.zeros((60, 9, 3)), epochs=1, seed=0)
+        fitted = fit_baselines(layer, TrainingSet(features, noise, atoms), np.zeros((60, 9, 3)), epochs=1, seed=0)
     assert fitted[0].settings == f"softness {SOFTNESS[-1]:g}"

@@ -14,7 +14,7 @@ from assets.character import Character
 from pbd import InputError, State
 from pbd.wind import Air
 from precompute.learning.evaluation import SETTLE
-from precompute.wrinkle_comparison.rivals import PROBE_FRAMES
+from precompute.wrinkle_comparison.baselines import PROBE_FRAMES
 from runtime.detail import Detail
 from runtime.front import Front, Setting
 from runtime.play import Cast
@@ -26,7 +26,7 @@ from wrinkles.coarser import coarser_of
 from wrinkles.database import WrinkleDatabase
 from wrinkles.distance import BodyDistance
 
-__all__ = ["front_key", "measure_front"]
+__all__ = ["cost_table_key", "measure_cost_table"]
 
 TEMPOS = (1.0, 1.5)  # that the motion is played at: errors grow with speed
 EVERY = (1, 2, 4, 8)
@@ -41,7 +41,7 @@ STIRRED = 0.05  # with velocities so much at random [m/s]
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def measure_front(
+def measure_cost_table(
     database: WrinkleDatabase, cast: Cast, motion: Motion, report: Callable[[str], None] | None = None
 ) -> Front:
     """Measure every setting.
@@ -98,7 +98,7 @@ def measure_front(
     meshes = [player.levels.coarse] if below is None else [player.levels.coarse, below.mesh]
     return Front(
         database.garment_name,
-        front_key(database),
+        cost_table_key(database),
         machine_description()["cpu"],
         float(np.ptp(database.coarse_vertices[:, 1])),
         tuple(float(mesh.edge_lengths()[1].mean()) for mesh in meshes),
@@ -108,8 +108,8 @@ def measure_front(
     )
 
 
-def front_key(database: WrinkleDatabase) -> str:
-    """What tells whether a front is of this database."""
+def cost_table_key(database: WrinkleDatabase) -> str:
+    """Text that differs between tables of different databases: version, date, size and fabric."""
     return f"{database.code_version} {database.created} {len(database.coarse_vertices)} {database.fabric_name}"
 
 

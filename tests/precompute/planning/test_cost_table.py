@@ -1,4 +1,4 @@
-"""Measured fronts: full detail first and free of error, less detail cheaper; and plans made from them."""
+"""Measured tables: full detail first and free of error, less detail cheaper; and plans made from them."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.runtime.tables import made_front
 
 from precompute.learning.pipeline import Precomputed, default_cache
-from precompute.planning import front as measuring
-from precompute.planning.planning import front_of
+from precompute.planning import cost_table as measuring
+from precompute.planning.planning import cost_table_of
 from runtime import command
 from runtime.front import Front, front_path
 from tests.precompute.miniature import SCENE, miniature
-from tests.runtime.fronts import made_front
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def small() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def measured(learned: Precomputed, small: None) -> Front:
-    return front_of(learned.database, learned.path)
+    return cost_table_of(learned.database, learned.path)
 
 
 def test_the_front_has_the_full_detail_first_and_all_others_once(measured: Front) -> None:
@@ -60,10 +60,10 @@ def test_less_detail_costs_less_and_shows_more(measured: Front) -> None:
 def test_a_front_is_kept_and_measured_again_for_another_database(
     learned: Precomputed, measured: Front, small: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert front_of(learned.database, learned.path) == measured
-    monkeypatch.setattr("precompute.planning.planning.measure_front", lambda *_: made_front())
+    assert cost_table_of(learned.database, learned.path) == measured
+    monkeypatch.setattr("precompute.planning.planning.measure_cost_table", lambda *_: made_front())
     kept = front_path(learned.path).read_bytes()
-    assert front_of(replace(learned.database, created="1999-12-31"), learned.path) == made_front()
+    assert cost_table_of(replace(learned.database, created="1999-12-31"), learned.path) == made_front()
     front_path(learned.path).write_bytes(kept)
 
 
@@ -95,6 +95,8 @@ def test_plan_of_a_scene_makes_its_database_and_its_front_once(
     learned: Precomputed, small: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """From a scene file to a plan; the recorded runs are found again, what is learned from them is made anew."""
+    for name, value in (("MOST", 30), ("REFERENCES", 2), ("RUNS", 1)):  # how well it is measured is not tested here
+        monkeypatch.setattr(measuring, name, value)
     scene, out = tmp_path / "little.toml", tmp_path / "out"
     scene.write_text(SCENE, encoding="utf-8")
     out.mkdir()
@@ -105,7 +107,7 @@ def test_plan_of_a_scene_makes_its_database_and_its_front_once(
         made = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
         assert set(made) == {"little.h5", "little.front.json"}
         monkeypatch.setattr("precompute.wrinkle_comparison.compare.precompute", None)
-        monkeypatch.setattr("precompute.planning.planning.measure_front", None)
+        monkeypatch.setattr("precompute.planning.planning.measure_cost_table", None)
         assert command.main([*words, str(tmp_path / "second.json")]) == 0
     first, second = (
         json.loads((tmp_path / f"{name}.json").read_text(encoding="utf-8"))["figures"] for name in ("first", "second")
