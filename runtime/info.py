@@ -90,7 +90,8 @@ def info_text(path: str | Path) -> tuple[str, dict[str, float]]:
     if database.code_version != code_version():
         lines.append(f"  this is gube {code_version()}: its results may differ from the figures below")
     for title, rows in _sections(database, figures):
-        lines += ["", title] + [f"  {label:<18}{value}" for label, value in rows]
+        width = max(18, *(len(label) + 2 for label, _ in rows))
+        lines += ["", title] + [f"  {label:<{width}}{value}" for label, value in rows]
     lines += ["", *_quality_lines(database)]
     return "\n".join(lines) + "\n", figures
 
@@ -193,8 +194,8 @@ def _choice(quality: Mapping[str, float]) -> list[tuple[str, str]]:
 def _other_fabric(other: LearnedFabric, quality: Mapping[str, float]) -> str:
     options = other.options
     words = (
-        f"squeeze {options.compression_compliance_scale:g}, shear scale {options.shear_scale:g}, "
-        f"bend scale {options.bend_scale:g}"
+        f"compression compliance scale {options.compression_compliance_scale:g}, "
+        f"shear scale {options.shear_scale:g}, bend scale {options.bend_scale:g}"
     )
     error, skill = (quality.get(f"{other.name}_{name}") for name in ("normal_error_deg", "normal_skill"))
     return words if error is None else f"{words}; held out: normal error {error:.2f} deg, skill {skill:.3f}"
