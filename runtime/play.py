@@ -23,7 +23,7 @@ from runtime.report import process_age
 from runtime.simulation import BodySource, Motion, Simulation, body_source, poses_of
 from runtime.stage import body_of, colliders_of, load_body, motion_of, scene_of
 from runtime.strips import draw_strips_apart
-from wrinkles.database import WrinkleDatabase
+from wrinkles.database import WrinkleDatabase, read_database
 from wrinkles.levels import Levels
 
 __all__ = [
@@ -33,6 +33,7 @@ __all__ = [
     "baked_frames",
     "cast_of",
     "loop_figures",
+    "open_database",
     "play",
     "play_motion",
     "posed_bodies",
@@ -83,6 +84,25 @@ def cast_of(database: WrinkleDatabase, character: Path | None = None, clip: str 
     body = load_sequence(character) if character.suffix.lower() == ".npz" else load_body(character)
     database.require_body(body)
     return Cast(body, _motions(body, clip, database, None))
+
+
+def open_database(
+    path: Path, *, character: Path | None = None, clip: str | None = None, fabric: str | None = None
+) -> tuple[WrinkleDatabase, Cast]:
+    """Read a database and the inputs with which it is played.
+
+    Args:
+        path: the database.
+        character, clip: see :func:`cast_of`.
+        fabric: name of a fabric of the database; None takes the garment's own.
+
+    Raises:
+        InputError: the file is no database, it has no such fabric, or as :func:`cast_of`.
+    """
+    database = read_database(path)
+    if fabric is not None:
+        database = database.in_fabric(fabric)
+    return database, cast_of(database, character, clip)
 
 
 def _motions(
