@@ -35,11 +35,11 @@ def run(options: argparse.Namespace) -> Report:
     from runtime.report import Report
 
     check_file(options.output, *BAKED)
-    database, cast = open_database(
+    database, inputs = open_database(
         options.database, character=options.character, clip=options.clip, fabric=options.fabric
     )
-    player, frames, normals, bodies = baked_frames(database, cast, cast.motions[0], options.rate, options.seconds)
+    player, frames, normals, bodies = baked_frames(database, inputs, inputs.motions[0], options.rate, options.seconds)
     faces = player.levels.subdivision.faces
-    write_baked(options.output, faces, frames, options.rate, normals, cast.body.faces, bodies)
-    print(f"{cast.motions[0].name}: {len(frames)} frames of {frames.shape[1]} vertices baked to {options.output}")
+    write_baked(options.output, faces, frames, options.rate, normals, inputs.body.faces, bodies)
+    print(f"{inputs.motions[0].name}: {len(frames)} frames of {frames.shape[1]} vertices baked to {options.output}")
     return Report({"frame_count": len(frames), "fine_vertex_count": frames.shape[1]})
