@@ -88,7 +88,7 @@ def test_held_out_figures_stand_beside_their_rivals_with_words(write: Callable[.
     assert row(text, "bending_energy_ratio").split()[1:6] == ["1.017", "0.131", "0.988", "2.5", "-"]
     assert row(text, "inside_body_percent").split()[1:6] == ["0.02", "-", "-", "-", "0.03"]
     assert row(text, "band_ratio_30_to_60_mm").split()[1] == "0.87"
-    assert "true coarse state" in row(text, "normal_error_deg")
+    assert "the truth's coarse state" in row(text, "normal_error_deg")
     assert QUALITY.items() <= figures.items()
 
 

@@ -39,7 +39,7 @@ def test_what_no_camera_shows_is_not_seen() -> None:
     assert sight_of(both, (0.0, 1.0, 5.0), 0.8, 1.0).size_px > 0.0
     planner = Planner([made_front()], 1.0, ENDLESS)
     (choice,) = planner.plan([sight_of([camera], (0.0, 1.0, 5.0), 0.8, 1.0)])
-    assert choice.cost_ms == made_front().costs.min() and "nobody" in choice.why
+    assert choice.cost_ms == made_front().costs.min() and "no camera sees it" in choice.why
 
 
 def test_errors_follow_the_speed_and_are_bounded_by_the_size() -> None:
