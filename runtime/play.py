@@ -23,7 +23,7 @@ from runtime.player import Player
 from runtime.report import process_age
 from runtime.simulation import BodySource, Motion, Simulation, body_source, poses_of
 from runtime.strips import draw_strips_apart
-from wrinkles.database import WrinkleDatabase
+from wrinkles.database import WrinkleDatabase, read_database
 from wrinkles.levels import Levels
 
 __all__ = [
@@ -33,6 +33,7 @@ __all__ = [
     "baked_frames",
     "playback_inputs",
     "loop_figures",
+    "open_database",
     "play",
     "play_motion",
     "posed_bodies",
@@ -85,6 +86,25 @@ def playback_inputs(
     body = load_sequence(character) if character.suffix.lower() == ".npz" else load_body(character)
     database.require_body(body)
     return PlaybackInputs(body, _motions(body, clip, database, None))
+
+
+def open_database(
+    path: Path, *, character: Path | None = None, clip: str | None = None, fabric: str | None = None
+) -> tuple[WrinkleDatabase, PlaybackInputs]:
+    """Read a database and the inputs with which it is played.
+
+    Args:
+        path: the database.
+        character, clip: see :func:`playback_inputs`.
+        fabric: name of a fabric of the database; None takes the garment's own.
+
+    Raises:
+        InputError: the file is no database, it has no such fabric, or as :func:`playback_inputs`.
+    """
+    database = read_database(path)
+    if fabric is not None:
+        database = database.in_fabric(fabric)
+    return database, playback_inputs(database, character, clip)
 
 
 def _motions(

@@ -31,15 +31,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Report:
     """Play the first motion that is asked for and write it."""
     from runtime.outputs import check_file
-    from runtime.play import BAKED, baked_frames, playback_inputs, write_baked
+    from runtime.play import BAKED, baked_frames, open_database, write_baked
     from runtime.report import Report
-    from wrinkles.database import read_database
 
     check_file(options.output, *BAKED)
-    database = read_database(options.database)
-    if options.fabric is not None:
-        database = database.in_fabric(options.fabric)
-    inputs = playback_inputs(database, options.character, options.clip)
+    database, inputs = open_database(
+        options.database, character=options.character, clip=options.clip, fabric=options.fabric
+    )
     player, frames, normals, bodies = baked_frames(database, inputs, inputs.motions[0], options.rate, options.seconds)
     faces = player.levels.subdivision.faces
     write_baked(options.output, faces, frames, options.rate, normals, inputs.body.faces, bodies)

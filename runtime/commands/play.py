@@ -64,17 +64,15 @@ def play_motions(
     """
     from runtime.info import figure_lines
     from runtime.outputs import check_folder
-    from runtime.play import playback_inputs
+    from runtime.play import open_database
     from runtime.report import Report, numbers_of, process_age
-    from wrinkles.database import read_database
 
     import_s = process_age()
     if options.loop is None:
         check_folder(options.output)
-    database = read_database(options.database)
-    if options.fabric is not None:
-        database = database.in_fabric(options.fabric)
-    inputs = playback_inputs(database, options.character, options.clip)
+    database, inputs = open_database(
+        options.database, character=options.character, clip=options.clip, fabric=options.fabric
+    )
     rows: list[dict[str, float | str]] = []
     for motion in inputs.motions:
         rows.append({"motion": motion.name, "import_s": import_s, **figures_of(database, inputs, motion)})
