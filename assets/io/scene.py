@@ -298,14 +298,8 @@ class SolverSettings:
 
     Attributes:
         frame_rate: frames per second [Hz].
-        substep: longest step of the solver [s].
-        gravity: acceleration of free fall [m/s2].
-        coarse_sweeps: passes over each coarser level of the mesh in a step; 0 leaves all out.
-        contact_refreshes: times a second that each contact is looked for again [Hz].
-        self_collision: whether garments keep their thickness from themselves. Layers always keep it from one another.
-        local_damping: rate at which velocities against a garment's motion as a whole die away [1/s].
-        linear_inertia, angular_inertia: part that the cloth feels of changes in its carrier's motion [-]: 1 is
-            physical, with 0 the cloth goes along unmoved.
+
+    All others are those of :class:`pbd.SolverOptions`, with its defaults.
     """
 
     frame_rate: float = entry(number(above=0, unit="Hz"), 60.0)

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import threading
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
-from multiprocessing import get_context, parent_process
 from pathlib import Path
 
 import numpy as np
@@ -28,11 +24,12 @@ from pbd import ClothMesh, DistanceField, Fabric, ModelOptions, SolverOptions, S
 from pbd.fingerprint import source_fingerprint
 from pbd.storage import replacing
 from pbd.wind import CALM, Air, Wind
+from precompute.workers import Workers
 from runtime.simulation import Simulation, body_source, poses_of
 from wrinkles.gathers import Gathers
 from wrinkles.levels import Levels
 
-__all__ = ["begin_worker", "Recording", "Run", "body_source", "poses_of", "record_runs"]
+__all__ = ["Recording", "Run", "body_source", "poses_of", "record_runs"]
 
 CHUNK_SECONDS = 1.0  # what a cut-off run loses at most [s of motion]
 
@@ -178,7 +175,7 @@ class Recording:
 def record_runs(
     runs: Sequence[Run],
     cache: Path,
-    workers: int = 2,
+    workers: Workers | int = 2,
     report: Callable[[str], None] | None = None,
 ) -> list[Recording]:
     """Simulate what is not in the cache yet, and read everything back.
@@ -186,7 +183,7 @@ def record_runs(
     Args:
         runs: what to record.
         cache: folder; each run has a folder of its own in it, named by :meth:`Run.key`.
-        workers: processes at a time; each run stays on one.
+        workers: processes that go on living, or a number of processes for these runs; each run stays on one.
         report: told a line of progress now and then.
     """
     folders = [cache / run.key() for run in runs]
@@ -195,43 +192,24 @@ def record_runs(
         min(run.frame_count, run.chunk * len(list(folder.glob("chunk_*.npz"))))
         for run, folder in zip(runs, folders, strict=True)
     )
-    todo = [
-        (run, folder)
+    todo = {
+        folder: run
         for run, folder in zip(runs, folders, strict=True)
         if len(list(folder.glob("chunk_*.npz"))) < run.chunk_count
-    ]
+    }
+    longest_first = sorted(todo.items(), key=lambda item: -item[1].frame_count)
     began, before = time.monotonic(), done()
     if len(todo) == 1 or workers == 1:
-        for run, folder in todo:
+        for folder, run in longest_first:
             _record(run, folder, lambda: _tell(report, done(), before, total, began))
     elif todo:
-        todo.sort(key=lambda item: -item[0].frame_count)
-        with ProcessPoolExecutor(min(workers, len(todo)), get_context("spawn"), begin_worker) as pool:
-            futures = [pool.submit(_record, run, folder) for run, folder in todo]
-            pending = set(futures)
-            try:
-                while pending:
-                    finished, pending = wait(pending, timeout=5.0, return_when=FIRST_COMPLETED)
-                    for future in finished:
-                        future.result()
-                    _tell(report, done(), before, total, began)
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)  # runs that wait their turn would only delay the message
-                raise
+        with Workers.of(workers) as pool:
+            pool.map(_record_in, longest_first, lambda _: _tell(report, done(), before, total, began))
     return [_read(run, folder) for run, folder in zip(runs, folders, strict=True)]
 
 
-def begin_worker() -> None:
-    """One thread a worker; and a worker whose parent was killed ends too, instead of simulating on for nobody."""
-    os.environ["GUBE_THREADS"] = "1"
-    parent = parent_process()
-    assert parent is not None
-
-    def follow() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=follow, daemon=True).start()
+def _record_in(item: tuple[Path, Run]) -> None:
+    _record(item[1], item[0])
 
 
 def _tell(report: Callable[[str], None] | None, done: int, before: int, total: int, began: float) -> None:

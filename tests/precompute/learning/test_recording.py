@@ -14,15 +14,25 @@ from assets.character import Character
 from assets.io.sequence import Sequence
 from pbd import Fabric, ModelOptions, Plane, SolverOptions
 from precompute.learning import recording
-from precompute.learning.recording import Recording, record_runs
+from precompute.learning.recording import Recording, Run, poses_of, record_runs
 from runtime.simulation import Simulation
 from tests.data import ROOT
-from tests.precompute.learning.runs import CHUNK, FRAMES, skirt_run
+from tests.runtime.players import skirt_stage
 from tests.wrinkles.meshes import flat_sheet, icosphere
 from wrinkles.gathers import Gathers
 from wrinkles.levels import build_levels
 
+FRAMES, CHUNK = 40, 10
 ARRAYS = ("frames", "positions", "coarse", "contact", "nearest")
+
+
+def skirt_run(fine: bool = False) -> Run:
+    """The skirt on a mannequin that is carried off at 3 m/s, so that the origin moves along."""
+    stage = skirt_stage()
+    poses = poses_of(stage.motion(), 1 / 60, FRAMES / 60)
+    poses[:, :, 2, 3] += 0.05 * np.arange(FRAMES + 1)[:, None]
+    solver = SolverOptions(substep=1 / 240)
+    return Run("walk", stage.levels, fine, stage.body, poses, 1 / 60, Fabric(), ModelOptions(), solver, bend_factor=0.4)
 
 
 @pytest.fixture(autouse=True)
@@ -102,7 +112,7 @@ import os, signal, sys
 from pathlib import Path
 from precompute.learning import recording
 from runtime.simulation import Simulation
-from tests.precompute.learning.runs import CHUNK, skirt_run
+from tests.precompute.learning.test_recording import CHUNK, skirt_run
 
 recording.CHUNK_SECONDS = CHUNK / 60
 step, count = Simulation.step_cloth, 0
@@ -174,7 +184,7 @@ def test_a_worker_does_not_outlive_a_killed_parent(tmp_path: Path) -> None:
         "import os, time\n"
         "from concurrent.futures import ProcessPoolExecutor\n"
         "from multiprocessing import get_context\n"
-        "from precompute.learning.recording import begin_worker\n"
+        "from precompute.workers import begin_worker\n"
         "if __name__ == '__main__':\n"
         "    pool = ProcessPoolExecutor(1, get_context('spawn'), begin_worker)\n"
         "    print(pool.submit(os.getpid).result(), flush=True)\n"
