@@ -12,7 +12,7 @@ demo: .venv/ready
 # Beside the type checker the kernels that most tests need are compiled, once for all processes that follow.
 # Then files go whole, in the order of tests/conftest.py, to as many processes as there are processors.
 test: .venv/ready
-	$(MAKE) --no-print-directory -j 2 kernels-batch lint kernels-player
+	$(MAKE) --no-print-directory -j 2 kernels-pairs lint kernels-plain
 	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder --durations 15
 
 lint: .venv/ready
