@@ -199,7 +199,10 @@ def _choice(quality: Mapping[str, float]) -> list[tuple[str, str]]:
 
 def _other_fabric(other: LearnedFabric, quality: Mapping[str, float]) -> str:
     options = other.options
-    words = f"squeeze {options.squeeze:g}, shear scale {options.shear_scale:g}, bend scale {options.bend_scale:g}"
+    words = (
+        f"squeeze {options.compression_compliance_scale:g}, shear scale {options.shear_scale:g}, "
+        f"bend scale {options.bend_scale:g}"
+    )
     error, skill = (quality.get(f"{other.name}_{name}") for name in ("normal_error_deg", "normal_skill"))
     return words if error is None else f"{words}; held out: normal error {error:.2f} deg, skill {skill:.3f}"
 

@@ -11,7 +11,7 @@ import numpy as np
 from assets.character import Character
 from assets.io.sequence import Sequence
 from pbd import InputError, build_model
-from pbd.colliders import Primitive
+from pbd.contact.colliders import Primitive
 from pbd.wind import CALM, Air, Wind
 from runtime.coarser import CoarserSimulation
 from runtime.detail import Detail

@@ -13,7 +13,7 @@ from assets.io.sequence import Sequence, SequenceBody
 from assets.skinning import SkinnedBody
 from pbd import Body, Colliders, InputError, Model, Solver, SolverOptions, State
 from pbd.attachment import Attachment
-from pbd.colliders import Primitive
+from pbd.contact.colliders import Primitive
 from pbd.limits import SkinnedTargets
 from pbd.wind import CALM, Air, Wind
 

@@ -92,7 +92,9 @@ def test_held_out_figures_stand_beside_their_rivals_with_words(write: Callable[.
     assert QUALITY.items() <= figures.items()
 
 
-OTHERS = (LearnedFabric("denim", Fabric(areal_density=0.4), ModelOptions(squeeze=3.0, bend_scale=7.0)),)
+OTHERS = (
+    LearnedFabric("denim", Fabric(areal_density=0.4), ModelOptions(compression_compliance_scale=3.0, bend_scale=7.0)),
+)
 
 
 def test_other_fabrics_are_said_and_checked(write: Callable[..., Path]) -> None:

@@ -1,12 +1,11 @@
 """The schedule: one kernel a frame, all substeps inside, one colour of constraints after the other.
 
 An order that sweeps the mesh from one end to the other is unstable. Constraints of one colour share no vertex, so that
-several workers may share them (:mod:`pbd.workers`). By default there is one worker, which never waits.
+several workers may share them (:mod:`pbd.xpbd.workers`). By default there is one worker, which never waits.
 """
 
-from pbd.constraint_passes import solve_bending, solve_limits, solve_membrane, solve_stitches, solve_tethers
-from pbd.constraints import cushioned, drag_velocity
-from pbd.contact import (
+from pbd.contact.pairs import solve_pairs
+from pbd.contact.response import (
     collide_fields,
     collide_primitives,
     height_over,
@@ -16,11 +15,12 @@ from pbd.contact import (
     substep_start,
     touch_body,
 )
+from pbd.contact.strain_limits import near_limits, solve_strain_limits
 from pbd.engine import ti
 from pbd.geometry import FAR, vec3, vec4, xyz
-from pbd.multigrid_cycle import restrict, solve_levels
-from pbd.pairs import solve_pairs
-from pbd.strain_limits import near_limits, solve_strain_limits
+from pbd.xpbd.constraint_passes import solve_bending, solve_limits, solve_membrane, solve_stitches, solve_tethers
+from pbd.xpbd.constraints import cushioned, drag_velocity
+from pbd.xpbd.multigrid_cycle import restrict, solve_levels
 
 __all__ = ["advance_garment"]
 
@@ -61,8 +61,8 @@ def advance_garment(
     number of workers.
 
     Args:
-        workers: who shares the work, see :mod:`pbd.workers`.
-        step: :class:`pbd.views.StepView`; the others are views of :mod:`pbd.views` as well.
+        workers: who shares the work, see :mod:`pbd.xpbd.workers`.
+        step: :class:`pbd.xpbd.views.StepView`; the others are views of :mod:`pbd.xpbd.views` as well.
     """
     # A sample nearer than this may touch the body before all are tested again.
     active_distance = ti.max(
@@ -120,7 +120,7 @@ def advance_garment(
 
 @ti.func
 def list_samples(workers: ti.template(), cloth: ti.template(), contact: ti.template()):
-    """List the samples of each colour that have a body vertex near them, see :class:`pbd.views.ContactWork`."""
+    """List the samples of each colour that have a body vertex near them, see :class:`pbd.xpbd.views.ContactWork`."""
     for k in range(contact.sample_colors.shape[0] - 1):
         begin = workers.begin(contact.sample_colors[k], contact.sample_colors[k + 1])
         near_count = 0

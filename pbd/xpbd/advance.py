@@ -1,7 +1,7 @@
 """The kernel of one garment: the schedule on one worker, behind the one flat list of its arrays.
 
 Taichi takes at most 64 arguments, so that numbers come in two of them. The kernel makes the views of
-:mod:`pbd.views` from its arguments and hands these on.
+:mod:`pbd.xpbd.views` from its arguments and hands these on.
 """
 
 from collections.abc import Callable
@@ -9,8 +9,8 @@ from functools import cache
 
 from pbd.engine import ti
 from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows
-from pbd.schedule import advance_garment
-from pbd.views import (
+from pbd.xpbd.schedule import advance_garment
+from pbd.xpbd.views import (
     BodySurface,
     ClothArrays,
     ConstraintArrays,
@@ -21,7 +21,7 @@ from pbd.views import (
     ParameterVector,
     StepView,
 )
-from pbd.workers import SerialWorker
+from pbd.xpbd.workers import SerialWorker
 
 __all__ = ["advance_kernel"]
 

@@ -8,9 +8,9 @@ import pytest
 
 from pbd import Colliders, Fabric, Plane, Solver, SolverOptions, State
 from pbd.attachment import closest_weights
+from pbd.contact.pairs import PULL
+from pbd.contact.self_collision import SelfCollision
 from pbd.mesh import edges_of
-from pbd.pairs import PULL
-from pbd.self_collision import SelfCollision
 from tests.pbd.meshes import cloth, free_model, grid, turn
 from wrinkles.crossings import crossings
 

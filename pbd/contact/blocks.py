@@ -6,9 +6,9 @@ also have a normal, corners and their displacements. A lane without a face has a
 
 import numpy as np
 
-from pbd.constraints import larger
 from pbd.engine import ti
 from pbd.geometry import vec3
+from pbd.xpbd.constraints import larger
 
 __all__ = [
     "CORNERS", "DISPLACEMENTS", "HIGH", "LANES", "LOW", "NORMAL", "Blocks", "empty_blocks", "facing", "features",
@@ -45,7 +45,7 @@ def put(blocks: ti.template(), block: ti.i32, component: ti.template(), lane: ti
 
 @ti.func
 def smaller(a: vec3, b: vec3) -> vec3:
-    """The smaller of each component: see :func:`pbd.constraints.larger`."""
+    """The smaller of each component: see :func:`pbd.xpbd.constraints.larger`."""
     return ti.select(a < b, a, b)
 
 

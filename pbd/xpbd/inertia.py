@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pbd.model import State
-from pbd.rigid_motion import fit_rigid_transform
+from pbd.xpbd.rigid_motion import fit_rigid_transform
 
 __all__ = ["damp_locally", "scale_inertial_forces"]
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from pbd.blocks import (
+from pbd.contact.blocks import (
     CORNERS,
     DISPLACEMENTS,
     HIGH,
@@ -17,11 +17,11 @@ from pbd.blocks import (
     sides,
     take,
 )  # fmt: skip
+from pbd.contact.pairs import closest_points, corners_of
+from pbd.contact.untangling import note_crossings
 from pbd.engine import ti
 from pbd.geometry import Byte2, Float1, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, vec3, vec4, xyz
-from pbd.pairs import closest_points, corners_of
 from pbd.taichi_internals import in_kernel
-from pbd.untangling import note_crossings
 
 __all__ = ["find_pairs"]
 
@@ -35,7 +35,7 @@ NO_CONTACT = -1.0  # thickness of a pair that is never in contact [m]
 @in_kernel
 @dataclass(eq=False)
 class MovingCloth:
-    """The cloth in one search; a view, see :mod:`pbd.views`.
+    """The cloth in one search; a view, see :mod:`pbd.xpbd.views`.
 
     Attributes:
         position, velocity: [m], [m/s], vec4 and vec3.
@@ -62,7 +62,7 @@ class MovingCloth:
 @in_kernel
 @dataclass(eq=False)
 class BoxTree:
-    """The faces in their tree of boxes; a view, see :mod:`pbd.views`.
+    """The faces in their tree of boxes; a view, see :mod:`pbd.xpbd.views`.
 
     Faces lie in patches, patches in groups, of eight at most.
 
@@ -75,7 +75,7 @@ class BoxTree:
         neighbour_start, neighbours: of each patch those, itself too, that it has a vertex in common with, ascending.
         common: for each neighbour and each face of the patch, bits of the neighbour's faces that share a vertex.
         boxes: low and high corner of each node [m], vec3.
-        patch_boxes, face_blocks: see :mod:`pbd.blocks`.
+        patch_boxes, face_blocks: see :mod:`pbd.contact.blocks`.
         cones: axis of the normals of each patch, and cosine of the greatest angle to it, vec4.
         near_groups: workspace.
     """
@@ -100,12 +100,12 @@ class BoxTree:
 @in_kernel
 @dataclass(eq=False)
 class PairBuffers:
-    """What is remembered of the last frame's pairs, and what a search writes; a view, see :mod:`pbd.views`.
+    """What is remembered of the last frame's pairs, and what a search writes; a view, see :mod:`pbd.xpbd.views`.
 
     Attributes:
         old_pairs, old_normals: of :class:`pbd.State`; ``chain``: of each vertex its first old pair, then of each old
             pair the next one of the same vertex, -1 for none.
-        pairs, pair_data: as :func:`pbd.pairs.solve_pairs` takes them.
+        pairs, pair_data: as :func:`pbd.contact.pairs.solve_pairs` takes them.
         ready_pairs: how many pairs were found first, also if the buffers do not take them all.
         crossed: how many edges go through faces; then those for which there is room: their ends, and the face.
         max_displacement: greatest displacement of the features of a pair against each other in the frame [m].

@@ -1,8 +1,8 @@
 """Contact in a substep: with the faces of a body, with primitives and with distance fields."""
 
-from pbd.constraints import contact_correction, cushioned
 from pbd.engine import ti
 from pbd.geometry import between, closest_in_fan, descend, vec3, vec4, xyz
+from pbd.xpbd.constraints import contact_correction, cushioned
 
 __all__ = [
     "collide_fields",
@@ -21,7 +21,7 @@ KEPT_SHARE = 0.1  # ... or less than this share of its height over it [-]
 
 @ti.func
 def substep_start(cloth: ti.template(), i: ti.i32, h: ti.f32):
-    """Position delta of vertex i at the start of the substep [m]; see :class:`pbd.views.ClothArrays`."""
+    """Position delta of vertex i at the start of the substep [m]; see :class:`pbd.xpbd.views.ClothArrays`."""
     return -h * (cloth.velocity[i] + xyz(cloth.velocity_delta[i]))
 
 
@@ -190,7 +190,7 @@ def collide_primitives(p: vec3, u: vec3, slip: vec3, t: ti.f32, primitives: ti.t
 def collide_fields(
     workers: ti.template(), cloth: ti.template(), t: ti.f32, obstacles: ti.template(), step: ti.template()
 ):
-    """Put a worker's vertices out of distance fields, one field after the other; rows as in pbd.distance_field."""
+    """Put a worker's vertices out of distance fields (rows of :mod:`pbd.contact.distance_field`) in turn."""
     first = 0
     for c in range(obstacles.fields.shape[0]):
         size = ti.Vector([int(obstacles.fields[c, 0]), int(obstacles.fields[c, 1]), int(obstacles.fields[c, 2])])

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from pbd import Colliders, Fabric, Model, Plane, Solver, SolverOptions, State
+from pbd.contact.strain_limits import MAX_STRETCH, solve_strain_limits
 from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Int1, Vec3, Vec4, Vec4Rows
-from pbd.strain_limits import MAX_STRETCH, solve_strain_limits
-from pbd.views import ClothArrays, ContactWork
+from pbd.xpbd.views import ClothArrays, ContactWork
 from tests.pbd.meshes import body_of, cloth, free_model, grid, icosphere
 from wrinkles.distance import BodyDistance
 

@@ -13,14 +13,14 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from pbd.blocks import LANES, empty_blocks
+from pbd.contact.blocks import LANES, empty_blocks
+from pbd.contact.pair_search import find_pairs
+from pbd.contact.pairs import PULL
+from pbd.contact.strain_limits import MAX_STRETCH
+from pbd.contact.untangling import Untangling
 from pbd.mesh import edges_of
 from pbd.model import Model, State
-from pbd.pair_search import find_pairs
-from pbd.pairs import PULL
-from pbd.strain_limits import MAX_STRETCH
 from pbd.taichi_internals import Launch
-from pbd.untangling import Untangling
 
 __all__ = ["SelfCollision"]
 
@@ -33,7 +33,7 @@ def _patches(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nd
 
     Returns:
         order of the faces, offsets of the patches in it and of the groups in those, and the nodes for
-        :func:`pbd.pair_search.find_pairs`.
+        :func:`pbd.contact.pair_search.find_pairs`.
     """
     edges, _ = edges_of(faces)
     lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1) + 1e-9
@@ -115,9 +115,9 @@ class SelfCollision:
 
     Attributes:
         pairs: (vertex, corners of a face), or (a, -b - 1, c, d) for the edges a-b and c-d, int32, shape (c, 4).
-        data: see :func:`pbd.pairs.solve_pairs`, float32, shape (c, 2, 4).
+        data: see :func:`pbd.contact.pairs.solve_pairs`, float32, shape (c, 2, 4).
         ready: how many of them there are, how many are ready, and which, int32, shape (c + 2,).
-        strain_limits: see :func:`pbd.strain_limits.solve_strain_limits`, float32, shape (e, 4).
+        strain_limits: see :func:`pbd.contact.strain_limits.solve_strain_limits`, float32, shape (e, 4).
     """
 
     def __init__(self, model: Model, untangles: bool = True) -> None:
@@ -174,7 +174,7 @@ class SelfCollision:
         self.ready = np.zeros(count + 2, np.int32)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Its arguments of :func:`pbd.advance.advance_kernel` by their names."""
+        """Its arguments of :func:`pbd.xpbd.advance.advance_kernel` by their names."""
         return {
             "pairs": self.pairs,
             "pair_data": self.data,

@@ -78,8 +78,8 @@ class ConstraintArrays:
 
     Attributes:
         limits: position of the target at the frame's start and the vertex, motion of the target over the frame, normal
-            there, law of :func:`pbd.constraints.limit_correction`; vec4, shape (l, 4).
-        strain_limits: see :func:`pbd.strain_limits.solve_strain_limits`.
+            there, law of :func:`pbd.xpbd.constraints.limit_correction`; vec4, shape (l, 4).
+        strain_limits: see :func:`pbd.contact.strain_limits.solve_strain_limits`.
     """
 
     triangles: Any = None
@@ -163,7 +163,7 @@ class ContactWork:
 @in_kernel
 @dataclass(eq=False)
 class MultigridArrays:
-    """Coarser levels of a garment, see :class:`pbd.multigrid.Multigrid`, and what a substep writes for them.
+    """Coarser levels of a garment, see :class:`pbd.xpbd.multigrid.Multigrid`, and what a substep writes for them.
 
     Attributes:
         used: whether the kernel has coarser levels at all, known while it is compiled.
@@ -198,7 +198,7 @@ class MultigridArrays:
 @in_kernel
 @dataclass(eq=False)
 class PairArrays:
-    """Pairs of features of the cloth that may touch one another, see :class:`pbd.self_collision.SelfCollision`.
+    """Pairs of features of the cloth that may touch one another, see :class:`pbd.contact.self_collision.SelfCollision`.
 
     Attributes:
         used: whether the kernel has pairs at all, known while it is compiled.

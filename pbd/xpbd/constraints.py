@@ -1,4 +1,4 @@
-"""Constraint functions: small, pure, written once and composed by the schedules in ``pbd.schedule``.
+"""Constraint functions: small, pure, written once and composed by the schedules in ``pbd.xpbd.schedule``.
 
 Each takes positions and inverse masses by value and returns the corrections. Multipliers start every substep at
 zero (one pass a substep: "Small steps in physics simulation", Macklin et al. 2019), so that the compliance

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from pbd.constraints import (
+from pbd.engine import ti
+from pbd.xpbd.constraints import (
     CLOSED,
     PUSH_OUT,
     bent_hinge,
@@ -14,7 +15,6 @@ from pbd.constraints import (
     stitch_multiplier,
     tether_correction,
 )
-from pbd.engine import ti
 from tests.pbd.meshes import turn
 
 vec3 = ti.math.vec3
@@ -26,7 +26,7 @@ COUNT = 200
 
 
 @ti.kernel
-def membrane_rows(sides: Rows, data: Rows, squeeze: ti.f32, out: Rows):
+def membrane_rows(sides: Rows, data: Rows, compression_scale: ti.f32, out: Rows):
     for c in range(sides.shape[0]):
         g = membrane_multipliers(
             vec3(sides[c, 0], sides[c, 1], sides[c, 2]),
@@ -35,7 +35,7 @@ def membrane_rows(sides: Rows, data: Rows, squeeze: ti.f32, out: Rows):
             vec3(data[c, 4], data[c, 5], data[c, 6]),
             ti.math.vec4(data[c, 7], data[c, 8], data[c, 9], data[c, 10]),
             data[c, 11],
-            squeeze,
+            compression_scale,
             vec3(0.0),
         )
         for a, b in ti.static(ti.ndrange(3, 2)):
@@ -176,7 +176,7 @@ class Triangles:
         multiplier = -np.linalg.solve(system, self.strains(self.corners())[:, :, None])
         return np.einsum("cakx,ca->ckx", weighted, multiplier[:, :, 0])
 
-    def solved(self, squeeze: float = 1.0) -> np.ndarray:
+    def solved(self, compression_scale: float = 1.0) -> np.ndarray:
         """What the function gives for the corners [m], shape (c, 3, 3)."""
         rows = np.concatenate([-self.inverse.sum(axis=1, keepdims=True), self.inverse], axis=1)  # (c, corner, 2)
         gram = np.einsum("ck,cka,ckb->cab", self.weight, rows, rows)
@@ -186,7 +186,7 @@ class Triangles:
         data = np.concatenate([self.inverse.reshape(-1, 4), system * unit[:, None], soft * unit[:, None]], axis=1)
         data = np.concatenate([data, unit[:, None]], axis=1)
         sides = self.sides.transpose(0, 2, 1).reshape(-1, 6)
-        g = call(membrane_rows, sides, data, squeeze, width=6).reshape(-1, 3, 2)
+        g = call(membrane_rows, sides, data, compression_scale, width=6).reshape(-1, 3, 2)
         return self.weight[:, :, None] * np.einsum("ckb,cxb->ckx", rows, g)
 
 
@@ -225,7 +225,7 @@ def test_the_membrane_keeps_momentum() -> None:
     assert (np.abs(moment).max(axis=1) / (0.05 * scale)).max() < 1e-5
 
 
-def test_squeeze_softens_what_is_compressed_and_nothing_else() -> None:
+def test_the_scale_softens_what_is_compressed_and_nothing_else() -> None:
     triangles = Triangles(10, 0.2)
     strains = triangles.strains(triangles.corners())
     stretched = (strains[:, :2] > 0).all(axis=1)

@@ -1,9 +1,9 @@
 """Edges that contact may not draw out: the last word where limbs pinch cloth and push its vertices apart."""
 
-from pbd.constraints import tether_correction
-from pbd.contact import height_over, substep_start
+from pbd.contact.response import height_over, substep_start
 from pbd.engine import ti
 from pbd.geometry import vec3, vec4, xyz
+from pbd.xpbd.constraints import tether_correction
 
 __all__ = ["MAX_STRETCH", "near_limits", "solve_strain_limits"]
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pbd.blocks import (
+from pbd.contact.blocks import (
     CORNERS,
     DISPLACEMENTS,
     HIGH,

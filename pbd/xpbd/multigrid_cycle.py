@@ -4,11 +4,11 @@ The centres of the patches of all levels are computed from the finest up (restri
 the coarsest down, and its corrections are added to the next finer one (prolongation).
 """
 
-from pbd.constraints import larger, spring_multiplier
-from pbd.contact import substep_start
+from pbd.contact.response import substep_start
 from pbd.engine import ti
 from pbd.geometry import vec3, vec4, xyz
 from pbd.model import BLOCK
+from pbd.xpbd.constraints import larger, spring_multiplier
 
 __all__ = ["prolong", "restrict", "solve_levels", "solve_springs"]
 
@@ -48,7 +48,7 @@ def restrict(workers: ti.template(), cloth: ti.template(), multigrid: ti.templat
 def solve_springs(multigrid: ti.template(), begin: ti.i32, end: ti.i32):
     """One pass over the springs ``begin`` to ``end``, which is left out, of one colour.
 
-    Springs are read, solved and written in blocks, as in :func:`pbd.constraint_passes.solve_membrane`.
+    Springs are read, solved and written in blocks, as in :func:`pbd.xpbd.constraint_passes.solve_membrane`.
     """
     x, y, z = ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK)
     changes = ti.Vector([0.0] * BLOCK)
@@ -130,7 +130,7 @@ def prolong(workers: ti.template(), vertex_count: ti.i32, level: ti.i32, multigr
 
 @ti.func
 def prepare_springs(workers: ti.template(), level: ti.i32, multigrid: ti.template(), step: ti.template()):
-    """Fill the workspace of the springs of a level, see :class:`pbd.views.MultigridArrays`."""
+    """Fill the workspace of the springs of a level, see :class:`pbd.xpbd.views.MultigridArrays`."""
     inverse_h2 = 1.0 / (step.h * step.h)
     begin = multigrid.spring_colors[multigrid.color_starts[level]]
     end = multigrid.spring_colors[multigrid.color_starts[level + 1]]

@@ -6,7 +6,7 @@ from typing import Any
 from pbd.engine import ti
 from pbd.geometry import FAR, Float1, Int1, Int2, Int3, Vec3, Vec4, between, descend, vec3, xyz
 from pbd.taichi_internals import in_kernel
-from pbd.views import BodySurface
+from pbd.xpbd.views import BodySurface
 
 __all__ = ["MAX_CELLS", "BodySearch", "find_nearest", "find_nearest_vertices"]
 
@@ -20,13 +20,13 @@ SPREAD_RINGS = 2  # a fast body pulls cloth into its way from so many edges arou
 @in_kernel
 @dataclass(eq=False)
 class BodySearch:
-    """What the search for the nearest body vertices reads and writes; a view, see :mod:`pbd.views`.
+    """What the search for the nearest body vertices reads and writes; a view, see :mod:`pbd.xpbd.views`.
 
     Attributes:
         position, velocity: of the cloth [m], [m/s], vec4 and vec3.
         samples, triangles: of the cloth.
         nearest: body vertex near each sample, -1 for none.
-        max_approach: see :class:`pbd.views.ContactWork`.
+        max_approach: see :class:`pbd.xpbd.views.ContactWork`.
         surface: body vertices that lie in a face.
         probes, probe_weights: points spread over large faces of the body, see :class:`pbd.Body`.
         cell_start, cell_items, item_cell: workspace of the uniform grid.
@@ -230,7 +230,7 @@ def find_nearest_vertices(search: ti.template(), body: ti.template(), dt: ti.f32
     vertices that the ends of their edge found.
 
     Args:
-        search: :class:`BodySearch`; ``body``: :class:`pbd.views.BodySurface`.
+        search: :class:`BodySearch`; ``body``: :class:`pbd.xpbd.views.BodySurface`.
         dt: frame time [s].
         thickness: kept between cloth and body [m].
     """

@@ -7,21 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from pbd.advance import advance_kernel
-from pbd.body_search import MAX_CELLS, find_nearest
-from pbd.colliders import Body, Colliders
-from pbd.distance_field import MOTION
+from pbd.contact.body_search import MAX_CELLS, find_nearest
+from pbd.contact.colliders import Body, Colliders
+from pbd.contact.distance_field import MOTION
+from pbd.contact.self_collision import SelfCollision
 from pbd.engine import ensure_initialized
 from pbd.errors import InputError
-from pbd.inertia import damp_locally, scale_inertial_forces
 from pbd.limits import LimitTargets
 from pbd.model import BLOCK, GRID, Model, State
-from pbd.multigrid import Multigrid, build_multigrid
-from pbd.rigid_motion import RigidTransform, detect_teleport, max_displacement
-from pbd.self_collision import SelfCollision
 from pbd.taichi_internals import Launch
-from pbd.views import FrameSteps, StepParameters
-from pbd.workers import MAX_WORKERS
+from pbd.xpbd.advance import advance_kernel
+from pbd.xpbd.inertia import damp_locally, scale_inertial_forces
+from pbd.xpbd.multigrid import Multigrid, build_multigrid
+from pbd.xpbd.rigid_motion import RigidTransform, detect_teleport, max_displacement
+from pbd.xpbd.views import FrameSteps, StepParameters
+from pbd.xpbd.workers import MAX_WORKERS
 
 __all__ = ["Solver", "SolverOptions"]
 
@@ -41,8 +41,8 @@ class SolverOptions:
         substep: longest substep [s]; a frame is cut into equal substeps not longer than this, finer where a collider
             or a held vertex is fast.
         gravity: [m/s2].
-        coarse_sweeps: passes over each coarser level of the mesh (:mod:`pbd.multigrid`) in a substep; 0 leaves all out,
-            and so does a model of several layers.
+        coarse_sweeps: passes over each coarser level of the mesh (:mod:`pbd.xpbd.multigrid`) in a substep; 0 leaves
+            all out, and so does a model of several layers.
         contact_refreshes: times a second that each contact is looked for again along the body's surface [Hz].
         self_collision: whether the cloth keeps its thickness from itself. Layers always keep it from one another. Cloth
             that starts up to 3 cm through itself, with edges of 2 cm, is apart in 0.5 s. Either way edges are drawn out
@@ -222,8 +222,8 @@ class Solver:
         """Arguments of the kernels of a step by their names, see :meth:`step`; they hold until the next call.
 
         Returns:
-            Those of :func:`pbd.body_search.find_nearest`, to be called if there is a body, and of
-            :func:`pbd.advance.advance_kernel`.
+            Those of :func:`pbd.contact.body_search.find_nearest`, to be called if there is a body, and of
+            :func:`pbd.xpbd.advance.advance_kernel`.
         """
         model, options = self.model, self.options
         self._check(state, targets, wind, limit_targets)
@@ -281,7 +281,7 @@ class Solver:
         return StepParameters(
             h,
             *self.options.gravity,
-            model.options.squeeze,
+            model.options.compression_compliance_scale,
             fabric.thickness,
             fabric.friction,
             fabric.compression / fabric.areal_density,
@@ -291,7 +291,7 @@ class Solver:
     def _limit_rows(
         self, targets: LimitTargets | None, transform: RigidTransform | None, origin: np.ndarray
     ) -> np.ndarray:
-        """Limits with their targets in this frame, see :class:`pbd.views.ConstraintArrays`; none without targets."""
+        """Limits with their targets, as :class:`pbd.xpbd.views.ConstraintArrays` has them; none without targets."""
         if targets is None or not len(self.model.limits.vertices):
             return self._unlimited
         rows, start = self._limits, targets.start if transform is None else targets.end

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pbd import Capsule, Colliders, DistanceField, Fabric, Plane, Solver, SolverOptions, Sphere, State
-from pbd.rigid_motion import detect_teleport, max_displacement
+from pbd.xpbd.rigid_motion import detect_teleport, max_displacement
 from tests.pbd.meshes import body_of, cloth, free_model, grid, icosphere, turn
 
 DT = 1.0 / 60.0

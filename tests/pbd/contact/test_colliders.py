@@ -20,10 +20,10 @@ from pbd import (
     Sphere,
     State,
 )
-from pbd.body_search import MAX_CELLS, find_nearest
-from pbd.constraints import PUSH_OUT
+from pbd.contact.body_search import MAX_CELLS, find_nearest
 from pbd.engine import ti
 from pbd.geometry import FAR, closest_on_triangle
+from pbd.xpbd.constraints import PUSH_OUT
 from tests.pbd.meshes import (
     RADIUS,
     THICKNESS,

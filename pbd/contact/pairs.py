@@ -1,9 +1,9 @@
 """Pairs of cloth features: what keeps them apart, and what brings back a vertex that is through a face."""
 
-from pbd.constraints import contact_correction
-from pbd.contact import substep_start
+from pbd.contact.response import substep_start
 from pbd.engine import ti
 from pbd.geometry import closest_on_triangle, vec3, vec4, xyz
+from pbd.xpbd.constraints import contact_correction
 
 __all__ = ["PULL", "closest_points", "corners_of", "solve_pairs"]
 
@@ -114,7 +114,7 @@ def solve_pairs(
     many pairs there are, how many of them are near, and which.
 
     Args:
-        cloth: view of the garment; ``pairs``: its :class:`pbd.views.PairArrays`.
+        cloth: view of the garment; ``pairs``: its :class:`pbd.xpbd.views.PairArrays`.
         test_share: for how much of the frame a test is good [-].
         friction: Coulomb coefficient [-].
         h: substep [s].

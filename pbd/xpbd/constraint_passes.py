@@ -1,6 +1,9 @@
 """One pass over the constraints of each kind, for the range that a worker has of them."""
 
-from pbd.constraints import (
+from pbd.engine import ti
+from pbd.geometry import vec3, vec4, xyz
+from pbd.model import BLOCK
+from pbd.xpbd.constraints import (
     bent_hinge,
     hinge_multiplier,
     limit_correction,
@@ -8,9 +11,6 @@ from pbd.constraints import (
     stitch_multiplier,
     tether_correction,
 )
-from pbd.engine import ti
-from pbd.geometry import vec3, vec4, xyz
-from pbd.model import BLOCK
 
 __all__ = ["solve_bending", "solve_limits", "solve_membrane", "solve_stitches", "solve_tethers"]
 
@@ -38,7 +38,7 @@ def solve_membrane(
         cloth, constraints, multigrid: views of the garment.
         levels: coarser levels that were solved before; 0 for none.
         inverse_h2: [1/s2].
-        compression_compliance_scale: see :func:`pbd.constraints.membrane_multipliers`.
+        compression_compliance_scale: see :func:`pbd.xpbd.constraints.membrane_multipliers`.
     """
     x1, y1, z1 = ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK)
     x2, y2, z2 = ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK)

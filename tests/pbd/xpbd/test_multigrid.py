@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from pbd import Colliders, Fabric, InputError, Model, Solver, SolverOptions, State
-from pbd.constraints import spring_multiplier
 from pbd.engine import ti
-from pbd.multigrid import Multigrid, build_multigrid
+from pbd.xpbd.constraints import spring_multiplier
+from pbd.xpbd.multigrid import Multigrid, build_multigrid
 from tests.pbd.meshes import cloth, free_model, grid, turn
 from tests.wrinkles.meshes import flat_sheet, tube
 

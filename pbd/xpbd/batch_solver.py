@@ -1,8 +1,8 @@
 """Many garments in one launch, on all threads; or one large garment shared by several threads.
 
 A launch of a kernel runs on one thread, and no other can start beside it. Here one launch takes all garments: their
-arrays lie end to end in a few long ones (:mod:`pbd.array_pools`). The schedule is that of :mod:`pbd.schedule`, and so
-are the bits of the result, whatever the number of threads.
+arrays lie end to end in a few long ones (:mod:`pbd.xpbd.array_pools`). The schedule is that of
+:mod:`pbd.xpbd.schedule`, and so are the bits of the result, whatever the number of threads.
 
 On CUDA a block of threads has a garment: every colour of constraints is one parallel loop.
 """
@@ -13,19 +13,19 @@ from typing import Any
 
 import numpy as np
 
-from pbd.advance import advance_kernel
-from pbd.array_pools import ArgumentLayout, ArrayPools
-from pbd.body_search import BodySearch, find_nearest, find_nearest_vertices
-from pbd.colliders import Colliders
+from pbd.contact.body_search import BodySearch, find_nearest, find_nearest_vertices
+from pbd.contact.colliders import Colliders
 from pbd.engine import running_arch, running_threads, ti
 from pbd.errors import InputError
 from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4
 from pbd.limits import LimitTargets
 from pbd.model import State
-from pbd.schedule import advance_garment
-from pbd.solver import MIN_FRAME_TIME, Solver
 from pbd.taichi_internals import Launch, in_kernel, signature
-from pbd.views import (
+from pbd.xpbd.advance import advance_kernel
+from pbd.xpbd.array_pools import ArgumentLayout, ArrayPools
+from pbd.xpbd.schedule import advance_garment
+from pbd.xpbd.solver import MIN_FRAME_TIME, Solver
+from pbd.xpbd.views import (
     BodySurface,
     ClothArrays,
     ConstraintArrays,
@@ -36,7 +36,7 @@ from pbd.views import (
     StepView,
     view_of,
 )
-from pbd.workers import MAX_WORKERS, WorkerGroup
+from pbd.xpbd.workers import MAX_WORKERS, WorkerGroup
 
 __all__ = ["BatchSolver"]
 

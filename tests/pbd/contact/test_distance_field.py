@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pbd import BatchSolver, Colliders, DistanceField, Fabric, InputError, Solver, SolverOptions, Sphere, State
-from pbd.contact import interpolated
-from pbd.distance_field import field_rows
+from pbd.contact.distance_field import field_rows
+from pbd.contact.response import interpolated
 from pbd.engine import ti
 from pbd.geometry import Float1, Float2
 from pbd.models import make_solver

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from pbd.distance_field import ROW, DistanceField, field_rows
+from pbd.contact.distance_field import ROW, DistanceField, field_rows
 from pbd.errors import InputError
 from pbd.geometry import FAR, surface_normals
 from pbd.mesh import vertex_rings
@@ -236,8 +236,8 @@ class Colliders:
         """Distance fields and how they move in the frame, about an origin; and the values of all, end to end [m].
 
         Returns:
-            float32, shape (k, 25), see :mod:`pbd.distance_field`; float32, shape (sum of all grids,), the same array as
-            long as the grids are the same.
+            float32, shape (k, 25), see :mod:`pbd.contact.distance_field`; float32, shape (sum of all grids,), the same
+            array as long as the grids are the same.
         """
         found = [p for p in self.primitives if isinstance(p, DistanceField)]
         if not found:

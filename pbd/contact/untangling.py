@@ -17,10 +17,10 @@ import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components, maximum_flow
 
+from pbd.contact.pairs import PULL
 from pbd.engine import ti
 from pbd.geometry import vec3, xyz
 from pbd.mesh import edges_of
-from pbd.pairs import PULL
 
 __all__ = ["Untangling", "note_crossings"]
 
@@ -104,7 +104,7 @@ class _Crossings:
         self.along = np.einsum("kci,ki->kc", ways, _unit(tips[:, 1] - tips[:, 0]))
 
     def pulls(self, wrong_side: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pairs that pull ends of edges on the wrong side back, and their data (:func:`pbd.pairs.solve_pairs`)."""
+        """Pairs that pull ends of edges on the wrong side back, and their data (:func:`pbd.contact.pairs.solve_pairs`)."""
         lost = wrong_side[self.ends] > 0
         one = np.flatnonzero(lost[:, 0] != lost[:, 1])
         where = lost[one].argmax(axis=1)
@@ -167,7 +167,7 @@ class Untangling:
             free: which vertices no body touches, shape (n,): what limbs pinch has no right place.
 
         Returns:
-            Pairs and their data as :func:`pbd.pairs.solve_pairs` takes them.
+            Pairs and their data as :func:`pbd.contact.pairs.solve_pairs` takes them.
         """
         rows = self.crossed[1 : int(self.crossed[0, 0]) + 1].astype(np.int64)
         rows = rows[self._layer[rows[:, 0]] == self._layer[self._faces[rows[:, 2], 0]]]  # layers know their sides
