@@ -31,7 +31,8 @@ hidden_width = 8
 
 def main() -> None:
     """Learn, read, play. With more workers, learning starts processes that import this file: hence the function."""
-    gube.precompute(gube.parse_scene(SCENE), "skirt.h5", workers=1, report=print)
+    little = gube.LearningOptions(compression_scales=(1.0,), shear_scales=(1.0,), bend_scales=(1.0, 3.0), epochs=4)
+    gube.precompute(gube.parse_scene(SCENE), "skirt.h5", workers=1, options=little, report=print)
 
     database = gube.read_database("skirt.h5")
     character = gube.load_character("builtin:mannequin")

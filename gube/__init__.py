@@ -25,6 +25,7 @@ SOURCES = {
     "GameLoop": "runtime.game_loop:GameLoop",
     "GarmentGroup": "runtime.ensemble:Ensemble",
     "InputError": "pbd.errors:InputError",
+    "LearningOptions": "precompute.learning.options:LearningOptions",
     "LiveInput": "runtime.game_loop:LiveInput",
     "Model": "pbd.model:Model",
     "ModelOptions": "pbd.model:ModelOptions",
@@ -86,6 +87,7 @@ if TYPE_CHECKING:
     from pbd.xpbd.batch_solver import BatchSolver as BatchSolver
     from pbd.xpbd.solver import Solver as Solver
     from pbd.xpbd.solver import SolverOptions as SolverOptions
+    from precompute.learning.options import LearningOptions as LearningOptions
     from precompute.learning.pipeline import precompute as precompute
     from runtime.bake import bake_glb as bake_glb
     from runtime.detail import Detail as Detail

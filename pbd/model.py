@@ -153,11 +153,7 @@ def build_model(
     options, limits = options or ModelOptions(), limits or Limits.none()
     count = len(mesh.vertices)
     held = np.unique(np.asarray([] if held is None else held, np.int32))
-    if held.size and (held[0] < 0 or held[-1] >= count):
-        raise InputError("held vertex outside the mesh", key="held", received=int(held[-1]), expected=f"0..{count - 1}")
-    if limits.vertices.max(initial=0) >= count:
-        received, expected = int(limits.vertices.max()), f"0..{count - 1}"
-        raise InputError("limited vertex outside the mesh", key="limits", received=received, expected=expected)
+    _check_vertices(held, limits, count)
     mass = fabric.areal_density * mesh.vertex_cloth_areas
     if np.any(mass <= 0):
         vertex = int(np.argmin(mass))
@@ -195,6 +191,15 @@ def build_model(
         np.full(count if options.pressure else 0, options.pressure, np.float32),
         limits,
     )
+
+
+def _check_vertices(held: np.ndarray, limits: Limits, count: int) -> None:
+    """Refuse held (ascending) and limited vertices outside a mesh of so many vertices."""
+    if held.size and (held[0] < 0 or held[-1] >= count):
+        raise InputError("held vertex outside the mesh", key="held", received=int(held[-1]), expected=f"0..{count - 1}")
+    if limits.vertices.max(initial=0) >= count:
+        received, expected = int(limits.vertices.max()), f"0..{count - 1}"
+        raise InputError("limited vertex outside the mesh", key="limits", received=received, expected=expected)
 
 
 def _shared(mass: np.ndarray, mesh: ClothMesh) -> np.ndarray:

@@ -91,6 +91,13 @@ def test_what_is_allowed_passes(module: str, source: str) -> None:
     assert forbidden(Path(module), source) == []
 
 
+def test_no_test_module_is_imported() -> None:
+    """What several need is in a module of its own; also scripts for other processes take it from there."""
+    files = sorted((ROOT / "tests").rglob("*.py"))
+    pattern = re.compile(r"(from|import) tests\.[\w.]*test_")
+    assert [path.name for path in files if pattern.search(path.read_text(encoding="utf-8"))] == []
+
+
 def test_playing_loads_nothing_that_only_learning_needs() -> None:
     """Also through third parties, which the imports' text does not show."""
     names = [

@@ -190,7 +190,7 @@ def collide_primitives(p: vec3, u: vec3, slip: vec3, t: ti.f32, primitives: ti.t
 def collide_fields(
     workers: ti.template(), cloth: ti.template(), t: ti.f32, obstacles: ti.template(), step: ti.template()
 ):
-    """Put a worker's vertices out of distance fields (rows of :mod:`pbd.contact.distance_field`) in turn."""
+    """Put a worker's vertices out of the fields (rows of :mod:`pbd.contact.distance_field`), one after the other."""
     first = 0
     for c in range(obstacles.fields.shape[0]):
         size = ti.Vector([int(obstacles.fields[c, 0]), int(obstacles.fields[c, 1]), int(obstacles.fields[c, 2])])

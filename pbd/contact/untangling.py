@@ -104,7 +104,7 @@ class _Crossings:
         self.along = np.einsum("kci,ki->kc", ways, _unit(tips[:, 1] - tips[:, 0]))
 
     def pulls(self, wrong_side: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pairs that pull ends of edges on the wrong side back, and their data (:func:`pbd.contact.pairs.solve_pairs`)."""
+        """Pairs that pull ends on the wrong side back, and their data for :func:`pbd.contact.pairs.solve_pairs`."""
         lost = wrong_side[self.ends] > 0
         one = np.flatnonzero(lost[:, 0] != lost[:, 1])
         where = lost[one].argmax(axis=1)

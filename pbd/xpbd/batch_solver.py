@@ -186,16 +186,24 @@ class BatchSolver:
                 raise InputError("not one for every garment", key=name, received=len(given), expected=str(count))
         if dt < MIN_FRAME_TIME:
             return
-        arrays, reals, integers = [], [], []
-        for garment, solver in enumerate(self._solvers):
-            target = None if targets is None else targets[garment]
-            wind = (0.0, 0.0, 0.0) if winds is None else winds[garment]
-            limit_target = None if limit_targets is None else limit_targets[garment]
-            found = solver.prepare(states[garment], colliders[garment], dt, target, wind, limit_target)
-            arrays.append({name: found[name] for name in self._layout.arrays})
-            real, integer = self._layout.numbers_of(found)
-            reals.append(real)
-            integers.append(integer)
+        found = [
+            solver.prepare(state, collider, dt, target, wind, limit_target)
+            for solver, state, collider, target, wind, limit_target in zip(
+                self._solvers,
+                states,
+                colliders,
+                targets if targets is not None else [None] * count,
+                winds if winds is not None else [(0.0, 0.0, 0.0)] * count,
+                limit_targets if limit_targets is not None else [None] * count,
+                strict=True,
+            )
+        ]
+        self._run(found)
+
+    def _run(self, arguments: Sequence[Mapping[str, Any]]) -> None:
+        """Launch the kernel with the arguments of all garments, and copy its results back."""
+        arrays = [{name: own[name] for name in self._layout.arrays} for own in arguments]
+        reals, integers = zip(*(self._layout.numbers_of(own) for own in arguments), strict=True)
         pools = self._pools
         if pools is None or not self._fits(arrays):
             pools = self._pools = ArrayPools(self._layout, arrays, READ + WORKSPACE, READ + WRITTEN)

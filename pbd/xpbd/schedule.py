@@ -96,25 +96,9 @@ def advance_garment(
                 collide_with_body(workers, cloth, body, contact, k, t, tests_all, substep == 0, active_distance, step)
                 workers.barrier()
             if ti.static(pairs.used):
-                # After the body, whose outside is known however deep cloth is in it: cloth that the body pinches must
-                # not go through itself, nor be drawn out between limbs that push it apart. Cloth that this puts under
-                # the surface comes out again.
-                if workers.first():
-                    if tests_all:
-                        stretched = near_limits(cloth, constraints.strain_limits)
-                    solve_strain_limits(
-                        cloth, contact, constraints.strain_limits, stretched * MAX_LIMIT_PASSES, step.h, t
-                    )
-                    solve_pairs(cloth, pairs, tests_all, step.refresh * step.share, step.friction, step.h)
-                workers.barrier()
-                for k in range(contact.sample_colors.shape[0] - 1):
-                    return_to_surface(workers, cloth, contact, k, t, step)
-                    workers.barrier()
-                if workers.first():
-                    solve_strain_limits(
-                        cloth, contact, constraints.strain_limits, stretched * MAX_LIMIT_PASSES, step.h, t
-                    )
-                workers.barrier()
+                stretched = collide_with_itself(
+                    workers, cloth, constraints, contact, pairs, t, tests_all, stretched, step
+                )
     end_frame(workers, cloth, contact)
 
 
@@ -326,6 +310,43 @@ def collide_with_body(
             push_out(c, i, j, gap, step.friction, step, cloth, contact.contact_points)
     if tests_all:
         contact.active_counts[row][1] = active_count
+
+
+@ti.func
+def collide_with_itself(
+    workers: ti.template(),
+    cloth: ti.template(),
+    constraints: ti.template(),
+    contact: ti.template(),
+    pairs: ti.template(),
+    t: ti.f32,
+    tests_all: ti.i32,
+    stretched: ti.i32,
+    step: ti.template(),
+) -> ti.i32:
+    """Keep the cloth from going through itself; t in [0, 1] of the frame.
+
+    This comes after the body, whose outside is known however deep cloth is in it: cloth that the body pinches must not
+    go through itself, nor be drawn out between limbs that push it apart. Cloth that this puts under the body's surface
+    comes out again.
+
+    Returns:
+        whether any edge was near its strain limit at the last test; ``stretched`` is the answer of the test before.
+    """
+    near = stretched
+    if workers.first():
+        if tests_all:
+            near = near_limits(cloth, constraints.strain_limits)
+        solve_strain_limits(cloth, contact, constraints.strain_limits, near * MAX_LIMIT_PASSES, step.h, t)
+        solve_pairs(cloth, pairs, tests_all, step.refresh * step.share, step.friction, step.h)
+    workers.barrier()
+    for k in range(contact.sample_colors.shape[0] - 1):
+        return_to_surface(workers, cloth, contact, k, t, step)
+        workers.barrier()
+    if workers.first():
+        solve_strain_limits(cloth, contact, constraints.strain_limits, near * MAX_LIMIT_PASSES, step.h, t)
+    workers.barrier()
+    return near
 
 
 @ti.func
