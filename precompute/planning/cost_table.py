@@ -1,4 +1,4 @@
-"""Measures what each setting of a player costs and how far it is off the full detail, on held-out motion."""
+"""Cost of each setting of a player and its distance from full detail, measured on held-out motion."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ __all__ = ["cost_table_key", "measure_cost_table"]
 TEMPOS = (1.0, 1.5)  # that the motion is played at: errors grow with speed
 EVERY = (1, 2, 4, 8)
 SUBSTEPS = (1.0, 2 / 3, 1 / 2, 1 / 3)  # a tick, shares of the full number
-BELOW = (1 / 2, 1 / 3, 1 / 4)  # the same on the mesh below, whose longer edges need fewer
+PROXY_SUBSTEPS = (1 / 2, 1 / 3, 1 / 4)  # the same on the mesh below, whose longer edges need fewer
 ATOMS = (1.0, 1 / 2, 1 / 6)
-MOST = 400  # ticks that are played at each tempo
-LOOKS = 4  # ticks in which it is seen whether what is not relaxed is inside the body
-REFERENCES = 4  # runs at full detail that chaos is told from ...
-RUNS = 2  # ... and runs of every other simulation, each started
-STIRRED = 0.05  # with velocities so much at random [m/s]
+MAX_TICKS = 400  # ticks that are played at each tempo
+HOLE_CHECKS = 4  # ticks in which unrelaxed cloth is tested for being inside the body
+REFERENCE_RUNS = 4  # runs at full detail, whose mutual distance is that of chaos ...
+RUNS_EACH = 2  # ... and runs of every other simulation, each started
+START_NOISE = 0.05  # with velocities so much at random [m/s]
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -46,28 +46,32 @@ def measure_cost_table(
 ) -> CostTable:
     """Measure every setting.
 
-    Each part of a setting is measured where it can be told apart, and squares of errors add up. What decodes is shown
-    the coarse states of the full detail, and so is what goes on between two updates: distances vertex by vertex, the
-    95th percentile of each tick, below which 99 % of the ticks stay, or the size of the hole where cloth is inside the
-    body that is not with full detail. What changes the coarse simulation runs freely,
-    and free folding is chaotic: there the distance is that of statistics, the 2-Wasserstein distance between the
-    Gaussian distributions of each vertex over the run, as seen from the body, the 95th percentile over vertices. Its
-    square is the mean over some runs beside some at full detail, all started a little differently, less that of the
-    latter among themselves. The mesh below the coarse one is simulated without the
-    wrinkle layer only: it has no folds that the dictionary could read.
+    Each part of a setting is measured on its own, and the squares of their errors add up.
+
+    Decoding, and the motion between two updates, start from the coarse states of full detail. Their error is a distance
+    vertex by vertex: the 95th percentile of each tick, below which 99 % of the ticks stay. Where cloth is inside the
+    body that is not with full detail, it is at least the size of that hole.
+
+    A changed coarse simulation runs freely, and free folding is chaotic. Its error is therefore one of statistics: the
+    2-Wasserstein distance between the Gaussian distributions of each vertex over the run, seen from the body, the 95th
+    percentile over vertices. The square is a mean over pairs of such a run and one at full detail, all started a little
+    differently, less the mean over pairs of runs at full detail.
+
+    The mesh below the coarse one is simulated without the wrinkle layer only: it has no folds that the dictionary could
+    read.
 
     Args:
         database: of the garment.
         cast: with what it is played.
         motion: that nothing was learned from; played at several tempos.
-        report: told lines of progress.
+        report: called with lines of progress.
     """
-    tell = report or (lambda line: None)
+    progress = report or (lambda line: None)
     player = Player(database, inputs.body, motion.pose(0.0), inputs.primitives)
     full = player.full
     layers = _layers(full)
     below = proxy_mesh_of(player.levels, database.warp)
-    levels = [(0, SUBSTEPS)] if below is None else [(0, SUBSTEPS), (1, BELOW)]
+    levels = [(0, SUBSTEPS)] if below is None else [(0, SUBSTEPS), (1, PROXY_SUBSTEPS)]
     pairs = [
         LevelOfDetail(every, max(1, round(every * full.substeps * share)), 0, 0, 0, level)
         for level, shares in levels
@@ -77,9 +81,11 @@ def measure_cost_table(
     pairs = list(dict.fromkeys(pairs))
     parts = []
     for number, tempo in enumerate(TEMPOS):
-        tell(f"measuring settings: tempo {number + 1} of {len(TEMPOS)}, wrinkle layer")
+        progress(f"measuring settings: tempo {number + 1} of {len(TEMPOS)}, wrinkle layer")
         poses = _poses(motion, tempo, 1.0 / database.frame_rate)
-        parts.append(_measure(database, inputs, poses, pairs, layers, lambda line: tell(f"measuring settings: {line}")))
+        parts.append(
+            _measure(database, inputs, poses, pairs, layers, lambda line: progress(f"measuring settings: {line}"))
+        )
     parts.sort(key=lambda part: part["speed"])
     speeds = tuple(float(part["speed"]) for part in parts)
     costs = {name: np.median([part[name] for part in parts], axis=0) for name in ("step", "rest", "between", "layer")}
@@ -123,7 +129,7 @@ def _layers(full: LevelOfDetail) -> list[tuple[int, int, int]]:
 
 def _poses(motion: Motion, tempo: float, dt: float) -> np.ndarray:
     """A motion faster or slower: poses every ``dt`` [s]."""
-    count = min(MOST, int(motion.duration / (dt * tempo) + 1e-6))
+    count = min(MAX_TICKS, int(motion.duration / (dt * tempo) + 1e-6))
     return np.stack([motion.pose(i * dt * tempo) for i in range(count + 1)])
 
 
@@ -133,7 +139,7 @@ def _measure(
     poses: np.ndarray,
     pairs: Sequence[LevelOfDetail],
     layers: Sequence[tuple[int, int, int]],
-    tell: Callable[[str], None],
+    progress: Callable[[str], None],
 ) -> dict[str, np.ndarray]:
     """Errors and costs of all parts on one run of poses."""
     dt = 1.0 / database.frame_rate
@@ -149,14 +155,14 @@ def _measure(
         made = [_run(player, start, detail, poses, dt, inputs.wind, turn, first, seed) for seed in seeds]
         return [run[0] for run in made], min(run[1] for run in made), max(run[2] for run in made)
 
-    references, cost, _ = runs(bare, range(REFERENCES))
+    references, cost, _ = runs(bare, range(REFERENCE_RUNS))
     floor = np.mean([_squares(a, b, first) for a, b in combinations(references, 2)], axis=0)
     step_error, spent = [], []
     for number, detail in enumerate(pairs):
-        tell(f"simulation {number + 1} of {len(pairs)}")
+        progress(f"simulation {number + 1} of {len(pairs)}")
         error = 0.0
         if detail != bare:
-            coarse, cost, hole = runs(detail, range(REFERENCES, REFERENCES + RUNS))
+            coarse, cost, hole = runs(detail, range(REFERENCE_RUNS, REFERENCE_RUNS + RUNS_EACH))
             away = np.mean([_squares(a, b, first) for a in coarse for b in references], axis=0) - floor
             error = max(float(np.percentile(np.sqrt(np.maximum(away, 0.0)), 95)), hole)
         step_error.append(error if np.isfinite(error) else np.inf)
@@ -177,7 +183,7 @@ def _decode(
     still = CoarseFilter(player.levels)
     distance, holes = BodyDistance(player.simulation.body.faces), np.zeros(len(layers))
     spacing = float(player.levels.fine.edge_lengths()[1].mean())
-    looked_at = set(np.linspace(first + 1, len(poses) - 1, LOOKS).astype(int).tolist())
+    looked_at = set(np.linspace(first + 1, len(poses) - 1, HOLE_CHECKS).astype(int).tolist())
     past: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=max(EVERY) - 1)
     spent, away, astray, speeds = [], [], [], []
     for tick, pose in enumerate(poses[1:], 1):
@@ -185,7 +191,7 @@ def _decode(
         truth = (player.vertices + player.origin).astype(np.float32)
         velocity = player.simulation.state.velocity
         if tick > first:
-            # How far off is what went on as it was for 1, 2, ... ticks.
+            # The error of cloth that went on at its last velocity for 1, 2, ... ticks.
             astray.append([_p95(was + dt * j * going - truth) for j, (was, going) in enumerate(reversed(past), 1)])
             speeds.append(np.mean(velocity.astype(float) ** 2) * 3.0)
             times, distances, top = [], [], player.vertices
@@ -254,13 +260,15 @@ def _run(
     player.simulation.state = start.copy()
     player.change(player.full)
     player.simulation.place_body(poses[0])
-    stirred = STIRRED * np.random.default_rng(seed).standard_normal(start.velocity.shape)
+    stirred = START_NOISE * np.random.default_rng(seed).standard_normal(start.velocity.shape)
     player.simulation.state.velocity += stirred.astype(np.float32)
     player.change(detail, detail.every - 1)
     state, hole = player.simulation.state, 0.0
     coarse, spent = [], []
     often = max(EVERY)
-    looked_at = set((often * np.linspace(first // often + 1, (len(poses) - 1) // often, LOOKS).astype(int)).tolist())
+    looked_at = set(
+        (often * np.linspace(first // often + 1, (len(poses) - 1) // often, HOLE_CHECKS).astype(int)).tolist()
+    )
     distance, spacing = BodyDistance(player.simulation.body.faces), float(player.levels.fine.edge_lengths()[1].mean())
     for tick, pose in enumerate(poses[1:], 1):
         began = time.process_time()

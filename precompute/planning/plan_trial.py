@@ -25,7 +25,7 @@ __all__ = ["SCENES", "PlanTrial", "trial_rows", "trial_text", "try_plan"]
 
 TARGET_PX = TARGETS["imperceptible"]
 
-LOOK = 13  # ticks from one that is compared to the next: no multiple of any turn
+COMPARED_EVERY = 13  # ticks; no multiple of the ticks between updates
 
 
 def _flight(t: float) -> tuple[CameraSettings, ...]:
@@ -66,7 +66,7 @@ SCENES: dict[str, Callable[[float], tuple[CameraSettings, ...]]] = {"flight": _f
 
 @dataclass(frozen=True)
 class PlanTrial:
-    """What came of a trial.
+    """The result of a trial.
 
     Attributes:
         error_px: on screen, in the ticks that were compared, the 95th percentile over vertices, shape (f,).
@@ -91,7 +91,7 @@ def try_plan(
 ) -> PlanTrial:
     """Play one garment under a planner whose target is imperceptible and whose budget never binds.
 
-    What is shown is compared with what the full detail makes of the same coarse state: in a tick with an update of that
+    The shown cloth is compared with full detail of the same coarse state: in a tick with an update of that
     state, in others of the state that full detail steps to from the last update.
 
     Args:
@@ -117,7 +117,7 @@ def try_plan(
         cost += group.choices[0].cost_ms
         worked = not np.array_equal(player.simulation.state.position, hash_before)
         idle, updated = (0, times[tick]) if worked else (idle + 1, updated)
-        if tick % LOOK == 0 and tick * dt > 1.5:
+        if tick % COMPARED_EVERY == 0 and tick * dt > 1.5:
             full = _truth(player, shadow, motion, times[tick - idle : tick + 1], dt, inputs.wind)
             away = np.linalg.norm(player.vertices + player.origin - full, axis=1)
             errors.append(min(view.pixels_per_metre * float(np.percentile(away, 95)), view.size_px))

@@ -1,4 +1,4 @@
-"""`gube plan`: what a garment of a scene should be modelled with, and what that saves."""
+"""`gube plan`: the cheapest detail of a scene's garment, and the time that it saves."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from wrinkles.database import WrinkleDatabase, read_database
 
 __all__ = ["Planned", "cost_table_of", "plan_file", "plan_rows", "plan_text"]
 
-NEAR, FAR = 2.0, 20.0  # whose costs are compared [m]
-LOOKED = 50  # distances
-ENDLESS = 1e9  # a budget that bounds nothing [ms]
+NEAR_DISTANCE, FAR_DISTANCE = 2.0, 20.0  # from the camera, for the figure cost_ratio_2m_20m [m]
+DISTANCE_COUNT = 50  # distances at which choices are compared
+NO_BUDGET = 1e9  # a budget that bounds nothing [ms]
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def cost_table_of(database: WrinkleDatabase, path: Path, report: Callable[[str],
     Args:
         database: the database.
         path: its file.
-        report: told lines of progress.
+        report: called with lines of progress.
     """
     kept = cost_table_path(path)
     if kept.exists():
@@ -83,7 +83,7 @@ def plan_file(
         distance: from the camera to the garment instead of the scene's own [m].
         field_of_view_deg: vertical, instead of the scene's own [deg].
         garments: how many of them share the budget.
-        report: told lines of progress.
+        report: called with lines of progress.
 
     Raises:
         InputError: what cannot be read, or no garments.
@@ -119,7 +119,8 @@ def plan_figures(
     """Figures of a plan: the choice, its cost and error, how much dearer than the cheapest, and what distance saves."""
     cost = sum(choice.cost_ms for choice in choices)
     near, far = (
-        Planner([table], target_px, ENDLESS).plan([seen_from(table, distance)])[0].cost_ms for distance in (NEAR, FAR)
+        Planner([table], target_px, NO_BUDGET).plan([seen_from(table, distance)])[0].cost_ms
+        for distance in (NEAR_DISTANCE, FAR_DISTANCE)
     )
     return {
         "choice": str(table.settings[choices[0].index].detail),
@@ -132,8 +133,8 @@ def plan_figures(
 
 
 def changed_by_fineness(table: CostTable, target_px: float) -> float:
-    """In how many of :data:`LOOKED` distances from 1 to 100 m the cheapest good setting has too fine a mesh for l_g."""
-    looks = [seen_from(table, float(distance)).errors(table) for distance in np.geomspace(1.0, 100.0, LOOKED)]
+    """Of :data:`DISTANCE_COUNT` distances from 1 to 100 m, those whose cheapest good setting is too fine for l_g."""
+    looks = [seen_from(table, float(distance)).errors(table) for distance in np.geomspace(1.0, 100.0, DISTANCE_COUNT)]
     return float(sum(table.too_fine[cheapest(table.costs, errors, target_px)] for errors in looks))
 
 
@@ -157,14 +158,15 @@ def plan_text(planned: Planned) -> str:
 
 
 def _fineness(table: CostTable, figures: dict[str, float | str]) -> str:
-    """What l_g says about the meshes that are simulated, in a line."""
+    """Whether the simulated meshes are finer than folds of l_g need, in a line."""
     meshes = " and ".join(f"{1e3 * edge:.0f}" for edge in table.edges)
     line = f"meshes of {meshes} mm; l_g = {1e3 * table.gravity_length:.0f} mm makes folds of {FOLD:g} l_g and longer"
     if not table.too_fine.any():
         return f"{line}: none is finer than such a fold needs"
     changed = float(figures["changed_by_l_g"])
     return (
-        f"{line}: the finest is finer than such a fold needs; without it {changed:.0f} of {LOOKED} choices would change"
+        f"{line}: the finest is finer than such a fold needs; "
+        f"without it {changed:.0f} of {DISTANCE_COUNT} choices would change"
     )
 
 

@@ -1,4 +1,4 @@
-"""What ablations of the wrinkle layer are made from: a database, what it was learned from, and what it is judged on."""
+"""The material of ablations of the wrinkle layer: a database, its training runs and its held-out motion."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ TIMED_FRAMES = 30
 
 @dataclass(frozen=True)
 class Variant:
-    """One variant from coarse to fine.
+    """One way from the coarse to the fine mesh.
 
     Attributes:
-        layer: where it looks and writes.
-        atoms: that its coefficients count.
+        layer: the stencils that features are read from and the patches that are written to.
+        atoms: of the coefficients.
         begin: gives the mapping at the start of a run; one that remembers is shown all frames in order.
         passes: of relaxation.
         options: of the coarse model in the free run; None for the calibrated ones.
-        gain: on what the mapping says [-].
+        gain: on the coefficients that the mapping gives [-].
     """
 
     layer: Layer
@@ -61,11 +61,11 @@ class Variant:
 
 
 class Experiment:
-    """A database with what it was learned from and what it is judged on; everything is made when it is asked for.
+    """A database with its training runs and its held-out motion; each is made when it is first asked for.
 
     Args:
         path: of the database; its recorded runs lie beside it, or are simulated again.
-        report: told lines of progress.
+        report: called with lines of progress.
 
     Raises:
         InputError: what cannot be read, or a scene without held-out motion.
@@ -107,7 +107,7 @@ class Experiment:
         return spread_frames(self.recordings, FRAMES)
 
     def learn_from(self, layer: Layer) -> TrainingSet:
-        """The training set of a layer that looks or writes elsewhere."""
+        """The training set of a layer with other stencils or patches."""
         return training_set(layer, self.learned, len(self.database.atoms.shapes), self.database.seed)
 
     def fit(self, data: TrainingSet, layer: Layer | None = None, **changes) -> CoefficientNetwork:
@@ -120,7 +120,7 @@ class Experiment:
         return self.variant(self.fit(self.data))
 
     def variant(self, mapping: CoefficientNetwork, layer: Layer | None = None, atoms: Atoms | None = None) -> Variant:
-        """One that differs from the full one in what is given."""
+        """The full variant with another mapping, layer or atoms."""
         return self.mapped(by_features(mapping), layer, atoms)
 
     def mapped(

@@ -1,4 +1,4 @@
-"""`gube compare`: what every method costs against how right it is, on one held-out motion that all run freely."""
+"""`gube compare` for a database: cost and error of every method on one held-out motion, which all run freely."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from wrinkles.metrics import edge_stretch
 __all__ = ["Comparison", "Method", "compare", "compare_file", "database_of", "equal_cost_baselines", "winners"]
 
 STABILITY_SECONDS = 3.5  # the blend from the bind pose and two seconds of motion
-TIE = 1.05  # free runs are chaotic: what differs by less is the same
+TIE_RATIO = 1.05  # free runs are chaotic: errors that differ by less are alike
 AT_EQUAL_COST = ("", "smooth_", "middle_mesh_", "equal_cost_fine_")  # smooth costs less
 
 
@@ -105,9 +105,9 @@ class Comparison:
 
 
 def winners(errors: Mapping[str, float], floor: float) -> tuple[str, ...]:
-    """Who has the least error. What lies within the floor or within 5 % of the least has won alike."""
+    """The methods with the least error; all within the floor, or within 5 % of the least, win together."""
     finite = {name: error for name, error in errors.items() if np.isfinite(error)}
-    limit = max(floor, TIE * min(finite.values(), default=0.0))
+    limit = max(floor, TIE_RATIO * min(finite.values(), default=0.0))
     return tuple(name for name, error in finite.items() if error <= limit)
 
 
@@ -118,11 +118,11 @@ def compare(database: WrinkleDatabase, truth: Truth, *, report: Callable[[str], 
     Args:
         database: what was learned.
         truth: two converged fine runs, as :func:`precompute.learning.evaluation.truth_of` gives.
-        report: told lines of progress.
+        report: called with lines of progress.
     """
-    tell = report or (lambda line: None)
+    progress = report or (lambda line: None)
     run = truth.run
-    tell("comparing: ours and smooth")
+    progress("comparing: ours and smooth")
     free = play_freely(database, run.body, run)
     ours_ms, smooth_ms = player_times(database, truth)
     settings = _settings(coarse_cloth(database, truth))
@@ -133,9 +133,9 @@ def compare(database: WrinkleDatabase, truth: Truth, *, report: Callable[[str], 
     fine, middle = fine_cloth(truth), middle_cloth(database, truth)
     methods += equal_cost_baselines(database, truth, ours_ms, report=report)
     if middle is not None:
-        tell("comparing: middle mesh, converged")
+        progress("comparing: middle mesh, converged")
         methods.append(_cloth(truth, middle, "middle_mesh_converged_", "middle mesh, converged"))
-    tell("comparing: truth and floor")
+    progress("comparing: truth and floor")
     settings = _settings(fine)
     methods.append(Method("truth_", "truth", fine.cost(), _shared_figures(truth, truth.frames), settings, truth.frames))
     figures = _all_figures(truth, truth.floor)
@@ -146,7 +146,7 @@ def compare(database: WrinkleDatabase, truth: Truth, *, report: Callable[[str], 
     poses = run.poses[: round(STABILITY_SECONDS / run.dt) + 1]
     for name, cloth in clothes.items():
         if cloth is not None:
-            tell(f"stability: {name.replace('_', ' ')}")
+            progress(f"stability: {name.replace('_', ' ')}")
             stability.append(largest_stable_step(name, cloth.simulation, cloth.options, poses, run.dt, run.wind))
     return Comparison(database.garment_name, run.name, truth, tuple(methods), tuple(stability))
 
@@ -161,15 +161,15 @@ def equal_cost_baselines(
         truth: as for :func:`compare`.
         ours_ms: processor time of each of the player's frames [ms], by
             :func:`precompute.wrinkle_comparison.baselines.player_times`.
-        report: told lines of progress.
+        report: called with lines of progress.
     """
-    tell, methods = report or (lambda line: None), []
+    progress, methods = report or (lambda line: None), []
     budget = typical_ms(ours_ms[:PROBE_FRAMES])  # on the frames that baselines are tried on
     middle = middle_cloth(database, truth)
     if middle is not None:
-        tell("comparing: middle mesh at equal cost")
+        progress("comparing: middle mesh at equal cost")
         methods.append(_cloth(truth, _at_cost(middle, budget), "middle_mesh_", "middle mesh, equal cost"))
-    tell("comparing: fine cloth with few substeps")
+    progress("comparing: fine cloth with few substeps")
     fine = _at_cost(fine_cloth(truth), budget)
     return [*methods, _cloth(truth, fine, "equal_cost_fine_", "fine cloth, few substeps")]
 
@@ -191,7 +191,7 @@ def _settings(cloth: Cloth) -> dict[str, float]:
 
 
 def _shared_figures(truth: Truth, frames: np.ndarray) -> dict[str, float]:
-    """What can be asked of any run, the truth's too: contact with the body and stretch."""
+    """Figures that any run has, the truth's too: contact with the body and stretch."""
     stretch = edge_stretch(frames, *truth.levels.fine.edge_lengths())
     figures = {name: float(value) for name, value in penetration_figures(*body_distances(truth, frames)).items()}
     return figures | {
@@ -229,7 +229,7 @@ def compare_file(
         output: folder of that database.
         clip: name of a clip that nothing was learned from; None takes the first that is held out.
         seconds: cut the motion there.
-        report: told lines of progress.
+        report: called with lines of progress.
 
     Raises:
         InputError: what cannot be read, a clip that does not exist or was learned from, or too short a motion.

@@ -43,7 +43,7 @@ if an edge is stretched by 100 % of its length more than ever with substeps of 1
 
 
 def verdict(comparison: Comparison) -> str:
-    """Who wins at equal cost, in sentences; a baseline that wins is named as plainly as ours would be."""
+    """Who wins at equal cost, in sentences; a baseline that wins is named as plainly as our method."""
     times = [f"{_called(m)} {m.frame_ms:.2f} ms" for m in _baselines(comparison)]
     paragraphs = [f"Time of a frame, body included: {', '.join(times)}."]
     paragraphs += [_sentence(comparison, figure, words) for figure, words in _JUDGED.items()]
@@ -52,10 +52,10 @@ def verdict(comparison: Comparison) -> str:
         paragraphs.append(
             f"The fine cloth cannot be had at our cost: with {_count(fine)} a frame takes {fine.frame_ms:.2f} ms."
         )
-    told = [f"{_called(m)} {m.figures['edge_stretch_p99_percent']:.3g} %" for m in comparison.methods if m.figures]
-    paragraphs.append(f"Stretch that 1 % of the edges exceed: {', '.join(told)}.")
+    stretched = [f"{_called(m)} {m.figures['edge_stretch_p99_percent']:.3g} %" for m in comparison.methods if m.figures]
+    paragraphs.append(f"Stretch that 1 % of the edges exceed: {', '.join(stretched)}.")
     paragraphs += [
-        f"{_called(m).capitalize()}, substeps of {1e3 * m.settings['substep [s]']:.3g} ms, runs beyond what it stands: "
+        f"{_called(m).capitalize()}, substeps of {1e3 * m.settings['substep [s]']:.3g} ms, runs beyond its limit: "
         f"{1e3 * limit.dt_max:.3g} ms is its largest stable substep, and {limit.first_to_go} goes first."
         for m, limit in _beyond_their_limits(comparison)
     ]
@@ -74,7 +74,7 @@ def write_comparison(
 
     Args:
         path: the HTML file.
-        comparison: what was found.
+        comparison: the result.
         picture: shown first, uint8, shape (h, w, 3); None shows none.
     """
     first = [] if picture is None else [Picture(picture, "the garment at several moments")]
@@ -216,5 +216,5 @@ def _stability_table(comparison: Comparison) -> Table:
         ]
         for one in comparison.stability
     ]
-    header = ["garment", "largest stable substep [ms]", "shortest unstable one [ms]", "what went first there"]
+    header = ["garment", "largest stable substep [ms]", "shortest unstable one [ms]", "first failure there"]
     return Table(header, rows, "Largest stable substep")

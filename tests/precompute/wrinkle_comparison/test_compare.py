@@ -74,8 +74,8 @@ def truth(database: WrinkleDatabase, tmp_path_factory: pytest.TempPathFactory) -
 def comparison(database: WrinkleDatabase, truth: Truth) -> Comparison:
     with pytest.MonkeyPatch.context() as patch:  # short: what is measured is not what is tested
         patch.setattr(baselines, "PROBE_FRAMES", 16)
-        patch.setattr(stability, "SHORTEST", 1.0 / 600.0)
-        patch.setattr(stability, "STEPS", 4)
+        patch.setattr(stability, "MIN_SUBSTEP", 1.0 / 600.0)
+        patch.setattr(stability, "BISECTIONS", 4)
         return compare(database, truth)
 
 
