@@ -77,18 +77,11 @@ def run_demo(output: Path, report: Callable[[str], None] | None = None) -> dict[
     picture = draw_moments(truth, evaluation)
     save_png(output / "demo.png", picture)
     tell("baking the animation")
-    source, frames = body_source(truth.run.body), truth.recording.frames
-    bodies = np.zeros((len(frames), len(source.vertices), 3), np.float32)
-    for index, frame in enumerate(frames):
-        source.skin(truth.run.poses[frame], np.zeros(3), bodies[index])
+    frames = truth.recording.frames
     rate = 1.0 / (truth.run.dt * truth.run.every)
+    poses = truth.run.poses[frames]
     bake_glb(
-        output / "skirt.glb",
-        truth.levels.fine.faces,
-        evaluation.free.frames,
-        rate,
-        body_faces=source.faces,
-        body_frames=bodies,
+        output / "skirt.glb", truth.levels.fine.faces, evaluation.free.frames, rate, body=truth.run.body, poses=poses
     )
     tell("comparing")
     comparison = compare(result.database, truth, report=report)

@@ -48,8 +48,8 @@ def run(options: argparse.Namespace) -> Report:
     if options.fabric is not None:
         database = database.in_fabric(options.fabric)
     cast = cast_of(database, options.character, options.clip)
-    player, frames, normals, bodies = baked_frames(database, cast, cast.motions[0], options.rate, options.seconds)
+    player, frames, normals, poses = baked_frames(database, cast, cast.motions[0], options.rate, options.seconds)
     faces = player.levels.subdivision.faces
-    write_baked(options.output, faces, frames, options.rate, normals, cast.body.faces, bodies)
+    write_baked(options.output, faces, frames, options.rate, normals, cast.body, poses)
     print(f"{cast.motions[0].name}: {len(frames)} frames of {frames.shape[1]} vertices baked to {options.output}")
     return Report({"frame_count": len(frames), "fine_vertex_count": frames.shape[1]})
