@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from assets.character import Character
-from pbd.engine import Launch, ensure_initialized, ti
+from pbd.engine import ensure_initialized, ti
+from pbd.taichi_internals import Launch
 
 __all__ = ["Body", "SkinnedBody", "skin_vertices"]
 

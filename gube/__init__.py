@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 # Each public name, with the module and the attribute that it stands for. The block below repeats them for type
 # checkers; a test holds the two equal.
 SOURCES = {
-    "BatchSolver": "pbd.crowd:Crowd",
+    "BatchSolver": "pbd.batch_solver:BatchSolver",
     "Body": "pbd.colliders:Body",
     "Capsule": "pbd.colliders:Capsule",
     "Character": "assets.character:Character",
@@ -70,7 +70,7 @@ if TYPE_CHECKING:
     from pbd.colliders import Colliders as Colliders
     from pbd.colliders import Plane as Plane
     from pbd.colliders import Sphere as Sphere
-    from pbd.crowd import Crowd as BatchSolver
+    from pbd.batch_solver import BatchSolver as BatchSolver
     from pbd.distance_field import DistanceField as DistanceField
     from pbd.engine import ensure_initialized as ensure_initialized
     from pbd.errors import InputError as InputError

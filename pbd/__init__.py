@@ -1,7 +1,7 @@
 """Cloth, fabrics, colliders and time: the solvers and everything they stand on."""
 
+from pbd.batch_solver import BatchSolver
 from pbd.colliders import Body, Capsule, Colliders, DistanceField, Plane, Sphere
-from pbd.crowd import Crowd
 from pbd.engine import ensure_initialized
 from pbd.errors import InputError
 from pbd.fabric import Fabric
@@ -11,11 +11,11 @@ from pbd.model import Model, ModelOptions, State, build_model
 from pbd.solver import Solver, SolverOptions
 
 __all__ = [
+    "BatchSolver",
     "Body",
     "Capsule",
     "ClothMesh",
     "Colliders",
-    "Crowd",
     "DistanceField",
     "Fabric",
     "InputError",

@@ -1,32 +1,53 @@
-"""The kernel of a garment alone: the schedule on one worker, and the types of what it takes."""
+"""The kernel of one garment: the schedule on one worker, behind the one flat list of its arrays.
+
+Taichi takes at most 64 arguments, so that numbers come in two of them. The kernel makes the views of
+:mod:`pbd.views` from its arguments and hands these on.
+"""
 
 from collections.abc import Callable
 from functools import cache
 
 from pbd.engine import ti
-from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, vec3
+from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows
 from pbd.schedule import advance_garment
-from pbd.team import Alone
+from pbd.views import (
+    BodySurface,
+    ClothArrays,
+    ConstraintArrays,
+    ContactWork,
+    MultigridArrays,
+    Obstacles,
+    PairArrays,
+    ParameterVector,
+    StepView,
+)
+from pbd.workers import SerialWorker
 
 __all__ = ["advance_kernel"]
 
 
 @cache
-def advance_kernel(with_patches: bool, with_pairs: bool = False) -> Callable[..., None]:
-    """The kernel that advances a garment. Patches and pairs take long to compile, and are left out if not used."""
+def advance_kernel(with_multigrid: bool, with_pairs: bool = False) -> Callable[..., None]:
+    """The kernel that advances a garment by a frame.
+
+    Over 60 lines and over 12 arguments: it is the one place that lists all arrays of a step.
+
+    Args:
+        with_multigrid, with_pairs: whether coarser levels and pairs are used. Both take long to compile.
+    """
 
     @ti.kernel
     def advance(
         position: Vec4,
         velocity: Vec3,
-        shift: Vec4,
+        position_delta: Vec4,
+        velocity_delta: Vec4,
         normals: Vec4,
-        gained: Vec4,
-        touched: Vec4Rows,
-        awake: Int1,
-        samples: Int2,
-        sample_colors: Int1,
-        listed: Int2,
+        air: Vec4,
+        pressure: Float1,
+        held: Int1,
+        target_start: Vec3,
+        target_end: Vec3,
         triangles: Int3,
         triangle_blocks: Int2,
         block_colors: Int1,
@@ -38,61 +59,72 @@ def advance_kernel(with_patches: bool, with_pairs: bool = False) -> Callable[...
         stitch_weights: Float1,
         tethers: Int2,
         tether_lengths: Float1,
-        held: Int1,
-        target_0: Vec3,
-        target_1: Vec3,
         limits: Vec4Rows,
-        air: Vec4,
-        pressure: Float1,
-        primitives: Float2,
-        fields: Float2,
-        field_values: Float1,
-        nearest: Int1,
-        contact: Float1,
-        body_0: Vec3,
-        body_1: Vec3,
-        body_normals: Vec3,
+        strain_limits: Vec4,
+        body_start: Vec3,
+        body_end: Vec3,
         ring_start: Int1,
         ring: Int1,
         fan_start: Int1,
         fan: Int2,
+        body_normals: Vec3,
+        primitives: Float2,
+        fields: Float2,
+        field_values: Float1,
+        samples: Int2,
+        sample_colors: Int1,
+        nearest: Int1,
+        contact_points: Vec4Rows,
+        active_samples: Int1,
+        active_counts: Int2,
+        contact_distance: Float1,
+        max_approach: Float1,
         parent: Int1,
-        part: Float1,
-        ways: Vec4,
-        places: Vec4,
-        first_ways: Vec4,
-        borne: Vec4,
-        starts: Int1,
+        mass_share: Float1,
+        displacement: Vec4,
+        patch_centers: Vec4,
+        predicted_displacement: Vec4,
+        coarse_strain: Vec4,
+        level_starts: Int1,
         children: Int1,
         child_starts: Int1,
-        links: Int2,
-        link_colors: Int1,
+        springs: Int2,
+        spring_colors: Int1,
         color_starts: Int1,
-        link_data: Vec4Rows,
-        link_shares: Float2,
-        link_room: Float2,
-        way: Float1,
+        spring_data: Vec4Rows,
+        spring_shares: Float2,
+        spring_workspace: Float2,
         pairs: Int4,
         pair_data: Vec4Rows,
-        ready: Int1,
-        strain_limits: Vec4,
+        ready_pairs: Int1,
         steps: Int1,
-        h: ti.f32,
-        gravity: vec3,
-        squeeze: ti.f32,
-        contact_law: ti.math.vec4,
+        parameters: ParameterVector,
     ):
         ti.loop_config(serialize=True)
         for _ in range(1):
             advance_garment(
-                Alone(), with_patches, with_pairs,
-                position, velocity, shift, normals, gained, touched, awake, samples, sample_colors,
-                listed, triangles, triangle_blocks, block_colors, triangle_data, hinges, hinge_colors, hinge_data,
-                stitches, stitch_weights, tethers, tether_lengths, held, target_0, target_1, limits, air, pressure,
-                primitives, fields, field_values, nearest, contact, body_0, body_1, body_normals,
-                ring_start, ring, fan_start, fan, parent, part, ways, places, first_ways, borne, starts, children,
-                child_starts, links, link_colors, color_starts, link_data, link_shares, link_room, way, pairs,
-                pair_data, ready, strain_limits, steps, h, gravity, squeeze, contact_law,
+                SerialWorker(),
+                StepView(steps, parameters),
+                ClothArrays(
+                    position, velocity, position_delta, velocity_delta, normals, air, pressure,
+                    held, target_start, target_end,
+                ),
+                ConstraintArrays(
+                    triangles, triangle_blocks, block_colors, triangle_data, hinges, hinge_colors, hinge_data,
+                    stitches, stitch_weights, tethers, tether_lengths, limits, strain_limits,
+                ),
+                BodySurface(body_start, body_end, ring_start, ring, fan_start, fan, body_normals),
+                Obstacles(primitives, fields, field_values),
+                ContactWork(
+                    samples, sample_colors, nearest, contact_points, active_samples, active_counts,
+                    contact_distance, max_approach,
+                ),
+                MultigridArrays(
+                    with_multigrid, parent, mass_share, displacement, patch_centers, predicted_displacement,
+                    coarse_strain, level_starts, children, child_starts, springs, spring_colors, color_starts,
+                    spring_data, spring_shares, spring_workspace,
+                ),
+                PairArrays(with_pairs, pairs, pair_data, ready_pairs),
             )  # fmt: skip
 
     return advance

@@ -1,7 +1,7 @@
 """Boxes and faces eight beside each other, so that the compiler tests all eight at once.
 
-A block has each component of its eight lanes beside each other. All blocks have a box in every lane; those of faces
-also have what is said below. A lane without a face has a box that overlaps nothing.
+A block has each component of its eight lanes beside each other. All blocks have a box in every lane. Blocks of faces
+also have a normal, corners and their displacements. A lane without a face has a box that overlaps nothing.
 """
 
 import numpy as np
@@ -11,14 +11,15 @@ from pbd.engine import ti
 from pbd.geometry import vec3
 
 __all__ = [
-    "CORNERS", "HIGH", "LANES", "LOW", "NORMAL", "WAYS", "Blocks", "empty_blocks", "facing", "features", "put", "sides",
-    "take", "within",
+    "CORNERS", "DISPLACEMENTS", "HIGH", "LANES", "LOW", "NORMAL", "Blocks", "empty_blocks", "facing", "features",
+    "overlapping", "put", "sides", "take",
 ]  # fmt: skip
 
 LANES = 8
 Blocks = ti.types.ndarray(dtype=ti.types.vector(LANES, ti.f32), ndim=2)
-# First component of each vector: the box over the way of a frame; the unit normal, three corners and their ways [m].
-LOW, HIGH, NORMAL, CORNERS, WAYS = 0, 3, 6, 9, 18
+# First component of each vector: the box over the motion of a frame; the unit normal, three corners and their
+# displacements over the frame [m].
+LOW, HIGH, NORMAL, CORNERS, DISPLACEMENTS = 0, 3, 6, 9, 18
 BOX, FACE = 6, 27  # components of a block of boxes, and of faces
 
 
@@ -62,7 +63,7 @@ def gap(low_a: vec3, high_a: vec3, low_b: vec3, high_b: vec3) -> ti.f32:
 
 
 @ti.func
-def within(blocks: ti.template(), block: ti.i32, low: vec3, high: vec3) -> ti.i32:
+def overlapping(blocks: ti.template(), block: ti.i32, low: vec3, high: vec3) -> ti.i32:
     """Bits of the lanes whose boxes overlap a given one."""
     bits = 0
     for a in range(LANES):
@@ -82,28 +83,28 @@ def facing(blocks: ti.template(), block: ti.i32, normal: vec3) -> ti.i32:
 
 @ti.func
 def sides(blocks: ti.template(), own: ti.i32, lane: ti.i32, block: ti.i32, reach: ti.f32):
-    """How one face and all of a block lie to each other's planes.
+    """On which sides of each other's planes one face and all faces of a block lie.
 
     Returns:
-        bits of the faces of which one of both stays more than ``reach`` [m] to one side of the other's plane all the
-        way, and of those of which one of both lies on one side of it at the start.
+        bits of the faces for which, in all of the frame, the one or the other stays more than ``reach`` [m] to one side
+        of the other's plane; bits of the faces for which it lies on one side of that plane at the start.
     """
     beside, uncut = 0, 0
     normal, origin = take(blocks, own, NORMAL, lane), take(blocks, own, CORNERS, lane)
-    drift = take(blocks, own, WAYS, lane)
+    drift = take(blocks, own, DISPLACEMENTS, lane)
     for a in range(LANES):
         other_normal, other_origin = take(blocks, block, NORMAL, a), take(blocks, block, CORNERS, a)
-        other_drift = take(blocks, block, WAYS, a)
+        other_drift = take(blocks, block, DISPLACEMENTS, a)
         for own_plane in ti.static((True, False)):
             low, high, lowest, highest = 1e30, -1e30, 1e30, -1e30
             for k in ti.static(range(3)):
                 height, rise = 0.0, 0.0
                 if ti.static(own_plane):
                     height = (take(blocks, block, CORNERS + 3 * k, a) - origin).dot(normal)
-                    rise = (take(blocks, block, WAYS + 3 * k, a) - drift).dot(normal)
+                    rise = (take(blocks, block, DISPLACEMENTS + 3 * k, a) - drift).dot(normal)
                 else:
                     height = (take(blocks, own, CORNERS + 3 * k, lane) - other_origin).dot(other_normal)
-                    rise = (take(blocks, own, WAYS + 3 * k, lane) - other_drift).dot(other_normal)
+                    rise = (take(blocks, own, DISPLACEMENTS + 3 * k, lane) - other_drift).dot(other_normal)
                 low, high = ti.select(height < low, height, low), larger(height, high)
                 end_low, end_high = height + ti.select(rise < 0.0, rise, 0.0), height + larger(rise, 0.0)
                 lowest, highest = ti.select(end_low < lowest, end_low, lowest), larger(end_high, highest)
@@ -114,9 +115,9 @@ def sides(blocks: ti.template(), own: ti.i32, lane: ti.i32, block: ti.i32, reach
 
 @ti.func
 def corner_box(blocks: ti.template(), block: ti.i32, corner: ti.template(), lane: ti.i32):
-    """Box of a corner of a face over the way of a frame."""
+    """Box of a corner of a face over its motion in a frame."""
     x = take(blocks, block, CORNERS + 3 * corner, lane)
-    y = x + take(blocks, block, WAYS + 3 * corner, lane)
+    y = x + take(blocks, block, DISPLACEMENTS + 3 * corner, lane)
     return smaller(x, y), greater(x, y)
 
 

@@ -9,10 +9,10 @@ from typing import TypeAlias
 import numpy as np
 
 from pbd.distance_field import ROW, DistanceField, field_rows
-from pbd.engine import Launch
 from pbd.errors import InputError
 from pbd.geometry import FAR, surface_normals
 from pbd.mesh import vertex_rings
+from pbd.taichi_internals import Launch
 
 __all__ = ["Body", "Capsule", "Colliders", "DistanceField", "Plane", "Primitive", "Sphere"]
 

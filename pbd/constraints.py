@@ -14,8 +14,8 @@ __all__ = [
     "hinge_multiplier",
     "larger",
     "limit_correction",
-    "link_multiplier",
     "membrane_multipliers",
+    "spring_multiplier",
     "stitch_multiplier",
     "tether_correction",
 ]
@@ -39,7 +39,9 @@ def larger(a: ti.f32, b: ti.f32) -> ti.f32:
 
 
 @ti.func
-def membrane_multipliers(side_1: vec3, side_2: vec3, inverse_flat, gram, compliance, unit, squeeze, borne):
+def membrane_multipliers(
+    side_1: vec3, side_2: vec3, inverse_flat, gram, compliance, unit, compression_compliance_scale, coarse_strain
+):
     """Orthotropic plane-stress membrane of one triangle: three constraints solved together.
 
     The strains are those of Baraff and Witkin 1998 in engineering form: |w_u| - 1, |w_v| - 1 and the cosine between
@@ -53,8 +55,8 @@ def membrane_multipliers(side_1: vec3, side_2: vec3, inverse_flat, gram, complia
         gram: sums over the corners of w b b^T, times ``unit`` [-]: (uu, uv, vv).
         compliance: alpha/h^2, times ``unit`` [-], as (11, 12, 22, shear).
         unit: scale of the system [kg m2] that keeps its determinant in float32's range however fine the mesh.
-        squeeze: factor on the compliance of a warp or weft that is compressed [-].
-        borne: strain for which others have already given the multipliers, by the same compliance [-]: (uu, vv, uv).
+        compression_compliance_scale: factor on the compliance of a warp or weft that is compressed [-].
+        coarse_strain: strain that the coarser levels bear already, by the same compliance [-]: (uu, vv, uv).
 
     Returns:
         3 by 2 matrix with columns g_u, g_v: corner 1 moves by w1 (b00 g_u + b01 g_v), corner 2 by
@@ -69,10 +71,10 @@ def membrane_multipliers(side_1: vec3, side_2: vec3, inverse_flat, gram, complia
     cu, cv, cs = length_u - 1.0, length_v - 1.0, nu.dot(nv)
     au, av = compliance[0], compliance[2]
     if cu < 0.0:
-        au *= squeeze
+        au *= compression_compliance_scale
     if cv < 0.0:
-        av *= squeeze
-    cu, cv, cs_left = cu - borne[0], cv - borne[1], cs - borne[2]
+        av *= compression_compliance_scale
+    cu, cv, cs_left = cu - coarse_strain[0], cv - coarse_strain[1], cs - coarse_strain[2]
     rest = larger(1.0 - cs * cs, 0.0)
     # Directions of the shear constraint; each stands at right angles to its own axis.
     tu, tv = (nv - cs * nu) * inverse_u, (nu - cs * nv) * inverse_v
@@ -103,24 +105,27 @@ def membrane_multipliers(side_1: vec3, side_2: vec3, inverse_flat, gram, complia
 
 
 @ti.func
-def link_multiplier(offset: vec3, direction: vec3, length: ti.f32, give: ti.f32, total: ti.f32, multiplier: ti.f32):
-    """Distance that only pulls: change of its multiplier.
+def spring_multiplier(
+    offset: vec3, direction: vec3, length: ti.f32, scaled_compliance: ti.f32, total: ti.f32, multiplier: ti.f32
+):
+    """Change of the multiplier of a spring that only pulls.
 
-    The force acts along ``direction``, that of the substep's start. With the end's instead, a swing loses the part
-    h omega^2 of its speed a second; along the start's it loses nothing (Ryckaert, Ciccotti, Berendsen 1977).
+    The force acts along ``direction``, that of the substep's start. If it acted along the direction at the end, a
+    swing would lose the part h omega^2 of its speed a second. Along the direction at the start it loses nothing
+    (Ryckaert, Ciccotti, Berendsen 1977).
 
     Args:
         offset: between its ends [m].
         direction: of the force, unit.
         length: at which it begins to pull [m].
-        give: compliance alpha/h^2 [1/kg].
+        scaled_compliance: alpha/h^2 [1/kg].
         total: inverse mass of both ends [1/kg].
-        multiplier: what it has, at most 0 [kg m].
+        multiplier: so far, at most 0 [kg m].
     """
     distance = offset.norm()
-    # Where the ends have turned far against each other within a substep, the distance hardly answers to the force.
-    answer = total * larger(direction.dot(offset), 0.3 * distance) + give * distance
-    change = -distance * (distance - length + give * multiplier) / larger(answer, 1e-20)
+    # Where the ends have turned far against each other within a substep, the force hardly changes the distance.
+    effective_inverse_mass = total * larger(direction.dot(offset), 0.3 * distance) + scaled_compliance * distance
+    change = -distance * (distance - length + scaled_compliance * multiplier) / larger(effective_inverse_mass, 1e-20)
     return ti.select(multiplier + change < 0.0, multiplier + change, 0.0) - multiplier
 
 
@@ -253,7 +258,7 @@ def contact_correction(gap: ti.f32, normal: vec3, slip: vec3, friction: ti.f32, 
 
 
 @ti.func
-def cushioned(gap: ti.f32, thickness: ti.f32, give: ti.f32):
+def cushioned(gap: ti.f32, thickness: ti.f32, scaled_compliance: ti.f32):
     """What is left to be closed of a gap where the cloth gives way by van Wyk's law, P = p_c ((T0/T)^3 - 1).
 
     An implicit step of the vertex against the law: the correction c leaves the depth r = -gap - c, and the pressure
@@ -262,20 +267,20 @@ def cushioned(gap: ti.f32, thickness: ti.f32, give: ti.f32):
     Args:
         gap: signed distance to the collider less the thickness without pressure [m].
         thickness: T0 [m].
-        give: h^2 p_c / rho_A [m]; 0 for cloth that does not give.
+        scaled_compliance: h^2 p_c / rho_A [m]; 0 for cloth that does not give way.
 
     Returns:
         The gap that a correction has to close [m].
     """
     left = gap
-    if give > 0.0 and gap < 0.0:
-        # In y = (T0/T)^3: y - 1 + (T0/give) (1 - y^(-1/3)) = depth/give.
-        y = 1.0 - gap / give
+    if scaled_compliance > 0.0 and gap < 0.0:
+        # In y = (T0/T)^3: y - 1 + (T0/g) (1 - y^(-1/3)) = depth/g, g the scaled compliance.
+        y = 1.0 - gap / scaled_compliance
         for _ in range(8):
             root = ti.pow(y, -1.0 / 3.0)
-            off = give * (y - 1.0) + thickness * (1.0 - root) + gap
-            y = ti.max(y - off / (give + thickness * root / (3.0 * y)), 1.0)
-        left = -give * (y - 1.0)
+            off = scaled_compliance * (y - 1.0) + thickness * (1.0 - root) + gap
+            y = ti.max(y - off / (scaled_compliance + thickness * root / (3.0 * y)), 1.0)
+        left = -scaled_compliance * (y - 1.0)
     return left
 
 

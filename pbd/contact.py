@@ -20,37 +20,59 @@ KEPT_SHARE = 0.1  # ... or less than this share of its height over it [-]
 
 
 @ti.func
-def substep_start(velocity: ti.template(), gained: ti.template(), i: ti.i32, h: ti.f32):
-    """Shift of vertex i at the start of the substep [m]; see :func:`pbd.schedule.advance_garment`."""
-    return -h * (velocity[i] + xyz(gained[i]))
+def substep_start(cloth: ti.template(), i: ti.i32, h: ti.f32):
+    """Position delta of vertex i at the start of the substep [m]; see :class:`pbd.views.ClothArrays`."""
+    return -h * (cloth.velocity[i] + xyz(cloth.velocity_delta[i]))
 
 
 @ti.func
-def touch_body(
-    p: vec3,
-    i: ti.i32,
-    t: ti.f32,
-    nearest: ti.template(),
-    body_0: ti.template(),
-    body_1: ti.template(),
-    ring_start: ti.template(),
-    ring: ti.template(),
-    fan_start: ti.template(),
-    fan: ti.template(),
-    normals: ti.template(),
-    touched: ti.template(),
-):
-    """Find where sample i touches, for all of the frame.
+def touch_body(p: vec3, c: ti.i32, t: ti.f32, body: ti.template(), contact: ti.template()):
+    """Find where sample c, which is at p [m], touches the body, for all of the frame; t in [0, 1] of the frame."""
+    b = descend(p, contact.nearest[c], t, body)
+    contact.nearest[c] = b  # not what the hops below reach: on slivers that vertex is far away
+    b, others, weights = closest_around(p, b, t, body)
+    start = blended(body.body_start, b, others, weights)
+    end = blended(body.body_end, b, others, weights)
+    normal = vec3(0.0)
+    if weights.min() > 0.0:  # inside a face, its own normal knows the side, however sharp the body's edges are
+        x0 = between(b, t, body)
+        normal = (between(others[0], t, body) - x0).cross(between(others[1], t, body) - x0)
+    else:
+        normal = blended(body.body_normals, b, others, weights)
+    normal /= ti.max(normal.norm(), 1e-20)
+    # The smooth normal decides the side. The contact takes the exact direction to the surface where there is one.
+    offset = p - (start + t * (end - start))
+    size = offset.norm()
+    if size > 1e-4:
+        exact = offset / size
+        along = exact.dot(normal)
+        if along > 0.5:
+            normal = exact
+        elif along < -0.5:
+            normal = -exact
+    contact.contact_points[c, 0] = vec4(start, 0.0)
+    contact.contact_points[c, 1] = vec4(end - start, 0.0)
+    contact.contact_points[c, 2] = vec4(normal, 0.0)
 
-    Rows of ``touched``: the point at the frame's start with the distance to it, its motion over the frame, the normal.
+
+@ti.func
+def blended(array: ti.template(), b: ti.i32, others, weights: vec3) -> vec3:
+    """Values of an array at vertex b and two others, weighted."""
+    return weights[0] * array[b] + weights[1] * array[others[0]] + weights[2] * array[others[1]]
+
+
+@ti.func
+def closest_around(p: vec3, start: ti.i32, t: ti.f32, body: ti.template()):
+    """Closest point to p [m] of the faces around a body vertex, and around those beside them where these are nearer.
+
+    Returns:
+        a corner of the closest face, its other two corners, the weights of all three.
     """
-    b = descend(p, nearest[i], t, body_0, body_1, ring_start, ring)
-    nearest[i] = b  # not what the hops below come to: on slivers that is far away
-    others, weights, distance = ti.Vector([b, b]), vec3(0.0), 1e30
-    candidate = b
+    b, others, weights, distance = start, ti.Vector([start, start]), vec3(0.0), 1e30
+    candidate = start
     hops = 0
     while hops < 8:
-        next_others, next_weights, next_distance = closest_in_fan(p, candidate, t, body_0, body_1, fan_start, fan)
+        next_others, next_weights, next_distance = closest_in_fan(p, candidate, t, body)
         hops += 1
         if next_distance < distance:
             b, others, weights, distance = candidate, next_others, next_weights, next_distance
@@ -62,28 +84,7 @@ def touch_body(
                 hops = 8
         else:
             hops = 8
-    start = weights[0] * body_0[b] + weights[1] * body_0[others[0]] + weights[2] * body_0[others[1]]
-    end = weights[0] * body_1[b] + weights[1] * body_1[others[0]] + weights[2] * body_1[others[1]]
-    normal = vec3(0.0)
-    if weights.min() > 0.0:  # inside a face, its own normal knows the side, however sharp the body's edges
-        x0 = between(b, t, body_0, body_1)
-        normal = (between(others[0], t, body_0, body_1) - x0).cross(between(others[1], t, body_0, body_1) - x0)
-    else:
-        normal = weights[0] * normals[b] + weights[1] * normals[others[0]] + weights[2] * normals[others[1]]
-    normal /= ti.max(normal.norm(), 1e-20)
-    # The smooth normal decides the side; the exact direction to the surface, where there is one, is the contact's.
-    offset = p - (start + t * (end - start))
-    size = offset.norm()
-    if size > 1e-4:
-        exact = offset / size
-        along = exact.dot(normal)
-        if along > 0.5:
-            normal = exact
-        elif along < -0.5:
-            normal = -exact
-    touched[i, 0] = vec4(start, 0.0)
-    touched[i, 1] = vec4(end - start, 0.0)
-    touched[i, 2] = vec4(normal, 0.0)
+    return b, others, weights
 
 
 @ti.func
@@ -93,22 +94,27 @@ def bulge(edge: vec3, normal: vec3, other_normal: vec3) -> vec3:
 
 
 @ti.func
-def sample_point(i: ti.i32, j: ti.i32, position: ti.template(), normals: ti.template(), smooth: ti.f32) -> vec3:
-    """Where the cloth is between two vertices, or at one that is both, before their shift [m]."""
-    x, y = xyz(position[i]), xyz(position[j])
+def sample_point(i: ti.i32, j: ti.i32, cloth: ti.template(), smooth_surface: ti.f32) -> vec3:
+    """Where the cloth is between two vertices, or at one that is both, before their position delta [m]."""
+    x, y = xyz(cloth.position[i]), xyz(cloth.position[j])
     middle = 0.5 * (x + y)
-    if smooth > 0.0:
-        middle += bulge(y - x, xyz(normals[i]), xyz(normals[j]))
+    if smooth_surface > 0.0:
+        middle += bulge(y - x, xyz(cloth.normals[i]), xyz(cloth.normals[j]))
     return middle
 
 
 @ti.func
 def height_over(
-    x: vec3, c: ti.i32, i: ti.i32, j: ti.i32, t: ti.f32, shift: ti.template(), touched: ti.template()
+    x: vec3, c: ti.i32, i: ti.i32, j: ti.i32, t: ti.f32, cloth: ti.template(), contact_points: ti.template()
 ) -> ti.f32:
-    """Height of sample c, which stands at x plus the mean shift of its two vertices, over what it touched [m]."""
-    u = 0.5 * (xyz(shift[i]) + xyz(shift[j]))
-    return ((x - (xyz(touched[c, 0]) + t * xyz(touched[c, 1]))) + u).dot(xyz(touched[c, 2]))
+    """Height of sample c of vertices i and j over the point that it touches [m].
+
+    Args:
+        x: where the sample is before the mean position delta of its vertices [m].
+        t: in [0, 1] of the frame.
+    """
+    u = 0.5 * (xyz(cloth.position_delta[i]) + xyz(cloth.position_delta[j]))
+    return ((x - (xyz(contact_points[c, 0]) + t * xyz(contact_points[c, 1]))) + u).dot(xyz(contact_points[c, 2]))
 
 
 @ti.func
@@ -118,30 +124,26 @@ def push_out(
     j: ti.i32,
     gap: ti.f32,
     friction: ti.f32,
-    dt_share: ti.f32,
-    h: ti.f32,
-    position: ti.template(),
-    velocity: ti.template(),
-    shift: ti.template(),
-    gained: ti.template(),
-    touched: ti.template(),
+    step: ti.template(),
+    cloth: ti.template(),
+    contact_points: ti.template(),
 ):
-    """Close the gap [m] of sample c to what it touched."""
-    p, q = position[i], position[j]
-    u, v = xyz(shift[i]), xyz(shift[j])
-    slip = 0.5 * (u + v) - 0.5 * (substep_start(velocity, gained, i, h) + substep_start(velocity, gained, j, h))
-    slip -= dt_share * xyz(touched[c, 1])
-    m = contact_correction(gap, xyz(touched[c, 2]), slip, friction, h)
+    """Close the gap [m] between sample c of vertices i and j and the point that it touches."""
+    p, q = cloth.position[i], cloth.position[j]
+    u, v = xyz(cloth.position_delta[i]), xyz(cloth.position_delta[j])
+    slip = 0.5 * (u + v) - 0.5 * (substep_start(cloth, i, step.h) + substep_start(cloth, j, step.h))
+    slip -= step.share * xyz(contact_points[c, 1])
+    m = contact_correction(gap, xyz(contact_points[c, 2]), slip, friction, step.h)
     m *= 0.5 / (0.25 * (p[3] + q[3]))
-    # A vertex is a sample with both ends the same: half and half make the whole.
-    shift[i] = vec4(u + p[3] * m)
+    # A vertex is a sample with both ends the same: two halves make the whole.
+    cloth.position_delta[i] = vec4(u + p[3] * m)
     if i != j:
-        shift[j] = vec4(v + q[3] * m)
+        cloth.position_delta[j] = vec4(v + q[3] * m)
 
 
 @ti.func
 def slid_off(offset: vec3, normal: vec3):
-    """Whether a sample at ``offset`` [m] from the point that it touched may touch elsewhere by now."""
+    """Whether a sample at ``offset`` [m] from the point that it touches may touch another point by now."""
     height = offset.dot(normal)
     along = offset - height * normal
     kept = ti.max(KEPT, KEPT_SHARE * ti.abs(height))
@@ -149,90 +151,74 @@ def slid_off(offset: vec3, normal: vec3):
 
 
 @ti.func
-def collide_primitives(
-    p: vec3,
-    u: vec3,
-    slip: vec3,
-    t: ti.f32,
-    dt_share: ti.f32,
-    primitives: ti.template(),
-    contact_law: ti.math.vec4,
-    h: ti.f32,
-):
-    """Correction by planes (0), spheres (1), capsules (2); rows: kind, radius, a0, b0, a1, b1 (start, end)."""
-    total, thickness = vec3(0.0), contact_law[0]
+def collide_primitives(p: vec3, u: vec3, slip: vec3, t: ti.f32, primitives: ti.template(), step: ti.template()):
+    """Correction [m] of a vertex at p + u by planes (0), spheres (1) and capsules (2), one after the other.
+
+    Rows of ``primitives``: kind, radius, a, b at the frame's start, a, b at its end; ``t`` in [0, 1] of the frame.
+    """
+    total, thickness = vec3(0.0), step.thickness
     for c in range(primitives.shape[0]):
         kind = int(primitives[c, 0])
-        a0 = vec3(primitives[c, 2], primitives[c, 3], primitives[c, 4])
-        b0 = vec3(primitives[c, 5], primitives[c, 6], primitives[c, 7])
-        da = vec3(primitives[c, 8], primitives[c, 9], primitives[c, 10]) - a0
-        db = vec3(primitives[c, 11], primitives[c, 12], primitives[c, 13]) - b0
+        a0 = row3(primitives, c, 2)
+        b0 = row3(primitives, c, 5)
+        da = row3(primitives, c, 8) - a0
+        db = row3(primitives, c, 11) - b0
         a, b = a0 + t * da, b0 + t * db
         here = p + (u + total)
         normal = b
         gap = ((p - a) + (u + total)).dot(b) - thickness
-        carried = da * dt_share  # motion of the touched point over the substep
+        carried = da * step.share  # motion of the touched point over the substep
         if kind > 0:
             centre = a
             if kind == 2:
                 axis = b - a
                 share = ti.math.clamp((here - a).dot(axis) / ti.max(axis.dot(axis), 1e-20), 0.0, 1.0)
                 centre = a + share * axis
-                carried = (da + share * (db - da)) * dt_share
+                carried = (da + share * (db - da)) * step.share
             offset = (p - centre) + (u + total)
             size = offset.norm()
             normal = vec3(0.0, 1.0, 0.0)
             if size > 1e-9:
                 normal = offset / size
             gap = size - primitives[c, 1] - thickness
-        gap = cushioned(gap, thickness, contact_law[2] * h * h)
-        total += contact_correction(gap, normal, slip + total - carried, contact_law[1], h)
+        gap = cushioned(gap, thickness, step.cushion * step.h * step.h)
+        total += contact_correction(gap, normal, slip + total - carried, step.friction, step.h)
     return total
 
 
 @ti.func
 def collide_fields(
-    team: ti.template(),
-    position: ti.template(),
-    velocity: ti.template(),
-    shift: ti.template(),
-    gained: ti.template(),
-    t: ti.f32,
-    dt_share: ti.f32,
-    fields: ti.template(),
-    values: ti.template(),
-    contact_law: ti.math.vec4,
-    h: ti.f32,
+    workers: ti.template(), cloth: ti.template(), t: ti.f32, obstacles: ti.template(), step: ti.template()
 ):
     """Put a worker's vertices out of distance fields, one field after the other; rows as in pbd.distance_field."""
-    thickness, first = contact_law[0], 0
-    for c in range(fields.shape[0]):
-        size = ti.Vector([int(fields[c, 0]), int(fields[c, 1]), int(fields[c, 2])])
-        spacing, corner = fields[c, 3], row3(fields, c, 4)
-        way, spin = row3(fields, c, 19), row3(fields, c, 22)
+    first = 0
+    for c in range(obstacles.fields.shape[0]):
+        size = ti.Vector([int(obstacles.fields[c, 0]), int(obstacles.fields[c, 1]), int(obstacles.fields[c, 2])])
+        spacing, corner = obstacles.fields[c, 3], row3(obstacles.fields, c, 4)
+        motion, spin = row3(obstacles.fields, c, 19), row3(obstacles.fields, c, 22)
         angle = spin.norm()
         axis = spin / ti.max(angle, 1e-20)
-        centre = row3(fields, c, 16) + (t - 1.0) * way
-        x = turned(row3(fields, c, 7), axis, (t - 1.0) * angle)
-        y = turned(row3(fields, c, 10), axis, (t - 1.0) * angle)
-        z = turned(row3(fields, c, 13), axis, (t - 1.0) * angle)
-        for i in range(team.begin(0, position.shape[0]), team.end(0, position.shape[0])):
-            if position[i][3] > 0.0:
-                u = xyz(shift[i])
-                offset = (xyz(position[i]) - centre) + u
+        centre = row3(obstacles.fields, c, 16) + (t - 1.0) * motion
+        x = turned(row3(obstacles.fields, c, 7), axis, (t - 1.0) * angle)
+        y = turned(row3(obstacles.fields, c, 10), axis, (t - 1.0) * angle)
+        z = turned(row3(obstacles.fields, c, 13), axis, (t - 1.0) * angle)
+        for i in range(workers.begin(0, cloth.position.shape[0]), workers.end(0, cloth.position.shape[0])):
+            if cloth.position[i][3] > 0.0:
+                u = xyz(cloth.position_delta[i])
+                offset = (xyz(cloth.position[i]) - centre) + u
                 place = (vec3(offset.dot(x), offset.dot(y), offset.dot(z)) - corner) / spacing
                 if place.min() >= 0.0 and (size - 1.0 - place).min() >= 0.0:
-                    found = interpolated(values, first, size, place)
-                    if found[3] < thickness:
+                    found = interpolated(obstacles.field_values, first, size, place)
+                    if found[3] < step.thickness:
                         normal = found[0] * x + found[1] * y + found[2] * z
                         steepness = normal.norm()
                         normal = normal / steepness if steepness > 1e-6 * spacing else vec3(0.0, 1.0, 0.0)
                         foot = offset - found[3] * normal
-                        carried = dt_share * way + (foot - turned(foot, axis, -dt_share * angle))
-                        slip = u - substep_start(velocity, gained, i, h)
-                        gap = cushioned(found[3] - thickness, thickness, contact_law[2] * h * h)
-                        u += contact_correction(gap, normal, slip - carried, contact_law[1], h)
-                        shift[i] = vec4(u)
+                        carried = step.share * motion + (foot - turned(foot, axis, -step.share * angle))
+                        slip = u - substep_start(cloth, i, step.h)
+                        gap = cushioned(found[3] - step.thickness, step.thickness, step.cushion * step.h * step.h)
+                        u += contact_correction(gap, normal, slip - carried, step.friction, step.h)
+                        cloth.position_delta[i] = vec4(u)
         first += size[0] * size[1] * size[2]
 
 

@@ -1,35 +1,38 @@
-"""How much of the motion of what carries it a garment feels, and damping that leaves its motion as a whole alone."""
+"""The share of its carrier's inertial forces that a garment feels, and damping that keeps its rigid motion."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from pbd.model import State
-from pbd.pace import rigid_motion
+from pbd.rigid_motion import fit_rigid_transform
 
-__all__ = ["damp_locally", "relieve"]
+__all__ = ["damp_locally", "scale_inertial_forces"]
 
 
-def relieve(state: State, before: np.ndarray, after: np.ndarray, linear: float, angular: float, dt: float) -> None:
-    """Let the cloth go along with a change of the motion of what carries it, but for a part that it feels.
+def scale_inertial_forces(
+    state: State, before: np.ndarray, after: np.ndarray, linear: float, angular: float, dt: float
+) -> None:
+    """Let the cloth feel only a part of the inertial forces that changes of its carrier's motion cause.
 
-    A vertex that moved with the carrier in the last frame would have to gain the difference of the carrier's velocities
-    there to do so in this one: the linear part of it is that at the carrier's centre, the angular one, centrifugal
-    and Coriolis forces included, the rest. It is given what it shall not feel. Gravity, wind and contact stay whole.
+    The carrier is the body or the held vertices. A vertex that moved along with it in the last frame must gain the
+    difference of the carrier's velocities to do so in this frame. The linear part of that difference is the one at the
+    carrier's centre. The rest is the angular part; it includes centrifugal and Coriolis forces. The vertex receives the
+    share of both that the cloth shall not feel. Gravity, wind and contact stay as they are.
 
     Args:
         state: its ``carrier`` says how the carrier moved in the last frame, and is brought up to date.
         before, after: points of the carrier at the start and end of the frame about the state's origin [m],
             shape (k, 3), k > 0.
-        linear, angular: part that is felt [-], 1 for all.
+        linear, angular: share that the cloth feels [-], 1 for all.
         dt: frame time [s].
     """
-    turn, centre, way = rigid_motion(before, after)
-    way = centre + way - turn @ centre
-    # Velocity now ((R - 1) x + p)/dt, and in the last frame, of what came here, (x - R^T (x - p))/dt.
-    now = np.column_stack([turn - np.eye(3), way]) / dt
+    rotation, centre, translation = fit_rigid_transform(before, after)
+    translation = centre + translation - rotation @ centre
+    # Velocity now ((R - 1) x + p)/dt; in the last frame, of the point that came here, (x - R^T (x - p))/dt.
+    now = np.column_stack([rotation - np.eye(3), translation]) / dt
     change = now - state.carrier
-    state.carrier[:] = np.column_stack([np.eye(3) - turn.T, turn.T @ way]) / dt
+    state.carrier[:] = np.column_stack([np.eye(3) - rotation.T, rotation.T @ translation]) / dt
     at_centre = change[:, :3] @ centre + change[:, 3]
     about = (state.position[:, :3] - centre) @ change[:, :3].T
     free = state.position[:, 3] > 0.0

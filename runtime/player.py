@@ -12,8 +12,8 @@ from assets.character import Character
 from assets.io.sequence import Sequence
 from pbd import InputError, build_model
 from pbd.colliders import Primitive
-from pbd.engine import Launch
 from pbd.geometry import surface_normals
+from pbd.taichi_internals import Launch
 from pbd.wind import CALM, Air, Wind
 from runtime.coarser import CoarserSimulation
 from runtime.detail import Detail

@@ -14,7 +14,7 @@ from assets.skinning import SkinnedBody
 from pbd import Body, Colliders, InputError, Model, Solver, SolverOptions, State
 from pbd.attachment import Attachment
 from pbd.colliders import Primitive
-from pbd.limits import Carried
+from pbd.limits import SkinnedTargets
 from pbd.wind import CALM, Air, Wind
 
 __all__ = ["BodySource", "Motion", "Simulation", "body_source", "poses_of"]
@@ -95,7 +95,7 @@ class Simulation:
         self.colliders = Colliders(tuple(primitives), self.body if source else None)
         self.time = 0.0
         self._before, self._alpha = self.state.world(), 1.0
-        self._carried = self._bind(model)
+        self._skinned_targets = self._bind(model)
         if pose is not None:
             self.place_body(pose)
 
@@ -105,13 +105,15 @@ class Simulation:
         other.model, other.attachment = model, attachment
         other.solver, other.state = Solver(model, self.solver.options), State.at_rest(model)
         other._before, other._alpha = other.state.world(), 1.0
-        other._carried = self._bind(model)
+        other._skinned_targets = self._bind(model)
         return other
 
-    def _bind(self, model: Model) -> Carried | None:
+    def _bind(self, model: Model) -> SkinnedTargets | None:
         if self.source is None or not len(model.limits.vertices):
             return None
-        return Carried(model.limits, model.mesh.vertices, model.mesh.faces, self.source.vertices, self.source.faces)
+        return SkinnedTargets(
+            model.limits, model.mesh.vertices, model.mesh.faces, self.source.vertices, self.source.faces
+        )
 
     def place_body(self, pose: np.ndarray) -> None:
         """Put the body into a pose without motion, about the garment's origin."""
@@ -166,13 +168,13 @@ class Simulation:
         targets = None
         if self.attachment is not None:
             targets = self.attachment.targets(self.body.current) + self.state.origin
-        places = None
-        if self._carried is not None:
+        limit_targets = None
+        if self._skinned_targets is not None:
             previous = self.body.previous if dt > 0.0 else self.body.current
-            places = self._carried.places(previous, self.body.current, self.state.origin)
+            limit_targets = self._skinned_targets.targets(previous, self.body.current, self.state.origin)
         self.time += dt
         air = wind.at(self.state.world(), self.time) if isinstance(wind, Wind) else wind
-        self.solver.step(self.state, self.colliders, dt, targets, air, places)
+        self.solver.step(self.state, self.colliders, dt, targets, air, limit_targets)
 
     def drag(self, vertex: int, target: np.ndarray | None) -> None:
         """Hold a vertex at a point in the world [m], shape (3,); None lets it go."""

@@ -118,14 +118,22 @@ def test_playing_loads_nothing_that_only_learning_needs() -> None:
     assert result.returncode == 0, result.stderr
 
 
-# What one garment on one thread and many on several threads are stepped by alike, see pbd.crowd.
-SHARED_BY_THREADS = ("constraints", "contact", "geometry", "hierarchy", "levels", "schedule", "search")
+# What one garment on one thread and many on several threads are stepped by alike, see pbd.batch_solver.
+SHARED_BY_THREADS = (
+    "body_search",
+    "constraint_passes",
+    "constraints",
+    "contact",
+    "geometry",
+    "multigrid_cycle",
+    "schedule",
+)
 
 
 def float_atomics(source: str) -> list[int]:
     """Lines of Taichi functions that add to an element of an array in place: an atomic operation in a parallel loop.
 
-    Crowds were half as fast as one garment after another for it.
+    A batch was half as fast as one garment after another because of it.
     """
     functions = [
         node

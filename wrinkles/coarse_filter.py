@@ -7,7 +7,8 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags
 
 from pbd.bending import hinge_rows
-from pbd.engine import Launch, ensure_initialized, ti
+from pbd.engine import ensure_initialized, ti
+from pbd.taichi_internals import Launch
 from wrinkles.levels import Levels
 
 __all__ = ["CoarseFilter"]

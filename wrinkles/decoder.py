@@ -6,7 +6,7 @@ All arrays are allocated once, so that a frame allocates none.
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from pbd.engine import Launch, ensure_initialized, ti
+from pbd.engine import ensure_initialized, ti
 from pbd.geometry import (
     Float1,
     Float2,
@@ -16,6 +16,7 @@ from pbd.geometry import (
     Vec4,
     vec3,
 )
+from pbd.taichi_internals import Launch
 from wrinkles.dictionary import CLIP, Atoms, Mapping
 from wrinkles.features import DYNAMIC_COUNT, Stencil
 from wrinkles.patches import NODES, SIDE, Patches

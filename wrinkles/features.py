@@ -12,8 +12,9 @@ from scipy.sparse.linalg import eigsh
 from threadpoolctl import threadpool_limits
 
 from pbd import ClothMesh
-from pbd.engine import Launch, ensure_initialized, ti
+from pbd.engine import ensure_initialized, ti
 from pbd.geometry import FAR
+from pbd.taichi_internals import Launch
 from wrinkles.charts import Charts
 
 __all__ = ["DYNAMIC_COUNT", "INNER_OFFSETS", "REGIONS", "Stencil"]

@@ -9,9 +9,10 @@ fine mesh by Loop's rule.
 
 import numpy as np
 
-from pbd.engine import Launch, ensure_initialized, ti
+from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Float1, Int1, Int2, Vec3, vec3
 from pbd.mesh import greedy_colors
+from pbd.taichi_internals import Launch
 from wrinkles.levels import Levels, held_between
 from wrinkles.surface import Subdivision, csr_arrays
 

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from assets.weld import check_unit
-from pbd.engine import Launch, ensure_initialized, ti
+from pbd.engine import ensure_initialized, ti
 from pbd.errors import InputError
+from pbd.taichi_internals import Launch
 
 __all__ = ["Sequence", "SequenceBody", "SequenceMotion", "load_sequence"]
 

@@ -4,18 +4,18 @@ import numpy as np
 
 from pbd.blocks import (
     CORNERS,
+    DISPLACEMENTS,
     HIGH,
     LANES,
     LOW,
     NORMAL,
-    WAYS,
     Blocks,
     empty_blocks,
     facing,
     features,
+    overlapping,
     sides,
     take,
-    within,
 )  # fmt: skip
 from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Int2
@@ -30,7 +30,9 @@ def ask(blocks: Blocks, answers: Int2):
     for _ in range(1):
         for a in range(LANES):
             low, high = take(blocks, 0, LOW, a), take(blocks, 0, HIGH, a)
-            answers[10 * a] = ti.Vector([within(blocks, 1, low, high), facing(blocks, 1, take(blocks, 0, NORMAL, a))])
+            answers[10 * a] = ti.Vector(
+                [overlapping(blocks, 1, low, high), facing(blocks, 1, take(blocks, 0, NORMAL, a))]
+            )
             beside, uncut = sides(blocks, 0, a, 1, REACH)
             answers[10 * a + 1] = ti.Vector([beside, uncut])
             near = features(blocks, 0, a, 1, REACH, EDGE_REACH)
@@ -58,7 +60,7 @@ def test_eight_faces_at_once_are_told_as_one_by_one() -> None:
     blocks = empty_blocks(2, True)
     for first, parts in ((LOW, lows.min(axis=2)), (HIGH, highs.max(axis=2)), (NORMAL, normals)):
         blocks[:, first : first + 3] = parts.swapaxes(1, 2)
-    for first, parts in ((CORNERS, corners), (WAYS, ways)):
+    for first, parts in ((CORNERS, corners), (DISPLACEMENTS, ways)):
         blocks[:, first : first + 9] = parts.reshape(2, LANES, 9).swapaxes(1, 2)
     answers = np.zeros((10 * LANES, 2), np.int32)
     ask(blocks, answers)

@@ -20,10 +20,10 @@ from pbd import (
     Sphere,
     State,
 )
+from pbd.body_search import MAX_CELLS, find_nearest
 from pbd.constraints import PUSH_OUT
 from pbd.engine import ti
 from pbd.geometry import FAR, closest_on_triangle
-from pbd.search import MAX_CELLS, find_nearest
 from tests.pbd.meshes import (
     RADIUS,
     THICKNESS,
@@ -130,9 +130,9 @@ def test_the_nearest_vertex_against_all_vertices(seed: int) -> None:
     cells, items = np.zeros(MAX_CELLS + 2, np.int32), np.zeros(len(vertices), np.int32)
     for _ in range(2):  # searched, then followed
         find_nearest(
-            state.position, state.velocity, model.samples, model.triangles, state.nearest, body.current, body.current,
-            body.ring_start, body.ring, body.surface, body.probes, body.probe_weights, cells, items, items.copy(),
-            np.zeros(1, np.float32), 0.0, THICKNESS,
+            state.position, state.velocity, model.samples, model.triangles, state.nearest, np.zeros(1, np.float32),
+            body.surface, body.probes, body.probe_weights, cells, items, items.copy(), body.current, body.current,
+            body.ring_start, body.ring, 0.0, THICKNESS,
         )  # fmt: skip
         distance = np.linalg.norm(points[:, None] - body.current[None], axis=2)
         near = distance.min(axis=1) < FAR - 1e-6

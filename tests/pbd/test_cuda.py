@@ -16,7 +16,7 @@ import sys
 import numpy as np
 from pbd import ensure_initialized
 ensure_initialized(sys.argv[1])
-from tests.pbd.test_crowd import OPTIONS, sheets, together
+from tests.pbd.test_batch_solver import OPTIONS, sheets, together
 np.savez(sys.argv[2], *(state.position for state in together(sheets(), OPTIONS, 8)))
 """
 

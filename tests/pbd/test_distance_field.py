@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pbd import Colliders, Crowd, DistanceField, Fabric, InputError, Solver, SolverOptions, Sphere, State
+from pbd import BatchSolver, Colliders, DistanceField, Fabric, InputError, Solver, SolverOptions, Sphere, State
 from pbd.contact import interpolated
 from pbd.distance_field import field_rows
 from pbd.engine import ti
@@ -173,7 +173,7 @@ def test_cloth_inside_the_grid_s_box_but_clear_of_the_surface_keeps_its_bits() -
     assert hashes[0] == hashes[1]
 
 
-def test_a_crowd_on_fields_has_the_bits_of_each_alone() -> None:
+def test_a_batch_on_fields_has_the_bits_of_each_alone() -> None:
     """One garment on two fields, one on another, one on none; they move, and one is exchanged."""
     models, starts = [], []
     for edges in (8, 7, 6):
@@ -202,10 +202,10 @@ def test_a_crowd_on_fields_has_the_bits_of_each_alone() -> None:
             solver.step(state, colliders, DT)
     assert alone[0].velocity[:, 1].max() > 0.05  # lifted
     together, worlds_together = [s.copy() for s in starts], worlds()
-    crowd = Crowd([Solver(model) for model in models])
+    batch = BatchSolver([Solver(model) for model in models])
     for frame in range(8):
         move(worlds_together, frame)
-        crowd.step(together, worlds_together, DT)
+        batch.step(together, worlds_together, DT)
     assert [state.hash() for state in together] == [state.hash() for state in alone]
 
 

@@ -111,7 +111,7 @@ def test_meshes_in_columns_cost_no_copies() -> None:
     vertices, faces = level(3, 3, 0.02)
     model = free_model(replace(cloth(vertices, faces), vertices=np.asfortranarray(vertices)), Fabric())
     assert not model.mesh.vertices.flags.c_contiguous
-    assert SelfCollision(model)._rest.flags.c_contiguous
+    assert SelfCollision(model)._fixed["rest"].flags.c_contiguous
 
 
 def run(model, state: State, frames: int, colliders: Colliders | None = None, options: SolverOptions = ON) -> Solver:

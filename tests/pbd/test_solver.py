@@ -31,7 +31,7 @@ def test_free_fall(place: float, substeps: int) -> None:
 def test_hanging_stretch(place: float, substeps: int, stiffness: float) -> None:
     """Tip displacement: rho_A g L^2/(2 E h), and no more on top than the law of one pass: g h^2 N^2/2 (n = 1).
 
-    That is the law without patches; with them, see test_hierarchy.
+    That is the law without patches; with them, see test_multigrid.
     """
     edges, length, step = 20, 1.0, 1.0 / (60.0 * substeps)
     vertices, faces = grid(edges, 4, length / edges)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from pbd import Colliders, Fabric, InputError, Model, Solver, SolverOptions, State
-from pbd.constraints import link_multiplier
+from pbd.constraints import spring_multiplier
 from pbd.engine import ti
-from pbd.hierarchy import Hierarchy, build_hierarchy
+from pbd.multigrid import Multigrid, build_multigrid
 from tests.pbd.meshes import cloth, free_model, grid, turn
 from tests.wrinkles.meshes import flat_sheet, tube
 
@@ -17,21 +17,21 @@ Rows = ti.types.ndarray(dtype=ti.f32, ndim=2)
 VACUUM = {"air_drag": 0.0}
 
 
-def hierarchy_of(model: Model) -> Hierarchy:
-    return build_hierarchy(model.mesh, model.mass, model.inverse_mass, model.fabric)
+def multigrid_of(model: Model) -> Multigrid:
+    return build_multigrid(model.mesh, model.mass, model.inverse_mass, model.fabric)
 
 
-def centres(levels: Hierarchy, vertices: np.ndarray) -> np.ndarray:
+def centres(levels: Multigrid, vertices: np.ndarray) -> np.ndarray:
     """Centres of mass of all patches, shape (k, 3)."""
     places = np.concatenate([vertices, np.zeros((len(levels.inverse_mass), 3))])
-    for member, (patch, share) in enumerate(zip(levels.parent, levels.share, strict=True)):
+    for member, (patch, share) in enumerate(zip(levels.parent, levels.mass_share, strict=True)):
         if patch >= 0:
             places[len(vertices) + patch] += share * places[member]
     return places[len(vertices) :]
 
 
-def spans(levels: Hierarchy, places: np.ndarray) -> np.ndarray:
-    return np.linalg.norm(places[levels.links[:, 0]] - places[levels.links[:, 1]], axis=1)
+def spans(levels: Multigrid, places: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(places[levels.springs[:, 0]] - places[levels.springs[:, 1]], axis=1)
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.3])
@@ -39,27 +39,29 @@ def test_on_a_flat_sheet_links_are_as_long_as_centres_are_apart(jitter: float) -
     vertices, faces = flat_sheet(25, 1.0, jitter)
     vertices = vertices @ turn((1.0, 2.0, 0.5), 40.0).T
     model = free_model(cloth(vertices, faces), Fabric(), np.array([0, 24]))
-    levels = hierarchy_of(model)
-    assert len(levels.starts) > 2 and np.all(np.diff(levels.starts)[1:] < 0.25 * np.diff(levels.starts)[:-1])
-    assert levels.link_data[:, 0, 0] == pytest.approx(spans(levels, centres(levels, vertices)), rel=1e-5)
+    levels = multigrid_of(model)
+    assert len(levels.level_starts) > 2 and np.all(
+        np.diff(levels.level_starts)[1:] < 0.25 * np.diff(levels.level_starts)[:-1]
+    )
+    assert levels.spring_data[:, 0, 0] == pytest.approx(spans(levels, centres(levels, vertices)), rel=1e-5)
 
 
 def test_on_a_tube_links_have_the_length_of_the_unrolled_sheet() -> None:
     around, radius = 36, 0.3
     vertices, faces = tube(around, radius)
-    levels = hierarchy_of(free_model(cloth(vertices, faces), Fabric()))
+    levels = multigrid_of(free_model(cloth(vertices, faces), Fabric()))
     # Unrolled about each link: angles from its first patch's middle.
     angle = np.arctan2(vertices[:, 2], vertices[:, 0])
-    first = slice(*levels.link_starts[:2])
+    first = slice(*levels.spring_starts[:2])
     inside = levels.parent[: len(vertices)]
     side = 2 * radius * around * np.sin(np.pi / around) / (2 * np.pi * radius)  # of the prism, over the arc
-    for (a, b), length in zip(levels.links[first], levels.link_data[first, 0, 0], strict=True):
+    for (a, b), length in zip(levels.springs[first], levels.spring_data[first, 0, 0], strict=True):
         rolled = {}
         middle = angle[np.argmax(inside == a)]
         for patch in (a, b):
             members = np.flatnonzero(inside == patch)
             turned = radius * side * ((angle[members] - middle + np.pi) % (2 * np.pi) - np.pi)
-            rolled[patch] = levels.share[members] @ np.stack([turned, vertices[members, 1]], axis=1)
+            rolled[patch] = levels.mass_share[members] @ np.stack([turned, vertices[members, 1]], axis=1)
         assert length == pytest.approx(np.linalg.norm(rolled[a] - rolled[b]), rel=0.02)
 
 
@@ -67,25 +69,25 @@ def test_on_a_tube_links_have_the_length_of_the_unrolled_sheet() -> None:
 def test_links_are_as_long_as_the_pattern_says_where_cloth_starts_stretched(stretch: tuple) -> None:
     vertices, faces = flat_sheet(25, 1.0)
     mesh = cloth(vertices, faces)
-    at_rest = hierarchy_of(free_model(mesh, Fabric()))
-    stretched = hierarchy_of(free_model(replace(mesh, vertices=vertices * stretch), Fabric()))
-    assert stretched.link_data[:, 0, 0] == pytest.approx(at_rest.link_data[:, 0, 0], rel=1e-5)
+    at_rest = multigrid_of(free_model(mesh, Fabric()))
+    stretched = multigrid_of(free_model(replace(mesh, vertices=vertices * stretch), Fabric()))
+    assert stretched.spring_data[:, 0, 0] == pytest.approx(at_rest.spring_data[:, 0, 0], rel=1e-5)
 
 
 def test_every_vertex_has_a_patch_and_shares_make_a_whole() -> None:
     vertices, faces = grid(30, 20, 0.03)
     held = np.array([0, 20])
     model = free_model(cloth(vertices, faces), Fabric(), held)
-    levels = hierarchy_of(model)
-    last = levels.starts[-2]
+    levels = multigrid_of(model)
+    last = levels.level_starts[-2]
     assert np.all(levels.parent[: len(vertices) + last] >= 0) and np.all(levels.parent[len(vertices) + last :] == -1)
-    sums = np.bincount(levels.parent[: len(vertices) + last], levels.share[: len(vertices) + last])
-    assert sums == pytest.approx(np.ones(levels.starts[-1]), abs=1e-6)
+    sums = np.bincount(levels.parent[: len(vertices) + last], levels.mass_share[: len(vertices) + last])
+    assert sums == pytest.approx(np.ones(levels.level_starts[-1]), abs=1e-6)
     stays = levels.inverse_mass == 0
-    assert stays[levels.parent[held]].all() and stays.sum() == 2 * (len(levels.starts) - 1)
+    assert stays[levels.parent[held]].all() and stays.sum() == 2 * (len(levels.level_starts) - 1)
     # A patch that stays stands where its held vertex is.
     assert centres(levels, vertices)[levels.parent[held]] == pytest.approx(vertices[held], abs=1e-6)
-    free = levels.inverse_mass[: levels.starts[1]][~stays[: levels.starts[1]]]
+    free = levels.inverse_mass[: levels.level_starts[1]][~stays[: levels.level_starts[1]]]
     held_patches = np.isin(levels.parent[: len(vertices)], levels.parent[held])
     assert (1.0 / free).sum() == pytest.approx(model.mass[~held_patches].sum(), rel=1e-5)
 
@@ -94,22 +96,22 @@ def test_pieces_that_do_not_touch_have_no_levels() -> None:
     corner = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]])
     vertices = np.concatenate([corner + [k, 0.0, 0.0] for k in range(20)])
     model = free_model(cloth(vertices, np.arange(60, dtype=np.int32).reshape(-1, 3)), Fabric())
-    levels = hierarchy_of(model)
-    assert levels.useful(1.0) == 0 and len(levels.links) == 0
+    levels = multigrid_of(model)
+    assert levels.useful(1.0) == 0 and len(levels.springs) == 0
     Solver(model, SolverOptions(coarse_sweeps=2)).step(State.at_rest(model), Colliders(), 1 / 60)
 
 
 def test_soft_cloth_and_small_steps_need_no_levels() -> None:
     vertices, faces = grid(30, 20, 0.03)
-    levels = hierarchy_of(free_model(cloth(vertices, faces), Fabric()))
+    levels = multigrid_of(free_model(cloth(vertices, faces), Fabric()))
     counts = [levels.useful(h) for h in (1e-5, 1e-3, 1e-1)]
-    assert counts == [0, 1, len(levels.starts) - 1] and counts[2] > 1
+    assert counts == [0, 1, len(levels.level_starts) - 1] and counts[2] > 1
 
 
 @ti.kernel
-def link_rows(offsets: Rows, directions: Rows, numbers: Rows, out: Rows):
+def spring_rows(offsets: Rows, directions: Rows, numbers: Rows, out: Rows):
     for c in range(offsets.shape[0]):
-        out[c, 0] = link_multiplier(
+        out[c, 0] = spring_multiplier(
             vec3(offsets[c, 0], offsets[c, 1], offsets[c, 2]),
             vec3(directions[c, 0], directions[c, 1], directions[c, 2]),
             numbers[c, 0],
@@ -119,7 +121,7 @@ def link_rows(offsets: Rows, directions: Rows, numbers: Rows, out: Rows):
         )
 
 
-def test_a_link_reaches_its_length_and_never_pushes() -> None:
+def test_a_spring_reaches_its_length_and_never_pushes() -> None:
     rng = np.random.default_rng(0)
     offsets = rng.normal(size=(200, 3))
     directions = offsets + 0.02 * rng.normal(size=(200, 3))
@@ -130,7 +132,7 @@ def test_a_link_reaches_its_length_and_never_pushes() -> None:
     for give in (0.0, 0.7):
         out = np.zeros((200, 1), np.float32)
         numbers = np.stack([length, np.full(200, give), total, had], axis=1)
-        link_rows(*(part.astype(np.float32) for part in (offsets, directions, numbers)), out)
+        spring_rows(*(part.astype(np.float32) for part in (offsets, directions, numbers)), out)
         change = out[:, 0].astype(float)
         moved = np.linalg.norm(offsets + (total * change)[:, None] * directions, axis=1)
         pulls = had + change < -1e-7

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pbd import Capsule, Colliders, DistanceField, Fabric, Plane, Solver, SolverOptions, Sphere, State
-from pbd.pace import carry_of, fastest_way
+from pbd.rigid_motion import detect_teleport, max_displacement
 from tests.pbd.meshes import body_of, cloth, free_model, grid, icosphere, turn
 
 DT = 1.0 / 60.0
@@ -19,17 +19,17 @@ def moved(before: list, after: list) -> np.ndarray:
     return colliders.rows(STILL)
 
 
-def test_the_fastest_way_is_that_of_each_kind_against_the_cloth() -> None:
+def test_the_max_displacement_is_that_of_each_kind_against_the_cloth() -> None:
     none, no_fields = np.zeros((0, 3)), np.zeros((0, 25))
     ball = moved([Sphere((0.0, 0.0, 0.0), 0.1)], [Sphere((0.3, 0.4, 0.0), 0.1)])
-    assert fastest_way(ball, no_fields, none, none, STILL) == pytest.approx(0.5)
-    assert fastest_way(ball, no_fields, none, none, np.array([0.3, 0.4, 0.0])) == pytest.approx(0.0, abs=1e-6)
+    assert max_displacement(ball, no_fields, none, none, STILL) == pytest.approx(0.5)
+    assert max_displacement(ball, no_fields, none, none, np.array([0.3, 0.4, 0.0])) == pytest.approx(0.0, abs=1e-6)
     arm = moved([Capsule((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.1)], [Capsule((0.0, 0.0, 0.0), (1.0, 0.2, 0.0), 0.1)])
-    assert fastest_way(arm, no_fields, none, none, STILL) == pytest.approx(0.2)
+    assert max_displacement(arm, no_fields, none, none, STILL) == pytest.approx(0.2)
     ground = moved([Plane((0.0, 0.0, 0.0))], [Plane((5.0, 0.1, 0.0))])  # along itself it goes nowhere
-    assert fastest_way(ground, no_fields, none, none, STILL) == pytest.approx(0.1)
+    assert max_displacement(ground, no_fields, none, none, STILL) == pytest.approx(0.1)
     nothing = np.zeros((0, 14))
-    held = fastest_way(nothing, no_fields, np.zeros((1, 3)), np.full((1, 3), 0.1), STILL)
+    held = max_displacement(nothing, no_fields, np.zeros((1, 3)), np.full((1, 3), 0.1), STILL)
     assert held == pytest.approx(0.03**0.5)
 
 
@@ -38,26 +38,28 @@ def test_of_a_distance_field_the_fastest_corner_counts() -> None:
     none, nothing = np.zeros((0, 3)), np.zeros((0, 14))
     stick = DistanceField(np.ones((3, 3, 101)), (-0.01, -0.01, 0.0), 0.01)
     colliders = Colliders([stick])
-    assert fastest_way(nothing, colliders.fields(STILL)[0], none, none, STILL) == 0.0
+    assert max_displacement(nothing, colliders.fields(STILL)[0], none, none, STILL) == 0.0
     stick.rotation, stick.position = turn((0.0, 1.0, 0.0), 30.0), (0.0, 0.3, 0.0)
-    found = fastest_way(nothing, colliders.fields(STILL)[0], none, none, STILL)
+    found = max_displacement(nothing, colliders.fields(STILL)[0], none, none, STILL)
     assert found == pytest.approx(np.hypot(0.3, np.pi / 6 * np.hypot(1.0, 0.01)), rel=1e-5)
-    assert fastest_way(nothing, colliders.fields(STILL)[0], none, none, STILL) == 0.0
+    assert max_displacement(nothing, colliders.fields(STILL)[0], none, none, STILL) == 0.0
 
 
 def test_a_rigid_jump_is_found_and_nothing_else() -> None:
     points = np.random.default_rng(0).uniform(-0.2, 0.2, (200, 3))
     rotation = turn((1.0, 2.0, 0.0), 70.0)
     after = points @ rotation.T + [3.0, 1.0, 0.0]
-    carry = carry_of(points, after, STILL, DT)
+    carry = detect_teleport(points, after, STILL, DT)
     assert carry is not None and carry.points(points) == pytest.approx(after)
-    assert np.linalg.det(carry.turn) == pytest.approx(1.0)
-    assert carry_of(points, points + [0.4, 0.0, 0.0], STILL, DT) is None  # 24 m/s: a dash
-    assert carry_of(points, points + [3.0, 0.0, 0.0], np.array([180.0, 0.0, 0.0]), DT) is None  # the cloth flies along
+    assert np.linalg.det(carry.rotation) == pytest.approx(1.0)
+    assert detect_teleport(points, points + [0.4, 0.0, 0.0], STILL, DT) is None  # 24 m/s: a dash
+    assert (
+        detect_teleport(points, points + [3.0, 0.0, 0.0], np.array([180.0, 0.0, 0.0]), DT) is None
+    )  # the cloth flies along
     one = points.copy()
     one[0] += [3.0, 0.0, 0.0]
-    assert carry_of(points, one, STILL, DT) is None and carry_of(points[:2], one[:2], STILL, DT) is None
-    assert carry_of(points[:0], points[:0], STILL, DT) is None
+    assert detect_teleport(points, one, STILL, DT) is None and detect_teleport(points[:2], one[:2], STILL, DT) is None
+    assert detect_teleport(points[:0], points[:0], STILL, DT) is None
 
 
 @pytest.mark.parametrize("worn", ["held", "body"])

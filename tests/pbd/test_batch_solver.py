@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from pbd import (
+    BatchSolver,
     Body,
     Capsule,
     Colliders,
-    Crowd,
     Fabric,
     InputError,
     Solver,
@@ -66,15 +66,15 @@ def alone(garments: list[Sheet], options: SolverOptions, frames: int) -> list[St
 
 
 def together(garments: list[Sheet], options: SolverOptions, frames: int, threads_each: int = 1) -> list[State]:
-    crowd = Crowd([Solver(sheet.model, options) for sheet in garments], threads_each)
+    batch = BatchSolver([Solver(sheet.model, options) for sheet in garments], threads_each)
     states, colliders = [sheet.state for sheet in garments], [sheet.colliders for sheet in garments]
     for frame in range(frames):
         targets = [sheet.advance(frame) for sheet in garments]
-        crowd.step(states, colliders, 1 / 60, targets, [sheet.wind for sheet in garments])
+        batch.step(states, colliders, 1 / 60, targets, [sheet.wind for sheet in garments])
     return states
 
 
-def test_a_crowd_has_the_bits_of_each_alone() -> None:
+def test_a_batch_has_the_bits_of_each_alone() -> None:
     expected = alone(sheets(), OPTIONS, 8)
     assert np.count_nonzero(expected[0].contact < 0.01) > 3
     found = together(sheets(), OPTIONS, 8)
@@ -96,13 +96,13 @@ def test_one_solver_may_stand_for_several_garments_and_bodies_may_change() -> No
     """The first garment loses its body after two frames, the second gets one."""
     first, second = Sheet(7, 9, 0.0), Sheet(7, 9, 0.02)
     solver = Solver(first.model, OPTIONS)
-    crowd, states = Crowd([solver, solver]), [first.state, second.state]
+    batch, states = BatchSolver([solver, solver]), [first.state, second.state]
     singles, solvers = [state.copy() for state in states], [Solver(first.model, OPTIONS) for _ in states]
     for frame in range(4):
         targets = [first.advance(frame), second.advance(frame)]
         bodies = (first.body, None) if frame < 2 else (None, second.body)
         colliders = [Colliders(body=body) for body in bodies]
-        crowd.step(states, colliders, 1 / 60, targets)
+        batch.step(states, colliders, 1 / 60, targets)
         for state, own, collider, target in zip(singles, solvers, colliders, targets, strict=True):
             own.step(state, collider, 1 / 60, target)
     assert [state.hash() for state in states] == [state.hash() for state in singles]
@@ -112,22 +112,22 @@ def test_one_solver_may_stand_for_several_garments_and_bodies_may_change() -> No
 def test_no_time_does_nothing() -> None:
     sheet = Sheet(7, 9, 0.0)
     before = sheet.state.hash()
-    Crowd([Solver(sheet.model, OPTIONS)]).step([sheet.state], [sheet.colliders], 0.0)
+    BatchSolver([Solver(sheet.model, OPTIONS)]).step([sheet.state], [sheet.colliders], 0.0)
     assert sheet.state.hash() == before
 
 
-def test_bad_crowds_are_refused() -> None:
+def test_bad_batches_are_refused() -> None:
     sheet = Sheet(7, 9, 0.0)
     solver = Solver(sheet.model, OPTIONS)
     with pytest.raises(InputError, match="without garments"):
-        Crowd([])
+        BatchSolver([])
     for threads in (0, running_threads() + 1):
         with pytest.raises(InputError, match="threads_each"):
-            Crowd([solver], threads)
-    crowd = Crowd([solver, solver])
+            BatchSolver([solver], threads)
+    batch = BatchSolver([solver, solver])
     with pytest.raises(InputError, match="colliders"):
-        crowd.step([sheet.state, sheet.state], [sheet.colliders], 1 / 60)
+        batch.step([sheet.state, sheet.state], [sheet.colliders], 1 / 60)
     with pytest.raises(InputError, match="dt"):
-        crowd.step([sheet.state, sheet.state], [sheet.colliders] * 2, -1.0)
+        batch.step([sheet.state, sheet.state], [sheet.colliders] * 2, -1.0)
     with pytest.raises(InputError, match="targets"):
-        crowd.step([sheet.state, sheet.state], [sheet.colliders] * 2, 1 / 60, [None, np.zeros((1, 3))])
+        batch.step([sheet.state, sheet.state], [sheet.colliders] * 2, 1 / 60, [None, np.zeros((1, 3))])

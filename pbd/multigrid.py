@@ -1,7 +1,7 @@
 """Coarser levels of a cloth mesh, made of patches of its vertices: any mesh, no grid, no search for what is held.
 
 The vertices of a level fall into patches, each a vertex and what surrounds it; a patch is a vertex of the next level.
-It stands at its centre of mass, and centres of patches that touch are linked by a line that only pulls. Moving whole
+It stands at its centre of mass, and centres of patches that touch are linked by a spring that only pulls. Moving whole
 patches along such lines keeps linear and angular momentum, like any central force. Rest lengths of the lines come from
 unrolling the surface: vectors along it are carried from normal to normal, which unrolls a tube exactly.
 
@@ -21,46 +21,47 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from pbd.fabric import Fabric
 from pbd.mesh import ClothMesh, edges_of, greedy_colors
 
-__all__ = ["Hierarchy", "build_hierarchy"]
+__all__ = ["Multigrid", "build_multigrid"]
 
-SMALLEST = 12  # patches: a level of fewer vertices is not made coarser
+MIN_VERTICES = 12  # a level of fewer vertices is not made coarser
 # Patches much heavier than what is around them do not move; a held vertex weighs this much more than all the cloth.
 HELD_MASS = 1e9
-USEFUL = 2.0  # stiffness of a link times h^2 over the mass of its ends, above which its level is worth a pass [-]
+# A level is worth a pass where stiffness of its springs times h^2 over the mass of their ends is above this [-].
+MIN_USEFUL_STIFFNESS = 2.0
 
 
 @dataclass(frozen=True)
-class Hierarchy:
+class Multigrid:
     """Patches of all levels, numbered from the finest level of patches on. Arrays are float32 or int32, C-contiguous.
 
     Attributes:
         parent: patch of each vertex and then of each patch, -1 for those of the last level, shape (n + k,).
-        share: of each vertex, and then patch, in the mass of its patch [-], shape (n + k,).
+        mass_share: of each vertex, and then patch, in the mass of its patch [-], shape (n + k,).
         inverse_mass: of the patches [1/kg], 0 for those that hold a held vertex, shape (k,).
-        starts: where the patches of each level begin, shape (levels + 1,).
-        links: patches that touch, by level and colour, shape (m, 2).
-        link_starts: where the links of each level begin, shape (levels + 1,).
-        link_colors: where the links of each colour begin, those of all levels, shape (colours + 1,).
+        level_starts: where the patches of each level begin, shape (levels + 1,).
+        springs: patches that touch, by level and colour, shape (m, 2).
+        spring_starts: where the springs of each level begin, shape (levels + 1,).
+        spring_colors: where the springs of each colour begin, those of all levels, shape (colours + 1,).
         color_starts: where the colours of each level begin in that, shape (levels + 1,).
-        link_data: length at rest [m], compliance [m/N], 0, 0 | direction as (u u, v v, u v, 0) | strain of a patch
-            (uu, vv, 2 uv) for 1 N in the link and for one in all of its links [1/N], 0; shape (m, 3, 4).
-        link_shares: one over the number of links of its two ends, shape (m, 2).
+        spring_data: length at rest [m], compliance [m/N], 0, 0 | direction as (u u, v v, u v, 0) | strain of a patch
+            (uu, vv, 2 uv) for 1 N in the spring and for one in all of its springs [1/N], 0; shape (m, 3, 4).
+        spring_shares: one over the number of springs of its two ends, shape (m, 2).
     """
 
     parent: np.ndarray
-    share: np.ndarray
+    mass_share: np.ndarray
     inverse_mass: np.ndarray
-    starts: np.ndarray
-    links: np.ndarray
-    link_starts: np.ndarray
-    link_colors: np.ndarray
+    level_starts: np.ndarray
+    springs: np.ndarray
+    spring_starts: np.ndarray
+    spring_colors: np.ndarray
     color_starts: np.ndarray
-    link_data: np.ndarray
-    link_shares: np.ndarray
+    spring_data: np.ndarray
+    spring_shares: np.ndarray
 
     @classmethod
-    def flat(cls, count: int) -> Hierarchy:
-        """No patches over a number of vertices."""
+    def none(cls, count: int) -> Multigrid:
+        """No coarser levels over a number of vertices."""
         one = np.zeros(1, np.int32)
         return cls(
             np.full(count, -1, np.int32), np.ones(count, np.float32), np.zeros(0, np.float32), one,
@@ -75,22 +76,22 @@ class Hierarchy:
 
     @cached_property
     def _rates(self) -> list[float]:
-        """Of each level: median of its links' stiffness times the inverse mass of their ends, but at most that of the
+        """Of each level: median of its springs' stiffness times the inverse mass of their ends, but at most that of the
         finer levels [1/s2].
         """
-        total = self.inverse_mass[self.links].sum(axis=1) / np.maximum(self.link_data[:, 0, 1], 1e-30)
-        bounds = zip(self.link_starts[:-1], self.link_starts[1:], strict=True)
+        total = self.inverse_mass[self.springs].sum(axis=1) / np.maximum(self.spring_data[:, 0, 1], 1e-30)
+        bounds = zip(self.spring_starts[:-1], self.spring_starts[1:], strict=True)
         rates = np.array([np.median(total[a:b]) if b > a else 0.0 for a, b in bounds])
         return np.minimum.accumulate(rates).tolist()
 
     def useful(self, h: float) -> int:
         """How many levels help in a substep of h [s]: in softer ones, one pass over the next finer level is enough."""
-        return sum(rate * h * h > USEFUL for rate in self._rates)
+        return sum(rate * h * h > MIN_USEFUL_STIFFNESS for rate in self._rates)
 
 
 @dataclass
 class _Level:
-    """Vertices of one level while the hierarchy is made.
+    """Vertices of one level while the levels are made.
 
     Attributes:
         mass: [kg], shape (n,).
@@ -114,21 +115,21 @@ class _Level:
     ways: np.ndarray
 
 
-def build_hierarchy(mesh: ClothMesh, mass: np.ndarray, inverse_mass: np.ndarray, fabric: Fabric) -> Hierarchy:
+def build_multigrid(mesh: ClothMesh, mass: np.ndarray, inverse_mass: np.ndarray, fabric: Fabric) -> Multigrid:
     """Levels of patches of a mesh.
 
     Args:
         mesh: the cloth.
         mass: of its vertices [kg], shape (n,).
         inverse_mass: 0 for a vertex that is held [1/kg], shape (n,).
-        fabric: its stiffness goes into the links.
+        fabric: its stiffness goes into the springs.
     """
     heavy = HELD_MASS * mass.sum()
     level = _finest(mesh, np.where(inverse_mass > 0, mass, heavy))
-    parents, shares, inverse_masses, links, data, link_shares = [], [], [], [], [], []
-    starts, link_starts, link_colors, color_starts = [0], [0], [np.array([0])], [0]
+    parents, shares, inverse_masses, springs, data, spring_shares = [], [], [], [], [], []
+    starts, spring_starts, spring_colors, color_starts = [0], [0], [np.array([0])], [0]
     softness = np.linalg.inv(fabric.membrane_stiffness())
-    while len(level.mass) > SMALLEST:
+    while len(level.mass) > MIN_VERTICES:
         patch, roots = _patches(level)
         if np.all(patch[level.edges[:, 0]] == patch[level.edges[:, 1]]):  # no two touch
             break
@@ -137,30 +138,30 @@ def build_hierarchy(mesh: ClothMesh, mass: np.ndarray, inverse_mass: np.ndarray,
         shares.append(share)
         moves = coarse.mass < heavy
         inverse_masses.append(np.where(moves, 1.0 / coarse.mass, 0.0))
-        rows, pair_data, pair_shares = _links(coarse, softness)
+        rows, pair_data, pair_shares = _springs(coarse, softness)
         rows, pair_data, pair_shares = (part[moves[rows].any(axis=1)] for part in (rows, pair_data, pair_shares))
         colors = greedy_colors(rows, len(roots))
         order = np.argsort(colors, kind="stable")
-        links.append(rows[order] + starts[-1])
+        springs.append(rows[order] + starts[-1])
         data.append(pair_data[order])
-        link_shares.append(pair_shares[order])
+        spring_shares.append(pair_shares[order])
         starts.append(starts[-1] + len(roots))
-        link_colors.append(link_starts[-1] + np.cumsum(np.bincount(colors)))
-        color_starts.append(color_starts[-1] + len(link_colors[-1]))
-        link_starts.append(link_starts[-1] + len(rows))
+        spring_colors.append(spring_starts[-1] + np.cumsum(np.bincount(colors)))
+        color_starts.append(color_starts[-1] + len(spring_colors[-1]))
+        spring_starts.append(spring_starts[-1] + len(rows))
         level = coarse
     last = len(level.mass) if parents else len(mass)
-    return Hierarchy(
+    return Multigrid(
         np.concatenate([*parents, np.full(last, -1)]).astype(np.int32),
         np.concatenate([*shares, np.ones(last)]).astype(np.float32),
         np.concatenate([*inverse_masses, np.zeros(0)]).astype(np.float32),
         np.array(starts, np.int32),
-        np.concatenate([*links, np.zeros((0, 2))]).astype(np.int32),
-        np.array(link_starts, np.int32),
-        np.concatenate(link_colors).astype(np.int32),
+        np.concatenate([*springs, np.zeros((0, 2))]).astype(np.int32),
+        np.array(spring_starts, np.int32),
+        np.concatenate(spring_colors).astype(np.int32),
         np.array(color_starts, np.int32),
         np.concatenate([*data, np.zeros((0, 3, 4))]).astype(np.float32),
-        np.concatenate([*link_shares, np.zeros((0, 2))]).astype(np.float32),
+        np.concatenate([*spring_shares, np.zeros((0, 2))]).astype(np.float32),
     )
 
 
@@ -278,10 +279,11 @@ def _coarser(level: _Level, patch: np.ndarray, roots: np.ndarray) -> tuple[_Leve
     return coarse, share
 
 
-def _links(level: _Level, softness: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Links of a level once each, with what :class:`Hierarchy` keeps of them.
+def _springs(level: _Level, softness: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Springs of a level, once each, with their data and shares for :class:`Multigrid`.
 
-    A lattice of springs in all directions with k = 3 E A/L^2, A the area that belongs to a link, has Young's modulus E.
+    A lattice of springs in all directions with k = 3 E A/L^2 has Young's modulus E, where A is the area that belongs to
+    a spring.
     """
     degree = np.bincount(level.edges[:, 0], minlength=len(level.mass))
     once = level.edges[:, 0] < level.edges[:, 1]

@@ -1,10 +1,16 @@
-"""Cloth that is through itself: which edges go through faces, which vertices have strayed, and how they come back.
+"""Cloth that is through itself: which edges go through faces, which vertices are on the wrong side, how they come back.
 
-Layers know their sides. Within a garment the edges that go through something cut each of two sheets in two along the
-curve in which they meet (after the flood fill of Baraff, Witkin and Kass 2003, "Untangling cloth"; a curve that ends
-before a border is closed by the least cut). The smallest part has strayed, and of the other sheet the part to which it
-points. A strayed vertex counts as on the other side of what it touches, strayed ends of edges are pulled back
-through the face, no faster than a body pushes, and what moves against one another there is calmed.
+Layers know their sides. Within a garment, two sheets that go through one another meet in a curve. The edges that go
+through faces along that curve cut each sheet in two (after the flood fill of Baraff, Witkin and Kass 2003, "Untangling
+cloth"). A curve that ends before a border is closed by the least cut::
+
+    above |  upper part: kept
+    ------+------------------ the other sheet
+    below |  lower part, smaller: on the wrong side
+
+The smallest part is on the wrong side, and of the other sheet the part to which it points. Contact counts a vertex on
+the wrong side as if it were on the other side of the feature that it touches. Ends of edges that are on the wrong side
+are pulled back through the face, no faster than a body pushes, and velocities against one another are damped there.
 """
 
 import numpy as np
@@ -16,15 +22,16 @@ from pbd.geometry import vec3, xyz
 from pbd.mesh import edges_of
 from pbd.pairs import PULL
 
-__all__ = ["Tangles", "note_crossings"]
+__all__ = ["Untangling", "note_crossings"]
 
-TOUCH = 1e-4  # a strayed end of an edge is pulled so far beyond the plane of the face [m]
-MOST_CURVES = 4  # along which sheets are brought back at once
-MOST_LEFT, FEW_LEFT = 0.5, 4  # edges that may hold together what a curve cuts apart, for each that it cuts, and always
-LONG = 8  # edges that a curve goes through at least before it is closed by a cut
-CALM = 0.3  # part of their motion against one another that strays keep at a look [-]
-RINGS = 3  # so many edges from where it goes through, cloth counts as strayed
-ROOM = 256  # crossings that there is room for at first
+PULL_BEYOND = 1e-4  # an end of an edge on the wrong side is pulled so far beyond the plane of the face [m]
+MAX_CURVES = 4  # along which sheets are brought back at once
+# Edges that may still join both sides of a curve: a share of the edges that it goes through, or at least some.
+MAX_JOINING_SHARE, MIN_JOINING = 0.5, 4
+MIN_CLOSED_EDGES = 8  # a curve through fewer edges is not closed by a cut, except near its ends
+KEPT_MOTION = 0.3  # share of their relative velocity that vertices on the wrong side keep at a search [-]
+RINGS = 3  # cloth counts as on the wrong side up to so many edges from where it goes through
+MIN_CROSSINGS = 256  # for which there is room at first
 
 
 @ti.func
@@ -46,7 +53,7 @@ def note_crossings(
     owned: ti.template(),
     crossed: ti.template(),
 ):
-    """Add the own sides of either of two faces that go through the other, if there is room for any at all."""
+    """Add the own sides of either of two faces that go through the other, if there is room for crossings at all."""
     if crossed.shape[0] > 1:
         for n in range(6):
             one, two, side = f, g, n
@@ -96,9 +103,9 @@ class _Crossings:
         ways = _unit(corners - self.points[:, None])
         self.along = np.einsum("kci,ki->kc", ways, _unit(tips[:, 1] - tips[:, 0]))
 
-    def pulls(self, strayed: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pairs that bring strayed ends of edges back, and their data."""
-        lost = strayed[self.ends] > 0
+    def pulls(self, wrong_side: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pairs that pull ends of edges on the wrong side back, and their data (:func:`pbd.pairs.solve_pairs`)."""
+        lost = wrong_side[self.ends] > 0
         one = np.flatnonzero(lost[:, 0] != lost[:, 1])
         where = lost[one].argmax(axis=1)
         vertex = self.ends[one, where]
@@ -112,13 +119,13 @@ class _Crossings:
         data = np.zeros((len(one), 2, 4), np.float32)
         for k, (p, q) in enumerate(((b, c), (c, a), (a, b))):
             data[:, 0, k] = (np.cross(p, q) * normal).sum(axis=1) / size
-        data[:, 0, 3] = TOUCH
+        data[:, 0, 3] = PULL_BEYOND
         data[:, 1, 1:3] = PULL, 1.0
         data[:, 1, 3] = -np.sign(self.heights[one, where])
         return np.column_stack([vertex, through]).astype(np.int32), data
 
 
-class Tangles:
+class Untangling:
     """The crossings of one cloth, and what follows from them.
 
     Args:
@@ -128,7 +135,7 @@ class Tangles:
 
     Attributes:
         crossed: how many edges go through faces, then as many rows (end, end, face), int32, shape (k, 3).
-        strayed: 1 for vertices that are on the wrong side of their own garment, int32, shape (n,).
+        wrong_side: 1 for vertices that are on the wrong side of their own garment, int32, shape (n,).
     """
 
     def __init__(self, faces: np.ndarray, layer: np.ndarray, areas: np.ndarray) -> None:
@@ -141,8 +148,8 @@ class Tangles:
         self._beside = np.stack([order[starts[:-1]], order[starts[1:] - 1]], axis=1) // 3
         self._keys = self._edges @ [len(layer), 1]
         self._pieces = self._parts_of(self._edges)
-        self.crossed = np.zeros((ROOM, 3), np.int32)
-        self.strayed = np.zeros(len(layer), np.int32)
+        self.crossed = np.zeros((MIN_CROSSINGS, 3), np.int32)
+        self.wrong_side = np.zeros(len(layer), np.int32)
 
     def has_room(self) -> bool:
         """Whether all crossings had room; if not, there is room now."""
@@ -153,7 +160,7 @@ class Tangles:
         return False
 
     def pulls(self, position: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Tell which vertices have strayed, and what brings them back; None if nothing has.
+        """Mark the vertices on the wrong side, and find the pairs that bring them back; None if there are none.
 
         Args:
             position: [m], shape (n, 3).
@@ -170,16 +177,20 @@ class Tangles:
         found = _Crossings(rows[np.lexsort(rows.T[::-1])], self._faces, position)
         for first, second in self._contours(found):
             self._mark(found, first, second)
-        self.strayed[~free] = 0
-        return found.pulls(self.strayed, position) if self.strayed.any() else None
+        self.wrong_side[~free] = 0
+        return found.pulls(self.wrong_side, position) if self.wrong_side.any() else None
 
-    def calm(self, velocity: np.ndarray) -> None:
-        """Take from what has strayed, and from what is around it, most of its motion against one another [m/s]."""
-        near = self._around(np.flatnonzero(self.strayed), np.ones(len(self.strayed), bool))
+    def damp_relative_velocity(self, velocity: np.ndarray) -> None:
+        """Damp the relative velocity [m/s] of the vertices on the wrong side and around them, in place.
+
+        Args:
+            velocity: of all vertices, shape (n, 3). The mean over those vertices stays.
+        """
+        near = self._around(np.flatnonzero(self.wrong_side), np.ones(len(self.wrong_side), bool))
         if near.any():
             weight = self._areas[near, None]
             mean = (weight * velocity[near]).sum(axis=0) / weight.sum()
-            velocity[near] = mean + CALM * (velocity[near] - mean)
+            velocity[near] = mean + KEPT_MOTION * (velocity[near] - mean)
 
     def _contours(self, found: _Crossings) -> list[tuple[np.ndarray, np.ndarray]]:
         """Crossings along each curve in which two sheets meet: whose edges are of the first and of the second sheet."""
@@ -199,11 +210,11 @@ class Tangles:
         part = part[: 2 * count].reshape(count, 2)
         curves = np.minimum(part[:, 0], part[:, 1])
         names, sizes = np.unique(curves, return_counts=True)
-        chosen = names[np.argsort(-sizes, kind="stable")][:MOST_CURVES]
+        chosen = names[np.argsort(-sizes, kind="stable")][:MAX_CURVES]
         return [(np.flatnonzero(part[:, 0] == name), np.flatnonzero(part[:, 1] == name)) for name in chosen]
 
     def _mark(self, found: _Crossings, first: np.ndarray, second: np.ndarray) -> None:
-        """Mark what has strayed along one curve.
+        """Mark the vertices on the wrong side along one curve.
 
         Of the sheet with the smallest part, that part; of the other, that to which it points, unless by far the larger.
         """
@@ -243,11 +254,11 @@ class Tangles:
         if not np.isin(part[above], part[below]).any():
             upper = np.isin(part, part[above])
         else:
-            if len(which) < LONG:  # only a corner can be cut off, which lies near
+            if len(which) < MIN_CLOSED_EDGES:  # only a corner can be cut off, which lies near
                 near = self._around(ends, np.ones(count, bool))
                 kept = kept[near[kept].all(axis=1)]
                 whole &= near
-            cut = self._least_cut(kept, above, below, max(MOST_LEFT * len(which), FEW_LEFT))
+            cut = self._least_cut(kept, above, below, max(MAX_JOINING_SHARE * len(which), MIN_JOINING))
             if cut is None:
                 return []
             upper = cut
@@ -262,11 +273,11 @@ class Tangles:
         rows = np.concatenate([kept[:, 0], kept[:, 1], np.full(len(above), count), below])
         columns = np.concatenate([kept[:, 1], kept[:, 0], above, np.full(len(below), count + 1)])
         values = np.concatenate([np.ones(2 * len(kept)), np.full(len(above) + len(below), much)])
-        room = csr_matrix((values, (rows, columns)), (count + 2, count + 2)).astype(np.int32)
-        found_flow = maximum_flow(room, count, count + 1)
+        capacity = csr_matrix((values, (rows, columns)), (count + 2, count + 2)).astype(np.int32)
+        found_flow = maximum_flow(capacity, count, count + 1)
         if found_flow.flow_value > most:
             return None
-        rest = room - found_flow.flow
+        rest = capacity - found_flow.flow
         rest.data = np.maximum(rest.data, 0)
         rest.eliminate_zeros()
         upper = np.zeros(count, bool)
@@ -281,7 +292,7 @@ class Tangles:
 
     def _add(self, part: np.ndarray, ends: np.ndarray) -> None:
         """Mark what lies in a part, a few edges from ends of edges that go through something."""
-        self.strayed[self._around(ends, part)] = 1
+        self.wrong_side[self._around(ends, part)] = 1
 
     def _around(self, ends: np.ndarray, part: np.ndarray) -> np.ndarray:
         """Vertices of a part, a few edges from ends of edges at most, as a mask."""
