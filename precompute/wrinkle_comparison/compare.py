@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from assets.io.scene import load_scene, scene_text
 from pbd import InputError
+from precompute.learning.decoding import bands_of
 from precompute.learning.evaluation import (
     Truth,
     body_distances,
@@ -22,7 +23,9 @@ from precompute.learning.evaluation import (
     truth_of,
 )
 from precompute.learning.pipeline import default_cache, precompute
+from precompute.learning.recording import Recording, Run
 from precompute.stability.stability import Stability, largest_stable_step
+from precompute.workers import Workers
 from precompute.wrinkle_comparison.rivals import (
     PROBE_FRAMES,
     Cloth,
@@ -33,10 +36,11 @@ from precompute.wrinkle_comparison.rivals import (
     player_times,
     typical_ms,
 )
-from runtime.play import cast_of
+from runtime.play import Free, cast_of
 from wrinkles.database import WrinkleDatabase, code_version, read_database
 from wrinkles.distance import penetration_figures
 from wrinkles.metrics import edge_stretch
+from wrinkles.spectrum import LowPass
 
 __all__ = ["Comparison", "Method", "compare", "compare_file", "database_of", "equal_cost_rivals", "winners"]
 
@@ -112,40 +116,52 @@ def winners(errors: Mapping[str, float], floor: float) -> tuple[str, ...]:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def compare(database: WrinkleDatabase, truth: Truth, *, report: Callable[[str], None] | None = None) -> Comparison:
+def compare(
+    database: WrinkleDatabase,
+    truth: Truth,
+    *,
+    free: Free | None = None,
+    brief: bool = False,
+    workers: Workers | int = 1,
+    report: Callable[[str], None] | None = None,
+) -> Comparison:
     """Run every method freely over the truth's motion and measure it.
 
     Args:
         database: what was learned.
         truth: two converged fine runs, as :func:`precompute.learning.evaluation.truth_of` gives.
+        free: the player's free run of it, where there is one already.
+        brief: of what ours is compared with at equal cost only the middle mesh (the fine cloth where there is none),
+            nothing converged besides the truth and the floor, and no largest stable step.
+        workers: that measure what was played, or how many do.
         report: told lines of progress.
     """
     tell = report or (lambda line: None)
     run = truth.run
     tell("comparing: ours and smooth")
-    free = play_freely(database, run.body, run)
+    free = free or play_freely(database, run.body, run)
     ours_ms, smooth_ms = player_times(database, truth)
     settings = _settings(coarse_cloth(database, truth))
     methods = [
-        Method("smooth_", "smooth", typical_ms(smooth_ms), _all_figures(truth, free.smooth), settings, free.smooth),
-        Method("", "ours", typical_ms(ours_ms), _all_figures(truth, free.frames), settings, free.frames),
+        Method("smooth_", "smooth", typical_ms(smooth_ms), {}, settings, free.smooth),
+        Method("", "ours", typical_ms(ours_ms), {}, settings, free.frames),
     ]
     fine, middle = fine_cloth(truth), middle_cloth(database, truth)
-    methods += equal_cost_rivals(database, truth, ours_ms, report=report)
-    if middle is not None:
+    methods += _rivals(database, truth, ours_ms, tell, most=1 if brief else 2)
+    if middle is not None and not brief:
         tell("comparing: middle mesh, converged")
         methods.append(_cloth(truth, middle, "middle_mesh_converged_", "middle mesh, converged"))
     tell("comparing: truth and floor")
-    settings = _settings(fine)
-    methods.append(Method("truth_", "truth", fine.cost(), _shared_figures(truth, truth.frames), settings, truth.frames))
-    figures = _all_figures(truth, truth.floor)
+    methods.append(Method("truth_", "truth", fine.cost(), {}, _settings(fine), truth.frames))
     settings = _settings(fine.with_substeps(math.ceil(1.5 * fine.substeps)))
-    methods.append(Method("floor_", "floor", math.nan, figures, settings, truth.floor))
+    methods.append(Method("floor_", "floor", math.nan, {}, settings, truth.floor))
+    tell("comparing: figures")
+    methods = _with_figures(truth, methods, workers)
     clothes = {"coarse": coarse_cloth(database, truth), "middle_mesh": middle, "fine": fine}
     stability = []
     poses = run.poses[: round(STABILITY_SECONDS / run.dt) + 1]
     for name, cloth in clothes.items():
-        if cloth is not None:
+        if cloth is not None and not brief:
             tell(f"stability: {name.replace('_', ' ')}")
             stability.append(largest_stable_step(name, cloth.simulation, cloth.options, poses, run.dt, run.wind))
     return Comparison(database.garment_name, run.name, truth, tuple(methods), tuple(stability))
@@ -163,15 +179,50 @@ def equal_cost_rivals(
             :func:`precompute.wrinkle_comparison.rivals.player_times`.
         report: told lines of progress.
     """
-    tell, methods = report or (lambda line: None), []
+    tell = report or (lambda line: None)
+    return _with_figures(truth, _rivals(database, truth, ours_ms, tell), 1)
+
+
+def _rivals(
+    database: WrinkleDatabase, truth: Truth, ours_ms: np.ndarray, tell: Callable[[str], None], most: int = 2
+) -> list[Method]:
+    """The same without their figures, ``most`` of them."""
     budget = typical_ms(ours_ms[:PROBE_FRAMES])  # on the frames that rivals are tried on
-    middle = middle_cloth(database, truth)
-    if middle is not None:
-        tell("comparing: middle mesh at equal cost")
-        methods.append(_cloth(truth, _at_cost(middle, budget), "middle_mesh_", "middle mesh, equal cost"))
-    tell("comparing: fine cloth with few substeps")
-    fine = _at_cost(fine_cloth(truth), budget)
-    return [*methods, _cloth(truth, fine, "equal_cost_fine_", "fine cloth, few substeps")]
+    offered = [
+        (middle_cloth(database, truth), "middle_mesh_", "middle mesh, equal cost"),
+        (fine_cloth(truth), "equal_cost_fine_", "fine cloth, few substeps"),
+    ]
+    methods: list[Method] = []
+    for cloth, prefix, name in offered:
+        if cloth is not None and len(methods) < most:
+            tell(f"comparing: {name}")
+            methods.append(_cloth(truth, _at_cost(cloth, budget), prefix, name))
+    return methods
+
+
+def _with_figures(truth: Truth, methods: Sequence[Method], workers: Workers | int) -> list[Method]:
+    """Methods with figures of what they played; the truth itself is only asked what any run can be."""
+    items = [
+        (truth.run, truth.recording, truth.floor, truth.energy, method.frames, method.prefix != "truth_")
+        for method in methods
+        if method.frames is not None
+    ]
+    with Workers.of(workers) as pool:
+        found = iter(pool.map(_figures_of, items))
+    return [
+        method if method.frames is None else replace(method, figures={**next(found), **method.figures})
+        for method in methods
+    ]
+
+
+def _figures_of(item: tuple[Run, Recording, np.ndarray, np.ndarray, np.ndarray, bool]) -> dict[str, float]:
+    """Figures of frames beside a truth, whose filters are made anew: they are larger than all else."""
+    run, recording, floor, energy, frames, all_of_them = item
+    levels = run.levels
+    low_pass = LowPass(levels.rest_vertices, levels.fine.faces, levels.cutoff)
+    truth = Truth(run, levels, recording, floor, bands_of(levels), energy, low_pass)
+    shared = _shared_figures(truth, frames)
+    return free_figures(truth, frames) | shared if all_of_them else shared
 
 
 def _at_cost(cloth: Cloth, budget: float) -> Cloth:
@@ -200,17 +251,12 @@ def _shared_figures(truth: Truth, frames: np.ndarray) -> dict[str, float]:
     }
 
 
-def _all_figures(truth: Truth, frames: np.ndarray) -> dict[str, float]:
-    return free_figures(truth, frames) | _shared_figures(truth, frames)
-
-
 def _cloth(truth: Truth, cloth: Cloth, prefix: str, name: str) -> Method:
     played = cloth.play(truth.recording.frames)
     settings = _settings(cloth)
     if played.broke_at is not None:
         return Method(prefix, name, played.frame_ms, {}, settings, None, played.broke_at)
-    figures = _all_figures(truth, played.frames)
-    figures["substeps_per_frame"] = float(cloth.substeps)
+    figures = {"substeps_per_frame": float(cloth.substeps)}
     return Method(prefix, name, played.frame_ms, figures, settings, played.frames)
 
 
