@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 
 # A bind pose that moves a vertex by more than this [m] is a mistake in the data, not rounding: files store float32.
 _BIND_TOLERANCE = 1e-3
-_WEIGHT_TOLERANCE = 1e-3
+_WEIGHT_TOLERANCE = 1e-3  # by which the weights of a vertex may fail to sum to 1 [-]
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ class Character:
         joint_weights: their weights [-], rows sum to 1, shape (vertices, 4), float32.
         rest_local: bind pose as local translation [m] (joints, 3), rotation x, y, z, w (joints, 4), scale (joints, 3).
         inverse_bind: world of the bind pose to joint, shape (joints, 4, 4).
-        root_transform: what stands above the root joints, shape (4, 4).
+        root_transform: constant transform above the root joints, shape (4, 4).
         clips: clips by name.
     """
 

@@ -30,7 +30,7 @@ class Body(Protocol):
         """Write the vertices of a pose, world minus origin [m].
 
         Args:
-            pose: what the body's motion gives.
+            pose: of the body's motion.
             origin: of the frame that ``out`` is in [m], shape (3,), float64.
             out: float32, shape (n, 3); a Taichi array of n three-vectors, or a numpy array.
         """
@@ -41,7 +41,7 @@ def skin_vertices(character: Character, pose: Floats) -> Floats:
     """Vertices of a pose in the world [m], shape (n, 3), float64; the reference for :class:`SkinnedBody`.
 
     Args:
-        character: whose.
+        character: the skinned mesh.
         pose: skinning matrices, shape (joints, 3, 4).
     """
     weights = character.joint_weights.astype(np.float64)

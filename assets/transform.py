@@ -51,7 +51,7 @@ def decompose(matrices: Floats, key: str | None = None) -> tuple[Floats, Floats,
     """Translation (..., 3), rotation (..., 4) and scale (..., 3) of matrices, shape (..., 4, 4).
 
     Raises:
-        InputError: a matrix that shears or is singular; ``key`` says whose it is.
+        InputError: a matrix that shears or is singular; ``key`` names its owner.
     """
     linear = matrices[..., :3, :3]
     scale = np.linalg.norm(linear, axis=-2)

@@ -30,7 +30,7 @@ hidden_width = 8
 
 
 def main() -> None:
-    """Learn, read, play. Learning starts processes that import this file, so that all of it stands in a function."""
+    """Learn, read, play. With more workers, learning starts processes that import this file: hence the function."""
     gube.precompute(gube.parse_scene(SCENE), "skirt.h5", workers=1, report=print)
 
     database = gube.read_database("skirt.h5")

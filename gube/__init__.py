@@ -65,12 +65,12 @@ if TYPE_CHECKING:
     from assets.io.scene import load_scene as load_scene
     from assets.io.scene import parse_scene as parse_scene
     from assets.motion import ClipMotion as ClipMotion
+    from pbd.batch_solver import BatchSolver as BatchSolver
     from pbd.colliders import Body as Body
     from pbd.colliders import Capsule as Capsule
     from pbd.colliders import Colliders as Colliders
     from pbd.colliders import Plane as Plane
     from pbd.colliders import Sphere as Sphere
-    from pbd.batch_solver import BatchSolver as BatchSolver
     from pbd.distance_field import DistanceField as DistanceField
     from pbd.engine import ensure_initialized as ensure_initialized
     from pbd.errors import InputError as InputError
@@ -103,27 +103,29 @@ if TYPE_CHECKING:
 
     __version__: str
 
+else:  # with a function of this name in sight, a type checker would take any name for a public one
+
+    def __getattr__(name: str) -> Any:
+        """Import a public name when it is first used (PEP 562)."""
+        if name == "__version__":
+            from importlib.metadata import PackageNotFoundError, version
+
+            try:
+                value: Any = version("gube")
+            except PackageNotFoundError:  # run from a source tree
+                value = "0"
+        elif name in SOURCES:
+            from importlib import import_module
+
+            module, _, attribute = SOURCES[name].partition(":")
+            value = getattr(import_module(module), attribute)
+        else:
+            raise AttributeError(_unknown(name), name=name)
+        globals()[name] = value
+        return value
+
+
 __all__ = sorted([*SOURCES, "__version__"])  # pyright: ignore[reportUnsupportedDunderAll]
-
-
-def __getattr__(name: str) -> Any:
-    """Import a public name when it is first used (PEP 562)."""
-    if name == "__version__":
-        from importlib.metadata import PackageNotFoundError, version
-
-        try:
-            value: Any = version("gube")
-        except PackageNotFoundError:  # run from a source tree
-            value = "0"
-    elif name in SOURCES:
-        from importlib import import_module
-
-        module, _, attribute = SOURCES[name].partition(":")
-        value = getattr(import_module(module), attribute)
-    else:
-        raise AttributeError(_unknown(name), name=name)
-    globals()[name] = value
-    return value
 
 
 def __dir__() -> list[str]:

@@ -34,7 +34,9 @@ COMMANDS: Mapping[str, str] = {
     "bench wrinkles": "precompute.commands.bench_wrinkles",
     "bench solver": "precompute.commands.bench_solver",
     "bench failures": "precompute.commands.bench_failures",
+    "bench stress": "precompute.commands.bench_stress",
     "bench clips": "precompute.commands.bench_clips",
+    "bench plan": "precompute.commands.bench_plan",
 }
 """The file of each command, in the order of the help. Of two words, the first names a group."""
 

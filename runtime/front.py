@@ -121,7 +121,7 @@ def write_front(path: Path, front: Front) -> None:
 
 
 def read_front(path: str | Path) -> Front:
-    """Read what :func:`write_front` wrote.
+    """Read the table that ``gube plan`` measured and :func:`write_front` wrote.
 
     Raises:
         InputError: a file that cannot be read or is no front, or one with values that cannot be.

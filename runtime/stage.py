@@ -315,7 +315,7 @@ def _garment_of(scene: Scene) -> tuple[GarmentSettings, Garment]:
 
 
 def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion | None]:
-    """What a scene describes, ready to be stepped: garments on a body, or one that hangs on its pins.
+    """The simulation of a scene at its start: garments on a body, or one garment that hangs on its pins.
 
     Args:
         scene: with one garment, or on a body with several.

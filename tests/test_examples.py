@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.data import ROOT
-from tests.test_house import imports
+from tests.imports import imports
 
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 ALLOWED = {"gube", "numpy"}

@@ -10,25 +10,16 @@ from pathlib import Path
 import pytest
 
 from tests.data import ROOT
+from tests.imports import imports
 
 FLOORS = ("pbd", "assets", "wrinkles", "runtime", "precompute", "gube")  # ground floor first, the roof last
 PLAYING = FLOORS[:4]
 NOT_FOR_PLAYING = ("sklearn", "matplotlib", "pyvista", "dask")
-# The table of commands names modules above its own floor; the roof loads its public names when they are used.
-IMPORT_BY_NAME = (Path("runtime/command.py"), Path("gube/__init__.py"))
+TABLE_OF_COMMANDS = Path("runtime/command.py")  # alone names modules above its own floor
+TABLES = (TABLE_OF_COMMANDS, Path("gube/__init__.py"))  # alone import modules by name
 MODULES = [path for floor in FLOORS for path in sorted((ROOT / floor).rglob("*.py"))]
 
 
-def imports(tree: ast.AST, inside_function: bool = False) -> Iterator[tuple[str, bool]]:
-    """Top-level names that a module imports, each with whether a function holds the import."""
-    for node in ast.iter_child_nodes(tree):
-        if isinstance(node, ast.Import):
-            yield from ((alias.name.partition(".")[0], inside_function) for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            yield ("." * node.level or (node.module or "").partition(".")[0], inside_function)
-        else:
-            deeper = inside_function or isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
-            yield from imports(node, deeper)
 
 
 def names_of_modules(tree: ast.AST) -> Iterator[str]:
@@ -48,9 +39,10 @@ def forbidden(relative: Path, source: str) -> list[str]:
             found.append(f"imports {name}")
         if relative.parts[0] in PLAYING and name in NOT_FOR_PLAYING and not inside_function:
             found.append(f"imports {name} outside a function")
-    if relative not in IMPORT_BY_NAME:
+    if relative != TABLE_OF_COMMANDS:
         above = FLOORS[floor + 1 :]
         found += [f"names {name}" for name in names_of_modules(tree) if name.partition(".")[0] in above]
+    if relative not in TABLES:
         calls = [node for node in ast.walk(tree) if isinstance(node, (ast.Name, ast.Attribute))]
         names = [node.id if isinstance(node, ast.Name) else node.attr for node in calls]
         found += [f"calls {name}" for name in names if name in ("import_module", "__import__")]
@@ -94,6 +86,7 @@ def test_a_breach_is_found(module: str, source: str, problem: str) -> None:
         ("wrinkles/a.py", "def fit():\n    import sklearn"),
         ("precompute/a.py", "import pbd, assets, wrinkles, runtime, sklearn"),
         ("gube/a.py", "import pbd, assets, wrinkles, runtime, precompute"),
+        ("gube/__init__.py", "SOURCES = {'Solver': 'pbd.solver:Solver'}\nimport_module(SOURCES[name])"),
     ],
 )
 def test_what_is_allowed_passes(module: str, source: str) -> None:
@@ -118,22 +111,14 @@ def test_playing_loads_nothing_that_only_learning_needs() -> None:
     assert result.returncode == 0, result.stderr
 
 
-# What one garment on one thread and many on several threads are stepped by alike, see pbd.batch_solver.
-SHARED_BY_THREADS = (
-    "body_search",
-    "constraint_passes",
-    "constraints",
-    "contact",
-    "geometry",
-    "multigrid_cycle",
-    "schedule",
-)
+# What one garment on one thread and many on several threads are stepped by alike, see pbd.crowd.
+SHARED_BY_THREADS = ("constraints", "contact", "geometry", "hierarchy", "levels", "schedule", "search")
 
 
 def float_atomics(source: str) -> list[int]:
     """Lines of Taichi functions that add to an element of an array in place: an atomic operation in a parallel loop.
 
-    A batch was half as fast as one garment after another because of it.
+    Crowds were half as fast as one garment after another for it.
     """
     functions = [
         node

@@ -54,3 +54,17 @@ def test_the_command_starts_from_the_wheel_alone(wheel: Path, tmp_path: Path) ->
     assert result.returncode == 0, result.stderr
     assert "usage: gube" in result.stdout
     assert Path(result.stdout.splitlines()[-1]).is_relative_to(tmp_path)
+
+
+def test_the_public_names_come_from_the_wheel_alone(wheel: Path, tmp_path: Path) -> None:
+    zipfile.ZipFile(wheel).extractall(tmp_path)
+    script = (
+        "import sys; sys.path.insert(0, '.'); import gube\n"
+        "for name in gube.__all__: getattr(gube, name)\n"
+        "print(gube.__file__, gube.load_garment('builtin:skirt').source)"
+    )
+    command = [sys.executable, "-I", "-c", script]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    path, source = result.stdout.split()
+    assert Path(path).is_relative_to(tmp_path) and source == "builtin:skirt"

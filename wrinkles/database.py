@@ -28,6 +28,7 @@ from pbd.storage import replacing
 from wrinkles.binding import Binding
 from wrinkles.dictionary import Atoms, Mapping, fabric_features
 from wrinkles.gathers import Gathers
+from wrinkles.levels import Levels, levels_of
 from wrinkles.schema import (
     ENTRIES,
     FORMAT,
@@ -145,7 +146,7 @@ class WrinkleDatabase:
 
     @property
     def fine_vertex_count(self) -> int:
-        """Number N of vertices of the fine mesh, subdivided or delivered."""
+        """Number of vertices of the fine mesh [-]."""
         if self.binding is not None:
             return len(self.binding.face)
         vertices, edges, faces = len(self.coarse_vertices), len(edges_of(self.coarse_faces)[0]), len(self.coarse_faces)
@@ -162,6 +163,25 @@ class WrinkleDatabase:
     def subdivision(self) -> Subdivision:
         """The subdivision from the coarse to the fine mesh."""
         return Subdivision.of(self.coarse_faces, len(self.coarse_vertices), self.subdivisions, self.binding)
+
+    def levels(self, body_vertices: np.ndarray, body_faces: np.ndarray) -> Levels:
+        """Coarse and fine mesh of the garment on its body.
+
+        Args:
+            body_vertices: of the bind pose, or of a sequence's first frame [m], shape (b, 3).
+            body_faces: int, shape (f, 3); empty without a body.
+        """
+        return levels_of(
+            self.coarse_vertices,
+            self.coarse_faces,
+            self.held,
+            body_vertices,
+            body_faces,
+            self.subdivisions,
+            self.warp,
+            self.binding,
+            self.limits,
+        )
 
     @property
     def fabric_names(self) -> tuple[str, ...]:
@@ -191,35 +211,6 @@ class WrinkleDatabase:
             other_fabrics=(),
             mapping=self.mapping.for_fabric(fabric_features(other.fabric, self.fabric)),
         )
-
-    def require_garment(self, vertices: np.ndarray, faces: np.ndarray) -> None:
-        """Refuse another garment than the one in the database.
-
-        Args:
-            vertices: bind pose [m], shape (n, 3); they may differ a little from those of the database, which were
-                pushed out of the body.
-            faces: int, shape (m, 3).
-
-        Raises:
-            InputError: other faces, or the same faces on a garment of another shape.
-        """
-        if len(vertices) != len(self.coarse_vertices) or not np.array_equal(faces, self.coarse_faces):
-            raise InputError(
-                "a database of another garment",
-                key="garment",
-                received=f"{len(vertices)} vertices, {len(faces)} faces",
-                expected=f"those of '{self.garment_name}': {len(self.coarse_vertices)} vertices, "
-                f"{len(self.coarse_faces)} faces, in the same order",
-            )
-        distance = float(np.median(np.linalg.norm(vertices - self.coarse_vertices, axis=1)))
-        limit = 0.05 * float(np.linalg.norm(np.ptp(self.coarse_vertices, axis=0)))
-        if distance > limit:
-            raise InputError(
-                "a database of another garment: the same faces on another shape",
-                key="garment",
-                received=f"vertices {distance:.3g} m from those of '{self.garment_name}' in the median",
-                expected=f"at most {limit:.3g} m",
-            )
 
     def require_body(self, body: Any) -> None:
         """Refuse another body than the one the garment was trained on.

@@ -18,11 +18,11 @@ from wrinkles.patches import NODES, slope_metric
 
 __all__ = ["FABRIC_COUNT", "Atoms", "Mapping", "fabric_features", "fit_atoms", "fit_mapping", "whitening"]
 
-NOISE = 0.05  # added to the features in training, in standard deviations
+NOISE = 0.05  # of the features in training, in standard deviations
 FABRIC_COUNT = 2  # number of fabric_features
 MIN_GRAVITY_LENGTH = 1e-3  # shorter ones count as this [m]: no mesh shows their folds
-REGION_RATE = 0.015  # learning rate of a region's layers, which start from those of all places
-CLIP = 4.0  # features are clipped at this many standard deviations from their mean
+REGION_RATE = 0.015  # where a region goes on from what all places have learned
+CLIP = 4.0  # features further out than this many standard deviations count as if they stood there
 
 
 @dataclass(frozen=True)

@@ -119,12 +119,8 @@ class BandedEnergy:
             vertices: positions [m], shape (f, n, 3).
         """
         frames = np.asarray(vertices, float).reshape(-1, len(self._mass), 3)
-        return np.concatenate(
-            [
-                self._energy_of_part(frames[start : start + _CHUNK_FRAMES])
-                for start in range(0, len(frames), _CHUNK_FRAMES)
-            ]
-        )
+        parts = (frames[start : start + _CHUNK_FRAMES] for start in range(0, len(frames), _CHUNK_FRAMES))
+        return np.concatenate([self._energy_of_part(part) for part in parts])
 
     def amplitude(self, energy: np.ndarray) -> np.ndarray:
         """Amplitude of a plane wave over the whole mesh that has the energy of the band [m], shape of the energies.

@@ -14,6 +14,7 @@ from assets.fabrics import PRESETS
 from assets.garment import load_garment
 from assets.io.scene import MotionSettings, parse_scene
 from pbd import ClothMesh, InputError, ModelOptions, SolverOptions, build_model
+from precompute.mechanics import GRAVITY
 from precompute.method_comparison.error_classes import LIMITS, longest_run
 from precompute.reporting.tables import write_table
 from runtime.pictures import Drawn, frame_camera, render, save_png, strip
@@ -218,7 +219,7 @@ def run_clip(
     if picture is not None:
         _draw(picture, simulation, shown, [f"{(frame + 1) / RATE:.1f} s" for frame in _moments(frames)])
     later = min(round(START * RATE), frames - 1)
-    bound = 3.0 * np.sqrt(2.0 * 9.81 * height) + limbs
+    bound = 3.0 * np.sqrt(2.0 * GRAVITY * height) + limbs
     recent = np.array([limbs[max(0, k - round(0.5 * RATE)) : k + 1].max() for k in range(frames)])
     catastrophic = drawn | (fastest > bound * LIMITS["speed_over_limit"][2]) | (boxes > LIMITS["box_ratio"][2])
     catastrophic |= _held(inside, round(LIMITS["penetration_s"][2] * RATE))

@@ -12,7 +12,7 @@ from pbd import Body, Capsule, ClothMesh, Colliders, Fabric, Model, ModelOptions
 from pbd.layers import layered
 from pbd.mesh import lattice_faces
 from precompute.failures.failure_play import RATE, Scene, Stage
-from precompute.method_comparison.error_classes import GRAVITY
+from precompute.mechanics import GRAVITY
 from wrinkles.crossings import crossings
 
 __all__ = ["HUNG", "scenes", "square"]

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +12,9 @@ from pbd.models import SOLVERS
 from precompute.failures.failure_comparisons import comparisons
 from precompute.failures.failure_play import Outcome, play
 from precompute.failures.failure_scenes import scenes
-from precompute.learning.recording import begin_worker
 from precompute.method_comparison.error_classes import ErrorClass
 from precompute.reporting.tables import write_table
+from precompute.workers import run_jobs
 
 __all__ = ["CLASSIC", "all_failure_rows", "failure_rows", "failure_table", "write_failures"]
 
@@ -80,17 +79,9 @@ def all_failure_rows(
     """
     for name in solvers:
         _check(name)
-    with ProcessPoolExecutor(workers, get_context("spawn"), begin_worker) as pool:
-        futures = [(name, line, pool.submit(failure_rows, name, lines=[line])) for name in solvers for line in _lines()]
-        rows: list[dict[str, Any]] = []
-        try:
-            for done, (name, line, future) in enumerate(futures, 1):
-                rows += future.result()
-                report(f"{done} of {len(futures)}: {name}: {line}")
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-    return rows
+    jobs = [partial(failure_rows, name, lines=[line]) for name in solvers for line in _lines()]
+    found = run_jobs(jobs, workers, done=lambda count, rows: report(f"{count} of {len(jobs)} lines"))
+    return [row for rows in found for row in rows]
 
 
 def _check(solver: str) -> None:

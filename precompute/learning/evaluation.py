@@ -28,7 +28,7 @@ from runtime.stage import fine_options
 from wrinkles.charts import leading_vertices
 from wrinkles.database import WrinkleDatabase
 from wrinkles.distance import BodyDistance, penetration_figures
-from wrinkles.levels import Levels, levels_of
+from wrinkles.levels import Levels
 from wrinkles.metrics import (
     bending_energy,
     bending_energy_ratio,
@@ -59,17 +59,7 @@ SETTLE = 1.5  # the blend from the bind pose is not judged [s]
 def levels_from(database: WrinkleDatabase, body: Character | VertexSequence) -> Levels:
     """Levels of a database's garment on its body."""
     source = body_source(body)
-    return levels_of(
-        database.coarse_vertices,
-        database.coarse_faces,
-        database.held,
-        source.vertices,
-        source.faces,
-        database.subdivisions,
-        database.warp,
-        database.binding,
-        database.limits,
-    )
+    return database.levels(source.vertices, source.faces)
 
 
 def fine_run(

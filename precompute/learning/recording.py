@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import threading
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
-from multiprocessing import get_context, parent_process
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -28,11 +24,12 @@ from pbd import ClothMesh, DistanceField, Fabric, ModelOptions, SolverOptions, S
 from pbd.fingerprint import source_fingerprint
 from pbd.storage import replacing
 from pbd.wind import CALM, Air, Wind
+from precompute.workers import run_jobs
 from runtime.simulation import Simulation, body_source, poses_of
 from wrinkles.gathers import Gathers
 from wrinkles.levels import Levels
 
-__all__ = ["begin_worker", "Recording", "Run", "body_source", "poses_of", "record_runs"]
+__all__ = ["Recording", "Run", "body_source", "poses_of", "record_runs"]
 
 CHUNK_SECONDS = 1.0  # what a cut-off run loses at most [s of motion]
 
@@ -206,32 +203,9 @@ def record_runs(
             _record(run, folder, lambda: _tell(report, done(), before, total, began))
     elif todo:
         todo.sort(key=lambda item: -item[0].frame_count)
-        with ProcessPoolExecutor(min(workers, len(todo)), get_context("spawn"), begin_worker) as pool:
-            futures = [pool.submit(_record, run, folder) for run, folder in todo]
-            pending = set(futures)
-            try:
-                while pending:
-                    finished, pending = wait(pending, timeout=5.0, return_when=FIRST_COMPLETED)
-                    for future in finished:
-                        future.result()
-                    _tell(report, done(), before, total, began)
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)  # runs that wait their turn would only delay the message
-                raise
+        jobs = [partial(_record, run, folder) for run, folder in todo]
+        run_jobs(jobs, workers, meanwhile=lambda: _tell(report, done(), before, total, began))
     return [_read(run, folder) for run, folder in zip(runs, folders, strict=True)]
-
-
-def begin_worker() -> None:
-    """One thread a worker; and a worker whose parent was killed ends too, instead of simulating on for nobody."""
-    os.environ["GUBE_THREADS"] = "1"
-    parent = parent_process()
-    assert parent is not None
-
-    def follow() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=follow, daemon=True).start()
 
 
 def _tell(report: Callable[[str], None] | None, done: int, before: int, total: int, began: float) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from types import MappingProxyType
 
@@ -78,6 +78,14 @@ class Sheet:
         return np.einsum("ai,fijc,bj->fabc", along, grid, across, optimize=True).reshape(len(grid), -1, 3)
 
 
+def _still(t: float) -> np.ndarray:
+    return np.zeros(3)
+
+
+def _no_colliders() -> list[Plane | Sphere]:
+    return []
+
+
 @dataclass(frozen=True)
 class CompareScene:
     """A sheet of cloth, what holds it and what it meets.
@@ -107,8 +115,8 @@ class CompareScene:
     size: tuple[float, float]
     place: Callable[[np.ndarray], np.ndarray]
     held: Callable[[np.ndarray], np.ndarray]
-    rail: Callable[[float], np.ndarray] = field(default=lambda t: np.zeros(3))
-    colliders: Callable[[], list[Plane | Sphere]] = field(default=lambda: [])
+    rail: Callable[[float], np.ndarray] = _still
+    colliders: Callable[[], list[Plane | Sphere]] = _no_colliders
     clamped: bool = False
     edges: tuple[int, ...] = (8, 16, 32)
     samples: int = 32

@@ -269,7 +269,7 @@ def test_any_name_survives_printing(name: str, tmp_path_factory: pytest.TempPath
         (SKIRT + "subdivision = 2", ["garment[0].subdivision: unknown key", "did you mean 'subdivisions'?"]),
         (SKIRT + "[solvr]", ["solvr: unknown key", "did you mean 'solver'?"]),
         (SKIRT + SKIRT, ["garment: the same name twice", "'skirt'"]),
-        (SKIRT + "subdivisions = 1.5", ["received 1.5", "a whole number, at least 0"]),
+        (SKIRT + "subdivisions = 1.5", ["received 1.5", "a whole number, at least 1"]),
         (SKIRT + "subdivisions = true", ["received True", "a whole number"]),
         (SKIRT + 'pattern = "yes"', ["received 'yes'", "true or false"]),
         (SKIRT + "thickness = 0", ["received 0", "a finite number above 0 [m]"]),

@@ -17,9 +17,15 @@ from tests.wrinkles.databases import placed, small_database
 from wrinkles.coarse_filter import CoarseFilter
 
 
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Recorded runs: the coarse models that are tried are the same whichever is looked for."""
+    return tmp_path_factory.mktemp("runs")
+
+
 @pytest.mark.parametrize(("stiff", "shear", "gain"), [(1.0, 1.0, 1.0), (30.0, 1.0, 1.0), (1.0, 0.1, 1.25)])
 def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(
-    stiff: float, shear: float, gain: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    stiff: float, shear: float, gain: float, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stage = Stage.of(scene())
     layer = build_layer(stage.levels)
@@ -36,10 +42,10 @@ def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(
     )
     coarse = replace(fine, fine=False, options=ModelOptions(shear_scale=shear, bend_scale=stiff), bend_factor=0.3)
     with miniature():
-        run = filtered(record_runs([coarse], tmp_path, 1)[0], CoarseFilter(stage.levels).matrix)
+        run = filtered(record_runs([coarse], cache, 1)[0], CoarseFilter(stage.levels).matrix)
         # What this coarse garment looks like when it is decoded is given out as the fine run.
         told = replace(run, positions=decode_recording(layer, predict, atoms, coarse, run)[1])
-        found = calibrate(layer, mapping, atoms, [fine], [told], solver, 0.3, tmp_path, 1)
+        found = calibrate(layer, mapping, atoms, [fine], [told], solver, 0.3, cache, 1)
     assert (found.options, found.gain) == (coarse.options, gain)
     told_of = lambda key: {(r["bend_scale"], r["shear_scale"], r["gain"]): r[key] for r in found.rows}  # noqa: E731
     errors = told_of("spectrum_error")
@@ -52,5 +58,5 @@ def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(
     assert told_of("excess")[stiff, shear, gain] == pytest.approx(1.0, abs=1e-3)
     with miniature(), monkeypatch.context() as less:  # as if that were noise already
         less.setattr("precompute.learning.calibration.EXCESS", 0.5)
-        assert calibrate(layer, mapping, atoms, [fine], [told], solver, 0.3, tmp_path, 1).gain == 1.0
+        assert calibrate(layer, mapping, atoms, [fine], [told], solver, 0.3, cache, 1).gain == 1.0
     assert found.mismatch_after == pytest.approx(0.0, abs=1e-3)  # its own statistics, but for rounding
