@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> Report:
         made = run_demo(options.output, demo, say=progress.say, report=progress)
     print("\n".join(made.words))
     print(f"page:      {made.page}")
-    print(f"picture:   {made.picture} (coarse | truth | ours)")
+    print(f"picture:   {made.picture} (coarse | truth | ours | ours on the truth's own coarse skirt)")
     print(f"animation: {made.animation} (Blender: File, Import, glTF)")
     print(f"database:  {made.database}")
     print(f"next: gube info {made.database}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -202,27 +203,28 @@ def _rivals(
 
 def _with_figures(truth: Truth, methods: Sequence[Method], workers: Workers | int) -> list[Method]:
     """Methods with figures of what they played; the truth itself is only asked what any run can be."""
-    items = [
-        (truth.run, truth.recording, truth.floor, truth.energy, method.frames, method.prefix != "truth_")
+    jobs = [
+        partial(_figures_of, truth.run, truth.recording, truth.floor, truth.energy, method.frames, method.prefix)
         for method in methods
         if method.frames is not None
     ]
     with Workers.of(workers) as pool:
-        found = iter(pool.map(_figures_of, items))
+        found = iter(pool.run(jobs))
     return [
         method if method.frames is None else replace(method, figures={**next(found), **method.figures})
         for method in methods
     ]
 
 
-def _figures_of(item: tuple[Run, Recording, np.ndarray, np.ndarray, np.ndarray, bool]) -> dict[str, float]:
-    """Figures of frames beside a truth, whose filters are made anew: they are larger than all else."""
-    run, recording, floor, energy, frames, all_of_them = item
+def _figures_of(
+    run: Run, recording: Recording, floor: np.ndarray, energy: np.ndarray, frames: np.ndarray, prefix: str
+) -> dict[str, float]:
+    """Figures of a method's frames beside a truth, whose filters are made anew: they are larger than all else."""
     levels = run.levels
     low_pass = LowPass(levels.rest_vertices, levels.fine.faces, levels.cutoff)
     truth = Truth(run, levels, recording, floor, bands_of(levels), energy, low_pass)
     shared = _shared_figures(truth, frames)
-    return free_figures(truth, frames) | shared if all_of_them else shared
+    return shared if prefix == "truth_" else free_figures(truth, frames) | shared
 
 
 def _at_cost(cloth: Cloth, budget: float) -> Cloth:
