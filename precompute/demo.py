@@ -29,6 +29,7 @@ from runtime.glb import BYTES_A_VERTEX
 from runtime.pictures import BODY_COLOR, Drawn, frame_camera, render, save_png, strip
 from runtime.play import posed_bodies
 from runtime.stage import Stage
+from wrinkles.metrics import normal_error_deg
 
 __all__ = ["FULL", "SHORT", "STAGES", "WORDS", "Demo", "DemoResult", "draw_moments", "introduction", "run_demo"]
 
@@ -74,16 +75,18 @@ SHORT = Demo(
     DATA / "demo.toml",
     LearningOptions(
         training_frames=800,
-        epochs=10,
-        most_epochs=10,
+        epochs=8,
+        most_epochs=8,
         mean_frames=120,
         compression_scales=(1.0, 10.0),
         shear_scales=(1.0, 0.3),
-        bend_scales=(1.0, 3.0),
+        bend_scales=(1.0,),
         gains=(1.0,),  # what little motion tells is blotched when it is raised
         calibration_s=3.5,
+        still_s=0.5,
+        piece_s=0.25,
     ),
-    seconds=(40.0, 30.0, 5.0, 20.0, 5.0, 15.0, 10.0, 15.0, 25.0, 10.0),
+    seconds=(40.0, 25.0, 5.0, 12.0, 5.0, 12.0, 8.0, 13.0, 30.0, 5.0),
     moments=2,
     brief=True,
 )
@@ -250,10 +253,10 @@ def _draw(
 ) -> np.ndarray:
     """Meshes by their names, each with its vertices [m], shape (f, n, 3), and faces, at some moments.
 
-    Of each part of the fine run it is the moment at which it has the largest folds.
+    Of each part of the fine run it is the moment at which its folds turn its smooth surface most.
     """
-    folds = recording.positions - run.levels.subdivision.upsample(recording.coarse)
-    parts = np.array_split((folds**2).sum(axis=(1, 2)), moments)
+    smooth = run.levels.subdivision.upsample(recording.coarse)
+    parts = np.array_split(normal_error_deg(recording.positions, smooth, run.levels.fine.faces), moments)
     firsts = np.cumsum([0, *(len(part) for part in parts)])
     picked = np.array([first + part.argmax() for first, part in zip(firsts, parts, strict=False)])
     bodies = posed_bodies(run.body, run.poses[recording.frames[picked]])

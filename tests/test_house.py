@@ -20,8 +20,6 @@ TABLES = (TABLE_OF_COMMANDS, Path("gube/__init__.py"))  # alone import modules b
 MODULES = [path for floor in FLOORS for path in sorted((ROOT / floor).rglob("*.py"))]
 
 
-
-
 def names_of_modules(tree: ast.AST) -> Iterator[str]:
     """Texts that are the dotted name of a module of the house, from which an import could be made."""
     pattern = re.compile(rf"({'|'.join(FLOORS)})(\.\w+)+(:\w+)?")

@@ -139,7 +139,9 @@ def _beyond_their_limits(comparison: Comparison) -> list[tuple[Method, Stability
     """Rivals at equal cost whose substep is a catastrophe, with the limit."""
     limits = {one.name: one for one in comparison.stability}
     pairs = [("middle_mesh_", "middle_mesh"), ("equal_cost_fine_", "fine")]
-    found = [(m, limits[name]) for m in comparison.methods for prefix, name in pairs if m.prefix == prefix]
+    found = [
+        (m, limits[name]) for m in comparison.methods for prefix, name in pairs if m.prefix == prefix and name in limits
+    ]
     return [(m, limit) for m, limit in found if m.settings["substep [s]"] > 1.001 * limit.dt_max]
 
 
