@@ -4,19 +4,24 @@ PYTHON ?= $(firstword $(foreach name,python3.11 python3,$(if $(shell $(name) -c 
 BIN := .venv/bin
 export PYTHONHASHSEED := 0
 
-.PHONY: demo test lint format proofs proofs-long gpu-proofs lock clean
+.PHONY: demo test lint kernels format proofs proofs-long gpu-proofs lock clean
 
 demo: .venv/ready
 	$(BIN)/gube demo
 
-# Files whole, in the order of tests/conftest.py, to as many processes as there are processors.
-test: lint
+# While the type checker runs, the kernels that most tests need are compiled, once for all processes that follow.
+# Then files go whole, in the order of tests/conftest.py, to as many processes as there are processors.
+test: .venv/ready
+	$(MAKE) --no-print-directory -j 2 lint kernels
 	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder --durations 15
 
 lint: .venv/ready
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright --pythonpath $(BIN)/python
+
+kernels: .venv/ready
+	$(BIN)/python -m tests.kernels
 
 format: .venv/ready
 	$(BIN)/ruff check --fix .

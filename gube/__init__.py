@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 # Each public name, with the module and the attribute that it stands for. The block below repeats them for type
 # checkers; a test holds the two equal.
 SOURCES = {
-    "BatchSolver": "pbd.batch_solver:BatchSolver",
-    "Body": "pbd.colliders:Body",
-    "Capsule": "pbd.colliders:Capsule",
+    "BatchSolver": "pbd.xpbd.batch_solver:BatchSolver",
+    "Body": "pbd.contact.colliders:Body",
+    "Capsule": "pbd.contact.colliders:Capsule",
     "Character": "assets.character:Character",
     "ClipMotion": "assets.motion:ClipMotion",
     "ClothMesh": "pbd.mesh:ClothMesh",
-    "Colliders": "pbd.colliders:Colliders",
+    "Colliders": "pbd.contact.colliders:Colliders",
     "Detail": "runtime.detail:Detail",
-    "DistanceField": "pbd.distance_field:DistanceField",
+    "DistanceField": "pbd.contact.distance_field:DistanceField",
     "FABRICS": "assets.fabrics:PRESETS",
     "Fabric": "pbd.fabric:Fabric",
     "GameLoop": "runtime.game_loop:GameLoop",
@@ -28,15 +28,15 @@ SOURCES = {
     "LiveInput": "runtime.game_loop:LiveInput",
     "Model": "pbd.model:Model",
     "ModelOptions": "pbd.model:ModelOptions",
-    "Plane": "pbd.colliders:Plane",
+    "Plane": "pbd.contact.colliders:Plane",
     "Planner": "runtime.planner:Planner",
     "Player": "runtime.player:Player",
     "SOLVERS": "pbd.models.registry:SOLVERS",
     "Sight": "runtime.planner:Sight",
     "Simulation": "runtime.simulation:Simulation",
-    "Solver": "pbd.solver:Solver",
-    "SolverOptions": "pbd.solver:SolverOptions",
-    "Sphere": "pbd.colliders:Sphere",
+    "Solver": "pbd.xpbd.solver:Solver",
+    "SolverOptions": "pbd.xpbd.solver:SolverOptions",
+    "Sphere": "pbd.contact.colliders:Sphere",
     "State": "pbd.model:State",
     "StepError": "pbd.models.newton:StepError",
     "Wind": "pbd.wind:Wind",
@@ -65,13 +65,12 @@ if TYPE_CHECKING:
     from assets.io.scene import load_scene as load_scene
     from assets.io.scene import parse_scene as parse_scene
     from assets.motion import ClipMotion as ClipMotion
-    from pbd.batch_solver import BatchSolver as BatchSolver
-    from pbd.colliders import Body as Body
-    from pbd.colliders import Capsule as Capsule
-    from pbd.colliders import Colliders as Colliders
-    from pbd.colliders import Plane as Plane
-    from pbd.colliders import Sphere as Sphere
-    from pbd.distance_field import DistanceField as DistanceField
+    from pbd.contact.colliders import Body as Body
+    from pbd.contact.colliders import Capsule as Capsule
+    from pbd.contact.colliders import Colliders as Colliders
+    from pbd.contact.colliders import Plane as Plane
+    from pbd.contact.colliders import Sphere as Sphere
+    from pbd.contact.distance_field import DistanceField as DistanceField
     from pbd.engine import ensure_initialized as ensure_initialized
     from pbd.errors import InputError as InputError
     from pbd.fabric import Fabric as Fabric
@@ -83,9 +82,10 @@ if TYPE_CHECKING:
     from pbd.models.newton import StepError as StepError
     from pbd.models.registry import SOLVERS as SOLVERS
     from pbd.models.registry import make_solver as make_solver
-    from pbd.solver import Solver as Solver
-    from pbd.solver import SolverOptions as SolverOptions
     from pbd.wind import Wind as Wind
+    from pbd.xpbd.batch_solver import BatchSolver as BatchSolver
+    from pbd.xpbd.solver import Solver as Solver
+    from pbd.xpbd.solver import SolverOptions as SolverOptions
     from precompute.learning.pipeline import precompute as precompute
     from runtime.bake import bake_glb as bake_glb
     from runtime.detail import Detail as Detail

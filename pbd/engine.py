@@ -15,12 +15,15 @@ from contextlib import redirect_stdout
 
 os.environ.setdefault("TI_ENABLE_TORCH", "0")  # torch, if installed, would add seconds to the import
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+os.environ.setdefault("TI_ENABLE_PYBUF", "0")  # where output is caught it says so, for `print` in kernels
 
 import taichi as ti
 
 from pbd.errors import InputError
 
 __all__ = ["cuda_is_here", "ensure_initialized", "is_running", "running_arch", "running_threads", "ti"]
+
+COMPILED_FOR = 64  # threads
 
 _lock = threading.Lock()
 _settings: dict[str, object] | None = None
@@ -70,6 +73,9 @@ def ensure_initialized(arch: str = "cpu", threads: int | None = None) -> None:
                 log_level=ti.ERROR,
                 fast_math=False,  # the same function in two kernels must round alike; costs a tenth of a frame
             )
+        # Taichi compiles a kernel for a number of threads and keeps it for that number alone. Its threads are started
+        # by now, and a kernel for more runs on those that there are: processes of one thread and of several share.
+        ti.lang.impl.get_runtime().prog.config().cpu_max_num_threads = max(count, COMPILED_FOR)
         _settings = {"arch": arch, "threads": count}
 
 

@@ -75,7 +75,7 @@ def closest_on_triangle(p, a, b, c):
 
 @ti.func
 def between(b: ti.i32, t: ti.f32, body: ti.template()) -> vec3:
-    """Vertex b of a body (:class:`pbd.views.BodySurface`) at t in [0, 1] of the frame [m]."""
+    """Vertex b of a body (:class:`pbd.xpbd.views.BodySurface`) at t in [0, 1] of the frame [m]."""
     x = body.body_start[b]
     # Not left to the compiler: in floating-point numbers t * (x - x) need not be 0.
     if ti.static(not same(body.body_start, body.body_end)):

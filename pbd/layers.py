@@ -18,17 +18,21 @@ __all__ = ["layered"]
 def layered(models: Sequence[Model]) -> Model:
     """One model of several garments, from the innermost outwards; its vertices, and those held, come in that order.
 
-    Contact knows one fabric: the greatest thickness of all, which does not give, the least friction, and the innermost
-    garment's drag.
+    Contact knows one fabric: the greatest thickness of all, which does not give way, the least friction, and the drag
+    of the innermost garment.
+
+    Args:
+        models: from the innermost outwards, at least one.
 
     Raises:
         InputError: no garment, or garments with different factors on compression.
     """
     if not models:
         raise InputError("no garment", key="models", received=0, expected="at least one")
-    squeeze = sorted({model.options.squeeze for model in models})
-    if len(squeeze) > 1:
-        raise InputError("layers that differ", key="squeeze", received=squeeze, expected="one value for all")
+    scales = sorted({model.options.compression_compliance_scale for model in models})
+    if len(scales) > 1:
+        key, expected = "compression_compliance_scale", "one value for all"
+        raise InputError("layers that differ", key=key, received=scales, expected=expected)
     offsets = np.cumsum([0, *(model.vertex_count for model in models)])
 
     def shifted(name: str, of: Sequence = models) -> list[np.ndarray]:
@@ -43,29 +47,15 @@ def layered(models: Sequence[Model]) -> Model:
         ends = np.concatenate([[0], np.cumsum(np.bincount(color, minlength=1))]).astype(np.int32)
         return np.argsort(color, kind="stable"), ends
 
-    meshes = [model.mesh for model in models]
-    seam_hinges = None
-    if any(mesh.seam_hinges is not None for mesh in meshes):
-        parts = [
-            mesh.seam_hinges._replace(vertices=mesh.seam_hinges.vertices + offset)
-            for mesh, offset in zip(meshes, offsets, strict=False)
-            if mesh.seam_hinges is not None
-        ]
-        seam_hinges = Hinges(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
-    mesh = ClothMesh(
-        np.concatenate([mesh.vertices for mesh in meshes]),
-        np.concatenate(shifted("faces", meshes)).astype(np.int32),
-        np.concatenate([mesh.flat for mesh in meshes]),
-        np.concatenate(shifted("stitches", meshes)).astype(np.int32),
-        np.concatenate([mesh.stitch_weights for mesh in meshes]),
-        seam_hinges,
-    )
-    # The first colour of the samples are the vertices; so it is here.
-    sampled, sample_colors = by_color("sample_colors")
-    meant, triangle_colors = by_color("triangle_colors")
-    bent, hinge_colors = by_color("hinge_colors")
+    mesh = _joined_mesh([model.mesh for model in models], offsets)
+    # Vertices are the first colour of the samples of each garment, and so they are of all.
+    sample_order, sample_colors = by_color("sample_colors")
+    triangle_order, triangle_colors = by_color("triangle_colors")
+    hinge_order, hinge_colors = by_color("hinge_colors")
     blocks, block_colors = blocks_of(triangle_colors)
-    values = np.concatenate([model.triangle_data[:, : len(model.triangles)] for model in models], axis=1)[:, meant]
+    values = np.concatenate([model.triangle_data[:, : len(model.triangles)] for model in models], axis=1)[
+        :, triangle_order
+    ]
     counts = [model.vertex_count for model in models]
     fabrics = [model.fabric for model in models]
     pressed = [np.resize(model.pressure, model.vertex_count) for model in models]  # nothing becomes zeros
@@ -78,19 +68,19 @@ def layered(models: Sequence[Model]) -> Model:
         mass=joined("mass"),
         inverse_mass=joined("inverse_mass"),
         held=np.concatenate(shifted("held")).astype(np.int32),
-        triangles=np.concatenate(shifted("triangles"))[meant].astype(np.int32),
+        triangles=np.concatenate(shifted("triangles"))[triangle_order].astype(np.int32),
         triangle_blocks=blocks,
         block_colors=block_colors,
         triangle_data=np.ascontiguousarray(np.pad(values, ((0, 0), (0, BLOCK)))),
         triangle_colors=triangle_colors,
-        hinges=np.concatenate(shifted("hinges"))[bent].astype(np.int32),
-        hinge_data=joined("hinge_data")[bent],
+        hinges=np.concatenate(shifted("hinges"))[hinge_order].astype(np.int32),
+        hinge_data=joined("hinge_data")[hinge_order],
         hinge_colors=hinge_colors,
         stitches=np.concatenate(shifted("stitches")).astype(np.int32),
         stitch_weights=joined("stitch_weights"),
         tethers=np.concatenate(shifted("tethers")).astype(np.int32),
         tether_lengths=joined("tether_lengths"),
-        samples=np.concatenate(shifted("samples"))[sampled].astype(np.int32),
+        samples=np.concatenate(shifted("samples"))[sample_order].astype(np.int32),
         sample_colors=sample_colors,
         pressure=np.concatenate(pressed) if any(len(model.pressure) for model in models) else models[0].pressure,
         limits=Limits(
@@ -101,4 +91,25 @@ def layered(models: Sequence[Model]) -> Model:
             ),
         ),
         layer=np.repeat(np.arange(len(models), dtype=np.int32), counts),
+    )
+
+
+def _joined_mesh(meshes: Sequence[ClothMesh], offsets: np.ndarray) -> ClothMesh:
+    """One mesh of several; ``offsets``: number of each one's first vertex."""
+    placed = list(zip(meshes, offsets, strict=False))
+    seam_hinges = None
+    if any(mesh.seam_hinges is not None for mesh in meshes):
+        parts = [
+            mesh.seam_hinges._replace(vertices=mesh.seam_hinges.vertices + offset)
+            for mesh, offset in placed
+            if mesh.seam_hinges is not None
+        ]
+        seam_hinges = Hinges(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+    return ClothMesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate([mesh.faces + offset for mesh, offset in placed]).astype(np.int32),
+        np.concatenate([mesh.flat for mesh in meshes]),
+        np.concatenate([mesh.stitches + offset for mesh, offset in placed]).astype(np.int32),
+        np.concatenate([mesh.stitch_weights for mesh in meshes]),
+        seam_hinges,
     )

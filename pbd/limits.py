@@ -59,7 +59,7 @@ class Limits:
         return cls(np.zeros(0, np.int32), *np.zeros((3, 0), np.float32))
 
     def rows(self, areas: np.ndarray) -> np.ndarray:
-        """As :class:`pbd.views.ConstraintArrays` has them, without targets, float32, shape (l, 4, 4).
+        """As :class:`pbd.xpbd.views.ConstraintArrays` has them, without targets, float32, shape (l, 4, 4).
 
         Args:
             areas: of all vertices [m2], shape (n,).

@@ -9,12 +9,41 @@ import argparse
 import math
 from pathlib import Path
 
-__all__ = ["add_database", "add_output_folder", "add_playback", "angle", "duration", "edge_count", "positive"]
+__all__ = [
+    "add_database",
+    "add_output_file",
+    "add_output_folder",
+    "add_playback",
+    "angle",
+    "duration",
+    "edge_count",
+    "positive",
+]
 
 
 def add_database(parser: argparse.ArgumentParser) -> None:
     """Add the argument ``database``, the path of a wrinkle database."""
     parser.add_argument("database", type=Path, metavar="DB.h5", help="a wrinkle database")
+
+
+def add_output_file(parser: argparse.ArgumentParser, metavar: str, content: str, default: str | None = None) -> None:
+    """Add the option ``-o`` of a command that writes one file; it is required if there is no default.
+
+    Args:
+        parser: of the command.
+        metavar: name of the file in the help; its ending is the kind of file.
+        content: the file's content, in words.
+        default: the file without the option.
+    """
+    parser.add_argument(
+        "-o",
+        dest="output",
+        type=Path,
+        required=default is None,
+        default=None if default is None else Path(default),
+        metavar=metavar,
+        help=f"{content} ({'required' if default is None else 'default: %(default)s'})",
+    )
 
 
 def add_output_folder(parser: argparse.ArgumentParser, default: str, content: str) -> None:

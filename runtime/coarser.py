@@ -1,4 +1,4 @@
-"""A garment simulated on the mesh below its coarse one, which follows."""
+"""A garment simulated on the mesh below its coarse mesh; the coarse mesh follows it."""
 
 from dataclasses import replace
 
@@ -15,8 +15,8 @@ from wrinkles.surface import csr_arrays
 
 __all__ = ["CoarserSimulation"]
 
-STAND_OFF = 0.035  # of a mean edge, kept from the body besides the thickness: what hangs on the mesh dips below it
-THINNED = 0.6 * FAR  # what touches the body is nearer than FAR to a vertex of it that is left for the search [m]
+STAND_OFF = 0.035  # distance from the body besides the thickness, over the mean edge: the coarse mesh dips that far [-]
+THINNED = 0.6 * FAR  # spacing of the body vertices that are searched: one is nearer than FAR to any contact [m]
 
 
 @ti.kernel
@@ -34,7 +34,11 @@ def _follow(
     contact: Float1,
     nearest: Int1,
 ):
-    """Bound vertices where their mesh carries them, and what they are near to."""
+    """Position, velocity and body contact of bound vertices: weighted sums over the mesh that carries them.
+
+    Its arrays are flat because Taichi takes no structures: a sparse matrix (start, index, value), then the state of the
+    carrying mesh (own ...) and of the bound vertices.
+    """
     ti.loop_config(serialize=True)
     for _ in range(1):
         for i in range(position.shape[0]):
@@ -51,17 +55,17 @@ def _follow(
 
 
 class CoarserSimulation:
-    """Steps the mesh below the coarse one, on the body of a simulation of the coarse one, whose state follows.
+    """Steps the mesh below the coarse mesh on the same body; the state of the coarse mesh follows.
 
     Args:
-        coarser: the mesh and what hangs on it.
-        above: the coarse garment's simulation; it keeps its options and lends its body.
-        options: how the coarse garment's model is made from its mesh; the coarser one's is made alike.
-        body_vertices: of the body's bind pose [m], shape (b, 3).
-        attachment: of the coarse mesh's held vertices.
+        coarser: the mesh below, and the matrix by which it carries the coarse mesh.
+        above: simulation of the coarse mesh; its body and the options of its solver are shared.
+        options: options of the coarse mesh's model; the model of the mesh below takes the same.
+        body_vertices: the body in its bind pose [m], shape (b, 3).
+        attachment: holds the coarse mesh's held vertices to the body.
 
     Attributes:
-        simulation: of the mesh below.
+        simulation: simulation of the mesh below.
     """
 
     def __init__(
@@ -84,7 +88,7 @@ class CoarserSimulation:
         self._write(above.state.copy())  # compiled now, not in the first frame
 
     def take_over(self) -> None:
-        """Go on from where the coarse garment is, as near as the mesh comes to it, and as fast; momentum stays."""
+        """Start from the coarse mesh's state: positions and velocities are those that come nearest to it."""
         above, own = self._above.state, self.simulation.state
         inverse = self._coarser.inverse
         own.move_origin(above.origin)
@@ -93,18 +97,18 @@ class CoarserSimulation:
         own.nearest[:] = -1
         own.nearest[: len(inverse)] = above.nearest[self._coarser.nearest]
         self.simulation.body.surface = self._surfaces[1]
-        # Memory of the coarse garment's contacts ends here: what its edges and folds touched is not carried along.
+        # Contacts of the coarse mesh's edges and with itself end here: the mesh below has no such samples.
         above.nearest[len(above.position) :] = -1
         above.pairs, above.pair_sides = above.pairs[:0], above.pair_sides[:0]
         self.hold()
         self.lead()
 
     def give_back(self) -> None:
-        """Leave the coarse garment, which is where this one is, to itself."""
+        """Let the coarse mesh be simulated again, from the state that it has now."""
         self.simulation.body.surface = self._surfaces[0]
 
     def hold(self) -> None:
-        """Hold what of the coarse garment is dragged, by the vertex that it leans on most."""
+        """Hold each dragged vertex of the coarse mesh by the vertex of this mesh that carries most of it."""
         above, own, model = self._above, self.simulation.state, self.simulation.model
         own.position[:, 3] = model.inverse_mass
         dragged = np.flatnonzero((above.state.position[:, 3] == 0.0) & (above.model.inverse_mass > 0.0))
@@ -114,11 +118,11 @@ class CoarserSimulation:
             own.velocity[lead] = 0.0
 
     def carried(self, position: np.ndarray) -> np.ndarray:
-        """Coarse positions that this mesh comes nearest to others with: [m], shape (n, 3) both."""
+        """The coarse positions that this mesh can carry and that are nearest to given ones: [m], shape (n, 3) both."""
         return self._coarser.matrix @ (self._coarser.inverse @ position)
 
     def lead(self) -> None:
-        """Bring the coarse garment's state to where this one is."""
+        """Write the coarse mesh's state as this mesh carries it."""
         above, held = self._above.state, self._above.model.held
         above.move_origin(self.simulation.state.origin)
         self._write(above)

@@ -1,4 +1,4 @@
-"""How much of a garment is modelled: the parts that a player can leave out while it plays."""
+"""Level of detail: which parts of the work a player leaves out while it plays."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ class Detail:
     """How much of a garment is modelled.
 
     Attributes:
-        every: ticks from one update to the next; in between the garment goes on as it went.
-        substeps: of the coarse simulation in an update.
-        atoms: how many of the dictionary's atoms are used, the most important ones; 0 leaves the wrinkle layer out.
-        sweeps: over the edges of the middle mesh that bring lengths back.
-        passes: of relaxation on the fine mesh; with 0 the body is not kept out of the fine mesh either.
-        level: 0 to simulate the mesh that the dictionary reads; 1 for the one below it, of a third of its vertices,
-            on which it then hangs (:mod:`wrinkles.coarser`).
+        every: ticks from one update to the next; in between the garment keeps its velocity.
+        substeps: number of substeps of the coarse simulation in an update.
+        atoms: number of the dictionary's atoms that are used, the most important ones; 0 leaves the wrinkle layer out.
+        sweeps: number of sweeps over the edges of the middle mesh that bring their lengths back.
+        passes: number of relaxation passes on the fine mesh; with 0 the fine mesh may enter the body.
+        level: 0 simulates the coarse mesh, which the dictionary reads; 1 simulates the mesh below it, which has a third
+            of its vertices and carries the coarse mesh (:mod:`wrinkles.coarser`).
 
     Raises:
-        InputError: a value that is no whole number, or too small or too large.
+        InputError: a value that is not a whole number or is too small, or a level above 1.
     """
 
     every: int

@@ -16,22 +16,30 @@ from runtime.planner import Choice, Planner, Sight
 
 __all__ = ["Changeable", "Ensemble"]
 
-PLANNED = 5  # ticks from one plan to the next
-CUT = 1.5  # times as large as in the last tick, or not seen then: the picture was cut, and nothing of it goes on
-CHANGES = 2  # garments that change their detail in one tick: each takes another decoding
+PLANNED = 5  # ticks from one plan to the next [-]
+CUT = 1.5  # growth on screen in one tick that counts as a cut to another picture; nothing fades over a cut [-]
+CHANGES = 2  # largest number of garments that change their detail in one tick: each change decodes once more
 
 
 class Changeable(Protocol):
-    """The methods that a group calls of a :class:`runtime.player.Player`."""
+    """The part of :class:`runtime.player.Player` that an ensemble needs."""
 
     @property
-    def detail(self) -> Detail: ...
+    def detail(self) -> Detail:
+        """Level of detail now."""
+        ...
 
-    def prepare(self, details: Iterable[Detail]) -> Any: ...
+    def prepare(self, details: Iterable[Detail]) -> Any:
+        """Make everything that these details need."""
+        ...
 
-    def change(self, detail: Detail, wait: int = ..., fade: bool = ...) -> Any: ...
+    def change(self, detail: Detail, wait: int = ..., fade: bool = ...) -> Any:
+        """Take a level of detail whose first update comes after ``wait`` ticks."""
+        ...
 
-    def update(self, pose: np.ndarray, dt: float, wind: Air = ...) -> Any: ...
+    def update(self, pose: np.ndarray, dt: float, wind: Air = ...) -> Any:
+        """Play one tick of ``dt`` [s]."""
+        ...
 
 
 class Ensemble:
@@ -39,12 +47,12 @@ class Ensemble:
 
     Args:
         players: one for each garment.
-        planner: of the same garments, in the same order.
-        clock: time that is spent [s]; the default is the processor time of this process.
+        planner: plans the same garments, in the same order.
+        clock: returns the time spent so far [s]; by default the processor time of this process.
 
     Attributes:
-        choices: the planner's last ones; a garment may still wait for its turn to change.
-        spent_ms: time of the last tick [ms].
+        choices: the planner's last choices; a garment may still wait for its turn to change.
+        spent_ms: time that the last tick took [ms].
 
     Raises:
         InputError: another number of players than of fronts.
@@ -63,7 +71,7 @@ class Ensemble:
         self.spent_ms = 0.0
         self._tick, self._elapsed = 0, math.inf
         self._places: list[tuple[int, int]] = [(0, 0)] * len(players)  # setting, tick of its turn
-        self._seen = np.zeros(len(players))  # how large each was [px/m]
+        self._seen = np.zeros(len(players))  # size on screen of each in the last tick [px/m]
 
     def update(
         self,
@@ -75,9 +83,9 @@ class Ensemble:
         """Play one tick of all garments.
 
         Args:
-            poses: of each body at the end of the tick.
-            dt: [s].
-            sights: how each garment is seen.
+            poses: pose of each body at the end of the tick.
+            dt: length of the tick [s].
+            sights: view of each garment.
             wind: velocity of the air [m/s].
 
         Raises:
@@ -101,7 +109,7 @@ class Ensemble:
             planner.report(self.spent_ms, foretold)
 
     def _change(self, cut: set[int]) -> None:
-        """Let garments take up their choices: those that a cut made larger at once, of others what saves most first."""
+        """Let garments take their choices: after a cut at once, otherwise the ones that save most first."""
         waiting = [i for i, choice in enumerate(self.choices) if choice.index != self._places[i][0] or not self._tick]
         fronts = self.planner.fronts
         waiting.sort(key=lambda i: self.choices[i].cost_ms - fronts[i].settings[self._places[i][0]].cost_ms)
@@ -114,7 +122,7 @@ class Ensemble:
             self._places[i] = choice.index, choice.wait
 
     def _foretold(self) -> float:
-        """What this tick takes by the table [ms]: 0 before the first."""
+        """Time of this tick by the cost tables [ms]; 0 before the first tick."""
         total = 0.0
         for front, (index, wait) in zip(self.planner.fronts, self._places, strict=True):
             setting = front.settings[index]

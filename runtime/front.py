@@ -1,4 +1,4 @@
-"""What each setting of a garment costs and how far it is off: the table that the planner reads."""
+"""Cost and error of each setting of a garment: the measured table that the planner reads."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ __all__ = ["FOLD", "Front", "Setting", "front_path", "read_front", "write_front"
 
 FORMAT = "gube front"
 VERSION = 2
-FOLD = 6.0  # shortest fold under gravity over l_g [-] ...
-FOLD_EDGES = 3.0  # ... and over the edges of the coarsest mesh that carries it, as in wrinkles.levels [-]
+FOLD = 6.0  # shortest fold under gravity, divided by l_g [-]
+FOLD_EDGES = 3.0  # edges along the shortest fold that a mesh can carry, as in wrinkles.levels [-]
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,9 @@ class Setting:
     """One row of the table.
 
     Attributes:
-        detail: what is modelled.
-        cost_ms: processor time of a tick on average [ms].
-        peak_ms: of a tick with an update [ms].
+        detail: level of detail.
+        cost_ms: mean processor time of a tick [ms].
+        peak_ms: processor time of a tick with an update [ms].
         error_m: distance from the full detail, the 95th percentile over vertices that 99 % of the ticks stay below,
             at each of the front's speeds [m].
     """
@@ -43,17 +43,17 @@ class Setting:
 
 @dataclass(frozen=True)
 class Front:
-    """What was measured of one garment on one machine.
+    """Settings of one garment, measured on one machine.
 
     Attributes:
-        garment: name.
-        database: the code version and the creation of the database that it was measured on, and its size.
-        machine: processor.
+        garment: name of the garment.
+        database: code version, time of creation and size of the database that was measured.
+        machine: name of the processor.
         size: height of the garment [m].
-        edges: mean edge of the mesh that is simulated, at each level that its settings name [m].
-        gravity_length: of its fabric, l_g [m].
-        speeds: at which errors were measured: root mean square of the cloth's speed [m/s], ascending.
-        settings: full detail first.
+        edges: mean edge length of the simulated mesh at each level that the settings name [m].
+        gravity_length: length l_g of the fabric, at which bending and gravity balance [m].
+        speeds: speeds at which errors were measured: root mean square of the cloth's speed [m/s], ascending.
+        settings: the rows, full detail first.
     """
 
     garment: str
@@ -67,10 +67,10 @@ class Front:
 
     @cached_property
     def too_fine(self) -> np.ndarray:
-        """Settings that simulate a finer mesh than the fabric has folds for: bool, shape (settings,).
+        """Settings whose mesh is finer than the fabric's folds need: bool, shape (settings,).
 
-        Folds that gravity makes are :data:`FOLD` times l_g long or longer, and a mesh carries a fold of
-        :data:`FOLD_EDGES` edges: a mesh is finer than that is worth if the next coarser one would do.
+        Folds under gravity are at least :data:`FOLD` times l_g long, and a mesh can carry a fold that has at least
+        :data:`FOLD_EDGES` edges. A mesh is too fine if a coarser one of the table can carry these folds.
         """
         useful = [edge <= FOLD * self.gravity_length / FOLD_EDGES for edge in self.edges]
         enough = max((level for level, fits in enumerate(useful) if fits), default=0)
@@ -78,12 +78,12 @@ class Front:
 
     @cached_property
     def costs(self) -> np.ndarray:
-        """Of a tick on average [ms], shape (settings,)."""
+        """Mean processor time of a tick [ms], shape (settings,)."""
         return np.array([setting.cost_ms for setting in self.settings])
 
     @cached_property
     def peaks(self) -> np.ndarray:
-        """Of a tick with an update [ms], shape (settings,)."""
+        """Processor time of a tick with an update [ms], shape (settings,)."""
         return np.array([setting.peak_ms for setting in self.settings])
 
     @cached_property
@@ -91,9 +91,15 @@ class Front:
         return np.array([setting.error_m for setting in self.settings])
 
     def errors(self, speed: float) -> np.ndarray:
-        """Distances from the full detail at a speed of the cloth [m/s]: [m], shape (settings,).
+        """Distance of each setting from full detail, interpolated between the measured speeds.
 
-        Faster than measured they grow as the speed does.
+        Above the highest measured speed the distances grow in proportion to the speed.
+
+        Args:
+            speed: root mean square of the cloth's speed [m/s].
+
+        Returns:
+            distances [m], shape (settings,).
         """
         table = self._table
         inside = np.clip(speed, self.speeds[0], self.speeds[-1])
@@ -108,12 +114,12 @@ class Front:
 
 
 def front_path(database: Path) -> Path:
-    """The file that a database's front is kept in, beside it."""
+    """Path of a database's front: a file beside the database."""
     return database.with_suffix(".front.json")
 
 
 def write_front(path: Path, front: Front) -> None:
-    """Write a front as JSON."""
+    """Write a front as a JSON file, which appears whole."""
     content = {"format": FORMAT, "version": VERSION, **asdict(front)}
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as beside:
@@ -121,10 +127,10 @@ def write_front(path: Path, front: Front) -> None:
 
 
 def read_front(path: str | Path) -> Front:
-    """Read the table that ``gube plan`` measured and :func:`write_front` wrote.
+    """Read a file of :func:`write_front`.
 
     Raises:
-        InputError: a file that cannot be read or is no front, or one with values that cannot be.
+        InputError: the file cannot be read, is no front, or has values that are not finite, negative or out of order.
     """
     path, expected = Path(path), "a front of `gube plan`; remove it to measure anew"
     try:

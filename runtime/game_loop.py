@@ -15,17 +15,17 @@ from runtime.simulation import Motion, Simulation
 
 __all__ = ["GameLoop", "LiveInput", "Playable", "ScriptedInput"]
 
-_SPIN = 1e-3  # sleeping may end this late [s]; the rest of a wait is spent awake
-_ROUNDING = 1e-6  # times closer than this are one time [tick]
+_SPIN = 1e-3  # the last part of a wait is spent awake, because sleeping may end this late [s]
+_ROUNDING = 1e-6  # two times that are closer than this count as one [tick]
 
 
 class LiveInput(NamedTuple):
     """The game's input at one time.
 
     Attributes:
-        pose: of the body, as ``player.step`` takes it.
+        pose: pose of the body, as ``player.step`` takes it.
         wind: velocity of the air [m/s].
-        drag: a coarse vertex and the point in the world [m], shape (3,), at which it is held; None for none.
+        drag: a coarse vertex and the point in the world [m], shape (3,), where it is held; None if none is held.
     """
 
     pose: np.ndarray
@@ -36,46 +36,52 @@ class LiveInput(NamedTuple):
 class Playable(Protocol):
     """The methods that the loop calls: of :class:`runtime.player.Player` or :class:`runtime.simulation.Simulation`."""
 
-    def step(self, pose: np.ndarray, dt: float, wind: Air = ...) -> Any: ...
+    def step(self, pose: np.ndarray, dt: float, wind: Air = ...) -> Any:
+        """Advance by ``dt`` [s] to a pose."""
+        ...
 
-    def decode(self, alpha: float = ...) -> Any: ...
+    def decode(self, alpha: float = ...) -> Any:
+        """Make the picture between the state before the last step (0) and the one after it (1)."""
+        ...
 
-    def drag(self, vertex: int, target: np.ndarray | None) -> Any: ...
+    def drag(self, vertex: int, target: np.ndarray | None) -> Any:
+        """Hold a vertex at a point in the world [m], shape (3,); None lets it go."""
+        ...
 
 
 class GameLoop:
     """Plays a garment against the clock.
 
-    The garment advances by ticks of a fixed length, whatever the frame rate: it moves the same at 30 and at 60 Hz, bit
-    for bit. A picture between two ticks is interpolated. Ticks cover the time of the picture, so the last one may reach
-    past it, by less than a tick: garment and body are shown at the same time, and neither lags. Where the ticks divide
-    the frame, the picture is a tick itself.
+    The garment advances by ticks of a fixed length at any frame rate, so it moves the same at 30 and at 60 Hz, bit for
+    bit. A picture between two ticks is interpolated. The last tick reaches the time of the picture or passes it by
+    less than a tick, so garment and body are shown at the same time and neither lags. Where the ticks divide the
+    frame, the picture is a tick itself.
 
-    An engine with a frame loop of its own calls :meth:`advance` once a frame. :meth:`run` is a whole loop. There each
-    frame's picture is due one period after its start and is made for that time; one that is late is shown at the next
-    multiple of the period, as on a display, and the following one makes up for it. So frames last whole periods, and
-    the number of ticks does not waver with the clock's readings.
+    An engine with a frame loop of its own calls :meth:`advance` once a frame. :meth:`run` is a whole loop. It makes
+    each frame's picture for the end of the frame's period. A late picture is shown at the next multiple of the period,
+    as on a display, and the following frame makes up for it. So frames last whole periods, and the number of ticks
+    does not depend on small errors of the clock.
 
-    Time beyond ``max_ticks`` in a frame is dropped, and counted: the garment falls behind the clock instead of taking
-    ever longer frames to catch up.
+    A frame has at most ``max_ticks`` ticks. Time beyond them is dropped and counted: the garment falls behind the
+    clock, and frames do not become longer and longer.
 
     Args:
         player: steps and decodes.
-        input: gives the game's input at a time [s] of the garment; called once a tick with the time of the tick's
-            end. Live input has no future: it may return what holds now.
-        rate_hz: frames a second.
-        tick: [s].
-        max_ticks: in a frame.
-        clock: time that only grows [s].
-        sleep: waits about as long as it is told [s].
+        input: returns the game's input at a time of the garment [s]; called once a tick with the time of the tick's
+            end. Live input ignores the time and returns the input that holds now.
+        rate_hz: rate of frames [Hz].
+        tick: length of a tick [s].
+        max_ticks: largest number of ticks in a frame.
+        clock: returns a time that only grows [s].
+        sleep: waits for about a given time [s].
 
     Attributes:
-        paused: while True time stands still: no ticks, and none to make up for later.
-        alpha: of the last picture: 1 at the last tick, 0 at the one before.
+        paused: True stops time: no ticks are made, and none are made up for later.
+        alpha: place of the last picture: 1 at the last tick, 0 at the tick before.
         tick_count: ticks since the start; the garment's time is ``tick_count * tick``.
-        dropped_time: [s].
-        missed_deadlines: of the last run: periods that ended without a new frame.
-        frames_of_ticks: how many frames had 0, 1, ... ticks, int64, shape (max_ticks + 1,).
+        dropped_time: time that was dropped [s].
+        missed_deadlines: periods of the last run that ended without a new frame.
+        frames_of_ticks: number of frames with 0, 1, ... ticks, int64, shape (max_ticks + 1,).
 
     Raises:
         InputError: a rate or tick that is not positive; fewer ticks than a frame needs.
@@ -113,13 +119,13 @@ class GameLoop:
         """Make the next picture.
 
         Args:
-            elapsed: time since the last picture [s]; 0 leaves everything as it is.
+            elapsed: time since the last picture [s]; 0 changes nothing.
 
         Returns:
-            How many ticks it took.
+            number of ticks that were made.
 
         Raises:
-            InputError: time that runs backwards or is not finite.
+            InputError: a time below 0 or one that is not finite.
         """
         if not 0.0 <= elapsed < math.inf:
             raise InputError("bad time", key="elapsed", received=elapsed, expected="a finite number, at least 0 [s]")
@@ -145,7 +151,7 @@ class GameLoop:
         """Play by the clock.
 
         Args:
-            seconds: by the clock, rounded to frames.
+            seconds: time by the clock, rounded to frames [s].
             show: draws or hands on the player's vertices; its time counts as the frame's. Its exceptions end the run.
 
         Returns:
@@ -177,7 +183,7 @@ class GameLoop:
         return self.figures()
 
     def figures(self) -> dict[str, float]:
-        """Of the last run, also of one that was broken off: frame times without the waits, deadlines, ticks."""
+        """Figures of the last run, even if it ended early: frame times without waits [ms], deadlines, ticks."""
         frame_ms = self._frame_ms[: self._frame_count]
         p50, p99 = np.percentile(frame_ms, [50, 99]) if len(frame_ms) else (math.nan, math.nan)
         figures = {
@@ -220,19 +226,19 @@ class GameLoop:
 class ScriptedInput:
     """Input for demonstrations and measurements: a motion, a gust of wind, and a pull at the garment.
 
-    The gust swells and ebbs over the middle fifth of the time. At seven tenths of it the lowest vertex in front is
-    held for half a second, carried along with the body and drawn outwards.
+    The gust rises and falls over the middle fifth of the time. After seven tenths of the time the lowest vertex in
+    front is held for half a second; it moves along with the body and is pulled outwards.
 
     Args:
-        simulation: of the garment that is played.
-        motion: of its body.
-        seconds: that it is played for.
-        gust: the wind at its strongest [m/s].
-        pull: how far the vertex is drawn [m].
+        simulation: simulation of the garment that is played.
+        motion: motion of its body.
+        seconds: length of the play [s].
+        gust: strongest wind of the gust [m/s].
+        pull: distance over which the vertex is pulled [m].
 
     Attributes:
         vertex: the coarse vertex that is held.
-        gust_time, drag_time: start and end [s].
+        gust_time, drag_time: start and end of each [s].
     """
 
     def __init__(
@@ -249,7 +255,7 @@ class ScriptedInput:
         self.drag_time = 0.7 * seconds, 0.7 * seconds + 0.5
         model = simulation.model
         height, front = model.mesh.vertices[:, 1], model.mesh.vertices[:, 2]
-        # Of a hem, which is level or nearly so, the part in front.
+        # Height counts five times as much as depth: a hem is nearly level, and its front part is chosen.
         self.vertex = int(np.argmax(np.where(model.inverse_mass > 0.0, front - 5.0 * height, -np.inf)))
         self._grip: np.ndarray | None = None  # where the vertex was taken, less where the body was
         self._outwards = np.zeros(3)

@@ -1,4 +1,4 @@
-"""What a wrinkle database holds, how good it is, and whether it is whole: ``gube info`` and ``gube check``."""
+"""Content, quality and soundness of a wrinkle database: ``gube info`` and ``gube check``."""
 
 from __future__ import annotations
 
@@ -23,63 +23,63 @@ __all__ = ["Check", "check_database", "figure_lines", "info_text"]
 
 RIVALS = ("smooth", "floor", "middle_mesh", "equal_cost_fine", "truth")  # prefixes of figures that stand beside ours
 EXPLANATIONS = {
-    "normal_error_deg": "angle between our normals and the true ones on the true coarse state",
-    "normal_skill": "part of smooth's normal error that is gone: 0 as smooth, 1 perfect",
-    "normal_correlation_p50": "the same wrinkles as the truth's: 1 yes, 0 unrelated; median frame",
-    "normal_correlation_p90": "the same, in the best tenth of the frames",
-    "rmse_mm": "distance of the vertices from the true ones",
-    "rmse_skill": "part of smooth's distance that is gone",
-    "sted": "error of the edges' lengths, in space and time",
-    "worse_than_smooth_percent": "patch-frames with larger normal error than smooth",
-    "unfamiliarity_spearman": "how well unfamiliarity foretells the error: 1 in the same order",
-    "faded_percent": "patch-frames whose wrinkles fade because they are unfamiliar",
+    "normal_error_deg": "angle between our normals and the truth's, given the truth's coarse state",
+    "normal_skill": "share of smooth's normal error that is removed: 0 none, 1 all",
+    "normal_correlation_p50": "correlation of wrinkles with the truth's: 1 the same, 0 unrelated; median frame",
+    "normal_correlation_p90": "the same in the best tenth of the frames",
+    "rmse_mm": "distance of vertices from the truth's",
+    "rmse_skill": "share of smooth's distance that is removed",
+    "sted": "error of edge lengths, in space and time",
+    "worse_than_smooth_percent": "patch-frames with a larger normal error than smooth's",
+    "unfamiliarity_spearman": "rank correlation of unfamiliarity with the error: 1 the same order",
+    "faded_percent": "patch-frames whose wrinkles are weakened because they are unfamiliar",
     "bending_energy_ratio": "running freely: bending energy over the truth's, 1 is right",
-    "spectrum_band_error_max": "running freely: worst error of a band of wavelengths, as a share",
+    "spectrum_band_error_max": "running freely: largest error of a band of wavelengths, as a share",
     "spectrum_band_ratio_min": "running freely: weakest band over the truth's, 1 is right",
     "spectrum_band_ratio_max": "running freely: strongest band over the truth's, 1 is right",
-    "low_frequency_ratio_to_floor": "running freely: large motion off the truth, over that of two true runs",
-    "free_normal_error_deg": "running freely: normals; below the floor it means nothing",
+    "low_frequency_ratio_to_floor": "running freely: error of the large motion, over the difference of two true runs",
+    "free_normal_error_deg": "running freely: normal error; below the floor it means nothing",
     "contact_bending_ratio": "running freely: bending energy over the truth's where the cloth lies on the body",
     "inside_body_percent": "vertices inside the body",
-    "deepest_mm": "how deep the deepest one is",
-    "inside_body_with_room_percent": "vertices inside the body where it leaves room for cloth",
-    "deepest_with_room_mm": "how deep the deepest one of them is",
-    "popping": "largest change of a patch's wrinkles in a frame, over the size of all",
-    "jitter_px": "hops from frame to frame on a standard screen, 95th percentile",
+    "deepest_mm": "largest depth of a vertex in the body",
+    "inside_body_with_room_percent": "vertices inside the body at places where there is room for cloth",
+    "deepest_with_room_mm": "largest depth of these",
+    "popping": "largest change of a patch's wrinkles in a frame, over the size of all wrinkles",
+    "jitter_px": "jumps from frame to frame on a standard screen, 95th percentile",
     "rest_jitter_px": "the same while the body stands still after its motion",
-    "step_response_frames": "frames until nine tenths of the wrinkles follow a jump of the coarse garment",
-    "reverse_gap_mm": "memory: distance of vertices at the same poses, slowly there and back",
-    "attached_off_mm": "farthest that an attached vertex was from its place",
-    "chosen_s": "motion simulated finely, for each fabric",
-    "offered_s": "motion that it was chosen from",
-    "coverage": "how near held-out patches are to those chosen: 1 as near as to all on offer",
-    "coverage_even": "the same for as much motion taken evenly",
-    "feature_shift_before": "how far the coarse garment's features lie off the training's, uncalibrated; 1 within",
+    "step_response_frames": "frames until nine tenths of the wrinkles have followed a jump of the coarse garment",
+    "reverse_gap_mm": "memory: distance of vertices at equal poses of a slow motion there and back",
+    "attached_off_mm": "largest distance of an attached vertex from its target",
+    "chosen_s": "length of the motion that was simulated finely, for each fabric",
+    "offered_s": "length of the motion from which it was chosen",
+    "coverage": "how well the chosen patches cover held-out ones: 1 as well as all that were offered",
+    "coverage_even": "the same for as much motion chosen at even intervals",
+    "feature_shift_before": "distance of the coarse garment's features from the training's, uncalibrated; 1 is its own",
     "feature_shift_after": "the same after calibration",
-    "feature_mismatch_before": "distance between both distributions of features, uncalibrated",
+    "feature_mismatch_before": "distance between both distributions of features, before calibration",
     "feature_mismatch_after": "the same after calibration",
     "frame_ms_p50": "a whole frame, median",
     "frame_ms_p99": "a whole frame, slowest hundredth",
-    "frame_cpu_ms": "a whole frame, processor time; rivals at equal cost have as much",
-    "skin_ms_p50": "of it: the body",
-    "coarse_ms_p50": "of it: the coarse garment",
-    "decode_ms_p50": "of it: wrinkles",
-    "relax_ms_p50": "of it: relaxation",
-    "normals_ms_p50": "of it: normals",
+    "frame_cpu_ms": "a whole frame, processor time; baselines at equal cost take as much",
+    "skin_ms_p50": "part of it: the body",
+    "coarse_ms_p50": "part of it: the coarse garment",
+    "decode_ms_p50": "part of it: wrinkles",
+    "relax_ms_p50": "part of it: relaxation",
+    "normals_ms_p50": "part of it: normals",
     "us_per_fine_vertex": "decoding, relaxation and normals",
     "fine_simulation_ms": "a frame of the fine simulation",
-    "speedup_over_fine": "times faster than the fine simulation",
+    "speedup_over_fine": "time of a frame of the fine simulation over ours",
 }
 
 
 def info_text(path: str | Path) -> tuple[str, dict[str, float]]:
-    """What a database holds and how good it is on motion that it has not seen.
+    """Content of a database, and its quality on motion from which it has not learned.
 
     Args:
         path: the database.
 
     Returns:
-        Lines to print, and every figure in them (and more) by name.
+        lines to print, and figures by name: those in the lines and some more.
 
     Raises:
         InputError: not a database, or a damaged one.
@@ -88,7 +88,7 @@ def info_text(path: str | Path) -> tuple[str, dict[str, float]]:
     figures = _figures(database) | database_figures(path) | dict(database.quality)
     lines = [f"{path}: wrinkles of '{database.garment_name}', made {database.created} by gube {database.code_version}"]
     if database.code_version != code_version():
-        lines.append(f"  this is gube {code_version()}: what it plays may differ from the figures below")
+        lines.append(f"  this is gube {code_version()}: its results may differ from the figures below")
     for title, rows in _sections(database, figures):
         lines += ["", title] + [f"  {label:<18}{value}" for label, value in rows]
     lines += ["", *_quality_lines(database)]
@@ -122,73 +122,66 @@ def _figures(database: WrinkleDatabase) -> dict[str, float]:
 
 
 def _sections(database: WrinkleDatabase, figures: Mapping[str, float]) -> Iterator[tuple[str, list[tuple[str, str]]]]:
-    units = {entry.name: "" if entry.unit == "-" else f" {entry.unit}" for entry in ENTRIES}
-
-    def scalars(group: str) -> list[tuple[str, str]]:
-        values = vars(getattr(database, group)).items()
-        show = lambda v: " ".join(f"{x:g}" for x in v) if isinstance(v, tuple) else f"{v:.6g}"  # noqa: E731
-        return [(name.replace("_", " "), show(v) + units[f"{group}/{name}"]) for name, v in values]
-
-    coarse, fine = len(database.coarse_vertices), database.fine_vertex_count
-    yield (
-        "Garment",
-        [
-            (
-                "coarse",
-                f"{coarse} vertices, {len(database.coarse_faces)} faces, {len(database.held)} vertices attached",
-            ),
-            (
-                "fine",
-                f"{fine} vertices"
-                + (" delivered, bound to" if database.binding else " of")
-                + f" {database.subdivisions} subdivisions",
-            ),
-            (
-                "coarse at rest",
-                f"{100.0 * figures['rest_area_ratio']:.0f} % of the pattern's area, hinges bent by "
-                f"{figures['rest_bend_deg']:.1f} deg (RMS)",
-            ),
-            ("body", f"{database.body_vertex_count} vertices, hash {database.body_hash[:12]}"),
-        ],
-    )
-    yield "Fabric", [("name", database.fabric_name), *scalars("fabric")]
-    yield "Coarse model, calibrated", scalars("options") + [("bend factor", f"{database.bend_factor:.6g}")]
+    """Titles, each with its rows of label and value."""
+    yield "Garment", _garment_rows(database, figures)
+    yield "Fabric", [("name", database.fabric_name), *_scalar_rows(database, "fabric")]
+    bend_factor = ("bend factor", f"{database.bend_factor:.6g}")
+    yield "Coarse model, calibrated", [*_scalar_rows(database, "options"), bend_factor]
     if database.other_fabrics:
         others = [(other.name, _other_fabric(other, database.quality)) for other in database.other_fabrics]
         yield "Other fabrics", others
-    yield "Solver", scalars("solver") + [("frame rate", f"{database.frame_rate:g} Hz")]
+    yield "Solver", [*_scalar_rows(database, "solver"), ("frame rate", f"{database.frame_rate:g} Hz")]
+    yield "Dictionary", _dictionary_rows(database, figures)
+    training = [
+        ("learned from", ", ".join(database.trained_on) or "nothing"),
+        *_choice(database.quality),
+        ("judged on", ", ".join(database.held_out) or "nothing"),
+        ("took", f"{database.training_minutes:.1f} min, seed {database.seed}"),
+    ]
+    yield "Training", training
+    file = [
+        ("size", f"{figures['database_mb']:.2f} MB, of which meshes {figures['mesh_mb']:.2f}"),
+        ("beyond meshes", f"{figures['bytes_per_fine_vertex']:.1f} bytes a fine vertex"),
+        ("compression", f"{figures['compression_ratio']:.2f}"),
+        ("load", f"{figures['load_s']:.3f} s"),
+    ]
+    yield "File", file
+
+
+def _scalar_rows(database: WrinkleDatabase, group: str) -> list[tuple[str, str]]:
+    """The values of a group of the file, with their units."""
+    units = {entry.name: "" if entry.unit == "-" else f" {entry.unit}" for entry in ENTRIES}
+    rows = []
+    for name, value in vars(getattr(database, group)).items():
+        text = " ".join(f"{x:g}" for x in value) if isinstance(value, tuple) else f"{value:.6g}"
+        rows.append((name.replace("_", " "), text + units[f"{group}/{name}"]))
+    return rows
+
+
+def _garment_rows(database: WrinkleDatabase, figures: Mapping[str, float]) -> list[tuple[str, str]]:
+    coarse, faces, held = len(database.coarse_vertices), len(database.coarse_faces), len(database.held)
+    made = " delivered, bound to" if database.binding else " of"
+    area, bend = 100.0 * figures["rest_area_ratio"], figures["rest_bend_deg"]
+    return [
+        ("coarse", f"{coarse} vertices, {faces} faces, {held} vertices attached"),
+        ("fine", f"{database.fine_vertex_count} vertices{made} {database.subdivisions} subdivisions"),
+        ("coarse at rest", f"{area:.0f} % of the pattern's area, hinges bent by {bend:.1f} deg (RMS)"),
+        ("body", f"{database.body_vertex_count} vertices, hash {database.body_hash[:12]}"),
+    ]
+
+
+def _dictionary_rows(database: WrinkleDatabase, figures: Mapping[str, float]) -> list[tuple[str, str]]:
     widths = [figures[name] for name in ("feature_count", "hidden_width_1", "hidden_width_2", "atom_count")]
-    yield (
-        "Dictionary",
-        [
-            ("atoms", f"{figures['atom_count']}, holding {100.0 * database.atoms.kept:.1f} % of the wrinkles' slopes"),
-            ("network", " - ".join(map(str, widths))),
-            ("regions", f"{figures['region_count']}, each with a second and third layer of its own"),
-            ("cut-off", f"{database.cutoff:.4g} m: shorter folds are the dictionary's"),
-        ],
-    )
-    yield (
-        "Training",
-        [
-            ("learned from", ", ".join(database.trained_on) or "nothing"),
-            *_choice(database.quality),
-            ("judged on", ", ".join(database.held_out) or "nothing"),
-            ("took", f"{database.training_minutes:.1f} min, seed {database.seed}"),
-        ],
-    )
-    yield (
-        "File",
-        [
-            ("size", f"{figures['database_mb']:.2f} MB, of which meshes {figures['mesh_mb']:.2f}"),
-            ("beyond meshes", f"{figures['bytes_per_fine_vertex']:.1f} bytes a fine vertex"),
-            ("compression", f"{figures['compression_ratio']:.2f}"),
-            ("load", f"{figures['load_s']:.3f} s"),
-        ],
-    )
+    return [
+        ("atoms", f"{figures['atom_count']}, holding {100.0 * database.atoms.kept:.1f} % of the wrinkles' slopes"),
+        ("network", " - ".join(map(str, widths))),
+        ("regions", f"{figures['region_count']}, each with a second and third layer of its own"),
+        ("cut-off", f"{database.cutoff:.4g} m: the dictionary makes the shorter folds"),
+    ]
 
 
 def _choice(quality: Mapping[str, float]) -> list[tuple[str, str]]:
-    """What was chosen of the motion on offer, where there was a choice."""
+    """A row about the motion that was chosen to learn from; none if there was no choice."""
     if "chosen_s" not in quality:
         return []
     words = f"{quality['chosen_s']:.1f} s of {quality['offered_s']:.1f} s on offer"
@@ -199,19 +192,26 @@ def _choice(quality: Mapping[str, float]) -> list[tuple[str, str]]:
 
 def _other_fabric(other: LearnedFabric, quality: Mapping[str, float]) -> str:
     options = other.options
-    words = f"squeeze {options.squeeze:g}, shear scale {options.shear_scale:g}, bend scale {options.bend_scale:g}"
+    words = (
+        f"squeeze {options.compression_compliance_scale:g}, shear scale {options.shear_scale:g}, "
+        f"bend scale {options.bend_scale:g}"
+    )
     error, skill = (quality.get(f"{other.name}_{name}") for name in ("normal_error_deg", "normal_skill"))
     return words if error is None else f"{words}; held out: normal error {error:.2f} deg, skill {skill:.3f}"
 
 
 def _quality_lines(database: WrinkleDatabase) -> list[str]:
-    """Table of the held-out figures, ours beside the rivals'; the first held-out clip is the one that they tell of."""
+    """Table of figures on the first held-out clip, ours beside those of the baselines."""
     where = database.held_out[0] if database.held_out else "unknown, nothing was held out"
-    return [f"How good it is on motion that it was not trained on: {where}", *figure_lines(database.quality)]
+    return [f"Quality on motion from which it has not learned: {where}", *figure_lines(database.quality)]
 
 
 def figure_lines(figures: Mapping[str, float]) -> list[str]:
-    """A table of figures by name, those of rivals in columns beside ours, in the order of the explanations."""
+    """A table of figures, those of baselines in columns beside ours, in the order of the explanations.
+
+    Args:
+        figures: numbers by name; the prefix of a name says whose figure it is.
+    """
     table: dict[str, dict[str, float]] = {name: {} for name in EXPLANATIONS}
     for name, value in figures.items():
         column, base = _column(name)
@@ -226,7 +226,7 @@ def figure_lines(figures: Mapping[str, float]) -> list[str]:
 
 
 def _column(name: str) -> tuple[str, str]:
-    """Whose figure it is, and its name without that: ("smooth", "rmse_mm") for "rmse_smooth_mm"."""
+    """Column of a figure, and its name without the column: ("smooth", "rmse_mm") for "rmse_smooth_mm"."""
     for rival in RIVALS:
         if name.startswith(f"{rival}_"):
             return rival, name.removeprefix(f"{rival}_")
@@ -235,7 +235,7 @@ def _column(name: str) -> tuple[str, str]:
 
 
 class Check(NamedTuple):
-    """One thing that was checked: what, whether it passed, and what was found."""
+    """One check: its name, whether it passed, and the values found."""
 
     check: str
     passed: bool
@@ -243,16 +243,16 @@ class Check(NamedTuple):
 
 
 def check_database(path: str | Path) -> list[Check]:
-    """Check a database whole: its file, its meshes and models, and what its dictionary decodes.
+    """Check all of a database: its file, its meshes and models, and the wrinkles that its dictionary decodes.
 
     Args:
         path: the database.
 
     Returns:
-        One row for every check; after one that failed those that need its result are left out.
+        one row for every check; a failed one leaves out the checks that need its result.
 
     Raises:
-        InputError: not a database, or a damaged one: there is nothing to check further.
+        InputError: the file is no database, or is damaged, so that nothing else can be checked.
     """
     figures = database_figures(path)
     database = read_database(path)
@@ -314,7 +314,7 @@ def _check_decoding(
     """Decode a garment far from any body: finite, and no wrinkle higher than the longest is long."""
     state.contact[:] = FAR
     vertices, middle = (np.zeros((mesh.fine_count, 3), np.float32) for mesh in (subdivision, subdivision.middle))
-    with np.errstate(over="ignore", invalid="ignore"):  # what overflows is reported below
+    with np.errstate(over="ignore", invalid="ignore"):  # an overflow fails the check below
         decoder.add(state.position, state.contact, vertices, middle)
         height = float(np.linalg.norm(vertices, axis=1).max())
     detail = f"wrinkles up to {1e3 * height:.1f} mm, cut-off {1e3 * database.cutoff:.0f} mm"

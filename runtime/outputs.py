@@ -1,4 +1,4 @@
-"""What a command is told to write, looked at before anything long begins. Nothing is made yet."""
+"""Checks of output paths before long work begins. They create no file and no folder."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ __all__ = ["check_file", "check_folder"]
 
 
 def check_file(path: Path, *endings: str, key: str = "-o") -> None:
-    """Refuse a file that could not be written later. Missing folders above it are none of its faults.
+    """Refuse a file that could not be written later. Folders above it may be missing: they are made with the file.
 
     Args:
         path: the file.
-        endings: that its name may have, such as ".h5".
-        key: the argument, for the message.
+        endings: allowed endings of its name, such as ".h5"; any ending where none is given.
+        key: name of the argument for the message.
 
     Raises:
-        InputError: a folder, another ending, or a place that cannot be written to.
+        InputError: the path is a folder, has another ending, or its folder is not writable.
     """
     kind = "a file" + (f" ending in {' or '.join(endings)}" if endings else "")
     if path.is_dir():
@@ -35,10 +35,10 @@ def check_folder(path: Path, key: str = "-o") -> None:
 
     Args:
         path: the folder.
-        key: the argument, for the message.
+        key: name of the argument for the message.
 
     Raises:
-        InputError: a file, or a place that cannot be written to.
+        InputError: the path is a file, or the nearest folder that exists is not writable.
     """
     _check_place(path.absolute(), path, key, "a folder that can be written to")
 
@@ -47,7 +47,7 @@ def _check_place(folder: Path, path: Path, key: str, expected: str) -> None:
     while not os.path.lexists(folder):
         folder = folder.parent
     try:
-        with tempfile.TemporaryFile(dir=folder):  # permissions alone do not tell of read-only disks
+        with tempfile.TemporaryFile(dir=folder):  # permissions alone do not show a read-only disk
             pass
     except OSError as error:
         problem = f"cannot be written: {folder}: {(error.strerror or str(error)).lower()}"

@@ -40,8 +40,8 @@ _BACKGROUND = ((0.58, 0.58, 0.59), (0.80, 0.80, 0.81))  # below, above
 _PAPER, _INK = (255, 255, 255), (30, 30, 34)
 
 # Azimuth from the camera's own direction [deg], elevation [deg], intensity, colour. The key light rakes from the
-# side, so that a wrinkle has a bright and a dark flank; the fill is weak and stands near the camera, because what it
-# adds to a slope must not cancel what the key light takes away.
+# side, so that a wrinkle has a bright and a dark flank. The fill is weak and stands near the camera: a stronger one
+# from the other side would brighten the dark flanks again.
 _LIGHTS = (
     (-66.0, 34.0, 1.22, (1.0, 0.97, 0.93)),
     (36.0, 5.0, 0.30, (0.90, 0.95, 1.0)),
@@ -102,9 +102,9 @@ def frame_camera(
     Direction, height and distance are the same in every frame, so that wrinkles keep their size on the picture.
 
     Args:
-        vertices_over_time: [m], shape (f, n, 3): whatever must be seen (garment, or garment and body).
-        azimuth_deg: where the eye stands; 0 looks at the front (+Z side), 90 at the character's left (+X side) [deg].
-        elevation_deg: how far the eye stands above the target's level [deg].
+        vertices_over_time: vertices that must be seen, of the garment or of garment and body [m], shape (f, n, 3).
+        azimuth_deg: direction of the eye; 0 looks at the front (+Z side), 90 at the character's left (+X side) [deg].
+        elevation_deg: angle of the eye above the target's level [deg].
         field_of_view_deg: vertical field of view [deg].
         aspect: width of the picture over its height.
         margin: room around the vertices; 1 lets them touch the border.
@@ -140,14 +140,14 @@ def render(
 ) -> np.ndarray:
     """Draw meshes in a neutral studio: grey background, three lights, a soft shadow on the floor.
 
-    The window, and the meshes whose faces stay the same, are kept from one picture to the next. Not for use from
-    several threads.
+    The window, and the meshes whose faces stay the same, are kept from one picture to the next. Several threads must
+    not call this at the same time.
 
     Args:
-        meshes: what is drawn.
-        camera: where it is seen from.
+        meshes: the meshes of the picture.
+        camera: the camera that sees them.
         size: width and height of the picture [pixel].
-        floor: height that shadows fall on [m]; None draws no shadow.
+        floor: height of the floor on which shadows fall [m]; None draws no shadow.
 
     Returns:
         red, green, blue, uint8, shape (height, width, 3).
@@ -168,8 +168,8 @@ def strip(
 
     Args:
         columns: ``columns[c][r]`` is an image uint8 (h, w, 3); all have one size.
-        column_titles: one line for each column; stands above it.
-        row_titles: one for each row; stands to its left, turned upright where it is long.
+        column_titles: one line above each column.
+        row_titles: one line at the left of each row, turned upright; empty ones take no room.
 
     Returns:
         uint8, shape (height, width, 3).
@@ -250,8 +250,8 @@ def _fitting(font: Any, text: str, room: float) -> Any:
 def _floor_shadow(points: np.ndarray, height: float) -> np.ndarray:
     """Darkness of the floor under points, uint8, shape (cells, cells), rows along +Z, columns along +X.
 
-    An overhead sky: what hangs higher shades a wider area more weakly, so the points are sorted into layers by
-    height and every layer is blurred by its own height.
+    Light comes from the whole sky, so higher points shade a wider area more weakly: the points are sorted into layers
+    by height, and every layer is blurred by its own height.
     """
     from scipy.ndimage import gaussian_filter
 

@@ -1,8 +1,8 @@
-"""Models no more than a scene needs: for each garment the cheapest setting whose error nobody sees, within a budget.
+"""Chooses for each garment the cheapest setting whose error on screen is small enough, within a frame budget.
 
-The choice is arithmetic on a measured table (:mod:`runtime.front`). Where the budget does not reach, detail goes where
-least is lost for each millisecond, as Funkhouser and Sequin ("Adaptive display algorithm for interactive frame rates
-during visualization of complex virtual environments", 1993) do for what is drawn.
+The choice is arithmetic on a measured table (:mod:`runtime.front`). If the budget is too small, the planner takes
+detail from where each saved millisecond costs the least error on screen, as Funkhouser and Sequin ("Adaptive display
+algorithm for interactive frame rates during visualization of complex virtual environments", 1993) do for drawing.
 """
 
 from __future__ import annotations
@@ -24,23 +24,25 @@ __all__ = ["TARGETS", "Choice", "Planner", "Sight", "cheapest", "exhaustive", "s
 TARGETS = {"imperceptible": 1.0, "accepted": 10.0}
 """Largest error on screen [px] by the name of its class."""
 
-LINES = 1080  # of the screen
-ASPECT = 16.0 / 9.0
-RELIEF = 0.9  # a cheaper setting is taken up while the scene moves only where its error is this far below the target
-SAVING = 0.1  # and where it saves more than this part of the cost: so much dearer may a choice be than the cheapest
-HOLD = 0.5  # and only so long after the last change [s]
-TURNS = 1.03  # so much dearer may a tick be than it must before all turns are given out anew
-ROOM = 0.95  # of the budget is given out where it does not reach, so that the next tick need not choose again
-QUICK, SLOW = 0.3, 0.01  # parts of a difference by which the load follows a tick that took more, or less, than foretold
-SPIKE = 1.3  # times the load: one tick may be slow for any reason
+LINES = 1080  # height of the screen [px]
+ASPECT = 16.0 / 9.0  # width of the screen over its height [-]
+# A garment changes to a cheaper setting only under three conditions, so that it does not change back and forth:
+RELIEF = 0.9  # its error is at most this share of the target [-],
+SAVING = 0.1  # it saves more than this share of the present cost [-],
+HOLD = 0.5  # and the last change was this long ago [s].
+TURNS = 1.03  # all turns are given out anew once a tick costs more than this times the least possible cost [-]
+ROOM = 0.95  # share of a budget that is too small which is given out, so that the next tick keeps its choices [-]
+QUICK, SLOW = 0.3, 0.01  # share of its difference by which the load follows a slower, or a faster, tick [-]
+SPIKE = 1.3  # a slow tick counts as at most this times the load: a single one may be slow for any reason [-]
 
 
 @dataclass(frozen=True)
 class Sight:
-    """How a garment is seen.
+    """View of a garment.
 
     Attributes:
-        pixels_per_metre: at its distance, by the camera that shows most; 0 where none shows it [px/m].
+        pixels_per_metre: scale of the picture at its distance in the camera that shows it largest; 0 where no camera
+            shows it [px/m].
         size_px: its height on that screen, at most the screen's [px].
         speed: root mean square of the cloth's speed [m/s].
     """
@@ -50,17 +52,17 @@ class Sight:
     speed: float
 
     def errors(self, front: Front) -> np.ndarray:
-        """Error of each setting on screen [px], shape (settings,): no more than the garment's size."""
+        """Error of each setting on screen, at most the garment's size [px], shape (settings,)."""
         return np.minimum(self.pixels_per_metre * front.errors(self.speed), self.size_px)
 
 
 def sight_of(cameras: Sequence[CameraSettings], centre: Sequence[float], size: float, speed: float) -> Sight:
-    """How cameras of 1080 lines and 16:9 see a garment.
+    """View of a garment in cameras of 1080 lines and 16:9.
 
     Args:
-        cameras: those that are shown.
-        centre: of the garment [m], shape (3,).
-        size: its height [m]; nearer than that to a camera all of it counts as that near.
+        cameras: the cameras whose pictures are shown.
+        centre: centre of the garment [m], shape (3,).
+        size: height of the garment, and its smallest distance from a camera that is reckoned with [m].
         speed: root mean square of its vertices' speed [m/s].
     """
     best = 0.0
@@ -70,7 +72,7 @@ def sight_of(cameras: Sequence[CameraSettings], centre: Sequence[float], size: f
         half = math.tan(math.radians(camera.field_of_view_deg) / 2.0)
         axis = to_target / max(float(np.linalg.norm(to_target)), 1e-9)
         along = float(axis @ to_garment)
-        # In the cone around the picture's corners, the garment being a ball.
+        # The garment counts as a ball, and the picture as the cone through its corners.
         aside = math.sqrt(max(0.0, float(to_garment @ to_garment) - along * along))
         if along > -size and aside <= max(along, 0.0) * half * math.hypot(1.0, ASPECT) + size:
             best = max(best, LINES / (2.0 * distance * half))
@@ -101,16 +103,17 @@ class Choice:
 class Planner:
     """Chooses a setting for each of some garments that share a frame budget.
 
-    A garment keeps its setting while that will do: a dearer one is taken at once where the error passes the target, a
-    cheaper one only with room to spare, for a saving that is worth it, and not soon after another change.
+    A garment keeps its setting while its error is small enough. It takes a dearer setting at once when the error
+    exceeds the target. It takes a cheaper one only if the error is well below the target, the saving is large enough
+    and the last change was some time ago.
 
     Args:
-        fronts: of each garment.
+        fronts: front of each garment.
         target_px: largest error on screen [px].
-        budget_ms: for all garments in one tick [ms].
+        budget_ms: time for all garments in one tick [ms].
 
     Attributes:
-        load: measured over foretold time of a tick, see :meth:`report`.
+        load: measured time of a tick over its time by the table [-], see :meth:`report`.
 
     Raises:
         InputError: no garments, a target or a budget that is not positive.
@@ -126,7 +129,7 @@ class Planner:
         self._current: list[int | None] = [None] * len(fronts)
         self._since = np.zeros(len(fronts))
         self._turns: dict[int, tuple[int, int]] = {}
-        self._short = False  # whether the budget does not reach
+        self._short = False  # whether the budget is too small
         self._slots = max(setting.detail.every for front in fronts for setting in front.settings)
 
     def plan(self, sights: Sequence[Sight], elapsed: float = math.inf) -> list[Choice]:
@@ -179,7 +182,7 @@ class Planner:
         self.load += (QUICK if difference > 0.0 else SLOW) * difference
 
     def _wanted(self, i: int, errors: np.ndarray) -> int:
-        """The setting that a garment should have, whatever the budget."""
+        """The setting that a garment should have if the budget were endless."""
         costs, current = self.fronts[i].costs, self._current[i]
         best = cheapest(costs, errors, self.target_px)
         if current is None or errors[current] > self.target_px:
@@ -192,7 +195,7 @@ class Planner:
     def _within_budget(
         self, sights: Sequence[Sight], errors: list[np.ndarray], wanted: list[int], budget: float
     ) -> list[int]:
-        """What fits into a budget [ms]: what is wanted, what there was, or what gives up least."""
+        """Settings that fit into a budget [ms]: the wanted ones, the present ones, or those that lose least."""
         current = [index for index in self._current if index is not None]
         if not self._short or len(current) < len(wanted):
             self._short = bool(self._share(wanted)[1].max() > budget)
@@ -212,8 +215,8 @@ class Planner:
         return chosen if lost[0] < (1.0 - SAVING) * lost[1] else current
 
     def _give_up(self, sights: Sequence[Sight], errors: list[np.ndarray], budget: float) -> list[int]:
-        """Take detail from where least is lost for each millisecond until the dearest tick is within the budget."""
-        # Many garments take turns and cost what they do on average; with few, the peaks decide.
+        """Take detail from where each saved millisecond loses least, until the dearest tick is within the budget."""
+        # With many garments that take turns the mean cost decides, with few of them the peaks do: both are tried.
         found = []
         for prices in ([front.costs for front in self.fronts], [front.peaks for front in self.fronts]):
             start = [cheapest(*pair, self.target_px) for pair in zip(prices, errors, strict=True)]
@@ -233,7 +236,18 @@ class Planner:
         chosen: list[int],
         budget: float,
     ) -> list[int]:
-        """The steps down, each the one that loses least for what it saves by ``prices`` [ms], those of each setting."""
+        """Step down to cheaper settings, first where the loss for each saved millisecond is smallest.
+
+        Args:
+            sights: view of each garment.
+            errors: error of each setting of each garment [px].
+            prices: cost of each setting of each garment that is to be saved [ms].
+            chosen: settings to begin with; the steps change them.
+            budget: for the dearest tick [ms].
+
+        Returns:
+            ``chosen``.
+        """
         steps: list[tuple[float, int, int]] = []
 
         def offer(i: int) -> None:
@@ -255,15 +269,20 @@ class Planner:
         return chosen
 
     def _losses(self, sight: Sight, errors: np.ndarray) -> np.ndarray:
-        """How much of the picture is off by how much: nothing while it is below the target; shape (settings,)."""
+        """Error above the target times the area on screen [px^3], shape (settings,)."""
         return np.maximum(errors - self.target_px, 0.0) * sight.size_px**2
 
     def _share(
         self, chosen: Sequence[int], kept: Mapping[int, tuple[int, int]] = MappingProxyType({})
     ) -> tuple[list[int], np.ndarray]:
-        """Which tick of each garment's turn it works in, so that all ticks are alike, and what each tick costs [ms].
+        """Turns of the garments, given out so that all ticks cost about the same.
 
-        ``kept``: setting and turn of garments; who still has that setting keeps the turn.
+        Args:
+            chosen: setting of each garment.
+            kept: earlier setting and turn of garments; a garment that still has this setting keeps the turn.
+
+        Returns:
+            the turn of each garment, and the cost of each tick [ms].
         """
         ticks, waits = np.zeros(self._slots), [0] * len(chosen)
         settings = [front.settings[index] for front, index in zip(self.fronts, chosen, strict=True)]
@@ -277,7 +296,7 @@ class Planner:
         return waits, ticks
 
     def _waits(self, chosen: Sequence[int], budget: float) -> list[int]:
-        """Everyone's turn; who stays with a setting keeps it, unless some tick would be too dear."""
+        """Turn of each garment; one that keeps its setting keeps its turn, unless a tick would become too dear."""
         waits, ticks = self._share(chosen, self._turns)
         anew = self._share(chosen)
         if ticks.max() > max(TURNS * budget, TURNS * anew[1].max()):
@@ -286,42 +305,48 @@ class Planner:
         return waits
 
     def _why(self, front: Front, sight: Sight, errors: np.ndarray, index: int, wanted: int) -> str:
-        """The choice explained in a line."""
+        """Reason for a choice, one line."""
         setting, error, costs = front.settings[index], errors[index], front.costs
         if sight.pixels_per_metre == 0.0:
-            return f"nobody sees it: the cheapest setting, {setting.cost_ms:.3g} ms"
+            return f"no camera sees it: the cheapest setting, {setting.cost_ms:.3g} ms"
         seen = f"{sight.size_px:.0f} px high"
         if index != wanted:
             return (
                 f"{seen}: {setting.cost_ms:.3g} ms and {error:.2g} px; {costs[wanted]:.3g} ms would show "
-                f"{errors[wanted]:.2g} px, but the budget is spent where more is seen"
+                f"{errors[wanted]:.2g} px, but the budget is spent on garments that are seen better"
             )
         if error > self.target_px:
-            return f"{seen}: nothing that the budget can pay shows less than {error:.2g} px"
+            return f"{seen}: no setting within the budget shows less than {error:.2g} px"
         cheaper = np.flatnonzero(costs < setting.cost_ms)
         if not len(cheaper):
             return f"{seen}: the cheapest setting shows {error:.2g} px, below {self.target_px:g}"
         least = float(errors[cheaper].min())
-        other = f"shows {least:.2g} px and more" if math.isfinite(least) else "takes more than the budget in one tick"
+        other = f"shows at least {least:.2g} px" if math.isfinite(least) else "takes more than the budget in one tick"
         return (
             f"{seen}: the cheapest below {self.target_px:g} px shows {error:.2g} px for {setting.cost_ms:.3g} ms; "
-            f"what is cheaper {other}"
+            f"each cheaper one {other}"
         )
 
 
 def _fitting(front: Front, sight: Sight, budget: float) -> np.ndarray:
-    """Error of each setting on screen [px], endless where an update alone is beyond the budget [ms]."""
+    """Error of each setting on screen [px]; infinite if one update takes longer than the budget [ms]."""
     return np.where(front.peaks <= max(budget, float(front.peaks.min())), sight.errors(front), np.inf)
 
 
 def cheapest(costs: np.ndarray, errors: np.ndarray, target: float) -> int:
-    """The cheapest setting whose error is at most the target; the one of least error where there is none."""
+    """Index of the cheapest setting whose error is at most the target, or of the least error if there is none.
+
+    Args:
+        costs: cost of each setting [ms], shape (settings,).
+        errors: error of each setting, shape (settings,).
+        target: largest allowed error, in the unit of the errors.
+    """
     good = errors <= target
     return int(np.argmin(np.where(good, costs, np.inf))) if good.any() else int(np.argmin(errors))
 
 
 def exhaustive(fronts: Sequence[Front], sights: Sequence[Sight], target_px: float) -> float:
-    """Cost of the cheapest settings that meet the target, by looking at all of them [ms]."""
+    """Cost of the cheapest settings whose errors meet the target, found by trying all of them [ms]."""
     total = 0.0
     for front, sight in zip(fronts, sights, strict=True):
         rows = zip(front.settings, sight.errors(front), strict=True)

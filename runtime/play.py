@@ -1,4 +1,4 @@
-"""Headless playing of a wrinkle database: who plays, frames, figures and pictures."""
+"""Plays a wrinkle database without a window: its inputs, frames, figures, pictures and animations."""
 
 from __future__ import annotations
 
@@ -43,17 +43,17 @@ __all__ = [
 
 TIMINGS = ("frame", "coarse", "skin", "decode", "relax", "normals")
 BAKED = (".glb", ".pc2", ".obj")
-BAKED_HZ = 30.0
+BAKED_HZ = 30.0  # of a simulated animation [Hz]
 HASH_FRAME = 120  # the coarse state is hashed after this many frames
 
 
 @dataclass(frozen=True)
 class Cast:
-    """What a database is played with.
+    """The inputs with which a database is played.
 
     Attributes:
         body: the character or vertex sequence.
-        motions: what it does, one after the other.
+        motions: motions of the body, played one after the other.
         wind: see :mod:`pbd.wind`.
         primitives: colliders besides the body.
     """
@@ -65,15 +65,15 @@ class Cast:
 
 
 def cast_of(database: WrinkleDatabase, character: Path | None = None, clip: str | None = None) -> Cast:
-    """The body and the motions that a database is to be played with.
+    """The body and the motions with which a database is played.
 
     Args:
-        database: the database; without ``character`` the scene stored in it says what is played.
-        character: a file with the body and clips instead: .glb, .gltf, or .npz for a vertex sequence.
-        clip: name of a clip; None takes the held-out ones, or the first where there are none.
+        database: the database; without ``character`` the scene stored in it names body and motions.
+        character: a file with another source of the body and its clips: .glb, .gltf, or .npz for a vertex sequence.
+        clip: name of a clip; None takes the held-out clips, or the first one if none is held out.
 
     Raises:
-        InputError: another body than the database's, a clip that does not exist, or a file that cannot be loaded.
+        InputError: the body is not the database's, the clip does not exist, or a file cannot be loaded.
     """
     if character is None:
         scene = scene_of(database)
@@ -117,12 +117,12 @@ class Free:
     """A free run of the player.
 
     Attributes:
-        numbers: of the kept frames, from 1, int, shape (f,).
-        frames, smooth: fine vertices with and without the dictionary [m], float32, shape (f, N, 3), kept frames.
-        coarse: coarse vertices [m], float32, shape (f, n, 3), kept frames.
-        timings: of every frame by part [ms].
-        held_off: largest distance of an attached vertex from its place [m].
-        state_hash: of the coarse state after 120 frames, or at the end.
+        numbers: numbers of the kept frames, counted from 1, int, shape (f,).
+        frames, smooth: fine vertices of the kept frames with and without wrinkles [m], float32, shape (f, N, 3).
+        coarse: coarse vertices of the kept frames [m], float32, shape (f, n, 3).
+        timings: times of every frame by part [ms].
+        held_off: largest distance of an attached vertex from its target [m].
+        state_hash: hash of the coarse state after 120 frames, or at the end of a shorter run.
     """
 
     numbers: np.ndarray
@@ -143,15 +143,15 @@ def play(
     every: int = 10,
     after: float = 0.0,
 ) -> Free:
-    """Play all poses after the first, where the player stands.
+    """Play all poses after the first one, at which the player stands.
 
     Args:
-        player: of the database.
-        poses: shape (frames + 1, ...), one every ``dt`` [s].
-        dt: [s].
+        player: plays the database.
+        poses: one pose every ``dt``, shape (frames + 1, ...).
+        dt: length of a frame [s].
         wind: velocity of the air [m/s].
         every: frames from one kept frame to the next.
-        after: frames up to this time are not kept [s].
+        after: only frames after this time are kept [s].
     """
     rows: dict[str, list] = {"numbers": [], "frames": [], "smooth": [], "coarse": []}
     timings: dict[str, list[float]] = {name: [] for name in TIMINGS}
@@ -178,7 +178,7 @@ def play(
 
 
 def timing_figures(free: Free, levels: Levels) -> dict[str, float]:
-    """Medians and tails of the player's frame times [ms], and what they are the times of."""
+    """Median times of the parts of a frame and its 99th percentile [ms], and numbers of vertices."""
     count = levels.subdivision.fine_count
     figures = {f"{name}_ms_p50": float(np.median(free.timings[name])) for name in TIMINGS}
     figures["frame_ms_p99"] = float(np.percentile(free.timings["frame"], 99))
@@ -196,17 +196,17 @@ def play_motion(
     """Play a motion and draw every tenth frame, smooth and ours.
 
     Args:
-        database: what is played.
-        cast: with what.
-        motion: one of the cast's.
-        seconds: plays the start of it; None plays all.
-        folder: of the pictures.
+        database: the database to play.
+        cast: its inputs.
+        motion: one of the cast's motions.
+        seconds: length of the motion that is played [s]; None plays all of it.
+        folder: where the pictures are written.
 
     Returns:
         figures by name; ``first_frame_s`` counts from the start of the process.
 
     Raises:
-        InputError: fewer seconds than a frame.
+        InputError: the time is shorter than a frame.
     """
     dt = 1.0 / database.frame_rate
     poses = poses_of(motion, dt, seconds)
@@ -227,7 +227,18 @@ def play_motion(
 def loop_figures(
     database: WrinkleDatabase, cast: Cast, motion: Motion, seconds: float, rate_hz: float
 ) -> dict[str, float]:
-    """Play by the clock with a scripted gust and pull; figures of :meth:`runtime.game_loop.GameLoop.figures`."""
+    """Play by the clock with a scripted gust and pull, see :class:`runtime.game_loop.ScriptedInput`.
+
+    Args:
+        database: the database to play.
+        cast: its inputs.
+        motion: one of the cast's motions.
+        seconds: length of the play [s].
+        rate_hz: rate of frames [Hz].
+
+    Returns:
+        figures of :meth:`runtime.game_loop.GameLoop.figures`.
+    """
     player = Player(database, cast.body, motion.pose(0.0), cast.primitives)
     script = ScriptedInput(player.simulation, motion, seconds)
 
@@ -250,7 +261,14 @@ def posed_bodies(body: Character | Sequence, poses: Iterable[np.ndarray]) -> np.
 def baked_frames(
     database: WrinkleDatabase, cast: Cast, motion: Motion, rate_hz: float, seconds: float | None = None
 ) -> tuple[Player, np.ndarray, np.ndarray, np.ndarray]:
-    """Play a motion and take the garment at a rate of its own, from the start on.
+    """Play a motion and keep the garment at a rate of its own, from the start on.
+
+    Args:
+        database: the database to play.
+        cast: its inputs.
+        motion: one of the cast's motions.
+        rate_hz: rate of the kept frames [Hz].
+        seconds: length of the motion that is played [s]; None plays all of it.
 
     Returns:
         the player, and of each frame vertices in the world [m] and unit normals, float32, shape (f, N, 3), and the
@@ -280,17 +298,17 @@ def simulated_frames(
     """Simulate a scene and keep about 30 frames a second.
 
     Args:
-        simulation: of the scene, at its start.
-        motion: of its body, None without one.
+        simulation: simulation of the scene, at its start.
+        motion: motion of its body, None without one.
         scene: gives wind and frame rate.
-        seconds: to simulate [s].
+        seconds: length of the simulation [s].
 
     Returns:
         vertices in the world [m], float32, shape (f, n, 3); poses of the body, shape (f, ...), None without one; their
         rate [Hz]; and figures by name.
 
     Raises:
-        InputError: less than a frame.
+        InputError: the time is shorter than a frame.
     """
     dt = 1.0 / scene.solver.frame_rate
     count = int(seconds / dt + 1e-6)
@@ -335,7 +353,7 @@ def write_baked(
         poses: of the body, one for each frame, shape (f, ...).
 
     Raises:
-        InputError: an unknown extension, or what cannot be written.
+        InputError: the extension is unknown, or the file cannot be written.
     """
     check_file(path, *BAKED)
     if path.suffix.lower() == ".glb":

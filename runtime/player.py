@@ -11,7 +11,7 @@ import numpy as np
 from assets.character import Character
 from assets.io.sequence import Sequence
 from pbd import InputError, build_model
-from pbd.colliders import Primitive
+from pbd.contact.colliders import Primitive
 from pbd.wind import CALM, Air, Wind
 from runtime.coarser import CoarserSimulation
 from runtime.detail import Detail
@@ -34,15 +34,15 @@ class Player:
     Args:
         database: the garment and its wrinkles.
         body: the character or vertex sequence that it was learned on.
-        pose: where the body is at the start: its bind pose, moved as a whole; None takes the bind pose where it is.
+        pose: pose of the body at the start: its bind pose, moved as a whole; None takes the bind pose itself.
         primitives: further colliders of the coarse garment: planes, spheres, capsules, distance fields.
-        fabric: name of one that the database was learned in; None takes the garment's own.
+        fabric: name of a fabric of the database; None takes the garment's own.
 
     Attributes:
         levels: coarse and fine mesh.
         vertices: fine vertices about ``origin`` [m], float32, shape (N, 3).
         normals: unit, float32, shape (N, 3).
-        timings: of the last frame, by part [ms].
+        timings: times of the last frame by part [ms].
         full: the most detail there is; the player begins with it.
 
     Raises:
@@ -225,7 +225,7 @@ class Player:
     def decoded(self, detail: Detail) -> np.ndarray:
         """Fine vertices of the last update at a detail, about ``origin`` [m], float32, shape (N, 3), a copy.
 
-        Nothing else changes: this is what a detail is compared with another by.
+        The player itself stays as it is, so that two details can be compared on the same state.
         """
         position, body_vertices = self._between.at(1.0)
         return self._fine.sample(position, self.simulation.state, self.simulation.body, body_vertices, detail)

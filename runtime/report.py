@@ -1,4 +1,4 @@
-"""What a command found out, and the JSON file that keeps it."""
+"""Figures of a command, the JSON file that keeps them, and lines of progress."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Report:
-    """What a command hands back.
+    """The result of a command.
 
     Attributes:
-        figures: single figures by name; the name's ending gives the unit (``frame_ms_p50``, ``rmse_mm``). Only
-            ``state_hash`` is no number.
-        rows: one table, a mapping of columns per row.
-        passed: False for a run that failed; the exit status is 1 then.
+        figures: single figures by name; the ending of a name is its unit (``frame_ms_p50``, ``rmse_mm``). All are
+            numbers, except ``state_hash`` and other words.
+        rows: one table, a mapping from column to value for each row.
+        passed: False for a failed run, whose exit status is 1.
     """
 
     figures: Mapping[str, float | str] = field(default_factory=dict)
@@ -47,7 +47,7 @@ class Report:
 
 
 def numbers_of(row: Mapping[str, Any]) -> dict[str, Any]:
-    """The columns of a table's row that are no words: its figures."""
+    """The figures of a table's row: all columns except texts."""
     return {name: value for name, value in row.items() if not isinstance(value, str)}
 
 
@@ -88,7 +88,7 @@ class Progress:
 
 
 def process_age() -> float:
-    """Time since this process was started [s]; not a number where the system does not tell."""
+    """Time since this process was started [s]; not a number where the system has no /proc."""
     try:
         fields = Path("/proc/self/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     except OSError:
@@ -99,7 +99,19 @@ def process_age() -> float:
 def write_report(
     path: Path, command: str, figures: Mapping[str, float | str], rows: Sequence[Mapping[str, Any]]
 ) -> None:
-    """Write figures and rows with the machine they were measured on; numbers that are not finite become null."""
+    """Write figures and rows as JSON, with the version and a description of this machine.
+
+    Numbers that are not finite become null. The file appears whole.
+
+    Args:
+        path: the file; missing folders are made.
+        command: name of the command.
+        figures: see :class:`Report`.
+        rows: see :class:`Report`.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
     content = {
         "command": command,
         "version": package_version("gube"),
@@ -112,7 +124,7 @@ def write_report(
 
 
 def machine_description() -> dict[str, Any]:
-    """The machine in words and numbers: memory in GiB, date in UTC."""
+    """Description of this machine: processor, cores, memory [GiB], platform, versions, and the date in UTC."""
     return {
         "cpu": _cpu_model(),
         "cores": os.cpu_count(),
@@ -134,7 +146,7 @@ def package_version(name: str) -> str:
 
 
 def _blas_kernels() -> str:
-    """Whose kernels OpenBLAS runs, "SkylakeX": by default the widest that it has for this processor."""
+    """Name of the processor for which OpenBLAS has chosen its kernels, such as "SkylakeX"."""
     from threadpoolctl import threadpool_info
 
     return ", ".join(sorted({pool["architecture"] for pool in threadpool_info() if "architecture" in pool}))
@@ -150,7 +162,7 @@ def _cpu_model() -> str:
 
 
 def _plain(value: Any) -> Any:
-    """The value in JSON's own types."""
+    """A value converted to the types that JSON has."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):

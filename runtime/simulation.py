@@ -13,7 +13,7 @@ from assets.io.sequence import Sequence, SequenceBody
 from assets.skinning import SkinnedBody
 from pbd import Body, Colliders, InputError, Model, Solver, SolverOptions, State
 from pbd.attachment import Attachment
-from pbd.colliders import Primitive
+from pbd.contact.colliders import Primitive
 from pbd.limits import SkinnedTargets
 from pbd.wind import CALM, Air, Wind
 
@@ -21,7 +21,12 @@ __all__ = ["BodySource", "Motion", "Simulation", "body_source", "poses_of"]
 
 
 class BodySource(Protocol):
-    """What can be posed: a skinned character or a vertex sequence."""
+    """A body that poses move: a skinned character or a vertex sequence.
+
+    Attributes:
+        vertices: in the bind pose [m], shape (b, 3).
+        faces: int, shape (k, 3).
+    """
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -32,19 +37,25 @@ class BodySource(Protocol):
 
 
 class Motion(Protocol):
-    """Poses over time; ``lead_in`` [s] only leads to what is meant."""
+    """Poses over time.
+
+    Attributes:
+        name: name of the motion.
+        duration: length, the lead-in included [s].
+        lead_in: time at the start that only leads from the bind pose to the motion itself [s].
+    """
 
     name: str
     duration: float
     lead_in: float
 
     def pose(self, t: float) -> np.ndarray:
-        """Pose at t [s]."""
+        """Pose at a time t [s]: skinning matrices, shape (joints, 3, 4), or vertices, shape (b, 3)."""
         ...
 
 
 def body_source(body: Character | Sequence) -> SkinnedBody | SequenceBody:
-    """What poses a body."""
+    """The object that poses a body."""
     return SkinnedBody(body) if isinstance(body, Character) else SequenceBody(body)
 
 
@@ -59,16 +70,16 @@ class Simulation:
 
     Args:
         model: the garment, coarse or fine.
-        attachment: of its held vertices; None without a body.
+        attachment: holds the garment's held vertices to the body; None without a body.
         source: the body, or None.
-        pose: where the body is at the start: its bind pose, moved as a whole; None without a body.
-        options: of the solver.
+        pose: pose of the body at the start: its bind pose, moved as a whole; None without a body.
+        options: options of the solver.
         primitives: further colliders.
 
     Attributes:
-        state: of the garment.
+        state: state of the garment.
         body: the mesh that the garment collides with; without a body it has no faces.
-        time: that has passed, which turbulent wind goes by [s].
+        time: time since the start, at which turbulent wind is taken [s].
 
     Raises:
         InputError: a body without a pose.

@@ -1,4 +1,4 @@
-"""A scene brought to life: its body, its motions and its garment at two levels."""
+"""Loads everything that a scene names: its body, its motions, and its garment as a coarse and a fine mesh."""
 
 from __future__ import annotations
 
@@ -59,12 +59,16 @@ PROCEDURAL_PIECE = 20.0  # procedural motion is made in pieces of this length [s
 
 @cache
 def load_body(file: Path | str) -> Character:
-    """A character as :func:`assets.character.load_character` loads it, the same one each time."""
+    """A character, loaded once: every call with the same path returns the same object.
+
+    Raises:
+        InputError: as :func:`assets.character.load_character`.
+    """
     return load_character(file)
 
 
 def motion_of(body: Character | Sequence, motion: MotionSettings) -> Motion:
-    """A clip of any file, on this body, led into from the bind pose; or a part of a vertex sequence of this body.
+    """A clip of any file on this body, with a lead-in from the bind pose; or a part of a vertex sequence of this body.
 
     Raises:
         InputError: no such clip (those that exist are listed), a file with another skeleton, a sequence of another
@@ -110,16 +114,16 @@ def body_of(scene: Scene) -> Character | Sequence:
 
 
 def fabric_of(settings: GarmentSettings) -> Fabric:
-    """What a garment is made of, as thick as the scene wants it."""
+    """The fabric of a garment; a thickness in the scene replaces the fabric's own."""
     thickness = settings.fabric.thickness if settings.thickness is None else settings.thickness
     return replace(settings.fabric, thickness=thickness)
 
 
 def fabrics_of(scene: Scene, settings: GarmentSettings) -> dict[str, Fabric]:
-    """Every fabric that a scene learns a garment's wrinkles in by its name, the garment's own first.
+    """The fabrics in which a scene learns a garment's wrinkles, by name, the garment's own first.
 
     Raises:
-        InputError: the garment's own among those to learn besides.
+        InputError: the garment's own fabric is listed again among the others.
     """
     own = next((name for name, preset in PRESETS.items() if preset == settings.fabric), "own")
     others = scene.training.fabrics
@@ -130,7 +134,14 @@ def fabrics_of(scene: Scene, settings: GarmentSettings) -> dict[str, Fabric]:
 
 
 def fine_options(options: SolverOptions, subdivisions: int) -> SolverOptions:
-    """Options of the fine simulation: the stretch law of small steps asks for h N, so substeps halve as edges do."""
+    """Options of the fine simulation.
+
+    The stretch of small steps depends on substep times number of edges, so each subdivision halves the substep.
+
+    Args:
+        options: of the coarse simulation.
+        subdivisions: from the coarse to the fine mesh.
+    """
     return replace(options, substep=options.substep / 2.0**subdivisions)
 
 
@@ -201,7 +212,7 @@ def coarse_garment(garment: Garment, settings: GarmentSettings) -> tuple[Garment
 
 @dataclass(frozen=True)
 class Stage:
-    """What a scene names, loaded.
+    """The contents of a scene with one garment on one body, loaded.
 
     Attributes:
         scene: its settings.
@@ -264,7 +275,7 @@ class Stage:
         return motions + [exploration_motion(body, seed, length) for body, seed, length in self._procedural()]
 
     def training_parts(self, seconds: float) -> list[Motion]:
-        """The same in parts of about so many seconds, each led into on its own."""
+        """The same motions in parts of about so many seconds, each with a lead-in of its own."""
         parts: list[Motion] = []
         for whole in self.scene.training.clips:
             self.motion(whole)  # refuses what does not exist
@@ -281,7 +292,7 @@ class Stage:
         return parts
 
     def _end(self, motion: MotionSettings) -> float:
-        """Where a clip or its part ends, in its own time [s]."""
+        """End of a clip or of its part, in the clip's own time [s]."""
         if motion.clip is None:
             return self.motion(motion).duration * motion.speed
         length = load_body(motion.file).clip(motion.clip).duration
@@ -382,7 +393,7 @@ def _layers_of(scene: Scene, fine: bool) -> tuple[Simulation, Motion]:
 
 
 def colliders_of(scene: Scene) -> tuple[Plane | Sphere | Capsule | DistanceField, ...]:
-    """What a scene's garments meet besides the body, new ones each time: they may be moved.
+    """Colliders of a scene besides the body; each call makes new ones, because they may be moved.
 
     Raises:
         InputError: a mesh that cannot be loaded, or as :func:`wrinkles.field.field_of_mesh`.

@@ -31,17 +31,17 @@ def draw_strips(
     """Draw frames, each as a strip of pictures side by side, into ``folder / NAME_0010.png`` and so on.
 
     Args:
-        folder: of the files.
-        name: of the motion.
-        columns: title and vertices [m], shape (f, N, 3), of what stands side by side.
-        faces: of the garments, int, shape (m, 3).
-        bodies: [m], shape (f, b, 3).
-        body_faces: int, shape (k, 3).
-        numbers: of the frames, int, shape (f,); of none nothing is drawn.
-        dt: from one number to the next [s].
+        folder: where the files are written.
+        name: name of the motion.
+        columns: the pictures side by side: vertices of a garment [m], shape (f, N, 3), by title.
+        faces: faces of the garments, int, shape (m, 3).
+        bodies: vertices of the body [m], shape (f, b, 3).
+        body_faces: faces of the body, int, shape (k, 3).
+        numbers: numbers of the frames, int, shape (f,); without frames no file is written.
+        dt: time from one number to the next [s].
 
     Returns:
-        the files.
+        paths of the files.
 
     Raises:
         InputError: a vertex is not finite.
@@ -61,6 +61,6 @@ def draw_strips(
 
 
 def draw_strips_apart(*arguments: Any) -> list[Path]:
-    """:func:`draw_strips` in a process of its own: pyvista loads much (matplotlib too) that playing must not need."""
+    """:func:`draw_strips` in a process of its own: pyvista loads many modules that playing must not need."""
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
         return pool.submit(draw_strips, *arguments).result()

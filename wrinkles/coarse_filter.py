@@ -22,6 +22,7 @@ Float1 = ti.types.ndarray(dtype=ti.f32, ndim=1)
 
 @ti.kernel
 def _filter(start: Int1, index: Int1, value: Float1, position: Vec4, filtered: Vec4):
+    """Multiply positions by a sparse matrix; the fourth column is copied."""
     ti.loop_config(serialize=True)
     for _ in range(1):
         for i in range(filtered.shape[0]):

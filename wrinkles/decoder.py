@@ -28,6 +28,7 @@ __all__ = ["Decoder", "MeanWriter", "PatchWriter", "Upsampler", "add_patches"]
 
 @ti.func
 def _sparse_row(start: ti.template(), index: ti.template(), value: ti.template(), source: ti.template(), i: ti.i32):
+    """Row i of a sparse matrix times the vectors of ``source``."""
     total = vec3(0.0)
     for q in range(start[i], start[i + 1]):
         p = source[index[q]]
@@ -37,6 +38,7 @@ def _sparse_row(start: ti.template(), index: ti.template(), value: ti.template()
 
 @ti.kernel
 def _to_middle(start: Int1, index: Int1, value: Float1, coarse: Vec4, middle: Vec3):
+    """Middle vertices of coarse ones, by :attr:`wrinkles.surface.Subdivision.to_middle`."""
     ti.loop_config(serialize=True)
     for _ in range(1):
         for i in range(middle.shape[0]):
@@ -45,6 +47,7 @@ def _to_middle(start: Int1, index: Int1, value: Float1, coarse: Vec4, middle: Ve
 
 @ti.kernel
 def _to_fine(start: Int1, index: Int1, value: Float1, middle: Vec3, fine: Vec3):
+    """Fine vertices of middle ones, by :attr:`wrinkles.surface.Subdivision.from_middle`."""
     ti.loop_config(serialize=True)
     for _ in range(1):
         for i in range(fine.shape[0]):
@@ -80,6 +83,7 @@ def add_patches(grids: Float2, frames: Float2, corners: Int3, blend: Vec3, cell:
 
 @ti.kernel
 def _add_smoothed(start: Int1, index: Int1, value: Float1, displacement: Vec3, fine: Vec3):
+    """Add displacements to fine vertices after smoothing them with a sparse matrix."""
     ti.loop_config(serialize=True)
     for _ in range(1):
         for i in range(fine.shape[0]):
@@ -88,6 +92,7 @@ def _add_smoothed(start: Int1, index: Int1, value: Float1, displacement: Vec3, f
 
 @ti.kernel
 def _add_turned(start: Int1, index: Int1, value: Float1, frames: Float2, mean: Vec3, fine: Vec3):
+    """Turn each fine vertex's mean by the weighted sum of coarse frames, and add it."""
     ti.loop_config(serialize=True)
     for _ in range(1):
         for i in range(fine.shape[0]):

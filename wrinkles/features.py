@@ -53,6 +53,7 @@ def _read_stencil(
     frames: Float2,
     features: Float2,
 ):
+    """The kernel of :meth:`Stencil.read`, with its arguments and attributes."""
     ti.loop_config(serialize=True)
     for _ in range(1):
         for i in range(position.shape[0]):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pbd.distance_field import DistanceField
+from pbd.contact.distance_field import DistanceField
 from pbd.errors import InputError
 from pbd.geometry import FAR
 from wrinkles.distance import BodyDistance

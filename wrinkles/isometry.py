@@ -23,6 +23,10 @@ PASSES = 8  # sweeps over all edges, unless the caller asks for another number
 
 @ti.kernel
 def _keep_lengths(vertices: Vec3, inverse_mass: Float1, edges: Int2, lengths: Float1, passes: ti.i32):
+    """Project each edge onto its length in turn (Mueller et al. 2007, "Position based dynamics", distance constraint).
+
+    ``inverse_mass`` is 0 for held vertices.
+    """
     ti.loop_config(serialize=True)
     for _ in range(1):
         for _pass in range(passes):
@@ -38,6 +42,10 @@ def _keep_lengths(vertices: Vec3, inverse_mass: Float1, edges: Int2, lengths: Fl
 
 @ti.kernel
 def _spread(start: Int1, index: Int1, value: Float1, before: Vec3, middle: Vec3, fine: Vec3):
+    """Move fine vertices by the displacements of the middle ones, times a sparse matrix.
+
+    ``before`` holds the middle vertices before they moved, and afterwards their displacements.
+    """
     ti.loop_config(serialize=True)
     for _ in range(1):
         for i in range(middle.shape[0]):

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pbd.colliders import Body
+from pbd.contact.colliders import Body
 from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Vec3, closest_in_fan, descend, vec3
 from pbd.mesh import ClothMesh, greedy_colors
 from pbd.taichi_internals import Launch, in_kernel
-from pbd.views import BodySurface
+from pbd.xpbd.views import BodySurface
 from wrinkles.charts import leading_vertices
 from wrinkles.clearance import clearances, facing
 from wrinkles.levels import Levels
@@ -39,10 +39,10 @@ MAX_FACE_DISTANCE = 0.05  # to a face that may be near the cloth [m]
 @in_kernel
 @dataclass(eq=False)
 class _Covered:
-    """The body under the cloth in one pass; a view, see :mod:`pbd.views`.
+    """The body under the cloth in one pass; a view, see :mod:`pbd.xpbd.views`.
 
     Attributes:
-        surface: :class:`pbd.views.BodySurface`, which stands still.
+        surface: :class:`pbd.xpbd.views.BodySurface`, which stands still.
         clearance: kept from it at each of its vertices [m].
         nearest: of each fine vertex the body vertex where it was last near the body, -1 for none.
         coarse_nearest, coarse_contact: body vertex near each coarse vertex, -1 for none, and distance to the body [m].

@@ -32,7 +32,8 @@ SUBSTEP = 1.0 / 1440.0
 START = 0.5  # what happens before is not judged [s]
 LIMBS = 2.0  # that cloth may be faster than the fastest limb of the last half second [m/s]
 LAYERS = ((0.31, 0.50, 0.70), (0.74, 0.44, 0.34))
-GATHERED = ModelOptions(squeeze=30.0)  # 1.4 m of the loose dress's skirt on 0.7 m of waist, in edges of 5 cm
+# 1.4 m of the loose dress's skirt on 0.7 m of waist, in edges of 5 cm
+GATHERED = ModelOptions(compression_compliance_scale=30.0)
 SHRINKING, SETTLING = 32, 12  # steps in which the loose dress goes to its pattern's size, frames of each
 SHOWN = 6  # frames in the picture
 

@@ -6,14 +6,14 @@ from collections.abc import Callable
 import numpy as np
 
 from pbd import Fabric, State
-from pbd.constraint_passes import solve_bending, solve_membrane
-from pbd.constraints import spring_multiplier
 from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec4, Vec4Rows, vec4, xyz
 from pbd.mesh import greedy_colors
 from pbd.model import BLOCK
-from pbd.multigrid_cycle import solve_springs
-from pbd.views import ClothArrays, ConstraintArrays, MultigridArrays
+from pbd.xpbd.constraint_passes import solve_bending, solve_membrane
+from pbd.xpbd.constraints import spring_multiplier
+from pbd.xpbd.multigrid_cycle import solve_springs
+from pbd.xpbd.views import ClothArrays, ConstraintArrays, MultigridArrays
 from precompute.benchmarks.solver_scenes import hanging_square
 
 __all__ = ["constraint_costs"]

@@ -10,14 +10,14 @@ from typing import Any
 from pbd import SolverOptions
 from precompute.benchmarks.constraint_cost import constraint_costs
 from precompute.benchmarks.contact_bench import self_collision_cost
-from precompute.benchmarks.solver_scenes import RATE, Measured, hanging_square, measure
+from precompute.benchmarks.solver_scenes import RATE, SolverMeasurement, hanging_square, measure
 from precompute.benchmarks.thread_speed import thread_speedups
 from precompute.method_comparison.engines import EngineRun, bench_engines
 from precompute.reporting.page import Chart, Line, Point, Section, Table, Text, write_page
 from precompute.reporting.tables import write_table
 from runtime.report import machine_description
 
-__all__ = ["Run", "SolverBench", "bench_rows", "bench_solver", "bench_verdict", "write_bench"]
+__all__ = ["SolverRun", "SolverBench", "bench_rows", "bench_solver", "bench_verdict", "write_bench"]
 
 SIDES = (32, 64, 128)
 BUDGET_MS = {32: 0.5, 64: 2.5, 128: 15.0}  # wanted of one core of a server at 2.6 GHz
@@ -49,7 +49,7 @@ QUOTED = (
 
 
 @dataclass(frozen=True)
-class Run:
+class SolverRun:
     """One setting on one square.
 
     Attributes:
@@ -57,13 +57,13 @@ class Run:
         substeps: of a frame.
         coarse_sweeps: as in :class:`pbd.SolverOptions`.
         measured: what came.
-        passed: every limit held, see :meth:`precompute.benchmarks.solver_scenes.Measured.passes`.
+        passed: every limit held, see :meth:`precompute.benchmarks.solver_scenes.SolverMeasurement.passes`.
     """
 
     side: int
     substeps: int
     coarse_sweeps: int
-    measured: Measured
+    measured: SolverMeasurement
     passed: bool
 
 
@@ -75,13 +75,13 @@ class SolverBench:
     (:func:`precompute.benchmarks.thread_speed.thread_speedups`) and the engines measured.
     """
 
-    runs: Sequence[Run]
+    runs: Sequence[SolverRun]
     amplitudes: Mapping[int, float]
     costs: Mapping[str, float]
     speedups: Mapping[str, float] = field(default_factory=dict)
-    rivals: Sequence[EngineRun] = ()
+    baselines: Sequence[EngineRun] = ()
 
-    def cheapest(self, side: int) -> Run | None:
+    def cheapest(self, side: int) -> SolverRun | None:
         """The cheapest setting that passes, None if none does."""
         passing = [run for run in self.runs if run.side == side and run.passed]
         return min(passing, key=lambda run: run.measured.frame_ms, default=None)
@@ -89,14 +89,14 @@ class SolverBench:
     def figures(self) -> dict[str, float]:
         """``time_to_accuracy_ms_SIDE``, ``TYPE_constraint_ns``, ``thread_speedup_CASE`` and ``rival_NAME_ms_SIDE``.
 
-        A rival's is the cheapest that passed here, or else the quoted one.
+        A baseline's is the cheapest that passed here, or else the quoted one.
         """
         best = {side: self.cheapest(side) for side in self.amplitudes}
         found = {f"time_to_accuracy_ms_{side}": run.measured.frame_ms for side, run in best.items() if run}
         quoted = {f"rival_{_plain(name)}_ms_{side}": ms for name, side, ms, _ in QUOTED if side in best}
         measured = {
             f"rival_{_plain(run.name)}_ms_{run.side}": run.measured.frame_ms
-            for run in sorted(self.rivals, key=lambda run: -run.measured.frame_ms)
+            for run in sorted(self.baselines, key=lambda run: -run.measured.frame_ms)
             if run.passed
         }
         return {**found, **self.costs, **self.speedups, **quoted, **measured}
@@ -107,19 +107,19 @@ def _plain(name: str) -> str:
 
 
 def bench_solver(
-    sides: Sequence[int] | None = None, report: Callable[[str], None] = lambda line: None, with_rivals: bool = False
+    sides: Sequence[int] | None = None, report: Callable[[str], None] = lambda line: None, with_baselines: bool = False
 ) -> SolverBench:
     """Measure every setting; minutes.
 
     Args:
         sides: vertices along a side of the squares; None takes all.
         report: called with a line of progress.
-        with_rivals: measure other engines too, see :func:`precompute.method_comparison.engines.bench_engines`.
+        with_baselines: measure other engines too, see :func:`precompute.method_comparison.engines.bench_engines`.
 
     Raises:
         InputError: an engine that is not installed.
     """
-    rivals = bench_engines(report) if with_rivals else []
+    baselines = bench_engines(report) if with_baselines else []
     report("cost of constraints")
     costs = {**constraint_costs(), **self_collision_cost()}
     report("speed of two cores")
@@ -134,8 +134,8 @@ def bench_solver(
             for substeps in by_side[side]:
                 report(f"{scene.name}: {METHODS[sweeps]}, {substeps} substeps")
                 found = measure(scene, _options(substeps, sweeps))
-                runs.append(Run(side, substeps, sweeps, found, found.passes(amplitudes[side])))
-    return SolverBench(runs, amplitudes, costs, speedups, rivals)
+                runs.append(SolverRun(side, substeps, sweeps, found, found.passes(amplitudes[side])))
+    return SolverBench(runs, amplitudes, costs, speedups, baselines)
 
 
 def _options(substeps: int, sweeps: int) -> SolverOptions:
@@ -170,7 +170,7 @@ def bench_rows(bench: SolverBench) -> list[dict[str, Any]]:
             "amplitude_ratio": run.measured.amplitude / bench.amplitudes[run.side],
             "passed": run.passed,
         }
-        for run in bench.rivals
+        for run in bench.baselines
         if run.side in bench.amplitudes
     ]
 
@@ -180,7 +180,7 @@ def bench_verdict(bench: SolverBench) -> str:
     lines = []
     for side in bench.amplitudes:
         best = bench.cheapest(side)
-        measured = [run for run in bench.rivals if run.side == side and run.passed]
+        measured = [run for run in bench.baselines if run.side == side and run.passed]
         if measured:
             first = min(measured, key=lambda run: run.measured.frame_ms)
             kept = first.measured.amplitude / bench.amplitudes[side]
@@ -225,12 +225,12 @@ def _chart(bench: SolverBench, side: int) -> Chart:
             f"{run.substeps}",
             {key: value for key, value in row.items() if key not in ("method", "frame_ms", "worst_stretch")},
         )
-        for run, row in zip(bench.runs, bench_rows(bench), strict=False)  # rivals follow
+        for run, row in zip(bench.runs, bench_rows(bench), strict=False)  # baselines follow
         if run.side == side and run.measured.worst < 10.0
     ]
     points += [
         Point(run.measured.frame_ms, run.measured.worst, run.name, run.setting, {})
-        for run in bench.rivals
+        for run in bench.baselines
         if run.side == side and run.measured.worst < 10.0
     ]
     points += [Point(ms, worst, name, "", {"source": SOURCE}, True) for name, of, ms, worst in QUOTED if of == side]

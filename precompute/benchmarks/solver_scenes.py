@@ -12,7 +12,16 @@ from scipy.spatial import Delaunay
 from pbd import ClothMesh, Colliders, Fabric, Model, ModelOptions, Solver, SolverOptions, State, build_model
 from pbd.mesh import lattice_faces
 
-__all__ = ["RATE", "STIFF", "Measured", "SolverScene", "hanging_cloth", "hanging_square", "measure", "measure_steps"]
+__all__ = [
+    "RATE",
+    "STIFF",
+    "SolverMeasurement",
+    "SolverScene",
+    "hanging_cloth",
+    "hanging_square",
+    "measure",
+    "measure_steps",
+]
 
 RATE = 60.0  # frames a second
 FRAMES = 300  # of a run
@@ -39,7 +48,7 @@ class SolverScene:
 
 
 @dataclass(frozen=True)
-class Measured:
+class SolverMeasurement:
     """What a run of 300 frames gave. Stretch is elongation along warp and weft, median over the last 60 frames [-].
 
     Attributes:
@@ -103,15 +112,15 @@ def hanging_cloth(
     return SolverScene(name, model, np.array(forward))
 
 
-def measure(scene: SolverScene, options: SolverOptions) -> Measured:
-    """Run a scene with our solver and judge it; see :class:`Measured`."""
+def measure(scene: SolverScene, options: SolverOptions) -> SolverMeasurement:
+    """Run a scene with our solver and judge it; see :class:`SolverMeasurement`."""
     state, colliders, solver = State.at_rest(scene.model), Colliders(), Solver(scene.model, options)
     solver.step(state.copy(), colliders, 1.0 / RATE)  # compiles
     return measure_steps(scene, lambda: solver.step(state, colliders, 1.0 / RATE), state.world)
 
 
-def measure_steps(scene: SolverScene, step: Callable[[], None], world: Callable[[], np.ndarray]) -> Measured:
-    """Run a scene and judge it; see :class:`Measured`.
+def measure_steps(scene: SolverScene, step: Callable[[], None], world: Callable[[], np.ndarray]) -> SolverMeasurement:
+    """Run a scene and judge it; see :class:`SolverMeasurement`.
 
     Args:
         scene: whose cloth it is, at rest.
@@ -127,7 +136,7 @@ def measure_steps(scene: SolverScene, step: Callable[[], None], world: Callable[
         times[frame] = time.process_time() - begin
         vertices = world()
         if not np.isfinite(vertices).all():
-            return Measured(float(np.median(times[: frame + 1])) * 1e3, *[np.inf] * 4)
+            return SolverMeasurement(float(np.median(times[: frame + 1])) * 1e3, *[np.inf] * 4)
         if frame >= FRAMES - SWING:
             forward[frame] = ((vertices - start) @ scene.forward).mean()
         if frame >= FRAMES - JUDGED:
@@ -137,4 +146,4 @@ def measure_steps(scene: SolverScene, step: Callable[[], None], world: Callable[
             stretch[frame] = elongation.mean(), np.percentile(elongation, 99), elongation.max()
     mean, p99, worst = np.median(stretch[-JUDGED:], axis=0)
     amplitude = 0.5 * float(np.ptp(forward[-SWING:]))
-    return Measured(float(np.median(times)) * 1e3, float(mean), float(p99), float(worst), amplitude)
+    return SolverMeasurement(float(np.median(times)) * 1e3, float(mean), float(p99), float(worst), amplitude)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
+
+from runtime.arguments import add_output_file
 
 if TYPE_CHECKING:
     from runtime.report import Report
@@ -18,14 +19,7 @@ SUMMARY = "simulate real garments on real clips: contact with the body, layers, 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     parser.add_argument("names", nargs="*", metavar="NAME", help="names of clips in the table (default: all)")
-    parser.add_argument(
-        "-o",
-        dest="output",
-        type=Path,
-        metavar="OUT.csv",
-        default=Path("out/bench/clips.csv"),
-        help="a file for the table; the pictures come beside it (default: %(default)s)",
-    )
+    add_output_file(parser, "OUT.csv", "a file for the table; the pictures come beside it", "out/bench/clips.csv")
 
 
 def run(options: argparse.Namespace) -> Report:

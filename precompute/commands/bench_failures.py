@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
+
+from runtime.arguments import add_output_file
 
 if TYPE_CHECKING:
     from runtime.report import Report
@@ -21,14 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--solver", metavar="S", help="name of the only solver that is run (default: default and the classic ones)"
     )
-    parser.add_argument(
-        "-o",
-        dest="output",
-        type=Path,
-        metavar="OUT.csv",
-        default=Path("out/bench/failures.csv"),
-        help="a file for the table of all runs (default: %(default)s)",
-    )
+    add_output_file(parser, "OUT.csv", "a file for the table of all runs", "out/bench/failures.csv")
 
 
 def run(options: argparse.Namespace) -> Report:

@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> Report:
 
     check_folder(options.output)
     with Progress(sys.stderr) as progress:
-        bench = bench_solver(report=progress, with_rivals=options.rivals)
+        bench = bench_solver(report=progress, with_baselines=options.rivals)
     options.output.mkdir(parents=True, exist_ok=True)
     write_bench(options.output, bench)
     print(bench_verdict(bench))

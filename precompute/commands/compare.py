@@ -1,4 +1,4 @@
-"""`gube compare`: methods on the same scenes, or ways to add wrinkles on the same motion."""
+"""`gube compare`: methods on the same scenes, or on the held-out motion of a database."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--wrinkles",
         action="store_true",
-        help="compare other ways from the coarse to the fine mesh of the database (default: off)",
+        help="compare other methods that make the fine mesh of the database from the coarse one (default: off)",
     )
     parser.add_argument(
         "--clip",

@@ -11,7 +11,7 @@ from runtime.arguments import add_output_folder
 
 if TYPE_CHECKING:
     from pbd import Fabric
-    from precompute.validation.trial import Setting
+    from precompute.validation.trial import TrialSetting
     from runtime.report import Report
 
 __all__ = ["SUMMARY", "add_arguments", "run"]
@@ -42,18 +42,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Report:
     """Measure the fabric or fit it; print the figures and draw the curves."""
     from assets.fabrics import load_fabric
-    from precompute.validation.trial import Setting
+    from precompute.validation.trial import TrialSetting
     from runtime.outputs import check_folder
 
     check_folder(options.output)
-    fabric, setting = load_fabric(options.fabric), Setting(solver=options.solver)
+    fabric, setting = load_fabric(options.fabric), TrialSetting(solver=options.solver)
     options.output.mkdir(parents=True, exist_ok=True)
     if options.fit is not None:
         return _fit(fabric, setting, options.fit, options.output)
     return _measure(fabric, setting, options.output)
 
 
-def _fit(fabric: Fabric, setting: Setting, curves: Path, output: Path) -> Report:
+def _fit(fabric: Fabric, setting: TrialSetting, curves: Path, output: Path) -> Report:
     from dataclasses import asdict
 
     from precompute.fabric_lab.fabric_fit import draw_fit, fit_fabric, read_curves
@@ -70,7 +70,7 @@ def _fit(fabric: Fabric, setting: Setting, curves: Path, output: Path) -> Report
     return Report(asdict(fitted), rows)
 
 
-def _measure(fabric: Fabric, setting: Setting, output: Path) -> Report:
+def _measure(fabric: Fabric, setting: TrialSetting, output: Path) -> Report:
     from precompute.fabric_lab.fabric_report import curve_rows, curves_text, draw_curves, measure_fabric, write_curves
     from runtime.report import Progress, Report
 

@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from runtime.arguments import add_output_file
+
 if TYPE_CHECKING:
     from runtime.report import Report
 
@@ -19,14 +21,7 @@ SUMMARY = "learn the wrinkles of a scene's garment and write its wrinkle databas
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     parser.add_argument("scene", type=Path, metavar="SCENE", help="a scene file (.toml)")
-    parser.add_argument(
-        "-o",
-        dest="output",
-        type=Path,
-        metavar="DB.h5",
-        required=True,
-        help="the wrinkle database, a file ending in .h5 (required)",
-    )
+    add_output_file(parser, "DB.h5", "the wrinkle database, a file ending in .h5")
     parser.add_argument(
         "--cache",
         type=Path,

@@ -39,19 +39,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Report:
     """Run the tests, print the table and draw the curves."""
-    from precompute.validation.validation import chosen_rows, validate_all, validation_text, verdict_row
-    from precompute.validation.validation_pictures import draw_verdicts
+    from precompute.validation.validation import chosen_rows, result_row, validate_all, validation_text
+    from precompute.validation.validation_pictures import draw_results
     from runtime.outputs import check_folder
     from runtime.report import Progress, Report
 
     check_folder(options.output)
     tests = chosen_rows(options.names, options.param, options.solver)
     with Progress(sys.stderr) as progress:
-        verdicts = validate_all(tests, options.solver, options.resolution, os.cpu_count() or 1, progress)
-    print(validation_text(verdicts))
-    for path in draw_verdicts(options.output, verdicts):
+        results = validate_all(tests, options.solver, options.resolution, os.cpu_count() or 1, progress)
+    print(validation_text(results))
+    for path in draw_results(options.output, results):
         print(path)
-    rows = [verdict_row(verdict) for verdict in verdicts]
+    rows = [result_row(result) for result in results]
     figures = {
         "tests": len(rows),
         "passed_best": sum(row["passed_best"] for row in rows),

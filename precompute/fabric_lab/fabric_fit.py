@@ -23,7 +23,7 @@ from precompute.fabric_lab.laboratory import (
     shear_curve,
     tension_curve,
 )
-from precompute.validation.trial import Setting
+from precompute.validation.trial import TrialSetting
 
 __all__ = ["FittedCurve", "draw_fit", "fit_fabric", "read_curves"]
 
@@ -98,7 +98,7 @@ def read_curves(path: Path) -> dict[tuple[str, str], LoadCurve]:
 
 
 def fit_fabric(
-    curves: dict[tuple[str, str], LoadCurve], fabric: Fabric, setting: Setting
+    curves: dict[tuple[str, str], LoadCurve], fabric: Fabric, setting: TrialSetting
 ) -> tuple[Fabric, list[FittedCurve]]:
     """The fabric whose straight lines are nearest to the curves, and what it gives in the same instruments.
 
@@ -139,7 +139,7 @@ def fit_fabric(
         fitted = _pressed(curves[PRESSED], fitted)
     for (instrument, direction), measured in curves.items():
         if (instrument, direction) == PRESSED:
-            drawn = compression_curve(Setting(edges=setting.edges), fitted, tuple(measured.load))
+            drawn = compression_curve(TrialSetting(edges=setting.edges), fitted, tuple(measured.load))
             error = float(np.sqrt(((drawn.deformation / measured.deformation - 1.0) ** 2).mean()))
             found.append(FittedCurve(instrument, direction, measured, drawn, error))
             continue

@@ -23,7 +23,7 @@ from precompute.fabric_lab.laboratory import (
 )
 from precompute.reporting.tables import write_table
 from precompute.validation.drape_rows import cusick_drape
-from precompute.validation.trial import Setting
+from precompute.validation.trial import TrialSetting
 
 __all__ = ["curve_rows", "curves_text", "draw_curves", "fabric_text", "measure_fabric", "write_curves"]
 
@@ -40,7 +40,7 @@ LABELS = {
 
 
 def measure_fabric(
-    fabric: Fabric, setting: Setting, report: Callable[[str], None] = lambda line: None
+    fabric: Fabric, setting: TrialSetting, report: Callable[[str], None] = lambda line: None
 ) -> tuple[dict[tuple[str, str], LoadCurve], dict[str, float]]:
     """Curves of a fabric by instrument and direction, and single figures.
 
@@ -50,7 +50,7 @@ def measure_fabric(
             cloth slides or lies on a plate.
         report: called with a line of progress.
     """
-    moving = Setting(edges=setting.edges) if setting.solver.endswith("quasi-static") else setting
+    moving = TrialSetting(edges=setting.edges) if setting.solver.endswith("quasi-static") else setting
     curves = {}
     for direction, angle in DIRECTIONS.items():
         report(f"tension, shear and bending along the {direction}")

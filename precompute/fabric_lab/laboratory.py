@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pbd import Colliders, Fabric, Plane
-from precompute.validation.trial import GRAVITY, RATE, Setting, Trial, level, strip
+from precompute.mechanics import GRAVITY
+from precompute.validation.trial import RATE, Trial, TrialSetting, level, strip
 
 __all__ = [
     "DIRECTIONS", "LoadCurve", "bending_curve", "compression_curve", "friction_coefficient", "shear_curve",
@@ -41,7 +42,7 @@ class LoadCurve:
     cost_ms: float
 
 
-def tension_curve(setting: Setting, fabric: Fabric, angle: float, strains: Sequence[float]) -> LoadCurve:
+def tension_curve(setting: TrialSetting, fabric: Fabric, angle: float, strains: Sequence[float]) -> LoadCurve:
     """A strip of 20 by 4 cm pulled by one vertex at each end; strain in its middle half.
 
     With one vertex a side the strip bears a pull and nothing else, whatever its warp's angle.
@@ -53,15 +54,15 @@ def tension_curve(setting: Setting, fabric: Fabric, angle: float, strains: Seque
         strains: of the distance of the two vertices.
     """
     length, width = 0.2, 0.04
-    patch = strip(length, width, setting.edges, clamp=0)
-    x, y = patch.flat.T
+    specimen = strip(length, width, setting.edges, clamp=0)
+    x, y = specimen.flat.T
     ends = np.array([int(np.argmin(np.hypot(x - at, y))) for at in (0.0, length)])
     middle = np.abs(x - 0.5 * length) < 0.25 * length + 1e-9
     design = np.stack([x, y, np.ones_like(x)], axis=1)[middle]
-    start = level(patch.flat)
+    start = level(specimen.flat)
     found, loads, costs = [], [], []
     for strain in strains:
-        trial = Trial(patch, start * [1.0 + strain, 1.0, 1.0], fabric, ends, setting, (0.0, 0.0, 0.0), warp=angle)
+        trial = Trial(specimen, start * [1.0 + strain, 1.0, 1.0], fabric, ends, setting, (0.0, 0.0, 0.0), warp=angle)
         trial.settle(STILL, limit=60.0, still=1e-3 * strain)
         moved = (trial.world() - start)[middle, 0]
         weight = np.sqrt(trial.model.mesh.vertex_areas[middle])  # what lies along the sides stands for half as much
@@ -72,7 +73,7 @@ def tension_curve(setting: Setting, fabric: Fabric, angle: float, strains: Seque
     return LoadCurve(np.array(found), np.abs(loads), float(np.median(costs)))
 
 
-def shear_curve(setting: Setting, fabric: Fabric, angle: float, shears: Sequence[float]) -> LoadCurve:
+def shear_curve(setting: TrialSetting, fabric: Fabric, angle: float, shears: Sequence[float]) -> LoadCurve:
     """Cloth 5 cm high between two clamps, one moved along the other; two widths, so that free sides cancel.
 
     Args:
@@ -86,20 +87,20 @@ def shear_curve(setting: Setting, fabric: Fabric, angle: float, shears: Sequence
     edges = max(4, setting.edges // 2)
     loads, costs = np.zeros((2, len(shears))), []
     for row, width in enumerate(widths):
-        patch = strip(height, width, edges, clamp=0)
-        x = patch.flat[:, 0]
+        specimen = strip(height, width, edges, clamp=0)
+        x = specimen.flat[:, 0]
         clamps = (x < 1e-9) | (x > height - 1e-9)
         for column, shear in enumerate(shears):
-            start = level(patch.flat)
+            start = level(specimen.flat)
             start[:, 2] += shear * x
-            trial = Trial(patch, start, fabric, clamps, setting, (0.0, 0.0, 0.0), warp=angle)
+            trial = Trial(specimen, start, fabric, clamps, setting, (0.0, 0.0, 0.0), warp=angle)
             trial.settle(STILL, limit=60.0, still=1e-3 * shear)
             loads[row, column] = abs(trial.pull(np.flatnonzero(x > height - 1e-9))[0][2])
             costs.append(trial.cost_ms)
     return LoadCurve(np.array(shears), (loads[1] - loads[0]) / (widths[1] - widths[0]), float(np.median(costs)))
 
 
-def bending_curve(setting: Setting, fabric: Fabric, angle: float, curvatures: Sequence[float]) -> LoadCurve:
+def bending_curve(setting: TrialSetting, fabric: Fabric, angle: float, curvatures: Sequence[float]) -> LoadCurve:
     """A strip of 2 cm between two clamps that lie on an arc; the moment that the far clamp must bear.
 
     Args:
@@ -109,9 +110,9 @@ def bending_curve(setting: Setting, fabric: Fabric, angle: float, curvatures: Se
         curvatures: of the arc [1/m].
     """
     length, width = 0.02, 0.004
-    patch = strip(length, width, setting.edges, clamp=1)
-    edge = patch.edge
-    x, y = patch.flat.T
+    specimen = strip(length, width, setting.edges, clamp=1)
+    edge = specimen.edge
+    x, y = specimen.flat.T
     far = x > length - 1.5 * edge  # the last row of faces is clamped too
     free = length - edge
     clamps = (x < 1e-9) | far
@@ -122,7 +123,9 @@ def bending_curve(setting: Setting, fabric: Fabric, angle: float, curvatures: Se
         beyond = x - s  # faces in the clamps are flat
         along = np.sin(turn) / curvature + beyond * np.cos(turn)
         down = (1.0 - np.cos(turn)) / curvature + beyond * np.sin(turn)
-        trial = Trial(patch, np.stack([along, -down, -y], axis=1), fabric, clamps, setting, (0.0, 0.0, 0.0), warp=angle)
+        trial = Trial(
+            specimen, np.stack([along, -down, -y], axis=1), fabric, clamps, setting, (0.0, 0.0, 0.0), warp=angle
+        )
         trial.settle(STILL, limit=60.0, still=1e-4)
         force, moment = trial.pull(np.flatnonzero(far))
         # The mean over the strip: the clamps' own moment, and that of their side force at mid-length.
@@ -132,7 +135,7 @@ def bending_curve(setting: Setting, fabric: Fabric, angle: float, curvatures: Se
     return LoadCurve(np.array(curvatures), np.array(loads), float(np.median(costs)))
 
 
-def compression_curve(setting: Setting, fabric: Fabric, pressures: Sequence[float]) -> LoadCurve:
+def compression_curve(setting: TrialSetting, fabric: Fabric, pressures: Sequence[float]) -> LoadCurve:
     """A sheet pressed onto a level plate by its own weight, as many times g as it takes: its height over the plate.
 
     So pressure is known whatever a solver takes for a force.
@@ -145,25 +148,25 @@ def compression_curve(setting: Setting, fabric: Fabric, pressures: Sequence[floa
     Returns:
         Pressures as load [Pa] and thickness as deformation [m].
     """
-    patch = strip(0.05, 0.05, max(4, setting.edges // 4), clamp=0)
+    specimen = strip(0.05, 0.05, max(4, setting.edges // 4), clamp=0)
     plate = Colliders([Plane((0.0, 0.0, 0.0))])
     found, costs = [], []
     for pressure in pressures:
         gravity = (0.0, -pressure / fabric.areal_density, 0.0)
-        start = level(patch.flat) + [0.0, fabric.thickness, 0.0]
-        trial = Trial(patch, start, fabric, np.zeros(0, int), setting, gravity, colliders=plate)
+        start = level(specimen.flat) + [0.0, fabric.thickness, 0.0]
+        trial = Trial(specimen, start, fabric, np.zeros(0, int), setting, gravity, colliders=plate)
         trial.settle(0.05, limit=20.0, still=1e-6)
         found.append(float(trial.model.mass @ trial.world()[:, 1] / trial.model.mass.sum()))
         costs.append(trial.cost_ms)
     return LoadCurve(np.array(found), np.array(pressures, float), float(np.median(costs)))
 
 
-def friction_coefficient(setting: Setting, fabric: Fabric) -> tuple[float, float]:
+def friction_coefficient(setting: TrialSetting, fabric: Fabric) -> tuple[float, float]:
     """A sheet thrown along a level plate at 1 m/s: how fast it slows down over g; cost of a frame [ms]."""
-    patch = strip(0.1, 0.1, setting.edges, clamp=0)
+    specimen = strip(0.1, 0.1, setting.edges, clamp=0)
     plate = Colliders([Plane((0.0, 0.0, 0.0))])
-    start = level(patch.flat) + [0.0, fabric.thickness, 0.0]
-    trial = Trial(patch, start, fabric, np.zeros(0, int), setting, colliders=plate)
+    start = level(specimen.flat) + [0.0, fabric.thickness, 0.0]
+    trial = Trial(specimen, start, fabric, np.zeros(0, int), setting, colliders=plate)
     for _ in range(6):  # it comes to lie
         trial.frame()
     trial.state.velocity[:] = [1.0, 0.0, 0.0]

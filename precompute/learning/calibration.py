@@ -117,7 +117,7 @@ def calibrate(
     matrix = CoarseFilter(layer.levels).matrix
     own = runs[0].options  # with the fabric itself calibration is compared
     models = [
-        replace(own, squeeze=squeeze, shear_scale=shear, bend_scale=bend)
+        replace(own, compression_compliance_scale=squeeze, shear_scale=shear, bend_scale=bend)
         for squeeze, shear, bend in itertools.product(SQUEEZE, SHEAR, BEND)
     ]
     tries = [
@@ -141,7 +141,7 @@ def calibrate(
             rows.append(
                 {
                     "model": number,
-                    "squeeze": model.squeeze,
+                    "squeeze": model.compression_compliance_scale,
                     "shear_scale": model.shear_scale,
                     "bend_scale": model.bend_scale,
                     "gain": gain,

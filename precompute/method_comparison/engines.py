@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pbd import InputError
-from precompute.benchmarks.solver_scenes import RATE, Measured, SolverScene, hanging_square, measure_steps
+from precompute.benchmarks.solver_scenes import RATE, SolverMeasurement, SolverScene, hanging_square, measure_steps
 from precompute.mechanics import GRAVITY
 
 __all__ = ["ENGINES", "EngineRun", "bench_engines"]
@@ -40,7 +40,7 @@ class EngineRun:
     name: str
     side: int
     setting: str
-    measured: Measured
+    measured: SolverMeasurement
 
     @property
     def passed(self) -> bool:
@@ -231,9 +231,9 @@ def bench_engines(
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     scene, runs = hanging_square(SIDE), []
     for name in names:
-        rival = ENGINES[name]
-        for setting in rival.settings:
+        baseline = ENGINES[name]
+        for setting in baseline.settings:
             words = ", ".join(f"{key} {value:g}" for key, value in setting.items())
             report(f"{name}: {words}")
-            runs.append(EngineRun(name, SIDE, words, measure_steps(scene, *rival.start(scene, **setting))))
+            runs.append(EngineRun(name, SIDE, words, measure_steps(scene, *baseline.start(scene, **setting))))
     return runs

@@ -36,14 +36,14 @@ def draw_charts(folder: Path, found: Sequence[SceneComparison]) -> None:
     FigureCanvasAgg(figure)
     for k, one in enumerate(found):
         axes = figure.add_subplot(rows, columns, k + 1)
-        finite = [p.verdict.error for p in one.points if np.isfinite(p.verdict.error)]
+        finite = [p.judgement.error for p in one.points if np.isfinite(p.judgement.error)]
         top = 2.0 * max([*finite, one.judge.floor])
         for point in one.points:
-            error = min(point.verdict.error, top)
-            style = {"marker": marker[point.run.setting.method], "color": INK[point.verdict.worst], "zorder": 3}
+            error = min(point.judgement.error, top)
+            style = {"marker": marker[point.run.setting.method], "color": INK[point.judgement.worst], "zorder": 3}
             axes.scatter(point.frame_ms[0], error, s=42, linewidths=0.6, edgecolors="white", **style)
-        front = one.front()
-        axes.step([p.frame_ms[0] for p in front], [p.verdict.error for p in front], "k--", where="post", lw=0.9)
+        front = one.pareto_front()
+        axes.step([p.frame_ms[0] for p in front], [p.judgement.error for p in front], "k--", where="post", lw=0.9)
         axes.axhspan(axes.get_ylim()[0] * 1e-6, one.judge.floor, color="0.87", zorder=0)
         axes.set(xscale="log", yscale="log", title=one.scene.title)
         axes.set_ylim(0.5 * min([*finite, one.judge.floor]), 1.3 * top)

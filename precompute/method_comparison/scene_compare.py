@@ -14,10 +14,10 @@ import numpy as np
 from pbd import InputError
 from precompute.method_comparison.compare_scenes import SCENES, CompareScene, scene_of
 from precompute.method_comparison.error_classes import ErrorClass
-from precompute.method_comparison.scene_judging import Judge, Verdict, reference_settings
+from precompute.method_comparison.scene_judging import Judge, Judgement, reference_settings
 from precompute.method_comparison.scene_runs import (
+    MethodSetting,
     SceneRun,
-    Setting,
     parse_setting,
     read_run,
     run_path,
@@ -26,7 +26,7 @@ from precompute.method_comparison.scene_runs import (
 )
 from precompute.workers import worker_pool
 
-__all__ = ["BUDGET", "METHODS", "Compared", "SceneComparison", "chosen_settings", "compare_scenes"]
+__all__ = ["BUDGET", "METHODS", "ComparedRun", "SceneComparison", "chosen_settings", "compare_scenes"]
 
 BUDGET = 900.0  # for everything [s]
 WORKERS = 2  # processes at a time
@@ -67,7 +67,7 @@ METHODS = {
     "fem-stvk/implicit-euler": _Kind(_NEWTON, 2, 35.0, True),
     "fem-stvk+isometric/bdf2": _Kind(_NEWTON, 2, 20.0, True),
 }
-RIVALS = {
+BASELINES = {
     "newton": _Kind(((40, None), (150, None)), 2, 1.0),
     "pypbd": _Kind(((10, None), (40, None)), 2, 0.2),
     "bpy": _Kind(((1, None), (2, None)), 2, 1.3),
@@ -78,21 +78,21 @@ OTHER = _Kind(((None, None),), 2, 30.0)  # of the methods that are compared only
 
 
 def _kind(method: str) -> _Kind:
-    return METHODS.get(method) or RIVALS.get(method, OTHER)
+    return METHODS.get(method) or BASELINES.get(method, OTHER)
 
 
 @dataclass(frozen=True)
-class Compared:
+class ComparedRun:
     """One point of the chart.
 
     Attributes:
         run: what it cost and gave.
-        verdict: how wrong it is.
+        judgement: how wrong it is.
         command: that repeats it.
     """
 
     run: SceneRun = field(repr=False)
-    verdict: Verdict
+    judgement: Judgement
     command: str
 
     @property
@@ -117,11 +117,11 @@ class Compared:
             "frame_ms_p99": p99,
             "setup_s": self.run.setup_s,
             "memory_mb": self.run.memory_mb,
-            "error": self.verdict.error,
-            "error_class": self.verdict.worst.name.lower(),
-            "because": self.verdict.because,
+            "error": self.judgement.error,
+            "error_class": self.judgement.worst.name.lower(),
+            "because": self.judgement.because,
             "command": self.command,
-            **self.verdict.figures,
+            **self.judgement.figures,
         }
 
 
@@ -138,18 +138,18 @@ class SceneComparison:
 
     scene: CompareScene
     judge: Judge = field(repr=False)
-    points: tuple[Compared, ...]
-    dropped: tuple[tuple[Setting, str], ...]
+    points: tuple[ComparedRun, ...]
+    dropped: tuple[tuple[MethodSetting, str], ...]
 
     def runs(self) -> list[SceneRun]:
         """Of the points."""
         return [point.run for point in self.points]
 
-    def front(self) -> list[Compared]:
+    def pareto_front(self) -> list[ComparedRun]:
         """Points that no other beats in both cost and error, by growing cost."""
-        found: list[Compared] = []
-        for point in sorted(self.points, key=lambda point: (point.frame_ms[0], point.verdict.error)):
-            if np.isfinite(point.verdict.error) and (not found or point.verdict.error < found[-1].verdict.error):
+        found: list[ComparedRun] = []
+        for point in sorted(self.points, key=lambda point: (point.frame_ms[0], point.judgement.error)):
+            if np.isfinite(point.judgement.error) and (not found or point.judgement.error < found[-1].judgement.error):
                 found.append(point)
         return found
 
@@ -160,9 +160,9 @@ class SceneComparison:
         found[f"{name}_refined"] = self.judge.refined
         found[f"{name}_processor_s"] = sum(run.total_s for run in [*self.judge.references, *self.runs()])
         for kind in ErrorClass:
-            found[f"{name}_{kind.name.lower()}"] = float(sum(p.verdict.worst is kind for p in self.points))
+            found[f"{name}_{kind.name.lower()}"] = float(sum(p.judgement.worst is kind for p in self.points))
         enough = max(self.judge.floor, 1.0 if self.scene.unique else self.judge.refined)
-        good = [p.frame_ms[0] for p in self.points if p.verdict.error <= enough]
+        good = [p.frame_ms[0] for p in self.points if p.judgement.error <= enough]
         return found | ({f"{name}_cheapest_good_ms": min(good)} if good else {})
 
 
@@ -171,7 +171,7 @@ class _Job:
     """A run that is wanted; ``estimate`` is its processor time [s]."""
 
     scene: CompareScene
-    setting: Setting
+    setting: MethodSetting
     path: Path
     estimate: float
     reference: bool
@@ -184,7 +184,7 @@ class _Job:
         return time.process_time() - began
 
 
-def chosen_settings(scene: CompareScene, methods: Sequence[str]) -> list[Setting]:
+def chosen_settings(scene: CompareScene, methods: Sequence[str]) -> list[MethodSetting]:
     """Settings of some methods for a scene; of all that are compared by default if none is named.
 
     Raises:
@@ -198,11 +198,11 @@ def chosen_settings(scene: CompareScene, methods: Sequence[str]) -> list[Setting
         pairs = kind.numbers
         if len(numbers) > 1:
             pairs = [(numbers[1], numbers[2] if len(numbers) > 2 else None)]
-        settings += [Setting(name, edges, *pair) for edges in resolutions for pair in pairs]
+        settings += [MethodSetting(name, edges, *pair) for edges in resolutions for pair in pairs]
     return list(dict.fromkeys(settings))
 
 
-def _estimate(scene: CompareScene, setting: Setting) -> float:
+def _estimate(scene: CompareScene, setting: MethodSetting) -> float:
     """Processor time of a run, roughly [s]."""
     kind = _kind(setting.method)
     vertices = len(scene.sheet(setting.edges).flat)
@@ -221,7 +221,7 @@ def _estimate(scene: CompareScene, setting: Setting) -> float:
 def _warm() -> None:
     """Compile the default solver before anything is measured."""
     scene = scene_of("swing", 1.0 / 30.0)
-    run_setting(scene, Setting("default", 4, 1))
+    run_setting(scene, MethodSetting("default", 4, 1))
 
 
 def compare_scenes(
@@ -282,7 +282,7 @@ def compare_scenes(
                 continue
             text = f"gube compare {scene.name} --methods {job.setting.method}@{job.setting.numbers} -o {output}"
             text += "" if seconds is None else f" --seconds {seconds:g}"
-            points.append(Compared(run, judge.judge(run), text))
+            points.append(ComparedRun(run, judge.judge(run), text))
         found.append(SceneComparison(scene, judge, tuple(points), tuple(dropped)))
     return found
 

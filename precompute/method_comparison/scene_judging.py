@@ -10,11 +10,11 @@ import numpy as np
 from pbd import ClothMesh
 from precompute.method_comparison.compare_scenes import RATE, CompareScene
 from precompute.method_comparison.error_classes import START, ErrorClass, Recorded, classify, deviations
-from precompute.method_comparison.scene_runs import SceneRun, Setting
+from precompute.method_comparison.scene_runs import MethodSetting, SceneRun
 from wrinkles.metrics import PIXELS_PER_METRE, bending_energy, fold_count, jitter_px
 from wrinkles.spectrum import BandedEnergy
 
-__all__ = ["Judge", "Verdict", "reference_settings", "screen_mm"]
+__all__ = ["Judge", "Judgement", "reference_settings", "screen_mm"]
 
 LEAST_BAND = 0.01  # of the reference's bending energy: a ratio to less says little
 # Growth of energy below this is none [-]: a symplectic step's velocity is half a substep ahead of its position, which
@@ -23,7 +23,7 @@ NOISE = 0.02
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Judgement:
     """What is said of a run.
 
     Attributes:
@@ -77,10 +77,10 @@ class Judge:
     def unit(self) -> str:
         return "px" if self.scene.unique else "octaves"
 
-    def judge(self, run: SceneRun) -> Verdict:
+    def judge(self, run: SceneRun) -> Judgement:
         """Error, figures and class of a run."""
         if run.problem:
-            return Verdict(np.inf, {"not_finite": 1.0}, ErrorClass.CATASTROPHIC, run.problem)
+            return Judgement(np.inf, {"not_finite": 1.0}, ErrorClass.CATASTROPHIC, run.problem)
         edges, lengths = self._mesh.edge_lengths()
         thickness, speed = self.scene.fabric.thickness, self._rail_speed()
         chaotic = not self.scene.unique
@@ -104,7 +104,7 @@ class Judge:
         else:
             error = figures["position_px"]
             extra["position_rms_mm"] = float(1e3 * _rms(self._later(run) - self._later(self.reference)))
-        return Verdict(error, figures | extra, classes[because], because)
+        return Judgement(error, figures | extra, classes[because], because)
 
     def statistics(self, run: SceneRun) -> dict[str, float]:
         """Bending energy in all and by wavelength per unit of stiffness [-], and folds along the border, as means."""
@@ -168,11 +168,11 @@ def screen_mm(pixels: float) -> float:
     return 1e3 * pixels / PIXELS_PER_METRE
 
 
-def reference_settings(scene: CompareScene) -> list[Setting]:
+def reference_settings(scene: CompareScene) -> list[MethodSetting]:
     """The references of a scene, as :class:`Judge` takes them."""
     if scene.unique:
         fine, finer = scene.samples, round(1.5 * scene.samples)
-        return [Setting("fem-stvk+isometric/verlet", fine), Setting("fem-stvk+isometric/verlet", finer)]
+        return [MethodSetting("fem-stvk+isometric/verlet", fine), MethodSetting("fem-stvk+isometric/verlet", finer)]
     fine = scene.samples
-    perturbed = [Setting("default", fine, 32, seed=seed) for seed in (1, 2, 3)]
-    return [*perturbed, Setting("default", round(1.5 * fine), 48, seed=1)]
+    perturbed = [MethodSetting("default", fine, 32, seed=seed) for seed in (1, 2, 3)]
+    return [*perturbed, MethodSetting("default", round(1.5 * fine), 48, seed=1)]

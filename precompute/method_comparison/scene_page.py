@@ -12,7 +12,7 @@ from precompute.method_comparison.compare_scenes import RATE, CompareScene
 from precompute.method_comparison.error_classes import ErrorClass
 from precompute.method_comparison.fabric_pictures import FABRICS, draw_fabrics, fabric_runs
 from precompute.method_comparison.scene_chart import draw_charts
-from precompute.method_comparison.scene_compare import Compared, SceneComparison
+from precompute.method_comparison.scene_compare import ComparedRun, SceneComparison
 from precompute.method_comparison.scene_judging import screen_mm
 from precompute.reporting.page import Band, Chart, Heading, Line, Picture, Point, Section, Table, Text, write_page
 from precompute.reporting.tables import write_table
@@ -67,13 +67,13 @@ def comparison_text(one: SceneComparison) -> str:
         lines.append(f"A reference with 1.5 times the edges and substeps is {judge.refined:.2g} {unit} from the mean.")
     told = [
         f"{point.run.setting.method} ({point.run.setting.words}) {point.frame_ms[0]:.3g} ms: "
-        f"{point.verdict.error:.2g} {unit}, {point.verdict.worst.name.lower()}"
-        for point in one.front()
+        f"{point.judgement.error:.2g} {unit}, {point.judgement.worst.name.lower()}"
+        for point in one.pareto_front()
     ]
     lines.append("The front, from the cheapest: " + "; ".join(told) + ".")
-    bad = [p for p in one.points if p.verdict.worst is ErrorClass.CATASTROPHIC]
+    bad = [p for p in one.points if p.judgement.worst is ErrorClass.CATASTROPHIC]
     if bad:
-        names = [f"{p.run.setting.method}@{p.run.setting.numbers} ({p.verdict.because})" for p in bad]
+        names = [f"{p.run.setting.method}@{p.run.setting.numbers} ({p.judgement.because})" for p in bad]
         lines.append("Catastrophic: " + "; ".join(names) + ".")
     if one.dropped:
         names = list(dict.fromkeys(setting.method for setting, _ in one.dropped))
@@ -140,13 +140,13 @@ def _chart(one: SceneComparison) -> Chart:
     return Chart(points, "time of a frame, p50 [ms]", label, True, True, bands, lines, caption, colors)
 
 
-def _point(scene: CompareScene, point: Compared) -> Point:
+def _point(scene: CompareScene, point: ComparedRun) -> Point:
     row = {name: value for name, value in point.row(scene.name).items() if name not in ("scene", "method", "error")}
-    ended = not np.isfinite(point.verdict.error)
-    x, y = max(point.frame_ms[0], 1e-3), 0.0 if ended else max(point.verdict.error, 1e-3)
+    ended = not np.isfinite(point.judgement.error)
+    x, y = max(point.frame_ms[0], 1e-3), 0.0 if ended else max(point.judgement.error, 1e-3)
     setting = point.run.setting
     row["command"] = row.pop("command")  # last
-    return Point(x, y, setting.method, setting.numbers, row, color=COLORS[point.verdict.worst], off_scale=ended)
+    return Point(x, y, setting.method, setting.numbers, row, color=COLORS[point.judgement.worst], off_scale=ended)
 
 
 def _table(found: Sequence[SceneComparison]) -> Table:
@@ -169,7 +169,7 @@ def draw_strip(one: SceneComparison) -> np.ndarray:
     for name in list(dict.fromkeys(names))[:6]:
         whole = [p for p in one.points if p.run.setting.method == name and len(p.run.position) > frame]
         if whole:
-            best = min(whole, key=lambda point: point.verdict.error)
+            best = min(whole, key=lambda point: point.judgement.error)
             chosen.append((f"{name} {best.run.setting.numbers}", best.run.position[frame]))
     faces = scene.compared().faces
     frames = np.array([chosen[0][1]], float)

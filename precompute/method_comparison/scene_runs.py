@@ -24,19 +24,19 @@ from precompute.mechanics import mechanical_energy, signed_distance
 from precompute.method_comparison import compare_scenes
 from precompute.method_comparison.compare_scenes import RATE, CompareScene
 from precompute.method_comparison.error_classes import START
-from precompute.method_comparison.scene_rivals import RIVALS, start_rival
+from precompute.method_comparison.scene_baselines import BASELINES, start_baseline
 
-__all__ = ["SceneRun", "Setting", "parse_setting", "read_run", "run_path", "run_setting"]
+__all__ = ["SceneRun", "MethodSetting", "parse_setting", "read_run", "run_path", "run_setting"]
 
 TOLERANCE = 1e-4  # of Newton's method: a hundredth of a millimetre on these meshes [mean edges]
 
 
 @dataclass(frozen=True)
-class Setting:
+class MethodSetting:
     """A method and how it is set.
 
     Attributes:
-        method: name in :data:`pbd.models.SOLVERS` or :data:`precompute.method_comparison.scene_rivals.RIVALS`.
+        method: name in :data:`pbd.models.SOLVERS` or :data:`precompute.method_comparison.scene_baselines.BASELINES`.
         edges: along the length of the cloth.
         substeps: of a frame of 1/60 s; None takes the method's own (explicit ones ask the mesh).
         iterations: passes or Newton steps of a substep at most; None takes the method's own.
@@ -66,9 +66,9 @@ class Setting:
         return ", ".join(found)
 
     @property
-    def rival(self) -> bool:
+    def baseline(self) -> bool:
         """Whether it is another engine."""
-        return self.method in RIVALS
+        return self.method in BASELINES
 
     def solver(self, model: Model) -> AnySolver:
         """The solver for a model; raises :class:`pbd.InputError` where it cannot take the mesh."""
@@ -85,8 +85,8 @@ def parse_setting(text: str) -> tuple[str, tuple[int | None, ...]]:
         InputError: no such method, or what are no such numbers.
     """
     name, sign, numbers = text.strip().partition("@")
-    if name not in SOLVERS and name not in RIVALS:
-        expected = ", ".join([*SOLVERS, *RIVALS])
+    if name not in SOLVERS and name not in BASELINES:
+        expected = ", ".join([*SOLVERS, *BASELINES])
         raise InputError("no such method", key="--methods", received=name, expected=expected)
     parts = numbers.split("x") if sign else []
     if any(not part.isdecimal() or int(part) > 10_000 for part in parts) or len(parts) > 3 or (sign and not parts):
@@ -118,7 +118,7 @@ class SceneRun:
         gave_up: ended because it took too long: it says nothing about the method's error.
     """
 
-    setting: Setting
+    setting: MethodSetting
     position: np.ndarray = field(repr=False)
     velocity: np.ndarray = field(repr=False)
     energy: np.ndarray = field(repr=False)
@@ -135,7 +135,7 @@ class SceneRun:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def run_setting(scene: CompareScene, setting: Setting, limit_s: float = np.inf) -> SceneRun:
+def run_setting(scene: CompareScene, setting: MethodSetting, limit_s: float = np.inf) -> SceneRun:
     """Run a scene and measure it.
 
     Args:
@@ -148,7 +148,7 @@ def run_setting(scene: CompareScene, setting: Setting, limit_s: float = np.inf) 
     """
     began = time.process_time()
     model = scene.model(setting.edges, setting.seed)
-    stepped = _rival(scene, model, setting) if setting.rival else _ours(scene, model, setting)
+    stepped = _baseline(scene, model, setting) if setting.baseline else _ours(scene, model, setting)
     setup_s = time.process_time() - began
     frames, times, problem, gave_up = [], [], "", False
     for frame in range(1, scene.frame_count + 1):
@@ -177,7 +177,7 @@ def run_setting(scene: CompareScene, setting: Setting, limit_s: float = np.inf) 
         _strain(model, x),
         np.array(times),
         setup_s,
-        float("nan") if setting.rival else _memory_mb(scene, setting),
+        float("nan") if setting.baseline else _memory_mb(scene, setting),
         model.vertex_count,
         _substeps(setting, model),
         time.process_time() - began,
@@ -189,7 +189,7 @@ def run_setting(scene: CompareScene, setting: Setting, limit_s: float = np.inf) 
 _Stepped = Callable[[int], tuple[np.ndarray, np.ndarray]]  # makes a frame; positions and velocities after it
 
 
-def _ours(scene: CompareScene, model: Model, setting: Setting) -> _Stepped:
+def _ours(scene: CompareScene, model: Model, setting: MethodSetting) -> _Stepped:
     solver = setting.solver(model)
     state, colliders = State.at_rest(model), scene.scene_colliders()
     rail = model.mesh.vertices[model.held]
@@ -201,10 +201,10 @@ def _ours(scene: CompareScene, model: Model, setting: Setting) -> _Stepped:
     return stepped
 
 
-def _rival(scene: CompareScene, model: Model, setting: Setting) -> _Stepped:
+def _baseline(scene: CompareScene, model: Model, setting: MethodSetting) -> _Stepped:
     if scene.colliders() or scene.driven:
         raise InputError("an engine that is driven on a still clamp alone", key="--methods", received=setting.method)
-    step, world = start_rival(setting.method, model, setting.substeps, setting.iterations)
+    step, world = start_baseline(setting.method, model, setting.substeps, setting.iterations)
     last = [world()]
 
     def stepped(frame: int) -> tuple[np.ndarray, np.ndarray]:
@@ -217,8 +217,8 @@ def _rival(scene: CompareScene, model: Model, setting: Setting) -> _Stepped:
     return stepped
 
 
-def _substeps(setting: Setting, model: Model) -> int:
-    if setting.substeps or setting.rival:
+def _substeps(setting: MethodSetting, model: Model) -> int:
+    if setting.substeps or setting.baseline:
         return setting.substeps or 1
     solver = setting.solver(model)
     substep = getattr(solver, "substep", None) or solver.options.substep  # pyright: ignore[reportAttributeAccessIssue]
@@ -241,7 +241,7 @@ def _strain(model: Model, x: np.ndarray) -> np.ndarray:
     return np.array([np.percentile(np.abs(strain), 95), strain.max()])
 
 
-def _memory_mb(scene: CompareScene, setting: Setting) -> float:
+def _memory_mb(scene: CompareScene, setting: MethodSetting) -> float:
     """Of a second set-up and step, so that measuring slows nothing that is timed."""
     tracemalloc.start()
     try:
@@ -261,7 +261,7 @@ def _version() -> str:
     return source_fingerprint(pbd, mechanics, compare_scenes, Path(__file__))
 
 
-def run_path(cache: Path, scene: CompareScene, setting: Setting) -> Path:
+def run_path(cache: Path, scene: CompareScene, setting: MethodSetting) -> Path:
     """Where a run is kept: its name holds everything that it depends on."""
     text = json.dumps([_version(), scene.name, scene.seconds, asdict(setting)])
     return cache / f"{scene.name}_{hashlib.sha256(text.encode()).hexdigest()[:20]}.npz"
@@ -284,7 +284,7 @@ def read_run(path: Path) -> SceneRun | None:
     try:
         with np.load(path, allow_pickle=False) as data:
             numbers = json.loads(str(data["text"]))
-            setting = Setting(**numbers.pop("setting"))
+            setting = MethodSetting(**numbers.pop("setting"))
             return SceneRun(setting, **{name: data[name] for name in _ARRAYS}, **numbers)
     except (OSError, ValueError, KeyError):
         return None

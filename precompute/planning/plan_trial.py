@@ -12,7 +12,7 @@ import numpy as np
 from assets.io.scene import CameraSettings
 from pbd import InputError
 from pbd.wind import Air
-from precompute.planning.planning import front_of
+from precompute.planning.planning import cost_table_of
 from runtime.ensemble import Ensemble
 from runtime.front import Front
 from runtime.planner import TARGETS, Planner, Sight, sight_of
@@ -85,7 +85,7 @@ def try_plan(
     database: WrinkleDatabase,
     cast: Cast,
     motion: Motion,
-    front: Front,
+    table: Front,
     cameras: Callable[[float], tuple[CameraSettings, ...]],
     seconds: float,
 ) -> PlanTrial:
@@ -95,7 +95,7 @@ def try_plan(
     state, in others of the state that full detail steps to from the last update.
 
     Args:
-        database, cast, front: of the garment.
+        database, cast, table: of the garment.
         motion: played forth and back for as long as it takes.
         cameras: about the garment, see :data:`SCENES`.
         seconds: to play [s].
@@ -103,10 +103,10 @@ def try_plan(
     dt = 1.0 / database.frame_rate
     times = _there_and_back(motion.duration, dt, round(seconds / dt))
     player, shadow = (Player(database, cast.body, motion.pose(0.0), cast.primitives) for _ in range(2))
-    ensemble = Ensemble([player], Planner([front], TARGET_PX, 1e9))
+    ensemble = Ensemble([player], Planner([table], TARGET_PX, 1e9))
     errors, changes, cost, catastrophic, idle, updated = [], 0, 0.0, 0, 0, times[0]
     for tick in range(1, len(times)):
-        sight = _sight(player, cameras(tick * dt), front)
+        sight = _sight(player, cameras(tick * dt), table)
         before, hash_before = player.detail, player.simulation.state.position.copy()
         try:
             ensemble.update([motion.pose(times[tick])], dt, [sight], cast.wind)
@@ -152,12 +152,12 @@ def trial_rows(
             raise InputError("no such scene", key="NAME", received=name, expected=", ".join(SCENES))
     database = read_database(path)
     cast = cast_of(database)
-    front = front_of(database, path, report)
+    table = cost_table_of(database, path, report)
     rows = []
     for name in names or SCENES:
         if report is not None:
             report(f"{name}: {seconds:g} s")
-        trial = try_plan(database, cast, cast.motions[0], front, SCENES[name], seconds)
+        trial = try_plan(database, cast, cast.motions[0], table, SCENES[name], seconds)
         if trial.error_px.size == 0 and trial.catastrophic == 0:
             raise InputError("no tick is compared", key="--seconds", received=seconds, expected="at least 2 [s]")
         errors = trial.error_px if trial.error_px.size else np.array([np.inf])
@@ -169,7 +169,7 @@ def trial_rows(
                 "within_target_percent": 100.0 * float((errors <= TARGET_PX).mean()),
                 "changes": trial.changes,
                 "cost_ms": trial.cost_ms,
-                "full_cost_ms": front.settings[0].cost_ms,
+                "full_cost_ms": table.settings[0].cost_ms,
                 "catastrophic": trial.catastrophic,
             }
         )
@@ -194,9 +194,9 @@ def trial_text(rows: Sequence[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def _sight(player: Player, cameras: tuple[CameraSettings, ...], front: Front) -> Sight:
+def _sight(player: Player, cameras: tuple[CameraSettings, ...], table: Front) -> Sight:
     speed = float(np.sqrt(3.0 * np.mean(player.simulation.state.velocity.astype(float) ** 2)))
-    return sight_of(cameras, (0.0, 0.0, 0.0), front.size, speed)
+    return sight_of(cameras, (0.0, 0.0, 0.0), table.size, speed)
 
 
 def _truth(player: Player, shadow: Player, motion: Motion, times: np.ndarray, dt: float, wind: Air) -> np.ndarray:

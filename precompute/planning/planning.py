@@ -10,7 +10,7 @@ import numpy as np
 
 from assets.io.scene import CameraSettings
 from pbd import InputError
-from precompute.planning.front import front_key, measure_front
+from precompute.planning.cost_table import cost_table_key, measure_cost_table
 from precompute.wrinkle_comparison.compare import database_of
 from runtime.front import FOLD, Front, front_path, read_front, write_front
 from runtime.planner import Choice, Planner, Sight, cheapest, exhaustive, sight_of
@@ -19,7 +19,7 @@ from runtime.report import machine_description
 from runtime.stage import scene_of
 from wrinkles.database import WrinkleDatabase, read_database
 
-__all__ = ["Planned", "front_of", "plan_file", "plan_rows", "plan_text"]
+__all__ = ["Planned", "cost_table_of", "plan_file", "plan_rows", "plan_text"]
 
 NEAR, FAR = 2.0, 20.0  # whose costs are compared [m]
 LOOKED = 50  # distances
@@ -31,20 +31,20 @@ class Planned:
     """A plan for some garments of one kind.
 
     Attributes:
-        front: of the garment.
+        table: of the garment.
         sights: how each is seen.
         choices: one for each.
         figures: of the plan, by name.
     """
 
-    front: Front
+    table: Front
     sights: tuple[Sight, ...]
     choices: tuple[Choice, ...]
     figures: dict[str, float | str]
 
 
-def front_of(database: WrinkleDatabase, path: Path, report: Callable[[str], None] | None = None) -> Front:
-    """The front kept beside a database, measured first where there is none of it and of this machine.
+def cost_table_of(database: WrinkleDatabase, path: Path, report: Callable[[str], None] | None = None) -> Front:
+    """The table kept beside a database, measured first where none was measured for it on this machine.
 
     Args:
         database: the database.
@@ -53,13 +53,13 @@ def front_of(database: WrinkleDatabase, path: Path, report: Callable[[str], None
     """
     kept = front_path(path)
     if kept.exists():
-        front = read_front(kept)
-        if (front.database, front.machine) == (front_key(database), machine_description()["cpu"]):
-            return front
+        table = read_front(kept)
+        if (table.database, table.machine) == (cost_table_key(database), machine_description()["cpu"]):
+            return table
     cast = cast_of(database)
-    front = measure_front(database, cast, cast.motions[0], report)
-    write_front(kept, front)
-    return front
+    table = measure_cost_table(database, cast, cast.motions[0], report)
+    write_front(kept, table)
+    return table
 
 
 def plan_file(
@@ -92,75 +92,75 @@ def plan_file(
         raise InputError("nothing to plan", key="--garments", received=garments, expected="at least 1")
     path = database_of(path, output, report)
     database = read_database(path)
-    front = front_of(database, path, report)
+    table = cost_table_of(database, path, report)
     camera = scene_of(database).camera
     centre = database.coarse_vertices.mean(axis=0)
     away = float(np.linalg.norm(np.subtract(centre, camera.position))) if distance is None else distance
     view = camera.field_of_view_deg if field_of_view_deg is None else field_of_view_deg
-    sights = [seen_from(front, away, view)] * garments
+    sights = [seen_from(table, away, view)] * garments
     if distance is None and field_of_view_deg is None:
-        sights = [sight_of([camera], centre.tolist(), front.size, front.speeds[0])] * garments
-    planner = Planner([front] * garments, target_px, budget_ms)
+        sights = [sight_of([camera], centre.tolist(), table.size, table.speeds[0])] * garments
+    planner = Planner([table] * garments, target_px, budget_ms)
     choices = planner.plan(sights)
-    figures = plan_figures(front, sights, choices, target_px)
-    figures |= {"distance_m": away, "frame_ms": planner.tick_ms(choices), "settings": float(len(front.settings))}
-    return Planned(front, tuple(sights), tuple(choices), figures)
+    figures = plan_figures(table, sights, choices, target_px)
+    figures |= {"distance_m": away, "frame_ms": planner.tick_ms(choices), "settings": float(len(table.settings))}
+    return Planned(table, tuple(sights), tuple(choices), figures)
 
 
-def seen_from(front: Front, distance: float, field_of_view_deg: float = 40.0) -> Sight:
+def seen_from(table: Front, distance: float, field_of_view_deg: float = 40.0) -> Sight:
     """A garment in the middle of the picture, moving as it was measured."""
     camera = CameraSettings(position=(0.0, 0.0, distance), target=(0.0, 0.0, 0.0), field_of_view_deg=field_of_view_deg)
-    return sight_of([camera], (0.0, 0.0, 0.0), front.size, front.speeds[0])
+    return sight_of([camera], (0.0, 0.0, 0.0), table.size, table.speeds[0])
 
 
 def plan_figures(
-    front: Front, sights: Sequence[Sight], choices: Sequence[Choice], target_px: float
+    table: Front, sights: Sequence[Sight], choices: Sequence[Choice], target_px: float
 ) -> dict[str, float | str]:
     """Figures of a plan: the choice, its cost and error, how much dearer than the cheapest, and what distance saves."""
     cost = sum(choice.cost_ms for choice in choices)
     near, far = (
-        Planner([front], target_px, ENDLESS).plan([seen_from(front, distance)])[0].cost_ms for distance in (NEAR, FAR)
+        Planner([table], target_px, ENDLESS).plan([seen_from(table, distance)])[0].cost_ms for distance in (NEAR, FAR)
     )
     return {
-        "choice": str(front.settings[choices[0].index].detail),
+        "choice": str(table.settings[choices[0].index].detail),
         "cost_ms": cost,
         "screen_error_px": max(choice.error_px for choice in choices),
-        "regret_percent": 100.0 * max(0.0, cost / exhaustive([front] * len(sights), sights, target_px) - 1.0),
+        "regret_percent": 100.0 * max(0.0, cost / exhaustive([table] * len(sights), sights, target_px) - 1.0),
         "cost_ratio_2m_20m": near / far,
-        "changed_by_l_g": changed_by_fineness(front, target_px),
+        "changed_by_l_g": changed_by_fineness(table, target_px),
     }
 
 
-def changed_by_fineness(front: Front, target_px: float) -> float:
+def changed_by_fineness(table: Front, target_px: float) -> float:
     """In how many of :data:`LOOKED` distances from 1 to 100 m the cheapest good setting has too fine a mesh for l_g."""
-    looks = [seen_from(front, float(distance)).errors(front) for distance in np.geomspace(1.0, 100.0, LOOKED)]
-    return float(sum(front.too_fine[cheapest(front.costs, errors, target_px)] for errors in looks))
+    looks = [seen_from(table, float(distance)).errors(table) for distance in np.geomspace(1.0, 100.0, LOOKED)]
+    return float(sum(table.too_fine[cheapest(table.costs, errors, target_px)] for errors in looks))
 
 
 def plan_text(planned: Planned) -> str:
     """The choice and why, a line for each of what is chosen alike."""
-    front, figures = planned.front, planned.figures
-    lines = [f"{front.garment}, {figures['distance_m']:.3g} m away"]
+    table, figures = planned.table, planned.figures
+    lines = [f"{table.garment}, {figures['distance_m']:.3g} m away"]
     for index in dict.fromkeys(choice.index for choice in planned.choices):
         alike = [choice for choice in planned.choices if choice.index == index]
-        lines += [f"{len(alike)} x {front.settings[index].detail}", f"    {alike[0].why}"]
+        lines += [f"{len(alike)} x {table.settings[index].detail}", f"    {alike[0].why}"]
     return "\n".join(
         [
             *lines,
             f"cost {figures['cost_ms']:.3g} ms a tick, {figures['frame_ms']:.3g} in the dearest; "
-            f"full detail {front.settings[0].cost_ms * len(planned.choices):.3g}",
+            f"full detail {table.settings[0].cost_ms * len(planned.choices):.3g}",
             f"error on screen {figures['screen_error_px']:.2g} px",
             f"at 2 m {figures['cost_ratio_2m_20m']:.3g} times the cost at 20 m",
-            _fineness(front, figures),
+            _fineness(table, figures),
         ]
     )
 
 
-def _fineness(front: Front, figures: dict[str, float | str]) -> str:
+def _fineness(table: Front, figures: dict[str, float | str]) -> str:
     """What l_g says about the meshes that are simulated, in a line."""
-    meshes = " and ".join(f"{1e3 * edge:.0f}" for edge in front.edges)
-    line = f"meshes of {meshes} mm; l_g = {1e3 * front.gravity_length:.0f} mm makes folds of {FOLD:g} l_g and longer"
-    if not front.too_fine.any():
+    meshes = " and ".join(f"{1e3 * edge:.0f}" for edge in table.edges)
+    line = f"meshes of {meshes} mm; l_g = {1e3 * table.gravity_length:.0f} mm makes folds of {FOLD:g} l_g and longer"
+    if not table.too_fine.any():
         return f"{line}: none is finer than such a fold needs"
     changed = float(figures["changed_by_l_g"])
     return (
@@ -170,8 +170,8 @@ def _fineness(front: Front, figures: dict[str, float | str]) -> str:
 
 def plan_rows(planned: Planned) -> list[dict[str, float]]:
     """The table as it is seen: a row a setting."""
-    errors = planned.sights[0].errors(planned.front)
+    errors = planned.sights[0].errors(planned.table)
     return [
         {**asdict(row.detail), "cost_ms": row.cost_ms, "peak_ms": row.peak_ms, "screen_error_px": float(error)}
-        for row, error in zip(planned.front.settings, errors, strict=True)
+        for row, error in zip(planned.table.settings, errors, strict=True)
     ]

@@ -11,7 +11,7 @@ from pbd import SolverOptions
 from pbd.wind import Air
 from runtime.simulation import BodySource, Simulation
 
-__all__ = ["LONGEST", "SHORTEST", "Stability", "largest_stable_step", "real_substep"]
+__all__ = ["LONGEST", "SHORTEST", "StabilityLimit", "largest_stable_step", "real_substep"]
 
 SHORTEST, LONGEST = 1.0 / 2000.0, 1.0 / 10.0  # substeps between which the limit is looked for [s]
 STEPS = 7  # bisections: the limit is known to 4 %
@@ -21,7 +21,7 @@ EXCESS_STRAIN = 1.0  # of any edge over the most that it sees in the reference [
 
 
 @dataclass(frozen=True)
-class Stability:
+class StabilityLimit:
     """How long a substep one garment stands.
 
     Attributes:
@@ -45,7 +45,7 @@ def largest_stable_step(
     poses: np.ndarray,
     dt: float,
     wind: Air = (0.0, 0.0, 0.0),
-) -> Stability:
+) -> StabilityLimit:
     """Bisect, on a logarithmic scale, for the longest substep that is no catastrophe.
 
     A catastrophe is a state that is not finite, an edge stretched by 100 % of its length more than it ever is in the
@@ -73,12 +73,12 @@ def largest_stable_step(
 
     fate, most = attempt(SHORTEST, None)
     if fate:
-        return Stability(name, 0.0, fate, SHORTEST)
+        return StabilityLimit(name, 0.0, fate, SHORTEST)
     allowed = most + EXCESS_STRAIN
     low, high = real_substep(SHORTEST), LONGEST
     fates = {low: "", high: attempt(high, allowed)[0]}
     if not fates[high]:
-        return Stability(name, LONGEST, "", float("inf"))
+        return StabilityLimit(name, LONGEST, "", float("inf"))
     for _ in range(STEPS):
         # Several substeps asked for come to the same whole number a frame.
         middle = real_substep(float(np.sqrt(low * high)))
@@ -88,7 +88,7 @@ def largest_stable_step(
             high = middle
         else:
             low = middle
-    return Stability(name, low, fates[high], high)
+    return StabilityLimit(name, low, fates[high], high)
 
 
 def real_substep(substep: float) -> float:

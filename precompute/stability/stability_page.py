@@ -20,7 +20,7 @@ from precompute.reporting.page import Heading, Picture, Section, Table, Text, wr
 from precompute.reporting.tables import write_table
 from precompute.stability.stability_cells import Cell
 from precompute.stability.stability_maps import Axis, StabilityMap
-from precompute.stability.stability_sweep import Border, Stability, cell_command
+from precompute.stability.stability_sweep import Border, StabilitySweep, cell_command
 from precompute.stability.stability_theory import theory_of
 
 __all__ = ["cell_row", "cell_text", "stability_text", "write_stability"]
@@ -30,7 +30,7 @@ WORDS = ("imperceptible", "visible, accepted", "visible, not accepted", "catastr
 BELOW = 3.0  # a map is drawn down to this factor below its lowest border
 
 
-def write_stability(folder: Path, found: Stability) -> list[Path]:
+def write_stability(folder: Path, found: StabilitySweep) -> list[Path]:
     """Write ``stability.html``, ``stability.csv`` and a PNG of each map and method; returns the files."""
     folder.mkdir(parents=True, exist_ok=True)
     page, table = folder / "stability.html", folder / "stability.csv"
@@ -85,7 +85,7 @@ def cell_text(cell: Cell) -> str:
     return "\n".join(lines)
 
 
-def stability_text(found: Stability) -> str:
+def stability_text(found: StabilitySweep) -> str:
     """The counts, the explicit limits, and how to run again what was lost."""
     lines = []
     for method in found.methods:
@@ -104,7 +104,7 @@ def stability_text(found: Stability) -> str:
     return "\n".join(lines)
 
 
-def _foreword(found: Stability) -> str:
+def _foreword(found: StabilitySweep) -> str:
     return (
         "Each cell is a second of one small scene, classed beside a converged run of the same scene. A cell says what "
         "was worst and what a frame takes; the black line is the border of what is catastrophic, found by bisection; "
@@ -114,7 +114,7 @@ def _foreword(found: Stability) -> str:
     )
 
 
-def _counts(found: Stability) -> Table:
+def _counts(found: StabilitySweep) -> Table:
     rows = []
     for method in found.methods:
         for one in found.maps:
@@ -123,7 +123,7 @@ def _counts(found: Stability) -> Table:
     return Table(["method", "map", *WORDS], rows, "Cells by class")
 
 
-def _caption(one: StabilityMap, method: str, found: Stability) -> str:
+def _caption(one: StabilityMap, method: str, found: StabilitySweep) -> str:
     cells = found.of(one, method)
     went = [cell.went for cell in cells if cell.error_class is ErrorClass.CATASTROPHIC]
     counts = ", ".join(f"{went.count(word)} {word}" for word in dict.fromkeys(went))
@@ -135,12 +135,12 @@ def _border_table(borders: Sequence[Border]) -> Table:
     return Table(["method", "map", "x", "y not catastrophic", "y catastrophic"], rows)
 
 
-def _lost_table(found: Stability) -> Table:
+def _lost_table(found: StabilitySweep) -> Table:
     lost = [cell for cell in found.cells if cell.error_class is ErrorClass.CATASTROPHIC]
     return Table(["went", "after [s]", "command"], [[c.went, c.failed_s, cell_command(c)] for c in lost])
 
 
-def _draw(path: Path, one: StabilityMap, method: str, found: Stability) -> None:
+def _draw(path: Path, one: StabilityMap, method: str, found: StabilitySweep) -> None:
     cells = {(cell.x, cell.y): cell for cell in found.of(one, method)}
     figure = Figure(figsize=(10.5, 7.5), layout="constrained")
     axes = figure.subplots()

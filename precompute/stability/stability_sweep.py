@@ -26,7 +26,7 @@ from precompute.stability.stability_maps import MAPS, StabilityMap
 from precompute.stability.stability_theory import ExplicitLimit, explicit_limits
 from precompute.workers import run_jobs
 
-__all__ = ["METHODS", "Border", "Stability", "cell_command", "check_methods", "sweep"]
+__all__ = ["METHODS", "Border", "StabilitySweep", "cell_command", "check_methods", "sweep"]
 
 METHODS = ("default", "springs-triangle/symplectic-euler")
 STEPS = 6  # bisections of a border between two cells
@@ -51,7 +51,7 @@ class Border:
 
 
 @dataclass(frozen=True)
-class Stability:
+class StabilitySweep:
     """What a sweep found."""
 
     maps: tuple[StabilityMap, ...]
@@ -103,7 +103,7 @@ def sweep(
     workers: int = 1,
     seconds: float = SECONDS,
     report: Callable[[str], None] | None = None,
-) -> Stability:
+) -> StabilitySweep:
     """Run every cell of every map by every method.
 
     Args:
@@ -130,7 +130,7 @@ def sweep(
     order = [one.name for one in maps]
     cells.sort(key=lambda cell: (methods.index(cell.method), order.index(cell.map), cell.x, cell.y))
     borders.sort(key=lambda border: (methods.index(border.method), order.index(border.map), border.x))
-    return Stability(tuple(maps), methods, tuple(cells), tuple(borders), tuple(limits))
+    return StabilitySweep(tuple(maps), methods, tuple(cells), tuple(borders), tuple(limits))
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")

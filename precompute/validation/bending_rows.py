@@ -20,7 +20,7 @@ from precompute.validation.strip_references import (
     tall_column,
     upright_gamma,
 )
-from precompute.validation.trial import FABRIC, RATE, Curve, Measured, Setting, Trial, level, strip
+from precompute.validation.trial import FABRIC, RATE, Curve, Trial, TrialResult, TrialSetting, level, strip
 from precompute.validation.validation_row import Parameter, Row
 
 __all__ = ["ROWS", "hinge_poisson"]
@@ -37,27 +37,27 @@ def _fabric(gamma: float) -> Fabric:
     return replace(FABRIC, bend_warp=bend, bend_weft=bend)
 
 
-def _sagged(setting: Setting, gamma: float, angle: float = 0.0) -> tuple[Trial, float]:
-    patch = strip(LENGTH, WIDTH, setting.edges, angle=angle)
-    trial = Trial(patch, level(patch.flat), _fabric(gamma), patch.flat[:, 0] < 1e-9, setting, mesh_angle=angle)
+def _sagged(setting: TrialSetting, gamma: float, angle: float = 0.0) -> tuple[Trial, float]:
+    specimen = strip(LENGTH, WIDTH, setting.edges, angle=angle)
+    trial = Trial(specimen, level(specimen.flat), _fabric(gamma), specimen.flat[:, 0] < 1e-9, setting, mesh_angle=angle)
     trial.settle(math.sqrt(LENGTH / GRAVITY))
-    tip = trial.world()[patch.flat[:, 0] > LENGTH - 1e-9].mean(axis=0)
+    tip = trial.world()[specimen.flat[:, 0] > LENGTH - 1e-9].mean(axis=0)
     return trial, float(-tip[1] / tip[0])
 
 
-def _cantilever(setting: Setting, gamma: float) -> Measured:
+def _cantilever(setting: TrialSetting, gamma: float) -> TrialResult:
     trial, slope = _sagged(setting, gamma)
     exact = cantilever(gamma)
-    middle = np.argsort(trial.patch.flat[:, 0])
+    middle = np.argsort(trial.specimen.flat[:, 0])
     places = trial.world()[middle] / LENGTH
     curve = Curve("x / L", "y / L", (exact.x, exact.y), (places[:, 0], places[:, 1]))
-    return Measured.relative(exact.height_over_width, slope, trial.cost_ms, curve)
+    return TrialResult.relative(exact.height_over_width, slope, trial.cost_ms, curve)
 
 
-def _bending_direction(setting: Setting, angle_deg: float, gamma: float) -> Measured:
+def _bending_direction(setting: TrialSetting, angle_deg: float, gamma: float) -> TrialResult:
     trial, slope = _sagged(setting, gamma, math.radians(angle_deg))
     found = gamma / cantilever_gamma(slope) if 0.0 < slope < 30.0 else math.nan
-    return Measured.relative(1.0, found, trial.cost_ms)
+    return TrialResult.relative(1.0, found, trial.cost_ms)
 
 
 def critical_gamma(deflect: Callable[[float], float], start: float) -> tuple[float, list[tuple[float, float]]]:
@@ -92,18 +92,18 @@ def critical_gamma(deflect: Callable[[float], float], start: float) -> tuple[flo
 
 
 def _tips_over(
-    setting: Setting, width: float, place: Callable[[np.ndarray], np.ndarray], side: tuple[float, float, float],
+    setting: TrialSetting, width: float, place: Callable[[np.ndarray], np.ndarray], side: tuple[float, float, float],
 ) -> tuple[float, list[tuple[float, float]], float]:  # fmt: skip
     """Critical Gamma, points, and cost of a frame; ``place`` puts the strip into space, ``side`` points to its face."""
     costs = []
-    patch = strip(LENGTH, width, setting.edges)
-    start, tip = place(patch.flat), patch.flat[:, 0] > LENGTH - 1e-9
+    specimen = strip(LENGTH, width, setting.edges)
+    start, tip = place(specimen.flat), specimen.flat[:, 0] > LENGTH - 1e-9
     gravity = (SIDE * GRAVITY * side[0], -GRAVITY, SIDE * GRAVITY * side[2])
     scale = math.sqrt(LENGTH / GRAVITY)
     keep = np.float32(math.exp(-2.0 / (RATE * scale)))
 
     def deflect(gamma: float) -> float:
-        trial = Trial(patch, start, _fabric(gamma), patch.flat[:, 0] < 1e-9, setting, gravity)
+        trial = Trial(specimen, start, _fabric(gamma), specimen.flat[:, 0] < 1e-9, setting, gravity)
         last = 0.0
         for _ in range(30):  # near the critical load it is slow
             for _ in range(math.ceil(scale * RATE)):
@@ -120,7 +120,7 @@ def _tips_over(
     return critical, points, float(np.median(costs))
 
 
-def _upright(setting: Setting) -> Measured:
+def _upright(setting: TrialSetting) -> TrialResult:
     place = lambda flat: np.stack([np.zeros(len(flat)), flat[:, 0], flat[:, 1]], axis=1)  # noqa: E731
     critical, points, cost = _tips_over(setting, WIDTH, place, (1.0, 0.0, 0.0))
     gammas = np.linspace(0.2, 7.5, 60)
@@ -129,7 +129,7 @@ def _upright(setting: Setting) -> Measured:
         (gammas, np.array([tall_column(float(g), 1.0) for g in gammas])),
         (np.array([p[0] for p in points]), np.array([p[1] for p in points]) / SIDE),
     )  # fmt: skip
-    return Measured.relative(upright_gamma(), critical, cost, curve)
+    return TrialResult.relative(upright_gamma(), critical, cost, curve)
 
 
 @cache
@@ -147,27 +147,27 @@ def hinge_poisson() -> float:
     return (energy(along + across) - energy(along) - energy(across)) / (energy(along) + energy(across))
 
 
-def _lateral(setting: Setting, width_over_L: float) -> Measured:  # noqa: N803 (the table's own name)
+def _lateral(setting: TrialSetting, width_over_L: float) -> TrialResult:  # noqa: N803 (the table's own name)
     place = lambda flat: np.stack([flat[:, 0], flat[:, 1], np.zeros(len(flat))], axis=1)  # noqa: E731
     critical, _, cost = _tips_over(setting, width_over_L * LENGTH, place, (0.0, 0.0, 1.0))
     own = setting.bend_poisson
     exact = lateral_gamma(width_over_L, hinge_poisson() if own is None else own, FABRIC.poisson)
-    return Measured.relative(exact, critical, cost)
+    return TrialResult.relative(exact, critical, cost)
 
 
-def _stick_slip(setting: Setting, mu: float) -> Measured:
+def _stick_slip(setting: TrialSetting, mu: float) -> TrialResult:
     """The clamp comes down slowly, until the end has moved by a hundredth of the length. Starts a little bent."""
-    patch = strip(LENGTH, WIDTH, setting.edges)
-    along = patch.flat[:, 0]
+    specimen = strip(LENGTH, WIDTH, setting.edges)
+    along = specimen.flat[:, 0]
     bent = LENGTH * pressed_strip(FIRST_BEND)
     s = np.linspace(0.0, LENGTH, len(bent))
     side, height = (np.interp(along, s, part) for part in bent.T)
-    start = np.stack([side, height - np.minimum(along, 0.0), patch.flat[:, 1]], axis=1)
+    start = np.stack([side, height - np.minimum(along, 0.0), specimen.flat[:, 1]], axis=1)
     begin = 1.0 - bent[0, 1] / LENGTH
     fabric = replace(_fabric(40.0), friction=mu, thickness=1e-3)
     floor = Colliders([Plane((0.0, -fabric.thickness, 0.0))])
     held, tip = along < 1e-9, along > LENGTH - 1e-9
-    trial = Trial(patch, start, fabric, held, setting, (0.0, 0.0, 0.0), colliders=floor)
+    trial = Trial(specimen, start, fabric, held, setting, (0.0, 0.0, 0.0), colliders=floor)
     scale = LENGTH**2 * math.sqrt(fabric.areal_density / fabric.bend_warp)  # a typical time of bending [s]
     exact = first_slip(mu)
     assert exact is not None, "the parameter's range ends before"
@@ -179,8 +179,8 @@ def _stick_slip(setting: Setting, mu: float) -> Measured:
         trial.frame(targets - [0.0, (lowering - begin) * LENGTH, 0.0])
         trial.state.velocity *= keep
         if not np.abs(trial.world()[tip, 0]).max() < 1e-2 * LENGTH:
-            return Measured.relative(exact.lowering, lowering, trial.cost_ms)
-    return Measured.relative(exact.lowering, math.nan, trial.cost_ms)
+            return TrialResult.relative(exact.lowering, lowering, trial.cost_ms)
+    return TrialResult.relative(exact.lowering, math.nan, trial.cost_ms)
 
 
 GAMMA = Parameter("rho_A g L^3 / B", 10.0, 1e-3, 1e3)

@@ -11,7 +11,7 @@ from pbd import Body, Capsule, Colliders, Plane
 from pbd.models import StepError
 from precompute.validation.membrane_rows import ROPE
 from precompute.validation.strip_references import capstan_ratio
-from precompute.validation.trial import FABRIC, RATE, Measured, Setting, Trial, level, strip
+from precompute.validation.trial import FABRIC, RATE, Trial, TrialResult, TrialSetting, level, strip
 from precompute.validation.validation_row import Choice, Parameter, Row
 
 __all__ = ["ROWS"]
@@ -55,19 +55,19 @@ def _wall(columns: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return vertices, faces
 
 
-def _on_slope(setting: Setting, mu: float, angle: float, mesh: bool) -> Trial:
+def _on_slope(setting: TrialSetting, mu: float, angle: float, mesh: bool) -> Trial:
     """A sheet of 20 cm that lies on a slope."""
-    patch = strip(0.2, 0.2, setting.edges, clamp=0)
+    specimen = strip(0.2, 0.2, setting.edges, clamp=0)
     fabric = replace(FABRIC, friction=mu)
     cosine, sine = math.cos(angle), math.sin(angle)
-    lying = level(patch.flat) + [0.0, fabric.thickness, 0.0]
+    lying = level(specimen.flat) + [0.0, fabric.thickness, 0.0]
     turned = lying @ np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     if mesh:
         along = np.arange(-1.0, 0.4, 0.03)[:, None] * [cosine, sine, 0.0]
         surface = _wall(along, np.arange(0.2, -0.45, -0.03)[:, None] * [0.0, 0.0, 1.0])
-        return _OnMesh(patch, turned, fabric, np.zeros(0, int), setting, surface=surface)
+        return _OnMesh(specimen, turned, fabric, np.zeros(0, int), setting, surface=surface)
     slope = Colliders([Plane((0.0, 0.0, 0.0), (-sine, cosine, 0.0))])
-    return Trial(patch, turned, fabric, np.zeros(0, int), setting, colliders=slope)
+    return Trial(specimen, turned, fabric, np.zeros(0, int), setting, colliders=slope)
 
 
 def _slid(trial: Trial, seconds: float) -> float:
@@ -78,13 +78,13 @@ def _slid(trial: Trial, seconds: float) -> float:
     return float(np.linalg.norm(trial.world() - start, axis=1).max())
 
 
-def _incline(setting: Setting, quantity: str, mu: float, collider: str) -> Measured:
+def _incline(setting: TrialSetting, quantity: str, mu: float, collider: str) -> TrialResult:
     """The angle at which it slips [deg], or how far it creeps in a minute half a degree below [mm]."""
     steepest = math.atan(mu)
     if quantity == "creep":
         trial = _on_slope(setting, mu, steepest - math.radians(0.5), collider == "mesh")
         way = 1e3 * _slid(trial, 60.0)
-        return Measured(0.0, way, way / 1.0, trial.cost_ms)
+        return TrialResult(0.0, way, way / 1.0, trial.cost_ms)
     low, high, cost = 0.0, 0.5 * math.pi, math.nan
     while high - low > math.radians(0.05):
         middle = 0.5 * (low + high)
@@ -92,17 +92,17 @@ def _incline(setting: Setting, quantity: str, mu: float, collider: str) -> Measu
         low, high = (low, middle) if _slid(trial, 0.5) > SLIPPED else (middle, high)
         cost = trial.cost_ms
     found = math.degrees(0.5 * (low + high))
-    return Measured(math.degrees(steepest), found, abs(found - math.degrees(steepest)), cost)
+    return TrialResult(math.degrees(steepest), found, abs(found - math.degrees(steepest)), cost)
 
 
-def _capstan(setting: Setting, mu: float, wrap_deg: float, collider: str) -> Measured:
+def _capstan(setting: TrialSetting, mu: float, wrap_deg: float, collider: str) -> TrialResult:
     """A belt without weight, stretched by 2 %, drawn 2 cm over a cylinder; tension by the strain of its legs."""
     radius, leg, wrap = 0.05, 0.15, math.radians(wrap_deg)
     fabric = replace(ROPE, friction=mu, thickness=1e-3)
     round_it = radius + fabric.thickness
     length = 2.0 * leg + round_it * wrap
-    patch = strip(length, 2.0 * length / setting.edges, setting.edges, clamp=0)
-    s, across = patch.flat[:, 0] - 0.5 * length, patch.flat[:, 1]
+    specimen = strip(length, 2.0 * length / setting.edges, setting.edges, clamp=0)
+    s, across = specimen.flat[:, 0] - 0.5 * length, specimen.flat[:, 1]
     turn = np.clip(s / round_it, -0.5 * wrap, 0.5 * wrap)
     beyond = s - turn * round_it
     x = round_it * np.sin(turn) + beyond * np.cos(turn)
@@ -113,10 +113,10 @@ def _capstan(setting: Setting, mu: float, wrap_deg: float, collider: str) -> Mea
         around = np.linspace(-2.5, -0.5, 129)[:, None] * math.pi  # outside out; its seam is where no belt lies
         circle = radius * np.concatenate([np.cos(around), np.sin(around), 0.0 * around], axis=1)
         surface = _wall(circle, np.arange(-0.06, 0.061, 0.01)[:, None] * [0.0, 0.0, 1.0])
-        trial: Trial = _OnMesh(patch, start, fabric, ends, setting, (0.0, 0.0, 0.0), surface=surface)
+        trial: Trial = _OnMesh(specimen, start, fabric, ends, setting, (0.0, 0.0, 0.0), surface=surface)
     else:
         capsule = Colliders([Capsule((0.0, 0.0, -1.0), (0.0, 0.0, 1.0), radius)])
-        trial = Trial(patch, start, fabric, ends, setting, (0.0, 0.0, 0.0), colliders=capsule)
+        trial = Trial(specimen, start, fabric, ends, setting, (0.0, 0.0, 0.0), colliders=capsule)
     held = trial.model.held
     # Away from the cylinder along both legs for 2 %, then after the right end.
     out = np.sign(s[held])[:, None] * np.stack(
@@ -134,7 +134,7 @@ def _capstan(setting: Setting, mu: float, wrap_deg: float, collider: str) -> Mea
         if frame >= 1.8 * frames:
             strains = [_strain(trial.world()[leg_], s[leg_]) for leg_ in legs]
             ratios.append(strains[0] / strains[1])
-    return Measured.relative(capstan_ratio(mu, wrap), float(np.mean(ratios)), trial.cost_ms)
+    return TrialResult.relative(capstan_ratio(mu, wrap), float(np.mean(ratios)), trial.cost_ms)
 
 
 def _strain(places: np.ndarray, s: np.ndarray) -> float:

@@ -12,7 +12,7 @@ from pbd import Fabric
 from precompute.mechanics import GRAVITY
 from precompute.validation.drape_model import cone_load, least_energy_cone
 from precompute.validation.strip_references import cusick_estimate
-from precompute.validation.trial import FABRIC, Curve, Measured, Setting, Trial, disc, level
+from precompute.validation.trial import FABRIC, Curve, Trial, TrialResult, TrialSetting, disc, level
 from precompute.validation.validation_row import Parameter, Row
 
 __all__ = ["ROWS", "cusick_drape"]
@@ -25,25 +25,25 @@ def _fabric(gravity_length: float) -> Fabric:
     return replace(FABRIC, bend_warp=bend, bend_weft=bend)
 
 
-def _draped(setting: Setting, fabric: Fabric, radius: float, clamp: float, folds: int) -> Trial:
+def _draped(setting: TrialSetting, fabric: Fabric, radius: float, clamp: float, folds: int) -> Trial:
     """A disc let go from a shallow wave of a number of folds. ``setting.edges`` lie along its diameter."""
-    patch = disc(radius, clamp, setting.edges // 2)
-    reach, turn = np.linalg.norm(patch.flat, axis=1), np.arctan2(patch.flat[:, 1], patch.flat[:, 0])
+    specimen = disc(radius, clamp, setting.edges // 2)
+    reach, turn = np.linalg.norm(specimen.flat, axis=1), np.arctan2(specimen.flat[:, 1], specimen.flat[:, 0])
     over = np.maximum(reach - clamp, 0.0)
     # A cone whose slope waves around a mean that keeps its rim long enough.
     slope = 0.3 * np.cos(folds * turn) - 0.15
-    start = level(patch.flat) * ((clamp + over * np.cos(slope)) / np.maximum(reach, clamp))[:, None]
+    start = level(specimen.flat) * ((clamp + over * np.cos(slope)) / np.maximum(reach, clamp))[:, None]
     inner = reach < clamp + 1e-9
-    start[inner] = level(patch.flat)[inner]
+    start[inner] = level(specimen.flat)[inner]
     start[:, 1] = over * np.sin(slope)
-    trial = Trial(patch, start, fabric, inner, setting)
+    trial = Trial(specimen, start, fabric, inner, setting)
     trial.settle(math.sqrt(radius / GRAVITY), limit=60.0, still=1e-4)
     return trial
 
 
 def _rim(trial: Trial) -> np.ndarray:
     """Places of the rim in order around it [m], shape (k, 3)."""
-    flat = trial.patch.flat
+    flat = trial.specimen.flat
     rim = np.flatnonzero(np.linalg.norm(flat, axis=1) > np.linalg.norm(flat, axis=1).max() - 1e-9)
     return trial.world()[rim[np.argsort(np.arctan2(flat[rim, 1], flat[rim, 0]))]]
 
@@ -62,7 +62,7 @@ def _energy(trial: Trial) -> float:
     return bending + GRAVITY * float(model.mass @ places[:, 1])
 
 
-def _disc_folds(setting: Setting, radius_over_length: float, radius_over_clamp: float) -> Measured:
+def _disc_folds(setting: TrialSetting, radius_over_length: float, radius_over_clamp: float) -> TrialResult:
     """From 2 to n + 3 folds, what each start comes to; the folds of the one with the least energy."""
     length = 0.02  # l_g of the fabric [m]
     radius = radius_over_length * length
@@ -78,11 +78,11 @@ def _disc_folds(setting: Setting, radius_over_length: float, radius_over_clamp: 
                   (np.linspace(0.0, 1.0, len(rim)), rim[:, 1] / radius))  # fmt: skip
     found = _folds(best)
     cost = float(np.median([trial.cost_ms for trial in ended]))
-    return Measured(float(cone.folds), float(found), float(abs(found - cone.folds)), cost, curve)
+    return TrialResult(float(cone.folds), float(found), float(abs(found - cone.folds)), cost, curve)
 
 
 @lru_cache(maxsize=16)
-def cusick_drape(setting: Setting, gravity_length: float) -> tuple[float, float, np.ndarray]:
+def cusick_drape(setting: TrialSetting, gravity_length: float) -> tuple[float, float, np.ndarray]:
     """Cusick's drape coefficient of a fabric [-], cost of a frame [ms], rim from above [m], shape (k, 2)."""
     trial = _draped(setting, _fabric(gravity_length), DISC, PEDESTAL, 6)
     x, _, z = _rim(trial).T
@@ -98,7 +98,7 @@ def cusick_drape(setting: Setting, gravity_length: float) -> tuple[float, float,
     return shadow, trial.cost_ms, np.stack([x, z], axis=1)
 
 
-def _cusick(setting: Setting, gravity_length_cm: float) -> Measured:
+def _cusick(setting: TrialSetting, gravity_length_cm: float) -> TrialResult:
     """Above the estimate by radial strips, and below the coefficient of a fabric with a fifth more l_g."""
     shadow, cost, rim = cusick_drape(setting, 0.01 * gravity_length_cm)
     stiffer, _, _ = cusick_drape(setting, 0.012 * gravity_length_cm)
@@ -107,7 +107,7 @@ def _cusick(setting: Setting, gravity_length_cm: float) -> Measured:
     size = math.sqrt(estimate * (DISC**2 - PEDESTAL**2) + PEDESTAL**2)
     curve = Curve("x [m]", "z [m]", (size * np.cos(turn), size * np.sin(turn)), (rim[:, 0], rim[:, 1]))
     error = max(0.0, estimate - shadow) + max(0.0, shadow - stiffer)
-    return Measured(estimate, shadow, error, cost, curve)
+    return TrialResult(estimate, shadow, error, cost, curve)
 
 
 ROWS = (

@@ -18,7 +18,7 @@ from precompute.fabric_lab.laboratory import (
     tension_curve,
 )
 from precompute.validation.strip_references import off_axis
-from precompute.validation.trial import FABRIC, Curve, Measured, Setting
+from precompute.validation.trial import FABRIC, Curve, TrialResult, TrialSetting
 from precompute.validation.validation_row import Choice, Parameter, Row
 
 __all__ = ["ROWS"]
@@ -37,14 +37,14 @@ def _elastic(fabric: Fabric, angle: float) -> float:
     return off_axis(fabric.stretch_warp, fabric.stretch_weft, fabric.shear, fabric.poisson, angle)[0]
 
 
-def _tension(setting: Setting, angle_deg: float, strain: float) -> Measured:
+def _tension(setting: TrialSetting, angle_deg: float, strain: float) -> TrialResult:
     angle = math.radians(angle_deg)
     measured = tension_curve(setting, WOVEN, angle, (strain,))
     found = float(measured.load[0] / measured.deformation[0])
     degrees = np.linspace(0.0, 180.0, 91)
     law = np.array([_elastic(WOVEN, math.radians(a)) for a in degrees])
     curve = Curve("angle to the warp [deg]", "E h [N/m]", (degrees, law), (np.array([angle_deg]), np.array([found])))
-    return Measured.relative(_elastic(WOVEN, angle), found, measured.cost_ms, curve)
+    return TrialResult.relative(_elastic(WOVEN, angle), found, measured.cost_ms, curve)
 
 
 def _shear_forces(fabric: Fabric, angle: float, shears: np.ndarray) -> np.ndarray:
@@ -67,7 +67,7 @@ def _bend_stiffness(fabric: Fabric, angle: float) -> float:
     ) ** 2
 
 
-def _kawabata(setting: Setting, instrument: str, direction: str) -> Measured:
+def _kawabata(setting: TrialSetting, instrument: str, direction: str) -> TrialResult:
     """Stiffness by a line through the curve, or thickness at 5 kPa; the error is the largest of its points."""
     measured: LoadCurve
     angle = DIRECTIONS[direction]
@@ -76,10 +76,10 @@ def _kawabata(setting: Setting, instrument: str, direction: str) -> Measured:
         law = SOFT.thickness * (1.0 + measured.load / SOFT.compression) ** (-1.0 / 3.0)
         curve = Curve("pressure [Pa]", "thickness [m]", (measured.load, law), (measured.load, measured.deformation))
         error = float(np.abs(measured.deformation / law - 1.0).max())
-        return Measured(float(law[-1]), float(measured.deformation[-1]), error, measured.cost_ms, curve)
+        return TrialResult(float(law[-1]), float(measured.deformation[-1]), error, measured.cost_ms, curve)
     if instrument == "friction":
         found, cost = friction_coefficient(setting, WOVEN)
-        return Measured.relative(WOVEN.friction, found, cost)
+        return TrialResult.relative(WOVEN.friction, found, cost)
     if instrument == "tension":
         measured = tension_curve(setting, WOVEN, angle, STRAINS)
         own, labels = _elastic(WOVEN, angle) * measured.deformation, ("strain", "tension [N/m]")
@@ -93,7 +93,7 @@ def _kawabata(setting: Setting, instrument: str, direction: str) -> Measured:
     stiffness, line = float(design @ own), float(design @ measured.load)
     error = float(np.abs(measured.load / own - 1.0).max())
     curve = Curve(*labels, (measured.deformation, own), (measured.deformation, measured.load))
-    return Measured(stiffness, line, error, measured.cost_ms, curve)
+    return TrialResult(stiffness, line, error, measured.cost_ms, curve)
 
 
 INSTRUMENTS = ("tension", "shear", "bending", "compression", "friction")

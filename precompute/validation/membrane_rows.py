@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from precompute.mechanics import GRAVITY
 from precompute.validation.plate_references import hencky_rise
 from precompute.validation.strip_references import elastic_catenary, hanging_stretch
-from precompute.validation.trial import FABRIC, RATE, Curve, Measured, Setting, Trial, disc, level, strip
+from precompute.validation.trial import FABRIC, RATE, Curve, Trial, TrialResult, TrialSetting, disc, level, strip
 from precompute.validation.validation_row import Parameter, Row
 
 __all__ = ["ROPE", "ROWS"]
@@ -20,16 +20,16 @@ __all__ = ["ROPE", "ROWS"]
 ROPE = replace(FABRIC, poisson=0.0, bend_warp=1e-8, bend_weft=1e-8)
 
 
-def _hanging_strip(setting: Setting, edges: int) -> Measured:
+def _hanging_strip(setting: TrialSetting, edges: int) -> TrialResult:
     """In real time the gate is the law of one pass: stretch of g h^2 N^2/(2 L) on top of the elastic one."""
     setting = replace(setting, edges=int(edges))
     length = 1.0
-    patch = strip(length, 2.0 * length / setting.edges, setting.edges, clamp=0)
-    x = patch.flat[:, 0]
-    start = np.stack([patch.flat[:, 1], -x, np.zeros_like(x)], axis=1)
+    specimen = strip(length, 2.0 * length / setting.edges, setting.edges, clamp=0)
+    x = specimen.flat[:, 0]
+    start = np.stack([specimen.flat[:, 1], -x, np.zeros_like(x)], axis=1)
     weight = ROPE.areal_density * GRAVITY * length
     exact = hanging_stretch(weight, ROPE.stretch_warp)
-    trial = Trial(patch, start * [1.0, 1.0 + exact, 1.0], ROPE, x < 1e-9, setting)
+    trial = Trial(specimen, start * [1.0, 1.0 + exact, 1.0], ROPE, x < 1e-9, setting)
     trial.settle(math.sqrt(length / GRAVITY), still=1e-6)
     depth = start[:, 1] - trial.world()[:, 1]
     found = float(depth[x > length - 1e-9].mean() / length)
@@ -37,18 +37,18 @@ def _hanging_strip(setting: Setting, edges: int) -> Measured:
     s = np.linspace(0.0, 1.0, 50)
     curve = Curve("s / L", "moved down / L", (s, weight / ROPE.stretch_warp * (s - 0.5 * s**2)), (x, depth))
     beyond = max(0.0, found - exact - law) / exact
-    return replace(Measured.relative(exact, found, trial.cost_ms, curve), realtime_error=beyond)
+    return replace(TrialResult.relative(exact, found, trial.cost_ms, curve), realtime_error=beyond)
 
 
-def _catenary(setting: Setting, span: float) -> Measured:
+def _catenary(setting: TrialSetting, span: float) -> TrialResult:
     length = 1.0
-    patch = strip(length, 0.2 * length, setting.edges, clamp=0)
-    x, y = patch.flat.T
+    specimen = strip(length, 0.2 * length, setting.edges, clamp=0)
+    x, y = specimen.flat.T
     weight = ROPE.areal_density * GRAVITY * length
     sag, curve_x, curve_y = elastic_catenary(span, weight, ROPE.stretch_warp)
     at = x / length - 0.5
     start = np.stack([*_parabola(min(span, 1.0), at) * [[max(span, 1.0)], [1.0]], -y], axis=1)
-    trial = Trial(patch, start, ROPE, (x < 1e-9) | (x > length - 1e-9), setting)
+    trial = Trial(specimen, start, ROPE, (x < 1e-9) | (x > length - 1e-9), setting)
     trial.settle(math.sqrt(length / GRAVITY), still=1e-6)
     places = trial.world()
     # Over the width by area: the rows at the sides do not weigh quite their share and sag less or more.
@@ -56,7 +56,7 @@ def _catenary(setting: Setting, span: float) -> Measured:
     even = np.polynomial.Polynomial.fit(places[middle, 0] ** 2, places[middle, 1], 2, w=weights[middle])
     lowest = float(even(0.0))
     curve = Curve("x / L", "y / L", (curve_x, curve_y - curve_y[0]), (places[:, 0], places[:, 1]))
-    return Measured.relative(sag, -lowest, trial.cost_ms, curve)
+    return TrialResult.relative(sag, -lowest, trial.cost_ms, curve)
 
 
 def _parabola(span: float, at: np.ndarray) -> np.ndarray:
@@ -68,16 +68,16 @@ def _parabola(span: float, at: np.ndarray) -> np.ndarray:
     return np.stack([found, 0.5 * bend * (found**2 - 0.25 * span**2)])
 
 
-def _hencky(setting: Setting, poisson: float) -> Measured:
+def _hencky(setting: TrialSetting, poisson: float) -> TrialResult:
     radius = 0.2
     stretch = FABRIC.stretch_warp
     fabric = replace(ROPE, poisson=poisson, shear=stretch / (2.0 * (1.0 + poisson)))
-    patch = disc(radius, 0.5 * radius, setting.edges // 2)
-    reach = np.linalg.norm(patch.flat, axis=1)
+    specimen = disc(radius, 0.5 * radius, setting.edges // 2)
+    reach = np.linalg.norm(specimen.flat, axis=1)
     # From a shallow dish: a flat membrane bears no load.
-    start = level(patch.flat)
+    start = level(specimen.flat)
     start[:, 1] = 0.02 * (reach**2 / radius - radius)
-    trial = Trial(patch, start, fabric, reach > radius - 1e-9, setting)
+    trial = Trial(specimen, start, fabric, reach > radius - 1e-9, setting)
     trial.settle(math.sqrt(radius / GRAVITY), still=1e-6)
     depth = -trial.world()[:, 1]
     inner = reach < 0.25 * radius
@@ -86,7 +86,7 @@ def _hencky(setting: Setting, poisson: float) -> Measured:
     exact = hencky_rise(poisson) * size
     curve = Curve("r / a", "sag / a", (np.array([0.0, 1.0]), np.array([exact / radius, 0.0])),
                   (reach / radius, depth / radius))  # fmt: skip
-    return Measured.relative(exact, float(top), trial.cost_ms, curve)
+    return TrialResult.relative(exact, float(top), trial.cost_ms, curve)
 
 
 ROWS = (

@@ -12,7 +12,7 @@ from scipy.special import jn_zeros, jv
 from precompute.mechanics import GRAVITY
 from precompute.validation.membrane_rows import ROPE
 from precompute.validation.strip_references import swing_period
-from precompute.validation.trial import FABRIC, RATE, Curve, Measured, Setting, Trial, level, strip
+from precompute.validation.trial import FABRIC, RATE, Curve, Trial, TrialResult, TrialSetting, level, strip
 from precompute.validation.validation_row import Choice, Parameter, Row
 
 __all__ = ["ROWS"]
@@ -23,13 +23,13 @@ AMPLITUDE = 0.01  # of the tip over the length
 
 
 @lru_cache(maxsize=4)
-def _swinging(setting: Setting) -> tuple[np.ndarray, np.ndarray, float]:
+def _swinging(setting: TrialSetting) -> tuple[np.ndarray, np.ndarray, float]:
     """Times [s] and side displacement over L of the tip of a 1 m strip let go in its first mode; cost [ms]."""
     length = 1.0
-    patch = strip(length, 3.0 * length / setting.edges, setting.edges, clamp=0)
-    x = patch.flat[:, 0]
-    start = np.stack([np.zeros_like(x), -x, patch.flat[:, 1]], axis=1)
-    trial = Trial(patch, start, ROPE, x < 1e-9, setting)
+    specimen = strip(length, 3.0 * length / setting.edges, setting.edges, clamp=0)
+    x = specimen.flat[:, 0]
+    start = np.stack([np.zeros_like(x), -x, specimen.flat[:, 1]], axis=1)
+    trial = Trial(specimen, start, ROPE, x < 1e-9, setting)
     trial.settle(math.sqrt(length / GRAVITY), still=1e-6)
     mode = jv(0, jn_zeros(0, 1)[0] * np.sqrt(np.clip(1.0 - x / length, 0.0, 1.0)))
     trial.state.position[:, 0] += (AMPLITUDE * length * mode).astype(np.float32)
@@ -52,15 +52,15 @@ def _fitted(times: np.ndarray, way: np.ndarray) -> tuple[float, float]:
     return abs(float(found[2])), float(found[1])
 
 
-def _swing(setting: Setting) -> Measured:
+def _swing(setting: TrialSetting) -> TrialResult:
     times, way, cost = _swinging(setting)
     omega, _ = _fitted(times, way)
     exact = AMPLITUDE * np.cos(2.0 * math.pi * times / (swing_period() / math.sqrt(GRAVITY)))
     curve = Curve("t [s]", "tip / L", (times, exact), (times, way))
-    return Measured.relative(swing_period(), 2.0 * math.pi / omega * math.sqrt(GRAVITY), cost, curve)
+    return TrialResult.relative(swing_period(), 2.0 * math.pi / omega * math.sqrt(GRAVITY), cost, curve)
 
 
-def _damping(setting: Setting) -> Measured:
+def _damping(setting: TrialSetting) -> TrialResult:
     """Implicit Euler keeps 1/sqrt(1 + z^2) of the amplitude a step, z = omega h."""
     times, way, cost = _swinging(setting)
     omega, rate = _fitted(times, way)
@@ -69,17 +69,17 @@ def _damping(setting: Setting) -> Measured:
     keeps = -0.5 * math.log1p((2.0 * math.pi / period * h) ** 2) / h  # [1/s]
     curve = Curve("t [s]", "amplitude / L", (times, AMPLITUDE * np.exp(keeps * times)), (times, np.abs(way)))
     exact = math.exp(keeps * SWINGS * period)
-    return Measured.relative(exact, math.exp(-rate * SWINGS * 2.0 * math.pi / omega), cost, curve)
+    return TrialResult.relative(exact, math.exp(-rate * SWINGS * 2.0 * math.pi / omega), cost, curve)
 
 
-def _momentum(setting: Setting, quantity: str, spin: float) -> Measured:
+def _momentum(setting: TrialSetting, quantity: str, spin: float) -> TrialResult:
     """A wavy sheet: falls for 1 s, or turns and flies for 1 s without weight."""
-    patch = strip(0.5, 0.4, setting.edges, clamp=0)
-    start = level(patch.flat - patch.flat.mean(axis=0))
+    specimen = strip(0.5, 0.4, setting.edges, clamp=0)
+    start = level(specimen.flat - specimen.flat.mean(axis=0))
     start[:, 1] = 0.03 * np.sin(9.0 * start[:, 0]) * np.cos(7.0 * start[:, 2])
     falls = quantity == "fall"
     gravity = (0.0, -GRAVITY if falls else 0.0, 0.0)
-    trial = Trial(patch, start, FABRIC, np.zeros(0, int), setting, gravity)
+    trial = Trial(specimen, start, FABRIC, np.zeros(0, int), setting, gravity)
     mass = trial.model.mass
     arm = start - mass @ start / mass.sum()
     if not falls:
@@ -91,11 +91,11 @@ def _momentum(setting: Setting, quantity: str, spin: float) -> Measured:
     if falls:
         drop = -float(mass @ (trial.world() - start)[:, 1] / mass.sum())
         h = 1.0 / (RATE * setting.substeps)
-        return Measured.relative(0.5 * GRAVITY * (1.0 + h), drop, trial.cost_ms)
+        return TrialResult.relative(0.5 * GRAVITY * (1.0 + h), drop, trial.cost_ms)
     k = ("linear", "angular").index(quantity)
     size = float(np.linalg.norm(before[k]))
     error = float(np.linalg.norm(after[k] - before[k])) / size
-    return Measured(size, float(np.linalg.norm(after[k])), error, trial.cost_ms)
+    return TrialResult(size, float(np.linalg.norm(after[k])), error, trial.cost_ms)
 
 
 def _momenta(trial: Trial, mass: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

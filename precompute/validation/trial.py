@@ -20,9 +20,9 @@ __all__ = [
     "FABRIC",
     "RATE",
     "Curve",
-    "Measured",
-    "Patch",
-    "Setting",
+    "TrialResult",
+    "Specimen",
+    "TrialSetting",
     "Trial",
     "disc",
     "level",
@@ -37,7 +37,7 @@ CLEAR = 0.6  # lattice points stand this far from the border, and from given poi
 
 
 @dataclass(frozen=True)
-class Setting:
+class TrialSetting:
     """What a test is run with.
 
     Attributes:
@@ -82,7 +82,7 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Measured:
+class TrialResult:
     """What one run of a test gave.
 
     Attributes:
@@ -103,12 +103,12 @@ class Measured:
     missing: str = ""
 
     @classmethod
-    def relative(cls, reference: float, measured: float, cost_ms: float, curve: Curve | None = None) -> Measured:
+    def relative(cls, reference: float, measured: float, cost_ms: float, curve: Curve | None = None) -> TrialResult:
         return cls(reference, measured, abs(measured / reference - 1.0), cost_ms, curve)
 
 
 @dataclass(frozen=True)
-class Patch:
+class Specimen:
     """A flat piece of cloth: places along and across it [m], shape (n, 2), and faces."""
 
     flat: np.ndarray
@@ -116,7 +116,7 @@ class Patch:
     edge: float
 
 
-def strip(length: float, width: float, edges: int, clamp: int = 1, angle: float = 0.0) -> Patch:
+def strip(length: float, width: float, edges: int, clamp: int = 1, angle: float = 0.0) -> Specimen:
     """A strip from x = 0 to ``length``, middle at y = 0, with ``clamp`` rows of edges before its start.
 
     Args:
@@ -135,7 +135,7 @@ def strip(length: float, width: float, edges: int, clamp: int = 1, angle: float 
     return _filled(np.concatenate(sides), inside, edge, angle)
 
 
-def disc(radius: float, clamp: float, edges: int) -> Patch:
+def disc(radius: float, clamp: float, edges: int) -> Specimen:
     """A disc about the origin with ``edges`` along its radius and a ring of vertices at ``clamp`` [m]."""
     edge = radius / edges
     rings = []
@@ -146,7 +146,7 @@ def disc(radius: float, clamp: float, edges: int) -> Patch:
     return _filled(np.concatenate(rings), lambda p: radius - np.linalg.norm(p, axis=1), edge, 0.0)
 
 
-def _filled(given: np.ndarray, inside: Callable[[np.ndarray], np.ndarray], edge: float, angle: float) -> Patch:
+def _filled(given: np.ndarray, inside: Callable[[np.ndarray], np.ndarray], edge: float, angle: float) -> Specimen:
     """Equilateral triangles within a border whose points are given; Delaunay where the two meet."""
     reach = int(2.0 * np.abs(given).max() / edge) + 2
     i, j = np.meshgrid(np.arange(-reach, reach + 1), np.arange(-reach, reach + 1), indexing="ij")
@@ -161,7 +161,7 @@ def _filled(given: np.ndarray, inside: Callable[[np.ndarray], np.ndarray], edge:
     twice = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]
     faces[twice < 0] = faces[twice < 0][:, ::-1]
     whole = (np.abs(twice) > 1e-3 * edge**2) & (inside(flat[faces].mean(axis=1)) > 0.0)
-    return Patch(flat, faces[whole].astype(np.int32), edge)
+    return Specimen(flat, faces[whole].astype(np.int32), edge)
 
 
 @cache
@@ -178,25 +178,25 @@ def level(flat: np.ndarray) -> np.ndarray:
 
 @dataclass
 class Trial:
-    """A patch of cloth with a solver, in the middle of a test. Without tethers, which are no part of its physics.
+    """A specimen of cloth with a solver, in the middle of a test. Without tethers, which are no part of its physics.
 
     Attributes:
-        patch: the cloth.
+        specimen: the cloth.
         vertices: where it starts [m], shape (n, 3).
         fabric: SI values.
         held: vertices moved from outside, bool or int.
         setting: solver, substeps, edges.
         gravity: [m/s2].
-        warp: direction of the warp against the patch's x [rad].
+        warp: direction of the warp against the specimen's x [rad].
         colliders: what it touches.
-        mesh_angle: as the patch was made with [rad].
+        mesh_angle: as the specimen was made with [rad].
     """
 
-    patch: Patch
+    specimen: Specimen
     vertices: np.ndarray
     fabric: Fabric
     held: np.ndarray
-    setting: Setting
+    setting: TrialSetting
     gravity: tuple[float, float, float] = (0.0, -GRAVITY, 0.0)
     warp: float = 0.0
     colliders: Colliders = field(default_factory=Colliders)
@@ -204,8 +204,8 @@ class Trial:
 
     def __post_init__(self) -> None:
         cosine, sine = math.cos(self.warp), math.sin(self.warp)
-        pattern = self.patch.flat @ np.array([[cosine, -sine], [sine, cosine]])
-        mesh = ClothMesh.from_pattern(self.vertices, self.patch.faces, pattern[self.patch.faces])
+        pattern = self.specimen.flat @ np.array([[cosine, -sine], [sine, cosine]])
+        mesh = ClothMesh.from_pattern(self.vertices, self.specimen.faces, pattern[self.specimen.faces])
         held = np.flatnonzero(self.held) if np.asarray(self.held).dtype == bool else np.asarray(self.held, int)
         self.model = build_model(mesh, self.fabric, held, ModelOptions(tether_slack=0.0), _bend_factor(self.mesh_angle))
         self.solver = self.setting.solver_for(self.model, self.gravity)

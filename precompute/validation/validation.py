@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -12,24 +12,34 @@ from typing import Any
 from pbd.errors import InputError
 from pbd.models import SOLVERS, StepError
 from precompute.validation import bending_rows, contact_rows, drape_rows, laboratory_rows, membrane_rows, motion_rows
-from precompute.validation.trial import Measured, Setting
+from precompute.validation.trial import TrialResult, TrialSetting
 from precompute.validation.validation_row import Row
 from precompute.workers import run_jobs
 
-__all__ = ["ROWS", "Verdict", "case_words", "chosen_rows", "validate", "validate_all", "validation_text", "verdict_row"]
+__all__ = [
+    "ROWS",
+    "ValidationResult",
+    "case_words",
+    "chosen_rows",
+    "validate",
+    "validate_all",
+    "validation_text",
+    "result_row",
+]
 
 ROWS: Mapping[str, Row] = {
     row.name: row
     for module in (bending_rows, membrane_rows, motion_rows, contact_rows, drape_rows, laboratory_rows)
     for row in module.ROWS
 }
-LONGEST = 20.0  # processor time of a run, on the way to the cheapest and to the best setting [s]
-MOST = 4096  # substeps of a frame that are tried
+MAX_RUN_S = 20.0  # processor time of a run, on the way to the cheapest and to the best setting [s]
+MAX_SUBSTEPS = 4096  # of a frame
 FINER = 2  # times as many edges, where more substeps do not help
+_LOST = TrialResult(math.nan, math.nan, math.nan, math.nan)  # of a run that a step has failed in
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ValidationResult:
     """One case of one test.
 
     Attributes:
@@ -42,11 +52,11 @@ class Verdict:
 
     row: Row
     case: Mapping[str, Any]
-    default: Measured
-    realtime_setting: Setting | None
-    realtime: Measured | None
-    best_setting: Setting
-    best: Measured
+    default: TrialResult
+    realtime_setting: TrialSetting | None
+    realtime: TrialResult | None
+    best_setting: TrialSetting
+    best: TrialResult
     reason: str
 
     @property
@@ -62,7 +72,7 @@ def _within(error: float, gate: float) -> bool:
     return bool(error <= gate)  # not a number never is
 
 
-def _realtime_error(measured: Measured) -> float:
+def _realtime_error(measured: TrialResult) -> float:
     return measured.error if measured.realtime_error is None else measured.realtime_error
 
 
@@ -111,74 +121,123 @@ def validate(
     solver: str | None = None,
     resolution: int | None = None,
     report: Callable[[str], None] = lambda line: None,
-) -> Verdict:
+) -> ValidationResult:
     """Run one case from the default setting on, to the cheapest setting that passes and to the best.
 
-    Substeps are doubled, at the default resolution and then at twice that, until the gate of the best column holds,
-    more substeps change nothing, or a run takes too long; then the next solver's turn comes. What is lost on the first
-    mesh, and knows no substeps, is not tried on a finer one. With a solver or a resolution chosen nothing else is
-    tried. A step that fails is no error but a lost row.
+    A step that fails is no error but a lost row.
 
     Args:
         row, case: what to test.
-        solver: name of a solver; None tries those that the test names.
+        solver: name of a solver; None tries those that the test names. With a solver or a resolution chosen nothing
+            else is tried.
         resolution: edges along the length; None starts with 20.
         report: called with a line of progress.
     """
-    words = f"{row.name} {case_words(case)}".strip()
-    first = Setting(edges=resolution or Setting.edges)
-    default: Measured | None = None
-    realtime: tuple[Setting, Measured] | None = None
-    best: tuple[Setting, Measured] | None = None
-    reason = ""
-    for name in [solver] if solver else row.best_solvers:
-        for edges in (first.edges,) if resolution or "edges" in row.parameters else (first.edges, FINER * first.edges):
-            setting = replace(first, solver=name, edges=edges)
+    search = _Search(row, case, report)
+    for setting in _settings(search, [solver] if solver else row.best_solvers, resolution):
+        search.attempt(setting)
+    default, best = search.default, search.best
+    assert default is not None and best is not None
+    passed = _within(best[1].error, row.gate_best) and search.realtime is not None
+    realtime = search.realtime or (None, None)
+    return ValidationResult(row, case, default, *realtime, *best, "" if passed else search.reason)
+
+
+class _Search:
+    """What the settings that were tried so far have come to.
+
+    Attributes:
+        result, seconds: of the last one: what it measured and the processor time that it took [s].
+        default: what the first one measured.
+        realtime: the first setting of the default solver within that gate, and what it measured.
+        best: the setting with the least error, and what it measured.
+        reason: why the last one that failed did not pass.
+    """
+
+    def __init__(self, row: Row, case: Mapping[str, Any], report: Callable[[str], None]) -> None:
+        self.row, self._case, self._report = row, case, report
+        self.result, self.seconds, self.reason = _LOST, 0.0, ""
+        self.default: TrialResult | None = None
+        self.realtime: tuple[TrialSetting, TrialResult] | None = None
+        self.best: tuple[TrialSetting, TrialResult] | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether the last setting is within the gate of the best column."""
+        return _within(self.result.error, self.row.gate_best)
+
+    @property
+    def settled(self) -> bool:
+        """Whether no other setting can help: one has passed, or there is nothing to measure."""
+        return self.best is not None and (_within(self.best[1].error, self.row.gate_best) or bool(self.best[1].missing))
+
+    def attempt(self, setting: TrialSetting) -> None:
+        """Run the case at a setting."""
+        begin, problem = time.process_time(), ""
+        try:
+            result = self.row.run(setting, self._case)
+        except StepError as error:
+            result, problem = _LOST, str(error)
+        self.result, self.seconds = result, time.process_time() - begin
+        test = f"{self.row.name} {case_words(self._case)}".strip()
+        self._report(f"{test}: {setting.solver}, {_setting_words(setting)}: error {_short(result.error)}")
+        if self.default is None:
+            self.default = result
+        if setting.solver == "default" and self.realtime is None:
+            if _within(_realtime_error(result), self.row.gate_realtime):
+                self.realtime = (setting, result)
+        if self.best is None or math.isnan(self.best[1].error) or result.error < self.best[1].error:
+            self.best = (setting, result)
+        if not self.passed:
+            failed = f"{setting.solver}: {_short(result.error)} at {_setting_words(setting)}"
+            self.reason = problem or result.missing or failed
+
+
+def _settings(search: _Search, solvers: Sequence[str], resolution: int | None) -> Iterator[TrialSetting]:
+    """The settings to try, each after the one before has been.
+
+    One solver after the other, at the default resolution and then at twice that. A mesh on which a solver without
+    substeps is lost is not refined: that takes minutes.
+    """
+    first = TrialSetting(edges=resolution or TrialSetting.edges)
+    refined = () if resolution or "edges" in search.row.parameters else (FINER * first.edges,)
+    for solver in solvers:
+        for edges in (first.edges, *refined):
+            setting = replace(first, solver=solver, edges=edges)
             # What was cheap enough is not tried again: four times the substeps are needed.
             if edges > first.edges and not setting.fixed:
                 setting = replace(setting, substeps=8 * setting.substeps)
-            last, alike = math.nan, 0
-            while True:
-                begin, lost = time.process_time(), ""
-                try:
-                    found = row.run(setting, case)
-                except StepError as error:
-                    lost = str(error)
-                    found = Measured(math.nan, math.nan, math.nan, math.nan)
-                took = time.process_time() - begin
-                report(f"{words}: {name}, {_setting_words(setting)}: error {_short(found.error)}")
-                if default is None:
-                    default = found
-                if name == "default" and realtime is None:
-                    if _within(_realtime_error(found), row.gate_realtime):
-                        realtime = (setting, found)
-                if best is None or math.isnan(best[1].error) or found.error < best[1].error:
-                    best = (setting, found)
-                if _within(found.error, row.gate_best):
-                    break
-                reason = lost or found.missing or f"{name}: {_short(found.error)} at {_setting_words(setting)}"
-                if setting.fixed or found.missing:
-                    break
-                alike = alike + 1 if abs(found.error - last) < 0.1 * max(row.gate_best, 1e-12) else 0
-                if alike == 2 or found.error == last:  # once may be by chance
-                    reason = f"more substeps change nothing; {reason}"
-                    break
-                if 2.0 * took > LONGEST and setting.substeps > first.substeps:  # the first one compiles
-                    reason = f"more would take over {LONGEST:g} s; {reason}"
-                    break
-                if setting.substeps >= MOST:
-                    break
-                last = found.error
-                setting = replace(setting, substeps=2 * setting.substeps)
-            if _within(best[1].error, row.gate_best) or best[1].missing:
+            yield from _with_more_substeps(search, setting, first.substeps)
+            if search.settled:
+                return
+            if setting.fixed and math.isnan(search.result.error):
                 break
-            if setting.fixed and math.isnan(found.error):  # lost on this mesh after long; a finer one takes minutes
-                break
-        if best is not None and (_within(best[1].error, row.gate_best) or best[1].missing):
-            break
-    assert default is not None and best is not None
-    passed = _within(best[1].error, row.gate_best) and realtime is not None
-    return Verdict(row, case, default, *(realtime or (None, None)), *best, "" if passed else reason)
+
+
+def _with_more_substeps(search: _Search, setting: TrialSetting, least: int) -> Iterator[TrialSetting]:
+    """A setting, then with twice the substeps, until it passes, more change nothing, or a run takes too long.
+
+    Args:
+        search: says what came of each.
+        setting: to begin with.
+        least: substeps of the very first run, whose time says little because it compiles.
+    """
+    last, alike = math.nan, 0
+    while True:
+        yield setting
+        error = search.result.error
+        if search.passed or setting.fixed or search.result.missing:
+            return
+        alike = alike + 1 if abs(error - last) < 0.1 * max(search.row.gate_best, 1e-12) else 0
+        if alike == 2 or error == last:  # once may be by chance
+            search.reason = f"more substeps change nothing; {search.reason}"
+            return
+        if 2.0 * search.seconds > MAX_RUN_S and setting.substeps > least:
+            search.reason = f"more would take over {MAX_RUN_S:g} s; {search.reason}"
+            return
+        if setting.substeps >= MAX_SUBSTEPS:
+            return
+        last, setting = error, replace(setting, substeps=2 * setting.substeps)
 
 
 def validate_all(
@@ -187,7 +246,7 @@ def validate_all(
     resolution: int | None,
     workers: int,
     report: Callable[[str], None],
-) -> list[Verdict]:
+) -> list[ValidationResult]:
     """Run the cases of several tests, in the order of the table.
 
     Args:
@@ -200,14 +259,14 @@ def validate_all(
     if len(cases) == 1:
         return [validate(*cases[0], solver, resolution, report)]
 
-    def tell(count: int, found: Verdict) -> None:
+    def tell(count: int, found: ValidationResult) -> None:
         report(f"{count} of {len(cases)}: {found.row.name} {case_words(found.case)}: {_short(found.best.error)}")
 
     jobs = [partial(_validate_named, row.name, case, solver, resolution) for row, case in cases]
     return run_jobs(jobs, workers, done=tell)
 
 
-def _validate_named(name: str, case: Mapping[str, Any], solver: str | None, resolution: int | None) -> Verdict:
+def _validate_named(name: str, case: Mapping[str, Any], solver: str | None, resolution: int | None) -> ValidationResult:
     return validate(ROWS[name], case, solver, resolution)
 
 
@@ -220,61 +279,61 @@ def case_words(case: Mapping[str, Any]) -> str:
     return " ".join(f"{key}={_short(value)}" for key, value in case.items())
 
 
-def _setting_words(setting: Setting) -> str:
+def _setting_words(setting: TrialSetting) -> str:
     return f"{setting.edges} edges" + ("" if setting.fixed else f", {setting.substeps} substeps")
 
 
-def verdict_row(verdict: Verdict) -> dict[str, Any]:
-    """The verdict as a row of figures."""
-    row, best = verdict.row, verdict.best
+def result_row(result: ValidationResult) -> dict[str, Any]:
+    """The result as a row of figures."""
+    row, best = result.row, result.best
     figures: dict[str, Any] = {
         "test": row.name,
-        "solver": verdict.best_setting.solver,
+        "solver": result.best_setting.solver,
         "default_solver": "default",
-        "params": dict(verdict.case),
+        "params": dict(result.case),
         "reference": best.reference,
         "measured": best.measured,
         "error": best.error,
         "gate_best": row.gate_best,
         "gate_realtime": row.gate_realtime,
-        "passed_best": verdict.passed_best,
-        "passed_realtime": verdict.realtime is not None,
-        "setting": _setting_words(verdict.best_setting),
+        "passed_best": result.passed_best,
+        "passed_realtime": result.realtime is not None,
+        "setting": _setting_words(result.best_setting),
         "cost_ms": best.cost_ms,
-        "default_measured": verdict.default.measured,
-        "default_error": _realtime_error(verdict.default),
-        "default_cost_ms": verdict.default.cost_ms,
-        "passed_default": verdict.passed_default,
-        "reason": verdict.reason,
+        "default_measured": result.default.measured,
+        "default_error": _realtime_error(result.default),
+        "default_cost_ms": result.default.cost_ms,
+        "passed_default": result.passed_default,
+        "reason": result.reason,
     }
-    if verdict.realtime is not None and verdict.realtime_setting is not None:
+    if result.realtime is not None and result.realtime_setting is not None:
         figures |= {
-            "realtime_setting": _setting_words(verdict.realtime_setting),
-            "realtime_measured": verdict.realtime.measured,
-            "realtime_error": _realtime_error(verdict.realtime),
-            "realtime_cost_ms": verdict.realtime.cost_ms,
+            "realtime_setting": _setting_words(result.realtime_setting),
+            "realtime_measured": result.realtime.measured,
+            "realtime_error": _realtime_error(result.realtime),
+            "realtime_cost_ms": result.realtime.cost_ms,
         }
     return figures
 
 
-def validation_text(verdicts: Sequence[Verdict]) -> str:
+def validation_text(results: Sequence[ValidationResult]) -> str:
     """The table as text, a line a case."""
     lines = [
         f"{'test':<34}{'reference':>11}{'best':>11}{'error':>10}{'gate':>8}  {'':<7}"
         f"{'default':>11}{'error':>10}{'gate':>8}  passes at"
     ]
-    for verdict in verdicts:
-        row, best, default = verdict.row, verdict.best, verdict.default
-        name = " ".join([row.name, *(_short(value) for value in verdict.case.values())])
+    for result in results:
+        row, best, default = result.row, result.best, result.default
+        name = " ".join([row.name, *(_short(value) for value in result.case.values())])
         at = "never"
-        if verdict.realtime is not None and verdict.realtime_setting is not None:
+        if result.realtime is not None and result.realtime_setting is not None:
             at = "default"
-            if not verdict.passed_default:
-                at = f"{verdict.realtime_setting.substeps} substeps, {verdict.realtime.cost_ms:.2f} ms"
+            if not result.passed_default:
+                at = f"{result.realtime_setting.substeps} substeps, {result.realtime.cost_ms:.2f} ms"
         lines.append(
             f"{name:<34}{best.reference:11.5g}{best.measured:11.5g}{best.error:10.2g}{row.gate_best:8.2g}  "
-            f"{'passed' if verdict.passed_best else 'FAILED':<7}{default.measured:11.5g}"
+            f"{'passed' if result.passed_best else 'FAILED':<7}{default.measured:11.5g}"
             f"{_realtime_error(default):10.2g}{row.gate_realtime:8.2g}  {at}"
-            + (f"  ({verdict.reason})" if verdict.reason else "")
+            + (f"  ({result.reason})" if result.reason else "")
         )
     return "\n".join(lines)

@@ -10,18 +10,18 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from pbd.storage import replacing
-from precompute.validation.validation import Verdict, case_words
+from precompute.validation.validation import ValidationResult, case_words
 
-__all__ = ["draw_verdicts"]
+__all__ = ["draw_results"]
 
 WIDEST = 4  # panels in a row
 
 
-def draw_verdicts(folder: Path, verdicts: Sequence[Verdict]) -> list[Path]:
+def draw_results(folder: Path, results: Sequence[ValidationResult]) -> list[Path]:
     """One PNG per test, a panel per case that has a curve; the best run's. Returns the files."""
     files = []
-    for name in dict.fromkeys(verdict.row.name for verdict in verdicts):
-        drawn = [v for v in verdicts if v.row.name == name and v.best.curve is not None]
+    for name in dict.fromkeys(result.row.name for result in results):
+        drawn = [v for v in results if v.row.name == name and v.best.curve is not None]
         if not drawn:
             continue
         columns = min(len(drawn), WIDEST)
@@ -30,14 +30,14 @@ def draw_verdicts(folder: Path, verdicts: Sequence[Verdict]) -> list[Path]:
         panels = figure.subplots(rows, columns, squeeze=False).ravel()
         for panel in panels[len(drawn) :]:
             panel.set_axis_off()
-        for panel, verdict in zip(panels, drawn, strict=False):
-            curve = verdict.best.curve
+        for panel, result in zip(panels, drawn, strict=False):
+            curve = result.best.curve
             assert curve is not None
             panel.plot(*curve.reference, color="0.6", linewidth=2.5, label="reference")
             panel.plot(*curve.measured, ".", color="tab:red", markersize=3.5, label="measured")
             panel.set_xlabel(curve.x_label)
             panel.set_ylabel(curve.y_label)
-            panel.set_title(case_words(verdict.case) or name, fontsize=9)
+            panel.set_title(case_words(result.case) or name, fontsize=9)
             panel.legend(fontsize=8)
         figure.suptitle(drawn[0].row.words, fontsize=10)
         folder.mkdir(parents=True, exist_ok=True)

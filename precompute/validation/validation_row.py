@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pbd.errors import InputError
-from precompute.validation.trial import Measured, Setting
+from precompute.validation.trial import TrialResult, TrialSetting
 
 __all__ = ["Choice", "Parameter", "Row"]
 
@@ -71,14 +71,14 @@ class Row:
 
     name: str
     words: str
-    measure: Callable[..., Measured]
+    measure: Callable[..., TrialResult]
     gate_best: float
     gate_realtime: float
     parameters: Mapping[str, Parameter | Choice] = field(default_factory=dict)
     cases: Sequence[Mapping[str, Any]] = ({},)
     best_solvers: Sequence[str] = ("default", "fem-stvk/quasi-static")
 
-    def run(self, setting: Setting, case: Mapping[str, Any]) -> Measured:
+    def run(self, setting: TrialSetting, case: Mapping[str, Any]) -> TrialResult:
         """Measure one case; what it does not say is at its default."""
         return self.measure(setting, **self.complete(case))
 

@@ -29,8 +29,8 @@ from precompute.learning.training import (
     features_of,
     spread_frames,
 )
-from precompute.wrinkle_comparison.ablation_bench import FRAMES, Bench, Way
-from precompute.wrinkle_comparison.wrinkle_rivals import k_means_modes
+from precompute.wrinkle_comparison.ablation_experiment import FRAMES, Experiment, Variant
+from precompute.wrinkle_comparison.wrinkle_baselines import k_means_modes
 from wrinkles.charts import fine_places
 from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import code_version
@@ -60,12 +60,12 @@ class Ablation:
     Attributes:
         group: what is ablated.
         name: how.
-        make: the way.
+        make: the variant.
     """
 
     group: str
     name: str
-    make: Callable[[Bench], Way]
+    make: Callable[[Experiment], Variant]
 
     def key(self, database: bytes) -> str:
         """Hash of what the row's figures depend on."""
@@ -77,21 +77,21 @@ class Ablation:
         return digest.hexdigest()[:24]
 
 
-def _seeing(bench: Bench, kept: np.ndarray) -> Way:
+def _seeing(experiment: Experiment, kept: np.ndarray) -> Variant:
     """With some of the features only."""
-    mapping = bench.fit(replace(bench.data, features=bench.data.features[..., kept]))
-    return bench.mapped(lambda features, pose: mapping.predict(features[..., kept]))
+    mapping = experiment.fit(replace(experiment.data, features=experiment.data.features[..., kept]))
+    return experiment.mapped(lambda features, pose: mapping.predict(features[..., kept]))
 
 
 _OFFSETS = DYNAMIC_COUNT - 12  # then gravity 3 and distances 9; see wrinkles.features
 
 
-def _without_gravity(bench: Bench) -> Way:
-    return _seeing(bench, np.setdiff1d(np.arange(DYNAMIC_COUNT), np.arange(_OFFSETS, _OFFSETS + 3)))
+def _without_gravity(experiment: Experiment) -> Variant:
+    return _seeing(experiment, np.setdiff1d(np.arange(DYNAMIC_COUNT), np.arange(_OFFSETS, _OFFSETS + 3)))
 
 
-def _without_body(bench: Bench) -> Way:
-    return _seeing(bench, np.arange(DYNAMIC_COUNT - 9))
+def _without_body(experiment: Experiment) -> Variant:
+    return _seeing(experiment, np.arange(DYNAMIC_COUNT - 9))
 
 
 def _ring(points: int) -> np.ndarray:
@@ -103,49 +103,49 @@ def _ring(points: int) -> np.ndarray:
     return np.flatnonzero(np.concatenate([kept, np.ones(DYNAMIC_COUNT - _OFFSETS, bool)]))
 
 
-def _three_by_three(bench: Bench) -> Way:
-    return _seeing(bench, _ring(1))
+def _three_by_three(experiment: Experiment) -> Variant:
+    return _seeing(experiment, _ring(1))
 
 
-def _without_place(bench: Bench) -> Way:
-    stencil = bench.layer.stencil
-    layer = replace(bench.layer, stencil=replace(stencil, static=np.zeros_like(stencil.static)))
-    return bench.way(bench.fit(bench.data, layer))
+def _without_place(experiment: Experiment) -> Variant:
+    stencil = experiment.layer.stencil
+    layer = replace(experiment.layer, stencil=replace(stencil, static=np.zeros_like(stencil.static)))
+    return experiment.variant(experiment.fit(experiment.data, layer))
 
 
-def _blended(bench: Bench, blend: Callable[[np.ndarray], np.ndarray]) -> Way:
+def _blended(experiment: Experiment, blend: Callable[[np.ndarray], np.ndarray]) -> Variant:
     """With other weights of the three patches around a vertex, made from its barycentric weights."""
 
     def changed(patches: Patches, mesh: Subdivision) -> Patches:
         return replace(patches, blend=np.ascontiguousarray(blend(fine_places(mesh)[1]), np.float32))
 
-    layer, whole = bench.layer, bench.layer.levels.subdivision
+    layer, whole = experiment.layer, experiment.layer.levels.subdivision
     fine, middle = changed(layer.patches, whole), changed(layer.middle_patches, whole.middle)
     layer = replace(layer, patches=fine, middle_patches=middle)
-    data = bench.learn_from(layer)
-    return bench.way(bench.fit(data, layer), layer, data.atoms)
+    data = experiment.learn_from(layer)
+    return experiment.variant(experiment.fit(data, layer), layer, data.atoms)
 
 
-def _single_patch(bench: Bench) -> Way:
-    return _blended(bench, lambda place: np.eye(3)[place.argmax(axis=1)])
+def _single_patch(experiment: Experiment) -> Variant:
+    return _blended(experiment, lambda place: np.eye(3)[place.argmax(axis=1)])
 
 
-def _barycentric(bench: Bench) -> Way:
-    return _blended(bench, lambda place: place)
+def _barycentric(experiment: Experiment) -> Variant:
+    return _blended(experiment, lambda place: place)
 
 
-def _remembering(bench: Bench, past: np.ndarray, seed: int = 0) -> Mapping:
+def _remembering(experiment: Experiment, past: np.ndarray, seed: int = 0) -> Mapping:
     """A network that is told the coefficients of one recorded frame before, with noise on them."""
     spread = past.std(axis=(0, 1))
     noise = np.random.default_rng(seed).standard_normal(past.shape, np.float32) * (HISTORY_NOISE * spread)
-    told = np.concatenate([bench.data.features, past + noise.astype(np.float32)], axis=2)
-    return bench.fit(replace(bench.data, features=told))
+    told = np.concatenate([experiment.data.features, past + noise.astype(np.float32)], axis=2)
+    return experiment.fit(replace(experiment.data, features=told))
 
 
-def _before(bench: Bench, sequences: Sequence[np.ndarray]) -> np.ndarray:
+def _before(experiment: Experiment, sequences: Sequence[np.ndarray]) -> np.ndarray:
     """What sequences of coefficients, one a recording and all frames of it, hold a frame before those learned from."""
     rows = []
-    for recording, some, sequence in zip(bench.recordings, bench.learned, sequences, strict=True):
+    for recording, some, sequence in zip(experiment.recordings, experiment.learned, sequences, strict=True):
         at = np.searchsorted(recording.frames, some.frames)
         rows.append(sequence[np.maximum(at - 1, 0)])
     return np.concatenate(rows)
@@ -159,14 +159,16 @@ def _rolled_out(mapping: Mapping, features: np.ndarray, first: np.ndarray) -> np
     return found
 
 
-def _true_past(bench: Bench) -> np.ndarray:
-    atoms = bench.data.atoms
-    return _before(bench, [coefficients_of(bench.layer, [recording], atoms) for recording in bench.recordings])
+def _true_past(experiment: Experiment) -> np.ndarray:
+    atoms = experiment.data.atoms
+    return _before(
+        experiment, [coefficients_of(experiment.layer, [recording], atoms) for recording in experiment.recordings]
+    )
 
 
-def _recalling(bench: Bench, mapping: Mapping) -> Way:
+def _recalling(experiment: Experiment, mapping: Mapping) -> Variant:
     """Begin at rest, go on from what was said before."""
-    shape = bench.data.coefficients.shape[1:]
+    shape = experiment.data.coefficients.shape[1:]
 
     def begin() -> Predict:
         past = np.zeros(shape, np.float32)
@@ -177,91 +179,93 @@ def _recalling(bench: Bench, mapping: Mapping) -> Way:
 
         return predict
 
-    return replace(bench.full, begin=begin)
+    return replace(experiment.full, begin=begin)
 
 
-def _history_told(bench: Bench) -> Way:
+def _history_told(experiment: Experiment) -> Variant:
     """The truth itself is told of the frame before: what history could give at best. No free run can be told it."""
-    mapping = _remembering(bench, _true_past(bench))
-    truth = coefficients_of(bench.layer, [bench.truth.recording], bench.data.atoms)
+    mapping = _remembering(experiment, _true_past(experiment))
+    truth = coefficients_of(experiment.layer, [experiment.truth.recording], experiment.data.atoms)
     past = np.concatenate([truth[:1], truth[:-1]])
 
     def begin() -> Predict:
         told = iter(past)
         return lambda features, pose: mapping.predict(np.concatenate([features, next(told)], axis=1))
 
-    return replace(bench.full, begin=begin)
+    return replace(experiment.full, begin=begin)
 
 
-def _history(bench: Bench) -> Way:
-    return _recalling(bench, _remembering(bench, _true_past(bench)))
+def _history(experiment: Experiment) -> Variant:
+    return _recalling(experiment, _remembering(experiment, _true_past(experiment)))
 
 
-def _history_of_its_own(bench: Bench) -> Way:
+def _history_of_its_own(experiment: Experiment) -> Variant:
     """Learned again from what the first network says when it goes on from its own words."""
-    mapping = _remembering(bench, _true_past(bench))
-    rest = np.zeros(bench.data.coefficients.shape[1:], np.float32)
-    said = [_rolled_out(mapping, features_of(bench.layer, r)[0], rest) for r in bench.recordings]
-    return _recalling(bench, _remembering(bench, _before(bench, said)))
+    mapping = _remembering(experiment, _true_past(experiment))
+    rest = np.zeros(experiment.data.coefficients.shape[1:], np.float32)
+    said = [_rolled_out(mapping, features_of(experiment.layer, r)[0], rest) for r in experiment.recordings]
+    return _recalling(experiment, _remembering(experiment, _before(experiment, said)))
 
 
-def _independent_pairs(bench: Bench) -> Way:
+def _independent_pairs(experiment: Experiment) -> Variant:
     """Pairs C: learned from the free coarse garment, with the wrinkles of the fine one that ran beside it."""
-    runs = [coarse_run(bench.database, run) for run in bench.runs]
-    matrix = CoarseFilter(bench.stage.levels).matrix
-    coarse = [filtered(recording, matrix) for recording in training_recordings(runs, bench.cache, 2, bench.report)]
-    features = np.concatenate([features_of(bench.layer, r)[0] for r in spread_frames(coarse, FRAMES)])
-    return bench.way(bench.fit(replace(bench.data, features=features)))
+    runs = [coarse_run(experiment.database, run) for run in experiment.runs]
+    matrix = CoarseFilter(experiment.stage.levels).matrix
+    coarse = [
+        filtered(recording, matrix) for recording in training_recordings(runs, experiment.cache, 2, experiment.report)
+    ]
+    features = np.concatenate([features_of(experiment.layer, r)[0] for r in spread_frames(coarse, FRAMES)])
+    return experiment.variant(experiment.fit(replace(experiment.data, features=features)))
 
 
-def _atoms(bench: Bench, count: int) -> Way:
+def _atoms(experiment: Experiment, count: int) -> Variant:
     """The first so many: principal components come in order."""
-    whole = bench.data
+    whole = experiment.data
     atoms = replace(whole.atoms, shapes=np.ascontiguousarray(whole.atoms.shapes[:count]))
     data = replace(whole, atoms=atoms, coefficients=whole.coefficients[..., :count])
-    return bench.way(bench.fit(data), atoms=atoms)
+    return experiment.variant(experiment.fit(data), atoms=atoms)
 
 
-def _modes(bench: Bench) -> Way:
-    return bench.mapped(k_means_modes(bench.data, bench.database.seed).predict)
+def _modes(experiment: Experiment) -> Variant:
+    return experiment.mapped(k_means_modes(experiment.data, experiment.database.seed).predict)
 
 
-def _linear(bench: Bench) -> Way:
+def _linear(experiment: Experiment) -> Variant:
     """One ridge regression from features and place, shared by all places."""
     from sklearn.linear_model import Ridge
 
-    data, static = bench.data, bench.layer.stencil.static
+    data, static = experiment.data, experiment.layer.stencil.static
     spread = data.features.std(axis=(0, 1)) + 1e-4
     told = lambda f: np.concatenate([f / spread, np.broadcast_to(static, (*f.shape[:-1], static.shape[1]))], axis=-1)  # noqa: E731
     inputs = told(data.features).reshape(-1, data.features.shape[2] + static.shape[1])
     ridge = Ridge(1.0).fit(inputs, data.coefficients.reshape(len(inputs), -1))
-    return bench.mapped(lambda features, pose: ridge.predict(told(features)).astype(np.float32))
+    return experiment.mapped(lambda features, pose: ridge.predict(told(features)).astype(np.float32))
 
 
-def _hidden(bench: Bench, widths: tuple[int, int]) -> Way:
-    return bench.way(bench.fit(bench.data, hidden=widths))
+def _hidden(experiment: Experiment, widths: tuple[int, int]) -> Variant:
+    return experiment.variant(experiment.fit(experiment.data, hidden=widths))
 
 
-def _one_region(bench: Bench) -> Way:
-    return bench.way(bench.fit(bench.data, regions=1))
+def _one_region(experiment: Experiment) -> Variant:
+    return experiment.variant(experiment.fit(experiment.data, regions=1))
 
 
-def _relaxed(bench: Bench, passes: int) -> Way:
-    return replace(bench.full, passes=passes)
+def _relaxed(experiment: Experiment, passes: int) -> Variant:
+    return replace(experiment.full, passes=passes)
 
 
-def _not_raised(bench: Bench) -> Way:
-    return bench.mapped(bench.full.begin(), gain=1.0)
+def _not_raised(experiment: Experiment) -> Variant:
+    return experiment.mapped(experiment.full.begin(), gain=1.0)
 
 
-def _coarse_model(bench: Bench, squeeze: float, bend_scale: float, shear_scale: float = 1.0) -> Way:
-    own = bench.full.options or ModelOptions()
-    options = replace(own, squeeze=squeeze, bend_scale=bend_scale, shear_scale=shear_scale)
-    return replace(bench.full, options=options)
+def _coarse_model(experiment: Experiment, squeeze: float, bend_scale: float, shear_scale: float = 1.0) -> Variant:
+    own = experiment.full.options or ModelOptions()
+    options = replace(own, compression_compliance_scale=squeeze, bend_scale=bend_scale, shear_scale=shear_scale)
+    return replace(experiment.full, options=options)
 
 
 ABLATIONS = (
-    Ablation("full", "", lambda bench: bench.full),
+    Ablation("full", "", lambda experiment: experiment.full),
     Ablation("features", "without gravity", _without_gravity),
     Ablation("features", "without the body", _without_body),
     Ablation("features", "stencil 3 by 3", _three_by_three),
@@ -304,14 +308,14 @@ def ablate_file(path: Path, *, report: Callable[[str], None] | None = None) -> l
         InputError: what cannot be read, or a scene without held-out motion.
     """
     content, folder = path.read_bytes() if path.is_file() else b"", default_cache(path) / "ablations"
-    bench = Bench(path, report)
+    experiment = Experiment(path, report)
     rows = []
     for ablation in ABLATIONS:
         kept = folder / f"{ablation.key(content)}.json"
         if not kept.exists():
             if report is not None:
                 report(f"ablation: {ablation.group} {ablation.name}")
-            figures = bench.judge(ablation.make(bench))
+            figures = experiment.judge(ablation.make(experiment))
             with replacing(kept) as beside:
                 beside.write_text(json.dumps(figures), encoding="utf-8")
         rows.append({"group": ablation.group, "name": ablation.name, **json.loads(kept.read_text(encoding="utf-8"))})

@@ -25,9 +25,9 @@ from precompute.learning.evaluation import (
 )
 from precompute.learning.pipeline import default_cache, precompute
 from precompute.learning.recording import Recording, Run
-from precompute.stability.stability import Stability, largest_stable_step
+from precompute.stability.stability import StabilityLimit, largest_stable_step
 from precompute.workers import Workers
-from precompute.wrinkle_comparison.rivals import (
+from precompute.wrinkle_comparison.baselines import (
     PROBE_FRAMES,
     Cloth,
     coarse_cloth,
@@ -43,7 +43,7 @@ from wrinkles.distance import penetration_figures
 from wrinkles.metrics import edge_stretch
 from wrinkles.spectrum import LowPass
 
-__all__ = ["Comparison", "Method", "compare", "compare_file", "database_of", "equal_cost_rivals", "winners"]
+__all__ = ["Comparison", "Method", "compare", "compare_file", "database_of", "equal_cost_baselines", "winners"]
 
 STABILITY_SECONDS = 3.5  # the blend from the bind pose and two seconds of motion
 TIE = 1.05  # free runs are chaotic: what differs by less is the same
@@ -61,7 +61,7 @@ class Method:
         figures: by name, without the prefix; none where it broke.
         settings: everything needed to repeat it.
         frames: fine vertices [m], float32, shape (f, N, 3); None where it broke.
-        broke_at: when it burst, see :class:`precompute.wrinkle_comparison.rivals.Played` [s].
+        broke_at: when it burst, see :class:`precompute.wrinkle_comparison.baselines.Played` [s].
     """
 
     prefix: str
@@ -88,7 +88,7 @@ class Comparison:
     motion: str
     truth: Truth = field(repr=False)
     methods: tuple[Method, ...]
-    stability: tuple[Stability, ...]
+    stability: tuple[StabilityLimit, ...]
 
     def method(self, prefix: str) -> Method:
         """The method whose figures have a prefix."""
@@ -148,7 +148,7 @@ def compare(
         Method("", "ours", typical_ms(ours_ms), {}, settings, free.frames),
     ]
     fine, middle = fine_cloth(truth), middle_cloth(database, truth)
-    methods += _rivals(database, truth, ours_ms, tell, most=1 if brief else 2)
+    methods += _baselines(database, truth, ours_ms, tell, most=1 if brief else 2)
     if middle is not None and not brief:
         tell("comparing: middle mesh, converged")
         methods.append(_cloth(truth, middle, "middle_mesh_converged_", "middle mesh, converged"))
@@ -168,7 +168,7 @@ def compare(
     return Comparison(database.garment_name, run.name, truth, tuple(methods), tuple(stability))
 
 
-def equal_cost_rivals(
+def equal_cost_baselines(
     database: WrinkleDatabase, truth: Truth, ours_ms: np.ndarray, *, report: Callable[[str], None] | None = None
 ) -> list[Method]:
     """The middle mesh, where there is one, and the fine cloth, with the substeps that the player's cost allows.
@@ -177,18 +177,18 @@ def equal_cost_rivals(
         database: what was learned.
         truth: as for :func:`compare`.
         ours_ms: processor time of each of the player's frames [ms], by
-            :func:`precompute.wrinkle_comparison.rivals.player_times`.
+            :func:`precompute.wrinkle_comparison.baselines.player_times`.
         report: told lines of progress.
     """
     tell = report or (lambda line: None)
-    return _with_figures(truth, _rivals(database, truth, ours_ms, tell), 1)
+    return _with_figures(truth, _baselines(database, truth, ours_ms, tell), 1)
 
 
-def _rivals(
+def _baselines(
     database: WrinkleDatabase, truth: Truth, ours_ms: np.ndarray, tell: Callable[[str], None], most: int = 2
 ) -> list[Method]:
     """The same without their figures, ``most`` of them."""
-    budget = typical_ms(ours_ms[:PROBE_FRAMES])  # on the frames that rivals are tried on
+    budget = typical_ms(ours_ms[:PROBE_FRAMES])  # on the frames that baselines are tried on
     offered = [
         (middle_cloth(database, truth), "middle_mesh_", "middle mesh, equal cost"),
         (fine_cloth(truth), "equal_cost_fine_", "fine cloth, few substeps"),
@@ -237,7 +237,7 @@ def _settings(cloth: Cloth) -> dict[str, float]:
         "simulated vertices": cloth.model.vertex_count,
         "substeps a frame": cloth.substeps,
         "substep [s]": cloth.run.dt / cloth.substeps,
-        "squeeze": options.squeeze,
+        "squeeze": options.compression_compliance_scale,
         "shear_scale": options.shear_scale,
         "bend_scale": options.bend_scale,
     }

@@ -9,7 +9,7 @@ import numpy as np
 
 from precompute.learning.recording import body_source
 from precompute.reporting.page import Band, Chart, Line, Picture, Point, Section, Table, Text, write_page
-from precompute.stability.stability import Stability
+from precompute.stability.stability import StabilityLimit
 from precompute.wrinkle_comparison.compare import AT_EQUAL_COST, Comparison, Method
 from runtime.pictures import BODY_COLOR, Drawn, frame_camera, render, strip
 
@@ -29,7 +29,7 @@ _CHARTED = {
     "low_frequency_ratio_to_floor": "low-frequency mismatch over the floor's [-]",
 }
 _NOTES = """All methods run freely over the same motion, which nothing was learned from; times are medians of
-processor time on one core and count skinning, simulation, what makes the fine vertices, and normals. Rivals take the
+processor time on one core and count skinning, simulation, what makes the fine vertices, and normals. Baselines take the
 whole number of substeps that brings their time nearest to ours, at least one; they are the fabric itself, with the
 truth's own solver.
 
@@ -42,8 +42,8 @@ vertex is faster than 3 sqrt(2 g H) and the body's fastest vertex."""
 
 
 def verdict(comparison: Comparison) -> str:
-    """Who wins at equal cost, in sentences; a rival that wins is named as plainly as ours would be."""
-    times = [f"{_called(m)} {m.frame_ms:.2f} ms" for m in _rivals(comparison)]
+    """Who wins at equal cost, in sentences; a baseline that wins is named as plainly as ours would be."""
+    times = [f"{_called(m)} {m.frame_ms:.2f} ms" for m in _baselines(comparison)]
     paragraphs = [f"Time of a frame, body included: {', '.join(times)}."]
     paragraphs += [_sentence(comparison, figure, words) for figure, words in _JUDGED.items()]
     ours = comparison.method("")
@@ -112,7 +112,7 @@ def draw_methods(comparison: Comparison, methods: Sequence[Method]) -> np.ndarra
 
 
 def _pictures(comparison: Comparison) -> list[Section]:
-    cheap = _rivals(comparison)
+    cheap = _baselines(comparison)
     dear = [m for m in comparison.methods if m.prefix not in AT_EQUAL_COST]
     caption = "The same moment, {}. Free runs part company, so folds differ in place."
     return [
@@ -121,7 +121,7 @@ def _pictures(comparison: Comparison) -> list[Section]:
     ]
 
 
-def _rivals(comparison: Comparison) -> list[Method]:
+def _baselines(comparison: Comparison) -> list[Method]:
     return [m for m in comparison.methods if m.prefix in AT_EQUAL_COST]
 
 
@@ -135,8 +135,8 @@ def _called(method: Method) -> str:
     return f"{known} with {_count(method)}" if known else method.name
 
 
-def _beyond_their_limits(comparison: Comparison) -> list[tuple[Method, Stability]]:
-    """Rivals at equal cost whose substep is a catastrophe, with the limit."""
+def _beyond_their_limits(comparison: Comparison) -> list[tuple[Method, StabilityLimit]]:
+    """Baselines at equal cost whose substep is a catastrophe, with the limit."""
     limits = {one.name: one for one in comparison.stability}
     pairs = [("middle_mesh_", "middle_mesh"), ("equal_cost_fine_", "fine")]
     found = [
@@ -147,7 +147,7 @@ def _beyond_their_limits(comparison: Comparison) -> list[tuple[Method, Stability
 
 def _sentence(comparison: Comparison, figure: str, words: str) -> str:
     floor = comparison.method("floor_").figures[figure]
-    called = {m.prefix: f"{_called(m)} {m.figures[figure]:.3g}" for m in _rivals(comparison) if m.figures}
+    called = {m.prefix: f"{_called(m)} {m.figures[figure]:.3g}" for m in _baselines(comparison) if m.figures}
     won = comparison.winners(figure)
     rest = [text for prefix, text in called.items() if prefix not in won]
     against = f", against {', '.join(rest)}" if rest else ""

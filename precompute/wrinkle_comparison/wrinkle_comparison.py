@@ -1,4 +1,4 @@
-"""`gube compare --wrinkles`: every way from a coarse garment to fine wrinkles, on one held-out motion.
+"""`gube compare --wrinkles`: every method from a coarse garment to fine wrinkles, on one held-out motion.
 
 Each is judged twice: given the truth's own coarse states, and on a free run of the coarse garment. Simulations of a
 finer mesh at equal cost, which need no coarse garment, are judged on their own free runs.
@@ -27,23 +27,23 @@ from precompute.learning.held_out import JUDGED, HeldOut, held_out_truth
 from precompute.learning.pipeline import TRAINING_FRAMES, default_cache, epochs_for, training_recordings, training_runs
 from precompute.learning.recording import Recording, Run
 from precompute.learning.training import Layer, build_layer, coefficients_of, spread_frames, training_set
-from precompute.wrinkle_comparison.compare import database_of, equal_cost_rivals
-from precompute.wrinkle_comparison.rivals import player_times, typical_ms
+from precompute.wrinkle_comparison.baselines import player_times, typical_ms
+from precompute.wrinkle_comparison.compare import database_of, equal_cost_baselines
+from precompute.wrinkle_comparison.wrinkle_baselines import WrinkleBaseline, fit_baselines
 from precompute.wrinkle_comparison.wrinkle_meshes import WrinkleMesh, WrinkleMeshOptions
-from precompute.wrinkle_comparison.wrinkle_rivals import WrinkleRival, fit_rivals
 from runtime.stage import Stage, scene_of
 from wrinkles.database import WrinkleDatabase, read_database
 from wrinkles.spectrum import BandedEnergy
 
-__all__ = ["WrinkleComparison", "Wrinkles", "compare_wrinkles", "compare_wrinkles_file", "tuned_wrinkle_mesh"]
+__all__ = ["WrinkleComparison", "WrinkleMethod", "compare_wrinkles", "compare_wrinkles_file", "tuned_wrinkle_mesh"]
 
 TUNED_FRAMES = 60  # recorded frames of training motion that wrinkle meshes are tuned on
 RADII, BENDINGS, ITERATIONS = (0.25, 0.5, 1.0), (0.5, 1.0), (4, 10)  # that are tried; see WrinkleMeshOptions
 
 
 @dataclass(frozen=True)
-class Wrinkles:
-    """One way, judged.
+class WrinkleMethod:
+    """One method, judged.
 
     Attributes:
         name: for people.
@@ -64,18 +64,18 @@ class Wrinkles:
 
 @dataclass(frozen=True)
 class WrinkleComparison:
-    """All ways on one motion.
+    """All methods on one motion.
 
     Attributes:
         garment, motion: names.
-        ways: ours, what learns, smooth and what else learns nothing, simulations.
+        methods: ours, what learns, smooth and what else learns nothing, simulations.
         limit: figures given the coarse state, of the truth's own patches reduced to the atoms.
         floor: figures of a second converged fine simulation.
     """
 
     garment: str
     motion: str
-    ways: tuple[Wrinkles, ...]
+    methods: tuple[WrinkleMethod, ...]
     limit: dict[str, float]
     floor: dict[str, float]
 
@@ -83,22 +83,22 @@ class WrinkleComparison:
 def compare_wrinkles(
     layer: Layer,
     database: WrinkleDatabase,
-    rivals: Sequence[WrinkleRival],
+    baselines: Sequence[WrinkleBaseline],
     mesh_options: WrinkleMeshOptions,
     held_out: HeldOut,
     runs: Sequence[Run],
     recordings: Sequence[Recording],
     report: Callable[[str], None] | None = None,
 ) -> WrinkleComparison:
-    """Judge the smooth surface, the database's mapping, every rival and simulations at equal cost.
+    """Judge the smooth surface, the database's mapping, every baseline and simulations at equal cost.
 
     Args:
         layer: of the garment.
         database: what was learned.
-        rivals: fitted mappings.
+        baselines: fitted mappings.
         mesh_options: of wrinkle meshes.
         held_out: what is judged on.
-        runs, recordings: what the rivals have learned from; their means of vertices are fitted to it as ours is.
+        runs, recordings: what the baselines have learned from; their means of vertices are fitted to it as ours is.
         report: told lines of progress.
     """
     tell = report or (lambda line: None)
@@ -106,13 +106,13 @@ def compare_wrinkles(
     tell("comparing wrinkles: ours")
     ours_ms, smooth_ms = player_times(database, truth)
     mapping, atoms = database.mapping, database.atoms
-    ours = WrinkleRival("ours", by_features(mapping), tuple(mapping.arrays().values()))
+    ours = WrinkleBaseline("ours", by_features(mapping), tuple(mapping.arrays().values()))
     given, freely = (
         held_out.show(layer, by_patches(layer, ours.predict, atoms), r) for r in (truth.recording, held_out.free)
     )
     figures = held_out.given_figures(*given[:2]), held_out.free_figures(freely[1])
     drawn = 4e-6 * (atoms.shapes.size + atoms.mean.size + atoms.vertex_mean.size)
-    ways = [Wrinkles("ours", typical_ms(ours_ms), ours.megabytes + drawn, *figures)]
+    methods = [WrinkleMethod("ours", typical_ms(ours_ms), ours.megabytes + drawn, *figures)]
 
     def with_own_mean(begin: Callable[[], Predict]) -> Callable[[], Lift]:
         predict = begin()
@@ -123,29 +123,31 @@ def compare_wrinkles(
         tell(f"comparing wrinkles: {name}")
         *shown, spent = held_out.show(layer, begin(), truth.recording)
         figures = held_out.free_figures(held_out.show(layer, begin(), free)[1])
-        frame_ms = ways[0].frame_ms + spent - given[2]  # our frame, wrinkles made otherwise
-        ways.append(Wrinkles(name, frame_ms, megabytes, held_out.given_figures(*shown), figures, settings))
+        frame_ms = methods[0].frame_ms + spent - given[2]  # our frame, wrinkles made otherwise
+        methods.append(WrinkleMethod(name, frame_ms, megabytes, held_out.given_figures(*shown), figures, settings))
 
-    for rival in rivals:
-        begin = with_own_mean(lambda rival=rival: rival.predict)
-        judge(rival.name, begin, rival.megabytes + drawn, rival.settings, held_out.free)
+    for baseline in baselines:
+        begin = with_own_mean(lambda baseline=baseline: baseline.predict)
+        judge(baseline.name, begin, baseline.megabytes + drawn, baseline.settings, held_out.free)
     # Ways that learn nothing come last: where a chart leaves them out, the others keep their marks.
     smooth = np.stack([levels.subdivision.upsample(frame) for frame in held_out.plain.coarse[JUDGED]])
     figures = held_out.given_figures(given[0], given[0]), held_out.free_figures(smooth.astype(np.float32))
-    ways.append(Wrinkles("smooth", typical_ms(smooth_ms), 0.0, *figures))
+    methods.append(WrinkleMethod("smooth", typical_ms(smooth_ms), 0.0, *figures))
     settings = ", ".join(f"{name} {value:g}" for name, value in vars(mesh_options).items())
     # As published: on the simulated garment itself.
     judge("wrinkle meshes", lambda: _wrinkle_mesh(layer, mesh_options), 0.0, settings, held_out.plain)
-    for method in equal_cost_rivals(database, truth, ours_ms, report=report):
+    for method in equal_cost_baselines(database, truth, ours_ms, report=report):
         free = {} if method.frames is None else held_out.free_figures(method.frames[JUDGED])
         count = f"{method.settings['substeps a frame']} substeps a frame"
-        ways.append(Wrinkles(method.name, method.frame_ms, 0.0, {}, free, count))
+        methods.append(WrinkleMethod(method.name, method.frame_ms, 0.0, {}, free, count))
     tell("comparing wrinkles: true patches")
     told = iter(coefficients_of(layer, [*spread_frames(recordings, MEAN_FRAMES), truth.recording], atoms))
     limit = with_own_mean(lambda: lambda f, pose: next(told))  # told what is learned from first, then what is judged
     *shown, _ = held_out.show(layer, limit(), truth.recording)
     floor = held_out.free_figures(held_out.judged.floor)
-    return WrinkleComparison(database.garment_name, truth.run.name, tuple(ways), held_out.given_figures(*shown), floor)
+    return WrinkleComparison(
+        database.garment_name, truth.run.name, tuple(methods), held_out.given_figures(*shown), floor
+    )
 
 
 def _wrinkle_mesh(layer: Layer, options: WrinkleMeshOptions) -> Lift:
@@ -179,7 +181,7 @@ def tuned_wrinkle_mesh(layer: Layer, run: Run, recording: Recording) -> WrinkleM
 def compare_wrinkles_file(
     path: Path, output: Path, *, report: Callable[[str], None] | None = None
 ) -> WrinkleComparison:
-    """Fit every rival on what a database has learned from, and compare on its first held-out motion.
+    """Fit every baseline on what a database has learned from, and compare on its first held-out motion.
 
     Args:
         path: a database whose recorded runs lie beside it (they are simulated again where they do not), or a scene.
@@ -199,12 +201,12 @@ def compare_wrinkles_file(
     layer = build_layer(stage.levels)
     runs = training_runs(layer, stage, scene, cache, report)
     recordings = training_recordings(runs, cache, 2, report)
-    tell("fitting rivals: wrinkle meshes")
+    tell("fitting baselines: wrinkle meshes")
     mesh_options = tuned_wrinkle_mesh(layer, runs[-1], recordings[-1].where(slice(-TUNED_FRAMES, None)))
     chosen = spread_frames(recordings, TRAINING_FRAMES)
     data = training_set(layer, chosen, len(database.atoms.shapes), database.seed)
     poses = np.concatenate([run.poses[r.frames] for run, r in zip(runs, chosen, strict=True)])
     gain = database.wrinkle_gain
     epochs = epochs_for(len(data.features))
-    rivals = fit_rivals(layer, data, poses, epochs=epochs, seed=database.seed, gain=gain, report=report)
-    return compare_wrinkles(layer, database, rivals, mesh_options, held_out, runs, chosen, report)
+    baselines = fit_baselines(layer, data, poses, epochs=epochs, seed=database.seed, gain=gain, report=report)
+    return compare_wrinkles(layer, database, baselines, mesh_options, held_out, runs, chosen, report)

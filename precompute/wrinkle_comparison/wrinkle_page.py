@@ -6,19 +6,19 @@ from collections.abc import Callable
 from pathlib import Path
 
 from precompute.reporting.page import Band, Chart, Line, Point, Section, Table, Text, write_page
-from precompute.wrinkle_comparison.wrinkle_comparison import WrinkleComparison, Wrinkles
+from precompute.wrinkle_comparison.wrinkle_comparison import WrinkleComparison, WrinkleMethod
 
 __all__ = ["wrinkle_rows", "wrinkle_verdict", "write_wrinkles"]
 
 _GIVEN, _FREE = "normal_error_deg", "spectrum_band_error_max"
-_NOTES = """Every learned way gives the coefficients of the same patches, learned from the same recorded frames; each
+_NOTES = """Every learned method gives the coefficients of the same patches, learned from the same recorded frames; each
 and the wrinkle meshes are relaxed alike. Given the coarse state, each is shown the truth's own coarse states of a
 motion that nothing was learned from; running freely, all of them are shown one free run of the coarse garment, filtered
 as our player does it (smooth and wrinkle meshes: as it is). Settings were chosen on training motion alone.
 
 Times are medians of processor time on one core. Ours, smooth and simulations: a whole frame, body included. The others:
 our frame with the time of making wrinkles exchanged, as measured here in NumPy and scikit-learn. Megabytes count what a
-way must store as 32-bit numbers besides the mesh; ways that are not in a chart of megabytes store nothing.
+method must store as 32-bit numbers besides the mesh; methods that are not in a chart of megabytes store nothing.
 
 The floor of a free run is what parts two converged simulations of the same scene. The floor given the coarse state is
 what is left when the truth's own patches are reduced to the atoms."""
@@ -36,24 +36,24 @@ def write_wrinkles(path: Path, comparison: WrinkleComparison) -> None:
         _table(comparison),
         Text(_NOTES),
     ]
-    write_page(path, f"{comparison.garment}, {comparison.motion}: ways to wrinkles", sections)
+    write_page(path, f"{comparison.garment}, {comparison.motion}: methods to wrinkles", sections)
 
 
-def _time(way: Wrinkles) -> float:
-    return way.frame_ms
+def _time(method: WrinkleMethod) -> float:
+    return method.frame_ms
 
 
-def _size(way: Wrinkles) -> float:
-    return way.megabytes
+def _size(method: WrinkleMethod) -> float:
+    return method.megabytes
 
 
-def _chart(comparison: WrinkleComparison, figure: str, cost: Callable[[Wrinkles], float], label: str) -> Chart:
+def _chart(comparison: WrinkleComparison, figure: str, cost: Callable[[WrinkleMethod], float], label: str) -> Chart:
     given = figure == _GIVEN
-    figures = lambda way: way.given if given else way.free  # noqa: E731
+    figures = lambda method: method.given if given else method.free  # noqa: E731
     points = [
-        Point(cost(way), figures(way)[figure], way.name, way.name, {"settings": way.settings})
-        for way in comparison.ways
-        if figures(way) and cost(way) > 0.0
+        Point(cost(method), figures(method)[figure], method.name, method.name, {"settings": method.settings})
+        for method in comparison.methods
+        if figures(method) and cost(method) > 0.0
     ]
     floor = (comparison.limit if given else comparison.floor)[figure]
     return Chart(
@@ -63,40 +63,44 @@ def _chart(comparison: WrinkleComparison, figure: str, cost: Callable[[Wrinkles]
         log_x=True,
         log_y=not given,
         bands=[Band(0.0, floor, "floor")],
-        lines=[Line("y", next(figures(way)[figure] for way in comparison.ways if way.name == "smooth"), "smooth")],
+        lines=[
+            Line(
+                "y", next(figures(method)[figure] for method in comparison.methods if method.name == "smooth"), "smooth"
+            )
+        ],
     )
 
 
 def _table(comparison: WrinkleComparison) -> Table:
-    columns = [*comparison.ways, Wrinkles("floor", float("nan"), 0.0, comparison.limit, comparison.floor)]
-    rows: list[list] = [["settings", *(way.settings for way in columns)]]
-    rows += [["frame_ms_p50", *(None if way.name == "floor" else way.frame_ms for way in columns)]]
-    rows += [["mb", *(way.megabytes for way in columns)]]
-    rows += [[name, *(way.given.get(name) for way in columns)] for name in comparison.limit]
-    rows += [[name, *(way.free.get(name) for way in columns)] for name in comparison.floor]
-    return Table(["", *(way.name for way in columns)], rows, "Figures and settings")
+    columns = [*comparison.methods, WrinkleMethod("floor", float("nan"), 0.0, comparison.limit, comparison.floor)]
+    rows: list[list] = [["settings", *(method.settings for method in columns)]]
+    rows += [["frame_ms_p50", *(None if method.name == "floor" else method.frame_ms for method in columns)]]
+    rows += [["mb", *(method.megabytes for method in columns)]]
+    rows += [[name, *(method.given.get(name) for method in columns)] for name in comparison.limit]
+    rows += [[name, *(method.free.get(name) for method in columns)] for name in comparison.floor]
+    return Table(["", *(method.name for method in columns)], rows, "Figures and settings")
 
 
 def wrinkle_rows(comparison: WrinkleComparison) -> list[dict[str, float | str]]:
-    """A row of figures for each way, and one for the floor."""
+    """A row of figures for each method, and one for the floor."""
     rows: list[dict[str, float | str]] = [
         {
-            "method": way.name,
-            "settings": way.settings,
-            "frame_ms_p50": way.frame_ms,
-            "mb": way.megabytes,
-            **way.given,
-            **way.free,
+            "method": method.name,
+            "settings": method.settings,
+            "frame_ms_p50": method.frame_ms,
+            "mb": method.megabytes,
+            **method.given,
+            **method.free,
         }
-        for way in comparison.ways
+        for method in comparison.methods
     ]
     return [*rows, {"method": "floor", **comparison.limit, **comparison.floor}]
 
 
 def wrinkle_verdict(comparison: WrinkleComparison) -> str:
-    """Who is nearest to the truth, in sentences; a rival that wins is named as plainly as ours would be."""
-    given = {way.name: way.given[_GIVEN] for way in comparison.ways if way.given}
-    free = {way.name: way.free[_FREE] for way in comparison.ways if way.free}
+    """Who is nearest to the truth, in sentences; a baseline that wins is named as plainly as ours would be."""
+    given = {method.name: method.given[_GIVEN] for method in comparison.methods if method.given}
+    free = {method.name: method.free[_FREE] for method in comparison.methods if method.free}
     told = lambda figures, unit: ", ".join(  # noqa: E731
         f"{name} {value:.3g}{unit}" for name, value in sorted(figures.items(), key=lambda item: item[1])
     )

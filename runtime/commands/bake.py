@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from runtime.arguments import add_playback, positive
+from runtime.arguments import add_output_file, add_playback, positive
 
 if TYPE_CHECKING:
     from runtime.report import Report
@@ -19,14 +18,7 @@ SUMMARY = "play a wrinkle database and write an animation"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     add_playback(parser)
-    parser.add_argument(
-        "-o",
-        dest="output",
-        type=Path,
-        metavar="OUT",
-        required=True,
-        help="the animation, a file ending in .glb, .pc2 or .obj (required)",
-    )
+    add_output_file(parser, "OUT", "the animation, a file ending in .glb, .pc2 or .obj")
     parser.add_argument(
         "--rate",
         type=positive,

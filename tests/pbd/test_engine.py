@@ -4,6 +4,7 @@ import os
 import pickle
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -45,6 +46,25 @@ def test_a_bad_thread_count_in_the_environment_is_refused(value: str) -> None:
         check=True,
     )
     assert "GUBE_THREADS" in result.stdout and value in result.stdout
+
+
+def test_one_thread_and_two_share_compiled_kernels(tmp_path: Path) -> None:
+    """Compiling is half a minute of a first frame, and a worker process has one thread."""
+    script = (
+        "import numpy as np\nfrom pbd import ensure_initialized\nfrom pbd.geometry import surface_normals\n"
+        "ensure_initialized()\nout = np.zeros((3, 3), np.float32)\n"
+        "surface_normals(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32), out)\nprint(out.tolist())\n"
+    )
+    printed, kept = [], []
+    for threads in ("1", "2"):
+        settings = {"GUBE_THREADS": threads, "TI_OFFLINE_CACHE_FILE_PATH": str(tmp_path)}
+        result = subprocess.run(
+            [sys.executable, "-c", script], cwd=ROOT, env=os.environ | settings, capture_output=True, text=True
+        )
+        assert result.returncode == 0, result.stderr
+        printed.append(result.stdout.splitlines()[-1])
+        kept.append(sorted(path.name for path in tmp_path.glob("*.tic")))
+    assert printed[0] == printed[1] and kept[0] == kept[1] != []
 
 
 @ti.kernel

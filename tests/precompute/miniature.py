@@ -8,7 +8,7 @@ from unittest.mock import patch
 
 from assets.io.scene import Scene, parse_scene
 from precompute.learning import calibration, evaluation, in_time, pipeline, recording
-from precompute.wrinkle_comparison import ablation_bench, wrinkle_comparison, wrinkle_rivals
+from precompute.wrinkle_comparison import ablation_experiment, wrinkle_baselines, wrinkle_comparison
 from runtime.simulation import poses_of
 
 __all__ = ["SCENE", "miniature", "scene"]
@@ -63,12 +63,12 @@ def miniature() -> Iterator[None]:
             (evaluation, "SETTLE", 0.9),
             (evaluation, "poses_of", short),
             (recording, "CHUNK_SECONDS", 0.5),
-            (ablation_bench, "EPOCHS", 2),
+            (ablation_experiment, "EPOCHS", 2),
             (wrinkle_comparison, "RADII", (0.25,)),
             (in_time, "STILL", 0.2),
             (in_time, "PIECE", 0.1),
-            (wrinkle_rivals, "WIDE", (12, 8)),
-            (wrinkle_rivals, "MODES", 32),
+            (wrinkle_baselines, "WIDE", (12, 8)),
+            (wrinkle_baselines, "MODES", 32),
         ):
             stack.enter_context(patch.object(module, name, value))
         yield

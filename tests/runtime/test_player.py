@@ -86,7 +86,7 @@ def test_it_starts_in_the_bind_pose_unless_told_another() -> None:
 
 
 def test_a_garment_is_played_in_any_fabric_that_it_was_learned_in(poses: np.ndarray) -> None:
-    denim = LearnedFabric("denim", PRESETS["denim"], ModelOptions(squeeze=3.0))
+    denim = LearnedFabric("denim", PRESETS["denim"], ModelOptions(compression_compliance_scale=3.0))
     database, body = skirt_database(other_fabrics=(denim,)), skirt_stage().body
     own, plain, other, alone = (
         Player(one, body, poses[0], fabric=fabric)

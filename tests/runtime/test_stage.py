@@ -14,7 +14,7 @@ from assets.io.scene import Scene, parse_scene
 from assets.procedural.builtin import builtin_garment
 from pbd import DistanceField, InputError, Plane
 from pbd.attachment import Attachment
-from precompute.wrinkle_comparison.rivals import middle_levels
+from precompute.wrinkle_comparison.baselines import middle_levels
 from runtime.player import Player
 from runtime.simulation import poses_of
 from runtime.stage import Stage, colliders_of, fabrics_of, motion_of, simulation_of

@@ -34,7 +34,9 @@ QUANTISED = {"atoms.shapes", "unfamiliarity.weights_1"} | {
 DERIVED = {"format", "schema_version", "units", "topology_hash", "content_hash"}
 
 
-DENIM = LearnedFabric("denim", Fabric(areal_density=0.4, bend_warp=6e-5), ModelOptions(squeeze=3.0))
+DENIM = LearnedFabric(
+    "denim", Fabric(areal_density=0.4, bend_warp=6e-5), ModelOptions(compression_compliance_scale=3.0)
+)
 SILK = LearnedFabric("шёлк", Fabric(areal_density=0.06, friction=0.1 + 1e-9), ModelOptions(bend_scale=10.0))
 GATHERS = small_database().gathers
 
@@ -201,7 +203,7 @@ REFUSED: dict[str, tuple[Callable[[h5py.File], Any], str, str]] = {
     "linked elsewhere": (link("scene"), "scene", "missing"),
     "array for a group": (
         lambda f: (f.__delitem__("options"), f.create_dataset("options", data=1.0)),
-        "options/squeeze",
+        "options/compression_compliance_scale",
         "missing",
     ),
     "single for double": (

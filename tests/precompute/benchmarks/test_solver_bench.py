@@ -11,12 +11,19 @@ import pytest
 from pbd import Colliders, InputError, Solver, SolverOptions, State
 from precompute.benchmarks import solver_bench
 from precompute.benchmarks.constraint_cost import constraint_costs
-from precompute.benchmarks.solver_bench import Run, SolverBench, bench_rows, bench_solver, bench_verdict, write_bench
-from precompute.benchmarks.solver_scenes import Measured, hanging_square, measure
+from precompute.benchmarks.solver_bench import (
+    SolverBench,
+    SolverRun,
+    bench_rows,
+    bench_solver,
+    bench_verdict,
+    write_bench,
+)
+from precompute.benchmarks.solver_scenes import SolverMeasurement, hanging_square, measure
 from precompute.method_comparison.engines import EngineRun, bench_engines
 from runtime import command
 
-GOOD = Measured(1.0, 0.005, 0.01, 0.03, 0.24)
+GOOD = SolverMeasurement(1.0, 0.005, 0.01, 0.03, 0.24)
 
 
 @pytest.mark.parametrize("mesh", ["grid", "irregular"])
@@ -73,9 +80,9 @@ def test_more_substeps_stretch_less() -> None:
 
 def test_the_cheapest_that_passes_is_found_and_written(tmp_path: Path) -> None:
     runs = [
-        Run(64, 8, 0, replace(GOOD, frame_ms=1.0, worst=0.2), False),
-        Run(64, 20, 0, replace(GOOD, frame_ms=3.0), True),
-        Run(64, 40, 0, replace(GOOD, frame_ms=6.0), True),
+        SolverRun(64, 8, 0, replace(GOOD, frame_ms=1.0, worst=0.2), False),
+        SolverRun(64, 20, 0, replace(GOOD, frame_ms=3.0), True),
+        SolverRun(64, 40, 0, replace(GOOD, frame_ms=6.0), True),
     ]
     bench = SolverBench(runs, {64: 0.24}, {"distance_constraint_ns": 5.0, "scalar_limit_constraint_ns": 4.0})
     figures = bench.figures()
@@ -118,9 +125,9 @@ def test_rows_are_the_runs(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_measured_rival_takes_the_place_of_a_quoted_one(tmp_path: Path) -> None:
     dear, cheap = replace(GOOD, frame_ms=30.0), replace(GOOD, frame_ms=20.0)
     failed = replace(GOOD, frame_ms=10.0, worst=0.06)
-    rivals = [EngineRun("Newton XPBD", 64, words, run) for words, run in (("a", dear), ("b", cheap), ("c", failed))]
-    runs = [Run(64, 20, 0, GOOD, True)]
-    bench = SolverBench(runs, {64: 0.24}, {"distance_constraint_ns": 5.0}, {"thread_speedup_128": 1.7}, rivals)
+    baselines = [EngineRun("Newton XPBD", 64, words, run) for words, run in (("a", dear), ("b", cheap), ("c", failed))]
+    runs = [SolverRun(64, 20, 0, GOOD, True)]
+    bench = SolverBench(runs, {64: 0.24}, {"distance_constraint_ns": 5.0}, {"thread_speedup_128": 1.7}, baselines)
     figures = bench.figures()
     assert figures["rival_newton_xpbd_ms_64"] == 20.0 and figures["thread_speedup_128"] == 1.7
     assert "thread_speedup_128 1.70" in bench_verdict(bench)
@@ -134,5 +141,5 @@ def test_a_measured_rival_takes_the_place_of_a_quoted_one(tmp_path: Path) -> Non
 
 def test_engines_that_are_not_installed_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match="gube\\[rivals\\]"):
+    with pytest.raises(InputError, match="gube\\[baselines\\]"):
         bench_engines()

@@ -6,7 +6,7 @@ import pytest
 
 from pbd import InputError
 from precompute.fabric_lab.fabric_fit import draw_fit, fit_fabric, read_curves
-from precompute.validation.trial import FABRIC, Setting
+from precompute.validation.trial import FABRIC, TrialSetting
 
 # Of a soft fabric: E h = 20 and 10 N/m, at the bias 4/(1/20 + 1/10 + 1/4 - 0.4/20).
 CURVES = """instrument,direction,deformation,load
@@ -21,7 +21,7 @@ def test_stiffness_comes_from_the_curves_and_the_solver_gives_them_back(tmp_path
     (tmp_path / "curves.csv").write_text(CURVES)
     curves = read_curves(tmp_path / "curves.csv")
     assert curves["tension", "warp"].deformation.tolist() == [0.01, 0.02]
-    fabric, found = fit_fabric(curves, FABRIC, Setting("fem-stvk/quasi-static", edges=10))
+    fabric, found = fit_fabric(curves, FABRIC, TrialSetting("fem-stvk/quasi-static", edges=10))
     assert (fabric.stretch_warp, fabric.stretch_weft) == pytest.approx((20.0, 10.0))
     assert fabric.shear == pytest.approx(4.0, rel=1e-4) and fabric.bend_warp == FABRIC.bend_warp
     assert [(f.instrument, f.direction) for f in found] == list(curves)
@@ -50,7 +50,7 @@ def test_a_bad_file_is_one_clear_message(tmp_path: Path, text: str, words: str) 
 def test_a_bias_stiffer_than_any_fabric(tmp_path: Path) -> None:
     (tmp_path / "curves.csv").write_text(CURVES.replace("0.1052632", "5"))
     with pytest.raises(InputError, match="tension bias"):
-        fit_fabric(read_curves(tmp_path / "curves.csv"), FABRIC, Setting())
+        fit_fabric(read_curves(tmp_path / "curves.csv"), FABRIC, TrialSetting())
 
 
 def test_compression_gives_thickness_and_van_wyks_pressure(tmp_path: Path) -> None:
@@ -58,6 +58,6 @@ def test_compression_gives_thickness_and_van_wyks_pressure(tmp_path: Path) -> No
     points = [(0.002 * (1.0 + pressure / 1500.0) ** (-1.0 / 3.0), pressure) for pressure in (50.0, 800.0, 5000.0)]
     lines = [f"compression,normal,{thickness:.9f},{pressure}" for thickness, pressure in points]
     (tmp_path / "curves.csv").write_text("\n".join([CURVES.splitlines()[0], *lines]))
-    fabric, found = fit_fabric(read_curves(tmp_path / "curves.csv"), FABRIC, Setting(edges=8))
+    fabric, found = fit_fabric(read_curves(tmp_path / "curves.csv"), FABRIC, TrialSetting(edges=8))
     assert (fabric.thickness, fabric.compression) == pytest.approx((0.002, 1500.0), rel=1e-3)
     assert found[0].error < 0.01

@@ -10,7 +10,7 @@ from pbd import Fabric
 from precompute.fabric_lab.fabric_fit import read_curves
 from precompute.fabric_lab.fabric_report import curves_text, draw_curves, fabric_text, measure_fabric, write_curves
 from precompute.fabric_lab.laboratory import LoadCurve
-from precompute.validation.trial import FABRIC, Setting
+from precompute.validation.trial import FABRIC, TrialSetting
 
 CURVES = {
     ("tension", "warp"): LoadCurve(np.array([0.005, 0.01]), np.array([10.0, 20.0]), 1.0),
@@ -37,7 +37,7 @@ def test_values_read_back_as_a_fabric() -> None:
 
 @pytest.mark.proof
 def test_a_fabric_gives_its_own_values_back() -> None:
-    curves, figures = measure_fabric(FABRIC, Setting(solver="fem-stvk/quasi-static"))
+    curves, figures = measure_fabric(FABRIC, TrialSetting(solver="fem-stvk/quasi-static"))
     own = {"warp": FABRIC.stretch_warp, "weft": FABRIC.stretch_weft}
     for direction, stiffness in own.items():
         curve = curves["tension", direction]

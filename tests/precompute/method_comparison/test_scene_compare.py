@@ -16,8 +16,8 @@ from precompute.method_comparison.scene_compare import METHODS, SceneComparison,
 from precompute.method_comparison.scene_judging import Judge, reference_settings
 from precompute.method_comparison.scene_page import COLORS, comparison_figures, comparison_text, write_comparison
 from precompute.method_comparison.scene_runs import (
+    MethodSetting,
     SceneRun,
-    Setting,
     parse_setting,
     read_run,
     run_path,
@@ -28,11 +28,13 @@ from precompute.method_comparison.scene_runs import (
 SHORT = 0.7  # [s]
 
 
-def few_references(scene: scene_judging.CompareScene) -> list[Setting]:
+def few_references(scene: scene_judging.CompareScene) -> list[MethodSetting]:
     """References that take no time."""
     if scene.unique:
-        return [Setting("default", 12, 32), Setting("default", 16, 48)]
-    return [Setting("default", 12, 16, seed=seed) for seed in (1, 2, 3)] + [Setting("default", 16, 24, seed=1)]
+        return [MethodSetting("default", 12, 32), MethodSetting("default", 16, 48)]
+    return [MethodSetting("default", 12, 16, seed=seed) for seed in (1, 2, 3)] + [
+        MethodSetting("default", 16, 24, seed=1)
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +85,7 @@ def test_a_setting_reads_back(found: list[SceneComparison]) -> None:
     for point in (point for one in found for point in one.points):
         text = point.command.split("--methods ")[1].split()[0]
         name, numbers = parse_setting(text)
-        assert Setting(name, *numbers) == point.run.setting  # type: ignore[arg-type]
+        assert MethodSetting(name, *numbers) == point.run.setting  # type: ignore[arg-type]
     assert parse_setting("xpbd@16x0x3") == ("xpbd", (16, None, 3))
 
 
@@ -99,15 +101,15 @@ def test_an_unknown_scene_is_refused(tmp_path: Path) -> None:
 
 
 def test_more_substeps_are_nearer_to_the_reference(found: list[SceneComparison]) -> None:
-    few, many = (point.verdict.error for point in found[0].points[:2])
+    few, many = (point.judgement.error for point in found[0].points[:2])
     assert many < 0.5 * few
     assert found[0].judge.floor < many
 
 
 def test_a_reference_judged_by_itself_has_no_error(found: list[SceneComparison]) -> None:
     judge = found[0].judge
-    verdict = judge.judge(judge.reference)
-    assert verdict.error == 0.0 and verdict.worst is ErrorClass.IMPERCEPTIBLE
+    judgement = judge.judge(judge.reference)
+    assert judgement.error == 0.0 and judgement.worst is ErrorClass.IMPERCEPTIBLE
 
 
 def test_perturbed_references_lie_within_the_floor(found: list[SceneComparison]) -> None:
@@ -119,10 +121,10 @@ def test_perturbed_references_lie_within_the_floor(found: list[SceneComparison])
 def test_a_run_that_ended_is_catastrophic_and_off_the_front(found: list[SceneComparison]) -> None:
     one = found[0]
     broken = replace(one.points[0].run, problem="after 0.20 s: not finite")
-    verdict = one.judge.judge(broken)
-    assert verdict.worst is ErrorClass.CATASTROPHIC and verdict.error == np.inf
-    worse = replace(one, points=(*one.points, replace(one.points[0], run=broken, verdict=verdict)))
-    assert all(np.isfinite(point.verdict.error) for point in worse.front())
+    judgement = one.judge.judge(broken)
+    assert judgement.worst is ErrorClass.CATASTROPHIC and judgement.error == np.inf
+    worse = replace(one, points=(*one.points, replace(one.points[0], run=broken, judgement=judgement)))
+    assert all(np.isfinite(point.judgement.error) for point in worse.pareto_front())
 
 
 def test_folds_that_are_not_there_are_told(found: list[SceneComparison]) -> None:
@@ -155,12 +157,12 @@ def test_nothing_is_run_twice_and_budget_drops_the_dearest(
 
 
 def test_a_run_that_takes_too_long_is_given_up() -> None:
-    run: SceneRun = run_setting(scene_of("swing", 0.5), Setting("default", 8, 2), limit_s=0.0)
+    run: SceneRun = run_setting(scene_of("swing", 0.5), MethodSetting("default", 8, 2), limit_s=0.0)
     assert run.gave_up and len(run.position) == 1 and "given up" in run.problem
 
 
 def test_a_key_tells_settings_and_scenes_apart(tmp_path: Path) -> None:
-    scene, setting = scene_of("swing"), Setting("default", 8, 2)
+    scene, setting = scene_of("swing"), MethodSetting("default", 8, 2)
     paths = {
         run_path(tmp_path, scene, setting),
         run_path(tmp_path, scene_of("swing", 0.3), setting),
@@ -182,7 +184,7 @@ def test_everything_is_written(found: list[SceneComparison], tmp_path: Path) -> 
     page = (tmp_path / "compare.html").read_text(encoding="utf-8")
     assert 'src="http' not in page and page.count('class="point"') == 6
     for point in found[0].points:
-        color = COLORS[point.verdict.worst]
+        color = COLORS[point.judgement.worst]
         assert re.search(f'data-method="{point.run.setting.method}"[^<]*<title>.*?class="marker m{color}"', page)
     for one in found:
         assert all(point.command in page for point in one.points)
@@ -199,6 +201,6 @@ def test_everything_is_written(found: list[SceneComparison], tmp_path: Path) -> 
 
 def test_a_judge_of_one_reference_has_no_floor() -> None:
     scene = scene_of("swing", SHORT)
-    run = run_setting(scene, Setting("default", 8, 4))
+    run = run_setting(scene, MethodSetting("default", 8, 4))
     judge = Judge(scene, [run, run])
     assert judge.floor == 0.0

@@ -1,4 +1,4 @@
-"""Stability maps: known limits, classes on a tiny map, replay, what is refused."""
+"""StabilitySweep maps: known limits, classes on a tiny map, replay, what is refused."""
 
 import json
 import math
@@ -14,7 +14,7 @@ from precompute.method_comparison.error_classes import ErrorClass, classify
 from precompute.stability.stability_cells import Frames, Reference, judge, lattice_of
 from precompute.stability.stability_maps import MAPS, StabilityMap, chosen_cell
 from precompute.stability.stability_page import stability_text, write_stability
-from precompute.stability.stability_sweep import Stability, cell_command, sweep
+from precompute.stability.stability_sweep import StabilitySweep, cell_command, sweep
 from precompute.stability.stability_theory import explicit_limit, membrane_limit, theory_of
 from runtime import command
 
@@ -28,7 +28,7 @@ def map_of(name: str, x: tuple[float, ...], y: tuple[float, ...]) -> StabilityMa
 
 
 @pytest.fixture(scope="module")
-def tiny() -> Stability:
+def tiny() -> StabilitySweep:
     maps = [map_of("stiffness", (1.0, 1000.0), (1 / 240, 1 / 30, 1 / 10)), map_of("mass", (1e2, 1e3), (1.0, 12.0))]
     return sweep(("default", EXPLICIT), maps, seconds=SECONDS)
 
@@ -53,7 +53,7 @@ def test_the_explicit_limit_is_that_of_theory(lattice: str) -> None:
     assert explicit_limit(lattice).error_percent < 5.0
 
 
-def test_what_goes_on_a_tiny_map(tiny: Stability) -> None:
+def test_what_goes_on_a_tiny_map(tiny: StabilitySweep) -> None:
     stiffness, mass = tiny.maps
     explicit = {(cell.x, cell.y): cell for cell in tiny.of(stiffness, EXPLICIT)}
     limit = membrane_limit("triangles", 1 / 16, 1.0)
@@ -69,7 +69,7 @@ def test_what_goes_on_a_tiny_map(tiny: Stability) -> None:
     assert tiny.figures["explicit_limit_error_percent"] < 5.0
 
 
-def test_borders_lie_at_the_explicit_limit(tiny: Stability) -> None:
+def test_borders_lie_at_the_explicit_limit(tiny: StabilitySweep) -> None:
     """Inside the map at E h = 1 N/m, where its weight stretches the cloth by 74 %; far below it at 1,000."""
     soft, stiff = (b for b in tiny.borders if b.map == "stiffness" and b.method == EXPLICIT)
     for border, near in ((soft, 0.25), (stiff, 0.1)):
@@ -88,7 +88,7 @@ def test_theory_is_drawn_where_it_is_known() -> None:
     assert theory_of(by_name["collider"], "default") == []
 
 
-def test_the_page_holds_every_command(tiny: Stability, tmp_path: Path) -> None:
+def test_the_page_holds_every_command(tiny: StabilitySweep, tmp_path: Path) -> None:
     files = write_stability(tmp_path, tiny)
     assert {file.suffix for file in files} == {".html", ".csv", ".png"} and len(files) == 2 + 4
     page, table = files[0].read_text(encoding="utf-8"), files[1].read_text(encoding="utf-8")
@@ -102,7 +102,7 @@ def test_the_page_holds_every_command(tiny: Stability, tmp_path: Path) -> None:
 
 
 def test_a_cell_is_run_again_by_its_command(
-    tiny: Stability, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tiny: StabilitySweep, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for cell in (tiny.of(tiny.maps[0], EXPLICIT)[-1], tiny.of(tiny.maps[1], "default")[0]):
         words = cell_command(cell).split()

@@ -13,9 +13,9 @@ from pbd.models import StepError
 from precompute.fabric_lab.laboratory import tension_curve
 from precompute.validation.bending_rows import critical_gamma, hinge_poisson
 from precompute.validation.strip_references import tall_column, upright_gamma
-from precompute.validation.trial import FABRIC, Curve, Measured, Setting, Trial, disc, level, strip
-from precompute.validation.validation import ROWS, chosen_rows, validate, validation_text, verdict_row
-from precompute.validation.validation_pictures import draw_verdicts
+from precompute.validation.trial import FABRIC, Curve, Trial, TrialResult, TrialSetting, disc, level, strip
+from precompute.validation.validation import ROWS, chosen_rows, result_row, validate, validation_text
+from precompute.validation.validation_pictures import draw_results
 from precompute.validation.validation_row import Parameter, Row
 from runtime import command
 
@@ -25,11 +25,11 @@ TABLE = (
 ).split()
 
 
-def falling(setting: Setting, power: float) -> Measured:
+def falling(setting: TrialSetting, power: float) -> TrialResult:
     """A test whose error falls with substeps and edges."""
     error = (12.0 / setting.substeps) ** power * (20.0 / setting.edges) ** 2
     curve = Curve("x", "y", (np.zeros(2), np.ones(2)), (np.zeros(3), np.ones(3)))
-    return Measured(1.0, 1.0 + error, error, 0.1 * setting.substeps, curve)
+    return TrialResult(1.0, 1.0 + error, error, 0.1 * setting.substeps, curve)
 
 
 FAKE = Row("fake", "made up", falling, 0.01, 0.3, {"power": Parameter("order", 1.0, 0.0, 4.0)}, ({},), ("default",))
@@ -77,74 +77,74 @@ def test_a_parameter_takes_the_place_of_the_cases() -> None:
 
 
 def test_the_cheapest_setting_that_passes_is_found() -> None:
-    verdict = validate(FAKE, {"power": 1.0})
-    assert verdict.default.error == 1.0 and not verdict.passed_default
-    assert verdict.realtime_setting == Setting(substeps=48) and verdict.realtime is not None
-    assert verdict.passed_best and verdict.best_setting == Setting(substeps=48 * 32)
-    figures = verdict_row(verdict)
+    result = validate(FAKE, {"power": 1.0})
+    assert result.default.error == 1.0 and not result.passed_default
+    assert result.realtime_setting == TrialSetting(substeps=48) and result.realtime is not None
+    assert result.passed_best and result.best_setting == TrialSetting(substeps=48 * 32)
+    figures = result_row(result)
     assert figures["passed_best"] and figures["passed_realtime"] and not figures["passed_default"]
     assert figures["realtime_cost_ms"] == pytest.approx(4.8)
 
 
 def test_what_never_passes_is_lost_with_its_reason() -> None:
-    verdict = validate(replace(FAKE, gate_realtime=0.2), {"power": 0.0})
-    assert not verdict.passed_best and verdict.realtime is None
-    assert verdict.best_setting.edges == 40
-    assert "change nothing" in verdict.reason and verdict.reason in validation_text([verdict])
-    lost = validate(replace(FAKE, measure=lambda setting, power: Measured(1.0, math.nan, math.nan, 1.0)), {})
+    result = validate(replace(FAKE, gate_realtime=0.2), {"power": 0.0})
+    assert not result.passed_best and result.realtime is None
+    assert result.best_setting.edges == 40
+    assert "change nothing" in result.reason and result.reason in validation_text([result])
+    lost = validate(replace(FAKE, measure=lambda setting, power: TrialResult(1.0, math.nan, math.nan, 1.0)), {})
     assert not lost.passed_best and lost.realtime is None
     assert "FAILED" in validation_text([lost]) and "never" in validation_text([lost])
 
 
 def test_a_step_that_fails_is_a_lost_run_and_takes_nothing_from_the_others() -> None:
-    def breaking(setting: Setting, power: float) -> Measured:
+    def breaking(setting: TrialSetting, power: float) -> TrialResult:
         if setting.substeps > 50:
             raise StepError("thrown", "solver")
         return falling(setting, power)
 
-    verdict = validate(replace(FAKE, measure=breaking), {"power": 1.0})
-    assert not verdict.passed_best and verdict.best_setting == Setting(substeps=48)
-    assert verdict.realtime_setting == Setting(substeps=48) and "thrown" in verdict.reason
+    result = validate(replace(FAKE, measure=breaking), {"power": 1.0})
+    assert not result.passed_best and result.best_setting == TrialSetting(substeps=48)
+    assert result.realtime_setting == TrialSetting(substeps=48) and "thrown" in result.reason
 
 
 def test_what_cannot_be_measured_is_lost_at_once_and_says_why() -> None:
     nothing = replace(
-        FAKE, measure=lambda setting, power: Measured(1.0, math.nan, math.nan, 1.0, missing="no such law")
+        FAKE, measure=lambda setting, power: TrialResult(1.0, math.nan, math.nan, 1.0, missing="no such law")
     )
-    verdict = validate(nothing, {"power": 1.0})
-    assert not verdict.passed_best and verdict.realtime is None and verdict.reason == "no such law"
-    assert verdict.best_setting == Setting()  # nothing else was tried
+    result = validate(nothing, {"power": 1.0})
+    assert not result.passed_best and result.realtime is None and result.reason == "no such law"
+    assert result.best_setting == TrialSetting()  # nothing else was tried
 
 
 def test_an_equilibrium_that_is_lost_is_not_sought_on_a_finer_mesh() -> None:
-    tried: list[Setting] = []
+    tried: list[TrialSetting] = []
 
-    def lost(setting: Setting, power: float) -> Measured:
+    def lost(setting: TrialSetting, power: float) -> TrialResult:
         tried.append(setting)
         raise StepError("no end", setting.solver)
 
     quasi = "fem-stvk/quasi-static"
-    verdict = validate(replace(FAKE, measure=lost, best_solvers=(quasi, "fem-stvk/verlet")), {"power": 1.0})
+    result = validate(replace(FAKE, measure=lost, best_solvers=(quasi, "fem-stvk/verlet")), {"power": 1.0})
     assert [(setting.solver, setting.edges) for setting in tried] == [(quasi, 20), ("fem-stvk/verlet", 20)]
-    assert not verdict.passed_best and "no end" in verdict.reason
+    assert not result.passed_best and "no end" in result.reason
 
 
 def test_a_chosen_resolution_is_the_only_one() -> None:
-    verdict = validate(FAKE, {"power": 0.0}, "default", 30)
-    assert verdict.best_setting.edges == 30
+    result = validate(FAKE, {"power": 0.0}, "default", 30)
+    assert result.best_setting.edges == 30
 
 
 def test_curves_are_drawn(tmp_path: Path) -> None:
-    (file,) = draw_verdicts(tmp_path, [validate(FAKE, {"power": 4.0})])
+    (file,) = draw_results(tmp_path, [validate(FAKE, {"power": 4.0})])
     assert file.read_bytes().startswith(b"\x89PNG")
 
 
 def test_strips_and_discs_are_whole() -> None:
-    patch = strip(0.2, 0.05, 20, angle=0.3)
-    corners = patch.flat[patch.faces]
+    specimen = strip(0.2, 0.05, 20, angle=0.3)
+    corners = specimen.flat[specimen.faces]
     side_1, side_2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = 0.5 * (side_1[:, 0] * side_2[:, 1] - side_1[:, 1] * side_2[:, 0])
-    assert area.min() > 0.05 * patch.edge**2 and area.sum() == pytest.approx(0.21 * 0.05)
+    assert area.min() > 0.05 * specimen.edge**2 and area.sum() == pytest.approx(0.21 * 0.05)
     round_one = disc(0.1, 0.03, 10)
     assert np.linalg.norm(round_one.flat, axis=1).max() == pytest.approx(0.1)
     assert np.sum(np.abs(np.linalg.norm(round_one.flat, axis=1) - 0.03) < 1e-12) > 10
@@ -152,12 +152,12 @@ def test_strips_and_discs_are_whole() -> None:
 
 def test_a_load_cell_reads_the_pull_of_stretched_cloth() -> None:
     """Stretched evenly by 1 %, as the clamps hold it."""
-    patch = strip(0.2, 0.1, 8, clamp=0)
-    x = patch.flat[:, 0]
+    specimen = strip(0.2, 0.1, 8, clamp=0)
+    x = specimen.flat[:, 0]
     fabric = replace(FABRIC, poisson=0.0, bend_warp=0.0, bend_weft=0.0)
     ends = (x < 1e-9) | (x > 0.2 - 1e-9)
-    start = level(patch.flat) * [1.01, 1.0, 1.0]
-    trial_ = Trial(patch, start, fabric, ends, Setting(), (0.0, 0.0, 0.0))
+    start = level(specimen.flat) * [1.01, 1.0, 1.0]
+    trial_ = Trial(specimen, start, fabric, ends, TrialSetting(), (0.0, 0.0, 0.0))
     force, moment = trial_.pull(np.flatnonzero(x > 0.2 - 1e-9))
     assert force == pytest.approx([-0.01 * fabric.stretch_warp * 0.1, 0.0, 0.0], rel=1e-3, abs=1e-3)
     assert moment == pytest.approx(np.zeros(3), abs=1e-3)
@@ -187,27 +187,29 @@ def test_hinges_bend_with_a_ratio_of_minus_a_third() -> None:
     ],
 )
 def test_what_the_default_solver_passes_at_its_default_setting(name: str, case: dict) -> None:
-    found = ROWS[name].run(Setting(), case)
+    found = ROWS[name].run(TrialSetting(), case)
     error = found.error if found.realtime_error is None else found.realtime_error
     assert error <= ROWS[name].gate_realtime
 
 
 def test_a_belt_lies_on_a_cylinder_of_triangles() -> None:
     """With the cylinder inside out it lay in it, crumpled, and the ratio of its legs was anything."""
-    found = ROWS["capstan"].run(replace(Setting(), substeps=384), {"mu": 0.4, "wrap_deg": 90.0, "collider": "mesh"})
+    found = ROWS["capstan"].run(
+        replace(TrialSetting(), substeps=384), {"mu": 0.4, "wrap_deg": 90.0, "collider": "mesh"}
+    )
     assert found.error < 0.02
 
 
 def test_swings_lose_what_implicit_euler_loses_or_less() -> None:
     """Patches pull along the substep's start, which loses nothing: without them it is the law of implicit Euler."""
-    fewest, twice = (ROWS["damping"].run(replace(Setting(), substeps=count), {}) for count in (12, 24))
+    fewest, twice = (ROWS["damping"].run(replace(TrialSetting(), substeps=count), {}) for count in (12, 24))
     assert fewest.reference < fewest.measured < 1.0
     assert twice.error <= ROWS["damping"].gate_best
 
 
 def test_soft_cloth_gives_its_stiffness_back_at_the_bias() -> None:
     soft = replace(FABRIC, stretch_warp=20.0, stretch_weft=10.0, shear=4.0)
-    curve = tension_curve(Setting(substeps=96), soft, math.radians(45.0), (0.01,))
+    curve = tension_curve(TrialSetting(substeps=96), soft, math.radians(45.0), (0.01,))
     assert curve.load[0] / curve.deformation[0] == pytest.approx(4 / (1 / 20 + 1 / 10 + 1 / 4 - 0.4 / 20), rel=0.02)
 
 
@@ -238,5 +240,5 @@ def test_the_command_says_what_is_unknown(capsys: pytest.CaptureFixture) -> None
     ],
 )
 def test_equilibria_hold_the_gate_of_the_best(name: str, case: dict) -> None:
-    verdict = validate(ROWS[name], case, "fem-stvk/quasi-static", 20)
-    assert verdict.passed_best, verdict.reason
+    result = validate(ROWS[name], case, "fem-stvk/quasi-static", 20)
+    assert result.passed_best, result.reason

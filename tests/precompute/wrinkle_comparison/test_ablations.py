@@ -9,7 +9,7 @@ import pytest
 from precompute.learning.pipeline import Precomputed
 from precompute.learning.recording import Recording
 from precompute.wrinkle_comparison import ablations
-from precompute.wrinkle_comparison.ablation_bench import Bench
+from precompute.wrinkle_comparison.ablation_experiment import Experiment
 from precompute.wrinkle_comparison.ablations import (
     ABLATIONS,
     COLUMNS,
@@ -39,9 +39,9 @@ def test_every_row_is_judged_and_kept(learned: Precomputed, capsys: pytest.Captu
         rows = ablate_file(learned.path)
         assert [(row["group"], row["name"]) for row in rows] == [(one.group, one.name) for one in SMALL]
         assert all(np.isfinite([float(row[name]) for name in COLUMNS]).all() for row in rows)
-        with patch.object(Bench, "judge", side_effect=AssertionError("judged again")):
+        with patch.object(Experiment, "judge", side_effect=AssertionError("judged again")):
             assert ablate_file(learned.path) == rows
-            assert command.main(["bench", "wrinkles", str(learned.path)]) == 0
+            assert command.main(["experiment", "wrinkles", str(learned.path)]) == 0
     assert table(rows) in capsys.readouterr().out
     by_name = {row["name"]: row for row in rows}
     full = by_name[""]
@@ -62,7 +62,7 @@ def test_what_is_left_out_is_what_is_told() -> None:
     reach = np.repeat(np.maximum(abs(column - 2), abs(row - 2)), 3)
     np.testing.assert_array_equal(_ring(1), [*offsets[reach == 1], *gravity, *distances])
     seen = []
-    with patch.object(ablations, "_seeing", lambda bench, kept: seen.append(kept)):
+    with patch.object(ablations, "_seeing", lambda experiment, kept: seen.append(kept)):
         _without_gravity(None)
         _without_body(None)
     np.testing.assert_array_equal(seen[0], [*offsets, *distances])

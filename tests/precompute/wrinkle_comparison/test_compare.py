@@ -14,10 +14,10 @@ from pbd import InputError, SolverOptions
 from precompute.learning.evaluation import Truth, fine_run, free_figures, levels_from, truth_of
 from precompute.stability import stability
 from precompute.stability.stability import LONGEST, SHORTEST, largest_stable_step, real_substep
-from precompute.wrinkle_comparison import rivals
-from precompute.wrinkle_comparison.compare import Comparison, compare, compare_file, equal_cost_rivals, winners
+from precompute.wrinkle_comparison import baselines
+from precompute.wrinkle_comparison.baselines import PROBE_FRAMES, Cloth, equal_cost_substeps, fine_cloth, middle_levels
+from precompute.wrinkle_comparison.compare import Comparison, compare, compare_file, equal_cost_baselines, winners
 from precompute.wrinkle_comparison.comparison_page import verdict, write_comparison
-from precompute.wrinkle_comparison.rivals import PROBE_FRAMES, Cloth, equal_cost_substeps, fine_cloth, middle_levels
 from runtime.simulation import Simulation
 from tests.runtime.players import skirt_database, skirt_stage
 from tests.wrinkles.databases import placed
@@ -73,7 +73,7 @@ def truth(database: WrinkleDatabase, tmp_path_factory: pytest.TempPathFactory) -
 @pytest.fixture(scope="module")
 def comparison(database: WrinkleDatabase, truth: Truth) -> Comparison:
     with pytest.MonkeyPatch.context() as patch:  # short: what is measured is not what is tested
-        patch.setattr(rivals, "PROBE_FRAMES", 16)
+        patch.setattr(baselines, "PROBE_FRAMES", 16)
         patch.setattr(stability, "SHORTEST", 1.0 / 600.0)
         patch.setattr(stability, "STEPS", 4)
         return compare(database, truth)
@@ -104,7 +104,7 @@ def test_the_middle_mesh_leads_to_the_same_fine_mesh(database: WrinkleDatabase, 
 
 
 @pytest.mark.parametrize(
-    ("budget", "expected"), [(0.5, 1), (1.0, 1), (3.4, 4), (3.7, 5), (9.0, 15), (1e9, rivals.MOST_SUBSTEPS)]
+    ("budget", "expected"), [(0.5, 1), (1.0, 1), (3.4, 4), (3.7, 5), (9.0, 15), (1e9, baselines.MOST_SUBSTEPS)]
 )
 def test_substeps_come_nearest_to_the_budget(budget: float, expected: int) -> None:
     assert equal_cost_substeps(lambda count: 1.4 + 0.5 * count, budget) == expected
@@ -203,8 +203,8 @@ def test_rivals_have_the_players_own_cost(
 ) -> None:
     monkeypatch.setattr(Cloth, "cost", lambda cloth: 2.0 * cloth.substeps)
     ours_ms = np.concatenate([np.full(PROBE_FRAMES // 2, 50.0), np.full(PROBE_FRAMES // 2, 6.0), np.full(500, 90.0)])
-    rivals = equal_cost_rivals(database, truth, ours_ms)
-    assert [rival.settings["substeps a frame"] for rival in rivals] == [3] * len(rivals)
+    baselines = equal_cost_baselines(database, truth, ours_ms)
+    assert [baseline.settings["substeps a frame"] for baseline in baselines] == [3] * len(baselines)
 
 
 def test_the_page_says_that_the_middle_mesh_wins(comparison: Comparison, tmp_path: Path) -> None:

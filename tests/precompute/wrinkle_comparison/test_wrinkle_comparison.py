@@ -20,29 +20,31 @@ from wrinkles.database import write_database
 def test_all_ways_are_judged_on_the_same_states(learned: Precomputed, tmp_path: Path) -> None:
     with miniature():
         found = compare_wrinkles_file(learned.path, tmp_path)
-    ways = {way.name: way for way in found.ways}
-    assert list(ways)[0] == "ours" and list(ways)[-3:] == ["smooth", "wrinkle meshes", "fine cloth, few substeps"]
-    assert len(ways) == 11
-    shown = [way for way in found.ways if way.given]
-    assert len({way.given["normal_error_smooth_deg"] for way in shown}) == 1
-    assert ways["smooth"].given["normal_skill"] == 0.0 and not ways["fine cloth, few substeps"].given
-    assert all(np.isfinite(list(way.given.values())).all() and way.frame_ms > 0.0 for way in shown)
-    assert {way.name for way in found.ways if not way.megabytes} == {
+    methods = {method.name: method for method in found.methods}
+    assert list(methods)[0] == "ours" and list(methods)[-3:] == ["smooth", "wrinkle meshes", "fine cloth, few substeps"]
+    assert len(methods) == 11
+    shown = [method for method in found.methods if method.given]
+    assert len({method.given["normal_error_smooth_deg"] for method in shown}) == 1
+    assert methods["smooth"].given["normal_skill"] == 0.0 and not methods["fine cloth, few substeps"].given
+    assert all(np.isfinite(list(method.given.values())).all() and method.frame_ms > 0.0 for method in shown)
+    assert {method.name for method in found.methods if not method.megabytes} == {
         "smooth", "wrinkle meshes", "fine cloth, few substeps",
     }  # fmt: skip
     assert learned.evaluation is not None
     quality = learned.evaluation.figures  # of all frames, not of every fourth
-    assert ways["ours"].given["normal_error_deg"] == pytest.approx(quality["normal_error_deg"], rel=0.2)
-    assert ways["ours"].free["bending_energy_ratio"] == pytest.approx(quality["bending_energy_ratio"], rel=0.2)
-    assert ways["smooth"].free["bending_energy_ratio"] == pytest.approx(quality["smooth_bending_energy_ratio"], rel=0.2)
+    assert methods["ours"].given["normal_error_deg"] == pytest.approx(quality["normal_error_deg"], rel=0.2)
+    assert methods["ours"].free["bending_energy_ratio"] == pytest.approx(quality["bending_energy_ratio"], rel=0.2)
+    assert methods["smooth"].free["bending_energy_ratio"] == pytest.approx(
+        quality["smooth_bending_energy_ratio"], rel=0.2
+    )
     # What the atoms can hold is nearer than what any mapping says.
-    assert found.limit["normal_error_deg"] < min(way.given["normal_error_deg"] for way in shown)
+    assert found.limit["normal_error_deg"] < min(method.given["normal_error_deg"] for method in shown)
     assert found.floor["low_frequency_ratio_to_floor"] == pytest.approx(1.0)
-    assert [row["method"] for row in wrinkle_rows(found)] == [*ways, "floor"]
+    assert [row["method"] for row in wrinkle_rows(found)] == [*methods, "floor"]
     page = tmp_path / "wrinkles.html"
     write_wrinkles(page, found)
     text = page.read_text(encoding="utf-8")
-    assert all(name in text for name in ways)
+    assert all(name in text for name in methods)
     assert all(escape(paragraph) in text for paragraph in wrinkle_verdict(found).split("\n\n"))
 
 

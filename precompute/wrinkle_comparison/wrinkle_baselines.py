@@ -1,0 +1,283 @@
+"""Other ways from a coarse garment to fine wrinkles, learned from the same pairs and decoded by the same patches.
+
+All of them give the coefficients of the patches' atoms, so that what differs is the mapping alone: a linear operator,
+principal components with ridge regression, the nearest neighbour with delta (as game engines ship it), a pose-driven
+radial basis, k-means modes, kernel ridge regression and a wide network. Those that see the whole garment at once see
+the inner ring of every stencil. How strongly each is regularised is chosen on the training runs, each left out in turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from precompute.learning.decoding import Predict
+from precompute.learning.training import Layer, TrainingSet, fit_layer
+from wrinkles.features import INNER_OFFSETS
+
+__all__ = ["WrinkleBaseline", "fit_baselines", "k_means_modes"]
+
+COMPONENTS = 128  # of the whole garment's features and of its coefficients
+CENTRES = 400  # of the pose-driven basis
+MODES = 512  # of k-means
+WIDE = (640, 256)
+FOLDS = 5  # pieces of the training motion
+TRIED_PLACES = 12  # where the linear operator's softness is chosen
+SOFTNESS = (
+    1.0,
+    10.0,
+    100.0,
+    1e3,
+    1e4,
+)  # of ridge regressions that are tried, in variances of a feature times one sample
+SMOOTHING = (1e-3, 0.1, 10.0, 1e3)  # of the pose-driven basis
+SEEN_COMPONENTS = (8, 32, 128)  # that neighbours are compared by
+KERNELS = tuple(
+    (alpha, width) for alpha in (1e-3, 0.01, 0.1, 1.0) for width in (0.1, 0.5, 2.0)
+)  # widths over components
+
+
+@dataclass(frozen=True)
+class WrinkleBaseline:
+    """A fitted mapping.
+
+    Attributes:
+        name: for people.
+        predict: features of one frame, float32, shape (n, DYNAMIC_COUNT), and the body's pose to coefficients, (n, K).
+        arrays: what has to be stored.
+        settings: what was chosen for it.
+    """
+
+    name: str
+    predict: Predict
+    arrays: tuple[np.ndarray, ...]
+    settings: str = ""
+
+    @property
+    def megabytes(self) -> float:
+        return sum(array.size for array in self.arrays) * 4e-6  # as float32
+
+
+def fit_baselines(
+    layer: Layer,
+    data: TrainingSet,
+    poses: np.ndarray,
+    *,
+    epochs: int,
+    seed: int,
+    gain: float = 1.0,
+    report: Callable[[str], None] | None = None,
+) -> list[WrinkleBaseline]:
+    """Fit every baseline to a training set.
+
+    Args:
+        layer: of the garment.
+        data: pairs, frames in the order of the motion.
+        poses: of the body in the same frames, shape (S, joints, 3, 4); those of a vertex sequence have no joints, and
+            nothing is driven by them.
+        epochs: of the wide network.
+        seed: of every random choice.
+        gain: on the wrinkles of the wide network, which is ours but for its width [-].
+        report: told lines of progress.
+    """
+    tell = report or (lambda line: None)
+    tell("fitting baselines: linear operator")
+    baselines = [_linear_operator(data)]
+    tell("fitting baselines: whole garment")
+    whole = _Whole(data, seed)
+    baselines += [_principal(whole), _kernel(whole), _neighbour(whole, data)]
+    if poses.ndim == 4:
+        tell("fitting baselines: pose-driven")
+        baselines.append(_pose_driven(poses, whole, seed))
+    tell("fitting baselines: modes")
+    baselines.append(k_means_modes(data, seed))
+    tell("fitting baselines: wide network")
+    wide = fit_layer(layer, data, hidden=WIDE, epochs=epochs, seed=seed).amplified(gain)
+    return [*baselines, WrinkleBaseline("wide network", lambda f, pose: wide.predict(f), tuple(wide.arrays().values()))]
+
+
+def _chosen(settings: Sequence[Any], fit: Callable, inputs: np.ndarray, outputs: np.ndarray) -> Any:
+    """The setting that predicts best what it was not fitted to, when each piece of the motion is left out in turn.
+
+    Args:
+        settings: to choose from.
+        fit: setting, inputs and outputs to a function of inputs.
+        inputs, outputs: first axis over frames, in the order of the motion.
+    """
+    from sklearn.model_selection import KFold
+
+    folds = list(KFold(FOLDS).split(inputs))
+
+    def error(setting: Any) -> float:
+        off = (fit(setting, inputs[seen], outputs[seen])(inputs[left]) - outputs[left] for seen, left in folds)
+        return sum(float((one**2).sum()) for one in off)
+
+    return min(settings, key=error)
+
+
+def _linear_operator(data: TrainingSet) -> WrinkleBaseline:
+    from sklearn.linear_model import Ridge
+
+    places = data.features.shape[1]
+
+    def solve(softness: float, features: np.ndarray, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        weights = np.zeros((features.shape[1], features.shape[2], coefficients.shape[2]), np.float32)
+        bias = np.zeros((features.shape[1], coefficients.shape[2]), np.float32)
+        for place in range(features.shape[1]):
+            ridge = Ridge(softness).fit(features[:, place], coefficients[:, place])
+            weights[place], bias[place] = ridge.coef_.T, ridge.intercept_
+        return weights, bias
+
+    def fit(softness: float, features: np.ndarray, coefficients: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        weights, bias = solve(softness, features, coefficients)
+        return lambda f: np.matmul(f[..., None, :], weights)[..., 0, :] + bias
+
+    some = np.linspace(0, places - 1, min(TRIED_PLACES, places)).astype(int)
+    softness = _chosen(SOFTNESS, fit, data.features[:, some], data.coefficients[:, some])
+    weights, bias = solve(softness, data.features, data.coefficients)
+    predict = lambda f, pose: np.matmul(f[:, None], weights)[:, 0] + bias  # noqa: E731
+    return WrinkleBaseline("linear operator", predict, (weights, bias), f"softness {softness:g}")
+
+
+class _Whole:
+    """The whole garment in principal components: what it sees at unit variance, and what it draws.
+
+    Attributes:
+        inputs, outputs: of the training frames, shapes (S, COMPONENTS) each.
+        bases: that are needed to see and to draw.
+    """
+
+    def __init__(self, data: TrainingSet, seed: int) -> None:
+        from sklearn.decomposition import PCA
+
+        frames, *self._shape = data.coefficients.shape
+        count = min(COMPONENTS, frames - 1)
+        reduce = lambda a: PCA(count, svd_solver="randomized", random_state=seed).fit(a)  # noqa: E731
+        self._seen, self._drawn = reduce(_ring(data.features)), reduce(data.coefficients.reshape(frames, -1))
+        inputs = self._seen.transform(_ring(data.features))
+        spread = inputs.std(axis=0)
+        self._spread = spread + 1e-3 * spread.max()  # components of no size are noise
+        self.inputs = inputs / self._spread
+        self.outputs = self._drawn.transform(data.coefficients.reshape(frames, -1))
+        self.bases = (self._seen.components_, self._seen.mean_, self._drawn.components_, self._drawn.mean_)
+
+    def see(self, features: np.ndarray) -> np.ndarray:
+        """Components of one frame's features, shape (1, COMPONENTS)."""
+        return self._seen.transform(_ring(features)[None]) / self._spread
+
+    def draw(self, components: np.ndarray) -> np.ndarray:
+        """Coefficients of one frame, float32, shape (n, K)."""
+        return self._drawn.inverse_transform(components).reshape(self._shape).astype(np.float32)
+
+
+def _ring(features: np.ndarray) -> np.ndarray:
+    return features[..., INNER_OFFSETS].reshape(*features.shape[:-2], -1)
+
+
+def _ridge(softness: float, inputs: np.ndarray, outputs: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    from sklearn.linear_model import Ridge
+
+    return Ridge(softness).fit(inputs, outputs).predict
+
+
+def _principal(whole: _Whole) -> WrinkleBaseline:
+    softness = _chosen(SOFTNESS, _ridge, whole.inputs, whole.outputs)
+    fitted = _ridge(softness, whole.inputs, whole.outputs)
+    arrays = (*whole.bases, np.zeros((whole.inputs.shape[1], whole.outputs.shape[1])))
+    predict = lambda f, pose: whole.draw(fitted(whole.see(f)))  # noqa: E731
+    return WrinkleBaseline("PCA and ridge", predict, arrays, f"softness {softness:g}")
+
+
+def _kernel(whole: _Whole) -> WrinkleBaseline:
+    from sklearn.kernel_ridge import KernelRidge
+
+    def fit(setting: tuple[float, float], inputs: np.ndarray, outputs: np.ndarray) -> Callable:
+        alpha, width = setting
+        return KernelRidge(alpha=alpha, kernel="rbf", gamma=width / inputs.shape[1]).fit(inputs, outputs).predict
+
+    alpha, width = chosen = _chosen(KERNELS, fit, whole.inputs, whole.outputs)
+    fitted = fit(chosen, whole.inputs, whole.outputs)
+    predict = lambda f, pose: whole.draw(fitted(whole.see(f)))  # noqa: E731
+    arrays = (*whole.bases, whole.inputs, whole.outputs)  # as many weights as outputs
+    return WrinkleBaseline("kernel ridge", predict, arrays, f"alpha {alpha:g}, gamma {width:g} / components")
+
+
+def _neighbour(whole: _Whole, data: TrainingSet) -> WrinkleBaseline:
+    """The neighbour's wrinkles, and the difference that a linear model makes between it and here."""
+    from sklearn.neighbors import NearestNeighbors
+
+    softness = _chosen(SOFTNESS, _ridge, whole.inputs, whole.outputs)
+
+    def fit(count: int, inputs: np.ndarray, outputs: np.ndarray) -> Callable:
+        """Components to the neighbour's number and the difference to it."""
+        linear = _ridge(softness, inputs, outputs)
+        neighbours, said = NearestNeighbors(n_neighbors=1).fit(inputs[:, :count]), linear(inputs)
+
+        def find(now: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            nearest = neighbours.kneighbors(now[:, :count])[1][:, 0]
+            return nearest, linear(now) - said[nearest]
+
+        return find
+
+    def whole_fit(count: int, inputs: np.ndarray, outputs: np.ndarray) -> Callable:
+        find = fit(count, inputs, outputs)
+
+        def predict(now: np.ndarray) -> np.ndarray:
+            nearest, delta = find(now)
+            return outputs[nearest] + delta
+
+        return predict
+
+    counts = [count for count in SEEN_COMPONENTS if count <= whole.inputs.shape[1]] or [whole.inputs.shape[1]]
+    count = _chosen(counts, whole_fit, whole.inputs, whole.outputs)
+    find, origin = fit(count, whole.inputs, whole.outputs), whole.draw(np.zeros((1, whole.outputs.shape[1])))
+
+    def predict(features: np.ndarray, pose: np.ndarray) -> np.ndarray:
+        nearest, delta = find(whole.see(features))
+        return data.coefficients[nearest[0]] + whole.draw(delta) - origin
+
+    arrays = (*whole.bases, whole.inputs, whole.outputs, data.coefficients)
+    return WrinkleBaseline("nearest neighbour with delta", predict, arrays, f"by {count} components")
+
+
+def _pose_driven(poses: np.ndarray, whole: _Whole, seed: int) -> WrinkleBaseline:
+    """Radial basis (distance itself) over the joints' turns against the first joint, thinned to CENTRES poses."""
+    from scipy.interpolate import RBFInterpolator
+    from sklearn.decomposition import PCA
+
+    def turns(pose: np.ndarray) -> np.ndarray:
+        rotation = pose[..., :3]
+        return np.einsum("...jab,...ac->...jbc", rotation, rotation[..., 0, :, :]).reshape(*pose.shape[:-3], -1)
+
+    def fit(smoothing: float, inputs: np.ndarray, outputs: np.ndarray) -> Callable:
+        return RBFInterpolator(inputs, outputs, smoothing=smoothing, kernel="linear", degree=0)
+
+    some = np.sort(np.random.default_rng(seed).permutation(len(poses))[:CENTRES])
+    reduce = PCA(min(24, len(some) - 1), random_state=seed).fit(turns(poses))
+    places, outputs = reduce.transform(turns(poses[some])), whole.outputs[some]
+    smoothing = _chosen(SMOOTHING, fit, places, outputs)
+    spline = fit(smoothing, places, outputs)
+    predict = lambda f, pose: whole.draw(spline(reduce.transform(turns(pose)[None])))  # noqa: E731
+    arrays = (*whole.bases[2:], places, outputs, reduce.components_)
+    return WrinkleBaseline("pose-driven RBF", predict, arrays, f"smoothing {smoothing:g}")
+
+
+def k_means_modes(data: TrainingSet, seed: int) -> WrinkleBaseline:
+    """The mean wrinkles of each cluster of stencils."""
+    from sklearn.cluster import MiniBatchKMeans
+
+    atoms = data.coefficients.shape[2]
+    flat = data.features.reshape(-1, data.features.shape[2])
+    centre, scale = flat.mean(axis=0), 1.0 / (flat.std(axis=0) + 1e-4)
+    modes = MiniBatchKMeans(min(MODES, len(flat)), batch_size=4096, n_init=1, random_state=seed)
+    label = modes.fit_predict((flat - centre) * scale)
+    size = np.maximum(np.bincount(label, minlength=modes.n_clusters), 1)[:, None]
+    means = np.zeros((modes.n_clusters, atoms), np.float32)
+    np.add.at(means, label, data.coefficients.reshape(-1, atoms))
+    means /= size
+    predict = lambda f, pose: means[modes.predict((f - centre) * scale)]  # noqa: E731
+    arrays = (modes.cluster_centers_, means, centre, scale)
+    return WrinkleBaseline("k-means modes", predict, arrays, f"{modes.n_clusters} modes")

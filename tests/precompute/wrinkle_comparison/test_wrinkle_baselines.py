@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from precompute.learning.training import TrainingSet, build_layer
+from precompute.wrinkle_comparison.wrinkle_baselines import SOFTNESS, fit_baselines
+from tests.precompute.miniature import miniature
+from tests.runtime.players import skirt_stage
+from wrinkles.dictionary import fit_atoms
+from wrinkles.features import DYNAMIC_COUNT
+from wrinkles.patches import NODES
+
+FRAMES, ATOMS = 24, 5
+
+
+@pytest.fixture(scope="module")
+def baselines() -> tuple[list, TrainingSet, np.ndarray]:
+    """Baselines fitted to wrinkles that are a linear function of the features."""
+    layer, rng = build_layer(skirt_stage().levels), np.random.default_rng(0)
+    count = len(layer.levels.coarse.vertices)
+    sway = rng.standard_normal((FRAMES, 3))
+    features = (sway @ rng.standard_normal((3, count * DYNAMIC_COUNT))).reshape(FRAMES, count, DYNAMIC_COUNT)
+    coefficients = 0.01 * np.einsum("fnd,dk->fnk", features, rng.standard_normal((DYNAMIC_COUNT, ATOMS)))
+    atoms = fit_atoms(rng.standard_normal((500, 3 * NODES)), ATOMS, 0)
+    data = TrainingSet(features.astype(np.float32), coefficients.astype(np.float32), atoms)
+    poses = np.tile(np.eye(3, 4), (FRAMES, 6, 1, 1))
+    turn = 0.3 * sway[:, 0]
+    poses[:, 1, 0, 0] = poses[:, 1, 1, 1] = np.cos(turn)
+    poses[:, 1, 1, 0], poses[:, 1, 0, 1] = np.sin(turn), -np.sin(turn)
+    with miniature():
+        return fit_baselines(layer, data, poses, epochs=2, seed=0), data, poses
+
+
+def test_every_rival_learns_what_it_can(baselines: tuple) -> None:
+    fitted, data, poses = baselines
+    spread = np.sqrt((data.coefficients**2).mean())
+    off = {}
+    for baseline in fitted:
+        guesses = np.stack([baseline.predict(data.features[f], poses[f]) for f in range(0, FRAMES, 7)])
+        assert guesses.shape[1:] == data.coefficients.shape[1:] and baseline.megabytes > 0.0
+        off[baseline.name] = np.sqrt(((guesses - data.coefficients[::7]) ** 2).mean()) / spread
+    assert list(off) == [
+        "linear operator", "PCA and ridge", "kernel ridge", "nearest neighbour with delta", "pose-driven RBF",
+        "k-means modes", "wide network",
+    ]  # fmt: skip
+    assert off["nearest neighbour with delta"] < 1e-5  # a frame that it has seen
+    assert off["linear operator"] < 0.01 and off["PCA and ridge"] < 0.5 and off["kernel ridge"] < 0.2
+    assert off["k-means modes"] < 0.9  # one answer for each cluster
+    assert off["pose-driven RBF"] < 0.5  # poses that it has seen
+
+
+def test_a_sequence_has_no_joints_to_be_driven_by(baselines: tuple) -> None:
+    _, data, _ = baselines
+    with miniature():
+        fitted = fit_baselines(build_layer(skirt_stage().levels), data, np.zeros((FRAMES, 9, 3)), epochs=1, seed=0)
+    assert "pose-driven RBF" not in [baseline.name for baseline in fitted]
+
+
+def test_softness_is_chosen_by_motion_that_was_left_out() -> None:
+    layer, rng = build_layer(skirt_stage().levels), np.random.default_rng(1)
+    count = len(layer.levels.coarse.vertices)
+    features = rng.standard_normal((60, count, DYNAMIC_COUNT)).astype(np.float32)
+    atoms = fit_atoms(rng.standard_normal((500, 3 * NODES)), ATOMS, 0)
+    noise = rng.standard_normal((60, count, ATOMS)).astype(np.float32)  # nothing to be learned: the softest is best
+    with miniature():
+        fitted = fit_baselines(layer, TrainingSet(features, noise, atoms), np.zeros((60, 9, 3)), epochs=1, seed=0)
+    assert fitted[0].settings == f"softness {SOFTNESS[-1]:g}"
