@@ -9,8 +9,9 @@ export PYTHONHASHSEED := 0
 demo: .venv/ready
 	$(BIN)/gube demo
 
+# Files whole, in the order of tests/conftest.py, to as many processes as there are processors.
 test: lint
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder --durations 15
 
 lint: .venv/ready
 	$(BIN)/ruff check .

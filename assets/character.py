@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 
 # A bind pose that moves a vertex by more than this [m] is a mistake in the data, not rounding: files store float32.
 _BIND_TOLERANCE = 1e-3
-_WEIGHT_TOLERANCE = 1e-3
+_WEIGHT_TOLERANCE = 1e-3  # by which the weights of a vertex may fail to sum to 1 [-]
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ class Character:
         joint_weights: their weights [-], rows sum to 1, shape (vertices, 4), float32.
         rest_local: bind pose as local translation [m] (joints, 3), rotation x, y, z, w (joints, 4), scale (joints, 3).
         inverse_bind: world of the bind pose to joint, shape (joints, 4, 4).
-        root_transform: what stands above the root joints, shape (4, 4).
+        root_transform: constant transform above the root joints, shape (4, 4).
         clips: clips by name.
     """
 
@@ -192,13 +192,20 @@ def load_character(path: str | PathLike[str], name: str | None = None) -> Charac
     Morph targets and meshes without a skin are left out.
 
     Args:
-        path: the file.
+        path: the file, or "builtin:mannequin" for the built-in character.
         name: name for messages; the file's name without its suffix if None.
 
     Raises:
         InputError: the file cannot be read, has no skin or no weights, holds values that are not finite, looks like
             centimetres, or asks for something that is not supported; the message names the element.
     """
+    if str(path).startswith("builtin:"):
+        from assets.procedural.mannequin import builtin_mannequin  # is made of this module's parts
+
+        if str(path) != "builtin:mannequin":
+            raise InputError("no such built-in character", received=str(path), expected="builtin:mannequin")
+        mannequin = builtin_mannequin()
+        return mannequin if name is None else replace(mannequin, name=name)
     from assets.io.gltf_character import read_character  # needs pygltflib, which building a character does not
 
     return read_character(Path(path), name)

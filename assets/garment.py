@@ -22,9 +22,9 @@ Floats = NDArray[np.float64]
 Faces = NDArray[np.int32]
 
 # A triangle lower than this share of its longest side is a line at the precision of a file.
-_FLAT = 1e-6
+_MIN_HEIGHT_RATIO = 1e-6
 # Median of edges in space over edges of the pattern: a texture atlas is mostly further off than a worn garment.
-_STRETCH = (0.67, 1.5)
+_EDGE_RATIOS = (0.67, 1.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,8 @@ def load_garment(path: str | PathLike[str], *, pattern: bool = False) -> Garment
     order of vertices and faces stays.
 
     Args:
-        path: the file.
+        path: the file; or "builtin:flag", "builtin:skirt", "builtin:tablecloth" or "builtin:tshirt" for one of the
+            built-in clothes, which have a pattern of their own where they need one.
         pattern: whether the texture coordinates are a flat pattern in metres.
 
     Raises:
@@ -64,6 +65,10 @@ def load_garment(path: str | PathLike[str], *, pattern: bool = False) -> Garment
             size that cannot be metres; or, with ``pattern``, texture coordinates that are missing or no pattern. The
             message names the vertex, the face (counted from 0, after triangulation) or the edge.
     """
+    if str(path).startswith("builtin:"):
+        from assets.procedural.builtin import builtin_garment  # is made of this module's parts
+
+        return builtin_garment(str(path).removeprefix("builtin:"))
     path = Path(path)
     if path.suffix.lower() == ".obj":
         mesh = read_obj(path)
@@ -177,7 +182,7 @@ def _check_faces(vertices: Floats, faces: Faces, path: Path, label: Callable[[in
     a, b, c = faces.T
     repeated = (a == b) | (b == c) | (c == a)
     height, longest = _heights(vertices[faces])
-    bad = np.flatnonzero(repeated | (height <= _FLAT * longest))
+    bad = np.flatnonzero(repeated | (height <= _MIN_HEIGHT_RATIO * longest))
     if bad.size:
         received, expected = faces[bad[0]].tolist(), "three corners that are not in a line"
         raise InputError("a face without area", file=path, key=label(bad[0]), received=received, expected=expected)
@@ -256,19 +261,19 @@ def _check_pattern(
     flat = texture.copy()
     flat[flipped] = flat[flipped][:, [0, 2, 1]]
     height, longest = _heights(flat)
-    bad = np.flatnonzero(height <= _FLAT * longest)
+    bad = np.flatnonzero(height <= _MIN_HEIGHT_RATIO * longest)
     if bad.size:
         raise InputError(
             "a face without area in the pattern", file=path, key=label(bad[0]), received=flat[bad[0]].tolist()
         )
     lengths = [np.linalg.norm(np.roll(x, -1, axis=1) - x, axis=2) for x in (vertices[faces], flat)]
     ratio = float(np.median(lengths[0] / lengths[1]))
-    if not _STRETCH[0] <= ratio <= _STRETCH[1]:
+    if not _EDGE_RATIOS[0] <= ratio <= _EDGE_RATIOS[1]:
         raise InputError(
             "texture coordinates that are no flat pattern in metres",
             file=path,
             key="pattern",
             received=f"edges {ratio:.3g} times as long in space",
-            expected=f"{_STRETCH[0]} to {_STRETCH[1]}",
+            expected=f"{_EDGE_RATIOS[0]} to {_EDGE_RATIOS[1]}",
         )
     return flat

@@ -1,4 +1,4 @@
-"""Limits painted on a garment: read from a file."""
+"""Limits that were painted on a garment, read from a file."""
 
 from __future__ import annotations
 
@@ -19,6 +19,10 @@ def load_limits(path: Path, vertex_count: int) -> Limits:
     """Read limits from a file with the columns ``COLUMNS`` and a line of these titles.
 
     Vertices count from 0, distances are in metres, stiffness in N/m3; an empty place is no limit.
+
+    Args:
+        path: the file.
+        vertex_count: number of vertices of the mesh.
 
     Raises:
         InputError: the file cannot be read, has other titles, or a row that is no limit; the message names line and

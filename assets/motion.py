@@ -1,4 +1,4 @@
-"""Motions: what a body does over time, starting from the pose that its clothes were made in."""
+"""Motions: poses of a body over time, starting from the pose that its clothes were made in."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ __all__ = ["ClipMotion", "Motion", "part_of"]
 
 Floats = NDArray[np.float64]
 
-_JUMP = 0.05  # the furthest that a joint may be [m] between the end and the start of a clip that is played in a loop
+# Distance of a joint between the end and the start of a clip that may be played in a loop [m].
+_MAX_LOOP_GAP = 0.05
 
 
 class Motion(Protocol):
@@ -25,17 +26,20 @@ class Motion(Protocol):
     Attributes:
         name: name for messages and figures.
         duration: time from start to end [s].
-        lead_in: time at the start that only leads to what is meant: nothing is learned from it or judged in it [s].
+        lead_in: time at the start that only leads to the motion that is meant: nothing is learned from it or judged
+            in it [s].
     """
 
     name: str
     lead_in: float
 
     @property
-    def duration(self) -> float: ...
+    def duration(self) -> float:
+        """Time from start to end [s]."""
+        ...
 
     def pose(self, t: float) -> Floats:
-        """The pose at a time [s], clamped to the ends; what the body's ``skin`` takes."""
+        """The pose at a time [s], clamped to the ends; the body's ``skin`` takes it."""
         ...
 
 
@@ -48,8 +52,8 @@ class ClipMotion:
     ``3 s^2 - 2 s^3``. Then the clip plays, with slerp between its frames.
 
     Args:
-        character: whose.
-        clip: one of its clips.
+        character: the character that moves.
+        clip: one of its clips, or the name of one.
         blend: time from the bind pose to the clip's first frame [s]; 0 starts in the clip.
         speed: clip seconds per second [-].
         loop: whether the clip starts again at its end; it must then end as it starts.
@@ -60,12 +64,15 @@ class ClipMotion:
         lead_in: 0; the blend can be learned from.
 
     Raises:
-        InputError: a negative blend, a speed that is not positive, or ``loop`` for a clip that does not close.
+        InputError: no clip of that name, a negative blend, a speed that is not positive, or ``loop`` for a clip that
+            does not close.
     """
 
     def __init__(
-        self, character: Character, clip: Clip, blend: float = 1.0, speed: float = 1.0, loop: bool = False
+        self, character: Character, clip: Clip | str, blend: float = 1.0, speed: float = 1.0, loop: bool = False
     ) -> None:
+        if isinstance(clip, str):
+            clip = character.clip(clip)
         key = f"clip {clip.name}"
         if not 0.0 <= blend < np.inf:
             raise InputError("bad blend", key=key, received=blend, expected="0 or more seconds")
@@ -96,13 +103,13 @@ class ClipMotion:
     def _check_loop(self, key: str) -> None:
         first, last = (self._joint_transforms(frame)[:, :3, 3] for frame in self._frames[[0, -1]])
         jump = np.linalg.norm(last - first, axis=1)
-        if jump.max() > _JUMP:
+        if jump.max() > _MAX_LOOP_GAP:
             joint = self._character.joint_names[int(jump.argmax())]
             raise InputError(
                 "a clip that does not end as it starts cannot be played in a loop",
                 key=f"{key}, joint {joint}",
                 received=f"{jump.max():.3g} m apart",
-                expected=f"at most {_JUMP} m",
+                expected=f"at most {_MAX_LOOP_GAP} m",
             )
 
     def _joint_transforms(self, frame: Floats) -> Floats:
@@ -111,8 +118,8 @@ class ClipMotion:
     def _lead_in(self) -> None:
         """Prepare the blend: the skeleton with its hips cut loose, and its local transforms at start and end.
 
-        Loose from what stands above them, the hips move straight from one place to the other, however a root on the
-        floor moves.
+        Cut loose from the joints above them, the hips move straight from one place to the other, however a root on
+        the floor moves.
         """
         character, first = self._character, self._frames[0]
         bind, target = character.joint_transforms(*character.rest_local), self._joint_transforms(first)
@@ -124,6 +131,7 @@ class ClipMotion:
         place = _level_placement(bind[tops[0]], target[tops[0]])
 
         def loose(frame: Floats, world: Floats) -> Floats:
+            """Local transforms of a frame in which the new roots stand in the world as the old joints did."""
             frame = frame.copy()
             frame[roots] = np.concatenate(decompose(to_root @ world[roots], f"clip {self.name}, frame 0"), axis=1)
             return frame

@@ -112,39 +112,8 @@ def even_triangles(
     Returns:
         indices of the chosen fine vertices, at most `count`, the anchors first; faces between them.
     """
-    edges = edges_of(faces)[0]
-    edges = np.concatenate([edges, edges[:, ::-1]])
-    lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-    corners = vertices[faces]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    weight = np.bincount(faces.ravel(), np.repeat(area, 3), len(vertices))
     fixed = np.zeros(0, dtype=np.int64) if anchors is None else np.asarray(anchors, dtype=np.int64)
-    rim, rim_label = _rim(vertices, faces, fixed)
-    # The boundary is the anchors': a way leads onto it or along it only as far as its own anchor's part goes.
-    part = np.full(len(vertices), -1)
-    part[rim] = rim_label
-    way = (part[edges[:, 1]] < 0) | (part[edges[:, 0]] == part[edges[:, 1]])
-    graph = sparse.csr_matrix((lengths[way], tuple(edges[way].T)), shape=(len(vertices), len(vertices)))
-    free = np.setdiff1d(np.arange(len(vertices)), rim)
-    chosen = np.random.default_rng(seed).choice(
-        free, count - len(fixed), replace=False, p=weight[free] / weight[free].sum()
-    )
-    sites = np.concatenate([fixed, chosen])
-    for step in range(rounds + 1):
-        _, _, nearest = csgraph.dijkstra(graph, indices=sites, min_only=True, return_predecessors=True)
-        position = np.zeros(len(vertices), dtype=np.int64)
-        position[sites] = np.arange(count)
-        label = position[nearest]
-        if step == rounds:
-            break
-        mass = np.bincount(label, weight, count)
-        centre = (
-            np.stack([np.bincount(label, weight * vertices[:, k], count) for k in range(3)], axis=1) / mass[:, None]
-        )
-        gap = np.linalg.norm(vertices - centre[label], axis=1)
-        order = np.lexsort((gap, label))
-        first = np.searchsorted(label[order], np.arange(count))
-        sites[len(fixed) :] = order[first][len(fixed) :]
+    sites, label = _voronoi(vertices, faces, count, fixed, rounds, seed)
     triangles = label[faces]
     split = (
         (triangles[:, 0] != triangles[:, 1])
@@ -157,6 +126,49 @@ def even_triangles(
     triangles = triangles[copies[group] == 1]
     used = np.unique(triangles)
     return sites[used], np.searchsorted(used, triangles).astype(np.int32)
+
+
+def _voronoi(
+    vertices: Floats, faces: Faces, count: int, fixed: NDArray[np.int64], rounds: int, seed: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Sites, shape (count,), the fixed ones first, and for each vertex the number of its site, shape (n,)."""
+    edges = edges_of(faces)[0]
+    edges = np.concatenate([edges, edges[:, ::-1]])
+    lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    corners = vertices[faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    weight = np.bincount(faces.ravel(), np.repeat(area, 3), len(vertices))
+    rim, rim_label = _rim(vertices, faces, fixed)
+    # The boundary belongs to the anchors: a path leads onto it or along it only within the part of its own anchor.
+    part = np.full(len(vertices), -1)
+    part[rim] = rim_label
+    allowed = (part[edges[:, 1]] < 0) | (part[edges[:, 0]] == part[edges[:, 1]])
+    graph = sparse.csr_matrix((lengths[allowed], tuple(edges[allowed].T)), shape=(len(vertices), len(vertices)))
+    free = np.setdiff1d(np.arange(len(vertices)), rim)
+    chosen = np.random.default_rng(seed).choice(
+        free, count - len(fixed), replace=False, p=weight[free] / weight[free].sum()
+    )
+    sites = np.concatenate([fixed, chosen])
+
+    def nearest_sites() -> NDArray[np.int64]:
+        """For each vertex the number of the site that is nearest along the mesh."""
+        _, _, nearest = csgraph.dijkstra(graph, indices=sites, min_only=True, return_predecessors=True)
+        number = np.zeros(len(vertices), dtype=np.int64)
+        number[sites] = np.arange(count)
+        return number[nearest]
+
+    label = nearest_sites()
+    for _ in range(rounds):
+        mass = np.bincount(label, weight, count)
+        centre = (
+            np.stack([np.bincount(label, weight * vertices[:, k], count) for k in range(3)], axis=1) / mass[:, None]
+        )
+        gap = np.linalg.norm(vertices - centre[label], axis=1)
+        order = np.lexsort((gap, label))
+        first = np.searchsorted(label[order], np.arange(count))
+        sites[len(fixed) :] = order[first][len(fixed) :]
+        label = nearest_sites()
+    return sites, label
 
 
 def _rim(vertices: Floats, faces: Faces, anchors: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -241,7 +253,15 @@ def _angle(vertices: Floats, corner: NDArray[np.int64], one: NDArray[np.int64], 
 
 
 def drop_vertices(vertices: Floats, faces: Faces) -> tuple[Floats, Faces]:
-    """Take out inner vertices with three or four neighbours: their triangles can only be poor ones."""
+    """Take out inner vertices with three or four neighbours: their triangles can only be poor ones.
+
+    Args:
+        vertices: [m], shape (n, 3).
+        faces: shape (m, 3).
+
+    Returns:
+        the other vertices, in their order, and faces between them.
+    """
     faces, n = faces.copy(), len(vertices)
     valence = np.bincount(faces.ravel(), minlength=n)
     around: list[list[int]] = [[] for _ in range(n)]

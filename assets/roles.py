@@ -1,4 +1,4 @@
-"""What the joints of a character are, told by their names and by where they hang."""
+"""Roles of a character's joints (hips, left thigh, ...), found by their names and their places in the tree."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pbd.errors import InputError
 
 __all__ = ["find_roles", "upwards"]
 
-# What the joints of a limb are called, without side and punctuation.
+# Usual names of the joints of a limb, without side and punctuation.
 _LIMBS = {
     "upleg": ("upleg", "thigh", "upperleg"),
     "leg": ("leg", "calf", "shin", "lowerleg"),
@@ -25,10 +25,14 @@ _OPTIONAL = {"toe"}
 
 
 def find_roles(character: Character) -> dict:
-    """Joint of every role: (part, side) for limbs, "hips", "head", and lists from below for "spine" and "neck".
+    """Find the joint of every role.
 
     Args:
-        character: whose joints have usual names; sides are 0 left and 1 right.
+        character: its joints have usual names.
+
+    Returns:
+        joints by role: (part, side) for limbs, where side is 0 left or 1 right; "hips"; "head"; and for "spine" and
+        "neck" lists of joints from below upwards.
 
     Raises:
         InputError: a role that no joint has, or joints that do not hang together as a figure's do.
@@ -71,7 +75,7 @@ def _between(character: Character, low: int, high: int) -> list[int]:
 
 
 def upwards(character: Character, joint: int) -> Iterator[int]:
-    """The joint, its parent, and so on to the root."""
+    """Yield the joint, its parent, and so on up to the root."""
     while joint >= 0:
         yield joint
         joint = int(character.joint_parents[joint])

@@ -22,9 +22,9 @@ Floats = NDArray[np.float64]
 Faces = NDArray[np.int32]
 
 _AT_END = 0.02  # share of an edge from whose ends a stitch counts as at that end: some 0.1 mm
-_HOLE = 5  # a hole of so few edges is left by a seam, not by the garment
-_ROUNDS = 10
-_FAR = 4.0  # neighbours along a seam lie within this many edges of the other side
+_MAX_SEAM_HOLE = 5  # a hole of so few edges is left by a seam, not by the garment
+_MAX_ROUNDS = 10  # of shrinking pleats; a surface that still has some then has too many
+_MAX_PASSED_EDGES = 4.0  # neighbours along a seam lie within this many edges of the other side
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +46,8 @@ class Sewn:
 
     Attributes:
         faces: int32, shape (k, 3).
-        one: the vertex that stands for each in them, shape (n,).
-        panel_face: the face of the panels that each is, or is a part of, shape (k,).
+        one: for each vertex of the panels, the vertex that replaces it in ``faces``, shape (n,).
+        panel_face: for each face, the face of the panels that it was, or was a part of, shape (k,).
         flat: corners of each face in the pattern [m], shape (k, 3, 2).
     """
 
@@ -59,6 +59,10 @@ class Sewn:
 
 def load_seams(path: Path, vertex_count: int) -> Seams:
     """Read stitches from a file with the columns ``v,a,b,w`` and a line of these titles; vertices count from 0.
+
+    Args:
+        path: the file.
+        vertex_count: number of vertices of the mesh.
 
     Raises:
         InputError: the file cannot be read, has other titles, or a row that is no stitch; the message names row and
@@ -154,24 +158,25 @@ def _cut_face(
 def without_pleats(faces: Faces) -> tuple[Faces, NDArray[np.int64]]:
     """A manifold surface from a sewn one: edges of more than two faces and the small holes between them shrink.
 
-    Where cloth is laid in folds and sewn down, several of its edges lie on one. Shrunk to a point, the fold is gone
-    and what it joins is joined still.
+    Where cloth is laid in folds and sewn down, several of its edges lie on one. Such an edge shrinks to a point: the
+    fold disappears, and the parts that it joined stay joined.
 
     Args:
         faces: of :func:`sew`, shape (k, 3).
 
     Returns:
-        the faces, shape (j, 3), and the vertex that stands for each in them, shape (n,), n the highest vertex + 1.
+        the faces, shape (j, 3), and for each old vertex the one that replaces it in them, shape (n,), where n is the
+        highest vertex + 1.
 
     Raises:
         InputError: seams that close to no surface.
     """
     stands = np.arange(faces.max() + 1)
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         edges, side_edge = edges_of(faces)
         short = edges[np.bincount(side_edge.ravel()) > 2].astype(np.int64)
         if not len(short):
-            holes = [loop for loop in boundary_loops(faces) if len(loop) <= _HOLE]
+            holes = [loop for loop in boundary_loops(faces) if len(loop) <= _MAX_SEAM_HOLE]
             if not holes:
                 return faces, stands
             short = np.array([(loop[0], vertex) for loop in holes for vertex in loop[1:]], np.int64)
@@ -236,7 +241,7 @@ def _passed(
     starts: list[tuple[int, float]], ends: list[tuple[int, float]], loops: list[NDArray[np.int32]]
 ) -> list[tuple[int, float]]:
     """Vertices of the other side between two neighbours' places on it, and at which share of the way."""
-    best, passed = _FAR, []
+    best, passed = _MAX_PASSED_EDGES, []
     for number, first in starts:
         length = len(loops[number])
         for other, last in ends:

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from assets.character import Character
-from pbd.engine import Launch, ensure_initialized, ti
+from pbd.engine import ensure_initialized, ti
+from pbd.taichi_internals import Launch
 
 __all__ = ["Body", "SkinnedBody", "skin_vertices"]
 
@@ -29,7 +30,7 @@ class Body(Protocol):
         """Write the vertices of a pose, world minus origin [m].
 
         Args:
-            pose: what the body's motion gives.
+            pose: of the body's motion.
             origin: of the frame that ``out`` is in [m], shape (3,), float64.
             out: float32, shape (n, 3); a Taichi array of n three-vectors, or a numpy array.
         """
@@ -40,7 +41,7 @@ def skin_vertices(character: Character, pose: Floats) -> Floats:
     """Vertices of a pose in the world [m], shape (n, 3), float64; the reference for :class:`SkinnedBody`.
 
     Args:
-        character: whose.
+        character: the skinned mesh.
         pose: skinning matrices, shape (joints, 3, 4).
     """
     weights = character.joint_weights.astype(np.float64)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from pbd.errors import InputError
 
@@ -41,64 +42,16 @@ def local_matrices(translation: Floats, rotation: Floats, scale: Floats) -> Floa
 
 
 def quaternions(rotation: Floats) -> Floats:
-    """Unit quaternions x, y, z, w, shape (..., 4), of rotation matrices, shape (..., 3, 3).
-
-    The largest component is found first and the others divided by it (Shepperd 1978), so that no angle loses digits.
-    """
-    m = np.asarray(rotation, dtype=np.float64)
-    d0, d1, d2 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
-    # Row k holds 4 q_k (x, y, z, w); the row with the largest diagonal is the best conditioned.
-    rows = np.stack(
-        [
-            np.stack(
-                [
-                    1 + d0 - d1 - d2,
-                    m[..., 0, 1] + m[..., 1, 0],
-                    m[..., 0, 2] + m[..., 2, 0],
-                    m[..., 2, 1] - m[..., 1, 2],
-                ],
-                -1,
-            ),
-            np.stack(
-                [
-                    m[..., 0, 1] + m[..., 1, 0],
-                    1 - d0 + d1 - d2,
-                    m[..., 1, 2] + m[..., 2, 1],
-                    m[..., 0, 2] - m[..., 2, 0],
-                ],
-                -1,
-            ),
-            np.stack(
-                [
-                    m[..., 0, 2] + m[..., 2, 0],
-                    m[..., 1, 2] + m[..., 2, 1],
-                    1 - d0 - d1 + d2,
-                    m[..., 1, 0] - m[..., 0, 1],
-                ],
-                -1,
-            ),
-            np.stack(
-                [
-                    m[..., 2, 1] - m[..., 1, 2],
-                    m[..., 0, 2] - m[..., 2, 0],
-                    m[..., 1, 0] - m[..., 0, 1],
-                    1 + d0 + d1 + d2,
-                ],
-                -1,
-            ),
-        ],
-        axis=-2,
-    )
-    best = np.argmax(np.diagonal(rows, axis1=-2, axis2=-1), axis=-1)
-    row = np.take_along_axis(rows, best[..., None, None], axis=-2)[..., 0, :]
-    return row / np.linalg.norm(row, axis=-1, keepdims=True)
+    """Unit quaternions x, y, z, w, shape (..., 4), of rotation matrices, shape (..., 3, 3)."""
+    matrices = np.asarray(rotation, dtype=np.float64)
+    return Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_quat().reshape(*matrices.shape[:-2], 4)
 
 
 def decompose(matrices: Floats, key: str | None = None) -> tuple[Floats, Floats, Floats]:
     """Translation (..., 3), rotation (..., 4) and scale (..., 3) of matrices, shape (..., 4, 4).
 
     Raises:
-        InputError: a matrix that shears or is singular; ``key`` says whose it is.
+        InputError: a matrix that shears or is singular; ``key`` names its owner.
     """
     linear = matrices[..., :3, :3]
     scale = np.linalg.norm(linear, axis=-2)

@@ -12,8 +12,8 @@ from pbd.errors import InputError
 
 __all__ = ["check_unit", "group_rows", "weld"]
 
-_LARGEST, _SMALLEST = 10.0, 0.01  # sizes [m] of clothes and bodies lie between
-_USUAL = (0.1, 3.0)  # most of them between these
+_MAX_SIZE, _MIN_SIZE = 10.0, 0.01  # sizes [m] of clothes and bodies lie between
+_USUAL_SIZES = (0.1, 3.0)  # most of them between these
 
 
 def group_rows(rows: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -60,13 +60,15 @@ def check_unit(vertices: NDArray[np.float64], file: Path) -> None:
         InputError: the bounding box's longest side is over 10 m or under 1 cm; the message guesses the unit.
     """
     size = float(np.ptp(vertices, axis=0).max())
-    if _SMALLEST <= size <= _LARGEST:
+    if _MIN_SIZE <= size <= _MAX_SIZE:
         return
     guesses = {"centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
-    if size < _SMALLEST:
+    if size < _MIN_SIZE:
         guesses = {"metres that were scaled by 0.01": 100.0, "metres that were scaled by 0.001": 1000.0}
     fitting = [
-        f"{name} (multiply by {scale:g})" for name, scale in guesses.items() if _USUAL[0] <= size * scale <= _USUAL[1]
+        f"{name} (multiply by {scale:g})"
+        for name, scale in guesses.items()
+        if _USUAL_SIZES[0] <= size * scale <= _USUAL_SIZES[1]
     ]
     hint = f": looks like {' or '.join(fitting)}" if fitting else ""
     raise InputError(

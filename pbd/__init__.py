@@ -1,21 +1,21 @@
 """Cloth, fabrics, colliders and time: the solvers and everything they stand on."""
 
-from pbd.colliders import Body, Capsule, Colliders, DistanceField, Plane, Sphere
-from pbd.crowd import Crowd
+from pbd.contact.colliders import Body, Capsule, Colliders, DistanceField, Plane, Sphere
 from pbd.engine import ensure_initialized
 from pbd.errors import InputError
 from pbd.fabric import Fabric
 from pbd.limits import Limits
 from pbd.mesh import ClothMesh
 from pbd.model import Model, ModelOptions, State, build_model
-from pbd.solver import Solver, SolverOptions
+from pbd.xpbd.batch_solver import BatchSolver
+from pbd.xpbd.solver import Solver, SolverOptions
 
 __all__ = [
+    "BatchSolver",
     "Body",
     "Capsule",
     "ClothMesh",
     "Colliders",
-    "Crowd",
     "DistanceField",
     "Fabric",
     "InputError",

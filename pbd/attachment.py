@@ -5,8 +5,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pbd.engine import Launch, ensure_initialized, ti
+from pbd.engine import ensure_initialized, ti
 from pbd.errors import InputError
+from pbd.taichi_internals import Launch
 
 __all__ = ["Attachment", "closest_points", "closest_weights", "push_outside", "smooth_normals"]
 

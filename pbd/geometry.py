@@ -1,6 +1,7 @@
 """What kernels share: array types, small vectors, triangles and the surface of a body."""
 
-from pbd.engine import same, ti
+from pbd.engine import ti
+from pbd.taichi_internals import same
 
 __all__ = [
     "FAR", "Byte2", "Float1", "Float2", "Int1", "Int2", "Int3", "Int4", "Vec3", "Vec4", "Vec4Rows", "between",
@@ -73,27 +74,20 @@ def closest_on_triangle(p, a, b, c):
 
 
 @ti.func
-def between(b: ti.i32, t: ti.f32, body_0: ti.template(), body_1: ti.template()) -> vec3:
-    """Body vertex b at t in [0, 1] of the frame."""
-    x = body_0[b]
-    if ti.static(not same(body_0, body_1)):  # the compiler must not know that nothing times zero is nothing
-        x += t * (body_1[b] - x)
+def between(b: ti.i32, t: ti.f32, body: ti.template()) -> vec3:
+    """Vertex b of a body (:class:`pbd.xpbd.views.BodySurface`) at t in [0, 1] of the frame [m]."""
+    x = body.body_start[b]
+    # Not left to the compiler: in floating-point numbers t * (x - x) need not be 0.
+    if ti.static(not same(body.body_start, body.body_end)):
+        x += t * (body.body_end[b] - x)
     return x
 
 
 @ti.func
-def descend(
-    p: vec3,
-    start: ti.i32,
-    t: ti.f32,
-    body_0: ti.template(),
-    body_1: ti.template(),
-    ring_start: ti.template(),
-    ring: ti.template(),
-) -> ti.i32:
-    """Body vertex reached from ``start`` by walking to nearer neighbours; t in [0, 1] of the frame."""
+def descend(p: vec3, start: ti.i32, t: ti.f32, body: ti.template()) -> ti.i32:
+    """Body vertex that is reached from ``start`` by walking to nearer neighbours; t in [0, 1] of the frame."""
     best = start
-    offset = between(best, t, body_0, body_1) - p
+    offset = between(best, t, body) - p
     distance = offset.dot(offset)
     moved = True
     steps = 0
@@ -101,9 +95,9 @@ def descend(
         moved = False
         steps += 1
         here = best
-        for q in range(ring_start[here], ring_start[here + 1]):
-            other = ring[q]
-            offset = between(other, t, body_0, body_1) - p
+        for q in range(body.ring_start[here], body.ring_start[here + 1]):
+            other = body.ring[q]
+            offset = between(other, t, body) - p
             candidate = offset.dot(offset)
             if candidate < distance:
                 distance = candidate
@@ -113,29 +107,24 @@ def descend(
 
 
 @ti.func
-def closest_in_fan(
-    p: vec3,
-    b: ti.i32,
-    t: ti.f32,
-    body_0: ti.template(),
-    body_1: ti.template(),
-    fan_start: ti.template(),
-    fan: ti.template(),
-):
-    """Closest point of the faces around body vertex b: its other two corners, its weights, its squared distance.
+def closest_in_fan(p: vec3, b: ti.i32, t: ti.f32, body: ti.template()):
+    """Closest point to p [m] of the faces around body vertex b at t in [0, 1] of the frame.
 
-    A face whose closest point is b itself is told by two products.
+    Two products recognise a face whose closest point is b itself.
+
+    Returns:
+        the face's other two corners, the weights of its corners from b on, the squared distance [m2].
     """
-    x0 = between(b, t, body_0, body_1)
+    x0 = between(b, t, body)
     offset = p - x0
     distance = offset.dot(offset)
     corners = ti.Vector([b, b])
     weights = vec3(1.0, 0.0, 0.0)
     first = True
-    for q in range(fan_start[b], fan_start[b + 1]):
-        others = fan[q]
-        x1 = between(others[0], t, body_0, body_1)
-        x2 = between(others[1], t, body_0, body_1)
+    for q in range(body.fan_start[b], body.fan_start[b + 1]):
+        others = body.fan[q]
+        x1 = between(others[0], t, body)
+        x2 = between(others[1], t, body)
         if first:
             corners = others
             first = False

@@ -26,9 +26,10 @@ def layered(models: Sequence[Model]) -> Model:
     """
     if not models:
         raise InputError("no garment", key="models", received=0, expected="at least one")
-    squeeze = sorted({model.options.squeeze for model in models})
-    if len(squeeze) > 1:
-        raise InputError("layers that differ", key="squeeze", received=squeeze, expected="one value for all")
+    scales = sorted({model.options.compression_compliance_scale for model in models})
+    if len(scales) > 1:
+        key, expected = "compression_compliance_scale", "one value for all"
+        raise InputError("layers that differ", key=key, received=scales, expected=expected)
     offsets = np.cumsum([0, *(model.vertex_count for model in models)])
 
     def shifted(name: str, of: Sequence = models) -> list[np.ndarray]:

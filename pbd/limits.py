@@ -11,7 +11,7 @@ from scipy.sparse import csr_matrix
 from pbd.attachment import Attachment, smooth_normals
 from pbd.errors import InputError
 
-__all__ = ["NONE", "Carried", "Limits", "Places"]
+__all__ = ["NONE", "LimitTargets", "Limits", "SkinnedTargets"]
 
 NONE = 1e6  # of a distance [m]: from here on it limits nothing
 
@@ -59,7 +59,7 @@ class Limits:
         return cls(np.zeros(0, np.int32), *np.zeros((3, 0), np.float32))
 
     def rows(self, areas: np.ndarray) -> np.ndarray:
-        """As :func:`pbd.schedule.advance_garment` takes them, without places, float32, shape (l, 4, 4).
+        """As :class:`pbd.xpbd.views.ConstraintArrays` has them, without targets, float32, shape (l, 4, 4).
 
         Args:
             areas: of all vertices [m2], shape (n,).
@@ -102,11 +102,11 @@ class Limits:
         return Limits(vertices, *found[vertices].T)
 
 
-class Places(NamedTuple):
+class LimitTargets(NamedTuple):
     """Where a body carries limited vertices in a frame.
 
     Attributes:
-        start, end: places in the world at its start and end [m], shape (l, 3).
+        start, end: targets in the world at its start and end [m], shape (l, 3).
         normals: of the garment there at its end, unit, shape (l, 3).
     """
 
@@ -115,8 +115,8 @@ class Places(NamedTuple):
     normals: np.ndarray
 
 
-class Carried:
-    """Limited vertices as they ride on a body.
+class SkinnedTargets:
+    """Targets of limited vertices, which ride on a body.
 
     Args:
         limits: of a garment.
@@ -133,10 +133,10 @@ class Carried:
         body_faces: np.ndarray,
     ) -> None:
         points = np.asarray(vertices, float)[limits.vertices]
-        self._places = Attachment.bind(points, body_vertices, body_faces)
-        self._tips = self._places.moved(smooth_normals(vertices, faces)[limits.vertices], body_vertices)
+        self._attachment = Attachment.bind(points, body_vertices, body_faces)
+        self._tips = self._attachment.moved(smooth_normals(vertices, faces)[limits.vertices], body_vertices)
 
-    def places(self, before: np.ndarray, after: np.ndarray, origin: np.ndarray) -> Places:
-        """Places for the body's poses at the start and end of a frame about an origin [m], shape (b, 3)."""
-        start, end = self._places.targets(before), self._places.targets(after)
-        return Places(start + origin, end + origin, self._tips.targets(after) - end)
+    def targets(self, before: np.ndarray, after: np.ndarray, origin: np.ndarray) -> LimitTargets:
+        """Targets for the body's poses at the start and end of a frame, shape (b, 3), about an origin [m]."""
+        start, end = self._attachment.targets(before), self._attachment.targets(after)
+        return LimitTargets(start + origin, end + origin, self._tips.targets(after) - end)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -17,6 +18,7 @@ __all__ = [
     "flatten_by_surface",
     "greedy_colors",
     "hinges_of",
+    "lattice_faces",
     "vertex_rings",
 ]
 
@@ -154,6 +156,24 @@ def vertex_rings(faces: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.n
     return offsets.astype(np.int32), both[:, 1].astype(np.int32).copy()
 
 
+def lattice_faces(index: np.ndarray, alternating: bool = True) -> np.ndarray:
+    """Triangles of a lattice of squares, each square cut along a diagonal: int32, shape (2 (p - 1) (q - 1), 3).
+
+    The triangles are counter-clockwise where the first axis of the lattice points right and the second one up.
+
+    Args:
+        index: vertex at each point of the lattice, int, shape (p, q).
+        alternating: whether neighbouring squares are cut along different diagonals, so that the cloth prefers neither;
+            otherwise all diagonals rise.
+    """
+    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
+    row, column = np.divmod(np.arange(len(a)), max(index.shape[1] - 1, 1))
+    rising = ((row + column) % 2 == 0)[:, None] | (not alternating)
+    first = np.where(rising, np.stack([a, b, c], axis=1), np.stack([a, b, d], axis=1))
+    second = np.where(rising, np.stack([a, c, d], axis=1), np.stack([b, c, d], axis=1))
+    return np.stack([first, second], axis=1).reshape(-1, 3).astype(np.int32)
+
+
 class Hinges(NamedTuple):
     """Hinges with the rows of the quadratic bending operator.
 
@@ -213,6 +233,45 @@ class ClothMesh:
         flipped = np.linalg.det(sides) < 0
         sides[flipped, 1] *= -1.0
         return cls(np.asarray(vertices, float), np.asarray(faces, np.int32), sides)
+
+    @classmethod
+    def grid(
+        cls,
+        width: float,
+        height: float,
+        columns: int,
+        rows: int,
+        centre: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
+        level: bool = False,
+    ) -> ClothMesh:
+        """A rectangle of squares cut along alternating diagonals, with the warp along its height.
+
+        Vertex ``column * (rows + 1) + row`` stands at column 0 to ``columns`` from the left and row 0 to ``rows`` from
+        below.
+
+        Args:
+            width, height: [m].
+            columns, rows: number of squares along the width and the height.
+            centre: of the rectangle [m], shape (3,).
+            level: False for a curtain, its width along x, its height along y and its normals along z; True for a
+                tablecloth, its height along -z and its normals along y.
+
+        Raises:
+            InputError: a size that is not positive, or no whole number of columns or rows.
+        """
+        for key, value in (("width", width), ("height", height)):
+            if not (np.isfinite(value) and value > 0):
+                raise InputError("bad size", key=key, received=value, expected="a finite number above 0 [m]")
+        for key, value in (("columns", columns), ("rows", rows)):
+            if value != int(value) or value < 1:
+                raise InputError("bad number of squares", key=key, received=value, expected="a whole number above 0")
+        x, y = np.meshgrid(
+            width * (np.arange(columns + 1) / columns - 0.5), height * (np.arange(rows + 1) / rows - 0.5), indexing="ij"
+        )
+        up = (0.0, 0.0, -1.0) if level else (0.0, 1.0, 0.0)
+        vertices = np.asarray(centre, float) + x.reshape(-1, 1) * [1.0, 0.0, 0.0] + y.reshape(-1, 1) * up
+        faces = lattice_faces(np.arange(x.size).reshape(x.shape))
+        return cls.from_surface(vertices, faces, warp=up)
 
     def __post_init__(self) -> None:
         _check_faces(self.faces, len(self.vertices))

@@ -32,16 +32,16 @@ class ModelOptions:
     """How a model is made from a mesh and a fabric. Units as stated; the defaults are the fabric itself.
 
     Attributes:
-        squeeze: factor on the in-plane compliance under compression [-]. A coarse mesh cannot buckle where cloth does,
-            so its triangles may shorten instead.
-        shear_scale: factor on the shear stiffness [-]. Nor can it buckle along the bias, which is how cloth that is
-            sheared gives way.
+        compression_compliance_scale: factor on the in-plane compliance under compression [-]. A coarse mesh cannot
+            buckle where cloth does, so its triangles may shorten instead.
+        shear_scale: factor on the shear stiffness [-]. Cloth that is sheared buckles along the bias; a coarse mesh
+            cannot do that either.
         bend_scale: factor on the bending stiffness [-].
         tether_slack: length of a tether over the geodesic distance [-]; 0 leaves tethers out.
         pressure: of the air behind the cloth over that before it, where its normals point [Pa].
     """
 
-    squeeze: float = 1.0
+    compression_compliance_scale: float = 1.0
     shear_scale: float = 1.0
     bend_scale: float = 1.0
     tether_slack: float = 1.03
@@ -52,7 +52,7 @@ class ModelOptions:
             expected = "a finite number [Pa]"
             raise InputError("bad model option", key="pressure", received=self.pressure, expected=expected)
         allowed = {
-            "squeeze": (self.squeeze >= 1.0, "at least 1"),
+            "compression_compliance_scale": (self.compression_compliance_scale >= 1.0, "at least 1"),
             "shear_scale": (self.shear_scale > 0.0, "above 0"),
             "bend_scale": (self.bend_scale >= 0.0, "at least 0"),
             "tether_slack": (self.tether_slack >= 0.0, "at least 0"),
@@ -79,7 +79,7 @@ class Model:
         inverse_mass: [1/kg], 0 where a vertex is held, shape (n,).
         held: vertices that follow targets (pins and attachments), int32, shape (p,).
         triangles: shape (m, 3); triangle_data: inverse flat, gram, unit, compliance, see
-            :func:`pbd.constraints.membrane_multipliers`, and columns to fill the last block, shape (12, m + BLOCK).
+            :func:`pbd.xpbd.constraints.membrane_multipliers`, and columns to fill the last block: (12, m + BLOCK).
         triangle_colors, hinge_colors: offsets of the colours, shape (colours + 1,).
         triangle_blocks: first triangle and size of each block, all of one colour, shape (b, 2).
         block_colors: offsets of the colours of the blocks, shape (colours + 1,).
@@ -125,6 +125,7 @@ class Model:
 
     @property
     def vertex_count(self) -> int:
+        """Number of vertices n [-]."""
         return len(self.mesh.vertices)
 
 
@@ -314,10 +315,10 @@ class State:
         velocity: in the world [m/s], float32, shape (n, 3).
         nearest: body vertex nearest to each contact sample of the model, -1 for none, int32, shape (s,).
         contact: distance to the body [m], float32, shape (n,); ``pbd.geometry.FAR`` where nothing is near.
-        pairs: features of the cloth that touch one another, as :class:`pbd.self_collision.SelfCollision` counts them,
-            int32, shape (c, 4).
+        pairs: features of the cloth that touch one another, numbered as in
+            :class:`pbd.contact.self_collision.SelfCollision`, int32, shape (c, 4).
         carrier: velocity of what carries the cloth in the last frame, B x + b at a place x, as (B, b) [1/s], [m/s],
-            float64, shape (3, 4); for :func:`pbd.inertia.relieve`.
+            float64, shape (3, 4); for :func:`pbd.xpbd.inertia.relieve`.
         pair_sides: direction in which the first feature of each lies from the second and how far [m], negative once it
             has gone through, float32, shape (c, 4).
     """
@@ -357,6 +358,7 @@ class State:
             self.origin = np.array(origin, float)
 
     def copy(self) -> State:
+        """A state of its own with the same bits."""
         return State(*(getattr(self, name).copy() for name in self._names))
 
     _names = ("origin", "position", "velocity", "nearest", "contact", "carrier", "pairs", "pair_sides")

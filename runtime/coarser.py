@@ -6,8 +6,9 @@ import numpy as np
 
 from pbd import ModelOptions, State, build_model
 from pbd.attachment import Attachment
-from pbd.engine import Launch, ti
+from pbd.engine import ti
 from pbd.geometry import FAR, Float1, Int1, Vec3, Vec4, vec3, vec4, xyz
+from pbd.taichi_internals import Launch
 from runtime.simulation import Simulation
 from wrinkles.coarser import Coarser
 from wrinkles.surface import csr_arrays

@@ -1,4 +1,4 @@
-"""How much of a garment is modelled: what a player can be told to leave out while it plays."""
+"""How much of a garment is modelled: the parts that a player can leave out while it plays."""
 
 from __future__ import annotations
 
@@ -21,6 +21,9 @@ class Detail:
         passes: of relaxation on the fine mesh; with 0 the body is not kept out of the fine mesh either.
         level: 0 to simulate the mesh that the dictionary reads; 1 for the one below it, of a third of its vertices,
             on which it then hangs (:mod:`wrinkles.coarser`).
+
+    Raises:
+        InputError: a value that is no whole number, or too small or too large.
     """
 
     every: int

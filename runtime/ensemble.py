@@ -22,7 +22,7 @@ CHANGES = 2  # garments that change their detail in one tick: each takes another
 
 
 class Changeable(Protocol):
-    """What an ensemble needs of a :class:`runtime.player.Player`."""
+    """The methods that a group calls of a :class:`runtime.player.Player`."""
 
     @property
     def detail(self) -> Detail: ...
@@ -35,16 +35,16 @@ class Changeable(Protocol):
 
 
 class Ensemble:
-    """Plays garments within one budget.
+    """Plays several garments within one frame budget, each at the detail that the planner chooses.
 
     Args:
         players: one for each garment.
         planner: of the same garments, in the same order.
-        clock: time that is spent [s], by default that of this process.
+        clock: time that is spent [s]; the default is the processor time of this process.
 
     Attributes:
-        choices: what the planner chose last; a garment may still wait for its turn to change.
-        spent_ms: what the last tick took [ms].
+        choices: the planner's last ones; a garment may still wait for its turn to change.
+        spent_ms: time of the last tick [ms].
 
     Raises:
         InputError: another number of players than of fronts.
@@ -79,6 +79,9 @@ class Ensemble:
             dt: [s].
             sights: how each garment is seen.
             wind: velocity of the air [m/s].
+
+        Raises:
+            InputError: another number of sights than of garments, or as :meth:`runtime.player.Player.step`.
         """
         began = self._clock()
         planner = self.planner

@@ -120,13 +120,13 @@ def write_front(path: Path, front: Front) -> None:
         beside.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def read_front(path: Path) -> Front:
-    """Read what :func:`write_front` wrote.
+def read_front(path: str | Path) -> Front:
+    """Read the table that ``gube plan`` measured and :func:`write_front` wrote.
 
     Raises:
         InputError: a file that cannot be read or is no front, or one with values that cannot be.
     """
-    expected = "a front of `gube plan`; remove it to measure anew"
+    path, expected = Path(path), "a front of `gube plan`; remove it to measure anew"
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         if (content.pop("format"), content.pop("version")) != (FORMAT, VERSION):

@@ -1,4 +1,4 @@
-"""A game loop at 30 or 60 Hz: fixed ticks, pictures in between, and what became of the deadlines."""
+"""A game loop at 30 or 60 Hz: fixed ticks, pictures in between, and a count of missed deadlines."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _ROUNDING = 1e-6  # times closer than this are one time [tick]
 
 
 class LiveInput(NamedTuple):
-    """What the game says at one time.
+    """The game's input at one time.
 
     Attributes:
-        pose: of the body; what ``player.step`` takes.
+        pose: of the body, as ``player.step`` takes it.
         wind: velocity of the air [m/s].
         drag: a coarse vertex and the point in the world [m], shape (3,), at which it is held; None for none.
     """
@@ -34,7 +34,7 @@ class LiveInput(NamedTuple):
 
 
 class Playable(Protocol):
-    """What the loop needs of a :class:`runtime.player.Player`."""
+    """The methods that the loop calls: of :class:`runtime.player.Player` or :class:`runtime.simulation.Simulation`."""
 
     def step(self, pose: np.ndarray, dt: float, wind: Air = ...) -> Any: ...
 
@@ -61,8 +61,8 @@ class GameLoop:
 
     Args:
         player: steps and decodes.
-        input: what the game says at a time [s] of the garment, called once a tick with the time of the tick's end.
-            Live input has no future: what holds now is right.
+        input: gives the game's input at a time [s] of the garment; called once a tick with the time of the tick's
+            end. Live input has no future: it may return what holds now.
         rate_hz: frames a second.
         tick: [s].
         max_ticks: in a frame.
@@ -146,7 +146,7 @@ class GameLoop:
 
         Args:
             seconds: by the clock, rounded to frames.
-            show: draws or hands on the player's vertices; its time counts as the frame's. What it raises ends the run.
+            show: draws or hands on the player's vertices; its time counts as the frame's. Its exceptions end the run.
 
         Returns:
             :meth:`figures` of this run.

@@ -14,7 +14,7 @@ from wrinkles.charts import Charts
 from wrinkles.database import LearnedFabric, WrinkleDatabase, code_version, database_figures, read_database
 from wrinkles.decoder import Decoder
 from wrinkles.features import Stencil
-from wrinkles.levels import NEAR_AREA, with_area_of
+from wrinkles.levels import MAX_AREA_CORRECTION, with_area_of
 from wrinkles.patches import Patches
 from wrinkles.schema import ENTRIES
 from wrinkles.surface import Subdivision
@@ -199,7 +199,10 @@ def _choice(quality: Mapping[str, float]) -> list[tuple[str, str]]:
 
 def _other_fabric(other: LearnedFabric, quality: Mapping[str, float]) -> str:
     options = other.options
-    words = f"squeeze {options.squeeze:g}, shear scale {options.shear_scale:g}, bend scale {options.bend_scale:g}"
+    words = (
+        f"squeeze {options.compression_compliance_scale:g}, shear scale {options.shear_scale:g}, "
+        f"bend scale {options.bend_scale:g}"
+    )
     error, skill = (quality.get(f"{other.name}_{name}") for name in ("normal_error_deg", "normal_skill"))
     return words if error is None else f"{words}; held out: normal error {error:.2f} deg, skill {skill:.3f}"
 
@@ -264,7 +267,7 @@ def check_database(path: str | Path) -> list[Check]:
         subdivision = database.subdivision
         coarse, fine = subdivision.meshes(database.coarse_vertices, database.warp)
         coarse, ratio = with_area_of(coarse, fine)
-        near = database.binding is not None or abs(ratio - 1.0) <= NEAR_AREA
+        near = database.binding is not None or abs(ratio - 1.0) <= MAX_AREA_CORRECTION
         checks.append(Check("one rest metric", near, f"coarse area over fine area {ratio:.5f}"))
         model = build_model(
             database.gathers.applied(coarse),

@@ -79,7 +79,7 @@ def sight_of(cameras: Sequence[CameraSettings], centre: Sequence[float], size: f
 
 @dataclass(frozen=True)
 class Choice:
-    """What a garment is played with.
+    """The setting that a garment is played with.
 
     Attributes:
         index: of the setting in its front.
@@ -130,7 +130,7 @@ class Planner:
         self._slots = max(setting.detail.every for front in fronts for setting in front.settings)
 
     def plan(self, sights: Sequence[Sight], elapsed: float = math.inf) -> list[Choice]:
-        """Choose.
+        """Choose a setting for each garment.
 
         Args:
             sights: how each garment is seen now.
@@ -164,11 +164,16 @@ class Planner:
         ]
 
     def tick_ms(self, choices: Sequence[Choice]) -> float:
-        """What the dearest tick costs by the table [ms]."""
+        """Cost of the dearest tick by the table [ms]."""
         return float(self._share([choice.index for choice in choices])[1].max())
 
     def report(self, spent_ms: float, foretold_ms: float) -> None:
-        """Tell what a tick took and what it should have taken [ms]; budgets are met on the machine as it is."""
+        """Take note of the time that a tick took, so that budgets are met on the machine as it is.
+
+        Args:
+            spent_ms: measured [ms].
+            foretold_ms: by the table [ms].
+        """
         ratio = min(max(spent_ms / max(foretold_ms, 1e-6), 0.25), 4.0)
         difference = min(ratio, SPIKE * self.load) - self.load
         self.load += (QUICK if difference > 0.0 else SLOW) * difference

@@ -19,7 +19,15 @@ import numpy as np
 
 from pbd.storage import replacing
 
-__all__ = ["Progress", "Report", "machine_description", "package_version", "process_age", "write_report"]
+__all__ = [
+    "Progress",
+    "Report",
+    "machine_description",
+    "numbers_of",
+    "package_version",
+    "process_age",
+    "write_report",
+]
 
 
 @dataclass(frozen=True)
@@ -36,6 +44,11 @@ class Report:
     figures: Mapping[str, float | str] = field(default_factory=dict)
     rows: Sequence[Mapping[str, Any]] = ()
     passed: bool = True
+
+
+def numbers_of(row: Mapping[str, Any]) -> dict[str, Any]:
+    """The columns of a table's row that are no words: its figures."""
+    return {name: value for name, value in row.items() if not isinstance(value, str)}
 
 
 class Progress:

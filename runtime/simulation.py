@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from copy import copy
 from typing import Protocol
 
@@ -10,9 +11,10 @@ import numpy as np
 from assets.character import Character
 from assets.io.sequence import Sequence, SequenceBody
 from assets.skinning import SkinnedBody
-from pbd import Body, Colliders, Model, Solver, SolverOptions, State
+from pbd import Body, Colliders, InputError, Model, Solver, SolverOptions, State
 from pbd.attachment import Attachment
-from pbd.limits import Carried
+from pbd.contact.colliders import Primitive
+from pbd.limits import SkinnedTargets
 from pbd.wind import CALM, Air, Wind
 
 __all__ = ["BodySource", "Motion", "Simulation", "body_source", "poses_of"]
@@ -64,19 +66,25 @@ class Simulation:
         primitives: further colliders.
 
     Attributes:
-        body: what the garment collides with; without a body it has no faces.
+        state: of the garment.
+        body: the mesh that the garment collides with; without a body it has no faces.
         time: that has passed, which turbulent wind goes by [s].
+
+    Raises:
+        InputError: a body without a pose.
     """
 
     def __init__(
         self,
         model: Model,
-        attachment: Attachment | None,
-        source: BodySource | None,
-        pose: np.ndarray | None,
+        attachment: Attachment | None = None,
+        source: BodySource | None = None,
+        pose: np.ndarray | None = None,
         options: SolverOptions | None = None,
-        primitives: tuple = (),
+        primitives: Iterable[Primitive] = (),
     ) -> None:
+        if source is not None and pose is None:
+            raise InputError("a body without a pose", key="pose", expected="where the body is at the start")
         self.model, self.attachment, self.source = model, attachment, source
         self.solver = Solver(model, options)
         vertices = model.mesh.vertices
@@ -84,9 +92,10 @@ class Simulation:
             vertices = vertices @ pose[0, :, :3].T + pose[0, :, 3]
         self.state = State.at_rest(model, vertices)
         self.body = Body(source.faces, len(source.vertices)) if source else Body(np.zeros((0, 3), np.int32), 1)
-        self.colliders = Colliders(primitives, self.body if source else None)
+        self.colliders = Colliders(tuple(primitives), self.body if source else None)
         self.time = 0.0
-        self._carried = self._bind(model)
+        self._before, self._alpha = self.state.world(), 1.0
+        self._skinned_targets = self._bind(model)
         if pose is not None:
             self.place_body(pose)
 
@@ -95,13 +104,16 @@ class Simulation:
         other = copy(self)
         other.model, other.attachment = model, attachment
         other.solver, other.state = Solver(model, self.solver.options), State.at_rest(model)
-        other._carried = self._bind(model)
+        other._before, other._alpha = other.state.world(), 1.0
+        other._skinned_targets = self._bind(model)
         return other
 
-    def _bind(self, model: Model) -> Carried | None:
+    def _bind(self, model: Model) -> SkinnedTargets | None:
         if self.source is None or not len(model.limits.vertices):
             return None
-        return Carried(model.limits, model.mesh.vertices, model.mesh.faces, self.source.vertices, self.source.faces)
+        return SkinnedTargets(
+            model.limits, model.mesh.vertices, model.mesh.faces, self.source.vertices, self.source.faces
+        )
 
     def place_body(self, pose: np.ndarray) -> None:
         """Put the body into a pose without motion, about the garment's origin."""
@@ -110,14 +122,32 @@ class Simulation:
         self.source.skin(pose, self.state.origin, self.body.current)
         self.body.place(self.body.current.copy())
 
-    def step(self, pose: np.ndarray | None, dt: float, wind: Air = CALM) -> None:
+    @property
+    def vertices(self) -> np.ndarray:
+        """The garment in the world [m], float64, shape (n, 3): after the last step, or as :meth:`decode` chose."""
+        world = self.state.world()
+        return world if self._alpha == 1.0 else self._before + self._alpha * (world - self._before)
+
+    def decode(self, alpha: float = 1.0) -> None:
+        """Choose the moment that :attr:`vertices` shows, so that a :class:`runtime.game_loop.GameLoop` can play this.
+
+        Args:
+            alpha: 0 for the state before the last step, 1 for the one after it, in between interpolated.
+        """
+        self._alpha = alpha
+
+    def step(self, pose: np.ndarray | None = None, dt: float = 1.0 / 60.0, wind: Air = CALM) -> None:
         """Bring body and garment to the end of a frame.
 
         Args:
             pose: of the body at the end of the frame; None without a body.
             dt: frame time [s].
             wind: velocity of the air [m/s].
+
+        Raises:
+            InputError: a body without a pose, and as :meth:`pbd.Solver.step`.
         """
+        self._before, self._alpha = self.state.world(), 1.0
         self.pose_body(pose)
         self.step_cloth(dt, wind)
 
@@ -126,7 +156,8 @@ class Simulation:
         origin = self.solver.follow(self.state, self.colliders)
         if self.source is None:
             return
-        assert pose is not None
+        if pose is None:
+            raise InputError("a body without a pose", key="pose", expected="where the body is at the end of the frame")
         body = self.body
         body.previous, body.current = body.current, body.previous
         self.source.skin(pose, origin, body.current)
@@ -137,13 +168,13 @@ class Simulation:
         targets = None
         if self.attachment is not None:
             targets = self.attachment.targets(self.body.current) + self.state.origin
-        places = None
-        if self._carried is not None:
+        limit_targets = None
+        if self._skinned_targets is not None:
             previous = self.body.previous if dt > 0.0 else self.body.current
-            places = self._carried.places(previous, self.body.current, self.state.origin)
+            limit_targets = self._skinned_targets.targets(previous, self.body.current, self.state.origin)
         self.time += dt
         air = wind.at(self.state.world(), self.time) if isinstance(wind, Wind) else wind
-        self.solver.step(self.state, self.colliders, dt, targets, air, places)
+        self.solver.step(self.state, self.colliders, dt, targets, air, limit_targets)
 
     def drag(self, vertex: int, target: np.ndarray | None) -> None:
         """Hold a vertex at a point in the world [m], shape (3,); None lets it go."""

@@ -16,9 +16,7 @@ from assets.io.scene import FieldSettings, GarmentSettings, MotionSettings, Scen
 from assets.io.sequence import Sequence, SequenceMotion, load_sequence
 from assets.limits import load_limits
 from assets.motion import ClipMotion, part_of
-from assets.procedural.builtin import builtin_garment
 from assets.procedural.exploration import exploration_clip, exploration_motion
-from assets.procedural.mannequin import builtin_mannequin
 from assets.seams import load_seams
 from pbd import (
     Capsule,
@@ -61,8 +59,8 @@ PROCEDURAL_PIECE = 20.0  # procedural motion is made in pieces of this length [s
 
 @cache
 def load_body(file: Path | str) -> Character:
-    """A character by its path or "builtin:mannequin"."""
-    return builtin_mannequin() if str(file) == "builtin:mannequin" else load_character(file)
+    """A character as :func:`assets.character.load_character` loads it, the same one each time."""
+    return load_character(file)
 
 
 def motion_of(body: Character | Sequence, motion: MotionSettings) -> Motion:
@@ -313,14 +311,11 @@ def _garment_of(scene: Scene) -> tuple[GarmentSettings, Garment]:
         names = [garment.name for garment in scene.garments]
         raise InputError("one garment at a time", key="garment", received=names, expected="one [[garment]]")
     settings = scene.garments[0]
-    mesh = str(settings.mesh)
-    if mesh.startswith("builtin:"):
-        return settings, builtin_garment(mesh.removeprefix("builtin:"))
     return settings, load_garment(settings.mesh, pattern=settings.pattern)
 
 
 def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion | None]:
-    """What a scene describes, ready to be stepped: garments on a body, or one that hangs on its pins.
+    """The simulation of a scene at its start: garments on a body, or one garment that hangs on its pins.
 
     Args:
         scene: with one garment, or on a body with several.

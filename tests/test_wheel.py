@@ -9,7 +9,7 @@ import pytest
 
 from tests.data import ROOT
 
-PACKAGES = ("pbd", "assets", "wrinkles", "precompute", "runtime")
+PACKAGES = ("gube", "pbd", "assets", "wrinkles", "precompute", "runtime")
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +23,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_it_holds_the_five_packages_whole_and_nothing_else(wheel: Path) -> None:
+def test_it_holds_the_six_packages_whole_and_nothing_else(wheel: Path) -> None:
     shipped = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     in_checkout = {
         path.relative_to(ROOT).as_posix()
@@ -54,3 +54,17 @@ def test_the_command_starts_from_the_wheel_alone(wheel: Path, tmp_path: Path) ->
     assert result.returncode == 0, result.stderr
     assert "usage: gube" in result.stdout
     assert Path(result.stdout.splitlines()[-1]).is_relative_to(tmp_path)
+
+
+def test_the_public_names_come_from_the_wheel_alone(wheel: Path, tmp_path: Path) -> None:
+    zipfile.ZipFile(wheel).extractall(tmp_path)
+    script = (
+        "import sys; sys.path.insert(0, '.'); import gube\n"
+        "for name in gube.__all__: getattr(gube, name)\n"
+        "print(gube.__file__, gube.load_garment('builtin:skirt').source)"
+    )
+    command = [sys.executable, "-I", "-c", script]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    path, source = result.stdout.split()
+    assert Path(path).is_relative_to(tmp_path) and source == "builtin:skirt"

@@ -1,4 +1,7 @@
-"""Delivered fine meshes: each vertex is bound to a point of the smooth surface of a coarse mesh made by decimation."""
+"""Fine meshes that come with a garment: each vertex is bound to a point of a coarse mesh's smooth surface.
+
+The coarse mesh is made from the fine one by decimation. The solver moves the coarse mesh, and the fine one follows.
+"""
 
 from __future__ import annotations
 
@@ -20,33 +23,55 @@ from wrinkles.surface import Subdivision
 
 __all__ = ["Binding", "bind", "faces_around", "label_of", "nearest_places"]
 
-ROUNDS = 4  # of binding and fitting
-SMOOTH_STEPS = 3  # of smoothing the bound surface,
-SMOOTH_SHARE = 0.7  # each so much of the way to the mean of the neighbours
-CROWDED = (0.5, 1.5)  # lengths on the bound surface, as shares of the pattern's, beyond which places crowd or jump
-CROWDED_RINGS = 2  # of faces around them
-COTANGENTS = (0.05, 5.0)  # bounds of their weights, so that slivers neither tear nor tie
-PLACE_STEP = 2.0**-12  # places are rounded to this share of a face, some micrometres, so that a file holds them exactly
-FLAT_STEP = 2.0**-18  # and the pattern to this [m]
-STRAIGHT = 0.05  # weight of straightness against the places of vertices where the coarse mesh is laid out
-MOST = 4.0  # the pattern is never so many times as long as the smooth surface
-THIN = 0.98  # longest side over the sum of the others, from which a coarse face keeps the smooth surface's sides
-STRAY = 12  # fewer vertices that no edge of a panel joins to others tell nothing of lengths
-SLIVER = 1e-3  # cut faces below this share of the mean area carry no hinge
-BEYOND = 1.0  # how far outside its border a face still carries vertices, as a share of itself
+FIT_ROUNDS = 4  # alternations of binding the fine vertices and fitting the coarse ones
+STAY_WEIGHT = 0.02  # of a coarse vertex's last position in that fit, for vertices that carry almost nothing
+SMOOTHING_STEPS = 3  # of the bound surface; each step moves a vertex
+SMOOTHING_SHARE = 0.7  # of the distance to the mean of its neighbours
+REGULAR_EDGE_RATIO = (0.5, 1.5)  # bound length over pattern length [-]; outside this range bound points crowd or jump
+CROWDED_RINGS = 2  # rings of faces around such edges that are smoothed too
+COTANGENT_RANGE = (0.05, 5.0)  # of the weights; beyond it slivers would tear the surface or stiffen it
+PLACE_STEP = 2.0**-12  # barycentric weights are rounded to this (some micrometres), so that a file holds them exactly
+FLAT_STEP = 2.0**-18  # pattern coordinates are rounded to this [m], for the same reason
+STRAIGHTNESS_WEIGHT = 0.05  # of straight continuation against pattern positions, where the coarse mesh is laid out
+MAX_LENGTH_RATIO = 4.0  # a side's length in the layout over its smooth length, or the inverse; beyond it the fit failed
+MAX_THINNESS = 0.98  # longest side over the sum of the others; a thinner coarse face takes its smooth sides [-]
+MIN_PANEL_VERTICES = 12  # connected fine vertices; fewer do not determine the lengths of coarse edges
+MIN_HINGE_AREA = 1e-3  # of a cut face, as a share of the mean area; smaller faces carry no seam hinge
+MAX_OVERHANG = 1.0  # how far outside a border face a vertex may be bound, in barycentric weight
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """Cells: groups of fine vertices that lie in one coarse face and that edges of a panel join.
+
+    A coarse face at a seam has several cells, one on each panel.
+
+    Attributes:
+        of_vertex: cell of each fine vertex, int, shape (N,).
+        face: coarse face of each cell, int, shape (c,).
+        pairs: neighbouring cells, which an edge of a panel joins, int, shape (p, 2).
+        node: node of the layout at each corner of a cell's face, int, shape (c, 3).
+        node_count: number of nodes of the layout.
+    """
+
+    of_vertex: np.ndarray
+    face: np.ndarray
+    pairs: np.ndarray
+    node: np.ndarray
+    node_count: int
 
 
 @dataclass(frozen=True)
 class Binding:
-    """Vertices of a delivered fine mesh on the smooth surface of a coarse one.
+    """Where each vertex of a delivered fine mesh lies on the smooth surface of a coarse one.
 
     Attributes:
         face: face of the subdivided coarse mesh that carries each vertex, int32, shape (N,).
-        place: weights of that face's corners, below 0 for vertices beyond the border, shape (N, 3).
+        place: barycentric weights of that face's corners, below 0 for vertices beyond the border, shape (N, 3).
         panels: faces of the delivered mesh, int32, shape (M, 3).
-        flat: place of each vertex in the pattern [m], shape (N, 2).
-        stitches: between the panels, (v, a, b) of each, int32, shape (s, 3).
-        stitch_weights: x_v = (1 - w) x_a + w x_b, shape (s,).
+        flat: position of each vertex in the pattern [m], shape (N, 2).
+        stitches: vertices (v, a, b) of each stitch between the panels, int32, shape (s, 3).
+        stitch_weights: w of each stitch in x_v = (1 - w) x_a + w x_b, shape (s,).
     """
 
     face: np.ndarray
@@ -58,37 +83,42 @@ class Binding:
 
     @cached_property
     def sewn(self) -> Sewn:
-        """The panels closed to one surface."""
+        """The panels, closed at their seams to one surface."""
         return sew(self.panels, self.flat, Seams(self.stitches, self.stitch_weights))
 
     @cached_property
     def smoothing(self) -> csr_matrix:
-        """Some steps of each vertex towards the mean of its neighbours, those of the border stay: shape (N, N).
+        """Matrix that smooths the bound surface: steps of each vertex to its neighbours' mean, shape (N, N).
 
-        In pleats that the coarse mesh does not have, places crowd and jump, and the surface that they make is rough.
+        Vertices of the border stay. The coarse mesh has no pleats; where the fine mesh has them, bound points crowd
+        and jump, and the surface through them is rough.
         """
         return self.smoothing_where(np.ones(len(self.face), bool))
 
     def smoothing_where(self, chosen: np.ndarray) -> csr_matrix:
-        """The same steps for some vertices alone, bool, shape (N,): shape (N, N)."""
+        """The matrix of :attr:`smoothing` that moves only the chosen vertices, shape (N, N).
+
+        Args:
+            chosen: bool, shape (N,).
+        """
         mean, stays = _mean_of_neighbours(self.sewn, len(self.face))
-        share = np.where(chosen & ~stays, SMOOTH_SHARE, 0.0)
+        share = np.where(chosen & ~stays, SMOOTHING_SHARE, 0.0)
         step = identity(len(stays)) + diags(share) @ (mean - identity(len(stays)))
         made = identity(len(stays), format="csr")
-        for _ in range(SMOOTH_STEPS):
+        for _ in range(SMOOTHING_STEPS):
             made = (step @ made).tocsr()
         return made[self.sewn.one]
 
     def crowded(self, bound: np.ndarray) -> np.ndarray:
-        """Vertices whose places crowd or jump, and those around them: bool, shape (N,).
+        """Vertices whose bound points crowd or jump, and the vertices around them: bool, shape (N,).
 
         Args:
-            bound: where their places lie on the surface at rest [m], shape (N, 3).
+            bound: the bound points on the surface at rest [m], shape (N, 3).
         """
         faces, flat = self.sewn.faces, self.sewn.flat
         corners = bound[faces]
         length, rest = (np.linalg.norm(np.roll(c, -1, axis=1) - c, axis=2) for c in (corners, flat))
-        bad = (length < CROWDED[0] * rest) | (length > CROWDED[1] * rest)
+        bad = (length < REGULAR_EDGE_RATIO[0] * rest) | (length > REGULAR_EDGE_RATIO[1] * rest)
         found = np.zeros(len(bound), bool)
         found[faces[bad]] = found[np.roll(faces, -1, axis=1)[bad]] = True
         for _ in range(CROWDED_RINGS):
@@ -96,7 +126,7 @@ class Binding:
         return found[self.sewn.one]
 
     def mesh(self, vertices: np.ndarray) -> ClothMesh:
-        """The panels, stitched, with the pattern as their rest shape, at given places [m], shape (N, 3)."""
+        """The stitched panels at given positions [m], shape (N, 3), with the pattern as their rest shape."""
         made = ClothMesh.from_pattern(vertices, self.panels, _upright(self.flat[self.panels]))
         seams = self._seam_hinges(vertices)
         return replace(made, stitches=self.stitches, stitch_weights=self.stitch_weights, seam_hinges=seams)
@@ -104,19 +134,38 @@ class Binding:
     def coarse_lengths(self, coarse: ClothMesh, face: np.ndarray, place: np.ndarray) -> np.ndarray:
         """Rest lengths of the coarse edges that agree with the pattern [m], shape (e,).
 
-        The coarse mesh is laid out in the plane of the pattern: places of its vertices, linear on each face, that fit
-        those of the fine vertices, and go on straight where there are few. At seams it comes apart: what no edge of a
-        panel joins has vertices of its own. Lengths that are fitted one by one make no flat surface, and what is not
-        flat buckles by itself.
+        The coarse mesh is laid out in the plane of the pattern. The layout is linear on each coarse face, fits the
+        pattern positions of the fine vertices, and continues straight where a face carries few of them. At seams it
+        comes apart: faces that no edge of a panel joins have corners of their own. The lengths are measured in this
+        layout, because lengths that are fitted one by one fit no flat surface, and cloth whose rest shape is not flat
+        buckles by itself.
 
         Args:
-            coarse: the coarse mesh with the rest shape of its smooth surface, for what carries no vertices.
-            face, place: coarse face and weights of each fine vertex, shapes (N,), (N, 3).
+            coarse: the coarse mesh with the rest shape of its smooth surface, which decides where no vertices lie.
+            face: coarse face of each fine vertex, int, shape (N,).
+            place: barycentric weights in that face, shape (N, 3).
         """
-        faces, count = coarse.faces, len(face)
+        cells = self._cells(coarse.faces, face)
+        squares = self._squared_sides(coarse, cells, place)
+        size = np.bincount(cells.of_vertex, minlength=len(cells.face))
+        smooth_sides = coarse.side_lengths()
+        counted = _is_reliable(cells, size, len(coarse.faces))
+        ratio = np.sqrt(squares) / smooth_sides[cells.face]
+        counted &= (ratio > 1.0 / MAX_LENGTH_RATIO).all(axis=1) & (ratio < MAX_LENGTH_RATIO).all(axis=1)
+        total, weight = np.zeros((2, len(coarse.faces), 3))
+        np.add.at(total, cells.face[counted], (size[:, None] * squares)[counted])
+        np.add.at(weight, cells.face[counted], size[counted, None])
+        empty = weight == 0.0
+        total[empty], weight[empty] = smooth_sides[empty] ** 2, 1.0
+        side_edge = edges_of(coarse.faces)[1]
+        mean = lambda sides: np.bincount(side_edge.ravel(), sides.ravel()) / np.bincount(side_edge.ravel())  # noqa: E731
+        return _without_thin_faces(np.sqrt(mean(total / weight)), mean(smooth_sides), side_edge)
+
+    def _cells(self, faces: np.ndarray, face: np.ndarray) -> _Cells:
+        """Part the fine vertices into cells; cells that an edge of a panel joins share the corners of both faces."""
         ends = edges_of(self.panels)[0]
         inside = face[ends[:, 0]] == face[ends[:, 1]]
-        cell_count, cell = _components(count, ends[inside])  # what lies together in one coarse face
+        cell_count, cell = _components(len(face), ends[inside])
         cell_face = np.zeros(cell_count, np.int64)
         cell_face[cell] = face
         pairs = np.unique(np.sort(cell[ends[~inside]], axis=1), axis=0)
@@ -124,48 +173,35 @@ class Binding:
         pair, one, other = np.nonzero(same)
         links = np.stack([3 * pairs[pair, 0] + one, 3 * pairs[pair, 1] + other], axis=1)
         node_count, node = _components(3 * cell_count, links)
-        node = node.reshape(-1, 3)
-        data = _rows(place, node[cell], node_count)
-        straight = _rows(*self._hinges_between(coarse, cell_face, pairs, node), node_count)
-        left = data.T @ data + STRAIGHT * (straight.T @ straight) + 1e-8 * identity(node_count)
-        laid = splu(left.tocsc()).solve(data.T @ self.flat)
-        corner = laid[node]
-        squares = ((np.roll(corner, -1, axis=1) - corner) ** 2).sum(axis=2)
-        # A few vertices beside their own part of a panel lie anywhere.
-        share = np.bincount(cell, minlength=cell_count)
-        together = _components(cell_count, pairs)[1]
-        most = np.zeros(len(faces), np.int64)
-        np.maximum.at(most, cell_face, share)
-        counted = (np.bincount(together, share)[together] >= STRAY) & (4 * share >= most[cell_face])
-        own = coarse.side_lengths()
-        ratio = np.sqrt(squares) / own[cell_face]
-        counted &= (ratio > 1.0 / MOST).all(axis=1) & (ratio < MOST).all(axis=1)
-        total, weight = np.zeros((2, len(faces), 3))
-        np.add.at(total, cell_face[counted], (share[:, None] * squares)[counted])
-        np.add.at(weight, cell_face[counted], share[counted, None])
-        empty = weight == 0.0
-        total[empty], weight[empty] = own[empty] ** 2, 1.0
-        edges, side_edge = edges_of(faces)
-        mean = lambda sides: np.bincount(side_edge.ravel(), sides.ravel()) / np.bincount(side_edge.ravel())  # noqa: E731
-        lengths, smooth = np.sqrt(mean(total / weight)), mean(own)
-        for _ in range(len(edges)):
-            sides = lengths[side_edge]
-            thin = 2.0 * sides.max(axis=1) > THIN * sides.sum(axis=1)
-            thin &= ~np.isclose(sides, smooth[side_edge]).all(axis=1)
-            if not thin.any():
-                break
-            lengths[side_edge[thin]] = smooth[side_edge[thin]]
-        return lengths
+        return _Cells(cell, cell_face, pairs, node.reshape(-1, 3), node_count)
+
+    def _squared_sides(self, coarse: ClothMesh, cells: _Cells, place: np.ndarray) -> np.ndarray:
+        """Squared side lengths of each cell's coarse face in the layout [m2], shape (c, 3).
+
+        Args:
+            coarse, place: as for :meth:`coarse_lengths`.
+            cells: of the fine vertices.
+        """
+        data = _rows(place, cells.node[cells.of_vertex], cells.node_count)
+        straight = _rows(*self._hinges_between(coarse, cells.face, cells.pairs, cells.node), cells.node_count)
+        left = data.T @ data + STRAIGHTNESS_WEIGHT * (straight.T @ straight) + 1e-8 * identity(cells.node_count)
+        corner = splu(left.tocsc()).solve(data.T @ self.flat)[cells.node]
+        return ((np.roll(corner, -1, axis=1) - corner) ** 2).sum(axis=2)
 
     @staticmethod
     def _hinges_between(
         coarse: ClothMesh, cell_face: np.ndarray, pairs: np.ndarray, node: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Rows of the coarse hinges between cells, and the nodes that they act on: shapes (h, 4)."""
+        """Rows of the coarse hinges between cells, and the nodes of the layout that they act on: shapes (h, 4).
+
+        Args:
+            coarse: the coarse mesh.
+            cell_face, pairs, node: as in :class:`_Cells`.
+        """
         hinges, rows, _, _ = hinge_rows(coarse)
         count = len(coarse.vertices)
         faces = coarse.faces[cell_face]
-        # Its edge and each of the corners that face it tell which two faces a hinge joins.
+        # A hinge's edge and the two corners opposite to it identify the two faces that the hinge joins.
         key = lambda corners: (np.sort(corners, axis=1) * np.array([count**2, count, 1], np.int64)).sum(axis=1)  # noqa: E731
         sides = np.stack(
             [key(hinges[:, [0, 1, 2]].astype(np.int64)), key(hinges[:, [0, 1, 3]].astype(np.int64))], axis=1
@@ -184,22 +220,26 @@ class Binding:
         return np.array(found).reshape(-1, 4), np.array(acting, np.int64).reshape(-1, 4)
 
     def _seam_hinges(self, vertices: np.ndarray) -> Hinges | None:
-        """Hinges between the faces on both sides of a seam, but where more than two meet."""
+        """Hinges between the two faces at a seam; edges where more than two faces meet have none.
+
+        Args:
+            vertices: of the delivered mesh [m], shape (N, 3).
+        """
         sewn = self.sewn
         side_edge = edges_of(sewn.faces)[1].ravel()
         order = np.argsort(side_edge, kind="stable")
         order = order[np.bincount(side_edge)[side_edge[order]] == 2]
         one, other = order.reshape(-1, 2).T // 3
-        # What a panel's own face or edge has between its two sides is no seam.
+        # Two parts of one panel face, or two panel faces with a common edge, do not meet at a seam.
         own = sewn.panel_face[one] == sewn.panel_face[other]
         corners = np.sort(self.panels, axis=1)[sewn.panel_face]
         shared = (corners[one][:, :, None] == corners[other][:, None, :]).sum(axis=(1, 2)) == 2
         sides = sewn.flat[:, 1:] - sewn.flat[:, :1]
         area = 0.5 * np.abs(np.linalg.det(sides))
-        seam = ~own & ~shared & (np.minimum(area[one], area[other]) > SLIVER * area.mean())
+        seam = ~own & ~shared & (np.minimum(area[one], area[other]) > MIN_HINGE_AREA * area.mean())
         if not seam.any():
             return None
-        # Each hinge from two faces of its own, so that what meets elsewhere does not matter.
+        # Each pair of faces becomes a mesh of its own, so that no hinge with another face is made.
         pairs = np.stack([one, other], axis=1)[seam]
         flat = _upright(sewn.flat[pairs].reshape(-1, 3, 2))
         apart = sewn.faces[pairs] + len(vertices) * np.arange(len(pairs))[:, None, None]
@@ -209,70 +249,117 @@ class Binding:
         return Hinges((numbers % len(vertices))[hinges].astype(np.int32), rows, areas, angle)
 
 
+def _is_reliable(cells: _Cells, size: np.ndarray, face_count: int) -> np.ndarray:
+    """Cells whose sides in the layout are trusted: bool, shape (c,).
+
+    A few vertices beside their own part of a panel may lie anywhere in the layout.
+
+    Args:
+        cells: of the fine vertices.
+        size: number of vertices in each cell, int, shape (c,).
+        face_count: number of coarse faces.
+    """
+    panel = _components(len(size), cells.pairs)[1]
+    largest = np.zeros(face_count, np.int64)
+    np.maximum.at(largest, cells.face, size)
+    return (np.bincount(panel, size)[panel] >= MIN_PANEL_VERTICES) & (4 * size >= largest[cells.face])
+
+
+def _without_thin_faces(lengths: np.ndarray, smooth: np.ndarray, side_edge: np.ndarray) -> np.ndarray:
+    """The lengths, with those of the smooth surface for every face that would be too thin [m], shape (e,).
+
+    A replaced edge can make the next face too thin, so the replacement repeats until no face changes.
+
+    Args:
+        lengths: of the coarse edges in the layout [m], shape (e,); changed in place.
+        smooth: of the same edges on the smooth surface [m], shape (e,).
+        side_edge: edge of each side of a face, int, shape (m, 3).
+    """
+    for _ in range(len(lengths)):
+        sides = lengths[side_edge]
+        thin = 2.0 * sides.max(axis=1) > MAX_THINNESS * sides.sum(axis=1)
+        thin &= ~np.isclose(sides, smooth[side_edge]).all(axis=1)
+        if not thin.any():
+            break
+        lengths[side_edge[thin]] = smooth[side_edge[thin]]
+    return lengths
+
+
 def _components(count: int, links: np.ndarray) -> tuple[int, np.ndarray]:
-    """Number of connected components, and that of each of ``count`` things: int, shape (count,)."""
+    """Number of connected components of a graph, and the component of each of its nodes: int, shape (count,).
+
+    Args:
+        count: number of nodes.
+        links: pairs of connected nodes, int, shape (k, 2).
+    """
     return connected_components(csr_matrix((np.ones(len(links)), tuple(links.T)), (count, count)), directed=False)
 
 
 def _rows(values: np.ndarray, columns: np.ndarray, width: int) -> csr_matrix:
-    """A sparse matrix from the same number of entries in each row, both shape (r, k)."""
+    """A sparse matrix of shape (r, width) with the same number of entries in each row: values, columns (r, k)."""
     index = np.repeat(np.arange(len(values)), values.shape[1])
     return csr_matrix((values.ravel(), (index, columns.ravel())), (len(values), width))
 
 
 def _upright(flat: np.ndarray) -> np.ndarray:
-    """A pattern is laid out upright: its second axis is the warp."""
+    """Pattern coordinates in the order (warp, weft): the second axis of a pattern is the warp."""
     return flat[..., ::-1].copy()
 
 
 def bind(
     vertices: np.ndarray, faces: np.ndarray, flat: np.ndarray, seams: Seams | None, count: int, levels: int
 ) -> tuple[np.ndarray, Subdivision]:
-    """Coarse mesh of a fine one, and the subdivision between them.
+    """Make the coarse mesh of a fine one, and the subdivision that binds the fine mesh to it.
 
-    The panels are closed at their seams and decimated. Then each fine vertex takes the nearest point of the coarse
-    mesh's smooth surface, near its place along the cloth, and coarse vertices take the places whose smooth surface fits
-    best, in turn. Beyond the border a vertex goes on in the plane of the last face.
+    The panels are closed at their seams and decimated. Then two steps alternate: each fine vertex is bound to the
+    nearest point of the coarse mesh's smooth surface, among the faces near it along the cloth; and the coarse vertices
+    move to where their smooth surface fits the fine vertices best (least squares). Beyond the border a vertex is bound
+    in the plane of the last face.
 
     Args:
         vertices: of the fine mesh [m], shape (N, 3).
         faces: int, shape (M, 3).
-        flat: place of each vertex in the pattern [m], shape (N, 2).
+        flat: position of each vertex in the pattern [m], shape (N, 2).
         seams: stitches between the panels, None without any.
         count: coarse vertices to start from, see :func:`assets.remesh.decimated`.
-        levels: times that each coarse face is cut in four.
+        levels: number of times that each coarse face is cut in four.
 
     Returns:
         coarse vertices [m], shape (n, 3), and the subdivision.
+
+    Raises:
+        InputError: seams that close to no surface, see :func:`assets.seams.without_pleats`.
     """
     flat = np.round(flat / FLAT_STEP) * FLAT_STEP
     seams = seams or Seams(np.zeros((0, 3), np.int32), np.zeros(0))
     sewn = sew(faces, flat, seams)
     whole, shrunk = without_pleats(sewn.faces)
-    stands = shrunk[sewn.one]
     used, whole = np.unique(whole, return_inverse=True)
     whole = whole.reshape(-1, 3).astype(np.int32)
-    number = np.searchsorted(used, stands)  # of each fine vertex in the closed surface
+    number = np.searchsorted(used, shrunk[sewn.one])  # of each fine vertex in the closed surface
     chosen, coarse_faces = decimated(vertices[used], whole, count)
     plain = Subdivision.of(coarse_faces, len(chosen), levels)
     near = faces_around(coarse_faces, label_of(vertices[used], whole, chosen)[number])
     coarse = vertices[used][chosen]
-    for _ in range(ROUNDS):
+    for _ in range(FIT_ROUNDS):
         face, place = nearest_places(plain, plain.upsample(coarse), coarse, vertices, near)
         near = faces_around(coarse_faces, coarse_faces[face // 4**levels])
         binding = Binding(face, place, faces, flat, seams.vertices, seams.weights)
         bound = Subdivision.of(coarse_faces, len(chosen), levels, binding)
-        # A little weight on staying, for coarse vertices that carry next to nothing.
-        left = bound.matrix.T @ bound.matrix + 0.02 * identity(len(coarse))
-        coarse = splu(left.tocsc()).solve(bound.matrix.T @ vertices + 0.02 * coarse)
+        left = bound.matrix.T @ bound.matrix + STAY_WEIGHT * identity(len(coarse))
+        coarse = splu(left.tocsc()).solve(bound.matrix.T @ vertices + STAY_WEIGHT * coarse)
     return coarse, bound
 
 
 def _mean_of_neighbours(sewn: Sewn, count: int) -> tuple[csr_matrix, np.ndarray]:
-    """Mean of each vertex's neighbours, weighted as the pattern lies, and which vertices have no mean to go to.
+    """Matrix of the weighted mean of each vertex's neighbours, and the vertices that smoothing must not move.
 
-    The weights are those of the harmonic map (Pinkall and Polthier 1993), none below 0. What stands for no vertex and
-    what lies on the border stays.
+    The weights are the cotangents of the harmonic map (Pinkall and Polthier 1993, "Computing discrete minimal surfaces
+    and their conjugates") in the pattern, none below 0. Vertices without a face and those of the border stay.
+
+    Args:
+        sewn: the closed surface.
+        count: number of vertices n.
 
     Returns:
         a matrix of shape (n, n) and bool, shape (n,).
@@ -282,7 +369,7 @@ def _mean_of_neighbours(sewn: Sewn, count: int) -> tuple[csr_matrix, np.ndarray]
         one, other, apex = (sewn.flat[:, (k + turn) % 3] for turn in range(3))
         u, v = one - apex, other - apex
         twice_area = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
-        cotangent = np.clip((u * v).sum(axis=1) / np.maximum(twice_area, 1e-12), *COTANGENTS)
+        cotangent = np.clip((u * v).sum(axis=1) / np.maximum(twice_area, 1e-12), *COTANGENT_RANGE)
         ends = sewn.faces[:, [k, (k + 1) % 3]]
         rows += [ends[:, 0], ends[:, 1]]
         columns += [ends[:, 1], ends[:, 0]]
@@ -296,7 +383,13 @@ def _mean_of_neighbours(sewn: Sewn, count: int) -> tuple[csr_matrix, np.ndarray]
 
 
 def label_of(vertices: np.ndarray, faces: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """The chosen vertex that is nearest along the mesh to each vertex, as a number in the choice: int, shape (n,)."""
+    """Index into ``chosen`` of the chosen vertex that is nearest to each vertex along the edges: int, shape (n,).
+
+    Args:
+        vertices: [m], shape (n, 3).
+        faces: int, shape (m, 3).
+        chosen: vertices, int, shape (k,).
+    """
     edges = edges_of(faces)[0]
     lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
     graph = csr_matrix((lengths, tuple(edges.T)), (len(vertices),) * 2)
@@ -306,7 +399,7 @@ def label_of(vertices: np.ndarray, faces: np.ndarray, chosen: np.ndarray) -> np.
 
 
 def faces_around(faces: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Faces around some vertices in each row, filled up with the first: int, shape (p, k).
+    """Faces around the vertices of each row, padded with the row's first face: int, shape (p, k).
 
     Args:
         faces: int, shape (m, 3).
@@ -326,14 +419,14 @@ def faces_around(faces: np.ndarray, corners: np.ndarray) -> np.ndarray:
 def nearest_places(
     plain: Subdivision, smooth: np.ndarray, coarse: np.ndarray, points: np.ndarray, near: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Nearest points of a smooth surface: face of it, int32, shape (p,), and weights of its corners, shape (p, 3).
+    """Nearest points of a smooth surface: its face, int32, shape (p,), and barycentric weights, shape (p, 3).
 
     Args:
-        plain: of the coarse mesh.
-        smooth: its vertices [m], shape (q, 3).
+        plain: subdivision of the coarse mesh.
+        smooth: vertices of the subdivided mesh [m], shape (q, 3).
         coarse: coarse vertices [m], shape (n, 3).
         points: [m], shape (p, 3).
-        near: coarse faces to look at, shape (p, k).
+        near: candidate coarse faces of each point, int, shape (p, k).
     """
     rows = np.arange(len(points))[:, None]
     cut = 4 ** len(plain.steps)
@@ -343,24 +436,26 @@ def nearest_places(
     away, weights = _distance(points[:, None], smooth[plain.faces[candidates]])
     first = away.argmin(axis=1)[:, None]
     face, weights = candidates[rows, first][:, 0], weights[rows, first][:, 0]
-    # On the border the nearest point is a foot on it: the vertex keeps its own distance in the face's plane instead.
+    # A point beyond the border has its nearest point on it. It is bound in the face's plane instead, so that it keeps
+    # its distance from the border.
     edges, side_edge = edges_of(plain.faces)
     rim = (np.bincount(side_edge.ravel(), minlength=len(edges)) == 1)[side_edge]
     opposite = np.roll(weights, 1, axis=1) < 1e-9  # of side s the corner s - 1 has no weight
     beyond = (rim[face] & opposite).any(axis=1)
     weights[beyond] = _in_plane(points[beyond], smooth[plain.faces[face[beyond]]])
-    weights = np.clip(weights, -BEYOND, 1.0 + BEYOND)
+    weights = np.clip(weights, -MAX_OVERHANG, 1.0 + MAX_OVERHANG)
     place = np.round(weights[:, 1:] / PLACE_STEP) * PLACE_STEP
     return face.astype(np.int32), np.concatenate([1.0 - place.sum(axis=1, keepdims=True), place], axis=1)
 
 
 def _distance(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances of points from triangles [m], shape (p, k), and weights of the closest points, shape (p, k, 3)."""
     weights = closest_weights(points, corners[..., 0, :], corners[..., 1, :], corners[..., 2, :])
     return np.linalg.norm(np.einsum("pkc,pkci->pki", weights, corners) - points, axis=2), weights
 
 
 def _in_plane(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Barycentric weights of points laid into the planes of triangles, shape (p, 3)."""
+    """Barycentric weights of points projected into the planes of triangles, shape (p, 3)."""
     sides = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
     inner = np.einsum("pai,pi->pa", np.linalg.pinv(sides), points - corners[:, 0])
     return np.concatenate([1.0 - inner.sum(axis=1, keepdims=True), inner], axis=1)

@@ -1,7 +1,7 @@
-"""Charts of a coarse mesh: each vertex sees its surroundings in flat coordinates along warp and weft.
+"""Charts of a coarse mesh: flat coordinates (warp, weft) of the cloth around each vertex.
 
-Everything is intrinsic (rest lengths only), so charts do not change when the garment moves, and a curtain, a skirt and
-a sleeve look alike in them: one dictionary serves all places.
+Charts use rest lengths only, so they do not change when the garment moves. A curtain, a skirt and a sleeve have the
+same chart coordinates, so that one dictionary of wrinkles serves every part of every garment.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ __all__ = ["Charts", "fine_places", "leading_vertices"]
 
 
 def fine_places(subdivision: Subdivision) -> tuple[np.ndarray, np.ndarray]:
-    """Coarse face and barycentric weights of each fine vertex: int, shape (N,), and float, shape (N, 3)."""
+    """Coarse face, int, shape (N,), and barycentric weights, none below 0, shape (N, 3), of each fine vertex."""
     face, place = subdivision.places
     inside = np.clip(place, 0.0, None)  # a delivered vertex may lie beyond the border
     return face, inside / inside.sum(axis=1, keepdims=True)
 
 
 def leading_vertices(subdivision: Subdivision) -> np.ndarray:
-    """The coarse vertices around each fine vertex, the one that it leans on most first: int32, shape (N, 3)."""
+    """The three coarse vertices around each fine vertex, by descending weight: int32, shape (N, 3)."""
     face, place = fine_places(subdivision)
     order = np.argsort(-place, axis=1, kind="stable")
     return np.ascontiguousarray(subdivision.coarse_faces[face[:, None], order], np.int32)
@@ -37,8 +37,8 @@ class Charts:
     Attributes:
         mesh: the coarse mesh.
         start: angle at which face f begins around its corner c (the side to the next corner) [rad], shape (m, 3).
-        opening: corner angles in the chart [rad], shape (m, 3): stretched inside so that they sum to a full turn.
-        scale: chart angle over true angle, shape (n,).
+        opening: corner angles in the chart [rad], shape (m, 3); around inner vertices they are scaled to a full turn.
+        scale: chart angle over true angle of each vertex [-], shape (n,).
         neighbor: face across side s, -1 on the rim, int, shape (m, 3).
     """
 
@@ -50,7 +50,7 @@ class Charts:
 
     @classmethod
     def of(cls, mesh: ClothMesh) -> Charts:
-        """Charts of a mesh, from its rest metric."""
+        """Make the charts of a mesh from its rest metric."""
         faces, count = mesh.faces, len(mesh.vertices)
         corner = np.concatenate([np.zeros((len(faces), 1, 2)), mesh.flat.transpose(0, 2, 1)], axis=1)
         to_next = np.roll(corner, -1, axis=1) - corner
@@ -67,14 +67,19 @@ class Charts:
         scale = np.where(on_rim, 1.0, 2 * np.pi / np.maximum(total, 1e-9))
         opening = true_opening * scale[faces]
         start = _fan_angles(faces, neighbor, opening, count)
-        # Turn each chart so that its warp agrees with the faces' own in the mean.
+        # Turn each chart so that its warp agrees on average with the warp of the faces around the vertex.
         difference = warp_angle - start
         sine = np.bincount(faces.ravel(), weights=np.sin(difference).ravel(), minlength=count)
         cosine = np.bincount(faces.ravel(), weights=np.cos(difference).ravel(), minlength=count)
         return cls(mesh, start + np.arctan2(sine, cosine)[faces], opening, scale, neighbor)
 
     def locate(self, face: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Chart coordinates of points, seen from the three corners of their face: [m], shape (p, 3 corners, 2)."""
+        """Coordinates of points in the charts of the three corners of their face [m], shape (p, 3 corners, 2).
+
+        Args:
+            face: int, shape (p,).
+            weights: barycentric weights in the face, shape (p, 3).
+        """
         corner = np.concatenate([np.zeros((len(face), 1, 2)), self.mesh.flat[face].transpose(0, 2, 1)], axis=1)
         point = np.einsum("pc,pci->pi", weights, corner)[:, None, :]
         arm, side = point - corner, np.roll(corner, -1, axis=1) - corner
@@ -84,18 +89,18 @@ class Charts:
         return radius[..., None] * np.stack([np.cos(theta), np.sin(theta)], axis=2)
 
     def trace(self, vertex: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Walk straight from vertices by chart offsets (the exponential map).
+        """Follow a straight line on the cloth from each vertex by a chart offset (the exponential map).
 
-        A vertex on the rim has a sector of cloth around it: an offset beside the sector counts as the nearest in it,
-        along the rim, so that the chart reaches both ways along a hem that curves away.
+        A vertex on the rim has only a sector of cloth around it. An offset outside the sector is projected onto the
+        sector's nearest side, so that the chart follows a curved hem in both directions.
 
         Args:
             vertex: int, shape (p,).
             offset: (warp, weft) [m], shape (p, 2).
 
         Returns:
-            face (int, shape (p,)), barycentric weights (shape (p, 3)) of where the walk ends and whether it
-            got there before the rim (bool, shape (p,)).
+            face of the end point, int, shape (p,); its barycentric weights, shape (p, 3); and whether the line reached
+            it without meeting the rim, bool, shape (p,).
         """
         flat = self.mesh.flat
         face, corner, turn, beside = self._first_face(vertex, np.arctan2(offset[:, 1], offset[:, 0]))
@@ -135,22 +140,29 @@ class Charts:
         return face, weights / weights.sum(axis=1, keepdims=True), arrived
 
     def _first_face(self, vertex: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Face around a vertex that holds a direction or is nearest to it: face, corner, angle into the face, and angle
-        by which the direction misses it.
+        """The face around a vertex that contains a direction, or the nearest one.
+
+        Args:
+            vertex: int, shape (p,).
+            theta: direction in the vertex's chart [rad], shape (p,).
+
+        Returns:
+            face, corner of the face, angle from the face's first side, and angle by which the direction misses the
+            face [rad]: shape (p,) each.
         """
         order = np.argsort(self.mesh.faces.ravel(), kind="stable")
         first = np.searchsorted(self.mesh.faces.ravel()[order], np.arange(len(self.mesh.vertices) + 1))
-        slot = np.arange(int(np.diff(first).max(initial=1)))  # as many as the vertex with most faces has
+        slot = np.arange(int(np.diff(first).max(initial=1)))  # the largest number of faces around a vertex
         there = slot < np.diff(first)[vertex][:, None]
         around = order[np.where(there, first[vertex][:, None] + slot, 0)]
         into = (theta[:, None] - self.start.ravel()[around]) % (2 * np.pi)
-        room = self.opening.ravel()[around]
-        past, before = np.maximum(into - room, 0.0), 2 * np.pi - into
+        opening = self.opening.ravel()[around]
+        past, before = np.maximum(into - opening, 0.0), 2 * np.pi - into
         best = np.where(there, np.minimum(past, before), np.inf).argmin(axis=1)
         pick = lambda a: a[np.arange(len(vertex)), best]  # noqa: E731
         face, corner = np.divmod(pick(around), 3)
-        into, room, past, before = (pick(a) for a in (into, room, past, before))
-        turn = np.where(past <= before, np.minimum(into, room), 0.0)
+        into, opening, past, before = (pick(a) for a in (into, opening, past, before))
+        turn = np.where(past <= before, np.minimum(into, opening), 0.0)
         beside = np.minimum(past, before)
         return face, corner, turn, beside
 
@@ -163,7 +175,16 @@ class Charts:
         out: np.ndarray,
         across: np.ndarray,
     ) -> None:
-        """Lay the next face beside the current one, in place."""
+        """Unfold the next face into the plane of the current one, and step into it, in place.
+
+        Args:
+            local: corners of each walk's face in the plane [m], shape (p, 3, 2).
+            face: of each walk, int, shape (p,).
+            entered: side of the face by which the walk entered, int, shape (p,).
+            index: walks that step, int, shape (k,).
+            out: side by which they leave, int, shape (k,).
+            across: face behind that side, int, shape (k,).
+        """
         rows, faces = np.arange(len(index)), self.mesh.faces
         position_a, position_b = local[index, out], local[index, (out + 1) % 3]
         # In the next face the shared side runs from b to a.
@@ -182,6 +203,7 @@ class Charts:
 
 
 def _neighbors(faces: np.ndarray, count: int) -> np.ndarray:
+    """Face across each side, -1 on the rim: int, shape (m, 3); ``count`` is the number of vertices."""
     start = faces.astype(np.int64)
     end = np.roll(start, -1, axis=1)
     key, reverse = (start * count + end).ravel(), (end * count + start).ravel()
@@ -192,7 +214,7 @@ def _neighbors(faces: np.ndarray, count: int) -> np.ndarray:
 
 
 def _fan_angles(faces: np.ndarray, neighbor: np.ndarray, opening: np.ndarray, count: int) -> np.ndarray:
-    """Angle at which each face begins around each of its corners, counted from the first face of the fan."""
+    """Angle at which each face begins around its corners, from the first face of the fan [rad], shape (m, 3)."""
     start = np.zeros(faces.shape)
     done = np.zeros(faces.shape, bool)
     # A fan begins after the rim if it has one: corners whose side to the next corner has no neighbour come first.
@@ -213,6 +235,7 @@ def _fan_angles(faces: np.ndarray, neighbor: np.ndarray, opening: np.ndarray, co
 
 
 def _barycentric(local: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Barycentric weights of points, shape (p, 2), in triangles of the plane, shape (p, 3, 2): shape (p, 3)."""
     a, b, c = local[:, 0], local[:, 1], local[:, 2]
     cross = lambda u, v: u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]  # noqa: E731
     area = cross(b - a, c - a)
@@ -223,7 +246,7 @@ def _barycentric(local: np.ndarray, point: np.ndarray) -> np.ndarray:
 
 
 def _exit_side(local: np.ndarray, origin: np.ndarray, end: np.ndarray, entered: np.ndarray) -> np.ndarray:
-    """Side by which the ray leaves the face: the nearest crossing ahead that is not the side it came in by."""
+    """Side by which each ray leaves its face: the nearest crossing ahead, except the side by which it entered."""
     best, best_t = np.zeros(len(local), np.int64), np.full(len(local), np.inf)
     ray = end - origin
     for side in range(3):
@@ -239,6 +262,7 @@ def _exit_side(local: np.ndarray, origin: np.ndarray, end: np.ndarray, entered: 
 
 
 def _crossing(local: np.ndarray, origin: np.ndarray, end: np.ndarray, side: np.ndarray) -> np.ndarray:
+    """Points where segments cross the lines of given sides of their triangles [m], shape (p, 2)."""
     rows = np.arange(len(local))
     a, b = local[rows, side], local[rows, (side + 1) % 3]
     normal = np.stack([(b - a)[:, 1], -(b - a)[:, 0]], axis=1)

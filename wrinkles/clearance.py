@@ -1,4 +1,4 @@
-"""How fine cloth lies on a body: how far it keeps from it, and which way it looks."""
+"""How fine cloth lies on a body: the distance that it keeps from the body, and the side that faces outwards."""
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -8,20 +8,21 @@ from pbd import ClothMesh
 
 __all__ = ["clearances", "facing"]
 
-MOST = 0.004  # added to the thickness at most [m]
+MAX_EXTRA_CLEARANCE = 0.004  # added to the thickness where the body bulges [m]
 
 
 def clearances(vertices: np.ndarray, faces: np.ndarray, spacing: np.ndarray | float, thickness: float) -> np.ndarray:
-    """Distance that cloth vertices keep from a body near each of its vertices [m], float32, shape (b,).
+    """Distance that cloth vertices keep from a body, at each of the body's vertices [m], float32, shape (b,).
 
-    Between its ends an edge of the cloth sinks into what is convex. A body vertex that stands out over its surroundings
-    (the mean, by area, of what is nearer than one edge of the cloth) gives its height to everything in them.
+    The middle of a cloth edge sinks into a convex body, so the ends must keep more distance there. The surroundings of
+    a body vertex are the vertices nearer than one edge of the cloth. A vertex that lies above the mean of its
+    surroundings (weighted by area) adds its height above the mean to the clearance of all of them.
 
     Args:
         vertices: of the body, in any pose [m], shape (b, 3).
         faces: int, counter-clockwise seen from outside, shape (k, 3).
-        spacing: length of the cloth's edges near each vertex [m], shape (b,), or everywhere.
-        thickness: that they keep from a flat body [m].
+        spacing: length of the cloth's edges near each vertex [m], shape (b,), or one length for all.
+        thickness: distance kept from a flat body [m].
     """
     count = len(vertices)
     if not len(faces):
@@ -30,7 +31,7 @@ def clearances(vertices: np.ndarray, faces: np.ndarray, spacing: np.ndarray | fl
     tree = cKDTree(vertices)
     reach = np.broadcast_to(spacing, count)
     pairs = tree.query_pairs(float(reach.max()), output_type="ndarray")
-    # What faces another way is another part of the body, and no surroundings.
+    # A vertex whose normal points the opposite way belongs to another part of the body, not to the surroundings.
     pairs = pairs[np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) > 0.0]
     pairs = np.concatenate([pairs, pairs[:, ::-1], np.repeat(np.arange(count)[:, None], 2, axis=1)])
     one, other = pairs[np.linalg.norm(vertices[pairs[:, 0]] - vertices[pairs[:, 1]], axis=1) <= reach[pairs[:, 0]]].T
@@ -38,14 +39,14 @@ def clearances(vertices: np.ndarray, faces: np.ndarray, spacing: np.ndarray | fl
     total = np.maximum(np.asarray(near.sum(axis=1)).ravel(), 1e-20)
     height = ((vertices - (near @ vertices) / total[:, None]) * normals).sum(axis=1)
     height[areas == 0.0] = 0.0
-    sag = np.clip(height, 0.0, MOST)
+    sag = np.clip(height, 0.0, MAX_EXTRA_CLEARANCE)
     widest = sag.copy()
     np.maximum.at(widest, one, sag[other])
     return (thickness + widest).astype(np.float32)
 
 
 def facing(mesh: ClothMesh, vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Which way a garment's faces look in the bind pose: 1 away from the body under them, -1 at it.
+    """Orientation of a garment's faces in the bind pose: 1 if their normals point away from the body, -1 if into it.
 
     Args:
         mesh: of the garment.

@@ -1,15 +1,19 @@
-"""The filter of a freely running coarse garment: the dictionary learned from one without folds at its mesh's limit."""
+"""A low-pass filter for a coarse garment that is simulated on its own, before its wrinkles are predicted.
+
+The dictionary was trained on filtered coarse states, which have no folds of the shortest wavelengths.
+"""
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 
 from pbd.bending import hinge_rows
-from pbd.engine import Launch, ensure_initialized, ti
+from pbd.engine import ensure_initialized, ti
+from pbd.taichi_internals import Launch
 from wrinkles.levels import Levels
 
 __all__ = ["CoarseFilter"]
 
-LEAST = 2e-3  # smaller weights are left out: the filter reaches about three rings
+MIN_WEIGHT = 2e-3  # smaller weights are left out: the filter then reaches about three rings of vertices
 
 Vec4 = ti.types.ndarray(dtype=ti.math.vec4, ndim=1)
 Int1 = ti.types.ndarray(dtype=ti.i32, ndim=1)
@@ -30,15 +34,16 @@ def _filter(start: Int1, index: Int1, value: Float1, position: Vec4, filtered: V
 class CoarseFilter:
     """The smoothing spline of :meth:`Levels.filter_down`, on the coarse mesh itself and with the same cut-off.
 
-    A fine run filtered down keeps 1/(1 + (cutoff/L)^4) of a fold of wavelength L. A coarse garment that runs freely
-    folds at its mesh's limit too; the dictionary would take that for the small rest of a fold that it knows, and
-    raise it.
+    A filtered fine run keeps the share 1/(1 + (cutoff/L)^4) of a fold of wavelength L. A coarse garment that is
+    simulated on its own also has folds at the limit of its mesh. Without the filter the dictionary would take such a
+    fold for the faint remainder of a fine fold, and amplify it.
 
     Args:
         levels: of the garment.
 
     Attributes:
-        matrix: rows sum to one, held vertices stay; shape (n, n).
+        matrix: filters coarse positions; rows sum to one, held vertices stay; shape (n, n).
+        position: filtered positions of the last call [m], float32, shape (n, 4).
     """
 
     def __init__(self, levels: Levels) -> None:
@@ -52,7 +57,7 @@ class CoarseFilter:
         weight[levels.coarse_held] *= 1.0e3
         stiffness = (levels.cutoff / (2.0 * np.pi)) ** 4
         whole = np.linalg.solve((diags(weight) + stiffness * bending).toarray(), np.diag(weight))
-        whole[np.abs(whole) < LEAST] = 0.0
+        whole[np.abs(whole) < MIN_WEIGHT] = 0.0
         whole[levels.coarse_held] = np.eye(count)[levels.coarse_held]
         self.matrix = csr_matrix(whole / whole.sum(axis=1, keepdims=True))
         self._start = self.matrix.indptr.astype(np.int32)
@@ -62,6 +67,10 @@ class CoarseFilter:
         self._filter = Launch(_filter)
 
     def __call__(self, position: np.ndarray) -> np.ndarray:
-        """Filtered positions [m]: an array of the filter, float32, shape (n, 4)."""
+        """Filter positions [m], float32, shape (n, 4).
+
+        Returns:
+            :attr:`position`, which the next call overwrites. The fourth column is copied.
+        """
         self._filter(self._start, self._index, self._value, position, self.position)
         return self.position

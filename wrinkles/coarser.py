@@ -1,4 +1,7 @@
-"""A mesh below the coarse one, for garments that are seen from far away: the coarse mesh is bound to it."""
+"""A mesh with a third of the coarse vertices, for garments that are seen from far away.
+
+The solver moves this mesh instead of the coarse one, and the coarse mesh is bound to its smooth surface.
+"""
 
 from __future__ import annotations
 
@@ -18,26 +21,26 @@ from wrinkles.surface import Subdivision
 
 __all__ = ["Coarser", "coarser_of"]
 
-SHARE = 3  # coarse vertices for each of its own
-FEWEST = 16  # vertices of its own; with fewer a garment has no shape left
-ROUNDS = 4  # of binding and fitting
-HELD = 100.0  # weight of the places of held vertices in it
-PIECES = 4  # of a side, laid on the coarse mesh's surface
-STAY = 0.02  # weight on staying, for vertices that carry next to nothing
+REDUCTION = 3  # coarse vertices for each vertex of this mesh
+MIN_VERTICES = 16  # of this mesh; with fewer a garment loses its shape
+FIT_ROUNDS = 4  # alternations of binding the coarse vertices and fitting this mesh
+HELD_WEIGHT = 100.0  # of held coarse vertices in the fit; the others have 1
+STAY_WEIGHT = 0.02  # of a vertex's last position in the fit, for vertices that carry almost nothing
+PIECES_PER_EDGE = 4  # straight pieces in which an edge is laid on the coarse mesh's surface
 
 
 @dataclass(frozen=True)
 class Coarser:
-    """A mesh with about a third of the coarse vertices. The coarse ones hang on its smooth surface.
+    """A mesh with about a third of the coarse vertices, and the coarse vertices' binding to its smooth surface.
 
     Attributes:
-        mesh: with the rest metric of the coarse mesh; the areas of both sum to the same.
+        mesh: the mesh, with the rest metric and the total area of the coarse mesh.
         held: its attached vertices, int, shape (p,).
-        matrix: coarse vertices from its own, rows sum to one, shape (n, k).
-        inverse: its own vertices for coarse ones, by least squares over the area: what is bound to it comes back as it
-            was, shape (k, n).
-        nearest: the coarse vertex that leans most on each of its own, int, shape (k,).
-        leading: the one of its own that each coarse vertex leans on most, int32, shape (n,).
+        matrix: gives coarse vertices from those of the mesh; rows sum to one, shape (n, k).
+        inverse: gives vertices of the mesh from coarse ones, by least squares over the area; inverse @ matrix is the
+            identity, shape (k, n).
+        nearest: the coarse vertex that depends most on each vertex of the mesh, int, shape (k,).
+        leading: the vertex of the mesh that each coarse vertex depends on most, int32, shape (n,).
     """
 
     mesh: ClothMesh
@@ -49,27 +52,27 @@ class Coarser:
 
 
 def coarser_of(levels: Levels, warp: tuple[float, float, float] = (0.0, 1.0, 0.0)) -> Coarser | None:
-    """The mesh below the coarse one of a garment; None where it is too small, or decimated comes to no mesh.
+    """Make the mesh below the coarse one of a garment; None if it is too small or cannot be decimated.
 
     Args:
         levels: of the garment.
         warp: direction of the warp in space, shape (3,).
     """
     coarse, middle = levels.coarse, levels.subdivision.middle
-    count = len(coarse.vertices) // SHARE
-    if count < FEWEST:
+    count = len(coarse.vertices) // REDUCTION
+    if count < MIN_VERTICES:
         return None
-    places = middle.upsample(coarse.vertices)
+    surface = middle.upsample(coarse.vertices)
     held = held_between(middle, levels.coarse_held)
     try:
-        chosen, faces = decimated(places, middle.faces, count, np.union1d(held, levels.coarse_held))
+        chosen, faces = decimated(surface, middle.faces, count, np.union1d(held, levels.coarse_held))
         plain = Subdivision.of(faces, len(chosen), 1)
-        weight = np.where(np.isin(np.arange(len(coarse.vertices)), levels.coarse_held), HELD, 1.0)
-        vertices, face, place = _bound(plain, places, middle.faces, chosen, coarse.vertices, weight)
+        weight = np.where(np.isin(np.arange(len(coarse.vertices)), levels.coarse_held), HELD_WEIGHT, 1.0)
+        vertices, face, place = _bound(plain, surface, middle.faces, chosen, coarse.vertices, weight)
         matrix = (_weights(plain, face, place) @ plain.matrix).tocsr()
         mesh = _in_metric(vertices, plain.coarse_faces, coarse, middle, abs(matrix), warp)
         hinges_of(mesh.faces)
-    except (InputError, ValueError):  # straps and tatters of which too little is left
+    except (InputError, ValueError):  # too little is left of straps and of scattered small parts
         return None
     area = diags(coarse.vertex_areas)
     inverse = splu((matrix.T @ area @ matrix).tocsc()).solve((matrix.T @ area).toarray())
@@ -86,28 +89,34 @@ def _bound(
     points: np.ndarray,
     weight: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices whose smooth surface fits some points, the first of ``surface``, best, by their
-    weights; and where on it each point is.
+    """Fit vertices, so that their smooth surface comes closest to some points, and bind the points to that surface.
 
-    In turn, points take the nearest place of the surface, and vertices fit them, as in :func:`wrinkles.binding.bind`.
+    Binding and fitting alternate, as in :func:`wrinkles.binding.bind`.
+
+    Args:
+        plain: subdivision of the mesh to be fitted.
+        surface, faces: vertices [m], shape (q, 3), and faces of the mesh that was decimated, int, shape (m, 3).
+        chosen: the vertices of ``surface`` that decimation kept, int, shape (k,).
+        points: the first n vertices of ``surface``, at which the fit is measured [m], shape (n, 3).
+        weight: of each point in the fit, shape (n,).
 
     Returns:
         vertices [m], shape (k, 3); face of the surface, shape (n,), and weights of its corners, shape (n, 3).
     """
     near = faces_around(plain.coarse_faces, label_of(surface, faces, chosen)[: len(points)])
     vertices = surface[chosen]
-    for _ in range(ROUNDS):
+    for _ in range(FIT_ROUNDS):
         face, place = nearest_places(plain, plain.upsample(vertices), vertices, points, near)
         near = faces_around(plain.coarse_faces, plain.coarse_faces[face // 4])
         matrix = (_weights(plain, face, place) @ plain.matrix).tocsr()
         right = matrix.T @ diags(weight)
-        left = right @ matrix + STAY * identity(len(vertices))
-        vertices = splu(left.tocsc()).solve(right @ points + STAY * vertices)
+        left = right @ matrix + STAY_WEIGHT * identity(len(vertices))
+        vertices = splu(left.tocsc()).solve(right @ points + STAY_WEIGHT * vertices)
     return np.ascontiguousarray(vertices), face, place
 
 
 def _weights(plain: Subdivision, face: np.ndarray, place: np.ndarray) -> csr_matrix:
-    """Points from the vertices of the smooth surface, shape (n, q)."""
+    """Matrix that gives bound points from the vertices of the subdivided mesh, shape (n, q)."""
     corners = plain.cut[face]
     rows = np.repeat(np.arange(len(corners)), 3)
     return csr_matrix((place.ravel(), (rows, corners.ravel())), (len(corners), plain.fine_count))
@@ -121,27 +130,27 @@ def _in_metric(
     near: csr_matrix,
     warp: tuple[float, float, float],
 ) -> ClothMesh:
-    """The mesh with sides as long as the ways below them on the coarse mesh's surface, in its metric.
+    """The mesh with the rest metric of the coarse one: edges take the length of their path on the coarse surface.
 
-    Ways on the mesh's own smooth surface would not do: where triangles are uneven it creeps in its plane, and lengths
-    that fit no flat surface make the cloth buckle.
+    Paths on the mesh's own smooth surface are not used: where triangles are uneven, subdivision moves vertices within
+    the surface, and lengths that fit no flat surface make the cloth buckle.
 
     Args:
-        vertices, faces: the mesh.
-        coarse: what hangs on it.
+        vertices, faces: the mesh [m], shapes (k, 3), (m, 3).
+        coarse: the coarse mesh.
         middle: the coarse mesh cut once.
-        near: how much each coarse vertex has to do with each vertex, shape (n, k).
+        near: size of each coarse vertex's weight on each vertex, shape (n, k).
         warp: direction of the warp in space, shape (3,).
     """
     mesh = ClothMesh.from_surface(vertices, faces, warp)
     own, side_edge = edges_of(faces)
-    along = np.linspace(0.0, 1.0, PIECES + 1)[:, None, None]
-    ways = (1.0 - along) * vertices[own[:, 0]] + along * vertices[own[:, 1]]
+    along = np.linspace(0.0, 1.0, PIECES_PER_EDGE + 1)[:, None, None]
+    polylines = (1.0 - along) * vertices[own[:, 0]] + along * vertices[own[:, 1]]
     surface = middle.upsample(coarse.vertices)
-    face, weights = closest_points(ways.reshape(-1, 3), surface, middle.faces)
-    ways = np.einsum("pc,pci->pi", weights, surface[middle.faces[face]]).reshape(ways.shape)
-    lengths = np.linalg.norm(np.diff(ways, axis=0), axis=2).sum(axis=0)
-    # How much longer the cloth is at rest than it is drawn: not at all, but for patterns that are draped.
+    face, weights = closest_points(polylines.reshape(-1, 3), surface, middle.faces)
+    polylines = np.einsum("pc,pci->pi", weights, surface[middle.faces[face]]).reshape(polylines.shape)
+    lengths = np.linalg.norm(np.diff(polylines, axis=0), axis=2).sum(axis=0)
+    # Rest length over length in the bind pose: 1, except for patterns that were draped.
     drawn = middle.meshes(coarse.vertices, warp)[0]
     edges, rest = coarse.edge_lengths()
     ratio = np.repeat(rest / drawn.edge_lengths()[1], 2)

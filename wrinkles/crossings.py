@@ -1,4 +1,7 @@
-"""Where a cloth goes through itself, exactly enough to be trusted as a measure: in float64, edge against face."""
+"""Self-intersections of a cloth: which edges go through which faces, tested in float64.
+
+This is a measuring tool; the solver has its own, faster search for contact.
+"""
 
 import numpy as np
 
@@ -6,13 +9,14 @@ from pbd.mesh import edges_of
 
 __all__ = ["cross", "crossings"]
 
-_PAIRS = 1_000_000  # of an edge and a face that are looked at together
+_MAX_PAIRS = 1_000_000  # pairs of an edge and a face that are tested at once: bounds the memory
 
 
 def cross(start: np.ndarray, end: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Whether segments go through triangles: the ends lie on both sides of the plane, the line runs inside the sides.
+    """Whether segment k goes through triangle k: bool, shape (k,).
 
-    A segment that only touches a side or lies in the plane does not.
+    It does if its ends lie on different sides of the triangle's plane and its line passes inside the three sides. A
+    segment that only touches a side, or lies in the plane, does not count.
 
     Args:
         start, end: of the segments [m], float64, shape (k, 3).
@@ -26,40 +30,40 @@ def cross(start: np.ndarray, end: np.ndarray, corners: np.ndarray) -> np.ndarray
 
 
 def crossings(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Edges that go through faces with which they share no vertex.
+    """Find the edges that go through faces with which they share no vertex.
 
     Args:
         vertices: [m], float64, shape (n, 3).
         faces: int, shape (m, 3).
 
     Returns:
-        Rows (end, end, face), int64, shape (k, 3), sorted.
+        Sorted rows of the two ends of an edge and the face that it goes through, int64, shape (k, 3).
     """
     edges, _ = edges_of(faces)
     vertices = np.asarray(vertices, float)
     ends, corners = vertices[edges], vertices[faces]
     edge_low, edge_high = ends.min(axis=1), ends.max(axis=1)
     face_low, face_high = corners.min(axis=1), corners.max(axis=1)
-    # Along the longest axis of all, sorted; each edge looks at the faces that may begin before it ends.
+    # Faces are sorted along the longest axis; each edge is tested against the faces whose extent may overlap its own.
     axis = int(np.argmax(np.ptp(vertices, axis=0)))
     order = np.argsort(face_low[:, axis], kind="stable")
     width = (face_high - face_low)[:, axis].max()
     first = np.searchsorted(face_low[order, axis], edge_low[:, axis] - width)
     last = np.searchsorted(face_low[order, axis], edge_high[:, axis], side="right")
-    # Pairs of an edge and a face whose boxes meet, so many edges at a time that memory is bounded.
+    # Edges are taken in groups of a bounded number of pairs; pairs whose boxes do not overlap are dropped first.
     counts = np.maximum(last - first, 0)
     ends_of_runs = np.cumsum(counts)
     found = [np.zeros((0, 3), np.int64)]
     begin = 0
     while begin < len(edges):
         before = ends_of_runs[begin - 1] if begin else 0
-        end = max(begin + 1, int(np.searchsorted(ends_of_runs, before + _PAIRS, side="right")))
-        many = counts[begin:end]
-        edge = np.repeat(np.arange(begin, end), many)
-        place = np.arange(len(edge)) - np.repeat(np.cumsum(many) - many, many)
-        face = order[first[edge] + place]
-        meets = (face_low[face] <= edge_high[edge]).all(axis=1) & (face_high[face] >= edge_low[edge]).all(axis=1)
-        edge, face = edge[meets], face[meets]
+        end = max(begin + 1, int(np.searchsorted(ends_of_runs, before + _MAX_PAIRS, side="right")))
+        group_counts = counts[begin:end]
+        edge = np.repeat(np.arange(begin, end), group_counts)
+        rank = np.arange(len(edge)) - np.repeat(np.cumsum(group_counts) - group_counts, group_counts)
+        face = order[first[edge] + rank]
+        overlap = (face_low[face] <= edge_high[edge]).all(axis=1) & (face_high[face] >= edge_low[edge]).all(axis=1)
+        edge, face = edge[overlap], face[overlap]
         apart = (faces[face][:, :, None] != edges[edge][:, None, :]).all(axis=(1, 2))
         edge, face = edge[apart], face[apart]
         through = cross(ends[edge, 0], ends[edge, 1], corners[face])

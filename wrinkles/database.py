@@ -1,7 +1,7 @@
-"""The wrinkle database: everything needed to play a garment on its character, in one HDF5 file.
+"""The wrinkle database: all data that playing a garment on its character needs, in one HDF5 file.
 
-To add a field: add it to :class:`WrinkleDatabase` (or to a dataclass inside it) and its line to
-``wrinkles.schema.ENTRIES``, and raise ``SCHEMA_VERSION``.
+:func:`read_database` and :func:`write_database` read and write it. To add a field, add it to :class:`WrinkleDatabase`
+(or to a dataclass inside it) and to ``wrinkles.schema.ENTRIES``, and raise ``SCHEMA_VERSION``.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from pbd.storage import replacing
 from wrinkles.binding import Binding
 from wrinkles.dictionary import Atoms, Mapping, fabric_features
 from wrinkles.gathers import Gathers
+from wrinkles.levels import Levels, levels_of
 from wrinkles.schema import (
     ENTRIES,
     FORMAT,
@@ -56,19 +57,19 @@ __all__ = [
     "write_database",
 ]
 
-LARGE = 4096  # arrays from this size on are stored in compressed chunks [bytes]
-LAYOUT = ("v110", "v110")  # of HDF5 1.10, whose headers take a third of those before
-PACKED = {"chunks": True, "shuffle": True, "compression": "gzip"}
+MIN_COMPRESSED_SIZE = 4096  # arrays of this size or more are stored in compressed chunks [bytes]
+HDF5_VERSIONS = ("v110", "v110")  # lowest and highest; headers of 1.10 take a third of the space of older ones
+COMPRESSION = {"chunks": True, "shuffle": True, "compression": "gzip"}
 
 
 @dataclass(frozen=True)
 class LearnedFabric:
-    """A fabric that a garment's wrinkles were learned in besides its own.
+    """Another fabric than the garment's own in which its wrinkles were learned.
 
     Attributes:
-        name: to choose it by.
+        name: by which :meth:`WrinkleDatabase.in_fabric` chooses it.
         fabric: the fabric.
-        options: of the coarse model that was calibrated for it.
+        options: options of the coarse model, calibrated for this fabric.
     """
 
     name: str
@@ -81,32 +82,32 @@ class WrinkleDatabase:
     """A garment's wrinkles and the coarse garment that they were learned for.
 
     Attributes:
-        garment_name: for messages.
-        coarse_vertices: bind pose, already outside the body [m], float64, shape (n, 3).
+        garment_name: name of the garment, for messages.
+        coarse_vertices: in the bind pose, already outside the body [m], float64, shape (n, 3).
         coarse_faces: int32, shape (m, 3).
-        gathers: how the coarse garment rests where not as its pattern says.
-        subdivisions: from the coarse to the fine mesh.
+        gathers: corrections of the coarse garment's rest shape against its pattern.
+        subdivisions: number of times that each coarse face is cut in four.
         held: coarse vertices attached to the body, ascending, int32, shape (p,).
-        limits: of coarse vertices about where the body carries them.
+        limits: how far coarse vertices may move from where the body carries them.
         warp: direction of the warp in space.
-        binding: of a delivered fine mesh; None where the subdivided mesh is the fine one.
-        fabric_name: of the garment's own fabric.
-        fabric: the garment's own.
-        options: of the coarse model, calibrated for it.
-        other_fabrics: others that it can be played in, see :meth:`in_fabric`.
+        binding: binding of a delivered fine mesh; None where the subdivided mesh is the fine one.
+        fabric_name: name of the garment's own fabric.
+        fabric: the garment's own fabric.
+        options: options of the coarse model, calibrated for that fabric.
+        other_fabrics: other fabrics that the garment can be played in, see :meth:`in_fabric`.
         bend_factor: hinge factor measured on the coarse mesh [-].
         solver: options of the coarse simulation.
-        frame_rate: at which it runs [Hz].
+        frame_rate: of the coarse simulation [Hz].
         atoms, mapping: the dictionary.
-        unfamiliarity: says where its wrinkles fade.
+        unfamiliarity: decides where the wrinkles fade.
         cutoff: wavelength of the filter between coarse and fine [m].
-        body_hash: of the body that the garment was trained on, see :func:`body_hash`.
-        body_vertex_count: its number of vertices.
-        quality: held-out figures by name; those that are not finite (nothing to measure) are not stored.
+        body_hash: hash of the body that the garment was trained on, see :func:`body_hash`.
+        body_vertex_count: number of that body's vertices.
+        quality: held-out figures by name; figures that are not finite (nothing to measure) are not stored.
         held_out: clips that the figures were measured on.
         trained_on: clips that the wrinkles were learned from.
-        training_minutes: time that training took [min].
-        seed: of every random choice in learning.
+        training_minutes: duration of the training [min].
+        seed: seed of every random choice in learning.
         scene: the resolved scene (TOML).
         code_version: see :func:`code_version`.
         created: ISO date.
@@ -145,6 +146,7 @@ class WrinkleDatabase:
 
     @property
     def fine_vertex_count(self) -> int:
+        """Number of vertices of the fine mesh [-]."""
         if self.binding is not None:
             return len(self.binding.face)
         vertices, edges, faces = len(self.coarse_vertices), len(edges_of(self.coarse_faces)[0]), len(self.coarse_faces)
@@ -154,24 +156,46 @@ class WrinkleDatabase:
 
     @property
     def wrinkle_gain(self) -> float:
-        """By how much the mapping was raised when it was calibrated [-]; 1 where nothing is said of it."""
+        """Factor by which calibration scaled the mapping's coefficients [-]; 1 where the file holds none."""
         return self.quality.get("wrinkle_gain", 1.0)
 
     @property
     def subdivision(self) -> Subdivision:
-        """From the coarse to the fine mesh."""
+        """The subdivision from the coarse to the fine mesh."""
         return Subdivision.of(self.coarse_faces, len(self.coarse_vertices), self.subdivisions, self.binding)
+
+    def levels(self, body_vertices: np.ndarray, body_faces: np.ndarray) -> Levels:
+        """Coarse and fine mesh of the garment on its body.
+
+        Args:
+            body_vertices: of the bind pose, or of a sequence's first frame [m], shape (b, 3).
+            body_faces: int, shape (f, 3); empty without a body.
+        """
+        return levels_of(
+            self.coarse_vertices,
+            self.coarse_faces,
+            self.held,
+            body_vertices,
+            body_faces,
+            self.subdivisions,
+            self.warp,
+            self.binding,
+            self.limits,
+        )
 
     @property
     def fabric_names(self) -> tuple[str, ...]:
-        """Of every fabric that the garment can be played in, its own first."""
+        """Names of all fabrics that the garment can be played in, its own first."""
         return (self.fabric_name, *(other.name for other in self.other_fabrics))
 
     def in_fabric(self, name: str) -> WrinkleDatabase:
-        """The same garment in one fabric, which is then its own and only one.
+        """The same garment with one fabric, which becomes its own and its only one.
+
+        Args:
+            name: one of :attr:`fabric_names`.
 
         Raises:
-            InputError: a fabric that it was not learned in.
+            InputError: a fabric in which its wrinkles were not learned.
         """
         if name not in self.fabric_names:
             expected = "one of " + ", ".join(self.fabric_names)
@@ -188,37 +212,11 @@ class WrinkleDatabase:
             mapping=self.mapping.for_fabric(fabric_features(other.fabric, self.fabric)),
         )
 
-    def require_garment(self, vertices: np.ndarray, faces: np.ndarray) -> None:
-        """Refuse another garment than the one in the database.
+    def require_body(self, body: Any) -> None:
+        """Refuse another body than the one the garment was trained on.
 
         Args:
-            vertices: bind pose [m], shape (n, 3); the database's own were pushed out of the body, so they may differ
-                a little.
-            faces: int, shape (m, 3).
-
-        Raises:
-            InputError: other faces, or the same faces on a garment of another shape.
-        """
-        if len(vertices) != len(self.coarse_vertices) or not np.array_equal(faces, self.coarse_faces):
-            raise InputError(
-                "a database of another garment",
-                key="garment",
-                received=f"{len(vertices)} vertices, {len(faces)} faces",
-                expected=f"those of '{self.garment_name}': {len(self.coarse_vertices)} vertices, "
-                f"{len(self.coarse_faces)} faces, in the same order",
-            )
-        distance = float(np.median(np.linalg.norm(vertices - self.coarse_vertices, axis=1)))
-        limit = 0.05 * float(np.linalg.norm(np.ptp(self.coarse_vertices, axis=0)))
-        if distance > limit:
-            raise InputError(
-                "a database of another garment: the same faces on another shape",
-                key="garment",
-                received=f"vertices {distance:.3g} m from those of '{self.garment_name}' in the median",
-                expected=f"at most {limit:.3g} m",
-            )
-
-    def require_body(self, body: Any) -> None:
-        """Refuse another body (a character or a vertex sequence) than the one the garment was trained on.
+            body: :class:`assets.character.Character` or :class:`assets.io.sequence.Sequence`.
 
         Raises:
             InputError: another body.
@@ -237,8 +235,8 @@ class WrinkleDatabase:
 def body_hash(body: Any) -> str:
     """SHA-256 of a character's bind pose, faces, joints and weights, or of a sequence's first frame and faces.
 
-    Positions and weights count in steps of 2^-16, so that rounding in another linear-algebra library does not make
-    another character.
+    Positions and weights are rounded to steps of 2^-16, so that the rounding errors of another linear-algebra library
+    do not change the hash.
 
     Args:
         body: :class:`assets.character.Character` or :class:`assets.io.sequence.Sequence`.
@@ -256,7 +254,8 @@ def body_hash(body: Any) -> str:
 
 
 def _in_steps(values: np.ndarray) -> np.ndarray:
-    # A third of a step aside: no value that a file would hold (binary or decimal) lies on the edge between two steps.
+    """Values as whole numbers of steps of 2^-16, int64."""
+    # The shift by a third of a step keeps usual values (binary or decimal fractions) off the edge between two steps.
     return np.floor(np.asarray(values, np.float64) * 2.0**16 + 1.0 / 3.0).astype(np.int64)
 
 
@@ -271,22 +270,24 @@ def code_version() -> str:
 
 
 def as_stored(database: WrinkleDatabase) -> WrinkleDatabase:
-    """The database that a file of it would hold: atoms and weights in steps of a byte."""
+    """The database as it is after writing and reading: atoms and weights are rounded to steps of a byte."""
     return _unpacked(_arrays(database))
 
 
 def write_database(path: str | Path, database: WrinkleDatabase) -> None:
-    """Write a database, beside the path first and then renamed; what is read back is :func:`as_stored`.
+    """Write a database. Reading it gives :func:`as_stored` of it.
+
+    The file is written beside the path and then renamed, so that no half-written file ever lies there.
 
     Raises:
         InputError: a value that :func:`read_database` would refuse.
-        OSError: it cannot be written, for instance to a full disk; what was there before is left as it is.
+        OSError: the file cannot be written, for instance to a full disk; an older file at the path stays as it was.
     """
     arrays = _arrays(database)
     check_layout({name: (array.dtype, array.shape) for name, array in arrays.items()}, path)
     check_values(arrays, path)
-    image = io.BytesIO()  # HDF5 takes a full disk badly: an error while closing, or a broken process
-    with h5py.File(image, "w", libver=LAYOUT) as file:
+    image = io.BytesIO()  # on a full disk HDF5 fails while closing the file, or ends the process
+    with h5py.File(image, "w", libver=HDF5_VERSIONS) as file:
         for entry in ENTRIES:
             array = arrays[entry.name]
             if entry.dtype == TEXT:
@@ -294,18 +295,18 @@ def write_database(path: str | Path, database: WrinkleDatabase) -> None:
             if entry.in_header:
                 file.attrs[entry.name] = array
             else:
-                packed = PACKED if array.ndim and array.nbytes >= LARGE else {}
-                file.create_dataset(entry.name, data=array, **packed).attrs["unit"] = np.bytes_(entry.unit)
+                storage = COMPRESSION if array.ndim and array.nbytes >= MIN_COMPRESSED_SIZE else {}
+                file.create_dataset(entry.name, data=array, **storage).attrs["unit"] = np.bytes_(entry.unit)
     with replacing(path) as temporary:
         temporary.write_bytes(image.getbuffer())
 
 
 def read_database(path: str | Path) -> WrinkleDatabase:
-    """Read what :func:`write_database` wrote, the same bits every time. Nothing is ever unpickled.
+    """Read a database that :func:`write_database` wrote, with the same bits every time. Nothing is ever unpickled.
 
     Raises:
         InputError: a file that cannot be read, is no database, is of another schema version, lacks a key, has one too
-            many, or holds values of a wrong type, shape or size, or values that cannot be.
+            many, or holds values of a wrong type, shape or size, or values that are not possible.
     """
     path = Path(path)
     try:
@@ -315,7 +316,7 @@ def read_database(path: str | Path) -> WrinkleDatabase:
         raise
     except FileNotFoundError as error:
         raise InputError("no such file", file=path, expected="a database of `gube precompute`") from error
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:  # all of them are h5py's of damaged files
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:  # h5py's errors for damaged files
         raise InputError(
             f"cannot be read, truncated, damaged or not HDF5: {error}",
             file=path,
@@ -324,19 +325,20 @@ def read_database(path: str | Path) -> WrinkleDatabase:
     check_values(arrays, path)
     try:
         return _unpacked(arrays)
-    except InputError as error:  # of a fabric or of options; they do not know the file
+    except InputError as error:  # Fabric and options refuse a value without naming the file
         raise InputError(
             error.problem, file=path, key=error.key, received=error.received, expected=error.expected
         ) from error
 
 
 def database_figures(path: str | Path) -> dict[str, float]:
-    """How large a database is and how long it takes to read.
+    """Measure the size of a database and the time to read it.
 
     Returns:
-        ``database_mb`` [10^6 bytes], ``mesh_mb`` (of it, what the meshes take: the coarse one, and a delivered fine one
-        with its pattern and stitches), ``bytes_per_fine_vertex`` beyond these, ``compression_ratio`` (bytes of all its
-        numbers in float32, and of its words, over bytes of the file) and ``load_s`` [s].
+        ``database_mb``: size of the file [10^6 bytes]; ``mesh_mb``: the part of it for the meshes (the coarse one, and
+        a delivered fine one with its pattern and stitches); ``bytes_per_fine_vertex``: the rest per fine vertex;
+        ``compression_ratio``: bytes of all numbers in float32 and of all text over bytes of the file [-]; and
+        ``load_s``: time to read it [s].
     """
     start = time.perf_counter()
     database = read_database(path)
@@ -344,9 +346,9 @@ def database_figures(path: str | Path) -> dict[str, float]:
     size = Path(path).stat().st_size
     with h5py.File(path) as file:
         mesh = sum(file[e.name].id.get_storage_size() for e in ENTRIES if e.name.startswith(("binding/", "coarse_")))
-    held = _arrays(database)
+    arrays = _arrays(database)
     scales = {f"{entry.name}_scale" for entry in ENTRIES if entry.scaled_along is not None}
-    raw = sum(a.nbytes if a.dtype.kind == "S" else 4 * a.size for name, a in held.items() if name not in scales)
+    raw = sum(a.nbytes if a.dtype.kind == "S" else 4 * a.size for name, a in arrays.items() if name not in scales)
     return {
         "database_mb": size / 1e6,
         "mesh_mb": mesh / 1e6,
@@ -357,7 +359,7 @@ def database_figures(path: str | Path) -> dict[str, float]:
 
 
 def _arrays(database: WrinkleDatabase) -> dict[str, np.ndarray]:
-    """Everything that goes into the file, by name."""
+    """All values of the file as arrays, by the names of :data:`ENTRIES`."""
     quality = {name: value for name, value in database.quality.items() if np.isfinite(value)}
     values = {
         "format": FORMAT,
@@ -381,7 +383,10 @@ def _arrays(database: WrinkleDatabase) -> dict[str, np.ndarray]:
 
 
 def _binding_values(binding: Binding | None) -> dict[str, np.ndarray]:
-    """Places and pattern were rounded when they were made, so that single precision holds them exactly."""
+    """Entries of a binding; without one they are empty.
+
+    Weights and pattern were rounded when the binding was made, so that single precision holds them exactly.
+    """
     if binding is None:
         index, pairs = np.zeros((0, 3), np.int32), np.zeros((0, 2))
         binding = Binding(index[:, 0], np.zeros((0, 3)), index, pairs, index, pairs[:, 0])
@@ -390,6 +395,7 @@ def _binding_values(binding: Binding | None) -> dict[str, np.ndarray]:
 
 
 def _binding_of(values: dict[str, np.ndarray]) -> Binding | None:
+    """The binding that :func:`_binding_values` stored."""
     if not len(values["face"]):
         return None
     place, flat = values["place"].astype(float), values["flat"].astype(float)
@@ -398,7 +404,7 @@ def _binding_of(values: dict[str, np.ndarray]) -> Binding | None:
 
 
 def _other_fabrics_values(others: tuple[LearnedFabric, ...]) -> dict[str, Any]:
-    """A column for each of their values."""
+    """Entries of the other fabrics: a column for each of their fields."""
     columns: dict[str, Any] = {"other_fabrics/name": tuple(other.name for other in others)}
     for part, kind in (("fabric", Fabric), ("options", ModelOptions)):
         for field in fields(kind):
@@ -408,6 +414,8 @@ def _other_fabrics_values(others: tuple[LearnedFabric, ...]) -> dict[str, Any]:
 
 
 def _other_fabrics_of(names: tuple[str, ...], *columns: dict[str, np.ndarray]) -> tuple[LearnedFabric, ...]:
+    """The fabrics that :func:`_other_fabrics_values` stored."""
+
     def row(values: dict[str, np.ndarray], number: int) -> dict[str, float]:
         return {name: column[number].item() for name, column in values.items()}
 
@@ -418,6 +426,7 @@ def _other_fabrics_of(names: tuple[str, ...], *columns: dict[str, np.ndarray]) -
 
 
 def _unpacked(arrays: dict[str, np.ndarray]) -> WrinkleDatabase:
+    """The database of the file's arrays, by the names of :data:`ENTRIES`."""
     values = {entry.name: unpack(entry, arrays[entry.name]) for entry in ENTRIES}
     for entry in ENTRIES:
         if entry.scaled_along is not None:
@@ -450,7 +459,7 @@ def _unpacked(arrays: dict[str, np.ndarray]) -> WrinkleDatabase:
 
 
 def _read_arrays(file: h5py.File, path: Path) -> dict[str, np.ndarray]:
-    """Everything in the file, after its kind, version, keys, types and shapes have been checked."""
+    """All values in the file, after its kind, version, keys, types and shapes have been checked."""
     _check_kind(file, path)
     groups = {entry.name.rpartition("/")[0] for entry in ENTRIES}
     found: dict[str, Any] = {name: file.attrs.get_id(name) for name in file.attrs}
@@ -472,6 +481,7 @@ def _read_arrays(file: h5py.File, path: Path) -> dict[str, np.ndarray]:
 
 
 def _check_kind(file: h5py.File, path: Path) -> None:
+    """Refuse a file that is no wrinkle database, or one of another schema version."""
     kind, version = _plain(file.attrs.get("format")), _plain(file.attrs.get("schema_version"))
     if kind != FORMAT:
         raise InputError("not a wrinkle database", file=path, key="format", received=kind, expected=repr(FORMAT))
@@ -487,6 +497,6 @@ def _check_kind(file: h5py.File, path: Path) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """An attribute in Python's own types."""
+    """An attribute of the file as a Python number or text."""
     value = value.item() if isinstance(value, np.generic) else value
     return value.decode(errors="replace") if isinstance(value, bytes) else value

@@ -1,9 +1,12 @@
-"""The runtime half of the wrinkle layer: coarse state in, fine vertices and normals out; nothing allocated a frame."""
+"""Draws wrinkles at run time: from the state of the coarse garment to the vertices of the fine mesh.
+
+All arrays are allocated once, so that a frame allocates none.
+"""
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from pbd.engine import Launch, ensure_initialized, ti
+from pbd.engine import ensure_initialized, ti
 from pbd.geometry import (
     Float1,
     Float2,
@@ -13,6 +16,7 @@ from pbd.geometry import (
     Vec4,
     vec3,
 )
+from pbd.taichi_internals import Launch
 from wrinkles.dictionary import CLIP, Atoms, Mapping
 from wrinkles.features import DYNAMIC_COUNT, Stencil
 from wrinkles.patches import NODES, SIDE, Patches
@@ -49,7 +53,11 @@ def _to_fine(start: Int1, index: Int1, value: Float1, middle: Vec3, fine: Vec3):
 
 @ti.kernel
 def add_patches(grids: Float2, frames: Float2, corners: Int3, blend: Vec3, cell: Int3, within: Float2, fine: Vec3):
-    """Blend what the three patches around a fine vertex say, each turned from its own frame into space."""
+    """Add to each fine vertex the blended displacements of the three patches around it.
+
+    Each patch is read with bilinear interpolation and turned from its own frame into space. Arguments as in
+    :class:`wrinkles.patches.Patches`; ``grids`` float32, shape (n, 3 NODES), ``frames`` float32, shape (n, 9).
+    """
     ti.loop_config(serialize=True)
     for _ in range(1):
         for i in range(fine.shape[0]):
@@ -92,10 +100,12 @@ def _add_turned(start: Int1, index: Int1, value: Float1, frames: Float2, mean: V
 
 
 class PatchWriter:
-    """Adds grids to the vertices of a mesh; on a delivered one smoothly where places crowd.
+    """Adds the displacements of grids to the vertices of a mesh.
+
+    On a delivered mesh they are smoothed where its bound points crowd.
 
     Args:
-        patches: how the grids reach the vertices.
+        patches: where each vertex reads the grids.
     """
 
     def __init__(self, patches: Patches) -> None:
@@ -107,10 +117,10 @@ class PatchWriter:
             self._add_smoothed = Launch(_add_smoothed)
 
     def __call__(self, grids: np.ndarray, frames: np.ndarray, vertices: np.ndarray) -> None:
-        """Add them in place.
+        """Add the displacements to ``vertices`` in place.
 
         Args:
-            grids: float32, shape (n, 3 NODES).
+            grids: displacements in the patches' frames [m], float32, shape (n, 3 NODES).
             frames: of the coarse vertices, float32, shape (n, 9).
             vertices: [m], float32, shape (N, 3).
         """
@@ -124,11 +134,11 @@ class PatchWriter:
 
 
 class MeanWriter:
-    """Adds the mean of each vertex, turned into space, see :mod:`wrinkles.vertex_mean`.
+    """Adds the mean displacement of each vertex, turned into space, see :mod:`wrinkles.vertex_mean`.
 
     Args:
-        patches: have the frames' weights.
-        mean: [m], float32, shape (N, 3).
+        patches: holds the weights of the coarse vertices' frames.
+        mean: displacement in the vertex's frame [m], float32, shape (N, 3).
     """
 
     def __init__(self, patches: Patches, mean: np.ndarray) -> None:
@@ -136,18 +146,18 @@ class MeanWriter:
         self._add_turned = Launch(_add_turned)
 
     def __call__(self, frames: np.ndarray, vertices: np.ndarray) -> None:
-        """Add it in place; arguments as for :class:`PatchWriter`."""
+        """Add the mean to ``vertices`` in place; arguments as for :class:`PatchWriter`."""
         self._add_turned(*self._turning, frames, self._mean, vertices)
 
 
 class Upsampler:
-    """Smooth fine positions from a coarse state in two sparse steps.
+    """Computes the smooth fine surface of a coarse state, with two sparse matrices.
 
     Args:
-        subdivision: between the meshes.
+        subdivision: from the coarse to the fine mesh.
 
     Attributes:
-        middle: vertices of the coarse mesh cut once, between both steps [m], float32, shape (q, 3).
+        middle: vertices of the coarse mesh cut once, the result of the first matrix [m], float32, shape (q, 3).
     """
 
     def __init__(self, subdivision: Subdivision) -> None:
@@ -166,14 +176,15 @@ class Decoder:
     """Adds the dictionary's displacements to the smooth surface.
 
     Args:
-        stencil: what is read of the coarse garment.
-        patches, middle_patches: how grids reach the vertices of the fine and of the middle mesh.
-        mapping: features to coefficients.
-        atoms: coefficients to grids.
-        unfamiliarity: fades wrinkles where the coarse state is unlike what was learned from.
+        stencil: reads features and frames from the coarse garment.
+        patches, middle_patches: where the vertices of the fine and of the middle mesh read the grids.
+        mapping: gives coefficients for features.
+        atoms: give grids for coefficients.
+        unfamiliarity: fades wrinkles where the coarse state is unlike the training data.
 
     Attributes:
         amplitude: share of the wrinkles that was drawn at each coarse vertex, float32, shape (n,).
+        frames, features: of the last state, see :meth:`Stencil.read`.
     """
 
     def __init__(
@@ -198,7 +209,7 @@ class Decoder:
         self._features = np.zeros_like(self.features)
         self._hidden_1 = np.zeros((count, width_1), np.float32)
         self._hidden_2 = np.zeros((count, width_2), np.float32)
-        self._said, self._coefficients = (np.zeros((count, len(atoms.shapes)), np.float32) for _ in range(2))
+        self._output, self._coefficients = (np.zeros((count, len(atoms.shapes)), np.float32) for _ in range(2))
         self._grids = np.zeros((count, 3 * NODES), np.float32)
         self._shapes = np.ascontiguousarray(atoms.shapes)
         self._mean = atoms.mean
@@ -206,10 +217,10 @@ class Decoder:
         self._add_mean = MeanWriter(patches, atoms.vertex_mean)
         self._blas = ThreadpoolController()
 
-    def look(self, position: np.ndarray, contact: np.ndarray) -> None:
-        """Read a coarse state, see :meth:`add`: ``frames`` and ``features`` are those of the last one."""
+    def read(self, position: np.ndarray, contact: np.ndarray) -> None:
+        """Set ``frames`` and ``features`` to those of a coarse state; arguments as for :meth:`add`."""
         m = self.mapping
-        self.stencil.gather(position, contact, self.frames, self.features, m.center, m.scale, CLIP)
+        self.stencil.read(position, contact, self.frames, self.features, m.center, m.scale, CLIP)
 
     def add(
         self,
@@ -224,10 +235,11 @@ class Decoder:
         Args:
             position, contact: of the coarse garment, as in :class:`pbd.State`.
             fine, middle: [m], float32, shapes (N, 3), (q, 3); changed in place.
-            atoms: how many are used, the first ones, which matter most; None takes all.
+            atoms: number of atoms used, the most important ones first; None takes all.
         """
-        self.look(position, contact)
-        # Matrices this small are slower on more threads, by far beside other work, and their bits would depend on it.
+        self.read(position, contact)
+        # Matrices this small are slower on several threads, much slower beside other work, and their bits would depend
+        # on the number of threads.
         with self._blas.limit(limits=1, user_api="blas"):
             self._mix(len(self._shapes) if atoms is None else min(atoms, len(self._shapes)))
         self._add_to_fine(self._grids, self.frames, fine)
@@ -235,9 +247,9 @@ class Decoder:
         self._add_to_middle(self._grids, self.frames, middle)  # lengths are brought back without the mean
 
     def _mix(self, atoms: int) -> None:
-        """The network: features to grids."""
-        m, said, coefficients = self.mapping, self._said[:, :atoms], self._coefficients[:, :atoms]
-        np.take(self.features, self._order, axis=0, out=self._features, mode="clip")  # the default copies once more
+        """Run the network: features to grids, with the first ``atoms`` atoms."""
+        m, output, coefficients = self.mapping, self._output[:, :atoms], self._coefficients[:, :atoms]
+        np.take(self.features, self._order, axis=0, out=self._features, mode="clip")  # the default mode makes a copy
         np.matmul(self._features, m.weights_1, out=self._hidden_1)
         self._hidden_1 += self._place_bias
         np.maximum(self._hidden_1, 0.0, out=self._hidden_1)
@@ -246,10 +258,10 @@ class Decoder:
             np.matmul(self._hidden_1[rows], m.weights_2[r], out=second)
             second += m.bias_2[r]
             np.maximum(second, 0.0, out=second)
-            np.matmul(second, m.weights_3[r, :, :atoms], out=said[rows])
-            said[rows] += m.bias_3[r, :atoms]
+            np.matmul(second, m.weights_3[r, :, :atoms], out=output[rows])
+            output[rows] += m.bias_3[r, :atoms]
         amplitude = self.unfamiliarity.amplitude(self.unfamiliarity.score(self._hidden_1))
-        said *= amplitude[:, None]
-        self.amplitude[self._order], coefficients[self._order] = amplitude, said
+        output *= amplitude[:, None]
+        self.amplitude[self._order], coefficients[self._order] = amplitude, output
         np.matmul(coefficients, self._shapes[:atoms], out=self._grids)
         self._grids += self._mean

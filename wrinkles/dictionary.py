@@ -1,4 +1,8 @@
-"""The dictionary: a small network from local features to the coefficients of patch atoms, shared by all places."""
+"""The dictionary of wrinkles: atoms (shapes of wrinkle patches), and a small network that mixes them.
+
+The network gives the atoms' coefficients at each coarse vertex for the features there. Its first layer is the same
+everywhere on the garment.
+"""
 
 from __future__ import annotations
 
@@ -16,25 +20,25 @@ from wrinkles.patches import NODES, slope_metric
 __all__ = ["FABRIC_COUNT", "Atoms", "Mapping", "fabric_features", "fit_atoms", "fit_mapping", "whitening"]
 
 NOISE = 0.05  # of the features in training, in standard deviations
-FABRIC_COUNT = 2  # see fabric_features
-SHORTEST = 1e-3  # gravity lengths below it [m] are all the same: no mesh shows their folds
-REGION_RATE = 0.03  # where a region goes on from what all places have learned
+FABRIC_COUNT = 2  # number of fabric_features
+MIN_GRAVITY_LENGTH = 1e-3  # shorter ones count as this [m]: no mesh shows their folds
+REGION_RATE = 0.03  # of weights, where a region goes on from the layers of all places
 BLOCK, KEPT_OUT = 20, 8  # every eighth block of twenty frames says when the fit may stop
 VALIDATED = 40_000  # samples of these that are asked: the mean loss of more is the same
-PARTS = 16  # that what the first layer gives is computed in
+PARTS = 16  # in which the first layer's output is computed
 CLIP = 4.0  # features further out than this many standard deviations count as if they stood there
 
 
 @dataclass(frozen=True)
 class Atoms:
-    """Shapes of wrinkle patches: principal components of what the slope metric sees.
+    """Shapes of wrinkle patches: principal components in the slope metric, see :func:`wrinkles.patches.slope_metric`.
 
     Attributes:
         shapes: displacements [m] of unit coefficients, float32, shape (K, 3 NODES): warp, weft, normal of node 0, ...
-        mean: [m], float32, shape (3 NODES,).
-        kept: share of the metric's variance that the atoms hold.
-        vertex_mean: what each fine vertex has besides on average, in its frame [m], float32, shape (N, 3), see
-            :mod:`wrinkles.vertex_mean`.
+        mean: mean patch [m], float32, shape (3 NODES,).
+        kept: share of the metric's variance that the atoms represent [-].
+        vertex_mean: mean displacement of each fine vertex that patches do not represent, in the vertex's frame [m],
+            float32, shape (N, 3), see :mod:`wrinkles.vertex_mean`.
     """
 
     shapes: np.ndarray
@@ -44,14 +48,14 @@ class Atoms:
 
     @cached_property
     def analysis(self) -> np.ndarray:
-        """Coefficients = (patch - mean) @ analysis, float32, shape (3 NODES, K)."""
+        """Matrix that gives coefficients of a patch: (patch - mean) @ analysis, float32, shape (3 NODES, K)."""
         lower = slope_metric()
         shapes = self.shapes.astype(float).T.reshape(NODES, -1)
         return (lower @ (lower.T @ shapes)).reshape(3 * NODES, -1).astype(np.float32)
 
 
 def fit_atoms(patches: np.ndarray, count: int, fine_count: int) -> Atoms:
-    """Principal components of patches in the slope metric; vertices have no mean yet.
+    """Principal components of patches in the slope metric; the vertex mean is zero.
 
     Args:
         patches: [m], shape (S, 3 NODES).
@@ -63,8 +67,8 @@ def fit_atoms(patches: np.ndarray, count: int, fine_count: int) -> Atoms:
     lower = slope_metric()
     samples = patches.reshape(-1, NODES, 3)
     mean = samples.mean(axis=0)
-    seen = (np.swapaxes(samples - mean, 1, 2) @ lower).swapaxes(1, 2).reshape(len(samples), -1)
-    components = PCA(count, svd_solver="covariance_eigh").fit(seen)
+    whitened = (np.swapaxes(samples - mean, 1, 2) @ lower).swapaxes(1, 2).reshape(len(samples), -1)
+    components = PCA(count, svd_solver="covariance_eigh").fit(whitened)
     basis = components.components_.T
     shapes = np.linalg.solve(lower.T, basis.reshape(NODES, -1)).reshape(NODES, 3, -1)
     return Atoms(
@@ -77,11 +81,11 @@ def fit_atoms(patches: np.ndarray, count: int, fine_count: int) -> Atoms:
 
 @dataclass(frozen=True)
 class Mapping:
-    """From features to coefficients: two hidden layers of rectified units, of which each region has its own second.
+    """The network that gives coefficients for features: two hidden layers of rectified units and a linear one.
 
-    The first layer is shared by all places. Its share of the static features is a bias of its own at every coarse
-    vertex, and its share of the fabric is one more, the same everywhere: neither costs anything in playing. That
-    the layers after it differ from region to region costs a tenth of the network's time.
+    All places share the first layer; each region has its own second and third. The static features contribute to the
+    first layer a bias for every coarse vertex, and the fabric contributes one bias for all vertices; neither costs time
+    in playing. Regions with different layers cost a tenth of the network's time.
 
     Attributes:
         center, scale: of the dynamic features, float32, shape (DYNAMIC_COUNT,).
@@ -108,21 +112,24 @@ class Mapping:
 
     @cached_property
     def place_bias(self) -> np.ndarray:
-        """Of the first layer at each coarse vertex, float32, shape (n, h1)."""
+        """Bias of the first layer at each coarse vertex, float32, shape (n, h1)."""
         return self.place @ self.place_weights + self.bias_1
 
     def for_fabric(self, features: np.ndarray) -> Mapping:
-        """The mapping of a fabric, by its :func:`fabric_features`, shape (FABRIC_COUNT,)."""
+        """The mapping for a fabric with these :func:`fabric_features`, shape (FABRIC_COUNT,)."""
         bias = np.asarray(features, np.float32) @ self.fabric_weights
         return replace(self, bias_1=self.bias_1 + bias, fabric_weights=np.zeros_like(self.fabric_weights))
 
     def amplified(self, gain: float) -> Mapping:
-        """The mapping with all of its coefficients times ``gain`` [-]."""
-        by = np.float32(gain)
-        return replace(self, weights_3=by * self.weights_3, bias_3=by * self.bias_3)
+        """The mapping with all coefficients multiplied by ``gain`` [-]."""
+        factor = np.float32(gain)
+        return replace(self, weights_3=factor * self.weights_3, bias_3=factor * self.bias_3)
 
     def predict(self, features: np.ndarray) -> np.ndarray:
-        """Coefficients for features, shape (..., n, DYNAMIC_COUNT) to (..., n, K); the reference of the decoder."""
+        """Coefficients for features, shape (..., n, DYNAMIC_COUNT) to (..., n, K).
+
+        :class:`wrinkles.decoder.Decoder` computes the same faster; tests compare it with this method.
+        """
         return self.coefficients(self.hidden(features))
 
     def hidden(self, features: np.ndarray) -> np.ndarray:
@@ -132,26 +139,27 @@ class Mapping:
 
     def coefficients(self, hidden: np.ndarray) -> np.ndarray:
         """Coefficients for the first hidden layer, shape (..., n, h1) to (..., n, K)."""
-        found = np.zeros((*hidden.shape[:-1], self.bias_3.shape[1]), np.float32)
+        coefficients = np.zeros((*hidden.shape[:-1], self.bias_3.shape[1]), np.float32)
         for r in range(len(self.bias_3)):
-            there = self.region == r
-            second = np.maximum(hidden[..., there, :] @ self.weights_2[r] + self.bias_2[r], 0.0)
-            found[..., there, :] = second @ self.weights_3[r] + self.bias_3[r]
-        return found
+            members = self.region == r
+            second = np.maximum(hidden[..., members, :] @ self.weights_2[r] + self.bias_2[r], 0.0)
+            coefficients[..., members, :] = second @ self.weights_3[r] + self.bias_3[r]
+        return coefficients
 
     def arrays(self) -> dict[str, np.ndarray]:
+        """All arrays by the names of their attributes."""
         return {entry.name: getattr(self, entry.name) for entry in fields(self)}
 
 
 def fabric_features(fabric: Fabric, own: Fabric) -> np.ndarray:
-    """What the mapping is told of a fabric: logarithms of its gravity length and of its mass per area.
+    """The mapping's features of a fabric: log of the gravity length and of the mass per area, shape (FABRIC_COUNT,).
 
     Args:
-        fabric: of a fabric.
-        own: the garment's own, of which both are shares, so that its own features are zero.
+        fabric: the fabric.
+        own: the garment's own fabric; both values are divided by its own, so that its features are zero.
     """
-    tell = lambda f: np.log([max(f.gravity_length, SHORTEST), f.areal_density])  # noqa: E731
-    return tell(fabric) - tell(own)
+    logarithms = lambda f: np.log([max(f.gravity_length, MIN_GRAVITY_LENGTH), f.areal_density])  # noqa: E731
+    return logarithms(fabric) - logarithms(own)
 
 
 def fit_mapping(
@@ -334,7 +342,14 @@ def _fit_regions(
 
 
 def whitening(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean, shape (d,), and axes, shape (d, d), such that (samples - mean) @ axes has unit covariance, float32."""
+    """Mean and axes such that (samples - mean) @ axes has unit covariance.
+
+    Args:
+        samples: shape (k, d).
+
+    Returns:
+        the mean, shape (d,), and the axes, float32, shape (d, d).
+    """
     mean = samples.mean(axis=0)
     values, vectors = np.linalg.eigh(np.cov((samples - mean).T))
     return mean, (vectors / np.sqrt(values)).astype(np.float32)

@@ -1,9 +1,9 @@
-"""Sparse symmetric systems on a mesh solved for very many right-hand sides at once.
+"""A direct solver for sparse symmetric systems on a mesh with very many right-hand sides.
 
-Nested dissection (George 1973, "Nested dissection of a regular finite element mesh"): small separators part the
-unknowns in halves again and again, and the halves are eliminated before their separator. Each part is eliminated as one
-dense block, so that all the work is in large matrix products; a general sparse solver is several times slower here,
-because it goes from entry to entry.
+It uses nested dissection (George 1973, "Nested dissection of a regular finite element mesh"): a small separator parts
+the unknowns into two halves, each half is parted again, and the halves are eliminated before their separator. Each part
+is eliminated as one dense block, so that all work is in large matrix products. A general sparse solver is several times
+slower here, because it works on single entries.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import breadth_first_order
 
 __all__ = ["BlockSolver", "Dissection"]
 
-_LEAF = 96  # unknowns that are not parted further: larger blocks cost more products, smaller ones more calls
+_MAX_LEAF_SIZE = 96  # unknowns of a part that is not split: larger blocks cost more products, smaller ones more calls
 
 
 @dataclass(frozen=True)
@@ -24,9 +24,9 @@ class _Block:
     """Unknowns that are eliminated together.
 
     Attributes:
-        start, end: their places in the order of elimination.
-        after: places of later unknowns that they are coupled to, ascending, int, shape (b,).
-        children: blocks whose elimination adds to this one.
+        start, end: their range in the order of elimination.
+        after: positions in that order of the later unknowns that they are coupled to, ascending, int, shape (b,).
+        children: blocks whose elimination changes this one.
     """
 
     start: int
@@ -36,13 +36,13 @@ class _Block:
 
 
 class Dissection:
-    """Order of elimination for all matrices with one pattern.
+    """Order of elimination for all matrices with one sparsity pattern.
 
     Args:
-        pattern: sparse and symmetric, shape (n, n); what is stored counts.
+        pattern: sparse and symmetric, shape (n, n); stored entries count, whatever their value.
 
     Attributes:
-        order: unknown at each place, int, shape (n,).
+        order: unknown at each position of the order, int, shape (n,).
         blocks: in the order of elimination, children before parents.
     """
 
@@ -51,26 +51,28 @@ class Dissection:
         parts: list[tuple[np.ndarray, tuple[int, ...]]] = []
         _part(graph, np.arange(graph.shape[0]), parts)
         self.order = np.concatenate([unknowns for unknowns, _ in parts])
-        place = np.argsort(self.order)
+        position = np.argsort(self.order)
         self.blocks: list[_Block] = []
         start = 0
         for unknowns, children in parts:
             end = start + len(unknowns)
-            reached = [place[graph[unknowns].indices], *(self.blocks[child].after for child in children)]
-            after = np.unique(np.concatenate(reached))
+            coupled = [position[graph[unknowns].indices], *(self.blocks[child].after for child in children)]
+            after = np.unique(np.concatenate(coupled))
             self.blocks.append(_Block(start, end, after[after >= end], children))
             start = end
 
 
 class BlockSolver:
-    """Solves A x = b for a complex symmetric matrix (not Hermitian) that needs no pivoting between blocks.
+    """Solves A x = b for a complex symmetric (not Hermitian) matrix A, without pivoting between blocks.
 
-    That holds where the real part, perhaps after a turn in the complex plane, is positive definite.
+    No pivoting is needed if the real part of A, or of A times a complex number, is positive definite. The multifrontal
+    method (Duff and Reid 1983, "The multifrontal solution of indefinite sparse symmetric linear equations") eliminates
+    each block in a dense frontal matrix and passes the remaining Schur complement to the parent block.
 
     Args:
-        matrix: shape (n, n), with the pattern of the dissection.
+        matrix: A, shape (n, n), with the pattern of the dissection.
         dissection: of its pattern.
-        dtype: of all solving, complex; what is solved with is worked out in double precision.
+        dtype: complex type of the solutions; the factors are computed in double precision and then converted.
     """
 
     def __init__(self, matrix: csc_matrix, dissection: Dissection, dtype: type) -> None:
@@ -78,24 +80,28 @@ class BlockSolver:
         ordered = csr_matrix(matrix)[self._order][:, self._order]
         self._inverse: list[np.ndarray] = []
         self._onward: list[np.ndarray] = []
-        rest: dict[int, np.ndarray] = {}  # what children leave for their parents
+        schur_complements: dict[int, np.ndarray] = {}  # of eliminated blocks whose parents are not eliminated yet
         for number, block in enumerate(self._blocks):
             size, own = block.end - block.start, np.arange(block.start, block.end)
-            places = np.concatenate([own, block.after])
-            front = np.zeros((len(places), len(places)), np.complex128)
-            front[:size] = ordered[own][:, places].toarray()
-            front[size:, :size] = front[:size, size:].T
+            indices = np.concatenate([own, block.after])
+            frontal_matrix = np.zeros((len(indices), len(indices)), np.complex128)
+            frontal_matrix[:size] = ordered[own][:, indices].toarray()
+            frontal_matrix[size:, :size] = frontal_matrix[:size, size:].T
             for child in block.children:
-                at = np.searchsorted(places, self._blocks[child].after)
-                front[np.ix_(at, at)] += rest.pop(child)
-            inverse = np.linalg.inv(front[:size, :size])
-            onward = front[size:, :size] @ inverse
-            rest[number] = front[size:, size:] - onward @ front[:size, size:]
+                at = np.searchsorted(indices, self._blocks[child].after)
+                frontal_matrix[np.ix_(at, at)] += schur_complements.pop(child)
+            inverse = np.linalg.inv(frontal_matrix[:size, :size])
+            onward = frontal_matrix[size:, :size] @ inverse
+            schur_complements[number] = frontal_matrix[size:, size:] - onward @ frontal_matrix[:size, size:]
             self._inverse.append(inverse.astype(dtype))
             self._onward.append(onward.astype(dtype))
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solutions in the solver's type for right-hand sides, shape (n, k) both."""
+        """Solutions x of A x = b in the solver's type, shape (n, k).
+
+        Args:
+            right: right-hand sides b, shape (n, k).
+        """
         x = self._eliminated(right)
         for block, inverse, onward in zip(self._blocks[::-1], self._inverse[::-1], self._onward[::-1], strict=True):
             own = slice(block.start, block.end)
@@ -105,7 +111,11 @@ class BlockSolver:
         return out
 
     def quadratic(self, right: np.ndarray) -> np.ndarray:
-        """b^T A^-1 b of each right-hand side b, shape (k,), at half the cost of solving."""
+        """b^T A^-1 b of each right-hand side b, complex128, shape (k,), at half the cost of solving.
+
+        Args:
+            right: right-hand sides b, shape (n, k).
+        """
         x = self._eliminated(right)
         total = np.zeros(x.shape[1], np.complex128)
         for block, inverse in zip(self._blocks, self._inverse, strict=True):
@@ -114,6 +124,7 @@ class BlockSolver:
         return total
 
     def _eliminated(self, right: np.ndarray) -> np.ndarray:
+        """Right-hand sides after forward elimination, in the order of elimination, shape (n, k)."""
         x = np.ascontiguousarray(right[self._order], self._inverse[0].dtype)
         for block, onward in zip(self._blocks, self._onward, strict=True):
             x[block.after] -= onward @ x[block.start : block.end]
@@ -121,12 +132,21 @@ class BlockSolver:
 
 
 def _part(graph: csr_matrix, unknowns: np.ndarray, parts: list[tuple[np.ndarray, tuple[int, ...]]]) -> int:
-    """Append the parts of a set of unknowns, separators after what they separate; number of the last one."""
+    """Split a set of unknowns and append its parts, each separator after the halves that it separates.
+
+    Args:
+        graph: pattern of the whole matrix, shape (n, n).
+        unknowns: the set, int, shape (k,).
+        parts: receives (unknowns, numbers of the child parts).
+
+    Returns:
+        the number of the last part, which is the parent of the others.
+    """
     children: tuple[int, ...] = ()
-    if len(unknowns) > _LEAF:
+    if len(unknowns) > _MAX_LEAF_SIZE:
         inside = graph[unknowns][:, unknowns]
         order = breadth_first_order(inside, _far_end(inside), directed=False, return_predecessors=False)
-        if len(order) < len(unknowns):  # not connected: nothing separates what was reached from the rest
+        if len(order) < len(unknowns):  # the set is not connected: its component needs no separator
             first, separator = order, np.zeros(0, int)
         else:
             first = order[: len(order) // 2]
@@ -144,7 +164,7 @@ def _part(graph: csr_matrix, unknowns: np.ndarray, parts: list[tuple[np.ndarray,
 
 
 def _far_end(graph: csr_matrix) -> int:
-    """An unknown at an end of the graph: from there the separators are short."""
+    """An unknown at an end of the graph: levels of a search that starts there are small, and so are separators."""
     last = 0
     for _ in range(2):
         last = int(breadth_first_order(graph, last, directed=False, return_predecessors=False)[-1])

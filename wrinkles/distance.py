@@ -1,6 +1,6 @@
 """Exact signed distance from points to a deforming closed triangle mesh, and figures of penetration.
 
-A measuring tool: the topology is fixed, so a tree of bounding boxes is built once and its boxes are refitted every
+This is a measuring tool. A tree of bounding boxes is built once for the fixed faces, and its boxes are refitted every
 frame. Every distance is exact, near and far. The kernels work in float64.
 """
 
@@ -13,8 +13,8 @@ from pbd.mesh import edges_of
 
 __all__ = ["TOLERANCE", "BodyDistance", "penetration_figures"]
 
-_LEAF = 4  # faces in a leaf
-TOLERANCE = 5e-5  # deeper than this is inside: numeric noise, no contact thickness [m]
+_MAX_LEAF_FACES = 4  # faces in a leaf of the tree
+TOLERANCE = 5e-5  # a point deeper than this is inside; it covers numeric noise and no contact thickness [m]
 
 vec3 = ti.types.vector(3, ti.f64)
 array3 = ti.types.ndarray(dtype=vec3, ndim=1)
@@ -28,8 +28,8 @@ class BodyDistance:
 
     The sign is that of the angle-weighted pseudonormal at the closest point (Baerentzen and Aanaes 2005, "Signed
     distance computation using the angle weighted pseudonormal"). Where shells of the body overlap, the nearest
-    surface decides, so a point deep in one shell but close under another counts by the other. An open border is taken
-    as it stands: near a hole the sign is that of the border's faces.
+    surface decides: a point deep in one shell but close to the surface of another has its distance from the latter. A
+    mesh with holes is accepted; near a hole the sign is that of the faces at its border.
 
     Args:
         faces: int, counter-clockwise seen from outside, shape (m, 3).
@@ -46,7 +46,7 @@ class BodyDistance:
         self._edge_normals = np.zeros((len(edges), 3))
         self._face_normals = np.zeros((len(self.faces), 3))
         self._vertex_normals = np.zeros((int(self.faces.max()) + 1, 3))
-        self._nearest = np.zeros(0, np.int32)  # face of each point, where the next frame's search starts
+        self._nearest = np.zeros(0, np.int32)  # nearest face of each point, where the next frame's search starts
         self._tree: tuple[np.ndarray, ...] | None = None
 
     def signed_distance(self, points: np.ndarray, body_vertices: np.ndarray) -> np.ndarray:
@@ -71,49 +71,52 @@ class BodyDistance:
         _refit(vertices, self.faces, order, after, first, count, low, high)
         if len(self._nearest) != len(points):
             self._nearest = np.zeros(len(points), np.int32)
-        return self._ask(points, vertices, self._nearest)[0]
+        return self._search(points, vertices, self._nearest)[0]
 
     def leaves_room(
         self, points: np.ndarray, distances: np.ndarray, body_vertices: np.ndarray, thickness: float
     ) -> np.ndarray:
-        """Whether the body leaves room for cloth where points are inside it; true for points that are not.
+        """Whether the cloth could leave the body at each point inside it; true for points that are not inside.
 
-        Where arm and trunk touch or overlap, every place is inside the one, the other or their clearances. There is
-        room if the point that lies ``thickness`` outside the nearest surface is as far from the rest of the body too
-        and inside no part of it (winding number 0).
+        Where arm and trunk touch or overlap, there is no position outside both. A point has room if the position that
+        lies ``thickness`` outside its nearest surface is as far from all other parts of the body and inside none of
+        them (winding number 0).
 
         Args:
             points: [m], shape (n, 3).
-            distances: what :meth:`signed_distance` just gave for them [m], shape (n,).
-            body_vertices: as there.
-            thickness: that the cloth keeps from a body [m].
+            distances: result of the last :meth:`signed_distance`, for the same points [m], shape (n,).
+            body_vertices: as for :meth:`signed_distance`.
+            thickness: distance that the cloth keeps from a body [m].
 
         Returns:
             bool, shape (n,).
         """
-        room = np.ones(len(points), bool)
+        has_room = np.ones(len(points), bool)
         inside = np.flatnonzero(distances < -TOLERANCE)
         if len(inside):
             vertices = _finite_points(body_vertices, "body_vertices", len(self._vertex_normals))
-            found = np.ascontiguousarray(points[inside], np.float64)
-            distance, closest = self._ask(found, vertices, self._nearest[inside])
-            outward = (closest - found) / -distance[:, None]
-            place = closest + thickness * outward
-            clear, _ = self._ask(place, vertices, self._nearest[inside])
-            room[inside] = (clear > 0.9 * thickness) & (self.winding(place, vertices) < 0.5)
-        return room
+            deep = np.ascontiguousarray(points[inside], np.float64)
+            distance, closest = self._search(deep, vertices, self._nearest[inside])
+            outward = (closest - deep) / -distance[:, None]
+            exits = closest + thickness * outward
+            exit_distance, _ = self._search(exits, vertices, self._nearest[inside])
+            has_room[inside] = (exit_distance > 0.9 * thickness) & (self.winding(exits, vertices) < 0.5)
+        return has_room
 
     def winding(self, points: np.ndarray, body_vertices: np.ndarray) -> np.ndarray:
-        """How often the surface winds about each point: 0 outside, 1 inside, more where limbs go through one another.
+        """Winding number of the surface about each point: 0 outside, 1 inside, more where limbs overlap.
 
-        Every face is looked at for every point.
+        The cost is that of every face for every point.
 
         Args:
             points: [m], shape (n, 3).
             body_vertices: [m], shape (v, 3).
 
         Returns:
-            Shape (n,); fractions come from holes.
+            Shape (n,) [-]; holes in the mesh give fractions.
+
+        Raises:
+            InputError: points or vertices of a wrong shape, or not finite.
         """
         ensure_initialized()
         winding = np.zeros(len(points))
@@ -126,8 +129,13 @@ class BodyDistance:
             )
         return winding
 
-    def _ask(self, points: np.ndarray, vertices: np.ndarray, nearest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Signed distances, shape (n,), and closest points, shape (n, 3) [m]; ``nearest`` faces are renewed."""
+    def _search(self, points: np.ndarray, vertices: np.ndarray, nearest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distances, shape (n,), and closest points, shape (n, 3) [m].
+
+        Args:
+            points, vertices: as for :meth:`signed_distance`.
+            nearest: face where each search starts, int32, shape (n,); receives the nearest face.
+        """
         assert self._tree is not None
         order, after, first, count, low, high = self._tree
         distance, closest = np.zeros(len(points)), np.zeros((len(points), 3))
@@ -138,30 +146,35 @@ class BodyDistance:
         return distance, closest
 
 
-def penetration_figures(distances: np.ndarray, room: np.ndarray) -> dict[str, float]:
-    """How much of the cloth is inside the body: everywhere, and where the body leaves room for it.
+def penetration_figures(distances: np.ndarray, has_room: np.ndarray) -> dict[str, float]:
+    """Figures of the cloth's vertices inside the body: of all, and of those that the body leaves room.
 
-    `inside_body_percent` (mean over frames) and `deepest_mm` (over all frames, 0 if none is inside), and the same with
-    `_with_room`, which pass over places that are pinched. Inside means a signed distance below -0.05 mm: the
-    tolerance covers numeric noise and no contact thickness.
+    A vertex is inside if its signed distance is below -0.05 mm; this tolerance covers numeric noise and no contact
+    thickness.
 
     Args:
         distances: signed distances of the cloth's vertices [m], shape (f, n) or (n,).
-        room: of :meth:`BodyDistance.leaves_room`, same shape.
+        has_room: of :meth:`BodyDistance.leaves_room`, same shape.
+
+    Returns:
+        ``inside_body_percent``: share of the vertices, mean over the frames [%]; ``deepest_mm``: greatest depth over
+        all frames, 0 if no vertex is inside [mm]; and both with ``_with_room``, which leave out vertices where parts
+        of the body pinch the cloth.
     """
     distances = np.asarray(distances)
     figures = {}
-    for suffix, counted in (("", np.ones_like(room)), ("_with_room", room)):
+    for suffix, counted in (("", np.ones_like(has_room)), ("_with_room", has_room)):
         inside = (distances < -TOLERANCE) & counted
         figures[f"inside_body{suffix}_percent"] = 100.0 * float(inside.mean())
         figures[f"deepest{suffix}_mm"] = -1e3 * float(distances[inside].min()) if inside.any() else 0.0
     return figures
 
 
-def _finite_points(points: np.ndarray, key: str, least: int) -> np.ndarray:
+def _finite_points(points: np.ndarray, key: str, min_count: int) -> np.ndarray:
+    """The points as float64; an InputError if they are fewer, of another shape or not finite."""
     points = np.ascontiguousarray(points, np.float64)
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) < least:
-        raise InputError("bad positions", key=key, received=points.shape, expected=f"shape (n, 3), n >= {least}")
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) < min_count:
+        raise InputError("bad positions", key=key, received=points.shape, expected=f"shape (n, 3), n >= {min_count}")
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
         raise InputError("position that is not finite", key=f"{key}[{int(np.argmin(finite))}]")
@@ -169,11 +182,16 @@ def _finite_points(points: np.ndarray, key: str, least: int) -> np.ndarray:
 
 
 def _build_tree(corners: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Tree of boxes over the faces, split at the median of the longest axis; nodes in depth-first order.
+    """Tree of boxes over the faces, split at the median of the longest axis; nodes are in depth-first order.
+
+    Args:
+        corners: of the faces [m], shape (m, 3, 3).
 
     Returns:
-        order (faces as the leaves list them, (m,)), after (the node that follows a node's whole subtree, (k,)), first
-        and count (a leaf's range in order, count 0 for inner nodes, (k,)), and room for low and high (k, 3).
+        order: faces in the order of the leaves, shape (m,);
+        after: the node that follows a node's whole subtree, shape (k,);
+        first, count: a leaf's range in ``order``, count 0 for inner nodes, shape (k,) each;
+        low, high: arrays for the corners of the boxes, not filled yet, shape (k, 3) each.
     """
     centres = corners.mean(axis=1)
     order = np.arange(len(corners), dtype=np.int32)
@@ -183,7 +201,7 @@ def _build_tree(corners: np.ndarray) -> tuple[np.ndarray, ...]:
         node = len(after)
         after.append(0)
         first.append(start)
-        count.append(end - start if end - start <= _LEAF else 0)
+        count.append(end - start if end - start <= _MAX_LEAF_FACES else 0)
         if not count[node]:
             part = order[start:end]
             axis = int(np.argmax(np.ptp(centres[part], axis=0)))
@@ -207,7 +225,7 @@ def _pseudonormals(
     edge_normals: array3,
     vertex_normals: array3,
 ):
-    """Unit face normals; sums over the faces of an edge; sums over the faces of a vertex, weighted by angle."""
+    """Normals of faces (unit), of edges (sum over their faces) and of vertices (sum weighted by corner angle)."""
     ti.loop_config(serialize=True)
     for e in range(edge_normals.shape[0]):
         edge_normals[e] = vec3(0.0)
@@ -241,7 +259,7 @@ def _refit(
     low: array3,
     high: array3,
 ):
-    """Fit the boxes, children before parents: in depth-first order every child comes after its parent."""
+    """Fit the boxes to the vertices. Children follow their parent in depth-first order, so nodes go backwards."""
     nodes = after.shape[0]
     ti.loop_config(serialize=True)
     for reverse in range(nodes):
@@ -264,6 +282,7 @@ def _refit(
 
 @ti.func
 def _box_distance_squared(point: vec3, low: vec3, high: vec3):
+    """Squared distance of a point from a box, 0 inside [m2]."""
     outside = ti.max(ti.max(low - point, point - high), vec3(0.0))
     return outside.dot(outside)
 
@@ -287,10 +306,14 @@ def _query(
     distance: array1,
     closest: array3,
 ):
-    """Signed distances and closest points. No point touches another's, so threads may share them out."""
+    """Signed distances and closest points: the exact search of :meth:`BodyDistance.signed_distance`.
+
+    Each point writes its own results only, so threads may share the points. There are 16 arguments because a kernel
+    takes arrays one by one; grouping them inside the kernel would only repeat the list.
+    """
     for q in range(points.shape[0]):
         p = points[q]
-        # The face that was nearest in the last frame gives a close bound; then the tree, skipping what lies beyond it.
+        # The nearest face of the last frame gives a close bound. The tree search then skips boxes beyond the bound.
         best_face = nearest[q]
         a, b, c = vertices[faces[best_face, 0]], vertices[faces[best_face, 1]], vertices[faces[best_face, 2]]
         best_weights = closest_on_triangle(p, a, b, c)
@@ -328,7 +351,10 @@ def _query(
 
 @ti.kernel
 def _winding_numbers(points: array3, vertices: array3, faces: index2, winding: array1):
-    """Solid angles of all faces, by van Oosterom and Strackee 1983, over 4 pi. No point touches another's result."""
+    """Sum of the solid angles of all faces over 4 pi, for each point.
+
+    van Oosterom and Strackee 1983, "The solid angle of a plane triangle". Each point writes its own result only.
+    """
     for q in range(points.shape[0]):
         total = ti.cast(0.0, ti.f64)
         for f in range(faces.shape[0]):

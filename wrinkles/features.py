@@ -1,6 +1,7 @@
-"""What the dictionary sees of the coarse garment: local, rotation-invariant, with the body's nearness.
+"""Features of the coarse garment, the input of the dictionary: local shape, gravity and distance from the body.
 
-A stencil of 5 by 5 chart points around every coarse vertex is read in the vertex's own frame.
+A stencil of 5 by 5 chart points around every coarse vertex is read in the vertex's own frame, so that the features do
+not change when the garment turns about the vertical or moves.
 """
 
 from dataclasses import dataclass, field
@@ -11,24 +12,26 @@ from scipy.sparse.linalg import eigsh
 from threadpoolctl import threadpool_limits
 
 from pbd import ClothMesh
-from pbd.engine import Launch, ensure_initialized, ti
+from pbd.engine import ensure_initialized, ti
 from pbd.geometry import FAR
+from pbd.taichi_internals import Launch
 from wrinkles.charts import Charts
 
 __all__ = ["DYNAMIC_COUNT", "INNER_OFFSETS", "REGIONS", "Stencil"]
 
-SIDE = 5
+SIDE = 5  # points along each side of the stencil
 POINTS = SIDE * SIDE
 CENTRE = POINTS // 2
 OTHERS = [p for p in range(POINTS) if p != CENTRE]
 INNER = [CENTRE + SIDE * a + b for a in (-1, 0, 1) for b in (-1, 0, 1)]
 UP, DOWN, LEFT, RIGHT = CENTRE + SIDE, CENTRE - SIDE, CENTRE - 1, CENTRE + 1  # +-1 along warp, -+1 along weft
-# Offsets 72, gravity 3, distances 9.
+# Features that change with the state: 72 components of offsets, 3 of gravity, 9 distances from the body.
 DYNAMIC_COUNT = 3 * len(OTHERS) + 3 + len(INNER)
-# Features that are offsets of the ring of eight points around the centre.
+# Numbers of the features that are offsets of the eight points around the centre.
 INNER_OFFSETS = [3 * OTHERS.index(p) + a for p in INNER if p != CENTRE for a in range(3)]
-MODES = 8
-REGIONS, SMALLEST = 5, 40  # that a garment is parted into; least coarse vertices in one on average
+MODE_COUNT = 8  # slow modes of the mesh among the static features
+REGIONS = 5  # parts of a garment with network layers of their own
+MIN_REGION_SIZE = 40  # coarse vertices in a region, on average
 
 vec3 = ti.math.vec3
 Vec4 = ti.types.ndarray(dtype=ti.math.vec4, ndim=1)
@@ -38,7 +41,7 @@ Int2 = ti.types.ndarray(dtype=ti.i32, ndim=2)
 
 
 @ti.kernel
-def _gather(
+def _read_stencil(
     position: Vec4,
     contact: Float1,
     corners: Int2,
@@ -95,25 +98,30 @@ def _gather(
 
 @dataclass(frozen=True)
 class Stencil:
-    """Where each coarse vertex looks, and what never changes there.
+    """The stencil points of each coarse vertex, and the features that do not change with the state.
 
     Attributes:
-        corners: coarse vertices of each stencil point, int32, shape (n, 3 POINTS).
+        corners: the three coarse vertices around each stencil point, int32, shape (n, 3 POINTS).
         weights: their barycentric weights, float32, shape (n, 3 POINTS).
-        spacing: of the stencil [m].
-        static: what does not move: points that exist (24), share that is held, slow modes of the mesh (8);
-            float32, shape (n, 33).
+        spacing: distance between stencil points [m].
+        static: features of each coarse vertex: which of the other points exist (24), share of the stencil that is
+            held (1), slow modes of the mesh (8); float32, shape (n, 33).
     """
 
     corners: np.ndarray
     weights: np.ndarray
     spacing: float
     static: np.ndarray
-    _launch: Launch = field(default_factory=lambda: Launch(_gather), init=False, repr=False, compare=False)
+    _launch: Launch = field(default_factory=lambda: Launch(_read_stencil), init=False, repr=False, compare=False)
 
     @classmethod
     def of(cls, charts: Charts, held: np.ndarray) -> "Stencil":
-        """Stencil of a coarse mesh with its held vertices (int, shape (p,))."""
+        """Make the stencils of a coarse mesh.
+
+        Args:
+            charts: of the mesh.
+            held: its held vertices, int, shape (p,).
+        """
         ensure_initialized()
         mesh = charts.mesh
         count, spacing = len(mesh.vertices), float(mesh.edge_lengths()[1].mean())
@@ -134,20 +142,23 @@ class Stencil:
         )
 
     def regions(self, count: int = REGIONS) -> np.ndarray:
-        """Parts of the garment that lie together, by its slow modes: int, shape (n,), 0 to ``count`` - 1 or fewer.
+        """Part the garment into regions by clustering its slow modes.
 
         Args:
-            count: that are wanted; fewer where they would have less than SMALLEST vertices on average, and one where
-                places are not told apart.
+            count: number of regions wanted. There are fewer if regions would have less than MIN_REGION_SIZE vertices on
+                average, and never more than there are different modes.
+
+        Returns:
+            region of each coarse vertex, int, shape (n,).
         """
         from sklearn.cluster import KMeans
 
-        modes = self.static[:, -MODES:]
-        count = max(1, min(count, len(modes) // SMALLEST, len(np.unique(modes, axis=0))))
-        with threadpool_limits(limits=1):  # sums of several threads depend on their number
+        modes = self.static[:, -MODE_COUNT:]
+        count = max(1, min(count, len(modes) // MIN_REGION_SIZE, len(np.unique(modes, axis=0))))
+        with threadpool_limits(limits=1):  # the bits of sums depend on the number of threads
             return KMeans(count, n_init=3, random_state=0).fit_predict(modes)
 
-    def gather(
+    def read(
         self,
         position: np.ndarray,
         contact: np.ndarray,
@@ -157,14 +168,15 @@ class Stencil:
         scale: np.ndarray | None = None,
         limit: float = 1e30,
     ) -> None:
-        """Read the garment's state.
+        """Read frames and features from a state of the garment; both are written to the given arrays.
 
         Args:
-            position: [m], float32, shape (n, 4); the last column does not matter.
+            position: [m], float32, shape (n, 4); the last column is not used.
             contact: as in :class:`pbd.State`, float32, shape (n,).
             frames: receives the frame of each vertex as rows (warp, weft, normal), float32, shape (n, 9).
-            features: receives clip((features - center) * scale, -limit, limit), float32, shape (n, DYNAMIC_COUNT).
-            center, scale, limit: None and none give the features themselves; float32, shape (DYNAMIC_COUNT,).
+            features: receives clip((features - center) * scale, -limit, limit) [-], float32, shape (n, DYNAMIC_COUNT).
+            center, scale: float32, shape (DYNAMIC_COUNT,); None is 0 and 1.
+            limit: of the scaled features [-]; without it they are not clipped.
         """
         center = np.zeros(DYNAMIC_COUNT, np.float32) if center is None else center
         scale = np.ones(DYNAMIC_COUNT, np.float32) if scale is None else scale
@@ -182,10 +194,14 @@ class Stencil:
         )
 
 
-def slow_modes(mesh: ClothMesh, modes: int = MODES) -> np.ndarray:
-    """Lowest non-constant eigenvectors of the mesh's graph Laplacian, unit variance: shape (n, modes).
+def slow_modes(mesh: ClothMesh, modes: int = MODE_COUNT) -> np.ndarray:
+    """Lowest non-constant eigenvectors of the mesh's graph Laplacian, scaled to unit variance: shape (n, modes).
 
-    They say roughly where on the garment a vertex is.
+    They give the approximate position of a vertex on the garment. Edges weigh 1 / length.
+
+    Args:
+        mesh: the mesh.
+        modes: number of eigenvectors.
     """
     edges, lengths = mesh.edge_lengths()
     count = len(mesh.vertices)

@@ -1,22 +1,24 @@
-"""Cloth hardly stretches and hardly shortens: the edges of the middle mesh are brought back to length after decoding.
+"""Brings the edges of the middle mesh nearer to their rest lengths after decoding, because cloth keeps its lengths.
 
-What cannot be told is left out by the mapping, and the length of the folds that it leaves out is missing. Edges that
-are too short push apart and those that are too long pull together; folds that are there grow by that, as in wrinkle
-meshes (Mueller and Chentanez 2010), but from a first guess that is learned. On the fine mesh the same makes zigzags,
-edge by edge; the middle mesh has no room for them, and what it moves by is spread to the fine one by Loop's rule.
+The mapping leaves out folds that it cannot predict, and their length is then missing. Edges that are too short push
+their ends apart, and edges that are too long pull them together; folds that were predicted grow by this, as in wrinkle
+meshes (Mueller and Chentanez 2010, "Wrinkle meshes"), but from a learned first guess. On the fine mesh the same makes
+zigzags from edge to edge. The edges of the middle mesh are too long for zigzags; its displacements are spread to the
+fine mesh by Loop's rule.
 """
 
 import numpy as np
 
-from pbd.engine import Launch, ensure_initialized, ti
+from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Float1, Int1, Int2, Vec3, vec3
 from pbd.mesh import greedy_colors
+from pbd.taichi_internals import Launch
 from wrinkles.levels import Levels, held_between
 from wrinkles.surface import Subdivision, csr_arrays
 
 __all__ = ["Isometry", "middle_edges"]
 
-PASSES = 8
+PASSES = 8  # sweeps over all edges, unless the caller asks for another number
 
 
 @ti.kernel
@@ -48,9 +50,10 @@ def _spread(start: Int1, index: Int1, value: Float1, before: Vec3, middle: Vec3,
 
 
 class Isometry:
-    """Sweeps over the edges of the middle mesh, both ways; held vertices stay.
+    """Projects edges of the middle mesh onto their rest lengths, in Gauss-Seidel sweeps; held vertices stay.
 
-    A delivered mesh is left as it is: the length that its smooth surface lacks in pleats is in its vertex mean.
+    A correction both lengthens and shortens edges. A delivered mesh is not changed: its vertex mean already contains
+    the length that its smooth surface lacks in pleats.
 
     Args:
         levels: of the garment.
@@ -77,7 +80,7 @@ class Isometry:
 
         Args:
             middle, fine: [m], float32, shapes (q, 3), (N, 3); changed in place.
-            passes: sweeps over all edges.
+            passes: number of sweeps over all edges.
         """
         if self._delivered:
             return
@@ -87,9 +90,13 @@ class Isometry:
 
 
 def middle_edges(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
-    """Edges of the middle mesh, int32, shape (e, 2), and their rest lengths along the fine surface [m], shape (e,)."""
+    """Edges of the middle mesh, and their rest lengths along the fine surface.
+
+    Returns:
+        edges, int32, shape (e, 2), and lengths [m], shape (e,).
+    """
     whole = levels.subdivision
     upper = Subdivision.of(whole.middle.faces, whole.middle.fine_count, len(whole.steps) - 1, whole.binding)
-    # Points of the fine surface, so that the smooth surface through them is the fine one.
+    # These vertices lie on the fine surface, so that the smooth surface through them is the fine one.
     vertices = whole.cut_surface(levels.coarse.vertices)[: whole.middle.fine_count]
     return upper.meshes(vertices)[0].edge_lengths()

@@ -1,4 +1,7 @@
-"""A garment at two levels of detail with one rest metric: what the solver moves and what is seen."""
+"""A garment at two levels of detail: a coarse mesh that the solver moves, and a fine mesh that is drawn.
+
+Both have the same rest area, and both are attached to the same body.
+"""
 
 from __future__ import annotations
 
@@ -15,15 +18,17 @@ from pbd.bending import hinge_rows
 from wrinkles.binding import Binding
 from wrinkles.surface import Subdivision
 
-__all__ = ["NEAR_AREA", "Levels", "build_levels", "held_between", "levels_of", "with_area_of"]
+__all__ = ["MAX_AREA_CORRECTION", "Levels", "build_levels", "held_between", "levels_of", "with_area_of"]
 
-CLEARANCE = 0.003  # attached vertices start at least 2 mm outside the body; the smooth surface dips between them [m]
-SAME_AREA = 0.005  # the areas of coarse and fine mesh differ by no more than this share,
-NEAR_AREA = 0.02  # made the same where they differ by no more than this; beyond it the coarse mesh is too coarse
-# Where coarse and fine part: at the shortest fold that a coarse mesh carries well, in edges, but not below the folds
-# that the dictionary is for, about six times the length (B / (rho_A g))^(1/3) of ordinary cloth [m].
-FOLD_EDGES = 3.0
-FOLD_LENGTH = 0.12
+# Vertices are pushed this far out of the body [m], so that attached ones start at least 2 mm outside it; the smooth
+# surface dips between them.
+CLEARANCE = 0.003
+MAX_AREA_DIFFERENCE = 0.005  # share by which the rest areas of coarse and fine mesh may differ; more is corrected,
+MAX_AREA_CORRECTION = 0.02  # and more than this share is refused: the coarse mesh is then too coarse
+# The cut-off between coarse and fine is the shortest fold that a coarse mesh represents well, but no shorter than the
+# folds that the dictionary is made for. These are about six times the length (B / (rho_A g))^(1/3) of ordinary cloth.
+MIN_CUTOFF_EDGES = 3.0  # in mean coarse edges
+MIN_CUTOFF = 0.12  # [m]
 
 
 @dataclass(frozen=True)
@@ -31,11 +36,11 @@ class Levels:
     """Coarse and fine mesh of one garment.
 
     Attributes:
-        subdivision: between them.
-        coarse, fine: cloth meshes in the bind pose; areas agree to 0.5 %.
+        subdivision: from the coarse to the fine mesh.
+        coarse, fine: cloth meshes in the bind pose; their rest areas agree to 0.5 %.
         coarse_held, fine_held: attached vertices, int, shapes (p,), (P,).
-        coarse_attachment, fine_attachment: how they ride on the body; empty where there is none.
-        coarse_limits, fine_limits: about where the body carries vertices.
+        coarse_attachment, fine_attachment: bind the attached vertices to the body; empty without a body.
+        coarse_limits, fine_limits: how far vertices may move from where the body carries them.
     """
 
     subdivision: Subdivision
@@ -49,22 +54,23 @@ class Levels:
     fine_limits: Limits
 
     def __getstate__(self) -> dict:
-        return {field.name: getattr(self, field.name) for field in fields(self)}  # factors cannot be sent to a worker
+        # The cached factors are left out, because they cannot be sent to a worker process.
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property
     def cutoff(self) -> float:
-        """Wavelength at which half of a fold's amplitude belongs to the coarse mesh [m]."""
-        return max(FOLD_EDGES * float(self.coarse.edge_lengths()[1].mean()), FOLD_LENGTH)
+        """Wavelength at which the coarse mesh keeps half of a fold's amplitude [m]."""
+        return max(MIN_CUTOFF_EDGES * float(self.coarse.edge_lengths()[1].mean()), MIN_CUTOFF)
 
     @property
     def rest_vertices(self) -> np.ndarray:
-        """Fine vertices where they have the rest metric [m], shape (N, 3): those of panels in the flat pattern."""
+        """Fine vertices at rest [m], shape (N, 3): in the bind pose, or in the flat pattern for a delivered mesh."""
         binding = self.subdivision.binding
         return self.fine.vertices if binding is None else np.insert(binding.flat, 2, 0.0, axis=1)
 
     @cached_property
     def _filter(self) -> tuple:
-        """Factored normal equations of the smoothing spline, transpose of its data term, weights of held vertices."""
+        """Factors of the smoothing spline's normal equations, transpose of its data term, weights of held vertices."""
         matrix, count = self.subdivision.matrix, self.subdivision.coarse_count
         hinges, rows, areas, _ = hinge_rows(self.coarse)
         shape = (len(hinges), count)
@@ -82,13 +88,13 @@ class Levels:
         """Coarse vertices for fine ones: a smoothing spline that halves folds of the cut-off wavelength.
 
         The response to a fold of wavelength L is 1 / (1 + (cutoff / L)^4), less below two coarse edges. Held
-        vertices keep their places.
+        vertices keep their positions.
 
         Args:
-            fine: positions [m], shape (f, N, 3).
+            fine: positions of the fine vertices [m], shape (f, N, 3).
 
         Returns:
-            the same for the coarse vertices, float64, shape (f, n, 3).
+            positions of the coarse vertices [m], float64, shape (f, n, 3).
         """
         factor, transpose, held = self._filter
         frames = np.asarray(fine, float)
@@ -108,7 +114,7 @@ def build_levels(
     binding: Binding | None = None,
     limits: Limits | None = None,
 ) -> Levels:
-    """Move a garment out of the body's bind pose, refine it and attach it.
+    """Make the two levels of a garment: push it out of the body in the bind pose, refine it and attach it.
 
     Args:
         vertices: of the garment [m], shape (n, 3).
@@ -116,10 +122,10 @@ def build_levels(
         held: coarse vertices attached to the body, or fixed in space where there is none, int, shape (p,).
         body_vertices: bind pose [m], shape (b, 3).
         body_faces: int, shape (k, 3); no faces for a garment without a body.
-        levels: times that each coarse face is cut in four.
+        levels: number of times that each coarse face is cut in four.
         warp: direction of the warp in space, shape (3,).
         binding: of a delivered fine mesh, if there is one.
-        limits: of coarse vertices about where the body carries them.
+        limits: how far coarse vertices may move from where the body carries them.
 
     Raises:
         InputError: a number of levels outside 1..4, or a subdivided mesh whose area differs by more than 2 %.
@@ -128,7 +134,7 @@ def build_levels(
         raise InputError("bad number of subdivisions", key="subdivisions", received=levels, expected="1..4")
     vertices = np.array(vertices, float)
     if len(body_faces):
-        # What shows inside is the fine surface: push it out and fit the coarse vertices to it, twice.
+        # The fine surface is the visible one: it is pushed out, and the coarse vertices are fitted to it, twice.
         subdivision = Subdivision.of(faces, len(vertices), levels, binding)
         for _ in range(2):
             outside = push_outside(subdivision.upsample(vertices), body_vertices, body_faces, CLEARANCE)
@@ -148,14 +154,18 @@ def levels_of(
     binding: Binding | None = None,
     limits: Limits | None = None,
 ) -> Levels:
-    """Levels of a garment that stands outside the body already; arguments as for :func:`build_levels`."""
+    """Make the levels of a garment that is outside the body already; arguments as for :func:`build_levels`.
+
+    Raises:
+        InputError: a subdivided mesh whose area differs by more than 2 %.
+    """
     subdivision = Subdivision.of(faces, len(vertices), levels, binding)
     coarse, fine = subdivision.meshes(vertices, warp)
     coarse, ratio = with_area_of(coarse, fine)
-    if binding is None and abs(ratio - 1.0) > NEAR_AREA:
-        expected = f"1 within {100.0 * NEAR_AREA:g} %"
+    if binding is None and abs(ratio - 1.0) > MAX_AREA_CORRECTION:
+        expected = f"1 within {100.0 * MAX_AREA_CORRECTION:g} %"
         raise InputError("coarse and fine mesh differ in area", key="subdivisions", received=ratio, expected=expected)
-    held = np.unique(np.asarray(held, np.int64))  # the order in which a model takes its targets
+    held = np.unique(np.asarray(held, np.int64))  # ascending, the order in which a model takes its targets
     fine_held = held_between(subdivision, held)
     carried = (coarse.vertices[held], fine.vertices[fine_held]) if len(body_faces) else (np.zeros((0, 3)),) * 2
     attachments = [Attachment.bind(points, body_vertices, body_faces) for points in carried]
@@ -165,26 +175,32 @@ def levels_of(
 
 
 def with_area_of(coarse: ClothMesh, fine: ClothMesh) -> tuple[ClothMesh, float]:
-    """The coarse mesh with the area of the fine one, and the ratio of both areas before.
+    """The coarse mesh with the rest area of the fine one, and the ratio of coarse to fine area before.
 
-    Along sharp bends the ways on the smooth surface are too long; a decimated border cuts corners.
+    The areas differ because paths on the smooth surface are too long at sharp bends, and because the border of a
+    decimated mesh cuts corners.
     """
     ratio = float(coarse.face_areas.sum() / fine.face_areas.sum())
-    same = abs(ratio - 1.0) <= SAME_AREA
+    same = abs(ratio - 1.0) <= MAX_AREA_DIFFERENCE
     return coarse if same else replace(coarse, flat=coarse.flat / np.sqrt(ratio)), ratio
 
 
 def held_between(subdivision: Subdivision, held: np.ndarray) -> np.ndarray:
-    """Fine vertices on coarse edges and faces whose corners are all held."""
+    """Fine vertices on coarse edges and faces whose corners are all held: int, ascending, shape (P,).
+
+    Args:
+        subdivision: from the coarse to the fine mesh.
+        held: coarse vertices, int, shape (p,).
+    """
     mark = np.zeros(subdivision.coarse_count)
     mark[held] = 1.0
     if subdivision.binding is not None:
         face, place = subdivision.places
         carried = (place * mark[subdivision.coarse_faces[face]]).sum(axis=1)
-        return np.flatnonzero(carried > 0.9)  # a delivered border swings about the coarse one
+        return np.flatnonzero(carried > 0.9)  # a delivered border deviates from the coarse one to both sides
     for step in subdivision.steps:
         new = step[len(mark) :]
-        # Weights of both ends are the large ones (3/8 or 1/2); corners opposite carry 1/8.
+        # The two ends of an edge have the large weights (3/8 or 1/2); opposite corners have 1/8.
         ends = new.copy()
         ends.data = (ends.data > 0.2).astype(float)
         mark = np.concatenate([mark, (ends @ mark == 2.0).astype(float)])

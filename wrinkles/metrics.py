@@ -1,7 +1,7 @@
-"""Figures that compare cloth sequences: normals, positions, edges, bending, folds, pixels.
+"""Figures that compare two sequences of a cloth mesh: normals, positions, edges, bending, folds, pixels.
 
-Sequences are plain arrays of vertex positions [m], shape (f, n, 3), on one fixed mesh; a single shape (n, 3) counts as
-one frame. Where a figure has a name in the project's list of figures, the function or the key carries it.
+Sequences are arrays of vertex positions [m], shape (f, n, 3), on one fixed mesh; a single frame of shape (n, 3) is
+accepted too. A figure in the project's list of figures has the same name here, as a function or as a key.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ __all__ = [
 PIXELS_PER_METRE = 1080 / (2 * 3.0 * np.tan(np.radians(20.0)))
 """Of the standard camera [px/m]: 1080 lines, vertical field of view 40 deg, 3 m away."""
 
-_CHUNK = 32  # frames worked on at once: bounds the memory, large enough for the sparse products
-_NOISE_DEG = 0.01  # what float32 positions alone can turn a normal on a mesh of a few millimetres
+_CHUNK_FRAMES = 32  # frames that are processed at once: bounds the memory, large enough for the sparse products
+_NOISE_DEG = 0.01  # angle by which rounding to float32 can turn a normal, on a mesh of a few millimetres [deg]
 
-_STED_FRAME = 0.01  # length of one frame's time in the temporal edges, in diagonals of the bounding box
-_STED_WINDOW = 5  # temporal edges over which the temporal deviation is taken
+_STED_FRAME_LENGTH = 0.01  # of the duration of one frame in a temporal edge, in diagonals of the bounding box
+_STED_WINDOW = 5  # temporal edges in the window of the temporal deviation
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -110,16 +110,20 @@ def patch_normal_errors(test: np.ndarray, truth: np.ndarray, faces: np.ndarray, 
 
 
 def skill(error: float, error_smooth: float) -> float:
-    """What part of smooth upsampling's error is gone, 1 - error / error_smooth [-]; nan where smooth has none."""
+    """Share of smooth upsampling's error that a method removes, 1 - error / error_smooth [-]; nan if smooth has none.
+
+    Args:
+        error, error_smooth: of the method and of smooth upsampling, in the same unit.
+    """
     return 1.0 - error / error_smooth if error_smooth > 0 else float("nan")
 
 
 def normal_correlation(test: np.ndarray, truth: np.ndarray, smooth: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Correlation of the wrinkles' normals, per frame [-], shape (f,).
 
-    The cosine between two long vectors: the stacked deviations n - n_smooth of the test and of the truth. 1 means
-    the same wrinkles, up to one common amplitude; 0 means unrelated or no wrinkles at all in the test; nan where the
-    truth itself is smooth.
+    This is the cosine between two long vectors: the stacked deviations n - n_smooth of the test and of the truth. 1
+    means the same wrinkles, up to a common amplitude; 0 means unrelated wrinkles, or none in the test. It is nan where
+    the truth itself is smooth.
 
     Args:
         test: positions [m], shape (f, n, 3).
@@ -135,7 +139,11 @@ def normal_correlation(test: np.ndarray, truth: np.ndarray, smooth: np.ndarray, 
 
 
 def rmse_mm(test: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Root mean square distance of the vertices, per frame [mm], shape (f,). Both sequences [m], shape (f, n, 3).
+    """Root mean square distance of the vertices, per frame [mm], shape (f,).
+
+    Args:
+        test: positions [m], shape (f, n, 3).
+        truth: positions [m], shape (f, n, 3).
 
     Raises:
         InputError: sequences of different shape.
@@ -148,12 +156,13 @@ def rmse_mm(test: np.ndarray, truth: np.ndarray) -> np.ndarray:
 def sted(test: np.ndarray, truth: np.ndarray, faces: np.ndarray) -> float:
     """Spatio-temporal edge difference [-], after Vasa and Skala 2011, in a simplified form.
 
-    "A perception correlated comparison method for dynamic meshes". Spatial part: the relative length differences
-    (l_test - l_truth) / l_truth of the edges around a vertex, their deviation from their own mean (weights l_truth),
-    averaged over vertices and frames. Temporal part: the same for the edges that join a vertex to itself
-    in the next frame, of length sqrt(|dx|^2 / d^2 + 0.01^2) with the truth's first bounding diagonal d, over windows of
-    five frames. The result is the root of the sum of both squares. Simplified: the neighbourhood is one ring, the
-    differences keep their sign, both parts weigh the same. Blind to rigid offsets, as the original.
+    "A perception correlated comparison method for dynamic meshes". The spatial part takes the relative length
+    differences (l_test - l_truth) / l_truth of the edges around a vertex and their standard deviation (weights
+    l_truth), averaged over vertices and frames. The temporal part does the same for the edges that join a vertex to
+    itself in the next frame, of length sqrt(|dx|^2 / d^2 + 0.01^2) with the diagonal d of the truth's first bounding
+    box, over windows of five frames. The result is the root of the sum of both squares. Three things are simplified:
+    the neighbourhood is one ring, the differences keep their sign, and both parts have the same weight. As in the
+    original, a rigid offset does not change the figure.
 
     Args:
         test: positions [m], shape (f, n, 3).
@@ -181,7 +190,7 @@ def sted(test: np.ndarray, truth: np.ndarray, faces: np.ndarray) -> float:
 
     diagonal = np.linalg.norm(np.ptp(truth[0][used], axis=0))
     length, other = (
-        np.hypot(np.linalg.norm(np.diff(frames[:, used], axis=0), axis=2) / diagonal, _STED_FRAME)
+        np.hypot(np.linalg.norm(np.diff(frames[:, used], axis=0), axis=2) / diagonal, _STED_FRAME_LENGTH)
         for frames in (truth, test)
     )
     window = min(_STED_WINDOW, len(length))
@@ -197,9 +206,9 @@ def sted(test: np.ndarray, truth: np.ndarray, faces: np.ndarray) -> float:
 def worse_than_smooth_percent(
     test: np.ndarray, truth: np.ndarray, smooth: np.ndarray, faces: np.ndarray, patches: np.ndarray
 ) -> float:
-    """Share of patch-frames whose mean normal error exceeds smooth's on the same coarse state [%].
+    """Share of patches and frames whose mean normal error exceeds that of smooth upsampling [%].
 
-    An excess below 0.01 deg is the noise of float32 positions and does not count.
+    An excess below 0.01 deg may be rounding of float32 positions and does not count.
 
     Args:
         test: positions [m], shape (f, n, 3).
@@ -219,7 +228,7 @@ def worse_than_smooth_percent(
 def given_coarse_figures(
     test: np.ndarray, truth: np.ndarray, smooth: np.ndarray, faces: np.ndarray, patches: np.ndarray
 ) -> dict[str, float]:
-    """All figures of this module that hold where the coarse state is given, by name.
+    """The figures of this module that assume a given coarse state, by name.
 
     Angles are means over the frames, `rmse_*` is the root mean square over all frames, `normal_correlation_p50` and
     `_p90` are percentiles over the frames.
@@ -258,7 +267,7 @@ def given_coarse_figures(
 
 
 class Stretch(NamedTuple):
-    """How much longer than at rest edges are, as parts of the rest length [-]; shortened edges count zero."""
+    """Stretch of edges, length over rest length minus 1 [-]; shortened edges count as 0."""
 
     mean: float
     p99: float
@@ -268,7 +277,7 @@ class Stretch(NamedTuple):
 def edge_stretch(vertices: np.ndarray, edges: np.ndarray, rest_lengths: np.ndarray) -> Stretch:
     """Stretch of the edges over all frames.
 
-    Shortening is left out: a fold that a coarse edge spans is no error of the cloth.
+    Shortening does not count, because an edge that spans a fold is shorter than the cloth without any error.
 
     Args:
         vertices: positions [m], shape (f, n, 3).
@@ -287,15 +296,15 @@ def bending_energy(
     """Bending energy per unit of bending stiffness, per frame [-], shape (f,).
 
     Quadratic hinges, E = 1/2 x^T Q x = sum of c (3/2) |K x|^2 / (A0 + A1) (Bergou et al. 2006, "A quadratic
-    bending model for inextensible surfaces") with c = 1/3, which is near 1/2 the integral of the squared curvature; how
-    near hangs on the mesh, so compare energies on one mesh only. Rest angles are zero.
+    bending model for inextensible surfaces") with c = 1/3. This approximates 1/2 the integral of the squared curvature;
+    its error depends on the mesh, so compare energies on one mesh only. Rest angles are zero.
 
     Args:
         vertices: positions [m], shape (f, n, 3).
         rest_vertices: positions that set the rest metric [m], shape (n, 3).
         faces: int, shape (m, 3).
-        where: bool, shape (f, n); only hinges with both ends of their edge there are counted, for instance
-            the vertices in contact. None counts all.
+        where: bool, shape (f, n); only hinges with both ends of their edge marked are counted, for instance vertices
+            in contact. None counts all.
     """
     frames = _frames(vertices, "vertices")
     hinges, rows, areas, _ = hinge_rows(ClothMesh.from_surface(rest_vertices, np.asarray(faces)))
@@ -326,26 +335,26 @@ def bending_energy_ratio(test: np.ndarray, truth: np.ndarray, rest_vertices: np.
     return float(next(energies) / next(energies))
 
 
-def fold_count(loop: np.ndarray, least_turn_deg: float = 15.0, blur: float = 0.01) -> np.ndarray:
-    """Folds along a closed loop, such as a hem, per frame: int, shape (f,).
+def fold_count(loop: np.ndarray, min_turn_deg: float = 15.0, blur: float = 0.01) -> np.ndarray:
+    """Number of folds along a closed loop, such as a hem, per frame: int, shape (f,).
 
-    The loop is seen along its area vector and blurred. A fold is one swing of its tangent to and fro against an even
-    turn, that is, two sign changes of the curvature against the loop's mean curvature. Swings by less than the
-    threshold do not count, so noise and the loop's own roundness add nothing.
+    The loop is projected along its area vector and blurred. Its tangent turns by 360 deg on the whole. A fold is one
+    swing of the tangent about an even turn, that is, two sign changes of the curvature minus the loop's mean
+    curvature. Swings smaller than the threshold do not count, so that noise and the loop's own roundness add nothing.
 
     Args:
         loop: vertex positions in order, the last joined to the first [m], shape (f, k, 3) or (k, 3).
-        least_turn_deg: threshold, from one extreme of the tangent to the next [deg]; a wave of amplitude a and length w
+        min_turn_deg: threshold, from one extreme of the tangent to the next [deg]; a wave of amplitude a and length w
             swings by 2 atan(2 pi a / w).
         blur: standard deviation of the blur along the loop [m].
     """
-    return np.array([_fold_count(points, np.radians(least_turn_deg), blur) for points in _frames(loop, "loop")])
+    return np.array([_fold_count(points, np.radians(min_turn_deg), blur) for points in _frames(loop, "loop")])
 
 
 def pixel_distance(test: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Distance of the vertices on the standard camera's screen [px], shape (..., n).
 
-    The whole distance is taken to lie across the line of sight, so no camera angle shows more.
+    The whole distance counts as perpendicular to the line of sight, so that it is an upper bound for every view.
 
     Args:
         test: positions [m], shape (..., n, 3).
@@ -357,9 +366,9 @@ def pixel_distance(test: np.ndarray, truth: np.ndarray) -> np.ndarray:
 def jitter_px(vertices: np.ndarray) -> float:
     """Jitter on the standard camera's screen: the 95th percentile over vertices and frames [px a frame].
 
-    Half the second difference over three frames: a vertex that hops to and fro counts the length of its hop, one that
-    moves evenly counts nothing. True acceleration counts too (free fall at 60 Hz: 0.7 px), so take a stretch
-    of rest, or compare with the truth's own figure.
+    It is half the second difference over three frames. For a vertex that jumps back and forth this is the length of
+    the jump; for one that moves evenly it is 0. True acceleration counts too (free fall at 60 Hz: 0.7 px), so measure
+    cloth at rest, or compare with the truth's own figure.
 
     Args:
         vertices: positions [m], shape (f, n, 3), at least three frames.
@@ -376,6 +385,8 @@ def jitter_px(vertices: np.ndarray) -> float:
 def low_frequency_rmse_mm(test: np.ndarray, truth: np.ndarray, low_pass: Callable[[np.ndarray], np.ndarray]) -> float:
     """Root mean square distance of two sequences after a low-pass filter, over all frames [mm].
 
+    The filter is linear, so it is applied to the difference of the sequences.
+
     Args:
         test: positions [m], shape (f, n, 3).
         truth: positions [m], shape (f, n, 3).
@@ -389,7 +400,8 @@ def low_frequency_rmse_mm(test: np.ndarray, truth: np.ndarray, low_pass: Callabl
 
 
 def _parts(count: int) -> Iterator[slice]:
-    return (slice(start, min(start + _CHUNK, count)) for start in range(0, count, _CHUNK))
+    """Slices of ``count`` frames that are processed at once."""
+    return (slice(start, min(start + _CHUNK_FRAMES, count)) for start in range(0, count, _CHUNK_FRAMES))
 
 
 def _frames(array: np.ndarray, key: str) -> np.ndarray:
@@ -401,6 +413,7 @@ def _frames(array: np.ndarray, key: str) -> np.ndarray:
 
 
 def _same_frames(**sequences: np.ndarray) -> list[np.ndarray]:
+    """The sequences as float64, shape (f, n, 3); an InputError if their shapes differ."""
     frames = [_frames(array, key) for key, array in sequences.items()]
     shapes = {key: array.shape for key, array in zip(sequences, frames, strict=True)}
     if len(set(shapes.values())) > 1:
@@ -418,6 +431,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _edge_lengths(frames: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Lengths of the edges [m], shape (f, e)."""
     side = frames[:, edges[:, 1]] - frames[:, edges[:, 0]]
     return np.sqrt(np.einsum("fei,fei->fe", side, side))
 
@@ -447,6 +461,7 @@ def _deviation_cosine(test: np.ndarray, truth: np.ndarray, smooth: np.ndarray) -
 
 
 def _worse_percent(angles: np.ndarray, angles_smooth: np.ndarray, patches: np.ndarray) -> float:
+    """The figure of :func:`worse_than_smooth_percent`, from the angles of both [deg], shape (f, n)."""
     return float(100.0 * (_patch_means(angles - angles_smooth, patches) > _NOISE_DEG).mean())
 
 
@@ -469,10 +484,11 @@ def _deviation(total: Callable[[np.ndarray], np.ndarray], weights: np.ndarray, v
     return np.sqrt(np.maximum(total(weights * values**2) / weight - mean**2, 0.0))
 
 
-def _fold_count(points: np.ndarray, least_turn: float, blur: float) -> int:
-    from scipy.signal import find_peaks  # takes longer to import than all else that playing needs of SciPy
+def _fold_count(points: np.ndarray, min_turn: float, blur: float) -> int:
+    """Number of folds along one closed loop, shape (k, 3); ``min_turn`` in radians."""
+    from scipy.signal import find_peaks  # takes longer to import than all other parts of SciPy that playing needs
 
-    # Seen along the area vector, in even steps of a fifth of the blur.
+    # The loop is projected along its area vector and resampled in even steps of a fifth of the blur.
     points = points - points.mean(axis=0)
     area = np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)
     flat = points @ np.linalg.svd(area[None])[2][1:].T
@@ -482,12 +498,12 @@ def _fold_count(points: np.ndarray, least_turn: float, blur: float) -> int:
     step = arc[-1] / count
     even = np.stack([np.interp(np.arange(count) * step, arc, column) for column in closed.T], axis=1)
     even = gaussian_filter1d(even, blur / step, axis=0, mode="wrap")
-    # The tangent's angle less an even turn comes back to its start: a periodic signal, opened at its highest point.
+    # The tangent's angle minus an even turn is periodic along the loop. The sequence begins at its highest point.
     side = np.diff(np.concatenate([even, even[:2]]), axis=0)
     angle = np.unwrap(np.arctan2(side[:, 1], side[:, 0]))
     angle -= np.linspace(0.0, angle[-1] - angle[0], count + 1) + angle[0]
     swing = np.roll(angle[:-1], -int(np.argmax(angle[:-1])))
-    if np.ptp(swing) < least_turn:
+    if np.ptp(swing) < min_turn:
         return 0
-    peaks, _ = find_peaks(np.append(swing, swing[0]), prominence=least_turn)
+    peaks, _ = find_peaks(np.append(swing, swing[0]), prominence=min_turn)
     return 1 + len(peaks)

@@ -1,4 +1,7 @@
-"""Overlapping patches: each coarse vertex carries a small grid of displacements; neighbouring grids blend."""
+"""Patches of wrinkles: each coarse vertex carries a small grid of displacements, and neighbouring grids overlap.
+
+A fine vertex reads the grids of the three coarse vertices around it and blends them.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +17,11 @@ from wrinkles.surface import Subdivision
 
 __all__ = ["NODES", "Patches", "slope_metric"]
 
-SIDE = 11
+SIDE = 11  # nodes along each side of a grid
 NODES = SIDE * SIDE
-REACH = 1.1  # of a patch's blend, in coarse edges
-LEAST_TURNING = 0.02  # smaller weights of frames are left out
-CELLS_PER_SPACING = 4  # a coarse edge is as long as four grid cells: the fine edges of two subdivisions
+BLEND_RADIUS = 1.1  # distance from a patch's centre at which its weight becomes 0, in coarse edges
+MIN_FRAME_WEIGHT = 0.02  # smaller weights of a coarse vertex's frame are left out
+CELLS_PER_SPACING = 4  # grid cells along a mean coarse edge, as many as fine edges after two subdivisions
 
 
 @dataclass(frozen=True)
@@ -26,14 +29,16 @@ class Patches:
     """Where each fine vertex reads the grids of the three coarse vertices around it.
 
     Attributes:
-        corners: coarse vertices, int32, shape (N, 3).
-        blend: partition of unity, float32, shape (N, 3).
+        corners: the three coarse vertices, int32, shape (N, 3).
+        blend: their weights, a partition of unity, float32, shape (N, 3).
         cell: lower node of the grid cell in each patch, int32, shape (N, 3).
-        within: place in the cell along both axes in 0..1, float32, shape (N, 6).
-        spacing: of the grid's nodes [m].
-        turning: weights of the coarse vertices' frames in the frame of each fine vertex, rows sum to one, shape (N, n):
-            the blend's, which on a delivered mesh change smoothly in the pattern however places jump.
-        smoothing: of what a delivered mesh reads, where its places crowd, shape (N, N); None for others.
+        within: position in the cell along both axes in 0..1, float32, shape (N, 6).
+        spacing: distance of the grid's nodes [m].
+        turning: weights of the coarse vertices' frames in the frame of each fine vertex, rows sum to one, shape (N, n).
+            They are the blend's weights; on a delivered mesh they are smoothed over the pattern, so that they do not
+            jump where bound points jump.
+        smoothing: matrix that smooths displacements on a delivered mesh where its bound points crowd, shape (N, N);
+            None for a subdivided mesh.
     """
 
     corners: np.ndarray
@@ -46,7 +51,12 @@ class Patches:
 
     @classmethod
     def of(cls, subdivision: Subdivision, charts: Charts) -> Patches:
-        """Patches of a garment, for the vertices of its fine mesh."""
+        """Make the patches for the fine vertices of a garment.
+
+        Args:
+            subdivision: from the coarse to the fine mesh.
+            charts: of the coarse mesh.
+        """
         mesh: ClothMesh = charts.mesh
         spacing = float(mesh.edge_lengths()[1].mean()) / CELLS_PER_SPACING
         face, place = fine_places(subdivision)
@@ -69,11 +79,16 @@ class Patches:
         return replace(read, smoothing=binding.smoothing_where(crowded))
 
     def fits(self, coarse_count: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """For each coarse vertex the fine vertices of its patch and the matrix that fits a grid to values there.
+        """For each coarse vertex, the fine vertices of its patch and the matrix that fits a grid to values at them.
+
+        The fit is least squares with bilinear reading, weighted by the blend; nodes without a vertex near them follow
+        from a small weight on second differences.
+
+        Args:
+            coarse_count: number of coarse vertices n.
 
         Returns:
-            a list of (fine vertices int, shape (k,); matrix, shape (NODES, k)): least squares with bilinear reading,
-            weighted by the blend, smooth where no vertex is.
+            a list of n pairs: fine vertices, int, shape (k,), and the matrix, shape (NODES, k).
         """
         smooth = 1e-3 * _second_differences()
         members: list[list[tuple[int, int]]] = [[] for _ in range(coarse_count)]
@@ -104,27 +119,35 @@ class Patches:
 
 
 def _blend(place: np.ndarray) -> np.ndarray:
-    """Weights of three patches by the distance from their centres, as if triangles were equilateral: shape (N, 3).
+    """Weights of the three patches around each vertex, shape (N, 3).
 
-    The wider the blend, the more patches have a say everywhere: what neighbours do not agree on is averaged instead of
-    showing as ribs one coarse edge apart. (1 - (r / REACH)^2)^2 has no kink where a coarse edge is crossed. Patches
-    beyond the corners of the vertex's own face are left out; they would weigh 9 % at most, in the middle of an edge.
+    They depend on the distance r from the patches' centres, computed as if triangles were equilateral. The weight
+    (1 - (r / BLEND_RADIUS)^2)^2 has no kink where a coarse edge is crossed. The wider the blend, the better it averages
+    differences between neighbouring patches, which would otherwise show as ribs one coarse edge apart. Patches of other
+    vertices than the corners of the face are left out; their weight would be 9 % at most, in the middle of an edge.
 
     Args:
         place: barycentric weights, shape (N, 3).
     """
     before, after = np.roll(place, 1, axis=1), np.roll(place, -1, axis=1)
     squared = before**2 + after**2 + before * after
-    weight = np.clip(1.0 - squared / REACH**2, 0.0, None) ** 2
+    weight = np.clip(1.0 - squared / BLEND_RADIUS**2, 0.0, None) ** 2
     return weight / weight.sum(axis=1, keepdims=True)
 
 
 def _turning(binding: Binding | None, corners: np.ndarray, blend: np.ndarray, coarse_count: int) -> csr_matrix:
-    """The blend's weights of the patches, smoothed as a bound surface is: shape (N, n)."""
+    """Matrix of the blend's weights, with the binding's smoothing on a delivered mesh, shape (N, n).
+
+    Args:
+        binding: of a delivered mesh, or None.
+        corners: coarse vertices around each fine one, int, shape (N, 3).
+        blend: their weights, shape (N, 3).
+        coarse_count: number of coarse vertices n.
+    """
     rows = np.repeat(np.arange(len(corners)), 3)
     weights = csr_matrix((blend.ravel(), (rows, corners.ravel())), (len(corners), coarse_count))
     smooth = weights if binding is None else (binding.smoothing @ weights).tocsr()
-    smooth.data[smooth.data < LEAST_TURNING] = 0.0
+    smooth.data[smooth.data < MIN_FRAME_WEIGHT] = 0.0
     smooth.eliminate_zeros()
     return (diags(1.0 / np.asarray(smooth.sum(axis=1)).ravel()) @ smooth).tocsr()
 
@@ -139,17 +162,18 @@ def _second_differences() -> np.ndarray:
 
 
 def slope_metric() -> np.ndarray:
-    """Cholesky factor L of the metric in which patches are compared, shape (NODES, NODES): error = |L^T d|^2.
+    """Cholesky factor L of the metric in which patches d are compared, error = |L^T d|^2: shape (NODES, NODES).
 
-    What the eye sees of a wrinkle is its slope: squared differences of neighbouring nodes count in full, displacement
-    itself as the slope that it has over one coarse edge. Nodes count by the share that the blend gives them.
+    A wrinkle is visible by its slope, so the metric is the sum of squared differences of neighbouring nodes. The
+    displacement itself is added with the weight of its slope over one coarse edge. Nodes are weighted by their share in
+    the blend.
     """
     axis = (np.arange(SIDE) - SIDE // 2) / CELLS_PER_SPACING
     share = np.clip(1.0 - np.abs(axis), 0.05, None)
     window = np.sqrt(np.outer(share, share)).ravel()
     line = np.diff(np.eye(SIDE), axis=0)
     slopes = np.concatenate([np.kron(line, np.eye(SIDE)), np.kron(np.eye(SIDE), line)])
-    # A difference counts by the window between its two nodes.
+    # The weight of a difference is the mean window of its two nodes.
     between = np.abs(slopes) @ window / 2.0
     slopes *= between[:, None]
     values = np.diag(window / CELLS_PER_SPACING)

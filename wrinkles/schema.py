@@ -1,6 +1,6 @@
-"""The layout of a wrinkle database: every value in the file, with its type, shape and unit, and what it may be.
+"""The file format of a wrinkle database: name, type, shape and unit of every value, and checks of the values.
 
-``ENTRIES`` is the one description of the file; writing, reading and checking all go by it.
+``ENTRIES`` is the only description of the file; writing, reading and checking all follow it.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn, Protocol
 
 import numpy as np
 
@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 15
+SCHEMA_VERSION = 16
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE, STEPS = "text", "float32", "float64", "int32", "int64", "int8"
 
@@ -48,11 +48,11 @@ class Entry:
     Attributes:
         name: path in the file, which is also the path of the field in :class:`wrinkles.database.WrinkleDatabase`.
         dtype: TEXT (UTF-8 of fixed length) or the name of a NumPy type.
-        shape: numbers, and letters for sizes that must be the same wherever they occur.
+        shape: numbers, and letters for sizes; a letter stands for the same size in all entries.
         unit: of the values; "-" for none.
-        in_header: an attribute of the file rather than a data set.
-        scaled_along: of STEPS, the axis whose values share a scale; the entry after it holds the scales, and the field
-            is the product of both.
+        in_header: True for an attribute of the file, False for a data set.
+        scaled_along: for STEPS, the axis whose values share a scale. The next entry holds the scales, and the field is
+            the product of both. None for other types.
     """
 
     name: str
@@ -64,13 +64,13 @@ class Entry:
 
 
 def _in_steps(name: str, shape: tuple[int | str, ...], unit: str = "-", along: int = 0) -> tuple[Entry, Entry]:
-    """Entries of a float32 array that the file holds in steps of a byte, and of its scales."""
+    """Two entries for a float32 array: the array in steps of one byte, and its scales."""
     steps = Entry(name, STEPS, shape, scaled_along=along)
     return steps, Entry(f"{name}_scale", SINGLE, (*shape[:along], *shape[along + 1 :]), unit)
 
 
 def _in_fabric(group: str, shape: tuple[str, ...]) -> Iterator[Entry]:
-    """Entries of a fabric and of the coarse model that was calibrated for it, or of several."""
+    """Entries of a fabric and of the options of the coarse model calibrated for it; ``shape`` ("f",) for f fabrics."""
     units = {"areal_density": "kg/m2", "stretch_warp": "N/m", "stretch_weft": "N/m", "shear": "N/m"}
     units |= {"bend_warp": "N m", "bend_weft": "N m", "thickness": "m", "pressure": "Pa"}
     for part, kind in (("fabric", Fabric), ("options", ModelOptions)):
@@ -150,22 +150,32 @@ ENTRIES = (
     Entry("training_minutes", DOUBLE, unit="min"),
     Entry("scene", TEXT),
 )
-LARGEST_STEP = 127
-# Sizes; there is no garment without vertices, but one without pins or limits, in one fabric, or whose fine mesh is the
-# subdivided coarse one.
-MAY_BE_ZERO = ("b", "p", "l", "q", "h", "t", "N", "M", "s", "f")
-POSITIVE = ("unfamiliarity/fade_from", "bend_factor", "frame_rate", "cutoff")
+MAX_STEP = 127  # of int8
+# Sizes that may be zero: every garment has vertices, but it may have no pins and no limits, only one fabric, or a
+# subdivided fine mesh instead of a delivered one.
+SIZES_THAT_MAY_BE_ZERO = ("b", "p", "l", "q", "h", "t", "N", "M", "s", "f")
+POSITIVE_ENTRIES = ("unfamiliarity/fade_from", "bend_factor", "frame_rate", "cutoff")
 
 
 def topology_hash(faces: np.ndarray, subdivisions: int, vertex_count: int) -> str:
-    """SHA-256 of what fixes the numbering of the fine vertices."""
+    """SHA-256 of the data that determine the numbering of the fine vertices.
+
+    Args:
+        faces: of the coarse mesh, int, shape (m, 3).
+        subdivisions: number of times that each coarse face is cut in four.
+        vertex_count: number of coarse vertices.
+    """
     digest = hashlib.sha256(f"{vertex_count} {subdivisions}".encode())
     digest.update(np.ascontiguousarray(faces, "<i4").tobytes())
     return digest.hexdigest()
 
 
 def content_hash(arrays: Mapping[str, np.ndarray]) -> str:
-    """SHA-256 of everything else in the file."""
+    """SHA-256 of all entries except the hash itself.
+
+    Args:
+        arrays: by the names of :data:`ENTRIES`.
+    """
     digest = hashlib.sha256()
     for entry in ENTRIES:
         if entry.name != "content_hash":
@@ -176,9 +186,16 @@ def content_hash(arrays: Mapping[str, np.ndarray]) -> str:
 
 
 def quantised(entry: Entry, values: np.ndarray) -> dict[str, np.ndarray]:
-    """A field in steps of a byte and its scales, as both entries hold them: values = steps * scale, to half a step.
+    """Quantise a field to steps of one byte: values = steps * scale, with an error of at most half a step.
 
-    Scales have 16 bits, so that 127 steps are exact in float32: what is quantised again does not change.
+    Scales have 16 bits, so that up to 127 steps are exact in float32, and quantising the result changes nothing.
+
+    Args:
+        entry: of the steps, with ``scaled_along``.
+        values: of the shape of the entry.
+
+    Returns:
+        steps, int8, and scales, float32, by the names of their entries.
 
     Raises:
         InputError: values that are not finite.
@@ -188,9 +205,9 @@ def quantised(entry: Entry, values: np.ndarray) -> dict[str, np.ndarray]:
     if not np.isfinite(peaks).all():
         bad = float(peaks[~np.isfinite(peaks)][0])
         raise InputError("not finite", key=entry.name, received=bad, expected="finite numbers")
-    mantissa, exponent = np.frexp(peaks / LARGEST_STEP)
+    mantissa, exponent = np.frexp(peaks / MAX_STEP)
     scale = np.ldexp(np.ceil(mantissa * 2.0**16), exponent - 16)
-    scale[scale < np.finfo(np.float32).tiny] = 1.0  # of nothing but zeros
+    scale[scale < np.finfo(np.float32).tiny] = 1.0  # all values are zero
     return {
         entry.name: np.rint(values / scale).astype(np.int8),
         f"{entry.name}_scale": scale.squeeze(entry.scaled_along).astype(np.float32),
@@ -198,7 +215,11 @@ def quantised(entry: Entry, values: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def pack(entry: Entry, value: Any) -> np.ndarray:
-    """A value as the file holds it."""
+    """A value in the type that the file stores.
+
+    Raises:
+        InputError: a value of another kind than the entry's.
+    """
     if entry.dtype == TEXT:
         return np.array(value.encode() if isinstance(value, str) else [text.encode() for text in value], "S")
     array = np.asarray(value)
@@ -208,7 +229,7 @@ def pack(entry: Entry, value: Any) -> np.ndarray:
 
 
 def unpack(entry: Entry, array: np.ndarray) -> Any:
-    """A value as :class:`WrinkleDatabase` holds it."""
+    """A stored value in the type of its field in :class:`wrinkles.database.WrinkleDatabase`."""
     if entry.dtype == TEXT:
         return array.item().decode() if array.ndim == 0 else tuple(text.decode() for text in array.tolist())
     if entry.shape == ():
@@ -217,7 +238,15 @@ def unpack(entry: Entry, array: np.ndarray) -> Any:
 
 
 def check_layout(layout: Mapping[str, tuple[np.dtype, tuple[int, ...] | None]], path: str | Path) -> None:
-    """Types and shapes, before anything large is read."""
+    """Check types and shapes, which is possible before any large array is read.
+
+    Args:
+        layout: type and shape of every entry of :data:`ENTRIES` by its name.
+        path: of the file, for the message.
+
+    Raises:
+        InputError: every entry whose type or shape is wrong, all of them at once.
+    """
     errors: list[InputError] = []
     sizes: dict[str, int] = {}
     for entry in ENTRIES:
@@ -234,7 +263,8 @@ def check_layout(layout: Mapping[str, tuple[np.dtype, tuple[int, ...] | None]], 
                 size if isinstance(size, int) else sizes.setdefault(size, got)
                 for size, got in zip(entry.shape, shape, strict=True)
             )
-        empty = any(size == 0 and name not in MAY_BE_ZERO for name, size in zip(entry.shape, wanted, strict=True))
+        sizes_of_entry = zip(entry.shape, wanted, strict=True)
+        empty = any(size == 0 and name not in SIZES_THAT_MAY_BE_ZERO for name, size in sizes_of_entry)
         if wanted != shape or empty:
             letters = ", ".join(f"{s} = {sizes[s]}" for s in entry.shape if isinstance(s, str) and sizes.get(s))
             errors.append(
@@ -251,7 +281,7 @@ def check_layout(layout: Mapping[str, tuple[np.dtype, tuple[int, ...] | None]], 
 
 
 def _subdivided_count(vertices: int, faces: np.ndarray, levels: int) -> int:
-    """How many vertices a mesh has whose faces are cut in four so many times."""
+    """Number of vertices of a mesh after each face was cut in four ``levels`` times."""
     edges, count = len(edges_of(faces)[0]), len(faces)
     for _ in range(levels):
         vertices, edges, count = vertices + edges, 2 * edges + 3 * count, 4 * count
@@ -259,11 +289,43 @@ def _subdivided_count(vertices: int, faces: np.ndarray, levels: int) -> int:
 
 
 def check_values(arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
-    """What types and shapes cannot say."""
+    """Refuse values of the right types and shapes that are not possible in a database.
 
-    def refuse(problem: str, key: str, received: Any, expected: str) -> None:
+    Args:
+        arrays: every entry of :data:`ENTRIES` by its name.
+        path: of the file, for the message.
+
+    Raises:
+        InputError: the first such value; the message has its key, the value and the expected values.
+    """
+
+    def refuse(problem: str, key: str, received: Any, expected: str) -> NoReturn:
         raise InputError(problem, file=path, key=key, received=received, expected=expected)
 
+    _check_numbers(arrays, refuse)
+    _check_indices(arrays, refuse)
+    _check_rest_shape(arrays, refuse)
+    _check_fine_mesh(arrays, refuse)
+    names = [arrays["fabric_name"].item(), *arrays["other_fabrics/name"].tolist()]
+    if len(set(names)) < len(names):
+        refuse("the same name twice", "other_fabrics/name", [name.decode() for name in names], "different names")
+    if not arrays["warp"].any():
+        refuse("no direction", "warp", arrays["warp"].tolist(), "a vector that is not zero")
+    if arrays["units"].item().decode() != UNITS:
+        refuse("other units", "units", arrays["units"].item().decode(), repr(UNITS))
+    stored, computed = arrays["content_hash"].item().decode(), content_hash(arrays)
+    if stored != computed:
+        refuse("damaged or changed by hand", "content_hash", stored, computed)
+
+
+class _Refuse(Protocol):
+    """Raises the :class:`pbd.InputError` of a bad value."""
+
+    def __call__(self, problem: str, key: str, received: Any, expected: str) -> NoReturn: ...
+
+
+def _check_numbers(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:
+    """Texts are UTF-8, numbers are finite and in their ranges."""
     for name, array in arrays.items():
         if array.dtype.kind == "S":
             try:
@@ -273,24 +335,42 @@ def check_values(arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
             refuse("not finite", f"{name}{list(place) if place else ''}", float(array[place]), "finite numbers")
-    for name in (*POSITIVE, *(entry.name for entry in ENTRIES if entry.name.endswith("scale"))):
-        if (least := arrays[name].min(initial=np.inf)) <= 0:
-            refuse("out of range", name, least.item(), "above 0")
-    count, faces, held = len(arrays["coarse_vertices"]), arrays["coarse_faces"], arrays["held"]
-    for name, index in (("coarse_faces", faces), ("held", held), ("limits/vertices", arrays["limits/vertices"])):
-        if index.size and not 0 <= index.min() <= index.max() < count:
+    for name in (*POSITIVE_ENTRIES, *(entry.name for entry in ENTRIES if entry.name.endswith("scale"))):
+        if (lowest := arrays[name].min(initial=np.inf)) <= 0:
+            refuse("out of range", name, lowest.item(), "above 0")
+    for name in ("maximum_distance", "backstop", "stiffness"):
+        if (lowest := arrays[f"limits/{name}"].min(initial=0.0)) < 0:
+            refuse("out of range", f"limits/{name}", lowest.item(), "at least 0")
+    levels = arrays["subdivisions"].item()
+    if not 1 <= levels <= 4:
+        refuse("out of range", "subdivisions", levels, "1 to 4")
+
+
+def _check_indices(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:
+    """Every index points to something that exists, and lists of vertices ascend."""
+    count, faces, fine = len(arrays["coarse_vertices"]), arrays["coarse_faces"], len(arrays["binding/face"])
+    cut_count = len(faces) * 4 ** arrays["subdivisions"].item()
+    for name, limit, kind in (
+        ("coarse_faces", count, "a vertex"),
+        ("held", count, "a vertex"),
+        ("limits/vertices", count, "a vertex"),
+        ("mapping/region", len(arrays["mapping/bias_2"]), "a region"),
+        ("binding/face", cut_count, "an index"),
+        ("binding/panels", fine, "an index"),
+        ("binding/stitches", fine, "an index"),
+    ):
+        index = arrays[name]
+        if index.size and not 0 <= index.min() <= index.max() < limit:
             bad = int(index.min() if index.min() < 0 else index.max())
-            refuse("a vertex that does not exist", name, bad, f"0 to {count - 1}")
+            refuse(f"{kind} that does not exist", name, bad, f"0 to {limit - 1}")
     for name in ("held", "limits/vertices"):
         if (np.diff(arrays[name]) <= 0).any():
             refuse("not in ascending order", name, arrays[name].tolist()[:8], "each vertex once, ascending")
-    for name in ("maximum_distance", "backstop", "stiffness"):
-        if (least := arrays[f"limits/{name}"].min(initial=0.0)) < 0:
-            refuse("out of range", f"limits/{name}", least.item(), "at least 0")
-    region, regions = arrays["mapping/region"], len(arrays["mapping/bias_2"])
-    if not 0 <= region.min() <= region.max() < regions:
-        bad = int(region.min() if region.min() < 0 else region.max())
-        refuse("a region that does not exist", "mapping/region", bad, f"0 to {regions - 1}")
+
+
+def _check_rest_shape(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:
+    """The corrected rest shape has an area in each face and a bend at each hinge."""
+    faces = arrays["coarse_faces"]
     one, across, two = arrays["gathers/stretch"].T.astype(float)
     flat = (np.minimum(one, two) <= 0.0) | (one * two <= across**2)
     if flat.any():
@@ -300,31 +380,17 @@ def check_values(arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
     bends, hinges = len(arrays["gathers/bends"]), 3 * len(faces) - len(edges_of(faces)[0])
     if bends != hinges:
         refuse("another number of hinges", "gathers/bends", bends, str(hinges))
-    levels = arrays["subdivisions"].item()
-    if not 1 <= levels <= 4:
-        refuse("out of range", "subdivisions", levels, "1 to 4")
-    fine = len(arrays["binding/face"])
+
+
+def _check_fine_mesh(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:
+    """The fine mesh, subdivided or delivered, belongs to the coarse one and has all of its values."""
+    count, faces, fine = len(arrays["coarse_vertices"]), arrays["coarse_faces"], len(arrays["binding/face"])
     if (fine == 0) != (len(arrays["binding/panels"]) == 0):
         refuse("a mesh without a binding, or one without a mesh", "binding", fine, "both or none")
-    limits = {"face": len(faces) * 4**levels, "panels": fine, "stitches": fine}
-    for name, limit in limits.items():
-        index = arrays[f"binding/{name}"]
-        if index.size and not 0 <= index.min() <= index.max() < limit:
-            bad = int(index.min() if index.min() < 0 else index.max())
-            refuse("an index that does not exist", f"binding/{name}", bad, f"0 to {limit - 1}")
-    names = [arrays["fabric_name"].item(), *arrays["other_fabrics/name"].tolist()]
-    if len(set(names)) < len(names):
-        refuse("the same name twice", "other_fabrics/name", [name.decode() for name in names], "different names")
-    if not arrays["warp"].any():
-        refuse("no direction", "warp", arrays["warp"].tolist(), "a vector that is not zero")
+    levels = arrays["subdivisions"].item()
     stored, computed = arrays["topology_hash"].item().decode(), topology_hash(faces, levels, count)
     if stored != computed:
         refuse("does not belong to these faces and subdivisions", "topology_hash", stored, computed)
     vertices, means = fine or _subdivided_count(count, faces, levels), len(arrays["atoms/vertex_mean"])
     if means != vertices:
         refuse("another number of fine vertices", "atoms/vertex_mean", means, str(vertices))
-    if arrays["units"].item().decode() != UNITS:
-        refuse("other units", "units", arrays["units"].item().decode(), repr(UNITS))
-    stored, computed = arrays["content_hash"].item().decode(), content_hash(arrays)
-    if stored != computed:
-        refuse("damaged or changed by hand", "content_hash", stored, computed)

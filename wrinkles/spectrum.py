@@ -1,13 +1,13 @@
-"""Wrinkles by wavelength on an irregular mesh: bending energy in octave bands, and a low-pass filter.
+"""Measures wrinkles by wavelength on an irregular mesh: bending energy in octave bands, and a low-pass filter.
 
-The mesh has no Fourier transform, but its Laplacian L = M^-1 S (cotangent stiffness S, lumped mass M of the rest
-mesh) has: a plane wave of wavelength w is nearly an eigenvector with the eigenvalue q^2 = (2 pi / w)^2. A function G(L)
-of the Laplacian therefore filters by wavelength, however the triangles lie. Here G is a Butterworth response,
+An irregular mesh has no Fourier transform, but it has a Laplacian L = M^-1 S (cotangent stiffness S and lumped mass M
+of the rest mesh). A plane wave of wavelength w is nearly an eigenvector of L, with the eigenvalue q^2 = (2 pi / w)^2.
+A function G(L) therefore filters by wavelength, whatever the triangles are. Here G is a Butterworth response,
 
     G_c(q) = 1 / (1 + (q / q_c)^8),
 
-one half at the cut-off. Its partial fractions are four simple poles, two of them conjugate to the others, so G_c needs
-two sparse complex factorisations and no eigenvectors.
+which is one half at the cut-off q_c. G_c has four simple poles in q^2, two of them conjugate to the other two, so that
+it needs two sparse complex factorisations and no eigenvectors.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from wrinkles.dissection import BlockSolver, Dissection
 
 __all__ = ["BandedEnergy", "LowPass", "spectrum_band_error_max"]
 
-_ORDER = 4  # poles of G in q^2: 88 % of a wave at the middle of an octave falls in that octave
-_LEAST_SHARE = 1e-3  # of the truth's energy; a ratio to less says nothing
-_CHUNK = 64  # frames worked on at once: enough right-hand sides for large products, and little memory
+_ORDER = 4  # poles of G in q^2; with four, 88 % of a wave at the middle of an octave falls in that octave
+_MIN_ENERGY_SHARE = 1e-3  # of the truth's whole energy; a ratio to a band with less is not meaningful
+_CHUNK_FRAMES = 64  # frames that are processed at once: enough right-hand sides for large products, and little memory
 
 
 class LowPass:
-    """Low-pass filter on positions: keeps waves longer than the cut-off, halves the amplitude at it.
+    """Low-pass filter on positions: it keeps waves longer than the cut-off and halves the amplitude at the cut-off.
 
-    An octave above the cut-off wavelength 99.6 % of the amplitude remain, an octave below 0.4 %. Open borders are free
-    (the normal derivative tends to zero there).
+    At twice the cut-off wavelength 99.6 % of the amplitude remain, at half of it 0.4 %. Open borders are free: the
+    normal derivative tends to zero there.
 
     Args:
         rest_vertices: positions that set the rest metric [m], shape (n, 3).
@@ -50,35 +50,39 @@ class LowPass:
         self._filter = _Butterworth(stiffness, self._mass, wavelength, Dissection(stiffness), np.complex128)
 
     def __call__(self, vertices: np.ndarray) -> np.ndarray:
-        """Filtered positions [m], shape (f, n, 3), from positions of the same shape; also one frame (n, 3)."""
+        """Filtered positions [m], of the shape of the input.
+
+        Args:
+            vertices: positions [m], shape (f, n, 3), or (n, 3) for one frame.
+        """
         frames = np.asarray(vertices, float).reshape(-1, *np.shape(vertices)[-2:])
         out = np.zeros_like(frames)
-        for start in range(0, len(frames), _CHUNK):
-            points = frames[start : start + _CHUNK].transpose(1, 0, 2)
+        for start in range(0, len(frames), _CHUNK_FRAMES):
+            points = frames[start : start + _CHUNK_FRAMES].transpose(1, 0, 2)
             low = self._filter.apply(self._mass[:, None] * points.reshape(len(points), -1))
-            out[start : start + _CHUNK] = low.reshape(points.shape).transpose(1, 0, 2)
+            out[start : start + _CHUNK_FRAMES] = low.reshape(points.shape).transpose(1, 0, 2)
         return out.reshape(np.shape(vertices))
 
 
 class BandedEnergy:
     """Bending energy of a mesh in octave bands of wavelength.
 
-    The curvature vector y = L x has the bending energy 1/2 int |y|^2 per unit of bending stiffness. The part at
-    wavelengths over a cut-off is 1/2 int y . G_c y, and a band is the difference between two cut-offs: all bands are
-    positive and their sum is the whole energy, exactly. The shortest band also holds everything shorter (mesh noise),
-    the longest everything longer. Rest angles are zero: the rest shape's own curvature counts.
+    With the curvature vector y = L x, the bending energy is 1/2 int |y|^2 per unit of bending stiffness. Its part at
+    wavelengths over a cut-off is 1/2 int y . G_c y, and a band is the difference of two such parts: all bands are
+    positive, and their sum is exactly the whole energy. The first band contains all shorter waves (mesh noise), and
+    the last all longer ones. Rest angles are zero, so that the rest shape's own curvature counts.
 
-    At an open border L x is a boundary force, not a curvature; border vertices take the mean of their inner neighbours.
+    At an open border L x is a boundary force and no curvature; border vertices take the mean of their inner neighbours.
 
     Args:
         rest_vertices: positions that set the rest metric [m], shape (n, 3).
         faces: int, shape (m, 3).
-        cutoffs: wavelengths between the bands, ascending [m]. None takes octaves: the first band is 2.5 to 5 mean edge
-            lengths and the last ends at or beyond the mesh's bounding diagonal.
+        cutoffs: wavelengths between the bands, ascending [m]. None takes octaves: the first cut-off is 5 mean edge
+            lengths, and the last is below the diagonal of the mesh's bounding box by an octave or less.
 
     Attributes:
         cutoffs: wavelengths between the bands [m], shape (b - 1,).
-        names: of the b bands, shortest first, such as "72-144 mm".
+        names: of the b bands, shortest wavelengths first, such as "72-144 mm".
 
     Raises:
         InputError: cut-offs that do not ascend from above zero, a face without area or a vertex without a face.
@@ -115,15 +119,14 @@ class BandedEnergy:
             vertices: positions [m], shape (f, n, 3).
         """
         frames = np.asarray(vertices, float).reshape(-1, len(self._mass), 3)
-        return np.concatenate(
-            [self._energy_of_part(frames[start : start + _CHUNK]) for start in range(0, len(frames), _CHUNK)]
-        )
+        parts = (frames[start : start + _CHUNK_FRAMES] for start in range(0, len(frames), _CHUNK_FRAMES))
+        return np.concatenate([self._energy_of_part(part) for part in parts])
 
     def amplitude(self, energy: np.ndarray) -> np.ndarray:
-        """Amplitude of one plane wave over the whole mesh that has the band's energy [m], shape of the energies.
+        """Amplitude of a plane wave over the whole mesh that has the energy of the band [m], shape of the energies.
 
-        The wave has the band's middle wavelength; in the two open bands, half an octave beyond their one limit.
-        a = sqrt(4 E / A) / q^2, because a wave's mean squared curvature is a^2 q^4 / 2.
+        The wave has the band's middle wavelength; for the two open bands, half an octave beyond their only limit. Its
+        amplitude is a = sqrt(4 E / A) / q^2, because its mean squared curvature is a^2 q^4 / 2.
 
         Args:
             energy: as :meth:`energy` gives, shape (..., b).
@@ -135,27 +138,28 @@ class BandedEnergy:
     def band_ratios(self, test_energy: np.ndarray, truth_energy: np.ndarray) -> dict[str, float]:
         """Mean energy of the test over that of the truth, by band name [-].
 
-        Bands that hold under 0.1 % of the truth's energy are left out: a ratio to nearly nothing says nothing.
+        Bands with under 0.1 % of the truth's energy are left out, because a ratio to almost zero is not meaningful.
 
         Args:
             test_energy: as :meth:`energy` gives, shape (f, b).
             truth_energy: the same of the truth, shape (g, b); the sequences may differ in length.
         """
         test, truth = np.mean(test_energy, axis=0), np.mean(truth_energy, axis=0)
-        counted = truth > _LEAST_SHARE * truth.sum()
+        counted = truth > _MIN_ENERGY_SHARE * truth.sum()
         return {self.names[band]: float(test[band] / truth[band]) for band in np.flatnonzero(counted)}
 
     def _energy_of_part(self, frames: np.ndarray) -> np.ndarray:
+        """Bending energy in each band of a few frames, shape (f, n, 3) to (f, b)."""
         curvature = self._curvature @ frames.transpose(1, 0, 2).reshape(len(self._mass), -1)
         weighted = self._mass[:, None] * curvature
         columns = [(weighted * curvature).sum(axis=0), *(low_pass.kept(weighted) for low_pass in self._filters)]
         total, *over = (0.5 * column.reshape(-1, 3).sum(axis=1) for column in columns)
-        # Over a growing cut-off ever less remains: bands are what each cut-off takes away.
+        # The larger the cut-off, the less energy remains above it; each band is the difference to the next cut-off.
         return -np.diff(np.stack([total, *over, np.zeros_like(total)], axis=1), axis=1)
 
 
 def spectrum_band_error_max(band_ratios: Mapping[str, float]) -> float:
-    """Largest |test / truth - 1| over the bands [-]: 1 where a band has lost everything.
+    """Largest |test / truth - 1| over the bands [-]; 1 where a band has lost all of its energy, nan without bands.
 
     Args:
         band_ratios: as :meth:`BandedEnergy.band_ratios` gives.
@@ -164,9 +168,16 @@ def spectrum_band_error_max(band_ratios: Mapping[str, float]) -> float:
 
 
 class _Butterworth:
-    """G(L) = 1 / (1 + (L / q_c^2)^m) by partial fractions.
+    """G(L) = 1 / (1 + (L / q_c^2)^m), by partial fractions.
 
     G = (2/m) Re sum of (1 - L / (q_c^2 z_j))^-1 over the roots z_j of z^m = -1 in the upper half plane.
+
+    Args:
+        stiffness: S, shape (n, n).
+        mass: diagonal of M [m2], shape (n,).
+        wavelength: cut-off [m].
+        order: of elimination, for the pattern of S.
+        dtype: complex type in which systems are solved.
     """
 
     def __init__(
@@ -174,8 +185,9 @@ class _Butterworth:
     ) -> None:
         roots = np.exp(1j * np.pi * (2 * np.arange(_ORDER // 2) + 1) / _ORDER)
         scale = (wavelength / (2.0 * np.pi)) ** 2
-        # Turned by half the root's angle the matrix has a positive definite real part, so no pivoting is needed
-        # (Higham 1998, "Factorizing complex symmetric matrices with positive definite real and imaginary parts").
+        # After rotation in the complex plane by half the root's angle, the matrix has a positive definite real part, so
+        # no pivoting is needed (Higham 1998, "Factorizing complex symmetric matrices with positive definite real and
+        # imaginary parts").
         self._solvers = [
             BlockSolver(csc_matrix(diags(mass) - (scale / root) * stiffness), order, dtype) for root in roots
         ]
@@ -190,10 +202,10 @@ class _Butterworth:
 
 
 def _laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[csc_matrix, np.ndarray]:
-    """Cotangent stiffness (n, n) and lumped mass, the mixed Voronoi areas [m2], shape (n,).
+    """Cotangent stiffness, shape (n, n), and lumped mass: mixed Voronoi areas [m2], shape (n,).
 
-    Meyer et al. 2003, "Discrete differential-geometry operators for triangulated 2-manifolds". Thirds of the face areas
-    would leak 5 % of a long wave's energy into the shortest band where valences vary; these areas leak 0.5 %.
+    Meyer et al. 2003, "Discrete differential-geometry operators for triangulated 2-manifolds". With thirds of the face
+    areas 5 % of a long wave's energy would leak into the shortest band where valences vary; with these areas 0.5 % do.
     """
     vertices, faces = np.asarray(vertices, float), np.asarray(faces)
     count = len(vertices)
@@ -224,7 +236,15 @@ def _laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[csc_matrix, np.
 
 
 def _extrapolation(edges: np.ndarray, border: np.ndarray, count: int) -> csr_matrix:
-    """Keeps inner values and gives border vertices the mean of their inner neighbours (zero if they have none)."""
+    """Matrix that keeps inner values and gives border vertices the mean of their inner neighbours, shape (n, n).
+
+    A border vertex without inner neighbours gets zero.
+
+    Args:
+        edges: int, shape (e, 2).
+        border: vertices of the border, int, shape (k,).
+        count: number of vertices n.
+    """
     outer = np.zeros(count, bool)
     outer[border] = True
     both = np.concatenate([edges, edges[:, ::-1]])

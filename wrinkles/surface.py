@@ -1,4 +1,7 @@
-"""Smooth surfaces from coarse meshes: Loop subdivision, upsampling that keeps to the cloth, and its inverse."""
+"""Makes the smooth fine surface of a coarse mesh by Loop subdivision, and fits a coarse mesh to a fine surface.
+
+The upsampling is corrected, so that the fine surface passes close to the coarse vertices and does not shrink.
+"""
 
 from __future__ import annotations
 
@@ -29,20 +32,21 @@ def loop_step(faces: np.ndarray, vertex_count: int) -> tuple[csr_matrix, np.ndar
         vertex_count: number of vertices n.
 
     Returns:
-        The matrix of shape (n + e, n) and the new faces, shape (4 m, 3): three corners and the middle of each face.
+        The matrix that gives new vertices, shape (n + e, n), and the new faces, shape (4 m, 3): three at the corners of
+        each face and one in its middle.
     """
     edges, side_edge = edges_of(faces)
     edge_count = len(edges)
     sides = np.bincount(side_edge.ravel(), minlength=edge_count)
     rim = sides == 1
-    # New edge vertices: 3/8 ends + 1/8 of both opposite corners; 1/2 ends on the rim.
-    opposite = np.roll(faces, 1, axis=1)  # corner that faces side s
+    # New edge vertices: 3/8 of both ends and 1/8 of both opposite corners; 1/2 of both ends on the rim.
+    opposite = np.roll(faces, 1, axis=1)  # the corner opposite to side s
     inner_side = ~rim[side_edge.ravel()]
     end_weight = np.where(rim, 0.5, 0.375)
     rows = [np.repeat(vertex_count + np.arange(edge_count), 2), vertex_count + side_edge.ravel()[inner_side]]
     columns = [edges.ravel(), opposite.ravel()[inner_side]]
     values = [np.repeat(end_weight, 2), np.full(inner_side.sum(), 0.125)]
-    # Old vertices: beta of Loop's rule inside, 3/4 and twice 1/8 on the rim.
+    # Old vertices: Loop's weight beta of each neighbour inside; 3/4 and twice 1/8 on the rim.
     valence = np.bincount(edges.ravel(), minlength=vertex_count)
     on_rim = np.zeros(vertex_count, bool)
     on_rim[edges[rim].ravel()] = True
@@ -67,7 +71,12 @@ def loop_step(faces: np.ndarray, vertex_count: int) -> tuple[csr_matrix, np.ndar
 
 
 def _split(faces: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """Four faces from each: its three corners and its middle; ``middle`` are the vertices of sides 0-1, 1-2, 2-0."""
+    """Four faces from each: three at its corners and one in its middle, int32, shape (4 m, 3).
+
+    Args:
+        faces: int, shape (m, 3).
+        middle: new vertices on the sides 0-1, 1-2 and 2-0, int, shape (m, 3).
+    """
     a, b, c = faces.T
     ab, bc, ca = middle.T
     parts = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
@@ -78,14 +87,14 @@ def _split(faces: np.ndarray, middle: np.ndarray) -> np.ndarray:
 class Subdivision:
     """A coarse mesh and its smooth refinement.
 
-    Upsampling is quasi-interpolating: Loop subdivision of 2 x - S x, where S x is where subdivision would move
-    the coarse vertices. Coarse vertices then lie on the smooth surface to second order, and the surface does not shrink
-    into the body as a plain Loop surface does.
+    Upsampling is quasi-interpolating: it is Loop subdivision of 2 x - S x, where S x are the positions to which plain
+    subdivision would move the coarse vertices x. The coarse vertices then lie on the smooth surface to second order,
+    and the surface does not shrink into the body as a plain Loop surface does.
 
     Attributes:
         coarse_faces: int32, shape (m, 3).
-        coarse_count: number of coarse vertices.
-        steps: Loop matrices, one a level.
+        coarse_count: number of coarse vertices n.
+        steps: Loop matrices, one for each level, see :func:`loop_step`.
         cut: faces of the subdivided mesh, int32, shape (m 4^levels, 3). Coarse vertices come first in its numbering.
         binding: of a delivered fine mesh; None where the subdivided mesh is the fine one.
     """
@@ -98,7 +107,14 @@ class Subdivision:
 
     @classmethod
     def of(cls, faces: np.ndarray, vertex_count: int, levels: int, binding: Binding | None = None) -> Subdivision:
-        """Refine a mesh ``levels`` times, and bind a delivered fine mesh to it if there is one."""
+        """Make the subdivision of a mesh.
+
+        Args:
+            faces: of the coarse mesh, int, shape (m, 3).
+            vertex_count: number of coarse vertices n.
+            levels: number of times that each face is cut in four.
+            binding: of a delivered fine mesh, if there is one.
+        """
         steps, fine, count = [], np.asarray(faces, np.int32), vertex_count
         for _ in range(levels):
             matrix, fine = loop_step(fine, count)
@@ -108,31 +124,35 @@ class Subdivision:
 
     @property
     def fine_count(self) -> int:
+        """Number N of fine vertices."""
         return self.matrix.shape[0]
 
     @property
     def faces(self) -> np.ndarray:
-        """Faces of the fine mesh as it is seen, its seams closed: int32, shape (M, 3)."""
+        """Faces of the fine mesh as it is drawn, with closed seams: int32, shape (M, 3)."""
         return self.cut if self.binding is None else self.binding.sewn.faces
 
     @property
     def stands_for(self) -> np.ndarray | None:
-        """The vertex that stands for each fine one in ``faces``, shape (N,); None where each stands for itself."""
+        """The vertex that replaces each fine vertex in ``faces``, int, shape (N,); None if no vertex is replaced.
+
+        Closing a seam merges vertices of its two sides.
+        """
         return None if self.binding is None else self.binding.sewn.one
 
     @cached_property
     def middle(self) -> Subdivision:
-        """The coarse mesh cut once: wrinkles are written to its q vertices."""
+        """The coarse mesh cut once: wrinkles are added to its q vertices, and edge lengths are corrected on it."""
         return Subdivision.of(self.coarse_faces, self.coarse_count, 1)
 
     @cached_property
     def to_middle(self) -> csr_matrix:
-        """Middle vertices on the smooth surface from coarse ones, shape (q, n)."""
+        """Matrix that gives corrected middle vertices from coarse ones, shape (q, n)."""
         return (self.steps[0] @ self.correction).tocsr()
 
     @cached_property
     def from_middle(self) -> csr_matrix:
-        """Fine positions from middle ones, shape (N, q)."""
+        """Matrix that gives fine positions from middle ones, shape (N, q)."""
         matrix = identity(self.steps[0].shape[0], format="csr")
         for step in self.steps[1:]:
             matrix = (step @ matrix).tocsr()
@@ -145,12 +165,13 @@ class Subdivision:
 
     @cached_property
     def correction(self) -> csr_matrix:
-        """2 I - S on the coarse vertices, shape (n, n)."""
+        """Matrix 2 I - S of the coarse vertices, shape (n, n)."""
         plain = self._plain[: self.coarse_count]
         return (2.0 * identity(self.coarse_count, format="csr") - plain).tocsr()
 
     @cached_property
     def _plain(self) -> csr_matrix:
+        """Matrix of plain Loop subdivision, from the coarse to the subdivided mesh."""
         matrix = identity(self.coarse_count, format="csr")
         for step in self.steps:
             matrix = (step @ matrix).tocsr()
@@ -158,35 +179,40 @@ class Subdivision:
 
     @cached_property
     def matrix(self) -> csr_matrix:
-        """Fine positions from coarse ones, shape (N, n)."""
+        """Matrix that gives fine positions from coarse ones, shape (N, n)."""
         if self.binding is None:
             return (self._plain @ self.correction).tocsr()
         return (self.from_middle @ self.to_middle).tocsr()
 
     def upsample(self, coarse: np.ndarray) -> np.ndarray:
-        """Smooth surface: [m], shape (n, 3) to (N, 3), or (frames, n, 3) to (frames, N, 3)."""
+        """Fine vertices on the smooth surface [m], shape (..., N, 3).
+
+        Args:
+            coarse: coarse vertices [m], shape (..., n, 3).
+        """
         return _apply(self.matrix, coarse)
 
     def cut_surface(self, coarse: np.ndarray) -> np.ndarray:
-        """Vertices of the subdivided mesh, whether a fine mesh is bound to it or not: shapes as for ``upsample``."""
+        """Vertices of the subdivided mesh, with or without a delivered mesh; shapes as for :meth:`upsample`."""
         return _apply((self._plain @ self.correction).tocsr(), coarse)
 
     def fit(self, fine: np.ndarray) -> np.ndarray:
         """Coarse vertices whose smooth surface is nearest to fine vertices in the least-squares sense.
 
         Args:
-            fine: [m], shape (N, 3).
+            fine: fine vertices [m], shape (N, 3).
 
         Returns:
-            [m], shape (n, 3).
+            coarse vertices [m], shape (n, 3).
         """
         return splu((self.matrix.T @ self.matrix).tocsc()).solve(self.matrix.T @ np.asarray(fine, float))
 
     def meshes(self, coarse_vertices: np.ndarray, warp: tuple = (0.0, 1.0, 0.0)) -> tuple[ClothMesh, ClothMesh]:
-        """Coarse and fine mesh with one rest metric, taken from the smooth fine mesh.
+        """Make the coarse and the fine mesh with one rest metric, that of the smooth fine mesh.
 
-        A coarse side is as long as the fine edges along it, so that the coarse garment has the fine one's area
-        (chords of a coarse mesh are shorter than the cloth).
+        A coarse edge is as long as the fine edges along it, so that both meshes have the same area; the straight edge
+        itself is shorter than the cloth. With a delivered fine mesh, coarse edges take the lengths of its pattern, see
+        :meth:`wrinkles.binding.Binding.coarse_lengths`.
 
         Args:
             coarse_vertices: [m], shape (n, 3).
@@ -226,7 +252,7 @@ class Subdivision:
             return parent[face].astype(np.int64), np.einsum("pc,pci->pi", self.binding.place, weights[face])
         face = np.zeros(self.fine_count, np.int64)
         place = np.zeros((self.fine_count, 3))
-        # Any face around a fine vertex will do; written back to front, the first one stays.
+        # Any face around a fine vertex would be correct; writing in reverse order keeps the first one.
         corner = self.cut.ravel()[::-1]
         face[corner] = np.repeat(parent, 3)[::-1]
         place[corner] = weights.reshape(-1, 3)[::-1]
@@ -234,17 +260,25 @@ class Subdivision:
 
     @cached_property
     def at_coarse(self) -> np.ndarray:
-        """The fine vertex at each coarse one, or nearest to it along the cloth: int, shape (n,)."""
+        """The fine vertex at each coarse vertex, or on a delivered mesh nearest to it: int, shape (n,).
+
+        The nearest one is that with the greatest barycentric weight on the coarse vertex.
+        """
         if self.binding is None:
             return np.arange(self.coarse_count)
         face, place = self.places
         order = np.argsort(place.ravel(), kind="stable")
         at = np.zeros(self.coarse_count, np.int64)
-        at[self.coarse_faces[face].ravel()[order]] = order // 3  # written last, what leans on it most stays
+        # Written in ascending order of weight, so that the greatest remains.
+        at[self.coarse_faces[face].ravel()[order]] = order // 3
         return at
 
     def _edge_paths(self, edges: np.ndarray) -> list[np.ndarray]:
-        """Fine edges along each coarse edge: a list of arrays of shape (e, 2)."""
+        """Fine edges along each coarse edge, in pieces: a list of 2^levels arrays of vertices, int, shape (e, 2).
+
+        Args:
+            edges: of the coarse mesh, int, shape (e, 2).
+        """
         pieces, faces, count = [edges], self.coarse_faces, self.coarse_count
         for step in self.steps:
             level_edges, side_edge = edges_of(faces)
@@ -262,7 +296,7 @@ class Subdivision:
 
 
 def _apply(matrix: csr_matrix, values: np.ndarray) -> np.ndarray:
-    """A sparse matrix on the vertex axis of (..., n, 3)."""
+    """Product of a sparse matrix, shape (k, n), with the vertex axis of values (..., n, 3): shape (..., k, 3)."""
     values = np.asarray(values, float)
     columns = np.moveaxis(values, -2, 0).reshape(values.shape[-2], -1)
     result = (matrix @ columns).reshape(matrix.shape[0], *values.shape[:-2], 3)
@@ -270,7 +304,7 @@ def _apply(matrix: csr_matrix, values: np.ndarray) -> np.ndarray:
 
 
 def csr_arrays(matrix: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Row starts, columns (int32) and values (float32) of a sparse matrix, for kernels."""
+    """Row starts (int32), columns (int32) and values (float32) of a sparse matrix, for kernels."""
     matrix = matrix.tocsr()
     matrix.sort_indices()
     return matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32), matrix.data.astype(np.float32)

@@ -1,4 +1,7 @@
-"""How unfamiliar a coarse state is: a second head of the network that foretells the error of each patch."""
+"""Predicts the error of the wrinkles at each coarse vertex, and fades wrinkles where it is too large.
+
+The prediction is a second head of the dictionary's network. It is large in states unlike the training data.
+"""
 
 from __future__ import annotations
 
@@ -8,22 +11,20 @@ import numpy as np
 
 __all__ = ["Unfamiliarity"]
 
-FADED_OUT = np.log(
-    2.0
-)  # wrinkles are gone where the error foretold is this factor (log) beyond where they start to fade
+FADE_WIDTH = np.log(2.0)  # from the predicted error at which wrinkles start to fade to where they vanish [log deg]
 
 
 @dataclass(frozen=True)
 class Unfamiliarity:
-    """The score, log of the mean normal error [deg] that is to be expected at a coarse vertex, and what follows.
+    """A network for the score, the log of the mean normal error [deg] to be expected at a coarse vertex.
 
-    It reads the first hidden layer of :class:`wrinkles.dictionary.Mapping` and has a layer of rectified units of its
-    own. It learned from ordinary motion and from motion whose features were made strange.
+    Its input is the first hidden layer of :class:`wrinkles.dictionary.Mapping`, and it has one layer of rectified units
+    of its own. It was fitted to ordinary motion and to motion with distorted features.
 
     Attributes:
-        weights_1: float32, shape (h1, u); bias_1: float32, shape (u,); weights_2: float32, shape (u,); bias_2: of the
-            score.
-        fade_from: error foretold from which wrinkles fade [deg].
+        weights_1, bias_1: of the rectified units, float32, shapes (h1, u), (u,).
+        weights_2, bias_2: of the score, float32, shape (u,), and a number.
+        fade_from: predicted error above which wrinkles fade [deg].
     """
 
     weights_1: np.ndarray
@@ -33,12 +34,19 @@ class Unfamiliarity:
     fade_from: float
 
     def score(self, hidden: np.ndarray) -> np.ndarray:
-        """Log of the error to be expected [log deg] for the first hidden layer, shape (..., n, h1) to (..., n)."""
-        seen = hidden @ self.weights_1
-        seen += self.bias_1
-        np.maximum(seen, 0.0, out=seen)
-        return seen @ self.weights_2 + np.float32(self.bias_2)
+        """Log of the error to be expected [log deg], shape (..., n).
+
+        Args:
+            hidden: first hidden layer of the mapping, shape (..., n, h1).
+        """
+        units = hidden @ self.weights_1
+        units += self.bias_1
+        np.maximum(units, 0.0, out=units)
+        return units @ self.weights_2 + np.float32(self.bias_2)
 
     def amplitude(self, score: np.ndarray) -> np.ndarray:
-        """Share of the wrinkles that is drawn: 1 in familiar states, 0 from twice the error on where fading starts."""
-        return np.clip((np.float32(np.log(self.fade_from) + FADED_OUT) - score) / np.float32(FADED_OUT), 0.0, 1.0)
+        """Share of the wrinkles that is drawn [-], shape of the scores.
+
+        It is 1 up to the error ``fade_from`` and 0 from twice this error on.
+        """
+        return np.clip((np.float32(np.log(self.fade_from) + FADE_WIDTH) - score) / np.float32(FADE_WIDTH), 0.0, 1.0)

@@ -1,8 +1,8 @@
-"""What patches leave of each fine vertex's displacement on average, in a frame that turns with the cloth.
+"""The mean displacement that patches do not represent, of each fine vertex, in a frame that turns with the cloth.
 
-Hems, seams, gathers and pleats hardly change and differ from vertex to vertex; pleats that are sewn down lie in layers
-over one place of the coarse mesh, so that no patch that all layers read can tell them. The mean of what decoding lacks
-is drawn as it is, and not before lengths are brought back, so that it takes back what these do wrong on average.
+Hems, seams, gathers and pleats hardly change in time but differ from vertex to vertex. The layers of a sewn-down pleat
+read the same patches, so that patches cannot displace them differently. The mean residual of decoding is added to each
+vertex. It is added after the correction of edge lengths, so that it also removes the mean error of this correction.
 """
 
 from __future__ import annotations
@@ -14,20 +14,22 @@ from scipy.sparse import csr_matrix
 
 __all__ = ["fit_vertex_mean", "mean_from_sums", "turned", "vertex_mean_sums"]
 
-STEP = 2.0**-15  # means are rounded to this [m], so that a file of them is small
-LEAST = 1e-3  # of a frame's square, so that one that is turned to nothing is no division by zero
+MEAN_STEP = 2.0**-15  # means are rounded to this [m], so that they compress well
+REGULARISATION = 1e-3  # added to the summed squares of a frame, which may cancel to zero [-]
 
 
 def fit_vertex_mean(turning: csr_matrix, frames: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """The displacements d that are nearest to residuals r in all frames: least sum of |r - M^T d|^2 over them.
+    """Fit to each fine vertex the displacement d that minimises the sum of |r - M^T d|^2 over some frames.
+
+    M is the frame of the fine vertex, and r its residual.
 
     Args:
         turning: weights of the coarse vertices' frames in M, see :class:`wrinkles.patches.Patches`, shape (N, n).
         frames: of the coarse vertices, shape (f, n, 9).
-        residual: [m], shape (f, N, 3).
+        residual: in space [m], shape (f, N, 3).
 
     Returns:
-        [m], float32, shape (N, 3).
+        d [m], float32, shape (N, 3).
     """
     return mean_from_sums([vertex_mean_sums(turning, frames, residual)])
 
@@ -44,12 +46,18 @@ def vertex_mean_sums(turning: csr_matrix, frames: np.ndarray, residual: np.ndarr
 
 def mean_from_sums(sums: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     """The means that solve :func:`vertex_mean_sums` of all frames together [m], float32, shape (N, 3)."""
-    left = sum(one[0] for one in sums) + LEAST * np.eye(3)
+    left = sum(one[0] for one in sums) + REGULARISATION * np.eye(3)
     right = sum(one[1] for one in sums)
     mean = np.linalg.solve(left, right[..., None])[..., 0]
-    return (np.round(mean / STEP) * STEP).astype(np.float32)
+    return (np.round(mean / MEAN_STEP) * MEAN_STEP).astype(np.float32)
 
 
 def turned(turning: csr_matrix, frames: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """The means turned from the frames of one state into space [m], shape (N, 3); frames have shape (n, 9)."""
+    """The means of one state, turned into space [m], shape (N, 3).
+
+    Args:
+        turning: as for :func:`fit_vertex_mean`.
+        frames: of the coarse vertices in that state, shape (n, 9).
+        mean: of :func:`fit_vertex_mean` [m], shape (N, 3).
+    """
     return np.einsum("nax,na->nx", (turning @ frames).reshape(-1, 3, 3), mean)

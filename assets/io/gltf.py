@@ -29,7 +29,7 @@ Parts = tuple[Floats, Floats, Floats]
 
 _COMPONENTS = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-_TRIANGLES = 4
+_TRIANGLE_LIST = 4
 # Kinds of the parts of the JSON that are read, where a file has them; a list of one stands for any number.
 _ENTRY = {"name": str, "byteOffset": int, "byteLength": int}
 _OUTLINE: dict[str, Any] = {
@@ -51,8 +51,8 @@ _OUTLINE: dict[str, Any] = {
     "bufferViews": [_ENTRY | {"buffer": int, "byteStride": int}],
     "buffers": [_ENTRY | {"uri": str}],
 }
-# Extensions that change nothing of what is read here.
-_HARMLESS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_", "KHR_mesh_quantization")
+# Beginnings of the names of extensions that change nothing that is read here.
+_HARMLESS_EXTENSIONS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_", "KHR_mesh_quantization")
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Primitive:
     """Triangles of one primitive, in the mesh's own space.
 
     Attributes:
-        key: what it is called in messages.
+        key: its name in messages.
         vertices: [m], shape (n, 3), float64.
         faces: shape (m, 3), int32.
         texture: first texture coordinates, origin at the upper left, shape (n, 2), float64; None if there are none.
@@ -80,7 +80,7 @@ class Document:
 
     Attributes:
         path: the file.
-        json: what the JSON says.
+        json: contents of the JSON.
         buffers: bytes of each buffer.
         parents: parent of each node, -1 at a root.
     """
@@ -95,14 +95,27 @@ class Document:
         return InputError(problem, file=self.path, key=key, received=received, expected=expected)
 
     def entry(self, kind: str, index: Any, key: str) -> dict[str, Any]:
-        """One element of a list of the file, e.g. of its "accessors"; ``key`` says who asks for it."""
+        """One element of a list of the file, for instance of its "accessors".
+
+        Args:
+            kind: name of the list.
+            index: number in the list, as the file gives it.
+            key: element that refers to it, for the message.
+
+        Raises:
+            InputError: no such element.
+        """
         entries = self.json.get(kind, [])
         if not isinstance(index, int) or not 0 <= index < len(entries):
             raise self.error(f"one of the {kind} that does not exist", key=key, received=index)
         return entries[index]
 
     def whole(self, entry: dict[str, Any], name: str, key: str, default: int | None = None) -> int:
-        """A number of an element: whole, not negative."""
+        """A number of an element: whole, not negative.
+
+        Raises:
+            InputError: it is missing, without a default, or negative.
+        """
         value = entry.get(name, default)
         if value is None or value < 0:
             raise self.error(f"bad {name}", key=key, received=value, expected="a whole number, not negative")
@@ -113,7 +126,11 @@ class Document:
         return self.entry("nodes", node, f"node {node}").get("name") or f"node {node}"
 
     def chain(self, node: int) -> tuple[int, ...]:
-        """Nodes from the root down to this one."""
+        """Nodes from the root down to this one.
+
+        Raises:
+            InputError: a node that is its own ancestor.
+        """
         chain = [node]
         while self.parents[chain[-1]] >= 0:
             chain.append(self.parents[chain[-1]])
@@ -130,7 +147,11 @@ class Document:
         return [i for i in range(len(nodes)) if "mesh" in nodes[i] and self.chain(i)[0] in roots]
 
     def local_transform(self, node: int) -> Parts | Floats:
-        """Translation (3), rotation (4) and scale (3) of a node, or its matrix (4, 4) where the file gives that."""
+        """Translation [m] (3), rotation (4) and scale (3) of a node, or its matrix (4, 4) where the file gives that.
+
+        Raises:
+            InputError: numbers that are missing or not finite, or a rotation that is no unit quaternion.
+        """
         entry, key = self.entry("nodes", node, f"node {node}"), f"node {self.node_name(node)}"
         values = {}
         for name, width in {"matrix": 16, "translation": 3, "rotation": 4, "scale": 3}.items():
@@ -165,7 +186,7 @@ class Document:
         """Numbers of an accessor, shape (count, width); normalised integers as float64.
 
         Raises:
-            InputError: it does not exist, lies outside its buffer, or is sparse; ``key`` says what it is for.
+            InputError: it does not exist, lies outside its buffer, or is sparse; ``key`` names its use.
         """
         entry = self.entry("accessors", index, key)
         key = f"{key}, accessor {index}"
@@ -191,7 +212,11 @@ class Document:
         return data.copy()
 
     def integers(self, index: Any, key: str) -> NDArray[np.int64]:
-        """Numbers of an accessor that count something, shape (count, width)."""
+        """Numbers of an accessor that count or index something, shape (count, width).
+
+        Raises:
+            InputError: as :meth:`accessor`, or numbers that are no unsigned integers.
+        """
         values = self.accessor(index, key)
         if values.dtype.kind != "u":
             raise self.error("indices that are no unsigned integers", key=key, received=str(values.dtype))
@@ -210,7 +235,7 @@ class Document:
             raise self.error("a mesh without triangles", key=f"mesh {mesh.get('name') or number}")
         for index, entry in enumerate(mesh["primitives"]):
             key = f"mesh {mesh.get('name') or number}, primitive {index}"
-            if entry.get("mode", _TRIANGLES) != _TRIANGLES:
+            if entry.get("mode", _TRIANGLE_LIST) != _TRIANGLE_LIST:
                 raise self.error("not a list of triangles", key=key, received=entry["mode"], expected="mode 4")
             found.append(self._primitive(key, entry.get("indices"), entry.get("attributes", {})))
         return found
@@ -261,7 +286,7 @@ def read_document(path: Path) -> Document:
         data, binary = _split_binary(path, data)
     try:
         content = json.loads(data.decode("utf-8"))
-    except ValueError as error:  # also what UnicodeDecodeError is
+    except ValueError as error:  # UnicodeDecodeError is one too
         raise InputError(f"not glTF: {error}", file=path) from error
     _check_outline(path, content)
     buffers = tuple(_load_buffer(path, i, buffer, binary) for i, buffer in enumerate(content.get("buffers", [])))
@@ -278,7 +303,7 @@ def _check_outline(path: Path, content: Any) -> None:
     if not str(version).startswith("2."):
         raise InputError("not glTF 2.0", file=path, key="asset.version", received=version, expected="'2.0'")
     for name in content.get("extensionsRequired", []):
-        if not name.startswith(_HARMLESS):
+        if not name.startswith(_HARMLESS_EXTENSIONS):
             raise InputError(
                 "a required extension that is not supported", file=path, key="extensionsRequired", received=name
             )

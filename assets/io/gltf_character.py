@@ -17,15 +17,23 @@ __all__ = ["read_character"]
 
 Floats = NDArray[np.float64]
 
-_INFLUENCES = 4
-_SAME = 1e-3  # differences below this are rounding: [m] between bind poses, [-] between weights
-_MOST_SAMPLES = 2**26  # of one clip, joints times frames: more is a damaged file
-_CURVE_RATE = 60.0  # at least this many samples per second for curved interpolation [Hz]
-_TARGETS = {"translation": 3, "rotation": 4, "scale": 3}
+_INFLUENCE_COUNT = 4
+_TOLERANCE = 1e-3  # differences below this are rounding: [m] between bind poses, [-] between weights
+_MAX_SAMPLES = 2**26  # of one clip, joints times frames: more is a damaged file
+_MIN_CURVE_RATE = 60.0  # at least this many samples per second for curved interpolation [Hz]
+_ANIMATED_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 
 
 def read_character(path: Path, name: str | None) -> Character:
-    """The character of a file; see :func:`assets.character.load_character`."""
+    """Read the character of a file.
+
+    Args:
+        path: a .glb or .gltf file.
+        name: name for messages; None takes the file's name without its suffix.
+
+    Raises:
+        InputError: as :func:`assets.character.load_character`.
+    """
     document = read_document(path)
     shown = document.mesh_nodes()
     skinned = [node for node in shown if "skin" in document.json["nodes"][node]]
@@ -83,7 +91,7 @@ def _skeleton(document: Document, joints: list[int]) -> tuple[list[int], NDArray
         channel.get("target", {}).get("node")
         for animation in document.json.get("animations", [])
         for channel in animation.get("channels", [])
-        if channel.get("target", {}).get("path") in _TARGETS
+        if channel.get("target", {}).get("path") in _ANIMATED_WIDTHS
     }
     chains = [document.chain(joint) for joint in dict.fromkeys(joints)]
     moving = set(joints) | animated
@@ -113,11 +121,11 @@ def _bind_pose(
     for node, own in joints.items():
         inverse = _inverse_bind(document, node, len(own))
         implied = np.array([document.world_matrix(joint) for joint in own]) @ inverse
-        rests_in_bind_pose = np.abs(implied - implied[0]).max() < _SAME
+        rests_in_bind_pose = np.abs(implied - implied[0]).max() < _TOLERANCE
         space = implied.mean(axis=0) if rests_in_bind_pose else document.world_matrix(node)
         mesh_to_world[node] = space
         for joint, matrix in zip(own, space @ np.linalg.inv(inverse), strict=True):
-            if joint in bind and np.abs(bind[joint] - matrix).max() > _SAME:
+            if joint in bind and np.abs(bind[joint] - matrix).max() > _TOLERANCE:
                 raise document.error("two skins with different bind poses", f"joint {document.node_name(joint)}")
             bind[joint] = matrix
     for node in kept:  # parents come first
@@ -137,7 +145,9 @@ def _inverse_bind(document: Document, node: int, count: int) -> Floats:
     if values.shape != (count, 16):
         raise document.error("not a matrix for each joint", key, values.shape, f"({count}, 16)")
     inverse = values.reshape(-1, 4, 4).swapaxes(1, 2)
-    bad = np.flatnonzero(~np.isfinite(inverse).all(axis=(1, 2)) | (np.abs(inverse[:, 3] - [0, 0, 0, 1]).max(1) > _SAME))
+    bad = np.flatnonzero(
+        ~np.isfinite(inverse).all(axis=(1, 2)) | (np.abs(inverse[:, 3] - [0, 0, 0, 1]).max(1) > _TOLERANCE)
+    )
     if bad.size or np.abs(np.linalg.det(inverse)).min() < 1e-12:
         where = bad[0] if bad.size else np.abs(np.linalg.det(inverse)).argmin()
         raise document.error("a matrix that places no joint", f"{key}, joint {where}")
@@ -174,7 +184,7 @@ def _weights(document: Document, primitive: Primitive, columns: NDArray[np.intp]
     if not sets:
         raise document.error("a skin without weights", primitive.key, expected="JOINTS_0 and WEIGHTS_0")
     total = dense.sum(axis=1, keepdims=True)
-    bad = np.flatnonzero(total[:, 0] < _SAME)
+    bad = np.flatnonzero(total[:, 0] < _TOLERANCE)
     if bad.size:
         raise document.error("a skin without weights: they sum to zero", f"{primitive.key}, vertex {bad[0]}")
     return dense / total
@@ -189,7 +199,7 @@ def _merge(pieces: list[tuple[Floats, Any, Any]]) -> tuple[Floats, NDArray[np.in
     # Positions are compared as the file stores them, in float32: the way into the world adds rounding of its own.
     first, same = group_rows(vertices.astype(np.float32))
     torn = np.zeros(len(first), dtype=bool)  # positions where parts meet that move apart
-    np.logical_or.at(torn, same, np.abs(weights - weights[first[same]]).max(axis=1) > _SAME)
+    np.logical_or.at(torn, same, np.abs(weights - weights[first[same]]).max(axis=1) > _TOLERANCE)
     compared = np.where(torn[same][:, None], weights, 0.0).astype(np.float32)
     first, same = group_rows(np.concatenate([vertices.astype(np.float32), compared], axis=1))
     faces = same[faces]
@@ -202,9 +212,9 @@ def _merge(pieces: list[tuple[Floats, Any, Any]]) -> tuple[Floats, NDArray[np.in
 
 def _best(weights: NDArray[np.float32]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """The largest influences of each vertex, largest first, scaled to sum to 1; joint 0 where there is none."""
-    if weights.shape[1] < _INFLUENCES:
-        weights = np.pad(weights, ((0, 0), (0, _INFLUENCES - weights.shape[1])))
-    joints = np.argsort(-weights, axis=1, kind="stable")[:, :_INFLUENCES]
+    if weights.shape[1] < _INFLUENCE_COUNT:
+        weights = np.pad(weights, ((0, 0), (0, _INFLUENCE_COUNT - weights.shape[1])))
+    joints = np.argsort(-weights, axis=1, kind="stable")[:, :_INFLUENCE_COUNT]
     best = np.take_along_axis(weights, joints, axis=1).astype(np.float64)
     best /= best.sum(axis=1, keepdims=True)
     return np.where(best > 0.0, joints, 0).astype(np.int32), best.astype(np.float32)
@@ -235,7 +245,7 @@ def _clip(
     curves: dict[tuple[int, str], tuple[Floats, Floats, str]] = {}
     for number, channel in enumerate(animation.get("channels", [])):
         target = channel.get("target", {})
-        if target.get("node") in place and target.get("path") in _TARGETS:
+        if target.get("node") in place and target.get("path") in _ANIMATED_WIDTHS:
             key = f"clip {name}, channel {number} ({target['path']} of {document.node_name(target['node'])})"
             curves[place[target["node"]], target["path"]] = _curve(document, animation, channel, key)
     if not curves:
@@ -243,7 +253,7 @@ def _clip(
     times, rate = _sample_times(document, list(curves.values()), f"clip {name}", len(kept))
     values = {
         path: np.tile(np.array([parts[part] for parts in rest]), (len(times), 1, 1))
-        for part, path in enumerate(_TARGETS)
+        for part, path in enumerate(_ANIMATED_WIDTHS)
     }
     for (joint, path), curve in curves.items():
         values[path][:, joint] = _sample(*curve, times, path == "rotation")
@@ -262,7 +272,7 @@ def _curve(
         raise document.error("an unknown interpolation", key, kind, "LINEAR, STEP or CUBICSPLINE")
     times = document.accessor(samplers[number].get("input"), f"{key}, times")[:, 0].astype(np.float64)
     values = document.accessor(samplers[number].get("output"), f"{key}, values").astype(np.float64)
-    width, rows = _TARGETS[channel["target"]["path"]], len(times) * (3 if kind == "CUBICSPLINE" else 1)
+    width, rows = _ANIMATED_WIDTHS[channel["target"]["path"]], len(times) * (3 if kind == "CUBICSPLINE" else 1)
     if values.shape != (rows, width):
         raise document.error("not a value for each time", key, values.shape, f"({rows}, {width})")
     bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
@@ -290,10 +300,10 @@ def _sample_times(
     # The median of the short gaps is the frame time also where keys were left out, and is robust to rounding.
     frame = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
     if any(curve[2] == "CUBICSPLINE" for curve in curves):
-        frame = min(frame, 1.0 / _CURVE_RATE)
+        frame = min(frame, 1.0 / _MIN_CURVE_RATE)
     span = times[-1] - times[0]
     count = max(round(span / frame), 1) + 1
-    if count * joint_count > _MOST_SAMPLES:
+    if count * joint_count > _MAX_SAMPLES:
         raise document.error("a clip too long to sample", key, f"{count} frames of {joint_count} joints")
     return np.linspace(times[0], times[-1], count), (count - 1) / span
 

@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ObjMesh:
-    """What an OBJ file says of a surface, polygons cut into triangles.
+    """The surface that an OBJ file describes, with its polygons cut into triangles.
 
     Attributes:
         vertices: [m], shape (n, 3), float64.

@@ -93,7 +93,7 @@ class GarmentSettings:
         name: name in figures and files, unique in the scene.
         mesh: path of the garment's mesh, or a built-in one: "builtin:skirt".
         pattern: whether the mesh's texture coordinates are a flat pattern [m].
-        fabric: what it is made of; in a file a preset's name, the path of a .json file or a table of SI values.
+        fabric: its fabric; in a file a preset's name, the path of a .json file or a table of SI values.
         seams: path of the stitches between the mesh's panels: a .csv file with the columns v, a, b, w.
         coarse_vertices: about how many vertices the coarse mesh gets; the mesh is then the fine one, bound to the
             subdivided coarse mesh. None where the mesh itself is the coarse one.
@@ -113,7 +113,7 @@ class GarmentSettings:
     fabric: Fabric = entry(_FABRIC, Fabric())
     seams: Path | None = entry(file_path(".csv"), None)
     coarse_vertices: int | None = entry(whole(at_least=50), None)
-    subdivisions: int = entry(whole(at_least=0), 2)
+    subdivisions: int = entry(whole(at_least=1), 2)
     attach: str | tuple[int, ...] = entry(_ATTACH, "none")
     attach_vertices: tuple[int, ...] = entry(indices(), ())
     pins: tuple[int, ...] = entry(indices(), ())
@@ -131,7 +131,7 @@ class GarmentSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class CharacterSettings:
-    """The body and what it does: a glTF character, or a sequence of vertex positions.
+    """The body and its motion: a glTF character, or a sequence of vertex positions.
 
     Attributes:
         file: path of a glTF file, or "builtin:mannequin".
@@ -216,6 +216,7 @@ class PlaneSettings:
     normal: Vector = entry(vector(not_zero=True), (0.0, 1.0, 0.0))
 
     def primitive(self) -> Plane:
+        """The collider, a new one each time."""
         return Plane(self.point, self.normal)
 
 
@@ -228,6 +229,7 @@ class SphereSettings:
     radius: float = entry(number(above=0, unit="m"))
 
     def primitive(self) -> Sphere:
+        """The collider, a new one each time."""
         return Sphere(self.centre, self.radius)
 
 
@@ -241,6 +243,7 @@ class CapsuleSettings:
     radius: float = entry(number(above=0, unit="m"))
 
     def primitive(self) -> Capsule:
+        """The collider, a new one each time."""
         return Capsule(self.start, self.end, self.radius)
 
 
@@ -250,7 +253,7 @@ class FieldSettings:
 
     Attributes:
         mesh: path of a closed mesh.
-        spacing: of the grid [m]; what is finer is smoothed away.
+        spacing: of the grid [m]; finer detail is smoothed away.
         centre: where the mesh's own origin stands [m].
     """
 
@@ -276,7 +279,7 @@ class WindSettings:
 
     Attributes:
         velocity: mean.
-        turbulence: root mean square of each component of what eddies add, over the mean speed [-].
+        turbulence: root mean square of each component of the eddies' velocity, over the mean speed [-].
         length: wavelength of the largest eddies [m].
     """
 
@@ -285,6 +288,7 @@ class WindSettings:
     length: float = entry(number(above=0, unit="m"), 1.0)
 
     def air(self) -> Wind:
+        """The wind."""
         return Wind(self.velocity, self.turbulence, self.length)
 
 
@@ -294,14 +298,8 @@ class SolverSettings:
 
     Attributes:
         frame_rate: frames per second [Hz].
-        substep: longest step of the solver [s].
-        gravity: acceleration of free fall [m/s2].
-        coarse_sweeps: passes over each coarser level of the mesh in a step; 0 leaves all out.
-        contact_refreshes: times a second that each contact is looked for again [Hz].
-        self_collision: whether garments keep their thickness from themselves. Layers always keep it from one another.
-        local_damping: rate at which velocities against a garment's motion as a whole die away [1/s].
-        linear_inertia, angular_inertia: part that the cloth feels of changes of the motion of what carries it [-]: 1 is
-            physical, 0 goes along unmoved.
+
+    All others are those of :class:`pbd.SolverOptions`, with its defaults.
     """
 
     frame_rate: float = entry(number(above=0, unit="Hz"), 60.0)
@@ -315,12 +313,13 @@ class SolverSettings:
     angular_inertia: float = entry(number(at_least=0, at_most=1), SolverOptions.angular_inertia)
 
     def options(self) -> SolverOptions:
+        """The same settings as the solver takes them."""
         return SolverOptions(**{one.name: getattr(self, one.name) for one in fields(SolverOptions)})
 
 
 @dataclass(frozen=True, kw_only=True)
 class WrinkleSettings:
-    """What is learned.
+    """The size of the network and the dictionary that are learned.
 
     Attributes:
         hidden_width: width of the network's second hidden layer; the first is eight thirds as wide.
@@ -364,7 +363,7 @@ def load_scene(path: str | Path) -> Scene:
     """Read a scene file.
 
     Raises:
-        InputError: the file cannot be read or is not TOML; or what it says cannot be used, with every such place.
+        InputError: the file cannot be read or is not TOML; or values that cannot be used, with every such place.
     """
     path = Path(path)
     try:
@@ -377,15 +376,16 @@ def load_scene(path: str | Path) -> Scene:
     return parse_scene(text, path)
 
 
-def parse_scene(text: str, path: str | Path) -> Scene:
+def parse_scene(text: str, path: str | Path = "scene.toml") -> Scene:
     """Read a scene that is not in a file of its own.
 
     Args:
         text: TOML.
-        path: what errors name, and what relative paths in the scene are relative to the folder of.
+        path: the file that errors name. Paths in the scene are relative to its folder; by default that is the working
+            folder.
 
     Raises:
-        InputError: not TOML, or what it says cannot be used, with every such place.
+        InputError: not TOML, or values that cannot be used, with every such place.
     """
     path = Path(path)
     try:

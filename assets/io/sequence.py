@@ -1,4 +1,4 @@
-"""Bodies given as vertex positions over time."""
+"""Bodies that are given as vertex positions over time."""
 
 import zipfile
 import zlib
@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from assets.weld import check_unit
-from pbd.engine import Launch, ensure_initialized, ti
+from pbd.engine import ensure_initialized, ti
 from pbd.errors import InputError
+from pbd.taichi_internals import Launch
 
 __all__ = ["Sequence", "SequenceBody", "SequenceMotion", "load_sequence"]
 
@@ -102,10 +103,10 @@ class SequenceBody:
 class SequenceMotion:
     """A sequence with straight lines between its frames, played from its beginning to an end.
 
-    Clothes are made for its first frame: where a later part is meant, what comes before leads to it.
+    Clothes are made for its first frame: where a later part is meant, the frames before it lead to it.
 
     Args:
-        sequence: what is played.
+        sequence: the sequence to play.
         start, end: part that is meant [s]; None ends where the sequence ends.
         speed: its seconds per second [-].
 

@@ -39,15 +39,15 @@ __all__ = [
 
 
 class Refused(Exception):
-    """Raised by a check's ``convert`` for a value that is not what the check expects."""
+    """A check's ``convert`` raises it for a value that the check does not accept."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """What a value must be.
+    """The values that a setting may have.
 
     Attributes:
-        expected: what is accepted, in words, for the message.
+        expected: the accepted values in words, for the message.
         convert: called with (reader, value, key); returns the value to keep. It raises :class:`Refused`, or
             InputError where there is more to say, or reports to the reader and returns None.
         unit: unit of the value, for messages and printing.
@@ -117,7 +117,7 @@ class Reader:
         self.errors.append(InputError(problem, file=self.file, key=key, received=received, expected=expected))
 
     def _relocate(self, error: InputError, key: str) -> None:
-        """Report what a dataclass said about its own values: one error, or several in one text."""
+        """Report the error that a dataclass raised about its own values: one, or several in one text."""
         name = error.key.rpartition(".")[2] if error.key else ""
         self._add(error.problem.replace("\n", "\n  "), _join(key, name), error.received, error.expected)
 
@@ -290,7 +290,7 @@ def tables(one: Check, *, at_least: int = 0, unique: str | None = None) -> Check
 
 
 def settings_text(settings: Any) -> str:
-    """The settings as TOML, defaults included and units as comments; what is None is left out."""
+    """The settings as TOML, with defaults, and with units as comments; settings that are None are left out."""
     return "\n".join(_lines(settings, "", "")).lstrip("\n") + "\n"
 
 

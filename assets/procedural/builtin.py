@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 from assets.garment import Garment
 from assets.procedural.mannequin import DATA
 from pbd.errors import InputError
+from pbd.mesh import lattice_faces
 
 __all__ = ["BUILTIN_GARMENTS", "builtin_garment"]
 
 BUILTIN_GARMENTS = ("flag", "skirt", "tablecloth", "tshirt")
 
-_EDGE = 0.04  # of flag and tablecloth [m]
+_SHEET_EDGE = 0.04  # of flag and tablecloth [m]
 
 
 def builtin_garment(name: str) -> Garment:
@@ -40,14 +41,11 @@ def builtin_garment(name: str) -> Garment:
 
 def _sheet(name: str, size: tuple[float, float], corner: NDArray[np.float64], up: NDArray[np.float64]) -> Garment:
     """A rectangle from a corner along X and `up`: squares cut along diagonals that alternate, for no bias."""
-    columns, rows = (round(length / _EDGE) for length in size)
+    columns, rows = (round(length / _SHEET_EDGE) for length in size)
     index = np.arange((rows + 1) * (columns + 1)).reshape(rows + 1, columns + 1)
     row, column = np.divmod(np.arange(index.size), columns + 1)
-    flat = _EDGE * np.stack([column, row], axis=1).astype(np.float64)
+    flat = _SHEET_EDGE * np.stack([column, row], axis=1).astype(np.float64)
     vertices = corner + flat[:, :1] * [1.0, 0.0, 0.0] + flat[:, 1:] * up
-    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
-    even = ((row[a] + column[a]) % 2 == 0)[:, None]
-    first = np.where(even, np.stack([a, b, c], axis=1), np.stack([a, b, d], axis=1))
-    second = np.where(even, np.stack([a, c, d], axis=1), np.stack([b, c, d], axis=1))
-    faces = np.stack([first, second], axis=1).reshape(-1, 3).astype(np.int32)
+    # Faces stand in the order of the vertices, row after row.
+    faces = lattice_faces(index.T).reshape(columns, rows, 2, 3).swapaxes(0, 1).reshape(-1, 3)
     return Garment(name, vertices, faces, flat[faces], f"builtin:{name}")

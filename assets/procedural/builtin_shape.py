@@ -28,7 +28,8 @@ __all__ = ["make_skirt", "make_tshirt", "tshirt_field", "write_data"]
 Floats = NDArray[np.float64]
 
 # Skirt: a cone over the outline of the waist. The apex stands a little in front, since the body widens backwards.
-_WAIST, _HEM, _FLARE, _APEX_Z = 1.06, 0.50, 2.55, 0.04
+# Heights of waist and hem [m], width of the hem over that of the waist [-], place of the apex along z [m].
+_WAIST_HEIGHT, _HEM_HEIGHT, _FLARE, _APEX_Z = 1.06, 0.50, 2.55, 0.04
 _SKIRT_COLUMNS = 32
 _WAIST_GAP = 0.006  # between waistband and body [m]
 
@@ -49,8 +50,8 @@ _SHIRT = np.array(
     ]
 )
 _SHIRT_GAP = 0.009  # least distance from the body [m]
-_SLEEVE = 0.62  # share of the upper arm that the sleeve covers
-_SHIRT_EDGE = 0.0305
+_SLEEVE_SHARE = 0.62  # share of the upper arm that the sleeve covers
+_SHIRT_EDGE = 0.0305  # mean edge of the mesh [m]
 
 
 def make_skirt() -> dict[str, NDArray]:
@@ -63,8 +64,8 @@ def make_skirt() -> dict[str, NDArray]:
         vertices [m] (n, 3), the waist first; faces (m, 3); pattern [m] (m, 3, 2): the cone cut open and unrolled.
     """
     columns = _SKIRT_COLUMNS
-    apex = np.array([0.0, _WAIST + (_WAIST - _HEM) / (_FLARE - 1.0), _APEX_Z])
-    waist = _outline(_WAIST, _WAIST_GAP, 2 * columns)
+    apex = np.array([0.0, _WAIST_HEIGHT + (_WAIST_HEIGHT - _HEM_HEIGHT) / (_FLARE - 1.0), _APEX_Z])
+    waist = _outline(_WAIST_HEIGHT, _WAIST_GAP, 2 * columns)
     reach = np.linalg.norm(waist - apex, axis=1)
     between = np.cross(waist - apex, np.roll(waist, -1, axis=0) - apex)
     angle = np.arcsin(np.linalg.norm(between, axis=1) / (reach * np.roll(reach, -1)))
@@ -125,7 +126,14 @@ def _distance(points: Floats) -> Floats:
 
 
 def tshirt_field(points: Floats) -> Floats:
-    """The solid whose skin the T-shirt is: a wide trunk, sleeves, and room for the body everywhere."""
+    """The solid whose surface the T-shirt is: a wide trunk, sleeves, and room for the body everywhere.
+
+    Args:
+        points: [m], shape (n, 3).
+
+    Returns:
+        [m], shape (n,), negative inside.
+    """
     left = np.abs(points[:, :1]) * [1.0, 0.0, 0.0] + points * [0.0, 1.0, 1.0]
     shoulder, elbow = np.array(JOINTS["LeftArm"][1]), np.array(JOINTS["LeftForeArm"][1])
     sleeve = tapered_tube(
@@ -145,7 +153,7 @@ def make_tshirt() -> dict[str, NDArray]:
     fine, faces = surface_mesh(tshirt_field, low, high, 0.010)
     mesh = trimesh.Trimesh(fine, faces, process=False)
     shoulder, elbow = np.array(JOINTS["LeftArm"][1]), np.array(JOINTS["LeftForeArm"][1])
-    cuff, along = shoulder + _SLEEVE * (elbow - shoulder), shoulder - elbow
+    cuff, along = shoulder + _SLEEVE_SHARE * (elbow - shoulder), shoulder - elbow
     mirror = np.array([-1.0, 1.0, 1.0])
     cuts = [
         (np.array([0.0, 0.90, 0.0]), np.array([0.0, 1.0, 0.0]), 0.30),
@@ -154,7 +162,7 @@ def make_tshirt() -> dict[str, NDArray]:
         (cuff * mirror, along * mirror, 0.15),
     ]
     for place, inward, reach in cuts:
-        # A cuff's plane meets the hips as well, further down: only what is near is cut.
+        # A cuff's plane meets the hips as well, further down: only the faces near the cuff are cut.
         near = np.linalg.norm(mesh.triangles_center - place, axis=1) < reach
         vertices, kept, _ = trimesh.intersections.slice_faces_plane(mesh.vertices, mesh.faces[near], inward, place)
         faces = np.concatenate([mesh.faces[~near], kept + len(mesh.vertices)])
@@ -184,7 +192,7 @@ def _largest_part(vertices: Floats, faces: NDArray[np.int32]) -> tuple[Floats, N
 
 
 def write_data(folder: Path = DATA) -> None:
-    """Make the data files of all that is built in."""
+    """Make the data files of the mannequin and its clothes in a folder."""
     for name, make in (("mannequin", make_mannequin), ("skirt", make_skirt), ("tshirt", make_tshirt)):
         arrays: dict[str, Any] = make()
         with replacing(folder / f"{name}.npz") as path, open(path, "wb") as file:

@@ -1,7 +1,7 @@
-"""Procedural motion of any figure: what its clothes should have seen before they meet a new clip.
+"""Procedural motion of any figure, for its clothes to learn from before they meet a new clip.
 
-A motion is cut into segments of 3 to 6 s. Each draws how fast the figure walks and turns, how it holds trunk and arms,
-and what it does with its legs, and everything is low-passed over the joins. So the motion is smooth, never repeats, and
+A motion is cut into segments of 3 to 6 s. Each draws the speed and the turning of the figure, the posture of trunk and
+arms, and the action of the legs; everything is low-passed over the joins. So the motion is smooth, never repeats, and
 covers more than a recorded clip does: gaits of many speeds, sudden stops, turns, spins, squats, lunges, raised legs.
 """
 
@@ -20,9 +20,9 @@ __all__ = ["exploration_clip", "exploration_motion"]
 
 Floats = NDArray[np.float64]
 
-_BLEND = 1.0  # from the bind pose into the motion [s]
-# What a segment can be, and how often.
-_KINDS = {"walk": 0.46, "turn": 0.14, "squat": 0.12, "lunge": 0.10, "raise": 0.10, "spin": 0.08}
+_BLEND_SECONDS = 1.0  # from the bind pose into the motion [s]
+# Kinds of segments, and the share of each.
+_SEGMENT_SHARES = {"walk": 0.46, "turn": 0.14, "squat": 0.12, "lunge": 0.10, "raise": 0.10, "spin": 0.08}
 
 
 def exploration_motion(character: Character, seed: int, duration: float) -> ClipMotion:
@@ -32,7 +32,7 @@ def exploration_motion(character: Character, seed: int, duration: float) -> Clip
     off the trunk.
 
     Args:
-        character: whose joints have usual names ("LeftUpLeg", "thigh_l", ...), and who stands upright in its bind pose.
+        character: its joints have usual names ("LeftUpLeg", "thigh_l", ...), and it stands upright in its bind pose.
         seed: of the draw.
         duration: [s].
 
@@ -43,20 +43,20 @@ def exploration_motion(character: Character, seed: int, duration: float) -> Clip
 
 
 def exploration_clip(character: Character, seed: int, duration: float) -> Clip:
-    """The clip of :func:`exploration_motion`, at 60 Hz."""
+    """The clip of :func:`exploration_motion`, at 60 Hz; arguments and errors are the same."""
     if not 2.0 <= duration < np.inf:
         raise InputError("bad duration", key="duration", received=duration, expected="at least 2 s")
     figure = Figure(character)
     curves = curves_of(figure, _plan(np.random.default_rng(seed), duration))
-    return figure.clip(curves, f"exploration_{seed}", FRAME_RATE, blend=_BLEND)
+    return figure.clip(curves, f"exploration_{seed}", FRAME_RATE, blend=_BLEND_SECONDS)
 
 
 def _plan(rng: np.random.Generator, duration: float) -> Plan:
     plan = Plan.standing(duration)
-    start = _BLEND + 0.2
+    start = _BLEND_SECONDS + 0.2
     while start < duration:
         end = start + rng.uniform(3.0, 6.0)
-        kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+        kind = str(rng.choice(list(_SEGMENT_SHARES), p=list(_SEGMENT_SHARES.values())))
         _segment(plan, rng, kind, start, end)
         start = end
     # Speeds change within a few tenths of a second, postures more slowly; nothing jumps.
@@ -77,7 +77,7 @@ def _plan(rng: np.random.Generator, duration: float) -> Plan:
 
 
 def _segment(plan: Plan, rng: np.random.Generator, kind: str, start: float, end: float) -> None:
-    """Write one segment into the plan; what it does not set stays as in a standing figure."""
+    """Write one segment into the plan; values that it does not set stay as in a standing figure."""
     t = plan.times
     here = (t >= start) & (t < end)
     span = t[here] - start

@@ -1,4 +1,4 @@
-"""A character as a figure that can be told where its feet are and how its trunk and arms are held.
+"""A character as a figure that is posed by the places of its feet and the angles of its trunk and arms.
 
 The joints are found by their usual names, and every rotation is meant in the frame of the bind pose: X to the figure's
 left, Y up, Z ahead. So it does not matter how the axes of a file's joints are turned.
@@ -19,9 +19,10 @@ __all__ = ["Curves", "Figure", "rot_x", "rot_y", "rot_z", "smoothstep"]
 
 Floats = NDArray[np.float64]
 
-# Near its full length a leg's knee moves without bounds. So the hips stay within the first share of it, and what the
-# smoothing of their height takes back is met by a leg that gives way from the second share on and ends at the third.
-_REACH, _GIVE, _STRAIGHT = 0.993, 0.98, 0.998
+# Near its full length a small move of the hip bends a leg's knee a lot. So the hips stay within the first share of the
+# length. Smoothing their height may still take them beyond it: from the second share on a leg follows less and less,
+# and it never comes to the third.
+_MAX_REACH, _SOFT_REACH, _FULL_REACH = 0.993, 0.98, 0.998
 
 
 @dataclass(eq=False)
@@ -86,8 +87,8 @@ class Figure:
         self._hips = self._bind[self._roles["hips"]]
         self.hip_joints = self.hip_joints - self._hips
         self._legs = [self._leg(side) for side in (0, 1)]
-        self.reach = np.array([_REACH * (leg.thigh_length + leg.shin_length) for leg in self._legs])
-        self.leg_length = float(self.reach.mean() / _REACH)
+        self.reach = np.array([_MAX_REACH * (leg.thigh_length + leg.shin_length) for leg in self._legs])
+        self.leg_length = float(self.reach.mean() / _MAX_REACH)
         self._heel, self._ball = self._soles()
 
     def ankle_places(self, curves: Curves) -> Floats:
@@ -157,7 +158,7 @@ class Figure:
         turns = np.broadcast_to(np.eye(3), (frames, len(parents), 3, 3)).copy()
         places = np.broadcast_to(bind, (frames, len(parents), 3)).copy()
         uplegs = {roles["upleg", side]: side for side in (0, 1)}
-        # What stands above the hips goes along on the floor.
+        # Joints above the hips in the tree go along on the floor.
         ground = curves.hips * [1.0, 0.0, 1.0]
         for joint in list(upwards(self.character, roles["hips"]))[1:]:
             turns[:, joint] = rot_y(curves.heading)
@@ -239,7 +240,7 @@ class _Leg:
     def __init__(self, thigh: Floats, shin: Floats) -> None:
         along = _unit(thigh + shin)
         self._axis = _unit(np.array([1.0, 0.0, 0.0]) - along[0] * along)
-        # What of the bones lies along the hinge cancels out: the bones are solved for in the plane across it.
+        # Components of the bones along the hinge cancel out: the bones are solved for in the plane across it.
         flat_thigh, flat_shin = (bone - (bone @ self._axis) * self._axis for bone in (thigh, shin))
         self.thigh_length, self.shin_length = float(np.linalg.norm(flat_thigh)), float(np.linalg.norm(flat_shin))
         self._thigh_frame = _hinge_frame(_unit(flat_thigh), self._axis)
@@ -255,8 +256,8 @@ class _Leg:
         a, b = self.thigh_length, self.shin_length
         length = np.linalg.norm(ankle, axis=1)
         along = ankle / length[:, None]
-        excess = np.maximum(length / (a + b) - _GIVE, 0.0) / (_STRAIGHT - _GIVE)
-        length = np.where(excess > 0.0, (a + b) * (_STRAIGHT - (_STRAIGHT - _GIVE) * np.exp(-excess)), length)
+        excess = np.maximum(length / (a + b) - _SOFT_REACH, 0.0) / (_FULL_REACH - _SOFT_REACH)
+        length = np.where(excess > 0.0, (a + b) * (_FULL_REACH - (_FULL_REACH - _SOFT_REACH) * np.exp(-excess)), length)
         length = np.maximum(length, abs(a - b) + 0.06 * (a + b))
         side = rot_y(turn)[:, :, 0]
         axis = _unit(side - (side * along).sum(axis=1, keepdims=True) * along)

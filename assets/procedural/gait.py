@@ -19,8 +19,8 @@ __all__ = ["FRAME_RATE", "Plan", "Raise", "Spin", "curves_of", "smooth"]
 Floats = NDArray[np.float64]
 
 FRAME_RATE = 60.0  # [Hz]
-_SWING = 0.76  # share of a step in which the foot is in the air
-_LEG = 0.8  # leg length that the numbers here are meant for [m]
+_SWING_SHARE = 0.76  # share of a step in which the foot is in the air
+_REFERENCE_LEG = 0.8  # leg length that the numbers here are meant for [m]
 
 
 @dataclass(frozen=True)
@@ -49,17 +49,17 @@ class Spin:
 
 @dataclass
 class Plan:
-    """What the figure is to do, sampled at :data:`FRAME_RATE`; F frames.
+    """Speed, turning and posture over time, sampled at :data:`FRAME_RATE`; F frames.
 
     Attributes:
         speed: forwards [m/s], shape (F,).
         yaw_rate: to the left [rad/s], shape (F,).
         squat: how far the hips are lowered [m], shape (F,).
         spread: how far the feet stand apart, more than usual: sideways each, left ahead of right [m], shape (F, 2).
-        pelvis, trunk: see :class:`~assets.procedural.figure.Curves`; on top of what the gait does [rad], shape (F, 3).
+        pelvis, trunk: see :class:`~assets.procedural.figure.Curves`; added to the gait's own [rad], shape (F, 3).
         shift: of the hips over the feet, left and ahead [m], shape (F, 2).
         arms: see :class:`~assets.procedural.figure.Curves` [rad], shape (2, F, 3).
-        arm_swing, hip_swing: strength of what the gait does [-], shape (F,).
+        arm_swing, hip_swing: strength of the gait's swing of arms and hips [-], shape (F,).
         cadence: steps per second against the usual [-], shape (F,).
         raises, spins: events; the path should stand still during raises.
     """
@@ -120,8 +120,8 @@ def smooth(values: Floats, width: float) -> Floats:
 
 
 def curves_of(figure: Figure, plan: Plan) -> Curves:
-    """The figure's curves for a plan."""
-    scale = figure.leg_length / _LEG
+    """The figure's curves for a plan, one value for each of its frames."""
+    scale = figure.leg_length / _REFERENCE_LEG
     walk = _Walk(figure, plan, scale)
     moves = walk.steps()
     feet, turns = walk.feet(moves)
@@ -229,11 +229,11 @@ class _Walk:
         time, side = 0.15, 0
         while time < self.duration:
             step = 1.0 / self._pace(time, hasty=bool(busy) and busy[0].start < time + 1.2)
-            landing = time + _SWING * step
+            landing = time + _SWING_SHARE * step
             if busy and landing > busy[0].start:
                 time = self._event(busy.pop(0), feet, turns, moves)
                 continue
-            halfway = min(landing + 0.5 * (2.0 - _SWING) * step, busy[0].start if busy else np.inf)
+            halfway = min(landing + 0.5 * (2.0 - _SWING_SHARE) * step, busy[0].start if busy else np.inf)
             goals = [self._goal(foot, landing, halfway) for foot in (0, 1)]
             gaps = [
                 np.linalg.norm(goals[foot][0] - feet[foot]) + 0.3 * abs(goals[foot][1] - turns[foot]) for foot in (0, 1)

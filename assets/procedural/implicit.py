@@ -166,11 +166,11 @@ def _zero_set(values: Floats) -> tuple[Floats, Faces]:
     cells = np.argwhere((held > 0) & (held < 8)) @ stride
     tetrahedra = [cells[:, None] + np.cumsum([0, *stride[list(order)]]) for order in permutations(range(3))]
     nodes = np.concatenate(tetrahedra)
-    # Corners inside the solid first; then the number of them tells which edges the surface crosses.
+    # Corners inside the solid come first; their number then decides which edges the surface crosses.
     nodes = np.take_along_axis(nodes, np.argsort(flat[nodes] >= 0.0, axis=1, kind="stable"), axis=1)
     count = (flat[nodes] < 0.0).sum(axis=1)
     cuts = []
-    for number, triangles in _CUTS.items():
+    for number, triangles in _TETRAHEDRON_CUTS.items():
         cuts += [nodes[count == number][:, triangle] for triangle in triangles]
     ends = np.concatenate(cuts)  # (triangles, 3 corners, 2 ends): inside, outside
     keys, index = np.unique(ends.reshape(-1, 2), axis=0, return_inverse=True)
@@ -187,7 +187,7 @@ def _zero_set(values: Floats) -> tuple[Floats, Faces]:
 
 
 # Corners of the triangles that cut a tetrahedron with 1, 2 or 3 corners inside, as (inner, outer) ends of its edges.
-_CUTS = {
+_TETRAHEDRON_CUTS = {
     1: [[(0, 1), (0, 2), (0, 3)]],
     2: [[(0, 2), (0, 3), (1, 3)], [(0, 2), (1, 3), (1, 2)]],
     3: [[(0, 3), (1, 3), (2, 3)]],

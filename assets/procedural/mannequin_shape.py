@@ -70,7 +70,7 @@ _BONES = [
     ("LeftToeBase", (0.126, 0.024, 0.100), (0.128, 0.022, 0.145), 0.032),
 ]
 
-_HEAT = 4.0  # how closely the skin keeps to the nearest bone [-]
+_BONE_HEAT = 4.0  # how closely the skin keeps to the nearest bone [-]
 
 
 def make_mannequin(count: int = 8300, spacing: float = 0.011) -> dict[str, NDArray]:
@@ -130,7 +130,7 @@ def skin_weights(vertices: Floats, faces: NDArray[np.int32]) -> Floats:
     n = len(vertices)
     # Laplacian of a function on nearly equilateral triangles: 2 / (3 length^2) times the sum of the differences.
     links = sparse.csr_matrix((np.full(len(both), 2.0 / (3.0 * length**2)), tuple(both.T)), shape=(n, n))
-    heat = _HEAT / (nearest * width) ** 2
+    heat = _BONE_HEAT / (nearest * width) ** 2
     system = sparse.diags(np.asarray(links.sum(axis=1)).ravel() + heat) - links
     sources = np.zeros((n, len(names)))
     sources[np.arange(n), owner] = heat
@@ -139,7 +139,14 @@ def skin_weights(vertices: Floats, faces: NDArray[np.int32]) -> Floats:
 
 
 def body_field(points: Floats) -> Floats:
-    """The mannequin's body as a solid (see :mod:`assets.procedural.implicit`)."""
+    """The mannequin's body as a solid (see :mod:`assets.procedural.implicit`).
+
+    Args:
+        points: [m], shape (n, 3).
+
+    Returns:
+        [m], shape (n,), negative inside.
+    """
     mirrored = points * [-1.0, 1.0, 1.0]
     left = np.where(points[:, :1] >= 0.0, points, mirrored)
     right = np.where(points[:, :1] >= 0.0, mirrored, points)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import bsr_matrix, csr_matrix
 
-from pbd.colliders import Colliders, DistanceField
+from pbd.contact.colliders import Colliders, DistanceField
 from pbd.errors import InputError
 
 __all__ = ["DAMPING", "PENALTY", "VISCOSITY", "ContactForces", "Cushion", "Obstacles"]
@@ -90,7 +90,7 @@ class Obstacles:
     def correction(self, x: np.ndarray, start: np.ndarray, free: np.ndarray, friction: float, h: float) -> np.ndarray:
         """Positions put out of the obstacles, with Coulomb friction on the way since the substep's start.
 
-        The same law as :func:`pbd.constraints.contact_correction`.
+        The same law as :func:`pbd.xpbd.constraints.contact_correction`.
 
         Args:
             x: positions that a step came to [m], shape (n, 3).

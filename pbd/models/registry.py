@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from pbd.colliders import Colliders
+from pbd.contact.colliders import Colliders
 from pbd.errors import InputError
 from pbd.model import Model, State
 from pbd.models.descent import ProjectiveDynamics, VertexBlockDescent
@@ -18,7 +18,7 @@ from pbd.models.plate import angle_bending, isometric_bending, morley_bending
 from pbd.models.position_based import PBD, XPBD, StrainBased
 from pbd.models.springs import prestressed_springs, square_springs, triangle_springs
 from pbd.models.stepping import Options
-from pbd.solver import Solver, SolverOptions
+from pbd.xpbd.solver import Solver, SolverOptions
 
 __all__ = ["SOLVERS", "AnySolver", "cloth_energy", "make_solver"]
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pbd.colliders import Colliders
+from pbd.contact.colliders import Colliders
 from pbd.errors import InputError
 from pbd.model import Model, State
 from pbd.models.elements import Sum
 from pbd.models.newton import StepError
 from pbd.models.obstacles import Obstacles
-from pbd.solver import AIR_DENSITY, Solver
+from pbd.xpbd.solver import AIR_DENSITY, Solver
 
 __all__ = ["ClothSolver", "Options"]
 
@@ -62,8 +62,8 @@ class ClothSolver(ABC):
     next step goes on from those; what was changed, or another state, is taken over.
 
     Args:
-        model: the garment. Tethers, ``squeeze`` and ``shear_scale``, which are the default solver's, are left
-            out.
+        model: the garment. Tethers, ``compression_compliance_scale`` and ``shear_scale`` belong to the default
+            solver and are left out.
         options: see :class:`Options`.
         name: in messages.
 
@@ -160,7 +160,7 @@ class ClothSolver(ABC):
         """Acceleration by gravity and air over a substep [m/s2], shape (n, 3).
 
         Air acts along the surface's normal and is bounded, whatever the step, as in
-        :func:`pbd.constraints.drag_velocity`: first order in h.
+        :func:`pbd.xpbd.constraints.drag_velocity`: first order in h.
         """
         corners = x[self.model.mesh.faces]
         face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -15,10 +14,10 @@ from assets.fabrics import PRESETS
 from assets.garment import load_garment
 from assets.io.scene import MotionSettings, parse_scene
 from pbd import ClothMesh, InputError, ModelOptions, SolverOptions, build_model
-from pbd.storage import replacing
+from precompute.mechanics import GRAVITY
 from precompute.method_comparison.error_classes import LIMITS, longest_run
+from precompute.reporting.tables import write_table
 from runtime.pictures import Drawn, frame_camera, render, save_png, strip
-from runtime.report import machine_description
 from runtime.simulation import Motion, Simulation, body_source
 from runtime.stage import load_body, motion_of, simulation_of
 from wrinkles.crossings import crossings
@@ -33,7 +32,8 @@ SUBSTEP = 1.0 / 1440.0
 START = 0.5  # what happens before is not judged [s]
 LIMBS = 2.0  # that cloth may be faster than the fastest limb of the last half second [m/s]
 LAYERS = ((0.31, 0.50, 0.70), (0.74, 0.44, 0.34))
-GATHERED = ModelOptions(squeeze=30.0)  # 1.4 m of the loose dress's skirt on 0.7 m of waist, in edges of 5 cm
+# 1.4 m of the loose dress's skirt on 0.7 m of waist, in edges of 5 cm
+GATHERED = ModelOptions(compression_compliance_scale=30.0)
 SHRINKING, SETTLING = 32, 12  # steps in which the loose dress goes to its pattern's size, frames of each
 SHOWN = 6  # frames in the picture
 
@@ -220,7 +220,7 @@ def run_clip(
     if picture is not None:
         _draw(picture, simulation, shown, [f"{(frame + 1) / RATE:.1f} s" for frame in _moments(frames)])
     later = min(round(START * RATE), frames - 1)
-    bound = 3.0 * np.sqrt(2.0 * 9.81 * height) + limbs
+    bound = 3.0 * np.sqrt(2.0 * GRAVITY * height) + limbs
     recent = np.array([limbs[max(0, k - round(0.5 * RATE)) : k + 1].max() for k in range(frames)])
     catastrophic = drawn | (fastest > bound * LIMITS["speed_over_limit"][2]) | (boxes > LIMITS["box_ratio"][2])
     catastrophic |= _held(inside, round(LIMITS["penetration_s"][2] * RATE))
@@ -313,12 +313,4 @@ def clip_rows(
 
 def write_clips(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Write rows as CSV with machine and date."""
-    machine = machine_description()
-    named = [{**row, "cpu": machine["cpu"], "date": machine["date"]} for row in rows]
-    columns = list(dict.fromkeys(key for row in named for key in row))
-    with replacing(path) as beside, open(beside, "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, columns)
-        writer.writeheader()
-        writer.writerows(
-            {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in row.items()} for row in named
-        )
+    write_table(path, rows, digits=4, machine=True)

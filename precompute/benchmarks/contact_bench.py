@@ -5,6 +5,7 @@ import time
 import numpy as np
 
 from pbd import ClothMesh, Colliders, Fabric, ModelOptions, Solver, SolverOptions, Sphere, State, build_model
+from pbd.mesh import lattice_faces
 from wrinkles.crossings import crossings
 
 __all__ = ["self_collision_cost"]
@@ -29,8 +30,7 @@ def self_collision_cost(side: int = 64, frames: int = FRAMES) -> dict[str, float
     step = 1.0 / (side - 1)
     x, z = (part.ravel() * step - 0.5 for part in np.meshgrid(np.arange(side), np.arange(side), indexing="ij"))
     index = np.arange(side * side).reshape(side, side)
-    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
-    faces = np.stack([a, c, b, a, d, c], axis=1).reshape(-1, 3)
+    faces = lattice_faces(index, alternating=False)[:, [0, 2, 1]]  # z grows downwards where x grows to the right
     mesh = ClothMesh.from_surface(np.stack([x, 0 * x + RADIUS + 0.01, z], axis=1), faces, warp=(1.0, 0.0, 0.0))
     model = build_model(mesh, Fabric(friction=0.3), options=ModelOptions(tether_slack=0.0), bend_factor=1 / 3)
     colliders, state = Colliders([Sphere((0.0, 0.0, 0.0), RADIUS)]), State.at_rest(model)

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from pbd import SolverOptions
-from pbd.storage import replacing
 from precompute.benchmarks.constraint_cost import constraint_costs
 from precompute.benchmarks.contact_bench import self_collision_cost
 from precompute.benchmarks.solver_scenes import RATE, Measured, hanging_square, measure
 from precompute.benchmarks.thread_speed import thread_speedups
 from precompute.method_comparison.engines import EngineRun, bench_engines
 from precompute.reporting.page import Chart, Line, Point, Section, Table, Text, write_page
+from precompute.reporting.tables import write_table
 from runtime.report import machine_description
 
 __all__ = ["Run", "SolverBench", "bench_rows", "bench_solver", "bench_verdict", "write_bench"]
@@ -208,13 +207,7 @@ def write_bench(folder: Path, bench: SolverBench) -> None:
     """Write ``solver.html`` and ``solver.csv`` (every row with machine and date) into a folder."""
     rows = bench_rows(bench)
     machine = machine_description()
-    named = [{**row, "cpu": machine["cpu"], "date": machine["date"]} for row in rows]
-    with replacing(folder / "solver.csv") as beside, open(beside, "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(named[0]))
-        writer.writeheader()
-        writer.writerows(
-            {key: f"{value:.5g}" if isinstance(value, float) else value for key, value in row.items()} for row in named
-        )
+    write_table(folder / "solver.csv", rows, digits=5, machine=True)
     sections: list[Section] = [Text(bench_verdict(bench).replace("\n", "\n\n"))]
     sections += [_chart(bench, side) for side in bench.amplitudes]
     header = [name.replace("_", " ") for name in rows[0]]

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from pbd import ClothMesh, Colliders, Fabric, Model, ModelOptions, Solver, SolverOptions, State, build_model
+from pbd.mesh import lattice_faces
 
 __all__ = ["RATE", "STIFF", "Measured", "SolverScene", "hanging_cloth", "hanging_square", "measure", "measure_steps"]
 
@@ -72,9 +73,7 @@ def hanging_square(count: int, hung: str = "corners", mesh: str = "grid", fabric
     step = 1.0 / (count - 1)
     flat = np.stack(np.meshgrid(np.arange(count), np.arange(count), indexing="ij"), axis=-1).reshape(-1, 2) * step
     if mesh == "grid":
-        index = np.arange(count * count).reshape(count, count)
-        a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
-        faces = np.stack([a, b, c, a, c, d], axis=1).reshape(-1, 3)
+        faces = lattice_faces(np.arange(count * count).reshape(count, count), alternating=False)
     else:
         inner = ((flat > 0.5 * step) & (flat < 1.0 - 0.5 * step)).all(axis=1)
         flat += inner[:, None] * np.random.default_rng(0).uniform(-0.35, 0.35, flat.shape) * step

@@ -1,11 +1,11 @@
-"""What a second core is worth: a crowd of garments, and one large cloth that threads share."""
+"""What a second core is worth: a batch of garments, and one large cloth that threads share."""
 
 import time
 from collections.abc import Callable
 
 import numpy as np
 
-from pbd import Colliders, Crowd, Solver, SolverOptions, State
+from pbd import BatchSolver, Colliders, Solver, SolverOptions, State
 from pbd.engine import ensure_initialized, running_threads
 from precompute.benchmarks.solver_scenes import RATE, hanging_square
 
@@ -30,7 +30,7 @@ def thread_speedups() -> dict[str, float]:
 def _speedup(side: int, count: int, threads_each: int, substeps: int, sweeps: int) -> float:
     scene = hanging_square(side)
     solver = Solver(scene.model, SolverOptions(substep=1.0 / (RATE * substeps), coarse_sweeps=sweeps))
-    crowd, colliders = Crowd([solver] * count, threads_each), [Colliders() for _ in range(count)]
+    batch, colliders = BatchSolver([solver] * count, threads_each), [Colliders() for _ in range(count)]
     singles = [State.at_rest(scene.model) for _ in range(count)]
     shared = [state.copy() for state in singles]
 
@@ -39,7 +39,7 @@ def _speedup(side: int, count: int, threads_each: int, substeps: int, sweeps: in
             solver.step(state, collider, 1.0 / RATE)
 
     def together() -> None:
-        crowd.step(shared, colliders, 1.0 / RATE)
+        batch.step(shared, colliders, 1.0 / RATE)
 
     times = np.array([[_time(alone), _time(together)] for _ in range(FRAMES)])
     one, two = np.median(times[1:], axis=0)  # the first frame compiles

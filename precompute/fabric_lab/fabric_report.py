@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
@@ -22,6 +21,7 @@ from precompute.fabric_lab.laboratory import (
     shear_curve,
     tension_curve,
 )
+from precompute.reporting.tables import write_table
 from precompute.validation.drape_rows import cusick_drape
 from precompute.validation.trial import Setting
 
@@ -78,11 +78,7 @@ def curve_rows(curves: Mapping[tuple[str, str], LoadCurve]) -> list[dict[str, fl
 
 def write_curves(path: Path, curves: Mapping[tuple[str, str], LoadCurve]) -> None:
     """The points as CSV."""
-    rows = curve_rows(curves)
-    with replacing(path) as beside, open(beside, "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+    write_table(path, curve_rows(curves))
 
 
 def draw_curves(path: Path, curves: Mapping[tuple[str, str], LoadCurve]) -> None:

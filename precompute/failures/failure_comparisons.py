@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pbd import ClothMesh, Colliders, Crowd, Fabric, InputError, Solver, State, build_model
+from pbd import BatchSolver, ClothMesh, Colliders, Fabric, InputError, Solver, State, build_model
 from pbd.engine import running_threads
 from pbd.models.newton import StepError
 from pbd.models.registry import make_solver
@@ -100,12 +100,12 @@ def _threads(name: str) -> Outcome:
     mesh, held = HUNG
     model = build_model(mesh, Fabric(), np.array(held), bend_factor=1 / 3)
     solver, states, times = Solver(model), [State.at_rest(model) for _ in range(2)], []
-    crowd = Crowd([solver], max(1, running_threads()))
+    batch = BatchSolver([solver], max(1, running_threads()))
     for _ in range(30):
         begin = time.process_time()
         solver.step(states[0], Colliders(), 1.0 / RATE)
         times.append(time.process_time() - begin)
-        crowd.step(states[1:], [Colliders()], 1.0 / RATE)
+        batch.step(states[1:], [Colliders()], 1.0 / RATE)
     off = 0.0 if states[0].hash() == states[1].hash() else float(np.abs(states[0].world() - states[1].world()).max())
     same = off == 0.0 and states[0].hash() == states[1].hash()
     return Outcome({"position_px": 0.0 if same else max(off / 2.02e-3, 1.01)}, 0.0, 1e3 * float(np.median(times)))

@@ -13,24 +13,21 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pbd import (
-    Capsule,
     ClothMesh,
     Colliders,
     Fabric,
     Model,
     ModelOptions,
-    Plane,
     Solver,
     SolverOptions,
-    Sphere,
     State,
     build_model,
 )
 from pbd.models.newton import StepError
 from pbd.models.registry import AnySolver, make_solver
 from pbd.models.stepping import Options
+from precompute.mechanics import GRAVITY, mechanical_energy, signed_distance
 from precompute.method_comparison.error_classes import (
-    GRAVITY,
     LIMITS,
     START,
     ErrorClass,
@@ -208,21 +205,8 @@ def _depth(scene: Scene, stage: Stage, x: np.ndarray) -> float:
         return THROUGH * stage.fabric.thickness
     deepest = 0.0
     for primitive in stage.colliders.primitives:
-        if isinstance(primitive, Plane):
-            normal = np.asarray(primitive.normal, float)
-            distance = (x - primitive.point) @ (normal / np.linalg.norm(normal))
-        elif isinstance(primitive, Sphere):
-            distance = np.linalg.norm(x - primitive.centre, axis=1) - primitive.radius
-        else:
-            assert isinstance(primitive, Capsule)  # no scene has a distance field
-            distance = np.linalg.norm(x - _on_axis(primitive, x), axis=1) - primitive.radius
-        deepest = max(deepest, float(-distance.min()))
+        deepest = max(deepest, float(-signed_distance(primitive, x).min()))
     return deepest
-
-
-def _on_axis(capsule: Capsule, x: np.ndarray) -> np.ndarray:
-    a, axis = np.asarray(capsule.start, float), np.subtract(capsule.end, capsule.start)
-    return a + np.clip((x - a) @ axis / max(float(axis @ axis), 1e-20), 0.0, 1.0)[:, None] * axis
 
 
 def _judged(scene: Scene, model: Model, seen: Sequence[tuple], frame_ms: float) -> Outcome:
@@ -233,8 +217,7 @@ def _judged(scene: Scene, model: Model, seen: Sequence[tuple], frame_ms: float) 
     dt = 1.0 / RATE
     energy = None
     if scene.free:
-        kinetic = 0.5 * np.einsum("v,fvx->f", model.mass, velocity**2)
-        energy = kinetic + scene.gravity * (position[:, :, 1] @ model.mass)
+        energy, _ = mechanical_energy(model.mass, position, velocity, scene.gravity)
     edges, rest_lengths = model.mesh.edge_lengths()
     rest = Recorded(np.broadcast_to(model.mesh.vertices, position.shape), np.zeros_like(velocity), dt, energy)
     run = Recorded(position, velocity, dt, energy, depth, scene.at_rest)

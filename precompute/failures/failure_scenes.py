@@ -10,8 +10,9 @@ import trimesh
 
 from pbd import Body, Capsule, ClothMesh, Colliders, Fabric, Model, ModelOptions, Plane, Sphere, build_model
 from pbd.layers import layered
+from pbd.mesh import lattice_faces
 from precompute.failures.failure_play import RATE, Scene, Stage
-from precompute.method_comparison.error_classes import GRAVITY
+from precompute.mechanics import GRAVITY
 from wrinkles.crossings import crossings
 
 __all__ = ["HUNG", "scenes", "square"]
@@ -25,11 +26,7 @@ def square(edges: int, size: float = 0.5, upright: bool = True) -> ClothMesh:
     step = size / edges
     along, up = (part.ravel() for part in np.meshgrid(*2 * [np.arange(edges + 1.0)], indexing="ij"))
     index = np.arange((edges + 1) ** 2).reshape(edges + 1, edges + 1)
-    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
-    even = ((along + up).reshape(edges + 1, edges + 1)[:-1, :-1].ravel() % 2 == 0)[:, None]
-    first = np.where(even, np.stack([a, b, c], 1), np.stack([a, b, d], 1))
-    second = np.where(even, np.stack([a, c, d], 1), np.stack([b, c, d], 1))
-    faces = np.stack([first, second], axis=1).reshape(-1, 3)
+    faces = lattice_faces(index)
     flat = [step * along - size / 2, step * (up - edges), 0.0 * up]
     if not upright:
         flat = [flat[0], 0.0 * up, -size / 2 - flat[1]]
@@ -49,8 +46,7 @@ def _strip(length: float, width: float, edges: int) -> tuple[ClothMesh, np.ndarr
     across = max(2, round(edges * width / length))
     rows, columns = (part.ravel() for part in np.meshgrid(np.arange(edges + 1), np.arange(across + 1), indexing="ij"))
     index = np.arange(len(rows)).reshape(edges + 1, across + 1)
-    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
-    faces = np.stack([a, b, c, a, c, d], axis=1).reshape(-1, 3)
+    faces = lattice_faces(index, alternating=False)
     vertices = np.stack([width * (columns / across - 0.5), -length * rows / edges, 0.0 * rows], axis=1)
     return ClothMesh.from_surface(vertices, faces, warp=(0.0, 1.0, 0.0)), rows
 

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from pbd import InputError
 from pbd.models import SOLVERS
-from pbd.storage import replacing
 from precompute.failures.failure_comparisons import comparisons
 from precompute.failures.failure_play import Outcome, play
 from precompute.failures.failure_scenes import scenes
 from precompute.method_comparison.error_classes import ErrorClass
-from precompute.workers import begin_worker
-from runtime.report import machine_description
+from precompute.reporting.tables import write_table
+from precompute.workers import run_jobs
 
 __all__ = ["CLASSIC", "all_failure_rows", "failure_rows", "failure_table", "write_failures"]
 
@@ -82,17 +79,9 @@ def all_failure_rows(
     """
     for name in solvers:
         _check(name)
-    with ProcessPoolExecutor(workers, get_context("spawn"), begin_worker) as pool:
-        futures = [(name, line, pool.submit(failure_rows, name, lines=[line])) for name in solvers for line in _lines()]
-        rows: list[dict[str, Any]] = []
-        try:
-            for done, (name, line, future) in enumerate(futures, 1):
-                rows += future.result()
-                report(f"{done} of {len(futures)}: {name}: {line}")
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-    return rows
+    jobs = [partial(failure_rows, name, lines=[line]) for name in solvers for line in _lines()]
+    found = run_jobs(jobs, workers, done=lambda count, rows: report(f"{count} of {len(jobs)} lines"))
+    return [row for rows in found for row in rows]
 
 
 def _check(solver: str) -> None:
@@ -133,11 +122,4 @@ def write_failures(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     """Write rows as CSV with machine and date."""
     if not rows:
         raise InputError("nothing to write", key="rows", received=0, expected="at least one row")
-    machine = machine_description()
-    named = [{**row, "cpu": machine["cpu"], "date": machine["date"]} for row in rows]
-    with replacing(path) as beside, open(beside, "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(named[0]))
-        writer.writeheader()
-        writer.writerows(
-            {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in row.items()} for row in named
-        )
+    write_table(path, rows, digits=4, machine=True)

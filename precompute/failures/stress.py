@@ -18,12 +18,13 @@ from pbd.models.newton import StepError
 from pbd.models.registry import make_solver
 from precompute.benchmarks.solver_scenes import RATE, STIFF, hanging_square
 
-__all__ = ["QUOTED", "RUNS", "StressRun", "stress_rows"]
+__all__ = ["QUOTED", "RUNS", "StressRun", "stress_figures", "stress_rows", "stress_text"]
 
 SIDE = 32  # vertices
 SECONDS = 5.0  # of a run; the corner jumps after the first
 MOST_STRETCH = 0.2  # of the worst face, median over the last second [-]
 FURTHEST = 10.0  # from where it hangs; what is further away has exploded [m]
+VERDICTS = ("ok", "stretched", "exploded")
 BUDGET = 0.25  # of a frame's own length that its computation may take [-]
 FABRIC = replace(STIFF, bend_warp=1e-5, bend_weft=1e-5, air_drag=1.0)
 # Engine: runs that ended well, over 20 % stretched, exploded; 2026-11-21.
@@ -75,7 +76,10 @@ RUNS: Sequence[StressRun] = (
 
 
 def stress_rows(
-    solver: str = "default", names: Sequence[str] | None = None, seconds: float = SECONDS
+    solver: str = "default",
+    names: Sequence[str] = (),
+    seconds: float = SECONDS,
+    report: Callable[[str], None] | None = None,
 ) -> list[dict[str, Any]]:
     """A row of each run: ``run``, ``solver``, ``verdict``, ``worst_stretch``, ``frame_ms``, ``budget_ms``.
 
@@ -84,17 +88,47 @@ def stress_rows(
 
     Args:
         solver: a key of :data:`pbd.models.registry.SOLVERS`.
-        names: of the runs; None takes all.
-        seconds: of each run.
+        names: of the runs; all where none is named.
+        seconds: length of each run [s].
+        report: gets lines of progress.
 
     Raises:
         InputError: no such solver or run.
     """
     known = [run.name for run in RUNS]
-    for name in names or ():
+    for name in names:
         if name not in known:
-            raise InputError("no such run", key="names", received=name, expected=", ".join(known))
-    return [_row(run, solver, seconds) for run in RUNS if names is None or run.name in names]
+            raise InputError("no such run", key="NAME", received=name, expected=", ".join(known))
+    rows = []
+    for run in RUNS:
+        if not names or run.name in names:
+            if report is not None:
+                report(f"{solver}: {run.name}")
+            rows.append(_row(run, solver, seconds))
+    return rows
+
+
+def stress_figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Numbers of runs by verdict, and of those whose median frame took longer than its budget [-]."""
+    return {f"{verdict}_runs": float(sum(row["verdict"] == verdict for row in rows)) for verdict in VERDICTS} | {
+        "over_budget_runs": float(sum(row["frame_ms"] > row["budget_ms"] for row in rows))
+    }
+
+
+def stress_text(rows: Sequence[Mapping[str, Any]]) -> str:
+    """The rows as a table, and below it the verdicts of other engines on all runs."""
+    lines = [f"{'run':<30}{'verdict':<12}{'stretch [%]':>11}{'frame [ms]':>12}{'budget [ms]':>13}"]
+    for row in rows:
+        stretch = f"{100.0 * row['worst_stretch']:.1f}" if np.isfinite(row["worst_stretch"]) else "-"
+        times = f"{row['frame_ms']:>12.3g}{row['budget_ms']:>13.3g}"
+        lines.append(f"{row['run']:<30}{row['verdict']:<12}{stretch:>11}{times}")
+    counts = {row["solver"]: [0, 0, 0] for row in rows}
+    for row in rows:
+        counts[row["solver"]][VERDICTS.index(row["verdict"])] += 1
+    lines += ["", f"{'engine (others: quoted)':<46}" + "".join(f"{verdict:>11}" for verdict in VERDICTS)]
+    for name, numbers in {**counts, **QUOTED}.items():
+        lines.append(f"{name:<46}" + "".join(f"{number:>11}" for number in numbers))
+    return "\n".join(lines)
 
 
 def _row(run: StressRun, solver: str, seconds: float) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -131,7 +132,10 @@ def calibrate(
     """
     grid = list(itertools.product(options.compression_scales, options.shear_scales, options.bend_scales))
     own = runs[0].options  # with the fabric itself calibration is compared
-    models = [replace(own, squeeze=squeeze, shear_scale=shear, bend_scale=bend) for squeeze, shear, bend in grid]
+    models = [
+        replace(own, compression_compliance_scale=squeeze, shear_scale=shear, bend_scale=bend)
+        for squeeze, shear, bend in grid
+    ]
     neighbours = _neighbours(options)
     sizes = [len(models)]
     while sizes[-1] > KEPT:
@@ -143,7 +147,8 @@ def calibrate(
         gains = options.gains if rung == len(sizes) - 1 else options.gains[::SKIPPED]
         tried = alive if 0 in alive else [0, *alive]  # the fabric itself is compared with to the end
         tell = counted(report, f"calibrating, round {rung + 1} of {len(sizes)}: models", len(tried))
-        found = workers.map(_judge, [(bench, number, models[number], gains) for number in tried], tell)
+        jobs = [partial(_judge, bench, number, models[number], gains) for number in tried]
+        found = workers.run(jobs, done=tell)
         here = [row | {"rung": float(rung)} for some in found for row in some]
         _rate(here)
         rows += here
@@ -225,9 +230,8 @@ class _Bench:
         )  # fmt: skip
 
 
-def _judge(item: tuple[_Bench, int, ModelOptions, Sequence[float]]) -> list[dict[str, float]]:
+def _judge(bench: _Bench, number: int, model: ModelOptions, gains: Sequence[float]) -> list[dict[str, float]]:
     """Simulate a coarse model and decode it at several gains: a row for each."""
-    bench, number, model, gains = item
     layer, tries = bench.layer, [bench.coarse.run(run, model) for run in bench.runs]
     matrix = CoarseFilter(layer.levels).matrix
     found = record_runs(tries, bench.cache, 1)
@@ -246,7 +250,7 @@ def _judge(item: tuple[_Bench, int, ModelOptions, Sequence[float]]) -> list[dict
         rows.append(
             {
                 "model": number,
-                "squeeze": model.squeeze,
+                "squeeze": model.compression_compliance_scale,
                 "shear_scale": model.shear_scale,
                 "bend_scale": model.bend_scale,
                 "gain": gain,

@@ -146,7 +146,7 @@ def default_cache(output: Path) -> Path:
 @threadpool_limits.wrap(limits=1, user_api="blas")  # small systems: more threads only wait for each other
 def precompute(
     scene: Scene,
-    output: Path,
+    output: str | Path,
     *,
     cache: Path | None = None,
     workers: int = 2,
@@ -170,7 +170,7 @@ def precompute(
         InputError: a scene that names nothing to learn from, a held-out motion that is trained on too, and whatever
             cannot be loaded.
     """
-    began = time.monotonic()
+    began, output = time.monotonic(), Path(output)
     stage = Stage.of(scene)
     held_out = _held_out(scene, stage)
     with Workers(workers) as pool:

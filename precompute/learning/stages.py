@@ -69,11 +69,11 @@ def remaining(began: float, share: float) -> str:
     return f", {(time.monotonic() - began) * (1.0 - share) / share:.0f} s left" if 0.0 < share else ""
 
 
-def counted(report: Callable[[str], None] | None, what: str, total: int) -> Callable[[int], None]:
-    """Reports how many of ``total`` parts of some work are done, and the time left: to be told the number."""
+def counted(report: Callable[[str], None] | None, what: str, total: int) -> Callable[[int, object], None]:
+    """A function that reports how many of ``total`` parts are done, and the time left; called after each part."""
     began = time.monotonic()
 
-    def tell(done: int) -> None:
+    def tell(done: int, result: object = None) -> None:
         if report is not None and done:
             report(f"{what}: {done} of {total}{remaining(began, done / total)}")
 

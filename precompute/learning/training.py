@@ -57,7 +57,7 @@ def features_of(layer: Layer, recording: Recording) -> tuple[np.ndarray, np.ndar
     for f in range(total):
         position[:, :3] = recording.coarse[f]
         contact = np.ascontiguousarray(recording.contact[f])
-        layer.stencil.gather(position, contact, frames[f], features[f])
+        layer.stencil.read(position, contact, frames[f], features[f])
     return features, frames
 
 

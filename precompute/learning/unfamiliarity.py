@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import groupby
 
 import numpy as np
@@ -52,7 +53,7 @@ def fit_unfamiliarity(
     """
     plain = _blocks(layer, mappings, atoms, runs, spread_frames(recordings, FRAMES), None)
     strange = _blocks(layer, mappings, atoms, runs, spread_frames(recordings, STRANGE_FRAMES), seed)
-    errors = workers.map(_patch_errors, [block for _, block in (*plain, *strange)])
+    errors = workers.run([partial(_patch_errors, block) for _, block in (*plain, *strange)])
     hidden, error = np.concatenate([h for h, _ in plain]), np.concatenate(errors[: len(plain)])
     kept_out = np.arange(len(hidden)) // BLOCK % KEPT_OUT == KEPT_OUT - 1
     seen = np.concatenate([hidden[~kept_out], *(h for h, _ in strange)]).reshape(-1, hidden.shape[2])

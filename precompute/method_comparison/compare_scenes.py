@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from types import MappingProxyType
 
@@ -19,6 +19,7 @@ from assets.fabrics import PRESETS
 from pbd import ClothMesh, Colliders, InputError, Model, ModelOptions, Plane, Sphere, build_model
 from pbd.bending import hinge_calibration
 from pbd.fabric import Fabric
+from pbd.mesh import lattice_faces
 
 __all__ = ["RATE", "SCENES", "CompareScene", "Sheet", "scene_of"]
 
@@ -59,12 +60,7 @@ class Sheet:
     def faces(self) -> np.ndarray:
         """Counter-clockwise in the plane, int32, shape (m, 3)."""
         index = np.arange(len(self.xs) * len(self.ys)).reshape(len(self.xs), -1)
-        a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
-        row, column = np.divmod(a, len(self.ys))
-        even = ((row + column) % 2 == 0)[:, None]
-        first = np.where(even, np.stack([a, b, c], axis=1), np.stack([a, b, d], axis=1))
-        second = np.where(even, np.stack([a, c, d], axis=1), np.stack([b, c, d], axis=1))
-        return np.stack([first, second], axis=1).reshape(-1, 3).astype(np.int32)
+        return lattice_faces(index)
 
     def sampled(self, vertices: np.ndarray, other: Sheet) -> np.ndarray:
         """The spline through vertices at the vertices of another sheet.
@@ -80,6 +76,14 @@ class Sheet:
         along = make_interp_spline(self.xs, np.eye(len(self.xs)), min(3, len(self.xs) - 1))(other.xs)
         across = make_interp_spline(self.ys, np.eye(len(self.ys)), min(3, len(self.ys) - 1))(other.ys)
         return np.einsum("ai,fijc,bj->fabc", along, grid, across, optimize=True).reshape(len(grid), -1, 3)
+
+
+def _still(t: float) -> np.ndarray:
+    return np.zeros(3)
+
+
+def _no_colliders() -> list[Plane | Sphere]:
+    return []
 
 
 @dataclass(frozen=True)
@@ -111,8 +115,8 @@ class CompareScene:
     size: tuple[float, float]
     place: Callable[[np.ndarray], np.ndarray]
     held: Callable[[np.ndarray], np.ndarray]
-    rail: Callable[[float], np.ndarray] = field(default=lambda t: np.zeros(3))
-    colliders: Callable[[], list[Plane | Sphere]] = field(default=lambda: [])
+    rail: Callable[[float], np.ndarray] = _still
+    colliders: Callable[[], list[Plane | Sphere]] = _no_colliders
     clamped: bool = False
     edges: tuple[int, ...] = (8, 16, 32)
     samples: int = 32

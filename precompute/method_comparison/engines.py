@@ -17,11 +17,11 @@ import numpy as np
 
 from pbd import InputError
 from precompute.benchmarks.solver_scenes import RATE, Measured, SolverScene, hanging_square, measure_steps
+from precompute.mechanics import GRAVITY
 
 __all__ = ["ENGINES", "EngineRun", "bench_engines"]
 
 SIDE = 64  # vertices along a side
-GRAVITY = -9.81  # [m/s2]
 
 Steps = tuple[Callable[[], None], Callable[[], np.ndarray]]
 
@@ -76,7 +76,7 @@ def _newton_xpbd(scene: SolverScene, substeps: int, stiffness: float) -> Steps:
     warp.config.quiet = True
     warp.set_device("cpu")
     mesh, inverse_mass = scene.model.mesh, scene.model.inverse_mass
-    builder = newton.ModelBuilder(up_axis=newton.Axis.Y, gravity=(0.0, GRAVITY, 0.0))
+    builder = newton.ModelBuilder(up_axis=newton.Axis.Y, gravity=(0.0, -GRAVITY, 0.0))
     for x, mass, inverse in zip(mesh.vertices, scene.model.mass, inverse_mass, strict=True):
         builder.add_particle(warp.vec3(*x), warp.vec3(0.0), float(mass) if inverse > 0 else 0.0, radius=1e-4)
     for i, j in mesh.edge_lengths()[0]:
@@ -100,7 +100,7 @@ def _mujoco(scene: SolverScene, young: float, iterations: int) -> Steps:
 
     mesh, held = scene.model.mesh, scene.model.held
     numbers = lambda values: " ".join(f"{value:.9g}" for value in np.ravel(values))  # noqa: E731
-    text = f"""<mujoco><option timestep="{1 / RATE:.9f}" gravity="0 {GRAVITY} 0" solver="CG" tolerance="1e-3"
+    text = f"""<mujoco><option timestep="{1 / RATE:.9f}" gravity="0 {-GRAVITY} 0" solver="CG" tolerance="1e-3"
         iterations="{iterations}" integrator="discrete"><flag contact="disable"/></option>
         <size memory="2G"/><worldbody><flexcomp name="cloth" type="direct" dim="2" mass="{scene.model.mass.sum():.9g}"
         radius="0.001" point="{numbers(mesh.vertices)}" element="{numbers(mesh.faces)}">
@@ -120,7 +120,7 @@ def _pybullet(scene: SolverScene, substeps: int, stiffness: float) -> Steps:
     mesh = scene.model.mesh
     client = pybullet.connect(pybullet.DIRECT)
     pybullet.resetSimulation(pybullet.RESET_USE_DEFORMABLE_WORLD, physicsClientId=client)
-    pybullet.setGravity(0.0, GRAVITY, 0.0, physicsClientId=client)
+    pybullet.setGravity(0.0, -GRAVITY, 0.0, physicsClientId=client)
     pybullet.setTimeStep(1.0 / (RATE * substeps), physicsClientId=client)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "cloth.obj"
@@ -155,7 +155,7 @@ def _blender(scene: SolverScene, steps: int, stiffness: float) -> Steps:
     model, mesh = scene.model, scene.model.mesh
     bpy.ops.wm.read_factory_settings(use_empty=True)
     world = bpy.context.scene
-    world.render.fps, world.gravity = int(RATE), (0.0, GRAVITY, 0.0)
+    world.render.fps, world.gravity = int(RATE), (0.0, -GRAVITY, 0.0)
     shape = bpy.data.meshes.new("cloth")
     shape.from_pydata(mesh.vertices.tolist(), [], mesh.faces.tolist())
     item = bpy.data.objects.new("cloth", shape)

@@ -14,12 +14,12 @@ from enum import IntEnum
 import numpy as np
 
 from pbd import InputError
+from precompute.mechanics import GRAVITY
 from wrinkles.metrics import jitter_px, pixel_distance
 
-__all__ = ["LIMITS", "ErrorClass", "Recorded", "classify", "deviations", "longest_run", "worst_class"]
+__all__ = ["LIMITS", "ErrorClass", "Recorded", "classify", "deviations", "longest_run"]
 
 START = 0.5  # what happens before is not judged [s]
-GRAVITY = 9.81  # [m/s2]
 FOLDED = 150.0  # angle from which an edge counts as folded back [deg]
 
 
@@ -153,11 +153,6 @@ def deviations(
 def classify(figures: Mapping[str, float]) -> dict[str, ErrorClass]:
     """Class of each figure; one that is not a number is catastrophic."""
     return {name: _class(value, LIMITS[name]) for name, value in figures.items()}
-
-
-def worst_class(figures: Mapping[str, float]) -> ErrorClass:
-    """The worst class of all figures."""
-    return max(classify(figures).values())
 
 
 def _class(value: float, limits: tuple[float, float, float]) -> ErrorClass:

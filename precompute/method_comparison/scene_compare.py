@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,7 @@ from precompute.method_comparison.scene_runs import (
     run_setting,
     write_run,
 )
-from precompute.workers import begin_worker
+from precompute.workers import worker_pool
 
 __all__ = ["BUDGET", "METHODS", "Compared", "SceneComparison", "chosen_settings", "compare_scenes"]
 
@@ -71,6 +70,7 @@ METHODS = {
 RIVALS = {
     "newton": _Kind(((40, None), (150, None)), 2, 1.0),
     "pypbd": _Kind(((10, None), (40, None)), 2, 0.2),
+    "bpy": _Kind(((1, None), (2, None)), 2, 1.3),
     "mujoco": _Kind(((None, 20), (None, 100)), 2, 0.1),
     "pybullet": _Kind(((40, None), (150, None)), 2, 0.5),
 }
@@ -168,11 +168,20 @@ class SceneComparison:
 
 @dataclass(frozen=True)
 class _Job:
+    """A run that is wanted; ``estimate`` is its processor time [s]."""
+
     scene: CompareScene
     setting: Setting
     path: Path
-    estimate: float  # processor time [s]
+    estimate: float
     reference: bool
+
+    def run(self) -> float:
+        """Run and write; returns the processor time that it took [s]."""
+        began = time.process_time()
+        limit = np.inf if self.reference else max(20.0, LENIENT * self.estimate)
+        write_run(self.path, run_setting(self.scene, self.setting, limit))
+        return time.process_time() - began
 
 
 def chosen_settings(scene: CompareScene, methods: Sequence[str]) -> list[Setting]:
@@ -210,17 +219,9 @@ def _estimate(scene: CompareScene, setting: Setting) -> float:
 
 
 def _warm() -> None:
-    """One thread a worker, which ends with its parent; and what the default solver must compile."""
-    begin_worker()
+    """Compile the default solver before anything is measured."""
     scene = scene_of("swing", 1.0 / 30.0)
     run_setting(scene, Setting("default", 4, 1))
-
-
-def _run_job(name: str, seconds: float, setting: Setting, path: Path, limit: float) -> float:
-    """Run, write, and say how much processor time it took [s]."""
-    began = time.process_time()
-    write_run(path, run_setting(scene_of(name, seconds), setting, limit))
-    return time.process_time() - began
 
 
 def compare_scenes(
@@ -286,65 +287,77 @@ def compare_scenes(
     return found
 
 
-def _run_all(jobs: list[_Job], deadline: float, workers: int, report: Callable[[str], None] | None) -> dict[Path, str]:
-    """Run jobs, references first and then the cheapest; returns why some were left out.
+class _Queue:
+    """Runs that wait for their turn: references first, then the cheapest, and none that the time left is too short for.
 
     Args:
         jobs: to run.
         deadline: by the monotonic clock [s].
         workers: processes at a time.
-        report: told lines of progress.
+        report: called with lines of progress.
+
+    Attributes:
+        reasons: why a run was left out, by its path.
     """
-    tell, reasons = report or (lambda line: None), {}
-    waiting = sorted(jobs, key=lambda job: (not job.reference, job.estimate))
-    if not waiting:
-        return reasons
-    spent, guessed, running, cost = 0.0, 0.0, {}, 1.0  # cost: seconds of a worker for a second of an estimate
-    total = len(jobs)
 
-    def trim() -> None:
-        """Leave out all that is left once the cheapest of it does not fit into the time left."""
-        left = deadline - time.monotonic()
-        if waiting and not waiting[0].reference and cost * waiting[0].estimate > left:
-            for job in waiting:
-                reasons[job.path] = f"left out: about {cost * job.estimate:.0f} s, more than the budget left"
-            waiting.clear()
+    def __init__(
+        self, jobs: Sequence[_Job], deadline: float, workers: int, report: Callable[[str], None] | None
+    ) -> None:
+        self.reasons: dict[Path, str] = {}
+        self._waiting = sorted(jobs, key=lambda job: (not job.reference, job.estimate))
+        self._running: list[_Job] = []
+        self._total, self._deadline, self._workers = len(jobs), deadline, workers
+        self._report = report or (lambda line: None)
+        self._spent, self._estimated = 0.0, 0.0  # by and for the runs that have ended [s]
 
-    def limit(job: _Job) -> float:
-        return np.inf if job.reference else max(20.0, LENIENT * job.estimate)
+    @property
+    def _slowness(self) -> float:
+        """Seconds that a worker takes for a second of an estimate, once enough has been run to say."""
+        return self._spent / self._estimated if self._estimated > 10.0 else 1.0
 
-    def say(job: _Job) -> None:
-        rest = sum(cost * job.estimate for job in [*waiting, *running.values()]) / workers
-        rest = max(0.0, min(rest, deadline - time.monotonic()))
-        done = total - len(waiting) - len(running) - len(reasons)
-        tell(f"{done} of {total} runs, {rest:.0f} s left: {job.scene.name}, {job.setting.method}, {job.setting.words}")
+    def take(self) -> _Job | None:
+        """The next run; None where there is none, or no time for the cheapest of those left."""
+        left = self._deadline - time.monotonic()
+        if not self._waiting:
+            return None
+        if not self._waiting[0].reference and self._slowness * self._waiting[0].estimate > left:
+            for job in self._waiting:
+                seconds = self._slowness * job.estimate
+                self.reasons[job.path] = f"left out: about {seconds:.0f} s, more than the budget left"
+            self._waiting.clear()
+            return None
+        job = self._waiting.pop(0)
+        self._running.append(job)
+        rest = sum(self._slowness * job.estimate for job in [*self._waiting, *self._running]) / self._workers
+        done = self._total - len(self._waiting) - len(self._running)
+        what = f"{job.scene.name}, {job.setting.method}, {job.setting.words}"
+        self._report(f"{done} of {self._total} runs, {max(0.0, min(rest, left)):.0f} s left: {what}")
+        return job
 
+    def ended(self, job: _Job, seconds: float) -> None:
+        """Learn from a run how far estimates are off; it took so many seconds [s]."""
+        self._running.remove(job)
+        self._spent, self._estimated = self._spent + seconds, self._estimated + job.estimate
+
+
+def _run_all(
+    jobs: Sequence[_Job], deadline: float, workers: int, report: Callable[[str], None] | None
+) -> dict[Path, str]:
+    """Run jobs as :class:`_Queue` orders them; returns why some were left out."""
+    queue = _Queue(jobs, deadline, workers, report)
     if workers == 1:
-        while waiting:
-            trim()
-            if waiting:
-                job = waiting.pop(0)
-                say(job)
-                _run_job(job.scene.name, job.scene.seconds, job.setting, job.path, limit(job))
-        return reasons
-    with ProcessPoolExecutor(workers, get_context("spawn"), _warm) as pool:
-        try:
-            starts: dict[Future, float] = {}
-            while waiting or running:
-                trim()
-                while waiting and len(running) < workers:
-                    job = waiting.pop(0)
-                    future = pool.submit(_run_job, job.scene.name, job.scene.seconds, job.setting, job.path, limit(job))
-                    running[future], starts[future] = job, time.monotonic()
-                    say(job)
-                finished, _ = wait(running, timeout=5.0, return_when=FIRST_COMPLETED)
-                for future in finished:
+        while (job := queue.take()) is not None:
+            queue.ended(job, job.run())
+    elif jobs:
+        with worker_pool(workers, _warm) as pool:
+            running: dict[Future[float], tuple[_Job, float]] = {}
+            while True:
+                while len(running) < workers and (job := queue.take()) is not None:
+                    running[pool.submit(job.run)] = job, time.monotonic()
+                if not running:
+                    break
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
                     future.result()
-                    job = running.pop(future)
-                    spent, guessed = spent + time.monotonic() - starts.pop(future), guessed + job.estimate
-                    if guessed > 10.0:
-                        cost = spent / guessed
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-    return reasons
+                    job, begin = running.pop(future)
+                    queue.ended(job, time.monotonic() - begin)
+    return queue.reasons

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from pbd import Plane, Sphere
-from pbd.storage import replacing
 from precompute.method_comparison.compare_scenes import RATE, CompareScene
 from precompute.method_comparison.error_classes import ErrorClass
 from precompute.method_comparison.fabric_pictures import FABRICS, draw_fabrics, fabric_runs
@@ -17,6 +15,7 @@ from precompute.method_comparison.scene_chart import draw_charts
 from precompute.method_comparison.scene_compare import Compared, SceneComparison
 from precompute.method_comparison.scene_judging import screen_mm
 from precompute.reporting.page import Band, Chart, Heading, Line, Picture, Point, Section, Table, Text, write_page
+from precompute.reporting.tables import write_table
 from precompute.wrinkle_comparison.compare import Comparison
 from precompute.wrinkle_comparison.comparison_page import comparison_sections
 from runtime.pictures import BODY_COLOR, Drawn, frame_camera, render, save_png, strip
@@ -110,7 +109,7 @@ def write_comparison(folder: Path, found: Sequence[SceneComparison], more: Seque
     rows = [point.row(one.scene.name) for one in found for point in one.points]
     figures = comparison_figures(found)
     write_report(folder / "compare.json", "compare", figures, rows)
-    _write_csv(folder / "compare.csv", rows)
+    write_table(folder / "compare.csv", rows, digits=5)
     draw_charts(folder, found)
     sections: list[Section] = []
     for one in found:
@@ -128,14 +127,6 @@ def write_comparison(folder: Path, found: Sequence[SceneComparison], more: Seque
         sections.append(Table(["scene", "setting", "why"], missing, "Not run, or not to the end"))
     sections.append(Text(f"Measured on {machine['cores']} cores of: {machine['cpu']}, {machine['date']}."))
     write_page(folder / "compare.html", "Cost against error", sections)
-
-
-def _write_csv(path: Path, rows: Sequence[dict]) -> None:
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    with replacing(path) as beside, open(beside, "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, names)
-        writer.writeheader()
-        writer.writerows({k: f"{v:.5g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
 
 
 def _chart(one: SceneComparison) -> Chart:

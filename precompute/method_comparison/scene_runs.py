@@ -15,13 +15,15 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 import pbd
-from pbd import Colliders, InputError, Model, Plane, State
+from pbd import Colliders, InputError, Model, State
 from pbd.fingerprint import source_fingerprint
 from pbd.models import SOLVERS, AnySolver, Options, StepError, make_solver
 from pbd.storage import replacing
+from precompute import mechanics
+from precompute.mechanics import mechanical_energy, signed_distance
 from precompute.method_comparison import compare_scenes
 from precompute.method_comparison.compare_scenes import RATE, CompareScene
-from precompute.method_comparison.error_classes import GRAVITY, START
+from precompute.method_comparison.error_classes import START
 from precompute.method_comparison.scene_rivals import RIVALS, start_rival
 
 __all__ = ["SceneRun", "Setting", "parse_setting", "read_run", "run_path", "run_setting"]
@@ -103,8 +105,7 @@ class SceneRun:
         setting: what was run.
         position, velocity: at the compared points and each frame's end [m], [m/s], float32, shape (f, m, 3); up to
             where it ended.
-        energy: kinetic and gravity's energy [J], and kinetic alone, shape (2, f). Elastic energy is left out: what a
-            solver that has not converged stretches too far is no motion, and stored energy can only lower this sum.
+        energy: kinetic and gravity's energy [J], and kinetic alone, shape (2, f).
         depth: deepest vertex under a collider's surface [m], shape (f,).
         strain: 95th percentile of the edges' |strain| and greatest strain after half a second, on its own mesh [-].
         frame_ms: processor time of each frame [ms], shape (f,).
@@ -171,7 +172,7 @@ def run_setting(scene: CompareScene, setting: Setting, limit_s: float = np.inf) 
         setting,
         scene.sampled(setting.edges, x).astype(np.float32),
         scene.sampled(setting.edges, v).astype(np.float32),
-        _energy(model, x, v),
+        np.array(mechanical_energy(model.mass, x, v)),
         _depth(scene.scene_colliders(), x),
         _strain(model, x),
         np.array(times),
@@ -224,21 +225,10 @@ def _substeps(setting: Setting, model: Model) -> int:
     return max(1, int(np.ceil(1.0 / (RATE * substep) - 1e-6)))
 
 
-def _energy(model: Model, x: np.ndarray, v: np.ndarray) -> np.ndarray:
-    kinetic = 0.5 * np.einsum("n,fni,fni->f", model.mass, v, v)
-    height = GRAVITY * np.einsum("n,fn->f", model.mass, x[:, :, 1])
-    return np.array([kinetic + height, kinetic])
-
-
 def _depth(colliders: Colliders, x: np.ndarray) -> np.ndarray:
     depth = np.zeros(len(x))
     for primitive in colliders.primitives:
-        row = primitive.row()
-        if isinstance(primitive, Plane):
-            under = -((x - row[2:5]) @ row[5:8])
-        else:  # spheres are all that built-in scenes have besides
-            under = row[1] - np.linalg.norm(x - row[2:5], axis=2)
-        depth = np.maximum(depth, under.max(axis=1))
+        depth = np.maximum(depth, -signed_distance(primitive, x).min(axis=1))
     return depth
 
 
@@ -268,7 +258,7 @@ def _memory_mb(scene: CompareScene, setting: Setting) -> float:
 @lru_cache(maxsize=1)
 def _version() -> str:
     """Hash of the source of the solvers and of the scenes."""
-    return source_fingerprint(pbd, compare_scenes, Path(__file__))
+    return source_fingerprint(pbd, mechanics, compare_scenes, Path(__file__))
 
 
 def run_path(cache: Path, scene: CompareScene, setting: Setting) -> Path:

@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from assets.io.scene import CameraSettings
 from pbd import InputError
 from pbd.wind import Air
+from precompute.planning.planning import front_of
 from runtime.ensemble import Ensemble
 from runtime.front import Front
-from runtime.planner import Planner, Sight, sight_of
-from runtime.play import Cast
+from runtime.planner import TARGETS, Planner, Sight, sight_of
+from runtime.play import Cast, cast_of
 from runtime.player import Player
 from runtime.simulation import Motion
-from wrinkles.database import WrinkleDatabase
+from wrinkles.database import WrinkleDatabase, read_database
 
-__all__ = ["SCENES", "PlanTrial", "try_plan"]
+__all__ = ["SCENES", "PlanTrial", "trial_rows", "trial_text", "try_plan"]
+
+TARGET_PX = TARGETS["imperceptible"]
 
 LOOK = 13  # ticks from one that is compared to the next: no multiple of any turn
 
@@ -98,7 +103,7 @@ def try_plan(
     dt = 1.0 / database.frame_rate
     times = _there_and_back(motion.duration, dt, round(seconds / dt))
     player, shadow = (Player(database, cast.body, motion.pose(0.0), cast.primitives) for _ in range(2))
-    ensemble = Ensemble([player], Planner([front], 1.0, 1e9))
+    ensemble = Ensemble([player], Planner([front], TARGET_PX, 1e9))
     errors, changes, cost, catastrophic, idle, updated = [], 0, 0.0, 0, 0, times[0]
     for tick in range(1, len(times)):
         sight = _sight(player, cameras(tick * dt), front)
@@ -120,6 +125,73 @@ def try_plan(
             large = np.linalg.norm(box[0]) > 2.0 * np.linalg.norm(box[1])
             catastrophic += bool(large or not np.isfinite(player.vertices).all())
     return PlanTrial(np.array(errors), changes, cost / (len(times) - 1), catastrophic)
+
+
+def trial_rows(
+    path: Path, names: Sequence[str] = (), seconds: float = 300.0, report: Callable[[str], None] | None = None
+) -> list[dict[str, Any]]:
+    """Try plans for a database in the motion that ``gube play`` plays, a row for each scene of cameras.
+
+    Args:
+        path: the database; its cost table is read beside it, or measured and kept there.
+        names: of the scenes, see :data:`SCENES`; all where none is named.
+        seconds: to play in each [s].
+        report: gets lines of progress.
+
+    Returns:
+        rows of ``scene``; ``error_px_p50`` and ``error_px_p99``, the median and the 99th percentile of the error on
+        screen; ``within_target_percent``, the share of compared ticks whose error is at most that of "imperceptible";
+        ``changes`` of detail; ``cost_ms`` and ``full_cost_ms``, the mean cost of a tick and that of full detail by the
+        table; ``catastrophic`` ticks, see :class:`PlanTrial`.
+
+    Raises:
+        InputError: no such scene, not a database, or a time in which no tick is compared.
+    """
+    for name in names:
+        if name not in SCENES:
+            raise InputError("no such scene", key="NAME", received=name, expected=", ".join(SCENES))
+    database = read_database(path)
+    cast = cast_of(database)
+    front = front_of(database, path, report)
+    rows = []
+    for name in names or SCENES:
+        if report is not None:
+            report(f"{name}: {seconds:g} s")
+        trial = try_plan(database, cast, cast.motions[0], front, SCENES[name], seconds)
+        if trial.error_px.size == 0 and trial.catastrophic == 0:
+            raise InputError("no tick is compared", key="--seconds", received=seconds, expected="at least 2 [s]")
+        errors = trial.error_px if trial.error_px.size else np.array([np.inf])
+        rows.append(
+            {
+                "scene": name,
+                "error_px_p50": float(np.median(errors)),
+                "error_px_p99": float(np.percentile(errors, 99)),
+                "within_target_percent": 100.0 * float((errors <= TARGET_PX).mean()),
+                "changes": trial.changes,
+                "cost_ms": trial.cost_ms,
+                "full_cost_ms": front.settings[0].cost_ms,
+                "catastrophic": trial.catastrophic,
+            }
+        )
+    return rows
+
+
+def trial_text(rows: Sequence[dict[str, Any]]) -> str:
+    """The rows as a table."""
+    titles = (
+        "scene",
+        "p50 [px]",
+        "p99 [px]",
+        f"<= {TARGET_PX:g} px [%]",
+        "changes",
+        "cost [ms]",
+        "full [ms]",
+        "failed",
+    )
+    lines = ["".join(f"{title:>13}" for title in titles)]
+    for row in rows:
+        lines.append("".join(f"{value:>13}" if isinstance(value, str) else f"{value:>13.3g}" for value in row.values()))
+    return "\n".join(lines)
 
 
 def _sight(player: Player, cameras: tuple[CameraSettings, ...], front: Front) -> Sight:

@@ -1,6 +1,7 @@
-"""A scatter chart as inline SVG: points by method, the Pareto front, floors as bands, labels that do not overlap.
+"""A scatter chart in pixels: points by method, the Pareto front, floors as bands, labels that do not overlap.
 
-The SVG says everything without a script; colours come from the page's style sheet (classes ``m0``, ``m1``, ...).
+The template ``plot.svg`` draws it as inline SVG, which says everything without a script; colours come from the page's
+style sheet (classes ``m0``, ``m1``, ...).
 """
 
 from __future__ import annotations
@@ -8,13 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from html import escape
 from itertools import pairwise
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
 from pbd.errors import InputError
 
-__all__ = ["COLOR_COUNT", "Band", "Chart", "Line", "Point", "pareto_front", "show", "svg", "swatch"]
+__all__ = ["COLOR_COUNT", "Band", "Chart", "Line", "Marker", "Plot", "Point", "corners", "pareto_front", "plot_of"]
 
 COLOR_COUNT = 8
 
@@ -22,9 +22,9 @@ _WIDTH, _HEIGHT = 880.0, 520.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 76.0, 856.0, 18.0, 464.0  # borders of the plot
 _LETTER, _LINE = 6.4, 15.0  # size of a letter of a label, on average [px]
 
-# Outlines in units of the marker's radius. With eight colours 104 methods differ in one of them.
+# Outlines in units of the marker's radius; the first is a circle. With eight colours 104 methods differ in one of them.
 _SHAPES = (
-    "circle",
+    (),
     ((-0.85, -0.85), (0.85, -0.85), (0.85, 0.85), (-0.85, 0.85)),
     ((0, -1.15), (1.05, 0.75), (-1.05, 0.75)),
     ((0, -1.25), (1.1, 0), (0, 1.25), (-1.1, 0)),
@@ -52,9 +52,9 @@ class Point:
         method: points of one method share a marker and, where they have none of their own, a colour.
         label: short name that stands beside the point; may be empty.
         settings: everything needed to repeat it, shown when the point is selected.
-        quoted: taken from elsewhere, not measured here: a hollow marker, and no part of the front.
+        quoted: taken from elsewhere, not measured here: a hollow marker, and no part of the Pareto front.
         color: of its own, 0 to 7; None for the method's.
-        off_scale: the value along y is none: the point stands at the upper border and is no part of the front.
+        off_scale: the value along y is none: the point stands at the upper border, outside the Pareto front.
     """
 
     x: float
@@ -118,21 +118,100 @@ def pareto_front(points: Sequence[Point]) -> list[int]:
     return front
 
 
-def show(value: Any) -> str:
-    """A value as short text."""
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return f"{value:.5g}" if isinstance(value, float) else str(value)
+@dataclass(frozen=True)
+class Marker:
+    """The sign of a method in the plot and in the legend.
+
+    Attributes:
+        index: of the method; decides about the shape and, where ``color`` is None, about the colour.
+        x, y: of its middle [px].
+        hollow: drawn as an outline.
+        color: 0 to 7.
+    """
+
+    index: int
+    x: float = 0.0
+    y: float = 0.0
+    hollow: bool = False
+    color: int | None = None
+    radius: ClassVar[str] = f"{_RADIUS:g}"
+
+    @property
+    def style(self) -> str:
+        """Classes of the style sheet."""
+        color = (self.index if self.color is None else self.color) % COLOR_COUNT
+        return f"marker m{color}{' hollow' if self.hollow else ''}"
+
+    @property
+    def corners(self) -> str:
+        """Of a polygon; empty for a circle."""
+        shape = _SHAPES[self.index % len(_SHAPES)]
+        return corners([(self.x + _RADIUS * u, self.y + _RADIUS * v) for u, v in shape])
 
 
-def swatch(index: int, hollow: bool = False, color: int | None = None) -> str:
-    """The marker of a method as a small SVG, for a legend."""
-    marker = _marker(index, 0.0, 0.0, hollow, color)
-    return f'<svg class="swatch" viewBox="-9 -9 18 18" aria-hidden="true">{marker}</svg>'
+def corners(places: Sequence[tuple[float, float]]) -> str:
+    """Pixels as SVG's attribute ``points`` has them."""
+    return " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
 
 
-def svg(chart: Chart, name: str) -> str:
-    """The chart as an SVG element; its points carry ``data-row="NAME-pINDEX"``.
+@dataclass(frozen=True)
+class PlotText:
+    """A text in the plot.
+
+    Attributes:
+        x, y: of the end that ``anchor`` names ("start", "middle" or "end"), on the base line [px].
+        text: plain text.
+        style: class of the style sheet.
+    """
+
+    x: float
+    y: float
+    text: str
+    style: str
+    anchor: str
+
+
+class PlotBox(NamedTuple):
+    """A rectangle [px]."""
+
+    left: float
+    top: float
+    right: float
+    bottom: float
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A chart in pixels, as the template ``plot.svg`` draws it.
+
+    Attributes:
+        bands: upper and lower border of each.
+        x_grid, y_grid: of the lines at round numbers.
+        ticks: the round numbers.
+        x_lines, y_lines: of :class:`Line`.
+        stairs: corners of the Pareto front.
+        notes: names of bands and lines.
+        labels: names of the points that there is room for.
+        places: of all points.
+    """
+
+    bands: Sequence[tuple[float, float]]
+    x_grid: Sequence[float]
+    y_grid: Sequence[float]
+    ticks: Sequence[PlotText]
+    x_lines: Sequence[float]
+    y_lines: Sequence[float]
+    stairs: Sequence[tuple[float, float]]
+    notes: Sequence[PlotText]
+    labels: Sequence[PlotText]
+    places: Sequence[tuple[float, float]]
+    width: ClassVar[str] = f"{_WIDTH:g}"
+    height: ClassVar[str] = f"{_HEIGHT:g}"
+    box: ClassVar[PlotBox] = PlotBox(_LEFT, _TOP, _RIGHT, _BOTTOM)
+
+
+def plot_of(chart: Chart) -> Plot:
+    """Where everything stands.
 
     Raises:
         InputError: there is no point, a value is not finite, or one on a logarithmic axis is not positive.
@@ -144,24 +223,24 @@ def svg(chart: Chart, name: str) -> str:
     y_axis = _Axis(ys + _at(chart, "y"), chart.log_y, _BOTTOM, _TOP)
     places = [(x_axis.place(p.x), _TOP if p.off_scale else y_axis.place(p.y)) for p in chart.points]
     front = pareto_front(chart.points)
-    corners = _corners([places[k] for k in front])
-    stairs = [
-        (min(a[0], b[0]), min(a[1], b[1]), max(a[0], b[0]) + 1, max(a[1], b[1]) + 1) for a, b in pairwise(corners)
-    ]
+    stairs = _stairs([places[k] for k in front])
     notes = _notes(chart, x_axis, y_axis)
-    parts = [
-        f'<svg class="plot" viewBox="0 0 {_WIDTH:g} {_HEIGHT:g}" role="group" '
-        f'aria-label="{escape(chart.y_label)} against {escape(chart.x_label)}">',
-        *(_band(band, y_axis) for band in chart.bands),
-        *_grid(x_axis, y_axis, chart),
-        *(_line(line, x_axis, y_axis) for line in chart.lines),
-        f'<polyline class="front" points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in corners)}"/>',
-        *(_text(x, y, text, "note", "end") for x, y, text in notes),
-        *_labels(chart.points, places, front, [*stairs, *(_box(x, y, text, "end") for x, y, text in notes)]),
-        *(_point(chart, k, places[k], f"{name}-p{k}", k in front) for k in range(len(places))),
-        "</svg>",
-    ]
-    return "\n".join(parts)
+    taken = [
+        PlotBox(min(a[0], b[0]), min(a[1], b[1]), max(a[0], b[0]) + 1, max(a[1], b[1]) + 1) for a, b in pairwise(stairs)
+    ] + [_box(note) for note in notes]
+    bands = [(y_axis.place(band.high), y_axis.place(band.low)) for band in chart.bands]
+    return Plot(
+        bands=[(top, max(bottom, top + 1.0)) for top, bottom in bands],
+        x_grid=[x_axis.place(value) for value in x_axis.ticks()],
+        y_grid=[y_axis.place(value) for value in y_axis.ticks()],
+        ticks=_ticks(x_axis, y_axis),
+        x_lines=[x_axis.place(value) for value in _at(chart, "x")],
+        y_lines=[y_axis.place(value) for value in _at(chart, "y")],
+        stairs=stairs,
+        notes=notes,
+        labels=_labels(chart.points, places, front, taken),
+        places=places,
+    )
 
 
 class _Axis:
@@ -217,45 +296,14 @@ def _at(chart: Chart, axis: str) -> list[float]:
     return [line.value for line in chart.lines if line.axis == axis]
 
 
-def _text(x: float, y: float, text: str, kind: str, anchor: str = "middle") -> str:
-    return f'<text class="{kind}" x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(text)}</text>'
+def _ticks(x_axis: _Axis, y_axis: _Axis) -> list[PlotText]:
+    along_x = [(x_axis.place(value), _BOTTOM + 18, value, "middle") for value in x_axis.ticks()]
+    along_y = [(_LEFT - 8, y_axis.place(value) + 4, value, "end") for value in y_axis.ticks()]
+    return [PlotText(x, y, f"{value:.10g}", "tick", anchor) for x, y, value, anchor in along_x + along_y]
 
 
-def _grid(x_axis: _Axis, y_axis: _Axis, chart: Chart) -> list[str]:
-    parts = []
-    for value in x_axis.ticks():
-        x = x_axis.place(value)
-        parts.append(
-            f'<path class="grid" d="M{x:.1f} {_TOP}V{_BOTTOM}"/>' + _text(x, _BOTTOM + 18, f"{value:.10g}", "tick")
-        )
-    for value in y_axis.ticks():
-        y = y_axis.place(value)
-        parts.append(
-            f'<path class="grid" d="M{_LEFT} {y:.1f}H{_RIGHT}"/>'
-            + _text(_LEFT - 8, y + 4, f"{value:.10g}", "tick", "end")
-        )
-    parts.append(f'<path class="axis" d="M{_LEFT} {_TOP}V{_BOTTOM}H{_RIGHT}"/>')
-    parts.append(_text((_LEFT + _RIGHT) / 2, _BOTTOM + 44, chart.x_label, "name"))
-    middle = (_TOP + _BOTTOM) / 2
-    parts.append(f'<g transform="translate(18 {middle}) rotate(-90)">{_text(0, 0, chart.y_label, "name")}</g>')
-    return parts
-
-
-def _band(band: Band, y_axis: _Axis) -> str:
-    top, bottom = y_axis.place(band.high), y_axis.place(band.low)
-    return (
-        f'<rect class="band" x="{_LEFT}" y="{top:.1f}" width="{_RIGHT - _LEFT}" height="{max(bottom - top, 1.0):.1f}"/>'
-    )
-
-
-def _line(line: Line, x_axis: _Axis, y_axis: _Axis) -> str:
-    if line.axis == "x":
-        return f'<path class="mark" d="M{x_axis.place(line.value):.1f} {_TOP}V{_BOTTOM}"/>'
-    return f'<path class="mark" d="M{_LEFT} {y_axis.place(line.value):.1f}H{_RIGHT}"/>'
-
-
-def _notes(chart: Chart, x_axis: _Axis, y_axis: _Axis) -> list[tuple[float, float, str]]:
-    """Names of bands and lines and the places that they end at: at the right, and at the top beside upright lines."""
+def _notes(chart: Chart, x_axis: _Axis, y_axis: _Axis) -> list[PlotText]:
+    """Names of bands and lines, which end at the right border, or at the top beside upright lines."""
     notes = []
     for band in chart.bands:
         top, bottom = y_axis.place(band.high), y_axis.place(band.low)
@@ -265,69 +313,48 @@ def _notes(chart: Chart, x_axis: _Axis, y_axis: _Axis) -> list[tuple[float, floa
             notes.append((x_axis.place(line.value) - 5, _TOP + 12, line.label))
         else:
             notes.append((_RIGHT - 6, y_axis.place(line.value) - 5, line.label))
-    return notes
+    return [PlotText(x, y, text, "note", "end") for x, y, text in notes]
 
 
-def _corners(places: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """The front as a staircase: the error of the best point so far, until a dearer point is better."""
+def _stairs(places: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """The Pareto front as a staircase: the error of the best point so far, until a dearer point is better."""
     if not places:
         return []
-    corners = [(places[0][0], _TOP), places[0]]
+    found = [(places[0][0], _TOP), places[0]]
     for x, y in places[1:]:
-        corners += [(x, corners[-1][1]), (x, y)]
-    return [*corners, (_RIGHT, corners[-1][1])]
+        found += [(x, found[-1][1]), (x, y)]
+    return [*found, (_RIGHT, found[-1][1])]
 
 
-def _marker(index: int, x: float, y: float, hollow: bool, color: int | None = None) -> str:
-    kind = f'class="marker m{(index if color is None else color) % COLOR_COUNT}{" hollow" if hollow else ""}"'
-    shape = _SHAPES[index % len(_SHAPES)]
-    if isinstance(shape, str):
-        return f'<circle {kind} cx="{x:.1f}" cy="{y:.1f}" r="{_RADIUS:g}"/>'
-    corners = " ".join(f"{x + _RADIUS * u:.1f},{y + _RADIUS * v:.1f}" for u, v in shape)
-    return f'<polygon {kind} points="{corners}"/>'
-
-
-def _point(chart: Chart, k: int, place: tuple[float, float], row: str, on_front: bool) -> str:
-    point = chart.points[k]
-    name = f"{point.method}, {point.label}" if point.label and point.label != point.method else point.method
-    reached = "none" if point.off_scale else show(point.y)
-    about = f"{name}: {chart.x_label} {show(point.x)}, {chart.y_label} {reached}"
-    about += " (quoted)" if point.quoted else " (on the front)" if on_front else ""
-    return (
-        f'<g class="point" tabindex="0" role="button" data-row="{escape(row)}" data-method="{escape(point.method)}" '
-        f'data-x="{point.x!r}" data-y="{point.y!r}" aria-label="{escape(about)}"><title>{escape(about)}</title>'
-        f'<circle class="touch" cx="{place[0]:.1f}" cy="{place[1]:.1f}" r="13"/>'
-        f"{_marker(chart.methods().index(point.method), *place, point.quoted, point.color)}</g>"
-    )
-
-
-_Box = tuple[float, float, float, float]  # left, top, right, bottom
-
-
-def _box(x: float, y: float, text: str, anchor: str) -> _Box:
+def _box(text: PlotText) -> PlotBox:
     """About the room that a text takes."""
-    width = _LETTER * len(text)
-    left = x - {"start": 0.0, "middle": width / 2, "end": width}[anchor]
-    return left, y - _LINE + 3, left + width, y + 3
+    width = _LETTER * len(text.text)
+    left = text.x - {"start": 0.0, "middle": width / 2, "end": width}[text.anchor]
+    return PlotBox(left, text.y - _LINE + 3, left + width, text.y + 3)
 
 
 def _labels(
-    points: Sequence[Point], places: Sequence[tuple[float, float]], front: Sequence[int], taken: list[_Box]
-) -> list[str]:
+    points: Sequence[Point], places: Sequence[tuple[float, float]], front: Sequence[int], taken: Sequence[PlotBox]
+) -> list[PlotText]:
     """Labels beside their points; one that finds no free place is left to the tooltip and the table."""
-    taken = taken + [(x - _RADIUS - 1, y - _RADIUS - 1, x + _RADIUS + 1, y + _RADIUS + 1) for x, y in places]
-    parts = []
-    for k in sorted(range(len(points)), key=lambda k: k not in front):  # the front's points choose first
+    reach = _RADIUS + 1
+    taken = [*taken, *(PlotBox(x - reach, y - reach, x + reach, y + reach) for x, y in places)]
+    found = []
+    for k in sorted(range(len(points)), key=lambda k: k not in front):  # the Pareto front's points choose first
         for dx, dy, anchor in (
             (11, 4, "start"), (-11, 4, "end"), (6, 19, "start"), (-6, 19, "end"),
             (6, -10, "start"), (-6, -10, "end"), (0, -12, "middle"), (0, 21, "middle"),
         ):  # fmt: skip
-            x, y = places[k][0] + dx, places[k][1] + dy
-            box = _box(x, y, points[k].label, anchor)
-            inside = _LEFT < box[0] and box[2] < _WIDTH and _TOP < box[1] and box[3] < _BOTTOM
-            free = all(box[2] <= o[0] or o[2] <= box[0] or box[3] <= o[1] or o[3] <= box[1] for o in taken)
-            if points[k].label and inside and free:
+            label = PlotText(places[k][0] + dx, places[k][1] + dy, points[k].label, "label", anchor)
+            box = _box(label)
+            inside = _LEFT < box.left and box.right < _WIDTH and _TOP < box.top and box.bottom < _BOTTOM
+            if points[k].label and inside and not any(_overlap(box, other) for other in taken):
                 taken.append(box)
-                parts.append(_text(x, y, points[k].label, "label", anchor))
+                found.append(label)
                 break
-    return parts
+    return found
+
+
+def _overlap(one: PlotBox, other: PlotBox) -> bool:
+    across = one.left < other.right and other.left < one.right
+    return across and one.top < other.bottom and other.top < one.bottom

@@ -11,6 +11,7 @@ import numpy as np
 from pbd import Colliders, Solver, SolverOptions, State, build_model
 from pbd.mesh import hinges_of
 from pbd.models import AnySolver, Options, StepError, make_solver
+from precompute.mechanics import GRAVITY, mechanical_energy, signed_distance
 from precompute.method_comparison.error_classes import ErrorClass, Recorded, classify, deviations
 from precompute.stability.stability_maps import CellScene, StabilityMap
 
@@ -210,10 +211,11 @@ def judge(scene: CellScene, run: Frames, reference: Reference, until: int | None
     position, velocity = run.position[frames], run.velocity[frames]
     energy = truth_energy = scale = None
     if not scene.speed and np.isfinite(position).all():
-        energy, kinetic = _energies(scene, position, velocity)
-        truth_energy, kinetic = _energies(scene, truth_position, truth_velocity)
+        mass = model.mass * (model.inverse_mass > 0.0)
+        energy, _ = mechanical_energy(mass, position, velocity)
+        truth_energy, kinetic = mechanical_energy(mass, truth_position, truth_velocity)
         size = float(np.ptp(scene.start, axis=0).max())
-        scale = max(float(kinetic.max()), float(np.ptp(truth_energy)), LEAST * 9.81 * size * float(model.mass.sum()))
+        scale = max(float(kinetic.max()), float(np.ptp(truth_energy)), LEAST * GRAVITY * size * float(model.mass.sum()))
     return deviations(
         Recorded(position, velocity, run.times[1], energy, _depth(scene, position), through=_through(scene, position)),
         Recorded(truth_position, truth_velocity, run.times[1], truth_energy),
@@ -226,24 +228,11 @@ def judge(scene: CellScene, run: Frames, reference: Reference, until: int | None
     )
 
 
-def _energies(scene: CellScene, position: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Kinetic energy and gravity's, and the kinetic part of it, of each frame [J].
-
-    Elastic energy is left out: the strain that a position-based pass leaves would count for much in stiff cloth, but
-    never comes back as motion.
-    """
-    model = scene.model
-    mass = model.mass * (model.inverse_mass > 0.0)
-    kinetic = 0.5 * np.einsum("n,fni,fni->f", mass, velocity, velocity, dtype=float)
-    return kinetic + 9.81 * position[:, :, 1].astype(float) @ mass, kinetic
-
-
 def _depth(scene: CellScene, position: np.ndarray) -> np.ndarray | None:
     """Deepest vertex in the upright post of each frame [m]."""
     if scene.post is None:
         return None
-    axis = np.asarray(scene.post.start)[[0, 2]]
-    return scene.post.radius - np.linalg.norm(position[:, :, [0, 2]] - axis, axis=2).min(axis=1)
+    return -signed_distance(scene.post, position).min(axis=1)
 
 
 def _through(scene: CellScene, position: np.ndarray) -> np.ndarray | None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from pbd import Capsule, ClothMesh, Fabric, InputError, Model, ModelOptions, build_model
 from pbd.bending import hinge_calibration
+from pbd.mesh import lattice_faces
 
 __all__ = ["MAPS", "Axis", "CellScene", "StabilityMap", "chosen_cell", "lattice_model"]
 
@@ -110,13 +111,13 @@ def _flat(length: float, width: float, edges: int, kind: str) -> tuple[np.ndarra
 
 def _faces(index: np.ndarray, kind: str) -> np.ndarray:
     """Triangles between rows of vertices; every other row of equilateral ones is moved by half an edge."""
-    a, b, c, d = (part.reshape(-1) for part in (index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]))
-    straight = np.stack([a, c, d, a, d, b], axis=1).reshape(-1, 2, 3)
+    straight = lattice_faces(index, alternating=False)
     if kind == "squares":
-        return straight.reshape(-1, 3)
+        return straight
+    a, b, c, d = (part.reshape(-1) for part in (index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]))
     leaning = np.stack([a, c, b, b, c, d], axis=1).reshape(-1, 2, 3)
     even = np.repeat(np.arange(len(index) - 1) % 2 == 0, index.shape[1] - 1)
-    return np.where(even[:, None, None], leaning, straight).reshape(-1, 3)
+    return np.where(even[:, None, None], leaning, straight.reshape(-1, 2, 3)).reshape(-1, 3)
 
 
 @cache

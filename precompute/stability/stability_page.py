@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ from matplotlib.patheffects import Normal, Stroke
 from pbd.storage import replacing
 from precompute.method_comparison.error_classes import LIMITS, ErrorClass, classify
 from precompute.reporting.page import Heading, Picture, Section, Table, Text, write_page
+from precompute.reporting.tables import write_table
 from precompute.stability.stability_cells import Cell
 from precompute.stability.stability_maps import Axis, StabilityMap
 from precompute.stability.stability_sweep import Border, Stability, cell_command
@@ -34,11 +34,8 @@ def write_stability(folder: Path, found: Stability) -> list[Path]:
     """Write ``stability.html``, ``stability.csv`` and a PNG of each map and method; returns the files."""
     folder.mkdir(parents=True, exist_ok=True)
     page, table = folder / "stability.html", folder / "stability.csv"
-    with replacing(table) as beside, open(beside, "w", newline="", encoding="utf-8") as file:
-        names = ["map", "x", "y", "method", "class", "went", "failed_s", "frame_ms", "dt_s", "chaotic", "floor_px"]
-        writer = csv.DictWriter(file, [*names, *LIMITS, "message", "command"])
-        writer.writeheader()
-        writer.writerows(cell_row(cell) for cell in found.cells)
+    names = ["map", "x", "y", "method", "class", "went", "failed_s", "frame_ms", "dt_s", "chaotic", "floor_px"]
+    write_table(table, [cell_row(cell) for cell in found.cells], columns=[*names, *LIMITS, "message", "command"])
     sections: list[Section] = [Text(_foreword(found)), _counts(found)]
     files = [page, table]
     for method in found.methods:

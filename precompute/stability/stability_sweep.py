@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from multiprocessing import get_context
 
 from threadpoolctl import threadpool_limits
 
@@ -26,7 +24,7 @@ from precompute.stability.stability_cells import (
 )
 from precompute.stability.stability_maps import MAPS, StabilityMap
 from precompute.stability.stability_theory import ExplicitLimit, explicit_limits
-from precompute.workers import begin_worker
+from precompute.workers import run_jobs
 
 __all__ = ["METHODS", "Border", "Stability", "cell_command", "check_methods", "sweep"]
 
@@ -121,27 +119,14 @@ def sweep(
     methods, tell = check_methods(methods), report or (lambda line: None)
     jobs = [(one, x, methods, seconds) for one in maps for x in one.x.values]
     jobs.sort(key=lambda job: (job[0].column, job[0].name != "resolution", -job[1]))  # the longest first
-    cells: list[Cell] = []
-    borders: list[Border] = []
-    if workers == 1:
-        for done, job in enumerate(jobs):
-            tell(f"stability: {done} of {len(jobs)} columns")
-            found = _column(*job)
-            cells, borders = cells + found[0], borders + found[1]
-        limits = explicit_limits()
-    else:
-        with ProcessPoolExecutor(workers, get_context("spawn"), begin_worker) as pool:
-            try:
-                futures = [pool.submit(_column, *job) for job in jobs]
-                limit = pool.submit(explicit_limits)
-                for done, future in enumerate(as_completed(futures)):
-                    found = future.result()
-                    cells, borders = cells + found[0], borders + found[1]
-                    tell(f"stability: {done + 1} of {len(jobs)} columns")
-                limits = limit.result()
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+    found = run_jobs(
+        [partial(_column, *job) for job in jobs],
+        workers,
+        done=lambda count, _: tell(f"stability: {count} of {len(jobs)} columns"),
+    )
+    cells = [cell for column, _ in found for cell in column]
+    borders = [border for _, column in found for border in column]
+    limits = explicit_limits()
     order = [one.name for one in maps]
     cells.sort(key=lambda cell: (methods.index(cell.method), order.index(cell.map), cell.x, cell.y))
     borders.sort(key=lambda border: (methods.index(border.method), order.index(border.map), border.x))

@@ -9,11 +9,11 @@ import numpy as np
 
 from pbd import Colliders, Fabric, SolverOptions, State, build_model
 from pbd.models import Options, StepError, make_solver
+from precompute.mechanics import GRAVITY
 from precompute.stability.stability_maps import DENSITY, EDGES, STIFFNESS, StabilityMap, lattice_model
 
 __all__ = ["Curve", "ExplicitLimit", "explicit_limit", "explicit_limits", "theory_of"]
 
-GRAVITY = 9.81  # [m/s2]
 # dt = factor d sqrt(rho_A/(E h)) is 2/omega of a lattice of springs (`physics.md`).
 MEMBRANE = {"triangles": 0.816, "squares": 0.943}
 SPRINGS = {"triangles": "springs-triangle", "squares": "springs-square"}

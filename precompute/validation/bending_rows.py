@@ -10,6 +10,7 @@ from functools import cache
 import numpy as np
 
 from pbd import ClothMesh, Colliders, Fabric, Plane, build_model
+from precompute.mechanics import GRAVITY
 from precompute.validation.plate_references import lateral_gamma
 from precompute.validation.strip_references import (
     cantilever,
@@ -19,7 +20,7 @@ from precompute.validation.strip_references import (
     tall_column,
     upright_gamma,
 )
-from precompute.validation.trial import FABRIC, GRAVITY, RATE, Curve, Measured, Setting, Trial, level, strip
+from precompute.validation.trial import FABRIC, RATE, Curve, Measured, Setting, Trial, level, strip
 from precompute.validation.validation_row import Parameter, Row
 
 __all__ = ["ROWS", "hinge_poisson"]

@@ -9,9 +9,10 @@ from functools import lru_cache
 import numpy as np
 
 from pbd import Fabric
+from precompute.mechanics import GRAVITY
 from precompute.validation.drape_model import cone_load, least_energy_cone
 from precompute.validation.strip_references import cusick_estimate
-from precompute.validation.trial import FABRIC, GRAVITY, Curve, Measured, Setting, Trial, disc, level
+from precompute.validation.trial import FABRIC, Curve, Measured, Setting, Trial, disc, level
 from precompute.validation.validation_row import Parameter, Row
 
 __all__ = ["ROWS", "cusick_drape"]

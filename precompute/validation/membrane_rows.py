@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import brentq
 
+from precompute.mechanics import GRAVITY
 from precompute.validation.plate_references import hencky_rise
 from precompute.validation.strip_references import elastic_catenary, hanging_stretch
-from precompute.validation.trial import FABRIC, GRAVITY, RATE, Curve, Measured, Setting, Trial, disc, level, strip
+from precompute.validation.trial import FABRIC, RATE, Curve, Measured, Setting, Trial, disc, level, strip
 from precompute.validation.validation_row import Parameter, Row
 
 __all__ = ["ROPE", "ROWS"]

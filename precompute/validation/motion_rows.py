@@ -9,9 +9,10 @@ import numpy as np
 from scipy.optimize import curve_fit
 from scipy.special import jn_zeros, jv
 
+from precompute.mechanics import GRAVITY
 from precompute.validation.membrane_rows import ROPE
 from precompute.validation.strip_references import swing_period
-from precompute.validation.trial import FABRIC, GRAVITY, RATE, Curve, Measured, Setting, Trial, level, strip
+from precompute.validation.trial import FABRIC, RATE, Curve, Measured, Setting, Trial, level, strip
 from precompute.validation.validation_row import Choice, Parameter, Row
 
 __all__ = ["ROWS"]

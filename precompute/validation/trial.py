@@ -14,10 +14,10 @@ from scipy.spatial import Delaunay, cKDTree
 from pbd import ClothMesh, Colliders, Fabric, Model, ModelOptions, SolverOptions, State, build_model
 from pbd.bending import hinge_calibration
 from pbd.models import AnySolver, Options, make_solver
+from precompute.mechanics import GRAVITY
 
 __all__ = [
     "FABRIC",
-    "GRAVITY",
     "RATE",
     "Curve",
     "Measured",
@@ -31,7 +31,6 @@ __all__ = [
 
 RATE = 60.0  # frames a second
 EQUILIBRIA = 5  # frames that a solver without time is given to settle
-GRAVITY = 9.81  # [m/s2]
 FABRIC = Fabric(air_drag=0.0)  # every test's own, but for what the test is about
 RELEASE = 1e-6  # step in which a load cell sees the released cloth gain momentum [s]
 CLEAR = 0.6  # lattice points stand this far from the border, and from given points [edges]

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
+from functools import partial
 from typing import Any
 
 from pbd.errors import InputError
@@ -15,7 +14,7 @@ from pbd.models import SOLVERS, StepError
 from precompute.validation import bending_rows, contact_rows, drape_rows, laboratory_rows, membrane_rows, motion_rows
 from precompute.validation.trial import Measured, Setting
 from precompute.validation.validation_row import Row
-from precompute.workers import begin_worker
+from precompute.workers import run_jobs
 
 __all__ = ["ROWS", "Verdict", "case_words", "chosen_rows", "validate", "validate_all", "validation_text", "verdict_row"]
 
@@ -200,16 +199,12 @@ def validate_all(
     cases = [(row, case) for row, cases in tests for case in cases]
     if len(cases) == 1:
         return [validate(*cases[0], solver, resolution, report)]
-    with ProcessPoolExecutor(workers, get_context("spawn"), begin_worker) as pool:
-        futures = {pool.submit(_validate_named, row.name, case, solver, resolution): row for row, case in cases}
-        try:
-            for done, future in enumerate(as_completed(futures), 1):
-                found = future.result()
-                report(f"{done} of {len(cases)}: {found.row.name} {case_words(found.case)}: {_short(found.best.error)}")
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-        return [future.result() for future in futures]
+
+    def tell(count: int, found: Verdict) -> None:
+        report(f"{count} of {len(cases)}: {found.row.name} {case_words(found.case)}: {_short(found.best.error)}")
+
+    jobs = [partial(_validate_named, row.name, case, solver, resolution) for row, case in cases]
+    return run_jobs(jobs, workers, done=tell)
 
 
 def _validate_named(name: str, case: Mapping[str, Any], solver: str | None, resolution: int | None) -> Verdict:

@@ -256,7 +256,7 @@ def _not_raised(bench: Bench) -> Way:
 
 def _coarse_model(bench: Bench, squeeze: float, bend_scale: float, shear_scale: float = 1.0) -> Way:
     own = bench.full.options or ModelOptions()
-    options = replace(own, squeeze=squeeze, bend_scale=bend_scale, shear_scale=shear_scale)
+    options = replace(own, compression_compliance_scale=squeeze, bend_scale=bend_scale, shear_scale=shear_scale)
     return replace(bench.full, options=options)
 
 

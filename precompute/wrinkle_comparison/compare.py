@@ -184,7 +184,7 @@ def _settings(cloth: Cloth) -> dict[str, float]:
         "simulated vertices": cloth.model.vertex_count,
         "substeps a frame": cloth.substeps,
         "substep [s]": cloth.run.dt / cloth.substeps,
-        "squeeze": options.squeeze,
+        "squeeze": options.compression_compliance_scale,
         "shear_scale": options.shear_scale,
         "bend_scale": options.bend_scale,
     }

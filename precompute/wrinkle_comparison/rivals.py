@@ -15,8 +15,8 @@ import numpy as np
 
 from pbd import Model, ModelOptions, SolverOptions, build_model
 from pbd.attachment import Attachment
-from pbd.engine import Launch
 from pbd.geometry import surface_normals
+from pbd.taichi_internals import Launch
 from precompute.learning.evaluation import Truth
 from precompute.learning.recording import Run, body_source
 from runtime.player import Player

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pbd.engine import Launch, ensure_initialized, ti
+from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Float1, Int2, Vec3
 from pbd.mesh import greedy_colors, hinges_of
+from pbd.taichi_internals import Launch
 from wrinkles.levels import Levels
 
 __all__ = ["WrinkleMesh", "WrinkleMeshOptions"]

@@ -65,6 +65,14 @@ def test_the_clip_plays_after_the_blend(tmp_path: Path) -> None:
     np.testing.assert_allclose(motion.pose(0.625), half, atol=1e-12)
 
 
+def test_a_clip_may_be_given_by_its_name(tmp_path: Path) -> None:
+    bar = walking_bar(tmp_path)
+    by_name, by_clip = ClipMotion(bar, "walk"), ClipMotion(bar, bar.clip("walk"))
+    assert np.array_equal(by_name.pose(1.3), by_clip.pose(1.3))
+    with pytest.raises(InputError, match="no such clip"):
+        ClipMotion(bar, "run")
+
+
 def test_time_beyond_the_ends_is_clamped(tmp_path: Path) -> None:
     bar = walking_bar(tmp_path)
     motion = ClipMotion(bar, bar.clip("walk"))

@@ -83,12 +83,26 @@ def test_anchors_stay_and_are_all_of_the_boundary() -> None:
     assert len(vertices) - len(edges) + len(even) == 1  # a disc
 
 
-def test_a_long_diagonal_is_flipped_and_a_poor_vertex_dropped() -> None:
+def test_a_long_diagonal_is_flipped() -> None:
+    i, j = (part.ravel() for part in np.meshgrid(np.arange(5), np.arange(5), indexing="ij"))
+    lattice = np.stack([i + 0.5 * j, np.sqrt(0.75) * j, 0.0 * i], axis=1)  # equilateral, as even meshes are
+    a = (5 * i + j)[(i < 4) & (j < 4)]
+    even = np.concatenate([np.stack([a, a + 5, a + 1], axis=1), np.stack([a + 5, a + 6, a + 1], axis=1)])
+    uneven = even.copy()
+    uneven[5], uneven[16 + 5] = (6, 11, 12), (6, 12, 7)  # one rhombus cut the long way
+    assert {tuple(np.roll(face, -face.argmin())) for face in flip_edges(lattice, uneven)} == {
+        tuple(np.roll(face, -face.argmin())) for face in even
+    }
+    assert np.array_equal(flip_edges(lattice, even), even)
+
+
+def test_a_diagonal_stays_where_its_ends_have_no_neighbour_to_lose() -> None:
     kite = np.array([[0.0, 0.0, 0.0], [1.0, -0.2, 0.0], [2.0, 0.0, 0.0], [1.0, 0.2, 0.0]])
     long = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
-    flipped = flip_edges(kite, long)
-    # Both corners of the long diagonal have too few neighbours to lose one in a mesh this small.
-    assert np.array_equal(flipped, long)
+    assert np.array_equal(flip_edges(kite, long), long)
+
+
+def test_a_poor_vertex_is_dropped() -> None:
     outer = np.array([[np.cos(t), np.sin(t), 0.0] for t in np.linspace(0.0, 2.0 * np.pi, 5)[:-1]])
     fan = np.array([[4, 0, 1], [4, 1, 2], [4, 2, 3], [4, 3, 0]], dtype=np.int32)
     vertices, faces = drop_vertices(np.vstack([outer, [[0.1, 0.2, 0.0]]]), fan)

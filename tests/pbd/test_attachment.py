@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from pbd import InputError
 from pbd.attachment import Attachment, closest_points, push_outside
-from tests.pbd.meshes import icosphere, turn
-from tests.pbd.test_colliders import to_triangles
+from tests.pbd.meshes import icosphere, to_triangles, turn
 
 BALL, FACES = icosphere(3, 0.15)
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from pbd import InputError, ensure_initialized
-from pbd.engine import Launch, ti
+from pbd.engine import ti
+from pbd.taichi_internals import Launch
 from tests.data import ROOT
 
 

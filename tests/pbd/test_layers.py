@@ -72,8 +72,8 @@ def test_layers_share_momentum() -> None:
 
 def test_layers_that_differ_where_they_must_not_are_refused() -> None:
     sheet = cloth(*level(3, 0.05, 0.0))
-    soft = build_model(sheet, Fabric(), options=ModelOptions(squeeze=4.0), bend_factor=1 / 3)
-    with pytest.raises(InputError, match="squeeze"):
+    soft = build_model(sheet, Fabric(), options=ModelOptions(compression_compliance_scale=4.0), bend_factor=1 / 3)
+    with pytest.raises(InputError, match="compression_compliance_scale"):
         layered([soft, free_model(sheet, Fabric())])
     with pytest.raises(InputError, match="no garment"):
         layered([])

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
 from pbd import Fabric, InputError, build_model
-from pbd.mesh import ClothMesh, edges_of, flatten_by_lengths, greedy_colors, hinges_of, vertex_rings
+from pbd.mesh import ClothMesh, edges_of, flatten_by_lengths, greedy_colors, hinges_of, lattice_faces, vertex_rings
 from tests.pbd.meshes import cloth, grid, icosphere, turn
 
 
@@ -176,3 +176,37 @@ def test_faces_wound_against_each_other_are_named() -> None:
     vertices, faces = grid(3, 3, 0.1)
     with pytest.raises(InputError, match="wound|non-manifold"):
         build_model(cloth(vertices, np.concatenate([faces, faces[-1:]])), Fabric())
+
+
+@pytest.mark.parametrize("kind", ["alternating", "diagonal"])
+def test_a_lattice_is_cut_as_squares_are(kind: str) -> None:
+    _, faces = grid(4, 3, 0.1, kind)
+    index = np.arange(5 * 4).reshape(5, 4)
+    assert np.array_equal(lattice_faces(index, alternating=kind == "alternating"), faces)
+
+
+@pytest.mark.parametrize("level", [False, True])
+def test_a_grid_is_a_rectangle_with_its_warp_along_its_height(level: bool) -> None:
+    centre, up, normal = (1.0, 2.0, 3.0), np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    if level:
+        up, normal = -normal, up
+    mesh = ClothMesh.grid(0.6, 0.4, 3, 5, centre, level)
+    assert len(mesh.vertices) == 4 * 6 and len(mesh.faces) == 2 * 3 * 5
+    assert mesh.face_areas == pytest.approx(0.6 * 0.4 / 30)
+    corners = mesh.vertices[mesh.faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    np.testing.assert_allclose(across / np.linalg.norm(across, axis=1)[:, None], np.tile(normal, (30, 1)), atol=1e-12)
+    np.testing.assert_allclose(mesh.vertices.mean(axis=0), centre)
+    np.testing.assert_allclose(mesh.vertices[5] - mesh.vertices[0], 0.4 * up, atol=1e-12)
+    np.testing.assert_allclose(mesh.vertices[18] - mesh.vertices[0], [0.6, 0.0, 0.0], atol=1e-12)
+    # The first material axis is the warp: sides of the faces have their rise there.
+    sides = corners[:, 1:] - corners[:, :1]
+    np.testing.assert_allclose(mesh.flat[:, 0], sides @ up, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"), [({"width": 0.0}, "width"), ({"height": np.nan}, "height"), ({"rows": 0}, "rows")]
+)
+def test_a_grid_of_no_size_is_refused(changes: dict, key: str) -> None:
+    with pytest.raises(InputError, match=key):
+        ClothMesh.grid(**{"width": 1.0, "height": 1.0, "columns": 2, "rows": 2} | changes)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
 from pbd import Capsule, ClothMesh, Colliders, Fabric, ModelOptions, Plane, Solver, Sphere, State, build_model
-from pbd.colliders import Body
+from pbd.contact.colliders import Body
 from tests.pbd.meshes import icosphere
 
 GRAVITY = 9.81

@@ -169,7 +169,8 @@ def test_bad_solver_options_are_refused(options: dict) -> None:
 
 
 @pytest.mark.parametrize(
-    "options", [{"squeeze": 0.5}, {"shear_scale": 0.0}, {"bend_scale": -1.0}, {"tether_slack": math.nan}]
+    "options",
+    [{"compression_compliance_scale": 0.5}, {"shear_scale": 0.0}, {"bend_scale": -1.0}, {"tether_slack": math.nan}],
 )
 def test_bad_model_options_are_refused(options: dict) -> None:
     with pytest.raises(InputError, match=next(iter(options))):

@@ -7,6 +7,13 @@ from tests.precompute.miniature import OPTIONS, scene
 
 
 @pytest.fixture(scope="session")
-def learned(tmp_path_factory: pytest.TempPathFactory) -> Precomputed:
-    """The miniature's database, its recorded runs beside it."""
-    return precompute(scene(), tmp_path_factory.mktemp("learned") / "skirt.h5", workers=1, options=OPTIONS)
+def reports() -> list[str]:
+    """Lines that `learned` reported while it was made."""
+    return []
+
+
+@pytest.fixture(scope="session")
+def learned(tmp_path_factory: pytest.TempPathFactory, reports: list[str]) -> Precomputed:
+    """The miniature's database, its recorded runs beside it; modules that ask for it run in one process."""
+    output = tmp_path_factory.mktemp("learned") / "skirt.h5"
+    return precompute(scene(), output, workers=1, report=reports.append, options=OPTIONS)

@@ -1,16 +1,24 @@
+import argparse
 import errno
 import json
 import multiprocessing
 import os
+import re
 import signal
+import subprocess
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from runtime import command
-from runtime.arguments import parser
+from runtime.arguments import duration
+from runtime.commands import simulate
+from runtime.planner import TARGETS
 from runtime.report import Report
+from tests.data import ROOT
 
 SCENE = '[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\n'
 LEARNING = SCENE + '[character]\nfile = "builtin:mannequin"\n[training]\nprocedural_seconds = 40\n'
@@ -64,7 +72,7 @@ def test_a_json_file_that_cannot_be_written_is_refused_before_the_run(
     scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     runs = []
-    monkeypatch.setattr(command, "_simulate", lambda options: runs.append(options) or Report())
+    monkeypatch.setattr(simulate, "run", lambda options: runs.append(options) or Report())
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "file" / "out.json", tmp_path):
         assert command.main(["simulate", "--explain", str(scene), "--json", str(path)]) == 2
@@ -76,12 +84,121 @@ def test_a_failed_run_is_status_1_and_keeps_its_figures(
     scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     failed = Report({"rmse_mm": 3.0}, [{"test": "swing", "passed": False}], passed=False)
-    monkeypatch.setattr(command, "_simulate", lambda options: failed)
+    monkeypatch.setattr(simulate, "run", lambda options: failed)
     out = tmp_path / "out.json"
     assert command.main(["simulate", "--explain", str(scene), "--json", str(out)]) == 1
     content = json.loads(out.read_text(encoding="utf-8"))
     assert content["figures"] == {"rmse_mm": 3.0}
     assert content["rows"] == [{"test": "swing", "passed": False}]
+
+
+def parsers(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
+    """All commands under a parser; groups themselves are left out."""
+    groups = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    for group in groups:
+        for one in group.choices.values():
+            yield from parsers(one)
+    if not groups:
+        yield parser
+
+
+def said_badly(parser: argparse.ArgumentParser) -> list[str]:
+    """Arguments whose help leaves out the unit of a number, or the default of an option."""
+    bad = []
+    for action in parser._actions:
+        if isinstance(action, argparse._HelpAction):
+            continue
+        name = "/".join(action.option_strings) or action.dest
+        text = parser._get_formatter()._expand_help(action) if action.help else ""
+        if is_number(action) and not re.search(r"\[(s|ms|m|mm|Hz|px|deg|-)\]", text):
+            bad.append(f"{name}: no unit")
+        required = action.required if action.option_strings else action.nargs != "*"
+        ending = r"\(required\)$" if required else r"\(default: .+\)$"
+        if (action.option_strings or not required) and not re.search(ending, text):
+            bad.append(f"{name}: no default")
+        shown = action.default not in (None, False, [])
+        if shown and f"{action.default}".removesuffix(".0") not in text.rpartition("default:")[2]:
+            bad.append(f"{name}: another default")
+    return bad
+
+
+def is_number(action: argparse.Action) -> bool:
+    """Whether an argument takes a number, or a number with its unit behind it."""
+    if not callable(action.type):
+        return False
+    for text in ("5", "5s"):
+        try:
+            return isinstance(action.type(text), (int, float))
+        except argparse.ArgumentTypeError:
+            continue
+    return False
+
+
+def test_the_help_of_every_command_says_units_and_defaults() -> None:
+    found = {parser.prog: said_badly(parser) for parser in parsers(command.parser())}
+    assert set(found) == {f"gube {name}" for name in command.COMMANDS}
+    assert {name: bad for name, bad in found.items() if bad} == {}
+
+
+@pytest.mark.parametrize(
+    ("option", "bad"),
+    [
+        ({"type": int, "help": "a rate (default: 3)", "default": 3}, "--x: no unit"),
+        ({"type": duration, "help": "time (default: 1h)"}, "--x: no unit"),
+        ({"type": Path, "help": "a file"}, "--x: no default"),
+        ({"type": Path, "help": "a file", "required": True}, "--x: no default"),
+        ({"action": "store_true", "help": "do it"}, "--x: no default"),
+        ({"type": Path, "help": "a file (default: b)", "default": Path("a")}, "--x: another default"),
+        ({}, "--x: no default"),
+    ],
+)
+def test_a_bad_help_is_found(option: dict, bad: str) -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--x", **option)
+    assert said_badly(parser) == [bad]
+
+
+def test_the_help_says_what_other_files_define() -> None:
+    from precompute.method_comparison.scene_compare import BUDGET
+
+    found = {parser.prog: " ".join(parser.format_help().split()) for parser in parsers(command.parser())}
+    assert duration("15m") == BUDGET and "(default: 15m)" in found["gube compare"]
+    assert {f"{name} is {px:g} px" for name, px in TARGETS.items()} <= set(
+        re.findall(r"\w+ is \d+ px", found["gube plan"])
+    )
+
+
+def loaded_by(*words: str) -> set[str]:
+    """Modules that are loaded after ``gube`` with these words, which ends by itself."""
+    script = (
+        "import sys\nfrom runtime.command import main\n"
+        f"try: main({words!r})\nexcept SystemExit: pass\nprint(*sorted(sys.modules), sep='\\n')"
+    )
+    result = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    return set(result.stdout.splitlines())
+
+
+@pytest.mark.parametrize("words", [["--help"], ["bench", "--help"], ["compare", "--help"], ["play"], ["nonsense"]])
+def test_help_and_bad_words_load_nothing_heavy(words: list[str]) -> None:
+    assert not loaded_by(*words) & {"numpy", "scipy", "taichi", "h5py", "pbd", "wrinkles"}
+
+
+def test_a_command_loads_no_other(tmp_path: Path) -> None:
+    files = {name for name in loaded_by("play", str(tmp_path / "no.h5")) if ".commands." in name}
+    assert files == {"runtime.commands.play"}
+
+
+def test_truth_is_played_by_the_file_that_the_table_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from precompute.commands import play_truth
+
+    runs = []
+    monkeypatch.setattr(play_truth, "run", lambda options: runs.append(options) or Report())
+    assert command.main(["play", "no.h5", "-o", str(tmp_path), "--truth"]) == 0 and len(runs) == 1
+    assert command.main(["play", "no.h5", "-o", str(tmp_path)]) == 2 and len(runs) == 1
+    assert "no.h5" in capsys.readouterr().err
 
 
 DATABASE = ["precompute", "no.toml", "-o"]
@@ -141,7 +258,7 @@ def test_what_cannot_be_compared_is_refused(
 
 @pytest.mark.parametrize("text, seconds", [("90s", 90.0), ("1.5m", 90.0), ("2h", 7200.0)])
 def test_a_budget_is_a_time(text: str, seconds: float) -> None:
-    assert parser().parse_args(["compare", f"--budget={text}"]).budget == seconds
+    assert command.parser().parse_args(["compare", f"--budget={text}"]).budget == seconds
 
 
 @pytest.mark.parametrize("text", ["", "5", "-5m", "five m", "infs", "m"])
@@ -180,7 +297,7 @@ def test_a_worker_ended_from_outside_is_one_message_and_status_1(
     scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene.write_text(LEARNING, encoding="utf-8")
-    monkeypatch.setattr("precompute.learning.recording._record_in", _killed)
+    monkeypatch.setattr("precompute.learning.recording._record", _killed)
     assert command.main(["precompute", str(scene), "-o", str(tmp_path / "out.h5")]) == 1
     message = capsys.readouterr().err.strip().splitlines()[-1]
     assert message.startswith("gube precompute: a simulating process was ended from outside")

@@ -12,8 +12,7 @@ from runtime.detail import Detail
 from runtime.ensemble import Ensemble
 from runtime.front import Front
 from runtime.planner import Planner, Sight
-from tests.runtime.fronts import made_front
-from tests.runtime.test_planner import seen
+from tests.runtime.fronts import made_front, seen
 
 DT = 1.0 / 60.0
 POSE = np.zeros((1, 3, 4))

@@ -92,7 +92,9 @@ def test_held_out_figures_stand_beside_their_rivals_with_words(write: Callable[.
     assert QUALITY.items() <= figures.items()
 
 
-OTHERS = (LearnedFabric("denim", Fabric(areal_density=0.4), ModelOptions(squeeze=3.0, bend_scale=7.0)),)
+OTHERS = (
+    LearnedFabric("denim", Fabric(areal_density=0.4), ModelOptions(compression_compliance_scale=3.0, bend_scale=7.0)),
+)
 
 
 def test_other_fabrics_are_said_and_checked(write: Callable[..., Path]) -> None:
@@ -153,7 +155,7 @@ def test_a_delivered_mesh_may_have_another_area_than_its_coarse_one(
         limits=Limits.none(),
     )
     write_database(path, database)
-    monkeypatch.setattr("runtime.info.NEAR_AREA", 0.001)
+    monkeypatch.setattr("runtime.info.MAX_AREA_CORRECTION", 0.001)
     areas = next(check for check in check_database(path) if check.check == "one rest metric")
     assert areas.passed and abs(float(areas.detail.split()[-1]) - 1.0) > 0.001
     assert [check.check for check in check_database(path) if not check.passed] == []

@@ -15,14 +15,10 @@ from precompute.method_comparison.error_classes import LIMITS
 from runtime.detail import Detail
 from runtime.front import Front, Setting, read_front, write_front
 from runtime.planner import HOLD, TARGETS, Planner, Sight, exhaustive, sight_of
-from tests.runtime.fronts import made_front
+from tests.runtime.fronts import made_front, seen
 from wrinkles.metrics import PIXELS_PER_METRE
 
 ENDLESS = 1e9
-
-
-def seen(distance: float, speed: float = 1.0, size: float = 0.8) -> Sight:
-    return sight_of([CameraSettings(position=(0.0, 0.0, distance), target=(0.0, 0.0, 0.0))], (0, 0, 0), size, speed)
 
 
 def test_targets_are_those_of_the_error_classes() -> None:

@@ -79,8 +79,14 @@ def test_a_bad_first_pose_and_another_body_are_refused(poses: np.ndarray) -> Non
         Player(skirt_database(body_hash="0" * 64), body, poses[0])
 
 
+def test_it_starts_in_the_bind_pose_unless_told_another() -> None:
+    database, body = skirt_database(), skirt_stage().body
+    assert isinstance(body, Character)
+    assert bits(Player(database, body)) == bits(Player(database, body, body.bind_pose()))
+
+
 def test_a_garment_is_played_in_any_fabric_that_it_was_learned_in(poses: np.ndarray) -> None:
-    denim = LearnedFabric("denim", PRESETS["denim"], ModelOptions(squeeze=3.0))
+    denim = LearnedFabric("denim", PRESETS["denim"], ModelOptions(compression_compliance_scale=3.0))
     database, body = skirt_database(other_fabrics=(denim,)), skirt_stage().body
     own, plain, other, alone = (
         Player(one, body, poses[0], fabric=fabric)
@@ -116,12 +122,6 @@ def test_warming_up_leaves_no_trace(player: Player, poses: np.ndarray) -> None:
     assert player.simulation.state.hash() == plain.state.hash()
 
 
-def test_the_first_frame_is_as_fast_as_the_others(player: Player, poses: np.ndarray) -> None:
-    """Loading one kernel takes longer than 60 ms, compiling it far longer; frames take about 5 ms."""
-    player.update(poses[1], DT)
-    assert player.timings["frame"] < 60.0
-
-
 def test_the_garment_meets_the_colliders_of_the_scene(poses: np.ndarray) -> None:
     height = skirt_stage().levels.coarse.vertices[:, 1]
     floor = float(height.min()) + 0.1
@@ -155,16 +155,21 @@ def test_a_frame_allocates_little(poses: np.ndarray) -> None:
 
 SCRIPT = """
 import hashlib
+from pbd.engine import ti
 from runtime.player import Player
 from runtime.simulation import poses_of
 from tests.runtime.players import skirt_database, skirt_stage
+
+def compiled():
+    return sum(len(kernel.compiled_kernels) for kernel in ti.lang.impl.get_runtime().kernels)
+
 poses = poses_of(skirt_stage().motion(), 1.0 / 60.0, 2.0)
 player = Player(skirt_database(), skirt_stage().body, poses[0])
-digest = hashlib.sha256()
+before, digest = compiled(), hashlib.sha256()
 for pose in poses[1:]:
     player.update(pose, 1.0 / 60.0)
     digest.update(player.vertices.tobytes())
-print(len(poses) - 1, player.simulation.state.hash(), digest.hexdigest())
+print(len(poses) - 1, before, compiled(), player.simulation.state.hash(), digest.hexdigest())
 """
 
 
@@ -177,4 +182,6 @@ def test_120_frames_are_the_same_bits_on_one_thread_and_on_two() -> None:
     results = [run.communicate()[0] for run in runs]
     assert [run.returncode for run in runs] == [0, 0]
     assert results[0] == results[1]
-    assert results[0].startswith("120 ")
+    frames, before, after, *_ = results[0].split()
+    assert frames == "120"
+    assert int(before) == int(after) > 0  # nothing is compiled while it plays: that takes longer than many frames

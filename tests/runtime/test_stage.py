@@ -134,7 +134,7 @@ def database_of(stage: Stage) -> WrinkleDatabase:
 
 def test_a_delivered_mesh_has_a_middle_one(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
     # As if the subdivided mesh had another area than the coarse one, which is nothing to a mesh that came fine.
-    monkeypatch.setattr("wrinkles.levels.NEAR_AREA", -1.0)
+    monkeypatch.setattr("wrinkles.levels.MAX_AREA_CORRECTION", -1.0)
     truth = SimpleNamespace(run=SimpleNamespace(body=stage.body))
     middle = middle_levels(database_of(stage), truth)
     assert middle is not None and np.array_equal(middle.fine.faces, stage.levels.fine.faces)

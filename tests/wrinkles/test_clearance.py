@@ -5,7 +5,7 @@ import pytest
 
 from pbd import ClothMesh
 from tests.wrinkles.meshes import icosphere, tube
-from wrinkles.clearance import MOST, clearances, facing
+from wrinkles.clearance import MAX_EXTRA_CLEARANCE, clearances, facing
 
 THICKNESS = 0.003
 
@@ -31,7 +31,7 @@ def test_what_stands_out_gives_its_height_to_its_surroundings() -> None:
     assert kept[away < 0.008].min() > 0.0018
     assert kept[away > 0.025].max() < 0.0004
     high, _, _ = with_bump(0.03)
-    assert clearances(high, faces, 0.01, THICKNESS).max() == np.float32(THICKNESS + MOST)
+    assert clearances(high, faces, 0.01, THICKNESS).max() == np.float32(THICKNESS + MAX_EXTRA_CLEARANCE)
 
 
 def test_a_hollow_and_another_part_of_the_body_ask_for_nothing() -> None:

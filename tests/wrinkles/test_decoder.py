@@ -100,7 +100,7 @@ def layer() -> Layer:
 def test_the_decoder_adds_what_the_mapping_predicts(layer: Layer) -> None:
     count = len(layer.position)
     frames, features = np.zeros((count, 9), np.float32), np.zeros((count, DYNAMIC_COUNT), np.float32)
-    layer.stencil.gather(layer.position, layer.contact, frames, features)
+    layer.stencil.read(layer.position, layer.contact, frames, features)
     grids = layer.mapping.predict(features) @ layer.atoms.shapes + layer.atoms.mean
     assert np.median(grids.std(axis=0)) > 1e-3
     # Turned into space first and read afterwards, vertex by vertex.
@@ -139,7 +139,7 @@ def test_middle_vertices_get_what_the_fine_ones_there_get_but_the_mean(layer: La
 def test_wrinkles_fade_where_the_state_is_unfamiliar(layer: Layer) -> None:
     count = len(layer.position)
     frames, features = np.zeros((count, 9), np.float32), np.zeros((count, DYNAMIC_COUNT), np.float32)
-    layer.stencil.gather(layer.position, layer.contact, frames, features)
+    layer.stencil.read(layer.position, layer.contact, frames, features)
     score = layer.unfamiliarity.score(layer.mapping.hidden(features))
     middle = float(np.exp(np.median(score)))
     some, none = layer.decoder(fade_from=middle), layer.decoder(fade_from=1e-9)

@@ -35,7 +35,7 @@ class Cloth:
         contact = self.distance.astype(np.float32)
         frames = np.zeros((count, 9), np.float32)
         features = np.zeros((count, DYNAMIC_COUNT), np.float32)
-        self.stencil.gather(position, contact, frames, features, **kept)
+        self.stencil.read(position, contact, frames, features, **kept)
         return features, frames
 
 
@@ -92,7 +92,7 @@ def test_features_of_a_flat_sheet_are_its_stencil() -> None:
     position[:, :3] = vertices
     contact = np.full(81, FAR, np.float32)
     frames, features = np.zeros((81, 9), np.float32), np.zeros((81, DYNAMIC_COUNT), np.float32)
-    stencil.gather(position, contact, frames, features)
+    stencil.read(position, contact, frames, features)
     middle = features[40]
     steps = np.array([(a, b, 0.0) for a in range(-2, 3) for b in range(-2, 3)])[OTHERS]
     np.testing.assert_allclose(middle[OFFSETS].reshape(24, 3), steps, atol=1e-5)

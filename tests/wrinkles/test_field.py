@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from pbd import Colliders, Fabric, InputError, State
-from tests.pbd.meshes import cloth, free_model, run, turn
-from tests.pbd.test_colliders import RADIUS, THICKNESS, bodies, sheet, to_triangles
+from tests.pbd.meshes import RADIUS, THICKNESS, bodies, cloth, free_model, level_sheet, run, to_triangles, turn
 from tests.wrinkles.meshes import icosphere
 from wrinkles.field import field_of_mesh
 
@@ -32,7 +31,7 @@ def test_cloth_rests_on_the_field_of_a_mesh() -> None:
     ball, faces = icosphere(4, RADIUS)
     field = field_of_mesh(ball, faces, 0.01)
     field.rotation = turn((1.0, 1.0, 0.0), 25.0)
-    vertices, cloth_faces = sheet(12, 0.45, RADIUS + 0.02)
+    vertices, cloth_faces = level_sheet(12, 0.45, RADIUS + 0.02)
     model = free_model(cloth(vertices, cloth_faces), Fabric(thickness=THICKNESS, friction=0.5))
     state = State.at_rest(model)
     run(model, state, 60, colliders=Colliders([field]))

@@ -10,7 +10,7 @@ from pbd.bending import bends_of
 from pbd.mesh import hinges_of
 from pbd.model import build_model
 from tests.pbd.meshes import grid
-from wrinkles.gathers import LEAST, SHARPEST, Gathers
+from wrinkles.gathers import MAX_BEND_ANGLE, MIN_SIDE_RATIO, Gathers
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def test_stretched_cloth_keeps_its_rest_shape_and_crushed_cloth_some_of_it(sheet
     stretched = Gathers.of(sheet, 1.3 * sheet.vertices[None])
     assert stretched.stretch == pytest.approx(Gathers.none(sheet.faces).stretch, abs=1e-6)
     crushed = Gathers.of(sheet, 0.01 * sheet.vertices[None]).applied(sheet)
-    assert lengths(crushed) == pytest.approx(LEAST * lengths(sheet), rel=1e-5)
+    assert lengths(crushed) == pytest.approx(MIN_SIDE_RATIO * lengths(sheet), rel=1e-5)
 
 
 def test_hinges_rest_as_bent_as_they_are_on_average_but_not_sharply(sheet: ClothMesh) -> None:
@@ -61,7 +61,7 @@ def test_hinges_rest_as_bent_as_they_are_on_average_but_not_sharply(sheet: Cloth
     assert gathers.bends == pytest.approx(wanted, abs=1e-6)
     assert np.abs(gathers.bends).max() > 1e-3
     ends = sheet.vertices[hinges_of(sheet.faces)[:, :2]]
-    most = SHARPEST * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    most = MAX_BEND_ANGLE * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     bends = np.abs(Gathers.of(sheet, sharp[None]).bends)
     assert (bends <= 1.001 * most).all() and (bends > 0.99 * most).any()
 

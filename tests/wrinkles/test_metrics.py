@@ -224,7 +224,7 @@ def test_folds_below_the_threshold_do_not_count() -> None:
     for amplitude, folds in ((0.0040, 0), (0.0048, 9)):  # 13.6 and 16.3 deg
         radius = 0.3 + amplitude * np.cos(9 * angle)
         loop = np.stack([radius * np.cos(angle), 0 * angle, radius * np.sin(angle)], axis=1)
-        assert metrics.fold_count(loop, least_turn_deg=15.0, blur=0.004) == [folds]
+        assert metrics.fold_count(loop, min_turn_deg=15.0, blur=0.004) == [folds]
 
 
 def test_pixels_of_the_standard_camera() -> None:

@@ -11,7 +11,7 @@ from tests.pbd.meshes import grid
 from tests.wrinkles.meshes import icosphere
 from wrinkles.charts import leading_vertices
 from wrinkles.levels import Levels, build_levels
-from wrinkles.relaxation import LEVEL, PLEATED, ROOM_SHARE, Relaxation
+from wrinkles.relaxation import GAP_SHARE, LEVEL, PLEATED, Relaxation
 
 NOBODY = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
 THICKNESS = 0.002
@@ -161,7 +161,7 @@ def test_cloth_between_two_parts_of_a_body_ends_inside_neither(facing: float, ro
     nearer = np.where(np.abs(own) < np.abs(other), own, other)  # where they overlap the nearer surface counts
     assert (nearer if room < 0.0 else other).min() > -2.0 * sag
     if room < 0.0:  # and what is outside one by much is not inside the other by more than they overlap
-        assert np.minimum(own, other).min() > (1.0 + ROOM_SHARE) * room - 2.0 * sag
+        assert np.minimum(own, other).min() > (1.0 + GAP_SHARE) * room - 2.0 * sag
 
 
 def test_what_strikes_the_cloth_from_its_other_side_is_left_too() -> None:

@@ -16,7 +16,7 @@ from wrinkles.features import DYNAMIC_COUNT, Stencil
 from wrinkles.levels import Levels
 from wrinkles.patches import NODES, Patches
 from wrinkles.surface import Subdivision
-from wrinkles.vertex_mean import STEP, fit_vertex_mean, turned
+from wrinkles.vertex_mean import MEAN_STEP, fit_vertex_mean, turned
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def frames_of(levels: Levels, coarse: np.ndarray) -> np.ndarray:
     position, frames = np.zeros((count, 4), np.float32), np.zeros((count, 9), np.float32)
     position[:, :3] = coarse
     stencil = Stencil.of(Charts.of(levels.coarse), levels.coarse_held)
-    stencil.gather(position, np.zeros(count, np.float32), frames, np.zeros((count, DYNAMIC_COUNT), np.float32))
+    stencil.read(position, np.zeros(count, np.float32), frames, np.zeros((count, DYNAMIC_COUNT), np.float32))
     return frames
 
 
@@ -69,7 +69,7 @@ def test_the_mean_is_found_again(patches: Patches) -> None:
     residual = np.array([turned(patches.turning, frame, mean) for frame in frames])
     found = fit_vertex_mean(patches.turning, frames, residual)
     assert found == pytest.approx(mean, abs=5e-5) and found.dtype == np.float32
-    assert np.array_equal(found / STEP, np.round(found / STEP))
+    assert np.array_equal(found / MEAN_STEP, np.round(found / MEAN_STEP))
     # What comes and goes is no mean.
     still = np.concatenate([frames[:1]] * 2)
     swaying = fit_vertex_mean(patches.turning, still, residual[:1] + np.concatenate([noise, -noise]))

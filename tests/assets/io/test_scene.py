@@ -122,6 +122,13 @@ def refused(load, text: str) -> str:
     return str(caught.value)
 
 
+def test_a_scene_without_a_file_of_its_own_is_read_in_the_working_folder(load, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert parse_scene(FULL) == load(FULL)
+    with pytest.raises(InputError, match="scene.toml: garment"):
+        parse_scene("")
+
+
 def test_a_short_scene_has_the_defaults(load) -> None:
     scene = load(SKIRT)
     (skirt,) = scene.garments
@@ -262,7 +269,7 @@ def test_any_name_survives_printing(name: str, tmp_path_factory: pytest.TempPath
         (SKIRT + "subdivision = 2", ["garment[0].subdivision: unknown key", "did you mean 'subdivisions'?"]),
         (SKIRT + "[solvr]", ["solvr: unknown key", "did you mean 'solver'?"]),
         (SKIRT + SKIRT, ["garment: the same name twice", "'skirt'"]),
-        (SKIRT + "subdivisions = 1.5", ["received 1.5", "a whole number, at least 0"]),
+        (SKIRT + "subdivisions = 1.5", ["received 1.5", "a whole number, at least 1"]),
         (SKIRT + "subdivisions = true", ["received True", "a whole number"]),
         (SKIRT + 'pattern = "yes"', ["received 'yes'", "true or false"]),
         (SKIRT + "thickness = 0", ["received 0", "a finite number above 0 [m]"]),

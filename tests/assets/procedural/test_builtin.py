@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from assets.garment import boundary_loops
+from assets.garment import boundary_loops, load_garment
 from assets.procedural.builtin import BUILTIN_GARMENTS, builtin_garment
 from assets.procedural.builtin_shape import make_skirt, tshirt_field
 from assets.procedural.mannequin import builtin_mannequin
@@ -150,3 +150,12 @@ def test_data_files_are_what_the_generator_makes() -> None:
 def test_an_unknown_name_is_refused() -> None:
     with pytest.raises(InputError, match="flag, skirt, tablecloth, tshirt"):
         builtin_garment("toga")
+
+
+@pytest.mark.parametrize("name", BUILTIN_GARMENTS)
+def test_they_are_loaded_by_their_names(name: str) -> None:
+    loaded, made = load_garment(f"builtin:{name}"), builtin_garment(name)
+    assert (loaded.name, loaded.source) == (name, f"builtin:{name}")
+    assert np.array_equal(loaded.vertices, made.vertices) and np.array_equal(loaded.faces, made.faces)
+    with pytest.raises(InputError, match="toga"):
+        load_garment("builtin:toga")

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from assets.character import Character, Clip
+from assets.character import Character, Clip, load_character
 from assets.procedural.mannequin import builtin_mannequin
 from assets.procedural.mannequin_shape import body_field, skin_weights, strongest
 from assets.skinning import skin_vertices
+from pbd.errors import InputError
 
 SIDES = ("Left", "Right")
 CLIPS = ("walk", "slow_walk", "turn", "twirl", "sway")
@@ -231,3 +232,10 @@ def test_a_deeply_bent_leg_keeps_its_volume() -> None:
         return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6.0)
 
     assert volume(bent) == pytest.approx(volume(body.vertices), rel=0.05)
+
+
+def test_it_is_loaded_by_its_name() -> None:
+    assert load_character("builtin:mannequin") is builtin_mannequin()
+    assert load_character("builtin:mannequin", name="Ann").name == "Ann"
+    with pytest.raises(InputError, match="builtin:mannequin"):
+        load_character("builtin:man")

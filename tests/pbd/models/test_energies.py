@@ -12,13 +12,9 @@ from pbd.models.membrane import condition_membrane, continuum_membrane
 from pbd.models.plate import angle_bending, isometric_bending, morley_bending
 from pbd.models.springs import prestressed_springs, square_springs, triangle_springs
 from tests.pbd.meshes import cloth, free_model, grid, turn
+from tests.pbd.models.sheets import FABRIC, sheet
 
-FABRIC = Fabric(stretch_warp=900.0, stretch_weft=500.0, poisson=0.3, shear=200.0, bend_warp=3e-3, bend_weft=1e-3)
 ISOTROPIC = Fabric(stretch_warp=600.0, stretch_weft=600.0, poisson=1 / 3, shear=225.0, bend_warp=0.0, bend_weft=0.0)
-
-
-def sheet(kind: str = "alternating", across: int = 3) -> Model:
-    return free_model(cloth(*grid(4, across, 0.05, kind)), FABRIC)
 
 
 ENERGIES: dict[str, Callable[[Model], ElementEnergy | Sum]] = {

@@ -6,7 +6,7 @@ from scipy.sparse import eye as identity
 
 from pbd.models.linear import Cholesky, FreeOrder, NotPositiveDefinite
 from pbd.models.springs import triangle_springs
-from tests.pbd.models.test_energies import sheet
+from tests.pbd.models.sheets import sheet
 
 
 def test_it_solves_for_the_free_vertices() -> None:

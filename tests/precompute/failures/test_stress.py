@@ -1,10 +1,14 @@
 """Runs that break cloth engines: the default solver ends all of them well, and what fails is called so."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from pbd import Colliders, InputError, Solver, State
-from precompute.failures.stress import QUOTED, RUNS, stress_rows
+from precompute.failures.stress import QUOTED, RUNS, stress_figures, stress_rows, stress_text
+from runtime.command import main
 
 HARD = ("E h 1e8 N/m", "frames of 1/10 s", "a pinned corner jumps by 1 m", "starts on a line")
 
@@ -51,3 +55,26 @@ def test_unknown_runs_and_solvers_are_refused() -> None:
         stress_rows(names=["frames of 1/9 s"])
     with pytest.raises(InputError, match="no such solver"):
         stress_rows("best", ["E h 1e5 N/m"])
+
+
+def test_the_command_counts_verdicts_and_fails_where_a_run_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    row = {"run": "starts on a line", "solver": "pbd", "verdict": "ok", "worst_stretch": 0.05}
+    good = row | {"frame_ms": 9.0, "budget_ms": 8.0}
+    bad = good | {"verdict": "exploded", "worst_stretch": np.inf, "frame_ms": 1.0}
+    assert stress_figures([good, bad]) == {
+        "ok_runs": 1.0,
+        "stretched_runs": 0.0,
+        "exploded_runs": 1.0,
+        "over_budget_runs": 1.0,
+    }
+    for rows, status in (([good], 0), ([good, bad], 1)):
+        found = iter(rows)
+        monkeypatch.setattr("precompute.failures.stress._row", lambda *_, found=found: next(found))
+        monkeypatch.setattr("precompute.failures.stress.RUNS", [RUNS[0]] * len(rows))
+        assert main(["bench", "stress", "--solver", "pbd", "--json", str(tmp_path / "a.json")]) == status
+        assert stress_text(rows) in capsys.readouterr().out
+    assert json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))["figures"]["exploded_runs"] == 1.0
+    assert main(["bench", "stress", "none"]) == 2
+    assert "NAME: no such run" in capsys.readouterr().err

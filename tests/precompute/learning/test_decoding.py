@@ -11,7 +11,7 @@ from precompute.learning.training import build_layer, features_of
 from runtime.stage import Stage
 from tests.precompute.miniature import scene
 from tests.wrinkles.databases import placed, small_database
-from wrinkles.vertex_mean import STEP, turned
+from wrinkles.vertex_mean import MEAN_STEP, turned
 
 FRAMES = 6
 
@@ -34,5 +34,5 @@ def test_the_mean_is_of_what_decoding_lacks() -> None:
     lacking = np.array([turned(layer.patches.turning, at, mean) for at in features_of(layer, recording)[1]])
     told = replace(recording, positions=(decoded + lacking).astype(np.float32))
     found = with_vertex_mean(layer, [by_features(mapping)], replace(atoms, vertex_mean=nothing[0] + 1.0), [run], [told])
-    np.testing.assert_allclose(found.vertex_mean, mean, atol=STEP)
+    np.testing.assert_allclose(found.vertex_mean, mean, atol=MEAN_STEP)
     assert np.array_equal(found.shapes, atoms.shapes) and not atoms.vertex_mean.any()

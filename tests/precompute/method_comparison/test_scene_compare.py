@@ -146,7 +146,7 @@ def test_nothing_is_run_twice_and_budget_drops_the_dearest(
     found: list[SceneComparison], folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(scene_compare, "reference_settings", few_references)
-    monkeypatch.setattr(scene_compare, "_run_job", lambda *_: pytest.fail("run again"))
+    monkeypatch.setattr(scene_compare._Job, "run", lambda _: pytest.fail("run again"))
     methods = ["default@8x2", "xpbd@8x40x40"]
     (one,) = compare_scenes(["swing"], folder, methods=methods, seconds=SHORT, workers=1, budget_s=10.0)
     assert [point.run.setting.method for point in one.points] == ["default"]

@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 
 from assets.io.scene import load_scene
+from pbd import InputError
 from precompute.demo import SCENE
 from precompute.learning.pipeline import Precomputed, precompute
-from precompute.planning.plan_trial import SCENES, try_plan
+from precompute.planning.plan_trial import SCENES, trial_rows, trial_text, try_plan
 from precompute.planning.planning import front_of, plan_figures, seen_from
 from runtime.front import Front
 from runtime.planner import TARGETS, Planner, sight_of
 from runtime.play import Cast, cast_of
 from tests.runtime.fronts import made_front
-from wrinkles.database import WrinkleDatabase, read_database
+from wrinkles.database import WrinkleDatabase, read_database, write_database
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +60,29 @@ def test_a_trial_sees_errors_changes_and_costs(learned: Precomputed) -> None:
     assert trial.catastrophic == 0 and 1 <= trial.changes <= 4
     assert len(trial.error_px) == 12 and np.isfinite(trial.error_px).all() and trial.error_px.max() > 0.0
     assert 0.0 < trial.cost_ms < front.settings[0].cost_ms
+
+
+def test_rows_of_trials_stand_beside_full_detail(
+    learned: Precomputed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "skirt.h5"
+    write_database(path, learned.database)
+    front = made_front(24)
+    monkeypatch.setattr("precompute.planning.plan_trial.front_of", lambda database, path, report: front)
+    lines: list[str] = []
+    (row,) = trial_rows(path, ["cuts"], 3.0, lines.append)
+    cast = cast_of(learned.database)
+    trial = try_plan(learned.database, cast, cast.motions[0], front, SCENES["cuts"], 3.0)
+    assert lines == ["cuts: 3 s"] and row["scene"] == "cuts"
+    assert row["within_target_percent"] == 100.0 * (trial.error_px <= 1.0).mean()
+    assert 0.0 <= row["error_px_p50"] <= row["error_px_p99"]
+    assert (row["cost_ms"], row["changes"], row["catastrophic"]) == (trial.cost_ms, trial.changes, 0)
+    assert row["full_cost_ms"] == front.settings[0].cost_ms
+    assert "cuts" in trial_text([row]) and len(trial_text([row]).splitlines()) == 2
+    with pytest.raises(InputError, match="no such scene"):
+        trial_rows(path, ["orbit"])
+    with pytest.raises(InputError, match="no tick is compared"):
+        trial_rows(path, ["cuts"], 0.5)
 
 
 def test_cameras_of_the_scenes_see_the_garment_near_and_far() -> None:

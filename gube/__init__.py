@@ -1,0 +1,142 @@
+"""Real-time clothing with the folds of an offline simulation: the one name to import.
+
+Every public name is imported from its folder when it is first used, so that ``import gube`` costs next to nothing and a
+game that plays a database never loads what only learning needs. ``docs/api.md`` lists the names.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+# Each public name, with the module and the attribute that it stands for. The block below repeats them for type
+# checkers; a test holds the two equal.
+SOURCES = {
+    "BatchSolver": "pbd.xpbd.batch_solver:BatchSolver",
+    "Body": "pbd.contact.colliders:Body",
+    "Capsule": "pbd.contact.colliders:Capsule",
+    "Character": "assets.character:Character",
+    "ClipMotion": "assets.motion:ClipMotion",
+    "ClothMesh": "pbd.mesh:ClothMesh",
+    "Colliders": "pbd.contact.colliders:Colliders",
+    "Detail": "runtime.detail:Detail",
+    "DistanceField": "pbd.contact.distance_field:DistanceField",
+    "FABRICS": "assets.fabrics:PRESETS",
+    "Fabric": "pbd.fabric:Fabric",
+    "GameLoop": "runtime.game_loop:GameLoop",
+    "GarmentGroup": "runtime.ensemble:Ensemble",
+    "InputError": "pbd.errors:InputError",
+    "LiveInput": "runtime.game_loop:LiveInput",
+    "Model": "pbd.model:Model",
+    "ModelOptions": "pbd.model:ModelOptions",
+    "Plane": "pbd.contact.colliders:Plane",
+    "Planner": "runtime.planner:Planner",
+    "Player": "runtime.player:Player",
+    "SOLVERS": "pbd.models.registry:SOLVERS",
+    "Sight": "runtime.planner:Sight",
+    "Simulation": "runtime.simulation:Simulation",
+    "Solver": "pbd.xpbd.solver:Solver",
+    "SolverOptions": "pbd.xpbd.solver:SolverOptions",
+    "Sphere": "pbd.contact.colliders:Sphere",
+    "State": "pbd.model:State",
+    "StepError": "pbd.models.newton:StepError",
+    "Wind": "pbd.wind:Wind",
+    "WrinkleDatabase": "wrinkles.database:WrinkleDatabase",
+    "bake_glb": "runtime.bake:bake_glb",
+    "build_model": "pbd.model:build_model",
+    "ensure_initialized": "pbd.engine:ensure_initialized",
+    "load_character": "assets.character:load_character",
+    "load_fabric": "assets.fabrics:load_fabric",
+    "load_garment": "assets.garment:load_garment",
+    "load_scene": "assets.io.scene:load_scene",
+    "make_solver": "pbd.models.registry:make_solver",
+    "parse_scene": "assets.io.scene:parse_scene",
+    "precompute": "precompute.learning.pipeline:precompute",
+    "read_cost_table": "runtime.front:read_front",
+    "read_database": "wrinkles.database:read_database",
+    "simulation_of": "runtime.stage:simulation_of",
+}
+
+if TYPE_CHECKING:
+    from assets.character import Character as Character
+    from assets.character import load_character as load_character
+    from assets.fabrics import PRESETS as FABRICS
+    from assets.fabrics import load_fabric as load_fabric
+    from assets.garment import load_garment as load_garment
+    from assets.io.scene import load_scene as load_scene
+    from assets.io.scene import parse_scene as parse_scene
+    from assets.motion import ClipMotion as ClipMotion
+    from pbd.contact.colliders import Body as Body
+    from pbd.contact.colliders import Capsule as Capsule
+    from pbd.contact.colliders import Colliders as Colliders
+    from pbd.contact.colliders import Plane as Plane
+    from pbd.contact.colliders import Sphere as Sphere
+    from pbd.contact.distance_field import DistanceField as DistanceField
+    from pbd.engine import ensure_initialized as ensure_initialized
+    from pbd.errors import InputError as InputError
+    from pbd.fabric import Fabric as Fabric
+    from pbd.mesh import ClothMesh as ClothMesh
+    from pbd.model import Model as Model
+    from pbd.model import ModelOptions as ModelOptions
+    from pbd.model import State as State
+    from pbd.model import build_model as build_model
+    from pbd.models.newton import StepError as StepError
+    from pbd.models.registry import SOLVERS as SOLVERS
+    from pbd.models.registry import make_solver as make_solver
+    from pbd.wind import Wind as Wind
+    from pbd.xpbd.batch_solver import BatchSolver as BatchSolver
+    from pbd.xpbd.solver import Solver as Solver
+    from pbd.xpbd.solver import SolverOptions as SolverOptions
+    from precompute.learning.pipeline import precompute as precompute
+    from runtime.bake import bake_glb as bake_glb
+    from runtime.detail import Detail as Detail
+    from runtime.ensemble import Ensemble as GarmentGroup
+    from runtime.front import read_front as read_cost_table
+    from runtime.game_loop import GameLoop as GameLoop
+    from runtime.game_loop import LiveInput as LiveInput
+    from runtime.planner import Planner as Planner
+    from runtime.planner import Sight as Sight
+    from runtime.player import Player as Player
+    from runtime.simulation import Simulation as Simulation
+    from runtime.stage import simulation_of as simulation_of
+    from wrinkles.database import WrinkleDatabase as WrinkleDatabase
+    from wrinkles.database import read_database as read_database
+
+    __version__: str
+
+else:  # with a function of this name in sight, a type checker would take any name for a public one
+
+    def __getattr__(name: str) -> Any:
+        """Import a public name when it is first used (PEP 562)."""
+        if name == "__version__":
+            from importlib.metadata import PackageNotFoundError, version
+
+            try:
+                value: Any = version("gube")
+            except PackageNotFoundError:  # run from a source tree
+                value = "0"
+        elif name in SOURCES:
+            from importlib import import_module
+
+            module, _, attribute = SOURCES[name].partition(":")
+            value = getattr(import_module(module), attribute)
+        else:
+            raise AttributeError(_unknown(name), name=name)
+        globals()[name] = value
+        return value
+
+
+__all__ = sorted([*SOURCES, "__version__"])  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __dir__() -> list[str]:
+    return __all__
+
+
+def _unknown(name: str) -> str:
+    """Message of the error for a name that is not public, with those that look like it."""
+    from difflib import get_close_matches
+
+    lowered = {public.lower(): public for public in SOURCES}
+    close = [lowered[match] for match in get_close_matches(name.lower(), lowered, cutoff=0.7)]
+    hint = f"did you mean {' or '.join(close)}?" if close else "dir(gube) lists the public names"
+    return f"module 'gube' has no attribute '{name}': {hint}"

@@ -1,0 +1,8 @@
+"""``python -m gube``: the command ``gube``."""
+
+import sys
+
+from runtime.command import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Contact of cloth: with bodies, primitives and distance fields, and with itself."""

@@ -1,0 +1,299 @@
+"""Where a body is near a garment: the nearest body vertex of every contact sample."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from pbd.engine import ti
+from pbd.geometry import FAR, Float1, Int1, Int2, Int3, Vec3, Vec4, between, descend, vec3, xyz
+from pbd.taichi_internals import in_kernel
+from pbd.xpbd.views import BodySurface
+
+__all__ = ["MAX_CELLS", "BodySearch", "find_nearest", "find_nearest_vertices"]
+
+GRID_SIDE = 48
+MAX_CELLS = GRID_SIDE**3
+MIN_CELL_SIZE = FAR  # [m]
+MAX_SEARCHES = 8  # in a frame
+SPREAD_RINGS = 2  # a fast body pulls cloth into its way from so many edges around
+
+
+@in_kernel
+@dataclass(eq=False)
+class BodySearch:
+    """What the search for the nearest body vertices reads and writes; a view, see :mod:`pbd.xpbd.views`.
+
+    Attributes:
+        position, velocity: of the cloth [m], [m/s], vec4 and vec3.
+        samples, triangles: of the cloth.
+        nearest: body vertex near each sample, -1 for none.
+        max_approach: see :class:`pbd.xpbd.views.ContactWork`.
+        surface: body vertices that lie in a face.
+        probes, probe_weights: points spread over large faces of the body, see :class:`pbd.Body`.
+        cell_start, cell_items, item_cell: workspace of the uniform grid.
+    """
+
+    position: Any = None
+    velocity: Any = None
+    samples: Any = None
+    triangles: Any = None
+    nearest: Any = None
+    max_approach: Any = None
+    surface: Any = None
+    probes: Any = None
+    probe_weights: Any = None
+    cell_start: Any = None
+    cell_items: Any = None
+    item_cell: Any = None
+    _data_oriented = True
+
+
+@ti.func
+def heaviest(corners, weights: vec3) -> ti.i32:
+    """The corner with the greatest weight."""
+    best = corners[0]
+    if weights[1] > weights[0] and weights[1] >= weights[2]:
+        best = corners[1]
+    elif weights[2] > weights[0]:
+        best = corners[2]
+    return best
+
+
+@ti.func
+def item_point(b: ti.i32, t: ti.f32, body: ti.template(), search: ti.template()) -> vec3:
+    """Body vertex b, or probe b less the number of vertices, at t in [0, 1] of the frame [m]."""
+    x = vec3(0.0)
+    if b < body.body_start.shape[0]:
+        x = between(b, t, body)
+    else:
+        corners = search.probes[b - body.body_start.shape[0]]
+        weights = search.probe_weights[b - body.body_start.shape[0]]
+        for a in ti.static(range(3)):
+            x += weights[a] * between(corners[a], t, body)
+    return x
+
+
+@ti.func
+def item(s: ti.i32, body: ti.template(), search: ti.template()) -> ti.i32:
+    """The s-th item of the search: first the vertices of the surface, then the probes, as :func:`item_point` counts."""
+    b = body.body_start.shape[0] + s - search.surface.shape[0]
+    if s < search.surface.shape[0]:
+        b = search.surface[s]
+    return b
+
+
+@ti.func
+def searches(i: ti.i32, t: ti.f32, nearest: ti.template()):
+    """Whether vertex i searches: at the frame's start all do, later only those that have found nothing yet."""
+    return t == 0.0 or nearest[i] < 0
+
+
+@ti.func
+def find_at(t: ti.f32, dt: ti.f32, body: ti.template(), search: ti.template()):
+    """Nearest of the body's vertices and probes at t in [0, 1] of the frame, for each cloth vertex that searches.
+
+    A uniform grid over the box of those cloth vertices is filled by counting sort. A vertex looks into the cells that
+    are nearer than the body vertex that it has.
+    """
+    low = vec3(1e30)
+    high = vec3(-1e30)
+    for i in range(search.position.shape[0]):
+        if searches(i, t, search.nearest):
+            p = xyz(search.position[i]) + t * dt * search.velocity[i]
+            low = ti.min(low, p)
+            high = ti.max(high, p)
+    count = search.surface.shape[0] + search.probes.shape[0]
+    if low[0] > high[0]:  # no vertex searches
+        low, high = vec3(0.0), vec3(0.0)
+        count = 0
+    low -= FAR
+    high += FAR
+    size = high - low
+    cell = ti.max(MIN_CELL_SIZE, size.max() / GRID_SIDE * 1.0001)
+    inverse = 1.0 / cell
+    nx = ti.min(int(size[0] * inverse) + 1, GRID_SIDE)
+    ny = ti.min(int(size[1] * inverse) + 1, GRID_SIDE)
+    nz = ti.min(int(size[2] * inverse) + 1, GRID_SIDE)
+    cells = ti.Vector([nx, ny, nz])
+    fill_cells(t, count, low, inverse, cells, body, search)
+    for i in range(search.position.shape[0]):
+        if searches(i, t, search.nearest):
+            p = xyz(search.position[i]) + t * dt * search.velocity[i]
+            search.nearest[i] = nearest_item(i, p, t, low, inverse, cells, body, search)
+
+
+@ti.func
+def fill_cells(t: ti.f32, count: ti.i32, low: vec3, inverse: ti.f32, cells, body: ti.template(), search: ti.template()):
+    """Sort the first ``count`` items into cells of the grid that starts at ``low`` [m]; ``inverse``: 1/cell [1/m]."""
+    nx, ny, nz = cells[0], cells[1], cells[2]
+    for c in range(nx * ny * nz + 1):
+        search.cell_start[c] = 0
+    for s in range(count):
+        q = (item_point(item(s, body, search), t, body, search) - low) * inverse
+        search.item_cell[s] = -1
+        if q.min() >= 0.0 and q[0] < nx and q[1] < ny and q[2] < nz:
+            c = (int(q[0]) * ny + int(q[1])) * nz + int(q[2]) + 1
+            search.item_cell[s] = c
+            search.cell_start[c] = search.cell_start[c] + 1
+    for c in range(nx * ny * nz):
+        search.cell_start[c + 1] = search.cell_start[c + 1] + search.cell_start[c]
+    total = search.cell_start[nx * ny * nz]
+    # Filled from the back: in the end cell c starts at cell_start[c + 1].
+    for r in range(count):
+        s = count - 1 - r
+        c = search.item_cell[s]
+        if c >= 0:
+            search.cell_start[c] = search.cell_start[c] - 1
+            search.cell_items[search.cell_start[c]] = item(s, body, search)
+    search.cell_start[nx * ny * nz + 1] = total
+
+
+@ti.func
+def nearest_item(
+    i: ti.i32, p: vec3, t: ti.f32, low: vec3, inverse: ti.f32, cells, body: ti.template(), search: ti.template()
+) -> ti.i32:
+    """Body vertex nearest to cloth vertex i, which is at p [m], within FAR; -1 for none. The grid as above."""
+    nx, ny, nz = cells[0], cells[1], cells[2]
+    best = -1
+    reach = FAR
+    if search.nearest[i] >= 0:
+        gap = (body.body_start[search.nearest[i]] - p).norm()
+        if gap < 2.0 * FAR:
+            best = search.nearest[i]
+            reach = ti.min(reach, gap)
+    distance = reach * reach
+    q = (p - low) * inverse
+    r = reach * inverse
+    for ix in range(ti.max(int(q[0] - r), 0), ti.min(int(q[0] + r) + 1, nx)):
+        for iy in range(ti.max(int(q[1] - r), 0), ti.min(int(q[1] + r) + 1, ny)):
+            # Cells along z lie next to one another: their items are one range.
+            row = (ix * ny + iy) * nz + 1
+            begin = search.cell_start[row + ti.max(int(q[2] - r), 0)]
+            end = search.cell_start[row + ti.min(int(q[2] + r) + 1, nz)]
+            for s in range(begin, end):
+                b = search.cell_items[s]
+                offset = item_point(b, t, body, search) - p
+                candidate = offset.dot(offset)
+                if candidate < distance:
+                    distance = candidate
+                    best = b
+    if best >= body.body_start.shape[0]:
+        probe = best - body.body_start.shape[0]
+        best = heaviest(search.probes[probe], search.probe_weights[probe])
+    return best
+
+
+@ti.func
+def closing_distance(velocity: ti.template(), dt: ti.f32, body: ti.template()) -> ti.f32:
+    """Greatest displacement of the cloth and greatest of the body in a frame, against the cloth's mean, summed [m]."""
+    mean = vec3(0.0)
+    for i in range(velocity.shape[0]):
+        mean += velocity[i]
+    mean *= dt / velocity.shape[0]
+    of_cloth, of_body = 0.0, 0.0
+    for i in range(velocity.shape[0]):
+        displacement = dt * velocity[i] - mean
+        of_cloth = ti.max(of_cloth, displacement.dot(displacement))
+    for b in range(body.body_start.shape[0]):
+        displacement = body.body_end[b] - body.body_start[b] - mean
+        of_body = ti.max(of_body, displacement.dot(displacement))
+    return ti.sqrt(of_cloth) + ti.sqrt(of_body)
+
+
+@ti.func
+def spread_nearest(count: ti.i32, triangles: ti.template(), nearest: ti.template()):
+    """Vertices that have no body vertex take one of their neighbours', from up to SPREAD_RINGS edges around."""
+    for _ in range(SPREAD_RINGS):
+        for c in range(triangles.shape[0]):
+            best = -1
+            for a in ti.static(range(3)):
+                best = ti.max(best, nearest[triangles[c][a]])
+            if best >= 0:
+                for a in ti.static(range(3)):
+                    if nearest[triangles[c][a]] == -1:
+                        nearest[triangles[c][a]] = -2 - best  # no start for others in this round
+        for i in range(count):
+            if nearest[i] < -1:
+                nearest[i] = -2 - nearest[i]
+
+
+@ti.func
+def find_nearest_vertices(search: ti.template(), body: ti.template(), dt: ti.f32, thickness: ti.f32):
+    """For every contact sample a body vertex near it: the nearest within FAR, or the one that it had; else -1.
+
+    The search is at the start of the frame. Where body or cloth move far in the frame, there are further searches at
+    later times, for cloth that keeps its velocity. Then the cloth around what has found a body vertex starts from there
+    as well, for it may be pulled into the way. ``max_approach`` receives how far cloth and body can come nearer to one
+    another in the frame [m], accelerations aside. Large body faces are found by probes, points spread over them; each
+    stands for its heaviest corner.
+
+    The first samples are the vertices themselves. The others are the middles of long edges, and search from the body
+    vertices that the ends of their edge found.
+
+    Args:
+        search: :class:`BodySearch`; ``body``: :class:`pbd.xpbd.views.BodySurface`.
+        dt: frame time [s].
+        thickness: kept between cloth and body [m].
+    """
+    search.max_approach[0] = 0.0
+    if search.surface.shape[0] > 0:  # in a batch, garments without a body come along
+        search.max_approach[0] = closing_distance(search.velocity, dt, body)
+        # A vertex that moves further than the search reaches is searched for again on its way.
+        unseen = (search.max_approach[0] + thickness - FAR) / (1.5 * FAR)
+        later = int(ti.ceil(ti.math.clamp(unseen, 0.0, MAX_SEARCHES - 1.0)))
+        for k in range(later + 1):
+            find_at(k / (later + 0.5), dt, body, search)
+        if later > 0:
+            spread_nearest(search.position.shape[0], search.triangles, search.nearest)
+        for c in range(search.position.shape[0], search.samples.shape[0]):
+            ends = search.samples[c]
+            p = 0.5 * (xyz(search.position[ends[0]]) + xyz(search.position[ends[1]]))
+            best = -1
+            distance = 1e30
+            for a in ti.static(range(3)):
+                start = search.nearest[c]
+                reach = 4.0 * FAR * FAR  # of the vertex that it had; a vertex that an end found is near enough
+                if ti.static(a < 2):
+                    start = search.nearest[ends[a]]
+                    reach = 1e30
+                if start >= 0 and start != best:
+                    found = descend(p, start, 0.0, body)
+                    offset = body.body_start[found] - p
+                    if offset.dot(offset) < ti.min(distance, reach):
+                        distance = offset.dot(offset)
+                        best = found
+            search.nearest[c] = best
+
+
+@ti.kernel
+def find_nearest(
+    position: Vec4,
+    velocity: Vec3,
+    samples: Int2,
+    triangles: Int3,
+    nearest: Int1,
+    max_approach: Float1,
+    surface: Int1,
+    probes: Int3,
+    probe_weights: Vec3,
+    cell_start: Int1,
+    cell_items: Int1,
+    item_cell: Int1,
+    body_start: Vec3,
+    body_end: Vec3,
+    ring_start: Int1,
+    ring: Int1,
+    dt: ti.f32,
+    thickness: ti.f32,
+):
+    """See :func:`find_nearest_vertices`. Over 12 arguments: a kernel takes arrays one by one."""
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        find_nearest_vertices(
+            BodySearch(
+                position, velocity, samples, triangles, nearest, max_approach, surface, probes, probe_weights,
+                cell_start, cell_items, item_cell,
+            ),
+            BodySurface(body_start, body_end, ring_start, ring),
+            dt,
+            thickness,
+        )  # fmt: skip

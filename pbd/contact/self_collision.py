@@ -1,0 +1,255 @@
+"""Cloth against itself, and one layer against another: pairs of features that may meet in a frame.
+
+A pair is a vertex and a face, or two edges. Pairs are found once a frame, by boxes around patches of faces in a tree
+that never changes. Patches that share a vertex and are flat enough cannot touch one another and are left out (Volino
+and Magnenat-Thalmann 1994). Each feature belongs to one face, so that no pair is found twice (Curtis, Tamstorf,
+Manocha 2008). Within the frame a pair remembers the direction from one feature to the other and turns it along with
+them. So a feature that has gone through the other differs from one that has gone around it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components, dijkstra
+
+from pbd.contact.blocks import LANES, empty_blocks
+from pbd.contact.pair_search import find_pairs
+from pbd.contact.pairs import PULL
+from pbd.contact.strain_limits import MAX_STRETCH
+from pbd.contact.untangling import Untangling
+from pbd.mesh import edges_of
+from pbd.model import Model, State
+from pbd.taichi_internals import Launch
+
+__all__ = ["SelfCollision"]
+
+MAX_RELATIVE_MOTION = 0.005  # of the features of a pair against each other between two searches [m]
+LANDMARKS = 6  # vertices from which distances along the cloth are measured
+
+
+def _patches(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Faces in patches that hang together along the cloth, these in groups, and a binary tree over the groups.
+
+    Returns:
+        order of the faces, offsets of the patches in it and of the groups in those, and the nodes for
+        :func:`pbd.contact.pair_search.find_pairs`.
+    """
+    edges, _ = edges_of(faces)
+    lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1) + 1e-9
+    graph = csr_matrix((lengths, (edges[:, 0], edges[:, 1])), (len(vertices), len(vertices)))
+    count, part = connected_components(graph, directed=False)
+    # Coordinates are distances along the cloth to landmarks. Each landmark is as far as possible from those before it.
+    nearest = np.full(len(vertices), np.inf)
+    coordinates = [part * 1e3]
+    for landmark in range(LANDMARKS):
+        best = np.zeros(count)
+        sources = np.zeros(count, np.int64)
+        for piece in range(count):
+            members = np.flatnonzero(part == piece)
+            sources[piece] = members[0 if landmark == 0 else np.argmax(nearest[members])]
+            best[piece] = nearest[sources[piece]]
+        distance = dijkstra(graph, directed=False, indices=sources, min_only=True)
+        nearest = np.minimum(nearest, distance)
+        coordinates.append(distance)
+    centres = np.stack(coordinates, axis=1)[faces].mean(axis=1)
+    order, starts, group_starts, nodes = [], [0], [0], []
+
+    def halves(members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        spread = np.ptp(centres[members], axis=0)
+        by_place = members[np.argsort(centres[members, np.argmax(spread)], kind="stable")]
+        return by_place[: len(members) // 2], by_place[len(members) // 2 :]
+
+    def cut(members: np.ndarray) -> None:
+        if len(members) > LANES:
+            for half in halves(members):
+                cut(half)
+        else:
+            order.append(members)
+            starts.append(starts[-1] + len(members))
+
+    def build(members: np.ndarray) -> None:
+        node = len(nodes)
+        nodes.append([0, 0, -1])
+        if len(members) > LANES * LANES:
+            for half in halves(members):
+                build(half)
+        else:
+            nodes[node][2] = len(group_starts) - 1
+            cut(members)
+            group_starts.append(len(starts) - 1)
+        nodes[node][:2] = len(nodes), len(group_starts) - 2
+
+    build(np.arange(len(faces)))
+    offsets, group_offsets = np.array(starts, np.int32), np.array(group_starts, np.int32)
+    return np.concatenate(order), offsets, group_offsets, np.array(nodes, np.int32)
+
+
+def _neighbours(
+    faces: np.ndarray, patch_start: np.ndarray, vertex_count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Patches that share a vertex, itself too, and for each of their faces bits of the other's faces that share one.
+
+    Returns:
+        offsets of the patches in the neighbours, the neighbours, the bits of each of both (uint8, shape (k, 8)).
+    """
+    count = len(faces)
+    patch = np.repeat(np.arange(len(patch_start) - 1), np.diff(patch_start))
+    corners = np.repeat(np.arange(count), 3), faces.ravel()
+    used = csr_matrix((np.ones(faces.size), corners), (count, vertex_count))
+    one, other = (used @ used.T).nonzero()
+    pairs, neighbour = np.unique(patch[one].astype(np.int64) * count + patch[other], return_inverse=True)
+    starts = np.searchsorted(pairs // count, np.arange(patch[-1] + 2)).astype(np.int32)
+    lane = np.arange(count) - patch_start[patch]
+    common = np.zeros((len(pairs), LANES), np.uint8)
+    np.bitwise_or.at(common, (neighbour, lane[one]), (1 << lane[other]).astype(np.uint8))
+    return starts, (pairs % count).astype(np.int32), common
+
+
+class SelfCollision:
+    """The pairs of one model, found anew every frame.
+
+    Args:
+        model: the garment, or several layers of garments.
+        untangles: whether the search finds cloth that is through itself, and pulls it back; it costs time.
+
+    Attributes:
+        pairs: (vertex, corners of a face), or (a, -b - 1, c, d) for the edges a-b and c-d, int32, shape (c, 4).
+        data: see :func:`pbd.contact.pairs.solve_pairs`, float32, shape (c, 2, 4).
+        ready: how many of them there are, how many are ready, and which, int32, shape (c + 2,).
+        strain_limits: see :func:`pbd.contact.strain_limits.solve_strain_limits`, float32, shape (e, 4).
+    """
+
+    def __init__(self, model: Model, untangles: bool = True) -> None:
+        mesh = model.mesh
+        count = len(mesh.vertices)
+        order, patch_start, group_start, nodes = _patches(mesh.vertices, mesh.faces)
+        faces = np.ascontiguousarray(mesh.faces[order], np.int32)
+        unique_edges, side_edge = edges_of(faces)
+        edges = np.ascontiguousarray(unique_edges[side_edge.ravel()])
+        owned = np.zeros(len(order), np.int32)
+        for bit, features in ((0, faces), (3, side_edge)):
+            _, first = np.unique(features.ravel(), return_index=True)
+            np.bitwise_or.at(owned, first // 3, 1 << (bit + first % 3))
+        neighbour_start, neighbours, common = _neighbours(faces, patch_start, count)
+        rest = np.ascontiguousarray(mesh.vertices - mesh.vertices.mean(axis=0), np.float32)
+        self._layer = model.layer
+        patches, groups = len(patch_start) - 1, len(group_start) - 1
+        self._chain = np.zeros(count, np.int32)
+        self._max_displacement = np.zeros(1, np.float32)
+        # Arguments of the search that stay the same arrays.
+        self._fixed = {
+            "displacement": np.zeros((count, 3), np.float32),
+            "normals": np.zeros((count, 4), np.float32),
+            "rest": rest,
+            "layer": self._layer,
+            "faces": faces,
+            "owned": owned,
+            "edges": edges,
+            "patch_start": patch_start,
+            "group_start": group_start,
+            "nodes": nodes,
+            "neighbour_start": neighbour_start,
+            "neighbours": neighbours,
+            "common": common,
+            "boxes": np.zeros((2 * len(nodes), 3), np.float32),
+            "patch_boxes": empty_blocks(groups, False),
+            "face_blocks": empty_blocks(patches, True),
+            "cones": np.zeros((patches, 4), np.float32),
+            "near_groups": np.zeros(groups, np.int32),
+            "max_displacement": self._max_displacement,
+            "longest": float(np.linalg.norm(np.diff(rest[edges], axis=1), axis=2).max()),
+        }
+        self._untangling, self._untangles = Untangling(faces, self._layer, mesh.vertex_areas), untangles
+        self._no_crossings = np.zeros((1, 3), np.int32)
+        self._find = Launch(find_pairs)
+        ends, lengths = mesh.edge_lengths()
+        self.strain_limits = np.zeros((len(ends), 4), np.float32)
+        self.strain_limits[:, :2], self.strain_limits[:, 2] = ends, MAX_STRETCH * lengths
+        self._make_room(2 * count)
+
+    def _make_room(self, count: int) -> None:
+        self.pairs = np.zeros((count, 4), np.int32)
+        self.data = np.zeros((count, 2, 4), np.float32)
+        self.ready = np.zeros(count + 2, np.int32)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Its arguments of :func:`pbd.xpbd.advance.advance_kernel` by their names."""
+        return {
+            "pairs": self.pairs,
+            "pair_data": self.data,
+            "ready_pairs": self.ready,
+            "strain_limits": self.strain_limits,
+        }
+
+    def find(self, state: State, h: float, steps: int, thickness: float) -> int:
+        """Find the pairs that may touch in substeps.
+
+        Args:
+            state: of the garment.
+            h: substep [s].
+            steps: substeps to look ahead.
+            thickness: kept between features [m].
+
+        Returns:
+            For how many substeps the pairs are good, at least 1.
+        """
+        if len(self._chain) < len(self._layer) + len(state.pairs):
+            self._chain = np.zeros(len(self._layer) + 2 * len(state.pairs), np.int32)
+        untangling = self._untangling
+        untangling.wrong_side[:] = 0
+        self._search(state, steps * h, thickness)
+        if not self._untangles:
+            return self._good_for(steps)
+        free = (state.contact > 2.0 * thickness) | (state.nearest[: len(state.contact)] < 0)
+        pulls = untangling.pulls(state.position[:, :3], free)
+        if pulls is not None:
+            untangling.damp_relative_velocity(state.velocity)
+            self._search(state, steps * h, thickness)
+            self._append(*pulls)
+        return self._good_for(steps)
+
+    def _good_for(self, steps: int) -> int:
+        return max(1, int(steps * min(1.0, MAX_RELATIVE_MOTION / max(float(self._max_displacement[0]), 1e-9))))
+
+    def _search(self, state: State, dt: float, thickness: float) -> None:
+        """Find the pairs of a frame of dt [s], with larger buffers until they take all."""
+        while True:
+            arguments = self._fixed | {
+                "position": state.position,
+                "velocity": state.velocity,
+                "wrong_side": self._untangling.wrong_side,
+                "old_pairs": state.pairs,
+                "old_normals": state.pair_sides,
+                "chain": self._chain,
+                "pairs": self.pairs,
+                "pair_data": self.data,
+                "ready_pairs": self.ready,
+                "crossed": self._untangling.crossed if self._untangles else self._no_crossings,
+                "dt": dt,
+                "thickness": thickness,
+            }
+            self._find.by_name(arguments)
+            if self.ready[0] > len(self.pairs):
+                self._make_room(int(self.ready[0]) * 3 // 2)
+            elif not self._untangles or self._untangling.has_room():
+                return
+
+    def _append(self, pairs: np.ndarray, data: np.ndarray) -> None:
+        """Add pairs that were not searched for."""
+        old = int(self.ready[0])
+        count = old + len(pairs)
+        if count > len(self.pairs):
+            known = self.pairs[:old], self.data[:old]
+            self._make_room(count * 3 // 2)
+            self.pairs[:old], self.data[:old] = known
+        self.pairs[old:count], self.data[old:count] = pairs, data
+        self.ready[0] = count
+
+    def remember(self, state: State) -> None:
+        """Keep in the state the pairs that touch at the end of the frame, with their directions."""
+        count = self.ready[0]
+        data = self.data[:count]
+        touching = (data[:, 1, 0] < data[:, 0, 3]) & (data[:, 1, 1] != PULL)
+        state.pairs = np.ascontiguousarray(self.pairs[:count][touching])
+        state.pair_sides = np.concatenate([self.data[:count, 0, :3], self.data[:count, 1, :1]], axis=1)[touching]

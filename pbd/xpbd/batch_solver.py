@@ -1,0 +1,225 @@
+"""Many garments in one launch, on all threads; or one large garment shared by several threads.
+
+A launch of a kernel runs on one thread, and no other can start beside it. Here one launch takes all garments: their
+arrays lie end to end in a few long ones (:mod:`pbd.xpbd.array_pools`). The schedule is that of
+:mod:`pbd.xpbd.schedule`, and so are the bits of the result, whatever the number of threads.
+
+On CUDA a block of threads has a garment: every colour of constraints is one parallel loop.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from pbd.contact.body_search import BodySearch, find_nearest, find_nearest_vertices
+from pbd.contact.colliders import Colliders
+from pbd.engine import running_arch, running_threads, ti
+from pbd.errors import InputError
+from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4
+from pbd.limits import LimitTargets
+from pbd.model import State
+from pbd.taichi_internals import Launch, in_kernel, signature
+from pbd.xpbd.advance import advance_kernel
+from pbd.xpbd.array_pools import ArgumentLayout, ArrayPools
+from pbd.xpbd.schedule import advance_garment
+from pbd.xpbd.solver import MIN_FRAME_TIME, Solver
+from pbd.xpbd.views import (
+    BodySurface,
+    ClothArrays,
+    ConstraintArrays,
+    ContactWork,
+    MultigridArrays,
+    Obstacles,
+    PairArrays,
+    StepView,
+    view_of,
+)
+from pbd.xpbd.workers import MAX_WORKERS, WorkerGroup
+
+__all__ = ["BatchSolver"]
+
+LOOP_BLOCK = 512  # Taichi gives a thread no less than this much of a loop
+# Of each garment alone: the arrays that a step reads of the world, those that it writes for it, and its workspace. All
+# others belong to its model or to its body's mesh, and garments may share them.
+READ = (
+    "position", "velocity", "nearest", "target_start", "target_end", "limits", "air", "primitives", "fields",
+    "body_start", "body_end", "body_normals", "steps",
+)  # fmt: skip
+WRITTEN = ("position", "velocity", "nearest", "contact_distance")
+WORKSPACE = (
+    "contact_distance", "position_delta", "normals", "velocity_delta", "contact_points", "active_samples",
+    "active_counts", "displacement", "patch_centers", "predicted_displacement", "coarse_strain", "spring_workspace",
+    "max_approach", "cell_start", "cell_items", "item_cell",
+)  # fmt: skip
+
+
+@in_kernel
+class _GarmentViews:
+    """The views of one garment, made of its arguments."""
+
+    _data_oriented = True
+
+    def __init__(self, arguments: Any, with_multigrid: bool) -> None:
+        found = arguments.found
+        self.step = StepView(found["steps"], found["parameters"])
+        self.cloth = view_of(ClothArrays, found)
+        self.constraints = view_of(ConstraintArrays, found)
+        self.body = view_of(BodySurface, found)
+        self.obstacles = view_of(Obstacles, found)
+        self.contact = view_of(ContactWork, found)
+        self.multigrid = view_of(MultigridArrays, {**found, "used": with_multigrid})
+        self.pairs = PairArrays(used=False)
+        self.search = view_of(BodySearch, found)
+        self.dt, self.thickness = found["dt"], found["thickness"]
+
+
+@cache
+def _layout(with_multigrid: bool) -> ArgumentLayout:
+    return ArgumentLayout({**signature(find_nearest), **signature(advance_kernel(with_multigrid))})
+
+
+@cache
+def _batch_kernel(with_multigrid: bool, on_cuda: bool) -> Callable[..., None]:
+    layout, stride = _layout(with_multigrid), 1 if on_cuda else LOOP_BLOCK
+
+    @ti.kernel
+    def advance_batch(
+        floats: Float1,
+        threes: Vec3,
+        fours: Vec4,
+        integers: Int1,
+        pairs: Int2,
+        triples: Int3,
+        quads: Int4,
+        table: Int1,
+        reals: Float2,
+        counts: ti.types.ndarray(dtype=ti.i32, ndim=2),
+        barrier_counts: Int1,
+        workers: ti.i32,
+    ):
+        ti.loop_config(block_dim=LOOP_BLOCK)
+        for q in range(barrier_counts.shape[0] * workers * stride):
+            if q % stride == 0:
+                job = q // stride
+                garment, worker, awaited = job // workers, job % workers, 0
+                views = _GarmentViews(
+                    layout.read(
+                        garment, [floats, threes, fours, integers, pairs, triples, quads], table, reals, counts
+                    ),
+                    with_multigrid,
+                )
+                group = WorkerGroup(worker, workers, barrier_counts, garment, awaited)
+                if group.first():
+                    find_nearest_vertices(views.search, views.body, views.dt, views.thickness)
+                group.barrier()
+                advance_garment(
+                    group, views.step, views.cloth, views.constraints, views.body, views.obstacles, views.contact,
+                    views.multigrid, views.pairs,
+                )  # fmt: skip
+
+    return advance_batch
+
+
+class BatchSolver:
+    """Steps many garments at once, each as its solver would alone, to the bit.
+
+    Args:
+        solvers: of each garment; one solver may stand for several garments.
+        threads_each: threads that share a garment. More than one pays for large meshes only, and if no other program
+            wants the processor: they wait for each other hundreds of times a frame. On CUDA a block of threads does.
+
+    Raises:
+        InputError: no garment, one that collides with itself, or more threads than Taichi has.
+    """
+
+    def __init__(self, solvers: Sequence[Solver], threads_each: int = 1) -> None:
+        if not solvers:
+            raise InputError("batch without garments", key="solvers", received=0, expected="at least one solver")
+        if not 1 <= threads_each <= running_threads():
+            raise InputError(
+                "bad thread count", key="threads_each", received=threads_each, expected=f"1..{running_threads()}"
+            )
+        if any(solver.in_contact for solver in solvers):
+            raise InputError("garments that collide with themselves", key="solvers", expected="self_collision = false")
+        with_multigrid = any(solver.with_multigrid for solver in solvers)
+        on_cuda = running_arch() == "cuda"
+        self._solvers = list(solvers)
+        self._workers = MAX_WORKERS if on_cuda else threads_each
+        self._layout = _layout(with_multigrid)
+        self._launch = Launch(_batch_kernel(with_multigrid, on_cuda))
+        self._arrays: list[dict[str, np.ndarray]] = []
+        self._pools: ArrayPools | None = None
+        self._barrier_counts = np.zeros(len(solvers), np.int32)
+
+    def step(
+        self,
+        states: Sequence[State],
+        colliders: Sequence[Colliders],
+        dt: float,
+        targets: Sequence[np.ndarray | None] | None = None,
+        winds: Sequence[tuple[float, float, float] | np.ndarray] | None = None,
+        limit_targets: Sequence[LimitTargets | None] | None = None,
+    ) -> None:
+        """Advance the states in place.
+
+        Args:
+            states, colliders, targets, winds, limit_targets: of each garment as in :meth:`pbd.Solver.step`.
+            dt: frame time [s]; 0, or below 1e-7, does nothing.
+
+        Raises:
+            InputError: as in :meth:`pbd.Solver.step`, or not one of each for every garment.
+        """
+        if not np.isfinite(dt) or dt < 0:
+            raise InputError("bad time step", key="dt", received=dt, expected="a finite number, at least 0 [s]")
+        count = len(self._solvers)
+        every = {
+            "states": states,
+            "colliders": colliders,
+            "targets": targets,
+            "winds": winds,
+            "limit_targets": limit_targets,
+        }
+        for name, given in every.items():
+            if given is not None and len(given) != count:
+                raise InputError("not one for every garment", key=name, received=len(given), expected=str(count))
+        if dt < MIN_FRAME_TIME:
+            return
+        arrays, reals, integers = [], [], []
+        for garment, solver in enumerate(self._solvers):
+            target = None if targets is None else targets[garment]
+            wind = (0.0, 0.0, 0.0) if winds is None else winds[garment]
+            limit_target = None if limit_targets is None else limit_targets[garment]
+            found = solver.prepare(states[garment], colliders[garment], dt, target, wind, limit_target)
+            arrays.append({name: found[name] for name in self._layout.arrays})
+            real, integer = self._layout.numbers_of(found)
+            reals.append(real)
+            integers.append(integer)
+        pools = self._pools
+        if pools is None or not self._fits(arrays):
+            pools = self._pools = ArrayPools(self._layout, arrays, READ + WORKSPACE, READ + WRITTEN)
+            self._arrays = arrays
+        for its, there in zip(arrays, pools.views, strict=True):
+            for name in READ:
+                there[name][:] = its[name]
+        self._barrier_counts[:] = 0
+        self._launch(
+            *pools.pools,
+            pools.table,
+            np.array(reals, np.float32),
+            np.array(integers, np.int32),
+            self._barrier_counts,
+            self._workers,
+        )
+        for its, there in zip(arrays, pools.views, strict=True):
+            for name in WRITTEN:
+                its[name][:] = there[name]
+
+    def _fits(self, arrays: Sequence[Mapping[str, np.ndarray]]) -> bool:
+        """Whether the pools were made for these arrays."""
+        return len(self._arrays) == len(arrays) and all(
+            array.shape == kept[name].shape if name in READ or name in WORKSPACE else array is kept[name]
+            for its, kept in zip(arrays, self._arrays, strict=True)
+            for name, array in its.items()
+        )

@@ -1,0 +1,147 @@
+"""One pass over the constraints of each kind, for the range that a worker has of them."""
+
+from pbd.engine import ti
+from pbd.geometry import vec3, vec4, xyz
+from pbd.model import BLOCK
+from pbd.xpbd.constraints import (
+    bent_hinge,
+    hinge_multiplier,
+    limit_correction,
+    membrane_multipliers,
+    stitch_multiplier,
+    tether_correction,
+)
+
+__all__ = ["solve_bending", "solve_limits", "solve_membrane", "solve_stitches", "solve_tethers"]
+
+
+@ti.func
+def solve_membrane(
+    cloth: ti.template(),
+    constraints: ti.template(),
+    multigrid: ti.template(),
+    levels: ti.i32,
+    inverse_h2: ti.f32,
+    compression_compliance_scale: ti.f32,
+    first: ti.i32,
+    last: ti.i32,
+):
+    """One pass over the triangles of blocks ``first`` to ``last``, which is left out; each block is of one colour.
+
+    A block is read, solved and written in turn. It is solved in local arrays that nothing else can point to, so that
+    the compiler solves eight triangles at once: a third of the time. Triangles are read one at a time: the compiler
+    would take gather instructions, which cost twice as much; it does not for a loop that it cannot count.
+
+    Over 60 lines: the three loops share the local arrays, which a function could not hand on.
+
+    Args:
+        cloth, constraints, multigrid: views of the garment.
+        levels: coarser levels that were solved before; 0 for none.
+        inverse_h2: [1/s2].
+        compression_compliance_scale: see :func:`pbd.xpbd.constraints.membrane_multipliers`.
+    """
+    x1, y1, z1 = ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK)
+    x2, y2, z2 = ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK)
+    e1, e2, e3 = ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK)
+    for b in range(first, last):
+        begin, size = constraints.triangle_blocks[b][0], constraints.triangle_blocks[b][1]
+        for a in range(size):
+            f = constraints.triangles[begin + a]
+            if f[0] < 0:  # never; see above
+                break
+            x0, u0 = cloth.position[f[0]], cloth.position_delta[f[0]]
+            side_1 = (cloth.position[f[1]] - x0) + (cloth.position_delta[f[1]] - u0)
+            side_2 = (cloth.position[f[2]] - x0) + (cloth.position_delta[f[2]] - u0)
+            x1[a], y1[a], z1[a] = side_1[0], side_1[1], side_1[2]
+            x2[a], y2[a], z2[a] = side_2[0], side_2[1], side_2[2]
+            if levels > 0:
+                e = multigrid.coarse_strain[multigrid.parent[f[0]]]
+                e1[a], e2[a], e3[a] = e[0], e[1], e[2]
+        for a in range(BLOCK):  # the triangles beyond the block's size come to nothing
+            c = begin + a
+            inverse_flat = row4(constraints.triangle_data, 0, c)
+            g = membrane_multipliers(
+                vec3(x1[a], y1[a], z1[a]),
+                vec3(x2[a], y2[a], z2[a]),
+                inverse_flat,
+                vec3(constraints.triangle_data[4, c], constraints.triangle_data[5, c], constraints.triangle_data[6, c]),
+                inverse_h2 * row4(constraints.triangle_data, 8, c),
+                constraints.triangle_data[7, c],
+                compression_compliance_scale,
+                vec3(e1[a], e2[a], e3[a]),
+            )
+            gu, gv = vec3(g[0, 0], g[1, 0], g[2, 0]), vec3(g[0, 1], g[1, 1], g[2, 1])
+            m1 = inverse_flat[0] * gu + inverse_flat[1] * gv
+            m2 = inverse_flat[2] * gu + inverse_flat[3] * gv
+            x1[a], y1[a], z1[a] = m1[0], m1[1], m1[2]
+            x2[a], y2[a], z2[a] = m2[0], m2[1], m2[2]
+        for a in range(size):
+            f = constraints.triangles[begin + a]
+            m1, m2 = ti.math.vec4(x1[a], y1[a], z1[a], 0.0), ti.math.vec4(x2[a], y2[a], z2[a], 0.0)
+            cloth.position_delta[f[0]] = cloth.position_delta[f[0]] - cloth.position[f[0]][3] * (m1 + m2)
+            cloth.position_delta[f[1]] = cloth.position_delta[f[1]] + cloth.position[f[1]][3] * m1
+            cloth.position_delta[f[2]] = cloth.position_delta[f[2]] + cloth.position[f[2]][3] * m2
+
+
+@ti.func
+def row4(data: ti.template(), first: ti.template(), c: ti.i32):
+    """Four rows of a column, from the first on."""
+    return ti.math.vec4(data[first, c], data[first + 1, c], data[first + 2, c], data[first + 3, c])
+
+
+@ti.func
+def solve_bending(cloth: ti.template(), constraints: ti.template(), inverse_h2: ti.f32, begin: ti.i32, end: ti.i32):
+    """One pass over the hinges ``begin`` to ``end``, which is left out, of one colour; ``inverse_h2`` [1/s2]."""
+    for c in range(begin, end):
+        q = constraints.hinges[c]
+        p0, p1, p2, p3 = cloth.position[q[0]], cloth.position[q[1]], cloth.position[q[2]], cloth.position[q[3]]
+        u0, u1 = xyz(cloth.position_delta[q[0]]), xyz(cloth.position_delta[q[1]])
+        u2, u3 = xyz(cloth.position_delta[q[2]]), xyz(cloth.position_delta[q[3]])
+        rows, law = constraints.hinge_data[c, 0], constraints.hinge_data[c, 1]
+        x0, inverse_sum = xyz(p0), 1.0 / (law[0] + law[1] * inverse_h2)
+        d1, d2, d3 = (xyz(p1) - x0) + (u1 - u0), (xyz(p2) - x0) + (u2 - u0), (xyz(p3) - x0) + (u3 - u0)
+        multiplier = hinge_multiplier(d1, d2, d3, rows, inverse_sum)
+        if law[2] != 0.0:
+            multiplier, along, across = bent_hinge(d1, d2, d3, rows, law[2], inverse_sum)
+            u0, u1, u2, u3 = u0 - p0[3] * along, u1 + p1[3] * along, u2 + p2[3] * across, u3 - p3[3] * across
+        cloth.position_delta[q[0]] = vec4(u0 + p0[3] * rows[0] * multiplier)
+        cloth.position_delta[q[1]] = vec4(u1 + p1[3] * rows[1] * multiplier)
+        cloth.position_delta[q[2]] = vec4(u2 + p2[3] * rows[2] * multiplier)
+        cloth.position_delta[q[3]] = vec4(u3 + p3[3] * rows[3] * multiplier)
+
+
+@ti.func
+def solve_stitches(cloth: ti.template(), constraints: ti.template()):
+    """One pass over all stitches, in order: for one worker, because several stitches may meet in one vertex."""
+    for c in range(constraints.stitches.shape[0]):
+        s, w = constraints.stitches[c], constraints.stitch_weights[c]
+        v, a, b = cloth.position[s[0]], cloth.position[s[1]], cloth.position[s[2]]
+        uv = xyz(cloth.position_delta[s[0]])
+        ua, ub = xyz(cloth.position_delta[s[1]]), xyz(cloth.position_delta[s[2]])
+        to_a, to_b = (xyz(a) - xyz(v)) + (ua - uv), (xyz(b) - xyz(v)) + (ub - uv)
+        multiplier = stitch_multiplier(to_a, to_b, w, v[3], a[3], b[3])
+        cloth.position_delta[s[0]] = vec4(uv + v[3] * multiplier)
+        cloth.position_delta[s[1]] = vec4(ua - a[3] * (1.0 - w) * multiplier)
+        cloth.position_delta[s[2]] = vec4(ub - b[3] * w * multiplier)
+
+
+@ti.func
+def solve_tethers(workers: ti.template(), cloth: ti.template(), constraints: ti.template()):
+    """Pull back the vertices that are further from their held vertex than their tether is long."""
+    count = constraints.tethers.shape[0]
+    for c in range(workers.begin(0, count), workers.end(0, count)):
+        i, j = constraints.tethers[c][0], constraints.tethers[c][1]
+        u = xyz(cloth.position_delta[i])
+        offset = (xyz(cloth.position[i]) - xyz(cloth.position[j])) + (u - xyz(cloth.position_delta[j]))
+        cloth.position_delta[i] = vec4(u + tether_correction(offset, constraints.tether_lengths[c]))
+
+
+@ti.func
+def solve_limits(workers: ti.template(), cloth: ti.template(), limits: ti.template(), t: ti.f32, inverse_h2: ti.f32):
+    """Keep limited vertices near the places to which the body carries them; t in [0, 1] of the frame."""
+    for c in range(workers.begin(0, limits.shape[0]), workers.end(0, limits.shape[0])):
+        i = int(limits[c, 0][3])
+        u = xyz(cloth.position_delta[i])
+        offset = (xyz(cloth.position[i]) - xyz(limits[c, 0])) + (u - t * xyz(limits[c, 1]))
+        correction = limit_correction(offset, xyz(limits[c, 2]), limits[c, 3], inverse_h2, cloth.position[i][3])
+        cloth.position_delta[i] = vec4(u + correction)

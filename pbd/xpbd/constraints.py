@@ -1,0 +1,301 @@
+"""Constraint functions: small, pure, written once and composed by the schedules in ``pbd.xpbd.schedule``.
+
+Each takes positions and inverse masses by value and returns the corrections. Multipliers start every substep at
+zero (one pass a substep: "Small steps in physics simulation", Macklin et al. 2019), so that the compliance
+term of XPBD (Macklin, Mueller, Chentanez 2016, eq. 18) keeps material stiffness independent of the step.
+"""
+
+from pbd.engine import ti
+
+__all__ = [
+    "bent_hinge",
+    "contact_correction",
+    "drag_velocity",
+    "hinge_multiplier",
+    "larger",
+    "limit_correction",
+    "membrane_multipliers",
+    "spring_multiplier",
+    "stitch_multiplier",
+    "tether_correction",
+]
+
+vec3 = ti.math.vec3
+mat3x2 = ti.types.matrix(3, 2, ti.f32)
+PUSH_OUT = 0.5  # what starts a substep inside a body comes out no faster than this against its surface [m/s]
+SHORTEST = 0.05  # a warp or weft squeezed below this part of its length keeps its direction but not its slope
+SLIVER = 1e-6  # least determinant of a triangle's system over the product of its diagonal [-]
+# The shear answers as if warp and weft met at no sharper angle than 51 deg: where they lie along each other, the true
+# slope of the cosine is nothing, and the correction would be without bounds.
+SHEARED = 0.6  # square of the sine of that angle
+
+CLOSED = 0.1  # a hinge is nearly closed when (x_j - x_i) x (x_k - x_l) is no longer than this times its edge squared
+
+
+@ti.func
+def larger(a: ti.f32, b: ti.f32) -> ti.f32:
+    """The larger of two, b if a is not a number: one instruction, where ``ti.max`` takes four."""
+    return ti.select(a > b, a, b)
+
+
+@ti.func
+def membrane_multipliers(
+    side_1: vec3, side_2: vec3, inverse_flat, gram, compliance, unit, compression_compliance_scale, coarse_strain
+):
+    """Orthotropic plane-stress membrane of one triangle: three constraints solved together.
+
+    The strains are those of Baraff and Witkin 1998 in engineering form: |w_u| - 1, |w_v| - 1 and the cosine between
+    w_u and w_v, with [w_u w_v] = [x1-x0, x2-x0] Dm^-1. To first order they are e11, e22 and 2 e12, so that the energy
+    A/2 e^T D e is linear elasticity; turning the triangle leaves them as they are. The 3 by 3 system
+    (J M^-1 J^T + alpha/h^2) lambda = -C couples warp and weft exactly as the compliance alpha = D^-1/A says.
+
+    Args:
+        side_1, side_2: x1 - x0 and x2 - x0 [m].
+        inverse_flat: Dm^-1 [1/m] as (b00, b01, b10, b11).
+        gram: sums over the corners of w b b^T, times ``unit`` [-]: (uu, uv, vv).
+        compliance: alpha/h^2, times ``unit`` [-], as (11, 12, 22, shear).
+        unit: scale of the system [kg m2] that keeps its determinant in float32's range however fine the mesh.
+        compression_compliance_scale: factor on the compliance of a warp or weft that is compressed [-].
+        coarse_strain: strain that the coarser levels bear already, by the same compliance [-]: (uu, vv, uv).
+
+    Returns:
+        3 by 2 matrix with columns g_u, g_v: corner 1 moves by w1 (b00 g_u + b01 g_v), corner 2 by
+        w2 (b10 g_u + b11 g_v), corner 0 by -w0 ((b00 + b10) g_u + (b01 + b11) g_v).
+    """
+    wu = side_1 * inverse_flat[0] + side_2 * inverse_flat[2]
+    wv = side_1 * inverse_flat[1] + side_2 * inverse_flat[3]
+    length_u = larger(wu.norm(), SHORTEST)
+    length_v = larger(wv.norm(), SHORTEST)
+    inverse_u, inverse_v = 1.0 / length_u, 1.0 / length_v
+    nu, nv = wu * inverse_u, wv * inverse_v
+    cu, cv, cs = length_u - 1.0, length_v - 1.0, nu.dot(nv)
+    au, av = compliance[0], compliance[2]
+    if cu < 0.0:
+        au *= compression_compliance_scale
+    if cv < 0.0:
+        av *= compression_compliance_scale
+    cu, cv, cs_left = cu - coarse_strain[0], cv - coarse_strain[1], cs - coarse_strain[2]
+    rest = larger(1.0 - cs * cs, 0.0)
+    # Directions of the shear constraint; each stands at right angles to its own axis.
+    tu, tv = (nv - cs * nu) * inverse_u, (nu - cs * nv) * inverse_v
+    a00 = gram[0] + au
+    a11 = gram[2] + av
+    a01 = gram[1] * cs + compliance[1]
+    a02 = gram[1] * rest * inverse_v
+    a12 = gram[1] * rest * inverse_u
+    a22 = (
+        larger(rest, SHEARED)
+        * (
+            gram[0] * inverse_u * inverse_u
+            - 2.0 * gram[1] * cs * inverse_u * inverse_v
+            + gram[2] * inverse_v * inverse_v
+        )
+        + compliance[3]
+    )
+    # Symmetric 3 by 3 solve by cofactors; the matrix is positive definite.
+    c00, c01, c02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
+    c11, c12, c22 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
+    # In float32 the determinant of a sliver may come to nothing or less.
+    scale = -unit / larger(a00 * c00 + a01 * c01 + a02 * c02, SLIVER * a00 * a11 * a22)
+    lu = scale * (c00 * cu + c01 * cv + c02 * cs_left)
+    lv = scale * (c01 * cu + c11 * cv + c12 * cs_left)
+    ls = scale * (c02 * cu + c12 * cv + c22 * cs_left)
+    gu, gv = lu * nu + ls * tu, lv * nv + ls * tv
+    return mat3x2([[gu[0], gv[0]], [gu[1], gv[1]], [gu[2], gv[2]]])
+
+
+@ti.func
+def spring_multiplier(
+    offset: vec3, direction: vec3, length: ti.f32, scaled_compliance: ti.f32, total: ti.f32, multiplier: ti.f32
+):
+    """Change of the multiplier of a spring that only pulls.
+
+    The force acts along ``direction``, that of the substep's start. If it acted along the direction at the end, a
+    swing would lose the part h omega^2 of its speed a second. Along the direction at the start it loses nothing
+    (Ryckaert, Ciccotti, Berendsen 1977).
+
+    Args:
+        offset: between its ends [m].
+        direction: of the force, unit.
+        length: at which it begins to pull [m].
+        scaled_compliance: alpha/h^2 [1/kg].
+        total: inverse mass of both ends [1/kg].
+        multiplier: so far, at most 0 [kg m].
+    """
+    distance = offset.norm()
+    # Where the ends have turned far against each other within a substep, the force hardly changes the distance.
+    effective_inverse_mass = total * larger(direction.dot(offset), 0.3 * distance) + scaled_compliance * distance
+    change = -distance * (distance - length + scaled_compliance * multiplier) / larger(effective_inverse_mass, 1e-20)
+    return ti.select(multiplier + change < 0.0, multiplier + change, 0.0) - multiplier
+
+
+@ti.func
+def hinge_multiplier(d1: vec3, d2: vec3, d3: vec3, rows, inverse_sum: ti.f32):
+    """Quadratic hinge, energy |K x|^2 / (2 alpha): multiplier of the vector constraint K x = 0.
+
+    Args:
+        d1, d2, d3: x_j - x_i, x_k - x_i, x_l - x_i [m]; the row sums to zero, so x_i itself drops out (and with it
+            the loss of digits far from the origin).
+        rows: (K_i, K_j, K_k, K_l).
+        inverse_sum: 1 / (sum w K^2 + alpha/h^2).
+
+    Returns:
+        lambda as vec3; vertex a moves by w_a K_a lambda.
+    """
+    return -(rows[1] * d1 + rows[2] * d2 + rows[3] * d3) * inverse_sum
+
+
+@ti.func
+def bent_hinge(d1: vec3, d2: vec3, d3: vec3, rows, rest: ti.f32, inverse_sum: ti.f32):
+    """Quadratic hinge that rests bent: energy |K x - c n|^2 / (2 alpha), n unit along (x_j - x_i) x (x_k - x_l).
+
+    The turning of n counts, so that forces turn nothing: momentum and angular momentum are kept. Where the hinge is
+    nearly closed, and its n undetermined, c fades.
+
+    Args:
+        d1, d2, d3, rows, inverse_sum: as for :func:`hinge_multiplier`.
+        rest: c, see :func:`pbd.bending.bends_of` [m].
+
+    Returns:
+        lambda, and vectors p and q: vertices i, j, k, l move by w (K lambda - p), w (K lambda + p), w (K lambda + q)
+        and w (K lambda - q).
+    """
+    across = d2 - d3
+    normal = d1.cross(across)
+    length, least = normal.norm(), CLOSED * d1.dot(d1)
+    normal /= ti.max(length, least)
+    multiplier = -(rows[1] * d1 + rows[2] * d2 + rows[3] * d3 - rest * normal) * inverse_sum
+    turning = multiplier
+    if length > least:
+        turning -= normal * normal.dot(multiplier)
+    turning *= rest / ti.max(length, least)
+    return multiplier, turning.cross(across), d1.cross(turning)
+
+
+@ti.func
+def stitch_multiplier(to_a: vec3, to_b: vec3, w: ti.f32, inverse_v: ti.f32, inverse_a: ti.f32, inverse_b: ti.f32):
+    """Stitch of a vertex to a point of an edge: multiplier of x_v - (1 - w) x_a - w x_b = 0, without compliance.
+
+    Args:
+        to_a, to_b: x_a - x_v and x_b - x_v [m].
+        w: place on the edge, 0 at a and 1 at b.
+        inverse_v, inverse_a, inverse_b: inverse masses [1/kg], not all zero where the weights are not.
+
+    Returns:
+        lambda as vec3; v moves by w_v lambda, a by -w_a (1 - w) lambda, b by -w_b w lambda.
+    """
+    u = 1.0 - w
+    return (u * to_a + w * to_b) / ti.max(inverse_v + u * u * inverse_a + w * w * inverse_b, 1e-20)
+
+
+@ti.func
+def tether_correction(offset: vec3, length: ti.f32):
+    """Long-range attachment (Kim, Chentanez, Mueller 2012): pulls back what is beyond its length [m]."""
+    distance = offset.norm()
+    correction = vec3(0.0)
+    if distance > length:
+        correction = offset * (length / distance - 1.0)
+    return correction
+
+
+@ti.func
+def limit_correction(offset: vec3, normal: vec3, law: ti.math.vec4, inverse_h2: ti.f32, inverse_mass: ti.f32):
+    """Soft and hard limits of a vertex about the place to which the body carries it.
+
+    A spring draws it there (XPBD, its multiplier from zero), a sphere keeps it near, a wall keeps it from going deep.
+
+    Args:
+        offset: from the place [m].
+        normal: of the garment there, unit.
+        law: maximum distance [m], depth of the wall under the place [m], compliance of the spring [m/N]; nothing
+            below zero is there.
+        inverse_h2: [1/s2].
+        inverse_mass: [1/kg].
+
+    Returns:
+        Correction of the position [m].
+    """
+    x = offset
+    if law[2] >= 0.0:
+        x *= 1.0 - inverse_mass / ti.max(inverse_mass + law[2] * inverse_h2, 1e-20)
+    if law[0] >= 0.0:
+        x *= ti.min(1.0, law[0] / ti.max(x.norm(), 1e-20))
+    if law[1] >= 0.0:
+        x += ti.max(0.0, -law[1] - x.dot(normal)) * normal
+    return ti.select(inverse_mass > 0.0, x - offset, vec3(0.0))
+
+
+@ti.func
+def contact_correction(gap: ti.f32, normal: vec3, slip: vec3, friction: ti.f32, h: ti.f32):
+    """Contact by position with Coulomb friction (Mueller et al. 2007; Macklin et al. 2014, eq. 24).
+
+    Motion into the collider is cancelled whole; depth that was there before comes out at ``PUSH_OUT``, because a
+    correction is also a velocity, and all the depth in one substep would be an ejection.
+
+    Args:
+        gap: signed distance to the collider less the thickness [m]; negative is contact.
+        normal: outward, unit.
+        slip: motion against the collider over the substep, before this correction [m].
+        friction: Coulomb coefficient [-].
+        h: substep [s].
+
+    Returns:
+        Correction of the position [m]. Sticks (cancels the whole tangential slip) inside the cone.
+    """
+    correction = vec3(0.0)
+    if gap < 0.0:
+        along = slip.dot(normal)
+        depth = ti.min(-gap, ti.max(h * PUSH_OUT - along, 0.0))
+        correction = depth * normal
+        tangential = slip - along * normal
+        size = tangential.norm()
+        limit = depth * friction
+        if size > limit:
+            correction -= tangential * (limit / size)
+        else:
+            correction -= tangential
+    return correction
+
+
+@ti.func
+def cushioned(gap: ti.f32, thickness: ti.f32, scaled_compliance: ti.f32):
+    """What is left to be closed of a gap where the cloth gives way by van Wyk's law, P = p_c ((T0/T)^3 - 1).
+
+    An implicit step of the vertex against the law: the correction c leaves the depth r = -gap - c, and the pressure
+    there must make it, c = (h^2/rho_A) P(r); by Newton's method.
+
+    Args:
+        gap: signed distance to the collider less the thickness without pressure [m].
+        thickness: T0 [m].
+        scaled_compliance: h^2 p_c / rho_A [m]; 0 for cloth that does not give way.
+
+    Returns:
+        The gap that a correction has to close [m].
+    """
+    left = gap
+    if scaled_compliance > 0.0 and gap < 0.0:
+        # In y = (T0/T)^3: y - 1 + (T0/g) (1 - y^(-1/3)) = depth/g, g the scaled compliance.
+        y = 1.0 - gap / scaled_compliance
+        for _ in range(8):
+            root = ti.pow(y, -1.0 / 3.0)
+            off = scaled_compliance * (y - 1.0) + thickness * (1.0 - root) + gap
+            y = ti.max(y - off / (scaled_compliance + thickness * root / (3.0 * y)), 1.0)
+        left = -scaled_compliance * (y - 1.0)
+    return left
+
+
+@ti.func
+def drag_velocity(velocity: vec3, normal: vec3, factor: ti.f32):
+    """Air drag of a surface along its normal, stable at any step: v_n' = v_n / (1 + factor |v_n|).
+
+    Args:
+        velocity: against the air [m/s].
+        normal: unit.
+        factor: h rho_air C_d A / (2 m) [s/m].
+
+    Returns:
+        Change of velocity [m/s].
+    """
+    along = velocity.dot(normal)
+    share = factor * ti.abs(along)
+    return -normal * (along * share / (1.0 + share))

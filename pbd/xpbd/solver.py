@@ -1,0 +1,382 @@
+"""The default solver: XPBD with small steps and a multigrid of patches, on the serial fused schedule."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pbd.contact.body_search import MAX_CELLS, find_nearest
+from pbd.contact.colliders import Body, Colliders
+from pbd.contact.distance_field import MOTION
+from pbd.contact.self_collision import SelfCollision
+from pbd.engine import ensure_initialized
+from pbd.errors import InputError
+from pbd.limits import LimitTargets
+from pbd.model import BLOCK, GRID, Model, State
+from pbd.taichi_internals import Launch
+from pbd.xpbd.advance import advance_kernel
+from pbd.xpbd.inertia import damp_locally, scale_inertial_forces
+from pbd.xpbd.multigrid import Multigrid, build_multigrid
+from pbd.xpbd.rigid_motion import RigidTransform, detect_teleport, max_displacement
+from pbd.xpbd.views import FrameSteps, StepParameters
+from pbd.xpbd.workers import MAX_WORKERS
+
+__all__ = ["Solver", "SolverOptions"]
+
+AIR_DENSITY = 1.2  # [kg/m3]
+# A frame is cut into more substeps where a collider or a held vertex moves further than this in one.
+STRIDE_SHARE = 0.25  # of the mean edge [-], ...
+MIN_STRIDE = 0.01  # ... but at least this [m]
+MAX_REFINEMENT = 8  # times as many substeps, at most
+MIN_FRAME_TIME = 1e-7  # shorter frames do nothing [s]: float32 does not hold the square of their inverse
+
+
+@dataclass(frozen=True)
+class SolverOptions:
+    """Options of the solver.
+
+    Attributes:
+        substep: longest substep [s]; a frame is cut into equal substeps not longer than this, finer where a collider
+            or a held vertex is fast.
+        gravity: [m/s2].
+        coarse_sweeps: passes over each coarser level of the mesh (:mod:`pbd.xpbd.multigrid`) in a substep; 0 leaves
+            all out, and so does a model of several layers.
+        contact_refreshes: times a second that each contact is looked for again along the body's surface [Hz].
+        self_collision: whether the cloth keeps its thickness from itself. Layers always keep it from one another. Cloth
+            that starts up to 3 cm through itself, with edges of 2 cm, is apart in 0.5 s. Either way edges are drawn out
+            to no more than 1.5 times their length (Provot 1995) where the body leaves them room.
+        local_damping: rate at which velocities against the garment's motion as a whole die away [1/s].
+        linear_inertia, angular_inertia: part that the cloth feels of changes of the motion of what carries it (the held
+            vertices, else the body), centrifugal force included [-]: 1 is physical, 0 goes along unmoved.
+    """
+
+    substep: float = 1.0 / 720.0
+    gravity: tuple[float, float, float] = (0.0, -9.81, 0.0)
+    coarse_sweeps: int = 4
+    contact_refreshes: float = 240.0
+    self_collision: bool = False
+    local_damping: float = 0.0
+    linear_inertia: float = 1.0
+    angular_inertia: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.local_damping) and self.local_damping >= 0):
+            expected = "a finite number, at least 0 [1/s]"
+            raise InputError("bad rate", key="local_damping", received=self.local_damping, expected=expected)
+        for name in ("linear_inertia", "angular_inertia"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise InputError("bad part", key=name, received=getattr(self, name), expected="0 to 1")
+        if not np.isfinite(self.substep) or self.substep <= 0:
+            raise InputError("bad substep", key="substep", received=self.substep, expected="above 0 [s]")
+        if len(self.gravity) != 3 or not np.isfinite(self.gravity).all():
+            raise InputError("bad gravity", key="gravity", received=self.gravity, expected="three finite numbers")
+        if self.coarse_sweeps < 0:
+            raise InputError(
+                "bad number of passes", key="coarse_sweeps", received=self.coarse_sweeps, expected="at least 0"
+            )
+        if not self.contact_refreshes > 0:
+            raise InputError(
+                "bad rate", key="contact_refreshes", received=self.contact_refreshes, expected="above 0 [Hz]"
+            )
+
+
+class Solver:
+    """Steps the garment of one model. Owns no scene and no state.
+
+    A garment that starts inside a body, up to 2.5 cm deep, or a layer 1.5 cm through another, is out within 0.5 s.
+
+    Args:
+        model: the garment.
+        options: see :class:`SolverOptions`.
+    """
+
+    def __init__(self, model: Model, options: SolverOptions | None = None) -> None:
+        ensure_initialized()
+        self.model, self.options = model, options or SolverOptions()
+        count = model.vertex_count
+        area = model.mesh.vertex_areas
+        self._air = np.zeros((count, 4), np.float32)
+        self._air[:, 3] = 0.5 * AIR_DENSITY * model.fabric.air_drag * area / model.mass
+        self._wind: tuple | None = (0.0, 0.0, 0.0)  # in it, where it is the same everywhere
+        self._limits = model.limits.rows(area)
+        self._unlimited = self._limits[:0]
+        self._no_body = Body(np.zeros((0, 3), np.int32), 1)
+        self._items, self._item_cells = np.zeros((2, 1), np.int32)
+        levels = Multigrid.none(count)
+        if self.options.coarse_sweeps and not model.layer.any():  # levels know one fabric
+            levels = build_multigrid(model.mesh, model.mass, model.inverse_mass, model.options.membrane(model.fabric))
+        self._multigrid = levels
+        self._steps, self._max_approach = np.zeros(len(FrameSteps._fields), np.int32), np.zeros(1, np.float32)
+        self._fixed = self._model_arrays() | self._multigrid_arrays() | self._workspace()
+        # Substeps are never longer than this: levels that are of no use in it are of none in any.
+        self.with_multigrid = levels.useful(self.options.substep) > 0
+        self.in_contact = self.options.self_collision or bool(model.layer.any())
+        self._pairs = SelfCollision(model, self.options.self_collision) if self.in_contact else None
+        self._stride = max(MIN_STRIDE, STRIDE_SHARE * float(model.mesh.edge_lengths()[1].mean()))
+        self._find_nearest = Launch(find_nearest)
+        self._advance = Launch(advance_kernel(self.with_multigrid, self._pairs is not None))
+
+    def _model_arrays(self) -> dict[str, np.ndarray]:
+        """Arguments of the kernels that belong to the model."""
+        names = (
+            "triangles", "triangle_blocks", "block_colors", "triangle_data", "hinges", "hinge_colors", "hinge_data",
+            "stitches", "stitch_weights", "tethers", "tether_lengths", "held", "pressure", "samples", "sample_colors",
+        )  # fmt: skip
+        return {name: getattr(self.model, name) for name in names}
+
+    def _multigrid_arrays(self) -> dict[str, np.ndarray]:
+        """Arguments of the kernels that belong to the coarser levels."""
+        levels = self._multigrid
+        patches = len(levels.inverse_mass)
+        names = (
+            "parent", "mass_share", "level_starts", "springs", "spring_colors", "color_starts", "spring_data",
+            "spring_shares",
+        )  # fmt: skip
+        written = ("displacement", "patch_centers", "predicted_displacement", "coarse_strain")
+        # Made one by one: an array that is the same object as at the last call need not be handed over again.
+        arrays = {name: np.zeros((max(1, patches), 4), np.float32) for name in written}
+        arrays["displacement"][:patches, 3] = levels.inverse_mass
+        children, child_starts = levels.children()
+        workspace = np.zeros((9, len(levels.springs) + BLOCK), np.float32)
+        arrays |= {"children": children, "child_starts": child_starts, "spring_workspace": workspace}
+        return arrays | {name: getattr(levels, name) for name in names}
+
+    def _workspace(self) -> dict[str, np.ndarray]:
+        """Arguments of the kernels that hold nothing between two frames."""
+        count, samples = self.model.vertex_count, len(self.model.samples)
+        return {
+            **{name: np.zeros((count, 4), np.float32) for name in ("position_delta", "velocity_delta", "normals")},
+            "contact_points": np.zeros((samples, 3, 4), np.float32),
+            "active_samples": np.zeros(2 * samples, np.int32),
+            "active_counts": np.zeros((MAX_WORKERS * (len(self.model.sample_colors) - 1), 2), np.int32),
+            "cell_start": np.zeros(MAX_CELLS + 2, np.int32),
+            "max_approach": self._max_approach,
+            "air": self._air,
+            "steps": self._steps,
+            # Where the cloth does not collide with itself:
+            "pairs": np.zeros((1, 4), np.int32),
+            "pair_data": np.zeros((1, 2, 4), np.float32),
+            "ready_pairs": np.zeros(2, np.int32),
+            "strain_limits": np.zeros((0, 4), np.float32),
+        }
+
+    def step(
+        self,
+        state: State,
+        colliders: Colliders,
+        dt: float,
+        targets: np.ndarray | None = None,
+        wind: tuple[float, float, float] | np.ndarray = (0.0, 0.0, 0.0),
+        limit_targets: LimitTargets | None = None,
+    ) -> None:
+        """Advance the state in place.
+
+        Args:
+            state: of this model.
+            colliders: what it collides with; a body's ``origin`` must be the state's.
+            dt: frame time [s]; 0, or below 1e-7, does nothing.
+            targets: where the held vertices stand at the end of the frame, world [m], shape (p, 3);
+                None leaves them where they are.
+            wind: velocity of the air [m/s], shape (3,), or at each vertex, shape (n, 3).
+            limit_targets: where the body carries the vertices that the model limits; None sets them free.
+
+        Raises:
+            InputError: dt below zero or not finite, a state of another model or not finite, bad targets, wind or
+                limit targets, or a body about another origin.
+        """
+        if not np.isfinite(dt) or dt < 0:
+            raise InputError("bad time step", key="dt", received=dt, expected="a finite number, at least 0 [s]")
+        if dt < MIN_FRAME_TIME:
+            return
+        arguments = self.prepare(state, colliders, dt, targets, wind, limit_targets)
+        if colliders.body is not None:
+            self._find_nearest.by_name(arguments)
+        if self._pairs is None:
+            self._advance.by_name(arguments)
+        else:
+            self._advance_in_contact(state, arguments, dt)
+
+    def _advance_in_contact(self, state: State, arguments: dict[str, Any], dt: float) -> None:
+        """Advance the state with the cloth's own pairs, which are found anew as often as it moves far."""
+        assert self._pairs is not None
+        steps = FrameSteps(*self._steps.tolist())
+        end = 0
+        while end < steps.count:
+            good = self._pairs.find(state, dt / steps.count, steps.count - end, self.model.fabric.thickness)
+            begin, end = end, min(end + steps.refresh * max(1, good // steps.refresh), steps.count)
+            self._steps[:2] = begin, end
+            self._advance.by_name(arguments | self._pairs.arrays())
+            self._pairs.remember(state)
+
+    def prepare(
+        self,
+        state: State,
+        colliders: Colliders,
+        dt: float,
+        targets: np.ndarray | None,
+        wind: tuple[float, float, float] | np.ndarray,
+        limit_targets: LimitTargets | None = None,
+    ) -> dict[str, Any]:
+        """Arguments of the kernels of a step by their names, see :meth:`step`; they hold until the next call.
+
+        Returns:
+            Those of :func:`pbd.contact.body_search.find_nearest`, to be called if there is a body, and of
+            :func:`pbd.xpbd.advance.advance_kernel`.
+        """
+        model, options = self.model, self.options
+        self._check(state, targets, wind, limit_targets)
+        primitives, fields, field_values, previous, transform = self._follow_carrier(state, colliders, dt, targets)
+        if options.local_damping > 0.0:
+            damp_locally(state, model.mass, options.local_damping, dt)
+        if np.ndim(wind) > 1 or self._wind != tuple(wind):
+            self._air[:, :3] = wind
+            self._wind = tuple(wind) if np.ndim(wind) == 1 else None
+        target_start = np.ascontiguousarray(state.position[model.held, :3])
+        target_end = target_start
+        if targets is not None:
+            target_end = np.ascontiguousarray(targets - state.origin, np.float32)
+        substeps = max(1, int(np.ceil(dt / options.substep - 1e-6)))
+        if len(primitives) or len(fields) or targets is not None:
+            drift = np.float32(dt) * state.velocity.mean(axis=0)
+            furthest = max_displacement(primitives, fields, target_start, target_end, drift)
+            substeps = max(substeps, min(int(np.ceil(furthest / self._stride)), MAX_REFINEMENT * substeps))
+        refresh = max(1, round(substeps / max(1.0, dt * options.contact_refreshes)))
+        levels = self._multigrid.useful(dt / substeps)
+        self._steps[:] = tuple(FrameSteps(0, substeps, substeps, refresh, levels, options.coarse_sweeps))
+        self._max_approach[0] = 0.0
+        body = self._body_of(state, colliders)
+        return self._fixed | {
+            "position": state.position,
+            "velocity": state.velocity,
+            "nearest": state.nearest,
+            "contact_distance": state.contact,
+            "target_start": target_start,
+            "target_end": target_end,
+            "limits": self._limit_rows(limit_targets, transform, state.origin),
+            "primitives": primitives,
+            "fields": fields,
+            "field_values": field_values,
+            "body_start": previous,
+            "body_end": body.current,
+            "body_normals": body.normals,
+            "ring_start": body.ring_start,
+            "ring": body.ring,
+            "fan_start": body.fan_start,
+            "fan": body.fan,
+            "surface": body.surface,
+            "probes": body.probes,
+            "probe_weights": body.probe_weights,
+            "cell_items": self._items,
+            "item_cell": self._item_cells,
+            "parameters": self._parameters(dt / substeps),
+            "dt": dt,
+            "thickness": model.fabric.thickness,
+        }
+
+    def _parameters(self, h: float) -> StepParameters:
+        """Numbers of a step with substeps of h [s]."""
+        model, fabric = self.model, self.model.fabric
+        return StepParameters(
+            h,
+            *self.options.gravity,
+            model.options.compression_compliance_scale,
+            fabric.thickness,
+            fabric.friction,
+            fabric.compression / fabric.areal_density,
+            float(model.smooth),
+        )
+
+    def _limit_rows(
+        self, targets: LimitTargets | None, transform: RigidTransform | None, origin: np.ndarray
+    ) -> np.ndarray:
+        """Limits with their targets, as :class:`pbd.xpbd.views.ConstraintArrays` has them; none without targets."""
+        if targets is None or not len(self.model.limits.vertices):
+            return self._unlimited
+        rows, start = self._limits, targets.start if transform is None else targets.end
+        rows[:, 0, :3], rows[:, 1, :3] = start - origin, targets.end - start
+        rows[:, 2, :3] = targets.normals
+        return rows
+
+    def _body_of(self, state: State, colliders: Colliders) -> Body:
+        """The body to collide with, or one without faces; with room for the search for it."""
+        body = colliders.body or self._no_body
+        # A body vertex that was near before may be no vertex of this body: it may be another one, or none.
+        state.nearest[state.nearest >= (len(body.current) if colliders.body else 0)] = -1
+        if colliders.body is not None:
+            if np.any(body.origin != state.origin):
+                raise InputError("body and state have other origins", received=body.origin, expected=str(state.origin))
+            if len(self._items) < len(body.current) + len(body.probes):
+                self._items, self._item_cells = np.zeros((2, len(body.current) + len(body.probes)), np.int32)
+        return body
+
+    def _follow_carrier(
+        self, state: State, colliders: Colliders, dt: float, targets: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, RigidTransform | None]:
+        """Let the state go along with what carries the cloth: the held vertices, else the body.
+
+        Where the carrier was teleported, the whole garment goes with it, and colliders stand still in this frame.
+
+        Returns:
+            Primitives, fields and their values, the body's pose at the frame's start, and the transform of a teleport.
+        """
+        primitives, body, options = colliders.rows(state.origin), colliders.body or self._no_body, self.options
+        fields, field_values = colliders.fields(state.origin)
+        if targets is not None and len(self.model.held):
+            before, after = state.position[self.model.held, :3], targets - state.origin
+        elif colliders.body is not None and not len(self.model.held):
+            before, after = body.previous, body.current
+        else:
+            return primitives, fields, field_values, body.previous, None
+        transform = detect_teleport(before, after, state.velocity.mean(axis=0), dt)
+        if transform is None:
+            if min(options.linear_inertia, options.angular_inertia) < 1.0:
+                scale_inertial_forces(state, before, after, options.linear_inertia, options.angular_inertia, dt)
+            return primitives, fields, field_values, body.previous, None
+        state.position[:, :3] = transform.points(state.position[:, :3])
+        state.velocity[:] = state.velocity @ transform.rotation.T
+        state.pair_sides[:, :3] = state.pair_sides[:, :3] @ transform.rotation.T
+        primitives[:, 2:8] = primitives[:, 8:14]
+        fields[:, MOTION] = 0.0
+        return primitives, fields, field_values, body.current, transform
+
+    def _check(
+        self,
+        state: State,
+        targets: np.ndarray | None,
+        wind: tuple[float, float, float] | np.ndarray,
+        limit_targets: LimitTargets | None,
+    ) -> None:
+        """Refuse what the kernels could not take."""
+        model = self.model
+        received = (len(state.position), len(state.velocity), len(state.nearest), len(state.contact))
+        expected = (model.vertex_count, model.vertex_count, len(model.samples), model.vertex_count)
+        if received != expected:
+            raise InputError("state of another model", key="state", received=received, expected=f"lengths {expected}")
+        if not (np.isfinite(state.position).all() and np.isfinite(state.velocity).all()):
+            raise InputError("state is not finite", key="state", expected="finite positions and velocities")
+        if targets is not None and (np.shape(targets) != (len(model.held), 3) or not np.isfinite(targets).all()):
+            raise InputError(
+                "bad targets", key="targets", received=np.shape(targets), expected=f"finite, ({len(model.held)}, 3)"
+            )
+        if np.shape(wind) not in ((3,), (model.vertex_count, 3)) or not np.isfinite(wind).all():
+            received = wind if np.size(wind) <= 3 else np.shape(wind)
+            expected = f"three finite numbers [m/s], or shape ({model.vertex_count}, 3)"
+            raise InputError("bad wind", key="wind", received=received, expected=expected)
+        limited = (len(model.limits.vertices), 3)
+        for name, points in limit_targets._asdict().items() if limit_targets is not None else ():
+            if np.shape(points) != limited or not np.isfinite(points).all():
+                expected = f"finite, {limited}"
+                key = f"limit_targets.{name}"
+                raise InputError("bad limit targets", key=key, received=np.shape(points), expected=expected)
+
+    def follow(self, state: State, colliders: Colliders) -> np.ndarray:
+        """Move the origin of state and body to the grid point nearest to the garment, and return it [m], shape (3,)."""
+        centre = state.position[:, :3].mean(axis=0)
+        # Half a cell of slack keeps the origin from flickering between two grid points.
+        if np.abs(centre).max() > GRID and np.isfinite(centre).all():
+            state.move_origin(state.origin + GRID * np.round(centre / GRID))
+        if colliders.body is not None:
+            colliders.body.move_origin(state.origin)
+        return state.origin

@@ -1,0 +1,54 @@
+"""`gube bench clips`: real garments on real clips."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from runtime.report import Report
+
+__all__ = ["SUMMARY", "add_arguments", "run"]
+
+SUMMARY = "simulate real garments on real clips: contact with the body, layers, speed and time"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.add_argument("names", nargs="*", metavar="NAME", help="names of clips in the table (default: all)")
+    parser.add_argument(
+        "-o",
+        dest="output",
+        type=Path,
+        metavar="OUT.csv",
+        default=Path("out/bench/clips.csv"),
+        help="a file for the table; the pictures come beside it (default: %(default)s)",
+    )
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Simulate the clips, write the table and print it."""
+    from precompute.benchmarks.clips import LIMBS, clip_rows, write_clips
+    from runtime.outputs import check_file
+    from runtime.report import Progress, Report
+
+    check_file(options.output, ".csv")
+    with Progress(sys.stderr) as progress:
+        rows = clip_rows(options.names, progress, options.output.parent)
+    write_clips(options.output, rows)
+    for row in rows:
+        print(row["clip"])
+        print("\n".join(f"    {name} {value:.4g}" for name, value in row.items() if name != "clip"))
+    print(options.output)
+    figures = {f"{row['clip']}_{name}": value for row in rows for name, value in row.items() if name != "clip"}
+    well = all(
+        row["finite"] == 1.0
+        and row["inside_s"] <= 0.5
+        and row["crossings_layers"] == 0.0
+        and row["catastrophic_frames"] == 0.0
+        and row["speed_over_limb"] < LIMBS
+        for row in rows
+    )
+    return Report(figures, rows, passed=well)

@@ -1,0 +1,39 @@
+"""`gube bench plan`: the planner at work for minutes, beside full detail."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import TYPE_CHECKING
+
+from runtime.arguments import add_database, positive
+
+if TYPE_CHECKING:
+    from runtime.report import Report
+
+__all__ = ["SUMMARY", "add_arguments", "run"]
+
+SUMMARY = "play a database under the planner and measure the error on screen against full detail"
+WELL = 99.0  # of the ticks must be within the target [%]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    add_database(parser)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="camera scenes: flight, cuts, pair (default: all)")
+    parser.add_argument(
+        "--seconds", type=positive, metavar="S", default=300.0, help="length of a scene [s] (default: %(default)g)"
+    )
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Play the scenes and print a row for each; one that fails or misses the target fails the command."""
+    from precompute.planning.plan_trial import trial_rows, trial_text
+    from runtime.report import Progress, Report
+
+    with Progress(sys.stderr) as progress:
+        rows = trial_rows(options.database, options.names, options.seconds, progress)
+    print(trial_text(rows))
+    figures = {f"{row['scene']}_{name}": value for row in rows for name, value in row.items() if name != "scene"}
+    well = all(row["catastrophic"] == 0 and row["within_target_percent"] >= WELL for row in rows)
+    return Report(figures, rows, passed=well)

@@ -1,0 +1,151 @@
+"""`gube compare`: methods on the same scenes, or ways to add wrinkles on the same motion."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from runtime.arguments import duration, positive
+
+if TYPE_CHECKING:
+    from runtime.report import Report
+
+__all__ = ["SUMMARY", "add_arguments", "run"]
+
+SUMMARY = "compare methods: draw the error of each over its cost"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.add_argument(
+        "sources",
+        nargs="*",
+        metavar="SCENE",
+        help="names of built-in scenes, which may stand beside one database (.h5); or a database or scene file (.toml) "
+        "alone (default: all built-in scenes)",
+    )
+    parser.add_argument(
+        "-o",
+        dest="output",
+        type=Path,
+        metavar="DIR",
+        help="a folder for the page (default: out/compare for built-in scenes, the current folder for a database)",
+    )
+    parser.add_argument(
+        "--methods",
+        metavar="LIST",
+        help="methods of built-in scenes, parted by commas; each is NAME or NAME@EDGESxSUBSTEPSxPASSES "
+        "(default: all, without runs of over 20 s)",
+    )
+    parser.add_argument(
+        "--budget",
+        type=duration,
+        metavar="TIME",
+        help="time for all runs of built-in scenes [s], [min] or [h], such as 90s, 15m or 1h (default: 15m)",
+    )
+    parser.add_argument(
+        "--wrinkles",
+        action="store_true",
+        help="compare other ways from the coarse to the fine mesh of the database (default: off)",
+    )
+    parser.add_argument(
+        "--clip",
+        metavar="NAME",
+        help="name of a clip to compare in, from which the database has not learned (default: its first held-out clip)",
+    )
+    parser.add_argument(
+        "--seconds",
+        type=positive,
+        metavar="S",
+        help="compare in only so much of the motion [s] (default: all of it)",
+    )
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Find out which kind of comparison is asked for and run it."""
+    from pbd.errors import InputError
+    from runtime.outputs import check_folder
+
+    databases = [name for name in options.sources if name.lower().endswith((".h5", ".toml"))]
+    scenes = [name for name in options.sources if name not in databases]
+    of_database = options.wrinkles or (bool(databases) and not scenes)
+    for name in ("methods", "budget") if of_database else () if databases else ("clip",):
+        if getattr(options, name) is not None:
+            expected = "built-in scenes" if of_database else "a database (.h5)"
+            raise InputError("cannot be chosen here", key=f"--{name}", received=options.sources, expected=expected)
+    if len(databases) > 1 or (options.wrinkles and (scenes or not databases)):
+        raise InputError("one database at a time", key="SCENE", received=options.sources, expected="DB.h5")
+    options.output = options.output or (Path(".") if of_database else Path("out/compare"))
+    options.database = Path(databases[0]) if databases else None
+    check_folder(options.output)
+    if not of_database:
+        return _compare_scenes(options, scenes)
+    return _compare_wrinkles(options) if options.wrinkles else _compare_database(options)
+
+
+def _compare_scenes(options: argparse.Namespace, scenes: Sequence[str]) -> Report:
+    from precompute.method_comparison.scene_compare import BUDGET, compare_scenes
+    from precompute.method_comparison.scene_page import (
+        comparison_figures,
+        comparison_text,
+        fabric_sections,
+        wrinkle_sections,
+        write_comparison,
+    )
+    from precompute.wrinkle_comparison.compare import compare_file
+    from runtime.report import Progress, Report
+
+    methods, output = [] if options.methods is None else options.methods.split(","), options.output
+    with Progress(sys.stderr) as progress:
+        budget = options.budget or BUDGET
+        found = compare_scenes(
+            scenes, output, methods=methods, budget_s=budget, seconds=options.seconds, report=progress
+        )
+        layer = None
+        if options.database is not None:
+            layer = compare_file(options.database, output, clip=options.clip, seconds=options.seconds, report=progress)
+        more = wrinkle_sections(layer) + ([] if scenes else fabric_sections(output, progress))
+        progress("drawing")
+        write_comparison(output, found, more)
+    print("\n\n".join(comparison_text(one) for one in found))
+    print(f"\n{output / 'compare.html'}")
+    return Report(comparison_figures(found), [point.row(one.scene.name) for one in found for point in one.points])
+
+
+def _compare_wrinkles(options: argparse.Namespace) -> Report:
+    from pbd.errors import InputError
+    from precompute.wrinkle_comparison.wrinkle_comparison import compare_wrinkles_file
+    from precompute.wrinkle_comparison.wrinkle_page import wrinkle_rows, wrinkle_verdict, write_wrinkles
+    from runtime.report import Progress, Report, numbers_of
+
+    for name in ("clip", "seconds"):
+        if getattr(options, name) is not None:
+            raise InputError("cannot be chosen with --wrinkles", key=f"--{name}", expected="the held-out motion")
+    with Progress(sys.stderr) as progress:
+        found = compare_wrinkles_file(options.database, options.output, report=progress)
+    page = options.output / "wrinkles.html"
+    write_wrinkles(page, found)
+    print(wrinkle_verdict(found))
+    print(f"\n{page}")
+    rows = wrinkle_rows(found)
+    return Report(numbers_of(rows[0]), rows)
+
+
+def _compare_database(options: argparse.Namespace) -> Report:
+    from precompute.wrinkle_comparison.compare import compare_file
+    from precompute.wrinkle_comparison.comparison_page import verdict, write_comparison
+    from runtime.report import Progress, Report
+
+    with Progress(sys.stderr) as progress:
+        found = compare_file(
+            options.database, options.output, clip=options.clip, seconds=options.seconds, report=progress
+        )
+    page = options.output / "compare.html"
+    write_comparison(page, found)
+    print(verdict(found))
+    print(f"\n{page}")
+    rows = [{"method": m.name, "frame_ms_p50": m.frame_ms, **m.settings, **m.figures} for m in found.methods]
+    return Report(found.figures, rows)

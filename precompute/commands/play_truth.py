@@ -1,0 +1,64 @@
+"""`gube play --truth`: a wrinkle database played beside the fine simulation.
+
+The arguments are those of :mod:`runtime.commands.play`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from typing import TYPE_CHECKING, Any
+
+from runtime.commands.play import play_motions
+
+if TYPE_CHECKING:
+    from runtime.play import Cast
+    from runtime.report import Report
+    from runtime.simulation import Motion
+    from wrinkles.database import WrinkleDatabase
+
+__all__ = ["run"]
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Play every motion that is asked for, simulate the fine mesh in it and draw both."""
+
+    def figures_of(database: WrinkleDatabase, cast: Cast, motion: Motion) -> dict[str, Any]:
+        return _beside_truth(options, database, cast, motion)
+
+    return play_motions(options, figures_of)
+
+
+def _beside_truth(options: argparse.Namespace, database: WrinkleDatabase, cast: Cast, motion: Motion) -> dict[str, Any]:
+    """Figures of a motion beside the fine simulation, and pictures of both."""
+    from precompute.learning.evaluation import evaluate, fine_run, levels_from, truth_of
+    from precompute.learning.pipeline import default_cache
+    from precompute.wrinkle_comparison.compare import equal_cost_rivals
+    from precompute.wrinkle_comparison.rivals import player_times, typical_ms
+    from runtime.play import posed_bodies
+    from runtime.report import Progress
+    from runtime.strips import draw_strips
+
+    levels = levels_from(database, cast.body)
+    run = fine_run(levels, cast.body, motion, database, wind=cast.wind, primitives=cast.primitives)
+    with Progress(sys.stderr) as progress:
+        truth = truth_of(run, default_cache(options.database), os.cpu_count() or 1, progress)
+        if options.seconds is not None:
+            truth = truth.until(options.seconds)
+        evaluation = evaluate(database, truth, default_cache(options.database), progress)
+        figures: dict[str, Any] = dict(evaluation.figures)
+        ours_ms, _ = player_times(database, truth)
+        figures["frame_cpu_ms"] = typical_ms(ours_ms)
+        for rival in equal_cost_rivals(database, truth, ours_ms, report=progress):
+            figures |= {f"{rival.prefix}{name}": value for name, value in rival.figures.items()}
+            figures[f"{rival.prefix}frame_cpu_ms"] = rival.frame_ms
+        progress("drawing")
+        numbers = truth.recording.frames
+        shown = numbers % 10 == 0
+        free = evaluation.free
+        columns = {"smooth": free.smooth[shown], "truth": truth.frames[shown], "ours": free.frames[shown]}
+        faces = levels.subdivision.faces
+        bodies = posed_bodies(cast.body, run.poses[numbers[shown]])
+        draw_strips(options.output, motion.name, columns, faces, bodies, cast.body.faces, numbers[shown], run.dt)
+    return figures | {"state_hash": free.state_hash}

@@ -1,0 +1,67 @@
+"""`gube precompute`: a wrinkle database, learned from the simulations of a scene."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from runtime.report import Report
+
+__all__ = ["SUMMARY", "add_arguments", "run"]
+
+SUMMARY = "learn the wrinkles of a scene's garment and write its wrinkle database"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.add_argument("scene", type=Path, metavar="SCENE", help="a scene file (.toml)")
+    parser.add_argument(
+        "-o",
+        dest="output",
+        type=Path,
+        metavar="DB.h5",
+        required=True,
+        help="the wrinkle database, a file ending in .h5 (required)",
+    )
+    parser.add_argument(
+        "--cache",
+        type=Path,
+        metavar="DIR",
+        help="a folder that keeps the simulated runs (default: .gube-cache beside the database)",
+    )
+    parser.add_argument(
+        "--workers",
+        type=int,
+        metavar="N",
+        default=os.cpu_count() or 1,
+        help="processes that simulate at a time [-] (default: one for each core, here %(default)s)",
+    )
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Simulate, learn, and print what the new database holds."""
+    from assets.io.scene import load_scene
+    from pbd.errors import InputError
+    from precompute.learning.pipeline import precompute
+    from precompute.learning.stages import stage_figures, stage_table
+    from runtime.info import info_text
+    from runtime.outputs import check_file, check_folder
+    from runtime.report import Progress, Report
+
+    if options.workers < 1:
+        raise InputError("too few processes", key="--workers", received=options.workers, expected="at least 1")
+    check_file(options.output, ".h5")
+    if options.cache is not None:
+        check_folder(options.cache, "--cache")
+    scene = load_scene(options.scene)
+    with Progress(sys.stderr) as progress:
+        made = precompute(scene, options.output, cache=options.cache, workers=options.workers, report=progress)
+    text, figures = info_text(options.output)
+    print(text)
+    print(f"where the time went:\n{stage_table(made.stages)}")
+    print(f"To see it: gube play {options.output} --truth\nFor others: gube bake {options.output} -o OUT.glb")
+    return Report({**figures, **stage_figures(made.stages)})

@@ -1,0 +1,57 @@
+"""`gube stability`: where methods fail, and how."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from typing import TYPE_CHECKING
+
+from runtime.arguments import add_output_folder
+
+if TYPE_CHECKING:
+    from runtime.report import Report
+
+__all__ = ["SUMMARY", "add_arguments", "run"]
+
+SUMMARY = "draw maps of the settings at which methods fail"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.add_argument(
+        "--method",
+        action="append",
+        metavar="M",
+        help="name of a solver; may be repeated (default: the default solver and an explicit one)",
+    )
+    parser.add_argument(
+        "--cell",
+        metavar="MAP:X:Y",
+        help="name of a map and coordinates in it; run only this cell and print how it fails (default: all cells)",
+    )
+    add_output_folder(parser, "out/stability", "a folder for the page")
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Run all cells of the maps and write the page, or run one cell."""
+    from precompute.stability.stability_cells import run_cell
+    from precompute.stability.stability_maps import chosen_cell
+    from precompute.stability.stability_page import cell_row, cell_text, stability_text, write_stability
+    from precompute.stability.stability_sweep import METHODS, check_methods, sweep
+    from runtime.outputs import check_folder
+    from runtime.report import Progress, Report
+
+    if options.cell is not None:
+        cell = chosen_cell(options.cell)
+        cells = [run_cell(*cell, method) for method in check_methods(options.method or METHODS[:1])]
+        print("\n".join(map(cell_text, cells)))
+        return Report(cells[0].figures, [cell_row(one) for one in cells])
+    check_folder(options.output)
+    with Progress(sys.stderr) as progress:
+        found = sweep(options.method or METHODS, workers=os.cpu_count() or 1, report=progress)
+        progress("drawing")
+        files = write_stability(options.output, found)
+    print(stability_text(found))
+    print(f"\n{files[0]}")
+    return Report(found.figures, [cell_row(cell) for cell in found.cells])

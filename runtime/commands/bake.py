@@ -1,0 +1,55 @@
+"""`gube bake`: a played wrinkle database as an animation."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from runtime.arguments import add_playback, positive
+
+if TYPE_CHECKING:
+    from runtime.report import Report
+
+__all__ = ["SUMMARY", "add_arguments", "run"]
+
+SUMMARY = "play a wrinkle database and write an animation"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    add_playback(parser)
+    parser.add_argument(
+        "-o",
+        dest="output",
+        type=Path,
+        metavar="OUT",
+        required=True,
+        help="the animation, a file ending in .glb, .pc2 or .obj (required)",
+    )
+    parser.add_argument(
+        "--rate",
+        type=positive,
+        metavar="HZ",
+        default=30.0,
+        help="rate of the animation's frames [Hz] (default: %(default)g)",
+    )
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Play the first motion that is asked for and write it."""
+    from runtime.outputs import check_file
+    from runtime.play import BAKED, baked_frames, cast_of, write_baked
+    from runtime.report import Report
+    from wrinkles.database import read_database
+
+    check_file(options.output, *BAKED)
+    database = read_database(options.database)
+    if options.fabric is not None:
+        database = database.in_fabric(options.fabric)
+    cast = cast_of(database, options.character, options.clip)
+    player, frames, normals, bodies = baked_frames(database, cast, cast.motions[0], options.rate, options.seconds)
+    faces = player.levels.subdivision.faces
+    write_baked(options.output, faces, frames, options.rate, normals, cast.body.faces, bodies)
+    print(f"{cast.motions[0].name}: {len(frames)} frames of {frames.shape[1]} vertices baked to {options.output}")
+    return Report({"frame_count": len(frames), "fine_vertex_count": frames.shape[1]})

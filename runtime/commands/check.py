@@ -1,0 +1,31 @@
+"""`gube check`: every part of a wrinkle database, checked."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from runtime.arguments import add_database
+
+if TYPE_CHECKING:
+    from runtime.report import Report
+
+__all__ = ["SUMMARY", "add_arguments", "run"]
+
+SUMMARY = "check every part of a wrinkle database"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    add_database(parser)
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Check a database and print a line for each check."""
+    from runtime.info import check_database
+    from runtime.report import Report
+
+    checks = check_database(options.database)
+    for check in checks:
+        print(f"{'passed' if check.passed else 'FAILED'}  {check.check}: {check.detail}")
+    return Report(rows=[check._asdict() for check in checks], passed=all(check.passed for check in checks))

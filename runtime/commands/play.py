@@ -1,0 +1,86 @@
+"""`gube play`: a wrinkle database played without a window."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from runtime.arguments import add_output_folder, add_playback, positive
+
+if TYPE_CHECKING:
+    from runtime.play import Cast
+    from runtime.report import Report
+    from runtime.simulation import Motion
+    from wrinkles.database import WrinkleDatabase
+
+__all__ = ["SUMMARY", "add_arguments", "play_motions", "run"]
+
+SUMMARY = "play a wrinkle database without a window"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    add_playback(parser)
+    add_output_folder(parser, "out/play", "a folder for pictures")
+    mode = parser.add_mutually_exclusive_group()
+    mode.add_argument(
+        "--truth",
+        action="store_true",
+        help="simulate the fine mesh too and compare both in figures and pictures (default: off)",
+    )
+    mode.add_argument(
+        "--loop",
+        type=positive,
+        metavar="S",
+        help="play for so long by the clock, with a gust of wind and without pictures [s] "
+        "(default: off, play every frame)",
+    )
+    parser.add_argument(
+        "--hz", type=int, choices=(30, 60), default=60, help="rate of frames of --loop [Hz] (default: %(default)s)"
+    )
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Play every motion that is asked for and draw it, or play it by the clock."""
+    from runtime.play import loop_figures, play_motion
+
+    def figures_of(database: WrinkleDatabase, cast: Cast, motion: Motion) -> dict[str, Any]:
+        if options.loop is not None:
+            return dict(loop_figures(database, cast, motion, options.loop, options.hz))
+        return dict(play_motion(database, cast, motion, options.seconds, options.output))
+
+    return play_motions(options, figures_of)
+
+
+def play_motions(
+    options: argparse.Namespace, figures_of: Callable[[WrinkleDatabase, Cast, Motion], dict[str, Any]]
+) -> Report:
+    """Play every motion that is asked for.
+
+    Args:
+        options: of the command.
+        figures_of: plays one motion of the cast and returns its figures.
+    """
+    from runtime.info import figure_lines
+    from runtime.outputs import check_folder
+    from runtime.play import cast_of
+    from runtime.report import Report, numbers_of, process_age
+    from wrinkles.database import read_database
+
+    import_s = process_age()
+    if options.loop is None:
+        check_folder(options.output)
+    database = read_database(options.database)
+    if options.fabric is not None:
+        database = database.in_fabric(options.fabric)
+    cast = cast_of(database, options.character, options.clip)
+    rows: list[dict[str, float | str]] = []
+    for motion in cast.motions:
+        rows.append({"motion": motion.name, "import_s": import_s, **figures_of(database, cast, motion)})
+        print("\n".join([f"{motion.name}:", *figure_lines(numbers_of(rows[-1]))]))
+        if "state_hash" in rows[-1]:
+            print(f"  state_hash {rows[-1]['state_hash']}")
+    if options.loop is None:
+        print(f"pictures: {options.output}")
+    return Report({name: value for name, value in rows[0].items() if name != "motion"}, rows)

@@ -1,0 +1,68 @@
+"""`gube simulate`: the garment of a scene, simulated and baked."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from runtime.arguments import positive
+
+if TYPE_CHECKING:
+    from runtime.report import Report
+
+__all__ = ["SUMMARY", "add_arguments", "run"]
+
+SUMMARY = "simulate the garments of a scene and write an animation"
+NO_BODY_SECONDS = 5.0  # of a garment without a body [s]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.add_argument("scene", type=Path, metavar="SCENE", help="a scene file (.toml)")
+    parser.add_argument(
+        "-o",
+        dest="output",
+        type=Path,
+        metavar="OUT",
+        help="the animation, a file ending in .glb, .pc2 or .obj (default: out/SCENE.glb)",
+    )
+    parser.add_argument(
+        "--seconds",
+        type=positive,
+        metavar="S",
+        help=f"length of the simulation [s] (default: all of the motion; {NO_BODY_SECONDS:g} without a body)",
+    )
+    parser.add_argument(
+        "--fine", action="store_true", help="simulate the subdivided mesh (default: off, simulate the coarse mesh)"
+    )
+    parser.add_argument(
+        "--explain", action="store_true", help="print the scene with all defaults and simulate nothing (default: off)"
+    )
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Simulate a scene and write the animation, or only print the scene."""
+    from assets.io.scene import load_scene, scene_text
+    from runtime.info import figure_lines
+    from runtime.outputs import check_file
+    from runtime.report import Report
+
+    scene = load_scene(options.scene)
+    if options.explain:
+        print(scene_text(scene), end="")
+        return Report()
+    from runtime.play import BAKED, simulated_frames, write_baked
+    from runtime.stage import simulation_of
+
+    output = options.output or Path("out") / f"{options.scene.stem}.glb"
+    check_file(output, *BAKED)
+    simulation, motion = simulation_of(scene, options.fine)
+    longest = NO_BODY_SECONDS if motion is None else motion.duration
+    seconds = longest if options.seconds is None else min(options.seconds, longest if motion else math.inf)
+    frames, bodies, rate, figures = simulated_frames(simulation, motion, scene, seconds)
+    body_faces = None if bodies is None else simulation.body.faces
+    write_baked(output, simulation.model.mesh.faces, frames, rate, body_faces=body_faces, bodies=bodies)
+    print("\n".join([*figure_lines(figures), f"baked to {output}"]))
+    return Report(figures)

@@ -1,0 +1,116 @@
+"""Fine vertices and normals of a garment, made from its coarse state by what a database has learned."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from pbd import Body, State
+from pbd.geometry import surface_normals
+from pbd.taichi_internals import Launch
+from runtime.detail import Detail
+from runtime.simulation import BodySource
+from wrinkles.charts import Charts
+from wrinkles.coarse_filter import CoarseFilter
+from wrinkles.database import WrinkleDatabase
+from wrinkles.decoder import Decoder, Upsampler
+from wrinkles.features import Stencil
+from wrinkles.isometry import Isometry
+from wrinkles.levels import Levels
+from wrinkles.patches import Patches
+from wrinkles.relaxation import Relaxation
+
+__all__ = ["FineGarment"]
+
+
+class FineGarment:
+    """Makes the fine mesh: subdivides, adds wrinkles, brings edge lengths back and relaxes against the body.
+
+    Args:
+        database: what was learned.
+        levels: coarse and fine mesh.
+        source: the body, in its bind pose.
+
+    Attributes:
+        vertices: about the coarse state's origin [m], float32, shape (N, 3).
+        normals: unit, float32, shape (N, 3).
+    """
+
+    def __init__(self, database: WrinkleDatabase, levels: Levels, source: BodySource) -> None:
+        subdivision, charts = levels.subdivision, Charts.of(levels.coarse)
+        patches, middle_patches = Patches.of(subdivision, charts), Patches.of(subdivision.middle, charts)
+        self._levels = levels
+        self._filter = CoarseFilter(levels)
+        self._upsample, self._upsample_velocity = Upsampler(subdivision), Upsampler(subdivision)
+        stencil = Stencil.of(charts, database.held)
+        self._decoder = Decoder(
+            stencil, patches, middle_patches, database.mapping, database.atoms, database.unfamiliarity
+        )
+        self._keep_lengths = Isometry(levels)
+        self._relax = Relaxation.of(levels, source.vertices, source.faces, database.fabric.thickness)
+        self._surface_normals = Launch(surface_normals)
+        self._faces, self._stands_for = subdivision.faces, subdivision.stands_for
+        self.vertices = np.zeros((subdivision.fine_count, 3), np.float32)
+        self.normals = np.zeros((subdivision.fine_count, 3), np.float32)
+
+    def make(
+        self, position: np.ndarray, state: State, body: Body, body_vertices: np.ndarray, detail: Detail
+    ) -> tuple[float, float]:
+        """Write :attr:`vertices`.
+
+        Args:
+            position: of the coarse vertices, float32, shape (n, 4); the first three columns are used [m].
+            state: of the coarse garment; gives contacts with the body.
+            body: that the garment lies on.
+            body_vertices: where the body is shown [m], float32, shape (b, 3).
+            detail: says how many parts of the work are done, and how often.
+
+        Returns:
+            time of decoding and of relaxation [ms].
+        """
+        began = time.perf_counter()
+        position = self._filter(position)
+        middle = self._upsample.middle
+        self._upsample(position, self.vertices)
+        if detail.atoms:
+            self._decoder.add(position, state.contact, self.vertices, middle, detail.atoms)
+        elif detail.passes:
+            self._decoder.read(position, state.contact)
+        if detail.sweeps:
+            self._keep_lengths(middle, self.vertices, detail.sweeps)
+        decoded = time.perf_counter()
+        targets = self._levels.fine_attachment.targets(body_vertices)
+        if detail.passes:
+            frames = self._decoder.frames
+            self._relax(
+                self.vertices, targets, frames, state.nearest, state.contact, body, body_vertices, detail.passes
+            )
+        else:
+            self.vertices[self._levels.fine_held] = targets
+        return 1e3 * (decoded - began), 1e3 * (time.perf_counter() - decoded)
+
+    def sample(
+        self, position: np.ndarray, state: State, body: Body, body_vertices: np.ndarray, detail: Detail
+    ) -> np.ndarray:
+        """Vertices as :meth:`make` makes them, float32, shape (N, 3); the garment itself stays as it is."""
+        kept, memory = self.vertices.copy(), self._relax.memory
+        self.make(position, state, body, body_vertices, detail)
+        made = self.vertices.copy()
+        self.vertices[:], self._relax.memory = kept, memory
+        return made
+
+    def subdivide_velocity(self, velocity: np.ndarray, out: np.ndarray) -> None:
+        """Velocities of the fine vertices without wrinkles.
+
+        Args:
+            velocity: of the coarse vertices, float32, shape (n, 4); the first three columns are used [m/s].
+            out: gets those of the fine ones [m/s], float32, shape (N, 3).
+        """
+        self._upsample_velocity(self._filter(velocity), out)
+
+    def update_normals(self) -> None:
+        """Write :attr:`normals`; vertices along a cut in the mesh have the normal of the vertex that they stand for."""
+        self._surface_normals(self.vertices, self._faces, self.normals)
+        if self._stands_for is not None:
+            self.normals[:] = self.normals[self._stands_for]
