@@ -39,7 +39,7 @@ KEPT = 3  # one in so many models goes on to the next rung, and no fewer than so
 NEIGHBOUR = 0.5  # weight of a model's neighbours in judging it
 SKIPPED = 2  # gains from one to the next before the last rung
 EXCESS = 1.2  # over the fine cloth's energy in an octave, from which on wrinkles are not raised: that is noise
-DECODED = 48  # frames that a model is decoded at in the last rung: energy and error change slowly
+DECODED = 40  # frames that a model is decoded at, about: energy and error change slowly
 FEATURES = 4  # recorded frames from one whose features are compared to the next
 CHAOS = 1.0  # how far apart two runs of one garment may be for no reason [mm, deg]
 
@@ -218,7 +218,7 @@ class _Bench:
             recordings[k].where(recordings[k].frames <= run.frame_count) for k, run in zip(numbers, cut, strict=True)
         ]
         parts = [settled(r, run, options.settle_s) for r, run in zip(parts, cut, strict=True)]
-        every = max(1, round(sum(len(r.frames) for r in parts) / (share * DECODED)))
+        every = max(1, sum(len(r.frames) for r in parts) // DECODED)
         fine = np.concatenate([r.positions[::every] for r in parts])
         features = [features_of(layer, r.where(slice(None, None, FEATURES)))[0] for r in parts]
         return cls(
