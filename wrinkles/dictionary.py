@@ -6,6 +6,7 @@ everywhere on the garment.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -13,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from pbd import Fabric
-from wrinkles.network import Network
+from wrinkles.network import Network, Samples, in_threads
 from wrinkles.patches import NODES, slope_metric
 
 __all__ = ["FABRIC_COUNT", "Atoms", "Mapping", "fabric_features", "fit_atoms", "fit_mapping", "whitening"]
@@ -21,7 +22,10 @@ __all__ = ["FABRIC_COUNT", "Atoms", "Mapping", "fabric_features", "fit_atoms", "
 NOISE = 0.05  # of the features in training, in standard deviations
 FABRIC_COUNT = 2  # number of fabric_features
 MIN_GRAVITY_LENGTH = 1e-3  # shorter ones count as this [m]: no mesh shows their folds
-REGION_RATE = 0.015  # where a region goes on from what all places have learned
+REGION_RATE = 0.03  # of weights, where a region goes on from the layers of all places
+BLOCK, KEPT_OUT = 20, 8  # every eighth block of twenty frames says when the fit may stop
+VALIDATED = 40_000  # samples of these that are asked: the mean loss of more is the same
+PARTS = 16  # in which the first layer's output is computed
 CLIP = 4.0  # features further out than this many standard deviations count as if they stood there
 
 
@@ -183,7 +187,7 @@ def fit_mapping(
         static: float32, shape (n, s).
         coefficients: targets, float32, shape (S, n, K).
         hidden: widths of the hidden layers.
-        epochs: passes over the data by all places together; half as many follow region by region.
+        epochs: passes over the data by all places together, at most; half as many follow region by region.
         seed: of weights and shuffling.
         report: told lines of progress.
         fabrics: :func:`fabric_features` of each frame, shape (S, FABRIC_COUNT); None where all are the garment's own.
@@ -192,46 +196,37 @@ def fit_mapping(
     Returns:
         The mapping, for the garment's own fabric.
     """
-    count = features.shape[2]
-    flat = features.reshape(-1, count)
-    center, scale = flat.mean(axis=0), 1.0 / (flat.std(axis=0) + 1e-4)
-    z = (flat - center) * scale
-    np.clip(z, -CLIP, CLIP, out=z)
-    z += NOISE * np.random.default_rng(seed).standard_normal(z.shape, np.float32)
-    middle, axes = whitening(z[:: max(1, len(z) // 200_000)])
-    z -= middle
     told = np.zeros((len(features), FABRIC_COUNT)) if fabrics is None else np.asarray(fabrics, float)
-    differs = np.ptp(told, axis=0) > 0.0
-    usual, spread = told[:, differs].mean(axis=0), told[:, differs].std(axis=0)
-    inputs = np.zeros((len(z), count + len(usual)), np.float32)
-    np.matmul(z, axes, out=inputs[:, :count])
-    inputs[:, count:] = np.repeat((told[:, differs] - usual) / spread, features.shape[1], axis=0)
-    middle_place, spread_place = static.mean(axis=0), static.std(axis=0) + 1e-2
-    place = ((static - middle_place) / spread_place).astype(np.float32)
+    scaling = _Scaling.of(features, static, told, seed)
     unit = float(np.sqrt((coefficients**2).mean()))
-    targets = (coefficients / unit).astype(np.float32)
-    network = Network((inputs.shape[1] + place.shape[1], *hidden, targets.shape[2]), seed)
+    samples = Samples(
+        scaling.inputs(features, told, seed).reshape(-1, scaling.width),
+        scaling.place(static),
+        (coefficients / np.float32(unit)).reshape(-1, coefficients.shape[2]),
+        _validation(len(features), features.shape[1], seed),
+    )
+    network = Network((scaling.width + static.shape[1], *hidden, coefficients.shape[2]), seed)
     tell = report or (lambda line: None)
-    told_pass = lambda e, n, loss: tell(f"fitting: pass {e} of {n}, loss {loss:.4f}")  # noqa: E731
-    network.fit(inputs, place, targets.reshape(-1, targets.shape[2]), epochs=epochs, on_epoch=told_pass)
+    began = time.monotonic()
+
+    def tell_pass(done: float, loss: float) -> None:
+        left = (time.monotonic() - began) * max(0.0, epochs - done) / done
+        tell(f"fitting: {done:.1f} of at most {epochs} passes, loss {loss:.4f}, at most {left:.0f} s left")
+
+    network.fit(samples, epochs=epochs, on_check=tell_pass)
     region = np.zeros(len(static), np.int32) if region is None else np.asarray(region, np.int32)
-    seen = inputs.reshape(len(features), -1, inputs.shape[1])
-    heads = _fit_regions(network, seen, place, targets, region, -(-epochs // 2), seed, tell)
-    first, bias_1 = network.weights[0], network.biases[0]
+    heads = _fit_regions(network, samples, region, -(-epochs // 2), seed, tell)
     single = lambda a: np.ascontiguousarray(a, np.float32)  # noqa: E731
-    weights_1, by_place = axes @ first[:count], first[inputs.shape[1] :] / spread_place[:, None]
-    by_fabric = np.zeros((FABRIC_COUNT, hidden[0]))
-    by_fabric[differs] = first[count : inputs.shape[1]] / spread[:, None]
-    own_fabric = usual @ by_fabric[differs]
+    weights_1, place_weights, bias_1, fabric_weights = scaling.unscaled(network.weights[0], network.biases[0])
     return Mapping(
-        single(center),
-        single(scale),
+        single(scaling.center),
+        single(scaling.scale),
         single(static),
         region,
         single(weights_1),
-        single(by_place),
-        single(bias_1 - middle_place @ by_place - middle @ weights_1 - own_fabric),
-        single(by_fabric),
+        single(place_weights),
+        single(bias_1),
+        single(fabric_weights),
         single([head.weights[0] for head in heads]),
         single([head.biases[0] for head in heads]),
         single([head.weights[1] * unit for head in heads]),
@@ -239,11 +234,90 @@ def fit_mapping(
     )
 
 
+@dataclass(frozen=True)
+class _Scaling:
+    """What the network sees instead of the features: whitened with the noise that they are learned from with.
+
+    Attributes:
+        center, scale: of the dynamic features, float32, shape (d,).
+        middle, axes: of the scaled features, which are whitened by them, float32, shapes (d,), (d, d).
+        differs: which fabric features do, bool, shape (FABRIC_COUNT,).
+        usual, spread: mean and standard deviation of those.
+        middle_place, spread_place: of static features, shape (s,).
+    """
+
+    center: np.ndarray
+    scale: np.ndarray
+    middle: np.ndarray
+    axes: np.ndarray
+    differs: np.ndarray
+    usual: np.ndarray
+    spread: np.ndarray
+    middle_place: np.ndarray
+    spread_place: np.ndarray
+
+    @classmethod
+    def of(cls, features: np.ndarray, static: np.ndarray, told: np.ndarray, seed: int) -> _Scaling:
+        flat = features.reshape(-1, features.shape[2])
+        center, scale = flat.mean(axis=0), 1.0 / (flat.std(axis=0) + 1e-4)
+        some = np.clip((flat[:: max(1, len(flat) // 200_000)] - center) * scale, -CLIP, CLIP)
+        some += NOISE * np.random.default_rng(seed).standard_normal(some.shape, np.float32)
+        differs = np.ptp(told, axis=0) > 0.0
+        usual, spread = told[:, differs].mean(axis=0), told[:, differs].std(axis=0)
+        middle, axes = whitening(some)
+        middle_place, spread_place = static.mean(axis=0), static.std(axis=0) + 1e-2
+        return cls(center, scale, middle, axes, differs, usual, spread, middle_place, spread_place)
+
+    @property
+    def width(self) -> int:
+        """Of the network's input, without the place."""
+        return len(self.center) + len(self.usual)
+
+    def inputs(self, features: np.ndarray, told: np.ndarray, seed: int) -> np.ndarray:
+        """Dynamic and fabric features as the network sees them, with noise, float32, shape (S, n, width)."""
+        total, places, count = features.shape
+        found = np.zeros((total, places, self.width), np.float32)
+        found[..., count:] = ((told[:, self.differs] - self.usual) / self.spread)[:, None]
+
+        def fill(first: int) -> None:
+            some = slice(first, first + BLOCK)
+            z = (features[some] - self.center) * self.scale
+            np.clip(z, -CLIP, CLIP, out=z)
+            z += np.float32(NOISE) * np.random.default_rng((seed, first)).standard_normal(z.shape, np.float32)
+            z -= self.middle
+            found[some, :, :count] = (z.reshape(-1, count) @ self.axes).reshape(z.shape)
+
+        in_threads(fill, range(0, total, BLOCK))
+        return found
+
+    def place(self, static: np.ndarray) -> np.ndarray:
+        """Static features as the network sees them, float32, shape (n, s)."""
+        return ((static - self.middle_place) / self.spread_place).astype(np.float32)
+
+    def unscaled(self, weights: np.ndarray, bias: np.ndarray) -> tuple[np.ndarray, ...]:
+        """The first layer for unscaled features: weights of dynamic and static ones, bias, weights of fabrics."""
+        count = len(self.center)
+        weights_1, by_place = self.axes @ weights[:count], weights[self.width :] / self.spread_place[:, None]
+        by_fabric = np.zeros((FABRIC_COUNT, weights.shape[1]))
+        by_fabric[self.differs] = weights[count : self.width] / self.spread[:, None]
+        own_fabric = self.usual @ by_fabric[self.differs]
+        bias_1 = bias - self.middle_place @ by_place - self.middle @ weights_1 - own_fabric
+        return weights_1, by_place, bias_1, by_fabric
+
+
+def _validation(frames: int, places: int, seed: int) -> np.ndarray:
+    """Samples of whole blocks of frames, VALIDATED of them at most; none where there are too few frames for a block.
+
+    Frames beside each other are nearly the same: those between learned ones would say nothing.
+    """
+    kept_out = np.flatnonzero(np.arange(frames) // BLOCK % KEPT_OUT == KEPT_OUT - 1)
+    samples = (kept_out[:, None] * places + np.arange(places)).ravel()
+    return np.sort(np.random.default_rng(seed).permutation(samples)[:VALIDATED])
+
+
 def _fit_regions(
     network: Network,
-    inputs: np.ndarray,
-    place: np.ndarray,
-    targets: np.ndarray,
+    samples: Samples,
     region: np.ndarray,
     epochs: int,
     seed: int,
@@ -253,18 +327,16 @@ def _fit_regions(
 
     Args:
         network: of all places; is left as it is.
-        inputs, targets: shapes (S, n, d), (S, n, K).
-        place, region: of each place, shapes (n, s), (n,); with one region alone there is nothing to go on to.
+        samples: of all places.
+        region: of each place, shape (n,); with one region alone there is nothing to go on to.
         epochs, seed, tell: as for :func:`fit_mapping`.
     """
     heads = [network.after_first(seed) for _ in range(int(region.max()) + 1)]
-    by_input, by_place = np.split(network.weights[0], [inputs.shape[2]])
+    nowhere = np.zeros((1, 0), np.float32)  # the first layer has told the place
     for r, head in enumerate(heads if len(heads) > 1 else []):
-        there = np.flatnonzero(region == r)
-        seen = np.maximum(inputs[:, there] @ by_input + (place[there] @ by_place + network.biases[0]), 0.0)
-        own = targets[:, there].reshape(-1, targets.shape[2])
-        nowhere = np.zeros((len(there), 0), np.float32)  # the first layer has told the place
-        loss = head.fit(seen.reshape(len(own), -1), nowhere, own, epochs=epochs, rate=REGION_RATE)
+        own = np.flatnonzero(np.resize(region == r, len(samples)))
+        seen = np.concatenate(in_threads(lambda rows: network.first(samples, rows), np.array_split(own, PARTS)))
+        loss = head.fit(Samples(seen, nowhere, samples.targets[own]), epochs=epochs, rate=REGION_RATE)
         tell(f"fitting: region {r + 1} of {len(heads)}, loss {loss:.4f}")
     return heads
 

@@ -1,5 +1,6 @@
 """One quasi-static pass on the fine mesh: stretched edges back to length, held vertices in place, out of the body."""
 
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -339,6 +340,13 @@ class Relaxation:
             facing(levels.coarse, body_vertices, body_faces),
             LEVEL if levels.subdivision.binding is None else PLEATED,
         )
+
+    def fresh(self) -> "Relaxation":
+        """A relaxation of the same garment that remembers no pass; what takes long to set up is shared."""
+        other = copy(self)
+        other._nearest, other._across = np.full_like(self._nearest, -1), np.full_like(self._across, -1)
+        other._targets, other._phase, other._relax = np.zeros_like(self._targets), -1, Launch(_relax)
+        return other
 
     @property
     def memory(self) -> tuple[np.ndarray, np.ndarray, int]:

@@ -7,10 +7,12 @@ vertex. It is added after the correction of edge lengths, so that it also remove
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.sparse import csr_matrix
 
-__all__ = ["fit_vertex_mean", "turned"]
+__all__ = ["fit_vertex_mean", "mean_from_sums", "turned", "vertex_mean_sums"]
 
 MEAN_STEP = 2.0**-15  # means are rounded to this [m], so that they compress well
 REGULARISATION = 1e-3  # added to the summed squares of a frame, which may cancel to zero [-]
@@ -29,11 +31,23 @@ def fit_vertex_mean(turning: csr_matrix, frames: np.ndarray, residual: np.ndarra
     Returns:
         d [m], float32, shape (N, 3).
     """
-    left, right = np.tile(REGULARISATION * np.eye(3), (turning.shape[0], 1, 1)), np.zeros((turning.shape[0], 3))
+    return mean_from_sums([vertex_mean_sums(turning, frames, residual)])
+
+
+def vertex_mean_sums(turning: csr_matrix, frames: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normal equations of :func:`fit_vertex_mean`, summed over some frames: shapes (N, 3, 3), (N, 3)."""
+    left, right = np.zeros((turning.shape[0], 3, 3)), np.zeros((turning.shape[0], 3))
     for at, found in zip(frames, residual, strict=True):
         basis = (turning @ at).reshape(-1, 3, 3)
         left += basis @ basis.transpose(0, 2, 1)
         right += np.einsum("nax,nx->na", basis, found)
+    return left, right
+
+
+def mean_from_sums(sums: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """The means that solve :func:`vertex_mean_sums` of all frames together [m], float32, shape (N, 3)."""
+    left = sum(one[0] for one in sums) + REGULARISATION * np.eye(3)
+    right = sum(one[1] for one in sums)
     mean = np.linalg.solve(left, right[..., None])[..., 0]
     return (np.round(mean / MEAN_STEP) * MEAN_STEP).astype(np.float32)
 

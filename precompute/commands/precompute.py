@@ -42,6 +42,7 @@ def run(options: argparse.Namespace) -> Report:
     from assets.io.scene import load_scene
     from pbd.errors import InputError
     from precompute.learning.pipeline import precompute
+    from precompute.learning.stages import stage_figures, stage_table
     from runtime.info import info_text
     from runtime.outputs import check_file, check_folder
     from runtime.report import Progress, Report
@@ -53,8 +54,9 @@ def run(options: argparse.Namespace) -> Report:
         check_folder(options.cache, "--cache")
     scene = load_scene(options.scene)
     with Progress(sys.stderr) as progress:
-        precompute(scene, options.output, cache=options.cache, workers=options.workers, report=progress)
+        made = precompute(scene, options.output, cache=options.cache, workers=options.workers, report=progress)
     text, figures = info_text(options.output)
     print(text)
+    print(f"where the time went:\n{stage_table(made.stages)}")
     print(f"To see it: gube play {options.output} --truth\nFor others: gube bake {options.output} -o OUT.glb")
-    return Report(figures)
+    return Report({**figures, **stage_figures(made.stages)})

@@ -4,6 +4,10 @@ the coarse garment goes where the fine one does and the decoded one folds as it 
 A mapping fitted to single folds leaves out what it cannot tell, so that all it draws together is too smooth. Raising
 its coefficients a little gives the energy back, for little error in each fold: the expectation of a quantity known with
 correlation R has R^2 of its variance, and R^2 of it is the least squared error, but 1/R times it the right spectrum.
+
+All models are tried on a few seconds of a few motions, the better third of them on more, and the last few on everything
+(successive halving: Jamieson and Talwalkar 2016, "Non-stochastic Best Arm Identification and Hyperparameter
+Optimization"). Most models are much worse than the best, and little motion shows that.
 """
 
 from __future__ import annotations
@@ -11,38 +15,38 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
 from pbd import ModelOptions, SolverOptions
-from precompute.learning.decoding import by_features, decode_recording
+from precompute.learning.decoding import bands_of, by_features, decode_recording, joined
+from precompute.learning.options import LearningOptions
 from precompute.learning.recording import Recording, Run, record_runs
+from precompute.learning.stages import counted
 from precompute.learning.training import FeatureStatistics, Layer, features_of
+from precompute.workers import Workers
 from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.dictionary import Atoms, Mapping
 from wrinkles.gathers import Gathers
 from wrinkles.metrics import normal_error_deg
-from wrinkles.spectrum import BandedEnergy
 
-__all__ = ["Calibration", "calibrate"]
+__all__ = ["Calibration", "CoarseModel", "calibrate", "filtered"]
 
-SQUEEZE = (1.0, 10.0, 100.0)
-SHEAR = (1.0, 0.3, 0.1)
-BEND = (1.0, 3.0, 10.0)
+KEPT = 3  # one in so many models goes on to the next rung, and no fewer than so many are tried on everything
 NEIGHBOUR = 0.5  # weight of a model's neighbours in judging it
-GAINS = (1.0, 1.25, 1.5)  # beyond that the spectrum may be better still, but lumps are seen
-SKIPPED = 2
+SKIPPED = 2  # gains from one to the next before the last rung
 EXCESS = 1.2  # over the fine cloth's energy in an octave, from which on wrinkles are not raised: that is noise
-EVERY = 16  # recorded frames from one that is decoded to the next: energy and error change slowly
+DECODED = 40  # frames that a model is decoded at, about: energy and error change slowly
+FEATURES = 4  # recorded frames from one whose features are compared to the next
 CHAOS = 1.0  # how far apart two runs of one garment may be for no reason [mm, deg]
-SETTLE = 1.5  # the blend from the bind pose does not count [s]
 
 
-def settled(recording: Recording, run: Run) -> Recording:
+def settled(recording: Recording, run: Run, settle_s: float) -> Recording:
     """What of a recording counts: not the blend from the bind pose, nor what only leads to the motion."""
-    return recording.where(recording.frames * run.dt > max(SETTLE, run.lead_in))
+    return recording.where(recording.frames * run.dt > max(settle_s, run.lead_in))
 
 
 def filtered(recording: Recording, matrix: csr_matrix) -> Recording:
@@ -60,7 +64,7 @@ class Calibration:
         shift_before, shift_after: root mean squared Mahalanobis distance of the coarse run's features from the mean of
             the filtered fine run's, per dimension [-]; the fine run's own is one.
         mismatch_before, mismatch_after: Frechet distance of their distributions, per dimension [-].
-        rows: every setting tried.
+        rows: every setting tried; ``rung`` counts from zero.
     """
 
     options: ModelOptions
@@ -72,98 +76,91 @@ class Calibration:
     rows: tuple[dict[str, float], ...]
 
 
+@dataclass(frozen=True)
+class CoarseModel:
+    """What the coarse garment has whatever is calibrated.
+
+    Attributes:
+        solver: its solver.
+        bend_factor: hinge factor of its mesh.
+        gathers: of its mesh.
+    """
+
+    solver: SolverOptions
+    bend_factor: float
+    gathers: Gathers | None = None
+
+    def run(self, run: Run, options: ModelOptions) -> Run:
+        """A fine run's motion for the coarse garment."""
+        return replace(
+            run, fine=False, options=options, solver=self.solver, bend_factor=self.bend_factor, gathers=self.gathers
+        )
+
+
 def calibrate(
     layer: Layer,
     mapping: Mapping,
     atoms: Atoms,
     runs: Sequence[Run],
     recordings: Sequence[Recording],
-    solver: SolverOptions,
-    bend_factor: float,
+    coarse: CoarseModel,
     cache: Path,
-    workers: int,
+    workers: Workers,
+    options: LearningOptions,
     report: Callable[[str], None] | None = None,
-    gains: Sequence[float] = GAINS,
-    gathers: Gathers | None = None,
 ) -> Calibration:
     """Try coarse models and gains on training motion and keep those that come nearest to the fine garment.
 
     Judged by three logarithms that count alike: bending energy in octave bands of wavelength, and in all of them
-    together, of what is seen in the end and not of the coarse garment, root mean square of log(decoded / fine); how far
-    the filtered coarse garment is from the filtered fine one, and how far the normals of what is seen are turned from
-    the true ones, both over the least that any model comes to. The spectrum alone takes false folds of a coarse model
-    that is too stiff under compression for wrinkles. These are raised only as far as no octave has more energy than the
-    fine cloth's. Cloth is chaotic, and one run of a model may come out better or worse by a fifth for no reason: a
-    model is judged together with its neighbours.
+    together, of the decoded garment and not of the coarse one, root mean square of log(decoded / fine); how far
+    the filtered coarse garment is from the filtered fine one, and how far the normals of the decoded garment are turned
+    from the true ones, both over the least that any model comes to. The spectrum alone takes false folds of a coarse
+    model that is too stiff under compression for wrinkles. These are raised only as far as no octave has more energy
+    than the fine cloth's. Cloth is chaotic, and one run of a model may come out better or worse by a fifth for no
+    reason: a model is judged together with its neighbours, as far as they are tried as long as it is.
 
     Args:
         layer: of the garment.
         mapping, atoms: the dictionary.
         runs: fine training runs.
-        recordings: what they gave.
-        solver: of the coarse garment.
-        bend_factor: hinge factor of the coarse mesh.
-        cache, workers, report: as for :func:`precompute.learning.recording.record_runs`.
-        gains: on the wrinkles, to choose from.
-        gathers: of the coarse mesh.
+        recordings: of these runs.
+        coarse: what all coarse models have in common.
+        cache: folder of recorded runs.
+        workers: that simulate and decode.
+        options: models, gains and times.
+        report: told lines of progress.
     """
-    recordings = [settled(r, run) for r, run in zip(recordings, runs, strict=True)]
-    statistics = FeatureStatistics.of(np.concatenate([features_of(layer, r)[0] for r in recordings]))
-    faces = layer.levels.fine.faces
-    bands = BandedEnergy(layer.levels.rest_vertices, faces)
-    whole = replace(runs[0], poses=np.concatenate([run.poses for run in runs]))  # set up once to decode all of them
-    fine = _joined(recordings, runs).positions
-    wanted = bands.energy(fine).mean(axis=0)
-    matrix = CoarseFilter(layer.levels).matrix
+    grid = list(itertools.product(options.compression_scales, options.shear_scales, options.bend_scales))
     own = runs[0].options  # with the fabric itself calibration is compared
     models = [
         replace(own, compression_compliance_scale=squeeze, shear_scale=shear, bend_scale=bend)
-        for squeeze, shear, bend in itertools.product(SQUEEZE, SHEAR, BEND)
+        for squeeze, shear, bend in grid
     ]
-    tries = [
-        replace(run, fine=False, options=model, solver=solver, bend_factor=bend_factor, gathers=gathers)
-        for model in models
-        for run in runs
-    ]
-    found = record_runs(tries, cache, workers, report)
-    coarse = [settled(filtered(r, matrix), run) for r, run in zip(found, tries, strict=True)]
-    rows: list[dict[str, float]] = []
-
-    def judge(number: int, some_gains: Sequence[float]) -> None:
-        model, mine = models[number], coarse[number * len(runs) : (number + 1) * len(runs)]
-        features = np.concatenate([features_of(layer, r)[0] for r in mine])
-        off = {"shift": statistics.shift(features), "mismatch": statistics.mismatch(features)}
-        off["apart_mm"] = 1e3 * _apart(mine, recordings)
-        for gain in some_gains:
-            predict = by_features(mapping.amplified(gain))
-            _, decoded = decode_recording(layer, predict, atoms, whole, _joined(mine, runs))
-            total = bands.energy(decoded).mean(axis=0)
-            rows.append(
-                {
-                    "model": number,
-                    "squeeze": model.compression_compliance_scale,
-                    "shear_scale": model.shear_scale,
-                    "bend_scale": model.bend_scale,
-                    "gain": gain,
-                    "spectrum_error": float(np.sqrt((np.log(_with_sum(total) / _with_sum(wanted)) ** 2).mean())),
-                    "normal_error_deg": float(normal_error_deg(decoded, fine, faces).mean()),
-                    "excess": float((total / wanted).max()),
-                    **off,
-                }
-            )
-
-    for number in range(len(models)):
-        judge(number, gains[::SKIPPED])
-        if report is not None:
-            report(f"calibrating the coarse model: {number + 1} of {len(models)}")
-    _rate(rows)
-    first = min(_together(rows, gains[0]), key=lambda row: row["together"])["model"]
-    judge(int(first), [gain for gain in gains if gain not in gains[::SKIPPED]])
-    _rate(rows)
-    fitting = [row for row in rows if row["model"] == first and (row["gain"] == gains[0] or row["excess"] <= EXCESS)]
-    plain, kept = rows[0], min(fitting, key=lambda row: row["error"])
+    neighbours = _neighbours(options)
+    sizes = [len(models)]
+    while sizes[-1] > KEPT:
+        sizes.append(-(-sizes[-1] // KEPT))
+    alive, rows = list(range(len(models))), []
+    for rung in range(len(sizes)):
+        share = (rung + 1) / len(sizes)
+        bench = _Bench.of(layer, mapping, atoms, runs, recordings, coarse, cache, options, share)
+        gains = options.gains if rung == len(sizes) - 1 else options.gains[::SKIPPED]
+        tried = alive if 0 in alive else [0, *alive]  # the fabric itself is compared with to the end
+        tell = counted(report, f"calibrating, round {rung + 1} of {len(sizes)}: models", len(tried))
+        jobs = [partial(_judge, bench, number, models[number], gains) for number in tried]
+        found = workers.run(jobs, done=tell)
+        here = [row | {"rung": float(rung)} for some in found for row in some]
+        _rate(here)
+        rows += here
+        judged = _together(here, neighbours, gains[0])
+        best = {number: min(row["together"] for row in judged if row["model"] == number) for number in alive}
+        alive = sorted(best, key=lambda number: best[number])[: sizes[rung + 1] if rung + 1 < len(sizes) else 1]
+        alive.sort()
+    (first,) = alive
+    fitting = [row for row in here if row["model"] == first and (row["gain"] == gains[0] or row["excess"] <= EXCESS)]
+    plain, kept = here[0], min(fitting, key=lambda row: row["error"])
     return Calibration(
-        models[int(kept["model"])],
+        models[first],
         kept["gain"],
         plain["shift"],
         kept["shift"],
@@ -171,6 +168,99 @@ def calibrate(
         kept["mismatch"],
         tuple(rows),
     )
+
+
+@dataclass(frozen=True)
+class _Bench:
+    """What models are tried on in one rung.
+
+    Attributes:
+        layer, mapping, atoms, coarse, cache, settle_s: as for :func:`calibrate`.
+        runs: of the motions that are played, as far as they are.
+        recordings: settled frames of the fine garment.
+        fine: some of them [m], float32, shape (f, N, 3).
+        every: recorded frames from one of these to the next.
+        statistics: of the features of the filtered fine garment.
+        wanted: bending energy of the fine garment in octave bands, shape (b,).
+    """
+
+    layer: Layer
+    mapping: Mapping
+    atoms: Atoms
+    coarse: CoarseModel
+    cache: Path
+    settle_s: float
+    runs: list[Run]
+    recordings: list[Recording]
+    fine: np.ndarray
+    every: int
+    statistics: FeatureStatistics
+    wanted: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        layer: Layer,
+        mapping: Mapping,
+        atoms: Atoms,
+        runs: Sequence[Run],
+        recordings: Sequence[Recording],
+        coarse: CoarseModel,
+        cache: Path,
+        options: LearningOptions,
+        share: float,
+    ) -> _Bench:
+        """Some of the motions, as far as a share of all of them and of their time goes."""
+        seconds = options.settle_s + share * (options.calibration_s - options.settle_s)
+        numbers = np.unique(np.linspace(0, len(runs) - 1, max(1, round(share * len(runs)))).round().astype(int))
+        cut = [replace(runs[k], poses=runs[k].poses[: round(seconds / runs[k].dt) + 1]) for k in numbers]
+        parts = [
+            recordings[k].where(recordings[k].frames <= run.frame_count) for k, run in zip(numbers, cut, strict=True)
+        ]
+        parts = [settled(r, run, options.settle_s) for r, run in zip(parts, cut, strict=True)]
+        every = max(1, sum(len(r.frames) for r in parts) // DECODED)
+        fine = np.concatenate([r.positions[::every] for r in parts])
+        features = [features_of(layer, r.where(slice(None, None, FEATURES)))[0] for r in parts]
+        return cls(
+            layer, mapping, atoms, coarse, cache, options.settle_s, cut,
+            [replace(r, positions=r.positions[:0]) for r in parts],
+            fine, every,
+            FeatureStatistics.of(np.concatenate(features)),
+            bands_of(layer.levels).energy(fine).mean(axis=0),
+        )  # fmt: skip
+
+
+def _judge(bench: _Bench, number: int, model: ModelOptions, gains: Sequence[float]) -> list[dict[str, float]]:
+    """Simulate a coarse model and decode it at several gains: a row for each."""
+    layer, tries = bench.layer, [bench.coarse.run(run, model) for run in bench.runs]
+    matrix = CoarseFilter(layer.levels).matrix
+    found = record_runs(tries, bench.cache, 1)
+    mine = [settled(filtered(r, matrix), run, bench.settle_s) for r, run in zip(found, tries, strict=True)]
+    features = np.concatenate([features_of(layer, r.where(slice(None, None, FEATURES)))[0] for r in mine])
+    off = {
+        "shift": bench.statistics.shift(features),
+        "mismatch": bench.statistics.mismatch(features),
+        "apart_mm": 1e3 * _apart(mine, bench.recordings),
+    }
+    whole, some = joined(tries, [r.where(slice(None, None, bench.every)) for r in mine])
+    rows = []
+    for gain in gains:
+        _, decoded = decode_recording(layer, by_features(bench.mapping.amplified(gain)), bench.atoms, whole, some)
+        total = bands_of(layer.levels).energy(decoded).mean(axis=0)
+        rows.append(
+            {
+                "model": number,
+                "squeeze": model.compression_compliance_scale,
+                "shear_scale": model.shear_scale,
+                "bend_scale": model.bend_scale,
+                "gain": gain,
+                "spectrum_error": float(np.sqrt((np.log(_with_sum(total) / _with_sum(bench.wanted)) ** 2).mean())),
+                "normal_error_deg": float(normal_error_deg(decoded, bench.fine, layer.levels.fine.faces).mean()),
+                "excess": float((total / bench.wanted).max()),
+                **off,
+            }
+        )
+    return rows
 
 
 def _rate(rows: list[dict[str, float]]) -> None:
@@ -181,31 +271,27 @@ def _rate(rows: list[dict[str, float]]) -> None:
         row["error"] = float(np.linalg.norm([row["spectrum_error"], *logs]))
 
 
-def _together(rows: list[dict[str, float]], lowest: float) -> list[dict[str, float]]:
-    """Rows that may be chosen, with the error that a model and its neighbours have together at one gain."""
-    places = np.array(list(np.ndindex(len(SQUEEZE), len(SHEAR), len(BEND))))
+def _neighbours(options: LearningOptions) -> np.ndarray:
+    """How much each model counts in judging each other one, shape (models, models)."""
+    scales = options.compression_scales, options.shear_scales, options.bend_scales
+    places = np.array(list(np.ndindex(*(len(some) for some in scales))))
     steps = np.abs(places[:, None] - places).sum(axis=2)
-    weights = (steps == 0) + NEIGHBOUR * (steps == 1)
-    weights /= weights.sum(axis=1, keepdims=True)
+    return (steps == 0) + NEIGHBOUR * (steps == 1)
+
+
+def _together(rows: list[dict[str, float]], neighbours: np.ndarray, lowest: float) -> list[dict[str, float]]:
+    """Rows that may be chosen, with the error that a model and its neighbours have together at one gain."""
     chosen = []
-    for gain in {row["gain"] for row in rows}:
+    for gain in sorted({row["gain"] for row in rows}):
         same = [row for row in rows if row["gain"] == gain]
+        numbers = [int(row["model"]) for row in same]
+        weights = neighbours[np.ix_(numbers, numbers)]
+        weights = weights / weights.sum(axis=1, keepdims=True)
         error, excess = (weights @ [row[name] for row in same] for name in ("error", "excess"))
         for row, one, other in zip(same, error, excess, strict=True):
             if gain == lowest or other <= EXCESS:
                 chosen.append(row | {"together": float(one)})
     return chosen
-
-
-def _joined(recordings: Sequence[Recording], runs: Sequence[Run]) -> Recording:
-    """Some frames of all of them, counted on from run to run."""
-    firsts = np.cumsum([0, *(len(run.poses) for run in runs)])
-    some = [r.where(slice(None, None, EVERY)) for r in recordings]
-    joined = {
-        name: np.concatenate([getattr(r, name) for r in some]) for name in ("positions", "coarse", "contact", "nearest")
-    }
-    frames = np.concatenate([r.frames + first for r, first in zip(some, firsts, strict=False)])
-    return replace(recordings[0], frames=frames, **joined)
 
 
 def _apart(some: Sequence[Recording], others: Sequence[Recording]) -> float:

@@ -15,6 +15,7 @@ from precompute.learning.calibration import filtered
 from precompute.learning.evaluation import settled
 from precompute.learning.recording import Recording, Run, record_runs
 from precompute.learning.training import FeatureStatistics, Layer, features_of
+from precompute.workers import Workers
 from wrinkles.coarse_filter import CoarseFilter
 
 __all__ = ["PART", "Choice", "choose", "evenly", "greedily"]
@@ -48,7 +49,7 @@ def choose(
     solver: SolverOptions,
     seed: int,
     cache: Path,
-    workers: int,
+    workers: Workers | int,
     report: Callable[[str], None] | None = None,
 ) -> Choice:
     """Play the coarse garment over every run, compare what is seen of it, and take the runs that add most.

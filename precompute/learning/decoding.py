@@ -1,33 +1,47 @@
 """Decoding recorded coarse states, frame by frame, by whatever gives the coefficients of the patches."""
 
+from __future__ import annotations
+
+import hashlib
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
+from itertools import groupby
 
 import numpy as np
 
 from pbd import Body
 from precompute.learning.recording import Recording, Run, body_source
 from precompute.learning.training import Layer, features_of, spread_frames
+from precompute.workers import Workers
+from runtime.simulation import BodySource
 from wrinkles.decoder import MeanWriter, PatchWriter, Upsampler
 from wrinkles.dictionary import Atoms, Mapping
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.isometry import Isometry
+from wrinkles.levels import Levels
 from wrinkles.relaxation import Relaxation
-from wrinkles.vertex_mean import fit_vertex_mean
+from wrinkles.spectrum import BandedEnergy
+from wrinkles.vertex_mean import mean_from_sums, vertex_mean_sums
 
 __all__ = [
+    "BLOCK",
     "MEAN_FRAMES",
     "Lift",
     "Predict",
+    "bands_of",
+    "blocks_of",
     "by_features",
     "by_patches",
     "decode_recording",
+    "joined",
     "lifted_frames",
     "with_vertex_mean",
 ]
 
 MEAN_FRAMES = 400  # that the means of vertices are fitted to
+BLOCK = 64  # frames that one worker decodes after each other
 
 Predict = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Features of one frame, float32, shape (n, DYNAMIC_COUNT), and the body's pose to coefficients, shape (n, K)."""
@@ -37,14 +51,22 @@ Lift = Callable[[np.ndarray, Upsampler, np.ndarray, np.ndarray, np.ndarray], Non
 features and frames of the coarse vertices, float32, shapes (n, DYNAMIC_COUNT) and (n, 9), and the body's pose."""
 
 
+@dataclass(frozen=True)
+class _ByFeatures:
+    mapping: Mapping
+
+    def __call__(self, features: np.ndarray, pose: np.ndarray) -> np.ndarray:
+        return self.mapping.predict(features)
+
+
 def by_features(mapping: Mapping) -> Predict:
-    """What the network says, whatever the pose."""
-    return lambda features, pose: mapping.predict(features)
+    """The network's coefficients, whatever the pose."""
+    return _ByFeatures(mapping)
 
 
 def by_patches(layer: Layer, predict: Predict, atoms: Atoms) -> Lift:
     """Wrinkles from patches whose coefficients a mapping gives."""
-    keep_lengths = Isometry(layer.levels)
+    keep_lengths = _isometry(_Kept.of(layer.levels))
     add_to_fine, add_to_middle = PatchWriter(layer.patches), PatchWriter(layer.middle_patches)
     add_mean = MeanWriter(layer.patches, atoms.vertex_mean)
 
@@ -56,6 +78,24 @@ def by_patches(layer: Layer, predict: Predict, atoms: Atoms) -> Lift:
         keep_lengths(upsample.middle, fine)
 
     return lift
+
+
+def joined(runs: Sequence[Run], recordings: Sequence[Recording]) -> tuple[Run, Recording]:
+    """Recorded frames of several runs of a garment on a body as if they were one run, with a pose for each frame."""
+    names = ("positions", "coarse", "contact", "nearest")
+    together = {name: np.concatenate([getattr(r, name) for r in recordings]) for name in names}
+    poses = np.concatenate([run.poses[r.frames] for run, r in zip(runs, recordings, strict=True)])
+    return replace(runs[0], poses=poses), replace(recordings[0], frames=np.arange(len(poses)), **together)
+
+
+def blocks_of(runs: Sequence[Run], recordings: Sequence[Recording]) -> list[tuple[Run, Recording]]:
+    """Their recorded frames in blocks of BLOCK, whatever the number of workers that decode them."""
+    run, recording = joined(runs, recordings)
+    result = []
+    for first in range(0, len(recording.frames), BLOCK):
+        some = recording.where(slice(first, first + BLOCK))
+        result.append((replace(run, poses=run.poses[some.frames]), replace(some, frames=np.arange(len(some.frames)))))
+    return result
 
 
 def decode_recording(
@@ -82,24 +122,41 @@ def decode_recording(
 
 
 def with_vertex_mean(
-    layer: Layer, mappings: Sequence[Predict], atoms: Atoms, runs: Sequence[Run], recordings: Sequence[Recording]
+    layer: Layer,
+    mappings: Sequence[Predict],
+    atoms: Atoms,
+    runs: Sequence[Run],
+    recordings: Sequence[Recording],
+    workers: Workers | None = None,
+    frames: int = MEAN_FRAMES,
 ) -> Atoms:
     """Atoms with the mean of what decoding recorded coarse states lacks at each vertex, relaxation included.
 
     Args:
         layer: of the garment.
-        mappings: for the fabric of each run; shown MEAN_FRAMES spread over its recordings, in order.
+        mappings: for the fabric of each run; shown ``frames`` spread over its recordings, in order.
         atoms: that their coefficients count; a mean that they have is left out.
         runs, recordings: what is learned from.
+        workers: that decode; None decodes here, and needs no mapping that can be sent to another process.
+        frames: that the means are fitted to, at most.
     """
     atoms = replace(atoms, vertex_mean=np.zeros_like(atoms.vertex_mean))
-    frames, left = [], []
-    for mapping, run, some in zip(mappings, runs, spread_frames(recordings, MEAN_FRAMES), strict=True):
-        _, decoded = decode_recording(layer, mapping, atoms, run, some)
-        frames.append(features_of(layer, some)[1])
-        left.append(some.positions - decoded)
-    mean = fit_vertex_mean(layer.patches.turning, np.concatenate(frames), np.concatenate(left))
-    return replace(atoms, vertex_mean=mean)
+    jobs = []
+    shown = zip(mappings, runs, spread_frames(recordings, frames), strict=True)
+    for _, group in groupby(shown, key=lambda one: id(one[0])):
+        (predict, *_), some_runs, some = zip(*group, strict=True)
+        jobs += [partial(_mean_sums, layer, predict, atoms, *block) for block in blocks_of(some_runs, some)]
+    sums = (workers or Workers(1)).run(jobs)
+    return replace(atoms, vertex_mean=mean_from_sums(sums))
+
+
+def _mean_sums(
+    layer: Layer, predict: Predict, atoms: Atoms, run: Run, recording: Recording
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sums over a block of frames for the means of vertices."""
+    _, decoded = decode_recording(layer, predict, atoms, run, recording)
+    frames = features_of(layer, recording)[1]
+    return vertex_mean_sums(layer.patches.turning, frames, recording.positions - decoded)
 
 
 def lifted_frames(
@@ -120,7 +177,7 @@ def lifted_frames(
     levels = layer.levels
     upsample = Upsampler(levels.subdivision)
     source = body_source(run.body)
-    relax = Relaxation.of(levels, source.vertices, source.faces, run.fabric.thickness)
+    relax = _relaxation(_Kept.of(levels, source, run.fabric.thickness)).fresh()
     body = Body(source.faces, len(source.vertices))
     count = levels.subdivision.coarse_count
     position, frames = np.zeros((count, 4), np.float32), np.zeros((count, 9), np.float32)
@@ -142,3 +199,44 @@ def lifted_frames(
         spent = 1e3 * (time.process_time() - began)
         offset = origin.astype(np.float32)
         yield smooth + offset, decoded + offset, spent
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """What takes long to set up for a garment on a body, found again by a hash of their shapes."""
+
+    key: str
+    levels: Levels = field(compare=False)
+    source: BodySource | None = field(default=None, compare=False)
+    thickness: float = 0.0
+
+    @classmethod
+    def of(cls, levels: Levels, source: BodySource | None = None, thickness: float = 0.0) -> _Kept:
+        digest = hashlib.sha256()
+        arrays = [levels.fine.vertices, levels.fine.faces, levels.fine.flat, levels.rest_vertices, levels.fine_held]
+        arrays += [levels.coarse.vertices, levels.coarse.faces, levels.coarse_held]
+        arrays += [] if source is None else [source.vertices, source.faces]
+        for array in arrays:
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return cls(digest.hexdigest(), levels, source, thickness)
+
+
+@lru_cache(maxsize=1)
+def _isometry(kept: _Kept) -> Isometry:
+    return Isometry(kept.levels)
+
+
+@lru_cache(maxsize=1)
+def _relaxation(kept: _Kept) -> Relaxation:
+    assert kept.source is not None
+    return Relaxation.of(kept.levels, kept.source.vertices, kept.source.faces, kept.thickness)
+
+
+@lru_cache(maxsize=1)
+def _bands(kept: _Kept) -> BandedEnergy:
+    return BandedEnergy(kept.levels.rest_vertices, kept.levels.fine.faces)
+
+
+def bands_of(levels: Levels) -> BandedEnergy:
+    """Octave bands of a garment's fine mesh; factored once in a process."""
+    return _bands(_Kept.of(levels))

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +17,13 @@ from assets.io.sequence import Sequence as VertexSequence
 from pbd import InputError, ModelOptions
 from pbd.bending import hinge_calibration
 from pbd.wind import CALM, Air
-from precompute.learning.decoding import decode_recording
+from precompute.learning.decoding import bands_of, decode_recording
 from precompute.learning.in_time import Pause, popping, step_response_frames
+from precompute.learning.options import LearningOptions
 from precompute.learning.recording import Recording, Run, body_source, poses_of, record_runs
+from precompute.learning.stages import counted
 from precompute.learning.training import build_layer, features_of
+from precompute.workers import Workers
 from runtime.play import Free, play, timing_figures
 from runtime.player import Player
 from runtime.simulation import Motion
@@ -51,9 +54,12 @@ __all__ = [
     "levels_from",
     "play_freely",
     "truth_of",
+    "truth_runs",
 ]
 
 SETTLE = 1.5  # the blend from the bind pose is not judged [s]
+BLOCK = 32  # frames whose distance to the body one worker measures
+DEFAULT = LearningOptions()
 
 
 def levels_from(database: WrinkleDatabase, body: Character | VertexSequence) -> Levels:
@@ -166,14 +172,17 @@ class Truth:
         )
 
 
+def _floor_run(run: Run) -> Run:
+    return replace(run, name=f"{run.name} (floor)", solver=replace(run.solver, substep=run.solver.substep / 1.5))
+
+
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def truth_of(run: Run, cache: Path, workers: int, report: Callable[[str], None] | None = None) -> Truth:
+def truth_of(run: Run, cache: Path, workers: Workers | int, report: Callable[[str], None] | None = None) -> Truth:
     """Record (or read) the fine run and one with substeps two thirds as long."""
-    twin = replace(run, name=f"{run.name} (floor)", solver=replace(run.solver, substep=run.solver.substep / 1.5))
-    first, second = record_runs([run, twin], cache, workers, report)
+    first, second = record_runs([run, _floor_run(run)], cache, workers, report)
     first, second = settled(first, run), settled(second, run)
     levels = run.levels
-    bands = BandedEnergy(levels.rest_vertices, levels.fine.faces)
+    bands = bands_of(levels)
     low_pass = LowPass(levels.rest_vertices, levels.fine.faces, levels.cutoff)
     return Truth(run, levels, first, second.positions, bands, bands.energy(first.positions), low_pass)
 
@@ -220,18 +229,7 @@ def play_freely(database: WrinkleDatabase, body: Character | VertexSequence, run
 
 def body_distances(truth: Truth, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Signed distance of every vertex of recorded frames to the body [m], and whether there is room: shape (f, N)."""
-    source = body_source(truth.run.body)
-    distance = BodyDistance(source.faces)
-    posed = np.zeros((len(source.vertices), 3), np.float32)
-    rows = []
-    for frame, vertices in zip(truth.recording.frames, frames, strict=True):
-        origin = np.round(vertices.mean(axis=0).astype(float))
-        source.skin(truth.run.poses[frame], origin, posed)
-        points, body = vertices.astype(float) - origin, posed.astype(float)
-        found = distance.signed_distance(points, body)
-        rows.append((found, distance.leaves_room(points, found, body, truth.run.fabric.thickness)))
-    distances, room = zip(*rows, strict=True)
-    return np.array(distances), np.array(room)
+    return _joined([job() for job in _distance_jobs(truth, frames)])
 
 
 def free_figures(truth: Truth, frames: np.ndarray, prefix: str = "") -> dict[str, float]:
@@ -282,9 +280,19 @@ class Evaluation:
     decoded: np.ndarray
 
 
+def truth_runs(run: Run, options: LearningOptions = DEFAULT) -> list[Run]:
+    """All fine runs that a motion is judged by: the truth, the floor's and the one that pauses."""
+    return [run, _floor_run(run), Pause.of(run, judged_from(run), options.still_s, options.piece_s).run]
+
+
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def evaluate(
-    database: WrinkleDatabase, truth: Truth, cache: Path, report: Callable[[str], None] | None = None
+    database: WrinkleDatabase,
+    truth: Truth,
+    cache: Path,
+    report: Callable[[str], None] | None = None,
+    workers: Workers | int = 1,
+    options: LearningOptions = DEFAULT,
 ) -> Evaluation:
     """All figures of a database on one motion.
 
@@ -293,46 +301,98 @@ def evaluate(
         truth: of the motion.
         cache: folder of simulated runs; the fine run of a pause goes there.
         report: told lines of progress.
+        workers: that play and measure, or how many do.
+        options: how long a pause is.
     """
     tell = report or (lambda line: None)
-    tell("evaluating: given the coarse state")
-    smooth, decoded, scores = given_frames(database, truth.run, truth.recording)
-    owner = leading_vertices(truth.levels.subdivision)[:, 0]
-    faces = truth.levels.fine.faces
-    figures = {k: float(v) for k, v in given_coarse_figures(decoded, truth.frames, smooth, faces, owner).items()}
-    errors = patch_normal_errors(decoded, truth.frames, faces, owner)  # of the coarse vertices that lead fine ones
-    figures["unfamiliarity_spearman"] = float(spearmanr(scores[:, np.unique(owner)].ravel(), errors.ravel()).statistic)
-    figures["faded_percent"] = float(100.0 * (database.unfamiliarity.amplitude(scores) < 1.0).mean())
-    frames, deviation = features_of(build_layer(truth.levels), truth.recording)[1], truth.frames - smooth
-    figures |= {"popping": popping(decoded - smooth, frames, owner), "truth_popping": popping(deviation, frames, owner)}
-    tell("evaluating: running freely")
-    free = play_freely(database, truth.run.body, truth.run)
+    run, recording = truth.run, truth.recording
+    pause = Pause.of(run, judged_from(run), options.still_s, options.piece_s)
+    with Workers.of(workers) as pool:
+        (paused,) = record_runs([pause.run], cache, pool, report)
+        jobs: list[partial] = [
+            partial(play_freely, database, run.body, run),
+            partial(_pause_figures, database, pause),
+            partial(_given_figures, database, run, recording),
+            *_distance_jobs(truth, truth.frames),
+        ]
+        tell("evaluating: running freely, in time, given the coarse state")
+        free, in_time, given, *of_truth = pool.run(jobs, done=counted(report, "evaluating: parts", len(jobs)))
+        jobs = _distance_jobs(truth, free.frames)
+        tell("evaluating: contact with the body")
+        distances, room = _joined(pool.run(jobs, done=counted(report, "evaluating: parts", len(jobs))))
+    truth_distances, truth_room = _joined(of_truth)
+    figures, smooth, decoded = given
     figures |= free_figures(truth, free.frames)
     figures |= free_figures(truth, free.smooth, "smooth_")
     figures |= free_figures(truth, truth.floor, "floor_")
-    tell("evaluating: contact with the body")
-    distances, room = body_distances(truth, free.frames)
-    truth_distances, truth_room = body_distances(truth, truth.frames)
     figures |= penetration_figures(distances, room)
     figures |= {f"truth_{k}": v for k, v in penetration_figures(truth_distances, truth_room).items()}
     figures["contact_bending_ratio"] = contact_bending_ratio(truth, free.frames, distances, truth_distances)
     figures["attached_off_mm"] = 1e3 * free.held_off
     figures |= timing_figures(free, truth.levels)
-    figures["fine_simulation_ms"] = truth.recording.step_ms
-    figures["speedup_over_fine"] = truth.recording.step_ms / figures["frame_ms_p50"]
-    tell("evaluating: in time")
-    figures |= _pause_figures(database, truth, cache, report)
+    figures["fine_simulation_ms"] = recording.step_ms
+    figures["speedup_over_fine"] = recording.step_ms / figures["frame_ms_p50"]
+    figures |= pause.figures(paused.positions, "truth_") | in_time
     return Evaluation(figures, free, smooth, decoded)
 
 
-def _pause_figures(
-    database: WrinkleDatabase, truth: Truth, cache: Path, report: Callable[[str], None] | None
-) -> dict[str, float]:
-    """What shows where the body stops, and goes back: ours, smooth and the truth's."""
-    pause = Pause.of(truth.run, judged_from(truth.run))
+def _given_figures(
+    database: WrinkleDatabase, run: Run, recording: Recording
+) -> tuple[dict[str, float], np.ndarray, np.ndarray]:
+    """Figures of a database given a fine run's own coarse states; the smooth garment and the decoded one."""
+    smooth, decoded, scores = given_frames(database, run, recording)
+    levels, truth = run.levels, recording.positions
+    owner, faces = leading_vertices(levels.subdivision)[:, 0], levels.fine.faces
+    figures = {k: float(v) for k, v in given_coarse_figures(decoded, truth, smooth, faces, owner).items()}
+    errors = patch_normal_errors(decoded, truth, faces, owner)  # of the coarse vertices that lead fine ones
+    figures["unfamiliarity_spearman"] = float(spearmanr(scores[:, np.unique(owner)].ravel(), errors.ravel()).statistic)
+    figures["faded_percent"] = float(100.0 * (database.unfamiliarity.amplitude(scores) < 1.0).mean())
+    frames = features_of(build_layer(levels), recording)[1]
+    figures["popping"] = popping(decoded - smooth, frames, owner)
+    figures["truth_popping"] = popping(truth - smooth, frames, owner)
+    return figures, smooth, decoded
+
+
+def _pause_figures(database: WrinkleDatabase, pause: Pause) -> dict[str, float]:
+    """How ours and the smooth garment behave where the body stops, and goes back."""
     run = pause.run
-    figures = pause.figures(record_runs([run], cache, 1, report)[0].positions, "truth_")
     player = Player(database, run.body, run.poses[0], run.primitives)
     free = play(player, run.poses, run.dt, run.wind, every=1)
-    figures |= pause.figures(free.frames) | pause.figures(free.smooth, "smooth_")
+    figures = pause.figures(free.frames) | pause.figures(free.smooth, "smooth_")
     return figures | {"step_response_frames": float(step_response_frames(player, pause.onward, run.dt))}
+
+
+def _distance_jobs(truth: Truth, frames: np.ndarray) -> list[partial]:
+    """Jobs that measure distances to the body, of some frames at a time."""
+    poses = truth.run.poses[truth.recording.frames]
+    thickness = truth.run.fabric.thickness
+    return [
+        partial(_distances, truth.run.body, poses[first : first + BLOCK], thickness, frames[first : first + BLOCK])
+        for first in range(0, len(frames), BLOCK)
+    ]
+
+
+def _distances(
+    body: Character | VertexSequence, poses: np.ndarray, thickness: float, frames: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    source = body_source(body)
+    distance = BodyDistance(source.faces)
+    posed = np.zeros((len(source.vertices), 3), np.float32)
+    rows = []
+    for pose, vertices in zip(poses, frames, strict=True):
+        origin = np.round(vertices.mean(axis=0).astype(float))
+        source.skin(pose, origin, posed)
+        points, posed_body = vertices.astype(float) - origin, posed.astype(float)
+        found = distance.signed_distance(points, posed_body)
+        rows.append((found, distance.leaves_room(points, found, posed_body, thickness)))
+    return _stacked(rows)
+
+
+def _stacked(rows: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    first, second = zip(*rows, strict=True)
+    return np.array(first), np.array(second)
+
+
+def _joined(parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    first, second = zip(*parts, strict=True)
+    return np.concatenate(first), np.concatenate(second)

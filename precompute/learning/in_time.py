@@ -13,8 +13,7 @@ from wrinkles.metrics import jitter_px, rmse_mm
 
 __all__ = ["Pause", "popping", "step_response_frames"]
 
-STILL = 1.0  # the body stands still for so long after its motion [s]; judged in the second half
-PIECE, SLOWED = 0.5, 3  # then this much of the motion there and back [s], so many times slower
+SLOWED = 3  # so many times slower does the body go on and back after it has stood still
 DECODED = 12  # times that a state is decoded while nothing else changes
 ARRIVED = 0.9  # share of the change that counts as the answer to a step
 
@@ -37,17 +36,24 @@ class Pause:
     onward: np.ndarray
 
     @classmethod
-    def of(cls, run: Run, start: float) -> Pause:
-        """A pause ``start`` [s] after a run's beginning, or as late as the run is long."""
+    def of(cls, run: Run, start: float, still: float = 1.0, piece: float = 0.5) -> Pause:
+        """A pause ``start`` [s] after a run's beginning, or as late as the run is long.
+
+        Args:
+            run: the fine run of the motion.
+            start: when the body stops [s].
+            still: for how long it stands; the second half is judged [s].
+            piece: how much of the motion it then goes on and back [s].
+        """
         last = len(run.poses) - 1
         turn = min(round(start / run.dt), last - 1)
-        count, stand = SLOWED * min(round(PIECE / run.dt), last - turn), round(STILL / run.dt)
+        count, stand = SLOWED * min(round(piece / run.dt), last - turn), round(still / run.dt)
         steps = turn + np.arange(1, count + 1) / SLOWED
         lower = np.minimum(steps.astype(int), last - 1)
         part = (steps - lower).reshape(-1, *[1] * (run.poses.ndim - 1))
         there = (1.0 - part) * run.poses[lower] + part * run.poses[lower + 1]
-        still = np.repeat(run.poses[turn : turn + 1], stand, axis=0)
-        poses = np.concatenate([run.poses[: turn + 1], still, there, there[-2::-1], still[:1]])
+        standing = np.repeat(run.poses[turn : turn + 1], stand, axis=0)
+        poses = np.concatenate([run.poses[: turn + 1], standing, there, there[-2::-1], standing[:1]])
         begin, half = turn + stand, count // 2
         return cls(
             replace(run, name=f"{run.name} (pause)", poses=poses.astype(run.poses.dtype), every=1),

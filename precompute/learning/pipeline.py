@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
@@ -14,27 +14,37 @@ from threadpoolctl import threadpool_limits
 from assets.io.scene import Scene, scene_text
 from pbd import Fabric, InputError, ModelOptions, SolverOptions
 from pbd.bending import hinge_calibration
-from precompute.learning.calibration import GAINS, Calibration, calibrate
+from precompute.learning.calibration import Calibration, CoarseModel, calibrate
 from precompute.learning.coverage import PART, choose
 from precompute.learning.decoding import by_features, with_vertex_mean
-from precompute.learning.evaluation import Evaluation, Truth, evaluate, fine_run, given_frames, settled, truth_of
+from precompute.learning.evaluation import (
+    Evaluation,
+    Truth,
+    evaluate,
+    fine_run,
+    given_frames,
+    settled,
+    truth_of,
+    truth_runs,
+)
+from precompute.learning.options import LearningOptions
 from precompute.learning.recording import Recording, Run, body_source, record_runs
+from precompute.learning.stages import StageClock, StageTime
 from precompute.learning.training import Layer, build_layer, fit_layer, spread_frames, training_set
 from precompute.learning.unfamiliarity import fit_unfamiliarity
+from precompute.workers import Workers
 from runtime.simulation import Motion
 from runtime.stage import Stage, colliders_of, fabrics_of
 from wrinkles.charts import leading_vertices
 from wrinkles.database import LearnedFabric, WrinkleDatabase, as_stored, body_hash, code_version, write_database
-from wrinkles.dictionary import fabric_features
+from wrinkles.dictionary import Atoms, Mapping, fabric_features
 from wrinkles.gathers import Gathers
 from wrinkles.metrics import given_coarse_figures
 
 __all__ = [
-    "EPOCHS",
-    "TRAINING_FRAMES",
+    "STAGES",
     "Precomputed",
     "default_cache",
-    "epochs_for",
     "precompute",
     "scene_run",
     "training_motions",
@@ -42,10 +52,10 @@ __all__ = [
     "training_runs",
 ]
 
-CALIBRATION_SECONDS = 6.0  # of each motion, to calibrate on: enough to see it move, short enough to try many models
-TRAINING_FRAMES = 2400
-EPOCHS = 12
-MOST_EPOCHS = 48  # where there are few frames
+DEFAULT = LearningOptions()
+STAGES = (
+    "simulating", "fitting patches", "fitting", "means of vertices", "calibrating", "unfamiliarity", "evaluating",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -58,6 +68,7 @@ class Precomputed:
         calibration: of the coarse model in the garment's own fabric.
         truth: of the first held-out motion, None without one.
         evaluation: of the database on it.
+        stages: where the time went.
     """
 
     database: WrinkleDatabase
@@ -65,6 +76,7 @@ class Precomputed:
     calibration: Calibration
     truth: Truth | None
     evaluation: Evaluation | None
+    stages: tuple[StageTime, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -73,6 +85,58 @@ class _Settings:
     options: ModelOptions
     solver: SolverOptions
     frame_rate: float
+
+
+@dataclass(frozen=True)
+class _Example:
+    """A fine run that is learned from.
+
+    Attributes:
+        fabric: name of the fabric that is worn.
+        features: of that fabric, see :func:`wrinkles.dictionary.fabric_features`.
+        run: the run.
+        recording: of it, without what only leads to the motion.
+    """
+
+    fabric: str
+    features: np.ndarray
+    run: Run
+    recording: Recording
+
+
+@dataclass(frozen=True)
+class _Work:
+    """What all stages of a precompute need.
+
+    Attributes:
+        scene, stage: what is learned.
+        layer: of the garment.
+        fabrics: by name, the garment's own first.
+        cache: folder of simulated runs.
+        workers: of all stages.
+        clock: times the stages, and reports.
+        options: how much is done.
+    """
+
+    scene: Scene
+    stage: Stage
+    layer: Layer
+    fabrics: dict[str, Fabric]
+    cache: Path
+    workers: Workers
+    clock: StageClock
+    options: LearningOptions
+
+    @property
+    def seed(self) -> int:
+        return self.scene.wrinkles.seed
+
+    @property
+    def own_fabric(self) -> str:
+        return next(iter(self.fabrics))
+
+    def run(self, motion: Motion, fabric: str | None = None) -> Run:
+        return scene_run(self.stage, self.scene, motion, fabric)
 
 
 def default_cache(output: Path) -> Path:
@@ -86,116 +150,52 @@ def precompute(
     output: str | Path,
     *,
     cache: Path | None = None,
-    workers: int = 2,
+    workers: Workers | int = 2,
     report: Callable[[str], None] | None = None,
+    options: LearningOptions = DEFAULT,
+    clock: StageClock | None = None,
 ) -> Precomputed:
-    """Simulate, calibrate, learn, judge and write.
+    """Simulate, learn, calibrate, judge and write.
 
     Fine runs are cached by content and go on where they were cut off; everything after them is repeated from the
-    same seed, so that an interrupted call gives the same database.
+    same seed, so that an interrupted call gives the same database. It is the same for any number of workers, too.
 
     Args:
         scene: one garment on one body, with training and held-out motion.
         output: the database to write.
         cache: folder of simulated runs; None keeps them beside the database.
-        workers: processes that simulate.
+        workers: processes that simulate and decode, or how many of them there are to be.
         report: told lines of progress.
+        options: how much is done.
+        clock: of a longer road that STAGES are a part of; None times STAGES alone.
 
     Raises:
         InputError: a scene that names nothing to learn from, a held-out motion that is trained on too, and whatever
             cannot be loaded.
     """
     began, output = time.monotonic(), Path(output)
-    tell = report or (lambda line: None)
     stage = Stage.of(scene)
-    cache = cache or default_cache(output)
-    training = scene.training
-    overlap = [m for m in training.held_out if any(m.overlaps(other) for other in training.clips)]
-    if overlap:
-        clips = sorted(f"{m.file}: {m.name}" for m in overlap)
-        raise InputError("a held-out clip is trained on", key="training.held_out", received=clips, expected="another")
-    held_out = [stage.motion(m) for m in scene.training.held_out]  # refused now, and not after the simulations
-    levels, seed, solver = stage.levels, scene.wrinkles.seed, scene.solver.options()
-    fabrics = fabrics_of(scene, stage.settings)
-    layer = build_layer(levels)
-    motions, choice = training_motions(layer, stage, scene, cache, workers, tell)
-    runs = [scene_run(stage, scene, motion, name) for name in fabrics for motion in motions]
-    recordings = training_recordings(runs, cache, workers, tell)
-
-    tell("fitting patches")
-    learned = spread_frames(recordings, TRAINING_FRAMES)
-    data = training_set(layer, learned, scene.wrinkles.atoms, seed)
-    width, own = scene.wrinkles.hidden_width, runs[0].fabric
-    hidden = (8 * width // 3, width)
-    worn = [fabric_features(run.fabric, own) for run in runs]
-    told = np.repeat(worn, [len(recording.frames) for recording in learned], axis=0)
-    epochs = epochs_for(len(data.features))
-    mapping = fit_layer(layer, data, hidden=hidden, epochs=epochs, seed=seed, report=tell, fabrics=told)
-    mappings = [mapping.for_fabric(features) for features in worn]
-    atoms = with_vertex_mean(layer, [by_features(one) for one in mappings], data.atoms, runs, learned)
-
-    coarse_bend = hinge_calibration(levels.coarse)
-    gathers = Gathers.none(levels.coarse.faces)
-    if levels.subdivision.binding is not None:  # sewn as it came, perhaps in pleats
-        gathers = Gathers.of(levels.coarse, np.concatenate([recording.coarse for recording in learned]))
-    calibrations: dict[str, Calibration] = {}
-    for first, name in zip(range(0, len(runs), len(motions)), fabrics, strict=True):
-        shorts = _excerpts(runs[first : first + len(motions)])
-        excerpts = [_start_of(recordings[first + number], short) for number, short in enumerate(shorts)]
-        # The own fabric comes first and chooses how strongly wrinkles are drawn; the others share its network.
-        gains = (1.0,) if calibrations else GAINS
-        calibrations[name] = calibrate(
-            layer, mapping.for_fabric(worn[first]), atoms, shorts, excerpts, solver, coarse_bend, cache, workers,
-            tell, gains, gathers,
-        )  # fmt: skip
-        mapping = mapping.amplified(calibrations[name].gain)
-    mappings = [mapping.for_fabric(features) for features in worn]
-    atoms = with_vertex_mean(layer, [by_features(one) for one in mappings], atoms, runs, learned)  # of what is raised
-    own_name, *others = fabrics
-    calibration = calibrations[own_name]
-    database = WrinkleDatabase(
-        garment_name=stage.settings.name,
-        coarse_vertices=levels.coarse.vertices,
-        coarse_faces=levels.coarse.faces,
-        gathers=gathers,
-        subdivisions=stage.settings.subdivisions,
-        held=levels.coarse_held.astype(np.int32),
-        limits=levels.coarse_limits,
-        warp=(0.0, 1.0, 0.0),
-        binding=levels.subdivision.binding,
-        fabric_name=own_name,
-        fabric=own,
-        options=calibration.options,
-        other_fabrics=tuple(LearnedFabric(name, fabrics[name], calibrations[name].options) for name in others),
-        bend_factor=coarse_bend,
-        solver=solver,
-        frame_rate=scene.solver.frame_rate,
-        atoms=atoms,
-        mapping=mapping,
-        unfamiliarity=fit_unfamiliarity(layer, mappings, atoms, runs, recordings, seed),
-        cutoff=levels.cutoff,
-        body_hash=body_hash(stage.body),
-        body_vertex_count=len(body_source(stage.body).vertices),
-        quality={},
-        held_out=tuple(m.name for m in scene.training.held_out),
-        trained_on=tuple(m.name for m in motions),
-        training_minutes=0.0,
-        seed=seed,
-        scene=scene_text(scene),
-        code_version=code_version(),
-        created=date.today().isoformat(),
-    )
-    database = as_stored(database)  # judged as it will be played
-    truth, evaluation, quality = None, None, dict(choice)
-    if held_out:  # the first held-out clip is the one that is reported
-        run = scene_run(stage, scene, held_out[0])
-        truth = truth_of(run, cache, workers, tell)
-        evaluation = evaluate(database, truth, cache, tell)
-        quality |= evaluation.figures
-        for other in database.other_fabrics:
-            run = scene_run(stage, scene, held_out[0], other.name)
-            given = _given_figures(database.in_fabric(other.name), run, cache, workers, tell)
-            quality |= {f"{other.name}_{name}": value for name, value in given.items()}
+    held_out = _held_out(scene, stage)
+    with Workers.of(workers) as pool:
+        clock = clock or StageClock(STAGES if held_out else STAGES[:-1], pool, report)
+        fabrics = fabrics_of(scene, stage.settings)
+        cache = cache or default_cache(output)
+        work = _Work(scene, stage, build_layer(stage.levels), fabrics, cache, pool, clock, options)
+        with clock.stage("simulating"):
+            motions, choice = training_motions(work.layer, stage, scene, cache, pool, clock)
+            examples = _simulated(work, motions, held_out[:1])
+        mapping, atoms = _learned(work, examples)
+        with clock.stage("calibrating"):
+            coarse = _coarse_model(work, examples)
+            calibrations, mapping = _calibrated(work, examples, mapping, atoms, coarse)
+        database, atoms = _finished(work, examples, mapping, atoms, coarse, calibrations)
+        database = as_stored(replace(database, trained_on=tuple(m.name for m in motions)))  # judged as it is played
+        truth, evaluation, quality = None, None, dict(choice)
+        if held_out:  # the first held-out clip is the one that is reported
+            with clock.stage("evaluating"):
+                truth, evaluation, figures = _evaluated(work, database, held_out[0])
+                quality |= figures
+    calibration = calibrations[work.own_fabric]
     quality |= {
         "feature_shift_before": calibration.shift_before,
         "feature_shift_after": calibration.shift_after,
@@ -206,16 +206,181 @@ def precompute(
     }
     database = replace(database, quality=quality, training_minutes=(time.monotonic() - began) / 60.0)
     write_database(output, database)
-    return Precomputed(database, output, calibration, truth, evaluation)
+    return Precomputed(database, output, calibration, truth, evaluation, tuple(clock.times))
 
 
-def epochs_for(frame_count: int) -> int:
-    """Passes over the training frames: ``EPOCHS`` from half of ``TRAINING_FRAMES`` on, as much learning from fewer."""
-    return max(EPOCHS, min(MOST_EPOCHS, EPOCHS * TRAINING_FRAMES // (2 * frame_count)))
+def _held_out(scene: Scene, stage: Stage) -> list[Motion]:
+    """Motions that nothing may be learned from; refused now, and not after the simulations."""
+    training = scene.training
+    overlap = [m for m in training.held_out if any(m.overlaps(other) for other in training.clips)]
+    if overlap:
+        clips = sorted(f"{m.file}: {m.name}" for m in overlap)
+        raise InputError("a held-out clip is trained on", key="training.held_out", received=clips, expected="another")
+    return [stage.motion(m) for m in training.held_out]
+
+
+def _simulated(work: _Work, motions: Sequence[Motion], judged: Sequence[Motion]) -> list[_Example]:
+    """All fine runs, those that the database is judged by too: the more there are, the less do workers wait."""
+    own = work.fabrics[work.own_fabric]
+    worn = [(name, motion) for name in work.fabrics for motion in motions]
+    runs = [work.run(motion, name) for name, motion in worn]
+    later = [one for motion in judged for one in truth_runs(work.run(motion), work.options)]
+    later += [work.run(motion, name) for motion in judged for name in work.fabrics if name != work.own_fabric]
+    record_runs([*runs, *later], work.cache, work.workers, work.clock)
+    return [
+        _Example(name, fabric_features(work.fabrics[name], own), run, recording)
+        for (name, _), run, recording in zip(
+            worn, runs, training_recordings(runs, work.cache, work.workers), strict=True
+        )
+    ]
+
+
+def _learned(work: _Work, examples: Sequence[_Example]) -> tuple[Mapping, Atoms]:
+    """The dictionary, with means of vertices for wrinkles that are not raised yet."""
+    clock, scene, layer, options = work.clock, work.scene, work.layer, work.options
+    with clock.stage("fitting patches"):
+        learned = spread_frames([example.recording for example in examples], options.training_frames)
+        data = training_set(layer, learned, scene.wrinkles.atoms, work.seed)
+    with clock.stage("fitting"):
+        width = scene.wrinkles.hidden_width
+        features = [example.features for example in examples]
+        told = np.repeat(features, [len(recording.frames) for recording in learned], axis=0)
+        epochs = options.epochs_for(len(data.features))
+        hidden = (8 * width // 3, width)
+        mapping = fit_layer(layer, data, hidden=hidden, epochs=epochs, seed=work.seed, report=clock, fabrics=told)
+    with clock.stage("means of vertices"):
+        return mapping, _with_means(work, examples, mapping, data.atoms)
+
+
+def _with_means(work: _Work, examples: Sequence[_Example], mapping: Mapping, atoms: Atoms) -> Atoms:
+    said = {name: by_features(one) for name, one in _by_fabric(examples, mapping).items()}
+    return with_vertex_mean(
+        work.layer,
+        [said[example.fabric] for example in examples],
+        atoms,
+        [example.run for example in examples],
+        [example.recording for example in examples],
+        work.workers,
+        work.options.mean_frames,
+    )
+
+
+def _by_fabric(examples: Sequence[_Example], mapping: Mapping) -> dict[str, Mapping]:
+    """The mapping for each fabric that is learned from."""
+    return {name: mapping.for_fabric(features) for name, features in {e.fabric: e.features for e in examples}.items()}
+
+
+def _coarse_model(work: _Work, examples: Sequence[_Example]) -> CoarseModel:
+    levels = work.layer.levels
+    gathers = Gathers.none(levels.coarse.faces)
+    if levels.subdivision.binding is not None:  # sewn as it came, perhaps in pleats
+        learned = spread_frames([example.recording for example in examples], work.options.training_frames)
+        gathers = Gathers.of(levels.coarse, np.concatenate([recording.coarse for recording in learned]))
+    return CoarseModel(work.scene.solver.options(), hinge_calibration(levels.coarse), gathers)
+
+
+def _calibrated(
+    work: _Work, examples: Sequence[_Example], mapping: Mapping, atoms: Atoms, coarse: CoarseModel
+) -> tuple[dict[str, Calibration], Mapping]:
+    """Coarse models by fabric, and the mapping with its wrinkles as strong as the garment's own fabric has them."""
+    found: dict[str, Calibration] = {}
+    for name in work.fabrics:
+        mine = [example for example in examples if example.fabric == name]
+        # The own fabric comes first and chooses how strongly wrinkles are drawn; the others share its network.
+        options = replace(work.options, gains=(1.0,)) if found else work.options
+        found[name] = calibrate(
+            work.layer,
+            mapping.for_fabric(mine[0].features),
+            atoms,
+            [example.run for example in mine],
+            [example.recording for example in mine],
+            coarse,
+            work.cache,
+            work.workers,
+            options,
+            work.clock,
+        )
+        mapping = mapping.amplified(found[name].gain)
+    return found, mapping
+
+
+def _finished(
+    work: _Work,
+    examples: Sequence[_Example],
+    mapping: Mapping,
+    atoms: Atoms,
+    coarse: CoarseModel,
+    calibrations: dict[str, Calibration],
+) -> tuple[WrinkleDatabase, Atoms]:
+    """The database without what judging it gives, with means of vertices and scores for raised wrinkles."""
+    with work.clock.stage("unfamiliarity"):
+        atoms = _with_means(work, examples, mapping, atoms)
+        mappings = _by_fabric(examples, mapping)
+        unfamiliarity = fit_unfamiliarity(
+            work.layer,
+            [mappings[example.fabric] for example in examples],
+            atoms,
+            [example.run for example in examples],
+            [example.recording for example in examples],
+            work.seed,
+            work.workers,
+        )
+    scene, settings, levels, body = work.scene, work.stage.settings, work.stage.levels, work.stage.body
+    own, *others = work.fabrics
+    database = WrinkleDatabase(
+        garment_name=settings.name,
+        coarse_vertices=levels.coarse.vertices,
+        coarse_faces=levels.coarse.faces,
+        gathers=coarse.gathers or Gathers.none(levels.coarse.faces),
+        subdivisions=settings.subdivisions,
+        held=levels.coarse_held.astype(np.int32),
+        limits=levels.coarse_limits,
+        warp=(0.0, 1.0, 0.0),
+        binding=levels.subdivision.binding,
+        fabric_name=own,
+        fabric=work.fabrics[own],
+        options=calibrations[own].options,
+        other_fabrics=tuple(LearnedFabric(name, work.fabrics[name], calibrations[name].options) for name in others),
+        bend_factor=coarse.bend_factor,
+        solver=coarse.solver,
+        frame_rate=scene.solver.frame_rate,
+        atoms=atoms,
+        mapping=mapping,
+        unfamiliarity=unfamiliarity,
+        cutoff=levels.cutoff,
+        body_hash=body_hash(body),
+        body_vertex_count=len(body_source(body).vertices),
+        quality={},
+        held_out=tuple(m.name for m in scene.training.held_out),
+        trained_on=(),
+        training_minutes=0.0,
+        seed=work.seed,
+        scene=scene_text(scene),
+        code_version=code_version(),
+        created=date.today().isoformat(),
+    )
+    return database, atoms
+
+
+def _evaluated(work: _Work, database: WrinkleDatabase, motion: Motion) -> tuple[Truth, Evaluation, dict[str, float]]:
+    """How good the database is on a held-out motion, in its own fabric and, given the coarse states, in the others."""
+    cache, workers, clock = work.cache, work.workers, work.clock
+    truth = truth_of(work.run(motion), cache, workers, clock)
+    evaluation = evaluate(database, truth, cache, clock, workers, work.options)
+    figures = dict(evaluation.figures)
+    for other in database.other_fabrics:
+        given = _given_figures(database.in_fabric(other.name), work.run(motion, other.name), cache, workers, clock)
+        figures |= {f"{other.name}_{name}": value for name, value in given.items()}
+    return truth, evaluation, figures
 
 
 def training_motions(
-    layer: Layer, stage: Stage, scene: Scene, cache: Path, workers: int, report: Callable[[str], None] | None = None
+    layer: Layer,
+    stage: Stage,
+    scene: Scene,
+    cache: Path,
+    workers: Workers | int,
+    report: Callable[[str], None] | None = None,
 ) -> tuple[list[Motion], dict[str, float]]:
     """The motions that a scene learns from: all that it names, or the parts of them that add most.
 
@@ -254,7 +419,7 @@ def training_runs(
 
 
 def training_recordings(
-    runs: list[Run], cache: Path, workers: int, report: Callable[[str], None] | None = None
+    runs: list[Run], cache: Path, workers: Workers | int, report: Callable[[str], None] | None = None
 ) -> list[Recording]:
     """What the runs that a scene learns from gave, without what only leads to the motions that are meant."""
     recordings = record_runs(runs, cache, workers, report)
@@ -271,7 +436,7 @@ def scene_run(stage: Stage, scene: Scene, motion: Motion, fabric: str | None = N
 
 
 def _given_figures(
-    database: WrinkleDatabase, run: Run, cache: Path, workers: int, report: Callable[[str], None]
+    database: WrinkleDatabase, run: Run, cache: Path, workers: Workers | int, report: Callable[[str], None]
 ) -> dict[str, float]:
     """What the dictionary makes of the coarse states of a fine run: error and skill of its normals."""
     (recording,) = record_runs([run], cache, workers, report)
@@ -280,13 +445,3 @@ def _given_figures(
     owner = leading_vertices(run.levels.subdivision)[:, 0]
     figures = given_coarse_figures(decoded, recording.positions, smooth, run.levels.fine.faces, owner)
     return {name: float(figures[name]) for name in ("normal_error_deg", "normal_error_smooth_deg", "normal_skill")}
-
-
-def _excerpts(runs: list[Run]) -> list[Run]:
-    """The start of each training run, to calibrate on."""
-    return [replace(run, poses=run.poses[: round(CALIBRATION_SECONDS / run.dt) + 1]) for run in runs]
-
-
-def _start_of(recording: Recording, run: Run) -> Recording:
-    """A recording as far as a shortened run goes."""
-    return recording.where(recording.frames <= run.frame_count)

@@ -24,7 +24,7 @@ from pbd import ClothMesh, DistanceField, Fabric, ModelOptions, SolverOptions, S
 from pbd.fingerprint import source_fingerprint
 from pbd.storage import replacing
 from pbd.wind import CALM, Air, Wind
-from precompute.workers import run_jobs
+from precompute.workers import Workers
 from runtime.simulation import Simulation, body_source, poses_of
 from wrinkles.gathers import Gathers
 from wrinkles.levels import Levels
@@ -175,7 +175,7 @@ class Recording:
 def record_runs(
     runs: Sequence[Run],
     cache: Path,
-    workers: int = 2,
+    workers: Workers | int = 2,
     report: Callable[[str], None] | None = None,
 ) -> list[Recording]:
     """Simulate what is not in the cache yet, and read everything back.
@@ -183,7 +183,7 @@ def record_runs(
     Args:
         runs: what to record.
         cache: folder; each run has a folder of its own in it, named by :meth:`Run.key`.
-        workers: processes at a time; each run stays on one.
+        workers: processes that go on living, or a number of processes for these runs; each run stays on one.
         report: told a line of progress now and then.
     """
     folders = [cache / run.key() for run in runs]
@@ -192,19 +192,20 @@ def record_runs(
         min(run.frame_count, run.chunk * len(list(folder.glob("chunk_*.npz"))))
         for run, folder in zip(runs, folders, strict=True)
     )
-    todo = [
-        (run, folder)
+    todo = {
+        folder: run
         for run, folder in zip(runs, folders, strict=True)
         if len(list(folder.glob("chunk_*.npz"))) < run.chunk_count
-    ]
+    }
+    longest_first = sorted(todo.items(), key=lambda item: -item[1].frame_count)
     began, before = time.monotonic(), done()
     if len(todo) == 1 or workers == 1:
-        for run, folder in todo:
+        for folder, run in longest_first:
             _record(run, folder, lambda: _tell(report, done(), before, total, began))
     elif todo:
-        todo.sort(key=lambda item: -item[0].frame_count)
-        jobs = [partial(_record, run, folder) for run, folder in todo]
-        run_jobs(jobs, workers, meanwhile=lambda: _tell(report, done(), before, total, began))
+        with Workers.of(workers) as pool:
+            jobs = [partial(_record, run, folder) for folder, run in longest_first]
+            pool.run(jobs, meanwhile=lambda: _tell(report, done(), before, total, began))
     return [_read(run, folder) for run, folder in zip(runs, folders, strict=True)]
 
 

@@ -12,6 +12,7 @@ from wrinkles.charts import Charts
 from wrinkles.dictionary import Atoms, Mapping, fit_atoms, fit_mapping
 from wrinkles.features import DYNAMIC_COUNT, REGIONS, Stencil
 from wrinkles.levels import Levels
+from wrinkles.network import in_threads
 from wrinkles.patches import NODES, Patches
 
 __all__ = [
@@ -25,6 +26,9 @@ __all__ = [
     "spread_frames",
     "training_set",
 ]
+
+SAMPLED_PATCHES = 60_000  # that the atoms are fitted to
+BLOCK = 32  # frames whose smooth surface is computed at once
 
 
 @dataclass(frozen=True)
@@ -87,47 +91,91 @@ def training_set(layer: Layer, recordings: Sequence[Recording], atom_count: int,
         atom_count: number of atoms.
         seed: of the choice of patches that the atoms are fitted to.
     """
-    features, patches_at, count = _patch_reader(layer, recordings)
+    around = _Residuals.of(layer, recordings)
+    count, frame_count = len(around.fits), len(around.features)
     rng = np.random.default_rng(seed)
-    frame_count = len(features)
-    some = rng.choice(frame_count, min(frame_count, max(1, 60_000 // count)), replace=False)
-    sample = np.stack([patches_at(i)[some] for i in range(count)], axis=1)
+    some = rng.choice(frame_count, min(frame_count, max(1, SAMPLED_PATCHES // count)), replace=False)
+    sample = np.stack(in_threads(lambda i: around.grids(i, some), range(count)), axis=1)
     atoms = fit_atoms(sample.reshape(-1, 3 * NODES), atom_count, layer.levels.subdivision.fine_count)
-    return TrainingSet(features, _reduced(patches_at, count, atoms), atoms)
+    return TrainingSet(around.features, around.coefficients(atoms), atoms)
 
 
 def coefficients_of(layer: Layer, recordings: Sequence[Recording], atoms: Atoms) -> np.ndarray:
     """What the patches of recorded frames are in atoms: float32, shape (S, n, K)."""
-    _, patches_at, count = _patch_reader(layer, recordings)
-    return _reduced(patches_at, count, atoms)
+    return _Residuals.of(layer, recordings).coefficients(atoms)
 
 
-def _reduced(patches_at: Callable[[int], np.ndarray], count: int, atoms: Atoms) -> np.ndarray:
-    coefficients = np.stack([(patches_at(i) - atoms.mean) @ atoms.analysis for i in range(count)], axis=1)
-    return coefficients.astype(np.float32)
+@dataclass(frozen=True)
+class _Residuals:
+    """What recorded frames have besides the smooth surface, to be read patch by patch.
 
+    Attributes:
+        features: float32, shape (f, n, DYNAMIC_COUNT).
+        rows: the residual along each axis [m], float32, shape (3, N, f): the frames of a vertex lie together.
+        frames: of the coarse vertices, float32, shape (n, 3, 3, f): axis of the frame, axis of space.
+        fits: of each coarse vertex, see :meth:`wrinkles.patches.Patches.fits`.
+    """
 
-def _patch_reader(layer: Layer, recordings: Sequence[Recording]) -> tuple[np.ndarray, Callable[[int], np.ndarray], int]:
-    """Features of recorded frames, a function that gives the fitted patches of a coarse vertex, and their number."""
-    features, turned = zip(*(features_of(layer, r) for r in recordings), strict=True)
-    residual = np.concatenate([residual_of(layer, r) for r in recordings])
-    frames = np.concatenate(turned)
-    fits = layer.patches.fits(layer.levels.subdivision.coarse_count)
-    return np.concatenate(features), lambda i: _patches(residual, frames, fits, i), len(fits)
+    features: np.ndarray
+    rows: np.ndarray
+    frames: np.ndarray
+    fits: list[tuple[np.ndarray, np.ndarray]]
+
+    @classmethod
+    def of(cls, layer: Layer, recordings: Sequence[Recording]) -> _Residuals:
+        features, frames = (
+            np.concatenate(parts) for parts in zip(*(features_of(layer, r) for r in recordings), strict=True)
+        )
+        rows = np.zeros((3, layer.levels.subdivision.fine_count, len(frames)), np.float32)
+        firsts = np.cumsum([0, *(len(r.frames) for r in recordings)])
+        blocks = [
+            (recording, first, slice(begin, min(begin + BLOCK, len(recording.frames))))
+            for recording, first in zip(recordings, firsts, strict=False)
+            for begin in range(0, len(recording.frames), BLOCK)
+        ]
+
+        def fill(block: tuple[Recording, int, slice]) -> None:
+            recording, first, some = block
+            residual = residual_of(layer, recording.where(some))
+            rows[:, :, first + some.start : first + some.stop] = residual.transpose(2, 1, 0)
+
+        in_threads(fill, blocks)
+        turned = np.ascontiguousarray(frames.reshape(*frames.shape[:2], 3, 3).transpose(1, 2, 3, 0))
+        return cls(features, rows, turned, layer.patches.fits(frames.shape[1]))
+
+    def local(self, i: int, some: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """The residual in the patch of coarse vertex i, in its own frame [m]: float32, shape (3, k, f)."""
+        members, _ = self.fits[i]
+        there, basis = self.rows[:, members][:, :, some], self.frames[i][:, :, some]
+        found = basis[:, None, 0] * there[0]
+        for axis in (1, 2):
+            found += basis[:, None, axis] * there[axis]
+        return found
+
+    def grids(self, i: int, some: np.ndarray) -> np.ndarray:
+        """Grids that are fitted to it in some frames [m], float32, shape (f, 3 NODES)."""
+        fit = self.fits[i][1].astype(np.float32)
+        return (fit @ self.local(i, some)).transpose(2, 1, 0).reshape(len(some), -1)
+
+    def coefficients(self, atoms: Atoms) -> np.ndarray:
+        """What the grids of all patches are in atoms, float32, shape (f, n, K)."""
+        found = np.zeros((len(self.features), len(self.fits), len(atoms.shapes)), np.float32)
+        analysis = atoms.analysis.astype(float).reshape(NODES, 3, -1)
+        offset = (atoms.mean @ atoms.analysis).astype(np.float32)
+
+        def fill(i: int) -> None:
+            local = self.local(i)
+            # Fitting a grid and reading its coefficients are one matrix.
+            both = np.einsum("nk,nac->akc", self.fits[i][1], analysis, optimize=True).astype(np.float32)
+            found[:, i] = local.reshape(-1, local.shape[2]).T @ both.reshape(-1, both.shape[2]) - offset
+
+        in_threads(fill, range(len(self.fits)))
+        return found
 
 
 def residual_of(layer: Layer, recording: Recording) -> np.ndarray:
     """Fine positions less the smooth surface of their coarse ones [m], float32, shape (f, N, 3)."""
-    smooth = np.stack([layer.levels.subdivision.upsample(frame) for frame in recording.coarse])
-    return (recording.positions - smooth).astype(np.float32)
-
-
-def _patches(residual: np.ndarray, frames: np.ndarray, fits: list, i: int) -> np.ndarray:
-    """Grids fitted to the residual around coarse vertex i in its own frame: shape (f, 3 NODES)."""
-    members, fit = fits[i]
-    basis = frames[:, i].reshape(-1, 3, 3)
-    local = np.einsum("fkx,fax->fka", residual[:, members], basis)
-    return np.einsum("nk,fka->fna", fit.astype(np.float32), local).reshape(len(residual), -1)
+    return (recording.positions - layer.levels.subdivision.upsample(recording.coarse)).astype(np.float32)
 
 
 def fit_layer(

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import groupby
 
 import numpy as np
 
-from precompute.learning.decoding import decode_recording
+from precompute.learning.decoding import blocks_of, decode_recording
 from precompute.learning.recording import Recording, Run
-from precompute.learning.training import Layer, spread_frames
+from precompute.learning.training import Layer, features_of, spread_frames
+from precompute.workers import Workers
 from wrinkles.charts import leading_vertices
 from wrinkles.dictionary import Atoms, Mapping
 from wrinkles.metrics import patch_normal_errors
-from wrinkles.network import Network
+from wrinkles.network import Network, Samples, in_threads
 from wrinkles.unfamiliarity import Unfamiliarity
 
 __all__ = ["fit_unfamiliarity"]
@@ -34,6 +36,7 @@ def fit_unfamiliarity(
     runs: Sequence[Run],
     recordings: Sequence[Recording],
     seed: int,
+    workers: Workers,
 ) -> Unfamiliarity:
     """Fit the score to the true errors of decoded training motion.
 
@@ -44,20 +47,24 @@ def fit_unfamiliarity(
         layer: of the garment.
         mappings, atoms: the dictionary, for the fabric of each run.
         runs: fine training runs.
-        recordings: what they gave.
+        recordings: of these runs.
         seed: of noise, first weights and shuffling.
+        workers: that decode.
     """
-    rng = np.random.default_rng(seed)
-    hidden, error = _decoded_errors(layer, mappings, atoms, runs, spread_frames(recordings, FRAMES), None)
-    strange = _decoded_errors(layer, mappings, atoms, runs, spread_frames(recordings, STRANGE_FRAMES), rng)
+    plain = _blocks(layer, mappings, atoms, runs, spread_frames(recordings, FRAMES), None)
+    strange = _blocks(layer, mappings, atoms, runs, spread_frames(recordings, STRANGE_FRAMES), seed)
+    errors = workers.run([partial(_patch_errors, block) for _, block in (*plain, *strange)])
+    hidden, error = np.concatenate([h for h, _ in plain]), np.concatenate(errors[: len(plain)])
     kept_out = np.arange(len(hidden)) // BLOCK % KEPT_OUT == KEPT_OUT - 1
-    seen = np.concatenate([hidden[~kept_out], strange[0]]).reshape(-1, hidden.shape[2])
-    target = np.log(np.concatenate([error[~kept_out], strange[1]]).reshape(-1, 1) + LEAST)
-    middle, spread = seen.mean(axis=0), seen.std(axis=0) + 1e-3
+    seen = np.concatenate([hidden[~kept_out], *(h for h, _ in strange)]).reshape(-1, hidden.shape[2])
+    target = np.log(np.concatenate([error[~kept_out], *errors[len(plain) :]]).reshape(-1, 1) + LEAST)
+    middle, spread = seen.mean(axis=0), seen.std(axis=0) + np.float32(1e-3)
     level, unit = target.mean(), target.std()
     network = Network((seen.shape[1], UNITS, 1), seed)
-    nowhere = np.zeros((hidden.shape[1], 0), np.float32)  # places have told the first layer already
-    network.fit((seen - middle) / spread, nowhere, ((target - level) / unit).astype(np.float32), epochs=EPOCHS)
+    nowhere = np.zeros((1, 0), np.float32)  # places have told the first layer already
+    seen -= middle
+    seen /= spread
+    network.fit(Samples(seen, nowhere, ((target - level) / unit).astype(np.float32)), epochs=EPOCHS)
     weights = network.weights[0] / spread[:, None]
     found = Unfamiliarity(
         weights.astype(np.float32),
@@ -70,33 +77,56 @@ def fit_unfamiliarity(
     return replace(found, fade_from=float(np.exp(np.percentile(judged, FAMILIAR))))
 
 
-def _decoded_errors(
+@dataclass(frozen=True)
+class _Block:
+    """Frames to decode with given coefficients, float32, shape (f, n, K)."""
+
+    layer: Layer
+    atoms: Atoms
+    run: Run
+    recording: Recording
+    coefficients: np.ndarray
+
+
+def _blocks(
     layer: Layer,
     mappings: Sequence[Mapping],
     atoms: Atoms,
     runs: Sequence[Run],
     recordings: Sequence[Recording],
-    rng: np.random.Generator | None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """First hidden layer, float32, shape (f, k, h1), and normal error of each patch [deg], shape (f, k).
+    noise_seed: int | None,
+) -> list[tuple[np.ndarray, _Block]]:
+    """First hidden layer in blocks of frames, float32, shape (f, k, h1), and how to decode them.
 
     Of the k coarse vertices that lead fine ones; a delivered fine mesh may leave some out.
 
     Args:
         layer, mappings, atoms, runs, recordings: as above.
-        rng: makes the features strange; None leaves them.
+        noise_seed: of what makes the features strange; None leaves them.
     """
-    hidden: list[np.ndarray] = []
+    leading = np.unique(leading_vertices(layer.levels.subdivision)[:, 0])
+    items = []
+    shown = zip(mappings, runs, recordings, strict=True)
+    for _, group in groupby(shown, key=lambda one: id(one[0])):
+        (mapping, *_), some_runs, some = zip(*group, strict=True)
+        items += [(mapping, run, recording) for run, recording in blocks_of(some_runs, some)]
+    features = [features_of(layer, recording)[0] for _, _, recording in items]
 
-    def predict(mapping: Mapping, features: np.ndarray, pose: np.ndarray) -> np.ndarray:
-        if rng is not None:
-            features = features + rng.uniform(*NOISE) * rng.standard_normal(features.shape) / mapping.scale
-        hidden.append(mapping.hidden(features).astype(np.float32))
-        return mapping.coefficients(hidden[-1])
+    def block_of(number: int) -> tuple[np.ndarray, _Block]:
+        (mapping, run, recording), seen = items[number], features[number]
+        if noise_seed is not None:
+            rng = np.random.default_rng((noise_seed, number))
+            sizes = rng.uniform(*NOISE, (len(seen), 1, 1))
+            seen = (seen + sizes * rng.standard_normal(seen.shape) / mapping.scale).astype(np.float32)
+        hidden = mapping.hidden(seen).astype(np.float32)
+        return hidden[:, leading], _Block(layer, atoms, run, recording, mapping.coefficients(hidden))
 
+    return in_threads(block_of, range(len(items)))
+
+
+def _patch_errors(block: _Block) -> np.ndarray:
+    """Normal error of each patch [deg], float32, shape (f, k)."""
+    layer, given = block.layer, iter(block.coefficients)
+    _, decoded = decode_recording(layer, lambda features, pose: next(given), block.atoms, block.run, block.recording)
     faces, owner = layer.levels.fine.faces, leading_vertices(layer.levels.subdivision)[:, 0]
-    errors = []
-    for mapping, run, recording in zip(mappings, runs, recordings, strict=True):
-        _, decoded = decode_recording(layer, partial(predict, mapping), atoms, run, recording)
-        errors.append(patch_normal_errors(decoded, recording.positions, faces, owner))
-    return np.array(hidden)[:, np.unique(owner)], np.concatenate(errors).astype(np.float32)
+    return patch_normal_errors(decoded, block.recording.positions, faces, owner).astype(np.float32)

@@ -13,7 +13,8 @@ from pbd import ModelOptions
 from precompute.learning.decoding import Lift, Predict, by_features, by_patches, lifted_frames, with_vertex_mean
 from precompute.learning.evaluation import Truth
 from precompute.learning.held_out import HeldOut, held_out_truth
-from precompute.learning.pipeline import EPOCHS, TRAINING_FRAMES, default_cache, training_recordings, training_runs
+from precompute.learning.options import LearningOptions
+from precompute.learning.pipeline import default_cache, training_recordings, training_runs
 from precompute.learning.recording import Recording, Run
 from precompute.learning.training import Layer, TrainingSet, build_layer, fit_layer, spread_frames, training_set
 from runtime.stage import Stage, scene_of
@@ -22,7 +23,7 @@ from wrinkles.dictionary import Atoms, Mapping
 
 __all__ = ["Experiment", "Variant"]
 
-FRAMES = TRAINING_FRAMES // 2
+FRAMES, EPOCHS = LearningOptions().training_frames // 2, LearningOptions().epochs
 TIMED_FRAMES = 30
 
 

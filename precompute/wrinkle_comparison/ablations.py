@@ -23,13 +23,13 @@ from precompute.learning import decoding, held_out, training
 from precompute.learning.calibration import filtered
 from precompute.learning.decoding import Predict
 from precompute.learning.held_out import coarse_run
-from precompute.learning.pipeline import EPOCHS, default_cache, training_recordings
+from precompute.learning.pipeline import default_cache, training_recordings
 from precompute.learning.training import (
     coefficients_of,
     features_of,
     spread_frames,
 )
-from precompute.wrinkle_comparison.ablation_experiment import FRAMES, Experiment, Variant
+from precompute.wrinkle_comparison.ablation_experiment import EPOCHS, FRAMES, Experiment, Variant
 from precompute.wrinkle_comparison.wrinkle_baselines import k_means_modes
 from wrinkles.charts import fine_places
 from wrinkles.coarse_filter import CoarseFilter

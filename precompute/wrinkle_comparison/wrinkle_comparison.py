@@ -24,7 +24,8 @@ from precompute.learning.decoding import (
     with_vertex_mean,
 )
 from precompute.learning.held_out import JUDGED, HeldOut, held_out_truth
-from precompute.learning.pipeline import TRAINING_FRAMES, default_cache, epochs_for, training_recordings, training_runs
+from precompute.learning.options import LearningOptions
+from precompute.learning.pipeline import default_cache, training_recordings, training_runs
 from precompute.learning.recording import Recording, Run
 from precompute.learning.training import Layer, build_layer, coefficients_of, spread_frames, training_set
 from precompute.wrinkle_comparison.baselines import player_times, typical_ms
@@ -203,10 +204,10 @@ def compare_wrinkles_file(
     recordings = training_recordings(runs, cache, 2, report)
     tell("fitting baselines: wrinkle meshes")
     mesh_options = tuned_wrinkle_mesh(layer, runs[-1], recordings[-1].where(slice(-TUNED_FRAMES, None)))
-    chosen = spread_frames(recordings, TRAINING_FRAMES)
+    chosen = spread_frames(recordings, LearningOptions().training_frames)
     data = training_set(layer, chosen, len(database.atoms.shapes), database.seed)
     poses = np.concatenate([run.poses[r.frames] for run, r in zip(runs, chosen, strict=True)])
     gain = database.wrinkle_gain
-    epochs = epochs_for(len(data.features))
+    epochs = LearningOptions().epochs_for(len(data.features))
     baselines = fit_baselines(layer, data, poses, epochs=epochs, seed=database.seed, gain=gain, report=report)
     return compare_wrinkles(layer, database, baselines, mesh_options, held_out, runs, chosen, report)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from precompute.learning.pipeline import Precomputed, precompute
-from tests.precompute.miniature import miniature, scene
+from tests.precompute.miniature import OPTIONS, scene
 
 
 @pytest.fixture(scope="session")
@@ -15,5 +15,5 @@ def reports() -> list[str]:
 @pytest.fixture(scope="session")
 def learned(tmp_path_factory: pytest.TempPathFactory, reports: list[str]) -> Precomputed:
     """The miniature's database, its recorded runs beside it; modules that ask for it run in one process."""
-    with miniature():
-        return precompute(scene(), tmp_path_factory.mktemp("learned") / "skirt.h5", workers=1, report=reports.append)
+    output = tmp_path_factory.mktemp("learned") / "skirt.h5"
+    return precompute(scene(), output, workers=1, report=reports.append, options=OPTIONS)

@@ -17,7 +17,7 @@ from precompute import demo
 from precompute.demo import FULL, SHORT, STAGES, WORDS, Demo, DemoResult, introduction, run_demo
 from precompute.demo_page import duration, words_of
 from precompute.learning.pipeline import Precomputed, default_cache
-from precompute.wrinkle_comparison import rivals
+from precompute.wrinkle_comparison import baselines
 from runtime.glb import BYTES_A_VERTEX
 from tests.precompute.miniature import OPTIONS, SCENE
 from wrinkles.database import read_database
@@ -39,7 +39,7 @@ def ran(learned: Precomputed, tmp_path_factory: pytest.TempPathFactory) -> Ran:
     said: list[str] = []
     told: list[str] = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rivals, "PROBE_FRAMES", 16)
+        patch.setattr(baselines, "PROBE_FRAMES", 16)
         patch.setattr(demo, "PICTURE", (120, 150))
         small = Demo(output / "scene.toml", OPTIONS, (1.0,) * len(STAGES), moments=2, brief=True)
         made = run_demo(output, small, workers=1, say=said.append, report=told.append)

@@ -111,9 +111,8 @@ def test_regions_go_on_from_what_all_places_have_learned(examples: tuple) -> Non
     assert error[1] < 0.4 * error[0]
     told: list[str] = []
     fit(region=there, report=told.append)
-    assert [line.split(",")[0] for line in told[-3:]] == [
-        "fitting: pass 12 of 12", "fitting: region 1 of 2", "fitting: region 2 of 2",
-    ]  # fmt: skip
+    assert [line.split(",")[0] for line in told[-2:]] == ["fitting: region 1 of 2", "fitting: region 2 of 2"]
+    assert all(" of at most 12 passes, loss " in line for line in told[:-2])
 
 
 def test_the_same_seed_gives_the_same_bits(examples: tuple) -> None:

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from pbd import ModelOptions, SolverOptions
-from precompute.learning.calibration import GAINS, calibrate, filtered
+from precompute.learning.calibration import CoarseModel, calibrate, filtered
 from precompute.learning.decoding import decode_recording
 from precompute.learning.recording import Run, poses_of, record_runs
 from precompute.learning.training import build_layer
+from precompute.workers import Workers
 from runtime.stage import Stage, fabric_of
-from tests.precompute.miniature import miniature, scene
+from tests.precompute.miniature import OPTIONS, scene
 from tests.wrinkles.databases import placed, small_database
 from wrinkles.coarse_filter import CoarseFilter
 
@@ -41,22 +42,27 @@ def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(
         "walk", stage.levels, True, stage.body, poses, 1.0 / 60.0, fabric_of(stage.settings), ModelOptions(), solver
     )
     coarse = replace(fine, fine=False, options=ModelOptions(shear_scale=shear, bend_scale=stiff), bend_factor=0.3)
-    with miniature():
-        run = filtered(record_runs([coarse], cache, 1)[0], CoarseFilter(stage.levels).matrix)
-        # What this coarse garment looks like when it is decoded is given out as the fine run.
-        told = replace(run, positions=decode_recording(layer, predict, atoms, coarse, run)[1])
-        found = calibrate(layer, mapping, atoms, [fine], [told], solver, 0.3, cache, 1)
+    options = replace(OPTIONS, gains=(1.0, 1.25, 1.5))
+    run = filtered(record_runs([coarse], cache, 1)[0], CoarseFilter(stage.levels).matrix)
+    # What this coarse garment looks like when it is decoded is given out as the fine run.
+    told = replace(run, positions=decode_recording(layer, predict, atoms, coarse, run)[1])
+    found_by = lambda: calibrate(  # noqa: E731
+        layer, mapping, atoms, [fine], [told], CoarseModel(solver, 0.3), cache, Workers(1), options
+    )
+    found = found_by()
     assert (found.options, found.gain) == (coarse.options, gain)
     told_of = lambda key: {(r["bend_scale"], r["shear_scale"], r["gain"]): r[key] for r in found.rows}  # noqa: E731
     errors = told_of("spectrum_error")
     assert errors[stiff, shear, gain] < 1e-2 < 0.1 < errors[31.0 - stiff, shear, 1.0]
-    assert all(errors[stiff, shear, other] > 1e-3 > errors[stiff, shear, gain] for other in GAINS if other != gain)
+    assert all(
+        errors[stiff, shear, other] > 1e-3 > errors[stiff, shear, gain] for other in options.gains if other != gain
+    )
     apart = told_of("apart_mm")
     assert apart[stiff, shear, gain] < 1e-3 < 1.0 < apart[31.0 - stiff, shear, 1.0]
     assert apart[1.0, 0.1 if shear == 1.0 else 1.0, 1.0] > 0.1
     assert all(row["error"] >= row["spectrum_error"] for row in found.rows)
     assert told_of("excess")[stiff, shear, gain] == pytest.approx(1.0, abs=1e-3)
-    with miniature(), monkeypatch.context() as less:  # as if that were noise already
+    with monkeypatch.context() as less:  # as if that were noise already
         less.setattr("precompute.learning.calibration.EXCESS", 0.5)
-        assert calibrate(layer, mapping, atoms, [fine], [told], solver, 0.3, cache, 1).gain == 1.0
+        assert found_by().gain == 1.0
     assert found.mismatch_after == pytest.approx(0.0, abs=1e-3)  # its own statistics, but for rounding

@@ -11,7 +11,7 @@ from precompute.learning.coverage import evenly, greedily
 from precompute.learning.pipeline import training_motions
 from precompute.learning.training import Layer, build_layer
 from runtime.stage import Stage
-from tests.precompute.miniature import SCENE, miniature, scene
+from tests.precompute.miniature import SCENE, scene
 
 CLIPS = """
 [[training.clips]]
@@ -96,9 +96,8 @@ def test_motions_are_cut_into_parts_with_a_blend_each(stage: Stage) -> None:
 
 def test_the_parts_that_add_most_are_learned_from(stage: Stage, layer: Layer, tmp_path: Path) -> None:
     told: list[str] = []
-    with miniature():
-        motions, figures = training_motions(layer, stage, stage.scene, tmp_path, 1, told.append)
-        again, _ = training_motions(layer, stage, stage.scene, tmp_path, 1)
+    motions, figures = training_motions(layer, stage, stage.scene, tmp_path, 1, told.append)
+    again, _ = training_motions(layer, stage, stage.scene, tmp_path, 1)
     names = [part.name for part in stage.training_parts(4.0)]
     chosen = [motion.name for motion in motions]
     assert chosen == [motion.name for motion in again] == [name for name in names if name in chosen]

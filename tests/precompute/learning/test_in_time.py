@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from precompute.learning.evaluation import fine_run
-from precompute.learning.in_time import PIECE, SLOWED, STILL, Pause, popping, step_response_frames
+from precompute.learning.in_time import SLOWED, Pause, popping, step_response_frames
 from precompute.learning.recording import Run
 from runtime.player import Player
 from runtime.simulation import poses_of
 from tests.runtime.players import skirt_database, skirt_stage
 
-START = 1.5
+START, STILL, PIECE = 1.5, 0.4, 0.5
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def run() -> Run:
 @pytest.mark.parametrize("seconds", [3.0, 1.6, 0.5])
 def test_a_pause_stops_and_goes_there_and_back_through_the_same_poses(run: Run, seconds: float) -> None:
     given = run.poses[: round(seconds / run.dt) + 1]
-    pause = Pause.of(Run(**(vars(run) | {"poses": given})), START)
+    pause = Pause.of(Run(**(vars(run) | {"poses": given})), START, STILL, PIECE)
     poses, turn = pause.run.poses[1:], min(90, len(given) - 2)  # recorded frames begin after the first pose
     assert pause.run.every == 1 and pause.run.poses.dtype == run.poses.dtype
     assert np.array_equal(pause.run.poses[: turn + 1], given[: turn + 1])

@@ -14,10 +14,11 @@ from assets.fabrics import PRESETS
 from pbd import InputError
 from precompute.learning import pipeline
 from precompute.learning.evaluation import judged_from, levels_from, settled
+from precompute.learning.options import LearningOptions
 from precompute.learning.pipeline import (
+    STAGES,
     Precomputed,
     default_cache,
-    epochs_for,
     precompute,
     scene_run,
     training_recordings,
@@ -26,7 +27,7 @@ from precompute.learning.recording import Recording, Run
 from runtime.player import Player
 from runtime.stage import Stage, scene_of
 from tests.data import ROOT
-from tests.precompute.miniature import SCENE, miniature, scene
+from tests.precompute.miniature import OPTIONS, SCENE, scene
 from wrinkles.database import WrinkleDatabase, read_database
 
 
@@ -39,7 +40,8 @@ def assert_same(first: WrinkleDatabase, second: WrinkleDatabase) -> None:
 
 
 def test_few_frames_are_learned_from_more_often() -> None:
-    assert [epochs_for(frames) for frames in (2400, 1200, 600, 400, 301, 10)] == [12, 12, 24, 36, 47, 48]
+    options = LearningOptions(training_frames=2400, epochs=6, most_epochs=24)
+    assert [options.epochs_for(frames) for frames in (2400, 1200, 600, 400, 301, 10)] == [6, 6, 12, 18, 23, 24]
 
 
 def test_what_is_written_is_what_was_made(learned: Precomputed, reports: list[str]) -> None:
@@ -47,7 +49,7 @@ def test_what_is_written_is_what_was_made(learned: Precomputed, reports: list[st
     database = read_database(learned.path)
     assert_same(database, learned.database)
     assert database.garment_name == "skirt" and database.subdivisions == 1 and database.seed == 4
-    assert database.trained_on == ("exploration_4",) and database.held_out == ("walk",)
+    assert database.trained_on == ("exploration_4",) and database.held_out == ("walk 0-1.2 s",)
     assert len(database.atoms.shapes) == 6 and database.mapping.weights_2.shape == (5, 21, 8)
     assert database.options == learned.calibration.options
     assert database.training_minutes > 0.0 and database.quality == learned.database.quality
@@ -55,21 +57,29 @@ def test_what_is_written_is_what_was_made(learned: Precomputed, reports: list[st
     stage, levels = Stage.of(scene_of(database)), levels_from(database, Stage.of(scene()).body)
     assert np.array_equal(levels.fine.vertices, stage.levels.fine.vertices)
     assert np.array_equal(levels.coarse_held, stage.levels.coarse_held)
-    kinds = [line.split(":")[0] for line in reports]
-    order = ["simulating", "fitting patches", "fitting", "calibrating the coarse model", "evaluating"]
-    assert list(dict.fromkeys(kinds)) == order
+    begun = [f"stage {number} of {len(STAGES)}: {name}" for number, name in enumerate(STAGES, start=1)]
+    assert [line for line in reports if line in begun] == begun
+    assert all(line.startswith("stage ") for line in reports)
+
+
+def test_it_says_where_the_time_went(learned: Precomputed) -> None:
+    assert [one.name for one in learned.stages] == list(STAGES)
+    assert all(one.wall_s > 0.0 and one.processor_s > 0.0 for one in learned.stages)
+    assert sum(one.wall_s for one in learned.stages) <= 60.0 * learned.database.training_minutes
 
 
 def test_the_figures_are_of_the_held_out_motion(learned: Precomputed) -> None:
     assert learned.truth is not None and learned.evaluation is not None
     quality, count = learned.database.quality, learned.database.fine_vertex_count
-    assert learned.truth.run.name == "walk"
+    assert learned.truth.run.name == "walk 0-1.2 s"
     assert learned.evaluation.decoded.shape == learned.evaluation.smooth.shape == (len(learned.truth.frames), count, 3)
     assert all(np.isfinite(value) for value in quality.values())
     assert {"normal_error_deg", "bending_energy_ratio", "inside_body_percent", "frame_ms_p50"} <= set(quality)
     assert quality["attached_off_mm"] < 0.01 and 0.0 < quality["atoms_kept"] <= 1.0
     assert quality["floor_low_frequency_ratio_to_floor"] == pytest.approx(1.0)
-    assert len(learned.calibration.rows) == 5  # four coarse models, the best at another gain
+    # Four coarse models at the lowest gain, and two of them on everything at both.
+    assert [row["rung"] for row in learned.calibration.rows].count(0.0) == 4
+    assert {row["gain"] for row in learned.calibration.rows if row["rung"] == 1.0} == {1.0, 1.25}
     # Six atoms from a second of motion are not much, but they are no worse than nothing.
     assert quality["normal_error_deg"] < quality["normal_error_smooth_deg"]
 
@@ -136,10 +146,9 @@ def test_nothing_goes_wild_after_a_teleport(learned: Precomputed) -> None:
 
 
 def test_the_same_seed_gives_the_same_bits_whatever_is_held_out(learned: Precomputed, tmp_path: Path) -> None:
-    lone = scene(SCENE.replace('[[training.held_out]]\nfile = "builtin:mannequin"\nclip = "walk"\n', ""))
+    lone = scene(SCENE.replace('[[training.held_out]]\nfile = "builtin:mannequin"\nclip = "walk"\nend = 1.2\n', ""))
     assert not lone.training.held_out
-    with miniature():
-        again = precompute(lone, tmp_path / "again.h5", cache=default_cache(learned.path), workers=1)
+    again = precompute(lone, tmp_path / "again.h5", cache=default_cache(learned.path), workers=1, options=OPTIONS)
     assert_same(again.database, learned.database)
     assert again.truth is None and again.evaluation is None and "normal_error_deg" not in again.database.quality
     assert again.database.held_out == ()
@@ -165,13 +174,13 @@ def test_one_database_holds_several_speeds_and_fabrics(
     learned: Precomputed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Only what is measured in the other fabric is of interest here.
+    monkeypatch.setattr(pipeline, "truth_runs", lambda *_: [])
     monkeypatch.setattr(pipeline, "truth_of", lambda *_: None)
     monkeypatch.setattr(pipeline, "evaluate", lambda *_: SimpleNamespace(figures={}))
     several = scene(SCENE.replace("procedural_seconds = 2.0\n", "").replace("\n[[training.held_out]]\n", SPEEDS))
-    with miniature():
-        stage = Stage.of(several)
-        slow, fast = (scene_run(stage, several, motion).poses for motion in stage.training_motions())
-        made = precompute(several, tmp_path / "several.h5", cache=default_cache(learned.path), workers=1)
+    stage, cache = Stage.of(several), default_cache(learned.path)
+    slow, fast = (scene_run(stage, several, motion).poses for motion in stage.training_motions())
+    made = precompute(several, tmp_path / "several.h5", cache=cache, workers=1, options=OPTIONS)
     # A second of blending, then 0.28 s of the clip in 0.16 s.
     assert np.allclose(slow[60:89:7], fast[60:77:4]) and not np.allclose(slow[60:77], fast[60:77])
     database = read_database(made.path)
@@ -197,7 +206,7 @@ def test_a_held_out_clip_that_is_trained_on_is_refused(tmp_path: Path) -> None:
 def test_parts_of_a_clip_that_overlap_are_refused(tmp_path: Path) -> None:
     clip = 'file = "builtin:mannequin"\nclip = "walk"\n'
     learned = f"[[training.clips]]\n{clip}end = 1.5\nspeed = 0.5\n\n[[training.held_out]]\nstart = 1.0\n"
-    with pytest.raises(InputError, match=r"a held-out clip is trained on.*builtin:mannequin: walk 1- s"):
+    with pytest.raises(InputError, match=r"a held-out clip is trained on.*builtin:mannequin: walk 1-1\.2 s"):
         precompute(scene(SCENE.replace("[[training.held_out]]\n", learned)), tmp_path / "db.h5")
 
 
@@ -235,7 +244,7 @@ import os, signal, sys
 from pathlib import Path
 from precompute.learning.pipeline import precompute
 from runtime.simulation import Simulation
-from tests.precompute.miniature import miniature, scene
+from tests.precompute.miniature import OPTIONS, scene
 
 step, count = Simulation.step_cloth, 0
 
@@ -247,8 +256,7 @@ def mortal(self, *args):
     step(self, *args)
 
 Simulation.step_cloth = mortal
-with miniature():
-    precompute(scene(), Path(sys.argv[1]), workers=1)
+precompute(scene(), Path(sys.argv[1]), workers=1, options=OPTIONS)
 """
 
 
@@ -258,8 +266,7 @@ def test_a_killed_precompute_gives_the_same_database(learned: Precomputed, tmp_p
     killed = subprocess.run([sys.executable, "-c", KILLED, str(output)], cwd=ROOT, capture_output=True, text=True)
     assert killed.returncode == -9, killed.stderr
     assert not output.exists() and list(default_cache(output).glob("*/chunk_*.npz"))
-    with miniature():
-        again = precompute(scene(), output, workers=1)
+    again = precompute(scene(), output, workers=2, options=OPTIONS)  # nor does it depend on the number of workers
     assert_same(read_database(output), learned.database)
     timed = ("_ms", "us_per_fine_vertex", "speedup_over_fine")
     for name, value in learned.database.quality.items():

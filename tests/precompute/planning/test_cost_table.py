@@ -5,18 +5,19 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.runtime.tables import made_front
 
-from precompute.learning.pipeline import Precomputed, default_cache
+from precompute.learning.pipeline import Precomputed, default_cache, precompute
 from precompute.planning import cost_table as measuring
 from precompute.planning.planning import cost_table_of
 from runtime import command
 from runtime.front import Front, front_path
-from tests.precompute.miniature import SCENE, miniature
+from tests.precompute.miniature import OPTIONS, SCENE
 
 
 @pytest.fixture(scope="module")
@@ -102,13 +103,13 @@ def test_plan_of_a_scene_makes_its_database_and_its_front_once(
     out.mkdir()
     (out / ".gube-cache").symlink_to(default_cache(learned.path), target_is_directory=True)
     words = ["plan", str(scene), "-o", str(out), "--distance", "20", "--budget-ms", "1000", "--json"]
-    with miniature():
-        assert command.main([*words, str(tmp_path / "first.json")]) == 0
-        made = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
-        assert set(made) == {"little.h5", "little.front.json"}
-        monkeypatch.setattr("precompute.wrinkle_comparison.compare.precompute", None)
-        monkeypatch.setattr("precompute.planning.planning.measure_cost_table", None)
-        assert command.main([*words, str(tmp_path / "second.json")]) == 0
+    monkeypatch.setattr("precompute.wrinkle_comparison.compare.precompute", partial(precompute, options=OPTIONS))
+    assert command.main([*words, str(tmp_path / "first.json")]) == 0
+    made = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
+    assert set(made) == {"little.h5", "little.front.json"}
+    monkeypatch.setattr("precompute.wrinkle_comparison.compare.precompute", None)
+    monkeypatch.setattr("precompute.planning.planning.measure_cost_table", None)
+    assert command.main([*words, str(tmp_path / "second.json")]) == 0
     first, second = (
         json.loads((tmp_path / f"{name}.json").read_text(encoding="utf-8"))["figures"] for name in ("first", "second")
     )

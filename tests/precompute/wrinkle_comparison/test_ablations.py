@@ -23,7 +23,7 @@ from precompute.wrinkle_comparison.ablations import (
     table,
 )
 from runtime import command
-from tests.precompute.miniature import miniature
+from tests.precompute.wrinkle_comparison.small import small_comparison
 
 SMALL = (
     *(one for one in ABLATIONS if one.name in (
@@ -35,7 +35,7 @@ SMALL = (
 
 
 def test_every_row_is_judged_and_kept(learned: Precomputed, capsys: pytest.CaptureFixture[str]) -> None:
-    with miniature(), patch.object(ablations, "ABLATIONS", SMALL):
+    with small_comparison(), patch.object(ablations, "ABLATIONS", SMALL):
         rows = ablate_file(learned.path)
         assert [(row["group"], row["name"]) for row in rows] == [(one.group, one.name) for one in SMALL]
         assert all(np.isfinite([float(row[name]) for name in COLUMNS]).all() for row in rows)

@@ -5,7 +5,7 @@ import pytest
 
 from precompute.learning.training import TrainingSet, build_layer
 from precompute.wrinkle_comparison.wrinkle_baselines import SOFTNESS, fit_baselines
-from tests.precompute.miniature import miniature
+from tests.precompute.wrinkle_comparison.small import small_comparison
 from tests.runtime.players import skirt_stage
 from wrinkles.dictionary import fit_atoms
 from wrinkles.features import DYNAMIC_COUNT
@@ -28,7 +28,7 @@ def baselines() -> tuple[list, TrainingSet, np.ndarray]:
     turn = 0.3 * sway[:, 0]
     poses[:, 1, 0, 0] = poses[:, 1, 1, 1] = np.cos(turn)
     poses[:, 1, 1, 0], poses[:, 1, 0, 1] = np.sin(turn), -np.sin(turn)
-    with miniature():
+    with small_comparison():
         return fit_baselines(layer, data, poses, epochs=2, seed=0), data, poses
 
 
@@ -52,7 +52,7 @@ def test_every_rival_learns_what_it_can(baselines: tuple) -> None:
 
 def test_a_sequence_has_no_joints_to_be_driven_by(baselines: tuple) -> None:
     _, data, _ = baselines
-    with miniature():
+    with small_comparison():
         fitted = fit_baselines(build_layer(skirt_stage().levels), data, np.zeros((FRAMES, 9, 3)), epochs=1, seed=0)
     assert "pose-driven RBF" not in [baseline.name for baseline in fitted]
 
@@ -63,6 +63,6 @@ def test_softness_is_chosen_by_motion_that_was_left_out() -> None:
     features = rng.standard_normal((60, count, DYNAMIC_COUNT)).astype(np.float32)
     atoms = fit_atoms(rng.standard_normal((500, 3 * NODES)), ATOMS, 0)
     noise = rng.standard_normal((60, count, ATOMS)).astype(np.float32)  # nothing to be learned: the softest is best
-    with miniature():
+    with small_comparison():
         fitted = fit_baselines(layer, TrainingSet(features, noise, atoms), np.zeros((60, 9, 3)), epochs=1, seed=0)
     assert fitted[0].settings == f"softness {SOFTNESS[-1]:g}"

@@ -12,13 +12,14 @@ from precompute.learning.pipeline import Precomputed
 from precompute.wrinkle_comparison.wrinkle_comparison import compare_wrinkles_file
 from precompute.wrinkle_comparison.wrinkle_page import wrinkle_rows, wrinkle_verdict, write_wrinkles
 from runtime import command
-from tests.precompute.miniature import SCENE, miniature, scene
+from tests.precompute.miniature import SCENE, scene
+from tests.precompute.wrinkle_comparison.small import small_comparison
 from tests.runtime.players import skirt_database
 from wrinkles.database import write_database
 
 
 def test_all_ways_are_judged_on_the_same_states(learned: Precomputed, tmp_path: Path) -> None:
-    with miniature():
+    with small_comparison():
         found = compare_wrinkles_file(learned.path, tmp_path)
     methods = {method.name: method for method in found.methods}
     assert list(methods)[0] == "ours" and list(methods)[-3:] == ["smooth", "wrinkle meshes", "fine cloth, few substeps"]

@@ -1,0 +1,42 @@
+"""How much is done to learn a database: one set of numbers for the whole of a precompute."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["LearningOptions"]
+
+
+@dataclass(frozen=True)
+class LearningOptions:
+    """Numbers that decide how well and how long a precompute learns; the defaults are for real garments.
+
+    Attributes:
+        training_frames: recorded frames that are learned from, at most.
+        epochs: passes over them at most, from half of them on; fewer frames are learned from more often.
+        most_epochs: passes at most where there are few frames.
+        mean_frames: recorded frames that the means of vertices are fitted to, at most.
+        compression_scales, shear_scales, bend_scales: of the coarse models that calibration tries, each with each.
+        gains: on the wrinkles, ascending, to choose from [-]; beyond one and a half lumps are seen.
+        calibration_s: of each motion, to calibrate on: enough to see it move, short enough to try many models [s].
+        settle_s: start of a motion that calibration leaves out, while the garment blends from the bind pose [s].
+        still_s: for which the body stands still after the held-out motion, to judge what moves at rest [s].
+        piece_s: of the held-out motion that is then played slowly there and back [s].
+    """
+
+    training_frames: int = 2400
+    epochs: int = 6
+    most_epochs: int = 24
+    mean_frames: int = 400
+    compression_scales: tuple[float, ...] = (1.0, 10.0, 100.0)
+    shear_scales: tuple[float, ...] = (1.0, 0.3, 0.1)
+    bend_scales: tuple[float, ...] = (1.0, 3.0, 10.0)
+    gains: tuple[float, ...] = (1.0, 1.25, 1.5)
+    calibration_s: float = 6.0
+    settle_s: float = 1.5
+    still_s: float = 1.0
+    piece_s: float = 0.5
+
+    def epochs_for(self, frame_count: int) -> int:
+        """Passes over so many training frames, at most."""
+        return max(self.epochs, min(self.most_epochs, self.epochs * self.training_frames // (2 * frame_count)))
