@@ -78,6 +78,7 @@ SHORT = Demo(
         epochs=8,
         most_epochs=8,
         mean_frames=120,
+        score_frames=240,
         compression_scales=(1.0, 10.0),
         shear_scales=(1.0, 0.3),
         bend_scales=(1.0,),

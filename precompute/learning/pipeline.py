@@ -324,6 +324,7 @@ def _finished(
             [example.recording for example in examples],
             work.seed,
             work.workers,
+            work.options.score_frames,
         )
     scene, settings, levels, body = work.scene, work.stage.settings, work.stage.levels, work.stage.body
     own, *others = work.fabrics

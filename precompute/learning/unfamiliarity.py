@@ -21,7 +21,7 @@ from wrinkles.unfamiliarity import Unfamiliarity
 
 __all__ = ["fit_unfamiliarity"]
 
-FRAMES, STRANGE_FRAMES = 800, 80  # of training motion as it is, and with noise on its features
+STRANGE_SHARE = 0.1  # as many frames as that are decoded with noise on their features besides
 NOISE = (1.0, 4.0)  # of it, in standard deviations
 UNITS, EPOCHS = 24, 24
 LEAST = 0.5  # errors below it need not be told apart [deg]
@@ -37,6 +37,7 @@ def fit_unfamiliarity(
     recordings: Sequence[Recording],
     seed: int,
     workers: Workers,
+    frames: int,
 ) -> Unfamiliarity:
     """Fit the score to the true errors of decoded training motion.
 
@@ -50,9 +51,10 @@ def fit_unfamiliarity(
         recordings: of these runs.
         seed: of noise, first weights and shuffling.
         workers: that decode.
+        frames: of training motion that are decoded, at most.
     """
-    plain = _blocks(layer, mappings, atoms, runs, spread_frames(recordings, FRAMES), None)
-    strange = _blocks(layer, mappings, atoms, runs, spread_frames(recordings, STRANGE_FRAMES), seed)
+    plain = _blocks(layer, mappings, atoms, runs, spread_frames(recordings, frames), None)
+    strange = _blocks(layer, mappings, atoms, runs, spread_frames(recordings, round(STRANGE_SHARE * frames)), seed)
     errors = workers.run([partial(_patch_errors, block) for _, block in (*plain, *strange)])
     hidden, error = np.concatenate([h for h, _ in plain]), np.concatenate(errors[: len(plain)])
     kept_out = np.arange(len(hidden)) // BLOCK % KEPT_OUT == KEPT_OUT - 1

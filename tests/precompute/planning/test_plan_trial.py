@@ -12,7 +12,7 @@ from assets.io.scene import load_scene
 from pbd import InputError
 from precompute.demo import FULL
 from precompute.learning.pipeline import Precomputed, precompute
-from precompute.planning.plan_trial import FULL.sceneS, trial_rows, trial_text, try_plan
+from precompute.planning.plan_trial import SCENES, trial_rows, trial_text, try_plan
 from precompute.planning.planning import cost_table_of, plan_figures, seen_from
 from runtime.front import Front
 from runtime.planner import TARGETS, Planner, sight_of
@@ -29,10 +29,10 @@ def skirt(tmp_path_factory: pytest.TempPathFactory) -> tuple[WrinkleDatabase, Ca
 
 
 @pytest.mark.proof
-@pytest.mark.parametrize("scene", FULL.sceneS)
+@pytest.mark.parametrize("scene", SCENES)
 def test_five_minutes_show_an_error_below_the_target(skirt: tuple[WrinkleDatabase, Cast, Front], scene: str) -> None:
     database, cast, table = skirt
-    trial = try_plan(database, cast, cast.motions[0], table, FULL.sceneS[scene], 300.0)
+    trial = try_plan(database, cast, cast.motions[0], table, SCENES[scene], 300.0)
     assert trial.catastrophic == 0
     assert (trial.error_px <= TARGETS["imperceptible"]).mean() >= 0.99
     assert trial.cost_ms < table.settings[0].cost_ms
@@ -56,7 +56,7 @@ def test_two_metres_cost_three_times_what_twenty_do(skirt: tuple[WrinkleDatabase
 def test_a_trial_sees_errors_changes_and_costs(learned: Precomputed) -> None:
     """With a table that was not measured: its errors are not those foretold, but nothing breaks."""
     cast, table = cast_of(learned.database), made_front(24)
-    trial = try_plan(learned.database, cast, cast.motions[0], table, FULL.sceneS["cuts"], 4.0)
+    trial = try_plan(learned.database, cast, cast.motions[0], table, SCENES["cuts"], 4.0)
     assert trial.catastrophic == 0 and 1 <= trial.changes <= 4
     assert len(trial.error_px) == 12 and np.isfinite(trial.error_px).all() and trial.error_px.max() > 0.0
     assert 0.0 < trial.cost_ms < table.settings[0].cost_ms
@@ -72,7 +72,7 @@ def test_rows_of_trials_stand_beside_full_detail(
     lines: list[str] = []
     (row,) = trial_rows(path, ["cuts"], 3.0, lines.append)
     cast = cast_of(learned.database)
-    trial = try_plan(learned.database, cast, cast.motions[0], table, FULL.sceneS["cuts"], 3.0)
+    trial = try_plan(learned.database, cast, cast.motions[0], table, SCENES["cuts"], 3.0)
     assert lines == ["cuts: 3 s"] and row["scene"] == "cuts"
     assert row["within_target_percent"] == 100.0 * (trial.error_px <= 1.0).mean()
     assert 0.0 <= row["error_px_p50"] <= row["error_px_p99"]
@@ -86,7 +86,7 @@ def test_rows_of_trials_stand_beside_full_detail(
 
 
 def test_cameras_of_the_scenes_see_the_garment_near_and_far() -> None:
-    for name, cameras in FULL.sceneS.items():
+    for name, cameras in SCENES.items():
         seen = np.array(
             [sight_of(cameras(t), (0.0, 0.0, 0.0), 0.5, 1.0).pixels_per_metre for t in np.arange(0, 60, 0.1)]
         )
