@@ -98,7 +98,7 @@ def info_text(path: str | Path) -> tuple[str, dict[str, float]]:
 def _figures(database: WrinkleDatabase) -> dict[str, float]:
     """Single numbers of the database by the names that they have in the file, and its counts."""
     mapping = database.mapping
-    area_ratio, bend_deg = database.gathers.figures(database.coarse_vertices, database.coarse_faces)
+    area_ratio, bend_deg = database.rest_shape.figures(database.coarse_vertices, database.coarse_faces)
     figures: dict[str, float] = {
         "coarse_vertex_count": len(database.coarse_vertices),
         "coarse_face_count": len(database.coarse_faces),
@@ -267,7 +267,7 @@ def check_database(path: str | Path) -> list[Check]:
         near = database.binding is not None or abs(ratio - 1.0) <= MAX_AREA_CORRECTION
         checks.append(Check("one rest metric", near, f"coarse area over fine area {ratio:.5f}"))
         model = build_model(
-            database.gathers.applied(coarse),
+            database.rest_shape.applied(coarse),
             database.fabric,
             database.held,
             database.options,
@@ -285,7 +285,7 @@ def check_database(path: str | Path) -> list[Check]:
         torn.position[:, :3] += rng.normal(0.0, edge, coarse.vertices.shape)
         for name in database.fabric_names:
             worn = database.in_fabric(name)
-            decoder = Decoder(stencil, patches, middle_patches, worn.mapping, worn.atoms, worn.unfamiliarity)
+            decoder = Decoder(stencil, patches, middle_patches, worn.mapping, worn.atoms, worn.novelty)
             among = f" ({name})" * bool(database.other_fabrics)
             checks.append(_check_decoding(f"decoding at rest{among}", database, subdivision, decoder, state))
             checks.append(_check_decoding(f"decoding a torn garment{among}", database, subdivision, decoder, torn))

@@ -36,7 +36,7 @@ from precompute.method_comparison.error_classes import (
     deviations,
 )
 
-__all__ = ["LONGEST", "RATE", "Outcome", "Scene", "Stage", "play"]
+__all__ = ["LONGEST", "RATE", "Outcome", "Scene", "GarmentSetup", "play"]
 
 RATE = 60.0  # frames a second
 LONGEST = 30.0  # processor time of a run; one that takes longer is judged by what it came to [s]
@@ -44,7 +44,7 @@ THROUGH = 10.0  # depth that stands for what has gone through [thicknesses]
 
 
 @dataclass
-class Stage:
+class GarmentSetup:
     """What a scene may change before a frame.
 
     Attributes:
@@ -100,7 +100,7 @@ class Scene:
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     seconds: float = 2.0
     colliders: Callable[[], Colliders] = Colliders
-    direct: Callable[[Stage], None] = lambda stage: None
+    direct: Callable[[GarmentSetup], None] = lambda stage: None
     quiet: float = 0.0
     speed: float = 0.0
     gravity: float = GRAVITY
@@ -161,7 +161,7 @@ def play(scene: Scene, solver: str = "default") -> Outcome:
     model = scene.model(scene.fabric)
     state = State.at_rest(model, scene.start)
     state.velocity[:] = np.where(model.inverse_mass[:, None] > 0.0, np.array(scene.velocity), 0.0)
-    stage = Stage(0.0, 1.0 / RATE, state.world()[model.held], (0.0, 0.0, 0.0), scene.colliders(), scene.fabric)
+    stage = GarmentSetup(0.0, 1.0 / RATE, state.world()[model.held], (0.0, 0.0, 0.0), scene.colliders(), scene.fabric)
     stepper = solver_for(scene, solver, model)
     times: list[float] = []
     seen: list[tuple[float, np.ndarray, np.ndarray, float]] = []
@@ -197,7 +197,7 @@ def play(scene: Scene, solver: str = "default") -> Outcome:
     return outcome
 
 
-def _depth(scene: Scene, stage: Stage, x: np.ndarray) -> float:
+def _depth(scene: Scene, stage: GarmentSetup, x: np.ndarray) -> float:
     """Deepest vertex under a collider's surface [m]."""
     if stage.time < scene.quiet:
         return 0.0

@@ -13,9 +13,9 @@ import numpy as np
 
 from pbd.errors import InputError
 from pbd.storage import replacing
-from runtime.detail import Detail
+from runtime.level_of_detail import LevelOfDetail
 
-__all__ = ["FOLD", "Front", "Setting", "front_path", "read_front", "write_front"]
+__all__ = ["FOLD", "CostTable", "Setting", "cost_table_path", "read_cost_table", "write_cost_table"]
 
 FORMAT = "gube front"
 VERSION = 2
@@ -35,14 +35,14 @@ class Setting:
             at each of the front's speeds [m].
     """
 
-    detail: Detail
+    detail: LevelOfDetail
     cost_ms: float
     peak_ms: float
     error_m: tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class Front:
+class CostTable:
     """Settings of one garment, measured on one machine.
 
     Attributes:
@@ -113,21 +113,21 @@ class Front:
         return errors * max(1.0, speed / self.speeds[-1])
 
 
-def front_path(database: Path) -> Path:
+def cost_table_path(database: Path) -> Path:
     """Path of a database's front: a file beside the database."""
-    return database.with_suffix(".front.json")
+    return database.with_suffix(".cost_table.json")
 
 
-def write_front(path: Path, front: Front) -> None:
+def write_cost_table(path: Path, cost_table: CostTable) -> None:
     """Write a front as a JSON file, which appears whole."""
-    content = {"format": FORMAT, "version": VERSION, **asdict(front)}
+    content = {"format": FORMAT, "version": VERSION, **asdict(cost_table)}
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as beside:
         beside.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def read_front(path: str | Path) -> Front:
-    """Read a file of :func:`write_front`.
+def read_cost_table(path: str | Path) -> CostTable:
+    """Read a file of :func:`write_cost_table`.
 
     Raises:
         InputError: the file cannot be read, is no front, or has values that are not finite, negative or out of order.
@@ -139,17 +139,24 @@ def read_front(path: str | Path) -> Front:
             raise ValueError("another format")
         settings = tuple(_setting(row) for row in content.pop("settings"))
         tuples = {"speeds": tuple(content["speeds"]), "edges": tuple(content["edges"]), "settings": settings}
-        front = Front(**content | tuples)
+        cost_table = CostTable(**content | tuples)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"cannot be read: {error}", file=path, expected=expected) from error
     numbers = np.array([[s.cost_ms, s.peak_ms, *s.error_m] for s in settings], float)
     levels = {setting.detail.level for setting in settings}
-    known = len(front.edges) > max(levels, default=0) and min(front.edges) > 0.0
-    shaped = known and numbers.ndim == 2 and numbers.shape[1] == 2 + len(front.speeds) and len(front.speeds) > 0
-    if not shaped or not np.isfinite(numbers).all() or (numbers < 0.0).any() or np.any(np.diff(front.speeds) <= 0.0):
+    known = len(cost_table.edges) > max(levels, default=0) and min(cost_table.edges) > 0.0
+    shaped = (
+        known and numbers.ndim == 2 and numbers.shape[1] == 2 + len(cost_table.speeds) and len(cost_table.speeds) > 0
+    )
+    if (
+        not shaped
+        or not np.isfinite(numbers).all()
+        or (numbers < 0.0).any()
+        or np.any(np.diff(cost_table.speeds) <= 0.0)
+    ):
         raise InputError("bad values", file=path, key="settings", expected=expected)
-    return front
+    return cost_table
 
 
 def _setting(row: Mapping[str, Any]) -> Setting:
-    return Setting(Detail(**row["detail"]), float(row["cost_ms"]), float(row["peak_ms"]), tuple(row["error_m"]))
+    return Setting(LevelOfDetail(**row["detail"]), float(row["cost_ms"]), float(row["peak_ms"]), tuple(row["error_m"]))
