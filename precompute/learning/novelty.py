@@ -21,7 +21,7 @@ from wrinkles.novelty import NoveltyScore
 
 __all__ = ["fit_novelty"]
 
-FRAMES, STRANGE_FRAMES = 800, 80  # of training motion as it is, and with noise on its features
+STRANGE_SHARE = 0.1  # as many frames as that are decoded with noise on their features besides
 NOISE = (1.0, 4.0)  # of it, in standard deviations
 UNITS, EPOCHS = 24, 24
 LEAST = 0.5  # errors below it need not be told apart [deg]
@@ -50,6 +50,7 @@ def fit_novelty(
         recordings: of these runs.
         seed: of noise, first weights and shuffling.
         workers: that decode.
+        frames: of training motion that are decoded, at most.
     """
     plain = _blocks(layer, mappings, atoms, runs, spread_frames(recordings, FRAMES), None)
     strange = _blocks(layer, mappings, atoms, runs, spread_frames(recordings, STRANGE_FRAMES), seed)

@@ -46,6 +46,10 @@ class StageClock:
             number = min(len(self.times) + 1, len(self._names))
             self._report(f"stage {number} of {len(self._names)}: {line}")
 
+    def begin(self, name: str) -> None:
+        """Say that a stage begins."""
+        self(name)
+
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Time the next stage, and begin it with a line.
@@ -55,7 +59,7 @@ class StageClock:
         """
         if name != self._names[len(self.times)]:
             raise ValueError(f"stage {name!r} is not next, but {self._names[len(self.times)]!r}")
-        self(name)
+        self.begin(name)
         wall, processor = time.monotonic(), self._processor_s()
         yield
         self.times.append(StageTime(name, time.monotonic() - wall, self._processor_s() - processor))
