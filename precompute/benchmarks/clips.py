@@ -17,9 +17,9 @@ from pbd import ClothMesh, InputError, ModelOptions, SolverOptions, build_model
 from precompute.mechanics import FRAME_RATE, GRAVITY
 from precompute.method_comparison.error_classes import LIMITS, longest_run
 from precompute.reporting.tables import write_table
+from runtime.garment_setup import load_body, motion_of, simulation_of
 from runtime.pictures import Drawn, frame_camera, render, save_png, strip
 from runtime.simulation import Motion, Simulation, body_source
-from runtime.stage import load_body, motion_of, simulation_of
 from wrinkles.crossings import crossings
 from wrinkles.distance import TOLERANCE, BodyDistance
 

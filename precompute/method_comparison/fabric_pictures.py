@@ -17,9 +17,9 @@ from precompute.demo import SCENE
 from precompute.learning.evaluation import body_source
 from precompute.learning.recording import Run, record_runs
 from precompute.mechanics import FRAME_RATE
+from runtime.garment_setup import GarmentSetup, fine_options
 from runtime.pictures import BODY_COLOR, Drawn, frame_camera, render, strip
 from runtime.simulation import poses_of
-from runtime.stage import Stage, fine_options
 
 __all__ = ["FABRICS", "draw_fabrics", "fabric_runs"]
 
@@ -41,7 +41,7 @@ def fabric_runs(fabrics: dict[str, Fabric] | None = None, subdivisions: int = 2,
     """
     scene = load_scene(SCENE)
     garment = replace(scene.garments[0], subdivisions=subdivisions)
-    stage = Stage.of(replace(scene, garments=(garment,)))
+    stage = GarmentSetup.of(replace(scene, garments=(garment,)))
     motion = stage.motion(MotionSettings(file="builtin:mannequin", clip=CLIP))
     solver = fine_options(SolverOptions(), subdivisions)
     make = partial(

@@ -62,13 +62,13 @@ class Judge:
         self._mesh = ClothMesh.from_pattern(rest, sheet.faces, sheet.flat[sheet.faces])
         self._bands = BandedEnergy(rest, sheet.faces)
         self._border = _border(len(sheet.xs), len(sheet.ys))
-        *coarser, finest = self.references
+        *proxy, finest = self.references
         if self.scene.unique:
             self.reference, self._wanted = finest, {}
-            self.floor = self.refined = max(self.judge(run).error for run in coarser)
+            self.floor = self.refined = max(self.judge(run).error for run in proxy)
         else:
-            self.reference = coarser[0]
-            found = [self.statistics(run) for run in coarser]
+            self.reference = proxy[0]
+            found = [self.statistics(run) for run in proxy]
             self._wanted = _mean(found)
             others = [_mean([s for s in found if s is not one]) for one in found]
             self.floor = max(_octaves(one, other) for one, other in zip(found, others, strict=True))

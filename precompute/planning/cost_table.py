@@ -15,16 +15,16 @@ from pbd import InputError, State
 from pbd.wind import Air
 from precompute.learning.evaluation import SETTLE
 from precompute.wrinkle_comparison.baselines import PROBE_FRAMES
-from runtime.detail import Detail
-from runtime.front import Front, Setting
-from runtime.play import Cast
+from runtime.cost_table import CostTable, Setting
+from runtime.level_of_detail import LevelOfDetail
+from runtime.play import PlaybackInputs
 from runtime.player import Player
 from runtime.report import machine_description
 from runtime.simulation import Motion
 from wrinkles.coarse_filter import CoarseFilter
-from wrinkles.coarser import coarser_of
 from wrinkles.database import WrinkleDatabase
 from wrinkles.distance import BodyDistance
+from wrinkles.proxy_mesh import proxy_mesh_of
 
 __all__ = ["cost_table_key", "measure_cost_table"]
 
@@ -42,8 +42,8 @@ START_NOISE = 0.05  # with velocities so much at random [m/s]
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def measure_cost_table(
-    database: WrinkleDatabase, cast: Cast, motion: Motion, report: Callable[[str], None] | None = None
-) -> Front:
+    database: WrinkleDatabase, inputs: PlaybackInputs, motion: Motion, report: Callable[[str], None] | None = None
+) -> CostTable:
     """Measure every setting.
 
     Each part of a setting is measured on its own, and the squares of their errors add up.
@@ -67,13 +67,13 @@ def measure_cost_table(
         report: called with lines of progress.
     """
     progress = report or (lambda line: None)
-    player = Player(database, cast.body, motion.pose(0.0), cast.primitives)
+    player = Player(database, inputs.body, motion.pose(0.0), inputs.primitives)
     full = player.full
     layers = _layers(full)
-    below = coarser_of(player.levels, database.warp)
+    below = proxy_mesh_of(player.levels, database.warp)
     levels = [(0, SUBSTEPS)] if below is None else [(0, SUBSTEPS), (1, PROXY_SUBSTEPS)]
     pairs = [
-        Detail(every, max(1, round(every * full.substeps * share)), 0, 0, 0, level)
+        LevelOfDetail(every, max(1, round(every * full.substeps * share)), 0, 0, 0, level)
         for level, shares in levels
         for every in EVERY
         for share in shares
@@ -84,7 +84,7 @@ def measure_cost_table(
         progress(f"measuring settings: tempo {number + 1} of {len(TEMPOS)}, wrinkle layer")
         poses = _poses(motion, tempo, 1.0 / database.frame_rate)
         parts.append(
-            _measure(database, cast, poses, pairs, layers, lambda line: progress(f"measuring settings: {line}"))
+            _measure(database, inputs, poses, pairs, layers, lambda line: progress(f"measuring settings: {line}"))
         )
     parts.sort(key=lambda part: part["speed"])
     speeds = tuple(float(part["speed"]) for part in parts)
@@ -99,10 +99,10 @@ def measure_cost_table(
             continue
         peak = float(costs["step"][p] + costs["rest"][p] + costs["layer"][k])
         cost = (peak + (pair.every - 1) * float(costs["between"][p])) / pair.every
-        detail = Detail(pair.every, pair.substeps, *layer, pair.level)
+        detail = LevelOfDetail(pair.every, pair.substeps, *layer, pair.level)
         settings.append(Setting(detail, cost, peak, tuple(error.tolist())))
     meshes = [player.levels.coarse] if below is None else [player.levels.coarse, below.mesh]
-    return Front(
+    return CostTable(
         database.garment_name,
         cost_table_key(database),
         machine_description()["cpu"],
@@ -119,7 +119,7 @@ def cost_table_key(database: WrinkleDatabase) -> str:
     return f"{database.code_version} {database.created} {len(database.coarse_vertices)} {database.fabric_name}"
 
 
-def _layers(full: Detail) -> list[tuple[int, int, int]]:
+def _layers(full: LevelOfDetail) -> list[tuple[int, int, int]]:
     """Atoms, sweeps and passes, full detail first."""
     atoms = sorted({max(1, round(full.atoms * share)) for share in ATOMS}, reverse=True)
     found = [(count, full.sweeps, full.passes) for count in atoms]
@@ -135,24 +135,24 @@ def _poses(motion: Motion, tempo: float, dt: float) -> np.ndarray:
 
 def _measure(
     database: WrinkleDatabase,
-    cast: Cast,
+    inputs: PlaybackInputs,
     poses: np.ndarray,
-    pairs: Sequence[Detail],
+    pairs: Sequence[LevelOfDetail],
     layers: Sequence[tuple[int, int, int]],
     progress: Callable[[str], None],
 ) -> dict[str, np.ndarray]:
     """Errors and costs of all parts on one run of poses."""
     dt = 1.0 / database.frame_rate
     first = min(round(SETTLE / dt), (len(poses) - 1) // 3)
-    player = Player(database, cast.body, poses[0], cast.primitives)
+    player = Player(database, inputs.body, poses[0], inputs.primitives)
     start = player.simulation.state.copy()
-    found = _decode(player, poses, dt, cast.wind, layers, first)
+    found = _decode(player, poses, dt, inputs.wind, layers, first)
     around = [_around(player, every, poses, dt, found["layer"][-1]) for every in EVERY]
-    bare = Detail(1, player.full.substeps, 0, 0, 0)
-    turn = isinstance(cast.body, Character)
+    bare = LevelOfDetail(1, player.full.substeps, 0, 0, 0)
+    turn = isinstance(inputs.body, Character)
 
-    def runs(detail: Detail, seeds: range) -> tuple[list[np.ndarray], float, float]:
-        made = [_run(player, start, detail, poses, dt, cast.wind, turn, first, seed) for seed in seeds]
+    def runs(detail: LevelOfDetail, seeds: range) -> tuple[list[np.ndarray], float, float]:
+        made = [_run(player, start, detail, poses, dt, inputs.wind, turn, first, seed) for seed in seeds]
         return [run[0] for run in made], min(run[1] for run in made), max(run[2] for run in made)
 
     references, cost, _ = runs(bare, range(REFERENCE_RUNS))
@@ -179,7 +179,7 @@ def _decode(
     player: Player, poses: np.ndarray, dt: float, wind: Air, layers: Sequence[tuple[int, int, int]], first: int
 ) -> dict[str, np.ndarray]:
     """Play at full detail; every layer decodes every state, and every update goes on for some ticks."""
-    details = [Detail(1, player.full.substeps, *layer) for layer in layers]
+    details = [LevelOfDetail(1, player.full.substeps, *layer) for layer in layers]
     still = CoarseFilter(player.levels)
     distance, holes = BodyDistance(player.simulation.body.faces), np.zeros(len(layers))
     spacing = float(player.levels.fine.edge_lengths()[1].mean())
@@ -224,7 +224,7 @@ def _decode(
 
 def _around(player: Player, every: int, poses: np.ndarray, dt: float, plain_ms: float) -> tuple[float, float]:
     """Cost of an update besides the simulation and the wrinkle layer, and of a tick without update [ms]."""
-    player.change(Detail(every, 1, 0, 0, 0))
+    player.change(LevelOfDetail(every, 1, 0, 0, 0))
     update, between = [], []
     for tick, pose in enumerate(poses[1 : PROBE_FRAMES + 1]):
         began = time.process_time()
@@ -243,7 +243,7 @@ def _around(player: Player, every: int, poses: np.ndarray, dt: float, plain_ms: 
 def _run(
     player: Player,
     start: State,
-    detail: Detail,
+    detail: LevelOfDetail,
     poses: np.ndarray,
     dt: float,
     wind: Air,

@@ -13,10 +13,10 @@ from assets.io.scene import CameraSettings
 from pbd import InputError
 from pbd.wind import Air
 from precompute.planning.planning import cost_table_of
-from runtime.ensemble import Ensemble
-from runtime.front import Front
-from runtime.planner import TARGETS, Planner, Sight, sight_of
-from runtime.play import Cast, cast_of
+from runtime.cost_table import CostTable
+from runtime.garment_group import GarmentGroup
+from runtime.planner import TARGETS, Planner, ViewSize, sight_of
+from runtime.play import PlaybackInputs, playback_inputs
 from runtime.player import Player
 from runtime.simulation import Motion
 from wrinkles.database import WrinkleDatabase, read_database
@@ -83,9 +83,9 @@ class PlanTrial:
 
 def try_plan(
     database: WrinkleDatabase,
-    cast: Cast,
+    inputs: PlaybackInputs,
     motion: Motion,
-    table: Front,
+    table: CostTable,
     cameras: Callable[[float], tuple[CameraSettings, ...]],
     seconds: float,
 ) -> PlanTrial:
@@ -102,25 +102,25 @@ def try_plan(
     """
     dt = 1.0 / database.frame_rate
     times = _there_and_back(motion.duration, dt, round(seconds / dt))
-    player, shadow = (Player(database, cast.body, motion.pose(0.0), cast.primitives) for _ in range(2))
-    ensemble = Ensemble([player], Planner([table], TARGET_PX, 1e9))
+    player, shadow = (Player(database, inputs.body, motion.pose(0.0), inputs.primitives) for _ in range(2))
+    group = GarmentGroup([player], Planner([table], TARGET_PX, 1e9))
     errors, changes, cost, catastrophic, idle, updated = [], 0, 0.0, 0, 0, times[0]
     for tick in range(1, len(times)):
-        sight = _sight(player, cameras(tick * dt), table)
+        view = _sight(player, cameras(tick * dt), table)
         before, hash_before = player.detail, player.simulation.state.position.copy()
         try:
-            ensemble.update([motion.pose(times[tick])], dt, [sight], cast.wind)
+            group.update([motion.pose(times[tick])], dt, [view], inputs.wind)
         except InputError:  # the state is not finite
             catastrophic += 1
             break
         changes += player.detail != before
-        cost += ensemble.choices[0].cost_ms
+        cost += group.choices[0].cost_ms
         worked = not np.array_equal(player.simulation.state.position, hash_before)
         idle, updated = (0, times[tick]) if worked else (idle + 1, updated)
         if tick % COMPARED_EVERY == 0 and tick * dt > 1.5:
-            full = _truth(player, shadow, motion, times[tick - idle : tick + 1], dt, cast.wind)
+            full = _truth(player, shadow, motion, times[tick - idle : tick + 1], dt, inputs.wind)
             away = np.linalg.norm(player.vertices + player.origin - full, axis=1)
-            errors.append(min(sight.pixels_per_metre * float(np.percentile(away, 95)), sight.size_px))
+            errors.append(min(view.pixels_per_metre * float(np.percentile(away, 95)), view.size_px))
             box = np.ptp(player.vertices, axis=0), np.ptp(full, axis=0)
             large = np.linalg.norm(box[0]) > 2.0 * np.linalg.norm(box[1])
             catastrophic += bool(large or not np.isfinite(player.vertices).all())
@@ -151,13 +151,13 @@ def trial_rows(
         if name not in SCENES:
             raise InputError("no such scene", key="NAME", received=name, expected=", ".join(SCENES))
     database = read_database(path)
-    cast = cast_of(database)
+    inputs = playback_inputs(database)
     table = cost_table_of(database, path, report)
     rows = []
     for name in names or SCENES:
         if report is not None:
             report(f"{name}: {seconds:g} s")
-        trial = try_plan(database, cast, cast.motions[0], table, SCENES[name], seconds)
+        trial = try_plan(database, inputs, inputs.motions[0], table, SCENES[name], seconds)
         if trial.error_px.size == 0 and trial.catastrophic == 0:
             raise InputError("no tick is compared", key="--seconds", received=seconds, expected="at least 2 [s]")
         errors = trial.error_px if trial.error_px.size else np.array([np.inf])
@@ -194,7 +194,7 @@ def trial_text(rows: Sequence[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def _sight(player: Player, cameras: tuple[CameraSettings, ...], table: Front) -> Sight:
+def _sight(player: Player, cameras: tuple[CameraSettings, ...], table: CostTable) -> ViewSize:
     speed = float(np.sqrt(3.0 * np.mean(player.simulation.state.velocity.astype(float) ** 2)))
     return sight_of(cameras, (0.0, 0.0, 0.0), table.size, speed)
 

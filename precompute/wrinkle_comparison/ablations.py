@@ -21,7 +21,7 @@ from pbd import ModelOptions
 from pbd.storage import replacing
 from precompute.learning import decoding, held_out, training
 from precompute.learning.calibration import filtered
-from precompute.learning.decoding import Predict
+from precompute.learning.decoding import Predictor
 from precompute.learning.held_out import coarse_run
 from precompute.learning.pipeline import default_cache, training_recordings
 from precompute.learning.training import (
@@ -34,7 +34,7 @@ from precompute.wrinkle_comparison.wrinkle_baselines import k_means_modes
 from wrinkles.charts import fine_places
 from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import code_version
-from wrinkles.dictionary import Mapping
+from wrinkles.dictionary import CoefficientNetwork
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.patches import Patches
 from wrinkles.surface import Subdivision
@@ -134,7 +134,7 @@ def _barycentric(experiment: Experiment) -> Variant:
     return _blended(experiment, lambda place: place)
 
 
-def _remembering(experiment: Experiment, past: np.ndarray, seed: int = 0) -> Mapping:
+def _remembering(experiment: Experiment, past: np.ndarray, seed: int = 0) -> CoefficientNetwork:
     """A network with the coefficients of the recorded frame before as inputs, with noise on them."""
     spread = past.std(axis=(0, 1))
     noise = np.random.default_rng(seed).standard_normal(past.shape, np.float32) * (HISTORY_NOISE * spread)
@@ -156,7 +156,7 @@ def _before(experiment: Experiment, sequences: Sequence[np.ndarray]) -> np.ndarr
     return np.concatenate(rows)
 
 
-def _rolled_out(mapping: Mapping, features: np.ndarray, first: np.ndarray) -> np.ndarray:
+def _rolled_out(mapping: CoefficientNetwork, features: np.ndarray, first: np.ndarray) -> np.ndarray:
     """Coefficients of a sequence by a mapping whose inputs are its own last outputs; shape (f, n, K)."""
     found, past = np.zeros((len(features), *first.shape), np.float32), first
     for frame, seen in enumerate(features):
@@ -171,11 +171,11 @@ def _true_past(experiment: Experiment) -> np.ndarray:
     )
 
 
-def _recalling(experiment: Experiment, mapping: Mapping) -> Variant:
+def _recalling(experiment: Experiment, mapping: CoefficientNetwork) -> Variant:
     """Begin at rest; after that the last output is an input."""
     shape = experiment.data.coefficients.shape[1:]
 
-    def begin() -> Predict:
+    def begin() -> Predictor:
         past = np.zeros(shape, np.float32)
 
         def predict(features: np.ndarray, pose: np.ndarray) -> np.ndarray:
@@ -193,7 +193,7 @@ def _true_history(experiment: Experiment) -> Variant:
     truth = coefficients_of(experiment.layer, [experiment.truth.recording], experiment.data.atoms)
     past = np.concatenate([truth[:1], truth[:-1]])
 
-    def begin() -> Predict:
+    def begin() -> Predictor:
         rows = iter(past)
         return lambda features, pose: mapping.predict(np.concatenate([features, next(rows)], axis=1))
 

@@ -193,7 +193,7 @@ def coarse_cloth(database: WrinkleDatabase, truth: Truth) -> Cloth:
     """The coarse garment with its calibrated model."""
     levels = truth.levels
     model = build_model(
-        database.gathers.applied(levels.coarse),
+        database.rest_shape.applied(levels.coarse),
         database.fabric,
         levels.coarse_held,
         database.options,

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from precompute.learning.decoding import Predict
+from precompute.learning.decoding import Predictor
 from precompute.learning.training import Layer, TrainingSet, fit_layer
 from wrinkles.features import INNER_OFFSETS
 
@@ -45,7 +45,7 @@ class WrinkleBaseline:
     """
 
     name: str
-    predict: Predict
+    predict: Predictor
     arrays: tuple[np.ndarray, ...]
     settings: str = ""
 

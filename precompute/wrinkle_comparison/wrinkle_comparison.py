@@ -16,11 +16,11 @@ from threadpoolctl import threadpool_limits
 
 from precompute.learning.decoding import (
     MEAN_FRAMES,
-    Lift,
-    Predict,
+    FrameDecoder,
+    Predictor,
     by_features,
     by_patches,
-    lifted_frames,
+    decoded_frames,
     with_vertex_mean,
 )
 from precompute.learning.held_out import JUDGED, HeldOut, held_out_truth
@@ -32,7 +32,7 @@ from precompute.wrinkle_comparison.baselines import player_times, typical_ms
 from precompute.wrinkle_comparison.compare import database_of, equal_cost_baselines
 from precompute.wrinkle_comparison.wrinkle_baselines import WrinkleBaseline, fit_baselines
 from precompute.wrinkle_comparison.wrinkle_meshes import WrinkleMesh, WrinkleMeshOptions
-from runtime.stage import Stage, scene_of
+from runtime.garment_setup import GarmentSetup, scene_of
 from wrinkles.database import WrinkleDatabase, read_database
 from wrinkles.spectrum import BandedEnergy
 
@@ -115,12 +115,12 @@ def compare_wrinkles(
     drawn = 4e-6 * (atoms.shapes.size + atoms.mean.size + atoms.vertex_mean.size)
     methods = [WrinkleMethod("ours", typical_ms(ours_ms), ours.megabytes + drawn, *figures)]
 
-    def with_own_mean(begin: Callable[[], Predict]) -> Callable[[], Lift]:
+    def with_own_mean(begin: Callable[[], Predictor]) -> Callable[[], FrameDecoder]:
         predict = begin()
         own = with_vertex_mean(layer, [predict] * len(runs), atoms, runs, recordings)
         return lambda: by_patches(layer, begin(), own)
 
-    def judge(name: str, begin: Callable[[], Lift], megabytes: float, settings: str, free: Recording) -> None:
+    def judge(name: str, begin: Callable[[], FrameDecoder], megabytes: float, settings: str, free: Recording) -> None:
         progress(f"comparing wrinkles: {name}")
         *shown, spent = held_out.show(layer, begin(), truth.recording)
         figures = held_out.free_figures(held_out.show(layer, begin(), free)[1])
@@ -153,7 +153,7 @@ def compare_wrinkles(
     )
 
 
-def _wrinkle_mesh(layer: Layer, options: WrinkleMeshOptions) -> Lift:
+def _wrinkle_mesh(layer: Layer, options: WrinkleMeshOptions) -> FrameDecoder:
     mesh = WrinkleMesh(layer.levels, options)
     return lambda fine, upsample, features, frames, pose: mesh(fine)
 
@@ -173,7 +173,7 @@ def tuned_wrinkle_mesh(layer: Layer, run: Run, recording: Recording) -> WrinkleM
     wanted = bands.energy(recording.positions).mean(axis=0)
 
     def error(options: WrinkleMeshOptions) -> float:
-        frames = lifted_frames(layer, _wrinkle_mesh(layer, options), run, recording)
+        frames = decoded_frames(layer, _wrinkle_mesh(layer, options), run, recording)
         found = bands.energy(np.stack([lifted for _, lifted, _ in frames])).mean(axis=0)
         return float((np.log(found / wanted) ** 2).mean())
 
@@ -198,7 +198,7 @@ def compare_wrinkles_file(
     path = database_of(path, output, report)
     database = read_database(path)
     scene = scene_of(database)
-    stage, cache = Stage.of(scene), default_cache(path)
+    stage, cache = GarmentSetup.of(scene), default_cache(path)
     truth = held_out_truth(path, stage, scene, cache, report)
     held_out = HeldOut.of(database, truth, cache, report=report)
     layer = build_layer(stage.levels)

@@ -5,7 +5,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
+from typing import inputs
 
 import numpy as np
 import pytest
@@ -24,8 +24,8 @@ from precompute.learning.pipeline import (
     training_recordings,
 )
 from precompute.learning.recording import Recording, Run
+from runtime.garment_setup import GarmentSetup, scene_of
 from runtime.player import Player
-from runtime.stage import Stage, scene_of
 from tests.data import ROOT
 from tests.precompute.miniature import OPTIONS, SCENE, scene
 from wrinkles.database import WrinkleDatabase, read_database
@@ -48,7 +48,7 @@ def made(folder: Path, told: list[str]) -> Precomputed:
 
 def assert_same(first: WrinkleDatabase, second: WrinkleDatabase) -> None:
     """What was learned is the same, bit by bit."""
-    for part in ("mapping", "atoms", "unfamiliarity"):
+    for part in ("mapping", "atoms", "novelty"):
         for name, array in vars(getattr(first, part)).items():
             assert np.array_equal(array, getattr(getattr(second, part), name)), f"{part}.{name}"
     assert first.options == second.options and first.bend_factor == second.bend_factor
@@ -69,7 +69,7 @@ def test_what_is_written_is_what_was_made(made: Precomputed, folder: Path, told:
     assert database.options == made.calibration.options
     assert 0.0 < database.training_minutes < 5.0 and database.quality == made.database.quality
     # The garment is on the body as the scene has it.
-    stage, levels = Stage.of(scene_of(database)), levels_from(database, Stage.of(scene()).body)
+    stage, levels = GarmentSetup.of(scene_of(database)), levels_from(database, GarmentSetup.of(scene()).body)
     assert np.array_equal(levels.fine.vertices, stage.levels.fine.vertices)
     assert np.array_equal(levels.coarse_held, stage.levels.coarse_held)
     begun = [f"stage {number} of {len(STAGES)}: {name}" for number, name in enumerate(STAGES, start=1)]
@@ -101,7 +101,7 @@ def test_the_figures_are_of_the_held_out_motion(made: Precomputed) -> None:
 
 def test_the_database_plays(made: Precomputed) -> None:
     database = read_database(made.path)
-    stage = Stage.of(scene_of(database))
+    stage = GarmentSetup.of(scene_of(database))
     motion = stage.motion()
     player = Player(database, stage.body, motion.pose(0.0))
     moved = 0.0
@@ -126,21 +126,21 @@ def test_how_the_wrinkles_behave_in_time_is_measured_beside_the_truth(made: Prec
 
 
 def test_strange_states_fade_and_ordinary_ones_do_not(made: Precomputed) -> None:
-    quality, mapping, unfamiliarity = made.database.quality, made.database.mapping, made.database.unfamiliarity
+    quality, mapping, novelty = made.database.quality, made.database.mapping, made.database.novelty
     assert made.evaluation is not None
     # 0.28 to 0.31 by the solver's order of corrections, as little as is learned here; 0 would be no score at all.
     assert quality["unfamiliarity_spearman"] > 0.27 and quality["faded_percent"] < 10.0
     rng = np.random.default_rng(0)
     strange = 8.0 * rng.standard_normal((20, len(mapping.place_bias), len(mapping.center)))
-    far = unfamiliarity.amplitude(unfamiliarity.score(mapping.hidden(mapping.center + strange / mapping.scale)))
+    far = novelty.amplitude(novelty.score(mapping.hidden(mapping.center + strange / mapping.scale)))
     assert far.mean() < 0.5
 
 
 def test_nothing_goes_wild_after_a_teleport(made: Precomputed) -> None:
     """The body is suddenly elsewhere, turned about and in another pose: wrinkles do not grow out of all bounds."""
-    stage, database = Stage.of(scene_of(made.database)), made.database
+    stage, database = GarmentSetup.of(scene_of(made.database)), made.database
     motion = stage.motion()
-    smooth = replace(database, unfamiliarity=replace(database.unfamiliarity, fade_from=1e-9))
+    smooth = replace(database, novelty=replace(database.novelty, fade_from=1e-9))
     players = [Player(each, stage.body, motion.pose(0.0)) for each in (database, smooth)]
     turn = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
     heights = []
@@ -191,7 +191,7 @@ def test_one_database_holds_several_speeds_and_fabrics(folder: Path, monkeypatch
     monkeypatch.setattr(pipeline, "truth_of", lambda *_: None)
     monkeypatch.setattr(pipeline, "evaluate", lambda *_: SimpleNamespace(figures={}))
     several = scene(SCENE.replace("procedural_seconds = 2.0\n", "").replace("\n[[training.held_out]]\n", SPEEDS))
-    stage, cache = Stage.of(several), default_cache(folder / "skirt.h5")
+    stage, cache = GarmentSetup.of(several), default_cache(folder / "skirt.h5")
     slow, fast = (scene_run(stage, several, motion).poses for motion in stage.training_motions())
     made = precompute(several, folder / "several.h5", cache=cache, workers=1, options=OPTIONS)
     # A second of blending, then 0.28 s of the clip in 0.16 s.
@@ -227,7 +227,7 @@ def test_what_leads_to_a_motion_is_neither_learned_from_nor_judged(monkeypatch: 
     rows = np.zeros((8, 1))
     recording = Recording("late", 2 * np.arange(1, 9), rows, rows, rows, rows, 1.0)
     monkeypatch.setattr(pipeline, "record_runs", lambda runs, *_: [recording for _ in runs])
-    runs = [cast(Run, SimpleNamespace(dt=0.25, lead_in=lead_in)) for lead_in in (0.0, 2.0)]
+    runs = [inputs(Run, SimpleNamespace(dt=0.25, lead_in=lead_in)) for lead_in in (0.0, 2.0)]
     whole, late = training_recordings(runs, Path(), 1)
     assert whole.frames.tolist() == recording.frames.tolist()
     assert late.frames.tolist() == [10, 12, 14, 16]

@@ -175,9 +175,9 @@ def test_a_key_tells_settings_and_scenes_apart(tmp_path: Path) -> None:
 
 def test_references_of_unique_scenes_are_refined_twice() -> None:
     for scene in SCENES.values():
-        *coarser, finest = reference_settings(scene)
-        assert all(finest.edges > one.edges for one in coarser)
-        assert len(coarser) == (1 if scene.unique else 3)
+        *proxy, finest = reference_settings(scene)
+        assert all(finest.edges > one.edges for one in proxy)
+        assert len(proxy) == (1 if scene.unique else 3)
 
 
 def test_everything_is_written(found: list[SceneComparison], tmp_path: Path) -> None:

@@ -22,8 +22,8 @@ from runtime.simulation import Simulation
 from tests.runtime.players import skirt_database, skirt_stage
 from tests.wrinkles.databases import placed
 from wrinkles.database import WrinkleDatabase, write_database
-from wrinkles.gathers import Gathers
 from wrinkles.levels import build_levels
+from wrinkles.rest_shape import RestShapeCorrection
 
 
 def tube() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -52,7 +52,7 @@ def database() -> WrinkleDatabase:
         plain,
         coarse_vertices=levels.coarse.vertices,
         coarse_faces=faces,
-        gathers=Gathers.none(faces),
+        rest_shape=RestShapeCorrection.none(faces),
         held=levels.coarse_held.astype(np.int32),
         subdivisions=2,
         cutoff=levels.cutoff,
