@@ -273,11 +273,7 @@ def loop_figures(
 
 def posed_bodies(body: Character | Sequence, poses: Iterable[np.ndarray]) -> np.ndarray:
     """Vertices of a body in each of some poses, world [m], float32, shape (f, b, 3)."""
-    return _posed(body_source(body), poses)
-
-
-def _posed(source: BodySource, poses: Iterable[np.ndarray]) -> np.ndarray:
-    frames = []
+    source, frames = body_source(body), []
     for pose in poses:
         frames.append(np.zeros((len(source.vertices), 3), np.float32))
         source.skin(pose, np.zeros(3), frames[-1])
@@ -298,7 +294,7 @@ def baked_frames(
 
     Returns:
         the player, and of each frame vertices in the world [m] and unit normals, float32, shape (f, N, 3), and the
-        body's vertices in the world [m], float32, shape (f, b, 3).
+        body's poses, shape (f, ...).
 
     Raises:
         InputError: a rate that is not positive.
@@ -330,8 +326,8 @@ def simulated_frames(
         seconds: length of the simulation [s].
 
     Returns:
-        vertices in the world [m], float32, shape (f, n, 3); those of the body, None without one; their rate [Hz]; and
-        figures by name.
+        vertices in the world [m], float32, shape (f, n, 3); poses of the body, shape (f, ...), None without one; their
+        rate [Hz]; and figures by name.
 
     Raises:
         InputError: the time is shorter than a frame.
@@ -354,10 +350,8 @@ def simulated_frames(
         "frame_ms_p99": float(np.percentile(spent, 99)),
         "vertex_count": float(simulation.model.vertex_count),
     }
-    bodies = None
-    if motion is not None and simulation.source is not None:
-        bodies = _posed(simulation.source, (motion.pose(i * every * dt) for i in range(len(frames))))
-    return np.array(frames, np.float32), bodies, 1.0 / (every * dt), figures
+    poses = None if motion is None else np.array([motion.pose(i * every * dt) for i in range(len(frames))])
+    return np.array(frames, np.float32), poses, 1.0 / (every * dt), figures
 
 
 def write_baked(
@@ -366,8 +360,8 @@ def write_baked(
     frames: np.ndarray,
     rate_hz: float,
     normals: np.ndarray | None = None,
-    body_faces: np.ndarray | None = None,
-    bodies: np.ndarray | None = None,
+    body: Character | Sequence | None = None,
+    poses: np.ndarray | None = None,
 ) -> None:
     """Bake to the kind of file that the extension names; only .glb takes normals and the body along.
 
@@ -377,15 +371,15 @@ def write_baked(
         frames: world [m], shape (f, n, 3).
         rate_hz: [Hz].
         normals: unit, shape (f, n, 3).
-        body_faces: int, shape (k, 3).
-        bodies: world [m], shape (f, b, 3).
+        body: what wears the garment.
+        poses: of the body, one for each frame, shape (f, ...).
 
     Raises:
         InputError: the extension is unknown, or the file cannot be written.
     """
     check_file(path, *BAKED)
     if path.suffix.lower() == ".glb":
-        bake_glb(path, faces, frames, rate_hz, normals=normals, body_faces=body_faces, body_frames=bodies)
+        bake_glb(path, faces, frames, rate_hz, normals=normals, body=body, poses=poses)
     elif path.suffix.lower() == ".pc2":
         bake_pc2(path, faces, frames)
     else:

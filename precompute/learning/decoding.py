@@ -6,7 +6,7 @@ import hashlib
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import groupby
 
 import numpy as np
@@ -121,15 +121,6 @@ def decode_recording(
     return smooth, decoded
 
 
-@dataclass(frozen=True)
-class _MeanItem:
-    layer: Layer
-    predict: Predictor
-    atoms: Atoms
-    run: Run
-    recording: Recording
-
-
 def with_vertex_mean(
     layer: Layer,
     mappings: Sequence[Predictor],
@@ -150,20 +141,22 @@ def with_vertex_mean(
         frames: that the means are fitted to, at most.
     """
     atoms = replace(atoms, vertex_mean=np.zeros_like(atoms.vertex_mean))
-    items = []
+    jobs = []
     shown = zip(mappings, runs, spread_frames(recordings, frames), strict=True)
     for _, group in groupby(shown, key=lambda one: id(one[0])):
         (predict, *_), some_runs, some = zip(*group, strict=True)
-        items += [_MeanItem(layer, predict, atoms, run, recording) for run, recording in blocks_of(some_runs, some)]
-    sums = [_mean_sums(item) for item in items] if workers is None else workers.map(_mean_sums, items)
+        jobs += [partial(_mean_sums, layer, predict, atoms, *block) for block in blocks_of(some_runs, some)]
+    sums = (workers or Workers(1)).run(jobs)
     return replace(atoms, vertex_mean=mean_from_sums(sums))
 
 
-def _mean_sums(item: _MeanItem) -> tuple[np.ndarray, np.ndarray]:
-    """What a block of frames says of the means of vertices."""
-    _, decoded = decode_recording(item.layer, item.predict, item.atoms, item.run, item.recording)
-    frames = features_of(item.layer, item.recording)[1]
-    return vertex_mean_sums(item.layer.patches.turning, frames, item.recording.positions - decoded)
+def _mean_sums(
+    layer: Layer, predict: Predictor, atoms: Atoms, run: Run, recording: Recording
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sums over a block of frames for the means of vertices."""
+    _, decoded = decode_recording(layer, predict, atoms, run, recording)
+    frames = features_of(layer, recording)[1]
+    return vertex_mean_sums(layer.patches.turning, frames, recording.positions - decoded)
 
 
 def decoded_frames(

@@ -5,9 +5,8 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.stats import spearmanr
@@ -230,7 +229,7 @@ def play_freely(database: WrinkleDatabase, body: Character | VertexSequence, run
 
 def body_distances(truth: Truth, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Signed distance of every vertex of recorded frames to the body [m], and whether there is room: shape (f, N)."""
-    return _joined([_call(item) for item in _distance_items(truth, frames)])
+    return _joined([job() for job in _distance_jobs(truth, frames)])
 
 
 def free_figures(truth: Truth, frames: np.ndarray, prefix: str = "") -> dict[str, float]:
@@ -310,17 +309,17 @@ def evaluate(
     pause = Pause.of(run, judged_from(run), options.still_s, options.piece_s)
     with Workers.of(workers) as pool:
         (paused,) = record_runs([pause.run], cache, pool, report)
-        items = [
-            (play_freely, database, run.body, run),
-            (_pause_figures, database, pause),
-            (_given_figures, database, run, recording),
-            *_distance_items(truth, truth.frames),
+        jobs: list[partial] = [
+            partial(play_freely, database, run.body, run),
+            partial(_pause_figures, database, pause),
+            partial(_given_figures, database, run, recording),
+            *_distance_jobs(truth, truth.frames),
         ]
         tell("evaluating: running freely, in time, given the coarse state")
-        free, in_time, given, *of_truth = pool.map(_call, items, counted(report, "evaluating: parts", len(items)))
-        items = _distance_items(truth, free.frames)
+        free, in_time, given, *of_truth = pool.run(jobs, done=counted(report, "evaluating: parts", len(jobs)))
+        jobs = _distance_jobs(truth, free.frames)
         tell("evaluating: contact with the body")
-        distances, room = _joined(pool.map(_call, items, counted(report, "evaluating: parts", len(items))))
+        distances, room = _joined(pool.run(jobs, done=counted(report, "evaluating: parts", len(jobs))))
     truth_distances, truth_room = _joined(of_truth)
     figures, smooth, decoded = given
     figures |= free_figures(truth, free.frames)
@@ -335,11 +334,6 @@ def evaluate(
     figures["speedup_over_fine"] = recording.step_ms / figures["frame_ms_p50"]
     figures |= pause.figures(paused.positions, "truth_") | in_time
     return Evaluation(figures, free, smooth, decoded)
-
-
-def _call(item: tuple) -> Any:
-    function, *arguments = item
-    return function(*arguments)
 
 
 def _given_figures(
@@ -368,12 +362,12 @@ def _pause_figures(database: WrinkleDatabase, pause: Pause) -> dict[str, float]:
     return figures | {"step_response_frames": float(step_response_frames(player, pause.onward, run.dt))}
 
 
-def _distance_items(truth: Truth, frames: np.ndarray) -> list[tuple]:
-    """Work for :func:`_call`: distances to the body of some frames at a time."""
+def _distance_jobs(truth: Truth, frames: np.ndarray) -> list[partial]:
+    """Jobs that measure distances to the body, of some frames at a time."""
     poses = truth.run.poses[truth.recording.frames]
     thickness = truth.run.fabric.thickness
     return [
-        (_distances, truth.run.body, poses[first : first + BLOCK], thickness, frames[first : first + BLOCK])
+        partial(_distances, truth.run.body, poses[first : first + BLOCK], thickness, frames[first : first + BLOCK])
         for first in range(0, len(frames), BLOCK)
     ]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import groupby
 
 import numpy as np
@@ -20,7 +21,7 @@ from wrinkles.novelty import NoveltyScore
 
 __all__ = ["fit_novelty"]
 
-FRAMES, STRANGE_FRAMES = 800, 80  # of training motion as it is, and with noise on its features
+STRANGE_SHARE = 0.1  # as many frames as that are decoded with noise on their features besides
 NOISE = (1.0, 4.0)  # of it, in standard deviations
 UNITS, EPOCHS = 24, 24
 LEAST = 0.5  # errors below it need not be told apart [deg]
@@ -49,10 +50,11 @@ def fit_novelty(
         recordings: of these runs.
         seed: of noise, first weights and shuffling.
         workers: that decode.
+        frames: of training motion that are decoded, at most.
     """
     plain = _blocks(layer, mappings, atoms, runs, spread_frames(recordings, FRAMES), None)
     strange = _blocks(layer, mappings, atoms, runs, spread_frames(recordings, STRANGE_FRAMES), seed)
-    errors = workers.map(_patch_errors, [block for _, block in (*plain, *strange)])
+    errors = workers.run([partial(_patch_errors, block) for _, block in (*plain, *strange)])
     hidden, error = np.concatenate([h for h, _ in plain]), np.concatenate(errors[: len(plain)])
     kept_out = np.arange(len(hidden)) // BLOCK % KEPT_OUT == KEPT_OUT - 1
     seen = np.concatenate([hidden[~kept_out], *(h for h, _ in strange)]).reshape(-1, hidden.shape[2])

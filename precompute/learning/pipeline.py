@@ -42,6 +42,7 @@ from wrinkles.metrics import given_coarse_figures
 from wrinkles.rest_shape import RestShapeCorrection
 
 __all__ = [
+    "STAGES",
     "Precomputed",
     "default_cache",
     "precompute",
@@ -149,9 +150,10 @@ def precompute(
     output: str | Path,
     *,
     cache: Path | None = None,
-    workers: int = 2,
+    workers: Workers | int = 2,
     report: Callable[[str], None] | None = None,
     options: LearningOptions = DEFAULT,
+    clock: StageClock | None = None,
 ) -> Precomputed:
     """Simulate, learn, calibrate, judge and write.
 
@@ -162,9 +164,10 @@ def precompute(
         scene: one garment on one body, with training and held-out motion.
         output: the database to write.
         cache: folder of simulated runs; None keeps them beside the database.
-        workers: processes that simulate and decode.
+        workers: processes that simulate and decode, or how many of them there are to be.
         report: told lines of progress.
         options: how much is done.
+        clock: of a longer road that STAGES are a part of; None times STAGES alone.
 
     Raises:
         InputError: a scene that names nothing to learn from, a held-out motion that is trained on too, and whatever
@@ -173,8 +176,8 @@ def precompute(
     began, output = time.monotonic(), Path(output)
     stage = GarmentSetup.of(scene)
     held_out = _held_out(scene, stage)
-    with Workers(workers) as pool:
-        clock = StageClock(STAGES if held_out else STAGES[:-1], pool, report)
+    with Workers.of(workers) as pool:
+        clock = clock or StageClock(STAGES if held_out else STAGES[:-1], pool, report)
         fabrics = fabrics_of(scene, stage.settings)
         cache = cache or default_cache(output)
         work = _Work(scene, stage, build_layer(stage.levels), fabrics, cache, pool, clock, options)
@@ -321,6 +324,7 @@ def _finished(
             [example.recording for example in examples],
             work.seed,
             work.workers,
+            work.options.score_frames,
         )
     scene, settings, levels, body = work.scene, work.stage.settings, work.stage.levels, work.stage.body
     own, *others = work.fabrics

@@ -7,7 +7,7 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -204,12 +204,9 @@ def record_runs(
             _record(run, folder, lambda: _tell(report, done(), before, total, began))
     elif todo:
         with Workers.of(workers) as pool:
-            pool.map(_record_in, longest_first, lambda _: _tell(report, done(), before, total, began))
+            jobs = [partial(_record, run, folder) for folder, run in longest_first]
+            pool.run(jobs, meanwhile=lambda: _tell(report, done(), before, total, began))
     return [_read(run, folder) for run, folder in zip(runs, folders, strict=True)]
-
-
-def _record_in(item: tuple[Path, Run]) -> None:
-    _record(item[1], item[0])
 
 
 def _tell(report: Callable[[str], None] | None, done: int, before: int, total: int, began: float) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from assets.fabrics import PRESETS
 from assets.io.scene import MotionSettings, load_scene
 from pbd import Fabric, ModelOptions, SolverOptions
-from precompute.demo import SCENE
+from precompute.demo import FULL
 from precompute.learning.evaluation import body_source
 from precompute.learning.recording import Run, record_runs
 from precompute.mechanics import FRAME_RATE
@@ -39,7 +39,7 @@ def fabric_runs(fabrics: dict[str, Fabric] | None = None, subdivisions: int = 2,
         subdivisions: of the skirt's mesh.
         seconds: of the motion.
     """
-    scene = load_scene(SCENE)
+    scene = load_scene(FULL.scene)
     garment = replace(scene.garments[0], subdivisions=subdivisions)
     stage = GarmentSetup.of(replace(scene, garments=(garment,)))
     motion = stage.motion(MotionSettings(file="builtin:mannequin", clip=CLIP))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from assets.io.scene import load_scene, scene_text
 from pbd import InputError
+from precompute.learning.decoding import bands_of
 from precompute.learning.evaluation import (
     Truth,
     body_distances,
@@ -22,7 +24,9 @@ from precompute.learning.evaluation import (
     truth_of,
 )
 from precompute.learning.pipeline import default_cache, precompute
+from precompute.learning.recording import Recording, Run
 from precompute.stability.stability import StabilityLimit, largest_stable_step
+from precompute.workers import Workers
 from precompute.wrinkle_comparison.baselines import (
     PROBE_FRAMES,
     Cloth,
@@ -37,6 +41,7 @@ from runtime.play import playback_inputs
 from wrinkles.database import WrinkleDatabase, code_version, read_database
 from wrinkles.distance import penetration_figures
 from wrinkles.metrics import edge_stretch
+from wrinkles.spectrum import LowPass
 
 __all__ = ["Comparison", "Method", "compare", "compare_file", "database_of", "equal_cost_baselines", "winners"]
 
@@ -112,7 +117,15 @@ def winners(errors: Mapping[str, float], floor: float) -> tuple[str, ...]:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def compare(database: WrinkleDatabase, truth: Truth, *, report: Callable[[str], None] | None = None) -> Comparison:
+def compare(
+    database: WrinkleDatabase,
+    truth: Truth,
+    *,
+    free: Free | None = None,
+    brief: bool = False,
+    workers: Workers | int = 1,
+    report: Callable[[str], None] | None = None,
+) -> Comparison:
     """Run every method freely over the truth's motion and measure it.
 
     Args:
@@ -127,8 +140,8 @@ def compare(database: WrinkleDatabase, truth: Truth, *, report: Callable[[str], 
     ours_ms, smooth_ms = player_times(database, truth)
     settings = _settings(coarse_cloth(database, truth))
     methods = [
-        Method("smooth_", "smooth", typical_ms(smooth_ms), _all_figures(truth, free.smooth), settings, free.smooth),
-        Method("", "ours", typical_ms(ours_ms), _all_figures(truth, free.frames), settings, free.frames),
+        Method("smooth_", "smooth", typical_ms(smooth_ms), {}, settings, free.smooth),
+        Method("", "ours", typical_ms(ours_ms), {}, settings, free.frames),
     ]
     fine, middle = fine_cloth(truth), middle_cloth(database, truth)
     methods += equal_cost_baselines(database, truth, ours_ms, report=report)
@@ -140,7 +153,9 @@ def compare(database: WrinkleDatabase, truth: Truth, *, report: Callable[[str], 
     methods.append(Method("truth_", "truth", fine.cost(), _shared_figures(truth, truth.frames), settings, truth.frames))
     figures = _all_figures(truth, truth.floor)
     settings = _settings(fine.with_substeps(math.ceil(1.5 * fine.substeps)))
-    methods.append(Method("floor_", "floor", math.nan, figures, settings, truth.floor))
+    methods.append(Method("floor_", "floor", math.nan, {}, settings, truth.floor))
+    tell("comparing: figures")
+    methods = _with_figures(truth, methods, workers)
     clothes = {"coarse": coarse_cloth(database, truth), "middle_mesh": middle, "fine": fine}
     stability = []
     poses = run.poses[: round(STABILITY_SECONDS / run.dt) + 1]
@@ -200,17 +215,12 @@ def _shared_figures(truth: Truth, frames: np.ndarray) -> dict[str, float]:
     }
 
 
-def _all_figures(truth: Truth, frames: np.ndarray) -> dict[str, float]:
-    return free_figures(truth, frames) | _shared_figures(truth, frames)
-
-
 def _cloth(truth: Truth, cloth: Cloth, prefix: str, name: str) -> Method:
     played = cloth.play(truth.recording.frames)
     settings = _settings(cloth)
     if played.broke_at is not None:
         return Method(prefix, name, played.frame_ms, {}, settings, None, played.broke_at)
-    figures = _all_figures(truth, played.frames)
-    figures["substeps_per_frame"] = float(cloth.substeps)
+    figures = {"substeps_per_frame": float(cloth.substeps)}
     return Method(prefix, name, played.frame_ms, figures, settings, played.frames)
 
 

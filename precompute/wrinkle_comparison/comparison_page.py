@@ -35,11 +35,10 @@ truth's own solver.
 
 The floor is what parts two converged simulations of the same scene, whose substeps differ by a factor of 1.5: folding
 is chaotic, so neither an error within the floor nor a difference of less than 5 % means anything. The truth stands in
-the charts at its own cost, with the floor as its error.
-
-The largest stable substep is found by bisection over 3.5 s of the motion. A run is a catastrophe if it is not finite,
-if an edge is stretched by 100 % of its length more than ever with substeps of 1/2000 s, or if a vertex is faster than
-3 sqrt(2 g H) and the body's fastest vertex."""
+the charts at its own cost, with the floor as its error."""
+_STABILITY_NOTES = """The largest stable substep is found by bisection over 3.5 s of the motion. A run is a catastrophe
+if it is not finite, if an edge is stretched by 100 % of its length more than ever with substeps of 1/2000 s, or if a
+vertex is faster than 3 sqrt(2 g H) and the body's fastest vertex."""
 
 
 def verdict(comparison: Comparison) -> str:
@@ -67,9 +66,7 @@ def verdict(comparison: Comparison) -> str:
     return "\n\n".join(paragraphs)
 
 
-def write_comparison(
-    path: str | os.PathLike[str], comparison: Comparison, *, picture: np.ndarray | None = None
-) -> None:
+def write_comparison(path: str | os.PathLike[str], comparison: Comparison) -> None:
     """Write the page: who wins, charts of error against time, one moment by all methods, and all figures.
 
     Args:
@@ -77,9 +74,8 @@ def write_comparison(
         comparison: the result.
         picture: shown first, uint8, shape (h, w, 3); None shows none.
     """
-    first = [] if picture is None else [Picture(picture, "the garment at several moments")]
     title = f"{comparison.garment}, {comparison.motion}: error against time"
-    write_page(path, title, [*first, *comparison_sections(comparison)])
+    write_page(path, title, comparison_sections(comparison))
 
 
 def comparison_sections(comparison: Comparison) -> list[Section]:
@@ -90,8 +86,9 @@ def comparison_sections(comparison: Comparison) -> list[Section]:
         *_pictures(comparison),
         _figure_table(comparison),
         _band_table(comparison),
-        _stability_table(comparison),
+        *([_stability_table(comparison)] if comparison.stability else []),
         Text(_NOTES),
+        *([Text(_STABILITY_NOTES)] if comparison.stability else []),
     ]
 
 
@@ -142,7 +139,9 @@ def _beyond_their_limits(comparison: Comparison) -> list[tuple[Method, Stability
     """Baselines at equal cost whose substep is a catastrophe, with the limit."""
     limits = {one.name: one for one in comparison.stability}
     pairs = [("middle_mesh_", "middle_mesh"), ("equal_cost_fine_", "fine")]
-    found = [(m, limits[name]) for m in comparison.methods for prefix, name in pairs if m.prefix == prefix]
+    found = [
+        (m, limits[name]) for m in comparison.methods for prefix, name in pairs if m.prefix == prefix and name in limits
+    ]
     return [(m, limit) for m, limit in found if m.settings["substep [s]"] > 1.001 * limit.dt_max]
 
 

@@ -246,8 +246,8 @@ def test_a_flag_hangs_on_its_pins_and_flies_in_the_wind(fine: bool) -> None:
         simulation, motion = simulation_of(scene, fine)
         assert motion is None
         start = simulation.state.world()[[0, 620]]
-        frames, bodies, rate, figures = simulated_frames(simulation, None, scene, 0.5)
-        assert bodies is None
+        frames, poses, rate, figures = simulated_frames(simulation, None, scene, 0.5)
+        assert poses is None
         assert (len(frames), rate) == (16, 30.0)
         np.testing.assert_allclose(frames[-1][[0, 620]], start, atol=1e-6)
         depths.append(float(frames[-1][:, 2].mean()))

@@ -9,7 +9,7 @@ import pytest
 
 from assets.io.scene import load_scene
 from pbd import InputError
-from precompute.demo import SCENE
+from precompute.demo import FULL
 from precompute.learning.pipeline import Precomputed, precompute
 from precompute.planning.plan_trial import SCENES, trial_rows, trial_text, try_plan
 from precompute.planning.planning import cost_table_of, plan_figures, seen_from
@@ -23,7 +23,7 @@ from wrinkles.database import WrinkleDatabase, read_database, write_database
 @pytest.fixture(scope="module")
 def skirt(tmp_path_factory: pytest.TempPathFactory) -> tuple[WrinkleDatabase, PlaybackInputs, CostTable]:
     path: Path = tmp_path_factory.mktemp("demo") / "skirt.h5"
-    precompute(load_scene(SCENE), path)
+    precompute(load_scene(FULL.scene), path)
     database = read_database(path)
     return database, playback_inputs(database), cost_table_of(database, path)
 
