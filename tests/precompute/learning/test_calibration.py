@@ -18,9 +18,15 @@ from tests.wrinkles.databases import placed, small_database
 from wrinkles.coarse_filter import CoarseFilter
 
 
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Recorded runs: the coarse models that are tried are the same whichever is looked for."""
+    return tmp_path_factory.mktemp("runs")
+
+
 @pytest.mark.parametrize(("stiff", "shear", "gain"), [(1.0, 1.0, 1.0), (30.0, 1.0, 1.0), (1.0, 0.1, 1.25)])
 def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(
-    stiff: float, shear: float, gain: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    stiff: float, shear: float, gain: float, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stage = Stage.of(scene())
     layer = build_layer(stage.levels)
@@ -37,11 +43,11 @@ def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(
     )
     coarse = replace(fine, fine=False, options=ModelOptions(shear_scale=shear, bend_scale=stiff), bend_factor=0.3)
     options = replace(OPTIONS, gains=(1.0, 1.25, 1.5))
-    run = filtered(record_runs([coarse], tmp_path, 1)[0], CoarseFilter(stage.levels).matrix)
+    run = filtered(record_runs([coarse], cache, 1)[0], CoarseFilter(stage.levels).matrix)
     # What this coarse garment looks like when it is decoded is given out as the fine run.
     told = replace(run, positions=decode_recording(layer, predict, atoms, coarse, run)[1])
     found_by = lambda: calibrate(  # noqa: E731
-        layer, mapping, atoms, [fine], [told], CoarseModel(solver, 0.3), tmp_path, Workers(1), options
+        layer, mapping, atoms, [fine], [told], CoarseModel(solver, 0.3), cache, Workers(1), options
     )
     found = found_by()
     assert (found.options, found.gain) == (coarse.options, gain)
