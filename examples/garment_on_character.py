@@ -20,21 +20,22 @@ file = "builtin:mannequin"
 RATE = 60.0  # frames a second
 
 skirt, _ = gube.simulation_of(gube.parse_scene(SCENE))
-walk = gube.ClipMotion(gube.load_character("builtin:mannequin"), "walk")
+mannequin = gube.load_character("builtin:mannequin")
+walk = gube.ClipMotion(mannequin, "walk")
 waist, hem = skirt.model.held, np.argmin(skirt.vertices[:, 1])
-frames, bodies, gaps = [skirt.vertices], [skirt.body.current + skirt.state.origin], []
+frames, poses, gaps = [skirt.vertices], [walk.pose(0.0)], []
 for frame in range(1, 181):
-    skirt.step(walk.pose(frame / RATE), 1.0 / RATE)
+    poses.append(walk.pose(frame / RATE))
+    skirt.step(poses[-1], 1.0 / RATE)
     frames.append(skirt.vertices)
-    bodies.append(skirt.body.current + skirt.state.origin)
     gaps.append(skirt.state.contact.min())  # distance to the body
 gube.bake_glb(
     "skirt.glb",
     skirt.model.mesh.faces,
     np.array(frames[::2]),
     RATE / 2.0,
-    body_faces=skirt.body.faces,
-    body_frames=np.array(bodies[::2]),
+    body=mannequin,
+    poses=np.array(poses[::2]),
 )
 
 path = np.array([frame[waist].mean(axis=0) for frame in frames])

@@ -35,12 +35,12 @@ _settings: dict[str, object] | None = None
 def ensure_initialized(arch: str = "cpu", threads: int | None = None) -> None:
     """Start Taichi once for this process; later calls with the same wishes do nothing.
 
-    ``ti.init`` kills every array of an earlier ``ti.init`` with a bare error, so a call that asks for something
-    else than what runs is refused.
+    ``ti.init`` kills every array of an earlier ``ti.init`` with a bare error, so a call that asks for other settings
+    than those that run is refused.
 
     Args:
         arch: "cpu" or "cuda".
-        threads: CPU threads; None takes what runs, or ``GUBE_THREADS``, or all cores.
+        threads: CPU threads; None takes the number that runs, or ``GUBE_THREADS``, or all cores.
 
     Raises:
         InputError: unknown arch, a thread count below one, or a conflict with the running set-up.
@@ -101,7 +101,7 @@ def cuda_is_here() -> bool:
 
 
 def running_arch() -> str:
-    """What Taichi was started for: "cpu" or "cuda"."""
+    """The processor that Taichi was started for: "cpu" or "cuda"."""
     return str(_running()["arch"])
 
 

@@ -1,96 +1,282 @@
-"""`gube demo`: the whole road on the built-in scene, from nothing to a page with pictures."""
+"""`gube demo`: the whole road on the built-in scene, from nothing to a page with pictures.
+
+The short demo learns from nothing in about three minutes of two cores. The full one learns from more motion with a
+wider network and compares more ways at equal cost; it takes a quarter of an hour.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 import assets
-from assets.io.scene import load_scene
-from precompute.learning.evaluation import Evaluation, Truth, body_source
-from precompute.learning.pipeline import precompute
+from assets.io.scene import Scene, load_scene
+from precompute.demo_page import duration, newcomer_sections, words_of
+from precompute.learning.evaluation import Evaluation, Truth, settled, truth_runs
+from precompute.learning.options import LearningOptions
+from precompute.learning.pipeline import STAGES as LEARNING_STAGES
+from precompute.learning.pipeline import default_cache, precompute, scene_run
+from precompute.learning.recording import Recording, Run, record_runs
+from precompute.learning.stages import StageClock
+from precompute.reporting.page import write_page
+from precompute.workers import Workers
 from runtime.bake import bake_glb
-from runtime.pictures import BODY_COLOR, Camera, Drawn, frame_camera, render, save_png, strip
+from runtime.garment_setup import GarmentSetup
+from runtime.glb import BYTES_A_VERTEX
+from runtime.pictures import BODY_COLOR, Drawn, frame_camera, render, save_png, strip
+from runtime.play import posed_bodies
+from wrinkles.metrics import normal_error_deg
 
-__all__ = ["draw_moments", "run_demo"]
+__all__ = ["FULL", "SHORT", "STAGES", "WORDS", "Demo", "DemoResult", "draw_moments", "introduction", "run_demo"]
 
-SCENE = Path(assets.__file__).parent / "data" / "demo.toml"
+DATA = Path(assets.__file__).parent / "data"
+WORDS = {
+    "held-out motion": "simulating the walk that nothing is learned from, coarse and fine",
+    "simulating": "simulating the motion that is learned from",
+    "fitting patches": "finding the shapes that folds are made of",
+    "fitting": "learning which folds belong to which coarse skirt",
+    "means of vertices": "learning what all folds have in common",
+    "calibrating": "choosing the coarse skirt that moves like the fine one",
+    "unfamiliarity": "learning where not to trust what was learned",
+    "evaluating": "playing the walk and judging it",
+    "comparing": "comparing with another way at equal cost",
+    "drawing": "drawing, baking the animation and writing the page",
+}
+STAGES = ("held-out motion", *LEARNING_STAGES, "comparing", "drawing")
 PICTURE = (560, 640)
-MOMENTS = 4
+AZIMUTH = 8.0  # of the camera, seen from where the walk goes [deg]
+GLB_BYTES = 14e6  # that the garment of the animation may take; frames are left out evenly until it does
 
 
-def draw_moments(truth: Truth, evaluation: Evaluation, moments: int = MOMENTS) -> np.ndarray:
-    """Coarse, truth and ours side by side at several moments of a free run: uint8, shape (h, w, 3)."""
-    source = body_source(truth.run.body)
-    picked = np.linspace(0, len(truth.recording.frames) - 1, moments + 2).astype(int)[1:-1]
-    levels = truth.levels
-    bodies = []
-    for index in picked:
-        posed = np.zeros((len(source.vertices), 3), np.float32)
-        source.skin(truth.run.poses[truth.recording.frames[index]], np.zeros(3), posed)
-        bodies.append(posed)
-    cameras = frame_camera(
-        truth.frames[picked].astype(float), azimuth_deg=30.0, aspect=PICTURE[0] / PICTURE[1], margin=1.15
-    )
-    kinds = (
-        (evaluation.free.coarse, levels.coarse.faces),
-        (truth.frames, levels.fine.faces),
-        (evaluation.free.frames, levels.fine.faces),
-    )
-    columns = [
+@dataclass(frozen=True)
+class Demo:
+    """One way to run the demo.
+
+    Attributes:
+        scene: file of the scene.
+        options: how much is done to learn.
+        seconds: about how long each of STAGES takes on two idle cores [s].
+        moments: that the picture shows.
+        brief: compare with the middle mesh alone and look for no stable step.
+    """
+
+    scene: Path
+    options: LearningOptions
+    seconds: tuple[float, ...]
+    moments: int
+    brief: bool
+
+
+SHORT = Demo(
+    DATA / "demo.toml",
+    LearningOptions(
+        training_frames=800,
+        epochs=8,
+        most_epochs=8,
+        mean_frames=120,
+        score_frames=240,
+        compression_scales=(1.0, 10.0),
+        shear_scales=(1.0, 0.3),
+        bend_scales=(1.0,),
+        gains=(1.0,),  # what little motion tells is blotched when it is raised
+        calibration_s=3.5,
+        still_s=0.5,
+        piece_s=0.25,
+    ),
+    seconds=(40.0, 25.0, 5.0, 12.0, 5.0, 12.0, 8.0, 13.0, 30.0, 5.0),
+    moments=2,
+    brief=True,
+)
+FULL = Demo(
+    DATA / "demo_full.toml",
+    LearningOptions(),
+    seconds=(60.0, 80.0, 20.0, 120.0, 20.0, 240.0, 30.0, 60.0, 180.0, 20.0),
+    moments=4,
+    brief=False,
+)
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """What a demo made.
+
+    Attributes:
+        figures: by name.
+        words: three of them in sentences: how near to the truth, how fast, how many vertices.
+        page, picture, first_picture, animation, database: files.
+    """
+
+    figures: dict[str, float]
+    words: tuple[str, ...]
+    page: Path
+    picture: Path
+    first_picture: Path
+    animation: Path
+    database: Path
+
+
+class _Clock(StageClock):
+    """Says which stage of how many begins, in words, and about how long the rest takes.
+
+    Args:
+        seconds: that each of STAGES is expected to take [s].
+        workers: of all stages.
+        say: told what is to stay on the screen.
+        report: told lines of progress.
+    """
+
+    def __init__(
+        self,
+        seconds: Sequence[float],
+        workers: Workers,
+        say: Callable[[str], None],
+        report: Callable[[str], None] | None,
+    ) -> None:
+        super().__init__(STAGES, workers, report)
+        self._seconds, self._say, self._began = seconds, say, time.monotonic()
+
+    def begin(self, name: str) -> None:
+        """Say it, and how much time is left at the pace of this machine."""
+        number = STAGES.index(name)
+        before, after = sum(self._seconds[:number]), sum(self._seconds[number:])
+        pace = (time.monotonic() - self._began) / before if number else 1.0
+        self._say(f"stage {number + 1} of {len(STAGES)}: {WORDS[name]} (about {duration(pace * after)} left)")
+
+
+def introduction(demo: Demo, output: Path) -> str:
+    """What the demo will do, how long that takes and where it goes."""
+    scene = load_scene(demo.scene)
+    garment, minutes = scene.garments[0].name, sum(demo.seconds) / 60.0
+    return "\n".join(
         [
-            _picture(frames[index], faces, body, source.faces, camera)
-            for index, body, camera in zip(picked, bodies, cameras, strict=True)
+            f"A fine simulation of a {garment} is learned from, so that a coarse one can be played with the fine one's",
+            "folds. Then it is played on a walk that nothing was learned from, and judged beside the truth.",
+            f"This takes about {minutes:.0f} minutes on two idle cores. Everything goes to {output}:",
+            "first.png (coarse and truth, within a minute or two), demo.png, skirt.glb, skirt.h5 and index.html.",
         ]
-        for frames, faces in kinds
-    ]
-    seconds = [f"{truth.recording.frames[i] * truth.run.dt:.1f} s" for i in picked]
-    return strip(columns, ["coarse", "truth", "ours"], seconds)
+    )
 
 
-def _picture(
-    vertices: np.ndarray, faces: np.ndarray, body: np.ndarray, body_faces: np.ndarray, camera: Camera
-) -> np.ndarray:
-    return render([Drawn(body, body_faces, BODY_COLOR), Drawn(vertices, faces)], camera, PICTURE)
-
-
-def run_demo(output: Path, report: Callable[[str], None] | None = None) -> dict[str, float]:
-    """Learn a small database, play held-out motion and write the animation, the picture and the page.
+def run_demo(
+    output: Path,
+    demo: Demo = SHORT,
+    *,
+    workers: int = 2,
+    say: Callable[[str], None] | None = None,
+    report: Callable[[str], None] | None = None,
+) -> DemoResult:
+    """Learn a small database, play held-out motion and write the animation, the pictures and the page.
 
     Args:
         output: folder for everything; simulated runs are kept in it and found again.
+        demo: the short one or the full one.
+        workers: processes that simulate.
+        say: told what is to stay on the screen: the stages as they begin, and that the first picture is there.
         report: told lines of progress.
-
-    Returns:
-        the figures.
     """
     from precompute.wrinkle_comparison.compare import compare
-    from precompute.wrinkle_comparison.comparison_page import write_comparison
+    from precompute.wrinkle_comparison.comparison_page import comparison_sections
 
-    tell = report or (lambda line: None)
-    result = precompute(load_scene(SCENE), output / "skirt.h5", report=report)
-    truth, evaluation = result.truth, result.evaluation
+    say = say or (lambda line: None)
+    scene, database_path, began = load_scene(demo.scene), output / "skirt.h5", time.monotonic()
+    first_picture, picture_file, animation = output / "first.png", output / "demo.png", output / "skirt.glb"
+    pool = Workers(workers)
+    clock = _Clock(demo.seconds, pool, say, report)
+    with pool:
+        with clock.stage("held-out motion"):
+            save_png(first_picture, _first_picture(scene, default_cache(database_path), demo, clock, pool))
+            say(f"the first picture is there: {first_picture} (coarse | truth)")
+        learned = precompute(scene, database_path, workers=pool, options=demo.options, clock=clock)
+    truth, evaluation = learned.truth, learned.evaluation
     assert truth is not None and evaluation is not None
-    tell("drawing")
-    picture = draw_moments(truth, evaluation)
-    save_png(output / "demo.png", picture)
-    tell("baking the animation")
-    source, frames = body_source(truth.run.body), truth.recording.frames
-    bodies = np.zeros((len(frames), len(source.vertices), 3), np.float32)
-    for index, frame in enumerate(frames):
-        source.skin(truth.run.poses[frame], np.zeros(3), bodies[index])
-    rate = 1.0 / (truth.run.dt * truth.run.every)
-    bake_glb(
-        output / "skirt.glb",
-        truth.levels.fine.faces,
-        evaluation.free.frames,
-        rate,
-        body_faces=source.faces,
-        body_frames=bodies,
+    # Workers that end leave the kernels that they compiled on the disk, where this process finds them now.
+    with pool:
+        with clock.stage("comparing"):
+            comparison = compare(
+                learned.database, truth, free=evaluation.free, brief=demo.brief, workers=pool, report=clock
+            )
+        with clock.stage("drawing"):
+            picture = draw_moments(truth, evaluation, demo.moments)
+            save_png(picture_file, picture)
+            _bake(animation, truth, evaluation)
+    figures = evaluation.figures
+    sections = newcomer_sections(learned, comparison.method("").frame_ms, picture, time.monotonic() - began)
+    write_page(output / "index.html", "A skirt with learned folds", [*sections, *comparison_sections(comparison)])
+    return DemoResult(
+        figures,
+        words_of(figures, comparison.method("").frame_ms),
+        output / "index.html",
+        picture_file,
+        first_picture,
+        animation,
+        database_path,
     )
-    tell("comparing")
-    comparison = compare(result.database, truth, report=report)
-    write_comparison(output / "index.html", comparison, picture=picture)
-    return evaluation.figures
+
+
+def _first_picture(
+    scene: Scene, cache: Path, demo: Demo, report: Callable[[str], None], workers: Workers
+) -> np.ndarray:
+    """Simulate the held-out motion, coarse and fine, and draw both before anything is learned."""
+    stage = GarmentSetup.of(scene)
+    run = scene_run(stage, scene, stage.motion(scene.training.held_out[0]))
+    coarse = replace(run, name=f"{run.name} (coarse)", fine=False, solver=scene.solver.options(), bend_factor=None)
+    # The fine runs that it is judged by are wanted later: they keep the other core busy.
+    truth, *others = truth_runs(run, demo.options)
+    found = record_runs([truth, coarse, *others[:1]], cache, workers, report)
+    fine, rough = settled(found[0], run), settled(found[1], run)
+    levels = run.levels
+    columns = {"coarse": (rough.positions, levels.coarse.faces), "truth": (fine.positions, levels.fine.faces)}
+    return _draw(columns, run, fine, demo.moments)
+
+
+def draw_moments(truth: Truth, evaluation: Evaluation, moments: int) -> np.ndarray:
+    """Coarse, truth and ours at several moments of a free run, and ours given the truth's coarse state.
+
+    Returns:
+        uint8, shape (h, w, 3).
+    """
+    levels = truth.levels
+    columns = {
+        "coarse": (evaluation.free.coarse, levels.coarse.faces),
+        "truth": (truth.frames, levels.fine.faces),
+        "ours": (evaluation.free.frames, levels.fine.faces),
+        "ours on the truth's own coarse skirt": (evaluation.decoded, levels.fine.faces),
+    }
+    return _draw(columns, truth.run, truth.recording, moments)
+
+
+def _draw(
+    columns: dict[str, tuple[np.ndarray, np.ndarray]], run: Run, recording: Recording, moments: int
+) -> np.ndarray:
+    """Meshes by their names, each with its vertices [m], shape (f, n, 3), and faces, at some moments.
+
+    Of each part of the fine run it is the moment at which its folds turn its smooth surface most.
+    """
+    smooth = run.levels.subdivision.upsample(recording.coarse)
+    parts = np.array_split(normal_error_deg(recording.positions, smooth, run.levels.fine.faces), moments)
+    firsts = np.cumsum([0, *(len(part) for part in parts)])
+    picked = np.array([first + part.argmax() for first, part in zip(firsts, parts, strict=False)])
+    bodies = posed_bodies(run.body, run.poses[recording.frames[picked]])
+    shown = recording.positions[picked].astype(float)
+    cameras = frame_camera(shown, azimuth_deg=AZIMUTH, aspect=PICTURE[0] / PICTURE[1], margin=1.12)
+    pictures = [
+        [
+            render([Drawn(body, run.body.faces, BODY_COLOR), Drawn(vertices[index], faces)], camera, PICTURE)
+            for index, body, camera in zip(picked, bodies, cameras, strict=True)
+        ]
+        for vertices, faces in columns.values()
+    ]
+    return strip(pictures, list(columns), [f"{recording.frames[index] * run.dt:.1f} s" for index in picked])
+
+
+def _bake(path: Path, truth: Truth, evaluation: Evaluation) -> None:
+    """Write the animation of the free run, of as many frames a second as stay below GLB_BYTES."""
+    run, frames = truth.run, evaluation.free.frames
+    every = max(1, int(np.ceil(BYTES_A_VERTEX * frames.shape[0] * frames.shape[1] / GLB_BYTES)))
+    poses = run.poses[truth.recording.frames[::every]]
+    rate = 1.0 / (run.dt * run.every * every)
+    bake_glb(path, truth.levels.fine.faces, frames[::every], rate, body=run.body, poses=poses)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from contextlib import ExitStack, contextmanager
 from multiprocessing import get_context, parent_process
 from typing import Any, TypeVar
 
@@ -15,11 +15,77 @@ from threadpoolctl import threadpool_limits
 
 __all__ = ["Workers", "run_jobs", "worker_pool"]
 
-Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 BLAS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 GLANCE = 5.0  # between two looks at what jobs have come to [s]
+
+
+class Workers:
+    """Processes that live until ``with`` ends, so that kernels are compiled once in each of them.
+
+    They are started by the first jobs that need more than one. Results do not depend on their number.
+
+    Args:
+        count: processes at a time; with one of them all jobs stay in this process.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self._open = ExitStack()
+        self._pool: ProcessPoolExecutor | None = None
+        self._spent: dict[int, float] = {}
+
+    @staticmethod
+    @contextmanager
+    def of(workers: Workers | int) -> Iterator[Workers]:
+        """Workers that live on, or as many as are named, for as long as ``with`` lasts."""
+        if isinstance(workers, Workers):
+            yield workers
+            return
+        with Workers(workers) as own:
+            yield own
+
+    @property
+    def processor_s(self) -> float:
+        """Processor time that the processes have used, their start included [s]."""
+        return sum(self._spent.values())
+
+    def run(
+        self,
+        jobs: Sequence[Callable[[], Result]],
+        *,
+        done: Callable[[int, Result], None] | None = None,
+        meanwhile: Callable[[], None] | None = None,
+    ) -> list[Result]:
+        """Call every job and return the results in the order of the jobs; arguments as for :func:`run_jobs`."""
+        tell = done or (lambda count, result: None)
+        if self.count == 1:
+            results = []
+            for job in jobs:
+                results.append(job())
+                tell(len(results), results[-1])
+            return results
+        if self._pool is None:
+            self._pool = self._open.enter_context(worker_pool(self.count))
+        futures = [self._pool.submit(_timed, job) for job in jobs]
+        pending = set(futures)
+        while pending:
+            ended, pending = wait(pending, timeout=GLANCE, return_when=FIRST_COMPLETED)
+            for count, future in enumerate(ended, len(futures) - len(pending) - len(ended) + 1):
+                result, process, spent = future.result()
+                self._spent[process] = max(spent, self._spent.get(process, 0.0))
+                tell(count, result)
+            if meanwhile is not None:
+                meanwhile()
+        return [future.result()[0] for future in futures]
+
+    def __enter__(self) -> Workers:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: Any) -> None:
+        self._open.__exit__(kind, error, trace)
+        self._pool = None
 
 
 def run_jobs(
@@ -29,7 +95,7 @@ def run_jobs(
     done: Callable[[int, Result], None] | None = None,
     meanwhile: Callable[[], None] | None = None,
 ) -> list[Result]:
-    """Call every job and return the results in the order of the jobs.
+    """Call every job in new processes and return the results in the order of the jobs.
 
     Args:
         jobs: functions that another process finds by name, or ``functools.partial`` of them, started in this order.
@@ -41,23 +107,13 @@ def run_jobs(
         Exception: the first that a job raises; jobs that wait for their turn are given up.
         concurrent.futures.BrokenExecutor: a process was ended from outside.
     """
-    tell = done or (lambda count, result: None)
-    if workers == 1:
-        results = []
-        for job in jobs:
-            results.append(job())
-            tell(len(results), results[-1])
-        return results
-    with worker_pool(min(workers, len(jobs)) or 1) as pool:
-        futures = [pool.submit(job) for job in jobs]
-        pending = set(futures)
-        while pending:
-            ended, pending = wait(pending, timeout=GLANCE, return_when=FIRST_COMPLETED)
-            for count, future in enumerate(ended, len(futures) - len(pending) - len(ended) + 1):
-                tell(count, future.result())
-            if meanwhile is not None:
-                meanwhile()
-        return [future.result() for future in futures]
+    with Workers(workers if workers == 1 else min(workers, len(jobs)) or 1) as own:
+        return own.run(jobs, done=done, meanwhile=meanwhile)
+
+
+def _timed(job: Callable[[], Any]) -> tuple[Any, int, float]:
+    """The result, and the process that computed it with its processor time so far [s]."""
+    return job(), os.getpid(), time.process_time()
 
 
 @contextmanager
@@ -92,88 +148,3 @@ def _begin(prepare: Callable[[], None] | None) -> None:
     threading.Thread(target=follow, daemon=True).start()
     if prepare is not None:
         prepare()
-
-
-class Workers:
-    """Processes that live until ``with`` ends; they are started by the first work that needs more than one.
-
-    Results do not depend on their number: each item is worked on alone, with one thread for its kernels and its BLAS.
-
-    Args:
-        count: processes; with one alone all work is done in this process.
-    """
-
-    def __init__(self, count: int) -> None:
-        self.count = count
-        self._pool: ProcessPoolExecutor | None = None
-        self._spent: dict[int, float] = {}
-
-    @staticmethod
-    @contextmanager
-    def of(workers: Workers | int) -> Iterator[Workers]:
-        """Workers that live on, or as many as are named, for as long as ``with`` lasts."""
-        if isinstance(workers, Workers):
-            yield workers
-            return
-        with Workers(workers) as own:
-            yield own
-
-    @property
-    def processor_s(self) -> float:
-        """Processor time that the workers have used, their start included [s]."""
-        return sum(self._spent.values())
-
-    def map(
-        self, function: Callable[[Item], Result], items: Iterable[Item], on_wait: Callable[[int], None] | None = None
-    ) -> list[Result]:
-        """Results of a function for each item, in order; the first items are begun first.
-
-        Args:
-            function: of a module, so that a worker finds it by its name.
-            items: what it is called with, one by one.
-            on_wait: told how many items are done, after each of them and every few seconds.
-
-        Raises:
-            whatever the function raises; items that were not begun by then never are.
-        """
-        items, tell = list(items), on_wait or (lambda done: None)
-        if self.count == 1 or len(items) < 2:
-            results = []
-            with threadpool_limits(limits=1, user_api="blas"):
-                for item in items:
-                    results.append(function(item))
-                    tell(len(results))
-            return results
-        if self._pool is None:
-            self._pool = ProcessPoolExecutor(self.count, get_context("spawn"), _begin, (None,))
-        futures = [self._pool.submit(_timed, function, item) for item in items]
-        try:
-            pending: set[Future] = set(futures)
-            while pending:
-                finished, pending = wait(pending, timeout=GLANCE, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    _, worker, spent = future.result()
-                    self._spent[worker] = max(spent, self._spent.get(worker, 0.0))
-                tell(len(futures) - len(pending))
-        except BaseException:
-            self._close(cancel=True)  # items that wait their turn would only delay the message
-            raise
-        return [future.result()[0] for future in futures]
-
-    def __enter__(self) -> Workers:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._close()
-
-    def _close(self, cancel: bool = False) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(wait=not cancel, cancel_futures=cancel)
-            self._pool = None
-
-
-def _timed(function: Callable[[Any], Any], item: Any) -> tuple[Any, int, float]:
-    """The result, and which worker gave it after how much processor time [s]."""
-    with threadpool_limits(limits=1, user_api="blas"):
-        result = function(item)
-    return result, os.getpid(), time.process_time()

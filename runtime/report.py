@@ -72,6 +72,11 @@ class Progress:
             self._stream.write(text + "\n")
         self._stream.flush()
 
+    def say(self, line: str) -> None:
+        """Write a line that stays."""
+        self(line)
+        self.__exit__()
+
     def __enter__(self) -> Progress:
         return self
 
@@ -79,6 +84,7 @@ class Progress:
         if self._open:
             self._stream.write("\n")
             self._stream.flush()
+            self._open = False
 
 
 def process_age() -> float:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -28,9 +29,9 @@ from precompute.learning.stages import counted
 from precompute.learning.training import FeatureStatistics, Layer, features_of
 from precompute.workers import Workers
 from wrinkles.coarse_filter import CoarseFilter
-from wrinkles.dictionary import Atoms, Mapping
-from wrinkles.gathers import Gathers
+from wrinkles.dictionary import Atoms, CoefficientNetwork
 from wrinkles.metrics import normal_error_deg
+from wrinkles.rest_shape import RestShapeCorrection
 
 __all__ = ["Calibration", "CoarseModel", "calibrate", "filtered"]
 
@@ -38,7 +39,7 @@ KEPT = 3  # one in so many models goes on to the next rung, and no fewer than so
 NEIGHBOUR = 0.5  # weight of a model's neighbours in judging it
 SKIPPED = 2  # gains from one to the next before the last rung
 EXCESS = 1.2  # over the fine cloth's energy in an octave, from which on wrinkles are not raised: that is noise
-DECODED = 48  # frames that a model is decoded at in the last rung: energy and error change slowly
+DECODED = 40  # frames that a model is decoded at, about: energy and error change slowly
 FEATURES = 4  # recorded frames from one whose features are compared to the next
 CHAOS = 1.0  # how far apart two runs of one garment may be for no reason [mm, deg]
 
@@ -87,18 +88,23 @@ class CoarseModel:
 
     solver: SolverOptions
     bend_factor: float
-    gathers: Gathers | None = None
+    rest_shape: RestShapeCorrection | None = None
 
     def run(self, run: Run, options: ModelOptions) -> Run:
         """A fine run's motion for the coarse garment."""
         return replace(
-            run, fine=False, options=options, solver=self.solver, bend_factor=self.bend_factor, gathers=self.gathers
+            run,
+            fine=False,
+            options=options,
+            solver=self.solver,
+            bend_factor=self.bend_factor,
+            rest_shape=self.rest_shape,
         )
 
 
 def calibrate(
     layer: Layer,
-    mapping: Mapping,
+    mapping: CoefficientNetwork,
     atoms: Atoms,
     runs: Sequence[Run],
     recordings: Sequence[Recording],
@@ -146,7 +152,8 @@ def calibrate(
         gains = options.gains if rung == len(sizes) - 1 else options.gains[::SKIPPED]
         tried = alive if 0 in alive else [0, *alive]  # the fabric itself is compared with to the end
         tell = counted(report, f"calibrating, round {rung + 1} of {len(sizes)}: models", len(tried))
-        found = workers.map(_judge, [(bench, number, models[number], gains) for number in tried], tell)
+        jobs = [partial(_judge, bench, number, models[number], gains) for number in tried]
+        found = workers.run(jobs, done=tell)
         here = [row | {"rung": float(rung)} for some in found for row in some]
         _rate(here)
         rows += here
@@ -183,7 +190,7 @@ class _Bench:
     """
 
     layer: Layer
-    mapping: Mapping
+    mapping: CoefficientNetwork
     atoms: Atoms
     coarse: CoarseModel
     cache: Path
@@ -199,7 +206,7 @@ class _Bench:
     def of(
         cls,
         layer: Layer,
-        mapping: Mapping,
+        mapping: CoefficientNetwork,
         atoms: Atoms,
         runs: Sequence[Run],
         recordings: Sequence[Recording],
@@ -216,7 +223,7 @@ class _Bench:
             recordings[k].where(recordings[k].frames <= run.frame_count) for k, run in zip(numbers, cut, strict=True)
         ]
         parts = [settled(r, run, options.settle_s) for r, run in zip(parts, cut, strict=True)]
-        every = max(1, round(sum(len(r.frames) for r in parts) / (share * DECODED)))
+        every = max(1, sum(len(r.frames) for r in parts) // DECODED)
         fine = np.concatenate([r.positions[::every] for r in parts])
         features = [features_of(layer, r.where(slice(None, None, FEATURES)))[0] for r in parts]
         return cls(
@@ -228,9 +235,8 @@ class _Bench:
         )  # fmt: skip
 
 
-def _judge(item: tuple[_Bench, int, ModelOptions, Sequence[float]]) -> list[dict[str, float]]:
+def _judge(bench: _Bench, number: int, model: ModelOptions, gains: Sequence[float]) -> list[dict[str, float]]:
     """Simulate a coarse model and decode it at several gains: a row for each."""
-    bench, number, model, gains = item
     layer, tries = bench.layer, [bench.coarse.run(run, model) for run in bench.runs]
     matrix = CoarseFilter(layer.levels).matrix
     found = record_runs(tries, bench.cache, 1)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.stats import spearmanr
@@ -25,10 +24,10 @@ from precompute.learning.recording import Recording, Run, body_source, poses_of,
 from precompute.learning.stages import counted
 from precompute.learning.training import build_layer, features_of
 from precompute.workers import Workers
+from runtime.garment_setup import fine_options
 from runtime.play import Free, play, timing_figures
 from runtime.player import Player
 from runtime.simulation import Motion
-from runtime.stage import fine_options
 from wrinkles.charts import leading_vertices
 from wrinkles.database import WrinkleDatabase
 from wrinkles.distance import BodyDistance, penetration_figures
@@ -207,16 +206,16 @@ def given_frames(
     """Smooth and decoded garment for a fine run's own coarse states, and how unfamiliar they are.
 
     Returns:
-        vertices [m], float32, shape (f, N, 3) twice, and scores of :class:`wrinkles.unfamiliarity.Unfamiliarity`,
+        vertices [m], float32, shape (f, N, 3) twice, and scores of :class:`wrinkles.novelty.NoveltyScore`,
         shape (f, n).
     """
     layer = build_layer(run.levels)
-    mapping, unfamiliarity, scores = database.mapping, database.unfamiliarity, []
+    mapping, novelty, scores = database.mapping, database.novelty, []
 
     def predict(features: np.ndarray, pose: np.ndarray) -> np.ndarray:
         hidden = mapping.hidden(features)
-        scores.append(unfamiliarity.score(hidden))
-        return mapping.coefficients(hidden) * unfamiliarity.amplitude(scores[-1])[:, None]
+        scores.append(novelty.score(hidden))
+        return mapping.coefficients(hidden) * novelty.amplitude(scores[-1])[:, None]
 
     smooth, decoded = decode_recording(layer, predict, database.atoms, run, recording)
     return smooth, decoded, np.array(scores)
@@ -230,7 +229,7 @@ def play_freely(database: WrinkleDatabase, body: Character | VertexSequence, run
 
 def body_distances(truth: Truth, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Signed distance of every vertex of recorded frames to the body [m], and whether there is room: shape (f, N)."""
-    return _joined([_call(item) for item in _distance_items(truth, frames)])
+    return _joined([job() for job in _distance_jobs(truth, frames)])
 
 
 def free_figures(truth: Truth, frames: np.ndarray, prefix: str = "") -> dict[str, float]:
@@ -310,17 +309,17 @@ def evaluate(
     pause = Pause.of(run, judged_from(run), options.still_s, options.piece_s)
     with Workers.of(workers) as pool:
         (paused,) = record_runs([pause.run], cache, pool, report)
-        items = [
-            (play_freely, database, run.body, run),
-            (_pause_figures, database, pause),
-            (_given_figures, database, run, recording),
-            *_distance_items(truth, truth.frames),
+        jobs: list[partial] = [
+            partial(play_freely, database, run.body, run),
+            partial(_pause_figures, database, pause),
+            partial(_given_figures, database, run, recording),
+            *_distance_jobs(truth, truth.frames),
         ]
         tell("evaluating: running freely, in time, given the coarse state")
-        free, in_time, given, *of_truth = pool.map(_call, items, counted(report, "evaluating: parts", len(items)))
-        items = _distance_items(truth, free.frames)
+        free, in_time, given, *of_truth = pool.run(jobs, done=counted(report, "evaluating: parts", len(jobs)))
+        jobs = _distance_jobs(truth, free.frames)
         tell("evaluating: contact with the body")
-        distances, room = _joined(pool.map(_call, items, counted(report, "evaluating: parts", len(items))))
+        distances, room = _joined(pool.run(jobs, done=counted(report, "evaluating: parts", len(jobs))))
     truth_distances, truth_room = _joined(of_truth)
     figures, smooth, decoded = given
     figures |= free_figures(truth, free.frames)
@@ -337,11 +336,6 @@ def evaluate(
     return Evaluation(figures, free, smooth, decoded)
 
 
-def _call(item: tuple) -> Any:
-    function, *arguments = item
-    return function(*arguments)
-
-
 def _given_figures(
     database: WrinkleDatabase, run: Run, recording: Recording
 ) -> tuple[dict[str, float], np.ndarray, np.ndarray]:
@@ -352,7 +346,7 @@ def _given_figures(
     figures = {k: float(v) for k, v in given_coarse_figures(decoded, truth, smooth, faces, owner).items()}
     errors = patch_normal_errors(decoded, truth, faces, owner)  # of the coarse vertices that lead fine ones
     figures["unfamiliarity_spearman"] = float(spearmanr(scores[:, np.unique(owner)].ravel(), errors.ravel()).statistic)
-    figures["faded_percent"] = float(100.0 * (database.unfamiliarity.amplitude(scores) < 1.0).mean())
+    figures["faded_percent"] = float(100.0 * (database.novelty.amplitude(scores) < 1.0).mean())
     frames = features_of(build_layer(levels), recording)[1]
     figures["popping"] = popping(decoded - smooth, frames, owner)
     figures["truth_popping"] = popping(truth - smooth, frames, owner)
@@ -368,12 +362,12 @@ def _pause_figures(database: WrinkleDatabase, pause: Pause) -> dict[str, float]:
     return figures | {"step_response_frames": float(step_response_frames(player, pause.onward, run.dt))}
 
 
-def _distance_items(truth: Truth, frames: np.ndarray) -> list[tuple]:
-    """Work for :func:`_call`: distances to the body of some frames at a time."""
+def _distance_jobs(truth: Truth, frames: np.ndarray) -> list[partial]:
+    """Jobs that measure distances to the body, of some frames at a time."""
     poses = truth.run.poses[truth.recording.frames]
     thickness = truth.run.fabric.thickness
     return [
-        (_distances, truth.run.body, poses[first : first + BLOCK], thickness, frames[first : first + BLOCK])
+        partial(_distances, truth.run.body, poses[first : first + BLOCK], thickness, frames[first : first + BLOCK])
         for first in range(0, len(frames), BLOCK)
     ]
 

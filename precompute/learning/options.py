@@ -16,6 +16,7 @@ class LearningOptions:
         epochs: passes over them at most, from half of them on; fewer frames are learned from more often.
         most_epochs: passes at most where there are few frames.
         mean_frames: recorded frames that the means of vertices are fitted to, at most.
+        score_frames: recorded frames that the score for unfamiliar states is fitted to, at most.
         compression_scales, shear_scales, bend_scales: of the coarse models that calibration tries, each with each.
         gains: on the wrinkles, ascending, to choose from [-]; beyond one and a half lumps are seen.
         calibration_s: of each motion, to calibrate on: enough to see it move, short enough to try many models [s].
@@ -28,6 +29,7 @@ class LearningOptions:
     epochs: int = 6
     most_epochs: int = 24
     mean_frames: int = 400
+    score_frames: int = 800
     compression_scales: tuple[float, ...] = (1.0, 10.0, 100.0)
     shear_scales: tuple[float, ...] = (1.0, 0.3, 0.1)
     bend_scales: tuple[float, ...] = (1.0, 3.0, 10.0)

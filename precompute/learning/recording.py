@@ -7,7 +7,7 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +26,8 @@ from pbd.storage import replacing
 from pbd.wind import CALM, Air, Wind
 from precompute.workers import Workers
 from runtime.simulation import Simulation, body_source, poses_of
-from wrinkles.gathers import Gathers
 from wrinkles.levels import Levels
+from wrinkles.rest_shape import RestShapeCorrection
 
 __all__ = ["Recording", "Run", "body_source", "poses_of", "record_runs"]
 
@@ -49,7 +49,7 @@ class Run:
         lead_in: time at the start that only leads to the motion that is meant [s].
         every: frames from one recorded frame to the next.
         bend_factor: hinge factor if known; None measures it.
-        gathers: of the coarse mesh, see :mod:`wrinkles.gathers`; None where there are none.
+        gathers: of the coarse mesh, see :mod:`wrinkles.rest_shape`; None where there are none.
     """
 
     name: str
@@ -66,7 +66,7 @@ class Run:
     wind: Air = CALM
     primitives: tuple = ()
     lead_in: float = 0.0
-    gathers: Gathers | None = None
+    rest_shape: RestShapeCorrection | None = None
 
     @property
     def frame_count(self) -> int:
@@ -122,9 +122,9 @@ class Run:
         return digest.hexdigest()[:24]
 
     def _mesh(self) -> ClothMesh:
-        if self.fine or self.gathers is None:
+        if self.fine or self.rest_shape is None:
             return self.levels.fine if self.fine else self.levels.coarse
-        return self.gathers.applied(self.levels.coarse)
+        return self.rest_shape.applied(self.levels.coarse)
 
     def simulation(self) -> Simulation:
         """The simulation at the first pose."""
@@ -204,12 +204,9 @@ def record_runs(
             _record(run, folder, lambda: _tell(report, done(), before, total, began))
     elif todo:
         with Workers.of(workers) as pool:
-            pool.map(_record_in, longest_first, lambda _: _tell(report, done(), before, total, began))
+            jobs = [partial(_record, run, folder) for folder, run in longest_first]
+            pool.run(jobs, meanwhile=lambda: _tell(report, done(), before, total, began))
     return [_read(run, folder) for run, folder in zip(runs, folders, strict=True)]
-
-
-def _record_in(item: tuple[Path, Run]) -> None:
-    _record(item[1], item[0])
 
 
 def _tell(report: Callable[[str], None] | None, done: int, before: int, total: int, began: float) -> None:

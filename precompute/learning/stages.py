@@ -46,6 +46,10 @@ class StageClock:
             number = min(len(self.times) + 1, len(self._names))
             self._report(f"stage {number} of {len(self._names)}: {line}")
 
+    def begin(self, name: str) -> None:
+        """Say that a stage begins."""
+        self(name)
+
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Time the next stage, and begin it with a line.
@@ -55,7 +59,7 @@ class StageClock:
         """
         if name != self._names[len(self.times)]:
             raise ValueError(f"stage {name!r} is not next, but {self._names[len(self.times)]!r}")
-        self(name)
+        self.begin(name)
         wall, processor = time.monotonic(), self._processor_s()
         yield
         self.times.append(StageTime(name, time.monotonic() - wall, self._processor_s() - processor))
@@ -69,11 +73,11 @@ def remaining(began: float, share: float) -> str:
     return f", {(time.monotonic() - began) * (1.0 - share) / share:.0f} s left" if 0.0 < share else ""
 
 
-def counted(report: Callable[[str], None] | None, what: str, total: int) -> Callable[[int], None]:
-    """Reports how many of ``total`` parts of some work are done, and the time left: to be told the number."""
+def counted(report: Callable[[str], None] | None, what: str, total: int) -> Callable[[int, object], None]:
+    """A function that reports how many of ``total`` parts are done, and the time left; called after each part."""
     began = time.monotonic()
 
-    def tell(done: int) -> None:
+    def tell(done: int, result: object = None) -> None:
         if report is not None and done:
             report(f"{what}: {done} of {total}{remaining(began, done / total)}")
 

@@ -1,10 +1,11 @@
-"""`gube compare`: what every method costs against how right it is, on one held-out motion that all run freely."""
+"""`gube compare` for a database: cost and error of every method on one held-out motion, which all run freely."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from assets.io.scene import load_scene, scene_text
 from pbd import InputError
+from precompute.learning.decoding import bands_of
 from precompute.learning.evaluation import (
     Truth,
     body_distances,
@@ -22,7 +24,9 @@ from precompute.learning.evaluation import (
     truth_of,
 )
 from precompute.learning.pipeline import default_cache, precompute
+from precompute.learning.recording import Recording, Run
 from precompute.stability.stability import StabilityLimit, largest_stable_step
+from precompute.workers import Workers
 from precompute.wrinkle_comparison.baselines import (
     PROBE_FRAMES,
     Cloth,
@@ -33,15 +37,16 @@ from precompute.wrinkle_comparison.baselines import (
     player_times,
     typical_ms,
 )
-from runtime.play import cast_of
+from runtime.play import playback_inputs
 from wrinkles.database import WrinkleDatabase, code_version, read_database
 from wrinkles.distance import penetration_figures
 from wrinkles.metrics import edge_stretch
+from wrinkles.spectrum import LowPass
 
 __all__ = ["Comparison", "Method", "compare", "compare_file", "database_of", "equal_cost_baselines", "winners"]
 
 STABILITY_SECONDS = 3.5  # the blend from the bind pose and two seconds of motion
-TIE = 1.05  # free runs are chaotic: what differs by less is the same
+TIE_RATIO = 1.05  # free runs are chaotic: errors that differ by less are alike
 AT_EQUAL_COST = ("", "smooth_", "middle_mesh_", "equal_cost_fine_")  # smooth costs less
 
 
@@ -105,48 +110,58 @@ class Comparison:
 
 
 def winners(errors: Mapping[str, float], floor: float) -> tuple[str, ...]:
-    """Who has the least error. What lies within the floor or within 5 % of the least has won alike."""
+    """The methods with the least error; all within the floor, or within 5 % of the least, win together."""
     finite = {name: error for name, error in errors.items() if np.isfinite(error)}
-    limit = max(floor, TIE * min(finite.values(), default=0.0))
+    limit = max(floor, TIE_RATIO * min(finite.values(), default=0.0))
     return tuple(name for name, error in finite.items() if error <= limit)
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def compare(database: WrinkleDatabase, truth: Truth, *, report: Callable[[str], None] | None = None) -> Comparison:
+def compare(
+    database: WrinkleDatabase,
+    truth: Truth,
+    *,
+    free: Free | None = None,
+    brief: bool = False,
+    workers: Workers | int = 1,
+    report: Callable[[str], None] | None = None,
+) -> Comparison:
     """Run every method freely over the truth's motion and measure it.
 
     Args:
         database: what was learned.
         truth: two converged fine runs, as :func:`precompute.learning.evaluation.truth_of` gives.
-        report: told lines of progress.
+        report: called with lines of progress.
     """
-    tell = report or (lambda line: None)
+    progress = report or (lambda line: None)
     run = truth.run
-    tell("comparing: ours and smooth")
+    progress("comparing: ours and smooth")
     free = play_freely(database, run.body, run)
     ours_ms, smooth_ms = player_times(database, truth)
     settings = _settings(coarse_cloth(database, truth))
     methods = [
-        Method("smooth_", "smooth", typical_ms(smooth_ms), _all_figures(truth, free.smooth), settings, free.smooth),
-        Method("", "ours", typical_ms(ours_ms), _all_figures(truth, free.frames), settings, free.frames),
+        Method("smooth_", "smooth", typical_ms(smooth_ms), {}, settings, free.smooth),
+        Method("", "ours", typical_ms(ours_ms), {}, settings, free.frames),
     ]
     fine, middle = fine_cloth(truth), middle_cloth(database, truth)
     methods += equal_cost_baselines(database, truth, ours_ms, report=report)
     if middle is not None:
-        tell("comparing: middle mesh, converged")
+        progress("comparing: middle mesh, converged")
         methods.append(_cloth(truth, middle, "middle_mesh_converged_", "middle mesh, converged"))
-    tell("comparing: truth and floor")
+    progress("comparing: truth and floor")
     settings = _settings(fine)
     methods.append(Method("truth_", "truth", fine.cost(), _shared_figures(truth, truth.frames), settings, truth.frames))
     figures = _all_figures(truth, truth.floor)
     settings = _settings(fine.with_substeps(math.ceil(1.5 * fine.substeps)))
-    methods.append(Method("floor_", "floor", math.nan, figures, settings, truth.floor))
+    methods.append(Method("floor_", "floor", math.nan, {}, settings, truth.floor))
+    tell("comparing: figures")
+    methods = _with_figures(truth, methods, workers)
     clothes = {"coarse": coarse_cloth(database, truth), "middle_mesh": middle, "fine": fine}
     stability = []
     poses = run.poses[: round(STABILITY_SECONDS / run.dt) + 1]
     for name, cloth in clothes.items():
         if cloth is not None:
-            tell(f"stability: {name.replace('_', ' ')}")
+            progress(f"stability: {name.replace('_', ' ')}")
             stability.append(largest_stable_step(name, cloth.simulation, cloth.options, poses, run.dt, run.wind))
     return Comparison(database.garment_name, run.name, truth, tuple(methods), tuple(stability))
 
@@ -161,15 +176,15 @@ def equal_cost_baselines(
         truth: as for :func:`compare`.
         ours_ms: processor time of each of the player's frames [ms], by
             :func:`precompute.wrinkle_comparison.baselines.player_times`.
-        report: told lines of progress.
+        report: called with lines of progress.
     """
-    tell, methods = report or (lambda line: None), []
+    progress, methods = report or (lambda line: None), []
     budget = typical_ms(ours_ms[:PROBE_FRAMES])  # on the frames that baselines are tried on
     middle = middle_cloth(database, truth)
     if middle is not None:
-        tell("comparing: middle mesh at equal cost")
+        progress("comparing: middle mesh at equal cost")
         methods.append(_cloth(truth, _at_cost(middle, budget), "middle_mesh_", "middle mesh, equal cost"))
-    tell("comparing: fine cloth with few substeps")
+    progress("comparing: fine cloth with few substeps")
     fine = _at_cost(fine_cloth(truth), budget)
     return [*methods, _cloth(truth, fine, "equal_cost_fine_", "fine cloth, few substeps")]
 
@@ -191,7 +206,7 @@ def _settings(cloth: Cloth) -> dict[str, float]:
 
 
 def _shared_figures(truth: Truth, frames: np.ndarray) -> dict[str, float]:
-    """What can be asked of any run, the truth's too: contact with the body and stretch."""
+    """Figures that any run has, the truth's too: contact with the body and stretch."""
     stretch = edge_stretch(frames, *truth.levels.fine.edge_lengths())
     figures = {name: float(value) for name, value in penetration_figures(*body_distances(truth, frames)).items()}
     return figures | {
@@ -200,17 +215,12 @@ def _shared_figures(truth: Truth, frames: np.ndarray) -> dict[str, float]:
     }
 
 
-def _all_figures(truth: Truth, frames: np.ndarray) -> dict[str, float]:
-    return free_figures(truth, frames) | _shared_figures(truth, frames)
-
-
 def _cloth(truth: Truth, cloth: Cloth, prefix: str, name: str) -> Method:
     played = cloth.play(truth.recording.frames)
     settings = _settings(cloth)
     if played.broke_at is not None:
         return Method(prefix, name, played.frame_ms, {}, settings, None, played.broke_at)
-    figures = _all_figures(truth, played.frames)
-    figures["substeps_per_frame"] = float(cloth.substeps)
+    figures = {"substeps_per_frame": float(cloth.substeps)}
     return Method(prefix, name, played.frame_ms, figures, settings, played.frames)
 
 
@@ -229,21 +239,21 @@ def compare_file(
         output: folder of that database.
         clip: name of a clip that nothing was learned from; None takes the first that is held out.
         seconds: cut the motion there.
-        report: told lines of progress.
+        report: called with lines of progress.
 
     Raises:
         InputError: what cannot be read, a clip that does not exist or was learned from, or too short a motion.
     """
     path = database_of(path, output, report)
     database = read_database(path)
-    cast = cast_of(database, clip=clip)
-    motion, levels = cast.motions[0], levels_from(database, cast.body)
+    inputs = playback_inputs(database, clip=clip)
+    motion, levels = inputs.motions[0], levels_from(database, inputs.body)
     if motion.name in database.trained_on:
         held_out = ", ".join(database.held_out) or "a clip that nothing was learned from"
         raise InputError(
             "the database has learned from this clip", key="--clip", received=motion.name, expected=held_out
         )
-    run = fine_run(levels, cast.body, motion, database, wind=cast.wind, primitives=cast.primitives)
+    run = fine_run(levels, inputs.body, motion, database, wind=inputs.wind, primitives=inputs.primitives)
     truth = truth_of(run, default_cache(path), 2, report)
     return compare(database, truth if seconds is None else truth.until(seconds), report=report)
 

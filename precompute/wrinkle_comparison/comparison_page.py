@@ -35,15 +35,14 @@ truth's own solver.
 
 The floor is what parts two converged simulations of the same scene, whose substeps differ by a factor of 1.5: folding
 is chaotic, so neither an error within the floor nor a difference of less than 5 % means anything. The truth stands in
-the charts at its own cost, with the floor as its error.
-
-The largest stable substep is found by bisection over 3.5 s of the motion. A run is a catastrophe if it is not finite,
-if an edge is stretched by 100 % of its length more than ever with substeps of 1/2000 s, or if a vertex is faster than
-3 sqrt(2 g H) and the body's fastest vertex."""
+the charts at its own cost, with the floor as its error."""
+_STABILITY_NOTES = """The largest stable substep is found by bisection over 3.5 s of the motion. A run is a catastrophe
+if it is not finite, if an edge is stretched by 100 % of its length more than ever with substeps of 1/2000 s, or if a
+vertex is faster than 3 sqrt(2 g H) and the body's fastest vertex."""
 
 
 def verdict(comparison: Comparison) -> str:
-    """Who wins at equal cost, in sentences; a baseline that wins is named as plainly as ours would be."""
+    """Who wins at equal cost, in sentences; a baseline that wins is named as plainly as our method."""
     times = [f"{_called(m)} {m.frame_ms:.2f} ms" for m in _baselines(comparison)]
     paragraphs = [f"Time of a frame, body included: {', '.join(times)}."]
     paragraphs += [_sentence(comparison, figure, words) for figure, words in _JUDGED.items()]
@@ -52,10 +51,10 @@ def verdict(comparison: Comparison) -> str:
         paragraphs.append(
             f"The fine cloth cannot be had at our cost: with {_count(fine)} a frame takes {fine.frame_ms:.2f} ms."
         )
-    told = [f"{_called(m)} {m.figures['edge_stretch_p99_percent']:.3g} %" for m in comparison.methods if m.figures]
-    paragraphs.append(f"Stretch that 1 % of the edges exceed: {', '.join(told)}.")
+    stretched = [f"{_called(m)} {m.figures['edge_stretch_p99_percent']:.3g} %" for m in comparison.methods if m.figures]
+    paragraphs.append(f"Stretch that 1 % of the edges exceed: {', '.join(stretched)}.")
     paragraphs += [
-        f"{_called(m).capitalize()}, substeps of {1e3 * m.settings['substep [s]']:.3g} ms, runs beyond what it stands: "
+        f"{_called(m).capitalize()}, substeps of {1e3 * m.settings['substep [s]']:.3g} ms, runs beyond its limit: "
         f"{1e3 * limit.dt_max:.3g} ms is its largest stable substep, and {limit.first_to_go} goes first."
         for m, limit in _beyond_their_limits(comparison)
     ]
@@ -67,19 +66,16 @@ def verdict(comparison: Comparison) -> str:
     return "\n\n".join(paragraphs)
 
 
-def write_comparison(
-    path: str | os.PathLike[str], comparison: Comparison, *, picture: np.ndarray | None = None
-) -> None:
+def write_comparison(path: str | os.PathLike[str], comparison: Comparison) -> None:
     """Write the page: who wins, charts of error against time, one moment by all methods, and all figures.
 
     Args:
         path: the HTML file.
-        comparison: what was found.
+        comparison: the result.
         picture: shown first, uint8, shape (h, w, 3); None shows none.
     """
-    first = [] if picture is None else [Picture(picture, "the garment at several moments")]
     title = f"{comparison.garment}, {comparison.motion}: error against time"
-    write_page(path, title, [*first, *comparison_sections(comparison)])
+    write_page(path, title, comparison_sections(comparison))
 
 
 def comparison_sections(comparison: Comparison) -> list[Section]:
@@ -90,8 +86,9 @@ def comparison_sections(comparison: Comparison) -> list[Section]:
         *_pictures(comparison),
         _figure_table(comparison),
         _band_table(comparison),
-        _stability_table(comparison),
+        *([_stability_table(comparison)] if comparison.stability else []),
         Text(_NOTES),
+        *([Text(_STABILITY_NOTES)] if comparison.stability else []),
     ]
 
 
@@ -142,7 +139,9 @@ def _beyond_their_limits(comparison: Comparison) -> list[tuple[Method, Stability
     """Baselines at equal cost whose substep is a catastrophe, with the limit."""
     limits = {one.name: one for one in comparison.stability}
     pairs = [("middle_mesh_", "middle_mesh"), ("equal_cost_fine_", "fine")]
-    found = [(m, limits[name]) for m in comparison.methods for prefix, name in pairs if m.prefix == prefix]
+    found = [
+        (m, limits[name]) for m in comparison.methods for prefix, name in pairs if m.prefix == prefix and name in limits
+    ]
     return [(m, limit) for m, limit in found if m.settings["substep [s]"] > 1.001 * limit.dt_max]
 
 
@@ -216,5 +215,5 @@ def _stability_table(comparison: Comparison) -> Table:
         ]
         for one in comparison.stability
     ]
-    header = ["garment", "largest stable substep [ms]", "shortest unstable one [ms]", "what went first there"]
+    header = ["garment", "largest stable substep [ms]", "shortest unstable one [ms]", "first failure there"]
     return Table(header, rows, "Largest stable substep")

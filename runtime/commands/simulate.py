@@ -53,16 +53,16 @@ def run(options: argparse.Namespace) -> Report:
     if options.explain:
         print(scene_text(scene), end="")
         return Report()
+    from runtime.garment_setup import simulation_of
     from runtime.play import BAKED, simulated_frames, write_baked
-    from runtime.stage import simulation_of
 
     output = options.output or Path("out") / f"{options.scene.stem}.glb"
     check_file(output, *BAKED)
     simulation, motion = simulation_of(scene, options.fine)
     longest = NO_BODY_SECONDS if motion is None else motion.duration
     seconds = longest if options.seconds is None else min(options.seconds, longest if motion else math.inf)
-    frames, bodies, rate, figures = simulated_frames(simulation, motion, scene, seconds)
-    body_faces = None if bodies is None else simulation.body.faces
-    write_baked(output, simulation.model.mesh.faces, frames, rate, body_faces=body_faces, bodies=bodies)
+    frames, poses, rate, figures = simulated_frames(simulation, motion, scene, seconds)
+    body = None if poses is None else body_of(scene)
+    write_baked(output, simulation.model.mesh.faces, frames, rate, body=body, poses=poses)
     print("\n".join([*figure_lines(figures), f"baked to {output}"]))
     return Report(figures)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from pbd.errors import InputError
-from precompute.workers import run_jobs
+from precompute.workers import Workers, run_jobs
 from tests.data import ROOT
 
 
@@ -58,6 +58,20 @@ def test_a_job_that_fails_gives_up_those_that_wait(tmp_path: Path) -> None:
 def test_a_worker_has_one_thread() -> None:
     threads, blas = run_jobs([_threads, _threads], 2)[0]
     assert threads == "1" and blas == {1}
+
+
+def test_workers_live_on_from_one_work_to_the_next_and_their_time_counts() -> None:
+    jobs = [partial(_late, 0.3, k) for k in range(4)]  # long enough for the other worker to take the next
+    with Workers(2) as workers:
+        first = {process for _, process in workers.run(jobs)}
+        before = workers.processor_s
+        second = {process for _, process in workers.run(jobs)}
+        assert first == second and len(first) == 2 and os.getpid() not in first
+        assert 0.0 < before <= workers.processor_s
+        with Workers.of(workers) as same:
+            assert same is workers
+    with Workers.of(1) as alone:
+        assert {process for _, process in alone.run(jobs[:2])} == {os.getpid()} and alone.processor_s == 0.0
 
 
 def test_a_worker_does_not_outlive_a_killed_parent(tmp_path: Path) -> None:

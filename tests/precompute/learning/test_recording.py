@@ -1,9 +1,7 @@
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,25 +12,15 @@ from assets.character import Character
 from assets.io.sequence import Sequence
 from pbd import Fabric, ModelOptions, Plane, SolverOptions
 from precompute.learning import recording
-from precompute.learning.recording import Recording, Run, poses_of, record_runs
+from precompute.learning.recording import Recording, record_runs
 from runtime.simulation import Simulation
 from tests.data import ROOT
-from tests.runtime.players import skirt_stage
+from tests.precompute.learning.runs import CHUNK, FRAMES, skirt_run
 from tests.wrinkles.meshes import flat_sheet, icosphere
-from wrinkles.gathers import Gathers
 from wrinkles.levels import build_levels
+from wrinkles.rest_shape import RestShapeCorrection
 
-FRAMES, CHUNK = 40, 10
 ARRAYS = ("frames", "positions", "coarse", "contact", "nearest")
-
-
-def skirt_run(fine: bool = False) -> Run:
-    """The skirt on a mannequin that is carried off at 3 m/s, so that the origin moves along."""
-    stage = skirt_stage()
-    poses = poses_of(stage.motion(), 1 / 60, FRAMES / 60)
-    poses[:, :, 2, 3] += 0.05 * np.arange(FRAMES + 1)[:, None]
-    solver = SolverOptions(substep=1 / 240)
-    return Run("walk", stage.levels, fine, stage.body, poses, 1 / 60, Fabric(), ModelOptions(), solver, bend_factor=0.4)
 
 
 @pytest.fixture(autouse=True)
@@ -112,7 +100,7 @@ import os, signal, sys
 from pathlib import Path
 from precompute.learning import recording
 from runtime.simulation import Simulation
-from tests.precompute.learning.test_recording import CHUNK, skirt_run
+from tests.precompute.learning.runs import CHUNK, skirt_run
 
 recording.CHUNK_SECONDS = CHUNK / 60
 step, count = Simulation.step_cloth, 0
@@ -178,45 +166,12 @@ def test_runs_in_two_processes_give_the_same_bits(tmp_path: Path) -> None:
     assert not np.array_equal(together[0].positions, together[1].positions)
 
 
-def test_a_worker_does_not_outlive_a_killed_parent(tmp_path: Path) -> None:
-    script = tmp_path / "parent.py"
-    script.write_text(
-        "import os, time\n"
-        "from concurrent.futures import ProcessPoolExecutor\n"
-        "from multiprocessing import get_context\n"
-        "from precompute.workers import begin_worker\n"
-        "if __name__ == '__main__':\n"
-        "    pool = ProcessPoolExecutor(1, get_context('spawn'), begin_worker)\n"
-        "    print(pool.submit(os.getpid).result(), flush=True)\n"
-        "    pool.submit(time.sleep, 600)\n"
-        "    time.sleep(600)\n"
-    )
-    parent = subprocess.Popen(
-        [sys.executable, str(script)], stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)}
-    )
-    assert parent.stdout is not None
-    worker = int(parent.stdout.readline())
-    parent.kill()
-    parent.wait()
-    parent.stdout.close()
-    for _ in range(200):
-        try:
-            os.kill(worker, 0)
-        except ProcessLookupError:
-            return
-        if Path(f"/proc/{worker}/stat").exists() and " Z " in Path(f"/proc/{worker}/stat").read_text():
-            return  # ended, and nobody has taken notice yet
-        time.sleep(0.05)
-    os.kill(worker, 9)
-    pytest.fail("the worker lives on")
-
-
 def test_the_key_tells_what_the_result_depends_on() -> None:
     run = skirt_run()
     poses = run.poses.copy()
     poses[-1, 3, 0, 3] += 1e-12
     levels, body = run.levels, run.body
-    smooth = Gathers.none(levels.coarse.faces)
+    smooth = RestShapeCorrection.none(levels.coarse.faces)
     assert isinstance(body, Character)
     weights = body.joint_weights.copy()
     weights[5] = weights[5][::-1]
@@ -236,8 +191,8 @@ def test_the_key_tells_what_the_result_depends_on() -> None:
         replace(run, levels=replace(levels, coarse_held=levels.coarse_held[1:])),
         replace(run, levels=replace(levels, coarse=replace(levels.coarse, flat=1.001 * levels.coarse.flat))),
         replace(run, body=replace(body, joint_weights=weights)),
-        replace(run, gathers=replace(smooth, stretch=0.9 * smooth.stretch)),
-        replace(run, gathers=replace(smooth, bends=smooth.bends + np.float32(0.001))),
+        replace(run, rest_shape=replace(smooth, stretch=0.9 * smooth.stretch)),
+        replace(run, rest_shape=replace(smooth, bends=smooth.bends + np.float32(0.001))),
     ]
     keys = [run.key(), *(other.key() for other in others)]
     assert len(set(keys)) == len(keys)

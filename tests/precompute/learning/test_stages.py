@@ -49,5 +49,5 @@ def test_parts_are_counted() -> None:
     told: list[str] = []
     tell = counted(told.append, "evaluating", 4)
     for done in (0, 2, 4):
-        tell(done)
+        tell(done, None)
     assert told == ["evaluating: 2 of 4, 0 s left", "evaluating: 4 of 4, 0 s left"]

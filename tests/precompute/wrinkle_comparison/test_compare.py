@@ -22,8 +22,8 @@ from runtime.simulation import Simulation
 from tests.runtime.players import skirt_database, skirt_stage
 from tests.wrinkles.databases import placed
 from wrinkles.database import WrinkleDatabase, write_database
-from wrinkles.gathers import Gathers
 from wrinkles.levels import build_levels
+from wrinkles.rest_shape import RestShapeCorrection
 
 
 def tube() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -52,7 +52,7 @@ def database() -> WrinkleDatabase:
         plain,
         coarse_vertices=levels.coarse.vertices,
         coarse_faces=faces,
-        gathers=Gathers.none(faces),
+        rest_shape=RestShapeCorrection.none(faces),
         held=levels.coarse_held.astype(np.int32),
         subdivisions=2,
         cutoff=levels.cutoff,
@@ -74,8 +74,8 @@ def truth(database: WrinkleDatabase, tmp_path_factory: pytest.TempPathFactory) -
 def comparison(database: WrinkleDatabase, truth: Truth) -> Comparison:
     with pytest.MonkeyPatch.context() as patch:  # short: what is measured is not what is tested
         patch.setattr(baselines, "PROBE_FRAMES", 16)
-        patch.setattr(stability, "SHORTEST", 1.0 / 600.0)
-        patch.setattr(stability, "STEPS", 4)
+        patch.setattr(stability, "MIN_SUBSTEP", 1.0 / 600.0)
+        patch.setattr(stability, "BISECTIONS", 4)
         return compare(database, truth)
 
 

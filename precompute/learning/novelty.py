@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import groupby
 
 import numpy as np
@@ -13,14 +14,14 @@ from precompute.learning.recording import Recording, Run
 from precompute.learning.training import Layer, features_of, spread_frames
 from precompute.workers import Workers
 from wrinkles.charts import leading_vertices
-from wrinkles.dictionary import Atoms, Mapping
+from wrinkles.dictionary import Atoms, CoefficientNetwork
 from wrinkles.metrics import patch_normal_errors
 from wrinkles.network import Network, Samples, in_threads
-from wrinkles.unfamiliarity import Unfamiliarity
+from wrinkles.novelty import NoveltyScore
 
-__all__ = ["fit_unfamiliarity"]
+__all__ = ["fit_novelty"]
 
-FRAMES, STRANGE_FRAMES = 800, 80  # of training motion as it is, and with noise on its features
+STRANGE_SHARE = 0.1  # as many frames as that are decoded with noise on their features besides
 NOISE = (1.0, 4.0)  # of it, in standard deviations
 UNITS, EPOCHS = 24, 24
 LEAST = 0.5  # errors below it need not be told apart [deg]
@@ -28,15 +29,15 @@ BLOCK, KEPT_OUT = 20, 8  # every eighth block of twenty frames says where fading
 FAMILIAR = 99.5  # percentile of the score there
 
 
-def fit_unfamiliarity(
+def fit_novelty(
     layer: Layer,
-    mappings: Sequence[Mapping],
+    mappings: Sequence[CoefficientNetwork],
     atoms: Atoms,
     runs: Sequence[Run],
     recordings: Sequence[Recording],
     seed: int,
     workers: Workers,
-) -> Unfamiliarity:
+) -> NoveltyScore:
     """Fit the score to the true errors of decoded training motion.
 
     Ordinary motion alone does not say what lies beyond it. So some of it is decoded with noise on all features,
@@ -49,10 +50,11 @@ def fit_unfamiliarity(
         recordings: of these runs.
         seed: of noise, first weights and shuffling.
         workers: that decode.
+        frames: of training motion that are decoded, at most.
     """
     plain = _blocks(layer, mappings, atoms, runs, spread_frames(recordings, FRAMES), None)
     strange = _blocks(layer, mappings, atoms, runs, spread_frames(recordings, STRANGE_FRAMES), seed)
-    errors = workers.map(_patch_errors, [block for _, block in (*plain, *strange)])
+    errors = workers.run([partial(_patch_errors, block) for _, block in (*plain, *strange)])
     hidden, error = np.concatenate([h for h, _ in plain]), np.concatenate(errors[: len(plain)])
     kept_out = np.arange(len(hidden)) // BLOCK % KEPT_OUT == KEPT_OUT - 1
     seen = np.concatenate([hidden[~kept_out], *(h for h, _ in strange)]).reshape(-1, hidden.shape[2])
@@ -65,7 +67,7 @@ def fit_unfamiliarity(
     seen /= spread
     network.fit(Samples(seen, nowhere, ((target - level) / unit).astype(np.float32)), epochs=EPOCHS)
     weights = network.weights[0] / spread[:, None]
-    found = Unfamiliarity(
+    found = NoveltyScore(
         weights.astype(np.float32),
         (network.biases[0] - middle @ weights).astype(np.float32),
         (network.weights[1][:, 0] * unit).astype(np.float32),
@@ -89,7 +91,7 @@ class _Block:
 
 def _blocks(
     layer: Layer,
-    mappings: Sequence[Mapping],
+    mappings: Sequence[CoefficientNetwork],
     atoms: Atoms,
     runs: Sequence[Run],
     recordings: Sequence[Recording],
