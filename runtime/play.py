@@ -21,7 +21,7 @@ from runtime.garment_setup import body_of, colliders_of, load_body, motion_of, s
 from runtime.outputs import check_file
 from runtime.player import Player
 from runtime.report import process_age
-from runtime.simulation import BodySource, Motion, Simulation, body_source, poses_of
+from runtime.simulation import Motion, Simulation, body_source, poses_of
 from runtime.strips import draw_strips_apart
 from wrinkles.database import WrinkleDatabase, read_database
 from wrinkles.levels import Levels

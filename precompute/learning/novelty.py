@@ -37,6 +37,7 @@ def fit_novelty(
     recordings: Sequence[Recording],
     seed: int,
     workers: Workers,
+    frames: int,
 ) -> NoveltyScore:
     """Fit the score to the true errors of decoded training motion.
 
@@ -52,8 +53,8 @@ def fit_novelty(
         workers: that decode.
         frames: of training motion that are decoded, at most.
     """
-    plain = _blocks(layer, mappings, atoms, runs, spread_frames(recordings, FRAMES), None)
-    strange = _blocks(layer, mappings, atoms, runs, spread_frames(recordings, STRANGE_FRAMES), seed)
+    plain = _blocks(layer, mappings, atoms, runs, spread_frames(recordings, frames), None)
+    strange = _blocks(layer, mappings, atoms, runs, spread_frames(recordings, round(STRANGE_SHARE * frames)), seed)
     errors = workers.run([partial(_patch_errors, block) for _, block in (*plain, *strange)])
     hidden, error = np.concatenate([h for h, _ in plain]), np.concatenate(errors[: len(plain)])
     kept_out = np.arange(len(hidden)) // BLOCK % KEPT_OUT == KEPT_OUT - 1

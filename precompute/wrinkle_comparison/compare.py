@@ -1,4 +1,4 @@
-"""`gube compare` for a database: cost and error of every method on one held-out motion, which all run freely."""
+"""`gube compare`: what every method costs against how right it is, on one held-out motion that all run freely."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from precompute.wrinkle_comparison.baselines import (
     player_times,
     typical_ms,
 )
-from runtime.play import playback_inputs
+from runtime.play import Free, playback_inputs
 from wrinkles.database import WrinkleDatabase, code_version, read_database
 from wrinkles.distance import penetration_figures
 from wrinkles.metrics import edge_stretch
@@ -46,7 +46,7 @@ from wrinkles.spectrum import LowPass
 __all__ = ["Comparison", "Method", "compare", "compare_file", "database_of", "equal_cost_baselines", "winners"]
 
 STABILITY_SECONDS = 3.5  # the blend from the bind pose and two seconds of motion
-TIE_RATIO = 1.05  # free runs are chaotic: errors that differ by less are alike
+TIE = 1.05  # free runs are chaotic: what differs by less is the same
 AT_EQUAL_COST = ("", "smooth_", "middle_mesh_", "equal_cost_fine_")  # smooth costs less
 
 
@@ -110,9 +110,9 @@ class Comparison:
 
 
 def winners(errors: Mapping[str, float], floor: float) -> tuple[str, ...]:
-    """The methods with the least error; all within the floor, or within 5 % of the least, win together."""
+    """Who has the least error. What lies within the floor or within 5 % of the least has won alike."""
     finite = {name: error for name, error in errors.items() if np.isfinite(error)}
-    limit = max(floor, TIE_RATIO * min(finite.values(), default=0.0))
+    limit = max(floor, TIE * min(finite.values(), default=0.0))
     return tuple(name for name, error in finite.items() if error <= limit)
 
 
@@ -131,12 +131,16 @@ def compare(
     Args:
         database: what was learned.
         truth: two converged fine runs, as :func:`precompute.learning.evaluation.truth_of` gives.
-        report: called with lines of progress.
+        free: the player's free run of it, where there is one already.
+        brief: of what ours is compared with at equal cost only the middle mesh (the fine cloth where there is none),
+            nothing converged besides the truth and the floor, and no largest stable step.
+        workers: that measure what was played, or how many do.
+        report: told lines of progress.
     """
-    progress = report or (lambda line: None)
+    tell = report or (lambda line: None)
     run = truth.run
-    progress("comparing: ours and smooth")
-    free = play_freely(database, run.body, run)
+    tell("comparing: ours and smooth")
+    free = free or play_freely(database, run.body, run)
     ours_ms, smooth_ms = player_times(database, truth)
     settings = _settings(coarse_cloth(database, truth))
     methods = [
@@ -144,14 +148,12 @@ def compare(
         Method("", "ours", typical_ms(ours_ms), {}, settings, free.frames),
     ]
     fine, middle = fine_cloth(truth), middle_cloth(database, truth)
-    methods += equal_cost_baselines(database, truth, ours_ms, report=report)
-    if middle is not None:
-        progress("comparing: middle mesh, converged")
+    methods += _baselines(database, truth, ours_ms, tell, most=1 if brief else 2)
+    if middle is not None and not brief:
+        tell("comparing: middle mesh, converged")
         methods.append(_cloth(truth, middle, "middle_mesh_converged_", "middle mesh, converged"))
-    progress("comparing: truth and floor")
-    settings = _settings(fine)
-    methods.append(Method("truth_", "truth", fine.cost(), _shared_figures(truth, truth.frames), settings, truth.frames))
-    figures = _all_figures(truth, truth.floor)
+    tell("comparing: truth and floor")
+    methods.append(Method("truth_", "truth", fine.cost(), {}, _settings(fine), truth.frames))
     settings = _settings(fine.with_substeps(math.ceil(1.5 * fine.substeps)))
     methods.append(Method("floor_", "floor", math.nan, {}, settings, truth.floor))
     tell("comparing: figures")
@@ -160,8 +162,8 @@ def compare(
     stability = []
     poses = run.poses[: round(STABILITY_SECONDS / run.dt) + 1]
     for name, cloth in clothes.items():
-        if cloth is not None:
-            progress(f"stability: {name.replace('_', ' ')}")
+        if cloth is not None and not brief:
+            tell(f"stability: {name.replace('_', ' ')}")
             stability.append(largest_stable_step(name, cloth.simulation, cloth.options, poses, run.dt, run.wind))
     return Comparison(database.garment_name, run.name, truth, tuple(methods), tuple(stability))
 
@@ -176,17 +178,53 @@ def equal_cost_baselines(
         truth: as for :func:`compare`.
         ours_ms: processor time of each of the player's frames [ms], by
             :func:`precompute.wrinkle_comparison.baselines.player_times`.
-        report: called with lines of progress.
+        report: told lines of progress.
     """
-    progress, methods = report or (lambda line: None), []
+    tell = report or (lambda line: None)
+    return _with_figures(truth, _baselines(database, truth, ours_ms, tell), 1)
+
+
+def _baselines(
+    database: WrinkleDatabase, truth: Truth, ours_ms: np.ndarray, tell: Callable[[str], None], most: int = 2
+) -> list[Method]:
+    """The same without their figures, ``most`` of them."""
     budget = typical_ms(ours_ms[:PROBE_FRAMES])  # on the frames that baselines are tried on
-    middle = middle_cloth(database, truth)
-    if middle is not None:
-        progress("comparing: middle mesh at equal cost")
-        methods.append(_cloth(truth, _at_cost(middle, budget), "middle_mesh_", "middle mesh, equal cost"))
-    progress("comparing: fine cloth with few substeps")
-    fine = _at_cost(fine_cloth(truth), budget)
-    return [*methods, _cloth(truth, fine, "equal_cost_fine_", "fine cloth, few substeps")]
+    offered = [
+        (middle_cloth(database, truth), "middle_mesh_", "middle mesh, equal cost"),
+        (fine_cloth(truth), "equal_cost_fine_", "fine cloth, few substeps"),
+    ]
+    methods: list[Method] = []
+    for cloth, prefix, name in offered:
+        if cloth is not None and len(methods) < most:
+            tell(f"comparing: {name}")
+            methods.append(_cloth(truth, _at_cost(cloth, budget), prefix, name))
+    return methods
+
+
+def _with_figures(truth: Truth, methods: Sequence[Method], workers: Workers | int) -> list[Method]:
+    """Methods with figures of what they played; the truth itself is only asked what any run can be."""
+    jobs = [
+        partial(_figures_of, truth.run, truth.recording, truth.floor, truth.energy, method.frames, method.prefix)
+        for method in methods
+        if method.frames is not None
+    ]
+    with Workers.of(workers) as pool:
+        found = iter(pool.run(jobs))
+    return [
+        method if method.frames is None else replace(method, figures={**next(found), **method.figures})
+        for method in methods
+    ]
+
+
+def _figures_of(
+    run: Run, recording: Recording, floor: np.ndarray, energy: np.ndarray, frames: np.ndarray, prefix: str
+) -> dict[str, float]:
+    """Figures of a method's frames beside a truth, whose filters are made anew: they are larger than all else."""
+    levels = run.levels
+    low_pass = LowPass(levels.rest_vertices, levels.fine.faces, levels.cutoff)
+    truth = Truth(run, levels, recording, floor, bands_of(levels), energy, low_pass)
+    shared = _shared_figures(truth, frames)
+    return shared if prefix == "truth_" else free_figures(truth, frames) | shared
 
 
 def _at_cost(cloth: Cloth, budget: float) -> Cloth:
@@ -206,7 +244,7 @@ def _settings(cloth: Cloth) -> dict[str, float]:
 
 
 def _shared_figures(truth: Truth, frames: np.ndarray) -> dict[str, float]:
-    """Figures that any run has, the truth's too: contact with the body and stretch."""
+    """What can be asked of any run, the truth's too: contact with the body and stretch."""
     stretch = edge_stretch(frames, *truth.levels.fine.edge_lengths())
     figures = {name: float(value) for name, value in penetration_figures(*body_distances(truth, frames)).items()}
     return figures | {
@@ -239,7 +277,7 @@ def compare_file(
         output: folder of that database.
         clip: name of a clip that nothing was learned from; None takes the first that is held out.
         seconds: cut the motion there.
-        report: called with lines of progress.
+        report: told lines of progress.
 
     Raises:
         InputError: what cannot be read, a clip that does not exist or was learned from, or too short a motion.

@@ -38,8 +38,8 @@ def run(options: argparse.Namespace) -> Report:
     database, inputs = open_database(
         options.database, character=options.character, clip=options.clip, fabric=options.fabric
     )
-    player, frames, normals, bodies = baked_frames(database, inputs, inputs.motions[0], options.rate, options.seconds)
+    player, frames, normals, poses = baked_frames(database, inputs, inputs.motions[0], options.rate, options.seconds)
     faces = player.levels.subdivision.faces
-    write_baked(options.output, faces, frames, options.rate, normals, inputs.body.faces, bodies)
+    write_baked(options.output, faces, frames, options.rate, normals, inputs.body, poses)
     print(f"{inputs.motions[0].name}: {len(frames)} frames of {frames.shape[1]} vertices baked to {options.output}")
     return Report({"frame_count": len(frames), "fine_vertex_count": frames.shape[1]})

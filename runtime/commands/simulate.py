@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> Report:
     if options.explain:
         print(scene_text(scene), end="")
         return Report()
-    from runtime.garment_setup import simulation_of
+    from runtime.garment_setup import body_of, simulation_of
     from runtime.play import BAKED, simulated_frames, write_baked
 
     output = options.output or Path("out") / f"{options.scene.stem}.glb"

@@ -155,7 +155,7 @@ def test_a_slower_machine_is_given_less() -> None:
     assert planner.tick_ms(planner.plan(views)) * 1.5 <= 2.0 < before * 1.5
 
 
-@pytest.mark.parametrize(("fronts", "target", "budget"), [(0, 1.0, 1.0), (1, 0.0, 1.0), (1, 1.0, np.nan)])
+@pytest.mark.parametrize(("cost_tables", "target", "budget"), [(0, 1.0, 1.0), (1, 0.0, 1.0), (1, 1.0, np.nan)])
 def test_bad_plans_are_refused(cost_tables: int, target: float, budget: float) -> None:
     with pytest.raises(InputError, match="bad plan"):
         Planner([made_front()] * cost_tables, target, budget)

@@ -5,7 +5,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import inputs
+from typing import cast
 
 import numpy as np
 import pytest
@@ -214,7 +214,7 @@ def test_what_leads_to_a_motion_is_neither_learned_from_nor_judged(monkeypatch: 
     rows = np.zeros((8, 1))
     recording = Recording("late", 2 * np.arange(1, 9), rows, rows, rows, rows, 1.0)
     monkeypatch.setattr(pipeline, "record_runs", lambda runs, *_: [recording for _ in runs])
-    runs = [inputs(Run, SimpleNamespace(dt=0.25, lead_in=lead_in)) for lead_in in (0.0, 2.0)]
+    runs = [cast(Run, SimpleNamespace(dt=0.25, lead_in=lead_in)) for lead_in in (0.0, 2.0)]
     whole, late = training_recordings(runs, Path(), 1)
     assert whole.frames.tolist() == recording.frames.tolist()
     assert late.frames.tolist() == [10, 12, 14, 16]

@@ -13,7 +13,7 @@ from assets.procedural.builtin import builtin_garment
 from pbd import InputError, SolverOptions
 from precompute.learning.evaluation import Truth, fine_run, free_figures, levels_from, truth_of
 from precompute.stability import stability
-from precompute.stability.stability import LONGEST, SHORTEST, largest_stable_step, real_substep
+from precompute.stability.stability import MAX_SUBSTEP, MIN_SUBSTEP, largest_stable_step, real_substep
 from precompute.wrinkle_comparison import baselines
 from precompute.wrinkle_comparison.baselines import PROBE_FRAMES, Cloth, equal_cost_substeps, fine_cloth, middle_levels
 from precompute.wrinkle_comparison.compare import Comparison, compare, compare_file, equal_cost_baselines, winners
@@ -158,9 +158,9 @@ def test_bisection_finds_the_largest_stable_substep(limit: float, way: str) -> N
 def test_the_ends_of_the_search_are_told_apart() -> None:
     poses = np.zeros((211, 1, 3, 4))
     always = largest_stable_step("x", lambda o: Breaking(o, 1.0, "speed"), SolverOptions(), poses, 1.0 / 60.0)
-    assert (always.dt_max, always.first_to_go, always.unstable) == (LONGEST, "", float("inf"))
+    assert (always.dt_max, always.first_to_go, always.unstable) == (MAX_SUBSTEP, "", float("inf"))
     never = largest_stable_step("x", lambda o: Breaking(o, 0.0, "speed"), SolverOptions(), poses, 1.0 / 60.0)
-    assert (never.dt_max, never.first_to_go, never.unstable) == (0.0, "speed", SHORTEST)
+    assert (never.dt_max, never.first_to_go, never.unstable) == (0.0, "speed", MIN_SUBSTEP)
 
 
 @pytest.mark.parametrize(("array", "value"), [("velocity", np.inf), ("position", 40.0)])
