@@ -11,11 +11,13 @@ from __future__ import annotations
 import io
 import os
 import threading
-from contextlib import redirect_stdout
+import time
+from contextlib import redirect_stdout, suppress
+from pathlib import Path
 
 os.environ.setdefault("TI_ENABLE_TORCH", "0")  # torch, if installed, would add seconds to the import
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
-os.environ.setdefault("TI_ENABLE_PYBUF", "0")  # where output is caught it says so, for `print` in kernels
+os.environ.setdefault("TI_ENABLE_PYBUF", "0")  # in a notebook Taichi would announce that it is in one
 
 import taichi as ti
 
@@ -24,6 +26,7 @@ from pbd.errors import InputError
 __all__ = ["cuda_is_here", "ensure_initialized", "is_running", "running_arch", "running_threads", "ti"]
 
 COMPILED_FOR = 64  # threads
+LOCKED_AT_MOST = 60.0  # far longer than a process reads or writes the compiled kernels [s]
 
 _lock = threading.Lock()
 _settings: dict[str, object] | None = None
@@ -63,6 +66,7 @@ def ensure_initialized(arch: str = "cpu", threads: int | None = None) -> None:
                 "bad thread count", key="GUBE_THREADS", received=wish, expected="a whole number, at least 0"
             )
         count = threads or int(wish) or os.cpu_count() or 1
+        _remove_left_lock()
         with redirect_stdout(io.StringIO()):  # Taichi prints the arch, whatever its log level
             ti.init(
                 arch=ti.cpu if arch == "cpu" else ti.cuda,
@@ -77,6 +81,18 @@ def ensure_initialized(arch: str = "cpu", threads: int | None = None) -> None:
         # by now, and a kernel for more runs on those that there are: processes of one thread and of several share.
         ti.lang.impl.get_runtime().prog.config().cpu_max_num_threads = max(count, COMPILED_FOR)
         _settings = {"arch": arch, "threads": count}
+
+
+def _remove_left_lock() -> None:
+    """Remove the lock of a process that was killed while it read or wrote the compiled kernels.
+
+    Taichi waits some seconds for it at every start, and then neither reads nor keeps any kernel, without a word.
+    """
+    folder = os.environ.get("TI_OFFLINE_CACHE_FILE_PATH") or ti.lang.impl.default_cfg().offline_cache_file_path
+    lock = Path(folder) / "ticache.lock"
+    with suppress(OSError):  # there is none, or it is another user's
+        if time.time() - lock.stat().st_mtime > LOCKED_AT_MOST:
+            lock.unlink()
 
 
 def cuda_is_here() -> bool:
