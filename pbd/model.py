@@ -138,14 +138,12 @@ def build_model(
     bend_factor: float | None = None,
     limits: Limits | None = None,
 ) -> Model:
-    """Model of a mesh in a fabric. Over 60 lines: half of them list arguments and fields.
+    """Model of a mesh in a fabric.
 
     Args:
-        mesh: the cloth.
-        fabric: SI values.
+        mesh, fabric: the cloth.
         held: vertices that are moved from outside (pins, attachments to a body), int, shape (p,).
-        options: reduced-model factors and tethers.
-        bend_factor: hinge factor c if it was measured before; None measures it.
+        options, bend_factor: reduced-model factors and tethers; the hinge factor c, None measures it.
         limits: about where a body carries vertices.
 
     Raises:

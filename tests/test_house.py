@@ -154,3 +154,32 @@ def test_what_threads_share_adds_without_atomics(name: str) -> None:
 
 def test_float_atomics_are_found() -> None:
     assert float_atomics("@ti.func\ndef f(x):\n    x[0] += 1.0\n    y = 0.0\n    y += 1.0") == [3]
+
+
+MAX_LINES, MAX_ARGUMENTS, MAX_EXCEPTIONS = 60, 12, 15
+
+
+def long_functions(source: str) -> list[str]:
+    """Functions and methods over 60 lines or 12 arguments; one inside another counts as a part of it."""
+    found, left = [], list(ast.parse(source).body)
+    while left:
+        node = left.pop()
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            arguments = len([*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs])
+            if (node.end_lineno or 0) - node.lineno >= MAX_LINES or arguments > MAX_ARGUMENTS:
+                found.append(node.name)
+        elif isinstance(node, ast.ClassDef):
+            left += node.body
+    return found
+
+
+def test_long_functions_are_exceptions() -> None:
+    found = [name for path in MODULES for name in long_functions(path.read_text(encoding="utf-8"))]
+    assert len(found) <= MAX_EXCEPTIONS, found
+
+
+def test_long_functions_are_found() -> None:
+    short = "def f():\n" + 59 * "    x = 0\n"
+    assert long_functions(short) == []
+    assert long_functions(short + "    x = 0\n") == ["f"]
+    assert long_functions("class A:\n    def f(" + ", ".join(f"a{k}" for k in range(13)) + "): ...") == ["f"]

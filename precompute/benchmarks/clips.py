@@ -168,17 +168,8 @@ def run_clip(
         picture: where a few frames are drawn.
 
     Returns:
-        ``frames``, ``vertex_count``, ``frame_ms_p50``, ``frame_ms_p99``: processor time of body and garments;
-        ``inside_s``: longest time that a vertex is inside the body; ``inside_body_percent``: of vertices, on average;
-        ``crossings_layers``, ``crossings_self``: edges that go through faces at the end; ``speed_over_limb``: most that
-        cloth is faster than the fastest limb of the last half second, by where it is from frame to frame [m/s];
-        ``velocity_over_limb``: the same by the velocities of the state, which tremble within a frame;
-        ``edge_strain_p99``, ``edge_strain_max``, and ``edges_beyond_percent``: of edges over twice as long as at rest,
-        on average;
-        ``catastrophic_frames``: by the limits of
-        :mod:`precompute.method_comparison.error_classes`, the start for the reference;
-        ``overlap_frames``: those in which only edges where the body goes through itself are over the limit;
-        ``finite``: 1 if all is.
+        figures by name, see :func:`_clip_figures`; where a run ends early because it is not finite, ``frames``,
+        ``vertex_count`` and ``finite`` alone.
     """
     model, count = simulation.model, simulation.model.vertex_count
     duration = motion.duration if seconds is None else min(seconds, motion.duration)
@@ -218,16 +209,56 @@ def run_clip(
             shown.append((world, posed))
     if picture is not None:
         _draw(picture, simulation, shown, [f"{(frame + 1) / FRAME_RATE:.1f} s" for frame in _moments(frames)])
-    later = min(round(UNJUDGED_S * FRAME_RATE), frames - 1)
     bound = 3.0 * np.sqrt(2.0 * GRAVITY * height) + limbs
+    broken = drawn | (fastest > bound * LIMITS["speed_over_limit"][2]) | (boxes > LIMITS["box_ratio"][2])
+    return _clip_figures(simulation, times, limbs, fastest, moved, worst, inside, broken, excused)
+
+
+def _clip_figures(
+    simulation: Simulation,
+    times: np.ndarray,
+    limbs: np.ndarray,
+    fastest: np.ndarray,
+    moved: np.ndarray,
+    worst: np.ndarray,
+    inside: np.ndarray,
+    broken: np.ndarray,
+    excused: np.ndarray,
+) -> dict[str, float]:
+    """Figures of a clip that was played to its end.
+
+    Args:
+        simulation: at its end.
+        times: processor time of each frame [s], shape (f,).
+        limbs, fastest, moved: of the fastest body vertex, of the fastest cloth vertex by the state's velocity and from
+            frame to frame [m/s], shape (f,).
+        worst: strain of every edge [-], shape (f, e).
+        inside: vertices inside the body, bool, shape (f, n).
+        broken: frames beyond a limit for edges, speed or size, bool, shape (f,).
+        excused: frames with such edges only where the body goes through itself, bool, shape (f,).
+
+    Returns:
+        ``frames``, ``vertex_count``, ``frame_ms_p50``, ``frame_ms_p99``: processor time of body and garments;
+        ``inside_s``: longest time that a vertex is inside the body; ``inside_body_percent``: of vertices, on average;
+        ``crossings_layers``, ``crossings_self``: edges that go through faces at the end; ``speed_over_limb``: most that
+        cloth is faster than the fastest limb of the last half second, by where it is from frame to frame [m/s];
+        ``velocity_over_limb``: the same by the velocities of the state, which tremble within a frame;
+        ``edge_strain_p99``, ``edge_strain_max``, and ``edges_beyond_percent``: of edges over twice as long as at rest,
+        on average;
+        ``catastrophic_frames``: by the limits of
+        :mod:`precompute.method_comparison.error_classes`, the start for the reference;
+        ``overlap_frames``: those in which only edges where the body goes through itself are over the limit;
+        ``finite``: 1 if all is.
+    """
+    model, frames = simulation.model, len(times)
+    later = min(round(UNJUDGED_S * FRAME_RATE), frames - 1)
     recent = np.array([limbs[max(0, k - round(0.5 * FRAME_RATE)) : k + 1].max() for k in range(frames)])
-    catastrophic = drawn | (fastest > bound * LIMITS["speed_over_limit"][2]) | (boxes > LIMITS["box_ratio"][2])
-    catastrophic |= _held(inside, round(LIMITS["penetration_s"][2] * FRAME_RATE))
+    catastrophic = broken | _held(inside, round(LIMITS["penetration_s"][2] * FRAME_RATE))
     rows = crossings(simulation.state.world(), model.mesh.faces)
     between = model.layer[rows[:, 0]] != model.layer[model.mesh.faces[rows[:, 2], 0]]
     return {
         "frames": float(frames),
-        "vertex_count": float(count),
+        "vertex_count": float(model.vertex_count),
         "frame_ms_p50": 1e3 * float(np.median(times[1:])),
         "frame_ms_p99": 1e3 * float(np.percentile(times[1:], 99)),
         "inside_s": max(longest_run(column) for column in inside[later:].T) / FRAME_RATE,

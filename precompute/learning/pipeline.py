@@ -162,16 +162,14 @@ def precompute(
 
     Args:
         scene: one garment on one body, with training and held-out motion.
-        output: the database to write.
-        cache: folder of simulated runs; None keeps them beside the database.
+        output, cache: the database to write; the folder of simulated runs, None keeps them beside it.
         workers: processes that simulate and decode, or how many of them there are to be.
-        report: told lines of progress.
+        report: called with lines of progress.
         options: how much is done.
-        clock: of a longer road that STAGES are a part of; None times STAGES alone.
+        clock: of a longer work that STAGES are a part of; None times STAGES alone.
 
     Raises:
-        InputError: a scene that names nothing to learn from, a held-out motion that is trained on too, and whatever
-            cannot be loaded.
+        InputError: nothing to learn from, a held-out motion that is trained on too, or a file that cannot be loaded.
     """
     began, output = time.monotonic(), Path(output)
     stage = GarmentSetup.of(scene)

@@ -242,8 +242,7 @@ def compare_scenes(
         names: of the scenes; all built-in ones if none is named.
         output: runs are kept in its folder ``runs`` and found again.
         methods: see :func:`precompute.method_comparison.scene_runs.parse_setting`; none takes the default ones.
-        budget_s: time for everything [s].
-        seconds: cut each motion there.
+        budget_s, seconds: time for everything; length at which each motion is cut [s].
         workers: processes at a time; 1 stays in this one.
         report: called with lines of progress.
 
