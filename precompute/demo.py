@@ -87,7 +87,7 @@ SHORT = Demo(
         still_s=0.5,
         piece_s=0.25,
     ),
-    seconds=(40.0, 25.0, 5.0, 12.0, 5.0, 12.0, 8.0, 13.0, 30.0, 5.0),
+    seconds=(40.0, 27.0, 4.0, 12.0, 6.0, 10.0, 6.0, 14.0, 38.0, 4.0),
     moments=2,
     brief=True,
 )
@@ -193,7 +193,7 @@ def run_demo(
         learned = precompute(scene, database_path, workers=pool, options=demo.options, clock=clock)
     truth, evaluation = learned.truth, learned.evaluation
     assert truth is not None and evaluation is not None
-    # Workers that end leave the kernels that they compiled on the disk, where this process finds them now.
+    # Workers that end leave the kernels that they compiled on the disk, where new ones find them.
     with pool:
         with clock.stage("comparing"):
             comparison = compare(

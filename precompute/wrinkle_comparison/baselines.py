@@ -41,6 +41,7 @@ __all__ = [
 
 PROBE_FRAMES = 90  # frames of a run that only a cost is measured on
 BURST = 10.0  # extents of the garment, over which cloth is all over the place: nothing can be asked of it any more
+FIRST_GUESS = 8  # substeps that are tried after one
 MOST_SUBSTEPS = 128  # that are tried to fill a frame's time
 
 
@@ -171,14 +172,16 @@ def equal_cost_substeps(cost: Callable[[int], float], budget: float) -> int:
         budget: [ms].
     """
     at = lru_cache(maxsize=None)(cost)
-    low = high = 1
-    while high < MOST_SUBSTEPS and at(high) < budget:
-        low, high = high, 2 * high
-    if at(high) <= budget:
-        return high
+    if at(1) >= budget:
+        return 1
+    low, high, guess = 1, MOST_SUBSTEPS + 1, FIRST_GUESS
     while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if at(middle) < budget else (low, middle)
+        low, high = (guess, high) if at(guess) < budget else (low, guess)
+        # What a frame costs besides its substeps is the same for any number: a line through two costs nearly hits it.
+        each = max((at(guess) - at(1)) / (guess - 1), 1e-9)
+        guess = int(np.clip(1.0 + (budget - at(1)) / each, low + 1, max(low + 1, high - 1)))
+    if high > MOST_SUBSTEPS:
+        return low
     return low if budget - at(low) <= at(high) - budget else high
 
 

@@ -139,8 +139,33 @@ def compare(
     """
     tell = report or (lambda line: None)
     run = truth.run
-    tell("comparing: ours and smooth")
-    free = free or play_freely(database, run.body, run)
+    with Workers.of(workers) as pool:
+        # In a process of its own where there are some: it finds the kernels that earlier ones have left on the disk.
+        play = partial(_played, database, truth, free, brief)
+        tell("comparing: ours and smooth, and others at equal cost")
+        methods = play(tell) if pool.count == 1 else pool.run([play])[0]
+        tell("comparing: figures")
+        methods = _with_figures(truth, methods, pool)
+    clothes = {"coarse": coarse_cloth(database, truth), "middle_mesh": middle_cloth(database, truth)}
+    clothes["fine"] = fine_cloth(truth)
+    stability = []
+    poses = run.poses[: round(STABILITY_SECONDS / run.dt) + 1]
+    for name, cloth in clothes.items():
+        if cloth is not None and not brief:
+            tell(f"stability: {name.replace('_', ' ')}")
+            stability.append(largest_stable_step(name, cloth.simulation, cloth.options, poses, run.dt, run.wind))
+    return Comparison(database.garment_name, run.name, truth, tuple(methods), tuple(stability))
+
+
+def _played(
+    database: WrinkleDatabase,
+    truth: Truth,
+    free: Free | None,
+    brief: bool,
+    tell: Callable[[str], None] = lambda line: None,
+) -> list[Method]:
+    """All methods with their times and frames, without figures of the frames; arguments as for :func:`compare`."""
+    free = free or play_freely(database, truth.run.body, truth.run)
     ours_ms, smooth_ms = player_times(database, truth)
     settings = _settings(coarse_cloth(database, truth))
     methods = [
@@ -156,16 +181,7 @@ def compare(
     methods.append(Method("truth_", "truth", fine.cost(), {}, _settings(fine), truth.frames))
     settings = _settings(fine.with_substeps(math.ceil(1.5 * fine.substeps)))
     methods.append(Method("floor_", "floor", math.nan, {}, settings, truth.floor))
-    tell("comparing: figures")
-    methods = _with_figures(truth, methods, workers)
-    clothes = {"coarse": coarse_cloth(database, truth), "middle_mesh": middle, "fine": fine}
-    stability = []
-    poses = run.poses[: round(STABILITY_SECONDS / run.dt) + 1]
-    for name, cloth in clothes.items():
-        if cloth is not None and not brief:
-            tell(f"stability: {name.replace('_', ' ')}")
-            stability.append(largest_stable_step(name, cloth.simulation, cloth.options, poses, run.dt, run.wind))
-    return Comparison(database.garment_name, run.name, truth, tuple(methods), tuple(stability))
+    return methods
 
 
 def equal_cost_baselines(

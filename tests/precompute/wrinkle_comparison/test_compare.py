@@ -110,6 +110,19 @@ def test_substeps_come_nearest_to_the_budget(budget: float, expected: int) -> No
     assert equal_cost_substeps(lambda count: 1.4 + 0.5 * count, budget) == expected
 
 
+@pytest.mark.parametrize("power", [0.8, 1.0, 1.2])
+def test_substeps_are_found_by_few_trials(power: float) -> None:
+    for wanted in (2, 7, 8, 21, 90):
+        tried: list[int] = []
+
+        def cost(count: int, tried: list[int] = tried) -> float:
+            tried.append(count)
+            return 1.0 + 0.3 * count**power
+
+        assert equal_cost_substeps(cost, cost(wanted)) == wanted
+        assert len(tried) <= 8
+
+
 def test_what_lies_within_the_floor_has_won_alike() -> None:
     errors = {"ours": 0.3, "middle": 0.2, "fine": float("nan")}
     assert winners(errors, 0.1) == ("middle",)
