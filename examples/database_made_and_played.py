@@ -31,7 +31,8 @@ hidden_width = 8
 
 def main() -> None:
     """Learn, read, play. With more workers, learning starts processes that import this file: hence the function."""
-    gube.precompute(gube.parse_scene(SCENE), "skirt.h5", workers=1, report=print)
+    little = gube.LearningOptions(compression_scales=(1.0,), shear_scales=(1.0,), bend_scales=(1.0, 3.0), epochs=4)
+    gube.precompute(gube.parse_scene(SCENE), "skirt.h5", workers=1, options=little, report=print)
 
     database = gube.read_database("skirt.h5")
     character = gube.load_character("builtin:mannequin")
@@ -39,7 +40,7 @@ def main() -> None:
     player = gube.Player(database, character)
     for frame in range(1, 121):
         player.update(walk.pose(frame / 60.0), 1.0 / 60.0)
-    smooth = player.decoded(gube.Detail(every=1, substeps=1, atoms=0, sweeps=0, passes=0))
+    smooth = player.decoded(gube.LevelOfDetail(every=1, substeps=1, atoms=0, sweeps=0, passes=0))
     wrinkles = np.linalg.norm(player.vertices - smooth, axis=1)
     print(f"{len(database.coarse_vertices)} coarse and {len(smooth)} fine vertices, {player.timings['frame']:.1f} ms")
 

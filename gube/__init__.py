@@ -18,13 +18,14 @@ SOURCES = {
     "ClipMotion": "assets.motion:ClipMotion",
     "ClothMesh": "pbd.mesh:ClothMesh",
     "Colliders": "pbd.contact.colliders:Colliders",
-    "Detail": "runtime.detail:Detail",
+    "LevelOfDetail": "runtime.level_of_detail:LevelOfDetail",
     "DistanceField": "pbd.contact.distance_field:DistanceField",
     "FABRICS": "assets.fabrics:PRESETS",
     "Fabric": "pbd.fabric:Fabric",
     "GameLoop": "runtime.game_loop:GameLoop",
-    "GarmentGroup": "runtime.ensemble:Ensemble",
+    "GarmentGroup": "runtime.garment_group:GarmentGroup",
     "InputError": "pbd.errors:InputError",
+    "LearningOptions": "precompute.learning.options:LearningOptions",
     "LiveInput": "runtime.game_loop:LiveInput",
     "Model": "pbd.model:Model",
     "ModelOptions": "pbd.model:ModelOptions",
@@ -32,7 +33,7 @@ SOURCES = {
     "Planner": "runtime.planner:Planner",
     "Player": "runtime.player:Player",
     "SOLVERS": "pbd.models.registry:SOLVERS",
-    "Sight": "runtime.planner:Sight",
+    "ViewSize": "runtime.planner:ViewSize",
     "Simulation": "runtime.simulation:Simulation",
     "Solver": "pbd.xpbd.solver:Solver",
     "SolverOptions": "pbd.xpbd.solver:SolverOptions",
@@ -51,9 +52,9 @@ SOURCES = {
     "make_solver": "pbd.models.registry:make_solver",
     "parse_scene": "assets.io.scene:parse_scene",
     "precompute": "precompute.learning.pipeline:precompute",
-    "read_cost_table": "runtime.front:read_front",
+    "read_cost_table": "runtime.cost_table:read_cost_table",
     "read_database": "wrinkles.database:read_database",
-    "simulation_of": "runtime.stage:simulation_of",
+    "simulation_of": "runtime.garment_setup:simulation_of",
 }
 
 if TYPE_CHECKING:
@@ -86,18 +87,19 @@ if TYPE_CHECKING:
     from pbd.xpbd.batch_solver import BatchSolver as BatchSolver
     from pbd.xpbd.solver import Solver as Solver
     from pbd.xpbd.solver import SolverOptions as SolverOptions
+    from precompute.learning.options import LearningOptions as LearningOptions
     from precompute.learning.pipeline import precompute as precompute
     from runtime.bake import bake_glb as bake_glb
-    from runtime.detail import Detail as Detail
-    from runtime.ensemble import Ensemble as GarmentGroup
-    from runtime.front import read_front as read_cost_table
+    from runtime.cost_table import read_cost_table as read_cost_table
     from runtime.game_loop import GameLoop as GameLoop
     from runtime.game_loop import LiveInput as LiveInput
+    from runtime.garment_group import GarmentGroup as GarmentGroup
+    from runtime.garment_setup import simulation_of as simulation_of
+    from runtime.level_of_detail import LevelOfDetail as LevelOfDetail
     from runtime.planner import Planner as Planner
-    from runtime.planner import Sight as Sight
+    from runtime.planner import ViewSize as ViewSize
     from runtime.player import Player as Player
     from runtime.simulation import Simulation as Simulation
-    from runtime.stage import simulation_of as simulation_of
     from wrinkles.database import WrinkleDatabase as WrinkleDatabase
     from wrinkles.database import read_database as read_database
 

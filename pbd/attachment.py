@@ -21,8 +21,8 @@ def closest_points(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Closest point of a triangle mesh to each point.
 
-    Searched among the faces with the nearest centroids: exact where the mesh is finer than its sheets are apart,
-    which is what attachments and start positions need.
+    The search covers the faces with the nearest centroids. It is exact where the mesh is finer than the distance
+    between its sheets; attachments and start positions need no more.
 
     Args:
         points: [m], shape (p, 3).
@@ -156,10 +156,10 @@ class Attachment:
         surface = w[:, :1] * a + w[:, 1:2] * b + w[:, 2:] * c
         return surface, np.stack([side, normal, np.cross(side, normal)], axis=2)
 
-    def moved(self, ways: np.ndarray, vertices: np.ndarray) -> "Attachment":
-        """The same points, each moved by its way [m], shape (p, 3), in the bind pose."""
+    def moved(self, displacements: np.ndarray, vertices: np.ndarray) -> "Attachment":
+        """The same points, each moved by its displacement [m], shape (p, 3), in the bind pose (``vertices`` [m])."""
         _, frame = self._frames(np.asarray(vertices, float))
-        return replace(self, offset=self.offset + np.einsum("pi,pij->pj", ways, frame))
+        return replace(self, offset=self.offset + np.einsum("pi,pij->pj", displacements, frame))
 
     def targets(self, vertices: np.ndarray) -> np.ndarray:
         """Where the points are for a pose of the body [m], shape (n, 3): float64, shape (p, 3)."""

@@ -11,11 +11,13 @@ from __future__ import annotations
 import io
 import os
 import threading
-from contextlib import redirect_stdout
+import time
+from contextlib import redirect_stdout, suppress
+from pathlib import Path
 
 os.environ.setdefault("TI_ENABLE_TORCH", "0")  # torch, if installed, would add seconds to the import
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
-os.environ.setdefault("TI_ENABLE_PYBUF", "0")  # where output is caught it says so, for `print` in kernels
+os.environ.setdefault("TI_ENABLE_PYBUF", "0")  # in a notebook Taichi would announce that it is in one
 
 import taichi as ti
 
@@ -24,6 +26,7 @@ from pbd.errors import InputError
 __all__ = ["cuda_is_here", "ensure_initialized", "is_running", "running_arch", "running_threads", "ti"]
 
 COMPILED_FOR = 64  # threads
+LOCKED_AT_MOST = 60.0  # far longer than a process reads or writes the compiled kernels [s]
 
 _lock = threading.Lock()
 _settings: dict[str, object] | None = None
@@ -32,12 +35,12 @@ _settings: dict[str, object] | None = None
 def ensure_initialized(arch: str = "cpu", threads: int | None = None) -> None:
     """Start Taichi once for this process; later calls with the same wishes do nothing.
 
-    ``ti.init`` kills every array of an earlier ``ti.init`` with a bare error, so a call that asks for something
-    else than what runs is refused.
+    ``ti.init`` kills every array of an earlier ``ti.init`` with a bare error, so a call that asks for other settings
+    than those that run is refused.
 
     Args:
         arch: "cpu" or "cuda".
-        threads: CPU threads; None takes what runs, or ``GUBE_THREADS``, or all cores.
+        threads: CPU threads; None takes the number that runs, or ``GUBE_THREADS``, or all cores.
 
     Raises:
         InputError: unknown arch, a thread count below one, or a conflict with the running set-up.
@@ -63,6 +66,7 @@ def ensure_initialized(arch: str = "cpu", threads: int | None = None) -> None:
                 "bad thread count", key="GUBE_THREADS", received=wish, expected="a whole number, at least 0"
             )
         count = threads or int(wish) or os.cpu_count() or 1
+        _remove_left_lock()
         with redirect_stdout(io.StringIO()):  # Taichi prints the arch, whatever its log level
             ti.init(
                 arch=ti.cpu if arch == "cpu" else ti.cuda,
@@ -79,13 +83,25 @@ def ensure_initialized(arch: str = "cpu", threads: int | None = None) -> None:
         _settings = {"arch": arch, "threads": count}
 
 
+def _remove_left_lock() -> None:
+    """Remove the lock of a process that was killed while it read or wrote the compiled kernels.
+
+    Taichi waits some seconds for it at every start, and then neither reads nor keeps any kernel, without a word.
+    """
+    folder = os.environ.get("TI_OFFLINE_CACHE_FILE_PATH") or ti.lang.impl.default_cfg().offline_cache_file_path
+    lock = Path(folder) / "ticache.lock"
+    with suppress(OSError):  # there is none, or it is another user's
+        if time.time() - lock.stat().st_mtime > LOCKED_AT_MOST:
+            lock.unlink()
+
+
 def cuda_is_here() -> bool:
     """Whether there is an NVIDIA GPU with its driver."""
     return bool(ti.lang.impl._ti_core.with_cuda())
 
 
 def running_arch() -> str:
-    """What Taichi was started for: "cpu" or "cuda"."""
+    """The processor that Taichi was started for: "cpu" or "cuda"."""
     return str(_running()["arch"])
 
 

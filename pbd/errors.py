@@ -12,11 +12,11 @@ class InputError(ValueError):
     """Input that cannot be used. Names the file, the key, the value received and what is expected.
 
     Args:
-        problem: what is wrong, in one sentence without a full stop.
+        problem: the fault, in one sentence without a full stop.
         file: path of the file that holds the value, if any.
         key: key, element or argument inside it, if any.
         received: the value received; printed with ``repr``.
-        expected: what would have been accepted, in words.
+        expected: input that is accepted, in words.
     """
 
     def __init__(

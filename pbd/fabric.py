@@ -26,7 +26,7 @@ class Fabric:
         bend_weft: the same along the weft [N m].
         thickness: distance kept between the middle surface and a collider, without pressure [m].
         compression: pressure p_c of van Wyk's law, by which the thickness T gives way to a pressure
-            P = p_c ((thickness/T)^3 - 1) [Pa]; 0 for a thickness that does not give.
+            P = p_c ((thickness/T)^3 - 1) [Pa]; 0 for a thickness that does not give way.
         friction: Coulomb coefficient against colliders [-].
         air_drag: drag coefficient of the surface for flow along its normal [-].
 

@@ -1,4 +1,4 @@
-"""What kernels share: array types, small vectors, triangles and the surface of a body."""
+"""Array types, small vectors, triangles and the surface of a body, for all kernels."""
 
 from pbd.engine import ti
 from pbd.taichi_internals import same

@@ -19,7 +19,7 @@ def layered(models: Sequence[Model]) -> Model:
     """One model of several garments, from the innermost outwards; its vertices, and those held, come in that order.
 
     Contact knows one fabric: the greatest thickness of all, which does not give way, the least friction, and the drag
-    of the innermost garment.
+    of the innermost garment. Over 60 lines: most of them list the fields of a model.
 
     Args:
         models: from the innermost outwards, at least one.

@@ -13,19 +13,19 @@ from pbd.errors import InputError
 
 __all__ = ["NONE", "LimitTargets", "Limits", "SkinnedTargets"]
 
-NONE = 1e6  # of a distance [m]: from here on it limits nothing
+NONE = 1e6  # a distance from here on limits nothing [m]
 
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """Soft and hard limits about the places to which a body carries vertices, as game engines paint them.
+    """Soft and hard limits about the points to which a body carries vertices, as game engines paint them.
 
     Attributes:
         vertices: that are limited, ascending, int32, shape (l,).
-        maximum_distance: of each from its place [m], float32, shape (l,); ``NONE`` for no limit.
-        backstop: how deep it may go under its place, against the garment's normal there [m], shape (l,); ``NONE`` for
+        maximum_distance: of each from its target [m], float32, shape (l,); ``NONE`` for no limit.
+        backstop: how deep it may go under its target, against the garment's normal there [m], shape (l,); ``NONE`` for
             any depth.
-        stiffness: of springs that draw it to its place, per area of the cloth [N/m3], shape (l,): with k/rho_A = w^2
+        stiffness: of springs that draw it to its target, per area of the cloth [N/m3], shape (l,): with k/rho_A = w^2
             it swings w/(2 pi) times a second.
 
     Raises:

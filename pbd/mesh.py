@@ -44,7 +44,7 @@ def hinges_of(faces: np.ndarray) -> np.ndarray:
     The edge runs i to j in the face of k; l is the corner of the other face.
 
     Raises:
-        InputError: an edge with more than two faces, or run the same way by both.
+        InputError: an edge with more than two faces, or one that both faces run in the same direction.
     """
     edges, side_edge = edges_of(faces)
     order = np.argsort(side_edge.ravel(), kind="stable")
@@ -315,7 +315,7 @@ class ClothMesh:
 
     @property
     def face_cloth_areas(self) -> np.ndarray:
-        """Areas of the cloth in each face [m2], which is what weighs and pulls, shape (m,)."""
+        """Areas of the cloth in each face [m2], shape (m,). Mass and stiffness follow from these areas."""
         return self.face_areas if self.cloth_areas is None else np.asarray(self.cloth_areas)
 
     @property

@@ -1,4 +1,4 @@
-"""What does not change while a garment moves (:class:`Model`) and what does (:class:`State`)."""
+"""A garment: its constant data (:class:`Model`) and its motion (:class:`State`)."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ __all__ = ["Model", "ModelOptions", "State", "build_model"]
 
 SAMPLE_SPACING = 0.025  # edges longer than this are tested for contact in their middle too [m]: a foot is narrower
 BLOCK = 16  # triangles of one colour that are solved at once
-SOFTEST = 1e4  # compliance over mobility of a triangle; more is as good as none, and float32 holds its cube [s2]
-SHARING = 8  # rounds in which stitches even out masses
+# Compliance over mobility of a triangle. A softer one has no effect, and float32 holds the cube of this one [s2].
+MAX_SOFTNESS = 1e4
+MASS_ROUNDS = 8  # in which stitches even out masses
 GRID = 1.0  # origins are whole multiples of this power of two [m], so that moving one rounds nothing away
 
 
@@ -75,7 +76,7 @@ class Model:
         mesh: the cloth mesh.
         fabric: its fabric.
         options: how it was built.
-        mass: [kg], float64, shape (n,); what is sewn together shares it.
+        mass: [kg], float64, shape (n,); vertices that are sewn together share it.
         inverse_mass: [1/kg], 0 where a vertex is held, shape (n,).
         held: vertices that follow targets (pins and attachments), int32, shape (p,).
         triangles: shape (m, 3); triangle_data: inverse flat, gram, unit, compliance, see
@@ -84,7 +85,7 @@ class Model:
         triangle_blocks: first triangle and size of each block, all of one colour, shape (b, 2).
         block_colors: offsets of the colours of the blocks, shape (colours + 1,).
         hinges: shape (h, 4); hinge_data: K row | sum of w K^2, compliance, bend at rest, shape (h, 2, 4).
-        stitches: (v, a, b), shape (s, 3); stitch_weights: place of v between a and b, shape (s,).
+        stitches: (v, a, b), shape (s, 3); stitch_weights: position of v between a (0) and b (1), shape (s,).
         tethers: (vertex, held vertex), shape (t, 2); tether_lengths: [m], shape (t,).
         samples: where contact with a body is tested: the vertices (i, i), then the ends (i, j) of long edges, tested in
             their middle, int32, shape (s, 2).
@@ -93,8 +94,8 @@ class Model:
         layer: number of the garment that each vertex belongs to, from the innermost, 0, outwards, int32, shape (n,).
         pressure: at each vertex [Pa], float32, shape (n,); no number where there is none anywhere.
         limits: soft and hard limits about where a body carries vertices.
-        smooth: whether middles of edges are tested for contact where the smooth surface passes over them: long edges
-            cut through what is round.
+        smooth: whether middles of edges are tested for contact where the smooth surface passes over them. Long edges
+            cut through the inside of a round body.
     """
 
     mesh: ClothMesh
@@ -137,7 +138,7 @@ def build_model(
     bend_factor: float | None = None,
     limits: Limits | None = None,
 ) -> Model:
-    """Model of a mesh in a fabric.
+    """Model of a mesh in a fabric. Over 60 lines: half of them list arguments and fields.
 
     Args:
         mesh: the cloth.
@@ -205,19 +206,19 @@ def _check_vertices(held: np.ndarray, limits: Limits, count: int) -> None:
 def _shared(mass: np.ndarray, mesh: ClothMesh) -> np.ndarray:
     """Masses evened out over the stitches; their sum stays [kg], shape (n,).
 
-    What is sewn together is in one place and moves as one, whatever the shares. A light corner of a panel that is sewn
-    to heavy cloth would take nearly all of a stitch's correction, and hand on next to nothing of what pulls at it.
+    Vertices that are sewn together move as one, whatever their shares of the mass. Without this, a light corner of a
+    panel that is sewn to heavy cloth would take nearly all of a stitch's correction, and pass on almost no tension.
     """
     if not len(mesh.stitches):
         return mass
     (v, a, b), w = mesh.stitches.T, mesh.stitch_weights
     used = np.bincount(mesh.stitches.ravel(), minlength=len(mass))
-    for _ in range(SHARING):
+    for _ in range(MASS_ROUNDS):
         flow = [
             0.5 * part * (mass[end] - mass[v]) / np.maximum(used[end], used[v]) for part, end in ((1.0 - w, a), (w, b))
         ]
-        for vertices, gained in ((v, flow[0] + flow[1]), (a, -flow[0]), (b, -flow[1])):
-            mass = mass + np.bincount(vertices, gained, len(mass))
+        for vertices, change in ((v, flow[0] + flow[1]), (a, -flow[0]), (b, -flow[1])):
+            mass = mass + np.bincount(vertices, change, len(mass))
     return mass
 
 
@@ -233,18 +234,18 @@ def _membrane(mesh: ClothMesh, fabric: Fabric, inverse_mass: np.ndarray) -> tupl
     inverse = np.linalg.inv(mesh.flat)
     corner_rows = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)  # (m, 3, 2)
     gram = np.einsum("mc,mca,mcb->mab", inverse_mass[mesh.faces], corner_rows, corner_rows)
-    # Small and slim triangles, whose strain a small motion changes most, come in later colours: what is solved late
-    # is undone by few. Those that are much alike stay in the mesh's own order.
+    # A small motion changes the strain of small and slim triangles most. They come in later colours: few constraints
+    # follow that could undo their solution. Triangles that are much alike stay in the mesh's own order.
     trace = np.trace(gram, axis1=1, axis2=2)
-    by_answer = np.argsort(np.round(4.0 * np.log2(np.maximum(trace, 1e-20))), kind="stable")
-    order, offsets = _by_color(mesh.faces[by_answer], len(mesh.vertices))
-    order = by_answer[order]
+    by_mobility = np.argsort(np.round(4.0 * np.log2(np.maximum(trace, 1e-20))), kind="stable")
+    order, offsets = _by_color(mesh.faces[by_mobility], len(mesh.vertices))
+    order = by_mobility[order]
     faces, inverse, gram = mesh.faces[order], inverse[order], gram[order]
     softness = np.linalg.inv(fabric.membrane_stiffness()) / mesh.face_cloth_areas[order][:, None, None]
     trace = np.trace(gram, axis1=1, axis2=2)
     unit = np.where(trace > 0, 1.0 / np.where(trace > 0, trace, 1.0), 1.0)  # without a free corner nothing moves
     softest = unit * np.abs(softness).max(axis=(1, 2))
-    softness *= (SOFTEST / np.maximum(softest, SOFTEST))[:, None, None]
+    softness *= (MAX_SOFTNESS / np.maximum(softest, MAX_SOFTNESS))[:, None, None]
     data = np.zeros((12, len(faces) + BLOCK), np.float32)
     data[:, : len(faces)] = [
         *inverse.reshape(-1, 4).T,
@@ -322,8 +323,8 @@ class State:
         contact: distance to the body [m], float32, shape (n,); ``pbd.geometry.FAR`` where nothing is near.
         pairs: features of the cloth that touch one another, numbered as in
             :class:`pbd.contact.self_collision.SelfCollision`, int32, shape (c, 4).
-        carrier: velocity of what carries the cloth in the last frame, B x + b at a place x, as (B, b) [1/s], [m/s],
-            float64, shape (3, 4); for :func:`pbd.xpbd.inertia.relieve`.
+        carrier: velocity of the cloth's carrier in the last frame, B x + b at a point x, as (B, b) [1/s], [m/s],
+            float64, shape (3, 4); for :func:`pbd.xpbd.inertia.scale_inertial_forces`.
         pair_sides: direction in which the first feature of each lies from the second and how far [m], negative once it
             has gone through, float32, shape (c, 4).
     """

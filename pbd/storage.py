@@ -20,7 +20,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
         yield temporary
         os.replace(temporary, path)
     except OSError as error:
-        if error.filename is None:  # a full disk is told without saying whose
+        if error.filename is None:  # the error of a full disk names no file
             error.filename = str(path)
         raise
     finally:

@@ -86,15 +86,15 @@ class Launch:
         if not self._prepare(arguments):
             if not is_running():  # Taichi's own message says nothing to the user
                 ensure_initialized()
-            self._kernel(*arguments)  # compiles it, and says what is wrong with an argument
+            self._kernel(*arguments)  # compiles it, and reports a wrong argument
             if not self._ordinary:
                 self._bind(arguments)
             return
-        for slot, give in self._numbers:
-            give(slot, arguments[slot[0]])
-        for position, slots, convert, give in self._vectors:
+        for slot, set_number in self._numbers:
+            set_number(slot, arguments[slot[0]])
+        for position, slots, convert, set_number in self._vectors:
             for slot, value in zip(slots, arguments[position], strict=True):
-                give(slot, convert(value))
+                set_number(slot, convert(value))
         self._program.launch_kernel(self._compiled, self._context)
 
     def by_name(self, arguments: Mapping[str, Any]) -> None:
@@ -122,10 +122,10 @@ class Launch:
                 self._program = None
                 return False
             entry[1:3] = array, array.shape
-            self._give_array(position, array, inner)
+            self._set_array(position, array, inner)
         return True
 
-    def _give_array(self, position: int, array: np.ndarray, inner: int) -> None:
+    def _set_array(self, position: int, array: np.ndarray, inner: int) -> None:
         outer = array.shape[: array.ndim - inner]
         self._context.set_arg_external_array_with_shape((position,), array.ctypes.data, array.nbytes, outer, 0)
 
@@ -149,7 +149,7 @@ class Launch:
                         return
                     inner = getattr(wish.dtype, "ndim", 0)
                     self._arrays.append([position, argument, argument.shape, inner])
-                    self._give_array(position, argument, inner)
+                    self._set_array(position, argument, inner)
                 elif wish is ti.f32:
                     self._numbers.append(((position,), self._context.set_arg_float))
                 elif wish is ti.i32:

@@ -13,8 +13,8 @@ __all__ = ["CALM", "Air", "Wind"]
 
 CALM = (0.0, 0.0, 0.0)
 
-MODES = 48
-SMALLEST = 32.0  # the largest eddies are so many times as long as the smallest
+MODES = 48  # random waves
+SCALE_RANGE = 32.0  # length of the largest eddies over that of the smallest [-]
 
 
 @dataclass(frozen=True)
@@ -61,11 +61,11 @@ class Wind:
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         across = np.cross(direction, other)
         across /= np.linalg.norm(across, axis=1, keepdims=True)
-        number = 2.0 * np.pi / self.length * SMALLEST ** ((np.arange(MODES) + 0.5) / MODES)
+        number = 2.0 * np.pi / self.length * SCALE_RANGE ** ((np.arange(MODES) + 0.5) / MODES)
         size = number ** (-1.0 / 3.0)
         # The mean square of a wave is half its amplitude's; each of three components has the speed's.
         size *= self.turbulence * np.linalg.norm(self.velocity) * np.sqrt(6.0 / (size**2).sum())
-        # An eddy turns over in the time in which its own speed goes its length.
+        # An eddy turns over in the time in which its own speed covers its length.
         phase = rng.uniform(0.0, 2.0 * np.pi, MODES)
         return number[:, None] * direction, size[:, None] * across, size * number, phase
 

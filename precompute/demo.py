@@ -25,10 +25,10 @@ from precompute.learning.stages import StageClock
 from precompute.reporting.page import write_page
 from precompute.workers import Workers
 from runtime.bake import bake_glb
+from runtime.garment_setup import GarmentSetup
 from runtime.glb import BYTES_A_VERTEX
 from runtime.pictures import BODY_COLOR, Drawn, frame_camera, render, save_png, strip
 from runtime.play import posed_bodies
-from runtime.stage import Stage
 from wrinkles.metrics import normal_error_deg
 
 __all__ = ["FULL", "SHORT", "STAGES", "WORDS", "Demo", "DemoResult", "draw_moments", "introduction", "run_demo"]
@@ -221,7 +221,7 @@ def _first_picture(
     scene: Scene, cache: Path, demo: Demo, report: Callable[[str], None], workers: Workers
 ) -> np.ndarray:
     """Simulate the held-out motion, coarse and fine, and draw both before anything is learned."""
-    stage = Stage.of(scene)
+    stage = GarmentSetup.of(scene)
     run = scene_run(stage, scene, stage.motion(scene.training.held_out[0]))
     coarse = replace(run, name=f"{run.name} (coarse)", fine=False, solver=scene.solver.options(), bend_factor=None)
     # The fine runs that it is judged by are wanted later: they keep the other core busy.

@@ -1,4 +1,4 @@
-"""Energy of moving cloth and its distance from colliders, for whatever judges recorded runs."""
+"""What the measuring packages share: frame rate, gravity, the energy of cloth, its distance from colliders."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import numpy as np
 
 from pbd import Capsule, DistanceField, Plane, Sphere
 
-__all__ = ["GRAVITY", "mechanical_energy", "signed_distance"]
+__all__ = ["FRAME_RATE", "GRAVITY", "mechanical_energy", "signed_distance"]
 
+FRAME_RATE = 60.0  # of all measured runs [Hz]
 GRAVITY = 9.81  # [m/s2]
 
 

@@ -9,14 +9,14 @@ import numpy as np
 from pbd import Body, State
 from pbd.geometry import surface_normals
 from pbd.taichi_internals import Launch
-from runtime.detail import Detail
+from runtime.level_of_detail import LevelOfDetail
 from runtime.simulation import BodySource
 from wrinkles.charts import Charts
 from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Decoder, Upsampler
+from wrinkles.edge_lengths import EdgeLengthProjection
 from wrinkles.features import Stencil
-from wrinkles.isometry import Isometry
 from wrinkles.levels import Levels
 from wrinkles.patches import Patches
 from wrinkles.relaxation import Relaxation
@@ -44,10 +44,8 @@ class FineGarment:
         self._filter = CoarseFilter(levels)
         self._upsample, self._upsample_velocity = Upsampler(subdivision), Upsampler(subdivision)
         stencil = Stencil.of(charts, database.held)
-        self._decoder = Decoder(
-            stencil, patches, middle_patches, database.mapping, database.atoms, database.unfamiliarity
-        )
-        self._keep_lengths = Isometry(levels)
+        self._decoder = Decoder(stencil, patches, middle_patches, database.mapping, database.atoms, database.novelty)
+        self._keep_lengths = EdgeLengthProjection(levels)
         self._relax = Relaxation.of(levels, source.vertices, source.faces, database.fabric.thickness)
         self._surface_normals = Launch(surface_normals)
         self._faces, self._stands_for = subdivision.faces, subdivision.stands_for
@@ -55,7 +53,7 @@ class FineGarment:
         self.normals = np.zeros((subdivision.fine_count, 3), np.float32)
 
     def make(
-        self, position: np.ndarray, state: State, body: Body, body_vertices: np.ndarray, detail: Detail
+        self, position: np.ndarray, state: State, body: Body, body_vertices: np.ndarray, detail: LevelOfDetail
     ) -> tuple[float, float]:
         """Write :attr:`vertices`.
 
@@ -91,7 +89,7 @@ class FineGarment:
         return 1e3 * (decoded - began), 1e3 * (time.perf_counter() - decoded)
 
     def sample(
-        self, position: np.ndarray, state: State, body: Body, body_vertices: np.ndarray, detail: Detail
+        self, position: np.ndarray, state: State, body: Body, body_vertices: np.ndarray, detail: LevelOfDetail
     ) -> np.ndarray:
         """Vertices as :meth:`make` makes them, float32, shape (N, 3); the garment itself stays as it is."""
         kept, memory = self.vertices.copy(), self._relax.memory

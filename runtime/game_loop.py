@@ -254,9 +254,9 @@ class ScriptedInput:
         self.gust_time = 0.4 * seconds, 0.6 * seconds
         self.drag_time = 0.7 * seconds, 0.7 * seconds + 0.5
         model = simulation.model
-        height, front = model.mesh.vertices[:, 1], model.mesh.vertices[:, 2]
+        height, cost_table = model.mesh.vertices[:, 1], model.mesh.vertices[:, 2]
         # Height counts five times as much as depth: a hem is nearly level, and its front part is chosen.
-        self.vertex = int(np.argmax(np.where(model.inverse_mass > 0.0, front - 5.0 * height, -np.inf)))
+        self.vertex = int(np.argmax(np.where(model.inverse_mass > 0.0, cost_table - 5.0 * height, -np.inf)))
         self._grip: np.ndarray | None = None  # where the vertex was taken, less where the body was
         self._outwards = np.zeros(3)
 

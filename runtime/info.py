@@ -90,7 +90,8 @@ def info_text(path: str | Path) -> tuple[str, dict[str, float]]:
     if database.code_version != code_version():
         lines.append(f"  this is gube {code_version()}: its results may differ from the figures below")
     for title, rows in _sections(database, figures):
-        lines += ["", title] + [f"  {label:<18}{value}" for label, value in rows]
+        width = max(18, *(len(label) + 2 for label, _ in rows))
+        lines += ["", title] + [f"  {label:<{width}}{value}" for label, value in rows]
     lines += ["", *_quality_lines(database)]
     return "\n".join(lines) + "\n", figures
 
@@ -98,7 +99,7 @@ def info_text(path: str | Path) -> tuple[str, dict[str, float]]:
 def _figures(database: WrinkleDatabase) -> dict[str, float]:
     """Single numbers of the database by the names that they have in the file, and its counts."""
     mapping = database.mapping
-    area_ratio, bend_deg = database.gathers.figures(database.coarse_vertices, database.coarse_faces)
+    area_ratio, bend_deg = database.rest_shape.figures(database.coarse_vertices, database.coarse_faces)
     figures: dict[str, float] = {
         "coarse_vertex_count": len(database.coarse_vertices),
         "coarse_face_count": len(database.coarse_faces),
@@ -193,8 +194,8 @@ def _choice(quality: Mapping[str, float]) -> list[tuple[str, str]]:
 def _other_fabric(other: LearnedFabric, quality: Mapping[str, float]) -> str:
     options = other.options
     words = (
-        f"squeeze {options.compression_compliance_scale:g}, shear scale {options.shear_scale:g}, "
-        f"bend scale {options.bend_scale:g}"
+        f"compression compliance scale {options.compression_compliance_scale:g}, "
+        f"shear scale {options.shear_scale:g}, bend scale {options.bend_scale:g}"
     )
     error, skill = (quality.get(f"{other.name}_{name}") for name in ("normal_error_deg", "normal_skill"))
     return words if error is None else f"{words}; held out: normal error {error:.2f} deg, skill {skill:.3f}"
@@ -267,7 +268,7 @@ def check_database(path: str | Path) -> list[Check]:
         near = database.binding is not None or abs(ratio - 1.0) <= MAX_AREA_CORRECTION
         checks.append(Check("one rest metric", near, f"coarse area over fine area {ratio:.5f}"))
         model = build_model(
-            database.gathers.applied(coarse),
+            database.rest_shape.applied(coarse),
             database.fabric,
             database.held,
             database.options,
@@ -285,7 +286,7 @@ def check_database(path: str | Path) -> list[Check]:
         torn.position[:, :3] += rng.normal(0.0, edge, coarse.vertices.shape)
         for name in database.fabric_names:
             worn = database.in_fabric(name)
-            decoder = Decoder(stencil, patches, middle_patches, worn.mapping, worn.atoms, worn.unfamiliarity)
+            decoder = Decoder(stencil, patches, middle_patches, worn.mapping, worn.atoms, worn.novelty)
             among = f" ({name})" * bool(database.other_fabrics)
             checks.append(_check_decoding(f"decoding at rest{among}", database, subdivision, decoder, state))
             checks.append(_check_decoding(f"decoding a torn garment{among}", database, subdivision, decoder, torn))

@@ -1,6 +1,6 @@
 """Chooses for each garment the cheapest setting whose error on screen is small enough, within a frame budget.
 
-The choice is arithmetic on a measured table (:mod:`runtime.front`). If the budget is too small, the planner takes
+The choice is arithmetic on a measured table (:mod:`runtime.cost_table`). If the budget is too small, the planner takes
 detail from where each saved millisecond costs the least error on screen, as Funkhouser and Sequin ("Adaptive display
 algorithm for interactive frame rates during visualization of complex virtual environments", 1993) do for drawing.
 """
@@ -17,9 +17,9 @@ import numpy as np
 
 from assets.io.scene import CameraSettings
 from pbd.errors import InputError
-from runtime.front import Front
+from runtime.cost_table import CostTable
 
-__all__ = ["TARGETS", "Choice", "Planner", "Sight", "cheapest", "exhaustive", "sight_of"]
+__all__ = ["TARGETS", "Choice", "Planner", "ViewSize", "cheapest", "exhaustive", "sight_of"]
 
 TARGETS = {"imperceptible": 1.0, "accepted": 10.0}
 """Largest error on screen [px] by the name of its class."""
@@ -37,7 +37,7 @@ SPIKE = 1.3  # a slow tick counts as at most this times the load: a single one m
 
 
 @dataclass(frozen=True)
-class Sight:
+class ViewSize:
     """View of a garment.
 
     Attributes:
@@ -51,12 +51,12 @@ class Sight:
     size_px: float
     speed: float
 
-    def errors(self, front: Front) -> np.ndarray:
+    def errors(self, cost_table: CostTable) -> np.ndarray:
         """Error of each setting on screen, at most the garment's size [px], shape (settings,)."""
-        return np.minimum(self.pixels_per_metre * front.errors(self.speed), self.size_px)
+        return np.minimum(self.pixels_per_metre * cost_table.errors(self.speed), self.size_px)
 
 
-def sight_of(cameras: Sequence[CameraSettings], centre: Sequence[float], size: float, speed: float) -> Sight:
+def sight_of(cameras: Sequence[CameraSettings], centre: Sequence[float], size: float, speed: float) -> ViewSize:
     """View of a garment in cameras of 1080 lines and 16:9.
 
     Args:
@@ -76,7 +76,7 @@ def sight_of(cameras: Sequence[CameraSettings], centre: Sequence[float], size: f
         aside = math.sqrt(max(0.0, float(to_garment @ to_garment) - along * along))
         if along > -size and aside <= max(along, 0.0) * half * math.hypot(1.0, ASPECT) + size:
             best = max(best, LINES / (2.0 * distance * half))
-    return Sight(best, min(best * size, float(LINES)), speed)
+    return ViewSize(best, min(best * size, float(LINES)), speed)
 
 
 @dataclass(frozen=True)
@@ -119,20 +119,20 @@ class Planner:
         InputError: no garments, a target or a budget that is not positive.
     """
 
-    def __init__(self, fronts: Sequence[Front], target_px: float, budget_ms: float) -> None:
-        for key, value in (("target", target_px), ("budget_ms", budget_ms), ("garments", len(fronts))):
+    def __init__(self, cost_tables: Sequence[CostTable], target_px: float, budget_ms: float) -> None:
+        for key, value in (("target", target_px), ("budget_ms", budget_ms), ("garments", len(cost_tables))):
             if not 0.0 < value < math.inf:
                 raise InputError("bad plan", key=key, received=value, expected="above 0")
-        self.fronts = tuple(fronts)
+        self.cost_tables = tuple(cost_tables)
         self.target_px, self.budget_ms = target_px, budget_ms
         self.load = 1.0
-        self._current: list[int | None] = [None] * len(fronts)
-        self._since = np.zeros(len(fronts))
+        self._current: list[int | None] = [None] * len(cost_tables)
+        self._since = np.zeros(len(cost_tables))
         self._turns: dict[int, tuple[int, int]] = {}
         self._short = False  # whether the budget is too small
-        self._slots = max(setting.detail.every for front in fronts for setting in front.settings)
+        self._slots = max(setting.detail.every for cost_table in cost_tables for setting in cost_table.settings)
 
-    def plan(self, sights: Sequence[Sight], elapsed: float = math.inf) -> list[Choice]:
+    def plan(self, views: Sequence[ViewSize], elapsed: float = math.inf) -> list[Choice]:
         """Choose a setting for each garment.
 
         Args:
@@ -142,15 +142,15 @@ class Planner:
         Raises:
             InputError: another number of garments.
         """
-        if len(sights) != len(self.fronts):
+        if len(views) != len(self.cost_tables):
             raise InputError(
-                "bad plan", key="sights", received=len(sights), expected=f"{len(self.fronts)}, one a garment"
+                "bad plan", key="sights", received=len(views), expected=f"{len(self.cost_tables)}, one a garment"
             )
         self._since += elapsed
         budget = self.budget_ms / self.load
-        errors = [_fitting(front, sight, budget) for sight, front in zip(sights, self.fronts, strict=True)]
-        wanted = [self._wanted(i, errors[i]) for i in range(len(sights))]
-        chosen = self._within_budget(sights, errors, wanted, budget)
+        errors = [_fitting(cost_table, view, budget) for view, cost_table in zip(views, self.cost_tables, strict=True)]
+        wanted = [self._wanted(i, errors[i]) for i in range(len(views))]
+        chosen = self._within_budget(views, errors, wanted, budget)
         for i, index in enumerate(chosen):
             if index != self._current[i]:
                 self._current[i], self._since[i] = index, 0.0
@@ -158,12 +158,14 @@ class Planner:
             Choice(
                 index,
                 wait,
-                front.settings[index].cost_ms,
-                front.settings[index].peak_ms,
+                cost_table.settings[index].cost_ms,
+                cost_table.settings[index].peak_ms,
                 float(errors[i][index]),
-                self._why(front, sights[i], errors[i], index, wanted[i]),
+                self._why(cost_table, views[i], errors[i], index, wanted[i]),
             )
-            for i, (front, index, wait) in enumerate(zip(self.fronts, chosen, self._waits(chosen, budget), strict=True))
+            for i, (cost_table, index, wait) in enumerate(
+                zip(self.cost_tables, chosen, self._waits(chosen, budget), strict=True)
+            )
         ]
 
     def tick_ms(self, choices: Sequence[Choice]) -> float:
@@ -183,7 +185,7 @@ class Planner:
 
     def _wanted(self, i: int, errors: np.ndarray) -> int:
         """The setting that a garment should have if the budget were endless."""
-        costs, current = self.fronts[i].costs, self._current[i]
+        costs, current = self.cost_tables[i].costs, self._current[i]
         best = cheapest(costs, errors, self.target_px)
         if current is None or errors[current] > self.target_px:
             return best
@@ -193,36 +195,39 @@ class Planner:
         return calm if costs[calm] < (1.0 - SAVING) * costs[current] else current
 
     def _within_budget(
-        self, sights: Sequence[Sight], errors: list[np.ndarray], wanted: list[int], budget: float
+        self, views: Sequence[ViewSize], errors: list[np.ndarray], wanted: list[int], budget: float
     ) -> list[int]:
         """Settings that fit into a budget [ms]: the wanted ones, the present ones, or those that lose least."""
         current = [index for index in self._current if index is not None]
         if not self._short or len(current) < len(wanted):
             self._short = bool(self._share(wanted)[1].max() > budget)
-            return self._give_up(sights, errors, budget) if self._short else wanted
+            return self._give_up(views, errors, budget) if self._short else wanted
         if self._share(wanted)[1].max() <= ROOM * budget:
             self._short = False
             return wanted
         if self._share(current)[1].max() <= budget and self._since.min() < HOLD:
             return current
-        chosen = self._give_up(sights, errors, ROOM * budget)
+        chosen = self._give_up(views, errors, ROOM * budget)
         if self._share(current)[1].max() > budget:
             return chosen
         lost = [
-            sum(self._losses(*seen)[index] for seen, index in zip(zip(sights, errors, strict=True), which, strict=True))
+            sum(self._losses(*seen)[index] for seen, index in zip(zip(views, errors, strict=True), which, strict=True))
             for which in (chosen, current)
         ]
         return chosen if lost[0] < (1.0 - SAVING) * lost[1] else current
 
-    def _give_up(self, sights: Sequence[Sight], errors: list[np.ndarray], budget: float) -> list[int]:
+    def _give_up(self, views: Sequence[ViewSize], errors: list[np.ndarray], budget: float) -> list[int]:
         """Take detail from where each saved millisecond loses least, until the dearest tick is within the budget."""
         # With many garments that take turns the mean cost decides, with few of them the peaks do: both are tried.
         found = []
-        for prices in ([front.costs for front in self.fronts], [front.peaks for front in self.fronts]):
+        for prices in (
+            [cost_table.costs for cost_table in self.cost_tables],
+            [cost_table.peaks for cost_table in self.cost_tables],
+        ):
             start = [cheapest(*pair, self.target_px) for pair in zip(prices, errors, strict=True)]
-            chosen = self._cut(sights, errors, prices, start, budget)
+            chosen = self._cut(views, errors, prices, start, budget)
             losses = [
-                self._losses(*seen)[index] for seen, index in zip(zip(sights, errors, strict=True), chosen, strict=True)
+                self._losses(*seen)[index] for seen, index in zip(zip(views, errors, strict=True), chosen, strict=True)
             ]
             over = max(0.0, float(self._share(chosen)[1].max()) - budget)
             found.append((over, sum(losses), chosen))
@@ -230,7 +235,7 @@ class Planner:
 
     def _cut(
         self,
-        sights: Sequence[Sight],
+        views: Sequence[ViewSize],
         errors: list[np.ndarray],
         prices: list[np.ndarray],
         chosen: list[int],
@@ -251,7 +256,7 @@ class Planner:
         steps: list[tuple[float, int, int]] = []
 
         def offer(i: int) -> None:
-            price, loss = prices[i], self._losses(sights[i], errors[i])
+            price, loss = prices[i], self._losses(views[i], errors[i])
             cheaper = np.flatnonzero((price < price[chosen[i]]) & np.isfinite(loss))
             if len(cheaper):
                 rates = (np.maximum(loss[cheaper] - loss[chosen[i]], 0.0) + 1e-9) / (price[chosen[i]] - price[cheaper])
@@ -260,17 +265,17 @@ class Planner:
 
         for i in range(len(chosen)):
             offer(i)
-        mean = sum(front.costs[index] for front, index in zip(self.fronts, chosen, strict=True))
+        mean = sum(cost_table.costs[index] for cost_table, index in zip(self.cost_tables, chosen, strict=True))
         while steps and (mean > budget or self._share(chosen)[1].max() > budget):
             _, i, index = heapq.heappop(steps)
-            mean += self.fronts[i].costs[index] - self.fronts[i].costs[chosen[i]]
+            mean += self.cost_tables[i].costs[index] - self.cost_tables[i].costs[chosen[i]]
             chosen[i] = index
             offer(i)
         return chosen
 
-    def _losses(self, sight: Sight, errors: np.ndarray) -> np.ndarray:
+    def _losses(self, view: ViewSize, errors: np.ndarray) -> np.ndarray:
         """Error above the target times the area on screen [px^3], shape (settings,)."""
-        return np.maximum(errors - self.target_px, 0.0) * sight.size_px**2
+        return np.maximum(errors - self.target_px, 0.0) * view.size_px**2
 
     def _share(
         self, chosen: Sequence[int], kept: Mapping[int, tuple[int, int]] = MappingProxyType({})
@@ -285,7 +290,7 @@ class Planner:
             the turn of each garment, and the cost of each tick [ms].
         """
         ticks, waits = np.zeros(self._slots), [0] * len(chosen)
-        settings = [front.settings[index] for front, index in zip(self.fronts, chosen, strict=True)]
+        settings = [cost_table.settings[index] for cost_table, index in zip(self.cost_tables, chosen, strict=True)]
         fixed = {i for i, (index, _) in kept.items() if chosen[i] == index}
         for i in sorted(range(len(chosen)), key=lambda i: (i not in fixed, -settings[i].peak_ms)):
             every, peak = settings[i].detail.every, settings[i].peak_ms
@@ -304,12 +309,12 @@ class Planner:
         self._turns = dict(enumerate(zip(chosen, waits, strict=True)))
         return waits
 
-    def _why(self, front: Front, sight: Sight, errors: np.ndarray, index: int, wanted: int) -> str:
+    def _why(self, cost_table: CostTable, view: ViewSize, errors: np.ndarray, index: int, wanted: int) -> str:
         """Reason for a choice, one line."""
-        setting, error, costs = front.settings[index], errors[index], front.costs
-        if sight.pixels_per_metre == 0.0:
+        setting, error, costs = cost_table.settings[index], errors[index], cost_table.costs
+        if view.pixels_per_metre == 0.0:
             return f"no camera sees it: the cheapest setting, {setting.cost_ms:.3g} ms"
-        seen = f"{sight.size_px:.0f} px high"
+        seen = f"{view.size_px:.0f} px high"
         if index != wanted:
             return (
                 f"{seen}: {setting.cost_ms:.3g} ms and {error:.2g} px; {costs[wanted]:.3g} ms would show "
@@ -328,9 +333,9 @@ class Planner:
         )
 
 
-def _fitting(front: Front, sight: Sight, budget: float) -> np.ndarray:
+def _fitting(cost_table: CostTable, view: ViewSize, budget: float) -> np.ndarray:
     """Error of each setting on screen [px]; infinite if one update takes longer than the budget [ms]."""
-    return np.where(front.peaks <= max(budget, float(front.peaks.min())), sight.errors(front), np.inf)
+    return np.where(cost_table.peaks <= max(budget, float(cost_table.peaks.min())), view.errors(cost_table), np.inf)
 
 
 def cheapest(costs: np.ndarray, errors: np.ndarray, target: float) -> int:
@@ -345,10 +350,10 @@ def cheapest(costs: np.ndarray, errors: np.ndarray, target: float) -> int:
     return int(np.argmin(np.where(good, costs, np.inf))) if good.any() else int(np.argmin(errors))
 
 
-def exhaustive(fronts: Sequence[Front], sights: Sequence[Sight], target_px: float) -> float:
+def exhaustive(cost_tables: Sequence[CostTable], views: Sequence[ViewSize], target_px: float) -> float:
     """Cost of the cheapest settings whose errors meet the target, found by trying all of them [ms]."""
     total = 0.0
-    for front, sight in zip(fronts, sights, strict=True):
-        rows = zip(front.settings, sight.errors(front), strict=True)
-        total += min((row.cost_ms for row, error in rows if error <= target_px), default=front.settings[0].cost_ms)
+    for cost_table, view in zip(cost_tables, views, strict=True):
+        rows = zip(cost_table.settings, view.errors(cost_table), strict=True)
+        total += min((row.cost_ms for row, error in rows if error <= target_px), default=cost_table.settings[0].cost_ms)
     return total

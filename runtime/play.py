@@ -17,22 +17,23 @@ from pbd import InputError
 from pbd.wind import CALM, Air, Wind
 from runtime.bake import bake_glb, bake_obj, bake_pc2
 from runtime.game_loop import GameLoop, LiveInput, ScriptedInput
+from runtime.garment_setup import body_of, colliders_of, load_body, motion_of, scene_of
 from runtime.outputs import check_file
 from runtime.player import Player
 from runtime.report import process_age
 from runtime.simulation import Motion, Simulation, body_source, poses_of
-from runtime.stage import body_of, colliders_of, load_body, motion_of, scene_of
 from runtime.strips import draw_strips_apart
-from wrinkles.database import WrinkleDatabase
+from wrinkles.database import WrinkleDatabase, read_database
 from wrinkles.levels import Levels
 
 __all__ = [
     "BAKED",
-    "Cast",
+    "PlaybackInputs",
     "Free",
     "baked_frames",
-    "cast_of",
+    "playback_inputs",
     "loop_figures",
+    "open_database",
     "play",
     "play_motion",
     "posed_bodies",
@@ -48,7 +49,7 @@ HASH_FRAME = 120  # the coarse state is hashed after this many frames
 
 
 @dataclass(frozen=True)
-class Cast:
+class PlaybackInputs:
     """The inputs with which a database is played.
 
     Attributes:
@@ -64,7 +65,9 @@ class Cast:
     primitives: tuple = ()
 
 
-def cast_of(database: WrinkleDatabase, character: Path | None = None, clip: str | None = None) -> Cast:
+def playback_inputs(
+    database: WrinkleDatabase, character: Path | None = None, clip: str | None = None
+) -> PlaybackInputs:
     """The body and the motions with which a database is played.
 
     Args:
@@ -79,10 +82,29 @@ def cast_of(database: WrinkleDatabase, character: Path | None = None, clip: str 
         scene = scene_of(database)
         body = body_of(scene)
         database.require_body(body)
-        return Cast(body, _motions(body, clip, database, scene), scene.wind.air(), colliders_of(scene))
+        return PlaybackInputs(body, _motions(body, clip, database, scene), scene.wind.air(), colliders_of(scene))
     body = load_sequence(character) if character.suffix.lower() == ".npz" else load_body(character)
     database.require_body(body)
-    return Cast(body, _motions(body, clip, database, None))
+    return PlaybackInputs(body, _motions(body, clip, database, None))
+
+
+def open_database(
+    path: Path, *, character: Path | None = None, clip: str | None = None, fabric: str | None = None
+) -> tuple[WrinkleDatabase, PlaybackInputs]:
+    """Read a database and the inputs with which it is played.
+
+    Args:
+        path: the database.
+        character, clip: see :func:`playback_inputs`.
+        fabric: name of a fabric of the database; None takes the garment's own.
+
+    Raises:
+        InputError: the file is no database, it has no such fabric, or as :func:`playback_inputs`.
+    """
+    database = read_database(path)
+    if fabric is not None:
+        database = database.in_fabric(fabric)
+    return database, playback_inputs(database, character, clip)
 
 
 def _motions(
@@ -191,7 +213,7 @@ def timing_figures(free: Free, levels: Levels) -> dict[str, float]:
 
 
 def play_motion(
-    database: WrinkleDatabase, cast: Cast, motion: Motion, seconds: float | None, folder: Path
+    database: WrinkleDatabase, inputs: PlaybackInputs, motion: Motion, seconds: float | None, folder: Path
 ) -> dict[str, float | str]:
     """Play a motion and draw every tenth frame, smooth and ours.
 
@@ -212,20 +234,20 @@ def play_motion(
     poses = poses_of(motion, dt, seconds)
     if len(poses) < 2:
         raise InputError("nothing to play", key="--seconds", received=seconds, expected=f"at least {dt:.3g} [s]")
-    player = Player(database, cast.body, poses[0], cast.primitives)
+    player = Player(database, inputs.body, poses[0], inputs.primitives)
     first = process_age()
-    free = play(player, poses, dt, cast.wind)
+    free = play(player, poses, dt, inputs.wind)
     faces = player.levels.subdivision.faces
-    bodies = posed_bodies(cast.body, poses[free.numbers])
+    bodies = posed_bodies(inputs.body, poses[free.numbers])
     columns = {"smooth": free.smooth, "ours": free.frames}
-    draw_strips_apart(folder, motion.name, columns, faces, bodies, cast.body.faces, free.numbers, dt)
+    draw_strips_apart(folder, motion.name, columns, faces, bodies, inputs.body.faces, free.numbers, dt)
     figures: dict[str, float | str] = {"frame_count": len(poses) - 1, "first_frame_s": first}
     figures |= timing_figures(free, player.levels)
     return figures | {"attached_off_mm": 1e3 * free.held_off, "state_hash": free.state_hash}
 
 
 def loop_figures(
-    database: WrinkleDatabase, cast: Cast, motion: Motion, seconds: float, rate_hz: float
+    database: WrinkleDatabase, inputs: PlaybackInputs, motion: Motion, seconds: float, rate_hz: float
 ) -> dict[str, float]:
     """Play by the clock with a scripted gust and pull, see :class:`runtime.game_loop.ScriptedInput`.
 
@@ -239,12 +261,12 @@ def loop_figures(
     Returns:
         figures of :meth:`runtime.game_loop.GameLoop.figures`.
     """
-    player = Player(database, cast.body, motion.pose(0.0), cast.primitives)
+    player = Player(database, inputs.body, motion.pose(0.0), inputs.primitives)
     script = ScriptedInput(player.simulation, motion, seconds)
 
     def live(t: float) -> LiveInput:
         said = script(t)
-        return said._replace(wind=replace(cast.wind, gust=said.wind))
+        return said._replace(wind=replace(inputs.wind, gust=said.wind))
 
     return GameLoop(player, live, rate_hz, 1.0 / database.frame_rate).run(seconds)
 
@@ -259,7 +281,7 @@ def posed_bodies(body: Character | Sequence, poses: Iterable[np.ndarray]) -> np.
 
 
 def baked_frames(
-    database: WrinkleDatabase, cast: Cast, motion: Motion, rate_hz: float, seconds: float | None = None
+    database: WrinkleDatabase, inputs: PlaybackInputs, motion: Motion, rate_hz: float, seconds: float | None = None
 ) -> tuple[Player, np.ndarray, np.ndarray, np.ndarray]:
     """Play a motion and keep the garment at a rate of its own, from the start on.
 
@@ -278,9 +300,9 @@ def baked_frames(
         InputError: a rate that is not positive.
     """
     tick = 1.0 / database.frame_rate
-    player = Player(database, cast.body, motion.pose(0.0), cast.primitives)
+    player = Player(database, inputs.body, motion.pose(0.0), inputs.primitives)
     ticks = int(np.ceil(database.frame_rate / rate_hz)) + 1 if rate_hz > 0.0 else 1
-    loop = GameLoop(player, lambda t: LiveInput(motion.pose(t), cast.wind), rate_hz, tick, ticks)
+    loop = GameLoop(player, lambda t: LiveInput(motion.pose(t), inputs.wind), rate_hz, tick, ticks)
     duration = motion.duration if seconds is None else min(seconds, motion.duration)
     times = np.arange(int(duration * rate_hz + 1e-6) + 1) / rate_hz
     frames, normals = [], []
@@ -289,7 +311,7 @@ def baked_frames(
             loop.advance(1.0 / rate_hz)
         frames.append((player.vertices + player.origin).astype(np.float32))
         normals.append(player.normals.copy())
-    return player, np.array(frames), np.array(normals), np.array([motion.pose(t) for t in times])
+    return player, np.array(frames), np.array(normals), posed_bodies(inputs.body, (motion.pose(t) for t in times))
 
 
 def simulated_frames(

@@ -13,15 +13,15 @@ from assets.io.sequence import Sequence
 from pbd import InputError, build_model
 from pbd.contact.colliders import Primitive
 from pbd.wind import CALM, Air, Wind
-from runtime.coarser import CoarserSimulation
-from runtime.detail import Detail
 from runtime.fine_garment import FineGarment
+from runtime.level_of_detail import LevelOfDetail
+from runtime.proxy_simulation import ProxySimulation
 from runtime.simulation import Simulation, body_source
 from runtime.transitions import FADE, Extrapolation, Fade, Interpolation
-from wrinkles.coarser import coarser_of
 from wrinkles.database import WrinkleDatabase
-from wrinkles.isometry import PASSES
+from wrinkles.edge_lengths import PASSES
 from wrinkles.levels import Levels
+from wrinkles.proxy_mesh import proxy_mesh_of
 
 __all__ = ["FADE", "Player"]
 
@@ -68,7 +68,7 @@ class Player:
         source = body_source(body)
         self.levels: Levels = database.levels(source.vertices, source.faces)
         model = build_model(
-            database.gathers.applied(self.levels.coarse),
+            database.rest_shape.applied(self.levels.coarse),
             database.fabric,
             database.held,
             database.options,
@@ -82,9 +82,9 @@ class Player:
         self._extrapolation = Extrapolation(self.simulation, self._fine)
         self._fade = Fade(self.vertices)
         substeps = max(1, int(np.ceil(1.0 / (database.frame_rate * database.solver.substep) - 1e-6)))
-        self.full = Detail(1, substeps, len(database.atoms.shapes), PASSES, 1)
+        self.full = LevelOfDetail(1, substeps, len(database.atoms.shapes), PASSES, 1)
         self._detail, self._wait = self.full, 0  # ticks to leave out before the next update
-        self._coarser: CoarserSimulation | None = None  # made when it is first asked for
+        self._coarser: ProxySimulation | None = None  # made when it is first asked for
         self._bind_vertices = source.vertices
         self._idle, self._dt = 0.0, 0.0  # time since the last update, length of the last tick [s]
         self._alpha = 1.0
@@ -103,11 +103,11 @@ class Player:
         return self.simulation.body.current
 
     @property
-    def detail(self) -> Detail:
+    def detail(self) -> LevelOfDetail:
         """How much is modelled; see :meth:`change`."""
         return self._detail
 
-    def change(self, detail: Detail, wait: int = 0, fade: bool = True) -> None:
+    def change(self, detail: LevelOfDetail, wait: int = 0, fade: bool = True) -> None:
         """Model more or less from now on. The coarse state goes on as it is, and nothing pops.
 
         The shown vertices stay where they are; their distance from the same state at the new detail fades within
@@ -139,7 +139,7 @@ class Player:
         if fade:
             self._fade.start()
 
-    def prepare(self, details: Iterable[Detail]) -> None:
+    def prepare(self, details: Iterable[LevelOfDetail]) -> None:
         """Make in advance all that some details need: the mesh below the coarse one takes some tenths of a second.
 
         Raises:
@@ -147,11 +147,11 @@ class Player:
         """
         if self._coarser is not None or not any(detail.level for detail in details):
             return
-        coarser = coarser_of(self.levels, self.database.warp)
-        if coarser is None:
+        proxy = proxy_mesh_of(self.levels, self.database.warp)
+        if proxy is None:
             raise InputError("no such mesh", key="level", received=1, expected="0: this garment's mesh is too coarse")
-        self._coarser = CoarserSimulation(
-            coarser, self.simulation, self.database.options, self._bind_vertices, self.levels.coarse_attachment
+        self._coarser = ProxySimulation(
+            proxy, self.simulation, self.database.options, self._bind_vertices, self.levels.coarse_attachment
         )
 
     @property
@@ -222,7 +222,7 @@ class Player:
         timings["normals"] = 1e3 * (time.perf_counter() - began)
         timings["frame"] = sum(timings[part] for part in ("skin", "coarse", "decode", "relax", "normals"))
 
-    def decoded(self, detail: Detail) -> np.ndarray:
+    def decoded(self, detail: LevelOfDetail) -> np.ndarray:
         """Fine vertices of the last update at a detail, about ``origin`` [m], float32, shape (N, 3), a copy.
 
         The player itself stays as it is, so that two details can be compared on the same state.

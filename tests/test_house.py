@@ -131,7 +131,7 @@ SHARED_BY_THREADS = (
 def float_atomics(source: str) -> list[int]:
     """Lines of Taichi functions that add to an element of an array in place: an atomic operation in a parallel loop.
 
-    Crowds were half as fast as one garment after another for it.
+    Batches were half as fast as one garment after another for it.
     """
     functions = [
         node

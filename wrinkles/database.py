@@ -26,9 +26,10 @@ from pbd.fingerprint import source_fingerprint
 from pbd.mesh import edges_of
 from pbd.storage import replacing
 from wrinkles.binding import Binding
-from wrinkles.dictionary import Atoms, Mapping, fabric_features
-from wrinkles.gathers import Gathers
+from wrinkles.dictionary import Atoms, CoefficientNetwork, fabric_features
 from wrinkles.levels import Levels, levels_of
+from wrinkles.novelty import NoveltyScore
+from wrinkles.rest_shape import RestShapeCorrection
 from wrinkles.schema import (
     ENTRIES,
     FORMAT,
@@ -44,7 +45,6 @@ from wrinkles.schema import (
     unpack,
 )
 from wrinkles.surface import Subdivision
-from wrinkles.unfamiliarity import Unfamiliarity
 
 __all__ = [
     "LearnedFabric",
@@ -116,7 +116,7 @@ class WrinkleDatabase:
     garment_name: str
     coarse_vertices: np.ndarray
     coarse_faces: np.ndarray
-    gathers: Gathers
+    rest_shape: RestShapeCorrection
     subdivisions: int
     held: np.ndarray
     limits: Limits
@@ -130,8 +130,8 @@ class WrinkleDatabase:
     solver: SolverOptions
     frame_rate: float
     atoms: Atoms
-    mapping: Mapping
-    unfamiliarity: Unfamiliarity
+    mapping: CoefficientNetwork
+    novelty: NoveltyScore
     cutoff: float
     body_hash: str
     body_vertex_count: int
@@ -443,7 +443,7 @@ def _unpacked(arrays: dict[str, np.ndarray]) -> WrinkleDatabase:
     return WrinkleDatabase(
         **root,
         binding=_binding_of(groups["binding"]),
-        gathers=Gathers(**groups["gathers"]),
+        rest_shape=RestShapeCorrection(**groups["rest_shape"]),
         limits=Limits(**groups["limits"]),
         fabric=Fabric(**groups["fabric"]),
         options=ModelOptions(**groups["options"]),
@@ -452,8 +452,8 @@ def _unpacked(arrays: dict[str, np.ndarray]) -> WrinkleDatabase:
         ),
         solver=SolverOptions(**groups["solver"]),
         atoms=Atoms(**groups["atoms"]),
-        mapping=Mapping(**groups["mapping"]),
-        unfamiliarity=Unfamiliarity(**groups["unfamiliarity"]),
+        mapping=CoefficientNetwork(**groups["mapping"]),
+        novelty=NoveltyScore(**groups["novelty"]),
         quality=dict(zip(groups["quality"]["names"], groups["quality"]["values"].tolist(), strict=True)),
     )
 

@@ -17,11 +17,11 @@ from pbd.geometry import (
     vec3,
 )
 from pbd.taichi_internals import Launch
-from wrinkles.dictionary import CLIP, Atoms, Mapping
+from wrinkles.dictionary import CLIP, Atoms, CoefficientNetwork
 from wrinkles.features import DYNAMIC_COUNT, Stencil
+from wrinkles.novelty import NoveltyScore
 from wrinkles.patches import NODES, SIDE, Patches
 from wrinkles.surface import Subdivision, csr_arrays
-from wrinkles.unfamiliarity import Unfamiliarity
 
 __all__ = ["Decoder", "MeanWriter", "PatchWriter", "Upsampler", "add_patches"]
 
@@ -197,11 +197,11 @@ class Decoder:
         stencil: Stencil,
         patches: Patches,
         middle_patches: Patches,
-        mapping: Mapping,
+        mapping: CoefficientNetwork,
         atoms: Atoms,
-        unfamiliarity: Unfamiliarity,
+        novelty: NoveltyScore,
     ) -> None:
-        self.stencil, self.mapping, self.unfamiliarity = stencil, mapping, unfamiliarity
+        self.stencil, self.mapping, self.novelty = stencil, mapping, novelty
         self.amplitude = np.ones(len(stencil.corners), np.float32)
         count, (regions, width_1, width_2) = len(stencil.corners), mapping.weights_2.shape
         self.frames = np.zeros((count, 9), np.float32)
@@ -265,7 +265,7 @@ class Decoder:
             np.maximum(second, 0.0, out=second)
             np.matmul(second, m.weights_3[r, :, :atoms], out=output[rows])
             output[rows] += m.bias_3[r, :atoms]
-        amplitude = self.unfamiliarity.amplitude(self.unfamiliarity.score(self._hidden_1))
+        amplitude = self.novelty.amplitude(self.novelty.score(self._hidden_1))
         output *= amplitude[:, None]
         self.amplitude[self._order], coefficients[self._order] = amplitude, output
         np.matmul(coefficients, self._shapes[:atoms], out=self._grids)

@@ -17,15 +17,23 @@ from pbd import Fabric
 from wrinkles.network import Network, Samples, in_threads
 from wrinkles.patches import NODES, slope_metric
 
-__all__ = ["FABRIC_COUNT", "Atoms", "Mapping", "fabric_features", "fit_atoms", "fit_mapping", "whitening"]
+__all__ = [
+    "FABRIC_COUNT",
+    "Atoms",
+    "CoefficientNetwork",
+    "fabric_features",
+    "fit_atoms",
+    "fit_coefficient_network",
+    "whitening",
+]
 
 NOISE = 0.05  # of the features in training, in standard deviations
 FABRIC_COUNT = 2  # number of fabric_features
 MIN_GRAVITY_LENGTH = 1e-3  # shorter ones count as this [m]: no mesh shows their folds
-REGION_RATE = 0.03  # of weights, where a region goes on from the layers of all places
+REGION_RATE = 0.03  # where a region goes on from what all places have learned
 BLOCK, KEPT_OUT = 20, 8  # every eighth block of twenty frames says when the fit may stop
 VALIDATED = 40_000  # samples of these that are asked: the mean loss of more is the same
-PARTS = 16  # in which the first layer's output is computed
+PARTS = 16  # that what the first layer gives is computed in
 CLIP = 4.0  # features further out than this many standard deviations count as if they stood there
 
 
@@ -80,7 +88,7 @@ def fit_atoms(patches: np.ndarray, count: int, fine_count: int) -> Atoms:
 
 
 @dataclass(frozen=True)
-class Mapping:
+class CoefficientNetwork:
     """The network that gives coefficients for features: two hidden layers of rectified units and a linear one.
 
     All places share the first layer; each region has its own second and third. The static features contribute to the
@@ -115,12 +123,12 @@ class Mapping:
         """Bias of the first layer at each coarse vertex, float32, shape (n, h1)."""
         return self.place @ self.place_weights + self.bias_1
 
-    def for_fabric(self, features: np.ndarray) -> Mapping:
+    def for_fabric(self, features: np.ndarray) -> CoefficientNetwork:
         """The mapping for a fabric with these :func:`fabric_features`, shape (FABRIC_COUNT,)."""
         bias = np.asarray(features, np.float32) @ self.fabric_weights
         return replace(self, bias_1=self.bias_1 + bias, fabric_weights=np.zeros_like(self.fabric_weights))
 
-    def amplified(self, gain: float) -> Mapping:
+    def amplified(self, gain: float) -> CoefficientNetwork:
         """The mapping with all coefficients multiplied by ``gain`` [-]."""
         factor = np.float32(gain)
         return replace(self, weights_3=factor * self.weights_3, bias_3=factor * self.bias_3)
@@ -162,7 +170,7 @@ def fabric_features(fabric: Fabric, own: Fabric) -> np.ndarray:
     return logarithms(fabric) - logarithms(own)
 
 
-def fit_mapping(
+def fit_coefficient_network(
     features: np.ndarray,
     static: np.ndarray,
     coefficients: np.ndarray,
@@ -173,7 +181,7 @@ def fit_mapping(
     report: Callable[[str], None] | None = None,
     fabrics: np.ndarray | None = None,
     region: np.ndarray | None = None,
-) -> Mapping:
+) -> CoefficientNetwork:
     """Fit the mapping on training frames: one for all places first, from which that of each region goes on.
 
     What all places have in common is learned from all of them, and what is left is small enough to learn from a part.
@@ -218,7 +226,7 @@ def fit_mapping(
     heads = _fit_regions(network, samples, region, -(-epochs // 2), seed, tell)
     single = lambda a: np.ascontiguousarray(a, np.float32)  # noqa: E731
     weights_1, place_weights, bias_1, fabric_weights = scaling.unscaled(network.weights[0], network.biases[0])
-    return Mapping(
+    return CoefficientNetwork(
         single(scaling.center),
         single(scaling.scale),
         single(static),
@@ -329,7 +337,7 @@ def _fit_regions(
         network: of all places; is left as it is.
         samples: of all places.
         region: of each place, shape (n,); with one region alone there is nothing to go on to.
-        epochs, seed, tell: as for :func:`fit_mapping`.
+        epochs, seed, tell: as for :func:`fit_coefficient_network`.
     """
     heads = [network.after_first(seed) for _ in range(int(region.max()) + 1)]
     nowhere = np.zeros((1, 0), np.float32)  # the first layer has told the place

@@ -91,8 +91,8 @@ ENTRIES = (
     Entry("coarse_vertices", DOUBLE, ("n", 3), "m"),
     Entry("coarse_faces", INDEX, ("m", 3)),
     Entry("subdivisions", WHOLE),
-    Entry("gathers/stretch", SINGLE, ("m", 3)),
-    Entry("gathers/bends", SINGLE, ("b",), "m"),
+    Entry("rest_shape/stretch", SINGLE, ("m", 3)),
+    Entry("rest_shape/bends", SINGLE, ("b",), "m"),
     Entry("held", INDEX, ("p",)),
     Entry("limits/vertices", INDEX, ("l",)),
     Entry("limits/maximum_distance", SINGLE, ("l",), "m"),
@@ -135,11 +135,11 @@ ENTRIES = (
     Entry("mapping/bias_2", SINGLE, ("r", "h2")),
     *_in_steps("mapping/weights_3", ("r", "h2", "K"), along=1),
     Entry("mapping/bias_3", SINGLE, ("r", "K")),
-    *_in_steps("unfamiliarity/weights_1", ("h1", "u")),
-    Entry("unfamiliarity/bias_1", SINGLE, ("u",)),
-    Entry("unfamiliarity/weights_2", SINGLE, ("u",)),
-    Entry("unfamiliarity/bias_2", DOUBLE),
-    Entry("unfamiliarity/fade_from", DOUBLE, unit="deg"),
+    *_in_steps("novelty/weights_1", ("h1", "u")),
+    Entry("novelty/bias_1", SINGLE, ("u",)),
+    Entry("novelty/weights_2", SINGLE, ("u",)),
+    Entry("novelty/bias_2", DOUBLE),
+    Entry("novelty/fade_from", DOUBLE, unit="deg"),
     Entry("cutoff", DOUBLE, unit="m"),
     Entry("body_hash", TEXT),
     Entry("body_vertex_count", WHOLE),
@@ -154,7 +154,7 @@ MAX_STEP = 127  # of int8
 # Sizes that may be zero: every garment has vertices, but it may have no pins and no limits, only one fabric, or a
 # subdivided fine mesh instead of a delivered one.
 SIZES_THAT_MAY_BE_ZERO = ("b", "p", "l", "q", "h", "t", "N", "M", "s", "f")
-POSITIVE_ENTRIES = ("unfamiliarity/fade_from", "bend_factor", "frame_rate", "cutoff")
+POSITIVE_ENTRIES = ("novelty/fade_from", "bend_factor", "frame_rate", "cutoff")
 
 
 def topology_hash(faces: np.ndarray, subdivisions: int, vertex_count: int) -> str:
@@ -371,15 +371,15 @@ def _check_indices(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:
 def _check_rest_shape(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:
     """The corrected rest shape has an area in each face and a bend at each hinge."""
     faces = arrays["coarse_faces"]
-    one, across, two = arrays["gathers/stretch"].T.astype(float)
+    one, across, two = arrays["rest_shape/stretch"].T.astype(float)
     flat = (np.minimum(one, two) <= 0.0) | (one * two <= across**2)
     if flat.any():
         bad = int(np.argmax(flat))
-        received = arrays["gathers/stretch"][bad].tolist()
-        refuse("a face without area", f"gathers/stretch[{bad}]", received, "a positive definite stretch")
-    bends, hinges = len(arrays["gathers/bends"]), 3 * len(faces) - len(edges_of(faces)[0])
+        received = arrays["rest_shape/stretch"][bad].tolist()
+        refuse("a face without area", f"rest_shape/stretch[{bad}]", received, "a positive definite stretch")
+    bends, hinges = len(arrays["rest_shape/bends"]), 3 * len(faces) - len(edges_of(faces)[0])
     if bends != hinges:
-        refuse("another number of hinges", "gathers/bends", bends, str(hinges))
+        refuse("another number of hinges", "rest_shape/bends", bends, str(hinges))
 
 
 def _check_fine_mesh(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:

@@ -19,7 +19,7 @@ from scipy.sparse import csc_matrix, csr_matrix, diags
 
 from pbd.errors import InputError
 from pbd.mesh import edges_of
-from wrinkles.dissection import BlockSolver, Dissection
+from wrinkles.nested_dissection import BlockSolver, Dissection
 
 __all__ = ["BandedEnergy", "LowPass", "spectrum_band_error_max"]
 

@@ -20,7 +20,7 @@ SPREAD_RINGS = 2  # a fast body pulls cloth into its way from so many edges arou
 @in_kernel
 @dataclass(eq=False)
 class BodySearch:
-    """What the search for the nearest body vertices reads and writes; a view, see :mod:`pbd.xpbd.views`.
+    """Input and output of the search for the nearest body vertices; a view, see :mod:`pbd.xpbd.views`.
 
     Attributes:
         position, velocity: of the cloth [m], [m/s], vec4 and vec3.
@@ -221,10 +221,10 @@ def find_nearest_vertices(search: ti.template(), body: ti.template(), dt: ti.f32
     """For every contact sample a body vertex near it: the nearest within FAR, or the one that it had; else -1.
 
     The search is at the start of the frame. Where body or cloth move far in the frame, there are further searches at
-    later times, for cloth that keeps its velocity. Then the cloth around what has found a body vertex starts from there
-    as well, for it may be pulled into the way. ``max_approach`` receives how far cloth and body can come nearer to one
-    another in the frame [m], accelerations aside. Large body faces are found by probes, points spread over them; each
-    stands for its heaviest corner.
+    later times, for cloth that keeps its velocity. Then the vertices around those that have found a body vertex start
+    from there as well, for they may be pulled along. ``max_approach`` receives how far cloth and body can come nearer
+    to one another in the frame [m], accelerations aside. Large body faces are found by probes, points spread over them;
+    each stands for its heaviest corner.
 
     The first samples are the vertices themselves. The others are the middles of long edges, and search from the body
     vertices that the ends of their edge found.

@@ -16,7 +16,7 @@ from pbd.taichi_internals import Launch
 
 __all__ = ["Body", "Capsule", "Colliders", "DistanceField", "Plane", "Primitive", "Sphere"]
 
-MOST_PROBES = 1_000_000  # points on the large faces of a body, about
+MAX_PROBES = 1_000_000  # points on the large faces of a body, about
 
 
 def _vector(value: Sequence[float] | np.ndarray, key: str) -> np.ndarray:
@@ -181,7 +181,7 @@ def _probes(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nda
     """
     corners = vertices[faces]
     longest = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1, initial=0.0)
-    apart = max(FAR, float(np.sqrt(0.5 * np.sum(longest.astype(float) ** 2) / MOST_PROBES)))
+    apart = max(FAR, float(np.sqrt(0.5 * np.sum(longest.astype(float) ** 2) / MAX_PROBES)))
     parts = np.where(longest > 1.5 * apart, np.ceil(longest / apart), 1).astype(int)
     probes, weights = [np.zeros((0, 3), np.int32)], [np.zeros((0, 3), np.float32)]
     for count in np.unique(parts[parts > 1]):

@@ -11,9 +11,9 @@ from pbd.errors import InputError
 
 __all__ = ["MOTION", "ROW", "DistanceField", "field_rows"]
 
-RIGID = 1e-4  # by which a rotation's rows may fail to be orthonormal [-]
+MAX_SKEW = 1e-4  # of a rotation: its rows may fail to be orthonormal by this [-]
 # A field in a row: counts (3), spacing, first grid point (3), own axes in the world at the frame's end (9), position
-# there (3); then its way (3) and spin (3) over the frame, which are nothing where it stands still.
+# there (3); then its displacement (3) and spin (3) over the frame, which are zero where it stands still.
 ROW, MOTION = 25, slice(19, 25)
 
 
@@ -62,7 +62,7 @@ class DistanceField:
             InputError: a position that is not three finite numbers, or a rotation that is none.
         """
         turn = np.asarray(self.rotation, float)
-        if turn.shape != (3, 3) or not np.abs(turn @ turn.T - np.eye(3)).max() < RIGID or np.linalg.det(turn) < 0:
+        if turn.shape != (3, 3) or not np.abs(turn @ turn.T - np.eye(3)).max() < MAX_SKEW or np.linalg.det(turn) < 0:
             received = np.asarray(self.rotation).tolist()
             raise InputError("bad rotation", key="field.rotation", received=received, expected="a rotation matrix")
         position = _three(self.position, "field.position")
@@ -75,10 +75,10 @@ def field_rows(rows: np.ndarray, before: np.ndarray) -> np.ndarray:
     Args:
         rows, before: of :meth:`DistanceField.row` at the end of the frame and at its start, shape (k, 19).
     """
-    way = rows[:, 16:] - before[:, 16:]
+    displacement = rows[:, 16:] - before[:, 16:]
     axes, axes_before = rows[:, 7:16].reshape(-1, 3, 3), before[:, 7:16].reshape(-1, 3, 3)
     spin = [_spin(now.T @ last) for now, last in zip(axes, axes_before, strict=True)]
-    return np.concatenate([rows, way, np.reshape(spin, (-1, 3))], axis=1)
+    return np.concatenate([rows, displacement, np.reshape(spin, (-1, 3))], axis=1)
 
 
 def _spin(turn: np.ndarray) -> np.ndarray:

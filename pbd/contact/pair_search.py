@@ -100,14 +100,14 @@ class BoxTree:
 @in_kernel
 @dataclass(eq=False)
 class PairBuffers:
-    """What is remembered of the last frame's pairs, and what a search writes; a view, see :mod:`pbd.xpbd.views`.
+    """The pairs of the last frame that touched, and the results of a search; a view, see :mod:`pbd.xpbd.views`.
 
     Attributes:
         old_pairs, old_normals: of :class:`pbd.State`; ``chain``: of each vertex its first old pair, then of each old
             pair the next one of the same vertex, -1 for none.
         pairs, pair_data: as :func:`pbd.contact.pairs.solve_pairs` takes them.
         ready_pairs: how many pairs were found first, also if the buffers do not take them all.
-        crossed: how many edges go through faces; then those for which there is room: their ends, and the face.
+        crossed: how many edges go through faces; then as many as the buffer takes: their ends, and the face.
         max_displacement: greatest displacement of the features of a pair against each other in the frame [m].
     """
 
@@ -535,7 +535,7 @@ def search_face(
     Args:
         patch, lane: of the one face.
         other: the other patch.
-        neighbour: its place in ``neighbours`` if ``joined``: if both patches share a vertex.
+        neighbour: its index in ``neighbours`` if ``joined``, that is if both patches share a vertex.
         margin: by which boxes are larger than the faces' motion [m].
     """
     low, high = take(tree.face_blocks, patch, LOW, lane), take(tree.face_blocks, patch, HIGH, lane)

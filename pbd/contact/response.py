@@ -15,8 +15,9 @@ __all__ = [
     "touch_body",
 ]
 
-KEPT = 0.0015  # a touched point is kept while the cloth slides less than this along the surface [m] ...
-KEPT_SHARE = 0.1  # ... or less than this share of its height over it [-]
+# A contact point is kept while the cloth slides along the surface less than this [m], ...
+MAX_SLIDE = 0.0015
+MAX_SLIDE_SHARE = 0.1  # ... or less than this share of its height over the point [-]
 
 
 @ti.func
@@ -146,7 +147,7 @@ def slid_off(offset: vec3, normal: vec3):
     """Whether a sample at ``offset`` [m] from the point that it touches may touch another point by now."""
     height = offset.dot(normal)
     along = offset - height * normal
-    kept = ti.max(KEPT, KEPT_SHARE * ti.abs(height))
+    kept = ti.max(MAX_SLIDE, MAX_SLIDE_SHARE * ti.abs(height))
     return along.dot(along) > kept * kept
 
 

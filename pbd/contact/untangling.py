@@ -31,7 +31,7 @@ MAX_JOINING_SHARE, MIN_JOINING = 0.5, 4
 MIN_CLOSED_EDGES = 8  # a curve through fewer edges is not closed by a cut, except near its ends
 KEPT_MOTION = 0.3  # share of their relative velocity that vertices on the wrong side keep at a search [-]
 RINGS = 3  # cloth counts as on the wrong side up to so many edges from where it goes through
-MIN_CROSSINGS = 256  # for which there is room at first
+MIN_CROSSINGS = 256  # that the buffer takes at first
 
 
 @ti.func
@@ -90,7 +90,7 @@ class _Crossings:
     Attributes:
         ends: shape (k, 2); face: shape (k,); points: where they go through [m], shape (k, 3).
         heights: of the ends over the face, times twice its area [m3], shape (k, 2).
-        along: cosine between the edge and the way from where it goes through to each corner of the face, shape (k, 3).
+        along: cosine between the edge and the vector from the crossing to each corner of the face, shape (k, 3).
     """
 
     def __init__(self, rows: np.ndarray, faces: np.ndarray, position: np.ndarray) -> None:
@@ -100,8 +100,8 @@ class _Crossings:
         self.heights = np.einsum("kei,ki->ke", tips - corners[:, :1], self._normals)
         share = np.abs(self.heights) / np.maximum(np.abs(self.heights).sum(axis=1, keepdims=True), 1e-30)
         self.points = np.einsum("ke,kei->ki", share[:, ::-1], tips)
-        ways = _unit(corners - self.points[:, None])
-        self.along = np.einsum("kci,ki->kc", ways, _unit(tips[:, 1] - tips[:, 0]))
+        vectors = _unit(corners - self.points[:, None])
+        self.along = np.einsum("kci,ki->kc", vectors, _unit(tips[:, 1] - tips[:, 0]))
 
     def pulls(self, wrong_side: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pairs that pull ends on the wrong side back, and their data for :func:`pbd.contact.pairs.solve_pairs`."""
@@ -126,7 +126,7 @@ class _Crossings:
 
 
 class Untangling:
-    """The crossings of one cloth, and what follows from them.
+    """The crossings of one cloth, its vertices on the wrong side, and the pairs that bring them back.
 
     Args:
         faces: int32, shape (m, 3).
@@ -152,7 +152,7 @@ class Untangling:
         self.wrong_side = np.zeros(len(layer), np.int32)
 
     def has_room(self) -> bool:
-        """Whether all crossings had room; if not, there is room now."""
+        """Whether the buffer took all crossings; if not, it is larger now."""
         count = int(self.crossed[0, 0])
         if count < len(self.crossed):
             return True
@@ -164,7 +164,7 @@ class Untangling:
 
         Args:
             position: [m], shape (n, 3).
-            free: which vertices no body touches, shape (n,): what limbs pinch has no right place.
+            free: which vertices no body touches, shape (n,): cloth that limbs pinch has no right side.
 
         Returns:
             Pairs and their data as :func:`pbd.contact.pairs.solve_pairs` takes them.
@@ -244,7 +244,7 @@ class Untangling:
             return []
         ends, heights = found.ends[which], found.heights[which]
         above, below = (ends[np.arange(len(ends)), pick(heights, axis=1)] for pick in (np.argmax, np.argmin))
-        # What is on both sides tells nothing.
+        # Vertices on both sides show nothing.
         above, below = np.setdiff1d(above, below), np.setdiff1d(below, above)
         if not (len(above) and len(below)):
             return []
@@ -291,7 +291,7 @@ class Untangling:
         return connected_components(coo_matrix((np.ones(len(edges)), edges.T), (count, count)), directed=False)[1]
 
     def _add(self, part: np.ndarray, ends: np.ndarray) -> None:
-        """Mark what lies in a part, a few edges from ends of edges that go through something."""
+        """Mark the vertices of a part that are a few edges from ends of crossing edges."""
         self.wrong_side[self._around(ends, part)] = 1
 
     def _around(self, ends: np.ndarray, part: np.ndarray) -> np.ndarray:
@@ -300,7 +300,7 @@ class Untangling:
         near[ends] = True
         near &= part
         for _ in range(RINGS):
-            touched = near[self._edges].any(axis=1)
-            near[self._edges[touched]] = True
+            reached = near[self._edges].any(axis=1)
+            near[self._edges[reached]] = True
             near &= part
         return near

@@ -17,7 +17,9 @@ __all__ = ["ElementEnergy", "Energy", "QuadraticElements", "Sum", "clamped"]
 class Energy(Protocol):
     """An energy [J] of vertex positions [m], float64, shape (n, 3)."""
 
-    def energy(self, x: np.ndarray) -> float: ...
+    def energy(self, x: np.ndarray) -> float:
+        """[J]."""
+        ...
 
     def gradient(self, x: np.ndarray) -> np.ndarray:
         """[N], shape (n, 3)."""

@@ -29,7 +29,7 @@ __all__ = [
 STABLE = 0.7  # part of the limit 2/omega that an explicit step takes: cloth stiffens as it stretches
 CONTACT_STIFFNESS = 30.0  # r over the mean stiffness that a vertex feels
 SETTLED = 1e-4  # contact has settled when no force changes by more than this part of the largest
-NOTHING = 0.1  # a contact that this part of Newton's tolerance would make is none
+MIN_CONTACT_SHARE = 0.1  # of Newton's tolerance: a contact that a smaller motion would make is none [-]
 SETTLINGS = 100  # rounds of contact at most
 
 
@@ -244,7 +244,7 @@ class NewtonSolver(ClothSolver):
             _Weighed(self.energy, aim, contact) if still else _Motion(self.energy, mass, aim, inverse_square, contact)
         )
         content = np.full(len(x), self.options.tolerance * self.edge)
-        tolerance, least = content, NOTHING * self.options.tolerance * self.edge
+        tolerance, least = content, MIN_CONTACT_SHARE * self.options.tolerance * self.edge
         for _ in range(SETTLINGS):
             x = minimise(objective, x, self.order, tolerance, self.iterations)
             if contact is None:

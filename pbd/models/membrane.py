@@ -28,7 +28,7 @@ __all__ = [
     "rotations",
 ]
 
-LEAST = 1e-9  # below this a length or area ratio has lost its direction [-]
+MIN_RATIO = 1e-9  # below this a length or area ratio has lost its direction [-]
 
 
 class Strain(Protocol):
@@ -230,7 +230,7 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _lengths(f: np.ndarray) -> np.ndarray:
-    return np.maximum(np.linalg.norm(f, axis=1), LEAST)
+    return np.maximum(np.linalg.norm(f, axis=1), MIN_RATIO)
 
 
 def _tensor(stress: np.ndarray) -> np.ndarray:
@@ -241,7 +241,7 @@ def _tensor(stress: np.ndarray) -> np.ndarray:
 def _stretch(f: np.ndarray) -> np.ndarray:
     """S = sqrt(F^T F) in closed form, shape (m, 2, 2)."""
     c = np.einsum("mia,mib->mab", f, f)
-    root = np.sqrt(np.maximum(np.linalg.det(c), LEAST**2))
+    root = np.sqrt(np.maximum(np.linalg.det(c), MIN_RATIO**2))
     trace = np.sqrt(np.trace(c, axis1=1, axis2=2) + 2.0 * root)
     return (c + root[:, None, None] * np.eye(2)) / trace[:, None, None]
 
@@ -249,7 +249,7 @@ def _stretch(f: np.ndarray) -> np.ndarray:
 def _lyapunov(s: np.ndarray, m: np.ndarray) -> np.ndarray:
     """X with S X + X S = M, for symmetric positive definite S and symmetric M, shape (..., 2, 2)."""
     adjugate = np.trace(s, axis1=-2, axis2=-1)[..., None, None] * np.eye(2) - s
-    det = np.maximum(np.linalg.det(s), LEAST)[..., None, None]
+    det = np.maximum(np.linalg.det(s), MIN_RATIO)[..., None, None]
     return (m + adjugate @ m @ adjugate / det) / (2.0 * np.trace(s, axis1=-2, axis2=-1)[..., None, None])
 
 

@@ -11,11 +11,13 @@ from pbd.models.linear import Cholesky, FreeOrder, NotPositiveDefinite
 
 __all__ = ["Objective", "StepError", "minimise"]
 
-ENOUGH = 1e-4  # part of the decrease that the slope foretells, with which the line search is content
-SHORTEST = 1e-10  # step length at which it gives up
-NOTHING = 1e-17  # a decrease below this part of the value is none, whatever soft modes still move
+# The line search accepts a step with this share of the decrease that the slope predicts [-].
+MIN_DECREASE_SHARE = 1e-4
+MIN_STEP_LENGTH = 1e-10  # at which it gives up [-]
+MIN_DECREASE = 1e-17  # over the value; a smaller one counts as none, whatever soft modes still move [-]
 ROUNDING = 1e-13  # part of the value that rounding may add
-NEAR = 1e-9  # part of the value within which the slope judges a step, since the value is a difference of larger ones
+# Within this share of the value the slope judges a step, since the value is a difference of larger ones [-].
+NEAR_SHARE = 1e-9
 
 
 class StepError(RuntimeError):
@@ -32,11 +34,19 @@ class StepError(RuntimeError):
 
 
 class Objective(Protocol):
-    """What is minimised."""
+    """The function that is minimised; see :class:`pbd.models.elements.Energy`."""
 
-    def energy(self, x: np.ndarray) -> float: ...
-    def gradient(self, x: np.ndarray) -> np.ndarray: ...
-    def hessian(self, x: np.ndarray, positive: bool = False) -> csr_matrix: ...
+    def energy(self, x: np.ndarray) -> float:
+        """Value [J] at positions [m], float64, shape (n, 3)."""
+        ...
+
+    def gradient(self, x: np.ndarray) -> np.ndarray:
+        """[N], shape (n, 3)."""
+        ...
+
+    def hessian(self, x: np.ndarray, positive: bool = False) -> csr_matrix:
+        """[N/m], shape (3 n, 3 n); ``positive`` asks for a positive semidefinite neighbour of it."""
+        ...
 
 
 def minimise(
@@ -65,7 +75,7 @@ def minimise(
         move = -_newton_direction(objective, x, order, gradient)
         slope = float(gradient.ravel()[unknowns] @ move.ravel()[unknowns])
         largest = np.abs(move).max(initial=0.0)
-        if np.all(np.abs(move).max(axis=1) <= tolerance) or abs(slope) <= NOTHING * abs(value):
+        if np.all(np.abs(move).max(axis=1) <= tolerance) or abs(slope) <= MIN_DECREASE * abs(value):
             return x + move
         if not slope < 0.0:
             raise StepError(f"no descent: slope {slope:.3g} J")
@@ -73,14 +83,16 @@ def minimise(
         while True:
             tried = x + length * move
             tried_value = objective.energy(tried)
-            if tried_value <= value + ENOUGH * length * slope + ROUNDING * abs(value):
+            if tried_value <= value + MIN_DECREASE_SHARE * length * slope + ROUNDING * abs(value):
                 break
-            if tried_value <= value + NEAR * abs(value):  # the approximate condition of Hager and Zhang (2005), 4.1
+            if tried_value <= value + NEAR_SHARE * abs(
+                value
+            ):  # the approximate condition of Hager and Zhang (2005), 4.1
                 ahead = float(objective.gradient(tried).ravel()[unknowns] @ move.ravel()[unknowns])
-                if abs(ahead) <= (1.0 - 2.0 * ENOUGH) * abs(slope):
+                if abs(ahead) <= (1.0 - 2.0 * MIN_DECREASE_SHARE) * abs(slope):
                     break
             length *= 0.5
-            if length < SHORTEST:
+            if length < MIN_STEP_LENGTH:
                 raise StepError(f"line search stuck: next move {largest:.3g} m")
         x, value = tried, tried_value
     raise StepError(f"no minimum in {iterations} Newton iterations: last move {largest:.3g} m")

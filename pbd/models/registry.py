@@ -27,7 +27,7 @@ PROVOT = 0.1  # elongation at which springs are limited [-]
 
 
 class AnySolver(Protocol):
-    """What all solvers can do."""
+    """The methods that all solvers have."""
 
     def step(
         self,
@@ -36,9 +36,13 @@ class AnySolver(Protocol):
         dt: float,
         targets: np.ndarray | None = None,
         wind: tuple[float, float, float] | np.ndarray = (0.0, 0.0, 0.0),
-    ) -> None: ...
+    ) -> None:
+        """Advance the state in place, see :meth:`pbd.Solver.step`."""
+        ...
 
-    def follow(self, state: State, colliders: Colliders) -> np.ndarray: ...
+    def follow(self, state: State, colliders: Colliders) -> np.ndarray:
+        """Move the origin to the garment, see :meth:`pbd.Solver.follow`."""
+        ...
 
 
 MEMBRANES: dict[str, Callable[[Model], ElementEnergy]] = {

@@ -19,7 +19,7 @@ from pbd.xpbd.solver import AIR_DENSITY, Solver
 __all__ = ["ClothSolver", "Options"]
 
 ROUNDED = 2.5e-7  # what float32 loses within 2 m of an origin, should that move [m]
-FASTEST = 1000.0  # a vertex beyond this has been thrown, not moved [m/s]
+MAX_SPEED = 1000.0  # a faster vertex has been thrown, not moved [m/s]
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,7 @@ class ClothSolver(ABC):
         if not (np.isfinite(x).all() and np.isfinite(v).all()):
             raise StepError("positions or velocities are not finite")
         fastest = float(np.linalg.norm(v[self.free], axis=1).max(initial=0.0))
-        if fastest > FASTEST:
+        if fastest > MAX_SPEED:
             raise StepError(f"unstable: a vertex at {fastest:.3g} m/s")
 
     follow = Solver.follow

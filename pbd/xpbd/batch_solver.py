@@ -186,31 +186,38 @@ class BatchSolver:
                 raise InputError("not one for every garment", key=name, received=len(given), expected=str(count))
         if dt < MIN_FRAME_TIME:
             return
-        found = [
-            solver.prepare(state, collider, dt, target, wind, limit_target)
-            for solver, state, collider, target, wind, limit_target in zip(
-                self._solvers,
-                states,
-                colliders,
-                targets if targets is not None else [None] * count,
-                winds if winds is not None else [(0.0, 0.0, 0.0)] * count,
-                limit_targets if limit_targets is not None else [None] * count,
-                strict=True,
-            )
-        ]
-        self._run(found)
+        arguments, read = [], []
+        for solver, state, collider, target, wind, limit_target in zip(
+            self._solvers,
+            states,
+            colliders,
+            targets if targets is not None else [None] * count,
+            winds if winds is not None else [(0.0, 0.0, 0.0)] * count,
+            limit_targets if limit_targets is not None else [None] * count,
+            strict=True,
+        ):
+            found = solver.prepare(state, collider, dt, target, wind, limit_target)
+            arguments.append(found)
+            # Copies: a solver that stands for several garments writes the next one's into the same arrays.
+            read.append({name: found[name].copy() for name in READ})
+        self._run(arguments, read)
 
-    def _run(self, arguments: Sequence[Mapping[str, Any]]) -> None:
-        """Launch the kernel with the arguments of all garments, and copy its results back."""
+    def _run(self, arguments: Sequence[Mapping[str, Any]], read: Sequence[Mapping[str, np.ndarray]]) -> None:
+        """Launch the kernel with the arguments of all garments, and copy its results back.
+
+        Args:
+            arguments: of each garment by their names.
+            read: those of them that the world gives, by their names.
+        """
         arrays = [{name: own[name] for name in self._layout.arrays} for own in arguments]
         reals, integers = zip(*(self._layout.numbers_of(own) for own in arguments), strict=True)
         pools = self._pools
         if pools is None or not self._fits(arrays):
             pools = self._pools = ArrayPools(self._layout, arrays, READ + WORKSPACE, READ + WRITTEN)
             self._arrays = arrays
-        for its, there in zip(arrays, pools.views, strict=True):
-            for name in READ:
-                there[name][:] = its[name]
+        for own, there in zip(read, pools.views, strict=True):
+            for name, array in own.items():
+                there[name][:] = array
         self._barrier_counts[:] = 0
         self._launch(
             *pools.pools,
@@ -220,9 +227,9 @@ class BatchSolver:
             self._barrier_counts,
             self._workers,
         )
-        for its, there in zip(arrays, pools.views, strict=True):
+        for own, there in zip(arrays, pools.views, strict=True):
             for name in WRITTEN:
-                its[name][:] = there[name]
+                own[name][:] = there[name]
 
     def _fits(self, arrays: Sequence[Mapping[str, np.ndarray]]) -> bool:
         """Whether the pools were made for these arrays."""

@@ -22,14 +22,15 @@ __all__ = [
 
 vec3 = ti.math.vec3
 mat3x2 = ti.types.matrix(3, 2, ti.f32)
-PUSH_OUT = 0.5  # what starts a substep inside a body comes out no faster than this against its surface [m/s]
-SHORTEST = 0.05  # a warp or weft squeezed below this part of its length keeps its direction but not its slope
-SLIVER = 1e-6  # least determinant of a triangle's system over the product of its diagonal [-]
-# The shear answers as if warp and weft met at no sharper angle than 51 deg: where they lie along each other, the true
-# slope of the cosine is nothing, and the correction would be without bounds.
-SHEARED = 0.6  # square of the sine of that angle
+PUSH_OUT = 0.5  # a vertex that starts a substep inside a body comes out no faster than this against it [m/s]
+MIN_LENGTH_RATIO = 0.05  # a warp or weft compressed below this keeps its direction but not its slope [-]
+MIN_DETERMINANT = 1e-6  # of a triangle's system, over the product of its diagonal [-]
+# The shear acts as if warp and weft met at no sharper angle than 51 deg. Where they lie along each other, the true
+# slope of the cosine is zero, and the correction would be without bounds.
+MIN_SQUARED_SINE = 0.6  # of that angle
 
-CLOSED = 0.1  # a hinge is nearly closed when (x_j - x_i) x (x_k - x_l) is no longer than this times its edge squared
+# A hinge is nearly closed when (x_j - x_i) x (x_k - x_l) is no longer than this times its edge squared [-].
+MIN_OPENING = 0.1
 
 
 @ti.func
@@ -43,6 +44,8 @@ def membrane_multipliers(
     side_1: vec3, side_2: vec3, inverse_flat, gram, compliance, unit, compression_compliance_scale, coarse_strain
 ):
     """Orthotropic plane-stress membrane of one triangle: three constraints solved together.
+
+    Over 60 lines: one system of equations, whose parts have no meaning alone.
 
     The strains are those of Baraff and Witkin 1998 in engineering form: |w_u| - 1, |w_v| - 1 and the cosine between
     w_u and w_v, with [w_u w_v] = [x1-x0, x2-x0] Dm^-1. To first order they are e11, e22 and 2 e12, so that the energy
@@ -64,8 +67,8 @@ def membrane_multipliers(
     """
     wu = side_1 * inverse_flat[0] + side_2 * inverse_flat[2]
     wv = side_1 * inverse_flat[1] + side_2 * inverse_flat[3]
-    length_u = larger(wu.norm(), SHORTEST)
-    length_v = larger(wv.norm(), SHORTEST)
+    length_u = larger(wu.norm(), MIN_LENGTH_RATIO)
+    length_v = larger(wv.norm(), MIN_LENGTH_RATIO)
     inverse_u, inverse_v = 1.0 / length_u, 1.0 / length_v
     nu, nv = wu * inverse_u, wv * inverse_v
     cu, cv, cs = length_u - 1.0, length_v - 1.0, nu.dot(nv)
@@ -84,7 +87,7 @@ def membrane_multipliers(
     a02 = gram[1] * rest * inverse_v
     a12 = gram[1] * rest * inverse_u
     a22 = (
-        larger(rest, SHEARED)
+        larger(rest, MIN_SQUARED_SINE)
         * (
             gram[0] * inverse_u * inverse_u
             - 2.0 * gram[1] * cs * inverse_u * inverse_v
@@ -96,7 +99,7 @@ def membrane_multipliers(
     c00, c01, c02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
     c11, c12, c22 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
     # In float32 the determinant of a sliver may come to nothing or less.
-    scale = -unit / larger(a00 * c00 + a01 * c01 + a02 * c02, SLIVER * a00 * a11 * a22)
+    scale = -unit / larger(a00 * c00 + a01 * c01 + a02 * c02, MIN_DETERMINANT * a00 * a11 * a22)
     lu = scale * (c00 * cu + c01 * cv + c02 * cs_left)
     lv = scale * (c01 * cu + c11 * cv + c12 * cs_left)
     ls = scale * (c02 * cu + c12 * cv + c22 * cs_left)
@@ -162,7 +165,7 @@ def bent_hinge(d1: vec3, d2: vec3, d3: vec3, rows, rest: ti.f32, inverse_sum: ti
     """
     across = d2 - d3
     normal = d1.cross(across)
-    length, least = normal.norm(), CLOSED * d1.dot(d1)
+    length, least = normal.norm(), MIN_OPENING * d1.dot(d1)
     normal /= ti.max(length, least)
     multiplier = -(rows[1] * d1 + rows[2] * d2 + rows[3] * d3 - rest * normal) * inverse_sum
     turning = multiplier
@@ -178,7 +181,7 @@ def stitch_multiplier(to_a: vec3, to_b: vec3, w: ti.f32, inverse_v: ti.f32, inve
 
     Args:
         to_a, to_b: x_a - x_v and x_b - x_v [m].
-        w: place on the edge, 0 at a and 1 at b.
+        w: position on the edge, 0 at a and 1 at b.
         inverse_v, inverse_a, inverse_b: inverse masses [1/kg], not all zero where the weights are not.
 
     Returns:
@@ -190,7 +193,7 @@ def stitch_multiplier(to_a: vec3, to_b: vec3, w: ti.f32, inverse_v: ti.f32, inve
 
 @ti.func
 def tether_correction(offset: vec3, length: ti.f32):
-    """Long-range attachment (Kim, Chentanez, Mueller 2012): pulls back what is beyond its length [m]."""
+    """Long-range attachment (Kim, Chentanez, Mueller 2012): correction [m] of an offset [m] beyond its length [m]."""
     distance = offset.norm()
     correction = vec3(0.0)
     if distance > length:
@@ -200,14 +203,14 @@ def tether_correction(offset: vec3, length: ti.f32):
 
 @ti.func
 def limit_correction(offset: vec3, normal: vec3, law: ti.math.vec4, inverse_h2: ti.f32, inverse_mass: ti.f32):
-    """Soft and hard limits of a vertex about the place to which the body carries it.
+    """Soft and hard limits of a vertex about its target, the point to which the body carries it.
 
     A spring draws it there (XPBD, its multiplier from zero), a sphere keeps it near, a wall keeps it from going deep.
 
     Args:
-        offset: from the place [m].
+        offset: from the target [m].
         normal: of the garment there, unit.
-        law: maximum distance [m], depth of the wall under the place [m], compliance of the spring [m/N]; nothing
+        law: maximum distance [m], depth of the wall under the target [m], compliance of the spring [m/N]; nothing
             below zero is there.
         inverse_h2: [1/s2].
         inverse_mass: [1/kg].
@@ -229,8 +232,8 @@ def limit_correction(offset: vec3, normal: vec3, law: ti.math.vec4, inverse_h2: 
 def contact_correction(gap: ti.f32, normal: vec3, slip: vec3, friction: ti.f32, h: ti.f32):
     """Contact by position with Coulomb friction (Mueller et al. 2007; Macklin et al. 2014, eq. 24).
 
-    Motion into the collider is cancelled whole; depth that was there before comes out at ``PUSH_OUT``, because a
-    correction is also a velocity, and all the depth in one substep would be an ejection.
+    Motion into the collider is cancelled completely. Depth that was there before is removed at ``PUSH_OUT``: a
+    correction is also a velocity, and a correction of the whole depth in one substep would throw the vertex out.
 
     Args:
         gap: signed distance to the collider less the thickness [m]; negative is contact.
@@ -259,10 +262,10 @@ def contact_correction(gap: ti.f32, normal: vec3, slip: vec3, friction: ti.f32, 
 
 @ti.func
 def cushioned(gap: ti.f32, thickness: ti.f32, scaled_compliance: ti.f32):
-    """What is left to be closed of a gap where the cloth gives way by van Wyk's law, P = p_c ((T0/T)^3 - 1).
+    """The gap that remains to be closed where the cloth gives way by van Wyk's law, P = p_c ((T0/T)^3 - 1).
 
-    An implicit step of the vertex against the law: the correction c leaves the depth r = -gap - c, and the pressure
-    there must make it, c = (h^2/rho_A) P(r); by Newton's method.
+    An implicit step of the vertex against the law. The correction c leaves the depth r = -gap - c. The pressure at that
+    depth must cause the correction: c = (h^2/rho_A) P(r). Newton's method solves this equation.
 
     Args:
         gap: signed distance to the collider less the thickness without pressure [m].

@@ -1,4 +1,4 @@
-"""Coarser levels of a cloth mesh, made of patches of its vertices: any mesh, no grid, no search for what is held.
+"""Coarser levels of a cloth mesh, made of patches of its vertices. Any mesh will do; held vertices need no search.
 
 The vertices of a level fall into patches, each a vertex and what surrounds it; a patch is a vertex of the next level.
 It stands at its centre of mass, and centres of patches that touch are linked by a spring that only pulls. Moving whole
@@ -24,7 +24,7 @@ from pbd.mesh import ClothMesh, edges_of, greedy_colors
 __all__ = ["Multigrid", "build_multigrid"]
 
 MIN_VERTICES = 12  # a level of fewer vertices is not made coarser
-# Patches much heavier than what is around them do not move; a held vertex weighs this much more than all the cloth.
+# Patches much heavier than their neighbours do not move. A held vertex weighs this many times all the cloth.
 HELD_MASS = 1e9
 # A level is worth a pass where stiffness of its springs times h^2 over the mass of their ends is above this [-].
 MIN_USEFUL_STIFFNESS = 2.0
@@ -69,7 +69,7 @@ class Multigrid:
         )  # fmt: skip
 
     def children(self) -> tuple[np.ndarray, np.ndarray]:
-        """What each patch is made of, in order, as (indices like those of ``parent``, offsets (k + 1,)): int32."""
+        """Members of the patches: their indices in ``parent``, and offsets of the patches, shape (k + 1,); int32."""
         order = np.argsort(self.parent, kind="stable")
         offsets = np.searchsorted(self.parent[order], np.arange(len(self.inverse_mass) + 1))
         return order.astype(np.int32), offsets.astype(np.int32)
@@ -96,23 +96,23 @@ class _Level:
     Attributes:
         mass: [kg], shape (n,).
         area: [m2], shape (n,).
-        place: where it starts [m], shape (n, 3).
+        position: at the start [m], shape (n, 3).
         stretch: how many times longer than at rest the cloth starts there, along whatever it is stretched most, at
             least 1 [-], shape (n,).
         normal: unit, shape (n, 3).
         warp: unit, at right angles to the normal, shape (n, 3).
-        edges: each way, sorted by their first end, shape (e, 2).
-        ways: along each edge at rest, in the tangent plane of its first end [m], shape (e, 3).
+        edges: in both directions, sorted by their first end, shape (e, 2).
+        rest: vector along each edge at rest, in the tangent plane of its first end [m], shape (e, 3).
     """
 
     mass: np.ndarray
     area: np.ndarray
-    place: np.ndarray
+    position: np.ndarray
     stretch: np.ndarray
     normal: np.ndarray
     warp: np.ndarray
     edges: np.ndarray
-    ways: np.ndarray
+    rest: np.ndarray
 
 
 def build_multigrid(mesh: ClothMesh, mass: np.ndarray, inverse_mass: np.ndarray, fabric: Fabric) -> Multigrid:
@@ -170,7 +170,7 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def _tangent(vectors: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """What is left of vectors at right angles to normals."""
+    """The part of vectors at right angles to normals."""
     return vectors - normals * (vectors * normals).sum(axis=1, keepdims=True)
 
 
@@ -196,8 +196,8 @@ def _finest(mesh: ClothMesh, mass: np.ndarray) -> _Level:
     edges, side_edge = edges_of(faces)
     forwards = np.where(faces < np.roll(faces, -1, axis=1), 1.0, -1.0)
     at_rest = np.zeros((len(edges), 3))
-    for side, way in enumerate((side_1, side_2 - side_1, -side_2)):
-        np.add.at(at_rest, side_edge[:, side], forwards[:, side, None] * way)
+    for side, vector in enumerate((side_1, side_2 - side_1, -side_2)):
+        np.add.at(at_rest, side_edge[:, side], forwards[:, side, None] * vector)
     for corner in range(3):
         np.maximum.at(stretch, faces[:, corner], face_stretch[:, 0])
         np.add.at(sums[0], faces[:, corner], face_normals)
@@ -208,16 +208,17 @@ def _finest(mesh: ClothMesh, mass: np.ndarray) -> _Level:
     both, at_rest = np.concatenate([edges, edges[:, ::-1]]), np.concatenate([at_rest, -at_rest])
     order = np.lexsort((both[:, 1], both[:, 0]))
     both, lengths = both[order], lengths[order]
-    ways = _unit(_tangent(at_rest[order], normal[both[:, 0]]))
+    directions = _unit(_tangent(at_rest[order], normal[both[:, 0]]))
     areas, stretch = mesh.vertex_areas, np.maximum(stretch, 1.0)
-    return _Level(mass, areas, mesh.vertices, stretch, normal, warp, both, ways * lengths[:, None])
+    return _Level(mass, areas, mesh.vertices, stretch, normal, warp, both, directions * lengths[:, None])
 
 
 def _patches(level: _Level) -> tuple[np.ndarray, np.ndarray]:
     """Patch of each vertex, and the vertex in the middle of each patch.
 
-    In order, a vertex none of whose neighbours is taken makes a patch with them; what is left over then joins the patch
-    that it touches most. The order goes through the mesh in fronts, which packs patches closely, the heaviest first.
+    In order, a vertex makes a patch with its neighbours if none of them is in a patch yet. Each vertex that is left
+    over then joins the patch that it touches most. The order goes through the mesh in fronts, which packs patches
+    closely; the heaviest vertices come first.
     """
     edges, count = level.edges, len(level.mass)
     graph = csr_matrix((np.ones(len(edges), np.int8), edges.T), (count, count))
@@ -243,39 +244,40 @@ def _patches(level: _Level) -> tuple[np.ndarray, np.ndarray]:
 def _coarser(level: _Level, patch: np.ndarray, roots: np.ndarray) -> tuple[_Level, np.ndarray]:
     """The level whose vertices are the patches, and the share of each vertex in the mass of its patch."""
     count, middle = len(roots), roots[patch]
-    edges, ways, normal = level.edges, level.ways, level.normal
+    edges, rest, normal = level.edges, level.rest, level.normal
     mass = np.bincount(patch, level.mass, count)
     share = level.mass / mass[patch]
     # Where each vertex lies about the middle of its patch, in the middle's tangent plane: its neighbours, then theirs.
-    place, known = np.zeros((len(patch), 3)), np.zeros(len(patch), bool)
+    offset, known = np.zeros((len(patch), 3)), np.zeros(len(patch), bool)
     known[roots] = True
     inside = patch[edges[:, 0]] == patch[edges[:, 1]]
     while not known.all():
         step = np.flatnonzero(inside & known[edges[:, 0]] & ~known[edges[:, 1]])
         step = step[np.unique(edges[step, 1], return_index=True)[1]]
         start, end = edges[step].T
-        place[end] = place[start] + _carried(ways[step], normal[start], normal[middle[start]])
+        offset[end] = offset[start] + _carried(rest[step], normal[start], normal[middle[start]])
         known[end] = True
-    centre = np.stack([np.bincount(patch, share * place[:, axis], count) for axis in range(3)], axis=1)
-    # From centre to centre over every edge that joins two patches; all these ways agree on a flat surface.
+    centre = np.stack([np.bincount(patch, share * offset[:, axis], count) for axis in range(3)], axis=1)
+    # Vectors from centre to centre over every edge that joins two patches; on a flat surface they all agree.
     start, end = edges[~inside].T
     here, there = patch[start], patch[end]
-    from_here = place[start] + _carried(ways[~inside], normal[start], normal[middle[start]]) - centre[here]
-    beyond = _carried(place[end] - centre[there], normal[middle[end]], normal[middle[start]])
-    way = from_here - beyond
+    from_here = offset[start] + _carried(rest[~inside], normal[start], normal[middle[start]]) - centre[here]
+    beyond = _carried(offset[end] - centre[there], normal[middle[end]], normal[middle[start]])
+    vectors = from_here - beyond
     pairs, which, times = np.unique(np.stack([here, there], axis=1), axis=0, return_inverse=True, return_counts=True)
     which = which.ravel()
     mean = lambda values: np.bincount(which, values, len(pairs)) / times  # noqa: E731
-    # The longest counts, and no way is shorter than the straight one: a line that is too short would be a stiffness
-    # that no cloth has, one that is too long only helps less. Where the cloth starts stretched, so is the straight one.
-    direction = _unit(np.stack([mean(way[:, axis]) for axis in range(3)], axis=1))
-    straight = np.stack([np.bincount(patch, share * level.place[:, axis], count) for axis in range(3)], axis=1)
+    # The longest of them counts, and none is shorter than the straight distance: a spring that is too short would add a
+    # stiffness that no cloth has; one that is too long only helps less. Where the cloth starts stretched, the straight
+    # distance is divided by the stretch.
+    direction = _unit(np.stack([mean(vectors[:, axis]) for axis in range(3)], axis=1))
+    straight = np.stack([np.bincount(patch, share * level.position[:, axis], count) for axis in range(3)], axis=1)
     stretch = np.bincount(patch, share * level.stretch, count)
     lengths = np.linalg.norm(straight[pairs[:, 0]] - straight[pairs[:, 1]], axis=1) / stretch[pairs].max(axis=1)
-    np.maximum.at(lengths, which, np.linalg.norm(way, axis=1))
+    np.maximum.at(lengths, which, np.linalg.norm(vectors, axis=1))
     area = np.bincount(patch, level.area, count)
-    ways = direction * lengths[:, None]
-    coarse = _Level(mass, area, straight, stretch, normal[roots], level.warp[roots], pairs, ways)
+    springs = direction * lengths[:, None]
+    coarse = _Level(mass, area, straight, stretch, normal[roots], level.warp[roots], pairs, springs)
     return coarse, share
 
 
@@ -288,11 +290,11 @@ def _springs(level: _Level, softness: np.ndarray) -> tuple[np.ndarray, np.ndarra
     degree = np.bincount(level.edges[:, 0], minlength=len(level.mass))
     once = level.edges[:, 0] < level.edges[:, 1]
     rows = level.edges[once]
-    lengths = np.linalg.norm(level.ways[once], axis=1)
-    back = csr_matrix((np.linalg.norm(level.ways, axis=1), level.edges.T))
+    lengths = np.linalg.norm(level.rest[once], axis=1)
+    back = csr_matrix((np.linalg.norm(level.rest, axis=1), level.edges.T))
     lengths = np.maximum(lengths, np.asarray(back[rows[:, 1], rows[:, 0]]).ravel())
     first = rows[:, 0]
-    direction = _unit(level.ways[once])
+    direction = _unit(level.rest[once])
     u = (direction * level.warp[first]).sum(axis=1)
     v = (direction * np.cross(level.normal[first], level.warp[first])).sum(axis=1)
     parts = np.stack([u * u, v * v, u * v], axis=1)

@@ -1,4 +1,4 @@
-"""Motion of what holds the cloth: its rigid part, whether it is a teleport, its greatest displacement in a frame."""
+"""Motion of the cloth's carrier: its rigid part, whether it is a teleport, and the greatest displacement in a frame."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 __all__ = ["RigidTransform", "detect_teleport", "fit_rigid_transform", "max_displacement"]
 
-MIN_TELEPORT_SPEED = 30.0  # what holds the cloth is faster than this against it only if it was put elsewhere [m/s]
+MIN_TELEPORT_SPEED = 30.0  # the carrier is faster than this against the cloth only if it was put elsewhere [m/s]
 MAX_DEVIATION = 0.1  # from a rigid motion, as a share of the displacement [-]
 MAX_POINTS = 64  # of a body that are fitted
 

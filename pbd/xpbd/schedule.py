@@ -58,7 +58,7 @@ def advance_garment(
     ``velocity_delta``.
 
     Constraints of one colour share no vertex, and every sum has one order, so that the result does not depend on the
-    number of workers.
+    number of workers. Over 60 lines: half of them are this description and the arguments.
 
     Args:
         workers: who shares the work, see :mod:`pbd.xpbd.workers`.

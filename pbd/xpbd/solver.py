@@ -43,13 +43,14 @@ class SolverOptions:
         gravity: [m/s2].
         coarse_sweeps: passes over each coarser level of the mesh (:mod:`pbd.xpbd.multigrid`) in a substep; 0 leaves
             all out, and so does a model of several layers.
-        contact_refreshes: times a second that each contact is looked for again along the body's surface [Hz].
+        contact_refreshes: how often each contact is searched again along the body's surface [Hz].
         self_collision: whether the cloth keeps its thickness from itself. Layers always keep it from one another. Cloth
-            that starts up to 3 cm through itself, with edges of 2 cm, is apart in 0.5 s. Either way edges are drawn out
-            to no more than 1.5 times their length (Provot 1995) where the body leaves them room.
-        local_damping: rate at which velocities against the garment's motion as a whole die away [1/s].
-        linear_inertia, angular_inertia: part that the cloth feels of changes of the motion of what carries it (the held
-            vertices, else the body), centrifugal force included [-]: 1 is physical, 0 goes along unmoved.
+            that starts up to 3 cm through itself, with edges of 2 cm, is apart in 0.5 s. With self-collision or layers,
+            no edge becomes longer than 1.5 times its rest length (Provot 1995), unless the body forces it.
+        local_damping: rate at which velocities against the garment's own rigid motion die away [1/s].
+        linear_inertia, angular_inertia: share of the inertial forces that the cloth feels when the motion of its
+            carrier changes (the held vertices, else the body), centrifugal force included [-]: 1 is physical; at 0 the
+            cloth goes along without moving against its carrier.
     """
 
     substep: float = 1.0 / 720.0
@@ -221,6 +222,8 @@ class Solver:
     ) -> dict[str, Any]:
         """Arguments of the kernels of a step by their names, see :meth:`step`; they hold until the next call.
 
+        Over 60 lines: half of them list names.
+
         Returns:
             Those of :func:`pbd.contact.body_search.find_nearest`, to be called if there is a body, and of
             :func:`pbd.xpbd.advance.advance_kernel`.
@@ -300,7 +303,7 @@ class Solver:
         return rows
 
     def _body_of(self, state: State, colliders: Colliders) -> Body:
-        """The body to collide with, or one without faces; with room for the search for it."""
+        """The body to collide with, or one without faces; the workspace of its search is made large enough."""
         body = colliders.body or self._no_body
         # A body vertex that was near before may be no vertex of this body: it may be another one, or none.
         state.nearest[state.nearest >= (len(body.current) if colliders.body else 0)] = -1
@@ -348,7 +351,7 @@ class Solver:
         wind: tuple[float, float, float] | np.ndarray,
         limit_targets: LimitTargets | None,
     ) -> None:
-        """Refuse what the kernels could not take."""
+        """Refuse input that the kernels cannot take."""
         model = self.model
         received = (len(state.position), len(state.velocity), len(state.nearest), len(state.contact))
         expected = (model.vertex_count, model.vertex_count, len(model.samples), model.vertex_count)

@@ -1,4 +1,4 @@
-"""Views: what the functions of the kernels take instead of long lists of arrays.
+"""Views: the functions of the kernels take these instead of long lists of arrays.
 
 A view is a plain Python object that exists only while a kernel is compiled. The kernel makes it from its own arguments
 and hands it on as a ``ti.template()``: it costs nothing when the kernel runs. An array that a kernel does not use may
@@ -40,7 +40,7 @@ def view_of(kind: type[View], arrays: Mapping[str, Any]) -> View:
 @in_kernel
 @dataclass(eq=False)
 class ClothArrays:
-    """The vertices of a garment and what acts on them.
+    """The vertices of a garment and the forces on them.
 
     A vertex stands at ``position`` (on a grid) plus a small ``position_delta``, which takes the corrections. Its
     velocity is ``velocity + velocity_delta``.
@@ -49,8 +49,8 @@ class ClothArrays:
         position: [m], and the inverse mass [1/kg], vec4.
         velocity: at the start of the frame [m/s], vec3.
         position_delta: [m], vec4.
-        velocity_delta: what the velocity gained in the frame so far [m/s], vec4. In a substep it is less by
-            position_delta / h as predicted, so that the vertex started the substep at -h (velocity + velocity_delta).
+        velocity_delta: change of the velocity in the frame so far [m/s], vec4. In a substep the predicted
+            position_delta / h is taken off it, so that the vertex started it at -h (velocity + velocity_delta).
         normals: unit vertex normals, and the acceleration by pressure along them [m/s2], vec4.
         air: velocity of the air [m/s], and its drag over the mass [1/m], vec4.
         pressure: [Pa]; no number where there is none anywhere.
@@ -163,7 +163,7 @@ class ContactWork:
 @in_kernel
 @dataclass(eq=False)
 class MultigridArrays:
-    """Coarser levels of a garment, see :class:`pbd.xpbd.multigrid.Multigrid`, and what a substep writes for them.
+    """Coarser levels of a garment, see :class:`pbd.xpbd.multigrid.Multigrid`, and their values in a substep.
 
     Attributes:
         used: whether the kernel has coarser levels at all, known while it is compiled.

@@ -14,23 +14,22 @@ from assets.fabrics import PRESETS
 from assets.garment import load_garment
 from assets.io.scene import MotionSettings, parse_scene
 from pbd import ClothMesh, InputError, ModelOptions, SolverOptions, build_model
-from precompute.mechanics import GRAVITY
+from precompute.mechanics import FRAME_RATE, GRAVITY
 from precompute.method_comparison.error_classes import LIMITS, longest_run
 from precompute.reporting.tables import write_table
+from runtime.garment_setup import load_body, motion_of, simulation_of
 from runtime.pictures import Drawn, frame_camera, render, save_png, strip
 from runtime.simulation import Motion, Simulation, body_source
-from runtime.stage import load_body, motion_of, simulation_of
 from wrinkles.crossings import crossings
 from wrinkles.distance import TOLERANCE, BodyDistance
 
-__all__ = ["CLIPS", "LIMBS", "clip_rows", "overlapping", "run_clip", "shrinking", "write_clips"]
+__all__ = ["CLIPS", "MAX_OVER_LIMBS", "clip_rows", "overlapping", "run_clip", "shrinking", "write_clips"]
 
-RATE = 60.0  # frames a second
-# Of coarse garments, half the default [s]: in longer ones what is light between heavier cloth is drawn out, such as
+# Of coarse garments, half the default [s]: longer ones draw out light cloth between heavier cloth, such as
 # straps of 6 mg a vertex that carry a skirt of 96 g, or slivers of a tight sleeve.
 SUBSTEP = 1.0 / 1440.0
-START = 0.5  # what happens before is not judged [s]
-LIMBS = 2.0  # that cloth may be faster than the fastest limb of the last half second [m/s]
+UNJUDGED_S = 0.5  # the first seconds of a run are not judged [s]
+MAX_OVER_LIMBS = 2.0  # that cloth may be faster than the fastest limb of the last half second [m/s]
 LAYERS = ((0.31, 0.50, 0.70), (0.74, 0.44, 0.34))
 # 1.4 m of the loose dress's skirt on 0.7 m of waist, in edges of 5 cm
 GATHERED = ModelOptions(compression_compliance_scale=30.0)
@@ -109,7 +108,7 @@ def _loose_dress() -> tuple[Simulation, Motion]:
         model = build_model(replace(mesh, flat=flat), PRESETS["cotton"], options=GATHERED, bend_factor=bend_factor)
         simulation = Simulation(model, None, source, pose, replace(options, gravity=(0.0, 0.0, 0.0)))
         for _ in range(SETTLING):
-            simulation.step(pose, 1.0 / RATE)
+            simulation.step(pose, 1.0 / FRAME_RATE)
             simulation.state.velocity[:] = 0.0
         mesh = replace(mesh, vertices=_unposed(simulation.state.world(), pose))
     model = build_model(mesh, PRESETS["cotton"], options=GATHERED, bend_factor=bend_factor)
@@ -164,7 +163,7 @@ def run_clip(
 
     Args:
         simulation: at its start.
-        motion: what the body does.
+        motion: of the body.
         seconds: only the start of it.
         picture: where a few frames are drawn.
 
@@ -183,7 +182,7 @@ def run_clip(
     """
     model, count = simulation.model, simulation.model.vertex_count
     duration = motion.duration if seconds is None else min(seconds, motion.duration)
-    frames = int(np.floor(duration * RATE + 1e-6))
+    frames = int(np.floor(duration * FRAME_RATE + 1e-6))
     distance = BodyDistance(simulation.body.faces)
     edges, lengths = model.mesh.edge_lengths()
     box = _diagonal(simulation.state.world())
@@ -195,9 +194,9 @@ def run_clip(
     drawn, excused = np.zeros((2, frames), bool)  # edges over the limit, and where no length is right
     shown: list[tuple[np.ndarray, np.ndarray]] = []
     for frame in range(frames):
-        pose = motion.pose((frame + 1) / RATE)
+        pose = motion.pose((frame + 1) / FRAME_RATE)
         begin = time.process_time()
-        simulation.step(pose, 1.0 / RATE)
+        simulation.step(pose, 1.0 / FRAME_RATE)
         times[frame] = time.process_time() - begin
         world, body = simulation.state.world(), simulation.body
         if not (np.isfinite(world).all() and np.isfinite(simulation.state.velocity).all()):
@@ -207,9 +206,9 @@ def run_clip(
         under = np.flatnonzero(depth < -TOLERANCE)
         winding = distance.winding(world[under], posed)
         inside[frame, under] = (winding > 0.5) & (winding < 1.5)
-        limbs[frame] = np.linalg.norm(body.current - body.previous, axis=1).max() * RATE
+        limbs[frame] = np.linalg.norm(body.current - body.previous, axis=1).max() * FRAME_RATE
         fastest[frame] = np.linalg.norm(simulation.state.velocity, axis=1).max()
-        moved[frame], before = np.linalg.norm(world - before, axis=1).max() * RATE, world
+        moved[frame], before = np.linalg.norm(world - before, axis=1).max() * FRAME_RATE, world
         worst[frame] = np.linalg.norm(world[edges[:, 1]] - world[edges[:, 0]], axis=1) / lengths - 1.0
         over = np.flatnonzero(worst[frame] > LIMITS["edge_strain_beyond"][2])
         apart = overlapping(distance, world[edges[over]], posed)
@@ -218,12 +217,12 @@ def run_clip(
         if picture is not None and frame in _moments(frames):
             shown.append((world, posed))
     if picture is not None:
-        _draw(picture, simulation, shown, [f"{(frame + 1) / RATE:.1f} s" for frame in _moments(frames)])
-    later = min(round(START * RATE), frames - 1)
+        _draw(picture, simulation, shown, [f"{(frame + 1) / FRAME_RATE:.1f} s" for frame in _moments(frames)])
+    later = min(round(UNJUDGED_S * FRAME_RATE), frames - 1)
     bound = 3.0 * np.sqrt(2.0 * GRAVITY * height) + limbs
-    recent = np.array([limbs[max(0, k - round(0.5 * RATE)) : k + 1].max() for k in range(frames)])
+    recent = np.array([limbs[max(0, k - round(0.5 * FRAME_RATE)) : k + 1].max() for k in range(frames)])
     catastrophic = drawn | (fastest > bound * LIMITS["speed_over_limit"][2]) | (boxes > LIMITS["box_ratio"][2])
-    catastrophic |= _held(inside, round(LIMITS["penetration_s"][2] * RATE))
+    catastrophic |= _held(inside, round(LIMITS["penetration_s"][2] * FRAME_RATE))
     rows = crossings(simulation.state.world(), model.mesh.faces)
     between = model.layer[rows[:, 0]] != model.layer[model.mesh.faces[rows[:, 2], 0]]
     return {
@@ -231,7 +230,7 @@ def run_clip(
         "vertex_count": float(count),
         "frame_ms_p50": 1e3 * float(np.median(times[1:])),
         "frame_ms_p99": 1e3 * float(np.percentile(times[1:], 99)),
-        "inside_s": max(longest_run(column) for column in inside[later:].T) / RATE,
+        "inside_s": max(longest_run(column) for column in inside[later:].T) / FRAME_RATE,
         "inside_body_percent": 100.0 * float(inside[later:].mean()),
         "crossings_layers": float(between.sum()),
         "crossings_self": float((~between).sum()),

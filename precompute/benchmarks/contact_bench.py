@@ -6,11 +6,11 @@ import numpy as np
 
 from pbd import ClothMesh, Colliders, Fabric, ModelOptions, Solver, SolverOptions, Sphere, State, build_model
 from pbd.mesh import lattice_faces
+from precompute.mechanics import FRAME_RATE
 from wrinkles.crossings import crossings
 
 __all__ = ["self_collision_cost"]
 
-RATE = 60.0  # frames a second
 FRAMES, JUDGED = 300, 60  # of the run, and last ones whose median counts
 RADIUS = 0.3  # of the sphere [m]
 
@@ -36,14 +36,14 @@ def self_collision_cost(side: int = 64, frames: int = FRAMES) -> dict[str, float
     colliders, state = Colliders([Sphere((0.0, 0.0, 0.0), RADIUS)]), State.at_rest(model)
     solvers = [Solver(model, SolverOptions(self_collision=on)) for on in (False, True)]
     for solver in solvers:
-        solver.step(state.copy(), colliders, 1.0 / RATE)  # compiles
+        solver.step(state.copy(), colliders, 1.0 / FRAME_RATE)  # compiles
     times = np.zeros((frames, 2))
     for frame in range(frames):
         after = state
         for which, solver in enumerate(solvers):
             after = state.copy()
             begin = time.process_time()
-            solver.step(after, colliders, 1.0 / RATE)
+            solver.step(after, colliders, 1.0 / FRAME_RATE)
             times[frame, which] = time.process_time() - begin
         state = after
     world, last = state.world(), times[-JUDGED:]

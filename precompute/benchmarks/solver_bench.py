@@ -10,8 +10,9 @@ from typing import Any
 from pbd import SolverOptions
 from precompute.benchmarks.constraint_cost import constraint_costs
 from precompute.benchmarks.contact_bench import self_collision_cost
-from precompute.benchmarks.solver_scenes import RATE, SolverMeasurement, hanging_square, measure
+from precompute.benchmarks.solver_scenes import SolverMeasurement, hanging_square, measure
 from precompute.benchmarks.thread_speed import thread_speedups
+from precompute.mechanics import FRAME_RATE
 from precompute.method_comparison.engines import EngineRun, bench_engines
 from precompute.reporting.page import Chart, Line, Point, Section, Table, Text, write_page
 from precompute.reporting.tables import write_table
@@ -56,7 +57,7 @@ class SolverRun:
         side: vertices along a side.
         substeps: of a frame.
         coarse_sweeps: as in :class:`pbd.SolverOptions`.
-        measured: what came.
+        measured: the result.
         passed: every limit held, see :meth:`precompute.benchmarks.solver_scenes.SolverMeasurement.passes`.
     """
 
@@ -139,7 +140,7 @@ def bench_solver(
 
 
 def _options(substeps: int, sweeps: int) -> SolverOptions:
-    return SolverOptions(substep=1.0 / (RATE * substeps), coarse_sweeps=sweeps)
+    return SolverOptions(substep=1.0 / (FRAME_RATE * substeps), coarse_sweeps=sweeps)
 
 
 def bench_rows(bench: SolverBench) -> list[dict[str, Any]]:
@@ -176,7 +177,7 @@ def bench_rows(bench: SolverBench) -> list[dict[str, Any]]:
 
 
 def bench_verdict(bench: SolverBench) -> str:
-    """Who reaches the accuracy at what cost, in words."""
+    """The cheapest settings and engines that reach the accuracy, in words."""
     lines = []
     for side in bench.amplitudes:
         best = bench.cheapest(side)

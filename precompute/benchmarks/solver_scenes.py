@@ -11,9 +11,9 @@ from scipy.spatial import Delaunay
 
 from pbd import ClothMesh, Colliders, Fabric, Model, ModelOptions, Solver, SolverOptions, State, build_model
 from pbd.mesh import lattice_faces
+from precompute.mechanics import FRAME_RATE
 
 __all__ = [
-    "RATE",
     "STIFF",
     "SolverMeasurement",
     "SolverScene",
@@ -23,7 +23,6 @@ __all__ = [
     "measure_steps",
 ]
 
-RATE = 60.0  # frames a second
 FRAMES = 300  # of a run
 JUDGED = 60  # last frames, over which the median of the stretch is taken
 SWING = 120  # last frames, over which the amplitude is taken: more than one swing
@@ -49,7 +48,9 @@ class SolverScene:
 
 @dataclass(frozen=True)
 class SolverMeasurement:
-    """What a run of 300 frames gave. Stretch is elongation along warp and weft, median over the last 60 frames [-].
+    """Time, stretch and swing of a run of 300 frames.
+
+    Stretch is elongation along warp and weft, median over the last 60 frames [-].
 
     Attributes:
         frame_ms: processor time of a frame, median [ms].
@@ -115,8 +116,8 @@ def hanging_cloth(
 def measure(scene: SolverScene, options: SolverOptions) -> SolverMeasurement:
     """Run a scene with our solver and judge it; see :class:`SolverMeasurement`."""
     state, colliders, solver = State.at_rest(scene.model), Colliders(), Solver(scene.model, options)
-    solver.step(state.copy(), colliders, 1.0 / RATE)  # compiles
-    return measure_steps(scene, lambda: solver.step(state, colliders, 1.0 / RATE), state.world)
+    solver.step(state.copy(), colliders, 1.0 / FRAME_RATE)  # compiles
+    return measure_steps(scene, lambda: solver.step(state, colliders, 1.0 / FRAME_RATE), state.world)
 
 
 def measure_steps(scene: SolverScene, step: Callable[[], None], world: Callable[[], np.ndarray]) -> SolverMeasurement:

@@ -1,4 +1,4 @@
-"""What a second core is worth: a batch of garments, and one large cloth that threads share."""
+"""The gain of a second core: for a batch of garments, and for one large cloth that threads share."""
 
 import time
 from collections.abc import Callable
@@ -7,7 +7,8 @@ import numpy as np
 
 from pbd import BatchSolver, Colliders, Solver, SolverOptions, State
 from pbd.engine import ensure_initialized, running_threads
-from precompute.benchmarks.solver_scenes import RATE, hanging_square
+from precompute.benchmarks.solver_scenes import hanging_square
+from precompute.mechanics import FRAME_RATE
 
 __all__ = ["thread_speedups"]
 
@@ -29,17 +30,17 @@ def thread_speedups() -> dict[str, float]:
 
 def _speedup(side: int, count: int, threads_each: int, substeps: int, sweeps: int) -> float:
     scene = hanging_square(side)
-    solver = Solver(scene.model, SolverOptions(substep=1.0 / (RATE * substeps), coarse_sweeps=sweeps))
+    solver = Solver(scene.model, SolverOptions(substep=1.0 / (FRAME_RATE * substeps), coarse_sweeps=sweeps))
     batch, colliders = BatchSolver([solver] * count, threads_each), [Colliders() for _ in range(count)]
     singles = [State.at_rest(scene.model) for _ in range(count)]
     shared = [state.copy() for state in singles]
 
     def alone() -> None:
         for state, collider in zip(singles, colliders, strict=True):
-            solver.step(state, collider, 1.0 / RATE)
+            solver.step(state, collider, 1.0 / FRAME_RATE)
 
     def together() -> None:
-        batch.step(shared, colliders, 1.0 / RATE)
+        batch.step(shared, colliders, 1.0 / FRAME_RATE)
 
     times = np.array([[_time(alone), _time(together)] for _ in range(FRAMES)])
     one, two = np.median(times[1:], axis=0)  # the first frame compiles

@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Report:
     """Simulate the clips, write the table and print it."""
-    from precompute.benchmarks.clips import LIMBS, clip_rows, write_clips
+    from precompute.benchmarks.clips import MAX_OVER_LIMBS, clip_rows, write_clips
     from runtime.outputs import check_file
     from runtime.report import Progress, Report
 
@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> Report:
         and row["inside_s"] <= 0.5
         and row["crossings_layers"] == 0.0
         and row["catastrophic_frames"] == 0.0
-        and row["speed_over_limb"] < LIMBS
+        and row["speed_over_limb"] < MAX_OVER_LIMBS
         for row in rows
     )
     return Report(figures, rows, passed=well)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from runtime.commands.play import play_motions
 
 if TYPE_CHECKING:
-    from runtime.play import Cast
+    from runtime.play import PlaybackInputs
     from runtime.report import Report
     from runtime.simulation import Motion
     from wrinkles.database import WrinkleDatabase
@@ -24,13 +24,15 @@ __all__ = ["run"]
 def run(options: argparse.Namespace) -> Report:
     """Play every motion that is asked for, simulate the fine mesh in it and draw both."""
 
-    def figures_of(database: WrinkleDatabase, cast: Cast, motion: Motion) -> dict[str, Any]:
-        return _beside_truth(options, database, cast, motion)
+    def figures_of(database: WrinkleDatabase, inputs: PlaybackInputs, motion: Motion) -> dict[str, Any]:
+        return _beside_truth(options, database, inputs, motion)
 
     return play_motions(options, figures_of)
 
 
-def _beside_truth(options: argparse.Namespace, database: WrinkleDatabase, cast: Cast, motion: Motion) -> dict[str, Any]:
+def _beside_truth(
+    options: argparse.Namespace, database: WrinkleDatabase, inputs: PlaybackInputs, motion: Motion
+) -> dict[str, Any]:
     """Figures of a motion beside the fine simulation, and pictures of both."""
     from precompute.learning.evaluation import evaluate, fine_run, levels_from, truth_of
     from precompute.learning.pipeline import default_cache
@@ -40,8 +42,8 @@ def _beside_truth(options: argparse.Namespace, database: WrinkleDatabase, cast: 
     from runtime.report import Progress
     from runtime.strips import draw_strips
 
-    levels = levels_from(database, cast.body)
-    run = fine_run(levels, cast.body, motion, database, wind=cast.wind, primitives=cast.primitives)
+    levels = levels_from(database, inputs.body)
+    run = fine_run(levels, inputs.body, motion, database, wind=inputs.wind, primitives=inputs.primitives)
     with Progress(sys.stderr) as progress:
         truth = truth_of(run, default_cache(options.database), os.cpu_count() or 1, progress)
         if options.seconds is not None:
@@ -59,6 +61,6 @@ def _beside_truth(options: argparse.Namespace, database: WrinkleDatabase, cast: 
         free = evaluation.free
         columns = {"smooth": free.smooth[shown], "truth": truth.frames[shown], "ours": free.frames[shown]}
         faces = levels.subdivision.faces
-        bodies = posed_bodies(cast.body, run.poses[numbers[shown]])
-        draw_strips(options.output, motion.name, columns, faces, bodies, cast.body.faces, numbers[shown], run.dt)
+        bodies = posed_bodies(inputs.body, run.poses[numbers[shown]])
+        draw_strips(options.output, motion.name, columns, faces, bodies, inputs.body.faces, numbers[shown], run.dt)
     return figures | {"state_hash": free.state_hash}

@@ -59,4 +59,4 @@ def run(options: argparse.Namespace) -> Report:
     print(text)
     print(f"where the time went:\n{stage_table(made.stages)}")
     print(f"To see it: gube play {options.output} --truth\nFor others: gube bake {options.output} -o OUT.glb")
-    return Report({**figures, **stage_figures(made.stages)})
+    return Report(figures | stage_figures(made.stages))

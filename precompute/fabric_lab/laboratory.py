@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pbd import Colliders, Fabric, Plane
-from precompute.mechanics import GRAVITY
-from precompute.validation.trial import RATE, Trial, TrialSetting, level, strip
+from precompute.mechanics import FRAME_RATE, GRAVITY
+from precompute.validation.trial import Trial, TrialSetting, level, strip
 
 __all__ = [
     "DIRECTIONS", "LoadCurve", "bending_curve", "compression_curve", "friction_coefficient", "shear_curve",
@@ -24,7 +24,7 @@ __all__ = [
 
 DIRECTIONS = {"warp": 0.0, "bias": 0.25 * math.pi, "weft": 0.5 * math.pi}  # of the sample to the warp [rad]
 FLAT = 1e-2  # bending stiffness that keeps a sheared sample flat, as its tension does in the instrument [N m]
-STILL = 0.2  # time over which clamped cloth is damped [s]
+SETTLING_S = 0.2  # time over which clamped cloth is damped [s]
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,9 @@ def tension_curve(setting: TrialSetting, fabric: Fabric, angle: float, strains: 
     found, loads, costs = [], [], []
     for strain in strains:
         trial = Trial(specimen, start * [1.0 + strain, 1.0, 1.0], fabric, ends, setting, (0.0, 0.0, 0.0), warp=angle)
-        trial.settle(STILL, limit=60.0, still=1e-3 * strain)
+        trial.settle(SETTLING_S, limit=60.0, still=1e-3 * strain)
         moved = (trial.world() - start)[middle, 0]
-        weight = np.sqrt(trial.model.mesh.vertex_areas[middle])  # what lies along the sides stands for half as much
+        weight = np.sqrt(trial.model.mesh.vertex_areas[middle])  # a vertex on a side stands for half as much
         found.append(np.linalg.lstsq(weight[:, None] * design, weight * moved, rcond=None)[0][0])
         # The nearer end holds still, the farther one is read.
         loads.append(-trial.pull(ends[ends == ends.max()])[0][0] / width)
@@ -94,7 +94,7 @@ def shear_curve(setting: TrialSetting, fabric: Fabric, angle: float, shears: Seq
             start = level(specimen.flat)
             start[:, 2] += shear * x
             trial = Trial(specimen, start, fabric, clamps, setting, (0.0, 0.0, 0.0), warp=angle)
-            trial.settle(STILL, limit=60.0, still=1e-3 * shear)
+            trial.settle(SETTLING_S, limit=60.0, still=1e-3 * shear)
             loads[row, column] = abs(trial.pull(np.flatnonzero(x > height - 1e-9))[0][2])
             costs.append(trial.cost_ms)
     return LoadCurve(np.array(shears), (loads[1] - loads[0]) / (widths[1] - widths[0]), float(np.median(costs)))
@@ -126,7 +126,7 @@ def bending_curve(setting: TrialSetting, fabric: Fabric, angle: float, curvature
         trial = Trial(
             specimen, np.stack([along, -down, -y], axis=1), fabric, clamps, setting, (0.0, 0.0, 0.0), warp=angle
         )
-        trial.settle(STILL, limit=60.0, still=1e-4)
+        trial.settle(SETTLING_S, limit=60.0, still=1e-4)
         force, moment = trial.pull(np.flatnonzero(far))
         # The mean over the strip: the clamps' own moment, and that of their side force at mid-length.
         middle = trial.world()[np.abs(x - 0.5 * free) < edge].mean(axis=0)
@@ -170,8 +170,8 @@ def friction_coefficient(setting: TrialSetting, fabric: Fabric) -> tuple[float, 
     for _ in range(6):  # it comes to lie
         trial.frame()
     trial.state.velocity[:] = [1.0, 0.0, 0.0]
-    frames = max(2, round(0.5 * RATE / (GRAVITY * max(fabric.friction, 0.02))))
+    frames = max(2, round(0.5 * FRAME_RATE / (GRAVITY * max(fabric.friction, 0.02))))
     for _ in range(frames):
         trial.frame()
     speed = float(trial.model.mass @ trial.state.velocity[:, 0].astype(float) / trial.model.mass.sum())
-    return (1.0 - speed) / (GRAVITY * frames / RATE), trial.cost_ms
+    return (1.0 - speed) / (GRAVITY * frames / FRAME_RATE), trial.cost_ms

@@ -1,4 +1,4 @@
-"""Lines of the list of known failures that compare two runs, or that no run should come to."""
+"""Lines of the list of known failures that compare two runs, or that must be refused before any run."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from pbd.engine import running_threads
 from pbd.models.newton import StepError
 from pbd.models.registry import make_solver
 from pbd.models.stepping import ClothSolver, Options
-from precompute.failures.failure_play import LONGEST, RATE, Outcome
+from precompute.failures.failure_play import MAX_RUN_S, Outcome
 from precompute.failures.failure_scenes import HUNG, square
+from precompute.mechanics import FRAME_RATE
 
 __all__ = ["comparisons"]
 
@@ -24,13 +25,13 @@ SECONDS = 3.0  # of which strains are averaged over the last two thirds
 
 
 def comparisons() -> Sequence[tuple[str, str, bool, Callable[[str], Outcome]]]:
-    """Line, name, whether it is the default solver's alone, and what runs it with a solver."""
+    """Line, name, whether it is the default solver's alone, and a function that runs it with a solver."""
     return [
         (
             "multipliers reset every iteration (stiffness lost)",
             "hung cloth with four times the substeps",
             False,
-            lambda solver: _softness(solver, (RATE, 1.0), (RATE, 0.25)),
+            lambda solver: _softness(solver, (FRAME_RATE, 1.0), (FRAME_RATE, 0.25)),
         ),
         (
             "softness that changes with frame rate",
@@ -54,7 +55,7 @@ def _softness(name: str, first: tuple[float, float], second: tuple[float, float]
     solvers = [make_solver(name, model, Options(substep=substep * factor)) for _, factor in (first, second)]
     states, strains, costs = [State.at_rest(model) for _ in solvers], [], []
     slower = min(first[0], second[0])
-    while len(strains) < round(SECONDS * slower) and sum(costs) < LONGEST:  # side by side, for the same time
+    while len(strains) < round(SECONDS * slower) and sum(costs) < MAX_RUN_S:  # side by side, for the same time
         strains.append([])
         for solver, state, (rate, _) in zip(solvers, states, (first, second), strict=True):
             for _ in range(round(rate / slower)):
@@ -103,9 +104,9 @@ def _threads(name: str) -> Outcome:
     batch = BatchSolver([solver], max(1, running_threads()))
     for _ in range(30):
         begin = time.process_time()
-        solver.step(states[0], Colliders(), 1.0 / RATE)
+        solver.step(states[0], Colliders(), 1.0 / FRAME_RATE)
         times.append(time.process_time() - begin)
-        batch.step(states[1:], [Colliders()], 1.0 / RATE)
+        batch.step(states[1:], [Colliders()], 1.0 / FRAME_RATE)
     off = 0.0 if states[0].hash() == states[1].hash() else float(np.abs(states[0].world() - states[1].world()).max())
     same = off == 0.0 and states[0].hash() == states[1].hash()
     return Outcome({"position_px": 0.0 if same else max(off / 2.02e-3, 1.01)}, 0.0, 1e3 * float(np.median(times)))

@@ -26,7 +26,7 @@ from pbd import (
 from pbd.models.newton import StepError
 from pbd.models.registry import AnySolver, make_solver
 from pbd.models.stepping import Options
-from precompute.mechanics import GRAVITY, mechanical_energy, signed_distance
+from precompute.mechanics import FRAME_RATE, GRAVITY, mechanical_energy, signed_distance
 from precompute.method_comparison.error_classes import (
     LIMITS,
     START,
@@ -36,16 +36,15 @@ from precompute.method_comparison.error_classes import (
     deviations,
 )
 
-__all__ = ["LONGEST", "RATE", "Outcome", "Scene", "Stage", "play"]
+__all__ = ["MAX_RUN_S", "Outcome", "Scene", "FrameConditions", "play"]
 
-RATE = 60.0  # frames a second
-LONGEST = 30.0  # processor time of a run; one that takes longer is judged by what it came to [s]
-THROUGH = 10.0  # depth that stands for what has gone through [thicknesses]
+MAX_RUN_S = 30.0  # processor time of a run; one that takes longer is judged up to there [s]
+THROUGH_DEPTH = 10.0  # depth of cloth that has gone through something [thicknesses]
 
 
 @dataclass
-class Stage:
-    """What a scene may change before a frame.
+class FrameConditions:
+    """The conditions of a frame, which a scene may change before it.
 
     Attributes:
         time: at the frame's start [s].
@@ -69,7 +68,7 @@ class Scene:
     """Cloth in a known difficulty.
 
     Attributes:
-        line: what fails, in the words of the list.
+        line: the failure, in the words of the list.
         name: of the scene; a line may have several.
         mesh: whose vertices are its rest shape in space.
         fabric: that it is made of.
@@ -79,7 +78,7 @@ class Scene:
         seconds: of the run.
         colliders: makes them anew.
         direct: called before every frame.
-        quiet: when what disturbs the cloth is over [s]; depth counts from then, strain from a second later.
+        quiet: when the disturbance is over [s]; depth counts from then, strain from a second later.
         speed: fastest collider, pin, wind or vertex at the start [m/s].
         gravity: [m/s2].
         truth: exact positions at a time [m], shape (n, 3).
@@ -100,7 +99,7 @@ class Scene:
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     seconds: float = 2.0
     colliders: Callable[[], Colliders] = Colliders
-    direct: Callable[[Stage], None] = lambda stage: None
+    direct: Callable[[FrameConditions], None] = lambda stage: None
     quiet: float = 0.0
     speed: float = 0.0
     gravity: float = GRAVITY
@@ -161,7 +160,9 @@ def play(scene: Scene, solver: str = "default") -> Outcome:
     model = scene.model(scene.fabric)
     state = State.at_rest(model, scene.start)
     state.velocity[:] = np.where(model.inverse_mass[:, None] > 0.0, np.array(scene.velocity), 0.0)
-    stage = Stage(0.0, 1.0 / RATE, state.world()[model.held], (0.0, 0.0, 0.0), scene.colliders(), scene.fabric)
+    stage = FrameConditions(
+        0.0, 1.0 / FRAME_RATE, state.world()[model.held], (0.0, 0.0, 0.0), scene.colliders(), scene.fabric
+    )
     stepper = solver_for(scene, solver, model)
     times: list[float] = []
     seen: list[tuple[float, np.ndarray, np.ndarray, float]] = []
@@ -186,7 +187,7 @@ def play(scene: Scene, solver: str = "default") -> Outcome:
             note = "not finite"
             break
         seen.append((stage.time, x, state.velocity.astype(float), _depth(scene, stage, x)))
-        if sum(times) > LONGEST:
+        if sum(times) > MAX_RUN_S:
             break
     if note or not seen:
         return Outcome({"not_finite": 1.0}, np.inf, 1e3 * float(np.median(times or [np.inf])), note)
@@ -197,12 +198,12 @@ def play(scene: Scene, solver: str = "default") -> Outcome:
     return outcome
 
 
-def _depth(scene: Scene, stage: Stage, x: np.ndarray) -> float:
+def _depth(scene: Scene, stage: FrameConditions, x: np.ndarray) -> float:
     """Deepest vertex under a collider's surface [m]."""
     if stage.time < scene.quiet:
         return 0.0
     if scene.through is not None and scene.through(x):
-        return THROUGH * stage.fabric.thickness
+        return THROUGH_DEPTH * stage.fabric.thickness
     deepest = 0.0
     for primitive in stage.colliders.primitives:
         deepest = max(deepest, float(-signed_distance(primitive, x).min()))
@@ -214,7 +215,7 @@ def _judged(scene: Scene, model: Model, seen: Sequence[tuple], frame_ms: float) 
     moments = np.array([row[0] for row in seen])
     position, velocity = np.stack([row[1] for row in seen]), np.stack([row[2] for row in seen])
     depth = np.array([row[3] for row in seen])
-    dt = 1.0 / RATE
+    dt = 1.0 / FRAME_RATE
     energy = None
     if scene.free:
         energy, _ = mechanical_energy(model.mass, position, velocity, scene.gravity)
@@ -224,7 +225,7 @@ def _judged(scene: Scene, model: Model, seen: Sequence[tuple], frame_ms: float) 
     thickness = model.fabric.thickness
     figures = deviations(run, rest, edges, rest_lengths, thickness, scene.speed, chaotic=True)
     strain = np.linalg.norm(position[:, edges[:, 1]] - position[:, edges[:, 0]], axis=2) / rest_lengths - 1.0
-    # Coarse cloth may shorten instead of buckling; what must not be is length that it does not have.
+    # Coarse cloth may shorten instead of buckling, but must not be longer than it is.
     # A gust or a blow stretches any cloth: only when it has been over for a second is the length a mistake.
     judged = moments >= min(max(START, scene.quiet + 1.0 if scene.quiet else 0.0), moments[-1])
     figures["edge_strain_p95"] = float(np.percentile(np.maximum(strain, 0.0)[judged], 95))

@@ -11,8 +11,8 @@ import trimesh
 from pbd import Body, Capsule, ClothMesh, Colliders, Fabric, Model, ModelOptions, Plane, Sphere, build_model
 from pbd.layers import layered
 from pbd.mesh import lattice_faces
-from precompute.failures.failure_play import RATE, Scene, Stage
-from precompute.mechanics import GRAVITY
+from precompute.failures.failure_play import FrameConditions, Scene
+from precompute.mechanics import FRAME_RATE, GRAVITY
 from wrinkles.crossings import crossings
 
 __all__ = ["HUNG", "scenes", "square"]
@@ -100,16 +100,16 @@ def _motion() -> list[Scene]:
     ]  # fmt: skip
 
 
-def _gust(stage: Stage) -> None:
+def _gust(stage: FrameConditions) -> None:
     stage.wind = (5.0, 0.0, 60.0) if 0.5 <= stage.time < 1.5 else (0.0, 0.0, 0.0)
 
 
-def _pause(stage: Stage) -> None:
-    stage.dt = 2.0 if abs(stage.time - 1.0) < 0.5 / RATE else 1.0 / RATE
+def _pause(stage: FrameConditions) -> None:
+    stage.dt = 2.0 if abs(stage.time - 1.0) < 0.5 / FRAME_RATE else 1.0 / FRAME_RATE
 
 
-def _standstill(stage: Stage) -> None:
-    stage.dt = 0.0 if 0.5 <= stage.time < 0.503 else 1.0 / RATE
+def _standstill(stage: FrameConditions) -> None:
+    stage.dt = 0.0 if 0.5 <= stage.time < 0.503 else 1.0 / FRAME_RATE
 
 
 def _contact() -> list[Scene]:
@@ -166,7 +166,7 @@ def _contact() -> list[Scene]:
               colliders=lambda: Colliders((), _body(np.array(ball.vertices), ball.faces)),
               through=lambda x: bool((np.linalg.norm(x, axis=1) < 0.147).any())),
         Scene("teleport and dash of the body", "body and cloth 3 m away in one frame", tube, COTTON, ring,
-              start=wide, seconds=3.0, direct=_teleport, speed=3.0 * RATE, quiet=1.0,
+              start=wide, seconds=3.0, direct=_teleport, speed=3.0 * FRAME_RATE, quiet=1.0,
               colliders=lambda: Colliders([Capsule((0.0, 0.2, 0.0), (0.0, -0.6, 0.0), 0.08)])),
         Scene("teleport and dash of the body", "body dashes at 15 m/s for a third of a second", tube, COTTON, ring,
               start=wide, seconds=3.0, direct=_dash, speed=15.0, quiet=1.0,
@@ -180,7 +180,7 @@ def _body(vertices: np.ndarray, faces: np.ndarray) -> Body:
     return body
 
 
-def _shot(stage: Stage) -> None:
+def _shot(stage: FrameConditions) -> None:
     ball = stage.colliders.primitives[0]
     assert isinstance(ball, Sphere)
     z = min(-1.5 + 20.0 * max(stage.time + stage.dt - 0.5, 0.0), 0.15)
@@ -196,7 +196,7 @@ def _arms(gap: float) -> list[Plane | Sphere | Capsule]:
     return [Capsule((-0.4, -0.25, side * gap), (0.4, -0.25, side * gap), 0.1) for side in (-1.0, 1.0)]
 
 
-def _pinch(stage: Stage) -> None:
+def _pinch(stage: FrameConditions) -> None:
     stage.colliders.primitives[:] = _arms(_gap(stage.time + stage.dt))
 
 
@@ -209,8 +209,8 @@ def _placed(arm: trimesh.Trimesh, gap: float) -> np.ndarray:
     return np.concatenate([arm.vertices + [0.0, 0.0, -gap], arm.vertices + [0.0, 0.0, gap]])
 
 
-def _pinch_mesh(arm: trimesh.Trimesh) -> Callable[[Stage], None]:
-    def direct(stage: Stage) -> None:
+def _pinch_mesh(arm: trimesh.Trimesh) -> Callable[[FrameConditions], None]:
+    def direct(stage: FrameConditions) -> None:
         body = stage.colliders.body
         assert body is not None
         body.advance((_placed(arm, _gap(stage.time + stage.dt)) - body.origin).astype(np.float32))
@@ -218,18 +218,18 @@ def _pinch_mesh(arm: trimesh.Trimesh) -> Callable[[Stage], None]:
     return direct
 
 
-def _moved(stage: Stage, x: float) -> None:
+def _moved(stage: FrameConditions, x: float) -> None:
     limb = stage.colliders.primitives[0]
     assert isinstance(limb, Capsule)
     stage.targets = stage.targets + [x - limb.start[0], 0.0, 0.0]
     limb.start, limb.end = (x, 0.2, 0.0), (x, -0.6, 0.0)
 
 
-def _teleport(stage: Stage) -> None:
+def _teleport(stage: FrameConditions) -> None:
     _moved(stage, 3.0 if stage.time >= 1.0 - 1e-6 else 0.0)
 
 
-def _dash(stage: Stage) -> None:
+def _dash(stage: FrameConditions) -> None:
     _moved(stage, 15.0 * float(np.clip(stage.time + stage.dt - 0.6, 0.0, 1.0 / 3.0)))
 
 
@@ -251,7 +251,7 @@ def _shape() -> list[Scene]:
     pairs = np.random.default_rng(0).permutation(free)[:60].reshape(-1, 2)
     inverted[pairs] = inverted[pairs[:, ::-1]]
 
-    def twist(stage: Stage) -> None:
+    def twist(stage: FrameConditions) -> None:
         done = float(np.clip((stage.time + stage.dt) / 3.0, 0.0, 1.0))
         end = rows[ends] == 20
         rest = strip.vertices[ends]
@@ -328,7 +328,7 @@ def _graded() -> tuple[ClothMesh, list[int]]:
 def _events() -> list[Scene]:
     hung, corners = HUNG
 
-    def harden(stage: Stage) -> None:
+    def harden(stage: FrameConditions) -> None:
         stretch = 1e7 if 1.0 <= stage.time < 2.0 else 500.0
         if stage.fabric.stretch_warp != stretch:
             stage.fabric = replace(COTTON, stretch_warp=stretch, stretch_weft=stretch, shear=0.3 * stretch)

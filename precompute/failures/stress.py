@@ -16,14 +16,15 @@ import numpy as np
 from pbd import Colliders, Fabric, InputError, State, build_model
 from pbd.models.newton import StepError
 from pbd.models.registry import make_solver
-from precompute.benchmarks.solver_scenes import RATE, STIFF, hanging_square
+from precompute.benchmarks.solver_scenes import STIFF, hanging_square
+from precompute.mechanics import FRAME_RATE
 
 __all__ = ["QUOTED", "RUNS", "StressRun", "stress_figures", "stress_rows", "stress_text"]
 
 SIDE = 32  # vertices
 SECONDS = 5.0  # of a run; the corner jumps after the first
 MOST_STRETCH = 0.2  # of the worst face, median over the last second [-]
-FURTHEST = 10.0  # from where it hangs; what is further away has exploded [m]
+FURTHEST = 10.0  # cloth that is further from where it hangs has exploded [m]
 VERDICTS = ("ok", "stretched", "exploded")
 BUDGET = 0.25  # of a frame's own length that its computation may take [-]
 FABRIC = replace(STIFF, bend_warp=1e-5, bend_weft=1e-5, air_drag=1.0)
@@ -57,7 +58,7 @@ class StressRun:
 
     name: str
     fabric: Fabric = FABRIC
-    dt: float = 1.0 / RATE
+    dt: float = 1.0 / FRAME_RATE
     start: Callable[[np.ndarray], np.ndarray] = np.array
     jumps: bool = False
 

@@ -29,9 +29,9 @@ from precompute.learning.stages import counted
 from precompute.learning.training import FeatureStatistics, Layer, features_of
 from precompute.workers import Workers
 from wrinkles.coarse_filter import CoarseFilter
-from wrinkles.dictionary import Atoms, Mapping
-from wrinkles.gathers import Gathers
+from wrinkles.dictionary import Atoms, CoefficientNetwork
 from wrinkles.metrics import normal_error_deg
+from wrinkles.rest_shape import RestShapeCorrection
 
 __all__ = ["Calibration", "CoarseModel", "calibrate", "filtered"]
 
@@ -88,18 +88,23 @@ class CoarseModel:
 
     solver: SolverOptions
     bend_factor: float
-    gathers: Gathers | None = None
+    rest_shape: RestShapeCorrection | None = None
 
     def run(self, run: Run, options: ModelOptions) -> Run:
         """A fine run's motion for the coarse garment."""
         return replace(
-            run, fine=False, options=options, solver=self.solver, bend_factor=self.bend_factor, gathers=self.gathers
+            run,
+            fine=False,
+            options=options,
+            solver=self.solver,
+            bend_factor=self.bend_factor,
+            rest_shape=self.rest_shape,
         )
 
 
 def calibrate(
     layer: Layer,
-    mapping: Mapping,
+    mapping: CoefficientNetwork,
     atoms: Atoms,
     runs: Sequence[Run],
     recordings: Sequence[Recording],
@@ -185,7 +190,7 @@ class _Bench:
     """
 
     layer: Layer
-    mapping: Mapping
+    mapping: CoefficientNetwork
     atoms: Atoms
     coarse: CoarseModel
     cache: Path
@@ -201,7 +206,7 @@ class _Bench:
     def of(
         cls,
         layer: Layer,
-        mapping: Mapping,
+        mapping: CoefficientNetwork,
         atoms: Atoms,
         runs: Sequence[Run],
         recordings: Sequence[Recording],

@@ -17,9 +17,9 @@ from precompute.learning.training import Layer, features_of, spread_frames
 from precompute.workers import Workers
 from runtime.simulation import BodySource
 from wrinkles.decoder import MeanWriter, PatchWriter, Upsampler
-from wrinkles.dictionary import Atoms, Mapping
+from wrinkles.dictionary import Atoms, CoefficientNetwork
+from wrinkles.edge_lengths import EdgeLengthProjection
 from wrinkles.features import DYNAMIC_COUNT
-from wrinkles.isometry import Isometry
 from wrinkles.levels import Levels
 from wrinkles.relaxation import Relaxation
 from wrinkles.spectrum import BandedEnergy
@@ -28,43 +28,43 @@ from wrinkles.vertex_mean import mean_from_sums, vertex_mean_sums
 __all__ = [
     "BLOCK",
     "MEAN_FRAMES",
-    "Lift",
-    "Predict",
+    "FrameDecoder",
+    "Predictor",
     "bands_of",
     "blocks_of",
     "by_features",
     "by_patches",
     "decode_recording",
     "joined",
-    "lifted_frames",
+    "decoded_frames",
     "with_vertex_mean",
 ]
 
 MEAN_FRAMES = 400  # that the means of vertices are fitted to
 BLOCK = 64  # frames that one worker decodes after each other
 
-Predict = Callable[[np.ndarray, np.ndarray], np.ndarray]
+Predictor = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Features of one frame, float32, shape (n, DYNAMIC_COUNT), and the body's pose to coefficients, shape (n, K)."""
 
-Lift = Callable[[np.ndarray, Upsampler, np.ndarray, np.ndarray, np.ndarray], None]
+FrameDecoder = Callable[[np.ndarray, Upsampler, np.ndarray, np.ndarray, np.ndarray], None]
 """Puts wrinkles on smooth fine vertices [m], float32, shape (N, 3), in place; told the upsampler that made them, the
 features and frames of the coarse vertices, float32, shapes (n, DYNAMIC_COUNT) and (n, 9), and the body's pose."""
 
 
 @dataclass(frozen=True)
 class _ByFeatures:
-    mapping: Mapping
+    mapping: CoefficientNetwork
 
     def __call__(self, features: np.ndarray, pose: np.ndarray) -> np.ndarray:
         return self.mapping.predict(features)
 
 
-def by_features(mapping: Mapping) -> Predict:
+def by_features(mapping: CoefficientNetwork) -> Predictor:
     """The network's coefficients, whatever the pose."""
     return _ByFeatures(mapping)
 
 
-def by_patches(layer: Layer, predict: Predict, atoms: Atoms) -> Lift:
+def by_patches(layer: Layer, predict: Predictor, atoms: Atoms) -> FrameDecoder:
     """Wrinkles from patches whose coefficients a mapping gives."""
     keep_lengths = _isometry(_Kept.of(layer.levels))
     add_to_fine, add_to_middle = PatchWriter(layer.patches), PatchWriter(layer.middle_patches)
@@ -99,13 +99,13 @@ def blocks_of(runs: Sequence[Run], recordings: Sequence[Recording]) -> list[tupl
 
 
 def decode_recording(
-    layer: Layer, predict: Predict, atoms: Atoms, run: Run, recording: Recording
+    layer: Layer, predict: Predictor, atoms: Atoms, run: Run, recording: Recording
 ) -> tuple[np.ndarray, np.ndarray]:
     """Smooth and decoded garment for recorded coarse states, as they stand: nothing is filtered here.
 
     Args:
         layer: of the garment.
-        predict: the mapping, see :data:`Predict`.
+        predict: the mapping, see :data:`Predictor`.
         atoms: that its coefficients count.
         run: gives body, poses and fabric.
         recording: of this run, or of a coarse run of the same poses.
@@ -115,7 +115,7 @@ def decode_recording(
     """
     smooth = np.zeros((len(recording.frames), layer.levels.subdivision.fine_count, 3), np.float32)
     decoded = np.zeros_like(smooth)
-    frames = lifted_frames(layer, by_patches(layer, predict, atoms), run, recording)
+    frames = decoded_frames(layer, by_patches(layer, predict, atoms), run, recording)
     for f, (smooth_frame, decoded_frame, _) in enumerate(frames):
         smooth[f], decoded[f] = smooth_frame, decoded_frame
     return smooth, decoded
@@ -123,7 +123,7 @@ def decode_recording(
 
 def with_vertex_mean(
     layer: Layer,
-    mappings: Sequence[Predict],
+    mappings: Sequence[Predictor],
     atoms: Atoms,
     runs: Sequence[Run],
     recordings: Sequence[Recording],
@@ -151,7 +151,7 @@ def with_vertex_mean(
 
 
 def _mean_sums(
-    layer: Layer, predict: Predict, atoms: Atoms, run: Run, recording: Recording
+    layer: Layer, predict: Predictor, atoms: Atoms, run: Run, recording: Recording
 ) -> tuple[np.ndarray, np.ndarray]:
     """Sums over a block of frames for the means of vertices."""
     _, decoded = decode_recording(layer, predict, atoms, run, recording)
@@ -159,14 +159,14 @@ def _mean_sums(
     return vertex_mean_sums(layer.patches.turning, frames, recording.positions - decoded)
 
 
-def lifted_frames(
-    layer: Layer, lift: Lift, run: Run, recording: Recording, passes: int = 1
+def decoded_frames(
+    layer: Layer, lift: FrameDecoder, run: Run, recording: Recording, passes: int = 1
 ) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
     """The same a frame at a time, by any way to make wrinkles.
 
     Args:
         layer: of the garment; its stencil reads the features.
-        lift: adds the wrinkles, see :data:`Lift`; called once a frame, in order.
+        lift: adds the wrinkles, see :data:`FrameDecoder`; called once a frame, in order.
         run, recording: as for :func:`decode_recording`.
         passes: of relaxation.
 
@@ -222,8 +222,8 @@ class _Kept:
 
 
 @lru_cache(maxsize=1)
-def _isometry(kept: _Kept) -> Isometry:
-    return Isometry(kept.levels)
+def _isometry(kept: _Kept) -> EdgeLengthProjection:
+    return EdgeLengthProjection(kept.levels)
 
 
 @lru_cache(maxsize=1)

@@ -24,10 +24,10 @@ from precompute.learning.recording import Recording, Run, body_source, poses_of,
 from precompute.learning.stages import counted
 from precompute.learning.training import build_layer, features_of
 from precompute.workers import Workers
+from runtime.garment_setup import fine_options
 from runtime.play import Free, play, timing_figures
 from runtime.player import Player
 from runtime.simulation import Motion
-from runtime.stage import fine_options
 from wrinkles.charts import leading_vertices
 from wrinkles.database import WrinkleDatabase
 from wrinkles.distance import BodyDistance, penetration_figures
@@ -206,16 +206,16 @@ def given_frames(
     """Smooth and decoded garment for a fine run's own coarse states, and how unfamiliar they are.
 
     Returns:
-        vertices [m], float32, shape (f, N, 3) twice, and scores of :class:`wrinkles.unfamiliarity.Unfamiliarity`,
+        vertices [m], float32, shape (f, N, 3) twice, and scores of :class:`wrinkles.novelty.NoveltyScore`,
         shape (f, n).
     """
     layer = build_layer(run.levels)
-    mapping, unfamiliarity, scores = database.mapping, database.unfamiliarity, []
+    mapping, novelty, scores = database.mapping, database.novelty, []
 
     def predict(features: np.ndarray, pose: np.ndarray) -> np.ndarray:
         hidden = mapping.hidden(features)
-        scores.append(unfamiliarity.score(hidden))
-        return mapping.coefficients(hidden) * unfamiliarity.amplitude(scores[-1])[:, None]
+        scores.append(novelty.score(hidden))
+        return mapping.coefficients(hidden) * novelty.amplitude(scores[-1])[:, None]
 
     smooth, decoded = decode_recording(layer, predict, database.atoms, run, recording)
     return smooth, decoded, np.array(scores)
@@ -346,7 +346,7 @@ def _given_figures(
     figures = {k: float(v) for k, v in given_coarse_figures(decoded, truth, smooth, faces, owner).items()}
     errors = patch_normal_errors(decoded, truth, faces, owner)  # of the coarse vertices that lead fine ones
     figures["unfamiliarity_spearman"] = float(spearmanr(scores[:, np.unique(owner)].ravel(), errors.ravel()).statistic)
-    figures["faded_percent"] = float(100.0 * (database.unfamiliarity.amplitude(scores) < 1.0).mean())
+    figures["faded_percent"] = float(100.0 * (database.novelty.amplitude(scores) < 1.0).mean())
     frames = features_of(build_layer(levels), recording)[1]
     figures["popping"] = popping(decoded - smooth, frames, owner)
     figures["truth_popping"] = popping(truth - smooth, frames, owner)

@@ -11,12 +11,12 @@ import numpy as np
 from assets.io.scene import Scene
 from pbd import InputError, ModelOptions
 from precompute.learning.calibration import filtered
-from precompute.learning.decoding import Lift, lifted_frames
+from precompute.learning.decoding import FrameDecoder, decoded_frames
 from precompute.learning.evaluation import Truth, free_figures, settled, truth_of
 from precompute.learning.pipeline import scene_run
 from precompute.learning.recording import Recording, Run, record_runs
 from precompute.learning.training import Layer
-from runtime.stage import Stage
+from runtime.garment_setup import GarmentSetup
 from wrinkles.charts import leading_vertices
 from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase
@@ -29,7 +29,7 @@ JUDGED = slice(EVERY // 2, None, EVERY)
 
 
 def held_out_truth(
-    path: Path, stage: Stage, scene: Scene, cache: Path, report: Callable[[str], None] | None = None
+    path: Path, stage: GarmentSetup, scene: Scene, cache: Path, report: Callable[[str], None] | None = None
 ) -> Truth:
     """The converged fine runs of a scene's first held-out motion.
 
@@ -50,7 +50,7 @@ def coarse_run(database: WrinkleDatabase, run: Run, options: ModelOptions | None
         options=options or database.options,
         solver=database.solver,
         bend_factor=database.bend_factor,
-        gathers=database.gathers,
+        rest_shape=database.rest_shape,
     )
 
 
@@ -96,12 +96,12 @@ class HeldOut:
         return cls(truth, judged, plain, filtered(plain, CoarseFilter(truth.levels).matrix))
 
     def show(
-        self, layer: Layer, lift: Lift, recording: Recording, passes: int = 1
+        self, layer: Layer, lift: FrameDecoder, recording: Recording, passes: int = 1
     ) -> tuple[np.ndarray, np.ndarray, float]:
         """Show recorded coarse states to one way, from the first to the last.
 
         Args:
-            layer, lift, passes: as for :func:`precompute.learning.decoding.lifted_frames`.
+            layer, lift, passes: as for :func:`precompute.learning.decoding.decoded_frames`.
             recording: the truth's own, ``plain`` or ``free``.
 
         Returns:
@@ -110,7 +110,7 @@ class HeldOut:
         """
         wanted = set(range(len(recording.frames))[JUDGED])
         smooth, decoded, times = [], [], []
-        for number, frame in enumerate(lifted_frames(layer, lift, self.truth.run, recording, passes)):
+        for number, frame in enumerate(decoded_frames(layer, lift, self.truth.run, recording, passes)):
             times.append(frame[2])
             if number in wanted:
                 smooth.append(frame[0])

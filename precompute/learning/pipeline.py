@@ -27,19 +27,19 @@ from precompute.learning.evaluation import (
     truth_of,
     truth_runs,
 )
+from precompute.learning.novelty import fit_novelty
 from precompute.learning.options import LearningOptions
 from precompute.learning.recording import Recording, Run, body_source, record_runs
 from precompute.learning.stages import StageClock, StageTime
 from precompute.learning.training import Layer, build_layer, fit_layer, spread_frames, training_set
-from precompute.learning.unfamiliarity import fit_unfamiliarity
 from precompute.workers import Workers
+from runtime.garment_setup import GarmentSetup, colliders_of, fabrics_of
 from runtime.simulation import Motion
-from runtime.stage import Stage, colliders_of, fabrics_of
 from wrinkles.charts import leading_vertices
 from wrinkles.database import LearnedFabric, WrinkleDatabase, as_stored, body_hash, code_version, write_database
-from wrinkles.dictionary import Atoms, Mapping, fabric_features
-from wrinkles.gathers import Gathers
+from wrinkles.dictionary import Atoms, CoefficientNetwork, fabric_features
 from wrinkles.metrics import given_coarse_figures
+from wrinkles.rest_shape import RestShapeCorrection
 
 __all__ = [
     "STAGES",
@@ -119,7 +119,7 @@ class _Work:
     """
 
     scene: Scene
-    stage: Stage
+    stage: GarmentSetup
     layer: Layer
     fabrics: dict[str, Fabric]
     cache: Path
@@ -174,7 +174,7 @@ def precompute(
             cannot be loaded.
     """
     began, output = time.monotonic(), Path(output)
-    stage = Stage.of(scene)
+    stage = GarmentSetup.of(scene)
     held_out = _held_out(scene, stage)
     with Workers.of(workers) as pool:
         clock = clock or StageClock(STAGES if held_out else STAGES[:-1], pool, report)
@@ -209,7 +209,7 @@ def precompute(
     return Precomputed(database, output, calibration, truth, evaluation, tuple(clock.times))
 
 
-def _held_out(scene: Scene, stage: Stage) -> list[Motion]:
+def _held_out(scene: Scene, stage: GarmentSetup) -> list[Motion]:
     """Motions that nothing may be learned from; refused now, and not after the simulations."""
     training = scene.training
     overlap = [m for m in training.held_out if any(m.overlaps(other) for other in training.clips)]
@@ -235,7 +235,7 @@ def _simulated(work: _Work, motions: Sequence[Motion], judged: Sequence[Motion])
     ]
 
 
-def _learned(work: _Work, examples: Sequence[_Example]) -> tuple[Mapping, Atoms]:
+def _learned(work: _Work, examples: Sequence[_Example]) -> tuple[CoefficientNetwork, Atoms]:
     """The dictionary, with means of vertices for wrinkles that are not raised yet."""
     clock, scene, layer, options = work.clock, work.scene, work.layer, work.options
     with clock.stage("fitting patches"):
@@ -252,7 +252,7 @@ def _learned(work: _Work, examples: Sequence[_Example]) -> tuple[Mapping, Atoms]
         return mapping, _with_means(work, examples, mapping, data.atoms)
 
 
-def _with_means(work: _Work, examples: Sequence[_Example], mapping: Mapping, atoms: Atoms) -> Atoms:
+def _with_means(work: _Work, examples: Sequence[_Example], mapping: CoefficientNetwork, atoms: Atoms) -> Atoms:
     said = {name: by_features(one) for name, one in _by_fabric(examples, mapping).items()}
     return with_vertex_mean(
         work.layer,
@@ -265,23 +265,23 @@ def _with_means(work: _Work, examples: Sequence[_Example], mapping: Mapping, ato
     )
 
 
-def _by_fabric(examples: Sequence[_Example], mapping: Mapping) -> dict[str, Mapping]:
+def _by_fabric(examples: Sequence[_Example], mapping: CoefficientNetwork) -> dict[str, CoefficientNetwork]:
     """The mapping for each fabric that is learned from."""
     return {name: mapping.for_fabric(features) for name, features in {e.fabric: e.features for e in examples}.items()}
 
 
 def _coarse_model(work: _Work, examples: Sequence[_Example]) -> CoarseModel:
     levels = work.layer.levels
-    gathers = Gathers.none(levels.coarse.faces)
+    rest_shape = RestShapeCorrection.none(levels.coarse.faces)
     if levels.subdivision.binding is not None:  # sewn as it came, perhaps in pleats
         learned = spread_frames([example.recording for example in examples], work.options.training_frames)
-        gathers = Gathers.of(levels.coarse, np.concatenate([recording.coarse for recording in learned]))
-    return CoarseModel(work.scene.solver.options(), hinge_calibration(levels.coarse), gathers)
+        rest_shape = RestShapeCorrection.of(levels.coarse, np.concatenate([recording.coarse for recording in learned]))
+    return CoarseModel(work.scene.solver.options(), hinge_calibration(levels.coarse), rest_shape)
 
 
 def _calibrated(
-    work: _Work, examples: Sequence[_Example], mapping: Mapping, atoms: Atoms, coarse: CoarseModel
-) -> tuple[dict[str, Calibration], Mapping]:
+    work: _Work, examples: Sequence[_Example], mapping: CoefficientNetwork, atoms: Atoms, coarse: CoarseModel
+) -> tuple[dict[str, Calibration], CoefficientNetwork]:
     """Coarse models by fabric, and the mapping with its wrinkles as strong as the garment's own fabric has them."""
     found: dict[str, Calibration] = {}
     for name in work.fabrics:
@@ -307,7 +307,7 @@ def _calibrated(
 def _finished(
     work: _Work,
     examples: Sequence[_Example],
-    mapping: Mapping,
+    mapping: CoefficientNetwork,
     atoms: Atoms,
     coarse: CoarseModel,
     calibrations: dict[str, Calibration],
@@ -316,7 +316,7 @@ def _finished(
     with work.clock.stage("unfamiliarity"):
         atoms = _with_means(work, examples, mapping, atoms)
         mappings = _by_fabric(examples, mapping)
-        unfamiliarity = fit_unfamiliarity(
+        novelty = fit_novelty(
             work.layer,
             [mappings[example.fabric] for example in examples],
             atoms,
@@ -332,7 +332,7 @@ def _finished(
         garment_name=settings.name,
         coarse_vertices=levels.coarse.vertices,
         coarse_faces=levels.coarse.faces,
-        gathers=coarse.gathers or Gathers.none(levels.coarse.faces),
+        rest_shape=coarse.rest_shape or RestShapeCorrection.none(levels.coarse.faces),
         subdivisions=settings.subdivisions,
         held=levels.coarse_held.astype(np.int32),
         limits=levels.coarse_limits,
@@ -347,7 +347,7 @@ def _finished(
         frame_rate=scene.solver.frame_rate,
         atoms=atoms,
         mapping=mapping,
-        unfamiliarity=unfamiliarity,
+        novelty=novelty,
         cutoff=levels.cutoff,
         body_hash=body_hash(body),
         body_vertex_count=len(body_source(body).vertices),
@@ -377,7 +377,7 @@ def _evaluated(work: _Work, database: WrinkleDatabase, motion: Motion) -> tuple[
 
 def training_motions(
     layer: Layer,
-    stage: Stage,
+    stage: GarmentSetup,
     scene: Scene,
     cache: Path,
     workers: Workers | int,
@@ -412,7 +412,7 @@ def training_motions(
 
 
 def training_runs(
-    layer: Layer, stage: Stage, scene: Scene, cache: Path, report: Callable[[str], None] | None
+    layer: Layer, stage: GarmentSetup, scene: Scene, cache: Path, report: Callable[[str], None] | None
 ) -> list[Run]:
     """The fine runs that a scene learns from, in the garment's own fabric."""
     motions, _ = training_motions(layer, stage, scene, cache, 2, report)
@@ -427,7 +427,7 @@ def training_recordings(
     return [r.where(r.frames * run.dt > run.lead_in) for r, run in zip(recordings, runs, strict=True)]
 
 
-def scene_run(stage: Stage, scene: Scene, motion: Motion, fabric: str | None = None) -> Run:
+def scene_run(stage: GarmentSetup, scene: Scene, motion: Motion, fabric: str | None = None) -> Run:
     """The fine run of a motion under a scene's settings, in one of its fabrics; None takes the garment's own."""
     fabrics = fabrics_of(scene, stage.settings)
     worn = fabrics[next(iter(fabrics)) if fabric is None else fabric]

@@ -26,8 +26,8 @@ from pbd.storage import replacing
 from pbd.wind import CALM, Air, Wind
 from precompute.workers import Workers
 from runtime.simulation import Simulation, body_source, poses_of
-from wrinkles.gathers import Gathers
 from wrinkles.levels import Levels
+from wrinkles.rest_shape import RestShapeCorrection
 
 __all__ = ["Recording", "Run", "body_source", "poses_of", "record_runs"]
 
@@ -49,7 +49,7 @@ class Run:
         lead_in: time at the start that only leads to the motion that is meant [s].
         every: frames from one recorded frame to the next.
         bend_factor: hinge factor if known; None measures it.
-        gathers: of the coarse mesh, see :mod:`wrinkles.gathers`; None where there are none.
+        gathers: of the coarse mesh, see :mod:`wrinkles.rest_shape`; None where there are none.
     """
 
     name: str
@@ -66,7 +66,7 @@ class Run:
     wind: Air = CALM
     primitives: tuple = ()
     lead_in: float = 0.0
-    gathers: Gathers | None = None
+    rest_shape: RestShapeCorrection | None = None
 
     @property
     def frame_count(self) -> int:
@@ -122,9 +122,9 @@ class Run:
         return digest.hexdigest()[:24]
 
     def _mesh(self) -> ClothMesh:
-        if self.fine or self.gathers is None:
+        if self.fine or self.rest_shape is None:
             return self.levels.fine if self.fine else self.levels.coarse
-        return self.gathers.applied(self.levels.coarse)
+        return self.rest_shape.applied(self.levels.coarse)
 
     def simulation(self) -> Simulation:
         """The simulation at the first pose."""

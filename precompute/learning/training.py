@@ -9,7 +9,7 @@ import numpy as np
 
 from precompute.learning.recording import Recording
 from wrinkles.charts import Charts
-from wrinkles.dictionary import Atoms, Mapping, fit_atoms, fit_mapping
+from wrinkles.dictionary import Atoms, CoefficientNetwork, fit_atoms, fit_coefficient_network
 from wrinkles.features import DYNAMIC_COUNT, REGIONS, Stencil
 from wrinkles.levels import Levels
 from wrinkles.network import in_threads
@@ -188,9 +188,9 @@ def fit_layer(
     report: Callable[[str], None] | None = None,
     fabrics: np.ndarray | None = None,
     regions: int = REGIONS,
-) -> Mapping:
-    """Fit the mapping to a training set; arguments as for :func:`wrinkles.dictionary.fit_mapping`, in ``regions``."""
-    return fit_mapping(
+) -> CoefficientNetwork:
+    """Fit the network to a training set, in ``regions``; see :func:`wrinkles.dictionary.fit_coefficient_network`."""
+    return fit_coefficient_network(
         data.features,
         layer.stencil.static,
         data.coefficients,

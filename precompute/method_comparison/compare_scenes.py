@@ -20,16 +20,16 @@ from pbd import ClothMesh, Colliders, InputError, Model, ModelOptions, Plane, Sp
 from pbd.bending import hinge_calibration
 from pbd.fabric import Fabric
 from pbd.mesh import lattice_faces
+from precompute.mechanics import FRAME_RATE
 
-__all__ = ["RATE", "SCENES", "CompareScene", "Sheet", "scene_of"]
+__all__ = ["SCENES", "CompareScene", "Sheet", "scene_of"]
 
-RATE = 60.0  # frames a second
 FELT = Fabric(0.30, 4000.0, 4000.0, 0.2, 1500.0, 2.5e-3, 2.5e-3, friction=0.4)  # of the cantilever, 3 mm thick
 TILT = 45.0  # of the swinging sheet at the start [deg]
 BALL, TOP = 0.25, 0.6  # radius of the sphere and height of its top [m]
 PLEATS, DEPTH = 3, 0.04  # of the curtain along its rail, and their amplitude at the start [m]
 SHAKEN, PULSE = 0.08, 1.5  # amplitude [m] and frequency of the rail [Hz]
-NOISE = 1e-4  # of the start of perturbed references, RMS [m]
+START_NOISE = 1e-4  # of the start of perturbed references, RMS [m]
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class CompareScene:
 
     @property
     def frame_count(self) -> int:
-        return round(self.seconds * RATE)
+        return round(self.seconds * FRAME_RATE)
 
     @property
     def driven(self) -> bool:
@@ -150,7 +150,9 @@ class CompareScene:
         vertices = self.place(flat)
         if seed:
             free = ~self.held(flat)
-            vertices[free] += np.random.default_rng(seed).normal(0.0, NOISE / math.sqrt(3.0), (int(free.sum()), 3))
+            vertices[free] += np.random.default_rng(seed).normal(
+                0.0, START_NOISE / math.sqrt(3.0), (int(free.sum()), 3)
+            )
         return ClothMesh.from_pattern(vertices, sheet.faces, flat[sheet.faces])
 
     def model(self, edges: int, seed: int = 0) -> Model:

@@ -1,7 +1,8 @@
 """Other engines on the swinging square: those that pip installs with the extra ``rivals``.
 
-Each takes the same vertices, faces and masses, starts from the same rest and is judged by the same limits. What it
-calls stiffness is tried at a few values about the cheapest that gave 1 % and 5 % elsewhere, and so are its steps.
+Each takes the same vertices, faces and masses, starts from the same rest and is judged by the same limits. Stiffness
+and steps, which every engine defines in its own way, are tried at a few values about the cheapest that gave mean and
+worst stretches of 1 % and 5 % elsewhere.
 """
 
 import importlib.util
@@ -16,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from pbd import InputError
-from precompute.benchmarks.solver_scenes import RATE, SolverMeasurement, SolverScene, hanging_square, measure_steps
-from precompute.mechanics import GRAVITY
+from precompute.benchmarks.solver_scenes import SolverMeasurement, SolverScene, hanging_square, measure_steps
+from precompute.mechanics import FRAME_RATE, GRAVITY
 
 __all__ = ["ENGINES", "EngineRun", "bench_engines"]
 
@@ -33,8 +34,8 @@ class EngineRun:
     Attributes:
         name: of the engine.
         side: vertices along a side of the square.
-        setting: what was set.
-        measured: what came.
+        setting: its settings, in words.
+        measured: the result.
     """
 
     name: str
@@ -64,7 +65,7 @@ def _position_based_dynamics(scene: SolverScene, substeps: int) -> Steps:
     controller = simulation.getTimeStep()
     controller.setValueUInt(pbd.TimeStepController.NUM_SUB_STEPS, substeps)
     controller.setValueUInt(pbd.TimeStepController.MAX_ITERATIONS, 1)
-    pbd.TimeManager.getCurrent().setTimeStepSize(1.0 / RATE)
+    pbd.TimeManager.getCurrent().setTimeStepSize(1.0 / FRAME_RATE)
     return lambda: controller.step(model), lambda: np.array(particles.getVertices(), float).reshape(-1, 3)
 
 
@@ -88,7 +89,7 @@ def _newton_xpbd(scene: SolverScene, substeps: int, stiffness: float) -> Steps:
     def step() -> None:
         for _ in range(substeps):
             states[0].clear_forces()
-            solver.step(states[0], states[1], None, None, 1.0 / (RATE * substeps))
+            solver.step(states[0], states[1], None, None, 1.0 / (FRAME_RATE * substeps))
             states.reverse()
 
     return step, lambda: states[0].particle_q.numpy().astype(float)
@@ -100,7 +101,7 @@ def _mujoco(scene: SolverScene, young: float, iterations: int) -> Steps:
 
     mesh, held = scene.model.mesh, scene.model.held
     numbers = lambda values: " ".join(f"{value:.9g}" for value in np.ravel(values))  # noqa: E731
-    text = f"""<mujoco><option timestep="{1 / RATE:.9f}" gravity="0 {-GRAVITY} 0" solver="CG" tolerance="1e-3"
+    text = f"""<mujoco><option timestep="{1 / FRAME_RATE:.9f}" gravity="0 {-GRAVITY} 0" solver="CG" tolerance="1e-3"
         iterations="{iterations}" integrator="discrete"><flag contact="disable"/></option>
         <size memory="2G"/><worldbody><flexcomp name="cloth" type="direct" dim="2" mass="{scene.model.mass.sum():.9g}"
         radius="0.001" point="{numbers(mesh.vertices)}" element="{numbers(mesh.faces)}">
@@ -121,7 +122,7 @@ def _pybullet(scene: SolverScene, substeps: int, stiffness: float) -> Steps:
     client = pybullet.connect(pybullet.DIRECT)
     pybullet.resetSimulation(pybullet.RESET_USE_DEFORMABLE_WORLD, physicsClientId=client)
     pybullet.setGravity(0.0, -GRAVITY, 0.0, physicsClientId=client)
-    pybullet.setTimeStep(1.0 / (RATE * substeps), physicsClientId=client)
+    pybullet.setTimeStep(1.0 / (FRAME_RATE * substeps), physicsClientId=client)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "cloth.obj"
         lines = [f"v {x:.9f} {y:.9f} {z:.9f}" for x, y, z in mesh.vertices]
@@ -155,7 +156,7 @@ def _blender(scene: SolverScene, steps: int, stiffness: float) -> Steps:
     model, mesh = scene.model, scene.model.mesh
     bpy.ops.wm.read_factory_settings(use_empty=True)
     world = bpy.context.scene
-    world.render.fps, world.gravity = int(RATE), (0.0, -GRAVITY, 0.0)
+    world.render.fps, world.gravity = int(FRAME_RATE), (0.0, -GRAVITY, 0.0)
     shape = bpy.data.meshes.new("cloth")
     shape.from_pydata(mesh.vertices.tolist(), [], mesh.faces.tolist())
     item = bpy.data.objects.new("cloth", shape)

@@ -1,4 +1,4 @@
-"""Error classes: how bad a run of a cloth is beside its converged reference.
+"""Error classes of a run of cloth beside its converged reference.
 
 Three, unnoticeable, visible but bounded, and catastrophic; what is visible is accepted up to a second limit.
 Length changes of 3 % were seen under full attention and over 20 % missed without it (Harrison et al. 2004);
@@ -19,7 +19,7 @@ from wrinkles.metrics import jitter_px, pixel_distance
 
 __all__ = ["LIMITS", "ErrorClass", "Recorded", "classify", "deviations", "longest_run"]
 
-START = 0.5  # what happens before is not judged [s]
+START = 0.5  # the first seconds of a run are not judged [s]
 FOLDED = 150.0  # angle from which an edge counts as folded back [deg]
 
 
@@ -50,7 +50,7 @@ LIMITS: Mapping[str, tuple[float, float, float]] = {
     "through_percent": (0.0, 0.0, 0.0),
     "not_finite": (0.0, 0.0, 0.0),
 }
-NOISE = 1e-3  # growth of energy below this is rounding [-]
+ENERGY_NOISE = 1e-3  # growth of energy below this is rounding [-]
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def deviations(
         collider_speed: fastest collider [m/s].
         chaotic: the answer is not unique: strains are compared as distributions over edges and frames, positions and
             velocities not at all.
-        energy_scale: what errors of energy are measured by [J]; None takes what the reference's energy goes through.
+        energy_scale: divides errors of energy [J]; None takes the range of the reference's energy.
         hinges: both ends of an inner edge and the corners across, shape (h, 4); None leaves out how much of the cloth
             is folded back on itself, more than it is in the reference.
 
@@ -135,7 +135,7 @@ def deviations(
     if run.energy is not None and reference.energy is not None:
         scale = max(float(np.ptp(reference.energy)) if energy_scale is None else energy_scale, 1e-12)
         growth, fair = (float((energy - energy[0]).max()) / scale for energy in (run.energy, reference.energy))
-        found["energy_growth"] = growth - fair if growth - fair > NOISE else 0.0
+        found["energy_growth"] = growth - fair if growth - fair > ENERGY_NOISE else 0.0
         found["energy_error"] = float(np.abs(run.energy - reference.energy)[later].max() / scale)
     if run.depth is not None:
         deep = run.depth[later]

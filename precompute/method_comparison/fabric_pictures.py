@@ -1,4 +1,4 @@
-"""One skirt in three fabrics, side by side at the same moments of one motion, told apart by their folds alone."""
+"""One skirt in three fabrics, side by side at the same moments of one motion, which differ by their folds alone."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from pbd import Fabric, ModelOptions, SolverOptions
 from precompute.demo import FULL
 from precompute.learning.evaluation import body_source
 from precompute.learning.recording import Run, record_runs
+from precompute.mechanics import FRAME_RATE
+from runtime.garment_setup import GarmentSetup, fine_options
 from runtime.pictures import BODY_COLOR, Drawn, frame_camera, render, strip
 from runtime.simulation import poses_of
-from runtime.stage import Stage, fine_options
 
 __all__ = ["FABRICS", "draw_fabrics", "fabric_runs"]
 
@@ -28,7 +29,6 @@ FABRICS = MappingProxyType({"silk": PRESETS["silk"], "denim": PRESETS["denim"], 
 CLIP, SECONDS = "twirl", 2.3  # of the mannequin
 MOMENTS = (0.7, 2.2)  # it stands, it turns [s]
 PICTURE = (460, 420)
-RATE = 60.0  # frames a second
 
 
 def fabric_runs(fabrics: dict[str, Fabric] | None = None, subdivisions: int = 2, seconds: float = SECONDS) -> list[Run]:
@@ -41,7 +41,7 @@ def fabric_runs(fabrics: dict[str, Fabric] | None = None, subdivisions: int = 2,
     """
     scene = load_scene(FULL.scene)
     garment = replace(scene.garments[0], subdivisions=subdivisions)
-    stage = Stage.of(replace(scene, garments=(garment,)))
+    stage = GarmentSetup.of(replace(scene, garments=(garment,)))
     motion = stage.motion(MotionSettings(file="builtin:mannequin", clip=CLIP))
     solver = fine_options(SolverOptions(), subdivisions)
     make = partial(
@@ -49,8 +49,8 @@ def fabric_runs(fabrics: dict[str, Fabric] | None = None, subdivisions: int = 2,
         levels=stage.levels,
         fine=True,
         body=stage.body,
-        poses=poses_of(motion, 1.0 / RATE, seconds),
-        dt=1.0 / RATE,
+        poses=poses_of(motion, 1.0 / FRAME_RATE, seconds),
+        dt=1.0 / FRAME_RATE,
         options=ModelOptions(),
         solver=solver,
     )
@@ -72,7 +72,7 @@ def draw_fabrics(
         cache: folder of simulated runs.
         moments: a row each [s].
         workers: processes at a time.
-        report: told lines of progress.
+        report: called with lines of progress.
     """
     recordings = record_runs(runs, cache, workers, report)
     source = body_source(runs[0].body)

@@ -17,7 +17,7 @@ from precompute.method_comparison.engines import ENGINES
 
 __all__ = ["BASELINES", "start_baseline"]
 
-BLENDER = 160.0  # its stiffness for E h = 1e5 N/m at 64 by 64; has no unit that could be told from another fabric
+BLENDER = 160.0  # its stiffness for E h = 1e5 N/m at 64 by 64; it has no unit that would give it for another fabric
 SPRING = 0.75  # stiffness of an edge over E h, as in the square lattice of natural lengths
 
 
@@ -46,7 +46,7 @@ BASELINES = MappingProxyType({
 def start_baseline(
     name: str, model: Model, substeps: int | None, passes: int | None
 ) -> tuple[Callable[[], None], Callable[[], np.ndarray]]:
-    """An engine on a scene: what advances it by a frame of 1/60 s, and where its vertices are [m], shape (n, 3).
+    """An engine on a scene: functions that advance it by a frame of 1/60 s and give its vertices [m], shape (n, 3).
 
     Bending and air are left out; `mujoco` takes one step a frame and reads passes, the others read substeps.
 

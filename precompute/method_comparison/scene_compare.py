@@ -30,9 +30,9 @@ __all__ = ["BUDGET", "METHODS", "ComparedRun", "SceneComparison", "chosen_settin
 
 BUDGET = 900.0  # for everything [s]
 WORKERS = 2  # processes at a time
-LENIENT = 6.0  # a run may take so many times its estimate, and at least 20 s
-PATIENCE = 20.0  # what is estimated to take longer is run only where its method is named [s]
-TRIED = 0.05  # what taking up a run costs besides [s]
+MAX_OVER_ESTIMATE = 6.0  # a run is given up after so many times its estimate, and at least 20 s [-]
+MAX_DEFAULT_RUN_S = 20.0  # a run with a longer estimate is made only where its method is named [s]
+STARTING_S = 0.05  # added to the estimate of every run [s]
 
 
 @dataclass(frozen=True)
@@ -74,11 +74,11 @@ BASELINES = {
     "mujoco": _Kind(((None, 20), (None, 100)), 2, 0.1),
     "pybullet": _Kind(((40, None), (150, None)), 2, 0.5),
 }
-OTHER = _Kind(((None, None),), 2, 30.0)  # of the methods that are compared only where they are named
+OTHER_METHOD = _Kind(((None, None),), 2, 30.0)  # of the methods that are compared only where they are named
 
 
 def _kind(method: str) -> _Kind:
-    return METHODS.get(method) or BASELINES.get(method, OTHER)
+    return METHODS.get(method) or BASELINES.get(method, OTHER_METHOD)
 
 
 @dataclass(frozen=True)
@@ -86,9 +86,9 @@ class ComparedRun:
     """One point of the chart.
 
     Attributes:
-        run: what it cost and gave.
-        judgement: how wrong it is.
-        command: that repeats it.
+        run: with its costs.
+        judgement: its errors.
+        command: repeats it.
     """
 
     run: SceneRun = field(repr=False)
@@ -130,7 +130,7 @@ class SceneComparison:
     """All methods on one scene.
 
     Attributes:
-        scene: what was simulated.
+        scene: the one simulated.
         judge: with its references and the floor.
         points: by method and setting.
         dropped: settings that were not run or not finished, with the reason.
@@ -179,7 +179,7 @@ class _Job:
     def run(self) -> float:
         """Run and write; returns the processor time that it took [s]."""
         began = time.process_time()
-        limit = np.inf if self.reference else max(20.0, LENIENT * self.estimate)
+        limit = np.inf if self.reference else max(20.0, MAX_OVER_ESTIMATE * self.estimate)
         write_run(self.path, run_setting(self.scene, self.setting, limit))
         return time.process_time() - began
 
@@ -215,7 +215,7 @@ def _estimate(scene: CompareScene, setting: MethodSetting) -> float:
         passes = 1.0 / 60.0 / min(stretch, bend)
     size = 0.4 + 0.6 * vertices / 153.0
     harder = (10.0 if scene.colliders() else 3.0 if not scene.unique else 1.0) if kind.newton else 1.0
-    return TRIED + 1e-3 * scene.frame_count * passes * kind.pass_ms * size * harder
+    return STARTING_S + 1e-3 * scene.frame_count * passes * kind.pass_ms * size * harder
 
 
 def _warm() -> None:
@@ -245,7 +245,7 @@ def compare_scenes(
         budget_s: time for everything [s].
         seconds: cut each motion there.
         workers: processes at a time; 1 stays in this one.
-        report: told lines of progress.
+        report: called with lines of progress.
 
     Raises:
         InputError: no such scene or method.
@@ -263,7 +263,7 @@ def compare_scenes(
     todo = {job.path: job for job in jobs if read_run(job.path) is None}
     reasons = {}
     for job in list(todo.values()):
-        if not methods and not job.reference and job.estimate > PATIENCE:
+        if not methods and not job.reference and job.estimate > MAX_DEFAULT_RUN_S:
             reasons[job.path] = f"about {todo.pop(job.path).estimate:.0f} s: only where it is named by --methods"
     reasons |= _run_all(list(todo.values()), began + budget_s, workers, report)
     found = []

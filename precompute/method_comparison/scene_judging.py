@@ -1,4 +1,4 @@
-"""How wrong a run of a compared scene is, and how near two right answers lie: distances, or statistics of folds."""
+"""Errors of runs of a compared scene and the floor between two right answers: distances, or statistics of folds."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pbd import ClothMesh
-from precompute.method_comparison.compare_scenes import RATE, CompareScene
+from precompute.mechanics import FRAME_RATE
+from precompute.method_comparison.compare_scenes import CompareScene
 from precompute.method_comparison.error_classes import START, ErrorClass, Recorded, classify, deviations
 from precompute.method_comparison.scene_runs import MethodSetting, SceneRun
 from wrinkles.metrics import PIXELS_PER_METRE, bending_energy, fold_count, jitter_px
@@ -19,12 +20,12 @@ __all__ = ["Judge", "Judgement", "reference_settings", "screen_mm"]
 LEAST_BAND = 0.01  # of the reference's bending energy: a ratio to less says little
 # Growth of energy below this is none [-]: a symplectic step's velocity is half a substep ahead of its position, which
 # alone makes g h / v, 2 % at four substeps.
-NOISE = 0.02
+ENERGY_NOISE = 0.02
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """What is said of a run.
+    """Error, figures and class of a run.
 
     Attributes:
         error: distance to the reference, p95 [px], or of statistics [octaves]; infinite where the run ended early.
@@ -61,13 +62,13 @@ class Judge:
         self._mesh = ClothMesh.from_pattern(rest, sheet.faces, sheet.flat[sheet.faces])
         self._bands = BandedEnergy(rest, sheet.faces)
         self._border = _border(len(sheet.xs), len(sheet.ys))
-        *coarser, finest = self.references
+        *proxy, finest = self.references
         if self.scene.unique:
             self.reference, self._wanted = finest, {}
-            self.floor = self.refined = max(self.judge(run).error for run in coarser)
+            self.floor = self.refined = max(self.judge(run).error for run in proxy)
         else:
-            self.reference = coarser[0]
-            found = [self.statistics(run) for run in coarser]
+            self.reference = proxy[0]
+            found = [self.statistics(run) for run in proxy]
             self._wanted = _mean(found)
             others = [_mean([s for s in found if s is not one]) for one in found]
             self.floor = max(_octaves(one, other) for one, other in zip(found, others, strict=True))
@@ -116,25 +117,25 @@ class Judge:
         return found
 
     def _later(self, run: SceneRun) -> np.ndarray:
-        return run.position[min(round(START * RATE), len(run.position) - 1) :].astype(float)
+        return run.position[min(round(START * FRAME_RATE), len(run.position) - 1) :].astype(float)
 
     def _rail_speed(self) -> float:
-        times = np.arange(self.scene.frame_count + 1) / RATE
+        times = np.arange(self.scene.frame_count + 1) / FRAME_RATE
         places = np.array([self.scene.rail(t) for t in times])
-        return float(np.linalg.norm(np.diff(places, axis=0), axis=1).max(initial=0.0) * RATE)
+        return float(np.linalg.norm(np.diff(places, axis=0), axis=1).max(initial=0.0) * FRAME_RATE)
 
     def _recorded(self, run: SceneRun) -> Recorded:
         depth = run.depth if self.scene.colliders() else None
-        return Recorded(run.position, run.velocity, 1.0 / RATE, None, depth)
+        return Recorded(run.position, run.velocity, 1.0 / FRAME_RATE, None, depth)
 
     def _energy_figures(self, run: SceneRun) -> dict[str, float]:
         """Growth and error of the energy over the greatest kinetic energy of the reference."""
         (total, _), (wanted, kinetic) = run.energy, self.reference.energy
         scale = max(float(kinetic.max()), 1e-12)
         growth = float((total - total[0]).max() / scale)
-        later = slice(min(round(START * RATE), len(total) - 1), None)
+        later = slice(min(round(START * FRAME_RATE), len(total) - 1), None)
         error = float(np.abs(total - wanted - (total[0] - wanted[0]))[later].max() / scale)
-        return {"energy_growth": growth if growth > NOISE else 0.0, "energy_error": error}
+        return {"energy_growth": growth if growth > ENERGY_NOISE else 0.0, "energy_error": error}
 
 
 def _rms(difference: np.ndarray) -> float:
@@ -164,7 +165,7 @@ def _border(rows: int, columns: int) -> np.ndarray:
 
 
 def screen_mm(pixels: float) -> float:
-    """What so many pixels are on the cloth [mm]."""
+    """Length on the cloth of so many pixels [mm]."""
     return 1e3 * pixels / PIXELS_PER_METRE
 
 

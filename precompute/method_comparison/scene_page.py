@@ -1,4 +1,4 @@
-"""What a comparison of scenes is written as: a page, a chart as picture, tables for machines, a strip of one moment."""
+"""The files of a comparison of scenes: a page, a chart as picture, tables for programs, a strip of one moment."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from pbd import Plane, Sphere
-from precompute.method_comparison.compare_scenes import RATE, CompareScene
+from precompute.mechanics import FRAME_RATE
+from precompute.method_comparison.compare_scenes import CompareScene
 from precompute.method_comparison.error_classes import ErrorClass
 from precompute.method_comparison.fabric_pictures import FABRICS, draw_fabrics, fabric_runs
 from precompute.method_comparison.scene_chart import draw_charts
@@ -25,14 +26,13 @@ __all__ = ["comparison_figures", "comparison_text", "fabric_sections", "wrinkle_
 
 COLORS = {ErrorClass.IMPERCEPTIBLE: 2, ErrorClass.ACCEPTED: 0, ErrorClass.VISIBLE: 1, ErrorClass.CATASTROPHIC: 6}
 PICTURE = (340, 400)
-SHOWN = (  # of a strip's columns the cheapest of each that holds, so far as there is one
+SHOWN_METHODS = (  # columns of a strip, where they were run
     "default", "xpbd", "pbd", "projective-dynamics", "fem-stvk+isometric/verlet", "fem-stvk+isometric/bdf2",
 )  # fmt: skip
 _NOTES = """All methods run the same scenes at 60 frames a second with the same fabric. Time of a frame is
-processor time on one core (p50 and p99, the first frame left out); memory is what Python and NumPy held at most
-for model,
-solver, state and a step, without what Taichi compiles. A run's cloth is compared as the cubic spline through
-its vertices, so that a coarse mesh is not blamed for its facets.
+processor time on one core (p50 and p99, the first frame left out); memory is the most that Python and
+NumPy held for model, solver, state and a step, without compiled code of Taichi. A run's
+cloth is compared as the cubic spline through its vertices, so that a coarse mesh is not blamed for its facets.
 
 Where the answer is unique, the error is the distance to the reference that 95 % of the points and frames stay
 below, on a screen of 1080 lines whose camera stands 3 m away, after the first half second. The reference is an
@@ -59,18 +59,18 @@ def comparison_figures(found: Sequence[SceneComparison]) -> dict[str, float]:
 
 
 def comparison_text(one: SceneComparison) -> str:
-    """What came of a scene, in words."""
+    """The result of a scene, in words."""
     judge, unit = one.judge, one.judge.unit
     near = f" ({screen_mm(judge.floor):.2g} mm)" if one.scene.unique else ""
     lines = [f"{one.scene.name}: {one.scene.title}, {one.scene.seconds:g} s. Floor {judge.floor:.2g} {unit}{near}."]
     if not one.scene.unique:
         lines.append(f"A reference with 1.5 times the edges and substeps is {judge.refined:.2g} {unit} from the mean.")
-    told = [
+    listed = [
         f"{point.run.setting.method} ({point.run.setting.words}) {point.frame_ms[0]:.3g} ms: "
         f"{point.judgement.error:.2g} {unit}, {point.judgement.worst.name.lower()}"
         for point in one.pareto_front()
     ]
-    lines.append("The front, from the cheapest: " + "; ".join(told) + ".")
+    lines.append("The Pareto front, from the cheapest: " + "; ".join(listed) + ".")
     bad = [p for p in one.points if p.judgement.worst is ErrorClass.CATASTROPHIC]
     if bad:
         names = [f"{p.run.setting.method}@{p.run.setting.numbers} ({p.judgement.because})" for p in bad]
@@ -82,7 +82,7 @@ def comparison_text(one: SceneComparison) -> str:
 
 
 def wrinkle_sections(comparison: Comparison | None) -> list[Section]:
-    """With and without the wrinkle layer on the held-out motion of a database; without one, why that is missing."""
+    """With and without the wrinkle layer on the held-out motion of a database; without one, the reason."""
     heading = Heading("With and without the wrinkle layer")
     if comparison is None:
         why = "Not compared: no database was named. `gube demo` makes out/demo/skirt.h5; name it beside the scenes."
@@ -103,7 +103,7 @@ def write_comparison(folder: Path, found: Sequence[SceneComparison], more: Seque
     Args:
         folder: is made where it is missing.
         found: what :func:`precompute.method_comparison.scene_compare.compare_scenes` gave.
-        more: what stands on the page after the scenes.
+        more: sections of the page after the scenes.
     """
     folder.mkdir(parents=True, exist_ok=True)
     rows = [point.row(one.scene.name) for one in found for point in one.points]
@@ -162,10 +162,10 @@ def _table(found: Sequence[SceneComparison]) -> Table:
 
 def draw_strip(one: SceneComparison) -> np.ndarray:
     """One moment by the reference and by the best setting of several methods: uint8, shape (h, w, 3)."""
-    scene, frame = one.scene, max(0, round(one.scene.moment * RATE) - 1)
+    scene, frame = one.scene, max(0, round(one.scene.moment * FRAME_RATE) - 1)
     chosen = [("reference", one.judge.reference.position[frame])]
-    names = [name for name in SHOWN if any(p.run.setting.method == name for p in one.points)]
-    names += [p.run.setting.method for p in one.points if p.run.setting.method not in SHOWN]
+    names = [name for name in SHOWN_METHODS if any(p.run.setting.method == name for p in one.points)]
+    names += [p.run.setting.method for p in one.points if p.run.setting.method not in SHOWN_METHODS]
     for name in list(dict.fromkeys(names))[:6]:
         whole = [p for p in one.points if p.run.setting.method == name and len(p.run.position) > frame]
         if whole:

@@ -20,9 +20,9 @@ from pbd.fingerprint import source_fingerprint
 from pbd.models import SOLVERS, AnySolver, Options, StepError, make_solver
 from pbd.storage import replacing
 from precompute import mechanics
-from precompute.mechanics import mechanical_energy, signed_distance
+from precompute.mechanics import FRAME_RATE, mechanical_energy, signed_distance
 from precompute.method_comparison import compare_scenes
-from precompute.method_comparison.compare_scenes import RATE, CompareScene
+from precompute.method_comparison.compare_scenes import CompareScene
 from precompute.method_comparison.error_classes import START
 from precompute.method_comparison.scene_baselines import BASELINES, start_baseline
 
@@ -72,7 +72,7 @@ class MethodSetting:
 
     def solver(self, model: Model) -> AnySolver:
         """The solver for a model; raises :class:`pbd.InputError` where it cannot take the mesh."""
-        substep = None if self.substeps is None else 1.0 / (RATE * self.substeps)
+        substep = None if self.substeps is None else 1.0 / (FRAME_RATE * self.substeps)
         return make_solver(self.method, model, Options(substep, iterations=self.iterations, tolerance=TOLERANCE))
 
 
@@ -82,7 +82,7 @@ def parse_setting(text: str) -> tuple[str, tuple[int | None, ...]]:
     A 0 leaves a number to the method.
 
     Raises:
-        InputError: no such method, or what are no such numbers.
+        InputError: no such method, or bad numbers.
     """
     name, sign, numbers = text.strip().partition("@")
     if name not in SOLVERS and name not in BASELINES:
@@ -99,10 +99,10 @@ def parse_setting(text: str) -> tuple[str, tuple[int | None, ...]]:
 
 @dataclass(frozen=True)
 class SceneRun:
-    """What a run gave.
+    """A run with its costs.
 
     Attributes:
-        setting: what was run.
+        setting: method and numbers.
         position, velocity: at the compared points and each frame's end [m], [m/s], float32, shape (f, m, 3); up to
             where it ended.
         energy: kinetic and gravity's energy [J], and kinetic alone, shape (2, f).
@@ -156,16 +156,16 @@ def run_setting(scene: CompareScene, setting: MethodSetting, limit_s: float = np
         try:
             frames.append(stepped(frame))
         except (StepError, InputError) as error:  # a state that is no longer finite is refused as input
-            problem = f"after {frame / RATE:.2f} s: {error}"
+            problem = f"after {frame / FRAME_RATE:.2f} s: {error}"
             break
         times.append(1e3 * (time.process_time() - begin))
         if not np.isfinite(frames[-1]).all():
-            problem = f"after {frame / RATE:.2f} s: not finite"
+            problem = f"after {frame / FRAME_RATE:.2f} s: not finite"
             frames.pop()
             times.pop()
             break
         if time.process_time() - began > limit_s and frame < scene.frame_count:
-            problem, gave_up = f"given up after {frame / RATE:.2f} s of motion: {limit_s:.0f} s of time", True
+            problem, gave_up = f"given up after {frame / FRAME_RATE:.2f} s of motion: {limit_s:.0f} s of time", True
             break
     x, v = np.array(frames).reshape(-1, 2, model.vertex_count, 3).transpose(1, 0, 2, 3)
     return SceneRun(
@@ -195,7 +195,7 @@ def _ours(scene: CompareScene, model: Model, setting: MethodSetting) -> _Stepped
     rail = model.mesh.vertices[model.held]
 
     def stepped(frame: int) -> tuple[np.ndarray, np.ndarray]:
-        solver.step(state, colliders, 1.0 / RATE, rail + scene.rail(frame / RATE) if len(rail) else None)
+        solver.step(state, colliders, 1.0 / FRAME_RATE, rail + scene.rail(frame / FRAME_RATE) if len(rail) else None)
         return state.world(), state.velocity.copy()
 
     return stepped
@@ -210,7 +210,7 @@ def _baseline(scene: CompareScene, model: Model, setting: MethodSetting) -> _Ste
     def stepped(frame: int) -> tuple[np.ndarray, np.ndarray]:
         step()
         now = world()
-        velocity = (now - last[0]) * RATE
+        velocity = (now - last[0]) * FRAME_RATE
         last[0] = now
         return now, velocity
 
@@ -222,7 +222,7 @@ def _substeps(setting: MethodSetting, model: Model) -> int:
         return setting.substeps or 1
     solver = setting.solver(model)
     substep = getattr(solver, "substep", None) or solver.options.substep  # pyright: ignore[reportAttributeAccessIssue]
-    return max(1, int(np.ceil(1.0 / (RATE * substep) - 1e-6)))
+    return max(1, int(np.ceil(1.0 / (FRAME_RATE * substep) - 1e-6)))
 
 
 def _depth(colliders: Colliders, x: np.ndarray) -> np.ndarray:
@@ -233,7 +233,7 @@ def _depth(colliders: Colliders, x: np.ndarray) -> np.ndarray:
 
 
 def _strain(model: Model, x: np.ndarray) -> np.ndarray:
-    later = x[min(round(START * RATE), max(len(x) - 1, 0)) :]
+    later = x[min(round(START * FRAME_RATE), max(len(x) - 1, 0)) :]
     if not len(later):
         return np.array([np.nan, np.nan])
     edges, lengths = model.mesh.edge_lengths()
@@ -247,7 +247,7 @@ def _memory_mb(scene: CompareScene, setting: MethodSetting) -> float:
     try:
         model = scene.model(setting.edges, setting.seed)
         state = State.at_rest(model)
-        setting.solver(model).step(state, scene.scene_colliders(), 1.0 / RATE)
+        setting.solver(model).step(state, scene.scene_colliders(), 1.0 / FRAME_RATE)
         return tracemalloc.get_traced_memory()[1] / 1e6
     except (StepError, InputError):
         return tracemalloc.get_traced_memory()[1] / 1e6

@@ -1,4 +1,4 @@
-"""Measures what each setting of a player costs and how far it is off the full detail, on held-out motion."""
+"""Cost of each setting of a player and its distance from full detail, measured on held-out motion."""
 
 from __future__ import annotations
 
@@ -15,61 +15,65 @@ from pbd import InputError, State
 from pbd.wind import Air
 from precompute.learning.evaluation import SETTLE
 from precompute.wrinkle_comparison.baselines import PROBE_FRAMES
-from runtime.detail import Detail
-from runtime.front import Front, Setting
-from runtime.play import Cast
+from runtime.cost_table import CostTable, Setting
+from runtime.level_of_detail import LevelOfDetail
+from runtime.play import PlaybackInputs
 from runtime.player import Player
 from runtime.report import machine_description
 from runtime.simulation import Motion
 from wrinkles.coarse_filter import CoarseFilter
-from wrinkles.coarser import coarser_of
 from wrinkles.database import WrinkleDatabase
 from wrinkles.distance import BodyDistance
+from wrinkles.proxy_mesh import proxy_mesh_of
 
 __all__ = ["cost_table_key", "measure_cost_table"]
 
 TEMPOS = (1.0, 1.5)  # that the motion is played at: errors grow with speed
 EVERY = (1, 2, 4, 8)
 SUBSTEPS = (1.0, 2 / 3, 1 / 2, 1 / 3)  # a tick, shares of the full number
-BELOW = (1 / 2, 1 / 3, 1 / 4)  # the same on the mesh below, whose longer edges need fewer
+PROXY_SUBSTEPS = (1 / 2, 1 / 3, 1 / 4)  # the same on the mesh below, whose longer edges need fewer
 ATOMS = (1.0, 1 / 2, 1 / 6)
-MOST = 400  # ticks that are played at each tempo
-LOOKS = 4  # ticks in which it is seen whether what is not relaxed is inside the body
-REFERENCES = 4  # runs at full detail that chaos is told from ...
-RUNS = 2  # ... and runs of every other simulation, each started
-STIRRED = 0.05  # with velocities so much at random [m/s]
+MAX_TICKS = 400  # ticks that are played at each tempo
+HOLE_CHECKS = 4  # ticks in which unrelaxed cloth is tested for being inside the body
+REFERENCE_RUNS = 4  # runs at full detail, whose mutual distance is that of chaos ...
+RUNS_EACH = 2  # ... and runs of every other simulation, each started
+START_NOISE = 0.05  # with velocities so much at random [m/s]
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def measure_cost_table(
-    database: WrinkleDatabase, cast: Cast, motion: Motion, report: Callable[[str], None] | None = None
-) -> Front:
+    database: WrinkleDatabase, inputs: PlaybackInputs, motion: Motion, report: Callable[[str], None] | None = None
+) -> CostTable:
     """Measure every setting.
 
-    Each part of a setting is measured where it can be told apart, and squares of errors add up. What decodes is shown
-    the coarse states of the full detail, and so is what goes on between two updates: distances vertex by vertex, the
-    95th percentile of each tick, below which 99 % of the ticks stay, or the size of the hole where cloth is inside the
-    body that is not with full detail. What changes the coarse simulation runs freely,
-    and free folding is chaotic: there the distance is that of statistics, the 2-Wasserstein distance between the
-    Gaussian distributions of each vertex over the run, as seen from the body, the 95th percentile over vertices. Its
-    square is the mean over some runs beside some at full detail, all started a little differently, less that of the
-    latter among themselves. The mesh below the coarse one is simulated without the
-    wrinkle layer only: it has no folds that the dictionary could read.
+    Each part of a setting is measured on its own, and the squares of their errors add up.
+
+    Decoding, and the motion between two updates, start from the coarse states of full detail. Their error is a distance
+    vertex by vertex: the 95th percentile of each tick, below which 99 % of the ticks stay. Where cloth is inside the
+    body that is not with full detail, it is at least the size of that hole.
+
+    A changed coarse simulation runs freely, and free folding is chaotic. Its error is therefore one of statistics: the
+    2-Wasserstein distance between the Gaussian distributions of each vertex over the run, seen from the body, the 95th
+    percentile over vertices. The square is a mean over pairs of such a run and one at full detail, all started a little
+    differently, less the mean over pairs of runs at full detail.
+
+    The mesh below the coarse one is simulated without the wrinkle layer only: it has no folds that the dictionary could
+    read.
 
     Args:
         database: of the garment.
         cast: with what it is played.
         motion: that nothing was learned from; played at several tempos.
-        report: told lines of progress.
+        report: called with lines of progress.
     """
-    tell = report or (lambda line: None)
-    player = Player(database, cast.body, motion.pose(0.0), cast.primitives)
+    progress = report or (lambda line: None)
+    player = Player(database, inputs.body, motion.pose(0.0), inputs.primitives)
     full = player.full
     layers = _layers(full)
-    below = coarser_of(player.levels, database.warp)
-    levels = [(0, SUBSTEPS)] if below is None else [(0, SUBSTEPS), (1, BELOW)]
+    below = proxy_mesh_of(player.levels, database.warp)
+    levels = [(0, SUBSTEPS)] if below is None else [(0, SUBSTEPS), (1, PROXY_SUBSTEPS)]
     pairs = [
-        Detail(every, max(1, round(every * full.substeps * share)), 0, 0, 0, level)
+        LevelOfDetail(every, max(1, round(every * full.substeps * share)), 0, 0, 0, level)
         for level, shares in levels
         for every in EVERY
         for share in shares
@@ -77,9 +81,11 @@ def measure_cost_table(
     pairs = list(dict.fromkeys(pairs))
     parts = []
     for number, tempo in enumerate(TEMPOS):
-        tell(f"measuring settings: tempo {number + 1} of {len(TEMPOS)}, wrinkle layer")
+        progress(f"measuring settings: tempo {number + 1} of {len(TEMPOS)}, wrinkle layer")
         poses = _poses(motion, tempo, 1.0 / database.frame_rate)
-        parts.append(_measure(database, cast, poses, pairs, layers, lambda line: tell(f"measuring settings: {line}")))
+        parts.append(
+            _measure(database, inputs, poses, pairs, layers, lambda line: progress(f"measuring settings: {line}"))
+        )
     parts.sort(key=lambda part: part["speed"])
     speeds = tuple(float(part["speed"]) for part in parts)
     costs = {name: np.median([part[name] for part in parts], axis=0) for name in ("step", "rest", "between", "layer")}
@@ -93,10 +99,10 @@ def measure_cost_table(
             continue
         peak = float(costs["step"][p] + costs["rest"][p] + costs["layer"][k])
         cost = (peak + (pair.every - 1) * float(costs["between"][p])) / pair.every
-        detail = Detail(pair.every, pair.substeps, *layer, pair.level)
+        detail = LevelOfDetail(pair.every, pair.substeps, *layer, pair.level)
         settings.append(Setting(detail, cost, peak, tuple(error.tolist())))
     meshes = [player.levels.coarse] if below is None else [player.levels.coarse, below.mesh]
-    return Front(
+    return CostTable(
         database.garment_name,
         cost_table_key(database),
         machine_description()["cpu"],
@@ -113,7 +119,7 @@ def cost_table_key(database: WrinkleDatabase) -> str:
     return f"{database.code_version} {database.created} {len(database.coarse_vertices)} {database.fabric_name}"
 
 
-def _layers(full: Detail) -> list[tuple[int, int, int]]:
+def _layers(full: LevelOfDetail) -> list[tuple[int, int, int]]:
     """Atoms, sweeps and passes, full detail first."""
     atoms = sorted({max(1, round(full.atoms * share)) for share in ATOMS}, reverse=True)
     found = [(count, full.sweeps, full.passes) for count in atoms]
@@ -123,40 +129,40 @@ def _layers(full: Detail) -> list[tuple[int, int, int]]:
 
 def _poses(motion: Motion, tempo: float, dt: float) -> np.ndarray:
     """A motion faster or slower: poses every ``dt`` [s]."""
-    count = min(MOST, int(motion.duration / (dt * tempo) + 1e-6))
+    count = min(MAX_TICKS, int(motion.duration / (dt * tempo) + 1e-6))
     return np.stack([motion.pose(i * dt * tempo) for i in range(count + 1)])
 
 
 def _measure(
     database: WrinkleDatabase,
-    cast: Cast,
+    inputs: PlaybackInputs,
     poses: np.ndarray,
-    pairs: Sequence[Detail],
+    pairs: Sequence[LevelOfDetail],
     layers: Sequence[tuple[int, int, int]],
-    tell: Callable[[str], None],
+    progress: Callable[[str], None],
 ) -> dict[str, np.ndarray]:
     """Errors and costs of all parts on one run of poses."""
     dt = 1.0 / database.frame_rate
     first = min(round(SETTLE / dt), (len(poses) - 1) // 3)
-    player = Player(database, cast.body, poses[0], cast.primitives)
+    player = Player(database, inputs.body, poses[0], inputs.primitives)
     start = player.simulation.state.copy()
-    found = _decode(player, poses, dt, cast.wind, layers, first)
+    found = _decode(player, poses, dt, inputs.wind, layers, first)
     around = [_around(player, every, poses, dt, found["layer"][-1]) for every in EVERY]
-    bare = Detail(1, player.full.substeps, 0, 0, 0)
-    turn = isinstance(cast.body, Character)
+    bare = LevelOfDetail(1, player.full.substeps, 0, 0, 0)
+    turn = isinstance(inputs.body, Character)
 
-    def runs(detail: Detail, seeds: range) -> tuple[list[np.ndarray], float, float]:
-        made = [_run(player, start, detail, poses, dt, cast.wind, turn, first, seed) for seed in seeds]
+    def runs(detail: LevelOfDetail, seeds: range) -> tuple[list[np.ndarray], float, float]:
+        made = [_run(player, start, detail, poses, dt, inputs.wind, turn, first, seed) for seed in seeds]
         return [run[0] for run in made], min(run[1] for run in made), max(run[2] for run in made)
 
-    references, cost, _ = runs(bare, range(REFERENCES))
+    references, cost, _ = runs(bare, range(REFERENCE_RUNS))
     floor = np.mean([_squares(a, b, first) for a, b in combinations(references, 2)], axis=0)
     step_error, spent = [], []
     for number, detail in enumerate(pairs):
-        tell(f"simulation {number + 1} of {len(pairs)}")
+        progress(f"simulation {number + 1} of {len(pairs)}")
         error = 0.0
         if detail != bare:
-            coarse, cost, hole = runs(detail, range(REFERENCES, REFERENCES + RUNS))
+            coarse, cost, hole = runs(detail, range(REFERENCE_RUNS, REFERENCE_RUNS + RUNS_EACH))
             away = np.mean([_squares(a, b, first) for a in coarse for b in references], axis=0) - floor
             error = max(float(np.percentile(np.sqrt(np.maximum(away, 0.0)), 95)), hole)
         step_error.append(error if np.isfinite(error) else np.inf)
@@ -173,11 +179,11 @@ def _decode(
     player: Player, poses: np.ndarray, dt: float, wind: Air, layers: Sequence[tuple[int, int, int]], first: int
 ) -> dict[str, np.ndarray]:
     """Play at full detail; every layer decodes every state, and every update goes on for some ticks."""
-    details = [Detail(1, player.full.substeps, *layer) for layer in layers]
+    details = [LevelOfDetail(1, player.full.substeps, *layer) for layer in layers]
     still = CoarseFilter(player.levels)
     distance, holes = BodyDistance(player.simulation.body.faces), np.zeros(len(layers))
     spacing = float(player.levels.fine.edge_lengths()[1].mean())
-    looked_at = set(np.linspace(first + 1, len(poses) - 1, LOOKS).astype(int).tolist())
+    looked_at = set(np.linspace(first + 1, len(poses) - 1, HOLE_CHECKS).astype(int).tolist())
     past: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=max(EVERY) - 1)
     spent, away, astray, speeds = [], [], [], []
     for tick, pose in enumerate(poses[1:], 1):
@@ -185,7 +191,7 @@ def _decode(
         truth = (player.vertices + player.origin).astype(np.float32)
         velocity = player.simulation.state.velocity
         if tick > first:
-            # How far off is what went on as it was for 1, 2, ... ticks.
+            # The error of cloth that went on at its last velocity for 1, 2, ... ticks.
             astray.append([_p95(was + dt * j * going - truth) for j, (was, going) in enumerate(reversed(past), 1)])
             speeds.append(np.mean(velocity.astype(float) ** 2) * 3.0)
             times, distances, top = [], [], player.vertices
@@ -218,7 +224,7 @@ def _decode(
 
 def _around(player: Player, every: int, poses: np.ndarray, dt: float, plain_ms: float) -> tuple[float, float]:
     """Cost of an update besides the simulation and the wrinkle layer, and of a tick without update [ms]."""
-    player.change(Detail(every, 1, 0, 0, 0))
+    player.change(LevelOfDetail(every, 1, 0, 0, 0))
     update, between = [], []
     for tick, pose in enumerate(poses[1 : PROBE_FRAMES + 1]):
         began = time.process_time()
@@ -237,7 +243,7 @@ def _around(player: Player, every: int, poses: np.ndarray, dt: float, plain_ms: 
 def _run(
     player: Player,
     start: State,
-    detail: Detail,
+    detail: LevelOfDetail,
     poses: np.ndarray,
     dt: float,
     wind: Air,
@@ -254,13 +260,15 @@ def _run(
     player.simulation.state = start.copy()
     player.change(player.full)
     player.simulation.place_body(poses[0])
-    stirred = STIRRED * np.random.default_rng(seed).standard_normal(start.velocity.shape)
+    stirred = START_NOISE * np.random.default_rng(seed).standard_normal(start.velocity.shape)
     player.simulation.state.velocity += stirred.astype(np.float32)
     player.change(detail, detail.every - 1)
     state, hole = player.simulation.state, 0.0
     coarse, spent = [], []
     often = max(EVERY)
-    looked_at = set((often * np.linspace(first // often + 1, (len(poses) - 1) // often, LOOKS).astype(int)).tolist())
+    looked_at = set(
+        (often * np.linspace(first // often + 1, (len(poses) - 1) // often, HOLE_CHECKS).astype(int)).tolist()
+    )
     distance, spacing = BodyDistance(player.simulation.body.faces), float(player.levels.fine.edge_lengths()[1].mean())
     for tick, pose in enumerate(poses[1:], 1):
         began = time.process_time()

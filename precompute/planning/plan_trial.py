@@ -13,10 +13,10 @@ from assets.io.scene import CameraSettings
 from pbd import InputError
 from pbd.wind import Air
 from precompute.planning.planning import cost_table_of
-from runtime.ensemble import Ensemble
-from runtime.front import Front
-from runtime.planner import TARGETS, Planner, Sight, sight_of
-from runtime.play import Cast, cast_of
+from runtime.cost_table import CostTable
+from runtime.garment_group import GarmentGroup
+from runtime.planner import TARGETS, Planner, ViewSize, sight_of
+from runtime.play import PlaybackInputs, playback_inputs
 from runtime.player import Player
 from runtime.simulation import Motion
 from wrinkles.database import WrinkleDatabase, read_database
@@ -25,7 +25,7 @@ __all__ = ["SCENES", "PlanTrial", "trial_rows", "trial_text", "try_plan"]
 
 TARGET_PX = TARGETS["imperceptible"]
 
-LOOK = 13  # ticks from one that is compared to the next: no multiple of any turn
+COMPARED_EVERY = 13  # ticks; no multiple of the ticks between updates
 
 
 def _flight(t: float) -> tuple[CameraSettings, ...]:
@@ -66,7 +66,7 @@ SCENES: dict[str, Callable[[float], tuple[CameraSettings, ...]]] = {"flight": _f
 
 @dataclass(frozen=True)
 class PlanTrial:
-    """What came of a trial.
+    """The result of a trial.
 
     Attributes:
         error_px: on screen, in the ticks that were compared, the 95th percentile over vertices, shape (f,).
@@ -83,15 +83,15 @@ class PlanTrial:
 
 def try_plan(
     database: WrinkleDatabase,
-    cast: Cast,
+    inputs: PlaybackInputs,
     motion: Motion,
-    table: Front,
+    table: CostTable,
     cameras: Callable[[float], tuple[CameraSettings, ...]],
     seconds: float,
 ) -> PlanTrial:
     """Play one garment under a planner whose target is imperceptible and whose budget never binds.
 
-    What is shown is compared with what the full detail makes of the same coarse state: in a tick with an update of that
+    The shown cloth is compared with full detail of the same coarse state: in a tick with an update of that
     state, in others of the state that full detail steps to from the last update.
 
     Args:
@@ -102,25 +102,25 @@ def try_plan(
     """
     dt = 1.0 / database.frame_rate
     times = _there_and_back(motion.duration, dt, round(seconds / dt))
-    player, shadow = (Player(database, cast.body, motion.pose(0.0), cast.primitives) for _ in range(2))
-    ensemble = Ensemble([player], Planner([table], TARGET_PX, 1e9))
+    player, shadow = (Player(database, inputs.body, motion.pose(0.0), inputs.primitives) for _ in range(2))
+    group = GarmentGroup([player], Planner([table], TARGET_PX, 1e9))
     errors, changes, cost, catastrophic, idle, updated = [], 0, 0.0, 0, 0, times[0]
     for tick in range(1, len(times)):
-        sight = _sight(player, cameras(tick * dt), table)
+        view = _sight(player, cameras(tick * dt), table)
         before, hash_before = player.detail, player.simulation.state.position.copy()
         try:
-            ensemble.update([motion.pose(times[tick])], dt, [sight], cast.wind)
+            group.update([motion.pose(times[tick])], dt, [view], inputs.wind)
         except InputError:  # the state is not finite
             catastrophic += 1
             break
         changes += player.detail != before
-        cost += ensemble.choices[0].cost_ms
+        cost += group.choices[0].cost_ms
         worked = not np.array_equal(player.simulation.state.position, hash_before)
         idle, updated = (0, times[tick]) if worked else (idle + 1, updated)
-        if tick % LOOK == 0 and tick * dt > 1.5:
-            full = _truth(player, shadow, motion, times[tick - idle : tick + 1], dt, cast.wind)
+        if tick % COMPARED_EVERY == 0 and tick * dt > 1.5:
+            full = _truth(player, shadow, motion, times[tick - idle : tick + 1], dt, inputs.wind)
             away = np.linalg.norm(player.vertices + player.origin - full, axis=1)
-            errors.append(min(sight.pixels_per_metre * float(np.percentile(away, 95)), sight.size_px))
+            errors.append(min(view.pixels_per_metre * float(np.percentile(away, 95)), view.size_px))
             box = np.ptp(player.vertices, axis=0), np.ptp(full, axis=0)
             large = np.linalg.norm(box[0]) > 2.0 * np.linalg.norm(box[1])
             catastrophic += bool(large or not np.isfinite(player.vertices).all())
@@ -151,13 +151,13 @@ def trial_rows(
         if name not in SCENES:
             raise InputError("no such scene", key="NAME", received=name, expected=", ".join(SCENES))
     database = read_database(path)
-    cast = cast_of(database)
+    inputs = playback_inputs(database)
     table = cost_table_of(database, path, report)
     rows = []
     for name in names or SCENES:
         if report is not None:
             report(f"{name}: {seconds:g} s")
-        trial = try_plan(database, cast, cast.motions[0], table, SCENES[name], seconds)
+        trial = try_plan(database, inputs, inputs.motions[0], table, SCENES[name], seconds)
         if trial.error_px.size == 0 and trial.catastrophic == 0:
             raise InputError("no tick is compared", key="--seconds", received=seconds, expected="at least 2 [s]")
         errors = trial.error_px if trial.error_px.size else np.array([np.inf])
@@ -194,7 +194,7 @@ def trial_text(rows: Sequence[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def _sight(player: Player, cameras: tuple[CameraSettings, ...], table: Front) -> Sight:
+def _sight(player: Player, cameras: tuple[CameraSettings, ...], table: CostTable) -> ViewSize:
     speed = float(np.sqrt(3.0 * np.mean(player.simulation.state.velocity.astype(float) ** 2)))
     return sight_of(cameras, (0.0, 0.0, 0.0), table.size, speed)
 

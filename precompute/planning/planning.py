@@ -1,4 +1,4 @@
-"""`gube plan`: what a garment of a scene should be modelled with, and what that saves."""
+"""`gube plan`: the cheapest detail of a scene's garment, and the time that it saves."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from assets.io.scene import CameraSettings
 from pbd import InputError
 from precompute.planning.cost_table import cost_table_key, measure_cost_table
 from precompute.wrinkle_comparison.compare import database_of
-from runtime.front import FOLD, Front, front_path, read_front, write_front
-from runtime.planner import Choice, Planner, Sight, cheapest, exhaustive, sight_of
-from runtime.play import cast_of
+from runtime.cost_table import FOLD, CostTable, cost_table_path, read_cost_table, write_cost_table
+from runtime.garment_setup import scene_of
+from runtime.planner import Choice, Planner, ViewSize, cheapest, exhaustive, sight_of
+from runtime.play import playback_inputs
 from runtime.report import machine_description
-from runtime.stage import scene_of
 from wrinkles.database import WrinkleDatabase, read_database
 
 __all__ = ["Planned", "cost_table_of", "plan_file", "plan_rows", "plan_text"]
 
-NEAR, FAR = 2.0, 20.0  # whose costs are compared [m]
-LOOKED = 50  # distances
-ENDLESS = 1e9  # a budget that bounds nothing [ms]
+NEAR_DISTANCE, FAR_DISTANCE = 2.0, 20.0  # from the camera, for the figure cost_ratio_2m_20m [m]
+DISTANCE_COUNT = 50  # distances at which choices are compared
+NO_BUDGET = 1e9  # a budget that bounds nothing [ms]
 
 
 @dataclass(frozen=True)
@@ -37,28 +37,28 @@ class Planned:
         figures: of the plan, by name.
     """
 
-    table: Front
-    sights: tuple[Sight, ...]
+    table: CostTable
+    views: tuple[ViewSize, ...]
     choices: tuple[Choice, ...]
     figures: dict[str, float | str]
 
 
-def cost_table_of(database: WrinkleDatabase, path: Path, report: Callable[[str], None] | None = None) -> Front:
+def cost_table_of(database: WrinkleDatabase, path: Path, report: Callable[[str], None] | None = None) -> CostTable:
     """The table kept beside a database, measured first where none was measured for it on this machine.
 
     Args:
         database: the database.
         path: its file.
-        report: told lines of progress.
+        report: called with lines of progress.
     """
-    kept = front_path(path)
+    kept = cost_table_path(path)
     if kept.exists():
-        table = read_front(kept)
+        table = read_cost_table(kept)
         if (table.database, table.machine) == (cost_table_key(database), machine_description()["cpu"]):
             return table
-    cast = cast_of(database)
-    table = measure_cost_table(database, cast, cast.motions[0], report)
-    write_front(kept, table)
+    inputs = playback_inputs(database)
+    table = measure_cost_table(database, inputs, inputs.motions[0], report)
+    write_cost_table(kept, table)
     return table
 
 
@@ -83,7 +83,7 @@ def plan_file(
         distance: from the camera to the garment instead of the scene's own [m].
         field_of_view_deg: vertical, instead of the scene's own [deg].
         garments: how many of them share the budget.
-        report: told lines of progress.
+        report: called with lines of progress.
 
     Raises:
         InputError: what cannot be read, or no garments.
@@ -97,43 +97,44 @@ def plan_file(
     centre = database.coarse_vertices.mean(axis=0)
     away = float(np.linalg.norm(np.subtract(centre, camera.position))) if distance is None else distance
     view = camera.field_of_view_deg if field_of_view_deg is None else field_of_view_deg
-    sights = [seen_from(table, away, view)] * garments
+    views = [seen_from(table, away, view)] * garments
     if distance is None and field_of_view_deg is None:
-        sights = [sight_of([camera], centre.tolist(), table.size, table.speeds[0])] * garments
+        views = [sight_of([camera], centre.tolist(), table.size, table.speeds[0])] * garments
     planner = Planner([table] * garments, target_px, budget_ms)
-    choices = planner.plan(sights)
-    figures = plan_figures(table, sights, choices, target_px)
+    choices = planner.plan(views)
+    figures = plan_figures(table, views, choices, target_px)
     figures |= {"distance_m": away, "frame_ms": planner.tick_ms(choices), "settings": float(len(table.settings))}
-    return Planned(table, tuple(sights), tuple(choices), figures)
+    return Planned(table, tuple(views), tuple(choices), figures)
 
 
-def seen_from(table: Front, distance: float, field_of_view_deg: float = 40.0) -> Sight:
+def seen_from(table: CostTable, distance: float, field_of_view_deg: float = 40.0) -> ViewSize:
     """A garment in the middle of the picture, moving as it was measured."""
     camera = CameraSettings(position=(0.0, 0.0, distance), target=(0.0, 0.0, 0.0), field_of_view_deg=field_of_view_deg)
     return sight_of([camera], (0.0, 0.0, 0.0), table.size, table.speeds[0])
 
 
 def plan_figures(
-    table: Front, sights: Sequence[Sight], choices: Sequence[Choice], target_px: float
+    table: CostTable, views: Sequence[ViewSize], choices: Sequence[Choice], target_px: float
 ) -> dict[str, float | str]:
     """Figures of a plan: the choice, its cost and error, how much dearer than the cheapest, and what distance saves."""
     cost = sum(choice.cost_ms for choice in choices)
     near, far = (
-        Planner([table], target_px, ENDLESS).plan([seen_from(table, distance)])[0].cost_ms for distance in (NEAR, FAR)
+        Planner([table], target_px, NO_BUDGET).plan([seen_from(table, distance)])[0].cost_ms
+        for distance in (NEAR_DISTANCE, FAR_DISTANCE)
     )
     return {
         "choice": str(table.settings[choices[0].index].detail),
         "cost_ms": cost,
         "screen_error_px": max(choice.error_px for choice in choices),
-        "regret_percent": 100.0 * max(0.0, cost / exhaustive([table] * len(sights), sights, target_px) - 1.0),
+        "regret_percent": 100.0 * max(0.0, cost / exhaustive([table] * len(views), views, target_px) - 1.0),
         "cost_ratio_2m_20m": near / far,
         "changed_by_l_g": changed_by_fineness(table, target_px),
     }
 
 
-def changed_by_fineness(table: Front, target_px: float) -> float:
-    """In how many of :data:`LOOKED` distances from 1 to 100 m the cheapest good setting has too fine a mesh for l_g."""
-    looks = [seen_from(table, float(distance)).errors(table) for distance in np.geomspace(1.0, 100.0, LOOKED)]
+def changed_by_fineness(table: CostTable, target_px: float) -> float:
+    """Of :data:`DISTANCE_COUNT` distances from 1 to 100 m, those whose cheapest good setting is too fine for l_g."""
+    looks = [seen_from(table, float(distance)).errors(table) for distance in np.geomspace(1.0, 100.0, DISTANCE_COUNT)]
     return float(sum(table.too_fine[cheapest(table.costs, errors, target_px)] for errors in looks))
 
 
@@ -156,21 +157,22 @@ def plan_text(planned: Planned) -> str:
     )
 
 
-def _fineness(table: Front, figures: dict[str, float | str]) -> str:
-    """What l_g says about the meshes that are simulated, in a line."""
+def _fineness(table: CostTable, figures: dict[str, float | str]) -> str:
+    """Whether the simulated meshes are finer than folds of l_g need, in a line."""
     meshes = " and ".join(f"{1e3 * edge:.0f}" for edge in table.edges)
     line = f"meshes of {meshes} mm; l_g = {1e3 * table.gravity_length:.0f} mm makes folds of {FOLD:g} l_g and longer"
     if not table.too_fine.any():
         return f"{line}: none is finer than such a fold needs"
     changed = float(figures["changed_by_l_g"])
     return (
-        f"{line}: the finest is finer than such a fold needs; without it {changed:.0f} of {LOOKED} choices would change"
+        f"{line}: the finest is finer than such a fold needs; "
+        f"without it {changed:.0f} of {DISTANCE_COUNT} choices would change"
     )
 
 
 def plan_rows(planned: Planned) -> list[dict[str, float]]:
     """The table as it is seen: a row a setting."""
-    errors = planned.sights[0].errors(planned.table)
+    errors = planned.views[0].errors(planned.table)
     return [
         {**asdict(row.detail), "cost_ms": row.cost_ms, "peak_ms": row.peak_ms, "screen_error_px": float(error)}
         for row, error in zip(planned.table.settings, errors, strict=True)

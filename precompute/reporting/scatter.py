@@ -258,7 +258,7 @@ class _Axis:
         return math.log10(value) if self._log else value
 
     def place(self, value: float) -> float:
-        """Pixel of a value; what lies outside is moved to the border."""
+        """Pixel of a value; one outside is moved to the border."""
         at = self._low if self._log and value <= 0.0 else self._scaled(value)
         share = (min(max(at, self._low), self._high) - self._low) / (self._high - self._low)
         return self._start + share * (self._end - self._start)

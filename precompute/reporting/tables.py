@@ -27,7 +27,7 @@ def write_table(
         path: the file.
         rows: a mapping from column to value each; a cell that a row does not have is left empty.
         columns: their order; by default that in which the rows name them first.
-        digits: significant ones of a float; None keeps all that tell it from any other.
+        digits: significant ones of a float; None keeps all of them.
         machine: adds the columns ``cpu`` and ``date`` (UTC) to every row.
     """
     if machine:

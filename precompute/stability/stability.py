@@ -11,23 +11,23 @@ from pbd import SolverOptions
 from pbd.wind import Air
 from runtime.simulation import BodySource, Simulation
 
-__all__ = ["LONGEST", "SHORTEST", "StabilityLimit", "largest_stable_step", "real_substep"]
+__all__ = ["MAX_SUBSTEP", "MIN_SUBSTEP", "StabilityLimit", "largest_stable_step", "real_substep"]
 
-SHORTEST, LONGEST = 1.0 / 2000.0, 1.0 / 10.0  # substeps between which the limit is looked for [s]
-STEPS = 7  # bisections: the limit is known to 4 %
+MIN_SUBSTEP, MAX_SUBSTEP = 1.0 / 2000.0, 1.0 / 10.0  # substeps between which the limit is looked for [s]
+BISECTIONS = 7  # bisections: the limit is known to 4 %
 FRAME = 1.0 / 60.0  # a frame [s]; longer substeps make longer frames
-START = 0.5  # what happens before is not judged [s]
+UNJUDGED_S = 0.5  # the first seconds of a run are not judged [s]
 EXCESS_STRAIN = 1.0  # of any edge over the most that it sees in the reference [-]
 
 
 @dataclass(frozen=True)
 class StabilityLimit:
-    """How long a substep one garment stands.
+    """The longest substep that one garment is stable with.
 
     Attributes:
         name: of the setting.
         dt_max: longest substep found stable [s]; 0 if even the shortest tried is not.
-        first_to_go: what went first at the shortest step found unstable: "not finite", "strain" or "speed"; empty if
+        first_to_go: the first failure at the shortest step found unstable: "not finite", "strain" or "speed"; empty if
             none was.
         unstable: shortest substep found unstable [s]; infinite if none was.
     """
@@ -71,15 +71,15 @@ def largest_stable_step(
         one = simulation(replace(options, substep=substep))
         return _fate(one, poses, dt, substep, wind, edges, rest, speed_limit, allowed)
 
-    fate, most = attempt(SHORTEST, None)
+    fate, most = attempt(MIN_SUBSTEP, None)
     if fate:
-        return StabilityLimit(name, 0.0, fate, SHORTEST)
+        return StabilityLimit(name, 0.0, fate, MIN_SUBSTEP)
     allowed = most + EXCESS_STRAIN
-    low, high = real_substep(SHORTEST), LONGEST
+    low, high = real_substep(MIN_SUBSTEP), MAX_SUBSTEP
     fates = {low: "", high: attempt(high, allowed)[0]}
     if not fates[high]:
-        return StabilityLimit(name, LONGEST, "", float("inf"))
-    for _ in range(STEPS):
+        return StabilityLimit(name, MAX_SUBSTEP, "", float("inf"))
+    for _ in range(BISECTIONS):
         # Several substeps asked for come to the same whole number a frame.
         middle = real_substep(float(np.sqrt(low * high)))
         if middle not in fates:
@@ -108,7 +108,7 @@ def _fate(
     speed_limit: float,
     allowed: np.ndarray | None,
 ) -> tuple[str, np.ndarray]:
-    """What went wrong first (empty if nothing did), and the largest strain of every edge after the start."""
+    """The first failure (empty if there was none), and the largest strain of every edge after the start."""
     frame = max(FRAME, substep)
     most = np.zeros(len(edges))
     for number in range(1, int((len(poses) - 1) * dt / frame + 1e-6) + 1):
@@ -116,7 +116,7 @@ def _fate(
         position, velocity = simulation.state.position[:, :3], simulation.state.velocity
         if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
             return "not finite", most
-        if number * frame < START:
+        if number * frame < UNJUDGED_S:
             continue
         strain = np.linalg.norm(position[edges[:, 1]] - position[edges[:, 0]], axis=1) / rest - 1.0
         if allowed is not None and np.any(strain > allowed):

@@ -21,9 +21,9 @@ SECONDS = 1.0  # of a run
 KEPT = 1.0 / 60.0  # frames nearer to each other than this are left out of what is judged [s]
 REFERENCE_STEP = 1.0 / 5760.0  # substep of the reference; the one that it is held against takes twice that [s]
 REFERENCE_FRAME = 1.0 / 480.0  # [s]
-SHORT = 150  # frames in which an unstable step shows
-LEAST = 0.01  # energies are measured by no less than a fall by this part of the cloth's size [-]
-STEPS = 6  # bisections of a border
+BREAKING_FRAMES = 150  # frames in which an unstable step shows
+MIN_FALL = 0.01  # energies are measured by no less than a fall by this part of the cloth's size [-]
+BISECTIONS = 6  # bisections of a border
 # What went, by the figures that say so, the gravest first.
 WENT = {
     "not_finite": "not finite",
@@ -193,8 +193,8 @@ def reference_of(scene: CellScene, seconds: float = SECONDS) -> Reference:
 
 
 def breaks(scene: CellScene, method: str) -> bool:
-    """Whether a run of ``SHORT`` frames ends in numbers that are none, or in a speed that is none."""
-    return bool(_simulate(scene, _solver(method, scene), scene.dt, SHORT * scene.dt).message)
+    """Whether a run of ``BREAKING_FRAMES`` frames ends in numbers that are none, or in a speed that is none."""
+    return bool(_simulate(scene, _solver(method, scene), scene.dt, BREAKING_FRAMES * scene.dt).message)
 
 
 def judge(scene: CellScene, run: Frames, reference: Reference, until: int | None = None) -> dict[str, float]:
@@ -215,7 +215,9 @@ def judge(scene: CellScene, run: Frames, reference: Reference, until: int | None
         energy, _ = mechanical_energy(mass, position, velocity)
         truth_energy, kinetic = mechanical_energy(mass, truth_position, truth_velocity)
         size = float(np.ptp(scene.start, axis=0).max())
-        scale = max(float(kinetic.max()), float(np.ptp(truth_energy)), LEAST * GRAVITY * size * float(model.mass.sum()))
+        scale = max(
+            float(kinetic.max()), float(np.ptp(truth_energy)), MIN_FALL * GRAVITY * size * float(model.mass.sum())
+        )
     return deviations(
         Recorded(position, velocity, run.times[1], energy, _depth(scene, position), through=_through(scene, position)),
         Recorded(truth_position, truth_velocity, run.times[1], truth_energy),

@@ -1,4 +1,4 @@
-"""What `gube stability` writes and prints: a picture of each map, a page that holds them all, a table of cells."""
+"""The output of `gube stability`: a picture of each map, a page that holds them all, a table of cells."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ __all__ = ["cell_row", "cell_text", "stability_text", "write_stability"]
 
 COLORS = ("#4c9f70", "#a9d18e", "#f4c95d", "#b3202c")  # of the classes, from best to worst
 WORDS = ("imperceptible", "visible, accepted", "visible, not accepted", "catastrophic")
-BELOW = 3.0  # a map is drawn down to this factor below its lowest border
+DRAWN_BELOW = 3.0  # a map is drawn down to this factor below its lowest border
 
 
 def write_stability(folder: Path, found: StabilitySweep) -> list[Path]:
@@ -70,7 +70,7 @@ def cell_row(cell: Cell) -> dict[str, Any]:
 
 
 def cell_text(cell: Cell) -> str:
-    """What a run of one cell came to, for a terminal."""
+    """The result of one cell, for a terminal."""
     went = f", {cell.went}" if cell.went else ""
     lines = [f"{cell.map} {cell.x:g} {cell.y:g} by {cell.method}: {WORDS[cell.error_class]}{went}"]
     if not math.isnan(cell.failed_s):
@@ -86,7 +86,7 @@ def cell_text(cell: Cell) -> str:
 
 
 def stability_text(found: StabilitySweep) -> str:
-    """The counts, the explicit limits, and how to run again what was lost."""
+    """The counts, the explicit limits, and the commands that run catastrophic cells again."""
     lines = []
     for method in found.methods:
         lines.append(f"{method}:")
@@ -155,7 +155,7 @@ def _draw(path: Path, one: StabilityMap, method: str, found: StabilitySweep) -> 
     if border:
         at = [0.5 * (b.safe + b.catastrophic) for b in border]
         axes.plot([b.x for b in border], at, "o-", color="black", markersize=4, label="border, by bisection")
-        bottom = min(bottom, min(at) / BELOW)
+        bottom = min(bottom, min(at) / DRAWN_BELOW)
     tall = bottom == _walls(one.y)[0]  # cells have room for several lines
     for cell in cells.values():
         went = cell.went.replace(" ", "\n") + "\n" if tall and cell.went else f"{cell.went} "

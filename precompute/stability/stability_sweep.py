@@ -29,9 +29,9 @@ from precompute.workers import run_jobs
 __all__ = ["METHODS", "Border", "StabilitySweep", "cell_command", "check_methods", "sweep"]
 
 METHODS = ("default", "springs-triangle/symplectic-euler")
-STEPS = 6  # bisections of a border between two cells
-DOWN = 4.0  # factor by which a border below the map is approached
-SMALLEST = 1e-5  # time step down to which a border is looked for below the map [s]
+BISECTIONS = 6  # bisections of a border between two cells
+APPROACH = 4.0  # factor by which a border below the map is approached
+MIN_TIME_STEP = 1e-5  # time step down to which a border is looked for below the map [s]
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Border:
 
 @dataclass(frozen=True)
 class StabilitySweep:
-    """What a sweep found."""
+    """Cells, borders and explicit limits of a sweep."""
 
     maps: tuple[StabilityMap, ...]
     methods: tuple[str, ...]
@@ -80,7 +80,7 @@ def _catastrophic(cells: Sequence[Cell]) -> int:
 
 
 def cell_command(cell: Cell) -> str:
-    """The command that runs a cell again and tells what goes."""
+    """The command that runs a cell again and prints its failure."""
     return f"gube stability --cell {cell.map}:{cell.x:g}:{cell.y:g} --method {cell.method}"
 
 
@@ -111,18 +111,18 @@ def sweep(
         maps: which.
         workers: processes at a time.
         seconds: of each run [s].
-        report: told lines of progress.
+        report: called with lines of progress.
 
     Raises:
         InputError: no such method.
     """
-    methods, tell = check_methods(methods), report or (lambda line: None)
+    methods, progress = check_methods(methods), report or (lambda line: None)
     jobs = [(one, x, methods, seconds) for one in maps for x in one.x.values]
     jobs.sort(key=lambda job: (job[0].column, job[0].name != "resolution", -job[1]))  # the longest first
     found = run_jobs(
         [partial(_column, *job) for job in jobs],
         workers,
-        done=lambda count, _: tell(f"stability: {count} of {len(jobs)} columns"),
+        done=lambda count, _: progress(f"stability: {count} of {len(jobs)} columns"),
     )
     cells = [cell for column, _ in found for cell in column]
     borders = [border for _, column in found for border in column]
@@ -168,15 +168,15 @@ def _below(one: StabilityMap, x: float, method: str) -> list[Border]:
     bad = one.y.values[0]
     if not gone(bad):  # it is lost in another way
         return []
-    while bad > SMALLEST and gone(bad / DOWN):
-        bad /= DOWN
-    return [_bisected(one, x, method, bad / DOWN, bad, gone)] if bad > SMALLEST else []
+    while bad > MIN_TIME_STEP and gone(bad / APPROACH):
+        bad /= APPROACH
+    return [_bisected(one, x, method, bad / APPROACH, bad, gone)] if bad > MIN_TIME_STEP else []
 
 
 def _bisected(
     one: StabilityMap, x: float, method: str, safe: float, bad: float, gone: Callable[[float], bool]
 ) -> Border:
-    for _ in range(STEPS):
+    for _ in range(BISECTIONS):
         middle = math.sqrt(safe * bad) if one.y.log else 0.5 * (safe + bad)
         safe, bad = (safe, middle) if gone(middle) else (middle, bad)
     return Border(one.name, x, method, safe, bad)

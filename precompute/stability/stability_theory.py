@@ -17,11 +17,11 @@ __all__ = ["Curve", "ExplicitLimit", "explicit_limit", "explicit_limits", "theor
 # dt = factor d sqrt(rho_A/(E h)) is 2/omega of a lattice of springs (`physics.md`).
 MEMBRANE = {"triangles": 0.816, "squares": 0.943}
 SPRINGS = {"triangles": "springs-triangle", "squares": "springs-square"}
-LAW = 0.1  # mean stretch at which the law is drawn [-]
+LAW_STRETCH = 0.1  # mean stretch at which the law is drawn [-]
 XPBD_PASSES = 10  # of XPBD in a step
-STEPS = 200  # of a run that looks for a limit
-TRIES = 8  # bisections: to 0.3 %
-KICK = 1e-6  # speed that it starts with [m/s]
+LIMIT_STEPS = 200  # of a run that looks for a limit
+BISECTIONS = 8  # bisections: to 0.3 %
+START_SPEED = 1e-6  # speed that it starts with [m/s]
 
 
 @dataclass(frozen=True)
@@ -78,20 +78,20 @@ def explicit_limit(lattice: str) -> ExplicitLimit:
     model = build_model(sheet.mesh, fabric, border, sheet.options, sheet.bend_factor)
     theory = membrane_limit(lattice, 1.0 / EDGES, STIFFNESS)
     start = State.at_rest(model)
-    start.velocity[:, :2] = KICK * np.random.default_rng(0).normal(size=(model.vertex_count, 2))
+    start.velocity[:, :2] = START_SPEED * np.random.default_rng(0).normal(size=(model.vertex_count, 2))
     start.velocity[model.held] = 0.0
 
     def stays(dt: float) -> bool:
         solver = make_solver(f"{SPRINGS[lattice]}/symplectic-euler", model, Options(dt, (0.0, 0.0, 0.0)))
         state = start.copy()
         try:
-            solver.step(state, Colliders(), STEPS * dt)
+            solver.step(state, Colliders(), LIMIT_STEPS * dt)
         except StepError:
             return False
-        return bool(np.abs(state.velocity).max() < 1e3 * KICK)
+        return bool(np.abs(state.velocity).max() < 1e3 * START_SPEED)
 
     low, high = 0.7 * theory, 1.4 * theory
-    for _ in range(TRIES):
+    for _ in range(BISECTIONS):
         middle = math.sqrt(low * high)
         low, high = (middle, high) if stays(middle) else (low, middle)
     return ExplicitLimit(lattice, theory, math.sqrt(low * high))
@@ -123,17 +123,17 @@ def _explicit_curves(one: StabilityMap, lattice: str) -> list[Curve]:
 
 
 def _stretch_curves(one: StabilityMap, method: str) -> list[Curve]:
-    """Where g h^2 N^2/(2 n L) is ``LAW``: h a substep, n passes in it, N edges along L."""
-    label = f"XPBD stretch law, {LAW:.0%}"
+    """Where g h^2 N^2/(2 n L) is ``LAW_STRETCH``: h a substep, n passes in it, N edges along L."""
+    label = f"XPBD stretch law, {LAW_STRETCH:.0%}"
     if one.name == "resolution":
         y = np.array(one.y.values)  # a step between these may be split better or worse
         split = np.ceil(y / SolverOptions().substep - 1e-6) if method == "default" else np.ones_like(y)
         passes = 1 if method == "default" else XPBD_PASSES
-        return [Curve(label, np.sqrt(2.0 * passes * LAW / GRAVITY) / (y / split), y)]
+        return [Curve(label, np.sqrt(2.0 * passes * LAW_STRETCH / GRAVITY) / (y / split), y)]
     if one.name == "mass":
         # The mean over N edges of the weight below each, the lowest row being x times as heavy.
         x = np.geomspace(one.x.values[0], one.x.values[-1], 200)
         rows = EDGES / math.sqrt(0.75)
         once = GRAVITY / 60.0**2 * rows * (0.5 * rows + x)  # with one pass a frame
-        return [Curve(label, x, np.sqrt(once / LAW) if method == "default" else once / LAW)]
+        return [Curve(label, x, np.sqrt(once / LAW_STRETCH) if method == "default" else once / LAW_STRETCH)]
     return []

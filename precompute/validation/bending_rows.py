@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 
 from pbd import ClothMesh, Colliders, Fabric, Plane, build_model
-from precompute.mechanics import GRAVITY
+from precompute.mechanics import FRAME_RATE, GRAVITY
 from precompute.validation.plate_references import lateral_gamma
 from precompute.validation.strip_references import (
     cantilever,
@@ -20,14 +20,14 @@ from precompute.validation.strip_references import (
     tall_column,
     upright_gamma,
 )
-from precompute.validation.trial import FABRIC, RATE, Curve, Trial, TrialResult, TrialSetting, level, strip
+from precompute.validation.trial import FABRIC, Curve, Trial, TrialResult, TrialSetting, level, strip
 from precompute.validation.validation_row import Parameter, Row
 
 __all__ = ["ROWS", "hinge_poisson"]
 
 LENGTH, WIDTH = 0.2, 0.04  # of a strip [m]
-SIDE = 2e-4  # side load of a strip that is to tip over, over its weight [-]
-NEAR = 0.85  # of the critical Gamma, where its last estimate is made
+SIDE_LOAD = 2e-4  # side load of a strip that is to tip over, over its weight [-]
+NEAR_CRITICAL = 0.85  # of the critical Gamma, where its last estimate is made
 FIRST_BEND = math.radians(5.0)  # of the end of a strip that is going to slip
 HIGHEST = 0.1  # tip displacement over the length beyond which a strip has tipped over [-]
 
@@ -84,9 +84,9 @@ def critical_gamma(deflect: Callable[[float], float], start: float) -> tuple[flo
             (a, at_a), (b, at_b) = points[-2:]
             slope = (b / at_b - a / at_a) / (b - a)
             critical = b - b / at_b / slope if slope < 0.0 else math.inf
-            if b > NEAR * critical:
+            if b > NEAR_CRITICAL * critical:
                 return critical, points
-            following = min(1.7 * b, (NEAR + 0.05) * critical)
+            following = min(1.7 * b, (NEAR_CRITICAL + 0.05) * critical)
         gamma = min(following, 0.5 * (points[-1][0] + tipped))
     return math.nan, points
 
@@ -98,15 +98,15 @@ def _tips_over(
     costs = []
     specimen = strip(LENGTH, width, setting.edges)
     start, tip = place(specimen.flat), specimen.flat[:, 0] > LENGTH - 1e-9
-    gravity = (SIDE * GRAVITY * side[0], -GRAVITY, SIDE * GRAVITY * side[2])
+    gravity = (SIDE_LOAD * GRAVITY * side[0], -GRAVITY, SIDE_LOAD * GRAVITY * side[2])
     scale = math.sqrt(LENGTH / GRAVITY)
-    keep = np.float32(math.exp(-2.0 / (RATE * scale)))
+    keep = np.float32(math.exp(-2.0 / (FRAME_RATE * scale)))
 
     def deflect(gamma: float) -> float:
         trial = Trial(specimen, start, _fabric(gamma), specimen.flat[:, 0] < 1e-9, setting, gravity)
         last = 0.0
         for _ in range(30):  # near the critical load it is slow
-            for _ in range(math.ceil(scale * RATE)):
+            for _ in range(math.ceil(scale * FRAME_RATE)):
                 trial.frame()
                 trial.state.velocity *= keep
             found = float(((trial.world() - start)[tip] @ np.array(side)).mean() / LENGTH)
@@ -127,7 +127,7 @@ def _upright(setting: TrialSetting) -> TrialResult:
     curve = Curve(
         "Gamma", "tip displacement / (side load L)",
         (gammas, np.array([tall_column(float(g), 1.0) for g in gammas])),
-        (np.array([p[0] for p in points]), np.array([p[1] for p in points]) / SIDE),
+        (np.array([p[0] for p in points]), np.array([p[1] for p in points]) / SIDE_LOAD),
     )  # fmt: skip
     return TrialResult.relative(upright_gamma(), critical, cost, curve)
 
@@ -171,9 +171,9 @@ def _stick_slip(setting: TrialSetting, mu: float) -> TrialResult:
     scale = LENGTH**2 * math.sqrt(fabric.areal_density / fabric.bend_warp)  # a typical time of bending [s]
     exact = first_slip(mu)
     assert exact is not None, "the parameter's range ends before"
-    keep = np.float32(math.exp(-2.0 / (RATE * scale)))
+    keep = np.float32(math.exp(-2.0 / (FRAME_RATE * scale)))
     targets = start[trial.model.held]
-    frames = 200 if setting.timeless else math.ceil(20.0 * scale * RATE)
+    frames = 200 if setting.timeless else math.ceil(20.0 * scale * FRAME_RATE)
     for frame in range(2 * frames):  # to twice what it should take
         lowering = begin + (exact.lowering - begin) * frame / frames
         trial.frame(targets - [0.0, (lowering - begin) * LENGTH, 0.0])

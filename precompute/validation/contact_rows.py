@@ -9,9 +9,10 @@ import numpy as np
 
 from pbd import Body, Capsule, Colliders, Plane
 from pbd.models import StepError
+from precompute.mechanics import FRAME_RATE
 from precompute.validation.membrane_rows import ROPE
 from precompute.validation.strip_references import capstan_ratio
-from precompute.validation.trial import FABRIC, RATE, Trial, TrialResult, TrialSetting, level, strip
+from precompute.validation.trial import FABRIC, Trial, TrialResult, TrialSetting, level, strip
 from precompute.validation.validation_row import Choice, Parameter, Row
 
 __all__ = ["ROWS"]
@@ -40,7 +41,7 @@ class _OnMesh(Trial):
         self._body.place((vertices - self.state.origin).astype(np.float32))
         self.colliders = Colliders((), self._body)
 
-    def frame(self, targets: np.ndarray | None = None, dt: float = 1.0 / RATE) -> None:
+    def frame(self, targets: np.ndarray | None = None, dt: float = 1.0 / FRAME_RATE) -> None:
         self.solver.follow(self.state, self.colliders)
         self._body.advance((self.surface[0] - self.state.origin).astype(np.float32))
         super().frame(targets, dt)
@@ -73,7 +74,7 @@ def _on_slope(setting: TrialSetting, mu: float, angle: float, mesh: bool) -> Tri
 def _slid(trial: Trial, seconds: float) -> float:
     """Greatest way of a vertex [m]."""
     start = trial.world()
-    for _ in range(round(seconds * RATE)):
+    for _ in range(round(seconds * FRAME_RATE)):
         trial.frame()
     return float(np.linalg.norm(trial.world() - start, axis=1).max())
 

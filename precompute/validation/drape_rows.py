@@ -63,7 +63,7 @@ def _energy(trial: Trial) -> float:
 
 
 def _disc_folds(setting: TrialSetting, radius_over_length: float, radius_over_clamp: float) -> TrialResult:
-    """From 2 to n + 3 folds, what each start comes to; the folds of the one with the least energy."""
+    """Drapes from starts with 2 to n + 3 folds; the folds of the one with the least energy."""
     length = 0.02  # l_g of the fabric [m]
     radius = radius_over_length * length
     clamp = radius / radius_over_clamp

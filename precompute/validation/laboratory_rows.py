@@ -23,7 +23,7 @@ from precompute.validation.validation_row import Choice, Parameter, Row
 
 __all__ = ["ROWS"]
 
-# The built-in fabric with half its stiffness along the weft, so that the axes can be told apart.
+# The built-in fabric with half its stiffness along the weft, so that the axes differ.
 WOVEN = replace(FABRIC, stretch_weft=0.5 * FABRIC.stretch_warp, bend_weft=0.5 * FABRIC.bend_warp)
 # Its thickness gives by a third at 5 kPa, which is about what a wool cloth does in Kawabata's instrument.
 SOFT = replace(WOVEN, compression=2000.0, air_drag=0.0)

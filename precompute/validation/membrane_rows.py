@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import brentq
 
-from precompute.mechanics import GRAVITY
+from precompute.mechanics import FRAME_RATE, GRAVITY
 from precompute.validation.plate_references import hencky_rise
 from precompute.validation.strip_references import elastic_catenary, hanging_stretch
-from precompute.validation.trial import FABRIC, RATE, Curve, Trial, TrialResult, TrialSetting, disc, level, strip
+from precompute.validation.trial import FABRIC, Curve, Trial, TrialResult, TrialSetting, disc, level, strip
 from precompute.validation.validation_row import Parameter, Row
 
 __all__ = ["ROPE", "ROWS"]
@@ -33,7 +33,7 @@ def _hanging_strip(setting: TrialSetting, edges: int) -> TrialResult:
     trial.settle(math.sqrt(length / GRAVITY), still=1e-6)
     depth = start[:, 1] - trial.world()[:, 1]
     found = float(depth[x > length - 1e-9].mean() / length)
-    law = GRAVITY * length / 2.0 * (setting.edges / length / (RATE * setting.substeps)) ** 2
+    law = GRAVITY * length / 2.0 * (setting.edges / length / (FRAME_RATE * setting.substeps)) ** 2
     s = np.linspace(0.0, 1.0, 50)
     curve = Curve("s / L", "moved down / L", (s, weight / ROPE.stretch_warp * (s - 0.5 * s**2)), (x, depth))
     beyond = max(0.0, found - exact - law) / exact

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.optimize import curve_fit
 from scipy.special import jn_zeros, jv
 
-from precompute.mechanics import GRAVITY
+from precompute.mechanics import FRAME_RATE, GRAVITY
 from precompute.validation.membrane_rows import ROPE
 from precompute.validation.strip_references import swing_period
-from precompute.validation.trial import FABRIC, RATE, Curve, Trial, TrialResult, TrialSetting, level, strip
+from precompute.validation.trial import FABRIC, Curve, Trial, TrialResult, TrialSetting, level, strip
 from precompute.validation.validation_row import Choice, Parameter, Row
 
 __all__ = ["ROWS"]
@@ -34,14 +34,14 @@ def _swinging(setting: TrialSetting) -> tuple[np.ndarray, np.ndarray, float]:
     mode = jv(0, jn_zeros(0, 1)[0] * np.sqrt(np.clip(1.0 - x / length, 0.0, 1.0)))
     trial.state.position[:, 0] += (AMPLITUDE * length * mode).astype(np.float32)
     trial.state.velocity[:] = 0.0
-    frames = math.ceil(SWINGS * swing_period() * math.sqrt(length / GRAVITY) * RATE)
+    frames = math.ceil(SWINGS * swing_period() * math.sqrt(length / GRAVITY) * FRAME_RATE)
     tip = x > length - 1e-9
     way = np.zeros(frames + 1)
     for frame in range(frames + 1):
         if frame:
             trial.frame()
         way[frame] = trial.world()[tip, 0].mean() / length
-    return np.arange(frames + 1) / RATE, way, trial.cost_ms
+    return np.arange(frames + 1) / FRAME_RATE, way, trial.cost_ms
 
 
 def _fitted(times: np.ndarray, way: np.ndarray) -> tuple[float, float]:
@@ -64,7 +64,7 @@ def _damping(setting: TrialSetting) -> TrialResult:
     """Implicit Euler keeps 1/sqrt(1 + z^2) of the amplitude a step, z = omega h."""
     times, way, cost = _swinging(setting)
     omega, rate = _fitted(times, way)
-    h = 1.0 / (RATE * setting.substeps)
+    h = 1.0 / (FRAME_RATE * setting.substeps)
     period = swing_period() / math.sqrt(GRAVITY)
     keeps = -0.5 * math.log1p((2.0 * math.pi / period * h) ** 2) / h  # [1/s]
     curve = Curve("t [s]", "amplitude / L", (times, AMPLITUDE * np.exp(keeps * times)), (times, np.abs(way)))
@@ -85,12 +85,12 @@ def _momentum(setting: TrialSetting, quantity: str, spin: float) -> TrialResult:
     if not falls:
         trial.state.velocity[:] = np.cross([0.0, spin, 0.0], arm) + [0.5, 0.2, -0.1]
     before = _momenta(trial, mass)
-    for _ in range(round(RATE)):
+    for _ in range(round(FRAME_RATE)):
         trial.frame()
     after = _momenta(trial, mass)
     if falls:
         drop = -float(mass @ (trial.world() - start)[:, 1] / mass.sum())
-        h = 1.0 / (RATE * setting.substeps)
+        h = 1.0 / (FRAME_RATE * setting.substeps)
         return TrialResult.relative(0.5 * GRAVITY * (1.0 + h), drop, trial.cost_ms)
     k = ("linear", "angular").index(quantity)
     size = float(np.linalg.norm(before[k]))

@@ -105,7 +105,7 @@ def tall_column(gamma: float, side: float) -> float:
         return [y[1], -gamma * (1.0 - s) * (y[0] + side), y[0]]
 
     ends = []
-    for slope in (0.0, 1.0):  # linear: two shots tell all
+    for slope in (0.0, 1.0):  # linear: two shots are enough
         found = solve_ivp(rates, (0.0, 1.0), [0.0, slope, 0.0], method="DOP853", **EXACT).y[:, -1]
         ends.append(found)
     share = -ends[0][1] / (ends[1][1] - ends[0][1])

@@ -1,4 +1,4 @@
-"""A piece of cloth in a physics test: its mesh, its solver, how it comes to rest, what it pulls with."""
+"""A specimen of cloth in a physics test: mesh, solver, damped motion to rest, load cells."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ from scipy.spatial import Delaunay, cKDTree
 from pbd import ClothMesh, Colliders, Fabric, Model, ModelOptions, SolverOptions, State, build_model
 from pbd.bending import hinge_calibration
 from pbd.models import AnySolver, Options, make_solver
-from precompute.mechanics import GRAVITY
+from precompute.mechanics import FRAME_RATE, GRAVITY
 
 __all__ = [
     "FABRIC",
-    "RATE",
     "Curve",
     "TrialResult",
     "Specimen",
@@ -29,16 +28,15 @@ __all__ = [
     "strip",
 ]
 
-RATE = 60.0  # frames a second
 EQUILIBRIA = 5  # frames that a solver without time is given to settle
-FABRIC = Fabric(air_drag=0.0)  # every test's own, but for what the test is about
-RELEASE = 1e-6  # step in which a load cell sees the released cloth gain momentum [s]
-CLEAR = 0.6  # lattice points stand this far from the border, and from given points [edges]
+FABRIC = Fabric(air_drag=0.0)  # of every test that says nothing else
+RELEASE_S = 1e-6  # step in which a load cell sees the released cloth gain momentum [s]
+CLEARANCE = 0.6  # lattice points stand this far from the border, and from given points [edges]
 
 
 @dataclass(frozen=True)
 class TrialSetting:
-    """What a test is run with.
+    """Solver and resolution of a test.
 
     Attributes:
         solver: name in :data:`pbd.models.SOLVERS`.
@@ -47,7 +45,7 @@ class TrialSetting:
     """
 
     solver: str = "default"
-    substeps: int = round(1.0 / (RATE * SolverOptions().substep))
+    substeps: int = round(1.0 / (FRAME_RATE * SolverOptions().substep))
     edges: int = 20
 
     @property
@@ -67,7 +65,7 @@ class TrialSetting:
 
     def solver_for(self, model: Model, gravity: tuple[float, float, float]) -> AnySolver:
         """The solver for a model; raises :class:`pbd.InputError` where it cannot take the mesh."""
-        substep = None if self.fixed and not self.timeless else 1.0 / (RATE * self.substeps)
+        substep = None if self.fixed and not self.timeless else 1.0 / (FRAME_RATE * self.substeps)
         return make_solver(self.solver, model, Options(substep, gravity))
 
 
@@ -83,14 +81,14 @@ class Curve:
 
 @dataclass(frozen=True)
 class TrialResult:
-    """What one run of a test gave.
+    """The result of one run of a test.
 
     Attributes:
         reference, measured: in the test's unit.
-        error: what the gates are about: relative, or absolute in the test's unit.
+        error: compared with the gates: relative, or absolute in the test's unit.
         cost_ms: processor time of a frame of 1/60 s, median [ms].
         curve: for the picture.
-        realtime_error: what the gate of the default solver is about, where that is something else.
+        realtime_error: compared with the gate of the default solver, where that is another error.
         missing: why nothing could be measured, at any setting; empty where something was.
     """
 
@@ -154,7 +152,7 @@ def _filled(given: np.ndarray, inside: Callable[[np.ndarray], np.ndarray], edge:
     cosine, sine = math.cos(angle), math.sin(angle)
     lattice = lattice @ np.array([[cosine, sine], [-sine, cosine]])
     given = given[np.unique(np.round(given / edge, 6), axis=0, return_index=True)[1]]
-    clear = (inside(lattice) > CLEAR * edge) & (cKDTree(given).query(lattice)[0] > CLEAR * edge)
+    clear = (inside(lattice) > CLEARANCE * edge) & (cKDTree(given).query(lattice)[0] > CLEARANCE * edge)
     flat = np.concatenate([given, lattice[clear]])
     faces = Delaunay(flat).simplices
     sides = flat[faces[:, 1:]] - flat[faces[:, :1]]
@@ -212,7 +210,7 @@ class Trial:
         self.state = State.at_rest(self.model)
         self.times: list[float] = []
 
-    def frame(self, targets: np.ndarray | None = None, dt: float = 1.0 / RATE) -> None:
+    def frame(self, targets: np.ndarray | None = None, dt: float = 1.0 / FRAME_RATE) -> None:
         """One frame; ``targets``: where the held vertices go [m]."""
         begin = time.process_time()
         self.solver.step(self.state, self.colliders, dt, targets)
@@ -227,9 +225,9 @@ class Trial:
             still: ends where no vertex would go further than this part of the cloth's size in ``scale``.
         """
         size = np.ptp(self.vertices, axis=0).max()
-        keep = np.float32(math.exp(-2.0 / (RATE * scale)))
-        # What finds equilibria is there after a frame or two; a sheet that buckles goes from one to the next for ever.
-        frames = EQUILIBRIA if self.setting.timeless else max(10, math.ceil(limit * scale * RATE))
+        keep = np.float32(math.exp(-2.0 / (FRAME_RATE * scale)))
+        # A quasi-static solver arrives after a frame or two; a sheet that buckles never stops changing its equilibrium.
+        frames = EQUILIBRIA if self.setting.timeless else max(10, math.ceil(limit * scale * FRAME_RATE))
         for _ in range(frames):
             last = self.state.position.copy()
             self.frame()
@@ -267,7 +265,7 @@ class Trial:
         state.velocity[:] = 0.0
         name, sign, _ = self.setting.solver.partition("/")
         explicit = f"{name}/symplectic-euler" if sign else name  # an integrator's own errors are no forces
-        make_solver(explicit, model, Options(RELEASE, (0.0, 0.0, 0.0))).step(state, Colliders(), RELEASE)
-        gained = model.mass[:, None] * state.velocity.astype(float) / RELEASE
+        make_solver(explicit, model, Options(RELEASE_S, (0.0, 0.0, 0.0))).step(state, Colliders(), RELEASE_S)
+        gained = model.mass[:, None] * state.velocity.astype(float) / RELEASE_S
         gained[held] = 0.0
         return gained.sum(axis=0), np.cross(self.world(), gained).sum(axis=0)

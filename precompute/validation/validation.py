@@ -1,4 +1,4 @@
-"""The validation table: every test against what can be known exactly, by the default solver and by the best one."""
+"""The validation table: every test against exact knowledge, by the default solver and by the best one."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ class ValidationResult:
     """One case of one test.
 
     Attributes:
-        row, case: what was tested.
-        default: what the default setting gave; None where a solver was chosen instead.
+        row, case: test and parameters.
+        default: result of the default setting, or of the chosen solver.
         realtime_setting, realtime: the cheapest setting of the default solver that passes its gate; None if none does.
         best_setting, best: the setting with the least error of those tried, or the first within its gate.
         reason: why it was lost where a gate failed.
@@ -127,7 +127,7 @@ def validate(
     A step that fails is no error but a lost row.
 
     Args:
-        row, case: what to test.
+        row, case: test and parameters.
         solver: name of a solver; None tries those that the test names. With a solver or a resolution chosen nothing
             else is tried.
         resolution: edges along the length; None starts with 20.
@@ -204,7 +204,7 @@ def _settings(search: _Search, solvers: Sequence[str], resolution: int | None) -
     for solver in solvers:
         for edges in (first.edges, *refined):
             setting = replace(first, solver=solver, edges=edges)
-            # What was cheap enough is not tried again: four times the substeps are needed.
+            # Half the edge needs four times the substeps; cheaper settings have failed on the first mesh already.
             if edges > first.edges and not setting.fixed:
                 setting = replace(setting, substeps=8 * setting.substeps)
             yield from _with_more_substeps(search, setting, first.substeps)
@@ -259,11 +259,11 @@ def validate_all(
     if len(cases) == 1:
         return [validate(*cases[0], solver, resolution, report)]
 
-    def tell(count: int, found: ValidationResult) -> None:
+    def progress(count: int, found: ValidationResult) -> None:
         report(f"{count} of {len(cases)}: {found.row.name} {case_words(found.case)}: {_short(found.best.error)}")
 
     jobs = [partial(_validate_named, row.name, case, solver, resolution) for row, case in cases]
-    return run_jobs(jobs, workers, done=tell)
+    return run_jobs(jobs, workers, done=progress)
 
 
 def _validate_named(name: str, case: Mapping[str, Any], solver: str | None, resolution: int | None) -> ValidationResult:

@@ -17,9 +17,9 @@ class Parameter:
     """A number that the user may set.
 
     Attributes:
-        words: what it is, with its unit.
+        words: its meaning, with its unit.
         default: where neither the user nor the case says.
-        low, high: what is allowed, both included.
+        low, high: smallest and largest value allowed.
     """
 
     words: str
@@ -60,11 +60,11 @@ class Row:
 
     Attributes:
         name: as on the command line.
-        words: set-up and what is measured.
+        words: set-up and measured quantity.
         measure: one run at a setting, with the parameters by name.
         gate_best: largest error of the best solver.
         gate_realtime: of the default solver.
-        parameters: what the user may set.
+        parameters: the ones that the user may set.
         cases: values that the table has; one empty case for a test without any.
         best_solvers: tried in this order for the best column.
     """
@@ -79,7 +79,7 @@ class Row:
     best_solvers: Sequence[str] = ("default", "fem-stvk/quasi-static")
 
     def run(self, setting: TrialSetting, case: Mapping[str, Any]) -> TrialResult:
-        """Measure one case; what it does not say is at its default."""
+        """Measure one case; parameters that it does not name are at their defaults."""
         return self.measure(setting, **self.complete(case))
 
     def complete(self, case: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What ablations of the wrinkle layer are made from: a database, what it was learned from, and what it is judged on."""
+"""The material of ablations of the wrinkle layer: a database, its training runs and its held-out motion."""
 
 from __future__ import annotations
 
@@ -10,16 +10,23 @@ from pathlib import Path
 import numpy as np
 
 from pbd import ModelOptions
-from precompute.learning.decoding import Lift, Predict, by_features, by_patches, lifted_frames, with_vertex_mean
+from precompute.learning.decoding import (
+    FrameDecoder,
+    Predictor,
+    by_features,
+    by_patches,
+    decoded_frames,
+    with_vertex_mean,
+)
 from precompute.learning.evaluation import Truth
 from precompute.learning.held_out import HeldOut, held_out_truth
 from precompute.learning.options import LearningOptions
 from precompute.learning.pipeline import default_cache, training_recordings, training_runs
 from precompute.learning.recording import Recording, Run
 from precompute.learning.training import Layer, TrainingSet, build_layer, fit_layer, spread_frames, training_set
-from runtime.stage import Stage, scene_of
+from runtime.garment_setup import GarmentSetup, scene_of
 from wrinkles.database import WrinkleDatabase, read_database
-from wrinkles.dictionary import Atoms, Mapping
+from wrinkles.dictionary import Atoms, CoefficientNetwork
 
 __all__ = ["Experiment", "Variant"]
 
@@ -29,36 +36,36 @@ TIMED_FRAMES = 30
 
 @dataclass(frozen=True)
 class Variant:
-    """One variant from coarse to fine.
+    """One way from the coarse to the fine mesh.
 
     Attributes:
-        layer: where it looks and writes.
-        atoms: that its coefficients count.
+        layer: the stencils that features are read from and the patches that are written to.
+        atoms: of the coefficients.
         begin: gives the mapping at the start of a run; one that remembers is shown all frames in order.
         passes: of relaxation.
         options: of the coarse model in the free run; None for the calibrated ones.
-        gain: on what the mapping says [-].
+        gain: on the coefficients that the mapping gives [-].
     """
 
     layer: Layer
     atoms: Atoms
-    begin: Callable[[], Predict]
+    begin: Callable[[], Predictor]
     passes: int = 1
     options: ModelOptions | None = None
     gain: float = 1.0
 
-    def lift(self) -> Lift:
+    def lift(self) -> FrameDecoder:
         """Adds wrinkles to a run from its first frame on."""
         predict = self.begin()
         return by_patches(self.layer, lambda features, pose: self.gain * predict(features, pose), self.atoms)
 
 
 class Experiment:
-    """A database with what it was learned from and what it is judged on; everything is made when it is asked for.
+    """A database with its training runs and its held-out motion; each is made when it is first asked for.
 
     Args:
         path: of the database; its recorded runs lie beside it, or are simulated again.
-        report: told lines of progress.
+        report: called with lines of progress.
 
     Raises:
         InputError: what cannot be read, or a scene without held-out motion.
@@ -69,7 +76,7 @@ class Experiment:
         self.report = report
         self.cache = default_cache(path)
         self._path, self._scene = path, scene_of(self.database)
-        self.stage = Stage.of(self._scene)
+        self.stage = GarmentSetup.of(self._scene)
         self.layer = build_layer(self.stage.levels)
         self.hidden = self.database.mapping.weights_2.shape[1:]
         self.held_out = cache(self._held_out)
@@ -100,10 +107,10 @@ class Experiment:
         return spread_frames(self.recordings, FRAMES)
 
     def learn_from(self, layer: Layer) -> TrainingSet:
-        """The training set of a layer that looks or writes elsewhere."""
+        """The training set of a layer with other stencils or patches."""
         return training_set(layer, self.learned, len(self.database.atoms.shapes), self.database.seed)
 
-    def fit(self, data: TrainingSet, layer: Layer | None = None, **changes) -> Mapping:
+    def fit(self, data: TrainingSet, layer: Layer | None = None, **changes) -> CoefficientNetwork:
         """The network, in half the passes of a database, but for ``changes``, arguments of :func:`fit_layer`."""
         settings = {"hidden": self.hidden, "epochs": max(1, EPOCHS // 2), "seed": self.database.seed} | changes
         return fit_layer(layer or self.layer, data, **settings)
@@ -112,12 +119,12 @@ class Experiment:
     def full(self) -> Variant:
         return self.variant(self.fit(self.data))
 
-    def variant(self, mapping: Mapping, layer: Layer | None = None, atoms: Atoms | None = None) -> Variant:
-        """One that differs from the full one in what is given."""
+    def variant(self, mapping: CoefficientNetwork, layer: Layer | None = None, atoms: Atoms | None = None) -> Variant:
+        """The full variant with another mapping, layer or atoms."""
         return self.mapped(by_features(mapping), layer, atoms)
 
     def mapped(
-        self, predict: Predict, layer: Layer | None = None, atoms: Atoms | None = None, gain: float | None = None
+        self, predict: Predictor, layer: Layer | None = None, atoms: Atoms | None = None, gain: float | None = None
     ) -> Variant:
         """The same with any mapping; vertices have the mean of what it leaves."""
         layer, atoms = layer or self.layer, atoms or self.data.atoms
@@ -134,6 +141,6 @@ class Experiment:
         figures = held_out.given_figures(smooth, decoded)
         figures |= held_out.free_figures(held_out.show(variant.layer, variant.lift(), held_out.free, variant.passes)[1])
         some, run = given.where(slice(TIMED_FRAMES)), self.truth.run
-        both = (lifted_frames(one.layer, one.lift(), run, some, one.passes) for one in (variant, self.full))
+        both = (decoded_frames(one.layer, one.lift(), run, some, one.passes) for one in (variant, self.full))
         ratios = [mine[2] / full[2] for mine, full in zip(*both, strict=True)]  # frame by frame, in turns
         return figures | {"decode_ratio": float(np.median(ratios))}

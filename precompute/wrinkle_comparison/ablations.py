@@ -1,4 +1,4 @@
-"""`gube bench wrinkles`: what each part of the wrinkle layer is worth, by leaving it out or doing it otherwise.
+"""`gube bench wrinkles`: the worth of each part of the wrinkle layer, found by leaving it out or replacing it.
 
 Every row is learned from the same recorded runs, half of the frames of a database in half the passes, and judged on its
 first held-out motion. Rows that are finished are kept beside the recorded runs.
@@ -21,7 +21,7 @@ from pbd import ModelOptions
 from pbd.storage import replacing
 from precompute.learning import decoding, held_out, training
 from precompute.learning.calibration import filtered
-from precompute.learning.decoding import Predict
+from precompute.learning.decoding import Predictor
 from precompute.learning.held_out import coarse_run
 from precompute.learning.pipeline import default_cache, training_recordings
 from precompute.learning.training import (
@@ -34,14 +34,14 @@ from precompute.wrinkle_comparison.wrinkle_baselines import k_means_modes
 from wrinkles.charts import fine_places
 from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import code_version
-from wrinkles.dictionary import Mapping
+from wrinkles.dictionary import CoefficientNetwork
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.patches import Patches
 from wrinkles.surface import Subdivision
 
 __all__ = ["ABLATIONS", "COLUMNS", "Ablation", "ablate_file", "table"]
 
-HISTORY_NOISE = 0.3  # of what is told of the past in training, in standard deviations
+HISTORY_NOISE = 0.3  # on the past coefficients that are inputs in training, in standard deviations
 COLUMNS = (
     "normal_error_deg",
     "normal_skill",
@@ -58,9 +58,9 @@ class Ablation:
     """A row of the table.
 
     Attributes:
-        group: what is ablated.
-        name: how.
-        make: the variant.
+        group: the part of the wrinkle layer.
+        name: how the part is changed.
+        make: makes the variant.
     """
 
     group: str
@@ -134,16 +134,21 @@ def _barycentric(experiment: Experiment) -> Variant:
     return _blended(experiment, lambda place: place)
 
 
-def _remembering(experiment: Experiment, past: np.ndarray, seed: int = 0) -> Mapping:
-    """A network that is told the coefficients of one recorded frame before, with noise on them."""
+def _remembering(experiment: Experiment, past: np.ndarray, seed: int = 0) -> CoefficientNetwork:
+    """A network with the coefficients of the recorded frame before as inputs, with noise on them."""
     spread = past.std(axis=(0, 1))
     noise = np.random.default_rng(seed).standard_normal(past.shape, np.float32) * (HISTORY_NOISE * spread)
-    told = np.concatenate([experiment.data.features, past + noise.astype(np.float32)], axis=2)
-    return experiment.fit(replace(experiment.data, features=told))
+    inputs = np.concatenate([experiment.data.features, past + noise.astype(np.float32)], axis=2)
+    return experiment.fit(replace(experiment.data, features=inputs))
 
 
 def _before(experiment: Experiment, sequences: Sequence[np.ndarray]) -> np.ndarray:
-    """What sequences of coefficients, one a recording and all frames of it, hold a frame before those learned from."""
+    """Coefficients one frame before the frames that are learned from.
+
+    Args:
+        experiment: whose recordings.
+        sequences: coefficients of all frames of each recording.
+    """
     rows = []
     for recording, some, sequence in zip(experiment.recordings, experiment.learned, sequences, strict=True):
         at = np.searchsorted(recording.frames, some.frames)
@@ -151,8 +156,8 @@ def _before(experiment: Experiment, sequences: Sequence[np.ndarray]) -> np.ndarr
     return np.concatenate(rows)
 
 
-def _rolled_out(mapping: Mapping, features: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Coefficients of a sequence by a mapping that is told its own; shape (f, n, K)."""
+def _rolled_out(mapping: CoefficientNetwork, features: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Coefficients of a sequence by a mapping whose inputs are its own last outputs; shape (f, n, K)."""
     found, past = np.zeros((len(features), *first.shape), np.float32), first
     for frame, seen in enumerate(features):
         found[frame] = past = mapping.predict(np.concatenate([seen, past], axis=1))
@@ -166,11 +171,11 @@ def _true_past(experiment: Experiment) -> np.ndarray:
     )
 
 
-def _recalling(experiment: Experiment, mapping: Mapping) -> Variant:
-    """Begin at rest, go on from what was said before."""
+def _recalling(experiment: Experiment, mapping: CoefficientNetwork) -> Variant:
+    """Begin at rest; after that the last output is an input."""
     shape = experiment.data.coefficients.shape[1:]
 
-    def begin() -> Predict:
+    def begin() -> Predictor:
         past = np.zeros(shape, np.float32)
 
         def predict(features: np.ndarray, pose: np.ndarray) -> np.ndarray:
@@ -182,15 +187,15 @@ def _recalling(experiment: Experiment, mapping: Mapping) -> Variant:
     return replace(experiment.full, begin=begin)
 
 
-def _history_told(experiment: Experiment) -> Variant:
-    """The truth itself is told of the frame before: what history could give at best. No free run can be told it."""
+def _true_history(experiment: Experiment) -> Variant:
+    """The past is the truth's own: the most that history could give. No free run has it."""
     mapping = _remembering(experiment, _true_past(experiment))
     truth = coefficients_of(experiment.layer, [experiment.truth.recording], experiment.data.atoms)
     past = np.concatenate([truth[:1], truth[:-1]])
 
-    def begin() -> Predict:
-        told = iter(past)
-        return lambda features, pose: mapping.predict(np.concatenate([features, next(told)], axis=1))
+    def begin() -> Predictor:
+        rows = iter(past)
+        return lambda features, pose: mapping.predict(np.concatenate([features, next(rows)], axis=1))
 
     return replace(experiment.full, begin=begin)
 
@@ -200,7 +205,7 @@ def _history(experiment: Experiment) -> Variant:
 
 
 def _history_of_its_own(experiment: Experiment) -> Variant:
-    """Learned again from what the first network says when it goes on from its own words."""
+    """Learned again with the outputs of a first network as the past, which had its own outputs as inputs."""
     mapping = _remembering(experiment, _true_past(experiment))
     rest = np.zeros(experiment.data.coefficients.shape[1:], np.float32)
     said = [_rolled_out(mapping, features_of(experiment.layer, r)[0], rest) for r in experiment.recordings]
@@ -236,10 +241,14 @@ def _linear(experiment: Experiment) -> Variant:
 
     data, static = experiment.data, experiment.layer.stencil.static
     spread = data.features.std(axis=(0, 1)) + 1e-4
-    told = lambda f: np.concatenate([f / spread, np.broadcast_to(static, (*f.shape[:-1], static.shape[1]))], axis=-1)  # noqa: E731
-    inputs = told(data.features).reshape(-1, data.features.shape[2] + static.shape[1])
+
+    def inputs_of(features: np.ndarray) -> np.ndarray:
+        places = np.broadcast_to(static, (*features.shape[:-1], static.shape[1]))
+        return np.concatenate([features / spread, places], axis=-1)
+
+    inputs = inputs_of(data.features).reshape(-1, data.features.shape[2] + static.shape[1])
     ridge = Ridge(1.0).fit(inputs, data.coefficients.reshape(len(inputs), -1))
-    return experiment.mapped(lambda features, pose: ridge.predict(told(features)).astype(np.float32))
+    return experiment.mapped(lambda features, pose: ridge.predict(inputs_of(features)).astype(np.float32))
 
 
 def _hidden(experiment: Experiment, widths: tuple[int, int]) -> Variant:
@@ -280,7 +289,7 @@ ABLATIONS = (
     Ablation("dictionary", "hidden 640, 256", partial(_hidden, widths=(640, 256))),
     Ablation("mixing", "nearest patch alone", _single_patch),
     Ablation("mixing", "barycentric weights", _barycentric),
-    Ablation("history", "previous coefficients, true ones told", _history_told),
+    Ablation("history", "previous coefficients, true ones told", _true_history),
     Ablation("history", "previous coefficients, its own", _history),
     Ablation("history", "previous coefficients, learned from its own", _history_of_its_own),
     Ablation("relaxation", "no pass", partial(_relaxed, passes=0)),
@@ -302,7 +311,7 @@ def ablate_file(path: Path, *, report: Callable[[str], None] | None = None) -> l
 
     Args:
         path: a database; its recorded runs lie beside it, or are simulated again.
-        report: told lines of progress.
+        report: called with lines of progress.
 
     Raises:
         InputError: what cannot be read, or a scene without held-out motion.

@@ -1,7 +1,7 @@
-"""What a wrinkle database is compared with: the same garment simulated outright, on the fine mesh and a middle one.
+"""The baselines of a wrinkle database: the same garment simulated outright, on the fine mesh and on a middle one.
 
 Costs are processor times, not times of day: methods are measured one after the other, and another program that takes
-turns with one of them must not make it look dear. On an idle machine both are the same, as everything runs on one core.
+turns with one of them must not make it look slow. On an idle machine both are the same, as everything runs on one core.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ __all__ = [
 ]
 
 PROBE_FRAMES = 90  # frames of a run that only a cost is measured on
-BURST = 10.0  # extents of the garment, over which cloth is all over the place: nothing can be asked of it any more
+BURST_EXTENTS = 10.0  # cloth that is further away than so many extents of the garment has burst
 FIRST_GUESS = 8  # substeps that are tried after one
-MOST_SUBSTEPS = 128  # that are tried to fill a frame's time
+MAX_SUBSTEPS = 128  # that are tried to fill a frame's time
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class Cloth:
         vertices, normals = np.zeros((2, count, 3), np.float32)
         shade = Launch(surface_normals)  # as the player calls it, so that baselines do not pay for calls
         wanted, kept, times = set(keep.tolist()), [], []
-        burst = BURST * np.ptp(self.model.mesh.vertices, axis=0).max()
+        burst = BURST_EXTENTS * np.ptp(self.model.mesh.vertices, axis=0).max()
         for frame in range(1, (frame_count or self.run.frame_count) + 1):
             began = time.process_time()
             simulation.step(self.run.poses[frame], self.run.dt, self.run.wind)
@@ -174,13 +174,13 @@ def equal_cost_substeps(cost: Callable[[int], float], budget: float) -> int:
     at = lru_cache(maxsize=None)(cost)
     if at(1) >= budget:
         return 1
-    low, high, guess = 1, MOST_SUBSTEPS + 1, FIRST_GUESS
+    low, high, guess = 1, MAX_SUBSTEPS + 1, FIRST_GUESS
     while high - low > 1:
         low, high = (guess, high) if at(guess) < budget else (low, guess)
         # What a frame costs besides its substeps is the same for any number: a line through two costs nearly hits it.
         each = max((at(guess) - at(1)) / (guess - 1), 1e-9)
         guess = int(np.clip(1.0 + (budget - at(1)) / each, low + 1, max(low + 1, high - 1)))
-    if high > MOST_SUBSTEPS:
+    if high > MAX_SUBSTEPS:
         return low
     return low if budget - at(low) <= at(high) - budget else high
 
@@ -196,7 +196,7 @@ def coarse_cloth(database: WrinkleDatabase, truth: Truth) -> Cloth:
     """The coarse garment with its calibrated model."""
     levels = truth.levels
     model = build_model(
-        database.gathers.applied(levels.coarse),
+        database.rest_shape.applied(levels.coarse),
         database.fabric,
         levels.coarse_held,
         database.options,

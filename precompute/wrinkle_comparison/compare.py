@@ -37,7 +37,7 @@ from precompute.wrinkle_comparison.baselines import (
     player_times,
     typical_ms,
 )
-from runtime.play import Free, cast_of
+from runtime.play import Free, playback_inputs
 from wrinkles.database import WrinkleDatabase, code_version, read_database
 from wrinkles.distance import penetration_figures
 from wrinkles.metrics import edge_stretch
@@ -300,14 +300,14 @@ def compare_file(
     """
     path = database_of(path, output, report)
     database = read_database(path)
-    cast = cast_of(database, clip=clip)
-    motion, levels = cast.motions[0], levels_from(database, cast.body)
+    inputs = playback_inputs(database, clip=clip)
+    motion, levels = inputs.motions[0], levels_from(database, inputs.body)
     if motion.name in database.trained_on:
         held_out = ", ".join(database.held_out) or "a clip that nothing was learned from"
         raise InputError(
             "the database has learned from this clip", key="--clip", received=motion.name, expected=held_out
         )
-    run = fine_run(levels, cast.body, motion, database, wind=cast.wind, primitives=cast.primitives)
+    run = fine_run(levels, inputs.body, motion, database, wind=inputs.wind, primitives=inputs.primitives)
     truth = truth_of(run, default_cache(path), 2, report)
     return compare(database, truth if seconds is None else truth.until(seconds), report=report)
 

@@ -1,6 +1,6 @@
-"""Other ways from a coarse garment to fine wrinkles, learned from the same pairs and decoded by the same patches.
+"""Other mappings from a coarse garment to fine wrinkles, learned from the same pairs, decoded by the same patches.
 
-All of them give the coefficients of the patches' atoms, so that what differs is the mapping alone: a linear operator,
+All of them give the coefficients of the patches' atoms, so that the mapping alone differs: a linear operator,
 principal components with ridge regression, the nearest neighbour with delta (as game engines ship it), a pose-driven
 radial basis, k-means modes, kernel ridge regression and a wide network. Those that see the whole garment at once see
 the inner ring of every stencil. How strongly each is regularised is chosen on the training runs, each left out in turn.
@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from precompute.learning.decoding import Predict
+from precompute.learning.decoding import Predictor
 from precompute.learning.training import Layer, TrainingSet, fit_layer
 from wrinkles.features import INNER_OFFSETS
 
@@ -26,18 +26,11 @@ MODES = 512  # of k-means
 WIDE = (640, 256)
 FOLDS = 5  # pieces of the training motion
 TRIED_PLACES = 12  # where the linear operator's softness is chosen
-SOFTNESS = (
-    1.0,
-    10.0,
-    100.0,
-    1e3,
-    1e4,
-)  # of ridge regressions that are tried, in variances of a feature times one sample
+SOFTNESS = (1.0, 10.0, 100.0, 1e3, 1e4)  # of ridge regressions that are tried, in variances of a feature
 SMOOTHING = (1e-3, 0.1, 10.0, 1e3)  # of the pose-driven basis
 SEEN_COMPONENTS = (8, 32, 128)  # that neighbours are compared by
-KERNELS = tuple(
-    (alpha, width) for alpha in (1e-3, 0.01, 0.1, 1.0) for width in (0.1, 0.5, 2.0)
-)  # widths over components
+# Alpha and width over components, of kernel ridge regressions that are tried.
+KERNELS = tuple((alpha, width) for alpha in (1e-3, 0.01, 0.1, 1.0) for width in (0.1, 0.5, 2.0))
 
 
 @dataclass(frozen=True)
@@ -47,12 +40,12 @@ class WrinkleBaseline:
     Attributes:
         name: for people.
         predict: features of one frame, float32, shape (n, DYNAMIC_COUNT), and the body's pose to coefficients, (n, K).
-        arrays: what has to be stored.
-        settings: what was chosen for it.
+        arrays: the ones to store.
+        settings: the ones chosen for it, in words.
     """
 
     name: str
-    predict: Predict
+    predict: Predictor
     arrays: tuple[np.ndarray, ...]
     settings: str = ""
 
@@ -81,26 +74,26 @@ def fit_baselines(
         epochs: of the wide network.
         seed: of every random choice.
         gain: on the wrinkles of the wide network, which is ours but for its width [-].
-        report: told lines of progress.
+        report: called with lines of progress.
     """
-    tell = report or (lambda line: None)
-    tell("fitting baselines: linear operator")
+    progress = report or (lambda line: None)
+    progress("fitting baselines: linear operator")
     baselines = [_linear_operator(data)]
-    tell("fitting baselines: whole garment")
+    progress("fitting baselines: whole garment")
     whole = _Whole(data, seed)
     baselines += [_principal(whole), _kernel(whole), _neighbour(whole, data)]
     if poses.ndim == 4:
-        tell("fitting baselines: pose-driven")
+        progress("fitting baselines: pose-driven")
         baselines.append(_pose_driven(poses, whole, seed))
-    tell("fitting baselines: modes")
+    progress("fitting baselines: modes")
     baselines.append(k_means_modes(data, seed))
-    tell("fitting baselines: wide network")
+    progress("fitting baselines: wide network")
     wide = fit_layer(layer, data, hidden=WIDE, epochs=epochs, seed=seed).amplified(gain)
     return [*baselines, WrinkleBaseline("wide network", lambda f, pose: wide.predict(f), tuple(wide.arrays().values()))]
 
 
 def _chosen(settings: Sequence[Any], fit: Callable, inputs: np.ndarray, outputs: np.ndarray) -> Any:
-    """The setting that predicts best what it was not fitted to, when each piece of the motion is left out in turn.
+    """The setting with the least error on pieces of the motion that it was not fitted to, each left out in turn.
 
     Args:
         settings: to choose from.

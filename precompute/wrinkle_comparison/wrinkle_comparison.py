@@ -1,4 +1,4 @@
-"""`gube compare --wrinkles`: every method from a coarse garment to fine wrinkles, on one held-out motion.
+"""`gube compare --wrinkles`: methods that add fine wrinkles to a coarse garment, on one held-out motion.
 
 Each is judged twice: given the truth's own coarse states, and on a free run of the coarse garment. Simulations of a
 finer mesh at equal cost, which need no coarse garment, are judged on their own free runs.
@@ -16,11 +16,11 @@ from threadpoolctl import threadpool_limits
 
 from precompute.learning.decoding import (
     MEAN_FRAMES,
-    Lift,
-    Predict,
+    FrameDecoder,
+    Predictor,
     by_features,
     by_patches,
-    lifted_frames,
+    decoded_frames,
     with_vertex_mean,
 )
 from precompute.learning.held_out import JUDGED, HeldOut, held_out_truth
@@ -32,7 +32,7 @@ from precompute.wrinkle_comparison.baselines import player_times, typical_ms
 from precompute.wrinkle_comparison.compare import database_of, equal_cost_baselines
 from precompute.wrinkle_comparison.wrinkle_baselines import WrinkleBaseline, fit_baselines
 from precompute.wrinkle_comparison.wrinkle_meshes import WrinkleMesh, WrinkleMeshOptions
-from runtime.stage import Stage, scene_of
+from runtime.garment_setup import GarmentSetup, scene_of
 from wrinkles.database import WrinkleDatabase, read_database
 from wrinkles.spectrum import BandedEnergy
 
@@ -49,10 +49,10 @@ class WrinkleMethod:
     Attributes:
         name: for people.
         frame_ms: processor time of a whole frame [ms].
-        megabytes: that it has to store besides the mesh, atoms included, as float32; 0 for one that learns nothing.
+        megabytes: stored besides the mesh, atoms included, as float32 [MB]; 0 for a method that learns nothing.
         given: figures given the truth's coarse states; none for a simulation.
         free: figures of its free run; none where it broke.
-        settings: what was chosen for it.
+        settings: the ones chosen for it, in words.
     """
 
     name: str
@@ -99,12 +99,12 @@ def compare_wrinkles(
         baselines: fitted mappings.
         mesh_options: of wrinkle meshes.
         held_out: what is judged on.
-        runs, recordings: what the baselines have learned from; their means of vertices are fitted to it as ours is.
-        report: told lines of progress.
+        runs, recordings: the baselines' training runs, to which their means of vertices are fitted as ours is.
+        report: called with lines of progress.
     """
-    tell = report or (lambda line: None)
+    progress = report or (lambda line: None)
     truth, levels = held_out.truth, held_out.truth.levels
-    tell("comparing wrinkles: ours")
+    progress("comparing wrinkles: ours")
     ours_ms, smooth_ms = player_times(database, truth)
     mapping, atoms = database.mapping, database.atoms
     ours = WrinkleBaseline("ours", by_features(mapping), tuple(mapping.arrays().values()))
@@ -115,13 +115,13 @@ def compare_wrinkles(
     drawn = 4e-6 * (atoms.shapes.size + atoms.mean.size + atoms.vertex_mean.size)
     methods = [WrinkleMethod("ours", typical_ms(ours_ms), ours.megabytes + drawn, *figures)]
 
-    def with_own_mean(begin: Callable[[], Predict]) -> Callable[[], Lift]:
+    def with_own_mean(begin: Callable[[], Predictor]) -> Callable[[], FrameDecoder]:
         predict = begin()
         own = with_vertex_mean(layer, [predict] * len(runs), atoms, runs, recordings)
         return lambda: by_patches(layer, begin(), own)
 
-    def judge(name: str, begin: Callable[[], Lift], megabytes: float, settings: str, free: Recording) -> None:
-        tell(f"comparing wrinkles: {name}")
+    def judge(name: str, begin: Callable[[], FrameDecoder], megabytes: float, settings: str, free: Recording) -> None:
+        progress(f"comparing wrinkles: {name}")
         *shown, spent = held_out.show(layer, begin(), truth.recording)
         figures = held_out.free_figures(held_out.show(layer, begin(), free)[1])
         frame_ms = methods[0].frame_ms + spent - given[2]  # our frame, wrinkles made otherwise
@@ -130,7 +130,7 @@ def compare_wrinkles(
     for baseline in baselines:
         begin = with_own_mean(lambda baseline=baseline: baseline.predict)
         judge(baseline.name, begin, baseline.megabytes + drawn, baseline.settings, held_out.free)
-    # Ways that learn nothing come last: where a chart leaves them out, the others keep their marks.
+    # Methods that learn nothing come last: where a chart leaves them out, the others keep their marks.
     smooth = np.stack([levels.subdivision.upsample(frame) for frame in held_out.plain.coarse[JUDGED]])
     figures = held_out.given_figures(given[0], given[0]), held_out.free_figures(smooth.astype(np.float32))
     methods.append(WrinkleMethod("smooth", typical_ms(smooth_ms), 0.0, *figures))
@@ -141,9 +141,11 @@ def compare_wrinkles(
         free = {} if method.frames is None else held_out.free_figures(method.frames[JUDGED])
         count = f"{method.settings['substeps a frame']} substeps a frame"
         methods.append(WrinkleMethod(method.name, method.frame_ms, 0.0, {}, free, count))
-    tell("comparing wrinkles: true patches")
-    told = iter(coefficients_of(layer, [*spread_frames(recordings, MEAN_FRAMES), truth.recording], atoms))
-    limit = with_own_mean(lambda: lambda f, pose: next(told))  # told what is learned from first, then what is judged
+    progress("comparing wrinkles: true patches")
+    true = iter(coefficients_of(layer, [*spread_frames(recordings, MEAN_FRAMES), truth.recording], atoms))
+    limit = with_own_mean(
+        lambda: lambda f, pose: next(true)
+    )  # first the frames that are learned from, then the judged ones
     *shown, _ = held_out.show(layer, limit(), truth.recording)
     floor = held_out.free_figures(held_out.judged.floor)
     return WrinkleComparison(
@@ -151,7 +153,7 @@ def compare_wrinkles(
     )
 
 
-def _wrinkle_mesh(layer: Layer, options: WrinkleMeshOptions) -> Lift:
+def _wrinkle_mesh(layer: Layer, options: WrinkleMeshOptions) -> FrameDecoder:
     mesh = WrinkleMesh(layer.levels, options)
     return lambda fine, upsample, features, frames, pose: mesh(fine)
 
@@ -171,7 +173,7 @@ def tuned_wrinkle_mesh(layer: Layer, run: Run, recording: Recording) -> WrinkleM
     wanted = bands.energy(recording.positions).mean(axis=0)
 
     def error(options: WrinkleMeshOptions) -> float:
-        frames = lifted_frames(layer, _wrinkle_mesh(layer, options), run, recording)
+        frames = decoded_frames(layer, _wrinkle_mesh(layer, options), run, recording)
         found = bands.energy(np.stack([lifted for _, lifted, _ in frames])).mean(axis=0)
         return float((np.log(found / wanted) ** 2).mean())
 
@@ -182,27 +184,27 @@ def tuned_wrinkle_mesh(layer: Layer, run: Run, recording: Recording) -> WrinkleM
 def compare_wrinkles_file(
     path: Path, output: Path, *, report: Callable[[str], None] | None = None
 ) -> WrinkleComparison:
-    """Fit every baseline on what a database has learned from, and compare on its first held-out motion.
+    """Fit every baseline to the training runs of a database, and compare on its first held-out motion.
 
     Args:
         path: a database whose recorded runs lie beside it (they are simulated again where they do not), or a scene.
         output: folder of the scene's database.
-        report: told lines of progress.
+        report: called with lines of progress.
 
     Raises:
         InputError: what cannot be read, or a scene without held-out motion.
     """
-    tell = report or (lambda line: None)
+    progress = report or (lambda line: None)
     path = database_of(path, output, report)
     database = read_database(path)
     scene = scene_of(database)
-    stage, cache = Stage.of(scene), default_cache(path)
+    stage, cache = GarmentSetup.of(scene), default_cache(path)
     truth = held_out_truth(path, stage, scene, cache, report)
     held_out = HeldOut.of(database, truth, cache, report=report)
     layer = build_layer(stage.levels)
     runs = training_runs(layer, stage, scene, cache, report)
     recordings = training_recordings(runs, cache, 2, report)
-    tell("fitting baselines: wrinkle meshes")
+    progress("fitting baselines: wrinkle meshes")
     mesh_options = tuned_wrinkle_mesh(layer, runs[-1], recordings[-1].where(slice(-TUNED_FRAMES, None)))
     chosen = spread_frames(recordings, LearningOptions().training_frames)
     data = training_set(layer, chosen, len(database.atoms.shapes), database.seed)

@@ -20,7 +20,7 @@ __all__ = ["WrinkleMesh", "WrinkleMeshOptions"]
 
 @dataclass(frozen=True)
 class WrinkleMeshOptions:
-    """What is tuned.
+    """Settings that are tuned.
 
     Attributes:
         radius: that a vertex may go from the smooth surface, in mean edges of the fine mesh.

@@ -98,15 +98,15 @@ def wrinkle_rows(comparison: WrinkleComparison) -> list[dict[str, float | str]]:
 
 
 def wrinkle_verdict(comparison: WrinkleComparison) -> str:
-    """Who is nearest to the truth, in sentences; a baseline that wins is named as plainly as ours would be."""
+    """Who is nearest to the truth, in sentences; a baseline that wins is named as plainly as our method."""
     given = {method.name: method.given[_GIVEN] for method in comparison.methods if method.given}
     free = {method.name: method.free[_FREE] for method in comparison.methods if method.free}
-    told = lambda figures, unit: ", ".join(  # noqa: E731
+    listed = lambda figures, unit: ", ".join(  # noqa: E731
         f"{name} {value:.3g}{unit}" for name, value in sorted(figures.items(), key=lambda item: item[1])
     )
     return (
         f"Given the coarse state, {min(given, key=given.__getitem__)} is nearest to the truth's normals: "
-        f"{told(given, ' deg')}.\n\n"
+        f"{listed(given, ' deg')}.\n\n"
         f"Running freely, {min(free, key=free.__getitem__)} is nearest to the truth's spectrum of folds (largest "
-        f"relative error of a band's bending energy): {told(free, '')}; the floor is {comparison.floor[_FREE]:.3g}."
+        f"relative error of a band's bending energy): {listed(free, '')}; the floor is {comparison.floor[_FREE]:.3g}."
     )

@@ -31,17 +31,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Report:
     """Play the first motion that is asked for and write it."""
     from runtime.outputs import check_file
-    from runtime.play import BAKED, baked_frames, cast_of, write_baked
+    from runtime.play import BAKED, baked_frames, open_database, write_baked
     from runtime.report import Report
-    from wrinkles.database import read_database
 
     check_file(options.output, *BAKED)
-    database = read_database(options.database)
-    if options.fabric is not None:
-        database = database.in_fabric(options.fabric)
-    cast = cast_of(database, options.character, options.clip)
-    player, frames, normals, poses = baked_frames(database, cast, cast.motions[0], options.rate, options.seconds)
+    database, inputs = open_database(
+        options.database, character=options.character, clip=options.clip, fabric=options.fabric
+    )
+    player, frames, normals, poses = baked_frames(database, inputs, inputs.motions[0], options.rate, options.seconds)
     faces = player.levels.subdivision.faces
-    write_baked(options.output, faces, frames, options.rate, normals, cast.body, poses)
-    print(f"{cast.motions[0].name}: {len(frames)} frames of {frames.shape[1]} vertices baked to {options.output}")
+    write_baked(options.output, faces, frames, options.rate, normals, inputs.body, poses)
+    print(f"{inputs.motions[0].name}: {len(frames)} frames of {frames.shape[1]} vertices baked to {options.output}")
     return Report({"frame_count": len(frames), "fine_vertex_count": frames.shape[1]})

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from runtime.arguments import add_output_folder, add_playback, positive
 
 if TYPE_CHECKING:
-    from runtime.play import Cast
+    from runtime.play import PlaybackInputs
     from runtime.report import Report
     from runtime.simulation import Motion
     from wrinkles.database import WrinkleDatabase
@@ -45,16 +45,16 @@ def run(options: argparse.Namespace) -> Report:
     """Play every motion that is asked for and draw it, or play it by the clock."""
     from runtime.play import loop_figures, play_motion
 
-    def figures_of(database: WrinkleDatabase, cast: Cast, motion: Motion) -> dict[str, Any]:
+    def figures_of(database: WrinkleDatabase, inputs: PlaybackInputs, motion: Motion) -> dict[str, Any]:
         if options.loop is not None:
-            return dict(loop_figures(database, cast, motion, options.loop, options.hz))
-        return dict(play_motion(database, cast, motion, options.seconds, options.output))
+            return dict(loop_figures(database, inputs, motion, options.loop, options.hz))
+        return dict(play_motion(database, inputs, motion, options.seconds, options.output))
 
     return play_motions(options, figures_of)
 
 
 def play_motions(
-    options: argparse.Namespace, figures_of: Callable[[WrinkleDatabase, Cast, Motion], dict[str, Any]]
+    options: argparse.Namespace, figures_of: Callable[[WrinkleDatabase, PlaybackInputs, Motion], dict[str, Any]]
 ) -> Report:
     """Play every motion that is asked for.
 
@@ -64,20 +64,18 @@ def play_motions(
     """
     from runtime.info import figure_lines
     from runtime.outputs import check_folder
-    from runtime.play import cast_of
+    from runtime.play import open_database
     from runtime.report import Report, numbers_of, process_age
-    from wrinkles.database import read_database
 
     import_s = process_age()
     if options.loop is None:
         check_folder(options.output)
-    database = read_database(options.database)
-    if options.fabric is not None:
-        database = database.in_fabric(options.fabric)
-    cast = cast_of(database, options.character, options.clip)
+    database, inputs = open_database(
+        options.database, character=options.character, clip=options.clip, fabric=options.fabric
+    )
     rows: list[dict[str, float | str]] = []
-    for motion in cast.motions:
-        rows.append({"motion": motion.name, "import_s": import_s, **figures_of(database, cast, motion)})
+    for motion in inputs.motions:
+        rows.append({"motion": motion.name, "import_s": import_s, **figures_of(database, inputs, motion)})
         print("\n".join([f"{motion.name}:", *figure_lines(numbers_of(rows[-1]))]))
         if "state_hash" in rows[-1]:
             print(f"  state_hash {rows[-1]['state_hash']}")

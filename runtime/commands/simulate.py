@@ -53,8 +53,8 @@ def run(options: argparse.Namespace) -> Report:
     if options.explain:
         print(scene_text(scene), end="")
         return Report()
+    from runtime.garment_setup import body_of, simulation_of
     from runtime.play import BAKED, simulated_frames, write_baked
-    from runtime.stage import body_of, simulation_of
 
     output = options.output or Path("out") / f"{options.scene.stem}.glb"
     check_file(output, *BAKED)

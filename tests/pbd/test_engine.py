@@ -48,23 +48,33 @@ def test_a_bad_thread_count_in_the_environment_is_refused(value: str) -> None:
     assert "GUBE_THREADS" in result.stdout and value in result.stdout
 
 
-def test_one_thread_and_two_share_compiled_kernels(tmp_path: Path) -> None:
-    """Compiling is half a minute of a first frame, and a worker process has one thread."""
+def _compiled(folder: Path, threads: str = "1") -> tuple[list[str], str]:
+    """Kernels that are kept in a folder after a process has used one, and its result."""
     script = (
         "import numpy as np\nfrom pbd import ensure_initialized\nfrom pbd.geometry import surface_normals\n"
         "ensure_initialized()\nout = np.zeros((3, 3), np.float32)\n"
         "surface_normals(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32), out)\nprint(out.tolist())\n"
     )
-    printed, kept = [], []
-    for threads in ("1", "2"):
-        settings = {"GUBE_THREADS": threads, "TI_OFFLINE_CACHE_FILE_PATH": str(tmp_path)}
-        result = subprocess.run(
-            [sys.executable, "-c", script], cwd=ROOT, env=os.environ | settings, capture_output=True, text=True
-        )
-        assert result.returncode == 0, result.stderr
-        printed.append(result.stdout.splitlines()[-1])
-        kept.append(sorted(path.name for path in tmp_path.glob("*.tic")))
-    assert printed[0] == printed[1] and kept[0] == kept[1] != []
+    settings = {"GUBE_THREADS": threads, "TI_OFFLINE_CACHE_FILE_PATH": str(folder)}
+    result = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, env=os.environ | settings, capture_output=True, text=True
+    )
+    assert result.returncode == 0, result.stderr
+    return sorted(path.name for path in folder.glob("*.tic")), result.stdout
+
+
+def test_one_thread_and_two_share_compiled_kernels(tmp_path: Path) -> None:
+    """Compiling is half a minute of a first frame, and a worker process has one thread."""
+    one, two = (_compiled(tmp_path, threads) for threads in ("1", "2"))
+    assert one == two and one[0]
+
+
+def test_a_lock_that_was_left_does_not_keep_kernels_from_being_kept(tmp_path: Path) -> None:
+    lock = tmp_path / "ticache.lock"
+    lock.touch()
+    assert not _compiled(tmp_path)[0] and lock.exists()  # someone may be at work
+    os.utime(lock, (0.0, 0.0))
+    assert _compiled(tmp_path)[0] and not lock.exists()
 
 
 @ti.kernel

@@ -15,5 +15,5 @@ def reports() -> list[str]:
 @pytest.fixture(scope="session")
 def learned(tmp_path_factory: pytest.TempPathFactory, reports: list[str]) -> Precomputed:
     """The miniature's database, its recorded runs beside it; modules that ask for it run in one process."""
-    output = tmp_path_factory.mktemp("learned") / "skirt.h5"
-    return precompute(scene(), output, workers=1, report=reports.append, options=OPTIONS)
+    folder = tmp_path_factory.mktemp("learned")
+    return precompute(scene(), folder / "skirt.h5", workers=1, options=OPTIONS, report=reports.append)

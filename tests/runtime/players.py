@@ -10,10 +10,10 @@ import numpy as np
 
 from assets.io.scene import parse_scene, scene_text
 from pbd import SolverOptions
-from runtime.stage import Stage
+from runtime.garment_setup import GarmentSetup
 from tests.wrinkles.databases import placed, small_database
 from wrinkles.database import WrinkleDatabase, body_hash
-from wrinkles.gathers import Gathers
+from wrinkles.rest_shape import RestShapeCorrection
 from wrinkles.surface import Subdivision
 
 __all__ = ["SCENE", "skirt_database", "skirt_stage"]
@@ -40,8 +40,8 @@ clip = "walk"
 
 
 @cache
-def skirt_stage() -> Stage:
-    return Stage.of(parse_scene(SCENE, "skirt.toml"))
+def skirt_stage() -> GarmentSetup:
+    return GarmentSetup.of(parse_scene(SCENE, "skirt.toml"))
 
 
 def skirt_database(**changes: Any) -> WrinkleDatabase:
@@ -58,7 +58,7 @@ def skirt_database(**changes: Any) -> WrinkleDatabase:
         "garment_name": "skirt",
         "coarse_vertices": coarse.vertices,
         "coarse_faces": coarse.faces,
-        "gathers": Gathers.none(coarse.faces),
+        "rest_shape": RestShapeCorrection.none(coarse.faces),
         "subdivisions": subdivisions,
         "held": stage.levels.coarse_held.astype(np.int32),
         "warp": (0.0, 1.0, 0.0),

@@ -14,12 +14,12 @@ from pbd import Fabric, InputError, Limits, ModelOptions, SolverOptions
 from runtime.game_loop import GameLoop, LiveInput, ScriptedInput
 from runtime.player import Player
 from wrinkles.database import WrinkleDatabase, body_hash
-from wrinkles.dictionary import FABRIC_COUNT, Atoms, Mapping
+from wrinkles.dictionary import FABRIC_COUNT, Atoms, CoefficientNetwork
 from wrinkles.features import DYNAMIC_COUNT
-from wrinkles.gathers import Gathers
 from wrinkles.levels import build_levels
+from wrinkles.novelty import NoveltyScore
 from wrinkles.patches import NODES
-from wrinkles.unfamiliarity import Unfamiliarity
+from wrinkles.rest_shape import RestShapeCorrection
 
 TICK = 1.0 / 60.0
 POSE = np.zeros((1, 3, 4))
@@ -317,7 +317,7 @@ def database() -> WrinkleDatabase:
         garment_name="skirt",
         coarse_vertices=levels.coarse.vertices,
         coarse_faces=levels.coarse.faces,
-        gathers=Gathers.none(levels.coarse.faces),
+        rest_shape=RestShapeCorrection.none(levels.coarse.faces),
         subdivisions=1,
         held=held,
         limits=Limits.none(),
@@ -331,7 +331,7 @@ def database() -> WrinkleDatabase:
         solver=SolverOptions(substep=1.0 / 480.0),
         frame_rate=60.0,
         atoms=Atoms(0.01 * small(atoms, 3 * NODES), zero(3 * NODES), 1.0, zero(levels.subdivision.fine_count, 3)),
-        mapping=Mapping(
+        mapping=CoefficientNetwork(
             center=zero(DYNAMIC_COUNT),
             scale=one(DYNAMIC_COUNT),
             weights_1=small(DYNAMIC_COUNT, hidden),
@@ -345,7 +345,7 @@ def database() -> WrinkleDatabase:
             bias_2=zero(1, hidden),
             bias_3=zero(1, atoms),
         ),
-        unfamiliarity=Unfamiliarity(zero(hidden, 1), zero(1), zero(1), 0.0, 1.0),
+        novelty=NoveltyScore(zero(hidden, 1), zero(1), zero(1), 0.0, 1.0),
         cutoff=levels.cutoff,
         body_hash=body_hash(character),
         body_vertex_count=len(character.vertices),

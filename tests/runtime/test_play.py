@@ -16,10 +16,10 @@ from assets.io.sequence import Sequence
 from pbd import InputError
 from pbd.wind import Wind
 from runtime import command
-from runtime.play import cast_of, play, simulated_frames
+from runtime.garment_setup import simulation_of
+from runtime.play import play, playback_inputs, simulated_frames
 from runtime.player import Player
 from runtime.simulation import poses_of
-from runtime.stage import simulation_of
 from tests.data import ROOT
 from tests.runtime.players import SCENE, skirt_database, skirt_stage
 from wrinkles.database import body_hash, read_database, write_database
@@ -51,22 +51,22 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ],
 )
 def test_what_is_played(clip: str | None, character: Path | None, names: list[str]) -> None:
-    cast = cast_of(skirt_database(), character, clip)
-    assert [motion.name for motion in cast.motions] == names
-    assert all(motion.duration > 1.0 for motion in cast.motions)
+    inputs = playback_inputs(skirt_database(), character, clip)
+    assert [motion.name for motion in inputs.motions] == names
+    assert all(motion.duration > 1.0 for motion in inputs.motions)
 
 
 def test_without_a_held_out_clip_the_scenes_own_is_played() -> None:
     scene = SCENE.partition("[[training.held_out]]")[0].replace('clip = "walk"', 'clip = "slow_walk"')
     database = skirt_database(held_out=(), scene=scene)
-    assert [motion.name for motion in cast_of(database).motions] == ["slow_walk"]
+    assert [motion.name for motion in playback_inputs(database).motions] == ["slow_walk"]
 
 
 def test_wind_and_colliders_come_from_the_scene() -> None:
     scene = SCENE + '[wind]\nvelocity = [3.0, 0.0, 1.0]\n[[collider]]\ntype = "plane"\n'
-    cast = cast_of(skirt_database(scene=scene))
-    assert cast.wind == Wind((3.0, 0.0, 1.0))
-    assert len(cast.primitives) == 1
+    inputs = playback_inputs(skirt_database(scene=scene))
+    assert inputs.wind == Wind((3.0, 0.0, 1.0))
+    assert len(inputs.primitives) == 1
 
 
 def test_a_vertex_sequence_has_no_clips(tmp_path: Path) -> None:
@@ -75,9 +75,9 @@ def test_a_vertex_sequence_has_no_clips(tmp_path: Path) -> None:
     file = tmp_path / "still.npz"
     np.savez(file, vertices=frames, faces=body.faces, dt=0.1)
     database = skirt_database(body_hash=body_hash(Sequence("still", frames, body.faces, 0.1)))
-    assert [motion.name for motion in cast_of(database, file).motions] == ["still"]
+    assert [motion.name for motion in playback_inputs(database, file).motions] == ["still"]
     with pytest.raises(InputError, match="no clips"):
-        cast_of(database, file, "walk")
+        playback_inputs(database, file, "walk")
 
 
 def test_kept_frames_are_those_that_were_asked_for() -> None:
@@ -137,14 +137,14 @@ def test_truth_is_found_where_precompute_left_it(path: Path) -> None:
 
     stage, database = skirt_stage(), read_database(path)
     learned = fine_run(stage.levels, stage.body, stage.motion(stage.scene.training.held_out[0]), database)
-    cast = cast_of(database)
+    inputs = playback_inputs(database)
     played = fine_run(
-        levels_from(database, cast.body),
-        cast.body,
-        cast.motions[0],
+        levels_from(database, inputs.body),
+        inputs.body,
+        inputs.motions[0],
         database,
-        wind=cast.wind,
-        primitives=cast.primitives,
+        wind=inputs.wind,
+        primitives=inputs.primitives,
     )
     assert played.key() == learned.key()
     assert replace(played, wind=(1.0, 0.0, 0.0)).key() != learned.key()

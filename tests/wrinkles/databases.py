@@ -10,17 +10,17 @@ import numpy as np
 from pbd import Fabric, Limits, ModelOptions, SolverOptions
 from tests.wrinkles.meshes import flat_sheet
 from wrinkles.database import WrinkleDatabase
-from wrinkles.dictionary import FABRIC_COUNT, Atoms, Mapping
+from wrinkles.dictionary import FABRIC_COUNT, Atoms, CoefficientNetwork
 from wrinkles.features import DYNAMIC_COUNT
-from wrinkles.gathers import Gathers
+from wrinkles.novelty import NoveltyScore
 from wrinkles.patches import NODES
+from wrinkles.rest_shape import RestShapeCorrection
 from wrinkles.surface import Subdivision
-from wrinkles.unfamiliarity import Unfamiliarity
 
 __all__ = ["placed", "small_database"]
 
 
-def placed(mapping: Mapping, bias: np.ndarray) -> Mapping:
+def placed(mapping: CoefficientNetwork, bias: np.ndarray) -> CoefficientNetwork:
     """The mapping on another garment, with a bias of the first layer at each vertex, shape (n, h1), in two regions."""
     count, width = bias.shape
     return replace(
@@ -46,7 +46,7 @@ def small_database(side: int = 7, atoms: int = 5, hidden: tuple[int, int] = (8, 
         "garment_name": "curtain č",
         "coarse_vertices": vertices + np.array([0.1, 1.2, -0.3]),
         "coarse_faces": faces,
-        "gathers": Gathers.none(shown),
+        "rest_shape": RestShapeCorrection.none(shown),
         "subdivisions": 2,
         "held": np.arange(side, dtype=np.int32),
         "limits": Limits([3, side + 2], [0.05, 1e6], [1e6, 0.01], [0.0, 300.0]),
@@ -60,7 +60,7 @@ def small_database(side: int = 7, atoms: int = 5, hidden: tuple[int, int] = (8, 
         "solver": SolverOptions(1.0 / 900.0, (0.0, -9.81, 0.1), local_damping=1.5, linear_inertia=0.5),
         "frame_rate": 60.0,
         "atoms": Atoms(weights(atoms, 3 * NODES), weights(3 * NODES), 0.97, weights(made.fine_count, 3)),
-        "mapping": Mapping(
+        "mapping": CoefficientNetwork(
             center=weights(DYNAMIC_COUNT),
             scale=1.0 + weights(DYNAMIC_COUNT),
             weights_1=weights(DYNAMIC_COUNT, hidden[0]),
@@ -74,7 +74,7 @@ def small_database(side: int = 7, atoms: int = 5, hidden: tuple[int, int] = (8, 
             bias_3=weights(2, atoms),
             fabric_weights=weights(FABRIC_COUNT, hidden[0]),
         ),
-        "unfamiliarity": Unfamiliarity(weights(hidden[0], 3), weights(3), weights(3), 1.5, 12.0),
+        "novelty": NoveltyScore(weights(hidden[0], 3), weights(3), weights(3), 1.5, 12.0),
         "cutoff": 0.4,
         "body_hash": "a1" * 32,
         "body_vertex_count": 1234,

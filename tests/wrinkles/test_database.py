@@ -38,7 +38,7 @@ DENIM = LearnedFabric(
     "denim", Fabric(areal_density=0.4, bend_warp=6e-5), ModelOptions(compression_compliance_scale=3.0)
 )
 SILK = LearnedFabric("шёлк", Fabric(areal_density=0.06, friction=0.1 + 1e-9), ModelOptions(bend_scale=10.0))
-GATHERS = small_database().gathers
+GATHERS = small_database().rest_shape
 
 
 @pytest.fixture
@@ -336,8 +336,11 @@ def test_a_flipped_bit_is_refused_or_does_not_matter(path: Path) -> None:
     ("changes", "place"),
     [
         ({"bend_factor": float("nan")}, "bend_factor: not finite"),
-        ({"gathers": replace(GATHERS, stretch=np.ones((72, 3), "f4"))}, r"gathers/stretch\[0\]: a face without area"),
-        ({"gathers": replace(GATHERS, bends=GATHERS.bends[1:])}, "gathers/bends: another number of hinges"),
+        (
+            {"rest_shape": replace(GATHERS, stretch=np.ones((72, 3), "f4"))},
+            r"rest_shape/stretch\[0\]: a face without area",
+        ),
+        ({"rest_shape": replace(GATHERS, bends=GATHERS.bends[1:])}, "rest_shape/bends: another number of hinges"),
         ({"mapping": replace(small_database().mapping, weights_2=np.full((2, 8, 6), np.inf))}, "weights_2: not finite"),
         ({"held": np.array([3, 1], np.int32)}, "held: not in ascending order"),
         ({"held": np.array([0.5, 1.0])}, "held: wrong type"),

@@ -10,11 +10,11 @@ from pbd.geometry import surface_normals
 from tests.wrinkles.meshes import flat_sheet, icosphere, tube
 from wrinkles.charts import Charts
 from wrinkles.decoder import Decoder, Upsampler
-from wrinkles.dictionary import FABRIC_COUNT, Atoms, Mapping
+from wrinkles.dictionary import FABRIC_COUNT, Atoms, CoefficientNetwork
 from wrinkles.features import DYNAMIC_COUNT, Stencil
+from wrinkles.novelty import NoveltyScore
 from wrinkles.patches import NODES, SIDE, Patches
 from wrinkles.surface import Subdivision
-from wrinkles.unfamiliarity import Unfamiliarity
 from wrinkles.vertex_mean import turned
 
 
@@ -55,7 +55,7 @@ class Layer:
         shapes, mean = single(atoms, 3 * NODES, size=0.01), single(3 * NODES, seed=1, size=0.01)
         vertex_mean = single(self.subdivision.fine_count, 3, seed=11, size=0.01)
         self.atoms = Atoms(shapes, mean, 1.0, vertex_mean)
-        self.mapping = Mapping(
+        self.mapping = CoefficientNetwork(
             center=single(DYNAMIC_COUNT, seed=2, size=0.3),
             scale=np.abs(single(DYNAMIC_COUNT, seed=3)),
             weights_1=single(DYNAMIC_COUNT, 9, seed=4, size=0.2),
@@ -73,14 +73,14 @@ class Layer:
         self.position[:, :3] += vertices.astype(np.float32)
         self.contact = single(count, seed=12, size=0.01)
 
-        self.unfamiliarity = Unfamiliarity(
+        self.novelty = NoveltyScore(
             single(9, 3, seed=13, size=0.1), single(3, seed=14), np.abs(single(3, seed=15)), 0.2, fade_from=1e9
         )
 
     def decoder(self, **changes: float) -> Decoder:
         """A decoder whose wrinkles never fade, unless ``changes`` say so."""
-        unfamiliarity = replace(self.unfamiliarity, **changes)
-        return Decoder(self.stencil, self.patches, self.middle_patches, self.mapping, self.atoms, unfamiliarity)
+        novelty = replace(self.novelty, **changes)
+        return Decoder(self.stencil, self.patches, self.middle_patches, self.mapping, self.atoms, novelty)
 
     def add(self, decoder: Decoder) -> np.ndarray:
         """What the decoder adds to the fine vertices [m], shape (N, 3)."""
@@ -140,11 +140,11 @@ def test_wrinkles_fade_where_the_state_is_unfamiliar(layer: Layer) -> None:
     count = len(layer.position)
     frames, features = np.zeros((count, 9), np.float32), np.zeros((count, DYNAMIC_COUNT), np.float32)
     layer.stencil.read(layer.position, layer.contact, frames, features)
-    score = layer.unfamiliarity.score(layer.mapping.hidden(features))
+    score = layer.novelty.score(layer.mapping.hidden(features))
     middle = float(np.exp(np.median(score)))
     some, none = layer.decoder(fade_from=middle), layer.decoder(fade_from=1e-9)
     full, faded, flat = layer.add(layer.decoder()), layer.add(some), layer.add(none)
-    expected = layer.unfamiliarity.amplitude(score + np.float32(np.log(1e9) - np.log(middle)))
+    expected = layer.novelty.amplitude(score + np.float32(np.log(1e9) - np.log(middle)))
     np.testing.assert_allclose(some.amplitude, expected, atol=1e-4)
     assert 0.4 < (some.amplitude == 1.0).mean() < 0.6 and (some.amplitude < 1.0).sum() > 20
     assert not none.amplitude.any()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pbd import Fabric
-from wrinkles.dictionary import CLIP, Mapping, fabric_features, fit_atoms, fit_mapping, whitening
+from wrinkles.dictionary import CLIP, CoefficientNetwork, fabric_features, fit_atoms, fit_coefficient_network, whitening
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.patches import NODES, SIDE, slope_metric
 
@@ -81,12 +81,14 @@ def examples() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def mapping(examples: tuple) -> Mapping:
+def mapping(examples: tuple) -> CoefficientNetwork:
     features, static, coefficients = examples
-    return fit_mapping(features[:TRAINED], static, coefficients[:TRAINED], hidden=(32, 24), epochs=24, seed=3)
+    return fit_coefficient_network(
+        features[:TRAINED], static, coefficients[:TRAINED], hidden=(32, 24), epochs=24, seed=3
+    )
 
 
-def test_the_mapping_learns_a_known_function(examples: tuple, mapping: Mapping) -> None:
+def test_the_mapping_learns_a_known_function(examples: tuple, mapping: CoefficientNetwork) -> None:
     features, _, coefficients = (part[TRAINED:] if len(part) == ALL else part for part in examples)
     predicted = mapping.predict(features)
     assert predicted.shape == coefficients.shape
@@ -103,7 +105,7 @@ def test_regions_go_on_from_what_all_places_have_learned(examples: tuple) -> Non
     there = np.arange(12) >= 6
     opposed = np.where(there, -1.0, 1.0)[:, None] * coefficients[..., 1:2]  # of two minds, and no place is told
     learned = features[:TRAINED], 0.0 * static, opposed[:TRAINED]
-    fit = partial(fit_mapping, *learned, hidden=(32, 24), epochs=12, seed=3)
+    fit = partial(fit_coefficient_network, *learned, hidden=(32, 24), epochs=12, seed=3)
     one, two = fit(), fit(region=there)
     assert np.array_equal(one.weights_1, two.weights_1) and np.array_equal(one.bias_1, two.bias_1)
     assert one.weights_2.shape == (1, 32, 24) and two.weights_2.shape == (2, 32, 24)
@@ -117,14 +119,17 @@ def test_regions_go_on_from_what_all_places_have_learned(examples: tuple) -> Non
 
 def test_the_same_seed_gives_the_same_bits(examples: tuple) -> None:
     features, static, coefficients = (part[:100] if len(part) == ALL else part for part in examples)
-    fit = lambda seed: fit_mapping(features, static, coefficients, hidden=(8, 6), epochs=3, seed=seed).arrays()  # noqa: E731
+
+    def fit(seed: int) -> dict[str, np.ndarray]:
+        return fit_coefficient_network(features, static, coefficients, hidden=(8, 6), epochs=3, seed=seed).arrays()
+
     first, again, other = fit(5), fit(5), fit(6)
     assert all(np.array_equal(first[name], again[name]) for name in first)
     assert all(array.dtype == np.float32 for name, array in first.items() if name != "region")
     assert not np.array_equal(first["weights_2"], other["weights_2"])
 
 
-def test_features_far_out_count_as_if_they_stood_at_the_limit(examples: tuple, mapping: Mapping) -> None:
+def test_features_far_out_count_as_if_they_stood_at_the_limit(examples: tuple, mapping: CoefficientNetwork) -> None:
     features = examples[0][:2].copy()
     features[..., 0] = mapping.center[0] + CLIP / mapping.scale[0]
     at_limit = mapping.predict(features)
@@ -137,7 +142,9 @@ def test_a_target_that_cannot_be_told_is_its_median_and_not_its_mean() -> None:
     features = rng.standard_normal((400, 5, DYNAMIC_COUNT)).astype(np.float32)
     # Once in four times a fold of height four: the mean is one, the point of least distance zero.
     coefficients = np.where(rng.random((400, 5, 1)) < 0.25, 4.0, 0.0) * np.ones(2)
-    fitted = fit_mapping(features, np.zeros((5, 1)), coefficients.astype(np.float32), hidden=(4, 4), epochs=20)
+    fitted = fit_coefficient_network(
+        features, np.zeros((5, 1)), coefficients.astype(np.float32), hidden=(4, 4), epochs=20
+    )
     fresh = rng.standard_normal((100, 5, DYNAMIC_COUNT)).astype(np.float32)
     assert np.abs(np.median(fitted.predict(fresh))) < 0.3
 
@@ -167,7 +174,7 @@ def test_the_mapping_learns_what_a_fabric_changes(examples: tuple) -> None:
     worn = np.array([fabric_features(f, own) for f in (own, STIFF, HEAVY)])[np.arange(TRAINED) % 3]
     change = np.array([0.0, 0.01, -0.02], np.float32)[np.arange(TRAINED) % 3]
     changed = coefficients + change[:, None, None]
-    fitted = fit_mapping(features, static, changed, hidden=(32, 24), epochs=12, seed=3, fabrics=worn)
+    fitted = fit_coefficient_network(features, static, changed, hidden=(32, 24), epochs=12, seed=3, fabrics=worn)
     for k, fabric in enumerate((own, STIFF, HEAVY)):
         mapping = fitted.for_fabric(fabric_features(fabric, own))
         assert not mapping.fabric_weights.any()
@@ -180,7 +187,7 @@ def test_the_mapping_learns_what_a_fabric_changes(examples: tuple) -> None:
 def test_one_fabric_alone_changes_nothing(examples: tuple) -> None:
     features, static, coefficients = (part[:80] if len(part) == ALL else part for part in examples)
     settings = {"hidden": (8, 6), "epochs": 2, "seed": 1}
-    plain = fit_mapping(features, static, coefficients, **settings)
-    alone = fit_mapping(features, static, coefficients, fabrics=np.zeros((80, 2)), **settings)
+    plain = fit_coefficient_network(features, static, coefficients, **settings)
+    alone = fit_coefficient_network(features, static, coefficients, fabrics=np.zeros((80, 2)), **settings)
     assert not plain.fabric_weights.any()
     assert all(np.array_equal(plain.arrays()[name], array) for name, array in alone.arrays().items())

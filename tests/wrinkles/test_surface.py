@@ -109,8 +109,8 @@ def test_a_sphere_keeps_its_radius_where_plain_loop_shrinks() -> None:
         subdivision = Subdivision.of(faces, len(vertices), 2)
         errors.append(np.abs(np.linalg.norm(subdivision.upsample(vertices), axis=1) - 1.0).max())
         plain_errors.append(1.0 - np.linalg.norm(plain_loop(subdivision, vertices), axis=1).max())
-    for coarser, finer in zip(errors, errors[1:], strict=False):
-        assert coarser > 2.5 * finer  # with the square of the edges, apart from the twelve irregular vertices
+    for proxy, finer in zip(errors, errors[1:], strict=False):
+        assert proxy > 2.5 * finer  # with the square of the edges, apart from the twelve irregular vertices
     assert all(e < 0.2 * p for e, p in zip(errors, plain_errors, strict=True)) and plain_errors[0] > 0.05
 
 

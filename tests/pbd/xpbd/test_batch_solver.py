@@ -52,9 +52,10 @@ def test_one_solver_may_stand_for_several_garments_and_bodies_may_change() -> No
         targets = [first.advance(frame), second.advance(frame)]
         bodies = (first.body, None) if frame < 2 else (None, second.body)
         colliders = [Colliders(body=body) for body in bodies]
-        batch.step(states, colliders, 1 / 60, targets)
-        for state, own, collider, target in zip(singles, solvers, colliders, targets, strict=True):
-            own.step(state, collider, 1 / 60, target)
+        winds = [(0.0, 0.0, 0.0), (0.0, 0.5 * frame, 2.0)]
+        batch.step(states, colliders, 1 / 60, targets, winds)
+        for state, own, collider, target, wind in zip(singles, solvers, colliders, targets, winds, strict=True):
+            own.step(state, collider, 1 / 60, target, wind)
     assert [state.hash() for state in states] == [state.hash() for state in singles]
     assert states[0].hash() != states[1].hash()
 

@@ -5,7 +5,7 @@ import pytest
 
 from pbd.engine import ti
 from pbd.xpbd.constraints import (
-    CLOSED,
+    MIN_OPENING,
     PUSH_OUT,
     bent_hinge,
     contact_correction,
@@ -301,7 +301,7 @@ def test_a_hinge_that_rests_bent_pulls_down_its_energy_and_turns_nothing() -> No
     assert np.abs(np.cross(x, moves).sum(axis=1)).max(axis=1) == pytest.approx(0.0, abs=1e-5 * size.max())
     along = x[:, 1] - x[:, 0]
     crossed = np.linalg.norm(np.cross(along, x[:, 2] - x[:, 3]), axis=1)
-    opened = crossed > CLOSED * (along**2).sum(axis=1)
+    opened = crossed > MIN_OPENING * (along**2).sum(axis=1)
     assert COUNT // 2 < opened.sum() < COUNT
     for a, axis in np.ndindex(4, 3):
         step = np.zeros((4, 3))

@@ -141,5 +141,5 @@ def test_a_measured_rival_takes_the_place_of_a_quoted_one(tmp_path: Path) -> Non
 
 def test_engines_that_are_not_installed_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match="gube\\[baselines\\]"):
+    with pytest.raises(InputError, match="gube\\[rivals\\]"):
         bench_engines()

@@ -12,7 +12,7 @@ from precompute.learning.decoding import decode_recording
 from precompute.learning.recording import Run, poses_of, record_runs
 from precompute.learning.training import build_layer
 from precompute.workers import Workers
-from runtime.stage import Stage, fabric_of
+from runtime.garment_setup import GarmentSetup, fabric_of
 from tests.precompute.miniature import OPTIONS, scene
 from tests.wrinkles.databases import placed, small_database
 from wrinkles.coarse_filter import CoarseFilter
@@ -28,7 +28,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(
     stiff: float, shear: float, gain: float, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    stage = Stage.of(scene())
+    stage = GarmentSetup.of(scene())
     layer = build_layer(stage.levels)
     small, count = small_database(), len(stage.levels.coarse.vertices)
     place = 0.01 * np.random.default_rng(0).standard_normal((count, small.mapping.place_bias.shape[1]))

@@ -10,7 +10,7 @@ from pbd import InputError
 from precompute.learning.coverage import evenly, greedily
 from precompute.learning.pipeline import training_motions
 from precompute.learning.training import Layer, build_layer
-from runtime.stage import Stage
+from runtime.garment_setup import GarmentSetup
 from tests.precompute.miniature import SCENE, scene
 
 CLIPS = """
@@ -31,12 +31,12 @@ OFFERED = SCENE.replace("procedural_seconds = 2.0", "procedural_seconds = 9.0\nc
 
 
 @pytest.fixture(scope="module")
-def stage() -> Stage:
-    return Stage.of(scene(OFFERED))
+def stage() -> GarmentSetup:
+    return GarmentSetup.of(scene(OFFERED))
 
 
 @pytest.fixture(scope="module")
-def layer(stage: Stage) -> Layer:
+def layer(stage: GarmentSetup) -> Layer:
     return build_layer(stage.levels)
 
 
@@ -78,7 +78,7 @@ def test_even_parts_are_spread_over_all_within_the_budget() -> None:
     assert evenly(np.array([2.0, 1.0, 2.0, 1.0]), 2.5).tolist() == [1, 3]
 
 
-def test_motions_are_cut_into_parts_with_a_blend_each(stage: Stage) -> None:
+def test_motions_are_cut_into_parts_with_a_blend_each(stage: GarmentSetup) -> None:
     parts = stage.training_parts(4.0)
     names = ["sway 0-4 s", "sway 4-8 s", "sway x 2", "exploration_4 0-4.5 s", "exploration_4 4.5-9 s"]
     assert [part.name for part in parts] == names
@@ -94,7 +94,7 @@ def test_motions_are_cut_into_parts_with_a_blend_each(stage: Stage) -> None:
             np.testing.assert_allclose(part.pose(blend + t), motion.pose(start + t), atol=2e-2)
 
 
-def test_the_parts_that_add_most_are_learned_from(stage: Stage, layer: Layer, tmp_path: Path) -> None:
+def test_the_parts_that_add_most_are_learned_from(stage: GarmentSetup, layer: Layer, tmp_path: Path) -> None:
     told: list[str] = []
     motions, figures = training_motions(layer, stage, stage.scene, tmp_path, 1, told.append)
     again, _ = training_motions(layer, stage, stage.scene, tmp_path, 1)
@@ -108,10 +108,12 @@ def test_the_parts_that_add_most_are_learned_from(stage: Stage, layer: Layer, tm
 
 
 @pytest.mark.parametrize("seconds", ["3.0", "200.0"])
-def test_a_budget_that_leaves_no_choice_is_refused(stage: Stage, layer: Layer, tmp_path: Path, seconds: str) -> None:
+def test_a_budget_that_leaves_no_choice_is_refused(
+    stage: GarmentSetup, layer: Layer, tmp_path: Path, seconds: str
+) -> None:
     changed = scene(OFFERED.replace("choose_s = 6.0", f"choose_s = {seconds}"))
     with pytest.raises(
         InputError, match=rf"training\.choose_s: nothing to choose.*received {seconds}.*at least 4\.5.*25"
     ):
-        training_motions(layer, Stage.of(changed), changed, tmp_path, 1)
+        training_motions(layer, GarmentSetup.of(changed), changed, tmp_path, 1)
     assert not list(tmp_path.iterdir())

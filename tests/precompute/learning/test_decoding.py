@@ -8,7 +8,7 @@ from pbd import Fabric, ModelOptions, SolverOptions
 from precompute.learning.decoding import by_features, decode_recording, with_vertex_mean
 from precompute.learning.recording import Recording, Run, poses_of
 from precompute.learning.training import build_layer, features_of
-from runtime.stage import Stage
+from runtime.garment_setup import GarmentSetup
 from tests.precompute.miniature import scene
 from tests.wrinkles.databases import placed, small_database
 from wrinkles.vertex_mean import MEAN_STEP, turned
@@ -17,7 +17,7 @@ FRAMES = 6
 
 
 def test_the_mean_is_of_what_decoding_lacks() -> None:
-    stage, rng, small = Stage.of(scene()), np.random.default_rng(0), small_database()
+    stage, rng, small = GarmentSetup.of(scene()), np.random.default_rng(0), small_database()
     layer = build_layer(stage.levels)
     coarse, fine_count = layer.levels.coarse.vertices, layer.levels.subdivision.fine_count
     place = 0.1 * rng.standard_normal((len(coarse), small.mapping.place_bias.shape[1]))

@@ -20,7 +20,7 @@ from precompute.learning.training import (
 )
 from tests.runtime.players import skirt_stage
 from wrinkles.decoder import add_patches
-from wrinkles.dictionary import fit_mapping
+from wrinkles.dictionary import fit_coefficient_network
 from wrinkles.features import DYNAMIC_COUNT
 
 FRAMES = 12
@@ -96,7 +96,9 @@ def test_the_mapping_is_fitted_to_features_and_places(layer: Layer, recording: R
     mapping = fit_layer(layer, data, hidden=(6, 5), epochs=3, seed=2, report=told.append)
     static = layer.stencil.static
     region = layer.stencil.regions()
-    expected = fit_mapping(data.features, static, data.coefficients, hidden=(6, 5), epochs=3, seed=2, region=region)
+    expected = fit_coefficient_network(
+        data.features, static, data.coefficients, hidden=(6, 5), epochs=3, seed=2, region=region
+    )
     assert all(np.array_equal(mapping.arrays()[name], array) for name, array in expected.arrays().items())
     assert mapping.place_bias.std(axis=0).min() > 0.0 and "fitting: 3.0 of at most 3 passes, loss " in " ".join(told)
 

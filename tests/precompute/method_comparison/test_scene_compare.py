@@ -12,6 +12,7 @@ from pbd import InputError
 from precompute.method_comparison import scene_compare, scene_judging
 from precompute.method_comparison.compare_scenes import SCENES, Sheet, scene_of
 from precompute.method_comparison.error_classes import ErrorClass
+from precompute.method_comparison.scene_baselines import BASELINES
 from precompute.method_comparison.scene_compare import METHODS, SceneComparison, chosen_settings, compare_scenes
 from precompute.method_comparison.scene_judging import Judge, reference_settings
 from precompute.method_comparison.scene_page import COLORS, comparison_figures, comparison_text, write_comparison
@@ -174,9 +175,9 @@ def test_a_key_tells_settings_and_scenes_apart(tmp_path: Path) -> None:
 
 def test_references_of_unique_scenes_are_refined_twice() -> None:
     for scene in SCENES.values():
-        *coarser, finest = reference_settings(scene)
-        assert all(finest.edges > one.edges for one in coarser)
-        assert len(coarser) == (1 if scene.unique else 3)
+        *proxy, finest = reference_settings(scene)
+        assert all(finest.edges > one.edges for one in proxy)
+        assert len(proxy) == (1 if scene.unique else 3)
 
 
 def test_everything_is_written(found: list[SceneComparison], tmp_path: Path) -> None:
@@ -204,3 +205,7 @@ def test_a_judge_of_one_reference_has_no_floor() -> None:
     run = run_setting(scene, MethodSetting("default", 8, 4))
     judge = Judge(scene, [run, run])
     assert judge.floor == 0.0
+
+
+def test_every_engine_has_settings_of_its_own() -> None:
+    assert set(scene_compare.BASELINES) == set(BASELINES)

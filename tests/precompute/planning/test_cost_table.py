@@ -10,14 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.runtime.tables import made_front
 
 from precompute.learning.pipeline import Precomputed, default_cache, precompute
 from precompute.planning import cost_table as measuring
 from precompute.planning.planning import cost_table_of
 from runtime import command
-from runtime.front import Front, front_path
+from runtime.cost_table import CostTable, cost_table_path
 from tests.precompute.miniature import OPTIONS, SCENE
+from tests.runtime.cost_tables import made_front
 
 
 @pytest.fixture(scope="module")
@@ -30,11 +30,11 @@ def small() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def measured(learned: Precomputed, small: None) -> Front:
+def measured(learned: Precomputed, small: None) -> CostTable:
     return cost_table_of(learned.database, learned.path)
 
 
-def test_the_front_has_the_full_detail_first_and_all_others_once(measured: Front) -> None:
+def test_the_front_has_the_full_detail_first_and_all_others_once(measured: CostTable) -> None:
     details = [setting.detail for setting in measured.settings]
     assert len(set(details)) == len(details) >= 24
     assert measured.settings[0].error_m == (0.0,) * len(measured.speeds)
@@ -42,7 +42,7 @@ def test_the_front_has_the_full_detail_first_and_all_others_once(measured: Front
     assert all(setting.detail.substeps <= 2 * details[0].substeps for setting in measured.settings)
 
 
-def test_less_detail_costs_less_and_shows_more(measured: Front) -> None:
+def test_less_detail_costs_less_and_shows_more(measured: CostTable) -> None:
     by_detail = {setting.detail: setting for setting in measured.settings}
     full = measured.settings[0].detail
     below = [setting for setting in measured.settings if setting.detail.level]
@@ -59,17 +59,17 @@ def test_less_detail_costs_less_and_shows_more(measured: Front) -> None:
 
 
 def test_a_front_is_kept_and_measured_again_for_another_database(
-    learned: Precomputed, measured: Front, small: None, monkeypatch: pytest.MonkeyPatch
+    learned: Precomputed, measured: CostTable, small: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert cost_table_of(learned.database, learned.path) == measured
     monkeypatch.setattr("precompute.planning.planning.measure_cost_table", lambda *_: made_front())
-    kept = front_path(learned.path).read_bytes()
+    kept = cost_table_path(learned.path).read_bytes()
     assert cost_table_of(replace(learned.database, created="1999-12-31"), learned.path) == made_front()
-    front_path(learned.path).write_bytes(kept)
+    cost_table_path(learned.path).write_bytes(kept)
 
 
 def test_plan_prints_a_choice_and_why(
-    learned: Precomputed, measured: Front, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    learned: Precomputed, measured: CostTable, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "plan.json"
     words = ["plan", str(learned.path), "--distance", "20", "--fov", "40", "--garments", "3", "--json", str(out)]
@@ -83,7 +83,7 @@ def test_plan_prints_a_choice_and_why(
     assert len(content["rows"]) == figures["settings"] == len(measured.settings)
 
 
-def test_plan_takes_the_camera_of_the_scene(learned: Precomputed, measured: Front, tmp_path: Path) -> None:
+def test_plan_takes_the_camera_of_the_scene(learned: Precomputed, measured: CostTable, tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
     words = ["plan", str(learned.path), "--target", "accepted", "--budget-ms", "1000"]
     assert command.main([*words, "--json", str(out)]) == 0
@@ -106,7 +106,7 @@ def test_plan_of_a_scene_makes_its_database_and_its_front_once(
     monkeypatch.setattr("precompute.wrinkle_comparison.compare.precompute", partial(precompute, options=OPTIONS))
     assert command.main([*words, str(tmp_path / "first.json")]) == 0
     made = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
-    assert set(made) == {"little.h5", "little.front.json"}
+    assert set(made) == {"little.h5", "little.cost_table.json"}
     monkeypatch.setattr("precompute.wrinkle_comparison.compare.precompute", None)
     monkeypatch.setattr("precompute.planning.planning.measure_cost_table", None)
     assert command.main([*words, str(tmp_path / "second.json")]) == 0
@@ -140,9 +140,9 @@ def test_scenes_that_cannot_be_planned_end_with_a_message(
 
 
 def test_a_front_that_is_none_is_refused(
-    learned: Precomputed, measured: Front, capsys: pytest.CaptureFixture[str]
+    learned: Precomputed, measured: CostTable, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = front_path(learned.path)
+    path = cost_table_path(learned.path)
     kept = path.read_text(encoding="utf-8")
     try:
         for content in ("{", kept.replace('"version": 2', '"version": 1'), kept.replace('"level": 1', '"level": 2')):
@@ -158,7 +158,7 @@ def test_a_front_that_is_none_is_refused(
     [(["--garments", "0"], "at least 1"), (["--fov", "180"], "below 180"), (["--budget-ms", "-1"], "above 0")],
 )
 def test_bad_plans_end_with_a_message(
-    learned: Precomputed, measured: Front, words: list[str], expected: str, capsys: pytest.CaptureFixture[str]
+    learned: Precomputed, measured: CostTable, words: list[str], expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     try:
         status = command.main(["plan", str(learned.path), *words])

@@ -198,13 +198,13 @@ def test_the_front_is_what_no_other_point_beats():
             Point(float(x), float(y), "m", quoted=bool(q)) for x, y, q in rng.integers(0, 6, (12, 3)) // [1, 1, 4]
         ]
         measured = [p for p in points if not p.quoted]
-        front = [points[k] for k in pareto_front(points)]
+        cost_table = [points[k] for k in pareto_front(points)]
         unbeaten = {
             (p.x, p.y)
             for p in measured
             if not any(o.x <= p.x and o.y <= p.y and (o.x, o.y) != (p.x, p.y) for o in measured)
         }
-        assert {(p.x, p.y) for p in front} == unbeaten and len(front) == len(unbeaten)
+        assert {(p.x, p.y) for p in cost_table} == unbeaten and len(cost_table) == len(unbeaten)
 
 
 def test_labels_hide_neither_each_other_nor_points(tmp_path):

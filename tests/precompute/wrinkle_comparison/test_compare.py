@@ -13,7 +13,7 @@ from assets.procedural.builtin import builtin_garment
 from pbd import InputError, SolverOptions
 from precompute.learning.evaluation import Truth, fine_run, free_figures, levels_from, truth_of
 from precompute.stability import stability
-from precompute.stability.stability import LONGEST, SHORTEST, largest_stable_step, real_substep
+from precompute.stability.stability import MAX_SUBSTEP, MIN_SUBSTEP, largest_stable_step, real_substep
 from precompute.wrinkle_comparison import baselines
 from precompute.wrinkle_comparison.baselines import PROBE_FRAMES, Cloth, equal_cost_substeps, fine_cloth, middle_levels
 from precompute.wrinkle_comparison.compare import Comparison, compare, compare_file, equal_cost_baselines, winners
@@ -22,8 +22,8 @@ from runtime.simulation import Simulation
 from tests.runtime.players import skirt_database, skirt_stage
 from tests.wrinkles.databases import placed
 from wrinkles.database import WrinkleDatabase, write_database
-from wrinkles.gathers import Gathers
 from wrinkles.levels import build_levels
+from wrinkles.rest_shape import RestShapeCorrection
 
 
 def tube() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -52,7 +52,7 @@ def database() -> WrinkleDatabase:
         plain,
         coarse_vertices=levels.coarse.vertices,
         coarse_faces=faces,
-        gathers=Gathers.none(faces),
+        rest_shape=RestShapeCorrection.none(faces),
         held=levels.coarse_held.astype(np.int32),
         subdivisions=2,
         cutoff=levels.cutoff,
@@ -74,8 +74,8 @@ def truth(database: WrinkleDatabase, tmp_path_factory: pytest.TempPathFactory) -
 def comparison(database: WrinkleDatabase, truth: Truth) -> Comparison:
     with pytest.MonkeyPatch.context() as patch:  # short: what is measured is not what is tested
         patch.setattr(baselines, "PROBE_FRAMES", 16)
-        patch.setattr(stability, "SHORTEST", 1.0 / 600.0)
-        patch.setattr(stability, "STEPS", 4)
+        patch.setattr(stability, "MIN_SUBSTEP", 1.0 / 600.0)
+        patch.setattr(stability, "BISECTIONS", 4)
         return compare(database, truth)
 
 
@@ -104,7 +104,7 @@ def test_the_middle_mesh_leads_to_the_same_fine_mesh(database: WrinkleDatabase, 
 
 
 @pytest.mark.parametrize(
-    ("budget", "expected"), [(0.5, 1), (1.0, 1), (3.4, 4), (3.7, 5), (9.0, 15), (1e9, baselines.MOST_SUBSTEPS)]
+    ("budget", "expected"), [(0.5, 1), (1.0, 1), (3.4, 4), (3.7, 5), (9.0, 15), (1e9, baselines.MAX_SUBSTEPS)]
 )
 def test_substeps_come_nearest_to_the_budget(budget: float, expected: int) -> None:
     assert equal_cost_substeps(lambda count: 1.4 + 0.5 * count, budget) == expected
@@ -171,9 +171,9 @@ def test_bisection_finds_the_largest_stable_substep(limit: float, way: str) -> N
 def test_the_ends_of_the_search_are_told_apart() -> None:
     poses = np.zeros((211, 1, 3, 4))
     always = largest_stable_step("x", lambda o: Breaking(o, 1.0, "speed"), SolverOptions(), poses, 1.0 / 60.0)
-    assert (always.dt_max, always.first_to_go, always.unstable) == (LONGEST, "", float("inf"))
+    assert (always.dt_max, always.first_to_go, always.unstable) == (MAX_SUBSTEP, "", float("inf"))
     never = largest_stable_step("x", lambda o: Breaking(o, 0.0, "speed"), SolverOptions(), poses, 1.0 / 60.0)
-    assert (never.dt_max, never.first_to_go, never.unstable) == (0.0, "speed", SHORTEST)
+    assert (never.dt_max, never.first_to_go, never.unstable) == (0.0, "speed", MIN_SUBSTEP)
 
 
 @pytest.mark.parametrize(("array", "value"), [("velocity", np.inf), ("position", 40.0)])

@@ -11,10 +11,10 @@ import numpy as np
 
 from pbd.errors import InputError
 from pbd.wind import CALM, Air
-from runtime.detail import Detail
-from runtime.planner import Choice, Planner, Sight
+from runtime.level_of_detail import LevelOfDetail
+from runtime.planner import Choice, Planner, ViewSize
 
-__all__ = ["Changeable", "Ensemble"]
+__all__ = ["Changeable", "GarmentGroup"]
 
 PLANNED = 5  # ticks from one plan to the next [-]
 CUT = 1.5  # growth on screen in one tick that counts as a cut to another picture; nothing fades over a cut [-]
@@ -25,15 +25,15 @@ class Changeable(Protocol):
     """The part of :class:`runtime.player.Player` that an ensemble needs."""
 
     @property
-    def detail(self) -> Detail:
+    def detail(self) -> LevelOfDetail:
         """Level of detail now."""
         ...
 
-    def prepare(self, details: Iterable[Detail]) -> Any:
+    def prepare(self, details: Iterable[LevelOfDetail]) -> Any:
         """Make everything that these details need."""
         ...
 
-    def change(self, detail: Detail, wait: int = ..., fade: bool = ...) -> Any:
+    def change(self, detail: LevelOfDetail, wait: int = ..., fade: bool = ...) -> Any:
         """Take a level of detail whose first update comes after ``wait`` ticks."""
         ...
 
@@ -42,7 +42,7 @@ class Changeable(Protocol):
         ...
 
 
-class Ensemble:
+class GarmentGroup:
     """Plays several garments within one frame budget, each at the detail that the planner chooses.
 
     Args:
@@ -61,12 +61,12 @@ class Ensemble:
     def __init__(
         self, players: Sequence[Changeable], planner: Planner, *, clock: Callable[[], float] = time.process_time
     ) -> None:
-        if len(players) != len(planner.fronts):
-            expected = f"{len(planner.fronts)}, as the planner has"
+        if len(players) != len(planner.cost_tables):
+            expected = f"{len(planner.cost_tables)}, as the planner has"
             raise InputError("bad ensemble", key="players", received=len(players), expected=expected)
         self.players, self.planner, self._clock = tuple(players), planner, clock
-        for player, front in zip(players, planner.fronts, strict=True):
-            player.prepare(setting.detail for setting in front.settings)
+        for player, cost_table in zip(players, planner.cost_tables, strict=True):
+            player.prepare(setting.detail for setting in cost_table.settings)
         self.choices: list[Choice] = []
         self.spent_ms = 0.0
         self._tick, self._elapsed = 0, math.inf
@@ -77,7 +77,7 @@ class Ensemble:
         self,
         poses: Sequence[np.ndarray],
         dt: float,
-        sights: Sequence[Sight],
+        views: Sequence[ViewSize],
         wind: Air = CALM,
     ) -> None:
         """Play one tick of all garments.
@@ -94,10 +94,10 @@ class Ensemble:
         began = self._clock()
         planner = self.planner
         foretold = self._foretold()
-        seen = np.array([sight.pixels_per_metre for sight in sights])
+        seen = np.array([view.pixels_per_metre for view in views])
         cut, self._seen = set(np.flatnonzero(seen > CUT * self._seen).tolist()), seen
         if self._tick % PLANNED == 0 or self.spent_ms > planner.budget_ms or cut:
-            self.choices = planner.plan(sights, self._elapsed)
+            self.choices = planner.plan(views, self._elapsed)
             self._elapsed = 0.0
         self._change(cut)
         for player, pose in zip(self.players, poses, strict=True):
@@ -111,21 +111,21 @@ class Ensemble:
     def _change(self, cut: set[int]) -> None:
         """Let garments take their choices: after a cut at once, otherwise the ones that save most first."""
         waiting = [i for i, choice in enumerate(self.choices) if choice.index != self._places[i][0] or not self._tick]
-        fronts = self.planner.fronts
-        waiting.sort(key=lambda i: self.choices[i].cost_ms - fronts[i].settings[self._places[i][0]].cost_ms)
+        cost_tables = self.planner.cost_tables
+        waiting.sort(key=lambda i: self.choices[i].cost_ms - cost_tables[i].settings[self._places[i][0]].cost_ms)
         turned = [i for i, choice in enumerate(self.choices) if i not in waiting and choice.wait != self._places[i][1]]
         first = [i for i in waiting if i in cut or not self._tick]
         others = [i for i in waiting if i not in first][:CHANGES]
         for i in first + others + turned:
-            choice, detail = self.choices[i], fronts[i].settings[self.choices[i].index].detail
+            choice, detail = self.choices[i], cost_tables[i].settings[self.choices[i].index].detail
             self.players[i].change(detail, (choice.wait - self._tick) % detail.every, i not in cut)
             self._places[i] = choice.index, choice.wait
 
     def _foretold(self) -> float:
         """Time of this tick by the cost tables [ms]; 0 before the first tick."""
         total = 0.0
-        for front, (index, wait) in zip(self.planner.fronts, self._places, strict=True):
-            setting = front.settings[index]
+        for cost_table, (index, wait) in zip(self.planner.cost_tables, self._places, strict=True):
+            setting = cost_table.settings[index]
             every, peak = setting.detail.every, setting.peak_ms
             works = (self._tick - wait) % every == 0
             total += peak if works else (every * setting.cost_ms - peak) / (every - 1)

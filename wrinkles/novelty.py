@@ -9,17 +9,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Unfamiliarity"]
+__all__ = ["NoveltyScore"]
 
 FADE_WIDTH = np.log(2.0)  # from the predicted error at which wrinkles start to fade to where they vanish [log deg]
 
 
 @dataclass(frozen=True)
-class Unfamiliarity:
+class NoveltyScore:
     """A network for the score, the log of the mean normal error [deg] to be expected at a coarse vertex.
 
-    Its input is the first hidden layer of :class:`wrinkles.dictionary.Mapping`, and it has one layer of rectified units
-    of its own. It was fitted to ordinary motion and to motion with distorted features.
+    Its input is the first hidden layer of :class:`wrinkles.dictionary.CoefficientNetwork`, and it has one layer of
+    rectified units of its own. It was fitted to ordinary motion and to motion with distorted features.
 
     Attributes:
         weights_1, bias_1: of the rectified units, float32, shapes (h1, u), (u,).

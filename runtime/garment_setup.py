@@ -40,7 +40,7 @@ from wrinkles.levels import Levels, build_levels
 
 __all__ = [
     "PROCEDURAL_PIECE",
-    "Stage",
+    "GarmentSetup",
     "body_of",
     "colliders_of",
     "coarse_garment",
@@ -211,7 +211,7 @@ def coarse_garment(garment: Garment, settings: GarmentSettings) -> tuple[Garment
 
 
 @dataclass(frozen=True)
-class Stage:
+class GarmentSetup:
     """The contents of a scene with one garment on one body, loaded.
 
     Attributes:
@@ -229,7 +229,7 @@ class Stage:
     levels: Levels
 
     @classmethod
-    def of(cls, scene: Scene) -> Stage:
+    def of(cls, scene: Scene) -> GarmentSetup:
         """Load everything that a scene with one garment on one body names.
 
         Raises:
@@ -336,12 +336,13 @@ def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion 
         the simulation at its start, and the motion of the body, None without one.
 
     Raises:
-        InputError: as :meth:`Stage.of`; a garment without a body that is attached, or pinned at a vertex that it lacks.
+        InputError: as :meth:`GarmentSetup.of`; an attached garment without a body, or one that is pinned at a vertex
+            which it lacks.
     """
     if scene.character is not None and len(scene.garments) > 1:
         return _layers_of(scene, fine)
     if scene.character is not None:
-        stage = Stage.of(scene)
+        stage = GarmentSetup.of(scene)
         settings, levels, motion = stage.settings, stage.levels, stage.motion()
         source, pose = body_source(stage.body), motion.pose(0.0)
     else:
@@ -375,7 +376,7 @@ def _model_of(settings: GarmentSettings, levels: Levels, fine: bool) -> Model:
 
 def _layers_of(scene: Scene, fine: bool) -> tuple[Simulation, Motion]:
     """All garments of a scene on its body, as one model."""
-    stages = [Stage.of(replace(scene, garments=(garment,))) for garment in scene.garments]
+    stages = [GarmentSetup.of(replace(scene, garments=(garment,))) for garment in scene.garments]
     options = scene.solver.options()
     if fine:
         options = fine_options(options, max(garment.subdivisions for garment in scene.garments))

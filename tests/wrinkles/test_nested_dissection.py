@@ -5,7 +5,7 @@ import pytest
 from scipy.sparse import block_diag, csc_matrix, diags
 
 from tests.wrinkles.meshes import flat_sheet
-from wrinkles.dissection import BlockSolver, Dissection
+from wrinkles.nested_dissection import BlockSolver, Dissection
 from wrinkles.spectrum import _laplacian
 
 

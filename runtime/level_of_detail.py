@@ -6,11 +6,11 @@ from dataclasses import dataclass, fields
 
 from pbd.errors import InputError
 
-__all__ = ["Detail"]
+__all__ = ["LevelOfDetail"]
 
 
 @dataclass(frozen=True)
-class Detail:
+class LevelOfDetail:
     """How much of a garment is modelled.
 
     Attributes:
@@ -20,7 +20,7 @@ class Detail:
         sweeps: number of sweeps over the edges of the middle mesh that bring their lengths back.
         passes: number of relaxation passes on the fine mesh; with 0 the fine mesh may enter the body.
         level: 0 simulates the coarse mesh, which the dictionary reads; 1 simulates the mesh below it, which has a third
-            of its vertices and carries the coarse mesh (:mod:`wrinkles.coarser`).
+            of its vertices and carries the coarse mesh (:mod:`wrinkles.proxy_mesh`).
 
     Raises:
         InputError: a value that is not a whole number or is too small, or a level above 1.

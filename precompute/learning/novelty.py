@@ -14,12 +14,12 @@ from precompute.learning.recording import Recording, Run
 from precompute.learning.training import Layer, features_of, spread_frames
 from precompute.workers import Workers
 from wrinkles.charts import leading_vertices
-from wrinkles.dictionary import Atoms, Mapping
+from wrinkles.dictionary import Atoms, CoefficientNetwork
 from wrinkles.metrics import patch_normal_errors
 from wrinkles.network import Network, Samples, in_threads
-from wrinkles.unfamiliarity import Unfamiliarity
+from wrinkles.novelty import NoveltyScore
 
-__all__ = ["fit_unfamiliarity"]
+__all__ = ["fit_novelty"]
 
 STRANGE_SHARE = 0.1  # as many frames as that are decoded with noise on their features besides
 NOISE = (1.0, 4.0)  # of it, in standard deviations
@@ -29,16 +29,16 @@ BLOCK, KEPT_OUT = 20, 8  # every eighth block of twenty frames says where fading
 FAMILIAR = 99.5  # percentile of the score there
 
 
-def fit_unfamiliarity(
+def fit_novelty(
     layer: Layer,
-    mappings: Sequence[Mapping],
+    mappings: Sequence[CoefficientNetwork],
     atoms: Atoms,
     runs: Sequence[Run],
     recordings: Sequence[Recording],
     seed: int,
     workers: Workers,
     frames: int,
-) -> Unfamiliarity:
+) -> NoveltyScore:
     """Fit the score to the true errors of decoded training motion.
 
     Ordinary motion alone does not say what lies beyond it. So some of it is decoded with noise on all features,
@@ -68,7 +68,7 @@ def fit_unfamiliarity(
     seen /= spread
     network.fit(Samples(seen, nowhere, ((target - level) / unit).astype(np.float32)), epochs=EPOCHS)
     weights = network.weights[0] / spread[:, None]
-    found = Unfamiliarity(
+    found = NoveltyScore(
         weights.astype(np.float32),
         (network.biases[0] - middle @ weights).astype(np.float32),
         (network.weights[1][:, 0] * unit).astype(np.float32),
@@ -92,7 +92,7 @@ class _Block:
 
 def _blocks(
     layer: Layer,
-    mappings: Sequence[Mapping],
+    mappings: Sequence[CoefficientNetwork],
     atoms: Atoms,
     runs: Sequence[Run],
     recordings: Sequence[Recording],

@@ -7,7 +7,7 @@ import pytest
 
 from tests.pbd.meshes import grid
 from tests.wrinkles.delivered import delivered_levels, delivered_panels
-from wrinkles.isometry import PASSES, Isometry, middle_edges
+from wrinkles.edge_lengths import PASSES, EdgeLengthProjection, middle_edges
 from wrinkles.levels import Levels, build_levels
 
 NOBODY = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
@@ -27,7 +27,7 @@ def shares(levels: Levels, middle: np.ndarray) -> np.ndarray:
 def keep_lengths(levels: Levels, middle: np.ndarray, passes: int = PASSES) -> np.ndarray:
     """Relax middle vertices in place; what the fine ones moved by [m], shape (N, 3)."""
     fine = np.zeros((levels.subdivision.fine_count, 3), np.float32)
-    Isometry(levels)(middle, fine, passes)
+    EdgeLengthProjection(levels)(middle, fine, passes)
     return fine
 
 

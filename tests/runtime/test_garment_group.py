@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from pbd import InputError
-from runtime.detail import Detail
-from runtime.ensemble import Ensemble
-from runtime.front import Front
-from runtime.planner import Planner, Sight
-from tests.runtime.fronts import made_front, seen
+from runtime.cost_table import CostTable
+from runtime.garment_group import GarmentGroup
+from runtime.level_of_detail import LevelOfDetail
+from runtime.planner import Planner, ViewSize
+from tests.runtime.cost_tables import made_front, seen
 
 DT = 1.0 / 60.0
 POSE = np.zeros((1, 3, 4))
@@ -34,15 +34,15 @@ class Machine:
 class Garment:
     """Costs what its front says, and a third of an update for every change."""
 
-    def __init__(self, front: Front, machine: Machine) -> None:
-        self._by_detail = {setting.detail: setting for setting in front.settings}
-        self._machine, self.detail = machine, front.settings[0].detail
+    def __init__(self, cost_table: CostTable, machine: Machine) -> None:
+        self._by_detail = {setting.detail: setting for setting in cost_table.settings}
+        self._machine, self.detail = machine, cost_table.settings[0].detail
         self.changes, self._wait, self.faded = 0, 0, False
 
-    def prepare(self, details: Iterable[Detail]) -> None:
+    def prepare(self, details: Iterable[LevelOfDetail]) -> None:
         assert set(details) == set(self._by_detail)
 
-    def change(self, detail: Detail, wait: int = 0, fade: bool = True) -> None:
+    def change(self, detail: LevelOfDetail, wait: int = 0, fade: bool = True) -> None:
         assert 0 <= wait < detail.every
         self._wait = wait
         if detail != self.detail:
@@ -60,31 +60,31 @@ class Garment:
             self._machine.spend(setting.peak_ms)
 
 
-def crowd(count: int, budget: float) -> tuple[Ensemble, list[Garment], Machine]:
-    front, machine = made_front(), Machine()
-    garments = [Garment(front, machine) for _ in range(count)]
-    return Ensemble(garments, Planner([front] * count, 1.0, budget), clock=machine), garments, machine
+def crowd(count: int, budget: float) -> tuple[GarmentGroup, list[Garment], Machine]:
+    cost_table, machine = made_front(), Machine()
+    garments = [Garment(cost_table, machine) for _ in range(count)]
+    return GarmentGroup(garments, Planner([cost_table] * count, 1.0, budget), clock=machine), garments, machine
 
 
-def play(ensemble: Ensemble, sights: list[Sight], ticks: int) -> list[float]:
+def play(group: GarmentGroup, views: list[ViewSize], ticks: int) -> list[float]:
     spent = []
     for _ in range(ticks):
-        ensemble.update([POSE] * len(sights), DT, sights)
-        spent.append(ensemble.spent_ms)
+        group.update([POSE] * len(views), DT, views)
+        spent.append(group.spent_ms)
     return spent
 
 
 def test_ticks_stay_within_the_budget_while_the_load_changes() -> None:
     """The number to reach: 99 % of the ticks within a tenth of the budget."""
     budget = 4.0
-    ensemble, garments, machine = crowd(16, budget)
+    group, garments, machine = crowd(16, budget)
     distances = np.geomspace(2.0, 15.0, 16)
     spent = []
     for part in range(40):
         machine.load = (1.0, 1.5, 1.2, 0.8)[part // 10]
         # The camera goes along the crowd; nobody comes near all at once.
         away = np.roll(distances, part // 4)
-        spent += play(ensemble, [seen(distance) for distance in away], 60)
+        spent += play(group, [seen(distance) for distance in away], 60)
     spent = np.array(spent[1:])  # the first tick finds everyone at full detail
     assert np.percentile(spent, 99) <= 1.1 * budget
     assert np.median(spent) > 0.7 * budget  # and it is made use of
@@ -92,48 +92,48 @@ def test_ticks_stay_within_the_budget_while_the_load_changes() -> None:
 
 
 def test_a_crowd_at_rest_comes_to_rest() -> None:
-    ensemble, garments, _ = crowd(8, 2.0)
-    sights = [seen(distance) for distance in np.geomspace(2.0, 10.0, 8)]
-    play(ensemble, sights, 300)
+    group, garments, _ = crowd(8, 2.0)
+    views = [seen(distance) for distance in np.geomspace(2.0, 10.0, 8)]
+    play(group, views, 300)
     before = [garment.changes for garment in garments]
-    play(ensemble, sights, 300)
+    play(group, views, 300)
     assert sum(garment.changes for garment in garments) - sum(before) <= 8
 
 
 def test_what_is_seen_least_is_given_up_first_and_given_back() -> None:
-    ensemble, _, machine = crowd(6, 3.0)
-    sights = [seen(distance) for distance in (2.0, 2.5, 3.0, 4.0, 6.0, 9.0)]
-    play(ensemble, sights, 120)
-    calm = [choice.error_px for choice in ensemble.choices]
+    group, _, machine = crowd(6, 3.0)
+    views = [seen(distance) for distance in (2.0, 2.5, 3.0, 4.0, 6.0, 9.0)]
+    play(group, views, 120)
+    calm = [choice.error_px for choice in group.choices]
     machine.load = 3.0
-    play(ensemble, sights, 240)
-    hard = [choice.error_px for choice in ensemble.choices]
+    play(group, views, 240)
+    hard = [choice.error_px for choice in group.choices]
     assert max(calm) <= 1.0 < hard[-1]
     assert [error > 1.0 for error in hard] == sorted(error > 1.0 for error in hard)
     machine.load = 1.0
-    play(ensemble, sights, 1200)
-    assert max(choice.error_px for choice in ensemble.choices) <= 1.0
+    play(group, views, 1200)
+    assert max(choice.error_px for choice in group.choices) <= 1.0
 
 
 def test_a_cut_changes_at_once_and_without_a_fade() -> None:
-    ensemble, garments, _ = crowd(4, 1e6)
-    play(ensemble, [seen(2.0)] * 4, 63)
-    play(ensemble, [seen(30.0)] * 4, 63)
+    group, garments, _ = crowd(4, 1e6)
+    play(group, [seen(2.0)] * 4, 63)
+    play(group, [seen(30.0)] * 4, 63)
     assert all(garment.faded for garment in garments)
     before = [garment.detail for garment in garments[:3]]
-    play(ensemble, [seen(2.0)] * 3 + [seen(25.0)], 1)
+    play(group, [seen(2.0)] * 3 + [seen(25.0)], 1)
     assert all(garment.detail != detail for garment, detail in zip(garments, before, strict=False))
     assert [garment.faded for garment in garments] == [False] * 3 + [True]
-    assert max(choice.error_px for choice in ensemble.choices) <= 1.0
+    assert max(choice.error_px for choice in group.choices) <= 1.0
 
 
 def test_garments_take_turns_as_planned() -> None:
     """Ticks in which others work do not add up."""
-    ensemble, _, machine = crowd(12, 1e6)
-    spent = play(ensemble, [seen(12.0)] * 12, 200)[100:]
+    group, _, machine = crowd(12, 1e6)
+    spent = play(group, [seen(12.0)] * 12, 200)[100:]
     assert max(spent) < 1.3 * np.mean(spent)
 
 
 def test_other_players_than_the_planner_knows_are_refused() -> None:
     with pytest.raises(InputError, match="as the planner has"):
-        Ensemble([], Planner([made_front()], 1.0, 1.0))
+        GarmentGroup([], Planner([made_front()], 1.0, 1.0))

@@ -14,7 +14,7 @@ from pbd import ClothMesh
 from pbd.bending import bends_of
 from pbd.mesh import hinges_of
 
-__all__ = ["Gathers"]
+__all__ = ["RestShapeCorrection"]
 
 MIN_SIDE_RATIO = 0.3  # corrected over original length of a face's side [-]
 MIN_SQUARED_STRETCH, MAX_SQUARED_STRETCH = 0.05, 1.2  # principal values of a face's correction [-]
@@ -23,7 +23,7 @@ MAX_BEND_ANGLE = 1.0  # bend at rest over the length of its edge, which is about
 
 
 @dataclass(frozen=True)
-class Gathers:
+class RestShapeCorrection:
     """Corrections of a coarse mesh's rest shape against its pattern.
 
     Attributes:
@@ -35,7 +35,7 @@ class Gathers:
     bends: np.ndarray
 
     @classmethod
-    def none(cls, faces: np.ndarray) -> Gathers:
+    def none(cls, faces: np.ndarray) -> RestShapeCorrection:
         """Make corrections that change nothing.
 
         Args:
@@ -45,7 +45,7 @@ class Gathers:
         return cls(stretch, np.zeros(len(hinges_of(faces)), np.float32))
 
     @classmethod
-    def of(cls, mesh: ClothMesh, positions: np.ndarray) -> Gathers:
+    def of(cls, mesh: ClothMesh, positions: np.ndarray) -> RestShapeCorrection:
         """Make corrections that give sides of faces and hinges their mean length and mean bend in some frames.
 
         Sides become shorter only; a side that is stretched on average keeps its length.
@@ -84,7 +84,7 @@ def _edge_lengths(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _stretch(mesh: ClothMesh, positions: np.ndarray) -> np.ndarray:
-    """Stretch of each face with which its sides have their mean lengths, see :class:`Gathers`."""
+    """Stretch of each face with which its sides have their mean lengths, see :class:`RestShapeCorrection`."""
     one, two = mesh.flat[:, :, 0], mesh.flat[:, :, 1]
     sides = np.stack([one, two - one, two], axis=1)  # (m, 3, 2)
     rest = np.linalg.norm(sides, axis=2)

@@ -15,14 +15,14 @@ from assets.procedural.builtin import builtin_garment
 from pbd import DistanceField, InputError, Plane
 from pbd.attachment import Attachment
 from precompute.wrinkle_comparison.baselines import middle_levels
+from runtime.garment_setup import GarmentSetup, colliders_of, fabrics_of, motion_of, simulation_of
 from runtime.player import Player
 from runtime.simulation import poses_of
-from runtime.stage import Stage, colliders_of, fabrics_of, motion_of, simulation_of
 from tests.assets.panels import two_panels
 from tests.wrinkles.databases import placed, small_database
 from tests.wrinkles.meshes import icosphere
 from wrinkles.database import WrinkleDatabase, body_hash, read_database, write_database
-from wrinkles.gathers import Gathers
+from wrinkles.rest_shape import RestShapeCorrection
 
 SCENE = """
 [[garment]]
@@ -65,8 +65,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def stage(folder: Path) -> Stage:
-    return Stage.of(scene(folder))
+def stage(folder: Path) -> GarmentSetup:
+    return GarmentSetup.of(scene(folder))
 
 
 def scene(folder: Path, old: str = "", new: str = "") -> Scene:
@@ -74,14 +74,14 @@ def scene(folder: Path, old: str = "", new: str = "") -> Scene:
     return parse_scene(SCENE.replace(old, new) if old else SCENE, folder / "scene.toml")
 
 
-def test_the_delivered_mesh_is_the_fine_one(stage: Stage) -> None:
+def test_the_delivered_mesh_is_the_fine_one(stage: GarmentSetup) -> None:
     assert len(stage.levels.fine.vertices) == 21 * 21 + 21 * 18
     assert len(stage.levels.coarse.vertices) <= 60 and len(stage.garment.vertices) == len(stage.levels.coarse.vertices)
     assert len(stage.levels.fine.stitches) == 18
     assert not len(stage.levels.fine_held)
 
 
-def test_a_sequence_is_learned_from_and_judged_by_parts(stage: Stage) -> None:
+def test_a_sequence_is_learned_from_and_judged_by_parts(stage: GarmentSetup) -> None:
     (learned,) = stage.training_motions()
     held_out = stage.motion(stage.scene.training.held_out[0])
     assert (learned.name, learned.lead_in, learned.duration) == ("ball 0-0.5 s x 0.5", 0.0, pytest.approx(1.0))
@@ -89,7 +89,7 @@ def test_a_sequence_is_learned_from_and_judged_by_parts(stage: Stage) -> None:
     assert stage.motion().duration == pytest.approx(1.0)
 
 
-def test_motions_of_another_body_are_refused(stage: Stage, folder: Path) -> None:
+def test_motions_of_another_body_are_refused(stage: GarmentSetup, folder: Path) -> None:
     part = stage.scene.training.held_out[0]
     with pytest.raises(InputError, match=r"ball\.npz.*start.*received 2\.0.*below 1"):
         motion_of(stage.body, replace(part, start=2.0))
@@ -115,15 +115,15 @@ def test_what_cannot_be_bound_is_refused(folder: Path, old: str, new: str, messa
     first = lines[-1].split()[1].split("/")[0]
     (folder / "shared.obj").write_text("\n".join([*lines[:-1], lines[-1].replace(f"{first}/{first}", f"{first}/1", 1)]))
     with pytest.raises(InputError, match=message):
-        Stage.of(scene(folder, old, new))
+        GarmentSetup.of(scene(folder, old, new))
 
 
-def database_of(stage: Stage) -> WrinkleDatabase:
+def database_of(stage: GarmentSetup) -> WrinkleDatabase:
     coarse, small = stage.levels.coarse, small_database()
     return small_database(
         coarse_vertices=coarse.vertices,
         coarse_faces=coarse.faces,
-        gathers=Gathers.none(coarse.faces),
+        rest_shape=RestShapeCorrection.none(coarse.faces),
         held=np.zeros(0, np.int32),
         warp=(0.0, 1.0, 0.0),
         binding=stage.levels.subdivision.binding,
@@ -132,7 +132,7 @@ def database_of(stage: Stage) -> WrinkleDatabase:
     )
 
 
-def test_a_delivered_mesh_has_a_middle_one(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_delivered_mesh_has_a_middle_one(stage: GarmentSetup, monkeypatch: pytest.MonkeyPatch) -> None:
     # As if the subdivided mesh had another area than the coarse one, which is nothing to a mesh that came fine.
     monkeypatch.setattr("wrinkles.levels.MAX_AREA_CORRECTION", -1.0)
     truth = SimpleNamespace(run=SimpleNamespace(body=stage.body))
@@ -141,7 +141,7 @@ def test_a_delivered_mesh_has_a_middle_one(stage: Stage, monkeypatch: pytest.Mon
     assert len(stage.levels.coarse.vertices) < len(middle.coarse.vertices) < len(middle.fine.vertices)
 
 
-def test_a_database_plays_a_delivered_mesh_without_its_file(stage: Stage, tmp_path: Path) -> None:
+def test_a_database_plays_a_delivered_mesh_without_its_file(stage: GarmentSetup, tmp_path: Path) -> None:
     body, database = stage.body, database_of(stage)
     write_database(tmp_path / "cloth.h5", database)
     poses = poses_of(stage.motion(), 1.0 / 60.0, 0.1)

@@ -19,7 +19,7 @@ from wrinkles.binding import faces_around, label_of, nearest_places
 from wrinkles.levels import Levels, held_between
 from wrinkles.surface import Subdivision
 
-__all__ = ["Coarser", "coarser_of"]
+__all__ = ["ProxyMesh", "proxy_mesh_of"]
 
 REDUCTION = 3  # coarse vertices for each vertex of this mesh
 MIN_VERTICES = 16  # of this mesh; with fewer a garment loses its shape
@@ -30,7 +30,7 @@ PIECES_PER_EDGE = 4  # straight pieces in which an edge is laid on the coarse me
 
 
 @dataclass(frozen=True)
-class Coarser:
+class ProxyMesh:
     """A mesh with about a third of the coarse vertices, and the coarse vertices' binding to its smooth surface.
 
     Attributes:
@@ -51,7 +51,7 @@ class Coarser:
     leading: np.ndarray
 
 
-def coarser_of(levels: Levels, warp: tuple[float, float, float] = (0.0, 1.0, 0.0)) -> Coarser | None:
+def proxy_mesh_of(levels: Levels, warp: tuple[float, float, float] = (0.0, 1.0, 0.0)) -> ProxyMesh | None:
     """Make the mesh below the coarse one of a garment; None if it is too small or cannot be decimated.
 
     Args:
@@ -78,7 +78,7 @@ def coarser_of(levels: Levels, warp: tuple[float, float, float] = (0.0, 1.0, 0.0
     inverse = splu((matrix.T @ area @ matrix).tocsc()).solve((matrix.T @ area).toarray())
     size = np.abs(matrix.toarray())
     at = np.flatnonzero(np.isin(chosen, held))
-    return Coarser(mesh, at, matrix, inverse, size.argmax(axis=0), size.argmax(axis=1).astype(np.int32))
+    return ProxyMesh(mesh, at, matrix, inverse, size.argmax(axis=0), size.argmax(axis=1).astype(np.int32))
 
 
 def _bound(

@@ -13,9 +13,9 @@ import numpy as np
 
 from pbd.errors import InputError
 from pbd.storage import replacing
-from runtime.detail import Detail
+from runtime.level_of_detail import LevelOfDetail
 
-__all__ = ["FOLD", "Front", "Setting", "front_path", "read_front", "write_front"]
+__all__ = ["FOLD", "CostTable", "Setting", "cost_table_path", "read_cost_table", "write_cost_table"]
 
 FORMAT = "gube front"
 VERSION = 2
@@ -32,17 +32,17 @@ class Setting:
         cost_ms: mean processor time of a tick [ms].
         peak_ms: processor time of a tick with an update [ms].
         error_m: distance from the full detail, the 95th percentile over vertices that 99 % of the ticks stay below,
-            at each of the front's speeds [m].
+            at each of the table's speeds [m].
     """
 
-    detail: Detail
+    detail: LevelOfDetail
     cost_ms: float
     peak_ms: float
     error_m: tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class Front:
+class CostTable:
     """Settings of one garment, measured on one machine.
 
     Attributes:
@@ -113,43 +113,51 @@ class Front:
         return errors * max(1.0, speed / self.speeds[-1])
 
 
-def front_path(database: Path) -> Path:
-    """Path of a database's front: a file beside the database."""
-    return database.with_suffix(".front.json")
+def cost_table_path(database: Path) -> Path:
+    """Path of the cost table of a database: a file beside the database."""
+    return database.with_suffix(".cost_table.json")
 
 
-def write_front(path: Path, front: Front) -> None:
-    """Write a front as a JSON file, which appears whole."""
-    content = {"format": FORMAT, "version": VERSION, **asdict(front)}
+def write_cost_table(path: Path, cost_table: CostTable) -> None:
+    """Write a cost table as a JSON file, which appears whole."""
+    content = {"format": FORMAT, "version": VERSION, **asdict(cost_table)}
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as beside:
         beside.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def read_front(path: str | Path) -> Front:
-    """Read a file of :func:`write_front`.
+def read_cost_table(path: str | Path) -> CostTable:
+    """Read a file of :func:`write_cost_table`.
 
     Raises:
-        InputError: the file cannot be read, is no front, or has values that are not finite, negative or out of order.
+        InputError: the file cannot be read, is no cost table, or has values that are not finite, are
+            negative or out of order.
     """
-    path, expected = Path(path), "a front of `gube plan`; remove it to measure anew"
+    path, expected = Path(path), "a cost table of `gube plan`; remove it to measure anew"
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         if (content.pop("format"), content.pop("version")) != (FORMAT, VERSION):
             raise ValueError("another format")
         settings = tuple(_setting(row) for row in content.pop("settings"))
         tuples = {"speeds": tuple(content["speeds"]), "edges": tuple(content["edges"]), "settings": settings}
-        front = Front(**content | tuples)
+        cost_table = CostTable(**content | tuples)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"cannot be read: {error}", file=path, expected=expected) from error
     numbers = np.array([[s.cost_ms, s.peak_ms, *s.error_m] for s in settings], float)
     levels = {setting.detail.level for setting in settings}
-    known = len(front.edges) > max(levels, default=0) and min(front.edges) > 0.0
-    shaped = known and numbers.ndim == 2 and numbers.shape[1] == 2 + len(front.speeds) and len(front.speeds) > 0
-    if not shaped or not np.isfinite(numbers).all() or (numbers < 0.0).any() or np.any(np.diff(front.speeds) <= 0.0):
+    known = len(cost_table.edges) > max(levels, default=0) and min(cost_table.edges) > 0.0
+    shaped = (
+        known and numbers.ndim == 2 and numbers.shape[1] == 2 + len(cost_table.speeds) and len(cost_table.speeds) > 0
+    )
+    if (
+        not shaped
+        or not np.isfinite(numbers).all()
+        or (numbers < 0.0).any()
+        or np.any(np.diff(cost_table.speeds) <= 0.0)
+    ):
         raise InputError("bad values", file=path, key="settings", expected=expected)
-    return front
+    return cost_table
 
 
 def _setting(row: Mapping[str, Any]) -> Setting:
-    return Setting(Detail(**row["detail"]), float(row["cost_ms"]), float(row["peak_ms"]), tuple(row["error_m"]))
+    return Setting(LevelOfDetail(**row["detail"]), float(row["cost_ms"]), float(row["peak_ms"]), tuple(row["error_m"]))

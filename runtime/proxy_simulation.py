@@ -10,10 +10,10 @@ from pbd.engine import ti
 from pbd.geometry import FAR, Float1, Int1, Vec3, Vec4, vec3, vec4, xyz
 from pbd.taichi_internals import Launch
 from runtime.simulation import Simulation
-from wrinkles.coarser import Coarser
+from wrinkles.proxy_mesh import ProxyMesh
 from wrinkles.surface import csr_arrays
 
-__all__ = ["CoarserSimulation"]
+__all__ = ["ProxySimulation"]
 
 STAND_OFF = 0.035  # distance from the body besides the thickness, over the mean edge: the coarse mesh dips that far [-]
 THINNED = 0.6 * FAR  # spacing of the body vertices that are searched: one is nearer than FAR to any contact [m]
@@ -54,7 +54,7 @@ def _follow(
             nearest[i] = own_nearest[leading[i]]
 
 
-class CoarserSimulation:
+class ProxySimulation:
     """Steps the mesh below the coarse mesh on the same body; the state of the coarse mesh follows.
 
     Args:
@@ -70,20 +70,20 @@ class CoarserSimulation:
 
     def __init__(
         self,
-        coarser: Coarser,
+        proxy: ProxyMesh,
         above: Simulation,
         options: ModelOptions,
         body_vertices: np.ndarray,
         attachment: Attachment,
     ) -> None:
-        fabric, edge = above.model.fabric, float(coarser.mesh.edge_lengths()[1].mean())
+        fabric, edge = above.model.fabric, float(proxy.mesh.edge_lengths()[1].mean())
         thicker = replace(fabric, thickness=fabric.thickness + STAND_OFF * edge)
-        limits = above.model.limits.taken(coarser.nearest)
-        model = replace(build_model(coarser.mesh, thicker, coarser.held, options, limits=limits), smooth=True)
-        own = Attachment.bind(coarser.mesh.vertices[coarser.held], body_vertices, above.body.faces)
+        limits = above.model.limits.taken(proxy.nearest)
+        model = replace(build_model(proxy.mesh, thicker, proxy.held, options, limits=limits), smooth=True)
+        own = Attachment.bind(proxy.mesh.vertices[proxy.held], body_vertices, above.body.faces)
         self.simulation = above.beside(model, own)
-        self._coarser, self._above, self._attachment = coarser, above, attachment
-        self._rows, self._launch = csr_arrays(coarser.matrix), Launch(_follow)
+        self._coarser, self._above, self._attachment = proxy, above, attachment
+        self._rows, self._launch = csr_arrays(proxy.matrix), Launch(_follow)
         self._surfaces = above.body.surface, above.body.thinned(body_vertices, THINNED)
         self._write(above.state.copy())  # compiled now, not in the first frame
 

@@ -16,7 +16,7 @@ from pbd.taichi_internals import Launch
 from wrinkles.levels import Levels, held_between
 from wrinkles.surface import Subdivision, csr_arrays
 
-__all__ = ["Isometry", "middle_edges"]
+__all__ = ["EdgeLengthProjection", "middle_edges"]
 
 PASSES = 8  # sweeps over all edges, unless the caller asks for another number
 
@@ -57,7 +57,7 @@ def _spread(start: Int1, index: Int1, value: Float1, before: Vec3, middle: Vec3,
             fine[i] += total
 
 
-class Isometry:
+class EdgeLengthProjection:
     """Projects edges of the middle mesh onto their rest lengths, in Gauss-Seidel sweeps; held vertices stay.
 
     A correction both lengthens and shortens edges. A delivered mesh is not changed: its vertex mean already contains
