@@ -311,7 +311,7 @@ def baked_frames(
             loop.advance(1.0 / rate_hz)
         frames.append((player.vertices + player.origin).astype(np.float32))
         normals.append(player.normals.copy())
-    return player, np.array(frames), np.array(normals), posed_bodies(inputs.body, (motion.pose(t) for t in times))
+    return player, np.array(frames), np.array(normals), np.array([motion.pose(t) for t in times])
 
 
 def simulated_frames(

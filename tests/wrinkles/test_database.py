@@ -28,7 +28,7 @@ from wrinkles.dictionary import fabric_features
 from wrinkles.schema import ENTRIES, SCHEMA_VERSION
 from wrinkles.surface import Subdivision
 
-QUANTISED = {"atoms.shapes", "unfamiliarity.weights_1"} | {
+QUANTISED = {"atoms.shapes", "novelty.weights_1"} | {
     f"mapping.{name}" for name in ("weights_1", "weights_2", "weights_3", "place", "place_weights")
 }
 DERIVED = {"format", "schema_version", "units", "topology_hash", "content_hash"}
