@@ -41,7 +41,7 @@ def test_every_row_is_judged_and_kept(learned: Precomputed, capsys: pytest.Captu
         assert all(np.isfinite([float(row[name]) for name in COLUMNS]).all() for row in rows)
         with patch.object(Experiment, "judge", side_effect=AssertionError("judged again")):
             assert ablate_file(learned.path) == rows
-            assert command.main(["experiment", "wrinkles", str(learned.path)]) == 0
+            assert command.main(["bench", "wrinkles", str(learned.path)]) == 0
     assert table(rows) in capsys.readouterr().out
     by_name = {row["name"]: row for row in rows}
     full = by_name[""]
