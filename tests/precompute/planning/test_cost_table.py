@@ -96,11 +96,8 @@ def test_plan_of_a_scene_makes_its_database_and_its_front_once(
     learned: Precomputed, small: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """From a scene file to a plan; the recorded runs are found again, what is learned from them is made anew."""
-    for name, value in (
-        ("MAX_TICKS", 30),
-        ("REFERENCE_RUNS", 2),
-        ("RUNS_EACH", 1),
-    ):  # how well it is measured is not tested here
+    # How well it is measured is not tested here.
+    for name, value in (("MAX_TICKS", 30), ("REFERENCE_RUNS", 2), ("RUNS_EACH", 1)):
         monkeypatch.setattr(measuring, name, value)
     scene, out = tmp_path / "little.toml", tmp_path / "out"
     scene.write_text(SCENE, encoding="utf-8")
