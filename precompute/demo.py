@@ -126,7 +126,7 @@ class _Clock(StageClock):
         seconds: that each of STAGES is expected to take [s].
         workers: of all stages.
         say: told what is to stay on the screen.
-        report: told lines of progress.
+        report: called with lines of progress.
     """
 
     def __init__(
@@ -176,7 +176,7 @@ def run_demo(
         demo: the short one or the full one.
         workers: processes that simulate.
         say: told what is to stay on the screen: the stages as they begin, and that the first picture is there.
-        report: told lines of progress.
+        report: called with lines of progress.
     """
     from precompute.wrinkle_comparison.compare import compare
     from precompute.wrinkle_comparison.comparison_page import comparison_sections

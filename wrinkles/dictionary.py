@@ -197,18 +197,18 @@ def fit_coefficient_network(
         hidden: widths of the hidden layers.
         epochs: passes over the data by all places together, at most; half as many follow region by region.
         seed: of weights and shuffling.
-        report: told lines of progress.
+        report: called with lines of progress.
         fabrics: :func:`fabric_features` of each frame, shape (S, FABRIC_COUNT); None where all are the garment's own.
         region: of each place, int, shape (n,), 0 to r - 1; None is one for all.
 
     Returns:
         The mapping, for the garment's own fabric.
     """
-    told = np.zeros((len(features), FABRIC_COUNT)) if fabrics is None else np.asarray(fabrics, float)
-    scaling = _Scaling.of(features, static, told, seed)
+    fabric_inputs = np.zeros((len(features), FABRIC_COUNT)) if fabrics is None else np.asarray(fabrics, float)
+    scaling = _Scaling.of(features, static, fabric_inputs, seed)
     unit = float(np.sqrt((coefficients**2).mean()))
     samples = Samples(
-        scaling.inputs(features, told, seed).reshape(-1, scaling.width),
+        scaling.inputs(features, fabric_inputs, seed).reshape(-1, scaling.width),
         scaling.place(static),
         (coefficients / np.float32(unit)).reshape(-1, coefficients.shape[2]),
         _validation(len(features), features.shape[1], seed),
@@ -265,13 +265,13 @@ class _Scaling:
     spread_place: np.ndarray
 
     @classmethod
-    def of(cls, features: np.ndarray, static: np.ndarray, told: np.ndarray, seed: int) -> _Scaling:
+    def of(cls, features: np.ndarray, static: np.ndarray, fabric_inputs: np.ndarray, seed: int) -> _Scaling:
         flat = features.reshape(-1, features.shape[2])
         center, scale = flat.mean(axis=0), 1.0 / (flat.std(axis=0) + 1e-4)
         some = np.clip((flat[:: max(1, len(flat) // 200_000)] - center) * scale, -CLIP, CLIP)
         some += NOISE * np.random.default_rng(seed).standard_normal(some.shape, np.float32)
-        differs = np.ptp(told, axis=0) > 0.0
-        usual, spread = told[:, differs].mean(axis=0), told[:, differs].std(axis=0)
+        differs = np.ptp(fabric_inputs, axis=0) > 0.0
+        usual, spread = fabric_inputs[:, differs].mean(axis=0), fabric_inputs[:, differs].std(axis=0)
         middle, axes = whitening(some)
         middle_place, spread_place = static.mean(axis=0), static.std(axis=0) + 1e-2
         return cls(center, scale, middle, axes, differs, usual, spread, middle_place, spread_place)
@@ -281,11 +281,11 @@ class _Scaling:
         """Of the network's input, without the place."""
         return len(self.center) + len(self.usual)
 
-    def inputs(self, features: np.ndarray, told: np.ndarray, seed: int) -> np.ndarray:
+    def inputs(self, features: np.ndarray, fabric_inputs: np.ndarray, seed: int) -> np.ndarray:
         """Dynamic and fabric features as the network sees them, with noise, float32, shape (S, n, width)."""
         total, places, count = features.shape
         found = np.zeros((total, places, self.width), np.float32)
-        found[..., count:] = ((told[:, self.differs] - self.usual) / self.spread)[:, None]
+        found[..., count:] = ((fabric_inputs[:, self.differs] - self.usual) / self.spread)[:, None]
 
         def fill(first: int) -> None:
             some = slice(first, first + BLOCK)
@@ -340,7 +340,7 @@ def _fit_regions(
         epochs, seed, tell: as for :func:`fit_coefficient_network`.
     """
     heads = [network.after_first(seed) for _ in range(int(region.max()) + 1)]
-    nowhere = np.zeros((1, 0), np.float32)  # the first layer has told the place
+    nowhere = np.zeros((1, 0), np.float32)  # the first layer includes the place
     for r, head in enumerate(heads if len(heads) > 1 else []):
         own = np.flatnonzero(np.resize(region == r, len(samples)))
         seen = np.concatenate(in_threads(lambda rows: network.first(samples, rows), np.array_split(own, PARTS)))

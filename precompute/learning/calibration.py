@@ -133,7 +133,7 @@ def calibrate(
         cache: folder of recorded runs.
         workers: that simulate and decode.
         options: models, gains and times.
-        report: told lines of progress.
+        report: called with lines of progress.
     """
     grid = list(itertools.product(options.compression_scales, options.shear_scales, options.bend_scales))
     own = runs[0].options  # with the fabric itself calibration is compared

@@ -300,7 +300,7 @@ def evaluate(
         database: what is judged.
         truth: of the motion.
         cache: folder of simulated runs; the fine run of a pause goes there.
-        report: told lines of progress.
+        report: called with lines of progress.
         workers: that play and measure, or how many do.
         options: how long a pause is.
     """

@@ -87,7 +87,7 @@ class HeldOut:
             truth: of the motion.
             cache: folder of recorded runs.
             options: of the coarse model; None takes the calibrated ones.
-            report: told lines of progress.
+            report: called with lines of progress.
         """
         (plain,) = record_runs([coarse_run(database, truth.run, options)], cache, 1, report)
         plain = settled(plain, truth.run)

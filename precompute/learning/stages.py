@@ -33,7 +33,7 @@ class StageClock:
     Args:
         names: of all stages, in order.
         workers: whose processor time counts besides that of this process.
-        report: told lines of progress.
+        report: called with lines of progress.
     """
 
     def __init__(self, names: Sequence[str], workers: Workers, report: Callable[[str], None] | None = None) -> None:

@@ -135,7 +135,7 @@ def compare(
         brief: of what ours is compared with at equal cost only the middle mesh (the fine cloth where there is none),
             nothing converged besides the truth and the floor, and no largest stable step.
         workers: that measure what was played, or how many do.
-        report: told lines of progress.
+        report: called with lines of progress.
     """
     tell = report or (lambda line: None)
     run = truth.run
@@ -194,7 +194,7 @@ def equal_cost_baselines(
         truth: as for :func:`compare`.
         ours_ms: processor time of each of the player's frames [ms], by
             :func:`precompute.wrinkle_comparison.baselines.player_times`.
-        report: told lines of progress.
+        report: called with lines of progress.
     """
     tell = report or (lambda line: None)
     return _with_figures(truth, _baselines(database, truth, ours_ms, tell), 1)
@@ -293,7 +293,7 @@ def compare_file(
         output: folder of that database.
         clip: name of a clip that nothing was learned from; None takes the first that is held out.
         seconds: cut the motion there.
-        report: told lines of progress.
+        report: called with lines of progress.
 
     Raises:
         InputError: what cannot be read, a clip that does not exist or was learned from, or too short a motion.
