@@ -34,7 +34,6 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> LoadFileSche
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Long files first, so that no process ends alone on one: they are those that learn, compare and build."""
-    files = ("precompute", "runtime", "test_examples.py", "test_wheel.py")
-    long = [ROOT / "tests" / name for name in files]
-    items.sort(key=lambda item: not any(item.path.is_relative_to(place) for place in long))
+    """Long files first, so that no process ends alone on one: those that run programs, learn and compare."""
+    first = [ROOT / "tests" / name for name in ("test_examples.py", "test_wheel.py", "precompute", "runtime")]
+    items.sort(key=lambda item: [not item.path.is_relative_to(place) for place in first])
