@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from pbd.contact.blocks import LANES, empty_blocks
 from pbd.contact.pair_search import find_pairs
 from pbd.contact.pairs import PULL
-from pbd.contact.strain_limits import MAX_STRETCH
+from pbd.contact.strain_limits import limit_rows
 from pbd.contact.untangling import Untangling
 from pbd.mesh import edges_of
 from pbd.model import Model, State
@@ -117,7 +117,7 @@ class SelfCollision:
         pairs: (vertex, corners of a face), or (a, -b - 1, c, d) for the edges a-b and c-d, int32, shape (c, 4).
         data: see :func:`pbd.contact.pairs.solve_pairs`, float32, shape (c, 2, 4).
         ready: how many of them there are, how many are ready, and which, int32, shape (c + 2,).
-        strain_limits: see :func:`pbd.contact.strain_limits.solve_strain_limits`, float32, shape (e, 4).
+        strain_limits, limit_work: see :func:`pbd.contact.strain_limits.limit_rows`.
     """
 
     def __init__(self, model: Model, untangles: bool = True) -> None:
@@ -163,9 +163,7 @@ class SelfCollision:
         self._untangling, self._untangles = Untangling(faces, self._layer, mesh.vertex_areas), untangles
         self._no_crossings = np.zeros((1, 3), np.int32)
         self._find = Launch(find_pairs)
-        ends, lengths = mesh.edge_lengths()
-        self.strain_limits = np.zeros((len(ends), 4), np.float32)
-        self.strain_limits[:, :2], self.strain_limits[:, 2] = ends, MAX_STRETCH * lengths
+        self.strain_limits, self.limit_work = limit_rows(*mesh.edge_lengths(), count)
         self._make_room(2 * count)
 
     def _make_room(self, count: int) -> None:
@@ -180,6 +178,7 @@ class SelfCollision:
             "pair_data": self.data,
             "ready_pairs": self.ready,
             "strain_limits": self.strain_limits,
+            "limit_work": self.limit_work,
         }
 
     def find(self, state: State, h: float, steps: int, thickness: float) -> int:

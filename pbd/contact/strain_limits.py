@@ -1,34 +1,81 @@
-"""Edges that contact may not draw out: the last word where limbs pinch cloth and push its vertices apart."""
+"""Edges that contact may not draw out: the last word where limbs pinch cloth and push its vertices apart.
+
+Few edges of a garment are ever near their limit. Edges lie in blocks. A pass looks at the blocks that had an edge near
+its limit at the last test, and at those beside an edge that was shortened since: length that is taken from one edge
+goes to its neighbours.
+"""
+
+import numpy as np
 
 from pbd.contact.response import height_over, substep_start
 from pbd.engine import ti
 from pbd.geometry import vec3, vec4, xyz
 from pbd.xpbd.constraints import tether_correction
 
-__all__ = ["MAX_STRETCH", "near_limits", "solve_strain_limits"]
+__all__ = ["MAX_STRETCH", "limit_rows", "near_limits", "solve_strain_limits"]
 
 MAX_STRETCH = 1.5  # greatest length of an edge over its rest length [-]
 MAX_RETURN_SPEED = 3.0  # of an edge that starts a substep too long: a correction is also a velocity [m/s]
 NEAR_SHARE = 0.8  # share of their greatest length from which edges are near it [-]
+EDGES = 16  # of a block
+
+
+def limit_rows(edges: np.ndarray, lengths: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The limits of edges, and which blocks of edges each vertex has edges in.
+
+    Args:
+        edges: their ends, int, shape (e, 2).
+        lengths: at rest [m], shape (e,).
+        count: of vertices.
+
+    Returns:
+        rows of the ends of an edge and its greatest length [m], float32, shape (e, 4);
+        for each block the pass in which it is due and whether an edge in it is near its limit, then for each vertex
+        where its blocks begin and where the last one's end, then those blocks, int32, shape (k,).
+    """
+    limits = np.zeros((len(edges), 4), np.float32)
+    limits[:, :2], limits[:, 2] = edges, MAX_STRETCH * lengths
+    blocks = (len(edges) + EDGES - 1) // EDGES
+    block = np.repeat(np.arange(len(edges)) // EDGES, 2)
+    used = np.unique(np.stack([edges.ravel(), block], axis=1), axis=0)
+    first = 2 * blocks + count + 1
+    starts = first + np.searchsorted(used[:, 0], np.arange(count + 1))
+    return limits, np.concatenate([np.zeros(2 * blocks, int), starts, used[:, 1]]).astype(np.int32)
 
 
 @ti.func
-def near_limits(cloth: ti.template(), limits: ti.template()) -> ti.i32:
-    """Whether any edge is near its greatest length; rows of ``limits``: its ends, and that length [m]."""
+def near_limits(cloth: ti.template(), limits: ti.template(), work: ti.template()):
+    """Find the blocks with an edge near its greatest length; returns whether there are any.
+
+    Args:
+        cloth: view of the garment.
+        limits, work: see :func:`limit_rows`.
+    """
+    blocks = (limits.shape[0] + EDGES - 1) // EDGES
     found = 0
-    for c in range(limits.shape[0]):
-        i, j = int(limits[c][0]), int(limits[c][1])
-        offset = (xyz(cloth.position[j]) - xyz(cloth.position[i])) + (
-            xyz(cloth.position_delta[j]) - xyz(cloth.position_delta[i])
-        )
-        if offset.dot(offset) > (NEAR_SHARE * limits[c][2]) ** 2:
-            found = 1
+    for b in range(blocks):
+        near = 0
+        for c in range(b * EDGES, ti.min((b + 1) * EDGES, limits.shape[0])):
+            i, j = int(limits[c][0]), int(limits[c][1])
+            offset = (xyz(cloth.position[j]) - xyz(cloth.position[i])) + (
+                xyz(cloth.position_delta[j]) - xyz(cloth.position_delta[i])
+            )
+            if offset.dot(offset) > (NEAR_SHARE * limits[c][2]) ** 2:
+                near = 1
+        work[blocks + b] = near
+        found |= near
     return found
 
 
 @ti.func
 def solve_strain_limits(
-    cloth: ti.template(), contact: ti.template(), limits: ti.template(), passes: ti.i32, h: ti.f32, t: ti.f32
+    cloth: ti.template(),
+    contact: ti.template(),
+    limits: ti.template(),
+    work: ti.template(),
+    passes: ti.i32,
+    h: ti.f32,
+    t: ti.f32,
 ):
     """Shorten edges that are longer than they may be (Provot 1995, "Deformation constraints").
 
@@ -36,28 +83,43 @@ def solve_strain_limits(
 
     Args:
         cloth, contact: views of the garment.
-        limits: rows of the ends of an edge and its greatest length [m].
+        limits, work: see :func:`limit_rows`.
         passes: at most so many; fewer once no edge is too long.
         h: substep [s].
         t: time in the frame, in [0, 1].
     """
-    pulled = 1
-    for _ in range(passes):
-        if pulled > 0:
-            pulled = 0
-            for c in range(limits.shape[0]):
-                i, j = int(limits[c][0]), int(limits[c][1])
-                p, q = cloth.position[i], cloth.position[j]
-                u, v = xyz(cloth.position_delta[i]), xyz(cloth.position_delta[j])
-                offset = (xyz(q) - xyz(p)) + (v - u)
-                if offset.dot(offset) > limits[c][2] * limits[c][2]:
-                    before = (xyz(q) - xyz(p)) + (substep_start(cloth, j, h) - substep_start(cloth, i, h))
-                    longest = ti.max(limits[c][2], before.norm() - h * MAX_RETURN_SPEED)
-                    move = tether_correction(offset, longest) / ti.max(p[3] + q[3], 1e-20)
-                    free = p[3] * q[3] == 0.0
-                    cloth.position_delta[i] = vec4(u + along_body(i, free, -p[3] * move, t, cloth, contact))
-                    cloth.position_delta[j] = vec4(v + along_body(j, free, q[3] * move, t, cloth, contact))
-                    pulled = 1
+    blocks = (limits.shape[0] + EDGES - 1) // EDGES
+    if passes > 0:
+        for b in range(blocks):
+            work[b] = work[blocks + b]
+    last = 1  # pass in which blocks are due
+    for this in range(1, passes + 1):
+        if last >= this:
+            for b in range(blocks):
+                if work[b] == this:
+                    for c in range(b * EDGES, ti.min((b + 1) * EDGES, limits.shape[0])):
+                        i, j = int(limits[c][0]), int(limits[c][1])
+                        p, q = cloth.position[i], cloth.position[j]
+                        u, v = xyz(cloth.position_delta[i]), xyz(cloth.position_delta[j])
+                        offset = (xyz(q) - xyz(p)) + (v - u)
+                        if offset.dot(offset) > limits[c][2] * limits[c][2]:
+                            before = (xyz(q) - xyz(p)) + (substep_start(cloth, j, h) - substep_start(cloth, i, h))
+                            longest = ti.max(limits[c][2], before.norm() - h * MAX_RETURN_SPEED)
+                            move = tether_correction(offset, longest) / ti.max(p[3] + q[3], 1e-20)
+                            free = p[3] * q[3] == 0.0
+                            cloth.position_delta[i] = vec4(u + along_body(i, free, -p[3] * move, t, cloth, contact))
+                            cloth.position_delta[j] = vec4(v + along_body(j, free, q[3] * move, t, cloth, contact))
+                            last = this + 1
+                            for end in range(2):
+                                fall_due(ti.select(end == 0, i, j), b, this, blocks, work)
+
+
+@ti.func
+def fall_due(i: ti.i32, b: ti.i32, this: ti.i32, blocks: ti.i32, work: ti.template()):
+    """A vertex has moved: its blocks after block b are due in this pass, the others in the next one."""
+    for r in range(work[2 * blocks + i], work[2 * blocks + i + 1]):
+        other = work[r]
+        work[other] = ti.select(other > b, this, this + 1)
 
 
 @ti.func

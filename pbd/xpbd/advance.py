@@ -61,6 +61,7 @@ def advance_kernel(with_multigrid: bool, with_pairs: bool = False) -> Callable[.
         tether_lengths: Float1,
         limits: Vec4Rows,
         strain_limits: Vec4,
+        limit_work: Int1,
         body_start: Vec3,
         body_end: Vec3,
         ring_start: Int1,
@@ -111,7 +112,7 @@ def advance_kernel(with_multigrid: bool, with_pairs: bool = False) -> Callable[.
                 ),
                 ConstraintArrays(
                     triangles, triangle_blocks, block_colors, triangle_data, hinges, hinge_colors, hinge_data,
-                    stitches, stitch_weights, tethers, tether_lengths, limits, strain_limits,
+                    stitches, stitch_weights, tethers, tether_lengths, limits, strain_limits, limit_work,
                 ),
                 BodySurface(body_start, body_end, ring_start, ring, fan_start, fan, body_normals),
                 Obstacles(primitives, fields, field_values),

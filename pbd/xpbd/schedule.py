@@ -333,18 +333,20 @@ def collide_with_itself(
     Returns:
         whether any edge was near its strain limit at the last test; ``stretched`` is the answer of the test before.
     """
+    limits = ti.static(constraints.strain_limits)
+    work = ti.static(constraints.limit_work)
     near = stretched
     if workers.first():
         if tests_all:
-            near = near_limits(cloth, constraints.strain_limits)
-        solve_strain_limits(cloth, contact, constraints.strain_limits, near * MAX_LIMIT_PASSES, step.h, t)
+            near = near_limits(cloth, limits, work)
+        solve_strain_limits(cloth, contact, limits, work, near * MAX_LIMIT_PASSES, step.h, t)
         solve_pairs(cloth, pairs, tests_all, step.refresh * step.share, step.friction, step.h)
     workers.barrier()
     for k in range(contact.sample_colors.shape[0] - 1):
         return_to_surface(workers, cloth, contact, k, t, step)
         workers.barrier()
     if workers.first():
-        solve_strain_limits(cloth, contact, constraints.strain_limits, near * MAX_LIMIT_PASSES, step.h, t)
+        solve_strain_limits(cloth, contact, limits, work, near * MAX_LIMIT_PASSES, step.h, t)
     workers.barrier()
     return near
 

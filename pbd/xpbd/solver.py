@@ -161,6 +161,7 @@ class Solver:
             "pair_data": np.zeros((1, 2, 4), np.float32),
             "ready_pairs": np.zeros(2, np.int32),
             "strain_limits": np.zeros((0, 4), np.float32),
+            "limit_work": np.zeros(1, np.int32),
         }
 
     def step(

@@ -79,7 +79,7 @@ class ConstraintArrays:
     Attributes:
         limits: position of the target at the frame's start and the vertex, motion of the target over the frame, normal
             there, law of :func:`pbd.xpbd.constraints.limit_correction`; vec4, shape (l, 4).
-        strain_limits: see :func:`pbd.contact.strain_limits.solve_strain_limits`.
+        strain_limits, limit_work: see :func:`pbd.contact.strain_limits.limit_rows`.
     """
 
     triangles: Any = None
@@ -95,6 +95,7 @@ class ConstraintArrays:
     tether_lengths: Any = None
     limits: Any = None
     strain_limits: Any = None
+    limit_work: Any = None
     _data_oriented = True
 
 

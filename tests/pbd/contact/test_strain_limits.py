@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pbd import Colliders, Fabric, Model, Plane, Solver, SolverOptions, State
-from pbd.contact.strain_limits import MAX_STRETCH, solve_strain_limits
+from pbd.contact.strain_limits import MAX_STRETCH, limit_rows, near_limits, solve_strain_limits
 from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Int1, Vec3, Vec4, Vec4Rows
 from pbd.xpbd.views import ClothArrays, ContactWork
@@ -71,12 +71,22 @@ def test_what_starts_far_over_its_limit_does_not_fly_off() -> None:
 
 @ti.kernel
 def limit(
-    position: Vec4, velocity: Vec3, delta: Vec4, gain: Vec4, limits: Vec4, h: ti.f32, nearest: Int1, points: Vec4Rows
+    position: Vec4,
+    velocity: Vec3,
+    delta: Vec4,
+    gain: Vec4,
+    limits: Vec4,
+    work: Int1,
+    passes: ti.i32,
+    h: ti.f32,
+    nearest: Int1,
+    points: Vec4Rows,
 ):
     ti.loop_config(serialize=True)
     for _ in range(1):
         cloth = ClothArrays(position=position, velocity=velocity, position_delta=delta, velocity_delta=gain)
-        solve_strain_limits(cloth, ContactWork(nearest=nearest, contact_points=points), limits, 1, h, 0.0)
+        contact = ContactWork(nearest=nearest, contact_points=points)
+        solve_strain_limits(cloth, contact, limits, work, near_limits(cloth, limits, work) * passes, h, 0.0)
 
 
 @pytest.mark.parametrize("touches", [False, True])
@@ -89,8 +99,8 @@ def test_edges_shorten_along_the_body_unless_they_are_held(touches: bool, held: 
     points[:, 2, 1] = 1.0
     nearest = np.array([0 if touches else -1, -1], np.int32)
     ensure_initialized()
-    limits = np.array([[0, 1, 0.3, 0]], np.float32)
-    limit(position, np.zeros((2, 3), np.float32), delta, zero, limits, 1.0, nearest, points)
+    limits, work = limit_rows(np.array([[0, 1]]), np.array([0.3 / MAX_STRETCH]), 2)
+    limit(position, np.zeros((2, 3), np.float32), delta, zero, limits, work, 1, 1.0, nearest, points)
     height = float(position[0, 1] + delta[0, 1])
     if touches and not held:
         assert height == pytest.approx(0.0, abs=1e-7)
@@ -99,6 +109,24 @@ def test_edges_shorten_along_the_body_unless_they_are_held(touches: bool, held: 
         assert height < -0.05
         length = np.linalg.norm(np.diff(position[:, :3] + delta[:, :3], axis=0))
         assert length == pytest.approx(0.3, abs=1e-5)
+
+
+def test_length_that_is_taken_from_one_edge_goes_to_its_neighbours() -> None:
+    """One edge of a chain is far too long. The passes reach edges that are in other blocks, and not near their limit."""
+    count = 60
+    position = np.zeros((count, 4), np.float32)
+    position[:, 0], position[:, 3] = np.arange(count) * 0.01 * MAX_STRETCH * 0.79, 1.0
+    position[count // 2 :, 0] += 0.08
+    delta, zero = np.zeros((2, count, 4), np.float32)
+    edges = np.stack([np.arange(count - 1), np.arange(1, count)], axis=1)
+    limits, work = limit_rows(edges, np.full(len(edges), 0.01), count)
+    nearest, points = np.full(count, -1, np.int32), np.zeros((count, 3, 4), np.float32)
+    ensure_initialized()
+    limit(position, np.zeros((count, 3), np.float32), delta, zero, limits, work, 2000, 1.0, nearest, points)
+    x = position[:, 0] + delta[:, 0]
+    assert np.diff(x).max() == pytest.approx(limits[0, 2], rel=1e-3)
+    assert np.all(np.abs(delta[count // 2 - 12 : count // 2 + 12, 0]) > 1e-4)
+    assert x.mean() == pytest.approx(position[:, 0].mean(), rel=1e-4)
 
 
 def test_limits_that_hold_nothing_back_change_nothing() -> None:
