@@ -14,10 +14,11 @@ are pulled back through the face, no faster than a body pushes, and velocities a
 """
 
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.csgraph import breadth_first_order, connected_components, maximum_flow
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from pbd.contact.pairs import PULL
+from pbd.contact.sheet_cuts import NEAR, Curve, SheetCuts
 from pbd.engine import ti
 from pbd.geometry import vec3, xyz
 from pbd.mesh import edges_of
@@ -30,7 +31,6 @@ MAX_CURVES = 4  # along which sheets are brought back at once
 MAX_JOINING_SHARE, MIN_JOINING = 0.5, 4
 MIN_CLOSED_EDGES = 8  # a curve through fewer edges is not closed by a cut, except near its ends
 KEPT_MOTION = 0.3  # share of their relative velocity that vertices on the wrong side keep at a search [-]
-RINGS = 3  # cloth counts as on the wrong side up to so many edges from where it goes through
 MIN_CROSSINGS = 256  # that the buffer takes at first
 
 
@@ -84,16 +84,18 @@ class _Crossings:
 
     Args:
         rows: (end, end, face), shape (k, 3).
+        edge: number of the edge of each row, shape (k,).
         faces: shape (m, 3).
         position: [m], shape (n, 3).
 
     Attributes:
-        ends: shape (k, 2); face: shape (k,); points: where they go through [m], shape (k, 3).
+        ends: shape (k, 2); edge: number of the edge, face: shape (k,); points: where they go through [m], shape (k, 3).
         heights: of the ends over the face, times twice its area [m3], shape (k, 2).
         along: cosine between the edge and the vector from the crossing to each corner of the face, shape (k, 3).
     """
 
-    def __init__(self, rows: np.ndarray, faces: np.ndarray, position: np.ndarray) -> None:
+    def __init__(self, rows: np.ndarray, edge: np.ndarray, faces: np.ndarray, position: np.ndarray) -> None:
+        self.edge = edge
         self.ends, self.face, self._corners = rows[:, :2], rows[:, 2], faces[rows[:, 2]]
         corners, tips = position[self._corners].astype(float), position[self.ends].astype(float)
         self._normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -147,7 +149,10 @@ class Untangling:
         # The first and the last face of an edge; the same where it has one.
         self._beside = np.stack([order[starts[:-1]], order[starts[1:] - 1]], axis=1) // 3
         self._keys = self._edges @ [len(layer), 1]
-        self._pieces = self._parts_of(self._edges)
+        count = len(layer)
+        graph = coo_matrix((np.ones(len(edges)), edges.T), (count, count))
+        self._pieces = connected_components(graph, directed=False)[1]
+        self._cuts = SheetCuts(edges, count)
         self.crossed = np.zeros((MIN_CROSSINGS, 3), np.int32)
         self.wrong_side = np.zeros(len(layer), np.int32)
 
@@ -174,7 +179,9 @@ class Untangling:
         rows = rows[free[rows[:, :2]].any(axis=1) & free[self._faces[rows[:, 2]]].any(axis=1)]
         if not len(rows):
             return None
-        found = _Crossings(rows[np.lexsort(rows.T[::-1])], self._faces, position)
+        rows = rows[np.lexsort(rows.T[::-1])]
+        edge = np.searchsorted(self._keys, np.sort(rows[:, :2], axis=1) @ [len(self._layer), 1])
+        found = _Crossings(rows, edge, self._faces, position)
         for first, second in self._contours(found):
             self._mark(found, first, second)
         self.wrong_side[~free] = 0
@@ -186,7 +193,7 @@ class Untangling:
         Args:
             velocity: of all vertices, shape (n, 3). The mean over those vertices stays.
         """
-        near = self._around(np.flatnonzero(self.wrong_side), np.ones(len(self.wrong_side), bool))
+        near = self._cuts.around(np.flatnonzero(self.wrong_side), np.ones(len(self.wrong_side), bool))
         if near.any():
             weight = self._areas[near, None]
             mean = (weight * velocity[near]).sum(axis=0) / weight.sum()
@@ -195,10 +202,9 @@ class Untangling:
     def _contours(self, found: _Crossings) -> list[tuple[np.ndarray, np.ndarray]]:
         """Crossings along each curve in which two sheets meet: whose edges are of the first and of the second sheet."""
         count = len(found.face)
-        edge = np.searchsorted(self._keys, np.sort(found.ends, axis=1) @ [len(self._layer), 1])
         # A crossing is an end of the segments in which its face meets those beside its edge. Everything is there
         # twice: with the edge in the first sheet, and in the second.
-        beside, face = self._beside[edge].ravel(), np.repeat(found.face, 2)
+        beside, face = self._beside[found.edge].ravel(), np.repeat(found.face, 2)
         lower, upper = np.minimum(beside, face), np.maximum(beside, face)
         _, segment = np.unique(lower * len(self._faces) + upper, return_inverse=True)
         turned = (beside > face).astype(np.int64)
@@ -243,64 +249,18 @@ class Untangling:
         if not len(which):
             return []
         ends, heights = found.ends[which], found.heights[which]
-        above, below = (ends[np.arange(len(ends)), pick(heights, axis=1)] for pick in (np.argmax, np.argmin))
-        # Vertices on both sides show nothing.
-        above, below = np.setdiff1d(above, below), np.setdiff1d(below, above)
-        if not (len(above) and len(below)):
+        rows = np.arange(len(ends))
+        above, below = ends[rows, heights.argmax(axis=1)], ends[rows, heights.argmin(axis=1)]
+        curve = Curve(*(part.astype(np.int32) for part in (found.edge[which], above, below)))
+        nearby = len(which) < MIN_CLOSED_EDGES  # only a corner can be cut off, which lies near
+        upper = self._cuts.upper(curve, max(MAX_JOINING_SHARE * len(which), MIN_JOINING), nearby)
+        if upper is None:
             return []
-        count = len(self._layer)
-        kept = self._edges[~np.isin(self._keys, np.sort(ends, axis=1) @ [count, 1])]
-        part, whole = self._parts_of(kept), self._pieces == self._pieces[below[0]]
-        if not np.isin(part[above], part[below]).any():
-            upper = np.isin(part, part[above])
-        else:
-            if len(which) < MIN_CLOSED_EDGES:  # only a corner can be cut off, which lies near
-                near = self._around(ends, np.ones(count, bool))
-                kept = kept[near[kept].all(axis=1)]
-                whole &= near
-            cut = self._least_cut(kept, above, below, max(MAX_JOINING_SHARE * len(which), MIN_JOINING))
-            if cut is None:
-                return []
-            upper = cut
-        lower = ~upper & whole
+        lower = ~upper & (self._pieces == self._pieces[np.setdiff1d(below, above)[0]])
+        if nearby and self._cuts.closed:
+            lower &= (self._cuts.marks & NEAR) > 0
         return [(half, float(self._areas[half].sum())) for half in (upper, lower)]
-
-    def _least_cut(self, kept: np.ndarray, above: np.ndarray, below: np.ndarray, most: float) -> np.ndarray | None:
-        """The side of the vertices above in the least cut of the edges kept; None if it goes through more than that."""
-        count = len(self._layer)
-        # The least cut between both sides is as large as the flow from one to the other.
-        much = len(kept) + 1
-        rows = np.concatenate([kept[:, 0], kept[:, 1], np.full(len(above), count), below])
-        columns = np.concatenate([kept[:, 1], kept[:, 0], above, np.full(len(below), count + 1)])
-        values = np.concatenate([np.ones(2 * len(kept)), np.full(len(above) + len(below), much)])
-        capacity = csr_matrix((values, (rows, columns)), (count + 2, count + 2)).astype(np.int32)
-        found_flow = maximum_flow(capacity, count, count + 1)
-        if found_flow.flow_value > most:
-            return None
-        rest = capacity - found_flow.flow
-        rest.data = np.maximum(rest.data, 0)
-        rest.eliminate_zeros()
-        upper = np.zeros(count, bool)
-        reached = breadth_first_order(rest, count, return_predecessors=False)
-        upper[reached[reached < count]] = True
-        return upper
-
-    def _parts_of(self, edges: np.ndarray) -> np.ndarray:
-        """Number of the part of the cloth in which each vertex is, shape (n,)."""
-        count = len(self._layer)
-        return connected_components(coo_matrix((np.ones(len(edges)), edges.T), (count, count)), directed=False)[1]
 
     def _add(self, part: np.ndarray, ends: np.ndarray) -> None:
         """Mark the vertices of a part that are a few edges from ends of crossing edges."""
-        self.wrong_side[self._around(ends, part)] = 1
-
-    def _around(self, ends: np.ndarray, part: np.ndarray) -> np.ndarray:
-        """Vertices of a part, a few edges from ends of edges at most, as a mask."""
-        near = np.zeros(len(part), bool)
-        near[ends] = True
-        near &= part
-        for _ in range(RINGS):
-            reached = near[self._edges].any(axis=1)
-            near[self._edges[reached]] = True
-            near &= part
-        return near
+        self.wrong_side[self._cuts.around(ends, part)] = 1
