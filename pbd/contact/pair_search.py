@@ -23,7 +23,7 @@ from pbd.engine import ti
 from pbd.geometry import Byte2, Float1, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, vec3, vec4, xyz
 from pbd.taichi_internals import in_kernel
 
-__all__ = ["find_pairs"]
+__all__ = ["find_pairs", "turn_sides"]
 
 SLACK = 0.003  # pairs are kept up to this distance beyond thickness and expected motion [m]
 MIN_COSINE = 0.5  # of the angle between the normals of two layers that face the same way [-]
@@ -271,6 +271,46 @@ def first_side(
             normal = -normal
         gap = -size
     return normal, gap, kept
+
+
+@ti.kernel
+def turn_sides(
+    position: Vec4,
+    rest: Vec3,
+    layer: Int1,
+    wrong_side: Int1,
+    old_pairs: Int4,
+    old_normals: Vec4,
+    chain: Int1,
+    pairs: Int4,
+    pair_data: Vec4Rows,
+    ready_pairs: Int1,
+    thickness: ti.f32,
+    longest: ti.f32,
+):
+    """Start the pairs found with the sides that vertices on the wrong side have now; see :func:`find_pairs`.
+
+    Over 12 arguments, because a kernel takes arrays one by one.
+    """
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        none = vec3(0.0)
+        cloth = MovingCloth(position, none, none, none, rest, layer, wrong_side, thickness, longest)
+        buffers = PairBuffers(old_pairs, old_normals, chain, pairs, pair_data, ready_pairs, none, none)
+        for c in range(ready_pairs[0]):
+            q = pairs[c]
+            k = corners_of(q)
+            wrong = wrong_side[k[0]] + wrong_side[k[1]] + wrong_side[k[2]] + wrong_side[k[3]]
+            if wrong > 0 and layer[k[0]] == layer[k[3]]:
+                x0 = xyz(position[k[0]])
+                _shares, across, offset = closest_points(
+                    q, xyz(position[k[1]]) - x0, xyz(position[k[2]]) - x0, xyz(position[k[3]]) - x0
+                )
+                kept = thickness * ti.select(q[1] < 0, EDGE_SHARE, 1.0)
+                old = old_pair(q, k, cloth, buffers)
+                normal, gap, kept_now = first_side(q, k, old, 1, across, offset, offset.norm(), kept, cloth, buffers)
+                pair_data[c, 0] = vec4(normal, kept_now)
+                pair_data[c, 1][0] = gap
 
 
 @ti.func

@@ -9,12 +9,14 @@ them. So a feature that has gone through the other differs from one that has gon
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from pbd.contact.blocks import LANES, empty_blocks
-from pbd.contact.pair_search import find_pairs
+from pbd.contact.pair_search import find_pairs, turn_sides
 from pbd.contact.pairs import PULL
 from pbd.contact.strain_limits import limit_rows
 from pbd.contact.untangling import Untangling
@@ -162,7 +164,8 @@ class SelfCollision:
         }
         self._untangling, self._untangles = Untangling(faces, self._layer, mesh.vertex_areas), untangles
         self._no_crossings = np.zeros((1, 3), np.int32)
-        self._find = Launch(find_pairs)
+        self._find, self._turn_sides = Launch(find_pairs), Launch(turn_sides)
+        self._pulls: tuple[np.ndarray, np.ndarray] | None = None
         self.strain_limits, self.limit_work = limit_rows(*mesh.edge_lengths(), count)
         self._make_room(2 * count)
 
@@ -181,7 +184,7 @@ class SelfCollision:
             "limit_work": self.limit_work,
         }
 
-    def find(self, state: State, h: float, steps: int, thickness: float) -> int:
+    def find(self, state: State, h: float, steps: int, thickness: float, first: bool = True) -> int:
         """Find the pairs that may touch in substeps.
 
         Args:
@@ -189,6 +192,7 @@ class SelfCollision:
             h: substep [s].
             steps: substeps to look ahead.
             thickness: kept between features [m].
+            first: whether the frame begins: then cloth that is through itself is found, for all of the frame.
 
         Returns:
             For how many substeps the pairs are good, at least 1.
@@ -196,23 +200,28 @@ class SelfCollision:
         if len(self._chain) < len(self._layer) + len(state.pairs):
             self._chain = np.zeros(len(self._layer) + 2 * len(state.pairs), np.int32)
         untangling = self._untangling
-        untangling.wrong_side[:] = 0
-        self._search(state, steps * h, thickness)
-        if not self._untangles:
-            return self._good_for(steps)
-        free = (state.contact > 2.0 * thickness) | (state.nearest[: len(state.contact)] < 0)
-        pulls = untangling.pulls(state.position[:, :3], free)
-        if pulls is not None:
-            untangling.damp_relative_velocity(state.velocity)
-            self._search(state, steps * h, thickness)
-            self._append(*pulls)
+        if first:
+            untangling.wrong_side[:], self._pulls = 0, None
+        arguments = self._search(state, steps * h, thickness, first and self._untangles)
+        if first and self._untangles:
+            free = (state.contact > 2.0 * thickness) | (state.nearest[: len(state.contact)] < 0)
+            self._pulls = untangling.pulls(state.position[:, :3], free)
+            if self._pulls is not None:
+                untangling.damp_relative_velocity(state.velocity)
+                self._turn_sides.by_name(arguments)
+        if self._pulls is not None:
+            self._append(*self._pulls)
         return self._good_for(steps)
 
     def _good_for(self, steps: int) -> int:
         return max(1, int(steps * min(1.0, MAX_RELATIVE_MOTION / max(float(self._max_displacement[0]), 1e-9))))
 
-    def _search(self, state: State, dt: float, thickness: float) -> None:
-        """Find the pairs of a frame of dt [s], with larger buffers until they take all."""
+    def _search(self, state: State, dt: float, thickness: float, crossings: bool) -> dict[str, Any]:
+        """Find the pairs of a frame of dt [s], and crossings or not, with larger buffers until they take all.
+
+        Returns:
+            the arguments of the search.
+        """
         while True:
             arguments = self._fixed | {
                 "position": state.position,
@@ -224,15 +233,15 @@ class SelfCollision:
                 "pairs": self.pairs,
                 "pair_data": self.data,
                 "ready_pairs": self.ready,
-                "crossed": self._untangling.crossed if self._untangles else self._no_crossings,
+                "crossed": self._untangling.crossed if crossings else self._no_crossings,
                 "dt": dt,
                 "thickness": thickness,
             }
             self._find.by_name(arguments)
             if self.ready[0] > len(self.pairs):
                 self._make_room(int(self.ready[0]) * 3 // 2)
-            elif not self._untangles or self._untangling.has_room():
-                return
+            elif not crossings or self._untangling.has_room():
+                return arguments
 
     def _append(self, pairs: np.ndarray, data: np.ndarray) -> None:
         """Add pairs that were not searched for."""
