@@ -1,4 +1,9 @@
-"""Pairs of cloth features that may touch in a frame, and edges that go through faces, found in a tree of boxes."""
+"""Pairs of cloth features that may touch in a frame, and edges that go through faces, found in a tree of boxes.
+
+The first search of a frame is of all patches. A later one is of the faces that have a stale vertex alone: one that is
+by now further from where the search that last looked at it expected it than half of the slack that pairs have. No pair
+is missed where both features are nearer than that to where they were expected.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,6 +12,7 @@ from pbd.contact.blocks import (
     CORNERS,
     DISPLACEMENTS,
     HIGH,
+    LANES,
     LOW,
     NORMAL,
     Blocks,
@@ -44,6 +50,9 @@ class MovingCloth:
         rest: positions at rest [m], vec3.
         layer: number of the garment of each vertex.
         wrong_side: 1 for vertices on the wrong side of their own garment.
+        seen_position, seen_velocity: of each vertex the motion that was expected when it was last stale: where it leads
+            back to at the frame's start [m], and velocity [m/s], vec3.
+        stale: 1 for vertices that have left this motion.
         thickness, longest: of the fabric, and of the sides of the faces at rest [m].
     """
 
@@ -54,6 +63,9 @@ class MovingCloth:
     rest: Any
     layer: Any
     wrong_side: Any
+    seen_position: Any
+    seen_velocity: Any
+    stale: Any
     thickness: Any
     longest: Any
     _data_oriented = True
@@ -78,6 +90,7 @@ class BoxTree:
         patch_boxes, face_blocks: see :mod:`pbd.contact.blocks`.
         cones: axis of the normals of each patch, and cosine of the greatest angle to it, vec4.
         near_groups: workspace.
+        stale_patches, stale_faces: of each group and patch bits of its patches and faces that have a stale vertex.
     """
 
     faces: Any
@@ -94,6 +107,8 @@ class BoxTree:
     face_blocks: Any
     cones: Any
     near_groups: Any
+    stale_patches: Any
+    stale_faces: Any
     _data_oriented = True
 
 
@@ -106,6 +121,7 @@ class PairBuffers:
         old_pairs, old_normals: of :class:`pbd.State`; ``chain``: of each vertex its first old pair, then of each old
             pair the next one of the same vertex, -1 for none.
         pairs, pair_data: as :func:`pbd.contact.pairs.solve_pairs` takes them.
+        pair_faces: the two faces of each pair, eight times the patch and the place in it; -1 for a pull.
         ready_pairs: how many pairs were found first, also if the buffers do not take them all.
         crossed: how many edges go through faces; then as many as the buffer takes: their ends, and the face.
         max_displacement: greatest displacement of the features of a pair against each other in the frame [m].
@@ -116,6 +132,7 @@ class PairBuffers:
     chain: Any
     pairs: Any
     pair_data: Any
+    pair_faces: Any
     ready_pairs: Any
     crossed: Any
     max_displacement: Any
@@ -135,8 +152,8 @@ def lowest(bits: ti.i32) -> ti.i32:
 
 
 @ti.func
-def take_pair(q, cloth: ti.template(), buffers: ti.template()):
-    """Keep a pair if its features may touch in this frame."""
+def take_pair(q, owners, cloth: ti.template(), buffers: ti.template()):
+    """Keep a pair of two faces if its features may touch in this frame."""
     k = corners_of(q)
     x0 = xyz(cloth.position[k[0]])
     x1, x2, x3 = xyz(cloth.position[k[1]]) - x0, xyz(cloth.position[k[2]]) - x0, xyz(cloth.position[k[3]]) - x0
@@ -181,6 +198,7 @@ def take_pair(q, cloth: ti.template(), buffers: ti.template()):
             else:
                 normal = outwards / ti.max(outwards.norm(), 1e-20)
             buffers.pairs[c] = q
+            buffers.pair_faces[c] = owners
             buffers.pair_data[c, 0] = vec4(normal, kept)
             buffers.pair_data[c, 1] = ti.math.vec4(gap, 1.0 if layers != 0 else 0.0, displacement, 0.0)
 
@@ -295,8 +313,8 @@ def turn_sides(
     ti.loop_config(serialize=True)
     for _ in range(1):
         none = vec3(0.0)
-        cloth = MovingCloth(position, none, none, none, rest, layer, wrong_side, thickness, longest)
-        buffers = PairBuffers(old_pairs, old_normals, chain, pairs, pair_data, ready_pairs, none, none)
+        cloth = MovingCloth(position, none, none, none, rest, layer, wrong_side, none, none, none, thickness, longest)
+        buffers = PairBuffers(old_pairs, old_normals, chain, pairs, pair_data, none, ready_pairs, none, none)
         for c in range(ready_pairs[0]):
             q = pairs[c]
             k = corners_of(q)
@@ -372,59 +390,91 @@ def find_pairs(
     face_blocks: Blocks,
     cones: Vec4,
     near_groups: Int1,
+    stale_patches: Int1,
+    stale_faces: Int1,
+    seen_position: Vec3,
+    seen_velocity: Vec3,
+    stale: Int1,
     old_pairs: Int4,
     old_normals: Vec4,
     chain: Int1,
     pairs: Int4,
     pair_data: Vec4Rows,
+    pair_faces: Int2,
     ready_pairs: Int1,
     crossed: Int3,
     max_displacement: Float1,
+    anew: ti.i32,
+    elapsed: ti.f32,
     dt: ti.f32,
+    share: ti.f32,
     thickness: ti.f32,
     longest: ti.f32,
 ):
-    """Find the pairs that may touch in a frame of ``dt`` [s]; ``ready_pairs[0]`` receives how many there are.
+    """Find the pairs that may touch in the next ``dt`` [s]; ``ready_pairs[0]`` receives how many there are.
 
-    The arguments are those of :class:`MovingCloth`, :class:`BoxTree` and :class:`PairBuffers`; over 12, because a
+    All are found if ``anew``. Else those found before are kept, except those of stale faces, which are found again;
+    ``elapsed`` [s] is the time since the frame's start, ``share`` the part left of what the last search looked ahead
+    to. The other arguments are those of :class:`MovingCloth`, :class:`BoxTree` and :class:`PairBuffers`; over 12, because a
     kernel takes arrays one by one.
     """
     ti.loop_config(serialize=True)
     for _ in range(1):
         search_pairs(
+            anew,
+            elapsed,
             dt,
-            MovingCloth(position, velocity, displacement, normals, rest, layer, wrong_side, thickness, longest),
+            share,
+            MovingCloth(
+                position, velocity, displacement, normals, rest, layer, wrong_side, seen_position, seen_velocity, stale,
+                thickness, longest,
+            ),
             BoxTree(
                 faces, owned, edges, patch_start, group_start, nodes, neighbour_start, neighbours, common, boxes,
-                patch_boxes, face_blocks, cones, near_groups,
+                patch_boxes, face_blocks, cones, near_groups, stale_patches, stale_faces,
             ),
-            PairBuffers(old_pairs, old_normals, chain, pairs, pair_data, ready_pairs, crossed, max_displacement),
+            PairBuffers(
+                old_pairs, old_normals, chain, pairs, pair_data, pair_faces, ready_pairs, crossed, max_displacement
+            ),
         )  # fmt: skip
 
 
 @ti.func
-def search_pairs(dt: ti.f32, cloth: ti.template(), tree: ti.template(), buffers: ti.template()):
+def search_pairs(
+    anew: ti.i32,
+    elapsed: ti.f32,
+    dt: ti.f32,
+    share: ti.f32,
+    cloth: ti.template(),
+    tree: ti.template(),
+    buffers: ti.template(),
+):
     """See :func:`find_pairs`."""
     margin = 0.5 * (cloth.thickness + SLACK)
     layers = expect_motion(dt, cloth, buffers)
+    find_stale(anew, elapsed, cloth, buffers)
     for group in range(tree.group_start.shape[0] - 1):
+        tree.stale_patches[group] = 0
         for patch in range(tree.group_start[group], tree.group_start[group + 1]):
             update_patch(group, patch, margin, layers, cloth, tree)
     update_nodes(tree)
     if layers > 0:
         for i in range(cloth.position.shape[0]):
             cloth.normals[i] /= ti.max(cloth.normals[i].norm(), 1e-20)
-    buffers.ready_pairs[0] = 0
-    buffers.ready_pairs[1] = 0
     buffers.crossed[0] = ti.Vector([0, 0, 0])
-    buffers.max_displacement[0] = 0.0
+    keep_pairs(anew, share, tree, buffers)
     leaf = 0  # of the group; leaves come in the order of the groups
     for group in range(tree.group_start.shape[0] - 1):
         while tree.nodes[leaf][2] < 0:
             leaf += 1
-        near_count = list_near_groups(group, leaf, tree)
+        stale = tree.stale_patches[group]
+        near_count = 0
+        if stale != 0:
+            near_count = list_near_groups(ti.select(anew != 0, group, 0), group, leaf, tree)
         leaf += 1
-        for patch in range(tree.group_start[group], tree.group_start[group + 1]):
+        while stale != 0:
+            patch = tree.group_start[group] + lowest(stale)
+            stale &= stale - 1
             search_patch(group, patch, near_count, margin, cloth, tree, buffers)
 
 
@@ -451,20 +501,70 @@ def expect_motion(dt: ti.f32, cloth: ti.template(), buffers: ti.template()) -> t
 
 
 @ti.func
+def find_stale(anew: ti.i32, elapsed: ti.f32, cloth: ti.template(), buffers: ti.template()):
+    """Find the vertices that have left their expected motion against the cloth's mean; all, if anew.
+
+    Those on the wrong side are stale too where crossings are looked for.
+    """
+    count = cloth.position.shape[0]
+    mean = vec3(0.0)
+    if anew == 0:
+        for i in range(count):
+            mean += xyz(cloth.position[i]) - cloth.seen_position[i] - elapsed * cloth.seen_velocity[i]
+        mean /= count
+    for i in range(count):
+        x, v = xyz(cloth.position[i]), cloth.velocity[i]
+        left = x - cloth.seen_position[i] - elapsed * cloth.seen_velocity[i] - mean
+        stale = anew != 0 or left.dot(left) > 0.25 * SLACK * SLACK
+        if buffers.crossed.shape[0] > 1:
+            stale = stale or cloth.wrong_side[i] == 1
+            cloth.wrong_side[i] = 0
+        cloth.stale[i] = ti.select(stale, 1, 0)
+        if stale:
+            cloth.seen_position[i], cloth.seen_velocity[i] = x - elapsed * v - mean, v
+
+
+@ti.func
+def keep_pairs(anew: ti.i32, share: ti.f32, tree: ti.template(), buffers: ti.template()):
+    """Keep the pairs found before, in their order, except those of stale faces and pulls; none, if anew."""
+    found = ti.select(anew != 0, 0, buffers.ready_pairs[0])
+    count, furthest = 0, 0.0
+    for c in range(found):
+        owners = buffers.pair_faces[c]
+        if owners[0] >= 0:
+            one = tree.stale_faces[owners[0] // LANES] >> owners[0] % LANES
+            other = tree.stale_faces[owners[1] // LANES] >> owners[1] % LANES
+            if (one | other) & 1 == 0:
+                buffers.pairs[count], buffers.pair_faces[count] = buffers.pairs[c], owners
+                buffers.pair_data[count, 0], buffers.pair_data[count, 1] = (
+                    buffers.pair_data[c, 0],
+                    buffers.pair_data[c, 1],
+                )
+                buffers.pair_data[count, 1][2] *= share
+                furthest = ti.max(furthest, buffers.pair_data[count, 1][2])
+                count += 1
+    buffers.ready_pairs[0], buffers.ready_pairs[1] = count, 0
+    buffers.max_displacement[0] = furthest
+
+
+@ti.func
 def update_patch(
     group: ti.i32, patch: ti.i32, margin: ti.f32, layers: ti.i32, cloth: ti.template(), tree: ti.template()
 ):
     """Boxes of a patch and its faces over the motion of a frame, ``margin`` [m] larger, and the cone of its normals."""
     low, high, axis = vec3(1e30), vec3(-1e30), vec3(0.0)
+    stale_faces = 0
     for f in range(tree.patch_start[patch], tree.patch_start[patch + 1]):
         lane = f - tree.patch_start[patch]
-        face_low, face_high = vec3(1e30), vec3(-1e30)
+        face_low, face_high, stale = vec3(1e30), vec3(-1e30), 0
         for k in ti.static(range(3)):
             x, displacement = xyz(cloth.position[tree.faces[f][k]]), cloth.displacement[tree.faces[f][k]]
+            stale |= cloth.stale[tree.faces[f][k]]
             face_low = ti.min(face_low, ti.min(x, x + displacement))
             face_high = ti.max(face_high, ti.max(x, x + displacement))
             put(tree.face_blocks, patch, CORNERS + 3 * k, lane, x)
             put(tree.face_blocks, patch, DISPLACEMENTS + 3 * k, lane, displacement)
+        stale_faces |= stale << lane
         x = xyz(cloth.position[tree.faces[f][0]])
         side_1, side_2 = xyz(cloth.position[tree.faces[f][1]]) - x, xyz(cloth.position[tree.faces[f][2]]) - x
         normal = side_1.cross(side_2)
@@ -482,6 +582,8 @@ def update_patch(
     for lane in range(tree.patch_start[patch + 1] - tree.patch_start[patch]):
         cosine = ti.min(cosine, axis.dot(take(tree.face_blocks, patch, NORMAL, lane)))
     tree.cones[patch] = vec4(axis, cosine)
+    tree.stale_faces[patch] = stale_faces
+    tree.stale_patches[group] |= ti.select(stale_faces != 0, 1, 0) << (patch - tree.group_start[group])
     put(tree.patch_boxes, group, LOW, patch - tree.group_start[group], low)
     put(tree.patch_boxes, group, HIGH, patch - tree.group_start[group], high)
 
@@ -505,14 +607,14 @@ def update_nodes(tree: ti.template()):
 
 
 @ti.func
-def list_near_groups(group: ti.i32, leaf: ti.i32, tree: ti.template()) -> ti.i32:
-    """Put the groups near a group, from itself on, into ``near_groups``; returns how many. ``leaf``: the group's."""
+def list_near_groups(first: ti.i32, group: ti.i32, leaf: ti.i32, tree: ti.template()) -> ti.i32:
+    """Put the groups near a group, from a first one on, into ``near_groups``; returns how many. ``leaf``: the group's."""
     near_count = 0
     low, high = tree.boxes[2 * leaf], tree.boxes[2 * leaf + 1]
     node = 0
     while node < tree.nodes.shape[0]:
         entry = tree.nodes[node]
-        if entry[1] < group or not overlap(low, high, tree.boxes[2 * node], tree.boxes[2 * node + 1]):
+        if entry[1] < first or not overlap(low, high, tree.boxes[2 * node], tree.boxes[2 * node + 1]):
             node = entry[0]
         else:
             node += 1
@@ -532,14 +634,21 @@ def search_patch(
     tree: ti.template(),
     buffers: ti.template(),
 ):
-    """Find the pairs of a patch with itself and with the later patches of the groups near its own."""
+    """Find the pairs of a stale patch with itself, and with others of the groups near its own.
+
+    These are the stale ones after it and all that are not stale.
+    """
     low = take(tree.patch_boxes, group, LOW, patch - tree.group_start[group])
     high = take(tree.patch_boxes, group, HIGH, patch - tree.group_start[group])
     neighbour, last_neighbour = tree.neighbour_start[patch], tree.neighbour_start[patch + 1]
     for r in range(near_count):
         others = overlapping(tree.patch_boxes, tree.near_groups[r], low, high)
+        later = -1
         if tree.near_groups[r] == group:
-            others &= -1 << (patch - tree.group_start[group])
+            later = -1 << (patch - tree.group_start[group])
+        elif tree.near_groups[r] < group:
+            later = 0
+        others &= later | ~tree.stale_patches[tree.near_groups[r]]
         while others != 0:
             other_lane = lowest(others)
             others &= others - 1
@@ -570,7 +679,7 @@ def search_face(
     tree: ti.template(),
     buffers: ti.template(),
 ):
-    """Find the pairs of one face of a patch with the faces of another patch.
+    """Find the pairs of one face of a patch with the faces of another patch, where either is stale.
 
     Args:
         patch, lane: of the one face.
@@ -582,6 +691,8 @@ def search_face(
     seconds = overlapping(tree.face_blocks, other, low, high)
     if other == patch:
         seconds &= -2 << lane
+    if (tree.stale_faces[patch] >> lane) & 1 == 0:
+        seconds &= tree.stale_faces[other]
     # Faces with a common corner that face the same way cannot touch.
     shared = 0
     if joined:
@@ -610,4 +721,4 @@ def search_face(
                 q = feature_pair(f, g, lowest(bits), tree.faces, tree.edges)
                 bits &= bits - 1
                 if q[0] >= 0:
-                    take_pair(q, cloth, buffers)
+                    take_pair(q, ti.Vector([patch * LANES + lane, other * LANES + second]), cloth, buffers)

@@ -159,12 +159,18 @@ class SelfCollision:
             "face_blocks": empty_blocks(patches, True),
             "cones": np.zeros((patches, 4), np.float32),
             "near_groups": np.zeros(groups, np.int32),
+            "stale_patches": np.zeros(groups, np.int32),
+            "stale_faces": np.zeros(patches, np.int32),
+            "seen_position": np.zeros((count, 3), np.float32),
+            "seen_velocity": np.zeros((count, 3), np.float32),
+            "stale": np.zeros(count, np.int32),
             "max_displacement": self._max_displacement,
             "longest": float(np.linalg.norm(np.diff(rest[edges], axis=1), axis=2).max()),
         }
         self._untangling, self._untangles = Untangling(faces, self._layer, mesh.vertex_areas), untangles
         self._no_crossings = np.zeros((1, 3), np.int32)
         self._find, self._turn_sides = Launch(find_pairs), Launch(turn_sides)
+        self._ahead = 1.0  # how far the last search looked [s]
         self._pulls: tuple[np.ndarray, np.ndarray] | None = None
         self.strain_limits, self.limit_work = limit_rows(*mesh.edge_lengths(), count)
         self._make_room(2 * count)
@@ -173,6 +179,7 @@ class SelfCollision:
         self.pairs = np.zeros((count, 4), np.int32)
         self.data = np.zeros((count, 2, 4), np.float32)
         self.ready = np.zeros(count + 2, np.int32)
+        self._pair_faces = np.zeros((count, 2), np.int32)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Its arguments of :func:`pbd.xpbd.advance.advance_kernel` by their names."""
@@ -184,7 +191,7 @@ class SelfCollision:
             "limit_work": self.limit_work,
         }
 
-    def find(self, state: State, h: float, steps: int, thickness: float, first: bool = True) -> int:
+    def find(self, state: State, h: float, steps: int, thickness: float, done: int = 0) -> int:
         """Find the pairs that may touch in substeps.
 
         Args:
@@ -192,18 +199,19 @@ class SelfCollision:
             h: substep [s].
             steps: substeps to look ahead.
             thickness: kept between features [m].
-            first: whether the frame begins: then cloth that is through itself is found, for all of the frame.
+            done: substeps of the frame that are behind. At its start all pairs are found; later those alone of cloth
+                that has moved otherwise than it seemed to, or that is through itself.
 
         Returns:
             For how many substeps the pairs are good, at least 1.
         """
         if len(self._chain) < len(self._layer) + len(state.pairs):
             self._chain = np.zeros(len(self._layer) + 2 * len(state.pairs), np.int32)
-        untangling = self._untangling
-        if first:
-            untangling.wrong_side[:], self._pulls = 0, None
-        arguments = self._search(state, steps * h, thickness, first and self._untangles)
-        if first and self._untangles:
+        untangling, first = self._untangling, done == 0
+        # Cloth that is through itself is looked for at the frame's start, and again while any was found.
+        untangles = self._untangles and (first or self._pulls is not None)
+        arguments = self._search(state, first, done * h, steps * h, thickness, untangles)
+        if untangles:
             free = (state.contact > 2.0 * thickness) | (state.nearest[: len(state.contact)] < 0)
             self._pulls = untangling.pulls(state.position[:, :3], free)
             if self._pulls is not None:
@@ -216,8 +224,10 @@ class SelfCollision:
     def _good_for(self, steps: int) -> int:
         return max(1, int(steps * min(1.0, MAX_RELATIVE_MOTION / max(float(self._max_displacement[0]), 1e-9))))
 
-    def _search(self, state: State, dt: float, thickness: float, crossings: bool) -> dict[str, Any]:
-        """Find the pairs of a frame of dt [s], and crossings or not, with larger buffers until they take all.
+    def _search(
+        self, state: State, anew: bool, elapsed: float, dt: float, thickness: float, crossings: bool
+    ) -> dict[str, Any]:
+        """Find the pairs of the next dt [s], and crossings or not, with larger buffers until they take all.
 
         Returns:
             the arguments of the search.
@@ -232,15 +242,21 @@ class SelfCollision:
                 "chain": self._chain,
                 "pairs": self.pairs,
                 "pair_data": self.data,
+                "pair_faces": self._pair_faces,
                 "ready_pairs": self.ready,
                 "crossed": self._untangling.crossed if crossings else self._no_crossings,
+                "anew": int(anew),
+                "elapsed": elapsed,
                 "dt": dt,
+                "share": dt / self._ahead,
                 "thickness": thickness,
             }
             self._find.by_name(arguments)
-            if self.ready[0] > len(self.pairs):
+            if self.ready[0] > len(self.pairs):  # what was found before is lost with the buffers
+                anew = True
                 self._make_room(int(self.ready[0]) * 3 // 2)
             elif not crossings or self._untangling.has_room():
+                self._ahead = dt
                 return arguments
 
     def _append(self, pairs: np.ndarray, data: np.ndarray) -> None:
@@ -248,10 +264,10 @@ class SelfCollision:
         old = int(self.ready[0])
         count = old + len(pairs)
         if count > len(self.pairs):
-            known = self.pairs[:old], self.data[:old]
+            known = self.pairs[:old], self.data[:old], self._pair_faces[:old]
             self._make_room(count * 3 // 2)
-            self.pairs[:old], self.data[:old] = known
-        self.pairs[old:count], self.data[old:count] = pairs, data
+            self.pairs[:old], self.data[:old], self._pair_faces[:old] = known
+        self.pairs[old:count], self.data[old:count], self._pair_faces[old:count] = pairs, data, -1
         self.ready[0] = count
 
     def remember(self, state: State) -> None:

@@ -206,7 +206,7 @@ class Solver:
         steps = FrameSteps(*self._steps.tolist())
         end = 0
         while end < steps.count:
-            good = self._pairs.find(state, dt / steps.count, steps.count - end, self.model.fabric.thickness, end == 0)
+            good = self._pairs.find(state, dt / steps.count, steps.count - end, self.model.fabric.thickness, end)
             begin, end = end, min(end + steps.refresh * max(1, good // steps.refresh), steps.count)
             self._steps[:2] = begin, end
             self._advance.by_name(arguments | self._pairs.arrays())
