@@ -294,6 +294,8 @@ def first_side(
 @ti.kernel
 def turn_sides(
     position: Vec4,
+    velocity: Vec3,
+    damped: Int1,
     rest: Vec3,
     layer: Int1,
     wrong_side: Int1,
@@ -303,10 +305,14 @@ def turn_sides(
     pairs: Int4,
     pair_data: Vec4Rows,
     ready_pairs: Int1,
+    max_displacement: Float1,
+    dt: ti.f32,
     thickness: ti.f32,
     longest: ti.f32,
 ):
     """Start the pairs found with the sides that vertices on the wrong side have now; see :func:`find_pairs`.
+
+    Those of vertices that are ``damped`` receive the displacements that their velocities have now.
 
     Over 12 arguments, because a kernel takes arrays one by one.
     """
@@ -315,20 +321,29 @@ def turn_sides(
         none = vec3(0.0)
         cloth = MovingCloth(position, none, none, none, rest, layer, wrong_side, none, none, none, thickness, longest)
         buffers = PairBuffers(old_pairs, old_normals, chain, pairs, pair_data, none, ready_pairs, none, none)
+        furthest = 0.0
         for c in range(ready_pairs[0]):
             q = pairs[c]
             k = corners_of(q)
-            wrong = wrong_side[k[0]] + wrong_side[k[1]] + wrong_side[k[2]] + wrong_side[k[3]]
-            if wrong > 0 and layer[k[0]] == layer[k[3]]:
+            if damped[k[0]] | damped[k[1]] | damped[k[2]] | damped[k[3]] != 0:
                 x0 = xyz(position[k[0]])
-                _shares, across, offset = closest_points(
+                shares, across, offset = closest_points(
                     q, xyz(position[k[1]]) - x0, xyz(position[k[2]]) - x0, xyz(position[k[3]]) - x0
                 )
-                kept = thickness * ti.select(q[1] < 0, EDGE_SHARE, 1.0)
-                old = old_pair(q, k, cloth, buffers)
-                normal, gap, kept_now = first_side(q, k, old, 1, across, offset, offset.norm(), kept, cloth, buffers)
-                pair_data[c, 0] = vec4(normal, kept_now)
-                pair_data[c, 1][0] = gap
+                motion = shares[0] * velocity[k[0]] + shares[1] * velocity[k[1]]
+                motion += shares[2] * velocity[k[2]] + shares[3] * velocity[k[3]]
+                pair_data[c, 1][2] = dt * motion.norm()
+                wrong = wrong_side[k[0]] | wrong_side[k[1]] | wrong_side[k[2]] | wrong_side[k[3]]
+                if wrong != 0 and layer[k[0]] == layer[k[3]]:
+                    kept = thickness * ti.select(q[1] < 0, EDGE_SHARE, 1.0)
+                    old = old_pair(q, k, cloth, buffers)
+                    normal, gap, kept_now = first_side(
+                        q, k, old, True, across, offset, offset.norm(), kept, cloth, buffers
+                    )
+                    pair_data[c, 0] = vec4(normal, kept_now)
+                    pair_data[c, 1][0] = gap
+            furthest = ti.max(furthest, pair_data[c, 1][2])
+        max_displacement[0] = furthest
 
 
 @ti.func
@@ -452,7 +467,7 @@ def search_pairs(
     """See :func:`find_pairs`."""
     margin = 0.5 * (cloth.thickness + SLACK)
     layers = expect_motion(dt, cloth, buffers)
-    find_stale(anew, elapsed, cloth, buffers)
+    find_stale(anew, elapsed, cloth, tree, buffers)
     for group in range(tree.group_start.shape[0] - 1):
         tree.stale_patches[group] = 0
         for patch in range(tree.group_start[group], tree.group_start[group + 1]):
@@ -501,7 +516,7 @@ def expect_motion(dt: ti.f32, cloth: ti.template(), buffers: ti.template()) -> t
 
 
 @ti.func
-def find_stale(anew: ti.i32, elapsed: ti.f32, cloth: ti.template(), buffers: ti.template()):
+def find_stale(anew: ti.i32, elapsed: ti.f32, cloth: ti.template(), tree: ti.template(), buffers: ti.template()):
     """Find the vertices that have left their expected motion against the cloth's mean; all, if anew.
 
     Those on the wrong side are stale too where crossings are looked for.
@@ -512,6 +527,13 @@ def find_stale(anew: ti.i32, elapsed: ti.f32, cloth: ti.template(), buffers: ti.
         for i in range(count):
             mean += xyz(cloth.position[i]) - cloth.seen_position[i] - elapsed * cloth.seen_velocity[i]
         mean /= count
+    # The curve along which cloth goes through itself is to be found again as a whole.
+    for r in range(1, ti.min(buffers.crossed[0][0] + 1, buffers.crossed.shape[0])):
+        row = buffers.crossed[r]
+        cloth.wrong_side[row[0]] = 1
+        cloth.wrong_side[row[1]] = 1
+        for k in ti.static(range(3)):
+            cloth.wrong_side[tree.faces[row[2]][k]] = 1
     for i in range(count):
         x, v = xyz(cloth.position[i]), cloth.velocity[i]
         left = x - cloth.seen_position[i] - elapsed * cloth.seen_velocity[i] - mean

@@ -215,8 +215,8 @@ class SelfCollision:
             free = (state.contact > 2.0 * thickness) | (state.nearest[: len(state.contact)] < 0)
             self._pulls = untangling.pulls(state.position[:, :3], free)
             if self._pulls is not None:
-                untangling.damp_relative_velocity(state.velocity)
-                self._turn_sides.by_name(arguments)
+                damped = untangling.damp_relative_velocity(state.velocity)
+                self._turn_sides.by_name(arguments | {"damped": damped})
         if self._pulls is not None:
             self._append(*self._pulls)
         return self._good_for(steps)

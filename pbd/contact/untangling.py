@@ -187,17 +187,21 @@ class Untangling:
         self.wrong_side[~free] = 0
         return found.pulls(self.wrong_side, position) if self.wrong_side.any() else None
 
-    def damp_relative_velocity(self, velocity: np.ndarray) -> None:
+    def damp_relative_velocity(self, velocity: np.ndarray) -> np.ndarray:
         """Damp the relative velocity [m/s] of the vertices on the wrong side and around them, in place.
 
         Args:
             velocity: of all vertices, shape (n, 3). The mean over those vertices stays.
+
+        Returns:
+            1 for those vertices, int32, shape (n,).
         """
         near = self._cuts.around(np.flatnonzero(self.wrong_side), np.ones(len(self.wrong_side), bool))
         if near.any():
             weight = self._areas[near, None]
             mean = (weight * velocity[near]).sum(axis=0) / weight.sum()
             velocity[near] = mean + KEPT_MOTION * (velocity[near] - mean)
+        return near.astype(np.int32)
 
     def _contours(self, found: _Crossings) -> list[tuple[np.ndarray, np.ndarray]]:
         """Crossings along each curve in which two sheets meet: whose edges are of the first and of the second sheet."""
