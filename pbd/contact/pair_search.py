@@ -5,7 +5,9 @@ by now further from where the search that last looked at it expected it than hal
 is missed where both features are nearer than that to where they were expected.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 from pbd.contact.blocks import (
@@ -29,7 +31,7 @@ from pbd.engine import ti
 from pbd.geometry import Byte2, Float1, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, vec3, vec4, xyz
 from pbd.taichi_internals import in_kernel
 
-__all__ = ["find_pairs", "turn_sides"]
+__all__ = ["find_pairs", "turning_kernel"]
 
 SLACK = 0.003  # pairs are kept up to this distance beyond thickness and expected motion [m]
 MIN_COSINE = 0.5  # of the angle between the normals of two layers that face the same way [-]
@@ -291,59 +293,65 @@ def first_side(
     return normal, gap, kept
 
 
-@ti.kernel
-def turn_sides(
-    position: Vec4,
-    velocity: Vec3,
-    damped: Int1,
-    rest: Vec3,
-    layer: Int1,
-    wrong_side: Int1,
-    old_pairs: Int4,
-    old_normals: Vec4,
-    chain: Int1,
-    pairs: Int4,
-    pair_data: Vec4Rows,
-    ready_pairs: Int1,
-    max_displacement: Float1,
-    dt: ti.f32,
-    thickness: ti.f32,
-    longest: ti.f32,
-):
-    """Start the pairs found with the sides that vertices on the wrong side have now; see :func:`find_pairs`.
+@cache
+def turning_kernel() -> Callable[..., None]:
+    """The kernel that turns pairs to the sides of vertices on the wrong side; made where it is needed first."""
 
-    Those of vertices that are ``damped`` receive the displacements that their velocities have now.
+    @ti.kernel
+    def turn_sides(
+        position: Vec4,
+        velocity: Vec3,
+        damped: Int1,
+        rest: Vec3,
+        layer: Int1,
+        wrong_side: Int1,
+        old_pairs: Int4,
+        old_normals: Vec4,
+        chain: Int1,
+        pairs: Int4,
+        pair_data: Vec4Rows,
+        ready_pairs: Int1,
+        max_displacement: Float1,
+        dt: ti.f32,
+        thickness: ti.f32,
+        longest: ti.f32,
+    ):
+        """Start the pairs found with the sides that vertices on the wrong side have now; see :func:`find_pairs`.
 
-    Over 12 arguments, because a kernel takes arrays one by one.
-    """
-    ti.loop_config(serialize=True)
-    for _ in range(1):
-        none = vec3(0.0)
-        cloth = MovingCloth(position, none, none, none, rest, layer, wrong_side, none, none, none, thickness, longest)
-        buffers = PairBuffers(old_pairs, old_normals, chain, pairs, pair_data, none, ready_pairs, none, none)
-        furthest = 0.0
-        for c in range(ready_pairs[0]):
-            q = pairs[c]
-            k = corners_of(q)
-            if damped[k[0]] | damped[k[1]] | damped[k[2]] | damped[k[3]] != 0:
-                x0 = xyz(position[k[0]])
-                shares, across, offset = closest_points(
-                    q, xyz(position[k[1]]) - x0, xyz(position[k[2]]) - x0, xyz(position[k[3]]) - x0
-                )
-                motion = shares[0] * velocity[k[0]] + shares[1] * velocity[k[1]]
-                motion += shares[2] * velocity[k[2]] + shares[3] * velocity[k[3]]
-                pair_data[c, 1][2] = dt * motion.norm()
-                wrong = wrong_side[k[0]] | wrong_side[k[1]] | wrong_side[k[2]] | wrong_side[k[3]]
-                if wrong != 0 and layer[k[0]] == layer[k[3]]:
-                    kept = thickness * ti.select(q[1] < 0, EDGE_SHARE, 1.0)
-                    old = old_pair(q, k, cloth, buffers)
-                    normal, gap, kept_now = first_side(
-                        q, k, old, True, across, offset, offset.norm(), kept, cloth, buffers
+        Those of vertices that are ``damped`` receive the displacements that their velocities have now.
+        """
+        ti.loop_config(serialize=True)
+        for _ in range(1):
+            none = vec3(0.0)
+            cloth = MovingCloth(
+                position, none, none, none, rest, layer, wrong_side, none, none, none, thickness, longest
+            )
+            buffers = PairBuffers(old_pairs, old_normals, chain, pairs, pair_data, none, ready_pairs, none, none)
+            furthest = 0.0
+            for c in range(ready_pairs[0]):
+                q = pairs[c]
+                k = corners_of(q)
+                if damped[k[0]] | damped[k[1]] | damped[k[2]] | damped[k[3]] != 0:
+                    x0 = xyz(position[k[0]])
+                    shares, across, offset = closest_points(
+                        q, xyz(position[k[1]]) - x0, xyz(position[k[2]]) - x0, xyz(position[k[3]]) - x0
                     )
-                    pair_data[c, 0] = vec4(normal, kept_now)
-                    pair_data[c, 1][0] = gap
-            furthest = ti.max(furthest, pair_data[c, 1][2])
-        max_displacement[0] = furthest
+                    motion = shares[0] * velocity[k[0]] + shares[1] * velocity[k[1]]
+                    motion += shares[2] * velocity[k[2]] + shares[3] * velocity[k[3]]
+                    pair_data[c, 1][2] = dt * motion.norm()
+                    wrong = wrong_side[k[0]] | wrong_side[k[1]] | wrong_side[k[2]] | wrong_side[k[3]]
+                    if wrong != 0 and layer[k[0]] == layer[k[3]]:
+                        kept = thickness * ti.select(q[1] < 0, EDGE_SHARE, 1.0)
+                        old = old_pair(q, k, cloth, buffers)
+                        normal, gap, kept_now = first_side(
+                            q, k, old, True, across, offset, offset.norm(), kept, cloth, buffers
+                        )
+                        pair_data[c, 0] = vec4(normal, kept_now)
+                        pair_data[c, 1][0] = gap
+                furthest = ti.max(furthest, pair_data[c, 1][2])
+            max_displacement[0] = furthest
+
+    return turn_sides
 
 
 @ti.func
@@ -430,8 +438,8 @@ def find_pairs(
 
     All are found if ``anew``. Else those found before are kept, except those of stale faces, which are found again;
     ``elapsed`` [s] is the time since the frame's start, ``share`` the part left of what the last search looked ahead
-    to. The other arguments are those of :class:`MovingCloth`, :class:`BoxTree` and :class:`PairBuffers`; over 12, because a
-    kernel takes arrays one by one.
+    to. The other arguments are those of :class:`MovingCloth`, :class:`BoxTree` and :class:`PairBuffers`; over 12,
+    because a kernel takes arrays one by one.
     """
     ti.loop_config(serialize=True)
     for _ in range(1):
@@ -630,7 +638,7 @@ def update_nodes(tree: ti.template()):
 
 @ti.func
 def list_near_groups(first: ti.i32, group: ti.i32, leaf: ti.i32, tree: ti.template()) -> ti.i32:
-    """Put the groups near a group, from a first one on, into ``near_groups``; returns how many. ``leaf``: the group's."""
+    """Put the groups near a group, from a first one on, into ``near_groups``; returns how many; ``leaf``: its own."""
     near_count = 0
     low, high = tree.boxes[2 * leaf], tree.boxes[2 * leaf + 1]
     node = 0

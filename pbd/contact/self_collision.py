@@ -16,7 +16,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from pbd.contact.blocks import LANES, empty_blocks
-from pbd.contact.pair_search import find_pairs, turn_sides
+from pbd.contact.pair_search import find_pairs, turning_kernel
 from pbd.contact.pairs import PULL
 from pbd.contact.strain_limits import limit_rows
 from pbd.contact.untangling import Untangling
@@ -169,7 +169,7 @@ class SelfCollision:
         }
         self._untangling, self._untangles = Untangling(faces, self._layer, mesh.vertex_areas), untangles
         self._no_crossings = np.zeros((1, 3), np.int32)
-        self._find, self._turn_sides = Launch(find_pairs), Launch(turn_sides)
+        self._find, self._turn_sides = Launch(find_pairs), Launch(turning_kernel())
         self._ahead = 1.0  # how far the last search looked [s]
         self._pulls: tuple[np.ndarray, np.ndarray] | None = None
         self.strain_limits, self.limit_work = limit_rows(*mesh.edge_lengths(), count)

@@ -1,4 +1,4 @@
-"""Where a curve of crossings cuts a sheet in two: a flood along its edges, and the least cut where the curve is open."""
+"""Where a curve of crossings cuts a sheet in two: a flood along its edges, and the least cut where it is open."""
 
 from typing import NamedTuple
 
@@ -82,7 +82,9 @@ def spread_marks(seeds: Int1, start: Int1, beside: Int2, marks: Int1, queue: Int
 
 
 @ti.func
-def spread(seeds: ti.template(), start: ti.template(), beside: ti.template(), marks: ti.template(), queue: ti.template()):
+def spread(
+    seeds: ti.template(), start: ti.template(), beside: ti.template(), marks: ti.template(), queue: ti.template()
+):
     """See :func:`spread_marks`."""
     last = 0
     for r in range(seeds.shape[0]):
@@ -242,9 +244,7 @@ def reach(
 
 
 @ti.func
-def send(
-    end: ti.i32, start: ti.template(), beside: ti.template(), flow: ti.template(), parent: ti.template()
-):
+def send(end: ti.i32, start: ti.template(), beside: ti.template(), flow: ti.template(), parent: ti.template()):
     """Send one more along the way by which :func:`reach` came to a vertex."""
     j = end
     while parent[j] >= 0:

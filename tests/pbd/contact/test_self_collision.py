@@ -227,3 +227,27 @@ def test_sheets_that_meet_in_free_flight_keep_their_momentum() -> None:
     scale = np.abs(mass * state.velocity).sum() * 0.1
     assert np.abs(angular() - turning).max() < 1e-2 * scale
     assert len(crossings(state.world(), both)) == 0
+
+
+def test_later_searches_of_a_frame_find_every_pair_of_cloth_that_moved_otherwise() -> None:
+    """Part of a leaf leaves its expected motion; the pairs found are those near now, each once, and not all anew."""
+    flat, faces = level(12, 12, 0.02)
+    leaves = [flat + [0.004 * k, 0.02 * k, 0.0025 * k] for k in range(2)]
+    vertices, faces = sheets(*leaves, faces=faces)
+    model = free_model(cloth(vertices, faces), Fabric(thickness=THICKNESS))
+    state, pairs = State.at_rest(model), SelfCollision(model)
+    state.velocity[len(flat) :, 1] = -0.5  # in 1/60 s 8 mm of the 20 mm
+    step = 1 / 600
+    pairs.find(state, step, 10, THICKNESS)
+    assert not near_features(state.world(), faces, THICKNESS)
+    state.position[:, :3] += 4 * step * state.velocity
+    moved = len(flat) + np.flatnonzero(flat[:, 0] < -0.11)
+    state.position[moved, 1] -= np.float32(0.0156)
+    pairs.find(state, step, 6, THICKNESS, done=4)
+    stale = pairs._fixed["stale"]
+    assert set(moved) <= set(np.flatnonzero(stale)) and stale.sum() < 0.5 * len(stale)
+    rows = pairs.pairs[: pairs.ready[0]]
+    wanted, found = near_features(state.world(), faces, THICKNESS), found_features(rows)
+    assert len(wanted) > 20
+    assert wanted <= found
+    assert len(found) == len(rows)  # none twice

@@ -112,7 +112,7 @@ def test_edges_shorten_along_the_body_unless_they_are_held(touches: bool, held: 
 
 
 def test_length_that_is_taken_from_one_edge_goes_to_its_neighbours() -> None:
-    """One edge of a chain is far too long. The passes reach edges that are in other blocks, and not near their limit."""
+    """One edge of a chain is far too long. The passes reach edges in other blocks, and not near their limit."""
     count = 60
     position = np.zeros((count, 4), np.float32)
     position[:, 0], position[:, 3] = np.arange(count) * 0.01 * MAX_STRETCH * 0.79, 1.0
