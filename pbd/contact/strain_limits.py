@@ -1,8 +1,7 @@
 """Edges that contact may not draw out: the last word where limbs pinch cloth and push its vertices apart.
 
-Few edges of a garment are ever near their limit. Edges lie in blocks. A pass looks at the blocks that had an edge near
-its limit at the last test, and at those beside an edge that was shortened since: length that is taken from one edge
-goes to its neighbours.
+Few edges of a garment are ever too long, but length that is taken from one edge goes to its neighbours. Edges lie in
+blocks. The first pass looks at all, and each pass after it at the blocks beside an edge that was shortened since.
 """
 
 import numpy as np
@@ -30,40 +29,30 @@ def limit_rows(edges: np.ndarray, lengths: np.ndarray, count: int) -> tuple[np.n
 
     Returns:
         rows of the ends of an edge and its greatest length [m], float32, shape (e, 4);
-        for each block the pass in which it is due and whether an edge in it is near its limit, then for each vertex
-        where its blocks begin and where the last one's end, then those blocks, int32, shape (k,).
+        for each block the pass in which it is due, then for each vertex where its blocks begin and where the last one's
+        end, then those blocks, int32, shape (k,).
     """
     limits = np.zeros((len(edges), 4), np.float32)
     limits[:, :2], limits[:, 2] = edges, MAX_STRETCH * lengths
     blocks = (len(edges) + EDGES - 1) // EDGES
     block = np.repeat(np.arange(len(edges)) // EDGES, 2)
     used = np.unique(np.stack([edges.ravel(), block], axis=1), axis=0)
-    first = 2 * blocks + count + 1
+    first = blocks + count + 1
     starts = first + np.searchsorted(used[:, 0], np.arange(count + 1))
-    return limits, np.concatenate([np.zeros(2 * blocks, int), starts, used[:, 1]]).astype(np.int32)
+    return limits, np.concatenate([np.zeros(blocks, int), starts, used[:, 1]]).astype(np.int32)
 
 
 @ti.func
-def near_limits(cloth: ti.template(), limits: ti.template(), work: ti.template()):
-    """Find the blocks with an edge near its greatest length; returns whether there are any.
-
-    Args:
-        cloth: view of the garment.
-        limits, work: see :func:`limit_rows`.
-    """
-    blocks = (limits.shape[0] + EDGES - 1) // EDGES
+def near_limits(cloth: ti.template(), limits: ti.template()):
+    """Whether any edge is near its greatest length; ``limits``: see :func:`limit_rows`."""
     found = 0
-    for b in range(blocks):
-        near = 0
-        for c in range(b * EDGES, ti.min((b + 1) * EDGES, limits.shape[0])):
-            i, j = int(limits[c][0]), int(limits[c][1])
-            offset = (xyz(cloth.position[j]) - xyz(cloth.position[i])) + (
-                xyz(cloth.position_delta[j]) - xyz(cloth.position_delta[i])
-            )
-            if offset.dot(offset) > (NEAR_SHARE * limits[c][2]) ** 2:
-                near = 1
-        work[blocks + b] = near
-        found |= near
+    for c in range(limits.shape[0]):
+        i, j = int(limits[c][0]), int(limits[c][1])
+        offset = (xyz(cloth.position[j]) - xyz(cloth.position[i])) + (
+            xyz(cloth.position_delta[j]) - xyz(cloth.position_delta[i])
+        )
+        if offset.dot(offset) > (NEAR_SHARE * limits[c][2]) ** 2:
+            found = 1
     return found
 
 
@@ -91,7 +80,7 @@ def solve_strain_limits(
     blocks = (limits.shape[0] + EDGES - 1) // EDGES
     if passes > 0:
         for b in range(blocks):
-            work[b] = work[blocks + b]
+            work[b] = 1
     last = 1  # pass in which blocks are due
     for this in range(1, passes + 1):
         if last >= this:
@@ -117,7 +106,7 @@ def solve_strain_limits(
 @ti.func
 def fall_due(i: ti.i32, b: ti.i32, this: ti.i32, blocks: ti.i32, work: ti.template()):
     """A vertex has moved: its blocks after block b are due in this pass, the others in the next one."""
-    for r in range(work[2 * blocks + i], work[2 * blocks + i + 1]):
+    for r in range(work[blocks + i], work[blocks + i + 1]):
         other = work[r]
         work[other] = ti.select(other > b, this, this + 1)
 

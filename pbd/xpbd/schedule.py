@@ -338,7 +338,7 @@ def collide_with_itself(
     near = stretched
     if workers.first():
         if tests_all:
-            near = near_limits(cloth, limits, work)
+            near = near_limits(cloth, limits)
         solve_strain_limits(cloth, contact, limits, work, near * MAX_LIMIT_PASSES, step.h, t)
         solve_pairs(cloth, pairs, tests_all, step.refresh * step.share, step.friction, step.h)
     workers.barrier()
