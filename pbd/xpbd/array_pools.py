@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from pbd.engine import ti
-from pbd.geometry import Float1, Int1, Int2, Int3, Int4, Vec3, Vec4
+from pbd.geometry import Float1, Int1, Int2, Int3, Int4, Vec2, Vec3, Vec4
 from pbd.taichi_internals import in_kernel, local, subscript
 
 __all__ = ["POOL_TYPES", "ArraySlice", "ArgumentLayout", "ArrayPools"]
 
-POOL_TYPES = (Float1, Vec3, Vec4, Int1, Int2, Int3, Int4)
+POOL_TYPES = (Float1, Vec2, Vec3, Vec4, Int1, Int2, Int3, Int4)
 
 
 def _kind(array_type: Any) -> tuple[bool, int]:

@@ -17,7 +17,7 @@ from pbd.contact.body_search import BodySearch, find_nearest, find_nearest_verti
 from pbd.contact.colliders import Colliders
 from pbd.engine import running_arch, running_threads, ti
 from pbd.errors import InputError
-from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4
+from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec2, Vec3, Vec4
 from pbd.limits import LimitTargets
 from pbd.model import State
 from pbd.taichi_internals import Launch, in_kernel, signature
@@ -44,14 +44,14 @@ LOOP_BLOCK = 512  # Taichi gives a thread no less than this much of a loop
 # Of each garment alone: the arrays that a step reads of the world, those that it writes for it, and its workspace. All
 # others belong to its model or to its body's mesh, and garments may share them.
 READ = (
-    "position", "velocity", "nearest", "target_start", "target_end", "limits", "air", "primitives", "fields",
+    "position", "velocity", "nearest", "contact_faces", "contact_weights", "target_start", "target_end", "limits", "air", "primitives", "fields",
     "body_start", "body_end", "body_normals", "steps",
 )  # fmt: skip
-WRITTEN = ("position", "velocity", "nearest", "contact_distance")
+WRITTEN = ("position", "velocity", "nearest", "contact_faces", "contact_weights", "contact_distance")
 WORKSPACE = (
     "contact_distance", "position_delta", "normals", "velocity_delta", "contact_points", "active_samples",
     "active_counts", "displacement", "patch_centers", "predicted_displacement", "coarse_strain", "spring_workspace",
-    "max_approach", "cell_start", "cell_items", "item_cell",
+    "max_approach", "reached", "cell_start", "cell_items", "item_cell",
 )  # fmt: skip
 
 
@@ -87,6 +87,7 @@ def _batch_kernel(with_multigrid: bool, on_cuda: bool) -> Callable[..., None]:
     @ti.kernel
     def advance_batch(
         floats: Float1,
+        twos: Vec2,
         threes: Vec3,
         fours: Vec4,
         integers: Int1,
@@ -106,7 +107,7 @@ def _batch_kernel(with_multigrid: bool, on_cuda: bool) -> Callable[..., None]:
                 garment, worker, awaited = job // workers, job % workers, 0
                 views = _GarmentViews(
                     layout.read(
-                        garment, [floats, threes, fours, integers, pairs, triples, quads], table, reals, counts
+                        garment, [floats, twos, threes, fours, integers, pairs, triples, quads], table, reals, counts
                     ),
                     with_multigrid,
                 )
