@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Any
 
+from pbd.contact.blocks import greater, smaller
 from pbd.engine import ti
 from pbd.geometry import FAR, Float1, Int1, Int2, Int3, Vec3, Vec4, between, descend, vec3, xyz
-from pbd.contact.blocks import greater, smaller
 from pbd.taichi_internals import in_kernel
 from pbd.xpbd.constraints import larger
 from pbd.xpbd.views import BodySurface

@@ -44,8 +44,8 @@ LOOP_BLOCK = 512  # Taichi gives a thread no less than this much of a loop
 # Of each garment alone: the arrays that a step reads of the world, those that it writes for it, and its workspace. All
 # others belong to its model or to its body's mesh, and garments may share them.
 READ = (
-    "position", "velocity", "nearest", "contact_faces", "contact_weights", "target_start", "target_end", "limits", "air", "primitives", "fields",
-    "body_start", "body_end", "body_normals", "steps",
+    "position", "velocity", "nearest", "contact_faces", "contact_weights", "target_start", "target_end", "limits",
+    "air", "primitives", "fields", "body_start", "body_end", "body_normals", "steps",
 )  # fmt: skip
 WRITTEN = ("position", "velocity", "nearest", "contact_faces", "contact_weights", "contact_distance")
 WORKSPACE = (

@@ -280,9 +280,9 @@ def collide_with_body(
 ):
     """Put the samples of colour k that touch the body out of it; t in [0, 1] of the frame.
 
-    In the first substep every sample finds where it touches, if it has left the face of the last frame. Where ``tests_all``, all samples are tested: those nearer
-    than ``active_distance`` [m] are active until the next time, and find again where they touch if they have slid off
-    it. In between, only the active samples are tested.
+    In the first substep every sample that has left the face of the last frame finds where it touches. Where
+    ``tests_all``, all samples are tested: those nearer than ``active_distance`` [m] are active until the next time, and
+    find again where they touch if they have slid off it. In between, only the active samples are tested.
     """
     half, row = contact.samples.shape[0], workers.row(k)
     region = workers.begin(contact.sample_colors[k], contact.sample_colors[k + 1])
