@@ -81,6 +81,11 @@ class Launch:
     def __reduce__(self) -> tuple:
         return Launch, (self._kernel,)  # bound again where it comes to
 
+    @property
+    def module(self) -> str:
+        """The module that the kernel was written in."""
+        return self._kernel.__module__
+
     def __call__(self, *arguments: Any) -> None:
         """Run the kernel; arguments and errors are its own."""
         if not self._prepare(arguments):

@@ -84,7 +84,8 @@ def render_page(title: str, sections: Sequence[Section]) -> str:
         sections: the page's content, in order. All text in them is plain text, never HTML.
 
     Raises:
-        InputError: a table's row has another length than its header, a picture is neither PNG nor JPEG, or a chart cannot be drawn.
+        InputError: a table's row has another length than its header, a picture is neither PNG nor JPEG, or a
+            chart cannot be drawn.
     """
     prepared = [_prepared(section, f"chart{index}") for index, section in enumerate(sections)]
     return _environment().get_template("page.html").render(title=title, sections=prepared, color_count=COLOR_COUNT)
