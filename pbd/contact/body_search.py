@@ -5,7 +5,7 @@ from typing import Any
 
 from pbd.engine import ti
 from pbd.geometry import FAR, Float1, Int1, Int2, Int3, Vec3, Vec4, between, descend, vec3, xyz
-from pbd.taichi_internals import in_kernel
+from pbd.taichi_internals import in_kernel, quickly_compiled
 from pbd.xpbd.views import BodySurface
 
 __all__ = ["MAX_CELLS", "BodySearch", "find_nearest", "find_nearest_vertices"]
@@ -264,6 +264,7 @@ def find_nearest_vertices(search: ti.template(), body: ti.template(), dt: ti.f32
             search.nearest[c] = best
 
 
+@quickly_compiled
 @ti.kernel
 def find_nearest(
     position: Vec4,
