@@ -5,6 +5,7 @@ Another Taichi may have other insides. Then kernels still run: :class:`Launch` c
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import lru_cache
@@ -26,13 +27,19 @@ def _place(self: Any, node: Any) -> str:
     return f'File "{self.file}", line {node.lineno + self.lineno_offset}, in {self.func.func.__name__}:\n'
 
 
+def _inside_class(level_of_class_stackframe: int) -> bool:
+    """Whether a function that is decorated now is in a class; stands in for one that reads the source to find out."""
+    return "__qualname__" in sys._getframe(level_of_class_stackframe - 1).f_locals
+
+
 def _make_translation_fast() -> None:
     """Take out of Taichi's translation of Python a third of its time, which is most of that until the first frame.
 
-    It writes the place of every expression that it translates into a message, in case of an error. And a function that
-    is used several times in a kernel is looked up in its file, cut out and laid out anew each time.
+    It writes the place of every expression that it translates into a message, in case of an error. A function that is
+    used several times in a kernel is looked up in its file, cut out and laid out anew each time. And for every function
+    that is decorated, the source of the module around it is read.
     """
-    Context.get_pos_info = _place
+    Context.get_pos_info, kernel_impl._inside_class = _place, _inside_class
     for name in ("getsourcelines", "getsourcefile"):
         setattr(kernel_impl, name, lru_cache(maxsize=None)(getattr(kernel_impl, name)))
     text = kernel_impl.textwrap
