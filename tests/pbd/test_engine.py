@@ -234,3 +234,22 @@ def test_the_place_of_an_error_in_a_kernel_is_named() -> None:
     ensure_initialized()
     with pytest.raises(ti.TaichiCompilationError, match=r"test_engine\.py.*line \d+, in wrong"):
         wrong(np.zeros((1, 3), np.float32))
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no system that places threads")
+@pytest.mark.parametrize("threads", [1, 2])
+def test_threads_that_share_a_loop_have_a_core_each(threads: int) -> None:
+    script = (
+        "import os\nfrom pbd import ensure_initialized\n"
+        "from pbd.engine import _threads\nearlier = _threads()\nensure_initialized()\n"
+        "print(*sorted(str(sorted(os.sched_getaffinity(t))) for t in _threads() - earlier), sep=';')\n"
+        "print(sorted(os.sched_getaffinity(0)))\n"
+    )
+    settings = {**os.environ, "GUBE_THREADS": str(threads)}
+    command = [sys.executable, "-c", script]
+    result = subprocess.run(command, cwd=ROOT, env=settings, capture_output=True, text=True, check=True)
+    placed, own = result.stdout.split("\n")[:2]
+    cores = sorted(os.sched_getaffinity(0))
+    assert own == str(cores)  # the caller's thread goes where it likes
+    expected = {str([core]) for core in cores[:2]} if 1 < threads <= len(cores) else {str(cores)}
+    assert set(placed.split(";")) == expected
