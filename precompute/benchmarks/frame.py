@@ -15,6 +15,7 @@ import numpy as np
 from pbd import Colliders, InputError, Solver, SolverOptions, build_model
 from pbd.geometry import surface_normals
 from pbd.taichi_internals import Launch
+from precompute.benchmarks.crowd import crowd_figures
 from precompute.benchmarks.frame_limits import (
     MachineSpeed,
     cloth_bytes,
@@ -85,11 +86,13 @@ class FrameBench:
         costs: of ours, and of plain cloth on each mesh.
         speed: of this machine.
         growth: time of a frame of the fine mesh subdivided once more, over that of the fine mesh, with equal substeps.
+        crowd: see :func:`precompute.benchmarks.crowd.crowd_figures`.
     """
 
     costs: Sequence[FrameCost]
     speed: MachineSpeed
     growth: float
+    crowd: Mapping[str, float]
 
     def figures(self) -> dict[str, float]:
         """Figures by name: ours without a prefix, plain cloth with its name before."""
@@ -109,6 +112,7 @@ class FrameBench:
             **ours.figures(),
             **{f"{cost.name}_{name}": value for cost in plain for name, value in cost.figures().items()},
             "growth_of_four_times_the_vertices": self.growth,
+            **self.crowd,
             **self.speed.figures(),
         }
 
@@ -163,8 +167,10 @@ def bench_frame(path: Path, seconds: float, report: Callable[[str], None] = lamb
         if cloth is not None:
             report(name.replace("_", " "))
             costs.append(_plain(name, cloth, speed, round(PLAIN_S[name] * database.frame_rate)))
+    report("a crowd")
+    crowd = crowd_figures(coarse_cloth(database, run))
     report("four times the vertices")
-    return FrameBench(costs, speed, _growth(database, run))
+    return FrameBench(costs, speed, _growth(database, run), crowd)
 
 
 def _ours(player: Player, run: Run, inputs: PlaybackInputs, speed: MachineSpeed, count: int) -> FrameCost:
@@ -296,6 +302,7 @@ def frame_text(bench: FrameBench) -> str:
         f"without the network: {figures['frame_without_network_ms']:.2f} ms, p99 over p50: "
         f"{figures['frame_p99_over_p50']:.2f}",
         f"four times the vertices take {bench.growth:.2f} times as long",
+        *(f"{name.replace('_', ' ')}: {value:.2f}" for name, value in bench.crowd.items()),
         f"this machine copies {figures['memory_copy_gb_s']:.1f} GB/s (read and written) and multiplies at "
         f"{figures['blas_gflop_s']:.0f} GFLOP/s",
     ]
