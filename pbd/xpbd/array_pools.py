@@ -66,11 +66,18 @@ class ArgumentLayout:
         self.arrays = {name: wish for name, wish in types.items() if isinstance(wish, ti.types.ndarray)}
         self.numbers = {name: wish for name, wish in types.items() if name not in self.arrays}
 
-    def numbers_of(self, arguments: Mapping[str, Any]) -> tuple[np.ndarray, list[int]]:
+    def numbers_of(self, arguments: Mapping[str, Any]) -> tuple[list[float], list[int]]:
         """Real numbers and integers among the arguments of a garment, as :meth:`in_kernel` reads them."""
-        integers = [arguments[name] for name, wish in self.numbers.items() if wish is ti.i32]
-        reals = [np.atleast_1d(arguments[name]) for name, wish in self.numbers.items() if wish is not ti.i32]
-        return np.concatenate(reals), integers
+        integers: list[int] = []
+        reals: list[float] = []
+        for name, wish in self.numbers.items():
+            if wish is ti.i32:
+                integers.append(arguments[name])
+            elif wish is ti.f32:
+                reals.append(arguments[name])
+            else:
+                reals.extend(arguments[name])
+        return reals, integers
 
     @in_kernel
     def read(self, garment: Any, pools: Sequence[Any], table: Any, reals: Any, integers: Any) -> "KernelArguments":

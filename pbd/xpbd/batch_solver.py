@@ -53,6 +53,7 @@ WORKSPACE = (
     "active_counts", "displacement", "patch_centers", "predicted_displacement", "coarse_strain", "spring_workspace",
     "max_approach", "reached", "cell_start", "cell_items", "item_cell",
 )  # fmt: skip
+OWN = frozenset(READ + WORKSPACE)
 
 
 @in_kernel
@@ -150,8 +151,9 @@ class BatchSolver:
         self._workers = MAX_WORKERS if on_cuda else threads_each
         self._layout = _layout(with_multigrid)
         self._launch = Launch(_batch_kernel(with_multigrid, on_cuda))
-        self._arrays: list[dict[str, np.ndarray]] = []
+        self._arrays: list[dict[str, np.ndarray]] = []  # that the pools were made for
         self._pools: ArrayPools | None = None
+        self._views: list[list[tuple[str, np.ndarray]]] = []  # parts of the pools that a step reads of the world
         self._barrier_counts = np.zeros(len(solvers), np.int32)
 
     def step(
@@ -188,7 +190,8 @@ class BatchSolver:
         if dt < MIN_FRAME_TIME:
             return
         arguments, read = [], []
-        for solver, state, collider, target, wind, limit_target in zip(
+        for number, solver, state, collider, target, wind, limit_target in zip(
+            range(count),
             self._solvers,
             states,
             colliders,
@@ -199,26 +202,38 @@ class BatchSolver:
         ):
             found = solver.prepare(state, collider, dt, target, wind, limit_target)
             arguments.append(found)
-            # Copies: a solver that stands for several garments writes the next one's into the same arrays.
-            read.append({name: found[name].copy() for name in READ})
-        self._run(arguments, read)
+            # Copied at once: a solver that stands for several garments writes the next one's into the same arrays.
+            read.append(self._place(number, found))
+        self._run(arguments, self._pools if self._pools and not any(read) else self._make_pools(arguments, read))
 
-    def _run(self, arguments: Sequence[Mapping[str, Any]], read: Sequence[Mapping[str, np.ndarray]]) -> None:
-        """Launch the kernel with the arguments of all garments, and copy its results back.
+    def _place(self, number: int, found: Mapping[str, Any]) -> dict[str, np.ndarray]:
+        """Copy the arrays that a garment's step reads of the world into the pools.
 
-        Args:
-            arguments: of each garment by their names.
-            read: those of them that the world gives, by their names.
+        Returns:
+            Copies of them by their names where the pools were made for other arrays; else none.
         """
-        arrays = [{name: own[name] for name in self._layout.arrays} for own in arguments]
+        if self._pools is None or not self._fits(number, found):
+            return {name: found[name].copy() for name in READ}
+        for name, there in self._views[number]:
+            there[...] = found[name]
+        return {}
+
+    def _make_pools(
+        self, arguments: Sequence[Mapping[str, Any]], read: Sequence[Mapping[str, np.ndarray]]
+    ) -> ArrayPools:
+        """Make pools for the arguments of all garments; those whose ``read`` is empty have it in the old pools."""
+        whole = [own or {name: there.copy() for name, there in self._views[k]} for k, own in enumerate(read)]
+        self._arrays = [{name: own[name] for name in self._layout.arrays} for own in arguments]
+        pools = self._pools = ArrayPools(self._layout, self._arrays, READ + WORKSPACE, READ + WRITTEN)
+        self._views = [[(name, its[name]) for name in READ] for its in pools.views]
+        for own, views in zip(whole, self._views, strict=True):
+            for name, there in views:
+                there[...] = own[name]
+        return pools
+
+    def _run(self, arguments: Sequence[Mapping[str, Any]], pools: ArrayPools) -> None:
+        """Launch the kernel with the arguments of all garments by their names, and copy its results back."""
         reals, integers = zip(*(self._layout.numbers_of(own) for own in arguments), strict=True)
-        pools = self._pools
-        if pools is None or not self._fits(arrays):
-            pools = self._pools = ArrayPools(self._layout, arrays, READ + WORKSPACE, READ + WRITTEN)
-            self._arrays = arrays
-        for own, there in zip(read, pools.views, strict=True):
-            for name, array in own.items():
-                there[name][:] = array
         self._barrier_counts[:] = 0
         self._launch(
             *pools.pools,
@@ -228,14 +243,13 @@ class BatchSolver:
             self._barrier_counts,
             self._workers,
         )
-        for own, there in zip(arrays, pools.views, strict=True):
+        for own, there in zip(arguments, pools.views, strict=True):
             for name in WRITTEN:
-                own[name][:] = there[name]
+                own[name][...] = there[name]
 
-    def _fits(self, arrays: Sequence[Mapping[str, np.ndarray]]) -> bool:
-        """Whether the pools were made for these arrays."""
-        return len(self._arrays) == len(arrays) and all(
-            array.shape == kept[name].shape if name in READ or name in WORKSPACE else array is kept[name]
-            for its, kept in zip(arrays, self._arrays, strict=True)
-            for name, array in its.items()
+    def _fits(self, number: int, found: Mapping[str, Any]) -> bool:
+        """Whether the pools were made for a garment's arrays: the same ones, or of the same shape where it has own."""
+        return all(
+            found[name] is array or (name in OWN and found[name].shape == array.shape)
+            for name, array in self._arrays[number].items()
         )
