@@ -50,6 +50,7 @@ class FineGarment:
         self._surface_normals = Launch(surface_normals)
         self._faces, self._stands_for = subdivision.faces, subdivision.stands_for
         self.vertices = np.zeros((subdivision.fine_count, 3), np.float32)
+        self._padded = np.zeros((subdivision.fine_count, 4), np.float32)
         self.normals = np.zeros((subdivision.fine_count, 3), np.float32)
 
     def make(
@@ -81,9 +82,9 @@ class FineGarment:
         targets = self._levels.fine_attachment.targets(body_vertices)
         if detail.passes:
             frames = self._decoder.frames
-            self._relax(
-                self.vertices, targets, frames, state.nearest, state.contact, body, body_vertices, detail.passes
-            )
+            self._padded[:, :3] = self.vertices
+            self._relax(self._padded, targets, frames, state.nearest, state.contact, body, body_vertices, detail.passes)
+            self.vertices[:] = self._padded[:, :3]
         else:
             self.vertices[self._levels.fine_held] = targets
         return 1e3 * (decoded - began), 1e3 * (time.perf_counter() - decoded)

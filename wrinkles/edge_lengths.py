@@ -16,7 +16,7 @@ from pbd.taichi_internals import Launch
 from wrinkles.levels import Levels, held_between
 from wrinkles.surface import Subdivision, csr_arrays
 
-__all__ = ["EdgeLengthProjection", "middle_edges"]
+__all__ = ["EdgeLengthProjection", "edges_by_color", "middle_edges"]
 
 PASSES = 8  # sweeps over all edges, unless the caller asks for another number
 
@@ -108,3 +108,25 @@ def middle_edges(levels: Levels) -> tuple[np.ndarray, np.ndarray]:
     # These vertices lie on the fine surface, so that the smooth surface through them is the fine one.
     vertices = whole.cut_surface(levels.coarse.vertices)[: whole.middle.fine_count]
     return upper.meshes(vertices)[0].edge_lengths()
+
+
+def edges_by_color(edges: np.ndarray, lengths: np.ndarray, is_held: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+    """Edges in the order in which their lengths are corrected: no two beside each other share a vertex.
+
+    Edges with two held ends are left out. Those with one follow after the others and have it first.
+
+    Args:
+        edges: int, shape (e, 2).
+        lengths: [m], shape (e,).
+        is_held: whether each vertex is held, bool, shape (n,).
+
+    Returns:
+        edges, int32, their lengths, and the number of those with two free ends.
+    """
+    order = np.argsort(greedy_colors(edges, len(is_held)), kind="stable")
+    edges, lengths = edges[order], lengths[order]
+    ends = is_held[edges].sum(axis=1)
+    edges = np.where(is_held[edges[:, 1:]], edges[:, ::-1], edges)
+    free, half = np.flatnonzero(ends == 0), np.flatnonzero(ends == 1)
+    chosen = np.concatenate([free, half])
+    return np.ascontiguousarray(edges[chosen], np.int32), lengths[chosen], len(free)

@@ -182,7 +182,7 @@ def decoded_frames(
     count = levels.subdivision.coarse_count
     position, frames = np.zeros((count, 4), np.float32), np.zeros((count, 9), np.float32)
     features = np.zeros((count, DYNAMIC_COUNT), np.float32)
-    smooth = np.zeros((levels.subdivision.fine_count, 3), np.float32)
+    smooth, padded = (np.zeros((levels.subdivision.fine_count, k), np.float32) for k in (3, 4))
     for f, frame in enumerate(recording.frames):
         # The body's frame: positions near the origin keep their digits.
         origin = np.round(recording.coarse[f].mean(axis=0).astype(float))
@@ -195,7 +195,9 @@ def decoded_frames(
         decoded, began = smooth.copy(), time.process_time()
         layer.stencil.read(position, contact, frames, features)
         lift(decoded, upsample, features, frames, run.poses[frame])
-        relax(decoded, targets, frames, nearest, contact, body, body.current, passes)
+        padded[:, :3] = decoded
+        relax(padded, targets, frames, nearest, contact, body, body.current, passes)
+        decoded[:] = padded[:, :3]
         spent = 1e3 * (time.process_time() - began)
         offset = origin.astype(np.float32)
         yield smooth + offset, decoded + offset, spent
