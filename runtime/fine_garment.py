@@ -17,6 +17,7 @@ from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Decoder, Upsampler
 from wrinkles.edge_lengths import EdgeLengthProjection
 from wrinkles.features import Stencil
+from wrinkles.fine_surface import FineSurface
 from wrinkles.levels import Levels
 from wrinkles.patches import Patches
 from wrinkles.relaxation import Relaxation
@@ -39,18 +40,17 @@ class FineGarment:
 
     def __init__(self, database: WrinkleDatabase, levels: Levels, source: BodySource) -> None:
         subdivision, charts = levels.subdivision, Charts.of(levels.coarse)
-        patches, middle_patches = Patches.of(subdivision, charts), Patches.of(subdivision.middle, charts)
         self._levels = levels
         self._filter = CoarseFilter(levels)
         self._upsample, self._upsample_velocity = Upsampler(subdivision), Upsampler(subdivision)
-        stencil = Stencil.of(charts, database.held)
-        self._decoder = Decoder(stencil, patches, middle_patches, database.mapping, database.atoms, database.novelty)
-        self._keep_lengths = EdgeLengthProjection(levels)
+        stencil, atoms = Stencil.of(charts, database.held), database.atoms
+        self._decoder = Decoder(stencil, database.mapping, atoms, database.novelty)
+        patches, projection = Patches.of(subdivision, charts), EdgeLengthProjection(levels)
+        self._surface = FineSurface(subdivision, patches, atoms.vertex_mean, projection)
         self._relax = Relaxation.of(levels, source.vertices, source.faces, database.fabric.thickness)
         self._surface_normals = Launch(surface_normals)
         self._faces, self._stands_for = subdivision.faces, subdivision.stands_for
         self.vertices = np.zeros((subdivision.fine_count, 3), np.float32)
-        self._padded = np.zeros((subdivision.fine_count, 4), np.float32)
         self.normals = np.zeros((subdivision.fine_count, 3), np.float32)
 
     def make(
@@ -70,21 +70,20 @@ class FineGarment:
         """
         began = time.perf_counter()
         position = self._filter(position)
-        middle = self._upsample.middle
-        self._upsample(position, self.vertices)
-        if detail.atoms:
-            self._decoder.add(position, state.contact, self.vertices, middle, detail.atoms)
+        decoder, drawn = self._decoder, detail.atoms > 0
+        self._upsample.to_middle(position)
+        if drawn:
+            decoder.predict(position, state.contact, detail.atoms)
         elif detail.passes:
-            self._decoder.read(position, state.contact)
-        if detail.sweeps:
-            self._keep_lengths(middle, self.vertices, detail.sweeps)
+            decoder.read(position, state.contact)
+        grids = decoder.grids if drawn else None
+        self._surface(self._upsample.middle, grids, decoder.frames, self.vertices, detail.sweeps)
         decoded = time.perf_counter()
         targets = self._levels.fine_attachment.targets(body_vertices)
         if detail.passes:
-            frames = self._decoder.frames
-            self._padded[:, :3] = self.vertices
-            self._relax(self._padded, targets, frames, state.nearest, state.contact, body, body_vertices, detail.passes)
-            self.vertices[:] = self._padded[:, :3]
+            self._relax(
+                self.vertices, targets, decoder.frames, state.nearest, state.contact, body, body_vertices, detail.passes
+            )
         else:
             self.vertices[self._levels.fine_held] = targets
         return 1e3 * (decoded - began), 1e3 * (time.perf_counter() - decoded)

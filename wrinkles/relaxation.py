@@ -87,7 +87,8 @@ class _Covered:
 
 @ti.kernel
 def _relax(
-    fine: Vec4,
+    fine: Vec3,
+    work: Vec4,
     free: Int1,
     edges: Int2,
     lengths: Float1,
@@ -128,13 +129,17 @@ def _relax(
             leading, frames, facing, level,
         )  # fmt: skip
         for c in range(held.shape[0]):
-            fine[held[c]] = vec4(targets[c])
+            fine[held[c]] = targets[c]
+        for i in range(fine.shape[0]):
+            work[i] = vec4(fine[i])
         for _pass in range(passes):
-            _shorten_edges(fine, edges, lengths, free_edges)
+            _shorten_edges(work, edges, lengths, free_edges)
             _find_moved(covered)
             _find_opposite(phase, covered)
             for i in range(free.shape[0]):
-                fine[free[i]] = vec4(_out_of_body(i, xyz(fine[free[i]]), covered))
+                x = _out_of_body(i, xyz(work[free[i]]), covered)
+                work[free[i]] = vec4(x)
+                fine[free[i]] = x
 
 
 @ti.func
@@ -509,6 +514,7 @@ class Relaxation:
         self._corners, self._beside = np.full((2 * count, 2), -1, np.int32), np.zeros(2 * count, np.float32)
         self._across, self._before = (np.full(coarse_count, -1, np.int32) for _ in range(2))
         self._moved = np.zeros(coarse_count, np.int32)
+        self._work = np.zeros((count + len(self._held), 4), np.float32)
         cells = 1 << (2 * coarse_count).bit_length()
         self._cells = np.zeros(cells + 1, np.int32), *(np.zeros(2 * coarse_count, np.int32) for _ in range(2))
         self._targets = np.zeros((len(self._held), 3), np.float32)
@@ -574,7 +580,7 @@ class Relaxation:
         """Relax ``fine`` in place.
 
         Args:
-            fine: [m], float32, shape (N, 4), about the body's origin; the last column is set to 0.
+            fine: [m], float32, shape (N, 3), about the body's origin.
             targets: of the held vertices [m], shape (P, 3).
             frames: of the coarse vertices, as :meth:`Stencil.gather` gives them, float32, shape (n, 9).
             coarse_nearest: body vertex near each coarse vertex, -1 for none, int32, shape (n,) or longer.
@@ -586,6 +592,7 @@ class Relaxation:
         self._targets[:] = targets
         self._relax(
             fine,
+            self._work,
             self._free,
             self._edges,
             self._lengths,

@@ -54,10 +54,10 @@ class Cloth:
         nearest, contact = np.full(count, -1, np.int32), np.full(count, FAR, np.float32)
         if len(self.body.faces):
             nearest, contact = contacts or self.contacts()
-        fine = np.insert(fine, 3, 0.0, axis=1).astype(np.float32)
+        fine = fine.astype(np.float32)
         targets = np.zeros((0, 3)) if targets is None else targets
         self.relax(fine, targets, self.frames, nearest, contact, self.body, self.body.current, passes)
-        return fine[:, :3].astype(float)
+        return fine.astype(float)
 
     def strain(self, vertices: np.ndarray) -> np.ndarray:
         side = vertices[self.edges[:, 1]] - vertices[self.edges[:, 0]]
