@@ -121,8 +121,8 @@ def _make_delivered(
 ):
     """Smooth surface, smoothed wrinkles and mean of a delivered mesh by one sparse matrix; see :class:`FineSurface`.
 
-    Its columns stand for the smooth middle vertices, the wrinkles of the fine vertices and the axes of the frames, which
-    ``source`` receives in that order.
+    Its columns stand for the smooth middle vertices, the wrinkles of the fine vertices and the axes of the frames;
+    ``source`` receives these in that order.
     """
     ti.loop_config(serialize=True)
     for _ in range(1):

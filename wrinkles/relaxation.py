@@ -36,8 +36,8 @@ GAP_SHARE = 0.3  # of the gap between two parts that the cloth keeps from each, 
 MIN_KEPT = 0.0003  # kept from the part that the cloth covers where there is no gap [m]
 MAX_FACE_DISTANCE = 0.05  # to a face that may be near the cloth [m]
 # A remembered place of the body serves until the vertex has slid so far along the body from where it was found ...
-MAX_SLIDE = 0.0015  # ... near the body [m],
-SLIDE_SHARE = 0.5  # or this share of its height over the tested ones where it is further away.
+MAX_SLIDE = 0.0015  # ... [m], and this share of its height over the tested ones, where it is further away.
+SLIDE_SHARE = 0.5
 MAX_WANDER = 0.03  # a coarse vertex whose body vertex is so far from its last one has gone over to another part [m]
 
 
@@ -137,7 +137,7 @@ def _relax(
             _find_moved(covered)
             _find_opposite(phase, covered)
             for i in range(free.shape[0]):
-                x = _out_of_body(i, xyz(work[free[i]]), covered)
+                x = _out_of_body(i, xyz(work[free[i]]), phase, covered)
                 work[free[i]] = vec4(x)
                 fine[free[i]] = x
 
@@ -172,7 +172,7 @@ def _stretch(d: ti.math.vec4, length: ti.f32) -> ti.math.vec4:
 
 
 @ti.func
-def _out_of_body(i: ti.i32, start: vec3, covered: ti.template()) -> vec3:
+def _out_of_body(i: ti.i32, start: vec3, phase: ti.i32, covered: ti.template()) -> vec3:
     """Where free vertex i goes from ``start`` [m] so that it keeps its clearance from the body.
 
     First from the part of the body that the cloth covers, then from a part opposite to it, where there is one.
@@ -181,37 +181,24 @@ def _out_of_body(i: ti.i32, start: vec3, covered: ti.template()) -> vec3:
     around = covered.leading[i]
     contact, across, moved = ti.static(covered.coarse_contact, covered.across, covered.moved)
     if ti.min(contact[around[0]], contact[around[1]], contact[around[2]]) < covered.level:
-        frames = ti.static(covered.frames)
-        coarse = around[0]
-        outwards = covered.facing * vec3(frames[coarse, 6], frames[coarse, 7], frames[coarse, 8])
-        normal, other_normal, home = vec3(0.0), vec3(0.0), vec3(0.0)
+        body, normals = ti.static(covered.surface.body_start, covered.surface.body_normals)
+        normal, other_normal, home, outwards = vec3(0.0), vec3(0.0), vec3(0.0), vec3(0.0)
         gap, other_gap, kept, other_kept = MAX_HEIGHT, MAX_HEIGHT, 0.0, 0.0
         parts = ti.select(ti.max(across[around[0]], across[around[1]], across[around[2]]) >= 0, 2, 1)
         anew = moved[around[0]] + moved[around[1]] + moved[around[2]] > 0
         for part in range(parts):
             slot = i + part * covered.leading.shape[0]
             best, n, h, c = _remembered(slot, p, covered)
-            if part == 1 and best >= 0:
-                if not _opposed(home, outwards, covered.surface.body_start[best], covered.surface.body_normals[best]):
-                    best = -1
+            if part == 1 and best >= 0 and not _opposed(home, outwards, body[best], normals[best]):
+                best = -1
             if best < 0 or anew:
-                last = covered.nearest[slot]
-                # Another part cannot have come near unseen: the coarse vertices around would have found it.
-                best = last
-                if last < 0 or anew or part == 1:
-                    best = _start(i, part, last, p, home, outwards, covered)
-                if best >= 0:
-                    best = descend(p, best, 0.0, covered.surface)
-                    if part == 1 and not _opposed(
-                        home, outwards, covered.surface.body_start[best], covered.surface.body_normals[best]
-                    ):
-                        best = -1
+                best = _searched(i, part, p, home, outwards, anew or phase < 0 or i % PHASES == phase, covered)
                 covered.nearest[slot] = best
                 if best < 0:
                     break
                 n, h, c = _height(p, best, slot, covered)
             if part == 0:
-                home, outwards = covered.surface.body_start[best], covered.surface.body_normals[best]
+                home, outwards = body[best], normals[best]
                 normal, gap, kept = n, h, c
             else:
                 other_normal, other_gap, other_kept = n, h, c
@@ -247,12 +234,12 @@ def _remembered(slot: ti.i32, p: vec3, covered: ti.template()):
     best = covered.nearest[slot]
     normal, height, kept = vec3(0.0), MAX_HEIGHT, 0.0
     if best >= 0:
-        f, offset, reach = covered.corners[slot], p - body[best], covered.beside[slot]
+        f, offset, reach = covered.corners[slot], p - body[best], covered.beside[slot] + MAX_SLIDE
         if f[0] < 0:
             normal = normals[best]
             height = offset.dot(normal)
             room = height - _tested_height(best, covered)
-            reach += SLIDE_SHARE * room
+            reach += SLIDE_SHARE * ti.max(room, 0.0)
             if room < 0.0:
                 best = -1
         else:
@@ -262,7 +249,6 @@ def _remembered(slot: ti.i32, p: vec3, covered: ti.template()):
             normal /= ti.max(normal.norm(), 1e-20)
             kept = w[0] * clearance[best] + w[1] * clearance[f[0]] + w[2] * clearance[f[1]]
             height = offset.dot(normal)
-            reach += MAX_SLIDE
             if ti.abs(height) > MAX_HEIGHT:
                 best = -1
         if offset.dot(offset) - height * height > reach * reach:
@@ -271,12 +257,41 @@ def _remembered(slot: ti.i32, p: vec3, covered: ti.template()):
 
 
 @ti.func
+def _searched(
+    i: ti.i32, part: ti.i32, p: vec3, home: vec3, outwards: vec3, anew: bool, covered: ti.template()
+) -> ti.i32:
+    """Body vertex nearest to free vertex i at p [m], on the part that it covers (0) or on the opposite one (1); or -1.
+
+    On the part that it covers the search goes on from where it was. Another part does not come near unseen: the coarse
+    vertices around would have found it.
+
+    Args:
+        home, outwards: place of the body that it covers [m] and normal there, of use for the opposite part only.
+        anew: whether to look for a start where there was none, or where the body has become another one.
+    """
+    body, normals, frames = ti.static(covered.surface.body_start, covered.surface.body_normals, covered.frames)
+    last = covered.nearest[i + part * covered.leading.shape[0]]
+    best = last
+    if anew or ti.select(part == 0, last < 0, last >= 0):
+        way = outwards
+        if part == 0:
+            coarse = covered.leading[i][0]
+            way = covered.facing * vec3(frames[coarse, 6], frames[coarse, 7], frames[coarse, 8])
+        best = _start(i, part, last, p, home, way, covered)
+    if best >= 0:
+        best = descend(p, best, 0.0, covered.surface)
+    if part == 1 and best >= 0 and not _opposed(home, outwards, body[best], normals[best]):
+        best = -1
+    return best
+
+
+@ti.func
 def _start(
     i: ti.i32, part: ti.i32, last: ti.i32, p: vec3, home: vec3, outwards: vec3, covered: ti.template()
 ) -> ti.i32:
-    """Body vertex near free vertex i at p [m], on the part that it covers (0) or on the opposite one (1); -1 for none.
+    """Body vertex from which the search for free vertex i at p [m] starts; -1 for none.
 
-    It is one of those where the coarse vertices around this one are near the body, or where it was itself last.
+    It is the nearest of those where the coarse vertices around this one are near the body, and where it was itself.
 
     Args:
         last: where it was near the body last, -1 for nowhere.
