@@ -7,8 +7,6 @@ import time
 import numpy as np
 
 from pbd import Body, State
-from pbd.geometry import surface_normals
-from pbd.taichi_internals import Launch
 from runtime.level_of_detail import LevelOfDetail
 from runtime.simulation import BodySource
 from wrinkles.charts import Charts
@@ -17,6 +15,7 @@ from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Decoder, Upsampler
 from wrinkles.edge_lengths import EdgeLengthProjection
 from wrinkles.features import Stencil
+from wrinkles.fine_normals import FineNormals
 from wrinkles.fine_surface import FineSurface
 from wrinkles.levels import Levels
 from wrinkles.patches import Patches
@@ -48,8 +47,7 @@ class FineGarment:
         patches, projection = Patches.of(subdivision, charts), EdgeLengthProjection(levels)
         self._surface = FineSurface(subdivision, patches, atoms.vertex_mean, projection)
         self._relax = Relaxation.of(levels, source.vertices, source.faces, database.fabric.thickness)
-        self._surface_normals = Launch(surface_normals)
-        self._faces, self._stands_for = subdivision.faces, subdivision.stands_for
+        self._write_normals = FineNormals(subdivision)
         self.vertices = np.zeros((subdivision.fine_count, 3), np.float32)
         self.normals = np.zeros((subdivision.fine_count, 3), np.float32)
 
@@ -109,6 +107,4 @@ class FineGarment:
 
     def update_normals(self) -> None:
         """Write :attr:`normals`; vertices along a cut in the mesh have the normal of the vertex that they stand for."""
-        self._surface_normals(self.vertices, self._faces, self.normals)
-        if self._stands_for is not None:
-            self.normals[:] = self.normals[self._stands_for]
+        self._write_normals(self.vertices, self.normals)
