@@ -168,10 +168,10 @@ def _shorten_edges(fine: ti.template(), edges: ti.template(), lengths: ti.templa
 def _stretch(d: ti.math.vec4, length: ti.f32) -> ti.math.vec4:
     """The share of an edge's stretch that is taken back, as a vector along the edge d [m].
 
-    Without a root, 1 - L / |d| is (|d|^2 - L^2) / (|d|^2 + L^2) up to half of the squared stretch (Jakobsen 2001).
+    Without a root, 1 - L / |d| is 1 - 2 L^2 / (|d|^2 + L^2) up to half of the squared stretch (Jakobsen 2001).
     """
     squared, wanted = d[0] * d[0] + d[1] * d[1] + d[2] * d[2], length * length
-    return ti.select(squared > wanted, STRETCH_SHARE * (squared - wanted) / (squared + wanted), 0.0) * d
+    return ti.select(squared > wanted, STRETCH_SHARE * (1.0 - 2.0 * wanted / (squared + wanted)), 0.0) * d
 
 
 @ti.func
