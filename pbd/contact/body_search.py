@@ -5,7 +5,7 @@ from typing import Any
 
 from pbd.contact.blocks import greater, smaller
 from pbd.engine import ti
-from pbd.geometry import FAR, Float1, Int1, Int2, Int3, Vec3, Vec4, between, descend, vec3, xyz
+from pbd.geometry import FAR, Float1, Int1, Int2, Int3, Vec3, Vec4, between, vec3, xyz
 from pbd.taichi_internals import in_kernel, quickly_compiled
 from pbd.xpbd.constraints import larger
 from pbd.xpbd.views import BodySurface
@@ -16,7 +16,6 @@ GRID_SIDE = 48
 MAX_CELLS = GRID_SIDE**3
 MIN_CELL_SIZE = FAR  # [m]
 REACH_MARGIN = FAR  # how far cloth may stray in a frame from where its velocity brings it [m]
-MAX_KEPT = 1.0 * FAR  # the middle of an edge may keep a body vertex that is nearer than this [m]
 MAX_SEARCHES = 8  # in a frame
 SPREAD_RINGS = 2  # a fast body pulls cloth into its way from so many edges around
 
@@ -277,38 +276,24 @@ def find_nearest_vertices(search: ti.template(), body: ti.template(), dt: ti.f32
 def nearest_between_ends(c: ti.i32, body: ti.template(), search: ti.template()) -> ti.i32:
     """Body vertex near sample c, the middle of an edge; -1 for none.
 
-    It is the one that it had, if that is near and nearer than those of the ends of the edge. Else walks over the body
-    from all three look for a nearer one.
+    It is the one that it had, unless that of an end of the edge is nearer. When it looks for the face that it touches,
+    it goes on from all three.
     """
     ends = search.samples[c]
     p = 0.5 * (xyz(search.position[ends[0]]) + xyz(search.position[ends[1]]))
-    own = search.nearest[c]
-    gap = 4.0 * FAR * FAR  # of the vertex that it had; a vertex that an end found is near enough
-    if own >= 0:
-        offset = body.body_start[own] - p
-        gap = offset.dot(offset)
-    best, distance = own, gap
-    # Faces around a vertex further away may be long, and walks along them may end nearer.
-    found_nearer = own < 0 or gap >= MAX_KEPT * MAX_KEPT
+    best, distance = search.nearest[c], 1e30
+    if best >= 0:
+        offset = body.body_start[best] - p
+        distance = offset.dot(offset)
+        if distance >= 4.0 * FAR * FAR:
+            best, distance = -1, 1e30
     for a in ti.static(range(2)):
         start = search.nearest[ends[a]]
-        if start >= 0 and start != own:
+        if start >= 0:
             offset = body.body_start[start] - p
-            found_nearer = found_nearer or offset.dot(offset) < gap
-    if found_nearer:
-        best, distance = -1, 1e30
-        for a in ti.static(range(3)):
-            start = own
-            reach = 4.0 * FAR * FAR
-            if ti.static(a < 2):
-                start = search.nearest[ends[a]]
-                reach = 1e30
-            if start >= 0 and start != best:
-                found = descend(p, start, 0.0, body)
-                offset = body.body_start[found] - p
-                if offset.dot(offset) < ti.min(distance, reach):
-                    distance = offset.dot(offset)
-                    best = found
+            away = offset.dot(offset)
+            if away < distance:
+                best, distance = start, away
     return best
 
 

@@ -84,7 +84,17 @@ def surface_point(b: ti.i32, others, weights: vec3, t: ti.f32, body: ti.template
 @ti.func
 def touch_body(p: vec3, c: ti.i32, t: ti.f32, body: ti.template(), contact: ti.template()):
     """Find where sample c, which is at p [m], touches the body, for all of the frame; t in [0, 1] of the frame."""
-    seed = descend(p, contact.nearest[c], t, body)
+    ends = contact.samples[c]
+    seed, distance = -1, 1e30
+    for start in range(ti.select(ends[0] == ends[1], 1, 3)):  # on slivers walks from several starts end apart
+        first = contact.nearest[c]
+        if start > 0:
+            first = contact.nearest[ends[start - 1]]
+        if first >= 0 and first != seed:
+            found = descend(p, first, t, body)
+            offset = between(found, t, body) - p
+            if offset.dot(offset) < distance:
+                seed, distance = found, offset.dot(offset)
     contact.nearest[c] = seed  # not what the hops below reach: on slivers that vertex is far away
     b, others, weights = closest_around(p, seed, t, body)
     contact.contact_faces[c] = ti.Vector([seed, b, others[0], others[1]])
