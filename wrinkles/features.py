@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from pbd import ClothMesh
 from pbd.engine import ensure_initialized, ti
 from pbd.geometry import FAR
-from pbd.taichi_internals import Launch
+from pbd.taichi_internals import Launch, quickly_compiled
 from wrinkles.charts import Charts
 
 __all__ = ["DYNAMIC_COUNT", "INNER_OFFSETS", "REGIONS", "Stencil"]
@@ -40,6 +40,7 @@ Float1 = ti.types.ndarray(dtype=ti.f32, ndim=1)
 Int2 = ti.types.ndarray(dtype=ti.i32, ndim=2)
 
 
+@quickly_compiled
 @ti.kernel
 def _read_stencil(
     position: Vec4,
