@@ -138,7 +138,7 @@ def _relax(
             _find_moved(covered)
             _find_opposite(phase, covered)
             for i in range(free.shape[0]):
-                x = _out_of_body(i, xyz(work[free[i]]), phase, covered)
+                x = _out_of_body(i, xyz(work[free[i]]), covered)
                 work[free[i]] = vec4(x)
                 fine[free[i]] = x
 
@@ -176,7 +176,7 @@ def _stretch(d: ti.math.vec4, length: ti.f32) -> ti.math.vec4:
 
 
 @ti.func
-def _out_of_body(i: ti.i32, start: vec3, phase: ti.i32, covered: ti.template()) -> vec3:
+def _out_of_body(i: ti.i32, start: vec3, covered: ti.template()) -> vec3:
     """Where free vertex i goes from ``start`` [m] so that it keeps its clearance from the body.
 
     First from the part of the body that the cloth covers, then from a part opposite to it, where there is one.
@@ -189,14 +189,13 @@ def _out_of_body(i: ti.i32, start: vec3, phase: ti.i32, covered: ti.template()) 
         normal, other_normal, home, outwards = vec3(0.0), vec3(0.0), vec3(0.0), vec3(0.0)
         gap, other_gap, kept, other_kept = MAX_HEIGHT, MAX_HEIGHT, 0.0, 0.0
         parts = ti.select(ti.max(across[around[0]], across[around[1]], across[around[2]]) >= 0, 2, 1)
-        anew = moved[around[0]] + moved[around[1]] + moved[around[2]] > 0
+        # Between two parts a vertex that stayed with the one that it was at would end inside the other.
+        anew = parts == 2 or moved[around[0]] + moved[around[1]] + moved[around[2]] > 0
         for part in range(parts):
             slot = i + part * covered.leading.shape[0]
             best, n, h, c = _remembered(slot, p, covered)
-            if part == 1 and best >= 0 and not _opposed(home, outwards, body[best], normals[best]):
-                best = -1
             if best < 0 or anew:
-                best = _searched(i, part, p, home, outwards, anew or phase < 0 or i % PHASES == phase, covered)
+                best = _searched(i, part, p, home, outwards, anew, covered)
                 covered.nearest[slot] = best
                 if best < 0:
                     break
@@ -271,12 +270,12 @@ def _searched(
 
     Args:
         home, outwards: place of the body that it covers [m] and normal there, of use for the opposite part only.
-        anew: whether to look for a start where there was none, or where the body has become another one.
+        anew: whether to look for a start, though there is one from the last pass.
     """
     body, normals, frames = ti.static(covered.surface.body_start, covered.surface.body_normals, covered.frames)
     last = covered.nearest[i + part * covered.leading.shape[0]]
     best = last
-    if anew or ti.select(part == 0, last < 0, last >= 0):
+    if anew or last < 0:
         way = outwards
         if part == 0:
             coarse = covered.leading[i][0]
