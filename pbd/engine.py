@@ -67,6 +67,7 @@ def ensure_initialized(arch: str = "cpu", threads: int | None = None) -> None:
             )
         count = threads or int(wish) or os.cpu_count() or 1
         _remove_left_lock()
+        others = _threads()
         with redirect_stdout(io.StringIO()):  # Taichi prints the arch, whatever its log level
             ti.init(
                 arch=ti.cpu if arch == "cpu" else ti.cuda,
@@ -80,7 +81,30 @@ def ensure_initialized(arch: str = "cpu", threads: int | None = None) -> None:
         # Taichi compiles a kernel for a number of threads and keeps it for that number alone. Its threads are started
         # by now, and a kernel for more runs on those that there are: processes of one thread and of several share.
         ti.lang.impl.get_runtime().prog.config().cpu_max_num_threads = max(count, COMPILED_FOR)
+        _spread(sorted(_threads() - others), count)
         _settings = {"arch": arch, "threads": count}
+
+
+def _threads() -> set[int]:
+    """Numbers of this process's threads; none where the system does not list them."""
+    with suppress(OSError):
+        return {int(name) for name in os.listdir("/proc/self/task")}
+    return set()
+
+
+def _spread(started: list[int], count: int) -> None:
+    """Give the threads that Taichi has started a core each, in turns, if there are cores for them.
+
+    They sleep between two launches, and Linux tends to wake all of them on one core, where they stay for a frame: two
+    were as fast as one. Those that share a loop have been started one after the other.
+    """
+    if not hasattr(os, "sched_setaffinity"):
+        return
+    cores = sorted(os.sched_getaffinity(0))
+    if 1 < count <= len(cores):
+        for number, thread in enumerate(started):
+            with suppress(OSError):  # it has ended
+                os.sched_setaffinity(thread, {cores[number % count]})
 
 
 def _remove_left_lock() -> None:

@@ -318,6 +318,10 @@ class State:
         position: [m], float32, shape (n, 4); the last column is the inverse mass [1/kg].
         velocity: in the world [m/s], float32, shape (n, 3).
         nearest: body vertex nearest to each contact sample of the model, -1 for none, int32, shape (s,).
+        contact_faces: of each contact sample the body vertex near it, and the corners of the face that it touched,
+            when it last looked for one, -1 for none, int32, shape (s, 4).
+        contact_weights: barycentric weights of the point that it touched for the second and third corner [-], float32,
+            shape (s, 2).
         contact: distance to the body [m], float32, shape (n,); ``pbd.geometry.FAR`` where nothing is near.
         pairs: features of the cloth that touch one another, numbered as in
             :class:`pbd.contact.self_collision.SelfCollision`, int32, shape (c, 4).
@@ -331,6 +335,8 @@ class State:
     position: np.ndarray
     velocity: np.ndarray
     nearest: np.ndarray
+    contact_faces: np.ndarray = field(repr=False)
+    contact_weights: np.ndarray = field(repr=False)
     contact: np.ndarray = field(repr=False)
     carrier: np.ndarray = field(repr=False)
     pairs: np.ndarray = field(repr=False)
@@ -347,8 +353,9 @@ class State:
         position = np.concatenate([vertices - origin, model.inverse_mass[:, None]], axis=1).astype(np.float32)
         velocity, contact = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
         nearest, pairs = np.full(len(model.samples), -1, np.int32), np.zeros((0, 4), np.int32)
+        faces, weights = np.full((len(model.samples), 4), -1, np.int32), np.zeros((len(model.samples), 2), np.float32)
         carrier, sides = np.zeros((3, 4)), np.zeros((0, 4), np.float32)
-        return cls(origin, position, velocity, nearest, contact, carrier, pairs, sides)
+        return cls(origin, position, velocity, nearest, faces, weights, contact, carrier, pairs, sides)
 
     def world(self) -> np.ndarray:
         """World positions [m], float64, shape (n, 3)."""
@@ -365,7 +372,10 @@ class State:
         """A state of its own with the same bits."""
         return State(*(getattr(self, name).copy() for name in self._names))
 
-    _names = ("origin", "position", "velocity", "nearest", "contact", "carrier", "pairs", "pair_sides")
+    _names = (
+        "origin", "position", "velocity", "nearest", "contact_faces", "contact_weights", "contact", "carrier", "pairs",
+        "pair_sides",
+    )  # fmt: skip
 
     def hash(self) -> str:
         """SHA-256 over every bit of the state."""
@@ -393,8 +403,13 @@ class State:
             raise InputError(f"not a saved state: {error}", file=path, expected="a file of State.save") from error
         received = [(array.dtype.name, array.shape) for array in (getattr(state, name) for name in cls._names)]
         count, samples, pairs = len(state.position), len(state.nearest), len(state.pairs)
-        shapes = ((3,), (count, 4), (count, 3), (samples,), (count,), (3, 4), (pairs, 4), (pairs, 4))
-        kinds = ("float64", "float32", "float32", "int32", "float32", "float64", "int32", "float32")
+        shapes = (
+            (3,), (count, 4), (count, 3), (samples,), (samples, 4), (samples, 2), (count,), (3, 4), (pairs, 4),
+            (pairs, 4),
+        )  # fmt: skip
+        kinds = (
+            "float64", "float32", "float32", "int32", "int32", "float32", "float32", "float64", "int32", "float32",
+        )  # fmt: skip
         expected = list(zip(kinds, shapes, strict=True))
         if received != expected:
             raise InputError("not a saved state", file=path, received=received, expected=str(expected))

@@ -5,31 +5,73 @@ Another Taichi may have other insides. Then kernels still run: :class:`Launch` c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import lru_cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from pbd.engine import ensure_initialized, is_running, ti
 
-__all__ = ["Launch", "in_kernel", "local", "same", "signature", "subscript"]
+__all__ = ["Launch", "in_kernel", "local", "quickly_compiled", "same", "signature", "subscript"]
 
-impl, ast_transformer_utils = ti.lang.impl, ti.lang.ast.ast_transformer_utils
-
-
-class _Unwrapped:
-    """Stands in for :class:`textwrap.TextWrapper`."""
-
-    def __init__(self, **_: Any) -> None:
-        pass
-
-    def wrap(self, text: str) -> list[str]:
-        return [text] if text.strip() else []
+impl, kernel_impl = ti.lang.impl, ti.lang.kernel_impl
+Context = ti.lang.ast.ast_transformer_utils.ASTTransformerContext
 
 
-# Taichi writes the place of every expression that it compiles into a message, in case of an error, and breaks its lines
-# to 80 columns: a good part of the time until the first frame.
-ast_transformer_utils.TextWrapper = _Unwrapped
+def _place(self: Any, node: Any) -> str:
+    """Stands in for ``get_pos_info``, which also draws the source line with a mark below."""
+    return f'File "{self.file}", line {node.lineno + self.lineno_offset}, in {self.func.func.__name__}:\n'
+
+
+def _inside_class(level_of_class_stackframe: int) -> bool:
+    """Whether a function that is decorated now is in a class; stands in for one that reads the source to find out."""
+    return "__qualname__" in sys._getframe(level_of_class_stackframe - 1).f_locals
+
+
+def _make_translation_fast() -> None:
+    """Take out of Taichi's translation of Python a third of its time, which is most of that until the first frame.
+
+    It writes the place of every expression that it translates into a message, in case of an error. A function that is
+    used several times in a kernel is looked up in its file, cut out and laid out anew each time. And for every function
+    that is decorated, the source of the module around it is read.
+    """
+    Context.get_pos_info, kernel_impl._inside_class = _place, _inside_class
+    for name in ("getsourcelines", "getsourcefile"):
+        setattr(kernel_impl, name, lru_cache(maxsize=None)(getattr(kernel_impl, name)))
+    text = kernel_impl.textwrap
+    kernel_impl.textwrap = SimpleNamespace(fill=lru_cache(maxsize=None)(text.fill), dedent=text.dedent)
+
+
+try:
+    _make_translation_fast()
+except AttributeError:  # another Taichi
+    pass
+
+
+def quickly_compiled(kernel: Any) -> Any:
+    """Mark a kernel so that :class:`Launch` compiles it without Taichi's analysis of control flow.
+
+    The analysis takes most of the time of compiling, more than in proportion to the kernel's size. It makes passes over
+    constraints a sixth faster; kernels of searches, with many branches, gain nothing. Results are the same bits.
+    """
+    kernel.is_quickly_compiled = True
+    return kernel
+
+
+@contextmanager
+def _compilation_of(kernel: Any) -> Iterator[None]:
+    """Compile a kernel as it is marked while this is open."""
+    config = impl.get_runtime().prog.config() if getattr(kernel, "is_quickly_compiled", False) else SimpleNamespace()
+    before = getattr(config, "cfg_optimization", None)
+    config.cfg_optimization = False
+    try:
+        yield
+    finally:
+        config.cfg_optimization = before
 
 
 def in_kernel(function: Any) -> Any:
@@ -81,14 +123,20 @@ class Launch:
     def __reduce__(self) -> tuple:
         return Launch, (self._kernel,)  # bound again where it comes to
 
+    @property
+    def module(self) -> str:
+        """The module that the kernel was written in."""
+        return self._kernel.__module__
+
     def __call__(self, *arguments: Any) -> None:
         """Run the kernel; arguments and errors are its own."""
         if not self._prepare(arguments):
             if not is_running():  # Taichi's own message says nothing to the user
                 ensure_initialized()
-            self._kernel(*arguments)  # compiles it, and reports a wrong argument
-            if not self._ordinary:
-                self._bind(arguments)
+            with _compilation_of(self._kernel):
+                self._kernel(*arguments)  # compiles it, and reports a wrong argument
+                if not self._ordinary:
+                    self._bind(arguments)
             return
         for slot, set_number in self._numbers:
             set_number(slot, arguments[slot[0]])

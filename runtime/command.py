@@ -31,6 +31,7 @@ COMMANDS: Mapping[str, str] = {
     "validate": "precompute.commands.validate",
     "fabric": "precompute.commands.fabric",
     "stability": "precompute.commands.stability",
+    "bench frame": "precompute.commands.bench_frame",
     "bench wrinkles": "precompute.commands.bench_wrinkles",
     "bench solver": "precompute.commands.bench_solver",
     "bench failures": "precompute.commands.bench_failures",

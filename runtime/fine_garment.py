@@ -7,8 +7,6 @@ import time
 import numpy as np
 
 from pbd import Body, State
-from pbd.geometry import surface_normals
-from pbd.taichi_internals import Launch
 from runtime.level_of_detail import LevelOfDetail
 from runtime.simulation import BodySource
 from wrinkles.charts import Charts
@@ -17,6 +15,8 @@ from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Decoder, Upsampler
 from wrinkles.edge_lengths import EdgeLengthProjection
 from wrinkles.features import Stencil
+from wrinkles.fine_normals import FineNormals
+from wrinkles.fine_surface import FineSurface
 from wrinkles.levels import Levels
 from wrinkles.patches import Patches
 from wrinkles.relaxation import Relaxation
@@ -39,16 +39,15 @@ class FineGarment:
 
     def __init__(self, database: WrinkleDatabase, levels: Levels, source: BodySource) -> None:
         subdivision, charts = levels.subdivision, Charts.of(levels.coarse)
-        patches, middle_patches = Patches.of(subdivision, charts), Patches.of(subdivision.middle, charts)
         self._levels = levels
         self._filter = CoarseFilter(levels)
         self._upsample, self._upsample_velocity = Upsampler(subdivision), Upsampler(subdivision)
-        stencil = Stencil.of(charts, database.held)
-        self._decoder = Decoder(stencil, patches, middle_patches, database.mapping, database.atoms, database.novelty)
-        self._keep_lengths = EdgeLengthProjection(levels)
+        stencil, atoms = Stencil.of(charts, database.held), database.atoms
+        self._decoder = Decoder(stencil, database.mapping, atoms, database.novelty)
+        patches, projection = Patches.of(subdivision, charts), EdgeLengthProjection(levels)
+        self._surface = FineSurface(subdivision, patches, atoms.vertex_mean, projection)
         self._relax = Relaxation.of(levels, source.vertices, source.faces, database.fabric.thickness)
-        self._surface_normals = Launch(surface_normals)
-        self._faces, self._stands_for = subdivision.faces, subdivision.stands_for
+        self._write_normals = FineNormals(subdivision)
         self.vertices = np.zeros((subdivision.fine_count, 3), np.float32)
         self.normals = np.zeros((subdivision.fine_count, 3), np.float32)
 
@@ -69,20 +68,19 @@ class FineGarment:
         """
         began = time.perf_counter()
         position = self._filter(position)
-        middle = self._upsample.middle
-        self._upsample(position, self.vertices)
-        if detail.atoms:
-            self._decoder.add(position, state.contact, self.vertices, middle, detail.atoms)
+        decoder, drawn = self._decoder, detail.atoms > 0
+        self._upsample.to_middle(position)
+        if drawn:
+            decoder.predict(position, state.contact, detail.atoms)
         elif detail.passes:
-            self._decoder.read(position, state.contact)
-        if detail.sweeps:
-            self._keep_lengths(middle, self.vertices, detail.sweeps)
+            decoder.read(position, state.contact)
+        grids = decoder.grids if drawn else None
+        self._surface(self._upsample.middle, grids, decoder.frames, self.vertices, detail.sweeps)
         decoded = time.perf_counter()
         targets = self._levels.fine_attachment.targets(body_vertices)
         if detail.passes:
-            frames = self._decoder.frames
             self._relax(
-                self.vertices, targets, frames, state.nearest, state.contact, body, body_vertices, detail.passes
+                self.vertices, targets, decoder.frames, state.nearest, state.contact, body, body_vertices, detail.passes
             )
         else:
             self.vertices[self._levels.fine_held] = targets
@@ -109,6 +107,4 @@ class FineGarment:
 
     def update_normals(self) -> None:
         """Write :attr:`normals`; vertices along a cut in the mesh have the normal of the vertex that they stand for."""
-        self._surface_normals(self.vertices, self._faces, self.normals)
-        if self._stands_for is not None:
-            self.normals[:] = self.normals[self._stands_for]
+        self._write_normals(self.vertices, self.normals)

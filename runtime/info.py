@@ -14,10 +14,10 @@ from wrinkles.charts import Charts
 from wrinkles.database import LearnedFabric, WrinkleDatabase, code_version, database_figures, read_database
 from wrinkles.decoder import Decoder
 from wrinkles.features import Stencil
+from wrinkles.fine_surface import FineSurface
 from wrinkles.levels import MAX_AREA_CORRECTION, with_area_of
 from wrinkles.patches import Patches
 from wrinkles.schema import ENTRIES
-from wrinkles.surface import Subdivision
 
 __all__ = ["Check", "check_database", "figure_lines", "info_text"]
 
@@ -278,7 +278,7 @@ def check_database(path: str | Path) -> list[Check]:
         detail = f"{model.vertex_count} vertices, {1e3 * model.mass.sum():.0f} g, {len(model.hinges)} hinges"
         checks.append(Check("coarse model", True, detail))
         charts = Charts.of(coarse)
-        patches, middle_patches = Patches.of(subdivision, charts), Patches.of(subdivision.middle, charts)
+        patches = Patches.of(subdivision, charts)
         checks.append(_check_patches(patches, subdivision.fine_count))
         stencil = Stencil.of(charts, database.held)
         state, torn = State.at_rest(model), State.at_rest(model)
@@ -286,10 +286,11 @@ def check_database(path: str | Path) -> list[Check]:
         torn.position[:, :3] += rng.normal(0.0, edge, coarse.vertices.shape)
         for name in database.fabric_names:
             worn = database.in_fabric(name)
-            decoder = Decoder(stencil, patches, middle_patches, worn.mapping, worn.atoms, worn.novelty)
+            decoder = Decoder(stencil, worn.mapping, worn.atoms, worn.novelty)
+            surface = FineSurface(subdivision, patches, worn.atoms.vertex_mean)
             among = f" ({name})" * bool(database.other_fabrics)
-            checks.append(_check_decoding(f"decoding at rest{among}", database, subdivision, decoder, state))
-            checks.append(_check_decoding(f"decoding a torn garment{among}", database, subdivision, decoder, torn))
+            checks.append(_check_decoding(f"decoding at rest{among}", database, decoder, surface, state))
+            checks.append(_check_decoding(f"decoding a torn garment{among}", database, decoder, surface, torn))
     except InputError as error:
         checks.append(Check("garment", False, str(error)))
     return checks
@@ -310,13 +311,17 @@ def _check_patches(patches: Patches, count: int) -> Check:
 
 
 def _check_decoding(
-    name: str, database: WrinkleDatabase, subdivision: Subdivision, decoder: Decoder, state: State
+    name: str, database: WrinkleDatabase, decoder: Decoder, surface: FineSurface, state: State
 ) -> Check:
     """Decode a garment far from any body: finite, and no wrinkle higher than the longest is long."""
     state.contact[:] = FAR
-    vertices, middle = (np.zeros((mesh.fine_count, 3), np.float32) for mesh in (subdivision, subdivision.middle))
+    vertices, flat = (
+        np.zeros((database.subdivision.fine_count, 3), np.float32),
+        np.zeros((database.subdivision.middle.fine_count, 4), np.float32),
+    )
     with np.errstate(over="ignore", invalid="ignore"):  # an overflow fails the check below
-        decoder.add(state.position, state.contact, vertices, middle)
+        decoder.predict(state.position, state.contact)
+        surface(flat, decoder.grids, decoder.frames, vertices)
         height = float(np.linalg.norm(vertices, axis=1).max())
     detail = f"wrinkles up to {1e3 * height:.1f} mm, cut-off {1e3 * database.cutoff:.0f} mm"
     return Check(name, bool(height < database.cutoff), detail)

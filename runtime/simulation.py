@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from copy import copy
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from assets.skinning import SkinnedBody
 from pbd import Body, Colliders, InputError, Model, Solver, SolverOptions, State
 from pbd.attachment import Attachment
 from pbd.contact.colliders import Primitive
-from pbd.limits import SkinnedTargets
+from pbd.limits import LimitTargets, SkinnedTargets
 from pbd.wind import CALM, Air, Wind
 
 __all__ = ["BodySource", "Motion", "Simulation", "body_source", "poses_of"]
@@ -176,6 +176,14 @@ class Simulation:
 
     def step_cloth(self, dt: float, wind: Air = CALM) -> None:
         """Advance the garment while the body goes from its last pose to the current one."""
+        self.solver.step(self.state, self.colliders, dt, *self.carried(dt, wind))
+
+    def carried(self, dt: float, wind: Air = CALM) -> tuple[np.ndarray | None, Any, LimitTargets | None]:
+        """What carries the garment in a step that ends at the body's current pose; the time goes on by it.
+
+        Returns:
+            targets, wind and limit targets, as :meth:`pbd.Solver.step` and :meth:`pbd.BatchSolver.step` take them.
+        """
         targets = None
         if self.attachment is not None:
             targets = self.attachment.targets(self.body.current) + self.state.origin
@@ -184,8 +192,7 @@ class Simulation:
             previous = self.body.previous if dt > 0.0 else self.body.current
             limit_targets = self._skinned_targets.targets(previous, self.body.current, self.state.origin)
         self.time += dt
-        air = wind.at(self.state.world(), self.time) if isinstance(wind, Wind) else wind
-        self.solver.step(self.state, self.colliders, dt, targets, air, limit_targets)
+        return targets, wind.at(self.state.world(), self.time) if isinstance(wind, Wind) else wind, limit_targets
 
     def drag(self, vertex: int, target: np.ndarray | None) -> None:
         """Hold a vertex at a point in the world [m], shape (3,); None lets it go."""

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from pbd import ClothMesh
 from pbd.engine import ensure_initialized, ti
 from pbd.geometry import FAR
-from pbd.taichi_internals import Launch
+from pbd.taichi_internals import Launch, quickly_compiled
 from wrinkles.charts import Charts
 
 __all__ = ["DYNAMIC_COUNT", "INNER_OFFSETS", "REGIONS", "Stencil"]
@@ -40,6 +40,7 @@ Float1 = ti.types.ndarray(dtype=ti.f32, ndim=1)
 Int2 = ti.types.ndarray(dtype=ti.i32, ndim=2)
 
 
+@quickly_compiled
 @ti.kernel
 def _read_stencil(
     position: Vec4,
@@ -57,13 +58,13 @@ def _read_stencil(
     ti.loop_config(serialize=True)
     for _ in range(1):
         for i in range(position.shape[0]):
-            x = ti.Matrix.zero(ti.f32, POINTS, 3)
+            x = ti.Matrix.zero(ti.f32, POINTS, 4)
             for p in range(POINTS):
+                total = ti.math.vec4(0.0)
                 for c in ti.static(range(3)):
-                    w = weights[i, 3 * p + c]
-                    q = position[corners[i, 3 * p + c]]
-                    for a in ti.static(range(3)):
-                        x[p, a] += w * q[a]
+                    total += weights[i, 3 * p + c] * position[corners[i, 3 * p + c]]
+                for a in ti.static(range(4)):
+                    x[p, a] = total[a]
             x0 = vec3(x[CENTRE, 0], x[CENTRE, 1], x[CENTRE, 2])
             warp = vec3(x[UP, 0] - x[DOWN, 0], x[UP, 1] - x[DOWN, 1], x[UP, 2] - x[DOWN, 2])
             weft = vec3(x[RIGHT, 0] - x[LEFT, 0], x[RIGHT, 1] - x[LEFT, 1], x[RIGHT, 2] - x[LEFT, 2])

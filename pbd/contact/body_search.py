@@ -3,9 +3,11 @@
 from dataclasses import dataclass
 from typing import Any
 
+from pbd.contact.blocks import greater, smaller
 from pbd.engine import ti
-from pbd.geometry import FAR, Float1, Int1, Int2, Int3, Vec3, Vec4, between, descend, vec3, xyz
-from pbd.taichi_internals import in_kernel
+from pbd.geometry import FAR, Float1, Int1, Int2, Int3, Vec3, Vec4, between, vec3, xyz
+from pbd.taichi_internals import in_kernel, quickly_compiled
+from pbd.xpbd.constraints import larger
 from pbd.xpbd.views import BodySurface
 
 __all__ = ["MAX_CELLS", "BodySearch", "find_nearest", "find_nearest_vertices"]
@@ -13,6 +15,7 @@ __all__ = ["MAX_CELLS", "BodySearch", "find_nearest", "find_nearest_vertices"]
 GRID_SIDE = 48
 MAX_CELLS = GRID_SIDE**3
 MIN_CELL_SIZE = FAR  # [m]
+REACH_MARGIN = FAR  # how far cloth may stray in a frame from where its velocity brings it [m]
 MAX_SEARCHES = 8  # in a frame
 SPREAD_RINGS = 2  # a fast body pulls cloth into its way from so many edges around
 
@@ -29,6 +32,7 @@ class BodySearch:
         max_approach: see :class:`pbd.xpbd.views.ContactWork`.
         surface: body vertices that lie in a face.
         probes, probe_weights: points spread over large faces of the body, see :class:`pbd.Body`.
+        reached: workspace, the items that the cloth can reach in the frame.
         cell_start, cell_items, item_cell: workspace of the uniform grid.
     """
 
@@ -41,6 +45,7 @@ class BodySearch:
     surface: Any = None
     probes: Any = None
     probe_weights: Any = None
+    reached: Any = None
     cell_start: Any = None
     cell_items: Any = None
     item_cell: Any = None
@@ -88,7 +93,7 @@ def searches(i: ti.i32, t: ti.f32, nearest: ti.template()):
 
 
 @ti.func
-def find_at(t: ti.f32, dt: ti.f32, body: ti.template(), search: ti.template()):
+def find_at(t: ti.f32, dt: ti.f32, reached_count: ti.i32, body: ti.template(), search: ti.template()):
     """Nearest of the body's vertices and probes at t in [0, 1] of the frame, for each cloth vertex that searches.
 
     A uniform grid over the box of those cloth vertices is filled by counting sort. A vertex looks into the cells that
@@ -101,7 +106,7 @@ def find_at(t: ti.f32, dt: ti.f32, body: ti.template(), search: ti.template()):
             p = xyz(search.position[i]) + t * dt * search.velocity[i]
             low = ti.min(low, p)
             high = ti.max(high, p)
-    count = search.surface.shape[0] + search.probes.shape[0]
+    count = reached_count
     if low[0] > high[0]:  # no vertex searches
         low, high = vec3(0.0), vec3(0.0)
         count = 0
@@ -123,12 +128,12 @@ def find_at(t: ti.f32, dt: ti.f32, body: ti.template(), search: ti.template()):
 
 @ti.func
 def fill_cells(t: ti.f32, count: ti.i32, low: vec3, inverse: ti.f32, cells, body: ti.template(), search: ti.template()):
-    """Sort the first ``count`` items into cells of the grid that starts at ``low`` [m]; ``inverse``: 1/cell [1/m]."""
+    """Sort ``count`` reached items into cells of the grid that starts at ``low`` [m]; ``inverse``: 1/cell [1/m]."""
     nx, ny, nz = cells[0], cells[1], cells[2]
     for c in range(nx * ny * nz + 1):
         search.cell_start[c] = 0
     for s in range(count):
-        q = (item_point(item(s, body, search), t, body, search) - low) * inverse
+        q = (item_point(search.reached[s], t, body, search) - low) * inverse
         search.item_cell[s] = -1
         if q.min() >= 0.0 and q[0] < nx and q[1] < ny and q[2] < nz:
             c = (int(q[0]) * ny + int(q[1])) * nz + int(q[2]) + 1
@@ -143,7 +148,7 @@ def fill_cells(t: ti.f32, count: ti.i32, low: vec3, inverse: ti.f32, cells, body
         c = search.item_cell[s]
         if c >= 0:
             search.cell_start[c] = search.cell_start[c] - 1
-            search.cell_items[search.cell_start[c]] = item(s, body, search)
+            search.cell_items[search.cell_start[c]] = search.reached[s]
     search.cell_start[nx * ny * nz + 1] = total
 
 
@@ -183,20 +188,38 @@ def nearest_item(
 
 
 @ti.func
-def closing_distance(velocity: ti.template(), dt: ti.f32, body: ti.template()) -> ti.f32:
-    """Greatest displacement of the cloth and greatest of the body in a frame, against the cloth's mean, summed [m]."""
-    mean = vec3(0.0)
-    for i in range(velocity.shape[0]):
-        mean += velocity[i]
-    mean *= dt / velocity.shape[0]
+def reach_of(dt: ti.f32, body: ti.template(), search: ti.template()):
+    """List the items that the cloth can reach in a frame of dt [s] in ``search.reached``.
+
+    They are those whose way meets the box of the cloth's, which is wider by FAR and REACH_MARGIN.
+
+    Returns:
+        their number; greatest displacement of the cloth and greatest of these items, against the cloth's mean, summed
+        [m].
+    """
+    low, high, mean = vec3(1e30), vec3(-1e30), vec3(0.0)
+    for i in range(search.position.shape[0]):
+        p, way = xyz(search.position[i]), dt * search.velocity[i]
+        low, high = smaller(low, smaller(p, p + way)), greater(high, greater(p, p + way))
+        mean += way
+    mean /= search.position.shape[0]
     of_cloth, of_body = 0.0, 0.0
-    for i in range(velocity.shape[0]):
-        displacement = dt * velocity[i] - mean
-        of_cloth = ti.max(of_cloth, displacement.dot(displacement))
-    for b in range(body.body_start.shape[0]):
-        displacement = body.body_end[b] - body.body_start[b] - mean
-        of_body = ti.max(of_body, displacement.dot(displacement))
-    return ti.sqrt(of_cloth) + ti.sqrt(of_body)
+    for i in range(search.position.shape[0]):
+        displacement = dt * search.velocity[i] - mean
+        of_cloth = larger(of_cloth, displacement.dot(displacement))
+    low -= FAR + REACH_MARGIN
+    high += FAR + REACH_MARGIN
+    count = 0
+    for s in range(search.surface.shape[0] + search.probes.shape[0]):
+        b = item(s, body, search)
+        x, y = item_point(b, 0.0, body, search), item_point(b, 1.0, body, search)
+        above, below = greater(x, y) - low, high - smaller(x, y)
+        if ti.min(above.min(), below.min()) >= 0.0:
+            search.reached[count] = b
+            count += 1
+            displacement = y - x - mean
+            of_body = larger(of_body, displacement.dot(displacement))
+    return count, ti.sqrt(of_cloth) + ti.sqrt(of_body)
 
 
 @ti.func
@@ -236,34 +259,45 @@ def find_nearest_vertices(search: ti.template(), body: ti.template(), dt: ti.f32
     """
     search.max_approach[0] = 0.0
     if search.surface.shape[0] > 0:  # in a batch, garments without a body come along
-        search.max_approach[0] = closing_distance(search.velocity, dt, body)
+        count, approach = reach_of(dt, body, search)
+        search.max_approach[0] = approach
         # A vertex that moves further than the search reaches is searched for again on its way.
-        unseen = (search.max_approach[0] + thickness - FAR) / (1.5 * FAR)
+        unseen = (approach + thickness - FAR) / (1.5 * FAR)
         later = int(ti.ceil(ti.math.clamp(unseen, 0.0, MAX_SEARCHES - 1.0)))
         for k in range(later + 1):
-            find_at(k / (later + 0.5), dt, body, search)
+            find_at(k / (later + 0.5), dt, count, body, search)
         if later > 0:
             spread_nearest(search.position.shape[0], search.triangles, search.nearest)
         for c in range(search.position.shape[0], search.samples.shape[0]):
-            ends = search.samples[c]
-            p = 0.5 * (xyz(search.position[ends[0]]) + xyz(search.position[ends[1]]))
-            best = -1
-            distance = 1e30
-            for a in ti.static(range(3)):
-                start = search.nearest[c]
-                reach = 4.0 * FAR * FAR  # of the vertex that it had; a vertex that an end found is near enough
-                if ti.static(a < 2):
-                    start = search.nearest[ends[a]]
-                    reach = 1e30
-                if start >= 0 and start != best:
-                    found = descend(p, start, 0.0, body)
-                    offset = body.body_start[found] - p
-                    if offset.dot(offset) < ti.min(distance, reach):
-                        distance = offset.dot(offset)
-                        best = found
-            search.nearest[c] = best
+            search.nearest[c] = nearest_between_ends(c, body, search)
 
 
+@ti.func
+def nearest_between_ends(c: ti.i32, body: ti.template(), search: ti.template()) -> ti.i32:
+    """Body vertex near sample c, the middle of an edge; -1 for none.
+
+    It is the one that it had, unless that of an end of the edge is nearer. When it looks for the face that it touches,
+    it goes on from all three.
+    """
+    ends = search.samples[c]
+    p = 0.5 * (xyz(search.position[ends[0]]) + xyz(search.position[ends[1]]))
+    best, distance = search.nearest[c], 1e30
+    if best >= 0:
+        offset = body.body_start[best] - p
+        distance = offset.dot(offset)
+        if distance >= 4.0 * FAR * FAR:
+            best, distance = -1, 1e30
+    for a in ti.static(range(2)):
+        start = search.nearest[ends[a]]
+        if start >= 0:
+            offset = body.body_start[start] - p
+            away = offset.dot(offset)
+            if away < distance:
+                best, distance = start, away
+    return best
+
+
+@quickly_compiled
 @ti.kernel
 def find_nearest(
     position: Vec4,
@@ -275,6 +309,7 @@ def find_nearest(
     surface: Int1,
     probes: Int3,
     probe_weights: Vec3,
+    reached: Int1,
     cell_start: Int1,
     cell_items: Int1,
     item_cell: Int1,
@@ -290,8 +325,8 @@ def find_nearest(
     for _ in range(1):
         find_nearest_vertices(
             BodySearch(
-                position, velocity, samples, triangles, nearest, max_approach, surface, probes, probe_weights,
-                cell_start, cell_items, item_cell,
+                position, velocity, samples, triangles, nearest, max_approach, surface, probes,
+                probe_weights, reached, cell_start, cell_items, item_cell,
             ),
             BodySurface(body_start, body_end, ring_start, ring),
             dt,

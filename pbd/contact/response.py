@@ -1,13 +1,14 @@
 """Contact in a substep: with the faces of a body, with primitives and with distance fields."""
 
 from pbd.engine import ti
-from pbd.geometry import between, closest_in_fan, descend, vec3, vec4, xyz
+from pbd.geometry import between, closest_in_fan, closest_on_triangle, descend, vec3, vec4, xyz
 from pbd.xpbd.constraints import contact_correction, cushioned
 
 __all__ = [
     "collide_fields",
     "collide_primitives",
     "height_over",
+    "keep_contact",
     "push_out",
     "sample_point",
     "slid_off",
@@ -27,11 +28,48 @@ def substep_start(cloth: ti.template(), i: ti.i32, h: ti.f32):
 
 
 @ti.func
-def touch_body(p: vec3, c: ti.i32, t: ti.f32, body: ti.template(), contact: ti.template()):
-    """Find where sample c, which is at p [m], touches the body, for all of the frame; t in [0, 1] of the frame."""
-    b = descend(p, contact.nearest[c], t, body)
-    contact.nearest[c] = b  # not what the hops below reach: on slivers that vertex is far away
-    b, others, weights = closest_around(p, b, t, body)
+def keep_contact(p: vec3, c: ti.i32, t: ti.f32, active_distance: ti.f32, body: ti.template(), contact: ti.template()):
+    """Let sample c, which is at p [m], touch the face that it touched in the last frame, if that is right still.
+
+    It is, while the nearest body vertex is the same and the sample slides little, or while the closest point of the
+    face lies inside it. On an edge or corner it is right only where the body is further than ``active_distance`` [m].
+
+    Returns:
+        whether the sample has kept its face; where it touches the body is then known for all of the frame.
+    """
+    kept = False
+    face = contact.contact_faces[c]
+    if face[0] >= 0 and face[0] == contact.nearest[c]:
+        others = ti.Vector([face[2], face[3]])
+        second, third = contact.contact_weights[c][0], contact.contact_weights[c][1]
+        weights = vec3(1.0 - second - third, second, third)
+        inside = weights.min() > 0.0
+        start, end, normal = surface_point(face[1], others, weights, t, body)
+        offset = p - (start + t * (end - start))
+        kept = (inside or offset.dot(normal) > active_distance) and not slid_off(offset, normal)
+        if not kept:
+            x0, x1, x2 = between(face[1], t, body), between(face[2], t, body), between(face[3], t, body)
+            weights = closest_on_triangle(p, x0, x1, x2)
+            kept = weights.min() > 0.0
+            if kept:
+                contact.contact_weights[c] = ti.Vector([weights[1], weights[2]])
+                start, end, normal = surface_point(face[1], others, weights, t, body)
+        if kept:
+            set_contact(c, start, end, normal, contact)
+    return kept
+
+
+@ti.func
+def set_contact(c: ti.i32, start: vec3, end: vec3, normal: vec3, contact: ti.template()):
+    """Store the point that sample c touches at the start and end of the frame [m], and the normal there."""
+    contact.contact_points[c, 0] = vec4(start, 0.0)
+    contact.contact_points[c, 1] = vec4(end - start, 0.0)
+    contact.contact_points[c, 2] = vec4(normal, 0.0)
+
+
+@ti.func
+def surface_point(b: ti.i32, others, weights: vec3, t: ti.f32, body: ti.template()):
+    """A point of a face with corner b and two others: where it starts and ends [m], and the unit normal at t there."""
     start = blended(body.body_start, b, others, weights)
     end = blended(body.body_end, b, others, weights)
     normal = vec3(0.0)
@@ -40,7 +78,28 @@ def touch_body(p: vec3, c: ti.i32, t: ti.f32, body: ti.template(), contact: ti.t
         normal = (between(others[0], t, body) - x0).cross(between(others[1], t, body) - x0)
     else:
         normal = blended(body.body_normals, b, others, weights)
-    normal /= ti.max(normal.norm(), 1e-20)
+    return start, end, normal / ti.max(normal.norm(), 1e-20)
+
+
+@ti.func
+def touch_body(p: vec3, c: ti.i32, t: ti.f32, body: ti.template(), contact: ti.template()):
+    """Find where sample c, which is at p [m], touches the body, for all of the frame; t in [0, 1] of the frame."""
+    ends = contact.samples[c]
+    seed, distance = -1, 1e30
+    for start in range(ti.select(ends[0] == ends[1], 1, 3)):  # on slivers walks from several starts end apart
+        first = contact.nearest[c]
+        if start > 0:
+            first = contact.nearest[ends[start - 1]]
+        if first >= 0 and first != seed:
+            found = descend(p, first, t, body)
+            offset = between(found, t, body) - p
+            if offset.dot(offset) < distance:
+                seed, distance = found, offset.dot(offset)
+    contact.nearest[c] = seed  # not what the hops below reach: on slivers that vertex is far away
+    b, others, weights = closest_around(p, seed, t, body)
+    contact.contact_faces[c] = ti.Vector([seed, b, others[0], others[1]])
+    contact.contact_weights[c] = ti.Vector([weights[1], weights[2]])
+    start, end, normal = surface_point(b, others, weights, t, body)
     # The smooth normal decides the side. The contact takes the exact direction to the surface where there is one.
     offset = p - (start + t * (end - start))
     size = offset.norm()
@@ -51,9 +110,7 @@ def touch_body(p: vec3, c: ti.i32, t: ti.f32, body: ti.template(), contact: ti.t
             normal = exact
         elif along < -0.5:
             normal = -exact
-    contact.contact_points[c, 0] = vec4(start, 0.0)
-    contact.contact_points[c, 1] = vec4(end - start, 0.0)
-    contact.contact_points[c, 2] = vec4(normal, 0.0)
+    set_contact(c, start, end, normal, contact)
 
 
 @ti.func

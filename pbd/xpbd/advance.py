@@ -8,7 +8,7 @@ from collections.abc import Callable
 from functools import cache
 
 from pbd.engine import ti
-from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows
+from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec2, Vec3, Vec4, Vec4Rows
 from pbd.xpbd.schedule import advance_garment
 from pbd.xpbd.views import (
     BodySurface,
@@ -75,6 +75,8 @@ def advance_kernel(with_multigrid: bool, with_pairs: bool = False) -> Callable[.
         samples: Int2,
         sample_colors: Int1,
         nearest: Int1,
+        contact_faces: Int4,
+        contact_weights: Vec2,
         contact_points: Vec4Rows,
         active_samples: Int1,
         active_counts: Int2,
@@ -117,8 +119,8 @@ def advance_kernel(with_multigrid: bool, with_pairs: bool = False) -> Callable[.
                 BodySurface(body_start, body_end, ring_start, ring, fan_start, fan, body_normals),
                 Obstacles(primitives, fields, field_values),
                 ContactWork(
-                    samples, sample_colors, nearest, contact_points, active_samples, active_counts,
-                    contact_distance, max_approach,
+                    samples, sample_colors, nearest, contact_faces, contact_weights, contact_points, active_samples,
+                    active_counts, contact_distance, max_approach,
                 ),
                 MultigridArrays(
                     with_multigrid, parent, mass_share, displacement, patch_centers, predicted_displacement,

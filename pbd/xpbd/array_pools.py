@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from pbd.engine import ti
-from pbd.geometry import Float1, Int1, Int2, Int3, Int4, Vec3, Vec4
+from pbd.geometry import Float1, Int1, Int2, Int3, Int4, Vec2, Vec3, Vec4
 from pbd.taichi_internals import in_kernel, local, subscript
 
 __all__ = ["POOL_TYPES", "ArraySlice", "ArgumentLayout", "ArrayPools"]
 
-POOL_TYPES = (Float1, Vec3, Vec4, Int1, Int2, Int3, Int4)
+POOL_TYPES = (Float1, Vec2, Vec3, Vec4, Int1, Int2, Int3, Int4)
 
 
 def _kind(array_type: Any) -> tuple[bool, int]:
@@ -66,11 +66,18 @@ class ArgumentLayout:
         self.arrays = {name: wish for name, wish in types.items() if isinstance(wish, ti.types.ndarray)}
         self.numbers = {name: wish for name, wish in types.items() if name not in self.arrays}
 
-    def numbers_of(self, arguments: Mapping[str, Any]) -> tuple[np.ndarray, list[int]]:
+    def numbers_of(self, arguments: Mapping[str, Any]) -> tuple[list[float], list[int]]:
         """Real numbers and integers among the arguments of a garment, as :meth:`in_kernel` reads them."""
-        integers = [arguments[name] for name, wish in self.numbers.items() if wish is ti.i32]
-        reals = [np.atleast_1d(arguments[name]) for name, wish in self.numbers.items() if wish is not ti.i32]
-        return np.concatenate(reals), integers
+        integers: list[int] = []
+        reals: list[float] = []
+        for name, wish in self.numbers.items():
+            if wish is ti.i32:
+                integers.append(arguments[name])
+            elif wish is ti.f32:
+                reals.append(arguments[name])
+            else:
+                reals.extend(arguments[name])
+        return reals, integers
 
     @in_kernel
     def read(self, garment: Any, pools: Sequence[Any], table: Any, reals: Any, integers: Any) -> "KernelArguments":

@@ -17,7 +17,7 @@ from pbd.contact.body_search import BodySearch, find_nearest, find_nearest_verti
 from pbd.contact.colliders import Colliders
 from pbd.engine import running_arch, running_threads, ti
 from pbd.errors import InputError
-from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4
+from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec2, Vec3, Vec4
 from pbd.limits import LimitTargets
 from pbd.model import State
 from pbd.taichi_internals import Launch, in_kernel, signature
@@ -44,15 +44,16 @@ LOOP_BLOCK = 512  # Taichi gives a thread no less than this much of a loop
 # Of each garment alone: the arrays that a step reads of the world, those that it writes for it, and its workspace. All
 # others belong to its model or to its body's mesh, and garments may share them.
 READ = (
-    "position", "velocity", "nearest", "target_start", "target_end", "limits", "air", "primitives", "fields",
-    "body_start", "body_end", "body_normals", "steps",
+    "position", "velocity", "nearest", "contact_faces", "contact_weights", "target_start", "target_end", "limits",
+    "air", "primitives", "fields", "body_start", "body_end", "body_normals", "steps",
 )  # fmt: skip
-WRITTEN = ("position", "velocity", "nearest", "contact_distance")
+WRITTEN = ("position", "velocity", "nearest", "contact_faces", "contact_weights", "contact_distance")
 WORKSPACE = (
     "contact_distance", "position_delta", "normals", "velocity_delta", "contact_points", "active_samples",
     "active_counts", "displacement", "patch_centers", "predicted_displacement", "coarse_strain", "spring_workspace",
-    "max_approach", "cell_start", "cell_items", "item_cell",
+    "max_approach", "reached", "cell_start", "cell_items", "item_cell",
 )  # fmt: skip
+OWN = frozenset(READ + WORKSPACE)
 
 
 @in_kernel
@@ -87,6 +88,7 @@ def _batch_kernel(with_multigrid: bool, on_cuda: bool) -> Callable[..., None]:
     @ti.kernel
     def advance_batch(
         floats: Float1,
+        twos: Vec2,
         threes: Vec3,
         fours: Vec4,
         integers: Int1,
@@ -106,7 +108,7 @@ def _batch_kernel(with_multigrid: bool, on_cuda: bool) -> Callable[..., None]:
                 garment, worker, awaited = job // workers, job % workers, 0
                 views = _GarmentViews(
                     layout.read(
-                        garment, [floats, threes, fours, integers, pairs, triples, quads], table, reals, counts
+                        garment, [floats, twos, threes, fours, integers, pairs, triples, quads], table, reals, counts
                     ),
                     with_multigrid,
                 )
@@ -149,8 +151,9 @@ class BatchSolver:
         self._workers = MAX_WORKERS if on_cuda else threads_each
         self._layout = _layout(with_multigrid)
         self._launch = Launch(_batch_kernel(with_multigrid, on_cuda))
-        self._arrays: list[dict[str, np.ndarray]] = []
+        self._arrays: list[dict[str, np.ndarray]] = []  # that the pools were made for
         self._pools: ArrayPools | None = None
+        self._views: list[list[tuple[str, np.ndarray]]] = []  # parts of the pools that a step reads of the world
         self._barrier_counts = np.zeros(len(solvers), np.int32)
 
     def step(
@@ -187,7 +190,8 @@ class BatchSolver:
         if dt < MIN_FRAME_TIME:
             return
         arguments, read = [], []
-        for solver, state, collider, target, wind, limit_target in zip(
+        for number, solver, state, collider, target, wind, limit_target in zip(
+            range(count),
             self._solvers,
             states,
             colliders,
@@ -198,26 +202,38 @@ class BatchSolver:
         ):
             found = solver.prepare(state, collider, dt, target, wind, limit_target)
             arguments.append(found)
-            # Copies: a solver that stands for several garments writes the next one's into the same arrays.
-            read.append({name: found[name].copy() for name in READ})
-        self._run(arguments, read)
+            # Copied at once: a solver that stands for several garments writes the next one's into the same arrays.
+            read.append(self._place(number, found))
+        self._run(arguments, self._pools if self._pools and not any(read) else self._make_pools(arguments, read))
 
-    def _run(self, arguments: Sequence[Mapping[str, Any]], read: Sequence[Mapping[str, np.ndarray]]) -> None:
-        """Launch the kernel with the arguments of all garments, and copy its results back.
+    def _place(self, number: int, found: Mapping[str, Any]) -> dict[str, np.ndarray]:
+        """Copy the arrays that a garment's step reads of the world into the pools.
 
-        Args:
-            arguments: of each garment by their names.
-            read: those of them that the world gives, by their names.
+        Returns:
+            Copies of them by their names where the pools were made for other arrays; else none.
         """
-        arrays = [{name: own[name] for name in self._layout.arrays} for own in arguments]
+        if self._pools is None or not self._fits(number, found):
+            return {name: found[name].copy() for name in READ}
+        for name, there in self._views[number]:
+            there[...] = found[name]
+        return {}
+
+    def _make_pools(
+        self, arguments: Sequence[Mapping[str, Any]], read: Sequence[Mapping[str, np.ndarray]]
+    ) -> ArrayPools:
+        """Make pools for the arguments of all garments; those whose ``read`` is empty have it in the old pools."""
+        whole = [own or {name: there.copy() for name, there in self._views[k]} for k, own in enumerate(read)]
+        self._arrays = [{name: own[name] for name in self._layout.arrays} for own in arguments]
+        pools = self._pools = ArrayPools(self._layout, self._arrays, READ + WORKSPACE, READ + WRITTEN)
+        self._views = [[(name, its[name]) for name in READ] for its in pools.views]
+        for own, views in zip(whole, self._views, strict=True):
+            for name, there in views:
+                there[...] = own[name]
+        return pools
+
+    def _run(self, arguments: Sequence[Mapping[str, Any]], pools: ArrayPools) -> None:
+        """Launch the kernel with the arguments of all garments by their names, and copy its results back."""
         reals, integers = zip(*(self._layout.numbers_of(own) for own in arguments), strict=True)
-        pools = self._pools
-        if pools is None or not self._fits(arrays):
-            pools = self._pools = ArrayPools(self._layout, arrays, READ + WORKSPACE, READ + WRITTEN)
-            self._arrays = arrays
-        for own, there in zip(read, pools.views, strict=True):
-            for name, array in own.items():
-                there[name][:] = array
         self._barrier_counts[:] = 0
         self._launch(
             *pools.pools,
@@ -227,14 +243,13 @@ class BatchSolver:
             self._barrier_counts,
             self._workers,
         )
-        for own, there in zip(arrays, pools.views, strict=True):
+        for own, there in zip(arguments, pools.views, strict=True):
             for name in WRITTEN:
-                own[name][:] = there[name]
+                own[name][...] = there[name]
 
-    def _fits(self, arrays: Sequence[Mapping[str, np.ndarray]]) -> bool:
-        """Whether the pools were made for these arrays."""
-        return len(self._arrays) == len(arrays) and all(
-            array.shape == kept[name].shape if name in READ or name in WORKSPACE else array is kept[name]
-            for its, kept in zip(arrays, self._arrays, strict=True)
-            for name, array in its.items()
+    def _fits(self, number: int, found: Mapping[str, Any]) -> bool:
+        """Whether the pools were made for a garment's arrays: the same ones, or of the same shape where it has own."""
+        return all(
+            found[name] is array or (name in OWN and found[name].shape == array.shape)
+            for name, array in self._arrays[number].items()
         )

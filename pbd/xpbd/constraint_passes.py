@@ -95,19 +95,22 @@ def solve_bending(cloth: ti.template(), constraints: ti.template(), inverse_h2: 
     for c in range(begin, end):
         q = constraints.hinges[c]
         p0, p1, p2, p3 = cloth.position[q[0]], cloth.position[q[1]], cloth.position[q[2]], cloth.position[q[3]]
-        u0, u1 = xyz(cloth.position_delta[q[0]]), xyz(cloth.position_delta[q[1]])
-        u2, u3 = xyz(cloth.position_delta[q[2]]), xyz(cloth.position_delta[q[3]])
+        u0, u1 = cloth.position_delta[q[0]], cloth.position_delta[q[1]]
+        u2, u3 = cloth.position_delta[q[2]], cloth.position_delta[q[3]]
         rows, law = constraints.hinge_data[c, 0], constraints.hinge_data[c, 1]
-        x0, inverse_sum = xyz(p0), 1.0 / (law[0] + law[1] * inverse_h2)
-        d1, d2, d3 = (xyz(p1) - x0) + (u1 - u0), (xyz(p2) - x0) + (u2 - u0), (xyz(p3) - x0) + (u3 - u0)
-        multiplier = hinge_multiplier(d1, d2, d3, rows, inverse_sum)
+        inverse_sum = 1.0 / (law[0] + law[1] * inverse_h2)
+        # All four components alike, so that the compiler takes them at once; the last one moves nothing.
+        d1, d2, d3 = (p1 - p0) + (u1 - u0), (p2 - p0) + (u2 - u0), (p3 - p0) + (u3 - u0)
+        multiplier = hinge_multiplier(d1, d2, d3, rows, inverse_sum) * ti.math.vec4(1.0, 1.0, 1.0, 0.0)
         if law[2] != 0.0:
-            multiplier, along, across = bent_hinge(d1, d2, d3, rows, law[2], inverse_sum)
-            u0, u1, u2, u3 = u0 - p0[3] * along, u1 + p1[3] * along, u2 + p2[3] * across, u3 - p3[3] * across
-        cloth.position_delta[q[0]] = vec4(u0 + p0[3] * rows[0] * multiplier)
-        cloth.position_delta[q[1]] = vec4(u1 + p1[3] * rows[1] * multiplier)
-        cloth.position_delta[q[2]] = vec4(u2 + p2[3] * rows[2] * multiplier)
-        cloth.position_delta[q[3]] = vec4(u3 + p3[3] * rows[3] * multiplier)
+            bent, along, across = bent_hinge(xyz(d1), xyz(d2), xyz(d3), rows, law[2], inverse_sum)
+            multiplier = vec4(bent)
+            u0, u1 = u0 - p0[3] * vec4(along), u1 + p1[3] * vec4(along)
+            u2, u3 = u2 + p2[3] * vec4(across), u3 - p3[3] * vec4(across)
+        cloth.position_delta[q[0]] = u0 + p0[3] * rows[0] * multiplier
+        cloth.position_delta[q[1]] = u1 + p1[3] * rows[1] * multiplier
+        cloth.position_delta[q[2]] = u2 + p2[3] * rows[2] * multiplier
+        cloth.position_delta[q[3]] = u3 + p3[3] * rows[3] * multiplier
 
 
 @ti.func

@@ -133,17 +133,17 @@ def spring_multiplier(
 
 
 @ti.func
-def hinge_multiplier(d1: vec3, d2: vec3, d3: vec3, rows, inverse_sum: ti.f32):
+def hinge_multiplier(d1, d2, d3, rows, inverse_sum: ti.f32):
     """Quadratic hinge, energy |K x|^2 / (2 alpha): multiplier of the vector constraint K x = 0.
 
     Args:
-        d1, d2, d3: x_j - x_i, x_k - x_i, x_l - x_i [m]; the row sums to zero, so x_i itself drops out (and with it
-            the loss of digits far from the origin).
+        d1, d2, d3: x_j - x_i, x_k - x_i, x_l - x_i [m], vec3 or vec4; the row sums to zero, so x_i itself drops out
+            (and with it the loss of digits far from the origin).
         rows: (K_i, K_j, K_k, K_l).
         inverse_sum: 1 / (sum w K^2 + alpha/h^2).
 
     Returns:
-        lambda as vec3; vertex a moves by w_a K_a lambda.
+        lambda; vertex a moves by w_a K_a lambda.
     """
     return -(rows[1] * d1 + rows[2] * d2 + rows[3] * d3) * inverse_sum
 

@@ -42,9 +42,10 @@ def detect_teleport(before: np.ndarray, after: np.ndarray, drift: np.ndarray, dt
     if not len(before):
         return None
     chosen = slice(None, None, max(1, len(before) // MAX_POINTS))
-    found = fit_rigid_transform(before[chosen], after[chosen])
-    if np.linalg.norm(found.translation - dt * drift) < MIN_TELEPORT_SPEED * dt:
+    translation = after[chosen].mean(axis=0, dtype=float) - before[chosen].mean(axis=0, dtype=float)
+    if np.linalg.norm(translation - dt * drift) < MIN_TELEPORT_SPEED * dt:
         return None
+    found = fit_rigid_transform(before[chosen], after[chosen])
     off = np.linalg.norm(found.points(before[chosen].astype(float)) - after[chosen], axis=1).max()
     return found if off <= MAX_DEVIATION * np.linalg.norm(found.translation) else None
 

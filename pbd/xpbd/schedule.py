@@ -9,6 +9,7 @@ from pbd.contact.response import (
     collide_fields,
     collide_primitives,
     height_over,
+    keep_contact,
     push_out,
     sample_point,
     slid_off,
@@ -279,9 +280,9 @@ def collide_with_body(
 ):
     """Put the samples of colour k that touch the body out of it; t in [0, 1] of the frame.
 
-    In the first substep every sample finds where it touches. Where ``tests_all``, all samples are tested: those nearer
-    than ``active_distance`` [m] are active until the next time, and find again where they touch if they have slid off
-    it. In between, only the active samples are tested.
+    In the first substep every sample that has left the face of the last frame finds where it touches. Where
+    ``tests_all``, all samples are tested: those nearer than ``active_distance`` [m] are active until the next time, and
+    find again where they touch if they have slid off it. In between, only the active samples are tested.
     """
     half, row = contact.samples.shape[0], workers.row(k)
     region = workers.begin(contact.sample_colors[k], contact.sample_colors[k + 1])
@@ -295,7 +296,9 @@ def collide_with_body(
         if tests_all:
             u = 0.5 * (xyz(cloth.position_delta[i]) + xyz(cloth.position_delta[j]))
             again = is_first
-            if not again:
+            if is_first:
+                again = not keep_contact(x + u, c, t, active_distance, body, contact)
+            else:
                 moved = xyz(contact.contact_points[c, 0]) + t * xyz(contact.contact_points[c, 1])
                 offset, normal = (x - moved) + u, xyz(contact.contact_points[c, 2])
                 again = offset.dot(normal) < active_distance and slid_off(offset, normal)

@@ -104,7 +104,7 @@ class Solver:
         self._limits = model.limits.rows(area)
         self._unlimited = self._limits[:0]
         self._no_body = Body(np.zeros((0, 3), np.int32), 1)
-        self._items, self._item_cells = np.zeros((2, 1), np.int32)
+        self._reached, self._items, self._item_cells = np.zeros((3, 1), np.int32)
         levels = Multigrid.none(count)
         if self.options.coarse_sweeps and not model.layer.any():  # levels know one fabric
             levels = build_multigrid(model.mesh, model.mass, model.inverse_mass, model.options.membrane(model.fabric))
@@ -255,6 +255,8 @@ class Solver:
             "position": state.position,
             "velocity": state.velocity,
             "nearest": state.nearest,
+            "contact_faces": state.contact_faces,
+            "contact_weights": state.contact_weights,
             "contact_distance": state.contact,
             "target_start": target_start,
             "target_end": target_end,
@@ -272,6 +274,7 @@ class Solver:
             "surface": body.surface,
             "probes": body.probes,
             "probe_weights": body.probe_weights,
+            "reached": self._reached,
             "cell_items": self._items,
             "item_cell": self._item_cells,
             "parameters": self._parameters(dt / substeps),
@@ -307,12 +310,17 @@ class Solver:
         """The body to collide with, or one without faces; the workspace of its search is made large enough."""
         body = colliders.body or self._no_body
         # A body vertex that was near before may be no vertex of this body: it may be another one, or none.
-        state.nearest[state.nearest >= (len(body.current) if colliders.body else 0)] = -1
+        known = len(body.current) if colliders.body else 0
+        if state.nearest.max(initial=-1) >= known:
+            state.nearest[state.nearest >= known] = -1
+        if state.contact_faces.max(initial=-1) >= known:
+            state.contact_faces[:] = -1
         if colliders.body is not None:
             if np.any(body.origin != state.origin):
                 raise InputError("body and state have other origins", received=body.origin, expected=str(state.origin))
             if len(self._items) < len(body.current) + len(body.probes):
-                self._items, self._item_cells = np.zeros((2, len(body.current) + len(body.probes)), np.int32)
+                size = (3, len(body.current) + len(body.probes))
+                self._reached, self._items, self._item_cells = np.zeros(size, np.int32)
         return body
 
     def _follow_carrier(

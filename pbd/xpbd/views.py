@@ -141,6 +141,7 @@ class ContactWork:
         samples: two vertices, between which a sample lies; the same vertex twice for a vertex.
         sample_colors: offsets of the samples that share no vertex.
         nearest: body vertex near each sample, -1 for none.
+        contact_faces, contact_weights: the face that each sample touched last, see :class:`pbd.State`.
         contact_points: of each sample the point that it touches at the frame's start, the motion of that point over
             the frame, the normal there; vec4, shape (s, 3).
         active_samples: samples that have a body vertex near them, sorted by colour and worker; half the array further
@@ -153,6 +154,8 @@ class ContactWork:
     samples: Any = None
     sample_colors: Any = None
     nearest: Any = None
+    contact_faces: Any = None
+    contact_weights: Any = None
     contact_points: Any = None
     active_samples: Any = None
     active_counts: Any = None

@@ -16,10 +16,11 @@ from precompute.learning.recording import Recording, Run, body_source
 from precompute.learning.training import Layer, features_of, spread_frames
 from precompute.workers import Workers
 from runtime.simulation import BodySource
-from wrinkles.decoder import MeanWriter, PatchWriter, Upsampler
+from wrinkles.decoder import Upsampler
 from wrinkles.dictionary import Atoms, CoefficientNetwork
 from wrinkles.edge_lengths import EdgeLengthProjection
 from wrinkles.features import DYNAMIC_COUNT
+from wrinkles.fine_surface import FineSurface
 from wrinkles.levels import Levels
 from wrinkles.relaxation import Relaxation
 from wrinkles.spectrum import BandedEnergy
@@ -66,16 +67,12 @@ def by_features(mapping: CoefficientNetwork) -> Predictor:
 
 def by_patches(layer: Layer, predict: Predictor, atoms: Atoms) -> FrameDecoder:
     """Wrinkles from patches whose coefficients a mapping gives."""
-    keep_lengths = _isometry(_Kept.of(layer.levels))
-    add_to_fine, add_to_middle = PatchWriter(layer.patches), PatchWriter(layer.middle_patches)
-    add_mean = MeanWriter(layer.patches, atoms.vertex_mean)
+    projection = _isometry(_Kept.of(layer.levels))
+    surface = FineSurface(layer.levels.subdivision, layer.patches, atoms.vertex_mean, projection)
 
     def lift(fine: np.ndarray, upsample: Upsampler, features: np.ndarray, frames: np.ndarray, pose: np.ndarray) -> None:
         grids = (predict(features, pose) @ atoms.shapes + atoms.mean).astype(np.float32)
-        add_to_fine(grids, frames, fine)
-        add_mean(frames, fine)
-        add_to_middle(grids, frames, upsample.middle)
-        keep_lengths(upsample.middle, fine)
+        surface(upsample.middle, grids, frames, fine)
 
     return lift
 

@@ -38,14 +38,12 @@ class Layer:
     levels: Levels
     stencil: Stencil
     patches: Patches
-    middle_patches: Patches
 
 
 def build_layer(levels: Levels) -> Layer:
     """Charts, stencil and patches of a garment."""
     charts = Charts.of(levels.coarse)
-    fine, middle = (Patches.of(one, charts) for one in (levels.subdivision, levels.subdivision.middle))
-    return Layer(levels, Stencil.of(charts, levels.coarse_held), fine, middle)
+    return Layer(levels, Stencil.of(charts, levels.coarse_held), Patches.of(levels.subdivision, charts))
 
 
 def features_of(layer: Layer, recording: Recording) -> tuple[np.ndarray, np.ndarray]:

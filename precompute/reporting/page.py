@@ -25,35 +25,9 @@ from precompute.reporting.scatter import COLOR_COUNT, Band, Chart, Line, Marker,
 from runtime.pictures import encode_image
 
 __all__ = [
-    "Band", "Chart", "Heading", "KeyFigure", "Lead", "Line", "Picture", "Point", "Section", "Table", "Text",
+    "Band", "Chart", "Heading", "Line", "Picture", "Point", "Section", "Table", "Text",
     "render_page", "write_page",
 ]  # fmt: skip
-
-
-@dataclass(frozen=True)
-class KeyFigure:
-    """One large figure of a page's opening.
-
-    Attributes:
-        value: with its unit, as short as "0.8 ms".
-        caption: one sentence about the value: whose it is, and what it is compared with.
-    """
-
-    value: str
-    caption: str
-
-
-@dataclass(frozen=True)
-class Lead:
-    """The opening of a page, before any chart: a few sentences and two or three large figures.
-
-    Attributes:
-        text: paragraphs of plain text, parted by empty lines; may be empty.
-        figures: two or three of them, in the order in which a reader asks: how good, how fast, how small.
-    """
-
-    text: str
-    figures: Sequence[KeyFigure]
 
 
 @dataclass(frozen=True)
@@ -87,7 +61,7 @@ class Table:
     caption: str = ""
 
 
-Section = Lead | Heading | Text | Picture | Table | Chart
+Section = Heading | Text | Picture | Table | Chart
 
 
 def write_page(path: str | os.PathLike[str], title: str, sections: Sequence[Section]) -> None:
@@ -110,8 +84,8 @@ def render_page(title: str, sections: Sequence[Section]) -> str:
         sections: the page's content, in order. All text in them is plain text, never HTML.
 
     Raises:
-        InputError: a table's row has another length than its header, an opening has one figure or more than three, a
-            picture is neither PNG nor JPEG, or a chart cannot be drawn.
+        InputError: a table's row has another length than its header, a picture is neither PNG nor JPEG, or a
+            chart cannot be drawn.
     """
     prepared = [_prepared(section, f"chart{index}") for index, section in enumerate(sections)]
     return _environment().get_template("page.html").render(title=title, sections=prepared, color_count=COLOR_COUNT)
@@ -135,12 +109,6 @@ def _environment() -> jinja2.Environment:
 
 def _prepared(section: Section, name: str) -> dict[str, Any]:
     """A section as its template reads it; ``name`` is the start of the page-wide names of its elements."""
-    if isinstance(section, Lead):
-        if len(section.figures) not in (2, 3):
-            raise InputError(
-                "an opening of another size", key="figures", received=len(section.figures), expected="2 or 3"
-            )
-        return {"template": "lead.html", "paragraphs": _paragraphs(section.text), "figures": section.figures}
     if isinstance(section, Heading):
         return {"template": "heading.html", "text": section.text}
     if isinstance(section, Text):

@@ -36,8 +36,6 @@ from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import code_version
 from wrinkles.dictionary import CoefficientNetwork
 from wrinkles.features import DYNAMIC_COUNT
-from wrinkles.patches import Patches
-from wrinkles.surface import Subdivision
 
 __all__ = ["ABLATIONS", "COLUMNS", "Ablation", "ablate_file", "table"]
 
@@ -115,13 +113,8 @@ def _without_place(experiment: Experiment) -> Variant:
 
 def _blended(experiment: Experiment, blend: Callable[[np.ndarray], np.ndarray]) -> Variant:
     """With other weights of the three patches around a vertex, made from its barycentric weights."""
-
-    def changed(patches: Patches, mesh: Subdivision) -> Patches:
-        return replace(patches, blend=np.ascontiguousarray(blend(fine_places(mesh)[1]), np.float32))
-
-    layer, whole = experiment.layer, experiment.layer.levels.subdivision
-    fine, middle = changed(layer.patches, whole), changed(layer.middle_patches, whole.middle)
-    layer = replace(layer, patches=fine, middle_patches=middle)
+    place = fine_places(experiment.layer.levels.subdivision)[1]
+    layer = replace(experiment.layer, patches=experiment.layer.patches.blended(blend(place)))
     data = experiment.learn_from(layer)
     return experiment.variant(experiment.fit(data, layer), layer, data.atoms)
 

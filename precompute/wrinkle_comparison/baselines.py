@@ -185,16 +185,16 @@ def equal_cost_substeps(cost: Callable[[int], float], budget: float) -> int:
     return low if budget - at(low) <= at(high) - budget else high
 
 
-def fine_cloth(truth: Truth) -> Cloth:
-    """The truth's own garment and settings."""
-    run, levels = truth.run, truth.levels
+def fine_cloth(run: Run) -> Cloth:
+    """The garment and the settings of the fine simulation itself."""
+    levels = run.levels
     model = build_model(levels.fine, run.fabric, levels.fine_held, run.options, run.bend_factor, levels.fine_limits)
     return Cloth(model, levels.fine_attachment, body_source(run.body), run, run.solver, None, levels.fine.faces)
 
 
-def coarse_cloth(database: WrinkleDatabase, truth: Truth) -> Cloth:
-    """The coarse garment with its calibrated model."""
-    levels = truth.levels
+def coarse_cloth(database: WrinkleDatabase, run: Run) -> Cloth:
+    """The coarse garment of a fine run with its calibrated model."""
+    levels = run.levels
     model = build_model(
         database.rest_shape.applied(levels.coarse),
         database.fabric,
@@ -203,12 +203,12 @@ def coarse_cloth(database: WrinkleDatabase, truth: Truth) -> Cloth:
         database.bend_factor,
         levels.coarse_limits,
     )
-    source = body_source(truth.run.body)
+    source = body_source(run.body)
     faces = levels.fine.faces
-    return Cloth(model, levels.coarse_attachment, source, truth.run, database.solver, levels.subdivision, faces)
+    return Cloth(model, levels.coarse_attachment, source, run, database.solver, levels.subdivision, faces)
 
 
-def middle_levels(database: WrinkleDatabase, truth: Truth) -> Levels | None:
+def middle_levels(database: WrinkleDatabase, run: Run) -> Levels | None:
     """Levels from the coarse mesh subdivided once to the fine mesh, whose numbering is the same.
 
     The middle mesh has the fine one's side lengths, as the coarse mesh has. None where a single subdivision makes the
@@ -216,7 +216,7 @@ def middle_levels(database: WrinkleDatabase, truth: Truth) -> Levels | None:
     """
     if database.subdivisions < 2:
         return None
-    source = body_source(truth.run.body)
+    source = body_source(run.body)
     body = (source.vertices, source.faces)
     one = Subdivision.of(database.coarse_faces, len(database.coarse_vertices), 1)
     # Points of the smooth surface, so that the smooth surface through them is the same.
@@ -229,14 +229,14 @@ def middle_levels(database: WrinkleDatabase, truth: Truth) -> Levels | None:
     )
 
 
-def middle_cloth(database: WrinkleDatabase, truth: Truth, options: ModelOptions | None = None) -> Cloth | None:
-    """The garment on the middle mesh, converged as far as the truth is; None where there is no such mesh."""
-    levels = middle_levels(database, truth)
+def middle_cloth(database: WrinkleDatabase, run: Run, options: ModelOptions | None = None) -> Cloth | None:
+    """The garment on the middle mesh, converged as far as a fine run is; None where there is no such mesh."""
+    levels = middle_levels(database, run)
     if levels is None:
         return None
     options = options or ModelOptions(pressure=database.options.pressure)
     model = build_model(levels.coarse, database.fabric, levels.coarse_held, options, limits=levels.coarse_limits)
     # The stretch law of small steps asks for h N: one subdivision halves the edges, and so the substep.
     solver = replace(database.solver, substep=database.solver.substep / 2.0)
-    source = body_source(truth.run.body)
-    return Cloth(model, levels.coarse_attachment, source, truth.run, solver, levels.subdivision, levels.fine.faces)
+    source = body_source(run.body)
+    return Cloth(model, levels.coarse_attachment, source, run, solver, levels.subdivision, levels.fine.faces)

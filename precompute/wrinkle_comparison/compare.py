@@ -146,8 +146,8 @@ def compare(
         methods = play(tell) if pool.count == 1 else pool.run([play])[0]
         tell("comparing: figures")
         methods = _with_figures(truth, methods, pool)
-    clothes = {"coarse": coarse_cloth(database, truth), "middle_mesh": middle_cloth(database, truth)}
-    clothes["fine"] = fine_cloth(truth)
+    clothes = {"coarse": coarse_cloth(database, truth.run), "middle_mesh": middle_cloth(database, truth.run)}
+    clothes["fine"] = fine_cloth(truth.run)
     stability = []
     poses = run.poses[: round(STABILITY_SECONDS / run.dt) + 1]
     for name, cloth in clothes.items():
@@ -167,12 +167,12 @@ def _played(
     """All methods with their times and frames, without figures of the frames; arguments as for :func:`compare`."""
     free = free or play_freely(database, truth.run.body, truth.run)
     ours_ms, smooth_ms = player_times(database, truth)
-    settings = _settings(coarse_cloth(database, truth))
+    settings = _settings(coarse_cloth(database, truth.run))
     methods = [
         Method("smooth_", "smooth", typical_ms(smooth_ms), {}, settings, free.smooth),
         Method("", "ours", typical_ms(ours_ms), {}, settings, free.frames),
     ]
-    fine, middle = fine_cloth(truth), middle_cloth(database, truth)
+    fine, middle = fine_cloth(truth.run), middle_cloth(database, truth.run)
     methods += _baselines(database, truth, ours_ms, tell, most=1 if brief else 2)
     if middle is not None and not brief:
         tell("comparing: middle mesh, converged")
@@ -206,8 +206,8 @@ def _baselines(
     """The same without their figures, ``most`` of them."""
     budget = typical_ms(ours_ms[:PROBE_FRAMES])  # on the frames that baselines are tried on
     offered = [
-        (middle_cloth(database, truth), "middle_mesh_", "middle mesh, equal cost"),
-        (fine_cloth(truth), "equal_cost_fine_", "fine cloth, few substeps"),
+        (middle_cloth(database, truth.run), "middle_mesh_", "middle mesh, equal cost"),
+        (fine_cloth(truth.run), "equal_cost_fine_", "fine cloth, few substeps"),
     ]
     methods: list[Method] = []
     for cloth, prefix, name in offered:

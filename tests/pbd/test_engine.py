@@ -11,7 +11,8 @@ import pytest
 
 from pbd import InputError, ensure_initialized
 from pbd.engine import ti
-from pbd.taichi_internals import Launch
+from pbd.geometry import Vec3
+from pbd.taichi_internals import Launch, quickly_compiled
 from tests.data import ROOT
 
 
@@ -194,3 +195,61 @@ def test_taichi_arrays_are_taken() -> None:
 def test_a_launch_can_be_sent_to_another_process() -> None:
     other = pickle.loads(pickle.dumps(_launch()))  # noqa: S301
     _compare(other, _arguments(7))
+
+
+def test_a_quickly_compiled_kernel_has_the_same_bits() -> None:
+    """And other kernels are analysed as before."""
+
+    @quickly_compiled
+    @ti.kernel
+    def move(points: Vec3, weights: ti.types.ndarray(dtype=ti.f32, ndim=1)):
+        ti.loop_config(serialize=True)
+        for i in range(points.shape[0]):
+            p = points[i]
+            if weights[i] > 0.5:
+                p = p * weights[i] + 0.1
+            if p.norm() > 1.0:
+                p /= p.norm()
+            points[i] = p
+
+    ensure_initialized()
+    generator = np.random.default_rng(3)
+    points, weights = generator.standard_normal((50, 3)).astype(np.float32), generator.random(50).astype(np.float32)
+    config, seen = ti.lang.impl.get_runtime().prog.config(), []
+    kernel = getattr(move, "_primal")  # noqa: B009
+    ordinary = kernel.launch_kernel
+    kernel.launch_kernel = lambda *arguments: (seen.append(config.cfg_optimization), ordinary(*arguments))[1]
+    quick, analysed, launch = points.copy(), points.copy(), Launch(move)
+    launch(quick, weights)
+    assert seen == [False] and config.cfg_optimization
+    move(analysed, weights)
+    assert seen == [False, True] and np.array_equal(quick, analysed) and not np.array_equal(quick, points)
+
+
+def test_the_place_of_an_error_in_a_kernel_is_named() -> None:
+    @ti.kernel
+    def wrong(points: Vec3):
+        points[0] = missing  # pyright: ignore[reportUndefinedVariable] # noqa: F821
+
+    ensure_initialized()
+    with pytest.raises(ti.TaichiCompilationError, match=r"test_engine\.py.*line \d+, in wrong"):
+        wrong(np.zeros((1, 3), np.float32))
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no system that places threads")
+@pytest.mark.parametrize("threads", [1, 2])
+def test_threads_that_share_a_loop_have_a_core_each(threads: int) -> None:
+    script = (
+        "import os\nfrom pbd import ensure_initialized\n"
+        "from pbd.engine import _threads\nearlier = _threads()\nensure_initialized()\n"
+        "print(*sorted(str(sorted(os.sched_getaffinity(t))) for t in _threads() - earlier), sep=';')\n"
+        "print(sorted(os.sched_getaffinity(0)))\n"
+    )
+    settings = {**os.environ, "GUBE_THREADS": str(threads)}
+    command = [sys.executable, "-c", script]
+    result = subprocess.run(command, cwd=ROOT, env=settings, capture_output=True, text=True, check=True)
+    placed, own = result.stdout.split("\n")[:2]
+    cores = sorted(os.sched_getaffinity(0))
+    assert own == str(cores)  # the caller's thread goes where it likes
+    expected = {str([core]) for core in cores[:2]} if 1 < threads <= len(cores) else {str(cores)}
+    assert set(placed.split(";")) == expected

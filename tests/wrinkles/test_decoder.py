@@ -12,6 +12,7 @@ from wrinkles.charts import Charts
 from wrinkles.decoder import Decoder, Upsampler
 from wrinkles.dictionary import FABRIC_COUNT, Atoms, CoefficientNetwork
 from wrinkles.features import DYNAMIC_COUNT, Stencil
+from wrinkles.fine_surface import FineSurface
 from wrinkles.novelty import NoveltyScore
 from wrinkles.patches import NODES, SIDE, Patches
 from wrinkles.surface import Subdivision
@@ -31,7 +32,7 @@ def test_the_upsampler_is_the_matrix(levels: int) -> None:
     upsample = Upsampler(subdivision)
     upsample(position, fine)
     np.testing.assert_allclose(fine, subdivision.matrix @ position[:, :3], atol=2e-6)
-    np.testing.assert_allclose(upsample.middle, subdivision.to_middle @ position[:, :3], atol=2e-6)
+    np.testing.assert_allclose(upsample.middle[:, :3], subdivision.to_middle @ position[:, :3], atol=2e-6)
 
 
 def test_normals_of_a_sphere_point_outward() -> None:
@@ -51,7 +52,6 @@ class Layer:
         self.subdivision = Subdivision.of(faces, count, 2)
         charts = Charts.of(ClothMesh.from_surface(vertices, faces))
         self.stencil, self.patches = Stencil.of(charts, np.array([0])), Patches.of(self.subdivision, charts)
-        self.middle_patches = Patches.of(self.subdivision.middle, charts)
         shapes, mean = single(atoms, 3 * NODES, size=0.01), single(3 * NODES, seed=1, size=0.01)
         vertex_mean = single(self.subdivision.fine_count, 3, seed=11, size=0.01)
         self.atoms = Atoms(shapes, mean, 1.0, vertex_mean)
@@ -80,16 +80,18 @@ class Layer:
     def decoder(self, **changes: float) -> Decoder:
         """A decoder whose wrinkles never fade, unless ``changes`` say so."""
         novelty = replace(self.novelty, **changes)
-        return Decoder(self.stencil, self.patches, self.middle_patches, self.mapping, self.atoms, novelty)
+        return Decoder(self.stencil, self.mapping, self.atoms, novelty)
 
     def add(self, decoder: Decoder) -> np.ndarray:
         """What the decoder adds to the fine vertices [m], shape (N, 3)."""
-        fine = np.zeros((self.subdivision.fine_count, 3), np.float32)
-        decoder.add(self.position, self.contact, fine, self.middle())
+        surface = FineSurface(self.subdivision, self.patches, self.atoms.vertex_mean)
+        fine, flat = (
+            np.zeros((self.subdivision.fine_count, 3), np.float32),
+            np.zeros((self.subdivision.middle.fine_count, 4), np.float32),
+        )
+        decoder.predict(self.position, self.contact)
+        surface(flat, decoder.grids, decoder.frames, fine)
         return fine
-
-    def middle(self) -> np.ndarray:
-        return np.zeros((self.subdivision.middle.fine_count, 3), np.float32)
 
 
 @pytest.fixture(scope="module")
@@ -117,23 +119,11 @@ def test_the_decoder_adds_what_the_mapping_predicts(layer: Layer) -> None:
     np.testing.assert_allclose(layer.add(layer.decoder()), expected, atol=1e-5)
 
 
-def test_the_decoder_adds_to_what_is_there_and_keeps_nothing(layer: Layer) -> None:
+def test_the_decoder_keeps_nothing(layer: Layer) -> None:
     decoder = layer.decoder()
     first = layer.add(decoder)
-    fine = first.copy()
-    decoder.add(2.0 * layer.position, layer.contact, fine, layer.middle())  # another state in between
-    assert np.abs(fine - 2.0 * first).max() > 1e-3
+    decoder.predict(2.0 * layer.position, layer.contact)  # another state in between
     assert np.array_equal(layer.add(decoder), first)
-    fine = np.full_like(first, 0.5)
-    decoder.add(layer.position, layer.contact, fine, layer.middle())
-    np.testing.assert_allclose(fine - 0.5, first, atol=1e-6)
-
-
-def test_middle_vertices_get_what_the_fine_ones_there_get_but_the_mean(layer: Layer) -> None:
-    fine, middle, decoder = np.zeros((layer.subdivision.fine_count, 3), np.float32), layer.middle(), layer.decoder()
-    decoder.add(layer.position, layer.contact, fine, middle)
-    fine -= turned(layer.patches.turning, decoder.frames, layer.atoms.vertex_mean).astype(np.float32)
-    np.testing.assert_allclose(middle, fine[: len(middle)], atol=1e-6)
 
 
 def test_wrinkles_fade_where_the_state_is_unfamiliar(layer: Layer) -> None:

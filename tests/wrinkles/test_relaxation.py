@@ -203,3 +203,71 @@ def test_a_coarse_vertex_that_goes_over_to_another_part_remembers_the_one_that_i
     depth = lambda x: 0.1 - np.linalg.norm(x - over, axis=1).min()  # noqa: E731
     assert middle.sum() > 3 and depth(raised) > 0.003
     assert depth(cloth(raised, contacts=low)) < 1e-3
+
+
+def follow(cloth: Cloth, poses: list[np.ndarray], noise: float = 3e-4) -> tuple[np.ndarray, np.ndarray, list[float]]:
+    """Relax the cloth over a body that moves, with what was remembered and from scratch.
+
+    Returns:
+        Greatest and mean distance between both in each frame [m], and the share of remembered places that it kept.
+    """
+    rng, greatest, mean, kept = np.random.default_rng(0), [], [], []
+    for pose in poses:
+        cloth.body.advance(pose.astype(np.float32))
+        start = cloth.rest + noise * rng.standard_normal(cloth.rest.shape)
+        remembering, before = cloth.relax, cloth.relax.memory
+        ours = cloth(start)
+        # Corners of the touched faces are among what is remembered.
+        kept.append(float((remembering.memory[1] == before[1]).all(axis=1)[: len(cloth.rest)].mean()))
+        cloth.relax = remembering.fresh()
+        apart = np.linalg.norm(ours - cloth(start), axis=1)
+        cloth.relax = remembering
+        greatest.append(apart.max())
+        mean.append(apart.mean())
+    return np.array(greatest), np.array(mean), kept
+
+
+def ball_under() -> tuple[np.ndarray, np.ndarray]:
+    """A ball whose top is 3 mm over the sheet [m], and its faces."""
+    ball, faces = icosphere(4, 0.08)
+    return ball + np.array([0.1, 0.1, 0.003 - 0.08]), faces
+
+
+def turned_about(vertices: np.ndarray, angle: float, centre: np.ndarray) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    return (vertices - centre) @ np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]]) + centre
+
+
+def test_remembered_places_of_the_body_are_as_good_as_those_of_a_search() -> None:
+    """The ball glides, sinks, rises and turns; vertices lie elsewhere by a quarter of a millimetre at most."""
+    ball, faces = ball_under()
+    cloth = Cloth(body=(ball, faces))
+    centre = ball.mean(axis=0)
+    poses = [
+        turned_about(ball, 0.02 * k, centre) + [0.001 * k, 0.0, 0.002 * np.sin(0.5 * k)] for k in range(30)
+    ]  # fmt: skip
+    greatest, mean, kept = follow(cloth, poses)
+    assert greatest.max() < 2.5e-4 and mean.max() < 3e-6
+    assert np.median(kept) > 0.9  # and they were remembered
+
+
+@pytest.mark.parametrize("jump", [(0.0, 0.0, -1.0), (0.03, 0.02, 0.002), (0.0, 0.0, 0.02)])
+def test_a_body_that_jumps_or_dashes_is_searched_anew(jump: tuple[float, float, float]) -> None:
+    """Away and back, to another place, and 2 cm into the cloth in one frame."""
+    ball, faces = ball_under()
+    cloth = Cloth(body=(ball, faces))
+    greatest, _, _ = follow(cloth, [ball, ball, ball + np.array(jump), ball + np.array(jump), ball], noise=0.0)
+    assert greatest.max() < 2.5e-4
+
+
+def test_what_was_remembered_can_be_set_again() -> None:
+    ball, faces = ball_under()
+    cloth = Cloth(body=(ball, faces))
+    cloth(cloth.rest)
+    memory, noisy = cloth.relax.memory, cloth.rest + 3e-4 * np.random.default_rng(1).standard_normal(cloth.rest.shape)
+    first = cloth(noisy)
+    cloth.body.advance((ball + [0.02, 0.0, 0.01]).astype(np.float32))
+    cloth(cloth.rest)
+    cloth.body.advance(ball.astype(np.float32))
+    cloth.relax.memory = memory
+    assert np.array_equal(cloth(noisy), first)

@@ -9,10 +9,11 @@ from scipy.sparse import identity
 from pbd import ClothMesh
 from pbd.geometry import surface_normals
 from tests.wrinkles.delivered import delivered_levels, delivered_panels
+from tests.wrinkles.fine_surfaces import patch_sums
 from tests.wrinkles.meshes import icosphere
 from wrinkles.charts import Charts
-from wrinkles.decoder import MeanWriter, PatchWriter, add_patches
 from wrinkles.features import DYNAMIC_COUNT, Stencil
+from wrinkles.fine_surface import FineSurface
 from wrinkles.levels import Levels
 from wrinkles.patches import NODES, Patches
 from wrinkles.surface import Subdivision
@@ -76,6 +77,11 @@ def test_the_mean_is_found_again(patches: Patches) -> None:
     assert swaying == pytest.approx(mean, abs=5e-5)
 
 
+def flat(levels: Levels) -> np.ndarray:
+    """Middle vertices that add nothing [m], shape (q, 4)."""
+    return np.zeros((levels.subdivision.middle.fine_count, 4), np.float32)
+
+
 def test_patches_are_written_smoothly_where_places_crowd(levels: Levels, patches: Patches) -> None:
     rng, binding = np.random.default_rng(1), levels.subdivision.binding
     assert binding is not None and patches.smoothing is not None
@@ -84,21 +90,20 @@ def test_patches_are_written_smoothly_where_places_crowd(levels: Levels, patches
     patches = replace(patches, smoothing=binding.smoothing_where(levels.fine.vertices[:, 0] > 0.3))
     frames = frames_of(levels, levels.coarse.vertices)
     grids = rng.standard_normal((len(frames), 3 * NODES)).astype(np.float32)
-    fine, read = np.zeros((2, levels.subdivision.fine_count, 3), np.float32)
-    add_patches(grids, frames, patches.corners, patches.blend, patches.cell, patches.within, read)
-    write = PatchWriter(patches)
+    none, smoothed = np.zeros((2, levels.subdivision.fine_count, 3), np.float32)
+    surface = FineSurface(levels.subdivision, patches, none)
     for _ in range(2):  # nothing is kept
-        fine[:] = 0.5
-        write(grids, frames, fine)
-        np.testing.assert_allclose(fine - 0.5, patches.smoothing @ read, atol=1e-5)
+        surface(flat(levels), grids, frames, smoothed)
+        expected = patches.smoothing @ patch_sums(patches, grids, frames)
+        np.testing.assert_allclose(smoothed, expected, atol=1e-5)
 
 
 def test_the_mean_is_written_as_it_is_turned(levels: Levels, patches: Patches) -> None:
     frames = frames_of(levels, levels.coarse.vertices @ rotation(2, 0.3))
     mean = np.random.default_rng(2).standard_normal((levels.subdivision.fine_count, 3)).astype(np.float32)
-    fine = np.full(mean.shape, 0.5, np.float32)
-    MeanWriter(patches, mean)(frames, fine)
-    np.testing.assert_allclose(fine - 0.5, turned(patches.turning, frames, mean), atol=1e-5)
+    surface, fine = FineSurface(levels.subdivision, patches, mean), np.zeros_like(mean)
+    surface(flat(levels), np.zeros((len(frames), 3 * NODES), np.float32), frames, fine)
+    np.testing.assert_allclose(fine, turned(patches.turning, frames, mean), atol=1e-5)
 
 
 def test_frames_of_a_subdivided_mesh_are_blended_as_its_patches() -> None:

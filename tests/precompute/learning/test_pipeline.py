@@ -113,9 +113,9 @@ def test_how_the_wrinkles_behave_in_time_is_measured_beside_the_truth(learned: P
 def test_strange_states_fade_and_ordinary_ones_do_not(learned: Precomputed) -> None:
     quality, mapping, novelty = learned.database.quality, learned.database.mapping, learned.database.novelty
     assert learned.evaluation is not None
-    # Ten seeds give 0.27 to 0.45, 0.37 with a deviation of 0.06, and any change of rounding is like another seed. The
-    # bound is three deviations below; a score that says nothing has 0.
-    assert quality["unfamiliarity_spearman"] > 0.19 and quality["faded_percent"] < 10.0
+    # This seed gives 0.416, ten seeds give 0.27 to 0.45: the rounding of another machine may be like another seed. A
+    # score that says nothing has 0.
+    assert quality["unfamiliarity_spearman"] > 0.27 and quality["faded_percent"] < 10.0
     rng = np.random.default_rng(0)
     strange = 8.0 * rng.standard_normal((20, len(mapping.place_bias), len(mapping.center)))
     far = novelty.amplitude(novelty.score(mapping.hidden(mapping.center + strange / mapping.scale)))

@@ -19,9 +19,9 @@ from precompute.learning.training import (
     training_set,
 )
 from tests.runtime.players import skirt_stage
-from wrinkles.decoder import add_patches
 from wrinkles.dictionary import fit_coefficient_network
 from wrinkles.features import DYNAMIC_COUNT
+from wrinkles.fine_surface import FineSurface
 
 FRAMES = 12
 
@@ -74,7 +74,8 @@ def test_coefficients_say_what_the_residual_is(layer: Layer, recording: Recordin
     for f in (0, FRAMES // 2, FRAMES - 1):
         grids = (data.coefficients[f] @ data.atoms.shapes + data.atoms.mean).astype(np.float32)
         decoded = np.zeros(residual[f].shape, np.float32)
-        add_patches(grids, frames[f], patches.corners, patches.blend, patches.cell, patches.within, decoded)
+        surface = FineSurface(layer.levels.subdivision, patches, np.zeros_like(decoded))
+        surface(np.zeros((layer.levels.subdivision.middle.fine_count, 4), np.float32), grids, frames[f], decoded)
         rest = np.sqrt(((decoded - residual[f]) ** 2).sum(axis=1).mean())
         assert rest < 0.1 * np.sqrt((residual[f] ** 2).sum(axis=1).mean())
 

@@ -15,8 +15,6 @@ from precompute.reporting.page import (
     Band,
     Chart,
     Heading,
-    KeyFigure,
-    Lead,
     Line,
     Picture,
     Point,
@@ -117,21 +115,11 @@ def test_every_text_is_escaped(tmp_path):
     )
     table = Table([HOSTILE], [[HOSTILE]], HOSTILE)
     image = Picture(np.zeros((4, 4, 3), np.uint8), HOSTILE)
-    lead = Lead(HOSTILE, [KeyFigure(HOSTILE, HOSTILE), KeyFigure(HOSTILE, HOSTILE)])
-    write_page(tmp_path / "a.html", HOSTILE, [lead, Heading(HOSTILE), Text(HOSTILE), image, table, hostile_chart])
+    write_page(tmp_path / "a.html", HOSTILE, [Heading(HOSTILE), Text(HOSTILE), image, table, hostile_chart])
     page = Page(tmp_path / "a.html")
     assert len(page.all("script")) == 1 and not page.all("b")
     assert all(not name.startswith("on") for _, attributes in page.elements for name in attributes)
     assert page.text.count(HOSTILE) >= 25
-
-
-def test_the_opening_shows_large_figures_with_their_captions(tmp_path):
-    page = written(
-        tmp_path / "a.html", Lead("One.\n\nTwo.", [KeyFigure("6.3°", "how good"), KeyFigure("1 ms", "how fast")])
-    )
-    assert len(page.all("div", "lead")) == 1 and len(page.all("dd")) == len(page.all("dt")) == 2
-    figures = [word for word in page.words if word][1:]
-    assert figures == ["A title", "One.", "Two.", "how good", "6.3°", "how fast", "1 ms"]
 
 
 def test_what_is_written_is_what_is_rendered(tmp_path):
@@ -249,7 +237,6 @@ def test_colors_stand_out_in_light_and_dark(tmp_path):
     ("section", "message"),
     [
         (Table(["a", "b"], [[1, 2], [1]]), r"rows\[1\].*1 cells"),
-        (Lead("", [KeyFigure("1 ms", "how fast")]), "2 or 3"),
         (chart([]), "at least one point"),
         (chart([Point(0.0, 1.0, "ours", "x0")], log_x=True), "x of 'x0'.*positive"),
         (chart([Point(1.0, float("nan"), "ours")]), "y of 'ours'.*nan"),

@@ -92,7 +92,7 @@ def rigged(comparison: Comparison, prefix: str) -> Comparison:
 
 
 def test_the_middle_mesh_leads_to_the_same_fine_mesh(database: WrinkleDatabase, truth: Truth) -> None:
-    middle, levels = middle_levels(database, truth), truth.levels
+    middle, levels = middle_levels(database, truth.run), truth.levels
     assert middle is not None
     assert np.array_equal(middle.subdivision.faces, levels.fine.faces)
     assert np.array_equal(middle.fine_held, levels.fine_held)
@@ -100,7 +100,7 @@ def test_the_middle_mesh_leads_to_the_same_fine_mesh(database: WrinkleDatabase, 
     size = np.ptp(levels.fine.vertices, axis=0).max()
     assert np.abs(middle.fine.vertices - levels.fine.vertices).max() < 0.02 * size
     assert middle.coarse.face_areas.sum() == pytest.approx(levels.fine.face_areas.sum(), rel=0.01)
-    assert middle_levels(replace(database, subdivisions=1), truth) is None
+    assert middle_levels(replace(database, subdivisions=1), truth.run) is None
 
 
 @pytest.mark.parametrize(
@@ -187,7 +187,7 @@ def test_a_cloth_that_breaks_says_when(array: str, value: float, truth: Truth, m
             getattr(simulation.state, array)[0] = value
 
     monkeypatch.setattr(Simulation, "step", breaking)
-    played = fine_cloth(truth).with_substeps(2).play(np.array([2, 4, 8]))
+    played = fine_cloth(truth.run).with_substeps(2).play(np.array([2, 4, 8]))
     assert played.broke_at == pytest.approx(6 / 30)
     assert len(played.frames) == 2
 

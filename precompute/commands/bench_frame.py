@@ -1,0 +1,35 @@
+"""`gube bench frame`: the parts of a frame beside their limits on this machine."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import TYPE_CHECKING
+
+from runtime.arguments import add_database, positive
+
+if TYPE_CHECKING:
+    from runtime.report import Report
+
+__all__ = ["SUMMARY", "add_arguments", "run"]
+
+SUMMARY = "time the parts of a frame of a database and of plain cloth beside this machine's limits"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    add_database(parser)
+    parser.add_argument(
+        "--seconds", type=positive, metavar="S", default=3.0, help="motion that is played [s] (default: %(default)g)"
+    )
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Play the database and plain cloth, and print the tables."""
+    from precompute.benchmarks.frame import bench_frame, frame_text
+    from runtime.report import Progress, Report
+
+    with Progress(sys.stderr) as progress:
+        bench = bench_frame(options.database, options.seconds, progress)
+    print(frame_text(bench))
+    return Report(bench.figures(), bench.rows())
