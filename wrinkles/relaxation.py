@@ -11,7 +11,7 @@ from pbd.contact.colliders import Body
 from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Vec3, Vec4, closest_in_fan, descend, vec3, vec4, xyz
 from pbd.mesh import ClothMesh
-from pbd.taichi_internals import Launch, in_kernel, quickly_compiled
+from pbd.taichi_internals import Launch, in_kernel
 from pbd.xpbd.views import BodySurface
 from wrinkles.charts import leading_vertices
 from wrinkles.clearance import clearances, facing
@@ -85,7 +85,6 @@ class _Covered:
     _data_oriented = True
 
 
-@quickly_compiled
 @ti.kernel
 def _relax(
     fine: Vec3,
