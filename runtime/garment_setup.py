@@ -135,14 +135,14 @@ def fabrics_of(scene: Scene, settings: GarmentSettings) -> dict[str, Fabric]:
 
 
 def coarse_options(options: SolverOptions) -> SolverOptions:
-    """Options of the coarse garment of a database: substeps twice as long as the scene's, and no coarser levels.
+    """Options of the coarse garment of a database, whose substeps are twice as long as the scene's.
 
-    Its model is calibrated with these options, so that it need not be the converged cloth.
+    Its model is calibrated with these substeps, so that it need not be the converged cloth.
 
     Args:
         options: of the scene.
     """
-    return replace(options, substep=2.0 * options.substep, coarse_sweeps=0)
+    return replace(options, substep=2.0 * options.substep)
 
 
 def fine_options(options: SolverOptions, subdivisions: int) -> SolverOptions:
