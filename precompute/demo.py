@@ -25,7 +25,7 @@ from precompute.learning.stages import StageClock
 from precompute.reporting.page import write_page
 from precompute.workers import Workers
 from runtime.bake import bake_glb
-from runtime.garment_setup import GarmentSetup, coarse_options
+from runtime.garment_setup import GarmentSetup
 from runtime.glb import BYTES_A_VERTEX
 from runtime.pictures import BODY_COLOR, Drawn, frame_camera, render, save_png, strip
 from runtime.play import posed_bodies
@@ -223,9 +223,7 @@ def _first_picture(
     """Simulate the held-out motion, coarse and fine, and draw both before anything is learned."""
     stage = GarmentSetup.of(scene)
     run = scene_run(stage, scene, stage.motion(scene.training.held_out[0]))
-    coarse = replace(
-        run, name=f"{run.name} (coarse)", fine=False, solver=coarse_options(scene.solver.options()), bend_factor=None
-    )
+    coarse = replace(run, name=f"{run.name} (coarse)", fine=False, solver=scene.solver.options(), bend_factor=None)
     # The fine runs that it is judged by are wanted later: they keep the other core busy.
     truth, *others = truth_runs(run, demo.options)
     found = record_runs([truth, coarse, *others[:1]], cache, workers, report)

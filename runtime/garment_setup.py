@@ -41,7 +41,6 @@ from wrinkles.levels import Levels, build_levels
 __all__ = [
     "PROCEDURAL_PIECE",
     "GarmentSetup",
-    "coarse_options",
     "body_of",
     "colliders_of",
     "coarse_garment",
@@ -134,24 +133,13 @@ def fabrics_of(scene: Scene, settings: GarmentSettings) -> dict[str, Fabric]:
     return {own: fabric_of(settings)} | {name: fabric_of(replace(settings, fabric=PRESETS[name])) for name in others}
 
 
-def coarse_options(options: SolverOptions) -> SolverOptions:
-    """Options of the coarse garment of a database, whose substeps are twice as long as the scene's.
-
-    Its model is calibrated with these substeps, so that it need not be the converged cloth.
-
-    Args:
-        options: of the scene.
-    """
-    return replace(options, substep=2.0 * options.substep)
-
-
 def fine_options(options: SolverOptions, subdivisions: int) -> SolverOptions:
     """Options of the fine simulation.
 
     The stretch of small steps depends on substep times number of edges, so each subdivision halves the substep.
 
     Args:
-        options: of the scene, with which the coarse mesh is simulated as plain cloth.
+        options: of the coarse simulation.
         subdivisions: from the coarse to the fine mesh.
     """
     return replace(options, substep=options.substep / 2.0**subdivisions)

@@ -25,7 +25,7 @@ from precompute.benchmarks.frame_limits import (
     normal_bytes,
 )
 from precompute.benchmarks.stopwatch import PARTS, Stopwatch, stopwatch
-from precompute.learning.evaluation import levels_from, played_run
+from precompute.learning.evaluation import fine_run, levels_from
 from precompute.learning.recording import Run
 from precompute.wrinkle_comparison.baselines import Cloth, coarse_cloth, fine_cloth, middle_cloth
 from runtime.play import PlaybackInputs, open_database
@@ -148,7 +148,7 @@ def bench_frame(path: Path, seconds: float, report: Callable[[str], None] = lamb
     database, inputs = open_database(path)
     motion = inputs.motions[0]
     levels = levels_from(database, inputs.body)
-    run = played_run(database, levels, inputs, motion)
+    run = fine_run(levels, inputs.body, motion, database, wind=inputs.wind, primitives=inputs.primitives)
     least = (SKIPPED + 2 * LIMIT_EVERY) / database.frame_rate
     if min(seconds, motion.duration) < least:
         raise InputError("nothing to measure", key="--seconds", received=seconds, expected=f"at least {least:.2g} [s]")

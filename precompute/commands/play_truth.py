@@ -34,7 +34,7 @@ def _beside_truth(
     options: argparse.Namespace, database: WrinkleDatabase, inputs: PlaybackInputs, motion: Motion
 ) -> dict[str, Any]:
     """Figures of a motion beside the fine simulation, and pictures of both."""
-    from precompute.learning.evaluation import evaluate, levels_from, played_run, truth_of
+    from precompute.learning.evaluation import evaluate, fine_run, levels_from, truth_of
     from precompute.learning.pipeline import default_cache
     from precompute.wrinkle_comparison.baselines import player_times, typical_ms
     from precompute.wrinkle_comparison.compare import equal_cost_baselines
@@ -43,7 +43,7 @@ def _beside_truth(
     from runtime.strips import draw_strips
 
     levels = levels_from(database, inputs.body)
-    run = played_run(database, levels, inputs, motion)
+    run = fine_run(levels, inputs.body, motion, database, wind=inputs.wind, primitives=inputs.primitives)
     with Progress(sys.stderr) as progress:
         truth = truth_of(run, default_cache(options.database), os.cpu_count() or 1, progress)
         if options.seconds is not None:

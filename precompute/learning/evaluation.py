@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from assets.character import Character
 from assets.io.sequence import Sequence as VertexSequence
-from pbd import InputError, ModelOptions, SolverOptions
+from pbd import InputError, ModelOptions
 from pbd.bending import hinge_calibration
 from pbd.wind import CALM, Air
 from precompute.learning.decoding import bands_of, decode_recording
@@ -24,8 +24,8 @@ from precompute.learning.recording import Recording, Run, body_source, poses_of,
 from precompute.learning.stages import counted
 from precompute.learning.training import build_layer, features_of
 from precompute.workers import Workers
-from runtime.garment_setup import fine_options, scene_of
-from runtime.play import Free, PlaybackInputs, play, timing_figures
+from runtime.garment_setup import fine_options
+from runtime.play import Free, play, timing_figures
 from runtime.player import Player
 from runtime.simulation import Motion
 from wrinkles.charts import leading_vertices
@@ -53,7 +53,6 @@ __all__ = [
     "given_frames",
     "levels_from",
     "play_freely",
-    "played_run",
     "truth_of",
     "truth_runs",
 ]
@@ -77,7 +76,6 @@ def fine_run(
     *,
     wind: Air = CALM,
     primitives: tuple = (),
-    solver: SolverOptions | None = None,
 ) -> Run:
     """The converged fine simulation of a motion.
 
@@ -88,7 +86,6 @@ def fine_run(
         database_like: gives ``fabric``, ``options``, ``solver`` and ``frame_rate``.
         wind: velocity of the air [m/s].
         primitives: what the garment meets besides the body.
-        solver: of the scene; None takes that of ``database_like``.
     """
     dt = 1.0 / database_like.frame_rate
     return Run(
@@ -100,19 +97,11 @@ def fine_run(
         dt,
         database_like.fabric,
         ModelOptions(pressure=database_like.options.pressure),
-        fine_options(solver or database_like.solver, len(levels.subdivision.steps)),
+        fine_options(database_like.solver, len(levels.subdivision.steps)),
         bend_factor=_fine_bend(levels),
         wind=wind,
         primitives=primitives,
         lead_in=motion.lead_in,
-    )
-
-
-def played_run(database: WrinkleDatabase, levels: Levels, inputs: PlaybackInputs, motion: Motion) -> Run:
-    """The converged fine simulation of a motion on which a database is played."""
-    solver = scene_of(database).solver.options()
-    return fine_run(
-        levels, inputs.body, motion, database, wind=inputs.wind, primitives=inputs.primitives, solver=solver
     )
 
 

@@ -33,7 +33,7 @@ from precompute.learning.recording import Recording, Run, body_source, record_ru
 from precompute.learning.stages import StageClock, StageTime
 from precompute.learning.training import Layer, build_layer, fit_layer, spread_frames, training_set
 from precompute.workers import Workers
-from runtime.garment_setup import GarmentSetup, coarse_options, colliders_of, fabrics_of
+from runtime.garment_setup import GarmentSetup, colliders_of, fabrics_of
 from runtime.simulation import Motion
 from wrinkles.charts import leading_vertices
 from wrinkles.database import LearnedFabric, WrinkleDatabase, as_stored, body_hash, code_version, write_database
@@ -274,7 +274,7 @@ def _coarse_model(work: _Work, examples: Sequence[_Example]) -> CoarseModel:
     if levels.subdivision.binding is not None:  # sewn as it came, perhaps in pleats
         learned = spread_frames([example.recording for example in examples], work.options.training_frames)
         rest_shape = RestShapeCorrection.of(levels.coarse, np.concatenate([recording.coarse for recording in learned]))
-    return CoarseModel(coarse_options(work.scene.solver.options()), hinge_calibration(levels.coarse), rest_shape)
+    return CoarseModel(work.scene.solver.options(), hinge_calibration(levels.coarse), rest_shape)
 
 
 def _calibrated(
@@ -401,7 +401,7 @@ def training_motions(
         raise InputError("nothing to choose", key="training.choose_s", received=budget, expected=expected)
     runs = [scene_run(stage, scene, motion) for motion in motions]
     held_out = [scene_run(stage, scene, stage.motion(m)) for m in scene.training.held_out[:1]]
-    solver, seed = coarse_options(scene.solver.options()), scene.wrinkles.seed
+    solver, seed = scene.solver.options(), scene.wrinkles.seed
     found = choose(layer, runs, next(iter(held_out), None), budget, solver, seed, cache, workers, report)
     if report is not None:
         figures = found.figures

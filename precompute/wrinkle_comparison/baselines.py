@@ -236,7 +236,7 @@ def middle_cloth(database: WrinkleDatabase, run: Run, options: ModelOptions | No
         return None
     options = options or ModelOptions(pressure=database.options.pressure)
     model = build_model(levels.coarse, database.fabric, levels.coarse_held, options, limits=levels.coarse_limits)
-    # The stretch law of small steps asks for h N: a subdivision halves the edges, and so the substep.
-    solver = replace(run.solver, substep=run.solver.substep * 2.0 ** (database.subdivisions - 1))
+    # The stretch law of small steps asks for h N: one subdivision halves the edges, and so the substep.
+    solver = replace(database.solver, substep=database.solver.substep / 2.0)
     source = body_source(run.body)
     return Cloth(model, levels.coarse_attachment, source, run, solver, levels.subdivision, levels.fine.faces)

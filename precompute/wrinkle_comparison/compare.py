@@ -17,10 +17,10 @@ from precompute.learning.decoding import bands_of
 from precompute.learning.evaluation import (
     Truth,
     body_distances,
+    fine_run,
     free_figures,
     levels_from,
     play_freely,
-    played_run,
     truth_of,
 )
 from precompute.learning.pipeline import default_cache, precompute
@@ -307,7 +307,7 @@ def compare_file(
         raise InputError(
             "the database has learned from this clip", key="--clip", received=motion.name, expected=held_out
         )
-    run = played_run(database, levels, inputs, motion)
+    run = fine_run(levels, inputs.body, motion, database, wind=inputs.wind, primitives=inputs.primitives)
     truth = truth_of(run, default_cache(path), 2, report)
     return compare(database, truth if seconds is None else truth.until(seconds), report=report)
 
