@@ -9,6 +9,7 @@ from functools import cache
 
 from pbd.engine import ti
 from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec2, Vec3, Vec4, Vec4Rows
+from pbd.taichi_internals import quickly_compiled
 from pbd.xpbd.schedule import advance_garment
 from pbd.xpbd.views import (
     BodySurface,
@@ -27,13 +28,14 @@ __all__ = ["advance_kernel"]
 
 
 @cache
-def advance_kernel(with_multigrid: bool, with_pairs: bool = False) -> Callable[..., None]:
+def advance_kernel(with_multigrid: bool, with_pairs: bool = False, quickly: bool = False) -> Callable[..., None]:
     """The kernel that advances a garment by a frame.
 
     Over 60 lines and over 12 arguments: it is the one place that lists all arrays of a step.
 
     Args:
         with_multigrid, with_pairs: whether coarser levels and pairs are used. Both take long to compile.
+        quickly: see :func:`pbd.taichi_internals.quickly_compiled`; the same results, and slower constraints.
     """
 
     @ti.kernel
@@ -130,4 +132,4 @@ def advance_kernel(with_multigrid: bool, with_pairs: bool = False) -> Callable[.
                 PairArrays(with_pairs, pairs, pair_data, ready_pairs),
             )  # fmt: skip
 
-    return advance
+    return quickly_compiled(advance) if quickly else advance

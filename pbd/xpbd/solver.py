@@ -30,6 +30,8 @@ AIR_DENSITY = 1.2  # [kg/m3]
 STRIDE_SHARE = 0.25  # of the mean edge [-], ...
 MIN_STRIDE = 0.01  # ... but at least this [m]
 MAX_REFINEMENT = 8  # times as many substeps, at most
+# On a body, contact takes most of the step of a garment with fewer vertices, and is as fast compiled quickly.
+MIN_OPTIMIZED = 4000
 MIN_FRAME_TIME = 1e-7  # shorter frames do nothing [s]: float32 does not hold the square of their inverse
 
 
@@ -117,7 +119,10 @@ class Solver:
         self._pairs = SelfCollision(model, self.options.self_collision) if self.in_contact else None
         self._stride = max(MIN_STRIDE, STRIDE_SHARE * float(model.mesh.edge_lengths()[1].mean()))
         self._find_nearest = Launch(find_nearest)
-        self._advance = Launch(advance_kernel(self.with_multigrid, self._pairs is not None))
+        kinds = self.with_multigrid, self._pairs is not None
+        self._advance, self._advance_on_body = Launch(advance_kernel(*kinds)), Launch(advance_kernel(*kinds))
+        if count < MIN_OPTIMIZED:
+            self._advance_on_body = Launch(advance_kernel(*kinds, quickly=True))
 
     def _model_arrays(self) -> dict[str, np.ndarray]:
         """Arguments of the kernels that belong to the model."""
@@ -195,12 +200,13 @@ class Solver:
         arguments = self.prepare(state, colliders, dt, targets, wind, limit_targets)
         if colliders.body is not None:
             self._find_nearest.by_name(arguments)
+        advance = self._advance if colliders.body is None else self._advance_on_body
         if self._pairs is None:
-            self._advance.by_name(arguments)
+            advance.by_name(arguments)
         else:
-            self._advance_in_contact(state, arguments, dt)
+            self._advance_in_contact(advance, state, arguments, dt)
 
-    def _advance_in_contact(self, state: State, arguments: dict[str, Any], dt: float) -> None:
+    def _advance_in_contact(self, advance: Launch, state: State, arguments: dict[str, Any], dt: float) -> None:
         """Advance the state with the cloth's own pairs, which are found anew as often as it moves far."""
         assert self._pairs is not None
         steps = FrameSteps(*self._steps.tolist())
@@ -209,7 +215,7 @@ class Solver:
             good = self._pairs.find(state, dt / steps.count, steps.count - end, self.model.fabric.thickness, end)
             begin, end = end, min(end + steps.refresh * max(1, good // steps.refresh), steps.count)
             self._steps[:2] = begin, end
-            self._advance.by_name(arguments | self._pairs.arrays())
+            advance.by_name(arguments | self._pairs.arrays())
             self._pairs.remember(state)
 
     def prepare(
