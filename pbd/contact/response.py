@@ -19,7 +19,6 @@ __all__ = [
 # A contact point is kept while the cloth slides along the surface less than this [m], ...
 MAX_SLIDE = 0.0015
 MAX_SLIDE_SHARE = 0.1  # ... or less than this share of its height over the point [-]
-MAX_FAR_SLOPE = 0.3  # the same share where the sample cannot touch the body yet [-]
 
 
 @ti.func
@@ -47,11 +46,7 @@ def keep_contact(p: vec3, c: ti.i32, t: ti.f32, active_distance: ti.f32, body: t
         inside = weights.min() > 0.0
         start, end, normal = surface_point(face[1], others, weights, t, body)
         offset = p - (start + t * (end - start))
-        height = offset.dot(normal)
-        if height > active_distance:
-            kept = offset.dot(offset) < (1.0 + MAX_FAR_SLOPE * MAX_FAR_SLOPE) * height * height
-        else:
-            kept = inside and not slid_off(offset, normal)
+        kept = (inside or offset.dot(normal) > active_distance) and not slid_off(offset, normal)
         if not kept:
             x0, x1, x2 = between(face[1], t, body), between(face[2], t, body), between(face[3], t, body)
             weights = closest_on_triangle(p, x0, x1, x2)
