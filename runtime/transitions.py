@@ -34,7 +34,8 @@ class Interpolation:
 
     def move_origin(self, shift: np.ndarray) -> None:
         """Follow the origin, which the next step has moved by ``shift`` [m], float64, shape (3,)."""
-        self.before[:, :3] -= shift.astype(np.float32)
+        if shift.any():
+            self.before[:, :3] -= shift.astype(np.float32)
 
     def at(self, alpha: float) -> tuple[np.ndarray, np.ndarray]:
         """Coarse vertices, shape (n, 4), and those of the body, shape (b, 3) [m], float32: valid until the next call.
