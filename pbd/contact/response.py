@@ -31,8 +31,8 @@ def substep_start(cloth: ti.template(), i: ti.i32, h: ti.f32):
 def keep_contact(p: vec3, c: ti.i32, t: ti.f32, active_distance: ti.f32, body: ti.template(), contact: ti.template()):
     """Let sample c, which is at p [m], touch the face that it touched in the last frame, if that is right still.
 
-    It is, while the nearest body vertex is the same and the sample slides little, or while the closest point of the
-    face lies inside it. On an edge or corner it is right only where the body is further than ``active_distance`` [m].
+    It is, while the nearest body vertex is the same and the closest point of the face lies inside it. Where the body is
+    further than ``active_distance`` [m], the point that was touched is good enough while the sample slides little.
 
     Returns:
         whether the sample has kept its face; where it touches the body is then known for all of the frame.
@@ -42,11 +42,9 @@ def keep_contact(p: vec3, c: ti.i32, t: ti.f32, active_distance: ti.f32, body: t
     if face[0] >= 0 and face[0] == contact.nearest[c]:
         others = ti.Vector([face[2], face[3]])
         second, third = contact.contact_weights[c][0], contact.contact_weights[c][1]
-        weights = vec3(1.0 - second - third, second, third)
-        inside = weights.min() > 0.0
-        start, end, normal = surface_point(face[1], others, weights, t, body)
+        start, end, normal = surface_point(face[1], others, vec3(1.0 - second - third, second, third), t, body)
         offset = p - (start + t * (end - start))
-        kept = (inside or offset.dot(normal) > active_distance) and not slid_off(offset, normal)
+        kept = offset.dot(normal) > active_distance and not slid_off(offset, normal)
         if not kept:
             x0, x1, x2 = between(face[1], t, body), between(face[2], t, body), between(face[3], t, body)
             weights = closest_on_triangle(p, x0, x1, x2)
