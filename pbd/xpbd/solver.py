@@ -30,8 +30,8 @@ AIR_DENSITY = 1.2  # [kg/m3]
 STRIDE_SHARE = 0.25  # of the mean edge [-], ...
 MIN_STRIDE = 0.01  # ... but at least this [m]
 MAX_REFINEMENT = 8  # times as many substeps, at most
-# On a body, garments with fewer vertices take a kernel that compiles in a tenth of the time: contact takes most of their
-# step, which is 5 to 20 % longer for it.
+# On a body, garments with fewer vertices take a kernel that compiles in a tenth of the time. Their step is 5 to 20 %
+# longer for it.
 MIN_OPTIMIZED = 4000
 MIN_FRAME_TIME = 1e-7  # shorter frames do nothing [s]: float32 does not hold the square of their inverse
 
