@@ -1,7 +1,7 @@
 """Upper parts with set-in sleeves: what T-shirt and shirt have in common.
 
-Rules of flat pattern cutting (Aldrich, Metric Pattern Cutting for Women's Wear; Mueller & Sohn), with lengths taken from
-the body where it shows them. y = 0 is the height of the neck's side.
+Rules of flat pattern cutting (Aldrich, Metric Pattern Cutting for Women's Wear; Mueller & Sohn), with lengths taken
+from the body where it shows them. y = 0 is the height of the neck's side.
 """
 
 from __future__ import annotations
@@ -13,14 +13,16 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from assets.measures import BodyMeasures
-from assets.patterns.drafts.drawing import Outline, curve, line, symmetric
+from assets.patterns.drafts.drawing import Outline, curve, line, same_names, symmetric
 from assets.patterns.drafts.placing import Surroundings, facing, nearest_placement, points_of
 from assets.patterns.pattern import Placement, Seam, edge_length
 from pbd.errors import InputError
 
-__all__ = ["BodiceLines", "bodice_panel", "place_bodice", "place_sleeve", "sleeve_panel", "sleeve_seams"]
+__all__ = ["BodiceLines", "bodice_panel", "bodice_seams", "place_sleeve", "sleeve_panel", "sleeve_seams"]
 
 Floats = NDArray[np.float64]
+
+_SIDE_DART_DEPTH = 0.045  # of the dart's upper end below the armhole [m]
 
 
 @dataclass(frozen=True)
@@ -36,8 +38,9 @@ class BodiceLines:
         shoulder_drop: of the shoulder point below the neck's side [m].
         narrowest: half width between the arms, halfway up the armhole [m].
         armhole_depth: of the armhole's lower end below the neck's side [m].
-        length: of the hem below the neck's side [m].
-        waist: half width at the waist [m], and its depth below the neck's side [m]; None for straight sides.
+        length: of the hem below the neck's side, with the dart closed [m].
+        dart: how much the dart in the side takes in [m]; 0 for none.
+        dart_point: half width at which the dart ends [m].
     """
 
     chest: float
@@ -49,10 +52,14 @@ class BodiceLines:
     narrowest: float
     armhole_depth: float
     length: float
+    dart: float = 0.0
+    dart_point: float = 0.0
 
 
 def bodice_panel(name: str, lines: BodiceLines, plus: str, minus: str) -> Outline:
-    """Front or back with edges hem, side, armhole, shoulder (each with plus and minus) and neck.
+    """Front or back with edges hem, low_side, high_side, armhole, shoulder (all but hem with plus and minus) and neck.
+
+    With a dart, its edges low_dart and high_dart lie between those of the side.
 
     Args:
         name: "front" or "back".
@@ -63,20 +70,49 @@ def bodice_panel(name: str, lines: BodiceLines, plus: str, minus: str) -> Outlin
     b = lines
     under, tip, neck = (b.chest, -b.armhole_depth), (b.shoulder, -b.shoulder_drop), (b.neck, 0.0)
     rise = b.armhole_depth - b.shoulder_drop
-    # From the side the armhole runs level, turns upwards at the narrowest width and meets the shoulder at a right angle.
+    # From the side the armhole runs level, turns upwards at the narrowest width and meets the shoulder squarely.
     turn = (b.narrowest, -b.armhole_depth + 0.42 * rise)
     slope = np.arctan2(b.shoulder_drop, b.shoulder - b.neck)
     arriving = 0.22 * rise * np.array([np.sin(slope), np.cos(slope)])
     low = curve(under, (-0.75 * (b.chest - b.narrowest), 0.0), turn, (0.0, 0.24 * rise))
     high = curve(turn, (0.0, 0.2 * rise), tip, arriving)
     half = {
-        "hem": line((0.0, -b.length), (b.hem, -b.length)),
-        "side": line((b.hem, -b.length), under),
+        "hem": line((0.0, -b.length - b.dart), (b.hem, -b.length - b.dart)),
+        **_side(b),
         "armhole": np.concatenate([low, high[1:]]),
         "shoulder": line(tip, neck),
         "neck": _neckline(b.neck, b.neck_depth),
     }
     return symmetric(name, half, plus, minus)
+
+
+def _side(b: BodiceLines) -> dict[str, Floats]:
+    """The side from the hem to the armhole, with its dart."""
+    hem, under = np.array([b.hem, -b.length - b.dart]), np.array([b.chest, -b.armhole_depth])
+    up = (under - hem) / np.linalg.norm(under - hem)
+    high = under - _SIDE_DART_DEPTH * up
+    low = high - b.dart * up
+    if b.dart == 0.0:
+        return {"low_side": line(hem, low), "high_side": line(high, under)}
+    # The dart's point is as far from both of its ends, so that its legs are of one length.
+    middle = 0.5 * (low + high)
+    point = (b.dart_point, middle[1] - (b.dart_point - middle[0]) * up[0] / up[1])
+    return {
+        "low_side": line(hem, low),
+        "low_dart": line(low, point),
+        "high_dart": line(point, high),
+        "high_side": line(high, under),
+    }
+
+
+def bodice_seams(front: Outline, back: Outline) -> list[Seam]:
+    """Sides, shoulders and darts."""
+    seams = []
+    for side in ("left", "right"):
+        seams += same_names(front, back, *(f"{edge}_{side}" for edge in ("low_side", "high_side", "shoulder")))
+        if f"low_dart_{side}" in front.edges:
+            seams.append(Seam(front.edge(f"low_dart_{side}"), front.edge(f"high_dart_{side}")))
+    return seams
 
 
 def _neckline(width: float, depth: float) -> Floats:
@@ -87,8 +123,9 @@ def _neckline(width: float, depth: float) -> Floats:
 def sleeve_panel(
     name: str, armhole_back: float, armhole_front: float, cap_share: float, girth: float, length: float, hem: float
 ) -> Outline:
-    """The left sleeve: edges hem, underarm_back, cap_back, cap_front, underarm_front; y = 0 below the cap, back at x > 0.
+    """The left sleeve: edges hem, underarm_back, cap_back, cap_front, underarm_front; its back is at x > 0.
 
+    y = 0 is the cap's lower end.
     The cap's height is given; its two halves become as wide as they must be for their curves to have the lengths of the
     armhole. If the sleeve is then narrower than it must be, the cap is made flatter.
 
@@ -157,25 +194,6 @@ def sleeve_seams(front: Outline, back: Outline, sleeve: Outline, side: str) -> l
     ]
 
 
-def place_bodice(outline: Outline, measures: BodyMeasures, around: Surroundings, side: int) -> Placement:
-    """A front (side 1) or a back (side -1) before or behind the trunk."""
-    places = measures.landmarks
-    middle = float(np.mean([places.bust[2], places.hip[2]]))
-    rotation = facing((0.0, 0.0, side), (0.0, 1.0, 0.0))
-    height = places.neck_side[1] + 0.02
-    points = points_of(outline)
-    half = float(points[:, 0].max())
-    return nearest_placement(
-        outline.name,
-        points,
-        lambda radius, distance: Placement(rotation, np.array([0.0, height, middle + side * distance]), radius),
-        [half * k for k in (0.62, 0.66, 0.7, 0.75, 0.8, 0.9, 1.0, 1.2, 1.5, 2.0, 3.0, 6.0)],
-        around,
-        lambda placed: float(np.abs(placed[np.abs(points[:, 0]) > 0.9 * half, 2] - middle).mean()),
-        lambda placed: bool((side * (placed[:, 2] - middle) > 0.005).all()),
-    )
-
-
 def place_sleeve(outline: Outline, measures: BodyMeasures, around: Surroundings, side: int) -> Placement:
     """A sleeve around the left (side 1) or right (side -1) arm, its cap outside the shoulder point."""
     places = measures.landmarks
@@ -186,6 +204,8 @@ def place_sleeve(outline: Outline, measures: BodyMeasures, around: Surroundings,
     reaches_elbow = float(np.ptp(points[:, 1])) > 0.6 * measures.arm_length
     along = (places.wrist if reaches_elbow else places.elbow) * flip - start
     along /= np.linalg.norm(along)
+    if reaches_elbow:  # halfway between that line and a bent elbow
+        start = start + 0.5 * _across(places.elbow * flip - start, along)
     rotation = facing(_across((0.5 * side, 1.0, 0.0), along), -along)
     width, top = float(np.ptp(points[:, 0])), float(points[:, 1].max())
     crown = float((shoulder - start) @ along)
@@ -204,6 +224,6 @@ def place_sleeve(outline: Outline, measures: BodyMeasures, around: Surroundings,
     )
 
 
-def _across(vector: tuple[float, float, float], along: Floats) -> Floats:
+def _across(vector: Floats | tuple[float, float, float], along: Floats) -> Floats:
     """The part of a vector that stands across a direction."""
     return np.asarray(vector) - (np.asarray(vector) @ along) * along

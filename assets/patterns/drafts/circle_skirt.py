@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,7 @@ __all__ = ["CircleSkirt", "circle_skirt"]
 
 _HEM, _WAISTBAND = 0.02, 0.03  # [m]
 _WAISTBAND_LAYERS = 3.0
+_ROLLS = (0.45, 0.5, 0.55, 0.6, 0.7, 0.8, 1.0)  # radii of the roll over the panel's half width [-]
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,10 @@ def circle_skirt(measures: BodyMeasures, parameters: CircleSkirt) -> Pattern:
     front = _half_ring("front", radius, length, half, "left", "right")
     back = _half_ring("back", radius, length, half, "right", "left")
     around = Surroundings(m)
-    panels = (front.panel(_place(front, m, around, radius, 1)), back.panel(_place(back, m, around, radius, -1)))
+    reach = float(points_of(front)[:, 0].max())
+    before = _place(front, m, around, radius, 1, [reach * share for share in _ROLLS])
+    behind = _place(back, m, around, radius, -1, [before.bend_radius])  # so that the sides hang side by side
+    panels = (front.panel(before), back.panel(behind))
     strips = [band for outline in (front, back) for band in bands(outline, ["hem"], _HEM, 2.0)]
     for outline in (front, back):
         strips += bands(outline, ["waist"], _WAISTBAND, _WAISTBAND_LAYERS, m.waist / (m.waist + p.ease))
@@ -77,7 +82,14 @@ def _half_ring(name: str, radius: float, length: float, half: float, plus: str, 
     )
 
 
-def _place(outline: Outline, measures: BodyMeasures, around: Surroundings, radius: float, side: int) -> Placement:
+def _place(
+    outline: Outline,
+    measures: BodyMeasures,
+    around: Surroundings,
+    radius: float,
+    side: int,
+    rolls: Sequence[float | None],
+) -> Placement:
     """A half that lies like a saddle cloth before (side 1) or behind (-1) the waist: its sides hang down.
 
     The axis of its roll is level and leads away from the body, so that both halves have their side seams together
@@ -86,14 +98,13 @@ def _place(outline: Outline, measures: BodyMeasures, around: Surroundings, radiu
     waist = measures.landmarks.waist
     rotation = facing((0.0, 1.0, 0.0), (0.0, 0.0, -side))
     points = points_of(outline)
-    reach = float(points[:, 0].max())
     return nearest_placement(
         outline.name,
         points,
         lambda roll, distance: Placement(
             rotation, np.array([0.0, waist[1] + 0.01, waist[2] + side * (distance - 0.5 * radius)]), roll
         ),
-        [reach * k for k in (0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.7, 0.8, 1.0)],
+        rolls,
         around,
         lambda placed: float(abs(placed[:, 2] - waist[2]).min()),
         lambda placed: bool((side * (placed[:, 2] - waist[2]) > 0.005).all()),

@@ -17,7 +17,7 @@ from assets.patterns.drafts.drawing import Outline
 from assets.patterns.pattern import Placement
 from pbd.errors import InputError
 
-__all__ = ["CLEARANCE", "Surroundings", "facing", "nearest_placement", "points_of"]
+__all__ = ["CLEARANCE", "Surroundings", "facing", "nearest_placement", "place_on_trunk", "points_of"]
 
 Floats = NDArray[np.float64]
 
@@ -120,6 +120,31 @@ def nearest_placement(
         raise InputError(f"no place around the body is free for the panel {name}")
     surroundings.add(best[1].apply(points))
     return best[1]
+
+
+def place_on_trunk(outline: Outline, height: float, middle: float, side: int, around: Surroundings) -> Placement:
+    """A panel that stands upright before (side 1) or behind (side -1) the trunk.
+
+    Args:
+        outline: of the panel; x = 0 is its middle.
+        height: of the panel's y = 0 [m].
+        middle: z of the upright plane through both sides of the body [m]; the panel stays on its own side of it.
+        side: 1 or -1.
+        around: the body.
+    """
+    rotation = facing((0.0, 0.0, side), (0.0, 1.0, 0.0))
+    points = points_of(outline)
+    half = float(points[:, 0].max())
+    at_side = np.abs(points[:, 0]) > 0.85 * half
+    return nearest_placement(
+        outline.name,
+        points,
+        lambda radius, distance: Placement(rotation, np.array([0.0, height, middle + side * distance]), radius),
+        [half * k for k in (0.62, 0.66, 0.7, 0.75, 0.8, 0.9, 1.0, 1.2, 1.5, 2.0, 3.0, 6.0)],
+        around,
+        lambda placed: float(np.abs(placed[at_side, 2] - middle).mean()),
+        lambda placed: bool((side * (placed[:, 2] - middle) > 0.005).all()),
+    )
 
 
 def _inside(points: Floats, loop: Floats) -> NDArray[np.bool_]:

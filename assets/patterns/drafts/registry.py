@@ -7,7 +7,10 @@ from dataclasses import fields
 from typing import Any, NamedTuple
 
 from assets.measures import BodyMeasures
+from assets.patterns.drafts.aline_skirt import AlineSkirt, aline_skirt
 from assets.patterns.drafts.circle_skirt import CircleSkirt, circle_skirt
+from assets.patterns.drafts.shirt import Shirt, shirt
+from assets.patterns.drafts.trousers import Trousers, trousers
 from assets.patterns.drafts.tshirt import Tshirt, tshirt
 from assets.patterns.pattern import Pattern
 from pbd.errors import InputError
@@ -22,7 +25,10 @@ class _Draft(NamedTuple):
 
 _DRAFTS: Mapping[str, _Draft] = {
     "tshirt": _Draft(Tshirt, tshirt),
+    "shirt": _Draft(Shirt, shirt),
+    "aline_skirt": _Draft(AlineSkirt, aline_skirt),
     "circle_skirt": _Draft(CircleSkirt, circle_skirt),
+    "trousers": _Draft(Trousers, trousers),
 }
 
 DRAFTS = tuple(_DRAFTS)

@@ -8,14 +8,14 @@ from assets.measures import BodyMeasures
 from assets.patterns.drafts.bodice import (
     BodiceLines,
     bodice_panel,
-    place_bodice,
+    bodice_seams,
     place_sleeve,
     sleeve_panel,
     sleeve_seams,
 )
-from assets.patterns.drafts.drawing import bands, check_at_least, number, require, same_names
-from assets.patterns.drafts.placing import Surroundings
-from assets.patterns.pattern import Pattern, Seam
+from assets.patterns.drafts.drawing import bands, check_at_least, number, require
+from assets.patterns.drafts.placing import Surroundings, place_on_trunk
+from assets.patterns.pattern import Pattern
 
 __all__ = ["Tshirt", "tshirt"]
 
@@ -68,14 +68,14 @@ def tshirt(measures: BodyMeasures, parameters: Tshirt) -> Pattern:
     )
     right = left.mirrored("right_sleeve")
     around = Surroundings(m)
+    neck, middle = float(neck_side[1]) + 0.02, 0.5 * float(m.landmarks.bust[2] + m.landmarks.hip[2])
     panels = (
-        front_panel.panel(place_bodice(front_panel, m, around, 1)),
-        back_panel.panel(place_bodice(back_panel, m, around, -1)),
+        front_panel.panel(place_on_trunk(front_panel, neck, middle, 1, around)),
+        back_panel.panel(place_on_trunk(back_panel, neck, middle, -1, around)),
         left.panel(place_sleeve(left, m, around, 1)),
         right.panel(place_sleeve(right, m, around, -1)),
     )
-    names = [f"{edge}_{side}" for edge in ("side", "shoulder") for side in ("left", "right")]
-    seams: list[Seam] = same_names(front_panel, back_panel, *names)
+    seams = bodice_seams(front_panel, back_panel)
     seams += sleeve_seams(front_panel, back_panel, left, "left")
     seams += sleeve_seams(front_panel, back_panel, right, "right")
     strips = [band for outline in (front_panel, back_panel, left, right) for band in bands(outline, ["hem"], _HEM, 2.0)]
