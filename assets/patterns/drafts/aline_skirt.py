@@ -81,12 +81,12 @@ def _panel(
             received=p.flare,
             expected=f"less than {2.0 * below / hip_share:.3f} m",
         )
-    # Below the hip the side is as long as the middle, so that the hem is level; it meets the side squarely.
-    out = np.array([flare, -math.sqrt(below**2 - flare**2)]) / below
-    hip_point = np.array([hip, -m.waist_to_hip])
-    corner = hip_point + below * out
+    # Below the hip the panel spreads like a fan, so that all its threads are as long as the middle: the hem is level.
+    spread = math.asin(flare / below) * np.linspace(0.0, 1.0, 33)
+    hem = np.stack([np.linspace(0.0, hip, 33) + below * np.sin(spread), -m.waist_to_hip - below * np.cos(spread)], axis=1)
+    hip_point, corner = np.array([hip, -m.waist_to_hip]), hem[-1]
+    out = (corner - hip_point) / below
     upper = curve(hip_point, -0.35 * m.waist_to_hip * out, top, 0.3 * m.waist_to_hip * np.array([-0.25, 1.0]))
-    hem = curve((0.0, -length), (0.5 * corner[0], 0.0), corner, 0.3 * corner[0] * np.array([-out[1], out[0]]))
     line_half = waist_line(top, (0.0, 0.0), darts, _DART_DEPTHS[name] * m.waist_to_hip)
     plus, minus = ("left", "right") if name == "front" else ("right", "left")
     edges = {

@@ -208,6 +208,7 @@ def place_sleeve(outline: Outline, measures: BodyMeasures, around: Surroundings,
         start = start + 0.5 * _across(places.elbow * flip - start, along)
     rotation = facing(_across((0.5 * side, 1.0, 0.0), along), -along)
     width, top = float(np.ptp(points[:, 0])), float(points[:, 1].max())
+    crest = np.array([[0.0, top]])
     crown = float((shoulder - start) @ along)
 
     def placed(radius: float, distance: float) -> Placement:
@@ -220,7 +221,7 @@ def place_sleeve(outline: Outline, measures: BodyMeasures, around: Surroundings,
         placed,
         [width / (2.0 * np.pi) * k for k in (1.03, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0, 2.5)],
         around,
-        lambda p: float(np.linalg.norm(p[points[:, 1] > 0.98 * top] - shoulder, axis=1).max()),
+        lambda placement: float(np.linalg.norm(placement.apply(crest) - shoulder)),
     )
 
 

@@ -106,6 +106,6 @@ def _place(
         ),
         rolls,
         around,
-        lambda placed: float(abs(placed[:, 2] - waist[2]).min()),
+        lambda placement: abs(float(placement.translation[2] - waist[2])),
         lambda placed: bool((side * (placed[:, 2] - waist[2]) > 0.005).all()),
     )

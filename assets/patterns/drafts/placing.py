@@ -90,7 +90,7 @@ def nearest_placement(
     placements: Callable[[float, float], Placement],
     radii: Iterable[float | None],
     surroundings: Surroundings,
-    cost: Callable[[Floats], float],
+    cost: Callable[[Placement], float],
     allowed: Callable[[Floats], bool] = lambda _: True,
 ) -> Placement:
     """The placement with the least cost that is clear of the body and of the panels that stand.
@@ -101,7 +101,7 @@ def nearest_placement(
         placements: a placement for a radius [m] and a distance that the panel is moved away from the body [m].
         radii: to try [m].
         surroundings: the body and the other panels; the panel is added to them.
-        cost: of the panel's points in space, such as the width of the seams that are still open [m].
+        cost: of a placement, such as the width of the seams that are still open [m].
         allowed: whether the points may be there at all.
 
     Raises:
@@ -113,8 +113,8 @@ def nearest_placement(
             placement = placements(radius, float(distance))
             placed = placement.apply(points)
             if allowed(placed) and surroundings.clear(placed, CLEARANCE):
-                if best is None or cost(placed) < best[0]:
-                    best = cost(placed), placement
+                if best is None or cost(placement) < best[0]:
+                    best = cost(placement), placement
                 break
     if best is None:
         raise InputError(f"no place around the body is free for the panel {name}")
@@ -135,14 +135,14 @@ def place_on_trunk(outline: Outline, height: float, middle: float, side: int, ar
     rotation = facing((0.0, 0.0, side), (0.0, 1.0, 0.0))
     points = points_of(outline)
     half = float(points[:, 0].max())
-    at_side = np.abs(points[:, 0]) > 0.85 * half
+    sides = points[np.abs(points[:, 0]) > 0.85 * half]
     return nearest_placement(
         outline.name,
         points,
         lambda radius, distance: Placement(rotation, np.array([0.0, height, middle + side * distance]), radius),
         [half * k for k in (0.62, 0.66, 0.7, 0.75, 0.8, 0.9, 1.0, 1.2, 1.5, 2.0, 3.0, 6.0)],
         around,
-        lambda placed: float(np.abs(placed[at_side, 2] - middle).mean()),
+        lambda placement: float(np.abs(placement.apply(sides)[:, 2] - middle).mean()),
         lambda placed: bool((side * (placed[:, 2] - middle) > 0.005).all()),
     )
 

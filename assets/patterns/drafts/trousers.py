@@ -183,7 +183,7 @@ def _panel(
     straight = line(top_centre, low)
     down = (straight[1] - straight[0]) / edge_length(straight)
     drop = depth - hip_depth
-    bend = curve(low, 0.75 * drop * down, crotch, 0.85 * fork * np.array([-1.0, 0.0]))
+    bend = curve(low, 0.65 * drop * down, crotch, 0.75 * fork * np.array([-1.0, 0.0]))
     return Outline(
         name,
         {
@@ -232,6 +232,9 @@ def _place(outline: Outline, m: BodyMeasures, around: Surroundings, side: int, h
         placed,
         [widest * k for k in (0.7, 0.75, 0.8, 0.9, 1.0, 1.2, 1.5, 2.0, 3.0)],
         around,
-        lambda p: float(np.abs(p[:, 2] - middle).mean()),
+        lambda placement: float(
+            np.abs(placement.apply(outline.edges["side"])[:, 2] - middle).mean()
+            + np.abs(placement.apply(outline.edges["centre"])[:, 0]).mean()
+        ),
         lambda p: bool((half * (p[:, 2] - middle) > 0.005).all()),
     )
