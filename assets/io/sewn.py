@@ -64,7 +64,9 @@ def read_sewn(path: Path) -> SewnGarment:
     _check_layout(path, found)
     if int(found["format"]) != FORMAT:
         expected = f"{FORMAT}: a file that this version of gube sew wrote"
-        raise InputError("another version of the file", file=path, key="format", received=found["format"], expected=expected)
+        raise InputError(
+            "another version of the file", file=path, key="format", received=found["format"], expected=expected
+        )
     vertices, faces = found["vertices"].astype(float), found["faces"].astype(np.int32)
     for name in ("vertices", "pattern", "layers"):
         if not np.isfinite(found[name]).all():
@@ -72,7 +74,11 @@ def read_sewn(path: Path) -> SewnGarment:
     if found["layers"].min() <= 0.0:
         received = float(found["layers"].min())
         raise InputError("no layer of cloth", file=path, key="layers", received=received, expected="above 0")
-    for name, high in (("faces", len(vertices)), ("seams", len(vertices)), ("panel_of_face", len(found["panel_names"]))):
+    for name, high in (
+        ("faces", len(vertices)),
+        ("seams", len(vertices)),
+        ("panel_of_face", len(found["panel_names"])),
+    ):
         values = found[name]
         if values.size and not 0 <= values.min() <= values.max() < high:
             bad = int(values.min() if values.min() < 0 else values.max())
@@ -84,7 +90,9 @@ def read_sewn(path: Path) -> SewnGarment:
     bad = np.flatnonzero(np.linalg.det(sides) <= 0.0)
     if bad.size:
         received, expected = pattern[bad[0]].tolist(), "corners counter-clockwise"
-        raise InputError("a face without area", file=path, key=f"pattern, face {bad[0]}", received=received, expected=expected)
+        raise InputError(
+            "a face without area", file=path, key=f"pattern, face {bad[0]}", received=received, expected=expected
+        )
     garment = Garment(path.stem, vertices, faces, pattern, str(path), found["layers"].astype(float))
     names = tuple(str(name) for name in found["panel_names"])
     return SewnGarment(
@@ -107,7 +115,9 @@ def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         raise
     except (ValueError, RuntimeError, MemoryError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         reason = str(error).partition(". ")[0].partition(":")[0]  # without numpy's advice
-        raise InputError(f"truncated, damaged or no arrays of numbers: {reason}", file=path, expected="a file of gube sew") from error
+        raise InputError(
+            f"truncated, damaged or no arrays of numbers: {reason}", file=path, expected="a file of gube sew"
+        ) from error
 
 
 def _check_layout(path: Path, found: dict[str, NDArray[Any]]) -> None:
@@ -120,4 +130,6 @@ def _check_layout(path: Path, found: dict[str, NDArray[Any]]) -> None:
             fits &= size == (wanted if isinstance(wanted, int) else sizes.setdefault(wanted, size))
         if not fits or (name == "faces" and not len(array)):
             expected = f"({', '.join(str(sizes.get(str(part), part)) for part in shape)}) of kind {kinds}"
-            raise InputError("a bad array", file=path, key=name, received=f"{array.dtype} {array.shape}", expected=expected)
+            raise InputError(
+                "a bad array", file=path, key=name, received=f"{array.dtype} {array.shape}", expected=expected
+            )

@@ -48,7 +48,9 @@ def drape_figures(garment: Garment, body: StandingBody) -> dict[str, float]:
     """
     assert garment.pattern is not None
     depth = BodyDistance(body.faces).signed_distance(garment.vertices, body.vertices)
-    sides = [np.linalg.norm(np.roll(x, -1, axis=1) - x, axis=2) for x in (garment.vertices[garment.faces], garment.pattern)]
+    sides = [
+        np.linalg.norm(np.roll(x, -1, axis=1) - x, axis=2) for x in (garment.vertices[garment.faces], garment.pattern)
+    ]
     strain = np.abs(sides[0] / sides[1] - 1.0)
     return {
         "vertex_count": len(garment.vertices),
