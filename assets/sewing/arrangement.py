@@ -18,14 +18,19 @@ __all__ = ["arranged"]
 Floats = NDArray[np.float64]
 
 CLEARANCE = 0.008  # of a piece from the body at the start [m]
+STAYING = 0.05  # weight that keeps a piece at its height, over that of its stitches [-]
+LIFTS = tuple(0.01 * k for k in (0, 1, 2, 3, 4, 5, 6, 7, 8, -1, -2, -3))  # of all pieces together [m]
+POINTS = 24  # parts of the straight line between two stitched vertices
 STEP, MAX_MOVE = 0.01, 0.40  # by which a piece is moved out of the body at a time, and at most [m]
 
 
 def arranged(pieces: Pieces, placements: Sequence[Placement | None], body: StandingBody) -> Floats:
     """Positions of the pieces around the body [m], shape (n, 3).
 
-    A piece without a placement is laid, as flat as it is, as near as possible to what it is sewn to. A piece that stands
-    in the body is moved out along its outer side, or away from the body's axis, whichever is shorter.
+    A piece without a placement is laid, as flat as it is, as near as possible to what it is sewn to. Pieces go up or
+    down until those that are sewn together are level, and all together until the fewest stitches lead through the body.
+    A piece that stands in the body is moved out along its outer side, or away from the body's axis, whichever is
+    shorter.
 
     Args:
         pieces: to be sewn.
@@ -45,6 +50,8 @@ def arranged(pieces: Pieces, placements: Sequence[Placement | None], body: Stand
             outward[number] = placement.rotation[:, 2]
     _lay_beside_neighbours(pieces, positions, outward)
     distance = BodyDistance(body.faces)
+    positions[:, 1] += _level(pieces, positions)[pieces.piece_of_vertex]
+    positions[:, 1] += _lift(pieces, positions, body, distance)
     for number, name in enumerate(pieces.names):
         mine = pieces.piece_of_vertex == number
         positions[mine] += _way_out(name, positions[mine], outward[number], body, distance)
@@ -74,6 +81,40 @@ def _lay_beside_neighbours(pieces: Pieces, positions: Floats, outward: Floats) -
         solid = np.insert(pieces.flat[mine], 2, 0.0, axis=1)
         positions[mine] = (solid - flat.mean(axis=0)) @ turn.T + near.mean(axis=0)
         outward[number] = turn[:, 2]
+
+
+def _level(pieces: Pieces, positions: Floats) -> Floats:
+    """How far each piece goes up so that its stitches are as level as possible [m], shape (p,).
+
+    Least squares over all stitches; a part of the weight keeps each piece where it was.
+    """
+    count = len(pieces.names)
+    first, second = pieces.piece_of_vertex[pieces.stitches].T
+    drop = positions[pieces.stitches[:, 1], 1] - positions[pieces.stitches[:, 0], 1]
+    matrix = np.zeros((len(drop) + count, count))
+    rows = np.arange(len(drop))
+    matrix[rows, first] += 1.0
+    matrix[rows, second] -= 1.0
+    matrix[len(drop) :] = np.sqrt(STAYING * max(len(drop), 1) / count) * np.eye(count)
+    return np.linalg.lstsq(matrix, np.append(drop, np.zeros(count)), rcond=None)[0]
+
+
+def _lift(pieces: Pieces, positions: Floats, body: StandingBody, distance: BodyDistance) -> float:
+    """How far all pieces go up so that the fewest points between stitched vertices are inside the body [m].
+
+    Shoulders show why: panels that are placed too low would close under the arms.
+    """
+    start, end = positions[pieces.stitches[:, 0]], positions[pieces.stitches[:, 1]]
+    share = (np.arange(1, POINTS) / POINTS)[:, None, None]
+    points = ((1.0 - share) * start + share * end).reshape(-1, 3)
+    if not len(points):
+        return 0.0
+    best, fewest = 0.0, np.inf
+    for lift in LIFTS:
+        inside = (distance.signed_distance(points + [0.0, lift, 0.0], body.vertices) < CLEARANCE).sum()
+        if inside < fewest:
+            best, fewest = lift, inside
+    return best
 
 
 def _way_out(name: str, points: Floats, outward: Floats, body: StandingBody, distance: BodyDistance) -> Floats:

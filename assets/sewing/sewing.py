@@ -36,8 +36,7 @@ CLOSING_TIMES = (1.0, 2.0)  # tried one after the other [s]
 MAX_CLOSING_GAP = 0.02  # between two stitched vertices when they become one [m]
 SEAM_ALLOWANCE = 0.01  # of cloth on both sides of a seam that is folded back under it [m]
 # Stages of draping: seconds, damping [1/s], share of the fabric's friction, share of gravity.
-RELAX = (0.4, 4.0, 0.0, 0.0)
-HANG = (1.0, 2.0, 0.3, 1.0)
+HANG = (1.2, 2.0, 0.3, 1.0)
 SETTLE = ((0.6, 2.0, 0.3, 1.0), (1.2, 1.0, 1.0, 1.0))
 EXTRA, MAX_EXTRA = (0.4, 2.0, 1.0, 1.0), 3  # more of it while something is through cloth or body
 
@@ -121,8 +120,7 @@ def _sewn(
     _check_closed(pattern, coarse, positions)
     clock.stage = "draping"
     mesh = _surface(pattern, coarse, surfaces[0], positions)
-    for stage in (RELAX, HANG):
-        mesh = _drape(mesh, body, cloth, bend_factor, stage, clock)
+    mesh = _drape(mesh, body, cloth, bend_factor, HANG, clock)
     positions = mesh.vertices[surfaces[0].vertex]
     if fine is not coarse:
         positions = carried_over(coarse, positions, fine)
@@ -160,7 +158,7 @@ def _work(coarse: Pieces, fine: Pieces, seconds: float, coarse_edge: float, edge
     """Work of one attempt as :class:`Clock` counts it."""
     from assets.sewing.simulation import CLOSED_SHARE, substep_of
 
-    first = (1.0 + CLOSED_SHARE) * seconds + RELAX[0] + HANG[0]
+    first = (1.0 + CLOSED_SHARE) * seconds + HANG[0]
     return len(coarse.flat) * first / substep_of(coarse_edge) + len(fine.flat) * sum(
         stage[0] for stage in SETTLE
     ) / substep_of(edge_length)

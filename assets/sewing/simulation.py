@@ -88,7 +88,7 @@ def close_stitches(
     seconds: float,
     clock: Clock,
 ) -> Floats:
-    """Close all stitches in a time, without weight and without friction.
+    """Close all stitches in a time without weight and without friction, and let the closed garment fall a moment.
 
     Each stitch may be open by a share of its first gap, which falls to nothing in equal steps. The cloth keeps off
     itself all the time: panels that start on their own sides of the body stay there.
@@ -115,6 +115,8 @@ def close_stitches(
     frames = round(seconds / FRAME)
     shares = np.clip(1.0 - np.arange(round((1.0 + CLOSED_SHARE) * frames) + 1) / frames, 0.0, 1.0)
     for before, after in zip(shares[:-1], shares[1:], strict=True):
+        if before == 0.0:
+            cloth.solver.options = replace(options, gravity=GRAVITY)
         cloth.step(CLOSING_DAMPING, (before * gaps, after * gaps))
         clock.add(len(positions) * FRAME / substep)
     return cloth.state.world()
