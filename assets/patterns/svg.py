@@ -31,7 +31,8 @@ _GRAIN = ".grain"
 def read_svg(path: Path) -> tuple[Panel, ...]:
     """Read closed paths, polygons, rectangles and round shapes as panels, each named by its id.
 
-    For the edges of a path see :func:`assets.patterns.sheet.edges_of_pieces`. A line with the id ``NAME.grain`` is the grain of a panel.
+    For the edges of a path see :func:`assets.patterns.sheet.edges_of_pieces`. A line with the id ``NAME.grain`` is the
+    grain of a panel.
 
     Raises:
         InputError: the file cannot be read, has no panels, an open outline, or a panel of several outlines.
