@@ -10,7 +10,9 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay
 
-__all__ = ["signed_area", "triangles_inside"]
+from assets.patterns.curves import signed_area
+
+__all__ = ["triangles_inside"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -18,12 +20,6 @@ Side = tuple[int, int]
 
 _MIN_HEIGHT_RATIO = 1e-6  # height of a triangle over its longest side [-]
 _MAX_AREA_ERROR = 1e-6  # of the triangles against the outline [-]
-
-
-def signed_area(outline: Floats) -> float:
-    """Area of a closed outline [m^2], shape (n, 2); positive if it runs counter-clockwise."""
-    (x, y), (x1, y1) = (outline - outline[0]).T, np.roll(outline - outline[0], -1, axis=0).T
-    return float((x * y1 - x1 * y).sum()) / 2.0
 
 
 def triangles_inside(points: Floats, outline_count: int) -> NDArray[np.int32]:

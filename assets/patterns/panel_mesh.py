@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from assets.patterns.delaunay import signed_area, triangles_inside
+from assets.patterns.curves import contains, signed_area
+from assets.patterns.delaunay import triangles_inside
 from assets.patterns.pattern import Band, EdgeName, Panel, Pattern
 from assets.patterns.pattern import edge_length as length_of
 from pbd.errors import InputError
@@ -221,17 +222,7 @@ def _lattice(outline: Floats, edge_length: float) -> Floats:
         away, nearest = cKDTree(target).query(points)
         clear &= away > gap[nearest]
     points = points[clear]
-    return points[_inside(points, outline)]
-
-
-def _inside(points: Floats, outline: Floats) -> NDArray[np.bool_]:
-    """Whether points lie in a closed outline: a ray to the right crosses it an odd number of times."""
-    inside = np.zeros(len(points), bool)
-    for (x0, y0), (x1, y1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
-        if y0 != y1:
-            crosses = (y0 > points[:, 1]) != (y1 > points[:, 1])
-            inside ^= crosses & (points[:, 0] < x0 + (points[:, 1] - y0) * (x1 - x0) / (y1 - y0))
-    return inside
+    return points[contains(outline, points)]
 
 
 def _smoothed(points: Floats, faces: Faces, fixed: int, edge_length: float) -> Floats:
@@ -265,7 +256,7 @@ def _recounted(points: Floats, faces: Faces, fixed: int, edge_length: float) -> 
     left = points[kept]
     lonely = centre[radius > _SPARSE * edge_length]
     outline = points[:fixed]
-    lonely = lonely[_inside(lonely, outline)] if len(lonely) else lonely
+    lonely = lonely[contains(outline, lonely)] if len(lonely) else lonely
     if len(lonely):
         lonely = lonely[cKDTree(left).query(lonely)[0] > _CLEARANCE * edge_length]
     added: list[Floats] = []
