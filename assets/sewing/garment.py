@@ -44,21 +44,23 @@ def drape_figures(garment: Garment, body: StandingBody) -> dict[str, float]:
 
     Returns:
         vertex_count, crossings (edges that go through faces of the garment), inside_body (vertices) and deepest_mm,
-        strain_p50 and strain_p99 of the edges' lengths against their rest shape (absolute values).
+        strain_p50 and strain_p99 of the edges' lengths against their rest shape (absolute values); tension_p99 with
+        shortened edges as negative values.
     """
     assert garment.pattern is not None
     depth = BodyDistance(body.faces).signed_distance(garment.vertices, body.vertices)
     sides = [
         np.linalg.norm(np.roll(x, -1, axis=1) - x, axis=2) for x in (garment.vertices[garment.faces], garment.pattern)
     ]
-    strain = np.abs(sides[0] / sides[1] - 1.0)
+    strain = sides[0] / sides[1] - 1.0
     return {
         "vertex_count": len(garment.vertices),
         "crossings": len(crossings(garment.vertices, garment.faces)),
         "inside_body": int((depth < -TOLERANCE).sum()),
         "deepest_mm": 1e3 * max(0.0, -float(depth.min())),
-        "strain_p50": float(np.percentile(strain, 50)),
-        "strain_p99": float(np.percentile(strain, 99)),
+        "strain_p50": float(np.percentile(np.abs(strain), 50)),
+        "strain_p99": float(np.percentile(np.abs(strain), 99)),
+        "tension_p99": float(np.percentile(strain, 99)),
     }
 
 
@@ -71,9 +73,9 @@ def faults_of(figures: dict[str, float]) -> list[str]:
         found.append(f"{figures['crossings']:.0f} edges go through other cloth")
     if figures["inside_body"]:
         found.append(f"{figures['inside_body']:.0f} vertices are inside the body, {figures['deepest_mm']:.1f} mm deep")
-    if figures["strain_p99"] > MAX_STRAIN:
+    if figures["tension_p99"] > MAX_STRAIN:
         found.append(
-            f"the cloth is strained by {100.0 * figures['strain_p99']:.0f} % (99th percentile): it is too small for the "
-            "body, or caught on it"
+            f"the cloth is stretched by {100.0 * figures['tension_p99']:.0f} % (99th percentile of its edges): it is "
+            "too small for the body, or caught on it"
         )
     return found

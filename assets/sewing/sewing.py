@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix, diags
 from scipy.spatial import cKDTree
 
 from assets.fabrics import load_fabric
@@ -19,13 +20,14 @@ from assets.patterns.panel_mesh import cut
 from assets.patterns.pattern import Pattern
 from assets.sewing.arrangement import arranged
 from assets.sewing.body import StandingBody
-from assets.sewing.garment import MAX_SEAM_GAP, SewnGarment, drape_figures, faults_of
+from assets.sewing.garment import SewnGarment, drape_figures, faults_of
 from assets.sewing.pieces import Joined, Pieces, carried_over, join, pieces_of
 from assets.sewing.simulation import Clock, close_stitches, drape
+from pbd.attachment import push_outside
 from pbd.bending import hinge_calibration
-from pbd.errors import InputError
+from pbd.crossings import crossings
 from pbd.fabric import Fabric
-from pbd.mesh import ClothMesh
+from pbd.mesh import ClothMesh, vertex_rings
 
 __all__ = ["COARSE_EDGE", "SewingError", "arranged_pieces", "sew"]
 
@@ -38,7 +40,11 @@ SEAM_ALLOWANCE = 0.01  # of cloth on both sides of a seam that is folded back un
 # Stages of draping: seconds, damping [1/s], share of the fabric's friction, share of gravity.
 HANG = (1.2, 2.0, 0.3, 1.0)
 SETTLE = ((0.6, 2.0, 0.3, 1.0), (1.2, 1.0, 1.0, 1.0))
+CLEARANCE = 0.003  # of smoothed cloth from the body [m]
 EXTRA, MAX_EXTRA = (0.4, 2.0, 1.0, 1.0), 3  # more of it while something is through cloth or body
+
+
+SMOOTHED_RINGS, SMOOTHINGS = 4, 12  # around a place where cloth is through itself, and how often
 
 
 class SewingError(Exception):
@@ -132,7 +138,7 @@ def _sewn(
     for _ in range(MAX_EXTRA):
         if not (sewn.figures["crossings"] or sewn.figures["inside_body"]):
             break
-        mesh = _drape(mesh, body, cloth, bend_factor, EXTRA, clock)
+        mesh = _drape(_untangled(mesh, body), body, cloth, bend_factor, EXTRA, clock)
         sewn = _judged(pattern, body, fabric, fine, surfaces[1], mesh)
     faults = faults_of(sewn.figures)
     if faults:
@@ -152,6 +158,29 @@ def _drape(
     return drape(
         mesh, body, replace(cloth, friction=friction * cloth.friction), bend_factor, seconds, damping, clock, weight
     )
+
+
+def _untangled(mesh: ClothMesh, body: StandingBody) -> ClothMesh:
+    """The mesh with cloth smoothed around places where it is through itself, outside the body.
+
+    Contact brings sheets back that are through one another. A crease that is folded into itself has no right side; the
+    smooth surface over it has one.
+    """
+    found = crossings(mesh.vertices, mesh.faces)
+    if not len(found):
+        return mesh
+    starts, ring = vertex_rings(mesh.faces, len(mesh.vertices))
+    around = csr_matrix((np.ones(len(ring)), ring, starts), (len(mesh.vertices),) * 2)
+    moved = np.zeros(len(mesh.vertices))
+    moved[np.unique(np.concatenate([found[:, :2].ravel(), mesh.faces[found[:, 2]].ravel()]))] = 1.0
+    for _ in range(SMOOTHED_RINGS):
+        moved = np.maximum(moved, (around @ moved > 0.0).astype(float))
+    patch, vertices = np.flatnonzero(moved), mesh.vertices.copy()
+    mean = (diags(1.0 / np.diff(starts)) @ around)[patch]
+    for _ in range(SMOOTHINGS):
+        vertices[patch] = mean @ vertices
+    vertices[patch] = push_outside(vertices[patch], body.vertices, body.faces, CLEARANCE)
+    return replace(mesh, vertices=vertices)
 
 
 def _work(coarse: Pieces, fine: Pieces, seconds: float, coarse_edge: float, edge_length: float) -> float:

@@ -29,8 +29,11 @@ CLOSING_DAMPING = 4.0  # rate at which velocities die away while the stitches cl
 CLOSED_SHARE = 0.3  # of the closing time for which the stitches are held closed afterwards
 
 
+MIN_SHARE = 0.05  # of the work after which the time left is said: kernels are compiled first
+
+
 class Clock:
-    """Counts the work of all stages and says how much time is left.
+    """Counts the work of all stages, and says how much time is left.
 
     Args:
         work: of all stages together, in vertices times substeps.
@@ -46,10 +49,12 @@ class Clock:
         """Some work is done."""
         self._done += work
         now = time.monotonic()
-        if self._report is not None and now - self._said > 1.0:
+        if self._report is not None and now - self._said > 2.0:
             share = min(self._done / self._work, 1.0)
-            left = (now - self._began) * (1.0 / max(share, 1e-3) - 1.0)
-            self._report(f"{self.stage}: {100.0 * share:.0f} %, {left:.0f} s left")
+            left = ""
+            if share > MIN_SHARE:
+                left = f", {(now - self._began) * (1.0 / share - 1.0):.0f} s left"
+            self._report(f"{self.stage}: {100.0 * share:.0f} %{left}")
             self._said = now
 
 
