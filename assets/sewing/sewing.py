@@ -43,7 +43,7 @@ HANG = (1.2, 2.0, 0.3, 1.0)
 SETTLE = ((0.6, 2.0, 0.3, 1.0), (1.2, 1.0, 1.0, 1.0))
 # A waistband does not give way. So many layers make one, unless it is an elastic; its edges become no longer than this.
 # Membranes alone, in one pass a substep, let a skirt's waistband stretch by a fifth and slide over the hips.
-BAND_LAYERS, MAX_BAND_STRETCH = 2.5, 1.0
+BAND_LAYERS, MAX_BAND_STRETCH = 2.5, 1.01
 CLEARANCE = 0.003  # of smoothed cloth from the body [m]
 EXTRA, MAX_EXTRA = (0.4, 2.0, 1.0, 1.0), 3  # more of it while something is through cloth or body
 
