@@ -16,7 +16,8 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from pbd.contact.blocks import LANES, empty_blocks
-from pbd.contact.pair_search import find_pairs, turning_kernel
+from pbd.contact.pair_search import find_pairs
+from pbd.contact.pair_sides import turning_kernel
 from pbd.contact.pairs import PULL
 from pbd.contact.strain_limits import limit_rows
 from pbd.contact.untangling import Untangling
