@@ -9,7 +9,6 @@ from assets.patterns.pattern import Band, EdgeName
 from runtime.pattern_picture import draw_pattern
 from tests.assets.patterns.shapes import pattern, tube
 
-
 BLUE, ORANGE = (31, 119, 180), (255, 127, 14)  # of the first two seams
 CLOTH, STRIP = (239, 233, 220), (209, 199, 174)
 
