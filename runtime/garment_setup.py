@@ -47,6 +47,7 @@ __all__ = [
     "fabric_of",
     "fabrics_of",
     "fine_options",
+    "garment_of",
     "held_vertices",
     "load_body",
     "motion_of",
@@ -235,7 +236,7 @@ class GarmentSetup:
         Raises:
             InputError: several garments, no body, or anything that cannot be loaded.
         """
-        settings, garment = _garment_of(scene)
+        settings, garment = garment_of(scene)
         body = body_of(scene)
         if settings.pins:
             expected = "attach or attach_vertices: pins hold a garment without a body"
@@ -254,7 +255,7 @@ class GarmentSetup:
             binding=binding,
             limits=limits,
         )
-        return cls(scene, settings, garment, body, levels)
+        return cls(scene, settings, garment, body, replace(levels, pattern=garment.pattern))
 
     def motion(self, motion: MotionSettings | None = None) -> Motion:
         """A motion of the body: the one given, or the scene's own."""
@@ -317,7 +318,12 @@ def _cuts(start: float, end: float, seconds: float) -> list[tuple[float, float]]
     return list(zip(ends[:-1], ends[1:], strict=True))
 
 
-def _garment_of(scene: Scene) -> tuple[GarmentSettings, Garment]:
+def garment_of(scene: Scene) -> tuple[GarmentSettings, Garment]:
+    """Settings and mesh of the only garment of a scene.
+
+    Raises:
+        InputError: several garments, or one that cannot be loaded.
+    """
     if len(scene.garments) != 1:
         names = [garment.name for garment in scene.garments]
         raise InputError("one garment at a time", key="garment", received=names, expected="one [[garment]]")
@@ -346,7 +352,7 @@ def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion 
         settings, levels, motion = stage.settings, stage.levels, stage.motion()
         source, pose = body_source(stage.body), motion.pose(0.0)
     else:
-        settings, garment = _garment_of(scene)
+        settings, garment = garment_of(scene)
         if settings.attach != "none" or settings.attach_vertices:
             raise InputError("nothing to attach to", key="garment[0].attach", expected="pins, or a [character]")
         if settings.limits is not None:

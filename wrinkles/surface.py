@@ -258,6 +258,21 @@ class Subdivision:
         place[corner] = weights.reshape(-1, 3)[::-1]
         return face, place
 
+    def flat_corners(self, pattern: np.ndarray | None) -> np.ndarray | None:
+        """Place of each corner of ``faces`` in the flat pattern [m], shape (M, 3, 2); None without a pattern.
+
+        Args:
+            pattern: the same of the coarse faces, shape (m, 3, 2); a delivered mesh has its own.
+        """
+        if self.binding is not None:
+            return self.binding.sewn.flat
+        for _ in self.steps if pattern is not None else ():
+            a, b, c = pattern[:, 0], pattern[:, 1], pattern[:, 2]
+            ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+            parts = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
+            pattern = np.stack([np.stack(p, axis=1) for p in parts], axis=1).reshape(-1, 3, 2)
+        return pattern
+
     @cached_property
     def at_coarse(self) -> np.ndarray:
         """The fine vertex at each coarse vertex, or on a delivered mesh nearest to it: int, shape (n,).
