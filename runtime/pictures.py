@@ -142,11 +142,15 @@ def render(
         red, green, blue, uint8, shape (height, width, 3).
 
     Raises:
-        InputError: a vertex is not finite.
+        InputError: a vertex is not finite, or a pattern is not that of the faces.
     """
     for index, mesh in enumerate(meshes):
         if not np.isfinite(mesh.vertices).all():
             raise InputError("a vertex of a picture is not finite", key=f"meshes[{index}].vertices")
+        wanted = (len(mesh.faces), 3, 2)
+        if mesh.pattern is not None and not (mesh.pattern.shape == wanted and np.isfinite(mesh.pattern).all()):
+            key, received = f"meshes[{index}].pattern", mesh.pattern.shape
+            raise InputError("not the pattern of these faces", key=key, received=received, expected=f"{wanted}, finite")
     return studio().draw(meshes, camera, size, floor)
 
 

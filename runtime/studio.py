@@ -13,6 +13,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from pbd.mesh import edges_of
 from runtime.light import Rings, Surface, directions_about, directions_everywhere, exposure
@@ -60,7 +61,7 @@ const vec3 RIM = vec3(0.62, 0.68, 0.78);
 const vec3 SKY = vec3(0.26, 0.28, 0.31);
 // Grooves are darker and ridges lighter, whichever way they run: light from one side does not show a fold along it.
 const float RELIEF = 0.45;
-const float RIDGE = 120.0; // [1/m]
+const float RIDGE = 40.0; // [1/m]
 const vec3 GROUND = vec3(0.07, 0.068, 0.065);
 
 // Share of a pixel that lines of a period cover, one line in each direction; w is the pixel's width in the pattern.
@@ -199,10 +200,16 @@ class Studio:
             shown.show(surface, part, {"keyVC": view @ key, "rimVC": view @ rim, "upVC": view[:, 1]})
         if height is not None:
             self._floor.position = (0.0, height, 0.0)
-            # Of the floor's light the key gives more than half.
-            dark = 1.0 - (0.6 * parts[-1][:, 0] + 0.4 * parts[-1][:, 1])
-            self._shadow["rgba"][:, 3] = np.round(255.0 * FLOOR_DARKNESS * self._floor_fade * dark).astype(np.uint8)
+            self._shadow["rgba"][:, 3] = self._darkness(parts[-1])
             self._shadow.Modified()
+
+    def _darkness(self, lit: np.ndarray) -> np.ndarray:
+        """How opaque the floor's shadow is, 0 to 255; of the floor's light the key gives more than half."""
+        square = lit[:, :2].reshape(FLOOR_CELLS, FLOOR_CELLS, 2)
+        # Its few cells are larger than a body's faces: they would show the single directions of the sky.
+        key, sky = (gaussian_filter(square[..., k], width) for k, width in ((0, 0.5), (1, 2.5)))
+        dark = FLOOR_DARKNESS * self._floor_fade * (1.0 - 0.6 * key - 0.4 * sky).ravel()
+        return np.round(255.0 * np.clip(dark, 0.0, 1.0)).astype(np.uint8)
 
     def _add_floor(self) -> None:
         """A square that only carries the shadow: black, as opaque as the shadow is dark."""

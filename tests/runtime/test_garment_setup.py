@@ -82,6 +82,13 @@ def test_the_delivered_mesh_is_the_fine_one(stage: GarmentSetup) -> None:
     assert not len(stage.levels.fine_held)
 
 
+def test_a_delivered_mesh_is_drawn_with_its_own_pattern(stage: GarmentSetup) -> None:
+    subdivision = stage.levels.subdivision
+    flat = subdivision.flat_corners(stage.levels.pattern)
+    assert flat is not None and flat.shape == (*subdivision.faces.shape, 2)
+    assert (np.linalg.det(flat[:, 1:] - flat[:, :1]) != 0.0).all()
+
+
 def test_a_sequence_is_learned_from_and_judged_by_parts(stage: GarmentSetup) -> None:
     (learned,) = stage.training_motions()
     held_out = stage.motion(stage.scene.training.held_out[0])

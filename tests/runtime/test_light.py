@@ -38,7 +38,7 @@ def test_directions_are_unit_and_even() -> None:
 
 
 def test_a_square_over_a_point_takes_the_share_of_the_sky_that_it_fills() -> None:
-    """A square of side 2 a at height a fills 4 / pi * atan(1 / sqrt 2) / sqrt 2 of the sky by its cosine (form factor)."""
+    """A square of side 2 a at height a fills 4 atan(1 / sqrt 2) / (pi sqrt 2) of the sky, by its cosine."""
     above = plate(0.4, 0.2)
     open_to = share([above], (0.0, 0.0, 0.0), directions_everywhere(4000))
     form_factor = 4.0 / np.pi / np.sqrt(2.0) * np.arctan(1.0 / np.sqrt(2.0))
