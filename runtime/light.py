@@ -16,12 +16,13 @@ from scipy.sparse import csr_matrix
 __all__ = ["Surface", "directions_about", "directions_everywhere", "exposure"]
 
 CELL = 0.005  # of the grids [m]
+_MAX_CELLS = 1000  # along a side; a larger scene has larger cells
 # A slanting surface rises within a cell. A vertex is in shadow of what is further above it than that, so that a surface
 # does not shade itself. (Moving vertices off their surface instead pushes them through the next layer of a pleat.)
-_OFFSET = 0.004  # [m] from the surface, all the same
-_RISE = 0.5 * CELL  # times the tangent of the angle between normal and light [m]
-_MAX_RISE = 0.03  # [m]
-_SOFT = 0.006  # a vertex deeper than this below another surface is in its full shadow [m]
+_OFFSET = 0.8  # cells from the surface, all the same
+_RISE = 0.5  # cells times the tangent of the angle between normal and light
+_MAX_RISE = 6.0  # cells
+_SOFT = 1.2  # cells; a vertex deeper than this below another surface is in its full shadow
 _MAX_CUTS = 24  # of a face's sides, for samples
 
 
@@ -72,8 +73,12 @@ def exposure(
         directions: unit, towards the light, shape (k, 3).
         weights: of the directions, above 0, shape (k,).
     """
-    samples = np.ascontiguousarray(np.concatenate([_samples(surface) for surface in surfaces]).T)
-    points, normals = np.ascontiguousarray(points.T), np.ascontiguousarray(normals.T)
+    ends = np.array([(surface.vertices.min(axis=0), surface.vertices.max(axis=0)) for surface in surfaces])
+    size = float(np.linalg.norm(ends[:, 1].max(axis=0) - ends[:, 0].min(axis=0)))
+    cell = max(CELL, size / _MAX_CELLS)
+    # Rows, each contiguous, in cells.
+    samples = np.ascontiguousarray(np.concatenate([_samples(surface, cell) for surface in surfaces]).T) / cell
+    points, normals = np.ascontiguousarray(points.T) / cell, np.ascontiguousarray(normals.T)
     lit, whole = np.zeros((2, 2, points.shape[1]), np.float32)
     for direction, weight in zip(directions, weights, strict=True):
         frame = _frame(direction).T.astype(np.float32)
@@ -125,13 +130,16 @@ class Rings:
 
 
 def _covered(samples: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """How much each point is below the samples, 0 to 1: shape (n,). The third of the three rows points to the light."""
-    low = samples[:2].min(axis=1) - np.float32(2.0 * CELL)
-    rows, columns = (np.ceil((samples[:2].max(axis=1) - low) / CELL)).astype(int) + 2
+    """How much each point is below the samples, 0 to 1: shape (n,).
+
+    Both are three rows in cells, the third of which points to the light.
+    """
+    low = samples[:2].min(axis=1) - np.float32(2.0)
+    rows, columns = np.ceil(samples[:2].max(axis=1) - low).astype(int) + 2
     top = np.full(rows * columns, -np.inf, np.float32)
-    across, along = ((samples[:2] - low[:, None]) * np.float32(1.0 / CELL)).astype(np.int32)
+    across, along = (samples[:2] - low[:, None]).astype(np.int32)
     np.maximum.at(top, across * columns + along, samples[2])
-    place = (points[:2] - low[:, None]) * np.float32(1.0 / CELL) - np.float32(0.5)
+    place = points[:2] - low[:, None] - np.float32(0.5)
     place[0].clip(0.0, rows - 1.5, out=place[0])  # nothing is above the border
     place[1].clip(0.0, columns - 1.5, out=place[1])
     corner = place.astype(np.int32)
@@ -151,11 +159,11 @@ def _frame(direction: np.ndarray) -> np.ndarray:
     return np.stack([side, np.cross(axis, side), axis], axis=1)
 
 
-def _samples(surface: Surface) -> np.ndarray:
-    """Points on the faces, no further apart than a cell: float32, shape (s, 3)."""
+def _samples(surface: Surface, cell: float) -> np.ndarray:
+    """Points on the faces, no further apart than a cell [m]: float32, shape (s, 3)."""
     corners = surface.vertices[surface.faces]
     longest = np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1))
-    cuts = np.clip(np.ceil(longest / CELL), 1, _MAX_CUTS).astype(int)
+    cuts = np.clip(np.ceil(longest / cell), 1, _MAX_CUTS).astype(int)
     found = [surface.vertices]
     for count in np.unique(cuts):
         i, j = np.divmod(np.arange(count * count), count)

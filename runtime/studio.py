@@ -18,6 +18,7 @@ from scipy.ndimage import gaussian_filter
 from pbd.mesh import edges_of
 from runtime.light import Rings, Surface, directions_about, directions_everywhere, exposure
 from wrinkles.metrics import vertex_normals
+from wrinkles.surface import cut_corners, cut_faces
 
 if TYPE_CHECKING:
     from runtime.pictures import Camera, Drawn
@@ -243,13 +244,14 @@ class _Mesh:
 
         self._faces, self._pattern = np.array(mesh.faces), None if mesh.pattern is None else np.array(mesh.pattern)
         self._cuts = _cuts(np.asarray(mesh.vertices, float), self._faces)
-        count, faces = len(mesh.vertices), self._faces
+        self._count, faces = len(mesh.vertices), self._faces
+        count = self._count
         flat = None if self._pattern is None else self._pattern.astype(np.float32)
         self._ends: list[np.ndarray] = []
         for _ in range(self._cuts):
             edges, side_edge = edges_of(faces)
-            faces = _quarters(faces, count + side_edge)
-            flat = None if flat is None else _quartered(flat)
+            faces = cut_faces(faces, count + side_edge)
+            flat = None if flat is None else cut_corners(flat)
             self._ends.append(edges)
             count += len(edges)
         self._fine, self._rings = faces, Rings(edges_of(faces)[0], count)
@@ -275,9 +277,11 @@ class _Mesh:
 
     def fits(self, mesh: Drawn) -> bool:
         """Whether the mesh has these faces and this pattern, and about this size."""
-        same = (self._pattern is None) == (mesh.pattern is None) and np.array_equal(self._faces, mesh.faces)
-        if same and self._pattern is not None:
+        if self._pattern is None or mesh.pattern is None:
+            same = self._pattern is mesh.pattern
+        else:
             same = np.array_equal(self._pattern, mesh.pattern)
+        same = same and self._count == len(mesh.vertices) and np.array_equal(self._faces, mesh.faces)
         return same and self._cuts == _cuts(np.asarray(mesh.vertices, float), self._faces)
 
     def surface(self, mesh: Drawn, vertices: np.ndarray) -> Surface:
@@ -309,17 +313,6 @@ def _cuts(vertices: np.ndarray, faces: np.ndarray) -> int:
         return 0
     sides = np.linalg.norm(vertices[faces] - vertices[np.roll(faces, 1, axis=1)], axis=2)
     return int(np.clip(np.ceil(np.log2(max(float(np.median(sides)), 1e-9) / FINE_EDGE)), 0, MAX_CUTS))
-
-
-def _quarters(faces: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    (a, b, c), (ab, bc, ca) = faces.T, middle.T
-    return np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
-
-
-def _quartered(flat: np.ndarray) -> np.ndarray:
-    a, b, c = flat[:, 0], flat[:, 1], flat[:, 2]
-    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-    return np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3, 2)
 
 
 def _parted(faces: np.ndarray, flat: np.ndarray | None, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

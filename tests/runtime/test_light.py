@@ -74,3 +74,12 @@ def test_the_curvature_of_a_cylinder_is_half_its_inverse_radius() -> None:
     found = Rings(edges_of(faces)[0], len(vertices)).curvature(vertices, normals).reshape(turn.shape)[2:-2, 2:-2]
     np.testing.assert_allclose(found.mean(), 0.5 / radius, rtol=0.15)
     assert found.min() > 0.0
+
+
+def test_a_scene_of_any_size_is_lit_alike() -> None:
+    """The grids grow with it: sixty metres in cells of half a centimetre would be gigabytes."""
+    sky = directions_everywhere(200)
+    small, large = (
+        share([plate(2.0 * size, size), plate(40.0 * size, 0.0)], (0.0, 0.0, 0.0), sky) for size in (0.25, 2.5)
+    )
+    np.testing.assert_allclose(small, large, atol=0.03)
