@@ -1,0 +1,1 @@
+"""Sewing patterns: flat panels with seams, read from files or drafted, and cut into triangles."""
