@@ -205,6 +205,8 @@ class ClothMesh:
             where the cloth rests flat. Only the default solver knows them.
         cloth_areas: of the cloth in each face [m2], shape (m,); None where it is as much as the rest shape has, and not
             gathered.
+        layers: of cloth that lie on one another in each face and are sewn together [-], shape (m,); None where there is
+            one everywhere.
     """
 
     vertices: np.ndarray
@@ -215,6 +217,7 @@ class ClothMesh:
     seam_hinges: Hinges | None = None
     rest_bends: np.ndarray | None = None
     cloth_areas: np.ndarray | None = None
+    layers: np.ndarray | None = None
 
     @classmethod
     def from_surface(cls, vertices: np.ndarray, faces: np.ndarray, warp: tuple = (0.0, 1.0, 0.0)) -> ClothMesh:
@@ -224,7 +227,9 @@ class ClothMesh:
         return cls(vertices, faces, flatten_by_surface(vertices, faces, np.asarray(warp)))
 
     @classmethod
-    def from_pattern(cls, vertices: np.ndarray, faces: np.ndarray, pattern: np.ndarray) -> ClothMesh:
+    def from_pattern(
+        cls, vertices: np.ndarray, faces: np.ndarray, pattern: np.ndarray, layers: np.ndarray | None = None
+    ) -> ClothMesh:
         """The flat pattern is the rest shape: corner coordinates (warp, weft) [m], shape (m, 3, 2).
 
         Mirrored panels keep their lengths; only the sign of the second axis changes.
@@ -232,7 +237,7 @@ class ClothMesh:
         sides = np.stack([pattern[:, 1] - pattern[:, 0], pattern[:, 2] - pattern[:, 0]], axis=2)
         flipped = np.linalg.det(sides) < 0
         sides[flipped, 1] *= -1.0
-        return cls(np.asarray(vertices, float), np.asarray(faces, np.int32), sides)
+        return cls(np.asarray(vertices, float), np.asarray(faces, np.int32), sides, layers=layers)
 
     @classmethod
     def grid(
@@ -289,10 +294,11 @@ class ClothMesh:
             if bends.shape != (count,) or not np.isfinite(bends).all():
                 expected = f"({count},), finite"
                 raise InputError("bad bends at rest", key="rest_bends", received=bends.shape, expected=expected)
-        if self.cloth_areas is not None:
-            cloth, expected = np.asarray(self.cloth_areas), f"({len(self.faces)},), above 0"
-            if cloth.shape != (len(self.faces),) or not (np.isfinite(cloth) & (cloth > 0.0)).all():
-                raise InputError("bad areas of cloth", key="cloth_areas", received=cloth.shape, expected=expected)
+        for name, problem in (("cloth_areas", "bad areas of cloth"), ("layers", "bad numbers of layers")):
+            if getattr(self, name) is not None:
+                values, expected = np.asarray(getattr(self, name)), f"({len(self.faces)},), above 0"
+                if values.shape != (len(self.faces),) or not (np.isfinite(values) & (values > 0.0)).all():
+                    raise InputError(problem, key=name, received=values.shape, expected=expected)
         area = self.face_areas
         if np.any(area <= 1e-12):
             face = int(np.argmin(area))
@@ -316,7 +322,8 @@ class ClothMesh:
     @property
     def face_cloth_areas(self) -> np.ndarray:
         """Areas of the cloth in each face [m2], shape (m,). Mass and stiffness follow from these areas."""
-        return self.face_areas if self.cloth_areas is None else np.asarray(self.cloth_areas)
+        areas = self.face_areas if self.cloth_areas is None else np.asarray(self.cloth_areas)
+        return areas if self.layers is None else areas * self.layers
 
     @property
     def vertex_cloth_areas(self) -> np.ndarray:

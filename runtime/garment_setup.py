@@ -254,6 +254,7 @@ class GarmentSetup:
             settings.subdivisions,
             binding=binding,
             limits=limits,
+            sewn=_sewn(garment),
         )
         return cls(scene, settings, garment, body, replace(levels, pattern=garment.pattern))
 
@@ -318,6 +319,11 @@ def _cuts(start: float, end: float, seconds: float) -> list[tuple[float, float]]
     return list(zip(ends[:-1], ends[1:], strict=True))
 
 
+def _sewn(garment: Garment) -> tuple[np.ndarray, np.ndarray | None] | None:
+    """Pattern and layers of a sewn garment; None for any other."""
+    return None if garment.layers is None or garment.pattern is None else (garment.pattern, garment.layers)
+
+
 def garment_of(scene: Scene) -> tuple[GarmentSettings, Garment]:
     """Settings and mesh of the only garment of a scene.
 
@@ -363,7 +369,12 @@ def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion 
             raise InputError("no such vertex", key="garment[0].pins", received=max(settings.pins), expected=expected)
         nothing = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
         levels = build_levels(
-            garment.vertices, garment.faces, np.array(settings.pins, int), *nothing, settings.subdivisions
+            garment.vertices,
+            garment.faces,
+            np.array(settings.pins, int),
+            *nothing,
+            settings.subdivisions,
+            sewn=_sewn(garment),
         )
         motion = source = pose = None
     attachment = levels.fine_attachment if fine else levels.coarse_attachment

@@ -215,6 +215,27 @@ class Subdivision:
         """
         return splu((self.matrix.T @ self.matrix).tocsc()).solve(self.matrix.T @ np.asarray(fine, float))
 
+    def sewn_meshes(
+        self, coarse_vertices: np.ndarray, pattern: np.ndarray, layers: np.ndarray | None
+    ) -> tuple[ClothMesh, ClothMesh]:
+        """Make the coarse and the fine mesh of a sewn garment, which rest as its pattern does.
+
+        Args:
+            coarse_vertices: [m], shape (n, 3).
+            pattern: corners of the coarse faces (warp, weft) [m], shape (m, 3, 2).
+            layers: of cloth in the coarse faces [-], shape (m,), or None.
+        """
+        coarse = ClothMesh.from_pattern(coarse_vertices, self.coarse_faces, pattern, layers)
+        corners = pattern
+        for _ in self.steps:
+            a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+            ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+            parts = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
+            corners = np.stack([np.stack(p, axis=1) for p in parts], axis=1).reshape(-1, 3, 2)
+        if layers is not None:
+            layers = np.repeat(layers, 4 ** len(self.steps))
+        return coarse, ClothMesh.from_pattern(self.upsample(coarse_vertices), self.cut, corners, layers)
+
     def meshes(self, coarse_vertices: np.ndarray, warp: tuple = (0.0, 1.0, 0.0)) -> tuple[ClothMesh, ClothMesh]:
         """Make the coarse and the fine mesh with one rest metric, that of the smooth fine mesh.
 

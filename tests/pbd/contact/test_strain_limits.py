@@ -7,11 +7,11 @@ import pytest
 
 from pbd import Colliders, Fabric, Model, Plane, Solver, SolverOptions, State
 from pbd.contact.strain_limits import MAX_STRETCH, limit_rows, near_limits, solve_strain_limits
+from pbd.distance import BodyDistance
 from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Int1, Vec3, Vec4, Vec4Rows
 from pbd.xpbd.views import ClothArrays, ContactWork
 from tests.pbd.meshes import body_of, cloth, free_model, grid, icosphere
-from wrinkles.distance import BodyDistance
 
 ON = SolverOptions(self_collision=True)
 LIMP = Fabric(stretch_warp=0.1, stretch_weft=0.1, shear=0.03)
