@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from assets.character import Character, load_character, with_clips
+from assets.ease import eased
 from assets.fabrics import PRESETS
 from assets.garment import Garment, boundary_loops, highest_loop, load_garment
 from assets.io.scene import FieldSettings, GarmentSettings, MotionSettings, Scene, parse_scene
@@ -242,6 +243,7 @@ class GarmentSetup:
             expected = "attach or attach_vertices: pins hold a garment without a body"
             raise InputError("pins beside a body", key="garment[0].pins", received=settings.pins, expected=expected)
         vertices = body.vertices if isinstance(body, Character) else body.vertices[0].astype(float)
+        garment = _in_size(garment, settings, vertices, body.faces)
         garment, binding = coarse_garment(garment, settings)
         held = held_vertices(garment, settings)
         limits = None if settings.limits is None else load_limits(settings.limits, len(garment.vertices))
@@ -337,6 +339,25 @@ def garment_of(scene: Scene) -> tuple[GarmentSettings, Garment]:
     return settings, load_garment(settings.mesh, pattern=settings.pattern)
 
 
+def _in_size(garment: Garment, settings: GarmentSettings, body_vertices: np.ndarray, body_faces: np.ndarray) -> Garment:
+    """The garment with the ease of the scene; vertices that are held on its own mesh stay where they are.
+
+    Raises:
+        InputError: as :func:`assets.ease.eased` and :func:`held_vertices`.
+    """
+    if not any(settings.ease):
+        return garment
+    seams = None if settings.seams is None else load_seams(settings.seams, len(garment.vertices))
+    held = np.zeros(0, np.int64)
+    if settings.coarse_vertices is None:  # otherwise numbers of loops and vertices are those of another mesh
+        held = np.union1d(held_vertices(garment, settings), settings.pins).astype(np.int64)
+    try:
+        return eased(garment, settings.ease, held, body_vertices, body_faces, seams)
+    except InputError as error:
+        size = {"received": error.received, "expected": error.expected}
+        raise InputError(error.problem, file=garment.source, key="ease", **size) from error
+
+
 def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion | None]:
     """The simulation of a scene at its start: garments on a body, or one garment that hangs on its pins.
 
@@ -368,6 +389,7 @@ def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion 
             expected = f"0..{len(garment.vertices) - 1}"
             raise InputError("no such vertex", key="garment[0].pins", received=max(settings.pins), expected=expected)
         nothing = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
+        garment = _in_size(garment, settings, *nothing)
         levels = build_levels(
             garment.vertices,
             garment.faces,

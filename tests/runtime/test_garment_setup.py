@@ -186,6 +186,17 @@ def skirt_with(folder: Path, keys: str, more: str = "", rows: str = "") -> Scene
     return parse_scene(text + f'[character]\nfile = "builtin:mannequin"\nclip = "twirl"\n{more}', folder / "scene.toml")
 
 
+def test_ease_reaches_both_meshes_of_a_scene(tmp_path: Path) -> None:
+    plain, eased = (GarmentSetup.of(skirt_with(tmp_path, keys)).levels for keys in ("", "ease = [0.2, 0.05]"))
+    for name in ("coarse", "fine"):
+        before, after = getattr(plain, name), getattr(eased, name)
+        assert after.face_areas.sum() / before.face_areas.sum() == pytest.approx(1.2 * 1.05, rel=0.02)
+    held = plain.coarse_held
+    np.testing.assert_allclose(eased.coarse.vertices[held], plain.coarse.vertices[held], atol=1e-9)
+    with pytest.raises(InputError, match="ease: a garment smaller than the body"):
+        GarmentSetup.of(skirt_with(tmp_path, "ease = [-0.4, 0]"))
+
+
 @pytest.mark.parametrize("fine", [False, True])
 def test_painted_limits_hold_both_meshes(tmp_path: Path, fine: bool) -> None:
     count = len(builtin_garment("skirt").vertices)
