@@ -85,7 +85,9 @@ def load_garment(path: str | PathLike[str], *, pattern: bool = False) -> Garment
         vertices, faces, texture = _read_gltf(path)
         label = lambda face: f"face {face}"  # noqa: E731
     else:
-        raise InputError("an unknown kind of file", file=path, received=path.suffix, expected=".obj, .glb, .gltf or .npz")
+        raise InputError(
+            "an unknown kind of file", file=path, received=path.suffix, expected=".obj, .glb, .gltf or .npz"
+        )
     if not len(faces):
         received = f"{len(vertices)} vertices"
         raise InputError("a mesh without faces", file=path, received=received, expected="a whole file with faces")

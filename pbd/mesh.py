@@ -207,6 +207,8 @@ class ClothMesh:
             gathered.
         layers: of cloth that lie on one another in each face and are sewn together [-], shape (m,); None where there is
             one everywhere.
+        max_stretch: greatest length of the edges of each face over their rest length, where the cloth collides with
+            itself [-], shape (m,); None where all have that of :mod:`pbd.contact.strain_limits`.
     """
 
     vertices: np.ndarray
@@ -218,6 +220,7 @@ class ClothMesh:
     rest_bends: np.ndarray | None = None
     cloth_areas: np.ndarray | None = None
     layers: np.ndarray | None = None
+    max_stretch: np.ndarray | None = None
 
     @classmethod
     def from_surface(cls, vertices: np.ndarray, faces: np.ndarray, warp: tuple = (0.0, 1.0, 0.0)) -> ClothMesh:
@@ -294,7 +297,11 @@ class ClothMesh:
             if bends.shape != (count,) or not np.isfinite(bends).all():
                 expected = f"({count},), finite"
                 raise InputError("bad bends at rest", key="rest_bends", received=bends.shape, expected=expected)
-        for name, problem in (("cloth_areas", "bad areas of cloth"), ("layers", "bad numbers of layers")):
+        for name, problem in (
+            ("cloth_areas", "bad areas of cloth"),
+            ("layers", "bad numbers of layers"),
+            ("max_stretch", "bad limits of stretch"),
+        ):
             if getattr(self, name) is not None:
                 values, expected = np.asarray(getattr(self, name)), f"({len(self.faces)},), above 0"
                 if values.shape != (len(self.faces),) or not (np.isfinite(values) & (values > 0.0)).all():
@@ -337,6 +344,18 @@ class ClothMesh:
         """Rest lengths of the sides 0-1, 1-2, 2-0 of each face [m], shape (m, 3)."""
         side_1, side_2 = self.flat[:, :, 0], self.flat[:, :, 1]
         return np.stack([np.linalg.norm(s, axis=1) for s in (side_1, side_2 - side_1, side_2)], axis=1)
+
+    def edge_limits(self, usual: float) -> np.ndarray:
+        """Greatest length over rest length of each edge, the lesser of both faces [-], shape (e,).
+
+        Args:
+            usual: where the mesh has no limits of its own [-].
+        """
+        edges, side_edge = edges_of(self.faces)
+        limits = np.full(len(edges), usual)
+        if self.max_stretch is not None:
+            np.minimum.at(limits, side_edge.ravel(), np.repeat(self.max_stretch, 3))
+        return limits
 
     def edge_lengths(self) -> tuple[np.ndarray, np.ndarray]:
         """Edges (int32, shape (e, 2)) and their rest lengths [m], shape (e,); mean of both faces."""

@@ -25,6 +25,7 @@ from assets.sewing.pieces import Joined, Pieces, carried_over, join, pieces_of
 from assets.sewing.simulation import Clock, close_stitches, drape
 from pbd.attachment import push_outside
 from pbd.bending import hinge_calibration
+from pbd.contact.strain_limits import MAX_STRETCH
 from pbd.crossings import crossings
 from pbd.fabric import Fabric
 from pbd.mesh import ClothMesh, vertex_rings
@@ -40,6 +41,9 @@ SEAM_ALLOWANCE = 0.01  # of cloth on both sides of a seam that is folded back un
 # Stages of draping: seconds, damping [1/s], share of the fabric's friction, share of gravity.
 HANG = (1.2, 2.0, 0.3, 1.0)
 SETTLE = ((0.6, 2.0, 0.3, 1.0), (1.2, 1.0, 1.0, 1.0))
+# A waistband does not give way. So many layers make one, unless it is an elastic; its edges become no longer than this.
+# Membranes alone, in one pass a substep, let a skirt's waistband stretch by a fifth and slide over the hips.
+BAND_LAYERS, MAX_BAND_STRETCH = 2.5, 1.0
 CLEARANCE = 0.003  # of smoothed cloth from the body [m]
 EXTRA, MAX_EXTRA = (0.4, 2.0, 1.0, 1.0), 3  # more of it while something is through cloth or body
 
@@ -220,7 +224,9 @@ def _surface(pattern: Pattern, pieces: Pieces, surface: Joined, positions: Float
     """The garment as one surface at given positions of the pieces."""
     rest = _along_grain(pattern, pieces)
     layers = pieces.layers + _allowance(pieces, surface)
-    return ClothMesh.from_pattern(surface.means(positions), surface.faces, rest, layers)
+    mesh = ClothMesh.from_pattern(surface.means(positions), surface.faces, rest, layers)
+    plain = np.abs(pieces.rest - pieces.flat[pieces.faces]).max(axis=(1, 2)) < 1e-9
+    return replace(mesh, max_stretch=np.where(plain & (pieces.layers >= BAND_LAYERS), MAX_BAND_STRETCH, MAX_STRETCH))
 
 
 def _along_grain(pattern: Pattern, pieces: Pieces) -> Floats:

@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 FRAME = 1.0 / 120.0  # [s]
 GRAVITY = (0.0, -9.81, 0.0)
 # The substep belongs to the edges of the mesh: stiff cloth of short edges stretches in long substeps.
-SUBSTEP, SUBSTEP_EDGE = 1.0 / 720.0, 0.02  # [s] at this edge length [m], and in proportion below
+SUBSTEP, SUBSTEP_EDGE = 1.0 / 1440.0, 0.01  # [s] at this edge length [m], and in proportion below
 CLOSING_DAMPING = 4.0  # rate at which velocities die away while the stitches close [1/s]
 CLOSED_SHARE = 0.3  # of the closing time for which the stitches are held closed afterwards
 

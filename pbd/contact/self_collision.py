@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from pbd.contact.blocks import LANES, empty_blocks
 from pbd.contact.pair_search import find_pairs, turning_kernel
 from pbd.contact.pairs import PULL
-from pbd.contact.strain_limits import limit_rows
+from pbd.contact.strain_limits import MAX_STRETCH, limit_rows
 from pbd.contact.untangling import Untangling
 from pbd.mesh import edges_of
 from pbd.model import Model, State
@@ -172,7 +172,9 @@ class SelfCollision:
         self._find, self._turn_sides = Launch(find_pairs), Launch(turning_kernel())
         self._ahead = 1.0  # how far the last search looked [s]
         self._pulls: tuple[np.ndarray, np.ndarray] | None = None
-        self.strain_limits, self.limit_work = limit_rows(*mesh.edge_lengths(), count)
+        all_edges, lengths = mesh.edge_lengths()
+        longest = lengths * mesh.edge_limits(MAX_STRETCH)
+        self.strain_limits, self.limit_work = limit_rows(all_edges, longest, count)
         self._make_room(2 * count)
 
     def _make_room(self, count: int) -> None:

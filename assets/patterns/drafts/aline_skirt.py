@@ -46,7 +46,9 @@ def aline_skirt(measures: BodyMeasures, parameters: AlineSkirt) -> Pattern:
     check_at_least(name, "length", length, m.waist_to_hip + 0.05, "5 cm below the hip")
     if length > m.waist_to_floor:
         floor = f"at most {m.waist_to_floor:.3f} m, the height of the waist"
-        raise InputError("the skirt would lie on the floor", key=f"draft {name}, length", received=length, expected=floor)
+        raise InputError(
+            "the skirt would lie on the floor", key=f"draft {name}, length", received=length, expected=floor
+        )
     share = np.clip(m.front_share, 0.46, 0.54)
     front = _panel("front", m, p, length, share[1], share[2])
     back = _panel("back", m, p, length, 1.0 - share[1], 1.0 - share[2])
@@ -54,7 +56,8 @@ def aline_skirt(measures: BodyMeasures, parameters: AlineSkirt) -> Pattern:
     middle = 0.5 * float(m.landmarks.waist[2] + m.landmarks.hip[2])
     height = float(m.landmarks.waist[1])
     panels = tuple(
-        outline.panel(place_on_trunk(outline, height, middle, side, around)) for outline, side in ((front, 1), (back, -1))
+        outline.panel(place_on_trunk(outline, height, middle, side, around))
+        for outline, side in ((front, 1), (back, -1))
     )
     seams = same_names(front, back, "side_left", "side_right") + dart_seams(front) + dart_seams(back)
     strips = []
@@ -64,9 +67,7 @@ def aline_skirt(measures: BodyMeasures, parameters: AlineSkirt) -> Pattern:
     return Pattern(name, panels, tuple(seams), tuple(strips), f"draft:{name}")
 
 
-def _panel(
-    name: str, m: BodyMeasures, p: AlineSkirt, length: float, waist_share: float, hip_share: float
-) -> Outline:
+def _panel(name: str, m: BodyMeasures, p: AlineSkirt, length: float, waist_share: float, hip_share: float) -> Outline:
     """Front or back: edges hem, side and waist line with darts; x > 0 is left in front, right behind."""
     waist = 0.5 * waist_share * m.waist
     hip = 0.5 * hip_share * (m.hip + p.ease)
@@ -83,7 +84,9 @@ def _panel(
         )
     # Below the hip the panel spreads like a fan, so that all its threads are as long as the middle: the hem is level.
     spread = math.asin(flare / below) * np.linspace(0.0, 1.0, 33)
-    hem = np.stack([np.linspace(0.0, hip, 33) + below * np.sin(spread), -m.waist_to_hip - below * np.cos(spread)], axis=1)
+    hem = np.stack(
+        [np.linspace(0.0, hip, 33) + below * np.sin(spread), -m.waist_to_hip - below * np.cos(spread)], axis=1
+    )
     hip_point, corner = np.array([hip, -m.waist_to_hip]), hem[-1]
     out = (corner - hip_point) / below
     upper = curve(hip_point, -0.35 * m.waist_to_hip * out, top, 0.3 * m.waist_to_hip * np.array([-0.25, 1.0]))

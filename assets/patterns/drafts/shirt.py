@@ -34,7 +34,9 @@ class Shirt:
     sleeve_length: float | None = number(None, "m", "from the shoulder to the cuff's end; default: to the wrist")
     sleeve_ease: float | None = number(None, "m", "added to the girth of the upper arm; default: 3 cm and half of ease")
     cuff_ease: float = number(0.05, "m", "added to the girth of the wrist")
-    dart: float | None = number(None, "m", "taken in by each dart at the bust; default: the front's surplus over the back")
+    dart: float | None = number(
+        None, "m", "taken in by each dart at the bust; default: the front's surplus over the back"
+    )
     neck_depth: float = number(0.075, "m", "of the neckline below the neck's side in front")
 
 

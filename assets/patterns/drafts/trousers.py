@@ -76,7 +76,9 @@ def trousers(measures: BodyMeasures, parameters: Trousers) -> Pattern:
     check_at_least(name, "length", length, m.rise + p.rise_ease + 0.08, "8 cm below the crotch")
     if length > m.waist_to_floor:
         floor = f"at most {m.waist_to_floor:.3f} m, the height of the waist"
-        raise InputError("the legs would lie on the floor", key=f"draft {name}, length", received=length, expected=floor)
+        raise InputError(
+            "the legs would lie on the floor", key=f"draft {name}, length", received=length, expected=floor
+        )
     leg_width = p.leg_width if p.leg_width is not None else m.knee + 0.08
     least, where = _girth_at(m, length)
     check_at_least(name, "leg_width", leg_width, least + 0.02, f"2 cm more than the {where}")
