@@ -7,6 +7,7 @@ from the body where it shows them. y = 0 is the height of the neck's side.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -211,18 +212,37 @@ def place_sleeve(outline: Outline, measures: BodyMeasures, around: Surroundings,
     crest = np.array([[0.0, top]])
     crown = float((shoulder - start) @ along)
 
-    def placed(radius: float, distance: float) -> Placement:
-        axis = start + (crown + top + distance) * along
-        return Placement(rotation, axis + radius * rotation[:, 2], radius)
+    reach = float((places.wrist * flip - start) @ along)
+
+    def placed(distance: float, radius: float, apart: float) -> Placement:
+        # The sleeve's outer line lies along the arm, which becomes thinner, so that the hem goes around the wrist.
+        first, last = (radius - girth / (2.0 * np.pi) - apart for girth in (measures.upper_arm, measures.wrist))
+        axis = _unit(along - rotation[:, 2] * (last - first) / reach)
+        turned = facing(_across(rotation[:, 2], axis), -axis)
+        origin = start - first * rotation[:, 2] + (crown + top + distance) * axis
+        return Placement(turned, origin + radius * turned[:, 2], radius)
 
     return nearest_placement(
         outline.name,
         points,
-        placed,
-        [width / (2.0 * np.pi) * k for k in (1.03, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0, 2.5)],
+        [
+            partial(placed, radius=width / (2.0 * np.pi) * k, apart=apart)
+            for k in (1.03, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0, 2.5)
+            for apart in (0.025, 0.04, 0.06)
+        ],
         around,
-        lambda placement: float(np.linalg.norm(placement.apply(crest) - shoulder)),
+        lambda placement: float(np.linalg.norm(placement.apply(crest) - shoulder) + _open(placement, outline)),
     )
+
+
+def _open(placement: Placement, outline: Outline) -> float:
+    """How wide the sleeve's own seam is open on average [m]."""
+    back, front = (placement.apply(outline.edges[f"underarm_{half}"]) for half in ("back", "front"))
+    return float(np.linalg.norm(back - front[::-1], axis=1).mean())
+
+
+def _unit(vector: Floats) -> Floats:
+    return vector / np.linalg.norm(vector)
 
 
 def _across(vector: Floats | tuple[float, float, float], along: Floats) -> Floats:

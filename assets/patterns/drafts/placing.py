@@ -7,6 +7,7 @@ the one whose seams stay nearest to each other is taken.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,8 +88,7 @@ def facing(outward: Sequence[float], up: Sequence[float]) -> Floats:
 def nearest_placement(
     name: str,
     points: Floats,
-    placements: Callable[[float, float], Placement],
-    radii: Iterable[float | None],
+    candidates: Iterable[Callable[[float], Placement]],
     surroundings: Surroundings,
     cost: Callable[[Placement], float],
     allowed: Callable[[Floats], bool] = lambda _: True,
@@ -98,8 +98,7 @@ def nearest_placement(
     Args:
         name: of the panel, for messages.
         points: of the panel [m], shape (n, 2).
-        placements: a placement for a radius [m] and a distance that the panel is moved away from the body [m].
-        radii: to try [m].
+        candidates: rolls to try: each gives the placement for a distance by which the panel is moved away [m].
         surroundings: the body and the other panels; the panel is added to them.
         cost: of a placement, such as the width of the seams that are still open [m].
         allowed: whether the points may be there at all.
@@ -108,9 +107,9 @@ def nearest_placement(
         InputError: no place is clear.
     """
     best: tuple[float, Placement] | None = None
-    for radius in radii:
+    for candidate in candidates:
         for distance in np.arange(0.0, _REACH, _STEP):
-            placement = placements(radius, float(distance))
+            placement = candidate(float(distance))
             placed = placement.apply(points)
             if allowed(placed) and surroundings.clear(placed, CLEARANCE):
                 if best is None or cost(placement) < best[0]:
@@ -136,11 +135,14 @@ def place_on_trunk(outline: Outline, height: float, middle: float, side: int, ar
     points = points_of(outline)
     half = float(points[:, 0].max())
     sides = points[np.abs(points[:, 0]) > 0.85 * half]
+
+    def placed(distance: float, radius: float) -> Placement:
+        return Placement(rotation, np.array([0.0, height, middle + side * distance]), radius)
+
     return nearest_placement(
         outline.name,
         points,
-        lambda radius, distance: Placement(rotation, np.array([0.0, height, middle + side * distance]), radius),
-        [half * k for k in (0.62, 0.66, 0.7, 0.75, 0.8, 0.9, 1.0, 1.2, 1.5, 2.0, 3.0, 6.0)],
+        [partial(placed, radius=half * k) for k in (0.62, 0.66, 0.7, 0.75, 0.8, 0.9, 1.0, 1.2, 1.5, 2.0, 3.0, 6.0)],
         around,
         lambda placement: float(np.abs(placement.apply(sides)[:, 2] - middle).mean()),
         lambda placed: bool((side * (placed[:, 2] - middle) > 0.005).all()),
