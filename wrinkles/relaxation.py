@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pbd.contact.colliders import Body
+from pbd.contact.colliders import EDGES, Body
 from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Vec3, Vec4, closest_in_fan, descend, vec3, vec4, xyz
 from pbd.mesh import ClothMesh
 from pbd.taichi_internals import Launch, in_kernel
+from pbd.xpbd.constraints import larger
 from pbd.xpbd.views import BodySurface
 from wrinkles.charts import leading_vertices
 from wrinkles.clearance import clearances, facing
@@ -35,9 +36,6 @@ MAX_COVERED = 0.04  # a part further away than this is not covered by the cloth 
 GAP_SHARE = 0.3  # of the gap between two parts that the cloth keeps from each, if that is less than its clearance [-]
 MIN_KEPT = 0.0003  # kept from the part that the cloth covers where there is no gap [m]
 MAX_FACE_DISTANCE = 0.05  # to a face that may be near the cloth [m]
-# A remembered place of the body serves until the vertex has slid so far along the body from where it was found ...
-MAX_SLIDE = 0.0015  # ... [m], and this share of its height over the tested ones, where it is further away.
-SLIDE_SHARE = 0.5
 MAX_WANDER = 0.03  # a coarse vertex whose body vertex is so far from its last one has gone over to another part [m]
 
 
@@ -51,9 +49,7 @@ class _Covered:
         clearance: kept from it at each of its vertices [m].
         nearest: body vertices where the last passes found each free vertex near the body, -1 for none: first on the
             part that it covers, for all of them, then on an opposite one.
-        corners: the other two corners of the face that was the closest there, -1 where the vertex was too high for a
-            test against faces.
-        beside: how far the vertex was then from the place that was found, along the body [m].
+        edge_ends, edge_sides: see :attr:`pbd.contact.colliders.Body.first_edges`.
         coarse_nearest, coarse_contact: body vertex near each coarse vertex, -1 for none, and distance to the body [m].
         coarse_before: ``coarse_nearest`` of the last pass.
         moved: 1 for the coarse vertices that have gone over to another part of the body, else 0.
@@ -68,8 +64,8 @@ class _Covered:
     surface: Any
     clearance: Any
     nearest: Any
-    corners: Any
-    beside: Any
+    edge_ends: Any
+    edge_sides: Any
     coarse_nearest: Any
     coarse_contact: Any
     coarse_before: Any
@@ -103,8 +99,8 @@ def _relax(
     coarse_before: Int1,
     moved: Int1,
     nearest: Int1,
-    corners: Int2,
-    beside: Float1,
+    edge_ends: Int1,
+    edge_sides: Int2,
     phase: ti.i32,
     across: Int1,
     cell_start: Int1,
@@ -124,8 +120,8 @@ def _relax(
     ti.loop_config(serialize=True)
     for _ in range(1):
         covered = _Covered(
-            BodySurface(body, body, ring_start, ring, fan_start, fan, body_normals), clearance, nearest, corners,
-            beside, coarse_nearest, coarse_contact, coarse_before, moved, across, cell_start, cell_items, item_cell,
+            BodySurface(body, body, ring_start, ring, fan_start, fan, body_normals), clearance, nearest, edge_ends,
+            edge_sides, coarse_nearest, coarse_contact, coarse_before, moved, across, cell_start, cell_items, item_cell,
             leading, frames, facing, level,
         )  # fmt: skip
         for c in range(held.shape[0]):
@@ -192,13 +188,26 @@ def _out_of_body(i: ti.i32, start: vec3, covered: ti.template()) -> vec3:
         anew = parts == 2 or moved[around[0]] + moved[around[1]] + moved[around[2]] > 0
         for part in range(parts):
             slot = i + part * covered.leading.shape[0]
-            best, n, h, c = _remembered(slot, p, covered)
-            if best < 0 or anew:
-                best = _searched(i, part, p, home, outwards, anew, covered)
-                covered.nearest[slot] = best
-                if best < 0:
-                    break
-                n, h, c = _height(p, best, slot, covered)
+            best = covered.nearest[slot]
+            search = best < 0 or anew
+            if search:
+                best = _seed(i, part, p, home, outwards, covered)
+            # A body vertex of the last pass is taken only where a walk would end at it: so a pass comes to the same
+            # bits, whatever came before it.
+            edge, finished = -1, best < 0
+            while not finished:
+                if search:
+                    best = descend(p, best, 0.0, covered.surface)
+                offset = p - body[best]
+                is_nearest, towards = _edge_towards(offset, best, covered)
+                edge, finished = towards, search or (is_nearest and not _has_more_edges(best, covered))
+                search = True
+            if part == 1 and best >= 0 and not _opposed(home, outwards, body[best], normals[best]):
+                best = -1
+            covered.nearest[slot] = best
+            if best < 0:
+                break
+            n, h, c = _height(p, best, edge, covered)
             if part == 0:
                 home, outwards = body[best], normals[best]
                 normal, gap, kept = n, h, c
@@ -223,68 +232,21 @@ def _out_of_body(i: ti.i32, start: vec3, covered: ti.template()) -> vec3:
 
 
 @ti.func
-def _remembered(slot: ti.i32, p: vec3, covered: ti.template()):
-    """Where the body is near p [m] by what an earlier pass found in a slot of :class:`_Covered`.
+def _seed(i: ti.i32, part: ti.i32, p: vec3, home: vec3, outwards: vec3, covered: ti.template()) -> ti.i32:
+    """Body vertex from which the search for free vertex i at p [m] starts; -1 for none.
 
-    The place that was found moves with the body, and p may have come nearer to it in any way; once p has slid along the
-    body it no longer serves.
-
-    Returns:
-        body vertex, -1 if the place does not serve; the others as :func:`_height`.
-    """
-    body, normals, clearance = ti.static(covered.surface.body_start, covered.surface.body_normals, covered.clearance)
-    best = covered.nearest[slot]
-    normal, height, kept = vec3(0.0), MAX_HEIGHT, 0.0
-    if best >= 0:
-        f, offset, reach = covered.corners[slot], p - body[best], covered.beside[slot] + MAX_SLIDE
-        if f[0] < 0:
-            normal = normals[best]
-            height = offset.dot(normal)
-            room = height - _tested_height(best, covered)
-            reach += SLIDE_SHARE * ti.max(room, 0.0)
-            if room < 0.0:
-                best = -1
-        else:
-            w = _weights_near(offset, body[f[0]] - body[best], body[f[1]] - body[best])
-            offset -= w[1] * (body[f[0]] - body[best]) + w[2] * (body[f[1]] - body[best])
-            normal = w[0] * normals[best] + w[1] * normals[f[0]] + w[2] * normals[f[1]]
-            normal /= ti.max(normal.norm(), 1e-20)
-            kept = w[0] * clearance[best] + w[1] * clearance[f[0]] + w[2] * clearance[f[1]]
-            height = offset.dot(normal)
-            if ti.abs(height) > MAX_HEIGHT:
-                best = -1
-        if offset.dot(offset) - height * height > reach * reach:
-            best = -1
-    return best, normal, height, kept
-
-
-@ti.func
-def _searched(
-    i: ti.i32, part: ti.i32, p: vec3, home: vec3, outwards: vec3, anew: bool, covered: ti.template()
-) -> ti.i32:
-    """Body vertex nearest to free vertex i at p [m], on the part that it covers (0) or on the opposite one (1); or -1.
-
-    On the part that it covers the search goes on from where it was. Another part does not come near unseen: the coarse
-    vertices around would have found it.
+    It lies on the part that the cloth covers (0) or on the opposite one (1). Another part does not
+    come near unseen: the coarse vertices around would have found it.
 
     Args:
         home, outwards: place of the body that it covers [m] and normal there, of use for the opposite part only.
-        anew: whether to look for a start, though there is one from the last pass.
     """
-    body, normals, frames = ti.static(covered.surface.body_start, covered.surface.body_normals, covered.frames)
-    last = covered.nearest[i + part * covered.leading.shape[0]]
-    best = last
-    if anew or last < 0:
-        way = outwards
-        if part == 0:
-            coarse = covered.leading[i][0]
-            way = covered.facing * vec3(frames[coarse, 6], frames[coarse, 7], frames[coarse, 8])
-        best = _start(i, part, last, p, home, way, covered)
-    if best >= 0:
-        best = descend(p, best, 0.0, covered.surface)
-    if part == 1 and best >= 0 and not _opposed(home, outwards, body[best], normals[best]):
-        best = -1
-    return best
+    frames = ti.static(covered.frames)
+    way = outwards
+    if part == 0:
+        coarse = covered.leading[i][0]
+        way = covered.facing * vec3(frames[coarse, 6], frames[coarse, 7], frames[coarse, 8])
+    return _start(i, part, covered.nearest[i + part * covered.leading.shape[0]], p, home, way, covered)
 
 
 @ti.func
@@ -335,18 +297,33 @@ def _opposed(p: vec3, normal: vec3, q: vec3, other_normal: vec3) -> bool:
 
 
 @ti.func
-def _weights_near(offset: vec3, side_1: vec3, side_2: vec3) -> vec3:
-    """Barycentric weights of the point of a triangle near ``offset`` from its first corner [m].
+def _edge_towards(offset: vec3, vertex: ti.i32, covered: ti.template()):
+    """Look at the edges from a body vertex to its neighbours.
 
-    Inside it is the closest point. Outside it is near the closest one on the rim.
+    Args:
+        offset: from the body vertex to a place near it [m].
+
+    Returns:
+        whether no neighbour is nearer to the place than the vertex; the edge that comes nearest to the place, -1 if no
+        edge comes nearer than the vertex. Edges are those of :attr:`pbd.contact.colliders.Body.first_edges`.
     """
-    a, b, c = side_1.dot(side_1), side_1.dot(side_2), side_2.dot(side_2)
-    d, e = offset.dot(side_1), offset.dot(side_2)
-    scale = 1.0 / ti.max(a * c - b * b, 1e-20)
-    u, v = ti.max((c * d - b * e) * scale, 0.0), ti.max((a * e - b * d) * scale, 0.0)
-    inside = 1.0 / ti.max(u + v, 1.0)
-    u, v = u * inside, v * inside
-    return vec3(1.0 - u - v, u, v)
+    body, ends = ti.static(covered.surface.body_start, covered.edge_ends)
+    best, nearer = 0, 0
+    for k in range(EDGES):
+        edge = body[ends[EDGES * vertex + k]] - body[vertex]
+        along, squared = offset.dot(edge), edge.dot(edge)
+        nearer |= ti.select(along + along > squared, 1, 0)
+        # The squared distance to the edge is that to the vertex less this gain. Positive numbers are in the order of
+        # their bits, and the largest of whole numbers is found without a branch.
+        gain = larger(along, 0.0) * along / larger(squared, 1e-20)
+        best = ti.max(best, (ti.bit_cast(gain, ti.i32) & -EDGES) | k)
+    return nearer == 0, ti.select(best < EDGES, -1, EDGES * vertex + (best & (EDGES - 1)))
+
+
+@ti.func
+def _has_more_edges(vertex: ti.i32, covered: ti.template()) -> bool:
+    """Whether a body vertex has more neighbours than :func:`_edge_towards` looks at."""
+    return covered.surface.ring_start[vertex + 1] - covered.surface.ring_start[vertex] > EDGES
 
 
 @ti.func
@@ -462,30 +439,55 @@ def _tested_height(vertex: ti.i32, covered: ti.template()) -> ti.f32:
 
 
 @ti.func
-def _height(p: vec3, vertex: ti.i32, slot: ti.i32, covered: ti.template()):
+def _height(p: vec3, vertex: ti.i32, edge: ti.i32, covered: ti.template()):
     """Normal of the body near one of its vertices, height of p [m] over it, and the clearance there [m].
 
-    Near the body the faces around the vertex count; further away its tangent plane is enough. The place is remembered
-    in a slot of :class:`_Covered`.
+    Near the body the nearer one of the two faces beside an edge counts, see :func:`_edge_towards`; further away the
+    tangent plane is enough.
     """
     body, normals, clearance = ti.static(covered.surface.body_start, covered.surface.body_normals, covered.clearance)
     offset = p - body[vertex]
     normal, height, kept = normals[vertex], offset.dot(normals[vertex]), 0.0
-    corners, far = ti.Vector([-1, -1]), False
     if height < _tested_height(vertex, covered):
-        f, w, squared = closest_in_fan(p, vertex, 0.0, covered.surface)
-        offset = p - (w[0] * body[vertex] + w[1] * body[f[0]] + w[2] * body[f[1]])
+        f, w = ti.Vector([vertex, vertex]), vec3(1.0, 0.0, 0.0)
+        if _has_more_edges(vertex, covered):
+            f, w, _squared = closest_in_fan(p, vertex, 0.0, covered.surface)
+        elif edge >= 0:
+            first, second, other = covered.edge_ends[edge], covered.edge_sides[edge][0], covered.edge_sides[edge][1]
+            along = body[first] - body[vertex]
+            w, gain = _weights_beside(offset, along, body[second] - body[vertex])
+            other_w, other_gain = _weights_beside(offset, along, body[other] - body[vertex])
+            f = ti.Vector([first, ti.select(other_gain > gain, other, second)])
+            w = ti.select(other_gain > gain, other_w, w)
+        offset -= w[1] * (body[f[0]] - body[vertex]) + w[2] * (body[f[1]] - body[vertex])
         normal = w[0] * normals[vertex] + w[1] * normals[f[0]] + w[2] * normals[f[1]]
         normal /= ti.max(normal.norm(), 1e-20)
         kept = w[0] * clearance[vertex] + w[1] * clearance[f[0]] + w[2] * clearance[f[1]]
         height = offset.dot(normal)
-        corners = f
-        far = squared > MAX_FACE_DISTANCE * MAX_FACE_DISTANCE
-    covered.corners[slot] = corners
-    covered.beside[slot] = ti.sqrt(ti.max(offset.dot(offset) - height * height, 0.0))
-    if far:
-        height = MAX_HEIGHT
+        if offset.dot(offset) > MAX_FACE_DISTANCE * MAX_FACE_DISTANCE:
+            height = MAX_HEIGHT
     return normal, height, kept
+
+
+@ti.func
+def _weights_beside(offset: vec3, edge: vec3, side: vec3):
+    """Closest point of a triangle to a place whose nearest corner is the first.
+
+    Args:
+        offset: from that corner to the place [m].
+        edge: to the second corner; it is nearer to the place than the side to the third corner [m].
+
+    Returns:
+        barycentric weights; by how much the place is nearer to that point than to the first corner, squared [m2].
+    """
+    a, b, c = edge.dot(edge), edge.dot(side), side.dot(side)
+    d, e = offset.dot(edge), offset.dot(side)
+    u, v, area = c * d - b * e, a * e - b * d, ti.max(a * c - b * b, 1e-20)
+    over = ti.min(u, v) > 0.0
+    # Beyond the third side the point is taken on that side, in the direction of the projection.
+    scale = 1.0 / ti.max(u + v, area)
+    u, v = ti.select(over, u * scale, d / a), ti.select(over, v * scale, 0.0)
+    return vec3(1.0 - u - v, u, v), u * d + v * e
 
 
 class Relaxation:
@@ -528,7 +530,6 @@ class Relaxation:
         """Make everything that changes from pass to pass."""
         count = len(self._free)
         self._nearest = np.full(2 * count, -1, np.int32)
-        self._corners, self._beside = np.full((2 * count, 2), -1, np.int32), np.zeros(2 * count, np.float32)
         self._across, self._before = (np.full(coarse_count, -1, np.int32) for _ in range(2))
         self._moved = np.zeros(coarse_count, np.int32)
         self._work = np.zeros((count + len(self._held), 4), np.float32)
@@ -581,7 +582,7 @@ class Relaxation:
 
     @property
     def _remembered(self) -> tuple[np.ndarray, ...]:
-        return self._nearest, self._corners, self._beside, self._across, self._before
+        return self._nearest, self._across, self._before
 
     def __call__(
         self,
@@ -624,8 +625,7 @@ class Relaxation:
             self._before,
             self._moved,
             self._nearest,
-            self._corners,
-            self._beside,
+            *body.first_edges,
             self._phase,
             self._across,
             *self._cells,
