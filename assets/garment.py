@@ -16,7 +16,7 @@ from assets.weld import check_unit, group_rows, weld
 from pbd.errors import InputError
 from pbd.mesh import edges_of
 
-__all__ = ["Garment", "boundary_loops", "highest_loop", "load_garment"]
+__all__ = ["Garment", "boundary_loops", "check_faces", "highest_loop", "load_garment"]
 
 Floats = NDArray[np.float64]
 Faces = NDArray[np.int32]
@@ -37,6 +37,8 @@ class Garment:
         faces: shape (m, 3), int32.
         pattern: flat coordinates of each face corner [m], shape (m, 3, 2), float64; None if the rest shape is the mesh.
         source: the file or the function that it came from.
+        layers: of cloth in each face [-], shape (m,), float64; None where there is one everywhere. A sewn garment has
+            them, and its pattern is in the order (warp, weft).
     """
 
     name: str
@@ -44,10 +46,11 @@ class Garment:
     faces: Faces
     pattern: Floats | None
     source: str
+    layers: Floats | None = None
 
 
 def load_garment(path: str | PathLike[str], *, pattern: bool = False) -> Garment:
-    """Load, weld and check a garment from an .obj, .glb or .gltf file in metres.
+    """Load, weld and check a garment from an .obj, .glb or .gltf file in metres, or a sewn one from its .npz file.
 
     Vertices at exactly the same position become one, so that seams of the texture close; the vertices of an .obj file
     with a pattern stay as they are, since its panels may touch before they are stitched. Polygons are cut into
@@ -70,6 +73,10 @@ def load_garment(path: str | PathLike[str], *, pattern: bool = False) -> Garment
 
         return builtin_garment(str(path).removeprefix("builtin:"))
     path = Path(path)
+    if path.suffix.lower() == ".npz":
+        from assets.io.sewn import read_sewn  # is made of this module's parts
+
+        return read_sewn(path).garment
     if path.suffix.lower() == ".obj":
         mesh = read_obj(path)
         vertices, faces, texture, lines = mesh.vertices, mesh.faces, mesh.texture, mesh.lines
@@ -78,7 +85,9 @@ def load_garment(path: str | PathLike[str], *, pattern: bool = False) -> Garment
         vertices, faces, texture = _read_gltf(path)
         label = lambda face: f"face {face}"  # noqa: E731
     else:
-        raise InputError("an unknown kind of file", file=path, received=path.suffix, expected=".obj, .glb or .gltf")
+        raise InputError(
+            "an unknown kind of file", file=path, received=path.suffix, expected=".obj, .glb, .gltf or .npz"
+        )
     if not len(faces):
         received = f"{len(vertices)} vertices"
         raise InputError("a mesh without faces", file=path, received=received, expected="a whole file with faces")
@@ -86,7 +95,7 @@ def load_garment(path: str | PathLike[str], *, pattern: bool = False) -> Garment
         vertices, faces, _ = weld(vertices, faces)
     vertices, faces = _drop_unused(vertices, faces)
     check_unit(vertices, path)
-    _check_faces(vertices, faces, path, label)
+    check_faces(vertices, faces, path, label)
     flipped = _winding(faces, path)
     faces[flipped] = faces[flipped][:, [0, 2, 1]]
     flat = None
@@ -177,7 +186,7 @@ def _heights(corners: Floats) -> tuple[Floats, Floats]:
     return np.sqrt(np.maximum(squares, 0.0)) / np.maximum(longest, 1e-300), longest
 
 
-def _check_faces(vertices: Floats, faces: Faces, path: Path, label: Callable[[int], str]) -> None:
+def check_faces(vertices: Floats, faces: Faces, path: Path, label: Callable[[int], str]) -> None:
     """Refuse faces without area, faces that appear twice, and edges of more than two faces."""
     a, b, c = faces.T
     repeated = (a == b) | (b == c) | (c == a)

@@ -39,6 +39,10 @@ class InputError(ValueError):
         text = f"{place}: {problem}" if place else problem
         super().__init__(f"{text} ({', '.join(detail)})" if detail else text)
 
+    def in_file(self, file: Any) -> InputError:
+        """The same error about a file that the code which found it did not know."""
+        return InputError(self.problem, file=file, key=self.key, received=self.received, expected=self.expected)
+
     @classmethod
     def join(cls, errors: Sequence[InputError]) -> InputError:
         """One error that reports several at once, a line each."""

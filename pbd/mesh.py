@@ -205,6 +205,10 @@ class ClothMesh:
             where the cloth rests flat. Only the default solver knows them.
         cloth_areas: of the cloth in each face [m2], shape (m,); None where it is as much as the rest shape has, and not
             gathered.
+        layers: of cloth that lie on one another in each face and are sewn together [-], shape (m,); None where there is
+            one everywhere.
+        max_stretch: greatest length of the edges of each face over their rest length, where the cloth collides with
+            itself [-], shape (m,); None where all have that of :mod:`pbd.contact.strain_limits`.
     """
 
     vertices: np.ndarray
@@ -215,6 +219,8 @@ class ClothMesh:
     seam_hinges: Hinges | None = None
     rest_bends: np.ndarray | None = None
     cloth_areas: np.ndarray | None = None
+    layers: np.ndarray | None = None
+    max_stretch: np.ndarray | None = None
 
     @classmethod
     def from_surface(cls, vertices: np.ndarray, faces: np.ndarray, warp: tuple = (0.0, 1.0, 0.0)) -> ClothMesh:
@@ -224,7 +230,9 @@ class ClothMesh:
         return cls(vertices, faces, flatten_by_surface(vertices, faces, np.asarray(warp)))
 
     @classmethod
-    def from_pattern(cls, vertices: np.ndarray, faces: np.ndarray, pattern: np.ndarray) -> ClothMesh:
+    def from_pattern(
+        cls, vertices: np.ndarray, faces: np.ndarray, pattern: np.ndarray, layers: np.ndarray | None = None
+    ) -> ClothMesh:
         """The flat pattern is the rest shape: corner coordinates (warp, weft) [m], shape (m, 3, 2).
 
         Mirrored panels keep their lengths; only the sign of the second axis changes.
@@ -232,7 +240,7 @@ class ClothMesh:
         sides = np.stack([pattern[:, 1] - pattern[:, 0], pattern[:, 2] - pattern[:, 0]], axis=2)
         flipped = np.linalg.det(sides) < 0
         sides[flipped, 1] *= -1.0
-        return cls(np.asarray(vertices, float), np.asarray(faces, np.int32), sides)
+        return cls(np.asarray(vertices, float), np.asarray(faces, np.int32), sides, layers=layers)
 
     @classmethod
     def grid(
@@ -289,10 +297,15 @@ class ClothMesh:
             if bends.shape != (count,) or not np.isfinite(bends).all():
                 expected = f"({count},), finite"
                 raise InputError("bad bends at rest", key="rest_bends", received=bends.shape, expected=expected)
-        if self.cloth_areas is not None:
-            cloth, expected = np.asarray(self.cloth_areas), f"({len(self.faces)},), above 0"
-            if cloth.shape != (len(self.faces),) or not (np.isfinite(cloth) & (cloth > 0.0)).all():
-                raise InputError("bad areas of cloth", key="cloth_areas", received=cloth.shape, expected=expected)
+        for name, problem in (
+            ("cloth_areas", "bad areas of cloth"),
+            ("layers", "bad numbers of layers"),
+            ("max_stretch", "bad limits of stretch"),
+        ):
+            if getattr(self, name) is not None:
+                values, expected = np.asarray(getattr(self, name)), f"({len(self.faces)},), above 0"
+                if values.shape != (len(self.faces),) or not (np.isfinite(values) & (values > 0.0)).all():
+                    raise InputError(problem, key=name, received=values.shape, expected=expected)
         area = self.face_areas
         if np.any(area <= 1e-12):
             face = int(np.argmin(area))
@@ -316,7 +329,8 @@ class ClothMesh:
     @property
     def face_cloth_areas(self) -> np.ndarray:
         """Areas of the cloth in each face [m2], shape (m,). Mass and stiffness follow from these areas."""
-        return self.face_areas if self.cloth_areas is None else np.asarray(self.cloth_areas)
+        areas = self.face_areas if self.cloth_areas is None else np.asarray(self.cloth_areas)
+        return areas if self.layers is None else areas * self.layers
 
     @property
     def vertex_cloth_areas(self) -> np.ndarray:
@@ -330,6 +344,18 @@ class ClothMesh:
         """Rest lengths of the sides 0-1, 1-2, 2-0 of each face [m], shape (m, 3)."""
         side_1, side_2 = self.flat[:, :, 0], self.flat[:, :, 1]
         return np.stack([np.linalg.norm(s, axis=1) for s in (side_1, side_2 - side_1, side_2)], axis=1)
+
+    def edge_limits(self, usual: float) -> np.ndarray:
+        """Greatest length over rest length of each edge, the lesser of both faces [-], shape (e,).
+
+        Args:
+            usual: where the mesh has no limits of its own [-].
+        """
+        edges, side_edge = edges_of(self.faces)
+        limits = np.full(len(edges), usual)
+        if self.max_stretch is not None:
+            np.minimum.at(limits, side_edge.ravel(), np.repeat(self.max_stretch, 3))
+        return limits
 
     def edge_lengths(self) -> tuple[np.ndarray, np.ndarray]:
         """Edges (int32, shape (e, 2)) and their rest lengths [m], shape (e,); mean of both faces."""

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from pbd.bending import hinge_calibration, hinge_rows
+from pbd.bending import hinge_calibration, hinge_rows, layer_stiffness
 from pbd.errors import InputError
 from pbd.fabric import Fabric
 from pbd.limits import Limits
@@ -267,14 +267,16 @@ def _bending(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     hinges, rows, areas, angle = hinge_rows(mesh, np.flatnonzero(inverse_mass == 0.0))
     rest = np.zeros(len(hinges)) if mesh.rest_bends is None else mesh.rest_bends
+    stacked = layer_stiffness(mesh)
     if mesh.seam_hinges is not None:
         pairs = zip((hinges, rows, areas, angle), mesh.seam_hinges, strict=True)
         hinges, rows, areas, angle = (np.concatenate(pair) for pair in pairs)
         rest = np.concatenate([rest, np.zeros(len(hinges) - len(rest))])
+        stacked = np.concatenate([stacked, np.ones(len(hinges) - len(stacked))])
     # A hinge bends at right angles to its edge; between the axes the stiffness follows the square of a mixed root.
     along_warp, along_weft = np.sin(angle) ** 2, np.cos(angle) ** 2
     bend = (np.sqrt(fabric.bend_warp) * along_warp + np.sqrt(fabric.bend_weft) * along_weft) ** 2
-    stiffness = 3.0 * factor * bend / areas
+    stiffness = 3.0 * factor * stacked * bend / areas
     sums = (inverse_mass[hinges] * rows**2).sum(axis=1)
     stiffness[sums == 0] = 0.0  # all held
     works = stiffness > 1e-9 * stiffness.max(initial=0.0)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from pbd.contact.distance_field import DistanceField
+from pbd.distance import BodyDistance
 from pbd.errors import InputError
 from pbd.geometry import FAR
-from wrinkles.distance import BodyDistance
 
 __all__ = ["MAX_GRID_POINTS", "field_of_mesh"]
 

@@ -41,6 +41,8 @@ class Levels:
         coarse_held, fine_held: attached vertices, int, shapes (p,), (P,).
         coarse_attachment, fine_attachment: bind the attached vertices to the body; empty without a body.
         coarse_limits, fine_limits: how far vertices may move from where the body carries them.
+        pattern: place of each corner of each coarse face in the flat pattern, for pictures [m], shape (m, 3, 2); None
+            where there is none, or where a delivered fine mesh has it.
     """
 
     subdivision: Subdivision
@@ -52,6 +54,7 @@ class Levels:
     fine_attachment: Attachment
     coarse_limits: Limits
     fine_limits: Limits
+    pattern: np.ndarray | None = None
 
     def __getstate__(self) -> dict:
         # The cached factors are left out, because they cannot be sent to a worker process.
@@ -113,6 +116,7 @@ def build_levels(
     warp: tuple[float, float, float] = (0.0, 1.0, 0.0),
     binding: Binding | None = None,
     limits: Limits | None = None,
+    sewn: tuple[np.ndarray, np.ndarray | None] | None = None,
 ) -> Levels:
     """Make the two levels of a garment: push it out of the body in the bind pose, refine it and attach it.
 
@@ -126,6 +130,7 @@ def build_levels(
         warp: direction of the warp in space, shape (3,).
         binding: of a delivered fine mesh, if there is one.
         limits: how far coarse vertices may move from where the body carries them.
+        sewn: pattern and layers of a sewn garment, see :meth:`wrinkles.surface.Subdivision.sewn_meshes`.
 
     Raises:
         InputError: a number of levels outside 1..4, or a subdivided mesh whose area differs by more than 2 %.
@@ -140,7 +145,7 @@ def build_levels(
             outside = push_outside(subdivision.upsample(vertices), body_vertices, body_faces, CLEARANCE)
             vertices = subdivision.fit(outside)
         vertices = push_outside(vertices, body_vertices, body_faces, CLEARANCE)
-    return levels_of(vertices, faces, held, body_vertices, body_faces, levels, warp, binding, limits)
+    return levels_of(vertices, faces, held, body_vertices, body_faces, levels, warp, binding, limits, sewn)
 
 
 def levels_of(
@@ -153,6 +158,7 @@ def levels_of(
     warp: tuple[float, float, float] = (0.0, 1.0, 0.0),
     binding: Binding | None = None,
     limits: Limits | None = None,
+    sewn: tuple[np.ndarray, np.ndarray | None] | None = None,
 ) -> Levels:
     """Make the levels of a garment that is outside the body already; arguments as for :func:`build_levels`.
 
@@ -160,7 +166,10 @@ def levels_of(
         InputError: a subdivided mesh whose area differs by more than 2 %.
     """
     subdivision = Subdivision.of(faces, len(vertices), levels, binding)
-    coarse, fine = subdivision.meshes(vertices, warp)
+    if sewn is None:
+        coarse, fine = subdivision.meshes(vertices, warp)
+    else:
+        coarse, fine = subdivision.sewn_meshes(vertices, *sewn)
     coarse, ratio = with_area_of(coarse, fine)
     if binding is None and abs(ratio - 1.0) > MAX_AREA_CORRECTION:
         expected = f"1 within {100.0 * MAX_AREA_CORRECTION:g} %"

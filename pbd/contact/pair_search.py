@@ -52,6 +52,7 @@ def find_pairs(
     displacement: Vec3,
     normals: Vec4,
     rest: Vec3,
+    landmarks: Vec4Rows,
     layer: Int1,
     wrong_side: Int1,
     faces: Int3,
@@ -104,8 +105,8 @@ def find_pairs(
             dt,
             share,
             MovingCloth(
-                position, velocity, displacement, normals, rest, layer, wrong_side, seen_position, seen_velocity, stale,
-                thickness, longest,
+                position, velocity, displacement, normals, rest, landmarks, layer, wrong_side, seen_position,
+                seen_velocity, stale, thickness, longest,
             ),
             BoxTree(
                 faces, owned, edges, patch_start, group_start, nodes, neighbour_start, neighbours, common, boxes,

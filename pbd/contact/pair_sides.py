@@ -16,6 +16,10 @@ __all__ = ["EDGE_SHARE", "SLACK", "MovingCloth", "PairBuffers", "take_pair", "tu
 SLACK = 0.003  # pairs are kept up to this distance beyond thickness and expected motion [m]
 MIN_COSINE = 0.5  # of the angle between the normals of two layers that face the same way [-]
 EDGE_SHARE = 0.5  # of the thickness, at which edges repel: vertices keep the sheets apart, edges from crossing [-]
+# Places that are nearer along the cloth cannot touch in a fold that is round and keeps the thickness inside. If they
+# were kept apart, they would resist compression and bending: the more, the finer the mesh is [thickness].
+NEAR_ALONG_CLOTH = 0.5 * 3.14159265
+SLACK_ALONG_CLOTH = 0.001  # of places that are a little further along the cloth: they move alike [m]
 NO_CONTACT = -1.0  # thickness of a pair that is never in contact [m]
 
 
@@ -29,6 +33,7 @@ class MovingCloth:
         displacement: receives the expected displacement over the frame against the cloth's mean [m], vec3.
         normals: receives unit vertex normals if there are several layers, vec4.
         rest: positions at rest [m], vec3.
+        landmarks: distances along the cloth at rest to landmarks [m], two rows of vec4.
         layer: number of the garment of each vertex.
         wrong_side: 1 for vertices on the wrong side of their own garment.
         seen_position, seen_velocity: of each vertex the motion that was expected when it was last stale: where it leads
@@ -42,6 +47,7 @@ class MovingCloth:
     displacement: Any
     normals: Any
     rest: Any
+    landmarks: Any
     layer: Any
     wrong_side: Any
     seen_position: Any
@@ -101,7 +107,15 @@ def take_pair(q, owners, cloth: ti.template(), buffers: ti.template()):
     reach = kept + SLACK
     shares, across, offset = ti.math.vec4(0.0), vec3(0.0), vec3(0.0)
     size, displacement = 1e30, 0.0
-    if overlap(low - reach, high + reach, other_low, other_high):
+    at_rest = 1e30
+    may_touch = overlap(low - reach, high + reach, other_low, other_high)
+    if may_touch:
+        rest_distance, along_cloth = distance_at_rest(q, k, cloth)
+        at_rest = rest_distance
+        if same_garment and along_cloth:
+            may_touch = at_rest > NEAR_ALONG_CLOTH * cloth.thickness
+            reach = kept + SLACK_ALONG_CLOTH
+    if may_touch:
         shares, across, offset = closest_points(q, x1, x2, x3)
         displacement = (shares[0] * c0 + shares[1] * c1 + shares[2] * c2 + shares[3] * c3).norm()
         size = offset.norm()
@@ -122,6 +136,7 @@ def take_pair(q, owners, cloth: ti.template(), buffers: ti.template()):
         if c < buffers.pairs.shape[0]:
             normal, gap = offset / ti.max(size, 1e-20), size
             if layers == 0:
+                kept = ti.min(kept, at_rest)
                 normal, gap, kept = first_side(q, k, old, same_garment, across, offset, size, kept, cloth, buffers)
             else:
                 normal = outwards / ti.max(outwards.norm(), 1e-20)
@@ -166,6 +181,25 @@ def old_pair(q, k, cloth: ti.template(), buffers: ti.template()) -> ti.i32:
 
 
 @ti.func
+def distance_at_rest(q, k, cloth: ti.template()):
+    """Distance of two features at rest [m], 1e30 if they are far apart; and whether they are as near along the cloth.
+
+    The distance along the cloth is at least the difference of the distances to any landmark.
+    """
+    distance, along_cloth = 1e30, 1e30
+    y0 = cloth.rest[k[0]]
+    if (cloth.rest[k[2]] - y0).norm() < 2.0 * (cloth.thickness + SLACK) + 2.0 * cloth.longest:
+        shares, _across, offset = closest_points(q, cloth.rest[k[1]] - y0, cloth.rest[k[2]] - y0, cloth.rest[k[3]] - y0)
+        distance, along_cloth = offset.norm(), 0.0
+        for row in ti.static(range(2)):
+            difference = ti.math.vec4(0.0)
+            for corner in ti.static(range(4)):
+                difference += shares[corner] * cloth.landmarks[k[corner], row]
+            along_cloth = ti.max(along_cloth, ti.abs(difference).max())
+    return distance, along_cloth < 2.0 * (cloth.thickness + SLACK)
+
+
+@ti.func
 def first_side(
     q,
     k,
@@ -185,15 +219,9 @@ def first_side(
         old: the same pair in the last frame, -1 for none.
         same_garment: whether both features are of one garment.
         across, offset, size: direction across both features, offset of the first from the second and its length [m].
-        thickness: at which its features repel [m]; less if they are nearer at rest.
+        thickness: at which its features repel [m].
     """
     normal, gap, kept = offset / ti.max(size, 1e-20), size, thickness
-    y0 = cloth.rest[k[0]]
-    if (cloth.rest[k[2]] - y0).norm() < cloth.thickness + 2.0 * cloth.longest:
-        _shares, _across, rest_offset = closest_points(
-            q, cloth.rest[k[1]] - y0, cloth.rest[k[2]] - y0, cloth.rest[k[3]] - y0
-        )
-        kept = ti.min(kept, rest_offset.norm())
     if across.dot(across) > 0.0:
         normal = across
         if across.dot(offset) < 0.0:
@@ -229,6 +257,7 @@ def turning_kernel() -> Callable[..., None]:
         velocity: Vec3,
         damped: Int1,
         rest: Vec3,
+        landmarks: Vec4Rows,
         layer: Int1,
         wrong_side: Int1,
         old_pairs: Int4,
@@ -250,7 +279,7 @@ def turning_kernel() -> Callable[..., None]:
         for _ in range(1):
             none = vec3(0.0)
             cloth = MovingCloth(
-                position, none, none, none, rest, layer, wrong_side, none, none, none, thickness, longest
+                position, none, none, none, rest, landmarks, layer, wrong_side, none, none, none, thickness, longest
             )
             buffers = PairBuffers(old_pairs, old_normals, chain, pairs, pair_data, none, ready_pairs, none, none)
             furthest = 0.0
@@ -268,6 +297,8 @@ def turning_kernel() -> Callable[..., None]:
                     wrong = wrong_side[k[0]] | wrong_side[k[1]] | wrong_side[k[2]] | wrong_side[k[3]]
                     if wrong != 0 and layer[k[0]] == layer[k[3]]:
                         kept = thickness * ti.select(q[1] < 0, EDGE_SHARE, 1.0)
+                        at_rest, _along_cloth = distance_at_rest(q, k, cloth)
+                        kept = ti.min(kept, at_rest)
                         old = old_pair(q, k, cloth, buffers)
                         normal, gap, kept_now = first_side(
                             q, k, old, True, across, offset, offset.norm(), kept, cloth, buffers

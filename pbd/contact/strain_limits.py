@@ -19,12 +19,12 @@ NEAR_SHARE = 0.8  # share of their greatest length from which edges are near it 
 EDGES = 16  # of a block
 
 
-def limit_rows(edges: np.ndarray, lengths: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+def limit_rows(edges: np.ndarray, longest: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """The limits of edges, and which blocks of edges each vertex has edges in.
 
     Args:
         edges: their ends, int, shape (e, 2).
-        lengths: at rest [m], shape (e,).
+        longest: greatest lengths [m], shape (e,).
         count: of vertices.
 
     Returns:
@@ -33,7 +33,7 @@ def limit_rows(edges: np.ndarray, lengths: np.ndarray, count: int) -> tuple[np.n
         end, then those blocks, int32, shape (k,).
     """
     limits = np.zeros((len(edges), 4), np.float32)
-    limits[:, :2], limits[:, 2] = edges, MAX_STRETCH * lengths
+    limits[:, :2], limits[:, 2] = edges, longest
     blocks = (len(edges) + EDGES - 1) // EDGES
     block = np.repeat(np.arange(len(edges)) // EDGES, 2)
     used = np.unique(np.stack([edges.ravel(), block], axis=1), axis=0)

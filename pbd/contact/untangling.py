@@ -36,7 +36,7 @@ MIN_CROSSINGS = 256  # that the buffer takes at first
 
 @ti.func
 def goes_through(b: vec3, x1: vec3, x2: vec3, x3: vec3):
-    """Whether the segment from the origin to b goes through a triangle (as :func:`wrinkles.crossings.cross`)."""
+    """Whether the segment from the origin to b goes through a triangle (as :func:`pbd.crossings.cross`)."""
     normal = (x2 - x1).cross(x3 - x1)
     sides = -x1.dot(normal) * (b - x1).dot(normal) < 0.0
     v1, v2, v3 = b.dot(x1.cross(x2)), b.dot(x2.cross(x3)), b.dot(x3.cross(x1))

@@ -58,7 +58,7 @@ def advance_kernel(with_multigrid: bool, with_pairs: bool = False, quickly: bool
         hinge_colors: Int1,
         hinge_data: Vec4Rows,
         stitches: Int3,
-        stitch_weights: Float1,
+        stitch_data: Vec4,
         tethers: Int2,
         tether_lengths: Float1,
         limits: Vec4Rows,
@@ -116,7 +116,7 @@ def advance_kernel(with_multigrid: bool, with_pairs: bool = False, quickly: bool
                 ),
                 ConstraintArrays(
                     triangles, triangle_blocks, block_colors, triangle_data, hinges, hinge_colors, hinge_data,
-                    stitches, stitch_weights, tethers, tether_lengths, limits, strain_limits, limit_work,
+                    stitches, stitch_data, tethers, tether_lengths, limits, strain_limits, limit_work,
                 ),
                 BodySurface(body_start, body_end, ring_start, ring, fan_start, fan, body_normals),
                 Obstacles(primitives, fields, field_values),

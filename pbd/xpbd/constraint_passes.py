@@ -114,15 +114,22 @@ def solve_bending(cloth: ti.template(), constraints: ti.template(), inverse_h2: 
 
 
 @ti.func
-def solve_stitches(cloth: ti.template(), constraints: ti.template()):
-    """One pass over all stitches, in order: for one worker, because several stitches may meet in one vertex."""
+def solve_stitches(cloth: ti.template(), constraints: ti.template(), t: ti.f32):
+    """One pass over all stitches, in order: for one worker, because several stitches may meet in one vertex.
+
+    A stitch that is still open holds its two points no further apart than that; t in [0, 1] of the frame.
+    """
     for c in range(constraints.stitches.shape[0]):
-        s, w = constraints.stitches[c], constraints.stitch_weights[c]
+        s, data = constraints.stitches[c], constraints.stitch_data[c]
+        w, gap = data[0], data[1] + t * (data[2] - data[1])
         v, a, b = cloth.position[s[0]], cloth.position[s[1]], cloth.position[s[2]]
         uv = xyz(cloth.position_delta[s[0]])
         ua, ub = xyz(cloth.position_delta[s[1]]), xyz(cloth.position_delta[s[2]])
         to_a, to_b = (xyz(a) - xyz(v)) + (ua - uv), (xyz(b) - xyz(v)) + (ub - uv)
         multiplier = stitch_multiplier(to_a, to_b, w, v[3], a[3], b[3])
+        if gap > 0.0:
+            distance = ((1.0 - w) * to_a + w * to_b).norm()
+            multiplier *= ti.max(0.0, 1.0 - gap / ti.max(distance, 1e-20))
         cloth.position_delta[s[0]] = vec4(uv + v[3] * multiplier)
         cloth.position_delta[s[1]] = vec4(ua - a[3] * (1.0 - w) * multiplier)
         cloth.position_delta[s[2]] = vec4(ub - b[3] * w * multiplier)

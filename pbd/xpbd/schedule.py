@@ -257,7 +257,7 @@ def solve_constraints(
         workers.barrier()
     if workers.first():  # they are few
         for _ in range(STITCH_PASSES):
-            solve_stitches(cloth, constraints)
+            solve_stitches(cloth, constraints, t)
     workers.barrier()
     solve_tethers(workers, cloth, constraints)
     workers.barrier()

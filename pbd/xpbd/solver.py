@@ -129,9 +129,11 @@ class Solver:
         """Arguments of the kernels that belong to the model."""
         names = (
             "triangles", "triangle_blocks", "block_colors", "triangle_data", "hinges", "hinge_colors", "hinge_data",
-            "stitches", "stitch_weights", "tethers", "tether_lengths", "held", "pressure", "samples", "sample_colors",
+            "stitches", "tethers", "tether_lengths", "held", "pressure", "samples", "sample_colors",
         )  # fmt: skip
-        return {name: getattr(self.model, name) for name in names}
+        self._stitch_data = np.zeros((len(self.model.stitches), 4), np.float32)
+        self._stitch_data[:, 0] = self.model.stitch_weights
+        return {name: getattr(self.model, name) for name in names} | {"stitch_data": self._stitch_data}
 
     def _multigrid_arrays(self) -> dict[str, np.ndarray]:
         """Arguments of the kernels that belong to the coarser levels."""
@@ -178,6 +180,7 @@ class Solver:
         targets: np.ndarray | None = None,
         wind: tuple[float, float, float] | np.ndarray = (0.0, 0.0, 0.0),
         limit_targets: LimitTargets | None = None,
+        stitch_gaps: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> None:
         """Advance the state in place.
 
@@ -189,6 +192,8 @@ class Solver:
                 None leaves them where they are.
             wind: velocity of the air [m/s], shape (3,), or at each vertex, shape (n, 3).
             limit_targets: where the body carries the vertices that the model limits; None sets them free.
+            stitch_gaps: how far each stitch of the model may be open at the start and at the end of the frame [m],
+                shape (s,) both; None closes all.
 
         Raises:
             InputError: dt below zero or not finite, a state of another model or not finite, bad targets, wind or
@@ -199,6 +204,7 @@ class Solver:
         if dt < MIN_FRAME_TIME:
             return
         arguments = self.prepare(state, colliders, dt, targets, wind, limit_targets)
+        self._stitch_data[:, 1:3] = 0.0 if stitch_gaps is None else np.transpose(stitch_gaps)
         if colliders.body is not None:
             self._find_nearest.by_name(arguments)
         advance = self._advance if colliders.body is None else self._advance_on_body

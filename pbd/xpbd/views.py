@@ -77,6 +77,8 @@ class ConstraintArrays:
     """The constraints of a garment, see :class:`pbd.Model`.
 
     Attributes:
+        stitch_data: of each stitch the place w on its edge, and how far it is still open at the start and at the end of
+            the frame [m], vec4.
         limits: position of the target at the frame's start and the vertex, motion of the target over the frame, normal
             there, law of :func:`pbd.xpbd.constraints.limit_correction`; vec4, shape (l, 4).
         strain_limits, limit_work: see :func:`pbd.contact.strain_limits.limit_rows`.
@@ -90,7 +92,7 @@ class ConstraintArrays:
     hinge_colors: Any = None
     hinge_data: Any = None
     stitches: Any = None
-    stitch_weights: Any = None
+    stitch_data: Any = None
     tethers: Any = None
     tether_lengths: Any = None
     limits: Any = None

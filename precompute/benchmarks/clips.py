@@ -14,14 +14,14 @@ from assets.fabrics import PRESETS
 from assets.garment import load_garment
 from assets.io.scene import MotionSettings, parse_scene
 from pbd import ClothMesh, InputError, ModelOptions, SolverOptions, build_model
+from pbd.crossings import crossings
+from pbd.distance import TOLERANCE, BodyDistance
 from precompute.mechanics import FRAME_RATE, GRAVITY
 from precompute.method_comparison.error_classes import LIMITS, longest_run
 from precompute.reporting.tables import write_table
 from runtime.garment_setup import load_body, motion_of, simulation_of
 from runtime.pictures import Drawn, frame_camera, render, save_png, strip
 from runtime.simulation import Motion, Simulation, body_source
-from wrinkles.crossings import crossings
-from wrinkles.distance import TOLERANCE, BodyDistance
 
 __all__ = ["CLIPS", "MAX_OVER_LIMBS", "clip_rows", "overlapping", "run_clip", "shrinking", "write_clips"]
 
@@ -307,7 +307,7 @@ def _draw(path: Path, simulation: Simulation, shown: Sequence, titles: list[str]
         images = []
         for azimuth in (25.0, 205.0):
             (camera,) = frame_camera(posed[None], azimuth_deg=azimuth, aspect=0.75)
-            meshes = [Drawn(posed, simulation.body.faces, (0.76, 0.61, 0.53))]
+            meshes = [Drawn.body(posed, simulation.body.faces)]
             for layer in range(int(model.layer.max()) + 1):
                 faces = model.mesh.faces[model.layer[model.mesh.faces[:, 0]] == layer]
                 meshes.append(Drawn(world, faces, LAYERS[layer]))

@@ -5,9 +5,9 @@ import time
 import numpy as np
 
 from pbd import ClothMesh, Colliders, Fabric, ModelOptions, Solver, SolverOptions, Sphere, State, build_model
+from pbd.crossings import crossings
 from pbd.mesh import lattice_faces
 from precompute.mechanics import FRAME_RATE
-from wrinkles.crossings import crossings
 
 __all__ = ["self_collision_cost"]
 

@@ -9,11 +9,11 @@ import numpy as np
 import trimesh
 
 from pbd import Body, Capsule, ClothMesh, Colliders, Fabric, Model, ModelOptions, Plane, Sphere, build_model
+from pbd.crossings import crossings
 from pbd.layers import layered
 from pbd.mesh import lattice_faces
 from precompute.failures.failure_play import FrameConditions, Scene
 from precompute.mechanics import FRAME_RATE, GRAVITY
-from wrinkles.crossings import crossings
 
 __all__ = ["HUNG", "scenes", "square"]
 

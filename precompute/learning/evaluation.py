@@ -16,6 +16,7 @@ from assets.character import Character
 from assets.io.sequence import Sequence as VertexSequence
 from pbd import InputError, ModelOptions
 from pbd.bending import hinge_calibration
+from pbd.distance import BodyDistance, penetration_figures
 from pbd.wind import CALM, Air
 from precompute.learning.decoding import bands_of, decode_recording
 from precompute.learning.in_time import Pause, popping, step_response_frames
@@ -30,7 +31,6 @@ from runtime.player import Player
 from runtime.simulation import Motion
 from wrinkles.charts import leading_vertices
 from wrinkles.database import WrinkleDatabase
-from wrinkles.distance import BodyDistance, penetration_figures
 from wrinkles.levels import Levels
 from wrinkles.metrics import (
     bending_energy,

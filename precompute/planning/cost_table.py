@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from assets.character import Character
 from pbd import InputError, State
+from pbd.distance import BodyDistance
 from pbd.wind import Air
 from precompute.learning.evaluation import SETTLE
 from precompute.wrinkle_comparison.baselines import PROBE_FRAMES
@@ -23,7 +24,6 @@ from runtime.report import machine_description
 from runtime.simulation import Motion
 from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase
-from wrinkles.distance import BodyDistance
 from wrinkles.proxy_mesh import proxy_mesh_of
 
 __all__ = ["cost_table_key", "measure_cost_table"]

@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from assets.io.scene import load_scene, scene_text
 from pbd import InputError
+from pbd.distance import penetration_figures
 from precompute.learning.decoding import bands_of
 from precompute.learning.evaluation import (
     Truth,
@@ -39,7 +40,6 @@ from precompute.wrinkle_comparison.baselines import (
 )
 from runtime.play import Free, playback_inputs
 from wrinkles.database import WrinkleDatabase, code_version, read_database
-from wrinkles.distance import penetration_figures
 from wrinkles.metrics import edge_stretch
 from wrinkles.spectrum import LowPass
 
@@ -301,7 +301,7 @@ def compare_file(
     path = database_of(path, output, report)
     database = read_database(path)
     inputs = playback_inputs(database, clip=clip)
-    motion, levels = inputs.motions[0], levels_from(database, inputs.body)
+    motion, levels = inputs.motions[0], replace(levels_from(database, inputs.body), pattern=inputs.pattern)
     if motion.name in database.trained_on:
         held_out = ", ".join(database.held_out) or "a clip that nothing was learned from"
         raise InputError(

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from pbd import Colliders, Fabric, InputError, ModelOptions, Solver, SolverOptions, Sphere, State, build_model
+from pbd.crossings import crossings
+from pbd.distance import BodyDistance
 from pbd.layers import layered
 from tests.pbd.meshes import body_of, cloth, free_model, grid, icosphere
-from wrinkles.crossings import crossings
-from wrinkles.distance import BodyDistance
 
 
 def level(along: int, step: float, height: float) -> tuple[np.ndarray, np.ndarray]:

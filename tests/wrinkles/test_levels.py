@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from pbd import InputError
+from pbd.distance import BodyDistance
 from tests.pbd.meshes import grid
 from tests.runtime.players import skirt_stage
 from tests.wrinkles.meshes import flat_sheet, icosphere
 from wrinkles.charts import fine_places
-from wrinkles.distance import BodyDistance
 from wrinkles.levels import MIN_CUTOFF, Levels, build_levels
 
 NOBODY = np.zeros((0, 3)), np.zeros((0, 3), np.int32)

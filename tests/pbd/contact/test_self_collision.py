@@ -10,9 +10,9 @@ from pbd import Colliders, Fabric, Plane, Solver, SolverOptions, State
 from pbd.attachment import closest_weights
 from pbd.contact.pairs import PULL
 from pbd.contact.self_collision import SelfCollision
+from pbd.crossings import crossings
 from pbd.mesh import edges_of
 from tests.pbd.meshes import cloth, free_model, grid, turn
-from wrinkles.crossings import crossings
 
 THICKNESS = 0.003
 ON = SolverOptions(self_collision=True)

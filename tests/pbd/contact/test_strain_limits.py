@@ -7,11 +7,11 @@ import pytest
 
 from pbd import Colliders, Fabric, Model, Plane, Solver, SolverOptions, State
 from pbd.contact.strain_limits import MAX_STRETCH, limit_rows, near_limits, solve_strain_limits
+from pbd.distance import BodyDistance
 from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Int1, Vec3, Vec4, Vec4Rows
 from pbd.xpbd.views import ClothArrays, ContactWork
 from tests.pbd.meshes import body_of, cloth, free_model, grid, icosphere
-from wrinkles.distance import BodyDistance
 
 ON = SolverOptions(self_collision=True)
 LIMP = Fabric(stretch_warp=0.1, stretch_weft=0.1, shear=0.03)
@@ -99,7 +99,7 @@ def test_edges_shorten_along_the_body_unless_they_are_held(touches: bool, held: 
     points[:, 2, 1] = 1.0
     nearest = np.array([0 if touches else -1, -1], np.int32)
     ensure_initialized()
-    limits, work = limit_rows(np.array([[0, 1]]), np.array([0.3 / MAX_STRETCH]), 2)
+    limits, work = limit_rows(np.array([[0, 1]]), np.array([0.3]), 2)
     limit(position, np.zeros((2, 3), np.float32), delta, zero, limits, work, 1, 1.0, nearest, points)
     height = float(position[0, 1] + delta[0, 1])
     if touches and not held:
@@ -119,7 +119,7 @@ def test_length_that_is_taken_from_one_edge_goes_to_its_neighbours() -> None:
     position[count // 2 :, 0] += 0.08
     delta, zero = np.zeros((2, count, 4), np.float32)
     edges = np.stack([np.arange(count - 1), np.arange(1, count)], axis=1)
-    limits, work = limit_rows(edges, np.full(len(edges), 0.01), count)
+    limits, work = limit_rows(edges, np.full(len(edges), 0.01 * MAX_STRETCH), count)
     nearest, points = np.full(count, -1, np.int32), np.zeros((count, 3, 4), np.float32)
     ensure_initialized()
     limit(position, np.zeros((count, 3), np.float32), delta, zero, limits, work, 2000, 1.0, nearest, points)

@@ -11,11 +11,11 @@ from assets.fabrics import PRESETS
 from assets.garment import load_garment
 from pbd import Body, Colliders, Fabric, Model, Solver, SolverOptions, State, build_model
 from pbd.attachment import push_outside
+from pbd.crossings import crossings
+from pbd.distance import BodyDistance
 from pbd.layers import layered
 from tests.data import data_path
 from tests.pbd.meshes import body_of, cloth, free_model, grid, icosphere, turn
-from wrinkles.crossings import crossings
-from wrinkles.distance import BodyDistance
 
 TIME = 30  # frames: half a second
 SPEED = 2.0  # [m/s]

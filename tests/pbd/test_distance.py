@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pbd.distance import BodyDistance, penetration_figures
 from pbd.errors import InputError
 from tests.data import data_path
 from tests.wrinkles.meshes import icosphere
-from wrinkles.distance import BodyDistance, penetration_figures
 
 CUBE = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
 CUBE_FACES = np.array(

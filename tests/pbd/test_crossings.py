@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from pbd.crossings import cross, crossings
 from pbd.mesh import edges_of
 from tests.pbd.meshes import grid, turn
-from wrinkles.crossings import cross, crossings
 
 TRIANGLE = np.array([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]])
 

@@ -1,0 +1,504 @@
+"""Girths and lengths of a body, as a tape measures them, found by the body's geometry alone.
+
+The body stands upright: Y up, face towards +Z, arms held away from the trunk (A-pose or T-pose), legs apart. No rig is
+needed, so that a skinned character in its bind pose and a scanned surface are measured alike.
+
+Armpits and crotch are saddles: going along a direction, the first point where arm and leg, or both legs, hang together.
+All girths are those of convex hulls, for a tape bridges hollows. Names and places follow ISO 8559-1 where the shape of
+the surface shows the place; bones that a tailor feels with the finger are found by proportions and said so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from assets.cross_sections import cross_section, hull_length, hull_loop, tape_length
+from pbd.errors import InputError
+from pbd.mesh import edges_of
+
+__all__ = ["BodyMeasures", "Landmarks", "Surface", "measure"]
+
+Floats = NDArray[np.float64]
+Faces = NDArray[np.int32]
+
+_STEP = 0.005  # [m] between two heights at which the trunk is cut
+_JOINT_GAP = 0.03  # [m] parts of a jointed figure that lie so near each other hang together
+_KNEE_HEIGHT = 0.285  # of the stature [-]; Drillis and Contini (1966)
+_NECK_SLOPE = 0.8  # of the outline seen from the front, where shoulder becomes neck [-]
+_NECK_TILT = np.radians(20.0)  # of the plane of the neck's base, down to the front
+_UPRIGHT = 5.0  # weight of the upright direction in the plane where arms begin [-]
+_UP = np.array([0.0, 1.0, 0.0])
+
+
+class Surface(Protocol):
+    """A body: a character, or any mesh with a name.
+
+    Attributes:
+        name: for messages.
+        vertices: [m], shape (n, 3), float64.
+        faces: shape (m, 3), int32.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def vertices(self) -> Floats: ...
+    @property
+    def faces(self) -> Faces: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Landmarks:
+    """Places on a body [m], shape (3,) each; of pairs the left one (+X), mirrored for the right.
+
+    Attributes:
+        floor: height of the soles [m].
+        crotch, waist, hip, underbust, bust: middle of the trunk at that height; the crotch is a point of the surface.
+        bust_point: the foremost point of the left breast.
+        armpit: the highest point between arm and trunk.
+        shoulder: the outer end of the shoulder line, on the surface.
+        neck_side, neck_back, neck_front: on the neck's base.
+        arm_start, elbow, wrist: middle of the arm, from the armpit's height outwards.
+        knee, ankle: middle of the leg.
+    """
+
+    floor: float
+    crotch: Floats
+    waist: Floats
+    hip: Floats
+    underbust: Floats
+    bust: Floats
+    bust_point: Floats
+    armpit: Floats
+    shoulder: Floats
+    neck_side: Floats
+    neck_back: Floats
+    neck_front: Floats
+    arm_start: Floats
+    elbow: Floats
+    wrist: Floats
+    knee: Floats
+    ankle: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class BodyMeasures:
+    """Measures of a body [m].
+
+    Attributes:
+        height: from the soles to the crown.
+        bust: girth of the trunk at the height of the breasts' points.
+        underbust: girth below the breasts, where it no longer changes quickly.
+        waist: least girth between hips and breasts; not a number where a body has none.
+        hip: greatest girth near the crotch and above it.
+        neck: girth of the neck's base.
+        shoulder_width: from shoulder point to shoulder point.
+        shoulder_length: from the side of the neck to the shoulder point.
+        shoulder_slope: of that line against the horizontal [rad].
+        armscye_depth: height of the neck's back over the armpits.
+        back_width: of the back between the arms, halfway between shoulder and armpit.
+        chest_width: the same in front.
+        back_length: from the neck's back to the waist, along the spine.
+        back_waist_length: from the side of the neck down the back to the waist.
+        front_waist_length: from the side of the neck over the breast to the waist.
+        bust_point_distance: between the breasts' points.
+        bust_depth: from the side of the neck to the breast's point.
+        arm_length: from the shoulder point over the elbow to the wrist.
+        upper_arm, wrist: girths of the arm.
+        waist_to_hip: difference of height.
+        rise: height of the waist over the crotch.
+        inseam: height of the crotch over the soles.
+        waist_to_floor: height of the waist over the soles.
+        thigh, knee, ankle: girths of the leg.
+        front_share: shares of bust, waist and hip girth that lie in front of the sides [-], shape (3,).
+        landmarks: places on the body.
+        surface: the body that was measured.
+        arm_vertices: whether a vertex belongs to an arm, shape (n,).
+    """
+
+    height: float
+    bust: float
+    underbust: float
+    waist: float
+    hip: float
+    neck: float
+    shoulder_width: float
+    shoulder_length: float
+    shoulder_slope: float
+    armscye_depth: float
+    back_width: float
+    chest_width: float
+    back_length: float
+    back_waist_length: float
+    front_waist_length: float
+    bust_point_distance: float
+    bust_depth: float
+    arm_length: float
+    upper_arm: float
+    wrist: float
+    waist_to_hip: float
+    rise: float
+    inseam: float
+    waist_to_floor: float
+    thigh: float
+    knee: float
+    ankle: float
+    front_share: Floats
+    landmarks: Landmarks
+    surface: Surface
+    arm_vertices: NDArray[np.bool_]
+
+    def values(self) -> dict[str, float]:
+        """All girths and lengths by name [m], and the slope of the shoulder [rad]."""
+        return {field.name: getattr(self, field.name) for field in fields(self) if field.type == "float"}
+
+
+def measure(body: Surface) -> BodyMeasures:
+    """Measure a body that stands upright with its arms away from its trunk.
+
+    A measure that the body does not show is not a number; a draft that needs it says so.
+
+    Raises:
+        InputError: the surface is no figure with two arms and two legs that are apart.
+    """
+    figure = _Figure(body)
+    trunk, neck, arm, leg = _trunk(figure), _neck_and_shoulder(figure), _arm(figure), _leg(figure)
+    places = {**trunk.places, **neck.places, **arm.places, **leg.places}
+    landmarks = Landmarks(floor=figure.floor, crotch=figure.crotch, armpit=figure.armpit, **places)
+    lengths = _trunk_lengths(figure, landmarks) | {
+        "height": figure.height,
+        "waist_to_hip": landmarks.waist[1] - landmarks.hip[1],
+        "rise": landmarks.waist[1] - figure.crotch[1],
+        "inseam": figure.crotch[1] - figure.floor,
+        "waist_to_floor": landmarks.waist[1] - figure.floor,
+    }
+    values = {**trunk.values, **neck.values, **arm.values, **leg.values, **lengths}
+    return BodyMeasures(
+        **{name: float(value) for name, value in values.items()},
+        front_share=_front_share(figure, landmarks),
+        landmarks=landmarks,
+        surface=body,
+        arm_vertices=figure.is_arm,
+    )
+
+
+class _Part(NamedTuple):
+    """Measures of a part of the body [m], and places on it."""
+
+    values: dict[str, float]
+    places: dict[str, Floats]
+
+
+class _Figure:
+    """The parts of a body.
+
+    Attributes:
+        vertices, faces: of the body.
+        floor, height: [m].
+        crotch, armpit: saddles of the surface [m]; the left armpit.
+        is_arm: whether a vertex belongs to an arm that the armpit's saddle cuts off.
+        trunk: faces without arms.
+        leg, arm: faces of the left leg below the crotch, and of the left arm.
+        arm_direction: from the armpit to the hand, of unit length.
+        shoulder_normal: of the plane through the armpit where the arm begins; its third component is 0.
+    """
+
+    def __init__(self, body: Surface) -> None:
+        self.name, self.vertices = body.name, np.asarray(body.vertices, float)
+        self.faces = np.asarray(body.faces, np.int32)
+        v = self.vertices
+        self.floor = float(v[:, 1].min())
+        self.height = float(v[:, 1].max() - self.floor)
+        links = _links(v, self.faces)
+        feet = [int(np.where(side * v[:, 0] > 0.0, v[:, 1], np.inf).argmin()) for side in (1, -1)]
+        crotch, is_leg = self._saddle(links, -v[:, 1], feet[0], feet[1], "crotch: both feet")
+        self.crotch = v[crotch] * (0.0, 1.0, 1.0)
+        self.is_arm = np.zeros(len(v), bool)
+        for side in (1, -1):
+            hand = int((side * v[:, 0]).argmax())
+            shoulder = np.array([side * 0.1 * self.height, self.floor + 0.81 * self.height, v[hand, 2]])
+            direction = _unit(v[hand] - shoulder)
+            armpit, is_arm = self._saddle(
+                links, v @ _unit(direction + (0.0, -1.0, 0.0)), hand, feet[0], f"armpit: the hand of side {side:+d}"
+            )
+            self.is_arm |= is_arm
+            if side == 1:
+                self.armpit, arm = v[armpit], is_arm
+                self.arm_direction = _unit((direction[0], direction[1], 0.0))
+        if not self.armpit[1] > self.crotch[1] + 0.1 * self.height:
+            raise self._problem("no trunk between the crotch and the armpits", self.armpit.round(3).tolist())
+        # The arm begins at a plane between the one across the arm and an upright one.
+        across = np.array([-self.arm_direction[1], self.arm_direction[0], 0.0])
+        along = _unit(across + (0.0, _UPRIGHT, 0.0))
+        self.shoulder_normal = np.array([along[1], -along[0], 0.0])
+        self.trunk = self.faces[~self.is_arm[self.faces].all(axis=1)]
+        self.leg = self.faces[is_leg[self.faces].any(axis=1)]
+        outside = ((v - self.armpit) @ self.shoulder_normal > 0.0) & (v[:, 1] > self.armpit[1])
+        self.arm = self.faces[(arm | outside)[self.faces].any(axis=1) & (v[self.faces, 0] > 0.0).all(axis=1)]
+
+    def level(self, height: float) -> Floats:
+        """Points of the trunk without arms at a height [m], shape (k, 3)."""
+        points = cross_section(self.vertices, self.trunk, np.array([0.0, height, 0.0]), _UP)
+        if height < self.armpit[1]:
+            return points
+        return points[(np.abs(points) * (1, 0, 0) + points * (0, 1, 1) - self.armpit) @ self.shoulder_normal < 0.0]
+
+    def _saddle(
+        self, links: NDArray[np.int32], field: Floats, first: int, second: int, key: str
+    ) -> tuple[int, NDArray[np.bool_]]:
+        try:
+            return _saddle(links, field, first, second)
+        except ValueError:
+            raise self._problem(f"no {key} and the feet do not hang together") from None
+
+    def _problem(self, problem: str, received: object = None) -> InputError:
+        return InputError(
+            problem,
+            key=f"body {self.name}",
+            received=received,
+            expected="a figure that stands upright (Y up) and looks along +Z, arms away from the trunk, legs apart",
+        )
+
+
+def _links(vertices: Floats, faces: Faces) -> NDArray[np.int32]:
+    """Edges of the mesh, and pairs of near vertices of different parts of it, shape (e, 2)."""
+    edges = edges_of(faces)[0]
+    count = len(vertices)
+    parts, part = connected_components(coo_matrix((np.ones(len(edges)), edges.T), shape=(count, count)), directed=False)
+    if parts == 1:
+        return edges
+    near = cKDTree(vertices).query_pairs(_JOINT_GAP, output_type="ndarray")
+    return np.concatenate([edges, near[part[near[:, 0]] != part[near[:, 1]]].astype(np.int32)])
+
+
+def _saddle(links: NDArray[np.int32], field: Floats, first: int, second: int) -> tuple[int, NDArray[np.bool_]]:
+    """The highest vertex of a field over which two vertices hang together, and the vertices above it beside the first.
+
+    Args:
+        links: pairs of vertices that hang together, shape (e, 2).
+        field: a value for each vertex, shape (n,).
+        first: a vertex.
+        second: a vertex.
+
+    Raises:
+        ValueError: they do not hang together at all.
+    """
+    rank = np.empty(len(field), np.int64)
+    rank[np.argsort(-field, kind="stable")] = np.arange(len(field))
+    begins = rank[links].max(axis=1)  # a link is there once both of its vertices are
+    low, high = int(rank[[first, second]].max()) - 1, len(field) - 1
+    parts = _parts(links, begins, high, len(field))
+    if parts[first] != parts[second]:
+        raise ValueError("two parts")
+    while high - low > 1:  # together at high, apart at low
+        middle = (low + high) // 2
+        parts = _parts(links, begins, middle, len(field))
+        low, high = (low, middle) if parts[first] == parts[second] else (middle, high)
+    parts = _parts(links, begins, low, len(field))
+    return int(np.flatnonzero(rank == high)[0]), (parts == parts[first]) & (rank <= low)
+
+
+def _parts(links: NDArray[np.int32], begins: NDArray[np.int64], last: int, count: int) -> NDArray[np.int32]:
+    used = links[begins <= last]
+    return connected_components(coo_matrix((np.ones(len(used)), used.T), shape=(count, count)), directed=False)[1]
+
+
+def _trunk(figure: _Figure) -> _Part:
+    """Girths of the trunk."""
+    low, high = figure.crotch[1], figure.armpit[1]
+    heights = np.arange(low, high, _STEP)
+    girths = np.array([hull_length(figure.level(y), _UP) for y in heights])
+    hip = int(girths[heights < low + 0.12 * figure.height].argmax())
+    waist = hip + int(girths[hip:].argmin())
+    has_waist = girths[waist] < 0.99 * girths[hip:].max() and hip < waist < len(girths) - 1
+    # The foremost point of the upper half between waist and armpits; where there is no waist, of the upper third.
+    middle = 0.5 * (heights[waist] + high) if has_waist else (low + 2.0 * high) / 3.0
+    upper = np.flatnonzero(heights > middle)
+    breasts = [_breast(figure.level(heights[k])) for k in upper]
+    best = int(np.argmax([point[2] for point in breasts]))
+    bust, bust_point = int(upper[best]), breasts[best]
+    slopes = np.diff(girths[: bust + 1]) / _STEP
+    underbust = bust - 1
+    while underbust > waist and slopes[underbust] < 1.0:  # the breast's top is flat, its underside steep
+        underbust -= 1
+    while underbust > waist and slopes[underbust] >= 1.0:
+        underbust -= 1
+    levels = {"bust": bust, "underbust": underbust, "waist": waist, "hip": hip}
+    values = {name: girths[k] for name, k in levels.items()}
+    places = {name: _middle(figure.level(heights[k])) for name, k in levels.items()}
+    if not has_waist:
+        values |= {"waist": np.nan, "underbust": np.nan}
+        places |= {"waist": np.full(3, np.nan), "underbust": np.full(3, np.nan)}
+    width = 2.0 * bust_point[0]
+    return _Part(values | {"bust_point_distance": width}, places | {"bust_point": bust_point})
+
+
+def _breast(points: Floats) -> Floats:
+    """The foremost point of the left half of a level, not at its very middle nor at its side."""
+    half = points[:, 0].max()
+    points = points[(points[:, 0] > 0.25 * half) & (points[:, 0] < 0.75 * half)]
+    return points[points[:, 2].argmax()]
+
+
+def _middle(points: Floats) -> Floats:
+    """Middle of the box around points."""
+    return 0.5 * (points.min(axis=0) + points.max(axis=0))
+
+
+def _neck_and_shoulder(figure: _Figure) -> _Part:
+    """The shoulder line and the neck's base."""
+    v = figure.vertices
+    cut = cross_section(v, figure.faces, figure.armpit, figure.shoulder_normal)
+    shoulder = cut[cut[:, 1].argmax()]
+    limit = shoulder[1] + 0.07 * figure.height  # on the neck, below the head
+    tops = np.array([_top(figure, x, limit) for x in np.arange(0.02, shoulder[0], _STEP)])
+    outside = np.flatnonzero(tops[:-1, 1] < limit - 0.02)  # of the neck's column
+    slopes = -np.diff(tops[:, 1]) / _STEP
+    flat = outside[slopes[outside] < _NECK_SLOPE]
+    if not len(flat):
+        raise InputError("no neck above the shoulders", key=f"body {figure.name}")
+    side = tops[flat[0]]
+    line = shoulder - side
+    normal = np.array([0.0, np.cos(_NECK_TILT), np.sin(_NECK_TILT)])
+    base = cross_section(v, figure.trunk, side, normal)
+    base = base[np.abs(base[:, 0]) < 1.2 * side[0]]
+    spine = base[np.abs(base[:, 0]) < 0.3 * side[0]]
+    back, front = (spine[spine[:, 2].argmin()] * (0, 1, 1), spine[spine[:, 2].argmax()] * (0, 1, 1))
+    half = figure.level(0.5 * (shoulder[1] + figure.armpit[1]))
+    values = {
+        "neck": hull_length(base, normal),
+        "shoulder_width": 2.0 * shoulder[0],
+        "shoulder_length": np.linalg.norm(line),
+        "shoulder_slope": np.arctan2(-line[1], line[0]),
+        "armscye_depth": back[1] - figure.armpit[1],
+        "back_width": _width(half, -1.0),
+        "chest_width": _width(half, 1.0),
+    }
+    return _Part(values, {"shoulder": shoulder, "neck_side": side, "neck_back": back, "neck_front": front})
+
+
+def _top(figure: _Figure, x: float, limit: float) -> Floats:
+    """The highest point of the trunk below a limit, at a certain x [m], shape (3,)."""
+    points = cross_section(figure.vertices, figure.trunk, np.array([x, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
+    points = points[points[:, 1] < limit]
+    return points[points[:, 1].argmax()]
+
+
+def _width(points: Floats, side: float) -> float:
+    """Length of a tape over the front (side 1) or the back (side -1) of a level, from side to side [m]."""
+    loop = points[side * (points[:, 2] - _middle(points)[2]) > 0.0][:, [0, 2]] * (1.0, side)
+    ends = loop[[loop[:, 0].argmin(), loop[:, 0].argmax()]]
+    return tape_length(loop, ends[0], ends[1])
+
+
+def _arm(figure: _Figure) -> _Part:
+    """Girths and length of the left arm."""
+    v, used = figure.vertices, np.unique(figure.arm)
+    start = figure.armpit
+    direction = figure.arm_direction
+    for _ in range(2):
+        # The hand's end along the arm, the wrist as the thinnest place before the hand, and again along that line.
+        reach = float(((v[used] - start) @ direction).max())
+        places = np.arange(0.45, 0.82, 0.01) * reach
+        cuts = [cross_section(v, figure.arm, start + t * direction, direction) for t in places]
+        wrist = _middle(cuts[int(np.argmin([hull_length(cut, direction) for cut in cuts]))])
+        start = _middle(cross_section(v, figure.arm, figure.armpit + 0.005 * direction, direction))
+        direction = _unit(wrist - start)
+    elbow = _middle(cross_section(v, figure.arm, 0.5 * (start + wrist), direction))
+    upper, lower = _unit(elbow - start), _unit(wrist - elbow)
+    length = np.linalg.norm(elbow - start)
+    girths = [
+        hull_length(cross_section(v, figure.arm, start + t * length * upper, upper), upper)
+        for t in np.arange(0.1, 0.5, 0.05)
+    ]
+    shoulder = cross_section(v, figure.faces, figure.armpit, figure.shoulder_normal)
+    shoulder = shoulder[shoulder[:, 1].argmax()]
+    over_elbow = np.linalg.norm(elbow - shoulder) + np.linalg.norm(wrist - elbow)
+    near = [cross_section(v, figure.arm, wrist + t * lower, lower) for t in np.arange(-0.02, 0.021, 0.005)]
+    thinnest = min(hull_length(cut, lower) for cut in near)
+    values = {"arm_length": over_elbow, "upper_arm": max(girths), "wrist": thinnest}
+    return _Part(values, {"arm_start": start, "elbow": elbow, "wrist": wrist})
+
+
+def _leg(figure: _Figure) -> _Part:
+    """Girths of the left leg."""
+    v, low, height = figure.vertices, figure.floor, figure.height
+
+    def cut(y: float) -> Floats:
+        return cross_section(v, figure.leg, np.array([0.0, y, 0.0]), _UP)
+
+    ankles = [cut(y) for y in np.arange(low + 0.03 * height, low + 0.12 * height, _STEP)]
+    ankle = _middle(min(ankles, key=lambda points: hull_length(points, _UP)))
+    knee = _middle(cut(low + _KNEE_HEIGHT * height))
+    top = _middle(cut(figure.crotch[1] - 2.0 * _STEP))
+    thigh, shin = _unit(top - knee), _unit(knee - ankle)
+    side = v[:, 0] > -0.005
+    faces = figure.trunk[side[figure.trunk].all(axis=1)]
+    around = cross_section(v, faces, figure.crotch - (0.0, 2.0 * _STEP, 0.0), thigh)
+    near = [cross_section(v, figure.leg, ankle + t * shin, shin) for t in np.arange(-0.02, 0.021, 0.005)]
+    values = {
+        "thigh": hull_length(around, thigh),
+        "knee": hull_length(cross_section(v, figure.leg, knee, _unit(thigh + shin)), _unit(thigh + shin)),
+        "ankle": min(hull_length(points, shin) for points in near),
+    }
+    return _Part(values, {"knee": knee, "ankle": ankle})
+
+
+def _trunk_lengths(figure: _Figure, places: Landmarks) -> dict[str, float]:
+    """Lengths along back and front, as a tape runs over hollows."""
+    v, waist = figure.vertices, places.waist[1]
+    if np.isnan(waist):
+        names = ("back_length", "back_waist_length", "front_waist_length", "bust_depth")
+        return dict.fromkeys(names, np.nan)
+
+    def tape(start: Floats, end: Floats, outward: Floats) -> float:
+        """Length along the surface between two points of it, in the plane that holds the outward direction."""
+        along = _unit(end - start)
+        cut = cross_section(v, figure.trunk, start, np.cross(along, outward))
+        cut = cut[(cut[:, 1] < start[1]) & (cut[:, 1] > end[1])]  # without the face
+        plane = np.stack([along, _unit(outward - (outward @ along) * along)], axis=1)
+        return tape_length((cut - start) @ plane, (start - start) @ plane, (end - start) @ plane)
+
+    def surface(x: float, side: float) -> Floats:
+        """The point of the surface at the waist, at a certain x, on the front (side 1) or the back (side -1)."""
+        points = figure.level(waist)
+        points = points[side * (points[:, 2] - places.waist[2]) > 0.0]
+        return points[np.abs(points[:, 0] - x).argmin()]
+
+    front = np.array([0.0, 0.0, 1.0])
+    depth = tape(places.neck_side, places.bust_point, front)
+    return {
+        "back_length": tape(places.neck_back, surface(0.0, -1.0), -front),
+        "back_waist_length": tape(places.neck_side, surface(places.neck_side[0], -1.0), -front),
+        "front_waist_length": depth + tape(places.bust_point, surface(places.bust_point[0], 1.0), front),
+        "bust_depth": depth,
+    }
+
+
+def _front_share(figure: _Figure, places: Landmarks) -> Floats:
+    """Shares of the girths of bust, waist and hip in front of one upright plane through the sides [-], shape (3,)."""
+    levels = [place for place in (places.bust, places.waist, places.hip)]
+    side = float(np.nanmean([place[2] for place in levels]))
+    shares = []
+    for place in levels:
+        if np.isnan(place).any():
+            shares.append(np.nan)
+            continue
+        loop = hull_loop(figure.level(place[1])[:, [0, 2]])
+        ends = np.roll(loop, -1, axis=0)
+        fine = (loop[:, None] + (ends - loop)[:, None] * np.linspace(0.0, 1.0, 50)[None, :, None]).reshape(-1, 2)
+        steps = np.linalg.norm(np.roll(fine, -1, axis=0) - fine, axis=1)
+        shares.append(steps[fine[:, 1] > side].sum() / steps.sum())
+    return np.array(shares)
+
+
+def _unit(vector: Floats | tuple[float, ...]) -> Floats:
+    vector = np.asarray(vector, float)
+    return vector / np.linalg.norm(vector)

@@ -1,0 +1,250 @@
+"""Upper parts with set-in sleeves: what T-shirt and shirt have in common.
+
+Rules of flat pattern cutting (Aldrich, Metric Pattern Cutting for Women's Wear; Mueller & Sohn), with lengths taken
+from the body where it shows them. y = 0 is the height of the neck's side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from assets.measures import BodyMeasures
+from assets.patterns.drafts.drawing import Outline, curve, line, same_names, symmetric
+from assets.patterns.drafts.placing import Surroundings, facing, nearest_placement, points_of
+from assets.patterns.pattern import Placement, Seam, edge_length
+from pbd.errors import InputError
+
+__all__ = ["BodiceLines", "bodice_panel", "bodice_seams", "place_sleeve", "sleeve_panel", "sleeve_seams"]
+
+Floats = NDArray[np.float64]
+
+_SIDE_DART_DEPTH = 0.045  # of the dart's upper end below the armhole [m]
+
+
+@dataclass(frozen=True)
+class BodiceLines:
+    """Half of a front or a back.
+
+    Attributes:
+        chest: half width at the armhole's lower end [m].
+        hem: half width at the hem [m].
+        neck: half width of the neckline [m].
+        neck_depth: of the neckline's middle below the neck's side [m].
+        shoulder: half width between the shoulder points [m].
+        shoulder_drop: of the shoulder point below the neck's side [m].
+        narrowest: half width between the arms, halfway up the armhole [m].
+        armhole_depth: of the armhole's lower end below the neck's side [m].
+        length: of the hem below the neck's side, with the dart closed [m].
+        dart: how much the dart in the side takes in [m]; 0 for none.
+        dart_point: half width at which the dart ends [m].
+    """
+
+    chest: float
+    hem: float
+    neck: float
+    neck_depth: float
+    shoulder: float
+    shoulder_drop: float
+    narrowest: float
+    armhole_depth: float
+    length: float
+    dart: float = 0.0
+    dart_point: float = 0.0
+
+
+def bodice_panel(name: str, lines: BodiceLines, plus: str, minus: str) -> Outline:
+    """Front or back with edges hem, low_side, high_side, armhole, shoulder (all but hem with plus and minus) and neck.
+
+    With a dart, its edges low_dart and high_dart lie between those of the side.
+
+    Args:
+        name: "front" or "back".
+        lines: of the half.
+        plus: ending of edge names at x > 0: "left" for a front, "right" for a back.
+        minus: the other one.
+    """
+    b = lines
+    under, tip, neck = (b.chest, -b.armhole_depth), (b.shoulder, -b.shoulder_drop), (b.neck, 0.0)
+    rise = b.armhole_depth - b.shoulder_drop
+    # From the side the armhole runs level, turns upwards at the narrowest width and meets the shoulder squarely.
+    turn = (b.narrowest, -b.armhole_depth + 0.42 * rise)
+    slope = np.arctan2(b.shoulder_drop, b.shoulder - b.neck)
+    arriving = 0.22 * rise * np.array([np.sin(slope), np.cos(slope)])
+    low = curve(under, (-0.75 * (b.chest - b.narrowest), 0.0), turn, (0.0, 0.24 * rise))
+    high = curve(turn, (0.0, 0.2 * rise), tip, arriving)
+    half = {
+        "hem": line((0.0, -b.length - b.dart), (b.hem, -b.length - b.dart)),
+        **_side(b),
+        "armhole": np.concatenate([low, high[1:]]),
+        "shoulder": line(tip, neck),
+        "neck": _neckline(b.neck, b.neck_depth),
+    }
+    return symmetric(name, half, plus, minus)
+
+
+def _side(b: BodiceLines) -> dict[str, Floats]:
+    """The side from the hem to the armhole, with its dart."""
+    hem, under = np.array([b.hem, -b.length - b.dart]), np.array([b.chest, -b.armhole_depth])
+    up = (under - hem) / np.linalg.norm(under - hem)
+    high = under - _SIDE_DART_DEPTH * up
+    low = high - b.dart * up
+    if b.dart == 0.0:
+        return {"low_side": line(hem, low), "high_side": line(high, under)}
+    # The dart's point is as far from both of its ends, so that its legs are of one length.
+    middle = 0.5 * (low + high)
+    point = (b.dart_point, middle[1] - (b.dart_point - middle[0]) * up[0] / up[1])
+    return {
+        "low_side": line(hem, low),
+        "low_dart": line(low, point),
+        "high_dart": line(point, high),
+        "high_side": line(high, under),
+    }
+
+
+def bodice_seams(front: Outline, back: Outline) -> list[Seam]:
+    """Sides, shoulders and darts."""
+    seams = []
+    for side in ("left", "right"):
+        seams += same_names(front, back, *(f"{edge}_{side}" for edge in ("low_side", "high_side", "shoulder")))
+        if f"low_dart_{side}" in front.edges:
+            seams.append(Seam(front.edge(f"low_dart_{side}"), front.edge(f"high_dart_{side}")))
+    return seams
+
+
+def _neckline(width: float, depth: float) -> Floats:
+    """Half a neckline from the neck's side to the middle, level in the middle: nearly a quarter of an ellipse."""
+    return curve((width, 0.0), (-0.1 * width, -0.6 * depth), (0.0, -depth), (-0.6 * width, 0.0))
+
+
+def sleeve_panel(
+    name: str, armhole_back: float, armhole_front: float, cap_share: float, girth: float, length: float, hem: float
+) -> Outline:
+    """The left sleeve: edges hem, underarm_back, cap_back, cap_front, underarm_front; its back is at x > 0.
+
+    y = 0 is the cap's lower end.
+    The cap's height is given; its two halves become as wide as they must be for their curves to have the lengths of the
+    armhole. If the sleeve is then narrower than it must be, the cap is made flatter.
+
+    Args:
+        name: of the panel.
+        armhole_back: length of the cap's back half [m].
+        armhole_front: length of the cap's front half [m].
+        cap_share: height of the cap over the whole armhole [-].
+        girth: least girth of the sleeve at the upper arm [m].
+        length: from the cap's top to the hem [m].
+        hem: girth at the hem [m]; at most that at the upper arm is used.
+
+    Raises:
+        InputError: even a flat cap is too narrow for the arm.
+    """
+    whole = armhole_back + armhole_front
+    height = cap_share * whole
+    while height > 0.05 * whole:
+        back, front = (_cap_width(half, height, side) for half, side in ((armhole_back, 1), (armhole_front, -1)))
+        if back + front >= girth:
+            break
+        height *= 0.97
+    else:
+        raise InputError(
+            "the armhole is too small for the arm",
+            key=name,
+            received=f"{whole:.3f} m around",
+            expected=f"more than the sleeve's girth of {girth:.3f} m",
+        )
+    drop = length - height
+    if drop < 0.02:
+        raise InputError("the sleeve is shorter than its cap", key=name, received=length, expected=f"> {height:.3f} m")
+    half_hem = 0.5 * min(hem, back + front)
+    middle = 0.5 * (back - front)
+    cap_back, cap_front = _cap(back, height, 1), _cap(front, height, -1)
+    return Outline(
+        name,
+        {
+            "hem": line((middle - half_hem, -drop), (middle + half_hem, -drop)),
+            "underarm_back": line((middle + half_hem, -drop), (back, 0.0)),
+            "cap_back": cap_back,
+            "cap_front": cap_front[::-1],
+            "underarm_front": line((-front, 0.0), (middle - half_hem, -drop)),
+        },
+    )
+
+
+def _cap(width: float, height: float, side: int) -> Floats:
+    """Half a sleeve cap from the underarm at (side width, 0) to its top at (0, height): an S, fuller at the back."""
+    hollow = 0.30 if side > 0 else 0.38
+    points = curve((width, 0.0), (-hollow * width, 0.0), (0.0, height), (-0.42 * width, 0.0))
+    return points * (side, 1.0)
+
+
+def _cap_width(length: float, height: float, side: int) -> float:
+    """Width of half a cap whose curve has a certain length [m]."""
+    return brentq(lambda width: edge_length(_cap(width, height, side)) - length, 1e-3, length)
+
+
+def sleeve_seams(front: Outline, back: Outline, sleeve: Outline, side: str) -> list[Seam]:
+    """Seams of a sleeve: its own, and those to both armholes."""
+    return [
+        Seam(sleeve.edge("underarm_back"), sleeve.edge("underarm_front")),
+        Seam(sleeve.edge("cap_front"), front.edge(f"armhole_{side}")),
+        Seam(sleeve.edge("cap_back"), back.edge(f"armhole_{side}")),
+    ]
+
+
+def place_sleeve(outline: Outline, measures: BodyMeasures, around: Surroundings, side: int) -> Placement:
+    """A sleeve around the left (side 1) or right (side -1) arm, its cap outside the shoulder point."""
+    places = measures.landmarks
+    flip = np.array([side, 1.0, 1.0])
+    start, shoulder = places.arm_start * flip, places.shoulder * flip
+    points = points_of(outline)
+    # A short sleeve follows the upper arm, a long one the line to the wrist.
+    reaches_elbow = float(np.ptp(points[:, 1])) > 0.6 * measures.arm_length
+    along = (places.wrist if reaches_elbow else places.elbow) * flip - start
+    along /= np.linalg.norm(along)
+    if reaches_elbow:  # halfway between that line and a bent elbow
+        start = start + 0.5 * _across(places.elbow * flip - start, along)
+    rotation = facing(_across((0.5 * side, 1.0, 0.0), along), -along)
+    width, top = float(np.ptp(points[:, 0])), float(points[:, 1].max())
+    crest = np.array([[0.0, top]])
+    crown = float((shoulder - start) @ along)
+
+    reach = float((places.wrist * flip - start) @ along)
+
+    def placed(distance: float, radius: float, apart: float) -> Placement:
+        # The sleeve's outer line lies along the arm, which becomes thinner, so that the hem goes around the wrist.
+        first, last = (radius - girth / (2.0 * np.pi) - apart for girth in (measures.upper_arm, measures.wrist))
+        axis = _unit(along - rotation[:, 2] * (last - first) / reach)
+        turned = facing(_across(rotation[:, 2], axis), -axis)
+        origin = start - first * rotation[:, 2] + (crown + top + distance) * axis
+        return Placement(turned, origin + radius * turned[:, 2], radius)
+
+    return nearest_placement(
+        outline.name,
+        points,
+        [
+            partial(placed, radius=width / (2.0 * np.pi) * k, apart=apart)
+            for k in (1.03, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0, 2.5)
+            for apart in (0.025, 0.04, 0.06)
+        ],
+        around,
+        lambda placement: float(np.linalg.norm(placement.apply(crest) - shoulder) + _open(placement, outline)),
+    )
+
+
+def _open(placement: Placement, outline: Outline) -> float:
+    """How wide the sleeve's own seam is open on average [m]."""
+    back, front = (placement.apply(outline.edges[f"underarm_{half}"]) for half in ("back", "front"))
+    return float(np.linalg.norm(back - front[::-1], axis=1).mean())
+
+
+def _unit(vector: Floats) -> Floats:
+    return vector / np.linalg.norm(vector)
+
+
+def _across(vector: Floats | tuple[float, float, float], along: Floats) -> Floats:
+    """The part of a vector that stands across a direction."""
+    return np.asarray(vector) - (np.asarray(vector) @ along) * along

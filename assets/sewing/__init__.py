@@ -1,0 +1,1 @@
+"""Sewing: panels are arranged around a body, sewn together, draped and checked."""

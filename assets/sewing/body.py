@@ -1,0 +1,71 @@
+"""The body that a garment is sewn on: a closed surface that stands still."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from assets.character import load_character
+from assets.io.obj import read_obj
+from assets.io.sequence import load_sequence
+from assets.weld import check_unit, weld
+from pbd.errors import InputError
+from pbd.mesh import edges_of
+
+__all__ = ["StandingBody", "load_standing_body"]
+
+MAX_OPEN_SHARE = 0.02  # of a body's edges that may belong to one face only
+
+
+@dataclass(frozen=True, eq=False)
+class StandingBody:
+    """A body as it stands.
+
+    Attributes:
+        name: for messages.
+        vertices: [m], shape (n, 3), float64.
+        faces: counter-clockwise from outside, int32, shape (m, 3).
+    """
+
+    name: str
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+
+
+def load_standing_body(path: str | Path) -> StandingBody:
+    """Load a body to sew on.
+
+    Args:
+        path: a character (.glb, .gltf) in its bind pose, "builtin:mannequin", the first frame of a vertex sequence
+            (.npz), or a closed surface (.obj).
+
+    Raises:
+        InputError: the file cannot be read, or its surface is not closed.
+    """
+    suffix = Path(path).suffix.lower()
+    if str(path).startswith("builtin:") or suffix in (".glb", ".gltf"):
+        character = load_character(path)
+        vertices, faces, name = character.vertices, character.faces, character.name
+    elif suffix == ".npz":
+        sequence = load_sequence(path)
+        vertices, faces, name = sequence.vertices[0].astype(float), sequence.faces, sequence.name
+    elif suffix == ".obj":
+        mesh = read_obj(Path(path))
+        if not len(mesh.faces):
+            raise InputError("a body without faces", file=path, received=f"{len(mesh.vertices)} vertices")
+        check_unit(mesh.vertices, Path(path))
+        vertices, faces, _ = weld(mesh.vertices, mesh.faces)
+        faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+        name = Path(path).stem
+    else:
+        expected = ".glb, .gltf, .npz, .obj or builtin:mannequin"
+        raise InputError("an unknown kind of body", file=path, received=suffix, expected=expected)
+    edges, side_edge = edges_of(faces)
+    share = float(np.mean(np.bincount(side_edge.ravel(), minlength=len(edges)) != 2))
+    if share > MAX_OPEN_SHARE:
+        received, expected = f"{100.0 * share:.1f} % of its edges are borders", f"at most {100.0 * MAX_OPEN_SHARE:g} %"
+        raise InputError("a body that is not closed", file=path, received=received, expected=expected)
+    return StandingBody(name, vertices, faces)

@@ -1,0 +1,81 @@
+"""A sewn garment: one surface with its flat metric, and the figures by which it is judged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from assets.garment import Garment
+from assets.sewing.body import StandingBody
+from pbd.crossings import crossings
+from pbd.distance import TOLERANCE, BodyDistance
+
+__all__ = ["SewnGarment", "drape_figures", "faults_of"]
+
+MAX_SEAM_GAP = 0.0005  # between stitched points [m]
+MAX_STRAIN = 0.25  # of the edges, at the 99th percentile [-]; more is a garment too small for its body
+
+
+@dataclass(frozen=True, eq=False)
+class SewnGarment:
+    """A garment as it was sewn on a body.
+
+    Attributes:
+        garment: vertices, faces, rest shape (warp, weft) and layers.
+        panel_names: of the pattern.
+        panel_of_face: int32, shape (m,).
+        seams: edges along seams, int32, shape (e, 2).
+        fabric: name of the fabric that it was draped in.
+        figures: see :func:`drape_figures`; empty where the garment comes from a file.
+    """
+
+    garment: Garment
+    panel_names: tuple[str, ...]
+    panel_of_face: NDArray[np.int32]
+    seams: NDArray[np.int32]
+    fabric: str
+    figures: dict[str, float] = field(default_factory=dict)
+
+
+def drape_figures(garment: Garment, body: StandingBody) -> dict[str, float]:
+    """How a draped garment lies.
+
+    Returns:
+        vertex_count, crossings (edges that go through faces of the garment), inside_body (vertices) and deepest_mm,
+        strain_p50 and strain_p99 of the edges' lengths against their rest shape (absolute values); tension_p99 with
+        shortened edges as negative values.
+    """
+    assert garment.pattern is not None
+    depth = BodyDistance(body.faces).signed_distance(garment.vertices, body.vertices)
+    sides = [
+        np.linalg.norm(np.roll(x, -1, axis=1) - x, axis=2) for x in (garment.vertices[garment.faces], garment.pattern)
+    ]
+    strain = sides[0] / sides[1] - 1.0
+    return {
+        "vertex_count": len(garment.vertices),
+        "crossings": len(crossings(garment.vertices, garment.faces)),
+        "inside_body": int((depth < -TOLERANCE).sum()),
+        "deepest_mm": 1e3 * max(0.0, -float(depth.min())),
+        "strain_p50": float(np.percentile(np.abs(strain), 50)),
+        "strain_p99": float(np.percentile(np.abs(strain), 99)),
+        "tension_p99": float(np.percentile(strain, 99)),
+    }
+
+
+def faults_of(figures: dict[str, float]) -> list[str]:
+    """Sentences about everything for which a garment is not whole; none if it is."""
+    found = []
+    if figures["seam_gap_mm"] > 1e3 * MAX_SEAM_GAP:
+        found.append(f"a seam stays open by {figures['seam_gap_mm']:.1f} mm")
+    if figures["crossings"]:
+        found.append(f"{figures['crossings']:.0f} edges go through other cloth")
+    if figures["inside_body"]:
+        found.append(f"{figures['inside_body']:.0f} vertices are inside the body, {figures['deepest_mm']:.1f} mm deep")
+    if figures["tension_p99"] > MAX_STRAIN:
+        found.append(
+            f"the cloth is stretched by {100.0 * figures['tension_p99']:.0f} % (99th percentile of its edges): it is "
+            "too small for the body, or caught on it"
+        )
+    return found

@@ -1,0 +1,276 @@
+"""Sews a pattern on a body: cut, arranged, stitched, draped coarsely, cut finely, draped again, judged.
+
+Seams are closed on a coarse cut of the pattern, where a second of simulation takes seconds. The stitched vertices then
+become one, so that the garment is one surface. The fine cut of the same curves takes its place from the coarse one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix, diags
+from scipy.spatial import cKDTree
+
+from assets.fabrics import load_fabric
+from assets.garment import Garment
+from assets.patterns.panel_mesh import cut
+from assets.patterns.pattern import Pattern
+from assets.sewing.arrangement import arranged
+from assets.sewing.body import StandingBody
+from assets.sewing.garment import SewnGarment, drape_figures, faults_of
+from assets.sewing.pieces import Joined, Pieces, carried_over, join, pieces_of
+from assets.sewing.simulation import Clock, close_stitches, drape
+from pbd.attachment import push_outside
+from pbd.bending import hinge_calibration
+from pbd.contact.strain_limits import MAX_STRETCH
+from pbd.crossings import crossings
+from pbd.fabric import Fabric
+from pbd.mesh import ClothMesh, vertex_rings
+
+__all__ = ["COARSE_EDGE", "SewingError", "arranged_pieces", "sew"]
+
+Floats = NDArray[np.float64]
+
+COARSE_EDGE = 0.025  # of the cut on which the stitches are closed [m]
+CLOSING_TIMES = (1.0, 2.0)  # tried one after the other [s]
+MAX_CLOSING_GAP = 0.02  # between two stitched vertices when they become one [m]
+SEAM_ALLOWANCE = 0.01  # of cloth on both sides of a seam that is folded back under it [m]
+# Stages of draping: seconds, damping [1/s], share of the fabric's friction, share of gravity.
+HANG = (1.2, 2.0, 0.3, 1.0)
+SETTLE = ((0.6, 2.0, 0.3, 1.0), (1.2, 1.0, 1.0, 1.0))
+# A waistband does not give way. So many layers make one, unless it is an elastic; its edges become no longer than this.
+# Membranes alone, in one pass a substep, let a skirt's waistband stretch by a fifth and slide over the hips.
+BAND_LAYERS, MAX_BAND_STRETCH = 2.5, 1.0
+CLEARANCE = 0.003  # of smoothed cloth from the body [m]
+EXTRA, MAX_EXTRA = (0.4, 2.0, 1.0, 1.0), 3  # more of it while something is through cloth or body
+
+
+SMOOTHED_RINGS, SMOOTHINGS = 4, 12  # around a place where cloth is through itself, and how often
+
+
+class SewingError(Exception):
+    """A garment did not come out whole; the message says why.
+
+    Args:
+        faults: sentences about what is wrong.
+        garment: as it came out, if it is one surface at least.
+    """
+
+    def __init__(self, faults: list[str], garment: SewnGarment | None = None) -> None:
+        super().__init__("; ".join(faults))
+        self.faults, self.garment = faults, garment
+
+
+def sew(
+    pattern: Pattern,
+    body: StandingBody,
+    fabric: str = "cotton",
+    edge_length: float = 0.01,
+    report: Callable[[str], None] | None = None,
+) -> SewnGarment:
+    """Sew a pattern on a body and drape it.
+
+    Args:
+        pattern: what is sewn.
+        body: that wears it.
+        fabric: name of a preset, or a file; see :func:`assets.fabrics.load_fabric`.
+        edge_length: of the garment's triangles [m].
+        report: called with lines of progress.
+
+    Raises:
+        InputError: a pattern that cannot be cut, arranged or joined, or a bad fabric.
+        SewingError: the garment is not whole.
+    """
+    cloth = load_fabric(fabric)
+    coarse_edge = max(COARSE_EDGE, edge_length)
+    coarse, start = arranged_pieces(pattern, body, coarse_edge)
+    fine = coarse if edge_length >= coarse_edge else pieces_of(cut(pattern, edge_length))
+    surfaces = join(coarse), join(fine)
+    error = SewingError(["nothing was tried"])
+    for seconds in CLOSING_TIMES:
+        clock = Clock(_work(coarse, fine, seconds, coarse_edge, edge_length), report)
+        try:
+            return _sewn(pattern, body, cloth, fabric, (coarse, fine), surfaces, start, seconds, clock)
+        except SewingError as failed:
+            error = failed
+            if report is not None:
+                report(f"not whole: {failed}")
+    raise error
+
+
+def arranged_pieces(pattern: Pattern, body: StandingBody, edge_length: float) -> tuple[Pieces, Floats]:
+    """The pieces of a pattern, and where they are around the body before they are sewn [m], shape (n, 3).
+
+    Raises:
+        InputError: as :func:`assets.patterns.panel_mesh.cut` and :func:`assets.sewing.arrangement.arranged`.
+    """
+    pieces = pieces_of(cut(pattern, edge_length))
+    return pieces, arranged(pieces, [panel.placement for panel in pattern.panels], body)
+
+
+def _sewn(
+    pattern: Pattern,
+    body: StandingBody,
+    cloth: Fabric,
+    fabric: str,
+    cuts: tuple[Pieces, Pieces],
+    surfaces: tuple[Joined, Joined],
+    start: Floats,
+    seconds: float,
+    clock: Clock,
+) -> SewnGarment:
+    """One attempt, with so many seconds for the stitches to close; see :func:`sew`."""
+    coarse, fine = cuts
+    bend_factor = _bend_factor(coarse)
+    clock.stage = "closing seams"
+    positions = close_stitches(coarse, start, body, cloth, bend_factor, seconds, clock)
+    _check_closed(pattern, coarse, positions)
+    clock.stage = "draping"
+    mesh = _surface(pattern, coarse, surfaces[0], positions)
+    mesh = _drape(mesh, body, cloth, bend_factor, HANG, clock)
+    positions = mesh.vertices[surfaces[0].vertex]
+    if fine is not coarse:
+        positions = carried_over(coarse, positions, fine)
+        bend_factor = _bend_factor(fine)
+    mesh = _surface(pattern, fine, surfaces[1], positions)
+    for stage in SETTLE:
+        mesh = _drape(mesh, body, cloth, bend_factor, stage, clock)
+    sewn = _judged(pattern, body, fabric, fine, surfaces[1], mesh)
+    for _ in range(MAX_EXTRA):
+        if not (sewn.figures["crossings"] or sewn.figures["inside_body"]):
+            break
+        mesh = _drape(_untangled(mesh, body), body, cloth, bend_factor, EXTRA, clock)
+        sewn = _judged(pattern, body, fabric, fine, surfaces[1], mesh)
+    faults = faults_of(sewn.figures)
+    if faults:
+        raise SewingError(faults, sewn)
+    return sewn
+
+
+def _drape(
+    mesh: ClothMesh,
+    body: StandingBody,
+    cloth: Fabric,
+    bend_factor: float,
+    stage: tuple[float, float, float, float],
+    clock: Clock,
+) -> ClothMesh:
+    seconds, damping, friction, weight = stage
+    return drape(
+        mesh, body, replace(cloth, friction=friction * cloth.friction), bend_factor, seconds, damping, clock, weight
+    )
+
+
+def _untangled(mesh: ClothMesh, body: StandingBody) -> ClothMesh:
+    """The mesh with cloth smoothed around places where it is through itself, outside the body.
+
+    Contact brings sheets back that are through one another. A crease that is folded into itself has no right side; the
+    smooth surface over it has one.
+    """
+    found = crossings(mesh.vertices, mesh.faces)
+    if not len(found):
+        return mesh
+    starts, ring = vertex_rings(mesh.faces, len(mesh.vertices))
+    around = csr_matrix((np.ones(len(ring)), ring, starts), (len(mesh.vertices),) * 2)
+    moved = np.zeros(len(mesh.vertices))
+    moved[np.unique(np.concatenate([found[:, :2].ravel(), mesh.faces[found[:, 2]].ravel()]))] = 1.0
+    for _ in range(SMOOTHED_RINGS):
+        moved = np.maximum(moved, (around @ moved > 0.0).astype(float))
+    patch, vertices = np.flatnonzero(moved), mesh.vertices.copy()
+    mean = (diags(1.0 / np.diff(starts)) @ around)[patch]
+    for _ in range(SMOOTHINGS):
+        vertices[patch] = mean @ vertices
+    vertices[patch] = push_outside(vertices[patch], body.vertices, body.faces, CLEARANCE)
+    return replace(mesh, vertices=vertices)
+
+
+def _work(coarse: Pieces, fine: Pieces, seconds: float, coarse_edge: float, edge_length: float) -> float:
+    """Work of one attempt as :class:`Clock` counts it."""
+    from assets.sewing.simulation import CLOSED_SHARE, substep_of
+
+    first = (1.0 + CLOSED_SHARE) * seconds + HANG[0]
+    return len(coarse.flat) * first / substep_of(coarse_edge) + len(fine.flat) * sum(
+        stage[0] for stage in SETTLE
+    ) / substep_of(edge_length)
+
+
+def _bend_factor(pieces: Pieces) -> float:
+    """Factor of the hinges, measured on the flat pieces, which stand beside one another."""
+    apart = np.zeros((len(pieces.flat), 3))
+    apart[:, :2] = pieces.flat
+    apart[:, 0] += pieces.piece_of_vertex * (np.ptp(pieces.flat[:, 0]) + 1.0)
+    return hinge_calibration(ClothMesh.from_surface(apart, pieces.faces))
+
+
+def _check_closed(pattern: Pattern, pieces: Pieces, positions: Floats) -> None:
+    """Refuse a garment of which a seam was held open.
+
+    Raises:
+        SewingError: names the panels of the widest gap.
+    """
+    gaps = np.linalg.norm(positions[pieces.stitches[:, 0]] - positions[pieces.stitches[:, 1]], axis=1)
+    if not np.isfinite(positions).all():
+        raise SewingError(["the simulation that closes the seams burst"])
+    if gaps.max(initial=0.0) > MAX_CLOSING_GAP:
+        ends = pieces.piece_of_vertex[pieces.stitches[gaps.argmax()]]
+        names = " and ".join(repr(pieces.names[end]) for end in np.unique(ends))
+        raise SewingError([f"a seam at {names} stays open by {1e3 * gaps.max():.0f} mm"])
+
+
+def _surface(pattern: Pattern, pieces: Pieces, surface: Joined, positions: Floats) -> ClothMesh:
+    """The garment as one surface at given positions of the pieces."""
+    rest = _along_grain(pattern, pieces)
+    layers = pieces.layers + _allowance(pieces, surface)
+    mesh = ClothMesh.from_pattern(surface.means(positions), surface.faces, rest, layers)
+    plain = np.abs(pieces.rest - pieces.flat[pieces.faces]).max(axis=(1, 2)) < 1e-9
+    return replace(mesh, max_stretch=np.where(plain & (pieces.layers >= BAND_LAYERS), MAX_BAND_STRETCH, MAX_STRETCH))
+
+
+def _along_grain(pattern: Pattern, pieces: Pieces) -> Floats:
+    """Rest shapes in the order (warp, weft) [m], shape (m, 3, 2)."""
+    grain = np.array([panel.grain for panel in pattern.panels])[pieces.piece_of_face]
+    across = np.stack([-grain[:, 1], grain[:, 0]], axis=1)
+    return np.stack([np.einsum("fcx,fx->fc", pieces.rest, axis) for axis in (grain, across)], axis=2)
+
+
+def _allowance(pieces: Pieces, surface: Joined) -> Floats:
+    """Layers that the seam allowances add to each face [-], shape (m,): the share of the face that they lie under."""
+    share = np.zeros(len(pieces.faces))
+    ends = np.sort(surface.faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
+    count = surface.count
+    sewn = np.isin(
+        ends[..., 0].astype(np.int64) * count + ends[..., 1],
+        surface.seams[:, 0].astype(np.int64) * count + surface.seams[:, 1],
+    )
+    corners = pieces.flat[pieces.faces]
+    inner = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3.0], [6.0], [6.0], [6.0]])
+    for piece in range(len(pieces.names)):
+        mine = np.flatnonzero(pieces.piece_of_face == piece)
+        face, side = np.nonzero(sewn[mine])
+        if not len(face):
+            continue
+        a, b = corners[mine[face], side], corners[mine[face], (side + 1) % 3]
+        steps = int(np.ceil(4.0 * np.linalg.norm(b - a, axis=1).max() / SEAM_ALLOWANCE))
+        along = (np.arange(steps + 1) / steps)[:, None, None]
+        line = ((1.0 - along) * a + along * b).reshape(-1, 2)
+        places = np.einsum("sc,fcx->fsx", inner, corners[mine])
+        share[mine] = (cKDTree(line).query(places)[0] < SEAM_ALLOWANCE).mean(axis=1)
+    return share
+
+
+def _judged(
+    pattern: Pattern, body: StandingBody, fabric: str, pieces: Pieces, surface: Joined, mesh: ClothMesh
+) -> SewnGarment:
+    """A draped mesh as a garment with its figures."""
+    if not np.isfinite(mesh.vertices).all():
+        raise SewingError(["the simulation that drapes the garment burst"])
+    garment = Garment(
+        pattern.name, mesh.vertices, surface.faces, _along_grain(pattern, pieces), pattern.source, mesh.layers
+    )
+    ends = mesh.vertices[surface.vertex[pieces.stitches]]
+    gap = float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).max(initial=0.0))
+    figures = {"seam_gap_mm": 1e3 * gap} | drape_figures(garment, body)
+    return SewnGarment(garment, pieces.names, pieces.piece_of_face, surface.seams, fabric, figures)

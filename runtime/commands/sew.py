@@ -1,0 +1,131 @@
+"""`gube sew`: a pattern, sewn on a body and draped."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from runtime.arguments import add_output_file, positive
+
+if TYPE_CHECKING:
+    from assets.patterns.pattern import Pattern
+    from assets.sewing.body import StandingBody
+    from runtime.report import Report
+
+__all__ = ["SUMMARY", "add_arguments", "run"]
+
+SUMMARY = "sew a pattern on a body, drape it and write the garment"
+EDGE = 0.01  # of the garment's triangles [m]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.add_argument(
+        "pattern", metavar="PATTERN", help="a GarmentCode specification (.json), a drawing (.svg, .dxf), or draft:NAME"
+    )
+    parser.add_argument(
+        "-b",
+        dest="body",
+        required=True,
+        metavar="BODY",
+        help="a character (.glb), builtin:mannequin, a vertex sequence (.npz) or a closed surface (.obj) (required)",
+    )
+    add_output_file(parser, "GARMENT.npz", "the sewn garment")
+    parser.add_argument(
+        "--edge",
+        type=positive,
+        default=EDGE,
+        metavar="METRES",
+        help="length of the garment's edges [m] (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--fabric", default="cotton", metavar="NAME", help="a fabric, or a file of one (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--ease",
+        type=positive,
+        metavar="METRES",
+        help="of a draft: how much wider than the body it is, around [m] (default: the draft's own)",
+    )
+    parser.add_argument(
+        "--param",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="another parameter of a draft, may be repeated (default: the draft's own)",
+    )
+    parser.add_argument(
+        "--picture",
+        type=Path,
+        metavar="FILE.png",
+        help="draw the pattern, the panels around the body and the draped garment (default: no picture)",
+    )
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Sew a pattern and write the garment."""
+    from assets.io.sewn import write_sewn
+    from assets.sewing.body import load_standing_body
+    from assets.sewing.sewing import SewingError, sew
+    from runtime.info import figure_lines
+    from runtime.outputs import check_file
+    from runtime.report import Progress, Report
+
+    check_file(options.output, ".npz")
+    if options.picture:
+        check_file(options.picture, ".png", key="--picture")
+    began = time.monotonic()
+    body = load_standing_body(options.body)
+    pattern = _pattern_of(options, body)
+    fault = None
+    with Progress(sys.stderr) as progress:
+        try:
+            sewn = sew(pattern, body, options.fabric, options.edge, progress)
+        except SewingError as error:
+            fault, sewn = error, error.garment
+    figures = {} if sewn is None else dict(sewn.figures)
+    figures["sewing_s"] = time.monotonic() - began
+    print("\n".join(figure_lines(figures)))
+    if options.picture:
+        from runtime.sewing_picture import draw_sewing
+
+        draw_sewing(options.picture, pattern, body, sewn)
+        print(f"picture in {options.picture}")
+    if fault is not None or sewn is None:
+        print(f"{pattern.name} did not come out whole on {body.name}: {fault}", file=sys.stderr)
+        return Report(figures, passed=False)
+    write_sewn(options.output, sewn)
+    print(f"garment in {options.output}")
+    return Report(figures)
+
+
+def _pattern_of(options: argparse.Namespace, body: StandingBody) -> Pattern:
+    """The pattern that is asked for, from a file or drafted for the body."""
+    from assets.patterns.load import load_pattern
+    from pbd.errors import InputError
+
+    parameters = dict(_parameter(text) for text in options.param)
+    if options.ease is not None:
+        parameters["ease"] = options.ease
+    if options.pattern.startswith("draft:"):
+        from assets.measures import measure
+        from assets.patterns.drafts import draft
+
+        return draft(options.pattern.removeprefix("draft:"), measure(body), **parameters)
+    if parameters:
+        expected = "none: only a draft (draft:NAME) has parameters"
+        raise InputError("a parameter of a file", key="--param", received=sorted(parameters), expected=expected)
+    return load_pattern(options.pattern)
+
+
+def _parameter(text: str) -> tuple[str, float]:
+    from pbd.errors import InputError
+
+    key, _, value = text.partition("=")
+    try:
+        return key.strip().replace("-", "_"), float(value)
+    except ValueError:
+        raise InputError("not a parameter", key="--param", received=text, expected="KEY=NUMBER") from None
