@@ -18,9 +18,9 @@ __all__ = ["AlineSkirt", "aline_skirt"]
 
 _HEM, _WAISTBAND = 0.02, 0.03  # [m]
 _WAISTBAND_LAYERS = 3.0
-_WAIST_EASE = 0.01  # [m]
 _SIDE_RISE = 0.012  # [m] of the waist line at the side
-_DART_DEPTHS = {"front": 0.45, "back": 0.65}  # over the height between waist and hip [-]
+_SHAPING = {"front": (0.6, 0.045, 0.022), "back": (0.4, 0.035, 0.035)}  # by the side and by darts; the belly needs less
+_DART_DEPTHS = {"front": 0.4, "back": 0.65}  # over the height between waist and hip [-]
 
 
 @dataclass(frozen=True)
@@ -69,10 +69,10 @@ def aline_skirt(measures: BodyMeasures, parameters: AlineSkirt) -> Pattern:
 
 def _panel(name: str, m: BodyMeasures, p: AlineSkirt, length: float, waist_share: float, hip_share: float) -> Outline:
     """Front or back: edges hem, side and waist line with darts; x > 0 is left in front, right behind."""
-    waist = 0.5 * waist_share * (m.waist + _WAIST_EASE)
+    waist = 0.5 * waist_share * m.waist
     hip = 0.5 * hip_share * (m.hip + p.ease)
     flare = 0.5 * hip_share * p.flare
-    taken, darts = share_surplus(hip - waist, 0.4, 0.035)
+    taken, darts = share_surplus(hip - waist, *_SHAPING[name])
     top = (hip - taken, _SIDE_RISE)
     below = length - m.waist_to_hip
     if flare >= below:

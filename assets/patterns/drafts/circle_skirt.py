@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -98,13 +99,14 @@ def _place(
     waist = measures.landmarks.waist
     rotation = facing((0.0, 1.0, 0.0), (0.0, 0.0, -side))
     points = points_of(outline)
+
+    def placed(distance: float, roll: float | None) -> Placement:
+        return Placement(rotation, np.array([0.0, waist[1] + 0.03, waist[2] + side * (distance - 0.5 * radius)]), roll)
+
     return nearest_placement(
         outline.name,
         points,
-        lambda roll, distance: Placement(
-            rotation, np.array([0.0, waist[1] + 0.01, waist[2] + side * (distance - 0.5 * radius)]), roll
-        ),
-        rolls,
+        [partial(placed, roll=roll) for roll in rolls],
         around,
         lambda placement: abs(float(placement.translation[2] - waist[2])),
         lambda placed: bool((side * (placed[:, 2] - waist[2]) > 0.005).all()),

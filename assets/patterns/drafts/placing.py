@@ -7,6 +7,7 @@ the one whose seams stay nearest to each other is taken.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,16 +45,20 @@ class Surroundings:
         self._vertices, self._normals = vertices, normals
         self._body = cKDTree(vertices)
         self._panels: list[Floats] = []
+        self._panel_tree: cKDTree | None = None
 
     def add(self, points: Floats) -> None:
         """Points of a panel that stands [m], shape (n, 3)."""
         self._panels.append(points)
+        self._panel_tree = cKDTree(np.concatenate(self._panels))
 
     def clear(self, points: Floats, clearance: float) -> bool:
         """Whether points [m], shape (n, 3), are outside the body and apart from the panels."""
-        return self.room(points) >= clearance and (
-            not self._panels or cKDTree(np.concatenate(self._panels)).query(points)[0].min() >= _PANEL_CLEARANCE
-        )
+        if self._panel_tree is not None:
+            near = self._panel_tree.query(points, distance_upper_bound=_PANEL_CLEARANCE)[0]
+            if np.isfinite(near).any():
+                return False
+        return self.room(points[::7]) >= clearance and self.room(points) >= clearance  # a few points say no quickly
 
     def room(self, points: Floats) -> float:
         """Distance of the nearest of points from the body [m], negative inside."""
@@ -87,32 +92,32 @@ def facing(outward: Sequence[float], up: Sequence[float]) -> Floats:
 def nearest_placement(
     name: str,
     points: Floats,
-    placements: Callable[[float, float], Placement],
-    radii: Iterable[float | None],
+    candidates: Iterable[Callable[[float], Placement]],
     surroundings: Surroundings,
     cost: Callable[[Placement], float],
     allowed: Callable[[Floats], bool] = lambda _: True,
+    clearance: float = CLEARANCE,
 ) -> Placement:
     """The placement with the least cost that is clear of the body and of the panels that stand.
 
     Args:
         name: of the panel, for messages.
         points: of the panel [m], shape (n, 2).
-        placements: a placement for a radius [m] and a distance that the panel is moved away from the body [m].
-        radii: to try [m].
+        candidates: rolls to try: each gives the placement for a distance by which the panel is moved away [m].
         surroundings: the body and the other panels; the panel is added to them.
         cost: of a placement, such as the width of the seams that are still open [m].
         allowed: whether the points may be there at all.
+        clearance: of the panel from the body [m].
 
     Raises:
         InputError: no place is clear.
     """
     best: tuple[float, Placement] | None = None
-    for radius in radii:
+    for candidate in candidates:
         for distance in np.arange(0.0, _REACH, _STEP):
-            placement = placements(radius, float(distance))
+            placement = candidate(float(distance))
             placed = placement.apply(points)
-            if allowed(placed) and surroundings.clear(placed, CLEARANCE):
+            if allowed(placed) and surroundings.clear(placed, clearance):
                 if best is None or cost(placement) < best[0]:
                     best = cost(placement), placement
                 break
@@ -136,11 +141,14 @@ def place_on_trunk(outline: Outline, height: float, middle: float, side: int, ar
     points = points_of(outline)
     half = float(points[:, 0].max())
     sides = points[np.abs(points[:, 0]) > 0.85 * half]
+
+    def placed(distance: float, radius: float) -> Placement:
+        return Placement(rotation, np.array([0.0, height, middle + side * distance]), radius)
+
     return nearest_placement(
         outline.name,
         points,
-        lambda radius, distance: Placement(rotation, np.array([0.0, height, middle + side * distance]), radius),
-        [half * k for k in (0.62, 0.66, 0.7, 0.75, 0.8, 0.9, 1.0, 1.2, 1.5, 2.0, 3.0, 6.0)],
+        [partial(placed, radius=half * k) for k in (0.62, 0.66, 0.7, 0.75, 0.8, 0.9, 1.0, 1.2, 1.5, 2.0, 3.0, 6.0)],
         around,
         lambda placement: float(np.abs(placement.apply(sides)[:, 2] - middle).mean()),
         lambda placed: bool((side * (placed[:, 2] - middle) > 0.005).all()),

@@ -33,7 +33,7 @@ class Shirt:
     length: float | None = number(None, "m", "from the neck's side to the hem; default: to the crotch's height")
     sleeve_length: float | None = number(None, "m", "from the shoulder to the cuff's end; default: to the wrist")
     sleeve_ease: float | None = number(None, "m", "added to the girth of the upper arm; default: 3 cm and half of ease")
-    cuff_ease: float = number(0.03, "m", "added to the girth of the wrist")
+    cuff_ease: float = number(0.05, "m", "added to the girth of the wrist")
     dart: float | None = number(
         None, "m", "taken in by each dart at the bust; default: the front's surplus over the back"
     )
@@ -67,7 +67,7 @@ def shirt(measures: BodyMeasures, parameters: Shirt) -> Pattern:
     front_panel = bodice_panel("front", front, "left", "right")
     back_panel = bodice_panel("back", back, "right", "left")
     cuff = m.wrist + p.cuff_ease
-    hem = cuff + 0.05  # gathered into the cuff
+    hem = cuff + 0.1  # gathered into the cuff
     armholes = (back_panel.length("armhole_left"), front_panel.length("armhole_left"))
     left = sleeve_panel("left_sleeve", *armholes, _CAP_SHARE, m.upper_arm + sleeve_ease, sleeve_length, hem)
     right = left.mirrored("right_sleeve")

@@ -7,6 +7,7 @@ of a twentieth and a tenth of the hip, a centre back that leans and rises so tha
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -164,7 +165,7 @@ def _panel(
     side, centre = 0.5 * width, fork - 0.5 * width  # x at the hip
     hip_depth = min(m.waist_to_hip, 0.72 * (m.rise + p.rise_ease))
     knee_depth = float(m.landmarks.waist[1] - m.landmarks.knee[1])
-    taken, darts = share_surplus(hip - half.lean - waist, 0.35, 0.03)
+    taken, darts = share_surplus(hip - half.lean - waist, 0.35, 0.03, 0.03)
     top_side, top_centre = (side - taken, 0.0), (centre + half.lean, half.centre_rise)
     hem = 0.25 * leg_width + 0.5 * half.leg
     knee = 0.25 * max(leg_width, m.knee + 0.06) + 0.5 * half.leg
@@ -223,7 +224,7 @@ def _place(outline: Outline, m: BodyMeasures, around: Surroundings, side: int, h
     height = float(places.waist[1])
     widest = 0.5 * float(np.ptp(points[:, 0]))
 
-    def placed(radius: float | None, distance: float) -> Placement:
+    def placed(distance: float, radius: float) -> Placement:
         at = Placement(rotation, np.array([0.0, height, middle + half * distance]), radius)
         x = side * float((side * at.apply(points)[:, 0]).min())
         return Placement(rotation, at.translation - (x - side * 0.006, 0.0, 0.0), radius)
@@ -231,8 +232,7 @@ def _place(outline: Outline, m: BodyMeasures, around: Surroundings, side: int, h
     return nearest_placement(
         outline.name,
         points,
-        placed,
-        [widest * k for k in (0.7, 0.75, 0.8, 0.9, 1.0, 1.2, 1.5, 2.0, 3.0)],
+        [partial(placed, radius=widest * k) for k in (0.7, 0.75, 0.8, 0.9, 1.0, 1.2, 1.5, 2.0, 3.0)],
         around,
         lambda placement: float(
             np.abs(placement.apply(outline.edges["side"])[:, 2] - middle).mean()

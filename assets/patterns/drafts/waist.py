@@ -12,17 +12,17 @@ __all__ = ["dart_seams", "share_surplus", "waist_line"]
 
 Floats = NDArray[np.float64]
 
-_WIDEST_DART = 0.035  # [m] wider ones are made two
 _NARROWEST_DART = 0.008  # [m] narrower ones go into the side
 
 
-def share_surplus(surplus: float, side_share: float, side_most: float) -> tuple[float, list[float]]:
+def share_surplus(surplus: float, side_share: float, side_most: float, widest: float) -> tuple[float, list[float]]:
     """Share out what hip is wider than waist: part of it goes into the side, the rest into darts [m].
 
     Args:
         surplus: half width at the hip minus half width at the waist [m].
         side_share: part of it that the side takes in [-].
         side_most: the most that the side takes in [m].
+        widest: of a dart [m]; a wider one is made two.
 
     Returns:
         what the side takes in, and the widths of the darts from the middle outwards.
@@ -33,7 +33,7 @@ def share_surplus(surplus: float, side_share: float, side_most: float) -> tuple[
     rest = surplus - side
     if rest < _NARROWEST_DART:
         return surplus, []
-    count = 1 if rest <= _WIDEST_DART else 2
+    count = 1 if rest <= widest else 2
     return side, [rest / count] * count
 
 
