@@ -27,7 +27,7 @@ from precompute.workers import Workers
 from runtime.bake import bake_glb
 from runtime.garment_setup import GarmentSetup
 from runtime.glb import BYTES_A_VERTEX
-from runtime.pictures import BODY_COLOR, Drawn, frame_camera, render, save_png, strip
+from runtime.pictures import Drawn, frame_camera, render, save_png, strip
 from runtime.play import posed_bodies
 from wrinkles.metrics import normal_error_deg
 
@@ -229,7 +229,7 @@ def _first_picture(
     found = record_runs([truth, coarse, *others[:1]], cache, workers, report)
     fine, rough = settled(found[0], run), settled(found[1], run)
     levels = run.levels
-    columns = {"coarse": (rough.positions, levels.coarse.faces), "truth": (fine.positions, levels.fine.faces)}
+    columns = {"coarse": (rough.positions, levels.coarse.faces), "truth": (fine.positions, levels.subdivision.faces)}
     return _draw(columns, run, fine, demo.moments)
 
 
@@ -239,12 +239,12 @@ def draw_moments(truth: Truth, evaluation: Evaluation, moments: int) -> np.ndarr
     Returns:
         uint8, shape (h, w, 3).
     """
-    levels = truth.levels
+    coarse, fine = truth.levels.coarse.faces, truth.levels.subdivision.faces
     columns = {
-        "coarse": (evaluation.free.coarse, levels.coarse.faces),
-        "truth": (truth.frames, levels.fine.faces),
-        "ours": (evaluation.free.frames, levels.fine.faces),
-        "ours on the truth's own coarse skirt": (evaluation.decoded, levels.fine.faces),
+        "coarse": (evaluation.free.coarse, coarse),
+        "truth": (truth.frames, fine),
+        "ours": (evaluation.free.frames, fine),
+        "ours on the truth's own coarse skirt": (evaluation.decoded, fine),
     }
     return _draw(columns, truth.run, truth.recording, moments)
 
@@ -263,9 +263,16 @@ def _draw(
     bodies = posed_bodies(run.body, run.poses[recording.frames[picked]])
     shown = recording.positions[picked].astype(float)
     cameras = frame_camera(shown, azimuth_deg=AZIMUTH, aspect=PICTURE[0] / PICTURE[1], margin=1.12)
+    levels = run.levels
+    patterns = {len(levels.coarse.faces): levels.pattern}
+    patterns[len(levels.subdivision.faces)] = levels.subdivision.flat_corners(levels.pattern)
     pictures = [
         [
-            render([Drawn(body, run.body.faces, BODY_COLOR), Drawn(vertices[index], faces)], camera, PICTURE)
+            render(
+                [Drawn.body(body, run.body.faces), Drawn(vertices[index], faces, pattern=patterns[len(faces)])],
+                camera,
+                PICTURE,
+            )
             for index, body, camera in zip(picked, bodies, cameras, strict=True)
         ]
         for vertices, faces in columns.values()

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from assets.character import Character, load_character, with_clips
+from assets.ease import eased
 from assets.fabrics import PRESETS
 from assets.garment import Garment, boundary_loops, highest_loop, load_garment
 from assets.io.scene import FieldSettings, GarmentSettings, MotionSettings, Scene, parse_scene
@@ -47,6 +48,7 @@ __all__ = [
     "fabric_of",
     "fabrics_of",
     "fine_options",
+    "garment_of",
     "held_vertices",
     "load_body",
     "motion_of",
@@ -235,12 +237,13 @@ class GarmentSetup:
         Raises:
             InputError: several garments, no body, or anything that cannot be loaded.
         """
-        settings, garment = _garment_of(scene)
+        settings, garment = garment_of(scene)
         body = body_of(scene)
         if settings.pins:
             expected = "attach or attach_vertices: pins hold a garment without a body"
             raise InputError("pins beside a body", key="garment[0].pins", received=settings.pins, expected=expected)
         vertices = body.vertices if isinstance(body, Character) else body.vertices[0].astype(float)
+        garment = _in_size(garment, settings, vertices, body.faces)
         garment, binding = coarse_garment(garment, settings)
         held = held_vertices(garment, settings)
         limits = None if settings.limits is None else load_limits(settings.limits, len(garment.vertices))
@@ -255,7 +258,7 @@ class GarmentSetup:
             limits=limits,
             sewn=_sewn(garment),
         )
-        return cls(scene, settings, garment, body, levels)
+        return cls(scene, settings, garment, body, replace(levels, pattern=garment.pattern))
 
     def motion(self, motion: MotionSettings | None = None) -> Motion:
         """A motion of the body: the one given, or the scene's own."""
@@ -323,12 +326,36 @@ def _sewn(garment: Garment) -> tuple[np.ndarray, np.ndarray | None] | None:
     return None if garment.layers is None or garment.pattern is None else (garment.pattern, garment.layers)
 
 
-def _garment_of(scene: Scene) -> tuple[GarmentSettings, Garment]:
+def garment_of(scene: Scene) -> tuple[GarmentSettings, Garment]:
+    """Settings and mesh of the only garment of a scene.
+
+    Raises:
+        InputError: several garments, or one that cannot be loaded.
+    """
     if len(scene.garments) != 1:
         names = [garment.name for garment in scene.garments]
         raise InputError("one garment at a time", key="garment", received=names, expected="one [[garment]]")
     settings = scene.garments[0]
     return settings, load_garment(settings.mesh, pattern=settings.pattern)
+
+
+def _in_size(garment: Garment, settings: GarmentSettings, body_vertices: np.ndarray, body_faces: np.ndarray) -> Garment:
+    """The garment with the ease of the scene; vertices that are held on its own mesh stay where they are.
+
+    Raises:
+        InputError: as :func:`assets.ease.eased` and :func:`held_vertices`.
+    """
+    if not any(settings.ease):
+        return garment
+    seams = None if settings.seams is None else load_seams(settings.seams, len(garment.vertices))
+    held = np.zeros(0, np.int64)
+    if settings.coarse_vertices is None:  # otherwise numbers of loops and vertices are those of another mesh
+        held = np.union1d(held_vertices(garment, settings), settings.pins).astype(np.int64)
+    try:
+        return eased(garment, settings.ease, held, body_vertices, body_faces, seams)
+    except InputError as error:
+        size = {"received": error.received, "expected": error.expected}
+        raise InputError(error.problem, file=garment.source, key="ease", **size) from error
 
 
 def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion | None]:
@@ -352,7 +379,7 @@ def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion 
         settings, levels, motion = stage.settings, stage.levels, stage.motion()
         source, pose = body_source(stage.body), motion.pose(0.0)
     else:
-        settings, garment = _garment_of(scene)
+        settings, garment = garment_of(scene)
         if settings.attach != "none" or settings.attach_vertices:
             raise InputError("nothing to attach to", key="garment[0].attach", expected="pins, or a [character]")
         if settings.limits is not None:
@@ -362,6 +389,7 @@ def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion 
             expected = f"0..{len(garment.vertices) - 1}"
             raise InputError("no such vertex", key="garment[0].pins", received=max(settings.pins), expected=expected)
         nothing = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
+        garment = _in_size(garment, settings, *nothing)
         levels = build_levels(
             garment.vertices,
             garment.faces,

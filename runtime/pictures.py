@@ -8,10 +8,8 @@ from __future__ import annotations
 import io
 import math
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +17,7 @@ import numpy as np
 
 from pbd.errors import InputError
 from pbd.storage import replacing
-from wrinkles.metrics import vertex_normals
+from runtime.studio import studio
 
 __all__ = [
     "BODY_COLOR",
@@ -33,23 +31,10 @@ __all__ = [
     "strip",
 ]
 
-BODY_COLOR = (0.76, 0.61, 0.53)
-GARMENT_COLOR = (0.31, 0.50, 0.70)
+BODY_COLOR = (0.62, 0.59, 0.56)
+GARMENT_COLOR = (0.37, 0.45, 0.55)
 
-_BACKGROUND = ((0.58, 0.58, 0.59), (0.80, 0.80, 0.81))  # below, above
 _PAPER, _INK = (255, 255, 255), (30, 30, 34)
-
-# Azimuth from the camera's own direction [deg], elevation [deg], intensity, colour. The key light rakes from the
-# side, so that a wrinkle has a bright and a dark flank. The fill is weak and stands near the camera: a stronger one
-# from the other side would brighten the dark flanks again.
-_LIGHTS = (
-    (-66.0, 34.0, 1.22, (1.0, 0.97, 0.93)),
-    (36.0, 5.0, 0.30, (0.90, 0.95, 1.0)),
-    (160.0, 45.0, 0.45, (1.0, 1.0, 1.0)),
-)
-_AMBIENT = 0.15
-_SHADOW_CELLS = 192
-_SHADOW_REACH = 1.6  # [m] half the side of the square on the floor that can hold a shadow
 
 
 @dataclass(frozen=True)
@@ -60,17 +45,20 @@ class Drawn:
         vertices: [m], shape (n, 3), world coordinates.
         faces: vertex indices, shape (m, 3), counter-clockwise seen from outside.
         color: red, green, blue in 0..1.
-        normals: unit vertex normals, shape (n, 3); area-weighted ones are made where absent.
-        smooth: interpolate normals over a face; False draws facets.
-        edges: draw the mesh's edges too.
+        pattern: place of each corner of each face in the flat pattern [m], shape (m, 3, 2). A weave is drawn by it.
+        cloth: it has a sheen; False for what is matt, as the body.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
     color: tuple[float, float, float] = GARMENT_COLOR
-    normals: np.ndarray | None = None
-    smooth: bool = True
-    edges: bool = False
+    pattern: np.ndarray | None = None
+    cloth: bool = True
+
+    @classmethod
+    def body(cls, vertices: np.ndarray, faces: np.ndarray) -> Drawn:
+        """A body: one neutral tone, matt."""
+        return cls(vertices, faces, BODY_COLOR, cloth=False)
 
 
 @dataclass(frozen=True)
@@ -138,10 +126,11 @@ def frame_camera(
 def render(
     meshes: Sequence[Drawn], camera: Camera, size: tuple[int, int] = (900, 900), *, floor: float | None = 0.0
 ) -> np.ndarray:
-    """Draw meshes in a neutral studio: grey background, three lights, a soft shadow on the floor.
+    """Draw meshes in a neutral studio: a key light that rakes from the side, soft shadow, ambient occlusion.
 
-    The window, and the meshes whose faces stay the same, are kept from one picture to the next. Several threads must
-    not call this at the same time.
+    The window, and the meshes whose faces and pattern stay the same, are kept from one picture to the next. The same
+    meshes give the same pixels on the same machine, whatever was drawn before. Several threads must not call this at
+    the same time.
 
     Args:
         meshes: the meshes of the picture.
@@ -153,12 +142,16 @@ def render(
         red, green, blue, uint8, shape (height, width, 3).
 
     Raises:
-        InputError: a vertex is not finite.
+        InputError: a vertex is not finite, or a pattern is not that of the faces.
     """
     for index, mesh in enumerate(meshes):
         if not np.isfinite(mesh.vertices).all():
             raise InputError("a vertex of a picture is not finite", key=f"meshes[{index}].vertices")
-    return _studio().draw(meshes, camera, size, floor)
+        wanted = (len(mesh.faces), 3, 2)
+        if mesh.pattern is not None and not (mesh.pattern.shape == wanted and np.isfinite(mesh.pattern).all()):
+            key, received = f"meshes[{index}].pattern", mesh.pattern.shape
+            raise InputError("not the pattern of these faces", key=key, received=received, expected=f"{wanted}, finite")
+    return studio().draw(meshes, camera, size, floor)
 
 
 def strip(
@@ -245,147 +238,3 @@ def _fitting(font: Any, text: str, room: float) -> Any:
     """The font, made smaller until the text fits into the room [pixel]."""
     length = font.getlength(text)
     return font if length <= 0.96 * room else font.font_variant(size=max(8.0, font.size * 0.96 * room / length))
-
-
-def _floor_shadow(points: np.ndarray, height: float) -> np.ndarray:
-    """Darkness of the floor under points, uint8, shape (cells, cells), rows along +Z, columns along +X.
-
-    Light comes from the whole sky, so higher points shade a wider area more weakly: the points are sorted into layers
-    by height, and every layer is blurred by its own height.
-    """
-    from scipy.ndimage import gaussian_filter
-
-    cell = 2.0 * _SHADOW_REACH / _SHADOW_CELLS
-    above = points[:, 1] - height
-    light = np.ones((_SHADOW_CELLS, _SHADOW_CELLS))
-    for low, high, strength in ((-0.1, 0.06, 0.45), (0.06, 0.25, 0.30), (0.25, 0.7, 0.25), (0.7, 2.5, 0.25)):
-        layer = points[(above >= low) & (above < high)]
-        if len(layer) == 0:
-            continue
-        index = np.floor((layer[:, (2, 0)] + _SHADOW_REACH) / cell).astype(np.int64)
-        index = index[((index >= 0) & (index < _SHADOW_CELLS)).all(axis=1)]
-        covered = np.zeros_like(light)
-        covered[index[:, 0], index[:, 1]] = 1.0
-        light *= 1.0 - strength * gaussian_filter(covered, (0.012 + 0.22 * max(low, 0.0) + 0.1 * (high - low)) / cell)
-    return np.round(255.0 * (1.0 - light)).astype(np.uint8)
-
-
-@lru_cache(maxsize=1)
-def _studio() -> _Studio:
-    return _Studio()
-
-
-@contextmanager
-def _quiet_vtk() -> Iterator[None]:
-    """VTK tries an X server first and complains on standard error before it takes EGL or Mesa."""
-    from vtkmodules.vtkCommonCore import vtkLogger
-
-    before = vtkLogger.GetCurrentVerbosityCutoff()
-    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
-    try:
-        yield
-    finally:
-        vtkLogger.SetStderrVerbosity(before)
-
-
-class _Studio:
-    """One off-screen window with its lights, floor and the meshes of the last picture."""
-
-    def __init__(self) -> None:
-        import pyvista
-
-        with _quiet_vtk():
-            self._plotter: Any = pyvista.Plotter(off_screen=True, lighting="none")
-            below, above = _BACKGROUND
-            self._plotter.set_background(below, top=above)
-            self._plotter.enable_anti_aliasing("msaa", multi_samples=8)
-            self._lights = [
-                pyvista.Light(light_type="scene light", intensity=intensity, color=color)
-                for _, _, intensity, color in _LIGHTS
-            ]
-            for light in self._lights:
-                self._plotter.add_light(light)
-            self._add_floor()
-            self._meshes: list[tuple[np.ndarray, Any, Any]] = []  # faces, data, actor
-            self._plotter.render()
-
-    def draw(self, meshes: Sequence[Drawn], camera: Camera, size: tuple[int, int], floor: float | None) -> np.ndarray:
-        if tuple(self._plotter.window_size) != tuple(size):
-            self._plotter.window_size = size  # not a new window: VTK does not free the old one
-        # Seen from the target: float32 keeps its precision however far from the world's origin the scene is.
-        origin = np.asarray(camera.target, dtype=np.float64)
-        points = [np.asarray(mesh.vertices, dtype=np.float64) - origin for mesh in meshes]
-        for slot, (mesh, local) in enumerate(zip(meshes, points, strict=True)):
-            self._put(slot, mesh, local)
-        for slot, (_, _, actor) in enumerate(self._meshes):
-            actor.SetVisibility(slot < len(meshes))
-        self._shade_floor(points, None if floor is None else floor - origin[1])
-        eye = np.asarray(camera.position, dtype=np.float64) - origin
-        self._aim_lights(eye)
-        view = self._plotter.camera
-        view.position, view.focal_point, view.up = tuple(eye), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0)
-        view.view_angle = camera.field_of_view_deg
-        self._plotter.renderer.ResetCameraClippingRange()
-        self._plotter.render()
-        return np.array(self._plotter.screenshot(return_img=True)[..., :3])
-
-    def _put(self, slot: int, mesh: Drawn, local: np.ndarray) -> None:
-        """Show a mesh in a slot; the slot's actor is kept while the faces stay the same."""
-        import pyvista
-
-        faces = np.asarray(mesh.faces)
-        normals = vertex_normals(local, faces) if mesh.normals is None else np.asarray(mesh.normals)
-        if slot == len(self._meshes) or not np.array_equal(self._meshes[slot][0], faces):
-            data = pyvista.PolyData.from_regular_faces(local.astype(np.float32), faces)
-            data.point_data.active_normals = normals.astype(np.float32)
-            actor = self._plotter.add_mesh(data, reset_camera=False, render=False)
-            if slot < len(self._meshes):
-                self._plotter.remove_actor(self._meshes[slot][2], render=False)
-                self._meshes[slot] = (faces.copy(), data, actor)
-            else:
-                self._meshes.append((faces.copy(), data, actor))
-        _, data, actor = self._meshes[slot]
-        data.points = local.astype(np.float32)
-        data.point_data.active_normals = normals.astype(np.float32)
-        look = actor.prop
-        look.color = mesh.color
-        look.ambient, look.diffuse, look.specular, look.specular_power = _AMBIENT, 1.0, 0.04, 12.0
-        look.interpolation = "Gouraud" if mesh.smooth else "Flat"
-        look.show_edges = mesh.edges
-        look.edge_color, look.line_width, look.edge_opacity = (0.1, 0.1, 0.12), 1.0, 0.6
-
-    def _aim_lights(self, eye: np.ndarray) -> None:
-        """Lights keep their places relative to the camera, so that every view is lit alike."""
-        around = math.atan2(eye[0], eye[2])
-        for light, (azimuth_deg, elevation_deg, _, _) in zip(self._lights, _LIGHTS, strict=True):
-            azimuth, elevation = around + math.radians(azimuth_deg), math.radians(elevation_deg)
-            light.position = (
-                5.0 * math.sin(azimuth) * math.cos(elevation),
-                5.0 * math.sin(elevation),
-                5.0 * math.cos(azimuth) * math.cos(elevation),
-            )
-            light.focal_point = (0.0, 0.0, 0.0)
-
-    def _add_floor(self) -> None:
-        """A square that only carries the shadow: black, as opaque as the shadow is dark."""
-        import pyvista
-
-        reach = _SHADOW_REACH
-        square = pyvista.PolyData.from_regular_faces(
-            np.array([[-reach, 0, -reach], [-reach, 0, reach], [reach, 0, reach], [reach, 0, -reach]], np.float32),
-            np.array([[0, 1, 2, 3]]),
-        )
-        square.active_texture_coordinates = np.array([[0, 0], [0, 1], [1, 1], [1, 0]], np.float32)
-        self._shadow: Any = pyvista.ImageData(dimensions=(_SHADOW_CELLS, _SHADOW_CELLS, 1))
-        self._shadow["rgba"] = np.zeros((_SHADOW_CELLS**2, 4), np.uint8)
-        texture = pyvista.Texture(self._shadow)
-        texture.interpolate = True
-        self._floor = self._plotter.add_mesh(square, texture=texture, lighting=False, reset_camera=False)
-
-    def _shade_floor(self, points: list[np.ndarray], height: float | None) -> None:
-        self._floor.SetVisibility(height is not None and len(points) > 0)
-        if height is None or not points:
-            return
-        self._floor.position = (0.0, height, 0.0)
-        self._shadow["rgba"][:, 3] = _floor_shadow(np.concatenate(points), height).ravel()
-        self._shadow.Modified()

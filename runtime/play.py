@@ -17,7 +17,7 @@ from pbd import InputError
 from pbd.wind import CALM, Air, Wind
 from runtime.bake import bake_glb, bake_obj, bake_pc2
 from runtime.game_loop import GameLoop, LiveInput, ScriptedInput
-from runtime.garment_setup import body_of, colliders_of, load_body, motion_of, scene_of
+from runtime.garment_setup import body_of, colliders_of, garment_of, load_body, motion_of, scene_of
 from runtime.outputs import check_file
 from runtime.player import Player
 from runtime.report import process_age
@@ -57,12 +57,15 @@ class PlaybackInputs:
         motions: motions of the body, played one after the other.
         wind: see :mod:`pbd.wind`.
         primitives: colliders besides the body.
+        pattern: place of each corner of each coarse face in the flat pattern, for pictures [m], shape (m, 3, 2); None
+            where it is unknown.
     """
 
     body: Character | Sequence
     motions: tuple[Motion, ...]
     wind: Wind = Wind(CALM)
     primitives: tuple = ()
+    pattern: np.ndarray | None = None
 
 
 def playback_inputs(
@@ -82,7 +85,9 @@ def playback_inputs(
         scene = scene_of(database)
         body = body_of(scene)
         database.require_body(body)
-        return PlaybackInputs(body, _motions(body, clip, database, scene), scene.wind.air(), colliders_of(scene))
+        pattern = None if database.binding is not None else garment_of(scene)[1].pattern
+        motions = _motions(body, clip, database, scene)
+        return PlaybackInputs(body, motions, scene.wind.air(), colliders_of(scene), pattern)
     body = load_sequence(character) if character.suffix.lower() == ".npz" else load_body(character)
     database.require_body(body)
     return PlaybackInputs(body, _motions(body, clip, database, None))
@@ -237,10 +242,11 @@ def play_motion(
     player = Player(database, inputs.body, poses[0], inputs.primitives)
     first = process_age()
     free = play(player, poses, dt, inputs.wind)
-    faces = player.levels.subdivision.faces
+    subdivision = player.levels.subdivision
+    garment = (subdivision.faces, subdivision.flat_corners(inputs.pattern))
     bodies = posed_bodies(inputs.body, poses[free.numbers])
     columns = {"smooth": free.smooth, "ours": free.frames}
-    draw_strips_apart(folder, motion.name, columns, faces, bodies, inputs.body.faces, free.numbers, dt)
+    draw_strips_apart(folder, motion.name, columns, *garment, bodies, inputs.body.faces, free.numbers, dt)
     figures: dict[str, float | str] = {"frame_count": len(poses) - 1, "first_frame_s": first}
     figures |= timing_figures(free, player.levels)
     return figures | {"attached_off_mm": 1e3 * free.held_off, "state_hash": free.state_hash}

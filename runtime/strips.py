@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from runtime.pictures import BODY_COLOR, Drawn, frame_camera, render, save_png, strip
+from runtime.pictures import Drawn, frame_camera, render, save_png, strip
 
 __all__ = ["draw_strips", "draw_strips_apart"]
 
@@ -23,6 +23,7 @@ def draw_strips(
     name: str,
     columns: Mapping[str, np.ndarray],
     faces: np.ndarray,
+    pattern: np.ndarray | None,
     bodies: np.ndarray,
     body_faces: np.ndarray,
     numbers: np.ndarray,
@@ -35,6 +36,7 @@ def draw_strips(
         name: name of the motion.
         columns: the pictures side by side: vertices of a garment [m], shape (f, N, 3), by title.
         faces: faces of the garments, int, shape (m, 3).
+        pattern: place of each corner of each face in the flat pattern [m], shape (m, 3, 2), or None.
         bodies: vertices of the body [m], shape (f, b, 3).
         body_faces: faces of the body, int, shape (k, 3).
         numbers: numbers of the frames, int, shape (f,); without frames no file is written.
@@ -51,9 +53,10 @@ def draw_strips(
     cameras = frame_camera(next(iter(columns.values())), aspect=PICTURE[0] / PICTURE[1], margin=1.15)
     files = []
     for index, number in enumerate(numbers):
-        body = Drawn(bodies[index], body_faces, BODY_COLOR)
+        body = Drawn.body(bodies[index], body_faces)
         images = [
-            [render([body, Drawn(vertices[index], faces)], cameras[index], PICTURE)] for vertices in columns.values()
+            [render([body, Drawn(vertices[index], faces, pattern=pattern)], cameras[index], PICTURE)]
+            for vertices in columns.values()
         ]
         files.append(folder / f"{re.sub(r'[^-.0-9A-Za-z]+', '_', name)}_{number:04d}.png")
         save_png(files[-1], strip(images, list(columns), [f"{number * dt:.2f} s"]))

@@ -41,6 +41,8 @@ class Levels:
         coarse_held, fine_held: attached vertices, int, shapes (p,), (P,).
         coarse_attachment, fine_attachment: bind the attached vertices to the body; empty without a body.
         coarse_limits, fine_limits: how far vertices may move from where the body carries them.
+        pattern: place of each corner of each coarse face in the flat pattern, for pictures [m], shape (m, 3, 2); None
+            where there is none, or where a delivered fine mesh has it.
     """
 
     subdivision: Subdivision
@@ -52,6 +54,7 @@ class Levels:
     fine_attachment: Attachment
     coarse_limits: Limits
     fine_limits: Limits
+    pattern: np.ndarray | None = None
 
     def __getstate__(self) -> dict:
         # The cached factors are left out, because they cannot be sent to a worker process.

@@ -19,7 +19,7 @@ from pbd.mesh import edges_of, flatten_by_lengths, flatten_by_surface
 if TYPE_CHECKING:
     from wrinkles.binding import Binding
 
-__all__ = ["Subdivision", "csr_arrays", "loop_step"]
+__all__ = ["Subdivision", "csr_arrays", "cut_corners", "cut_faces", "loop_step"]
 
 
 def loop_step(faces: np.ndarray, vertex_count: int) -> tuple[csr_matrix, np.ndarray]:
@@ -67,10 +67,10 @@ def loop_step(faces: np.ndarray, vertex_count: int) -> tuple[csr_matrix, np.ndar
         (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))),
         (vertex_count + edge_count, vertex_count),
     )
-    return matrix, _split(faces, vertex_count + side_edge)
+    return matrix, cut_faces(faces, vertex_count + side_edge)
 
 
-def _split(faces: np.ndarray, middle: np.ndarray) -> np.ndarray:
+def cut_faces(faces: np.ndarray, middle: np.ndarray) -> np.ndarray:
     """Four faces from each: three at its corners and one in its middle, int32, shape (4 m, 3).
 
     Args:
@@ -81,6 +81,14 @@ def _split(faces: np.ndarray, middle: np.ndarray) -> np.ndarray:
     ab, bc, ca = middle.T
     parts = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
     return np.stack([np.stack(p, axis=1) for p in parts], axis=1).reshape(-1, 3).astype(np.int32)
+
+
+def cut_corners(corners: np.ndarray) -> np.ndarray:
+    """Values at the corners of faces, shape (m, 3, k), at those of the faces of :func:`cut_faces`: (4 m, 3, k)."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+    parts = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
+    return np.stack([np.stack(p, axis=1) for p in parts], axis=1).reshape(-1, 3, corners.shape[2])
 
 
 @dataclass(frozen=True)
@@ -263,10 +271,7 @@ class Subdivision:
         parent = np.arange(len(self.coarse_faces))
         weights = np.broadcast_to(np.eye(3), (len(parent), 3, 3))
         for _ in self.steps:
-            a, b, c = weights[:, 0], weights[:, 1], weights[:, 2]
-            ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-            parts = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
-            weights = np.stack([np.stack(p, axis=1) for p in parts], axis=1).reshape(-1, 3, 3)
+            weights = cut_corners(weights)
             parent = np.repeat(parent, 4)
         if self.binding is not None:
             face = self.binding.face
@@ -278,6 +283,20 @@ class Subdivision:
         face[corner] = np.repeat(parent, 3)[::-1]
         place[corner] = weights.reshape(-1, 3)[::-1]
         return face, place
+
+    def flat_corners(self, pattern: np.ndarray | None) -> np.ndarray | None:
+        """Place of each corner of ``faces`` in the flat pattern [m], shape (M, 3, 2); None without a pattern.
+
+        Args:
+            pattern: the same of the coarse faces, shape (m, 3, 2); a delivered mesh has its own.
+        """
+        if self.binding is not None:
+            return self.binding.sewn.flat
+        if pattern is None:
+            return None
+        for _ in self.steps:
+            pattern = cut_corners(pattern)
+        return pattern
 
     @cached_property
     def at_coarse(self) -> np.ndarray:
@@ -311,7 +330,7 @@ class Subdivision:
                 middle = count + order[np.searchsorted(key[order], low * count + high)]
                 halves += [np.stack([piece[:, 0], middle], axis=1), np.stack([middle, piece[:, 1]], axis=1)]
             pieces = halves
-            faces = _split(faces, count + side_edge)
+            faces = cut_faces(faces, count + side_edge)
             count = step.shape[0]
         return pieces
 

@@ -22,6 +22,7 @@ from assets.io.settings import (
     file_path,
     indices,
     number,
+    pair,
     settings_text,
     several,
     table,
@@ -61,7 +62,7 @@ __all__ = [
 
 Vector = tuple[float, float, float]
 
-_MESH = file_path(".obj", ".glb", ".gltf", builtins=[f"builtin:{name}" for name in BUILTIN_GARMENTS])
+_MESH = file_path(".obj", ".glb", ".gltf", ".npz", builtins=[f"builtin:{name}" for name in BUILTIN_GARMENTS])
 _CHARACTER_FILE = file_path(".glb", ".gltf", builtins=["builtin:mannequin"])
 _MOTION_FILE = file_path(".glb", ".gltf", ".npz", builtins=["builtin:mannequin"])
 
@@ -94,6 +95,8 @@ class GarmentSettings:
         mesh: path of the garment's mesh, or a built-in one: "builtin:skirt".
         pattern: whether the mesh's texture coordinates are a flat pattern [m].
         fabric: its fabric; in a file a preset's name, the path of a .json file or a table of SI values.
+        ease: shares (around, along) by which the cloth is larger than its mesh, "along" being the vertical laid into
+            each face; see :func:`assets.ease.eased`.
         seams: path of the stitches between the mesh's panels: a .csv file with the columns v, a, b, w.
         coarse_vertices: about how many vertices the coarse mesh gets; the mesh is then the fine one, bound to the
             subdivided coarse mesh. None where the mesh itself is the coarse one.
@@ -111,6 +114,7 @@ class GarmentSettings:
     mesh: Path | str = entry(_MESH)
     pattern: bool = entry(truth(), False)
     fabric: Fabric = entry(_FABRIC, Fabric())
+    ease: tuple[float, float] = entry(pair(at_least=-0.5, at_most=2.0), (0.0, 0.0))
     seams: Path | None = entry(file_path(".csv"), None)
     coarse_vertices: int | None = entry(whole(at_least=50), None)
     subdivisions: int = entry(whole(at_least=1), 2)

@@ -27,6 +27,7 @@ __all__ = [
     "file_path",
     "indices",
     "number",
+    "pair",
     "settings_text",
     "several",
     "table",
@@ -197,6 +198,18 @@ def vector(*, unit: str = "", not_zero: bool = False) -> Check:
         return tuple(map(float, value))
 
     return Check("three finite numbers" + ", not all zero" * not_zero, convert, unit)
+
+
+def pair(*, at_least: float, at_most: float) -> Check:
+    """Two finite numbers within bounds."""
+    one = number(at_least=at_least, at_most=at_most)
+
+    def convert(reader: Reader, value: Any, key: str) -> tuple[float, ...]:
+        if not isinstance(value, list) or len(value) != 2:
+            raise Refused
+        return tuple(one.convert(reader, item, key) for item in value)
+
+    return Check(f"two finite numbers, each at least {at_least:g}, at most {at_most:g}", convert)
 
 
 def indices() -> Check:

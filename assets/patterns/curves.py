@@ -12,7 +12,7 @@ __all__ = ["arc", "bezier", "contains", "crossings", "signed_area"]
 Floats = NDArray[np.float64]
 
 _LONGEST_PIECE = 0.003  # [m]; of a circle of 10 cm such a chord lies 0.01 mm off
-_FEWEST_PIECES = 16
+_FEWEST_PIECES, _MOST_PIECES = 16, 512  # a file in another unit than it says must not take long
 _ROWS = 256  # segments of one outline that are compared with all of the other at once
 
 
@@ -56,7 +56,7 @@ def arc(start: Floats, end: Floats, radius: float, large: bool, counter_clockwis
 
 
 def _pieces(length: float) -> int:
-    return max(_FEWEST_PIECES, math.ceil(min(length, 1000.0) / _LONGEST_PIECE))
+    return int(np.clip(length / _LONGEST_PIECE + 1.0, _FEWEST_PIECES, _MOST_PIECES))
 
 
 def signed_area(outline: Floats) -> float:

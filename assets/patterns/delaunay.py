@@ -18,7 +18,6 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Side = tuple[int, int]
 
-_MIN_HEIGHT_RATIO = 1e-6  # height of a triangle over its longest side [-]
 _MAX_AREA_ERROR = 1e-6  # of the triangles against the outline [-]
 
 
@@ -26,18 +25,16 @@ def triangles_inside(points: Floats, outline_count: int) -> NDArray[np.int32]:
     """Counter-clockwise triangles inside an outline, shape (m, 3).
 
     Args:
-        points: the outline counter-clockwise, then points inside it [m], shape (n, 2).
+        points: the outline counter-clockwise, then others [m], shape (n, 2); no face has those that lie outside.
         outline_count: number of points of the outline.
 
     Raises:
-        ValueError: the outline crosses itself, or a point lies outside.
+        ValueError: the outline crosses itself.
     """
     fixed = outline_count
     scaled = (points - points[:fixed].mean(axis=0)) / np.ptp(points[:fixed], axis=0).max()
+    # Qhull winds all faces alike, also those without area on a straight side of the hull: their areas do not say how.
     faces = Delaunay(scaled).simplices.astype(np.int64)
-    a, b, c = (scaled[corner] for corner in faces.T)
-    turned = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) < (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-    faces[turned] = faces[turned][:, [0, 2, 1]]
     start = np.arange(fixed)
     segments = np.stack([start, (start + 1) % fixed], axis=1)
     row = np.array([len(points), 1])
@@ -52,45 +49,18 @@ def triangles_inside(points: Floats, outline_count: int) -> NDArray[np.int32]:
     shared = shared[~np.isin(key[order][shared], np.sort(segments, axis=1) @ row)]
     links = csr_matrix((np.ones(len(shared)), (order[shared] // 3, order[shared + 1] // 3)), (len(faces),) * 2)
     _, part = connected_components(links, directed=False)
-    # A triangle of three points on one line may lie on either side: others say which side is inside.
-    solid = ~np.repeat(_are_flat(scaled, faces), 3)
-    left_of_segments = np.flatnonzero(solid & np.isin(sides @ row, segments @ row)) // 3
-    faces = _without_slivers(scaled, faces[np.isin(part, part[left_of_segments])])
+    left_of_segments = np.flatnonzero(np.isin(sides @ row, segments @ row)) // 3
+    faces = faces[np.isin(part, part[left_of_segments])]
     a, b, c = (scaled[corner] for corner in faces.T)
     covered = ((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])).sum() / 2.0
-    if abs(covered - signed_area(scaled[:fixed])) > _MAX_AREA_ERROR or len(np.unique(faces)) < len(points):
-        raise ValueError("an outline that crosses itself, or a point outside it")
+    if abs(covered - signed_area(scaled[:fixed])) > _MAX_AREA_ERROR:
+        raise ValueError("an outline that crosses itself")
     return faces.astype(np.int32)
 
 
 def _sides(faces: Ints) -> Ints:
     """The sides of faces, three after another for each: shape (3 m, 2)."""
     return np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
-
-
-def _are_flat(points: Floats, faces: Ints) -> NDArray[np.bool_]:
-    """Whether the corners of a triangle lie on one line, shape (m,)."""
-    corners = points[faces]
-    sides = np.roll(corners, -1, axis=1) - corners
-    double = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
-    return double < _MIN_HEIGHT_RATIO * (sides**2).sum(axis=2).max(axis=1)
-
-
-def _without_slivers(points: Floats, faces: Ints) -> Ints:
-    """Triangles without those that points of one straight line make by rounding: their longest sides are flipped."""
-    while True:
-        flat = _are_flat(points, faces)
-        flipped = False
-        for face in np.flatnonzero(flat):
-            longest = np.linalg.norm(np.roll(points[faces[face]], -1, axis=0) - points[faces[face]], axis=1).argmax()
-            a, b, c = np.roll(faces[face], -int(longest))
-            others = np.flatnonzero((faces == a).any(axis=1) & (faces == b).any(axis=1) & ~flat)
-            if len(others):
-                d = faces[others[0]].sum() - a - b
-                faces[face], faces[others[0]] = (a, d, c), (d, b, c)
-                flipped = True
-        if not flipped:
-            return faces
 
 
 def _with_segments(points: Floats, faces: Ints, segments: Ints, missing: Ints) -> Ints:

@@ -197,10 +197,27 @@ def _mesh(panel: Panel, outline: Floats, edge_length: float) -> tuple[Floats, Fa
     """Points, the outline first, and triangles inside a closed outline that runs counter-clockwise."""
     points = np.concatenate([outline, _lattice(outline, edge_length)])
     fixed = len(outline)
+    points, faces = _triangulated(panel, points, fixed)
     for step in range(_STEPS):
         change = _recounted if step in _COUNTING_STEPS else _smoothed
-        points = change(points, _triangles(panel, points, fixed), fixed, edge_length)
-    return points, _triangles(panel, points, fixed)
+        points, faces = _triangulated(panel, change(points, faces, fixed, edge_length), fixed)
+    return points, faces
+
+
+def _triangulated(panel: Panel, points: Floats, fixed: int) -> tuple[Floats, Faces]:
+    """The points inside the outline, and their triangles. Beside a sharp notch smoothing may move a point out."""
+    while True:
+        try:
+            faces = triangles_inside(points, fixed)
+        except ValueError as error:
+            raise InputError(
+                "an edge length so coarse that the outline crosses itself, or an outline that does so in the pattern",
+                key=f"panel {panel.name!r}",
+            ) from error
+        used = np.bincount(faces.ravel(), minlength=len(points)) > 0
+        if used.all():
+            return points, faces
+        points = points[used]
 
 
 def _lattice(outline: Floats, edge_length: float) -> Floats:
@@ -274,13 +291,3 @@ def _circumcircles(corners: Floats) -> tuple[Floats, Floats, Floats]:
     aa, bb = (a**2).sum(axis=1), (b**2).sum(axis=1)
     offset = np.stack([b[:, 1] * aa - a[:, 1] * bb, a[:, 0] * bb - b[:, 0] * aa], axis=1) / (2.0 * safe)[:, None]
     return corners[:, 0] + offset, np.abs(double) / 2.0, np.linalg.norm(offset, axis=1)
-
-
-def _triangles(panel: Panel, points: Floats, fixed: int) -> Faces:
-    try:
-        return triangles_inside(points, fixed)
-    except ValueError as error:
-        raise InputError(
-            "an edge length so coarse that the outline crosses itself, or an outline that does so in the pattern",
-            key=f"panel {panel.name!r}",
-        ) from error

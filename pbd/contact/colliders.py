@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -16,6 +17,7 @@ from pbd.taichi_internals import Launch
 
 __all__ = ["Body", "Capsule", "Colliders", "DistanceField", "Plane", "Primitive", "Sphere"]
 
+EDGES = 8  # of a vertex, in tables of a fixed width; few vertices have more
 MAX_PROBES = 1_000_000  # points on the large faces of a body, about
 
 
@@ -126,6 +128,30 @@ class Body:
         self.origin = np.zeros(3)
         self._placed = False
         self._normals = Launch(surface_normals)
+
+    @cached_property
+    def first_edges(self) -> tuple[np.ndarray, np.ndarray]:
+        """The first edges of ``ring`` from each vertex, :data:`EDGES` of them, for loops of a fixed length.
+
+        Returns:
+            where they end, int32, shape (8 n,), the vertex itself in places that are left; the third corners of the
+            faces to their left and right, int32, shape (8 n, 2), both the same on a rim.
+        """
+        count = len(self.previous)
+        vertex = np.repeat(np.arange(count), np.diff(self.ring_start))
+        place = np.arange(len(self.ring)) - self.ring_start[vertex]
+        first = place < EDGES
+        edge, beside = vertex * count + self.ring, np.full((len(self.ring), 2), -1, np.int32)
+        for k in range(3):
+            a, b, c = (self.faces[:, (k + turn) % 3].astype(np.int64) for turn in range(3))
+            beside[np.searchsorted(edge, a * count + b), 0] = c
+            beside[np.searchsorted(edge, a * count + c), 1] = b
+        beside = np.where(beside < 0, beside[:, ::-1], beside)
+        ends = np.repeat(np.arange(count, dtype=np.int32), EDGES)
+        sides = np.stack([ends, ends], axis=1)
+        place = (EDGES * vertex + place)[first]
+        ends[place], sides[place] = self.ring[first], beside[first]
+        return ends, sides
 
     def advance(self, vertices: np.ndarray) -> None:
         """Make ``vertices`` [m], float32, shape (n, 3), the current pose; the last becomes the previous."""

@@ -16,7 +16,8 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from pbd.contact.blocks import LANES, empty_blocks
-from pbd.contact.pair_search import find_pairs, turning_kernel
+from pbd.contact.pair_search import find_pairs
+from pbd.contact.pair_sides import turning_kernel
 from pbd.contact.pairs import PULL
 from pbd.contact.strain_limits import MAX_STRETCH, limit_rows
 from pbd.contact.untangling import Untangling
@@ -30,31 +31,34 @@ MAX_RELATIVE_MOTION = 0.005  # of the features of a pair against each other betw
 LANDMARKS = 6  # vertices from which distances along the cloth are measured
 
 
-def _patches(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _landmark_distances(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Distances along the edges to landmarks, in a column each, after the number of the piece [km]: shape (n, 7)."""
+    edges, _ = edges_of(faces)
+    lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1) + 1e-9
+    graph = csr_matrix((lengths, (edges[:, 0], edges[:, 1])), (len(vertices), len(vertices)))
+    count, part = connected_components(graph, directed=False)
+    # Each landmark is as far as possible from those before it.
+    nearest = np.full(len(vertices), np.inf)
+    coordinates = [part * 1e3]
+    for landmark in range(LANDMARKS):
+        sources = np.zeros(count, np.int64)
+        for piece in range(count):
+            members = np.flatnonzero(part == piece)
+            sources[piece] = members[0 if landmark == 0 else np.argmax(nearest[members])]
+        distance = dijkstra(graph, directed=False, indices=sources, min_only=True)
+        nearest = np.minimum(nearest, distance)
+        coordinates.append(distance)
+    return np.stack(coordinates, axis=1)
+
+
+def _patches(landmarks: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Faces in patches that hang together along the cloth, these in groups, and a binary tree over the groups.
 
     Returns:
         order of the faces, offsets of the patches in it and of the groups in those, and the nodes for
         :func:`pbd.contact.pair_search.find_pairs`.
     """
-    edges, _ = edges_of(faces)
-    lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1) + 1e-9
-    graph = csr_matrix((lengths, (edges[:, 0], edges[:, 1])), (len(vertices), len(vertices)))
-    count, part = connected_components(graph, directed=False)
-    # Coordinates are distances along the cloth to landmarks. Each landmark is as far as possible from those before it.
-    nearest = np.full(len(vertices), np.inf)
-    coordinates = [part * 1e3]
-    for landmark in range(LANDMARKS):
-        best = np.zeros(count)
-        sources = np.zeros(count, np.int64)
-        for piece in range(count):
-            members = np.flatnonzero(part == piece)
-            sources[piece] = members[0 if landmark == 0 else np.argmax(nearest[members])]
-            best[piece] = nearest[sources[piece]]
-        distance = dijkstra(graph, directed=False, indices=sources, min_only=True)
-        nearest = np.minimum(nearest, distance)
-        coordinates.append(distance)
-    centres = np.stack(coordinates, axis=1)[faces].mean(axis=1)
+    centres = landmarks[faces].mean(axis=1)
     order, starts, group_starts, nodes = [], [0], [0], []
 
     def halves(members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -125,7 +129,10 @@ class SelfCollision:
     def __init__(self, model: Model, untangles: bool = True) -> None:
         mesh = model.mesh
         count = len(mesh.vertices)
-        order, patch_start, group_start, nodes = _patches(mesh.vertices, mesh.faces)
+        distances = _landmark_distances(mesh.vertices, mesh.faces)
+        landmarks = np.zeros((count, 2, 4), np.float32)
+        landmarks.reshape(count, 8)[:, : LANDMARKS + 1] = distances
+        order, patch_start, group_start, nodes = _patches(distances, mesh.faces)
         faces = np.ascontiguousarray(mesh.faces[order], np.int32)
         unique_edges, side_edge = edges_of(faces)
         edges = np.ascontiguousarray(unique_edges[side_edge.ravel()])
@@ -144,6 +151,7 @@ class SelfCollision:
             "displacement": np.zeros((count, 3), np.float32),
             "normals": np.zeros((count, 4), np.float32),
             "rest": rest,
+            "landmarks": landmarks,
             "layer": self._layer,
             "faces": faces,
             "owned": owned,
@@ -173,8 +181,10 @@ class SelfCollision:
         self._ahead = 1.0  # how far the last search looked [s]
         self._pulls: tuple[np.ndarray, np.ndarray] | None = None
         all_edges, lengths = mesh.edge_lengths()
-        longest = lengths * mesh.edge_limits(MAX_STRETCH)
-        self.strain_limits, self.limit_work = limit_rows(all_edges, longest, count)
+        stretch = mesh.edge_limits(MAX_STRETCH)
+        # What is tight by itself, like a waistband, lies on the body as other cloth does.
+        clearances = np.where(stretch < MAX_STRETCH, model.fabric.thickness, 0.0)
+        self.strain_limits, self.limit_work = limit_rows(all_edges, stretch * lengths, count, clearances)
         self._make_room(2 * count)
 
     def _make_room(self, count: int) -> None:

@@ -307,7 +307,7 @@ def _draw(path: Path, simulation: Simulation, shown: Sequence, titles: list[str]
         images = []
         for azimuth in (25.0, 205.0):
             (camera,) = frame_camera(posed[None], azimuth_deg=azimuth, aspect=0.75)
-            meshes = [Drawn(posed, simulation.body.faces, (0.76, 0.61, 0.53))]
+            meshes = [Drawn.body(posed, simulation.body.faces)]
             for layer in range(int(model.layer.max()) + 1):
                 faces = model.mesh.faces[model.layer[model.mesh.faces[:, 0]] == layer]
                 meshes.append(Drawn(world, faces, LAYERS[layer]))

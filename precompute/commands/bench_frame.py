@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from runtime.arguments import add_database, positive
@@ -22,13 +23,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds", type=positive, metavar="S", default=3.0, help="motion that is played [s] (default: %(default)g)"
     )
+    parser.add_argument(
+        "--against",
+        type=Path,
+        metavar="CHECKOUT",
+        help="play the database in turns with the code in another folder, and print the times of both instead",
+    )
 
 
 def run(options: argparse.Namespace) -> Report:
     """Play the database and plain cloth, and print the tables."""
     from precompute.benchmarks.frame import bench_frame, frame_text
+    from precompute.benchmarks.frame_turns import compare_frames
     from runtime.report import Progress, Report
 
+    if options.against is not None:
+        with Progress(sys.stderr) as progress:
+            comparison = compare_frames(options.database, options.against, options.seconds, progress)
+        print(comparison.text())
+        return Report(comparison.figures())
     with Progress(sys.stderr) as progress:
         bench = bench_frame(options.database, options.seconds, progress)
     print(frame_text(bench))

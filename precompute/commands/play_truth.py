@@ -60,7 +60,7 @@ def _beside_truth(
         shown = numbers % 10 == 0
         free = evaluation.free
         columns = {"smooth": free.smooth[shown], "truth": truth.frames[shown], "ours": free.frames[shown]}
-        faces = levels.subdivision.faces
+        garment = (levels.subdivision.faces, levels.subdivision.flat_corners(inputs.pattern))
         bodies = posed_bodies(inputs.body, run.poses[numbers[shown]])
-        draw_strips(options.output, motion.name, columns, faces, bodies, inputs.body.faces, numbers[shown], run.dt)
+        draw_strips(options.output, motion.name, columns, *garment, bodies, inputs.body.faces, numbers[shown], run.dt)
     return figures | {"state_hash": free.state_hash}

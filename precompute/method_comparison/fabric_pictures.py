@@ -18,7 +18,7 @@ from precompute.learning.evaluation import body_source
 from precompute.learning.recording import Run, record_runs
 from precompute.mechanics import FRAME_RATE
 from runtime.garment_setup import GarmentSetup, fine_options
-from runtime.pictures import BODY_COLOR, Drawn, frame_camera, render, strip
+from runtime.pictures import Drawn, frame_camera, render, strip
 from runtime.simulation import poses_of
 
 __all__ = ["FABRICS", "draw_fabrics", "fabric_runs"]
@@ -75,7 +75,8 @@ def draw_fabrics(
         report: called with lines of progress.
     """
     recordings = record_runs(runs, cache, workers, report)
-    source = body_source(runs[0].body)
+    source, cut = body_source(runs[0].body), runs[0].levels.subdivision
+    pattern = cut.flat_corners(runs[0].levels.pattern)
     columns = []
     for run, recording in zip(runs, recordings, strict=True):
         images = []
@@ -85,7 +86,7 @@ def draw_fabrics(
             source.skin(run.poses[recording.frames[index]], np.zeros(3), body)
             about = np.concatenate([other.positions[index] for other in recordings])[None].astype(float)
             camera = frame_camera(about, azimuth_deg=25.0, aspect=PICTURE[0] / PICTURE[1], margin=1.15)[0]
-            garment = Drawn(recording.positions[index].astype(float), run.levels.fine.faces)
-            images.append(render([Drawn(body.astype(float), source.faces, BODY_COLOR), garment], camera, PICTURE))
+            garment = Drawn(recording.positions[index].astype(float), cut.faces, pattern=pattern)
+            images.append(render([Drawn.body(body.astype(float), source.faces), garment], camera, PICTURE))
         columns.append(images)
     return strip(columns, [run.name for run in runs], [f"{moment:g} s" for moment in moments])

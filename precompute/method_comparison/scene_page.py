@@ -19,7 +19,7 @@ from precompute.reporting.page import Band, Chart, Heading, Line, Picture, Point
 from precompute.reporting.tables import write_table
 from precompute.wrinkle_comparison.compare import Comparison
 from precompute.wrinkle_comparison.comparison_page import comparison_sections
-from runtime.pictures import BODY_COLOR, Drawn, frame_camera, render, save_png, strip
+from runtime.pictures import Drawn, frame_camera, render, save_png, strip
 from runtime.report import machine_description, write_report
 
 __all__ = ["comparison_figures", "comparison_text", "fabric_sections", "wrinkle_sections", "write_comparison"]
@@ -171,11 +171,15 @@ def draw_strip(one: SceneComparison) -> np.ndarray:
         if whole:
             best = min(whole, key=lambda point: point.judgement.error)
             chosen.append((f"{name} {best.run.setting.numbers}", best.run.position[frame]))
-    faces = scene.compared().faces
+    sheet = scene.compared()
+    pattern = sheet.flat[sheet.faces]
     frames = np.array([chosen[0][1]], float)
     camera = frame_camera(frames, azimuth_deg=35.0, aspect=PICTURE[0] / PICTURE[1], margin=1.25)[0]
     solid = [_drawn(primitive) for primitive in scene.colliders()]
-    images = [[render([*solid, Drawn(x.astype(float), faces)], camera, PICTURE, floor=None)] for _, x in chosen]
+    images = [
+        [render([*solid, Drawn(x.astype(float), sheet.faces, pattern=pattern)], camera, PICTURE, floor=None)]
+        for _, x in chosen
+    ]
     return strip(images, [title for title, _ in chosen], [""])
 
 
@@ -189,4 +193,4 @@ def _drawn(primitive: Plane | Sphere) -> Drawn:
     row, column = np.divmod(np.arange(rings * around), around)
     a, b = row * around + column, row * around + (column + 1) % around
     faces = np.concatenate([np.stack([a, b, a + around], axis=1), np.stack([b, b + around, a + around], axis=1)])
-    return Drawn(np.asarray(primitive.centre, float) + primitive.radius * unit, faces, BODY_COLOR)
+    return Drawn.body(np.asarray(primitive.centre, float) + primitive.radius * unit, faces)

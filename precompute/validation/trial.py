@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -90,6 +90,8 @@ class TrialResult:
         curve: for the picture.
         realtime_error: compared with the gate of the default solver, where that is another error.
         missing: why nothing could be measured, at any setting; empty where something was.
+        figures: more figures by name, with their unit.
+        picture: of the result beside its reference, uint8, shape (height, width, 3).
     """
 
     reference: float
@@ -99,6 +101,8 @@ class TrialResult:
     curve: Curve | None = None
     realtime_error: float | None = None
     missing: str = ""
+    figures: Mapping[str, float] = field(default_factory=dict)
+    picture: np.ndarray | None = None
 
     @classmethod
     def relative(cls, reference: float, measured: float, cost_ms: float, curve: Curve | None = None) -> TrialResult:

@@ -11,7 +11,15 @@ from typing import Any
 
 from pbd.errors import InputError
 from pbd.models import SOLVERS, StepError
-from precompute.validation import bending_rows, contact_rows, drape_rows, laboratory_rows, membrane_rows, motion_rows
+from precompute.validation import (
+    bending_rows,
+    contact_rows,
+    drape_cipc,
+    drape_rows,
+    laboratory_rows,
+    membrane_rows,
+    motion_rows,
+)
 from precompute.validation.trial import TrialResult, TrialSetting
 from precompute.validation.validation_row import Row
 from precompute.workers import run_jobs
@@ -29,7 +37,7 @@ __all__ = [
 
 ROWS: Mapping[str, Row] = {
     row.name: row
-    for module in (bending_rows, membrane_rows, motion_rows, contact_rows, drape_rows, laboratory_rows)
+    for module in (bending_rows, membrane_rows, motion_rows, contact_rows, drape_rows, laboratory_rows, drape_cipc)
     for row in module.ROWS
 }
 MAX_RUN_S = 20.0  # processor time of a run, on the way to the cheapest and to the best setting [s]
@@ -313,7 +321,7 @@ def result_row(result: ValidationResult) -> dict[str, Any]:
             "realtime_error": _realtime_error(result.realtime),
             "realtime_cost_ms": result.realtime.cost_ms,
         }
-    return figures
+    return figures | dict(best.figures)
 
 
 def validation_text(results: Sequence[ValidationResult]) -> str:
@@ -336,4 +344,5 @@ def validation_text(results: Sequence[ValidationResult]) -> str:
             f"{_realtime_error(default):10.2g}{row.gate_realtime:8.2g}  {at}"
             + (f"  ({result.reason})" if result.reason else "")
         )
+        lines += [f"    {name}: {_short(value)}" for name, value in best.figures.items()]
     return "\n".join(lines)

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from pbd.storage import replacing
 from precompute.validation.validation import ValidationResult, case_words
+from runtime.pictures import save_png
 
 __all__ = ["draw_results"]
 
@@ -18,9 +19,18 @@ WIDEST = 4  # panels in a row
 
 
 def draw_results(folder: Path, results: Sequence[ValidationResult]) -> list[Path]:
-    """One PNG per test, a panel per case that has a curve; the best run's. Returns the files."""
+    """One PNG per test, a panel per case that has a curve, and the pictures of results; the best run's.
+
+    Returns:
+        The files.
+    """
     files = []
     for name in dict.fromkeys(result.row.name for result in results):
+        for result in results:
+            if result.row.name == name and result.best.picture is not None:
+                files.append(folder / f"{name}-side-by-side.png")
+                folder.mkdir(parents=True, exist_ok=True)
+                save_png(files[-1], result.best.picture)
         drawn = [v for v in results if v.row.name == name and v.best.curve is not None]
         if not drawn:
             continue

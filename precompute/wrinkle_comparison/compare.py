@@ -301,7 +301,7 @@ def compare_file(
     path = database_of(path, output, report)
     database = read_database(path)
     inputs = playback_inputs(database, clip=clip)
-    motion, levels = inputs.motions[0], levels_from(database, inputs.body)
+    motion, levels = inputs.motions[0], replace(levels_from(database, inputs.body), pattern=inputs.pattern)
     if motion.name in database.trained_on:
         held_out = ", ".join(database.held_out) or "a clip that nothing was learned from"
         raise InputError(

@@ -11,7 +11,7 @@ from precompute.learning.recording import body_source
 from precompute.reporting.page import Band, Chart, Line, Picture, Point, Section, Table, Text, write_page
 from precompute.stability.stability import StabilityLimit
 from precompute.wrinkle_comparison.compare import AT_EQUAL_COST, Comparison, Method
-from runtime.pictures import BODY_COLOR, Drawn, frame_camera, render, strip
+from runtime.pictures import Drawn, frame_camera, render, strip
 
 __all__ = ["comparison_sections", "draw_methods", "verdict", "write_comparison"]
 
@@ -102,10 +102,11 @@ def draw_methods(comparison: Comparison, methods: Sequence[Method]) -> np.ndarra
     (camera,) = frame_camera(
         truth.frames[index : index + 1], azimuth_deg=30.0, aspect=_PICTURE[0] / _PICTURE[1], margin=1.15
     )
-    faces = truth.levels.fine.faces
+    cut = truth.levels.subdivision
+    pattern = cut.flat_corners(truth.levels.pattern)
     shown = {m.name: m.frames[index] for m in methods if m.frames is not None}
     columns = [
-        [render([Drawn(body, source.faces, BODY_COLOR), Drawn(vertices, faces)], camera, _PICTURE)]
+        [render([Drawn.body(body, source.faces), Drawn(vertices, cut.faces, pattern=pattern)], camera, _PICTURE)]
         for vertices in shown.values()
     ]
     return strip(columns, list(shown), [""])

@@ -82,6 +82,13 @@ def test_the_delivered_mesh_is_the_fine_one(stage: GarmentSetup) -> None:
     assert not len(stage.levels.fine_held)
 
 
+def test_a_delivered_mesh_is_drawn_with_its_own_pattern(stage: GarmentSetup) -> None:
+    subdivision = stage.levels.subdivision
+    flat = subdivision.flat_corners(stage.levels.pattern)
+    assert flat is not None and flat.shape == (*subdivision.faces.shape, 2)
+    assert (np.linalg.det(flat[:, 1:] - flat[:, :1]) != 0.0).all()
+
+
 def test_a_sequence_is_learned_from_and_judged_by_parts(stage: GarmentSetup) -> None:
     (learned,) = stage.training_motions()
     held_out = stage.motion(stage.scene.training.held_out[0])
@@ -177,6 +184,17 @@ def skirt_with(folder: Path, keys: str, more: str = "", rows: str = "") -> Scene
     (folder / "limits.csv").write_text("vertex,maximum_distance,backstop,stiffness\n" + rows)
     text = f'[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\nattach = "top"\nsubdivisions = 1\n{keys}\n'
     return parse_scene(text + f'[character]\nfile = "builtin:mannequin"\nclip = "twirl"\n{more}', folder / "scene.toml")
+
+
+def test_ease_reaches_both_meshes_of_a_scene(tmp_path: Path) -> None:
+    plain, eased = (GarmentSetup.of(skirt_with(tmp_path, keys)).levels for keys in ("", "ease = [0.2, 0.05]"))
+    for name in ("coarse", "fine"):
+        before, after = getattr(plain, name), getattr(eased, name)
+        assert after.face_areas.sum() / before.face_areas.sum() == pytest.approx(1.2 * 1.05, rel=0.02)
+    held = plain.coarse_held
+    np.testing.assert_allclose(eased.coarse.vertices[held], plain.coarse.vertices[held], atol=1e-9)
+    with pytest.raises(InputError, match="ease: a garment smaller than the body"):
+        GarmentSetup.of(skirt_with(tmp_path, "ease = [-0.4, 0]"))
 
 
 @pytest.mark.parametrize("fine", [False, True])

@@ -1,4 +1,4 @@
-"""Pictures: what is drawn stands where the camera says, and wrinkles can be seen."""
+"""Pictures: what is drawn stands where the camera says, and folds can be seen."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 from pbd.errors import InputError
+from pbd.mesh import lattice_faces
 from runtime.pictures import Camera, Drawn, encode_image, frame_camera, render, save_png, strip
 
 pytest.importorskip("pyvista", reason="pictures are drawn by pyvista")
@@ -70,7 +72,8 @@ def test_a_picture_depends_on_its_own_meshes_only():
     vertices, faces = sphere(rings=20)
     camera = Camera(np.array([0.0, 0.3, 3.0]), np.zeros(3))
     one = [Drawn(vertices, faces, RED)]
-    two = [Drawn(0.5 * vertices, faces[::2], smooth=False, edges=True), Drawn(vertices + 0.3, faces)]
+    flat = 0.1 * np.random.default_rng(2).normal(size=(len(faces), 3, 2))
+    two = [Drawn.body(0.5 * vertices, faces[::2]), Drawn(vertices + 0.3, faces, pattern=flat)]
     first = render(one, camera, (160, 160))
     other = render(two, camera, (160, 160))
     assert np.array_equal(render(one, camera, (160, 160)), first)
@@ -97,14 +100,88 @@ def test_a_shadow_lies_on_the_floor():
     assert darker[:60].max() <= 1
 
 
-def test_facets_differ_from_smooth_shading():
-    vertices, faces = sphere(rings=10)
+def sheet(height: float, turn_deg: float, cells: int = 225) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A square of 0.9 m that faces +Z with one fold of 3 cm across its middle; height [m] of the fold.
+
+    Returns:
+        vertices (n, 3), faces (m, 3), place of the corners in the pattern (m, 3, 2).
+    """
+    line = np.linspace(-0.45, 0.45, cells + 1)
+    x, y = np.meshgrid(line, line, indexing="ij")
+    across = x * math.cos(math.radians(turn_deg)) + y * math.sin(math.radians(turn_deg))
+    z = np.where(np.abs(across) < 0.015, height * np.cos(np.pi * across / 0.03) ** 2, 0.0)
+    faces = lattice_faces(np.arange(x.size).reshape(x.shape))
+    flat = np.stack([x, y], axis=-1).reshape(-1, 2)
+    return np.stack([x, y, z], axis=-1).reshape(-1, 3), faces, flat[faces]
+
+
+def grey_levels(height: float, turn_deg: float, azimuth_deg: float) -> np.ndarray:
+    """The middle of a picture of 900 pixels that a sheet fills, as grey levels of 255."""
+    vertices, faces, _ = sheet(height, turn_deg)
+    camera = frame_camera(sheet(0.0, 0.0)[0][None], azimuth_deg=azimuth_deg)[0]
+    return render([Drawn(vertices, faces)], camera, (900, 900), floor=None)[400:500, 400:500].mean(axis=2)
+
+
+@pytest.mark.parametrize("azimuth", [-25, 0, 25])
+@pytest.mark.parametrize("turn", [0, 45, 90, 135])
+def test_a_fold_of_three_millimetres_over_three_centimetres_is_seen(turn, azimuth):
+    """Whichever way it runs, by 12 to 97 grey levels; by lights alone it was 2 where it ran along their direction."""
+    flat = grey_levels(0.0, turn, azimuth)
+    assert np.ptp(flat) <= 1.0
+    assert np.ptp(grey_levels(0.003, turn, azimuth) - flat) >= 10.0
+
+
+def test_a_weave_follows_the_pattern():
+    """Lines each 2 cm of the pattern: cloth stretched to twice its width has them twice as far apart."""
+    vertices, faces, flat = sheet(0.0, 0.0, cells=60)
+    camera = Camera(np.array([0.0, 0.0, 1.0]), np.zeros(3))
+
+    def lines(stretch: float) -> np.ndarray:
+        drawn = Drawn(vertices * [stretch, 1.0, 1.0], faces, pattern=flat)
+        row = render([drawn], camera, (600, 600), floor=None).astype(float).mean(axis=2)[290:310].max(axis=0)
+        dark = row < row.mean() - 4.0
+        return np.flatnonzero(dark[1:] & ~dark[:-1])
+
+    spacing = 0.02 * 600 / (2.0 * math.tan(math.radians(15.0)))
+    assert np.diff(lines(1.0)).mean() == pytest.approx(spacing, rel=0.02)
+    assert np.diff(lines(2.0)).mean() == pytest.approx(2.0 * spacing, rel=0.02)
+
+
+def test_what_stands_between_the_light_and_a_surface_shades_it():
+    """The key light comes from the upper left: a ball there darkens the sheet at its lower right, softly."""
+    vertices, faces, _ = sheet(0.0, 0.0, cells=60)
+    ball, ball_faces = sphere(0.08, rings=20)
     camera = Camera(np.array([0.0, 0.0, 3.0]), np.zeros(3))
-    shades = [
-        len(np.unique(render([Drawn(vertices, faces, smooth=smooth)], camera, (200, 200), floor=None)[90:110, 60:140]))
-        for smooth in (True, False)
-    ]
-    assert shades[1] < shades[0]
+    bare = render([Drawn(vertices, faces)], camera, (300, 300), floor=None).astype(float).mean(axis=2)
+    scene = [Drawn(vertices, faces), Drawn.body(ball + [-0.2, 0.15, 0.15], ball_faces)]
+    darker = bare - render(scene, camera, (300, 300), floor=None).astype(float).mean(axis=2)
+    darker[:, :140] = 0.0  # the ball itself
+    rows, columns = np.nonzero(darker > 0.8 * darker.max())
+    assert darker.max() > 30.0
+    assert rows.mean() > 140 and columns.mean() > 150
+    assert np.abs(np.diff(darker[round(rows.mean()), 150:])).max() < 0.5 * darker.max()
+    assert np.abs(darker[:100, 200:]).max() < 4.0
+
+
+def test_the_inside_of_a_tube_is_darker_than_its_outside():
+    """Both sides of a surface have light of their own."""
+    height, around = np.meshgrid(np.linspace(0.0, 1.0, 61), np.linspace(0.0, 2 * math.pi, 181), indexing="ij")
+    tube = np.stack([0.12 * np.sin(around), -height, 0.12 * np.cos(around)], axis=-1).reshape(-1, 3)
+    faces = lattice_faces(np.arange(around.size).reshape(around.shape))[:, ::-1]
+    camera = Camera(np.array([0.0, 1.0, 1.6]), np.array([0.0, -0.1, 0.0]))
+    image = render([Drawn(tube, faces)], camera, (300, 300), floor=None).astype(float).mean(axis=2)
+    inside, outside = image[120:140, 120:180], image[200:220, 120:180]
+    assert inside.mean() < 0.7 * outside.mean()
+
+
+def test_a_coarse_mesh_has_the_outline_of_its_own_faces():
+    vertices, faces = sphere(rings=4)
+    camera = Camera(np.array([0.0, 0.0, 3.0]), np.zeros(3))
+    covered = is_red(render([Drawn(vertices, faces, RED)], camera, (320, 240), floor=None))
+    places = 120 * (1 + project(vertices, camera, 1.0) * [1.0, -1.0]) + [40.0, 0.0]
+    corners = places[ConvexHull(places).vertices]
+    area = 0.5 * abs(np.sum(corners[:, 0] * np.roll(corners[:, 1], -1) - corners[:, 1] * np.roll(corners[:, 0], -1)))
+    assert covered.sum() == pytest.approx(area, rel=0.01)
 
 
 def test_vertices_that_are_not_finite_are_refused():
@@ -112,6 +189,14 @@ def test_vertices_that_are_not_finite_are_refused():
     vertices[3, 1] = np.nan
     with pytest.raises(InputError, match=r"meshes\[0\]"):
         render([Drawn(vertices, faces)], Camera(np.ones(3), np.zeros(3)))
+
+
+def test_a_pattern_of_other_faces_is_refused():
+    vertices, faces, flat = sheet(0.0, 0.0, cells=2)
+    flat[0, 0, 0] = np.nan
+    for pattern in (flat[:-1], flat):
+        with pytest.raises(InputError, match=r"meshes\[0\].pattern"):
+            render([Drawn(vertices, faces, pattern=pattern)], Camera(np.ones(3), np.zeros(3)))
 
 
 def project(points: np.ndarray, camera: Camera, aspect: float) -> np.ndarray:

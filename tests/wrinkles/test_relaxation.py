@@ -205,26 +205,23 @@ def test_a_coarse_vertex_that_goes_over_to_another_part_remembers_the_one_that_i
     assert depth(cloth(raised, contacts=low)) < 1e-3
 
 
-def follow(cloth: Cloth, poses: list[np.ndarray], noise: float = 3e-4) -> tuple[np.ndarray, np.ndarray, list[float]]:
-    """Relax the cloth over a body that moves, with what was remembered and from scratch.
+def follow(cloth: Cloth, poses: list[np.ndarray], noise: float = 3e-4) -> list[float]:
+    """Relax the cloth over a body that moves, with what was remembered and from scratch: both must be the same bits.
 
     Returns:
-        Greatest and mean distance between both in each frame [m], and the share of remembered places that it kept.
+        the share of remembered body vertices that each frame kept.
     """
-    rng, greatest, mean, kept = np.random.default_rng(0), [], [], []
+    rng, kept = np.random.default_rng(0), []
     for pose in poses:
         cloth.body.advance(pose.astype(np.float32))
         start = cloth.rest + noise * rng.standard_normal(cloth.rest.shape)
-        remembering, before = cloth.relax, cloth.relax.memory
+        remembering, before = cloth.relax, np.asarray(cloth.relax.memory[0])
         ours = cloth(start)
-        # Corners of the touched faces are among what is remembered.
-        kept.append(float((remembering.memory[1] == before[1]).all(axis=1)[: len(cloth.rest)].mean()))
+        kept.append(float(np.mean((remembering.memory[0] == before)[before >= 0])) if (before >= 0).any() else 0.0)
         cloth.relax = remembering.fresh()
-        apart = np.linalg.norm(ours - cloth(start), axis=1)
+        np.testing.assert_array_equal(ours, cloth(start))
         cloth.relax = remembering
-        greatest.append(apart.max())
-        mean.append(apart.mean())
-    return np.array(greatest), np.array(mean), kept
+    return kept
 
 
 def ball_under() -> tuple[np.ndarray, np.ndarray]:
@@ -238,26 +235,35 @@ def turned_about(vertices: np.ndarray, angle: float, centre: np.ndarray) -> np.n
     return (vertices - centre) @ np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]]) + centre
 
 
-def test_remembered_places_of_the_body_are_as_good_as_those_of_a_search() -> None:
-    """The ball glides, sinks, rises and turns; vertices lie elsewhere by a quarter of a millimetre at most."""
+def test_remembered_places_of_the_body_are_those_of_a_search() -> None:
+    """The ball glides, sinks, rises and turns."""
     ball, faces = ball_under()
     cloth = Cloth(body=(ball, faces))
     centre = ball.mean(axis=0)
     poses = [
         turned_about(ball, 0.02 * k, centre) + [0.001 * k, 0.0, 0.002 * np.sin(0.5 * k)] for k in range(30)
     ]  # fmt: skip
-    greatest, mean, kept = follow(cloth, poses)
-    assert greatest.max() < 2.5e-4 and mean.max() < 3e-6
-    assert np.median(kept) > 0.9  # and they were remembered
+    assert 0.3 < np.median(follow(cloth, poses)) < 1.0  # some were remembered, the others had to be searched
 
 
 @pytest.mark.parametrize("jump", [(0.0, 0.0, -1.0), (0.03, 0.02, 0.002), (0.0, 0.0, 0.02)])
 def test_a_body_that_jumps_or_dashes_is_searched_anew(jump: tuple[float, float, float]) -> None:
     """Away and back, to another place, and 2 cm into the cloth in one frame."""
     ball, faces = ball_under()
-    cloth = Cloth(body=(ball, faces))
-    greatest, _, _ = follow(cloth, [ball, ball, ball + np.array(jump), ball + np.array(jump), ball], noise=0.0)
-    assert greatest.max() < 2.5e-4
+    follow(Cloth(body=(ball, faces)), [ball, ball, ball + np.array(jump), ball + np.array(jump), ball], noise=0.0)
+
+
+def test_a_body_vertex_with_many_neighbours_is_a_vertex_like_others() -> None:
+    """The pole of a flat cone with 12 faces, over the sheet from above and moved along it."""
+    turn = 2.0 * np.pi * np.arange(12) / 12
+    rim = np.stack([0.06 * np.cos(turn), 0.06 * np.sin(turn), np.full(12, -0.02)], axis=1)
+    cone = np.concatenate([[[0.0, 0.0, 0.0]], rim]) + [0.1, 0.1, 0.004]
+    faces = np.stack([np.zeros(12, int), 1 + np.arange(12), 1 + (np.arange(12) + 1) % 12], axis=1)
+    cloth = Cloth(body=(cone, faces))
+    kept = follow(cloth, [cone + [0.002 * k, 0.0, 0.0] for k in range(10)], noise=0.0)
+    assert kept[-1] > 0.5
+    height = lambda x: x[:, 2] - (0.004 - np.linalg.norm(x[:, :2] - [0.118, 0.1], axis=1) / 3.0)  # noqa: E731
+    assert (height(cloth.rest) < -5e-4).sum() > 5 and height(cloth(cloth.rest)).min() > 0.5 * THICKNESS
 
 
 def test_what_was_remembered_can_be_set_again() -> None:

@@ -198,3 +198,21 @@ def test_the_warp_of_both_meshes_is_the_direction_asked_for(skirt: tuple[Subdivi
         cosine = np.einsum("ij,ij->i", side, warp) / np.linalg.norm(side, axis=1)
         flat = mesh.flat[:, :, 0]
         np.testing.assert_allclose(flat[:, 0] / np.linalg.norm(flat, axis=1), cosine, atol=1e-9)
+
+
+def test_the_pattern_is_cut_with_the_faces() -> None:
+    """Each corner of a fine face has the place in the pattern that its point of the coarse face has, also at a seam."""
+    garment = builtin_garment("skirt")
+    assert garment.pattern is not None
+    subdivision = Subdivision.of(garment.faces, len(garment.vertices), 2)
+    flat = subdivision.flat_corners(garment.pattern)
+    assert flat is not None and flat.shape == (len(subdivision.faces), 3, 2)
+    areas = [0.5 * np.linalg.det(f[:, 1:] - f[:, :1]) for f in (garment.pattern, flat)]
+    np.testing.assert_allclose(areas[1].reshape(-1, 16), np.repeat(areas[0][:, None] / 16.0, 16, axis=1), rtol=1e-6)
+    # The skirt is a cone, so that its fine edges are as long as the pattern says, but for the rounding of its outline.
+    sides = [
+        np.linalg.norm(np.roll(f, -1, axis=1) - f, axis=2)
+        for f in (flat, subdivision.upsample(garment.vertices)[subdivision.faces])
+    ]
+    np.testing.assert_allclose(sides[1] / sides[0], 1.0, atol=0.05)
+    assert subdivision.flat_corners(None) is None

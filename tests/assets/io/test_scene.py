@@ -28,6 +28,7 @@ mesh = "dress.obj"
 pattern = true
 fabric = { areal_density = 0.2, bend_warp = 0 }
 subdivisions = 1
+ease = [0.18, 0.05]
 attach = [0, 2]
 attach_vertices = [7]
 pins = [5, 6]
@@ -150,6 +151,7 @@ def test_every_key_is_read(load, tmp_path: Path) -> None:
     assert (dress.pattern, dress.subdivisions, dress.thickness) == (True, 1, 0.002)
     assert (dress.limits, dress.pressure) == ((tmp_path / "limits.csv").resolve(), 50.0)
     assert scene.wind.air() == Wind((1.0, 0.0, 0.5), 0.2, 3.0)
+    assert (dress.ease, skirt.ease) == ((0.18, 0.05), (0.0, 0.0))
     assert (dress.attach, dress.attach_vertices, dress.pins, skirt.attach) == ((0, 2), (7,), (5, 6), "top")
     assert scene.character == CharacterSettings(file="builtin:mannequin", clip="walk")
     assert [motion.clip for motion in scene.training.clips + scene.training.held_out] == ["walk", "turn"]
@@ -277,6 +279,9 @@ def test_any_name_survives_printing(name: str, tmp_path_factory: pytest.TempPath
         (SKIRT + "thickness = 1" + "0" * 400, ["garment[0].thickness: bad value"]),
         (SKIRT + "thickness = inf", ["received inf"]),
         (SKIRT + 'attach = "topp"', ["received 'topp'", "did you mean 'top'?"]),
+        (SKIRT + "ease = [0.1]", ["garment[0].ease: bad value", "received [0.1]", "two finite numbers"]),
+        (SKIRT + "ease = [0.1, nan]", ["garment[0].ease: bad value", "two finite numbers, each at least -0.5"]),
+        (SKIRT + "ease = [3, 0]", ["garment[0].ease: bad value", "at most 2"]),
         (SKIRT + "pins = [1, 1]", ["received [1, 1]", "different"]),
         (SKIRT + "pins = [-1]", ["received [-1]"]),
         (SKIRT + "fabric = { areal_density = -1 }", ["garment[0].fabric.areal_density", "received -1"]),

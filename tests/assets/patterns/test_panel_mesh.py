@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from assets.garment import boundary_loops
+from assets.patterns.curves import signed_area
 from assets.patterns.panel_mesh import CutPattern, cut
 from assets.patterns.pattern import Band, EdgeName, Pattern, edge_length
 from pbd.errors import InputError
@@ -127,3 +128,28 @@ def test_an_outline_that_crosses_itself_is_refused_by_name() -> None:
     bow = polygon("bow", [(0.0, 0.0), (0.4, 0.3), (0.4, 0.0), (0.0, 0.2)])
     with pytest.raises(InputError, match="panel 'bow'.*crosses itself"):
         cut(pattern(bow), 0.02)
+
+
+def test_random_outlines_with_sharp_corners_and_notches() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        count = int(rng.integers(3, 14))
+        angle, radius = np.sort(rng.random(count)) * 2.0 * np.pi, rng.uniform(0.05, 0.5, count)
+        corners = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+        if np.max(np.diff(np.append(angle, angle[0] + 2.0 * np.pi))) > 0.9 * np.pi:
+            continue  # may cross itself
+        mesh = cut(pattern(polygon("star", [tuple(corner) for corner in corners])), 0.03)
+        assert areas(mesh).min() > 0.0
+        assert areas(mesh).sum() == pytest.approx(signed_area(corners))
+        assert len(mesh.flat) - len(edges_of(mesh.faces)[0]) + len(mesh.faces) == 1
+
+
+def test_straight_sides_in_any_direction_leave_no_face_without_area() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(30):
+        angle, (width, height) = rng.random() * 2.0 * np.pi, rng.uniform(0.1, 0.5, 2)
+        across, up = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+        corners = [rng.normal(size=2)]
+        corners += [corners[0] + width * across, corners[0] + width * across + height * up, corners[0] + height * up]
+        mesh = cut(pattern(polygon("rectangle", [tuple(corner) for corner in corners])), 0.03)
+        assert angles(mesh).min() > 20.0

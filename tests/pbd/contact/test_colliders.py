@@ -21,6 +21,7 @@ from pbd import (
     State,
 )
 from pbd.contact.body_search import MAX_CELLS, find_nearest
+from pbd.contact.colliders import EDGES
 from pbd.engine import ti
 from pbd.geometry import FAR, closest_on_triangle
 from pbd.xpbd.constraints import PUSH_OUT
@@ -341,3 +342,13 @@ def test_a_body_face_outside_the_mesh_is_refused(corner: int) -> None:
     faces[3, 1] = corner
     with pytest.raises(InputError, match="outside the mesh"):
         Body(faces, 42)
+
+
+def test_the_first_edges_of_a_body_and_the_faces_beside_them() -> None:
+    """A fan of ten faces around vertex 0, whose rim is open."""
+    faces = np.array([[0, 1 + k, 2 + k] for k in range(10)])
+    ends, sides = (table.reshape(12, EDGES, -1) for table in Body(faces, 12).first_edges)
+    assert ends[0].ravel().tolist() == list(range(1, 9))  # the others do not fit
+    assert sides[0].tolist() == [[2, 2], *([k + 1, k - 1] for k in range(2, 9))]
+    assert ends[3].ravel().tolist() == [0, 2, 4, 3, 3, 3, 3, 3]
+    assert sides[3].tolist() == [[2, 4], [0, 0], [0, 0], *5 * [[3, 3]]]
