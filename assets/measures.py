@@ -290,7 +290,7 @@ def _saddle(links: NDArray[np.int32], field: Floats, first: int, second: int) ->
     Raises:
         ValueError: they do not hang together at all.
     """
-    rank = np.empty(len(field), np.int64)
+    rank = np.zeros(len(field), np.int64)
     rank[np.argsort(-field, kind="stable")] = np.arange(len(field))
     begins = rank[links].max(axis=1)  # a link is there once both of its vertices are
     low, high = int(rank[[first, second]].max()) - 1, len(field) - 1
@@ -464,7 +464,7 @@ def _trunk_lengths(figure: _Figure, places: Landmarks) -> dict[str, float]:
         cut = cross_section(v, figure.trunk, start, np.cross(along, outward))
         cut = cut[(cut[:, 1] < start[1]) & (cut[:, 1] > end[1])]  # without the face
         plane = np.stack([along, _unit(outward - (outward @ along) * along)], axis=1)
-        return tape_length((cut - start) @ plane, (start - start) @ plane, (end - start) @ plane)
+        return tape_length((cut - start) @ plane, np.zeros(2), (end - start) @ plane)
 
     def surface(x: float, side: float) -> Floats:
         """The point of the surface at the waist, at a certain x, on the front (side 1) or the back (side -1)."""
@@ -484,7 +484,7 @@ def _trunk_lengths(figure: _Figure, places: Landmarks) -> dict[str, float]:
 
 def _front_share(figure: _Figure, places: Landmarks) -> Floats:
     """Shares of the girths of bust, waist and hip in front of one upright plane through the sides [-], shape (3,)."""
-    levels = [place for place in (places.bust, places.waist, places.hip)]
+    levels = (places.bust, places.waist, places.hip)
     side = float(np.nanmean([place[2] for place in levels]))
     shares = []
     for place in levels:

@@ -1,7 +1,7 @@
 """Trousers: front and back of both legs, with darts at the waist.
 
-The rules are those of a block for trousers with a straight leg (Aldrich, Metric Pattern Cutting for Women's Wear): forks
-of a twentieth and a tenth of the hip, a centre back that leans and rises so that the seat has room to sit.
+The rules are those of a block for trousers with a straight leg (Aldrich, Metric Pattern Cutting for Women's Wear):
+forks of a twentieth and a tenth of the hip, a centre back that leans and rises so that the seat has room to sit.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def trousers(measures: BodyMeasures, parameters: Trousers) -> Pattern:
     right_back = back_with(depth)
     outlines = {
         "left_front": front,
-        "right_front": front.mirrored("right_front", {}),
+        "right_front": front.mirrored("right_front"),
         "left_back": right_back.mirrored("left_back"),
         "right_back": right_back,
     }
