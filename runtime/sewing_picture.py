@@ -38,7 +38,16 @@ def draw_sewing(path: Path, pattern: Pattern, body: StandingBody, sewn: SewnGarm
     if sewn is not None:
         garment = sewn.garment
         for side, azimuth in _SIDES:
-            columns.append([_seen(body, [Drawn(garment.vertices, garment.faces, pattern=garment.pattern)], garment.vertices, azimuth)])
+            columns.append(
+                [
+                    _seen(
+                        body,
+                        [Drawn(garment.vertices, garment.faces, pattern=garment.pattern)],
+                        garment.vertices,
+                        azimuth,
+                    )
+                ]
+            )
             titles.append(side)
     save_png(path, strip(columns, titles, [""]))
 

@@ -29,8 +29,8 @@ def arranged(pieces: Pieces, placements: Sequence[Placement | None], body: Stand
 
     A piece without a placement is laid, as flat as it is, as near as possible to what it is sewn to. Flat pieces go up
     or down until those that are sewn together are level, and all together until the fewest stitches lead through the
-    body; a pattern with bent pieces was placed for its body. A piece that stands in the body is moved out along its outer side, or away from the body's axis, whichever is
-    shorter.
+    body; a pattern with bent pieces was placed for its body. A piece that stands in the body is moved out along its
+    outer side, or away from the body's axis, whichever is shorter.
 
     Args:
         pieces: to be sewn.
