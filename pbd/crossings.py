@@ -4,12 +4,13 @@ This is a measuring tool; the solver has its own, faster search for contact.
 """
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from pbd.mesh import edges_of
 
 __all__ = ["cross", "crossings"]
 
-_MAX_PAIRS = 1_000_000  # pairs of an edge and a face that are tested at once: bounds the memory
+_MAX_PAIRS = 50_000_000  # of an edge and a face that may be tested at once: bounds the memory
 
 
 def cross(start: np.ndarray, end: np.ndarray, corners: np.ndarray) -> np.ndarray:
@@ -44,30 +45,23 @@ def crossings(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     ends, corners = vertices[edges], vertices[faces]
     edge_low, edge_high = ends.min(axis=1), ends.max(axis=1)
     face_low, face_high = corners.min(axis=1), corners.max(axis=1)
-    # Faces are sorted along the longest axis; each edge is tested against the faces whose extent may overlap its own.
-    axis = int(np.argmax(np.ptp(vertices, axis=0)))
-    order = np.argsort(face_low[:, axis], kind="stable")
-    width = (face_high - face_low)[:, axis].max()
-    first = np.searchsorted(face_low[order, axis], edge_low[:, axis] - width)
-    last = np.searchsorted(face_low[order, axis], edge_high[:, axis], side="right")
-    # Edges are taken in groups of a bounded number of pairs; pairs whose boxes do not overlap are dropped first.
-    counts = np.maximum(last - first, 0)
-    ends_of_runs = np.cumsum(counts)
+    # Where an edge goes through a face, their boxes' middles are no further apart than both half diagonals.
+    face_reach = 0.5 * np.linalg.norm(face_high - face_low, axis=1).max(initial=0.0)
+    reach = 0.5 * np.linalg.norm(edge_high - edge_low, axis=1) + face_reach
+    tree, middles = cKDTree(0.5 * (face_low + face_high)), 0.5 * (edge_low + edge_high)
+    # Edges are taken in groups, which bounds the memory; pairs whose boxes do not overlap are dropped first.
     found = [np.zeros((0, 3), np.int64)]
-    begin = 0
-    while begin < len(edges):
-        before = ends_of_runs[begin - 1] if begin else 0
-        end = max(begin + 1, int(np.searchsorted(ends_of_runs, before + _MAX_PAIRS, side="right")))
-        group_counts = counts[begin:end]
-        edge = np.repeat(np.arange(begin, end), group_counts)
-        rank = np.arange(len(edge)) - np.repeat(np.cumsum(group_counts) - group_counts, group_counts)
-        face = order[first[edge] + rank]
+    group = max(1, _MAX_PAIRS // max(len(faces), 1))
+    for begin in range(0, len(edges), group):
+        end = min(begin + group, len(edges))
+        near = tree.query_ball_point(middles[begin:end], reach[begin:end])
+        edge = np.repeat(np.arange(begin, end), [len(faces_near) for faces_near in near])
+        face = np.concatenate([np.asarray(faces_near, np.int64) for faces_near in near])
         overlap = (face_low[face] <= edge_high[edge]).all(axis=1) & (face_high[face] >= edge_low[edge]).all(axis=1)
         edge, face = edge[overlap], face[overlap]
         apart = (faces[face][:, :, None] != edges[edge][:, None, :]).all(axis=(1, 2))
         edge, face = edge[apart], face[apart]
         through = cross(ends[edge, 0], ends[edge, 1], corners[face])
         found.append(np.column_stack([edges[edge[through]], face[through]]).astype(np.int64))
-        begin = end
     rows = np.concatenate(found)
     return rows[np.lexsort(rows.T[::-1])]

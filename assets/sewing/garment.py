@@ -12,10 +12,11 @@ from assets.sewing.body import StandingBody
 from pbd.crossings import crossings
 from pbd.distance import TOLERANCE, BodyDistance
 
-__all__ = ["SewnGarment", "drape_figures", "faults_of"]
+__all__ = ["SewnGarment", "body_crossings", "drape_figures", "faults_of"]
 
 MAX_SEAM_GAP = 0.0005  # between stitched points [m]
 MAX_SLIDE = 0.30  # of the garment's top, up or down from where its pieces were arranged [m]
+NEAR = 0.01  # faces of the body so near the garment's box may touch it [m]
 MAX_STRAIN = 0.25  # of the edges, at the 99th percentile [-]; more is a garment too small for its body
 
 
@@ -40,11 +41,32 @@ class SewnGarment:
     figures: dict[str, float] = field(default_factory=dict)
 
 
+def body_crossings(vertices: NDArray[np.float64], faces: NDArray[np.int32], body: StandingBody) -> NDArray[np.int64]:
+    """Where a garment and a body go through one another.
+
+    Returns:
+        rows of both ends of an edge and the face that it goes through, one of which is the body's: int64, shape (k, 3);
+        vertices and faces of the body count on from those of the garment.
+    """
+    corners = body.vertices[body.faces]
+    low, high = vertices.min(axis=0) - NEAR, vertices.max(axis=0) + NEAR
+    near = np.flatnonzero(((corners > low) & (corners < high)).all(axis=2).any(axis=1))
+    count = len(vertices)
+    both = np.concatenate([faces, body.faces[near] + count])
+    found = crossings(np.concatenate([vertices, body.vertices]), both)
+    mixed = (found[:, 0] < count) != (found[:, 2] < len(faces))
+    found = found[mixed]
+    of_body = found[:, 2] >= len(faces)
+    found[of_body, 2] = len(faces) + near[found[of_body, 2] - len(faces)]
+    return found
+
+
 def drape_figures(garment: Garment, body: StandingBody) -> dict[str, float]:
     """How a draped garment lies.
 
     Returns:
-        vertex_count, crossings (edges that go through faces of the garment), inside_body (vertices) and deepest_mm,
+        vertex_count, crossings (edges that go through faces of the garment), body_crossings (edges of the one that go
+        through faces of the other), inside_body (vertices) and deepest_mm,
         strain_p50 and strain_p99 of the edges' lengths against their rest shape (absolute values); tension_p99 with
         shortened edges as negative values.
     """
@@ -57,6 +79,7 @@ def drape_figures(garment: Garment, body: StandingBody) -> dict[str, float]:
     return {
         "vertex_count": len(garment.vertices),
         "crossings": len(crossings(garment.vertices, garment.faces)),
+        "body_crossings": len(body_crossings(garment.vertices, garment.faces, body)),
         "inside_body": int((depth < -TOLERANCE).sum()),
         "deepest_mm": 1e3 * max(0.0, -float(depth.min())),
         "strain_p50": float(np.percentile(np.abs(strain), 50)),
@@ -72,6 +95,8 @@ def faults_of(figures: dict[str, float]) -> list[str]:
         found.append(f"a seam stays open by {figures['seam_gap_mm']:.1f} mm")
     if figures["crossings"]:
         found.append(f"{figures['crossings']:.0f} edges go through other cloth")
+    if figures["body_crossings"]:
+        found.append(f"cloth and body go through one another at {figures['body_crossings']:.0f} edges")
     if figures["inside_body"]:
         found.append(f"{figures['inside_body']:.0f} vertices are inside the body, {figures['deepest_mm']:.1f} mm deep")
     if figures["slid_cm"] > 100.0 * MAX_SLIDE:

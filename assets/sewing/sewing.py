@@ -20,10 +20,10 @@ from assets.patterns.panel_mesh import cut
 from assets.patterns.pattern import Pattern
 from assets.sewing.arrangement import arranged
 from assets.sewing.body import StandingBody
-from assets.sewing.garment import SewnGarment, drape_figures, faults_of
+from assets.sewing.garment import SewnGarment, body_crossings, drape_figures, faults_of
 from assets.sewing.pieces import Joined, Pieces, carried_over, join, pieces_of
 from assets.sewing.simulation import Clock, close_stitches, drape
-from pbd.attachment import push_outside
+from pbd.attachment import push_outside, smooth_normals
 from pbd.bending import hinge_calibration
 from pbd.contact.strain_limits import MAX_STRETCH
 from pbd.crossings import crossings
@@ -48,6 +48,7 @@ CLEARANCE = 0.003  # of smoothed cloth from the body [m]
 EXTRA, MAX_EXTRA = (0.4, 2.0, 1.0, 1.0), 3  # more of it while something is through cloth or body
 
 
+LIFT, MAX_LIFTS = 0.0005, 20  # of cloth off the body at a time [m], and how often
 SMOOTHED_RINGS, SMOOTHINGS = 4, 12  # around a place where cloth is through itself, and how often
 
 
@@ -141,7 +142,7 @@ def _sewn(
         mesh = _drape(mesh, body, cloth, bend_factor, stage, clock)
     sewn = _judged(pattern, body, fabric, fine, surfaces[1], mesh, top)
     for _ in range(MAX_EXTRA):
-        if not (sewn.figures["crossings"] or sewn.figures["inside_body"]):
+        if not any(sewn.figures[name] for name in ("crossings", "inside_body", "body_crossings")):
             break
         mesh = _drape(_untangled(mesh, body), body, cloth, bend_factor, EXTRA, clock)
         sewn = _judged(pattern, body, fabric, fine, surfaces[1], mesh, top)
@@ -163,6 +164,28 @@ def _drape(
     return drape(
         mesh, body, replace(cloth, friction=friction * cloth.friction), bend_factor, seconds, damping, clock, weight
     )
+
+
+def _cleared(mesh: ClothMesh, body: StandingBody) -> ClothMesh:
+    """The mesh with faces lifted off the body where it comes through between their corners.
+
+    Contact keeps the corners off the body; what is sharper than a face is large comes through it.
+    """
+    normals, vertices, count = smooth_normals(body.vertices, body.faces), mesh.vertices.copy(), len(mesh.vertices)
+    for _ in range(MAX_LIFTS):
+        found = body_crossings(vertices, mesh.faces, body)
+        if not len(found):
+            break
+        direction = np.zeros_like(vertices)
+        of_body = found[:, 0] >= count
+        pushed = mesh.faces[found[of_body, 2]]
+        outward = normals[found[of_body, :2] - count].sum(axis=1)
+        np.add.at(direction, pushed, outward[:, None, :])
+        ends = found[~of_body, :2]
+        outward = normals[body.faces[found[~of_body, 2] - len(mesh.faces)]].sum(axis=1)
+        np.add.at(direction, ends, outward[:, None, :])
+        vertices += LIFT * direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-30)
+    return replace(mesh, vertices=vertices)
 
 
 def _untangled(mesh: ClothMesh, body: StandingBody) -> ClothMesh:
@@ -268,6 +291,7 @@ def _judged(
     """A draped mesh as a garment with its figures; its pieces were arranged up to a height ``top`` [m]."""
     if not np.isfinite(mesh.vertices).all():
         raise SewingError(["the simulation that drapes the garment burst"])
+    mesh = _cleared(mesh, body)
     garment = Garment(
         pattern.name, mesh.vertices, surface.faces, _along_grain(pattern, pieces), pattern.source, mesh.layers
     )

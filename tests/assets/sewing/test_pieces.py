@@ -31,7 +31,7 @@ def test_two_rectangles_become_a_tube() -> None:
 
 def test_corners_that_two_pieces_share_on_both_sides_get_an_edge_more() -> None:
     # Both pieces have a triangle at the corner 0 whose long side would lie on that of the other piece.
-    corners = [[0, 0], [1, 0], [1, 1], [0, 1]]
+    corners = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
     faces = [[0, 1, 3], [1, 2, 3]]
     pieces = flat_pieces(
         corners + [[-x, y] for x, y in corners],
