@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 CLEARANCE = 0.02  # [m] of a panel from the body
 _PANEL_CLEARANCE = 0.008  # [m] of a panel from another one
-_SPACING = 0.03  # [m] between points of a panel that are held against the body
+_SPACING = 0.02  # [m] between points of a panel that are held against the body
 _STEP = 0.01  # [m] between two places that are tried
 _REACH = 0.45  # [m] from the first place to the last
 
