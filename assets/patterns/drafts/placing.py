@@ -6,7 +6,7 @@ the one whose seams stay nearest to each other is taken.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from functools import partial
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from assets.measures import BodyMeasures
-from assets.patterns.drafts.drawing import Outline
+from assets.patterns.drafts.drawing import Outline, Point
 from assets.patterns.pattern import Placement
 from pbd.errors import InputError
 
@@ -81,7 +81,7 @@ def points_of(outline: Outline) -> Floats:
     return np.concatenate([loop, grid[_inside(grid, loop)]])
 
 
-def facing(outward: Sequence[float], up: Sequence[float]) -> Floats:
+def facing(outward: Point, up: Point) -> Floats:
     """The rotation of a panel whose outer side looks along one direction and whose y axis lies along another."""
     z = np.asarray(outward, float) / np.linalg.norm(outward)
     y = np.asarray(up, float) - (np.asarray(up, float) @ z) * z

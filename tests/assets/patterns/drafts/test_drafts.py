@@ -99,6 +99,12 @@ def check_sound(m: BodyMeasures, pattern: Pattern) -> None:
         assert around.room(panel.placement.apply(dense(panel.outline))) > 0.01, panel.name
 
 
+def in_space(pattern: Pattern, name: EdgeName) -> np.ndarray:
+    placement = pattern.panel(name.panel).placement
+    assert placement is not None
+    return placement.apply(pattern.edge(name))
+
+
 def free_girth(pattern: Pattern, names: list[EdgeName]) -> float:
     return sum(edge_length(pattern.edge(name)) for name in names)
 
@@ -156,7 +162,7 @@ def test_seams_start_nearly_closed_at_matching_ends() -> None:
     for name in DRAFTS:
         pattern = draft(name, measured("mannequin"))
         for seam in pattern.seams:
-            first, second = (pattern.panel(edge.panel).placement.apply(pattern.edge(edge)) for edge in seam[:2])
+            first, second = (in_space(pattern, edge) for edge in seam[:2])
             assert seam.reversed
             right = np.linalg.norm(first[0] - second[-1]) + np.linalg.norm(first[-1] - second[0])
             wrong = np.linalg.norm(first[0] - second[0]) + np.linalg.norm(first[-1] - second[-1])
