@@ -50,8 +50,14 @@ def arranged(pieces: Pieces, placements: Sequence[Placement | None], body: Stand
             outward[number] = placement.rotation[:, 2]
     _lay_beside_neighbours(pieces, positions, outward)
     distance = BodyDistance(body.faces)
-    positions[:, 1] += _level(pieces, positions)[pieces.piece_of_vertex]
-    positions[:, 1] += _lift(pieces, positions, body, distance)
+    shift = _level(pieces, positions)[pieces.piece_of_vertex]
+    shift += _lift(pieces, positions + shift[:, None] * (0.0, 1.0, 0.0), body, distance)
+    for number in range(len(pieces.names)):
+        # A sleeve stands around its arm: a piece that is free where its pattern places it is not moved into the body.
+        mine = pieces.piece_of_vertex == number
+        moved = positions[mine] + shift[mine, None] * (0.0, 1.0, 0.0)
+        if _is_free(moved, body, distance) or not _is_free(positions[mine], body, distance):
+            positions[mine] = moved
     for number, name in enumerate(pieces.names):
         mine = pieces.piece_of_vertex == number
         positions[mine] += _way_out(name, positions[mine], outward[number], body, distance)
@@ -117,9 +123,13 @@ def _lift(pieces: Pieces, positions: Floats, body: StandingBody, distance: BodyD
     return best
 
 
+def _is_free(points: Floats, body: StandingBody, distance: BodyDistance) -> bool:
+    return bool(distance.signed_distance(points, body.vertices).min() >= CLEARANCE)
+
+
 def _way_out(name: str, points: Floats, outward: Floats, body: StandingBody, distance: BodyDistance) -> Floats:
     """The shortest move of a piece along one of a few directions that frees it from the body [m], shape (3,)."""
-    if distance.signed_distance(points, body.vertices).min() >= CLEARANCE:
+    if _is_free(points, body, distance):
         return np.zeros(3)
     away = points.mean(axis=0) - body.vertices.mean(axis=0)
     away[1] = 0.0
@@ -127,7 +137,7 @@ def _way_out(name: str, points: Floats, outward: Floats, body: StandingBody, dis
     for step in range(1, round(MAX_MOVE / STEP) + 1):
         for direction in (outward, away):
             move = STEP * step * direction
-            if distance.signed_distance(points + move, body.vertices).min() >= CLEARANCE:
+            if _is_free(points + move, body, distance):
                 return move
     expected = f"free of the body after a move of {100.0 * MAX_MOVE:g} cm"
     raise InputError("a piece that stands in the body", key=f"panel {name!r}", expected=expected)
