@@ -97,7 +97,7 @@ def _level(pieces: Pieces, positions: Floats) -> Floats:
     matrix[rows, first] += 1.0
     matrix[rows, second] -= 1.0
     matrix[len(drop) :] = np.sqrt(STAYING * max(len(drop), 1) / count) * np.eye(count)
-    return np.linalg.lstsq(matrix, np.append(drop, np.zeros(count)), rcond=None)[0].astype(np.float64)
+    return np.asarray(np.linalg.lstsq(matrix, np.append(drop, np.zeros(count)), rcond=None)[0], float)
 
 
 def _lift(pieces: Pieces, positions: Floats, body: StandingBody, distance: BodyDistance) -> float:
@@ -118,9 +118,13 @@ def _lift(pieces: Pieces, positions: Floats, body: StandingBody, distance: BodyD
     return best
 
 
+def _is_free(points: Floats, body: StandingBody, distance: BodyDistance) -> bool:
+    return bool(distance.signed_distance(points, body.vertices).min() >= CLEARANCE)
+
+
 def _way_out(name: str, points: Floats, outward: Floats, body: StandingBody, distance: BodyDistance) -> Floats:
     """The shortest move of a piece along one of a few directions that frees it from the body [m], shape (3,)."""
-    if distance.signed_distance(points, body.vertices).min() >= CLEARANCE:
+    if _is_free(points, body, distance):
         return np.zeros(3)
     away = points.mean(axis=0) - body.vertices.mean(axis=0)
     away[1] = 0.0
@@ -128,7 +132,7 @@ def _way_out(name: str, points: Floats, outward: Floats, body: StandingBody, dis
     for step in range(1, round(MAX_MOVE / STEP) + 1):
         for direction in (outward, away):
             move = STEP * step * direction
-            if distance.signed_distance(points + move, body.vertices).min() >= CLEARANCE:
+            if _is_free(points + move, body, distance):
                 return move
     expected = f"free of the body after a move of {100.0 * MAX_MOVE:g} cm"
     raise InputError("a piece that stands in the body", key=f"panel {name!r}", expected=expected)

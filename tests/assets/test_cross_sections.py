@@ -24,8 +24,9 @@ def test_the_girth_of_a_tilted_cylinder_is_that_of_an_ellipse() -> None:
 
 def test_a_tape_bridges_hollows() -> None:
     left = trimesh.creation.box((0.1, 1.0, 0.1), trimesh.transformations.translation_matrix((-0.2, 0.0, 0.0)))
-    both = trimesh.util.concatenate([left, left.copy().apply_translation((0.4, 0.0, 0.0))])
-    points = cross_section(both.vertices, both.faces, np.array([0.0, 0.03, 0.0]), UP)
+    vertices = np.concatenate([left.vertices, left.vertices + (0.4, 0.0, 0.0)])
+    faces = np.concatenate([left.faces, left.faces + len(left.vertices)])
+    points = cross_section(vertices, faces, np.array([0.0, 0.03, 0.0]), UP)
     assert hull_length(points, UP) == pytest.approx(2 * (0.5 + 0.1))
     valley = np.array([[0.25, 0.0], [0.5, -1.0], [0.75, 0.0]])
     assert tape_length(valley, np.zeros(2), np.array([1.0, 0.0])) == pytest.approx(1.0)

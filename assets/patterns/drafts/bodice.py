@@ -245,7 +245,7 @@ def place_sleeve(outline: Outline, measures: BodyMeasures, around: Surroundings,
         ],
         around,
         cost,
-        clearance=0.5 * CLEARANCE,  # a bent arm leaves little room in a straight tube
+        clearance=0.7 * CLEARANCE,  # a bent arm leaves little room in a straight tube
     )
 
 

@@ -16,6 +16,7 @@ from pbd.errors import InputError
 
 __all__ = [
     "Outline",
+    "Point",
     "arc",
     "bands",
     "check_at_least",
@@ -28,6 +29,7 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
+Point = Sequence[float] | NDArray[np.float64]
 
 _CURVE_POINTS = 33
 
@@ -78,12 +80,12 @@ def check_at_least(draft: str, name: str, value: float, least: float, reason: st
         )
 
 
-def line(*points: Sequence[float]) -> Floats:
+def line(*points: Point) -> Floats:
     """A polyline through points [m]."""
     return np.array(points, float)
 
 
-def curve(start: Sequence[float], towards: Sequence[float], end: Sequence[float], arriving: Sequence[float]) -> Floats:
+def curve(start: Point, towards: Point, end: Point, arriving: Point) -> Floats:
     """A cubic Bezier curve as a polyline [m], shape (k, 2).
 
     Args:
@@ -130,7 +132,7 @@ class Outline:
         Args:
             name: of the new panel.
         """
-        return Outline(name, {key: edge[::-1] * (-1.0, 1.0) for key, edge in reversed(self.edges.items())})
+        return Outline(name, {key: edge[::-1] * (-1.0, 1.0) for key, edge in reversed(list(self.edges.items()))})
 
     def panel(self, placement: Placement | None) -> Panel:
         """The panel; its warp runs along its y axis."""

@@ -6,7 +6,7 @@ the one whose seams stay nearest to each other is taken.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from functools import partial
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from assets.measures import BodyMeasures
-from assets.patterns.drafts.drawing import Outline
+from assets.patterns.drafts.drawing import Outline, Point
 from assets.patterns.pattern import Placement
 from pbd.errors import InputError
 
@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 CLEARANCE = 0.02  # [m] of a panel from the body
 _PANEL_CLEARANCE = 0.008  # [m] of a panel from another one
-_SPACING = 0.03  # [m] between points of a panel that are held against the body
+_SPACING = 0.02  # [m] between points of a panel that are held against the body
 _STEP = 0.01  # [m] between two places that are tried
 _REACH = 0.45  # [m] from the first place to the last
 
@@ -81,7 +81,7 @@ def points_of(outline: Outline) -> Floats:
     return np.concatenate([loop, grid[_inside(grid, loop)]])
 
 
-def facing(outward: Sequence[float], up: Sequence[float]) -> Floats:
+def facing(outward: Point, up: Point) -> Floats:
     """The rotation of a panel whose outer side looks along one direction and whose y axis lies along another."""
     z = np.asarray(outward, float) / np.linalg.norm(outward)
     y = np.asarray(up, float) - (np.asarray(up, float) @ z) * z
