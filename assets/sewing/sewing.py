@@ -49,7 +49,7 @@ EXTRA, MAX_EXTRA = (0.4, 2.0, 1.0, 1.0), 3  # more of it while something is thro
 
 
 LIFT, MAX_LIFTS = 0.0005, 20  # of cloth off the body at a time [m], and how often
-SMOOTHED_RINGS, SMOOTHINGS = 4, 12  # around a place where cloth is through itself, and how often
+SMOOTHED_RINGS, SMOOTHINGS = 6, 4  # around places where cloth is through itself, and how often
 
 
 class SewingError(Exception):
@@ -140,12 +140,11 @@ def _sewn(
     mesh = _surface(pattern, fine, surfaces[1], positions)
     for stage in SETTLE:
         mesh = _drape(mesh, body, cloth, bend_factor, stage, clock)
-    sewn = _judged(pattern, body, fabric, fine, surfaces[1], mesh, top)
-    for _ in range(MAX_EXTRA):
-        if not any(sewn.figures[name] for name in ("crossings", "inside_body", "body_crossings")):
+    for rest in range(MAX_EXTRA, -1, -1):
+        sewn = _judged(pattern, body, fabric, fine, surfaces[1], _untangled(mesh, body), top)
+        if not rest or not any(sewn.figures[name] for name in ("crossings", "inside_body", "body_crossings")):
             break
-        mesh = _drape(_untangled(mesh, body), body, cloth, bend_factor, EXTRA, clock)
-        sewn = _judged(pattern, body, fabric, fine, surfaces[1], mesh, top)
+        mesh = _drape(mesh, body, cloth, bend_factor, EXTRA, clock)
     faults = faults_of(sewn.figures)
     if faults:
         raise SewingError(faults, sewn)
@@ -191,23 +190,24 @@ def _cleared(mesh: ClothMesh, body: StandingBody) -> ClothMesh:
 def _untangled(mesh: ClothMesh, body: StandingBody) -> ClothMesh:
     """The mesh with cloth smoothed around places where it is through itself, outside the body.
 
-    Contact brings sheets back that are through one another. A crease that is folded into itself has no right side; the
-    smooth surface over it has one.
+    Contact brings sheets back that are through one another. A crease that is folded into itself, as gathers are, has no
+    right side; the smooth surface over it has one. Patches of one ring of vertices are tried first, then larger ones.
     """
-    found = crossings(mesh.vertices, mesh.faces)
-    if not len(found):
-        return mesh
     starts, ring = vertex_rings(mesh.faces, len(mesh.vertices))
     around = csr_matrix((np.ones(len(ring)), ring, starts), (len(mesh.vertices),) * 2)
-    moved = np.zeros(len(mesh.vertices))
-    moved[np.unique(np.concatenate([found[:, :2].ravel(), mesh.faces[found[:, 2]].ravel()]))] = 1.0
-    for _ in range(SMOOTHED_RINGS):
-        moved = np.maximum(moved, (around @ moved > 0.0).astype(float))
-    patch, vertices = np.flatnonzero(moved), mesh.vertices.copy()
-    mean = (diags(1.0 / np.diff(starts)) @ around)[patch]
-    for _ in range(SMOOTHINGS):
-        vertices[patch] = mean @ vertices
-    vertices[patch] = push_outside(vertices[patch], body.vertices, body.faces, CLEARANCE)
+    mean, vertices = diags(1.0 / np.diff(starts)) @ around, mesh.vertices.copy()
+    for rings in range(1, SMOOTHED_RINGS + 1):
+        found = crossings(vertices, mesh.faces)
+        if not len(found):
+            break
+        moved = np.zeros(len(vertices))
+        moved[np.unique(np.concatenate([found[:, :2].ravel(), mesh.faces[found[:, 2]].ravel()]))] = 1.0
+        for _ in range(rings):
+            moved = np.maximum(moved, (around @ moved > 0.0).astype(float))
+        patch = np.flatnonzero(moved)
+        for _ in range(SMOOTHINGS):
+            vertices[patch] = mean[patch] @ vertices
+        vertices[patch] = push_outside(vertices[patch], body.vertices, body.faces, CLEARANCE)
     return replace(mesh, vertices=vertices)
 
 
