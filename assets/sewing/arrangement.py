@@ -17,7 +17,7 @@ __all__ = ["arranged"]
 
 Floats = NDArray[np.float64]
 
-CLEARANCE = 0.008  # of a piece from the body at the start [m]
+CLEARANCE = 0.003  # of a piece from the body at the start [m]
 STAYING = 0.05  # weight that keeps a piece at its height, over that of its stitches [-]
 LIFTS = tuple(0.01 * k for k in (0, 1, 2, 3, 4, 5, 6, 7, 8, -1, -2, -3))  # of all pieces together [m]
 POINTS = 24  # parts of the straight line between two stitched vertices
@@ -27,10 +27,10 @@ STEP, MAX_MOVE = 0.01, 0.40  # by which a piece is moved out of the body at a ti
 def arranged(pieces: Pieces, placements: Sequence[Placement | None], body: StandingBody) -> Floats:
     """Positions of the pieces around the body [m], shape (n, 3).
 
-    A piece without a placement is laid, as flat as it is, as near as possible to what it is sewn to. Pieces go up or
-    down until those that are sewn together are level, and all together until the fewest stitches lead through the body.
-    A piece that stands in the body is moved out along its outer side, or away from the body's axis, whichever is
-    shorter.
+    A piece without a placement is laid, as flat as it is, as near as possible to what it is sewn to. Flat pieces go up
+    or down until those that are sewn together are level, and all together until the fewest stitches lead through the
+    body; a pattern with bent pieces was placed for its body. A piece that stands in the body is moved out along its
+    outer side, or away from the body's axis, whichever is shorter.
 
     Args:
         pieces: to be sewn.
@@ -50,14 +50,9 @@ def arranged(pieces: Pieces, placements: Sequence[Placement | None], body: Stand
             outward[number] = placement.rotation[:, 2]
     _lay_beside_neighbours(pieces, positions, outward)
     distance = BodyDistance(body.faces)
-    shift = _level(pieces, positions)[pieces.piece_of_vertex]
-    shift += _lift(pieces, positions + shift[:, None] * (0.0, 1.0, 0.0), body, distance)
-    for number in range(len(pieces.names)):
-        # A sleeve stands around its arm: a piece that is free where its pattern places it is not moved into the body.
-        mine = pieces.piece_of_vertex == number
-        moved = positions[mine] + shift[mine, None] * (0.0, 1.0, 0.0)
-        if _is_free(moved, body, distance) or not _is_free(positions[mine], body, distance):
-            positions[mine] = moved
+    if all(placement is None or placement.bend_radius is None for placement in placements):
+        positions[:, 1] += _level(pieces, positions)[pieces.piece_of_vertex]
+        positions[:, 1] += _lift(pieces, positions, body, distance)
     for number, name in enumerate(pieces.names):
         mine = pieces.piece_of_vertex == number
         positions[mine] += _way_out(name, positions[mine], outward[number], body, distance)
