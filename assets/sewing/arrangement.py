@@ -97,7 +97,7 @@ def _level(pieces: Pieces, positions: Floats) -> Floats:
     matrix[rows, first] += 1.0
     matrix[rows, second] -= 1.0
     matrix[len(drop) :] = np.sqrt(STAYING * max(len(drop), 1) / count) * np.eye(count)
-    return np.linalg.lstsq(matrix, np.append(drop, np.zeros(count)), rcond=None)[0]
+    return np.asarray(np.linalg.lstsq(matrix, np.append(drop, np.zeros(count)), rcond=None)[0], float)
 
 
 def _lift(pieces: Pieces, positions: Floats, body: StandingBody, distance: BodyDistance) -> float:
