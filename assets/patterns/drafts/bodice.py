@@ -23,6 +23,8 @@ __all__ = ["BodiceLines", "bodice_panel", "bodice_seams", "place_sleeve", "sleev
 
 Floats = NDArray[np.float64]
 
+_LEAST_CAP = 0.05  # height of a sleeve's cap over its armhole [-]
+_LEAST_UNDERARM = 0.03  # length of a sleeve's own seam [m]
 _SIDE_DART_DEPTH = 0.045  # of the dart's upper end below the armhole [m]
 
 
@@ -128,7 +130,7 @@ def sleeve_panel(
 
     y = 0 is the cap's lower end.
     The cap's height is given; its two halves become as wide as they must be for their curves to have the lengths of the
-    armhole. If the sleeve is then narrower than it must be, the cap is made flatter.
+    armhole. If the sleeve is then narrower than it must be, or shorter than its cap, the cap is made flatter.
 
     Args:
         name: of the panel.
@@ -143,22 +145,20 @@ def sleeve_panel(
         InputError: even a flat cap is too narrow for the arm.
     """
     whole = armhole_back + armhole_front
-    height = cap_share * whole
-    while height > 0.05 * whole:
+    height = min(cap_share * whole, length - _LEAST_UNDERARM)
+    while height > _LEAST_CAP * whole:
         back, front = (_cap_width(half, height, side) for half, side in ((armhole_back, 1), (armhole_front, -1)))
         if back + front >= girth:
             break
         height *= 0.97
     else:
         raise InputError(
-            "the armhole is too small for the arm",
+            "the armhole is too small for the arm, or the sleeve too short",
             key=name,
-            received=f"{whole:.3f} m around",
-            expected=f"more than the sleeve's girth of {girth:.3f} m",
+            received=f"{whole:.3f} m around, {length:.3f} m long",
+            expected=f"more than {girth:.3f} m around, more than {_LEAST_CAP * whole + _LEAST_UNDERARM:.3f} m long",
         )
     drop = length - height
-    if drop < 0.02:
-        raise InputError("the sleeve is shorter than its cap", key=name, received=length, expected=f"> {height:.3f} m")
     half_hem = 0.5 * min(hem, back + front)
     middle = 0.5 * (back - front)
     cap_back, cap_front = _cap(back, height, 1), _cap(front, height, -1)

@@ -21,6 +21,7 @@ Floats = NDArray[np.float64]
 
 _HEM, _WAISTBAND = 0.02, 0.03  # [m]
 _WAISTBAND_LAYERS = 3.0
+_MOST_EASE = 0.25  # of the waist, over what the hip measures more [-]
 _PANELS = ("front", "left", "back", "right")
 _ROLLS = (0.5, 0.55, 0.6, 0.65, 0.7, 0.8, 0.9, 1.0, 1.3, 2.0)  # radii of the roll over the panel's half width [-]
 _DEPTH_LESS = 0.03  # [m] by which the waist's half depth is less than its half width
@@ -44,6 +45,13 @@ def circle_skirt(measures: BodyMeasures, parameters: CircleSkirt) -> Pattern:
     m, p, name = measures, parameters, "circle_skirt"
     require(m, name, "waist")
     check_at_least(name, "ease", p.ease, 0.0, "so that the skirt is not smaller than the waist")
+    if p.ease > _MOST_EASE * (m.hip - m.waist):
+        raise InputError(
+            "nothing holds so wide a waist above the hips",
+            key=f"draft {name}, ease",
+            received=p.ease,
+            expected=f"at most {_MOST_EASE * (m.hip - m.waist):.3f} m",
+        )
     if not 0.25 <= p.circle <= 1.0:
         raise InputError("no part of a circle", key=f"draft {name}, circle", received=p.circle, expected="0.25 to 1")
     knee = float(m.landmarks.waist[1] - m.landmarks.knee[1])

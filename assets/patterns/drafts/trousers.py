@@ -26,7 +26,6 @@ Floats = NDArray[np.float64]
 
 _HEM, _WAISTBAND = 0.02, 0.035  # [m]
 _WAISTBAND_LAYERS = 3.0
-_WAIST_EASE = 0.01  # [m]
 
 
 @dataclass(frozen=True)
@@ -57,9 +56,9 @@ class Trousers:
     """Parameters of trousers [m]; None is derived from the body."""
 
     ease: float = number(0.06, "m", "added to the girth of the hip")
-    length: float | None = number(None, "m", "from waist to hem; default: to 3 cm above the floor")
+    length: float | None = number(None, "m", "from waist to hem; default: to 5 cm above the floor")
     leg_width: float | None = number(None, "m", "girth of the hem; default: that of the knee and 8 cm")
-    rise_ease: float = number(0.02, "m", "of the crotch below the body's")
+    rise_ease: float = number(0.015, "m", "of the crotch below the body's")
 
 
 def trousers(measures: BodyMeasures, parameters: Trousers) -> Pattern:
@@ -72,7 +71,7 @@ def trousers(measures: BodyMeasures, parameters: Trousers) -> Pattern:
     require(m, name, "waist", "hip", "waist_to_hip", "rise", "knee", "thigh", "ankle")
     check_at_least(name, "ease", p.ease, 0.01, "so that the trousers go around the hip")
     check_at_least(name, "rise_ease", p.rise_ease, 0.0, "so that the crotch is not above the body's")
-    length = p.length if p.length is not None else m.waist_to_floor - 0.03
+    length = p.length if p.length is not None else m.waist_to_floor - 0.05
     check_at_least(name, "length", length, m.rise + p.rise_ease + 0.08, "8 cm below the crotch")
     if length > m.waist_to_floor:
         floor = f"at most {m.waist_to_floor:.3f} m, the height of the waist"
@@ -159,7 +158,7 @@ def _panel(
         depth: of the fork below the waist [m].
     """
     hip = 0.5 * hip_share * (m.hip + p.ease)
-    waist = 0.5 * waist_share * (m.waist + _WAIST_EASE)
+    waist = 0.5 * waist_share * m.waist
     fork = half.fork * m.hip
     width = hip + fork
     side, centre = 0.5 * width, fork - 0.5 * width  # x at the hip
@@ -184,16 +183,9 @@ def _panel(
     down = (straight[1] - straight[0]) / edge_length(straight)
     drop = depth - hip_depth
     bend = curve(low, 0.65 * drop * down, crotch, 0.75 * fork * np.array([-1.0, 0.0]))
-    return Outline(
-        name,
-        {
-            "hem": line((-hem, -length), (hem, -length)),
-            "side": _joined(outside, upper),
-            **waist_line(top_side, top_centre, darts, half.dart_depth * m.waist_to_hip),
-            "centre": _joined(straight, bend),
-            "inseam": inner,
-        },
-    )
+    edges = {"hem": line((-hem, -length), (hem, -length)), "side": _joined(outside, upper)}
+    edges |= waist_line(top_side, top_centre, darts, half.dart_depth * m.waist_to_hip)
+    return Outline(name, edges | {"centre": _joined(straight, bend), "inseam": inner})
 
 
 def _long_leg(
