@@ -243,6 +243,7 @@ class GarmentSetup:
         Raises:
             InputError: several garments, no body, or anything that cannot be loaded.
         """
+        scene = with_subdivisions(scene)
         settings, garment = garment_of(scene)
         body = body_of(scene)
         if settings.pins:

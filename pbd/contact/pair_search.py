@@ -370,9 +370,8 @@ def turning_kernel() -> Callable[..., None]:
                     pair_data[c, 1][2] = dt * motion.norm()
                     wrong = wrong_side[k[0]] | wrong_side[k[1]] | wrong_side[k[2]] | wrong_side[k[3]]
                     if wrong != 0 and layer[k[0]] == layer[k[3]]:
-                        kept = thickness * ti.select(q[1] < 0, EDGE_SHARE, 1.0)
                         at_rest, _along_cloth = distance_at_rest(q, k, cloth)
-                        kept = ti.min(kept, at_rest)
+                        kept = ti.min(thickness * ti.select(q[1] < 0, EDGE_SHARE, 1.0), at_rest)
                         old = old_pair(q, k, cloth, buffers)
                         normal, gap, kept_now = first_side(
                             q, k, old, True, across, offset, offset.norm(), kept, cloth, buffers
