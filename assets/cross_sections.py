@@ -51,9 +51,9 @@ def hull_length(points: Floats, normal: Floats) -> float:
         points: [m], shape (n, 3).
         normal: of the plane, shape (3,).
     """
-    first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    first = np.asarray(np.cross(normal, np.eye(3)[np.abs(normal).argmin()]), float)
     first /= np.linalg.norm(first)
-    second = np.cross(normal, first) / np.linalg.norm(normal)
+    second = np.asarray(np.cross(normal, first), float) / np.linalg.norm(normal)
     loop = hull_loop(points @ np.stack([first, second], axis=1))
     return float(np.linalg.norm(loop - np.roll(loop, 1, axis=0), axis=1).sum())
 

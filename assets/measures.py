@@ -34,6 +34,7 @@ _KNEE_HEIGHT = 0.285  # of the stature [-]; Drillis and Contini (1966)
 _NECK_SLOPE = 0.8  # of the outline seen from the front, where shoulder becomes neck [-]
 _NECK_TILT = np.radians(20.0)  # of the plane of the neck's base, down to the front
 _UPRIGHT = 5.0  # weight of the upright direction in the plane where arms begin [-]
+_WAIST_LESS = 0.97  # girth of a waist over those below and above it, at most [-]
 _UP = np.array([0.0, 1.0, 0.0])
 
 
@@ -229,6 +230,8 @@ class _Figure:
                 links, v @ _unit(direction + (0.0, -1.0, 0.0)), hand, feet[0], f"armpit: the hand of side {side:+d}"
             )
             self.is_arm |= is_arm
+            if np.linalg.norm(v[hand] - v[armpit]) < 0.15 * self.height:
+                raise self._problem("no arms that stand away from the trunk")
             if side == 1:
                 self.armpit, arm = v[armpit], is_arm
                 self.arm_direction = _unit((direction[0], direction[1], 0.0))
@@ -290,7 +293,7 @@ def _saddle(links: NDArray[np.int32], field: Floats, first: int, second: int) ->
     Raises:
         ValueError: they do not hang together at all.
     """
-    rank = np.empty(len(field), np.int64)
+    rank = np.zeros(len(field), np.int64)
     rank[np.argsort(-field, kind="stable")] = np.arange(len(field))
     begins = rank[links].max(axis=1)  # a link is there once both of its vertices are
     low, high = int(rank[[first, second]].max()) - 1, len(field) - 1
@@ -317,7 +320,8 @@ def _trunk(figure: _Figure) -> _Part:
     girths = np.array([hull_length(figure.level(y), _UP) for y in heights])
     hip = int(girths[heights < low + 0.12 * figure.height].argmax())
     waist = hip + int(girths[hip:].argmin())
-    has_waist = girths[waist] < 0.99 * girths[hip:].max() and hip < waist < len(girths) - 1
+    around = [girths[hip : waist + 1].max(), girths[waist:].max()]  # below the waist, and above it
+    has_waist = girths[waist] < _WAIST_LESS * min(around)
     # The foremost point of the upper half between waist and armpits; where there is no waist, of the upper third.
     middle = 0.5 * (heights[waist] + high) if has_waist else (low + 2.0 * high) / 3.0
     upper = np.flatnonzero(heights > middle)
@@ -464,7 +468,7 @@ def _trunk_lengths(figure: _Figure, places: Landmarks) -> dict[str, float]:
         cut = cross_section(v, figure.trunk, start, np.cross(along, outward))
         cut = cut[(cut[:, 1] < start[1]) & (cut[:, 1] > end[1])]  # without the face
         plane = np.stack([along, _unit(outward - (outward @ along) * along)], axis=1)
-        return tape_length((cut - start) @ plane, (start - start) @ plane, (end - start) @ plane)
+        return tape_length((cut - start) @ plane, np.zeros(2), (end - start) @ plane)
 
     def surface(x: float, side: float) -> Floats:
         """The point of the surface at the waist, at a certain x, on the front (side 1) or the back (side -1)."""
@@ -484,7 +488,7 @@ def _trunk_lengths(figure: _Figure, places: Landmarks) -> dict[str, float]:
 
 def _front_share(figure: _Figure, places: Landmarks) -> Floats:
     """Shares of the girths of bust, waist and hip in front of one upright plane through the sides [-], shape (3,)."""
-    levels = [place for place in (places.bust, places.waist, places.hip)]
+    levels = (places.bust, places.waist, places.hip)
     side = float(np.nanmean([place[2] for place in levels]))
     shares = []
     for place in levels:

@@ -20,6 +20,7 @@ __all__ = ["COMMANDS", "main", "parser"]
 
 COMMANDS: Mapping[str, str] = {
     "demo": "precompute.commands.demo",
+    "measure": "runtime.commands.measure",
     "sew": "runtime.commands.sew",
     "simulate": "runtime.commands.simulate",
     "precompute": "precompute.commands.precompute",

@@ -11,7 +11,7 @@ from assets.sewing.body import StandingBody
 from assets.sewing.garment import SewnGarment
 from assets.sewing.sewing import COARSE_EDGE, arranged_pieces
 from runtime.pattern_picture import draw_pattern
-from runtime.pictures import BODY_COLOR, Drawn, frame_camera, render, save_png, strip
+from runtime.pictures import Drawn, frame_camera, render, save_png, strip
 
 __all__ = ["draw_sewing"]
 
@@ -38,7 +38,16 @@ def draw_sewing(path: Path, pattern: Pattern, body: StandingBody, sewn: SewnGarm
     if sewn is not None:
         garment = sewn.garment
         for side, azimuth in _SIDES:
-            columns.append([_seen(body, [Drawn(garment.vertices, garment.faces)], garment.vertices, azimuth)])
+            columns.append(
+                [
+                    _seen(
+                        body,
+                        [Drawn(garment.vertices, garment.faces, pattern=garment.pattern)],
+                        garment.vertices,
+                        azimuth,
+                    )
+                ]
+            )
             titles.append(side)
     save_png(path, strip(columns, titles, [""]))
 
@@ -46,7 +55,7 @@ def draw_sewing(path: Path, pattern: Pattern, body: StandingBody, sewn: SewnGarm
 def _seen(body: StandingBody, meshes: list[Drawn], shown: np.ndarray, azimuth: float) -> np.ndarray:
     """The body and meshes from a side; the camera frames the vertices that are shown."""
     camera = frame_camera(shown[None], azimuth_deg=azimuth, aspect=_SIZE[0] / _SIZE[1])[0]
-    return render([Drawn(body.vertices, body.faces, BODY_COLOR), *meshes], camera, _SIZE, floor=None)
+    return render([Drawn.body(body.vertices, body.faces), *meshes], camera, _SIZE, floor=None)
 
 
 def _fitted(image: np.ndarray) -> np.ndarray:

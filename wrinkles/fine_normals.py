@@ -19,6 +19,12 @@ def _area_normal(a: vec3, b: vec3, c: vec3):
 
 
 @ti.func
+def _clear(sums: ti.template()):
+    for i in range(sums.shape[0]):
+        sums[i] = ti.math.vec4(0.0)
+
+
+@ti.func
 def _unit(sum_of_normals) -> vec3:
     """The unit vector along a sum of normals."""
     n = xyz(sum_of_normals)
@@ -37,8 +43,7 @@ def _subdivided_normals(vertices: Vec3, fours: Int6, sums: Vec4, normals: Vec3):
     """
     ti.loop_config(serialize=True)
     for _ in range(1):
-        for i in range(sums.shape[0]):
-            sums[i] = ti.math.vec4(0.0)
+        _clear(sums)
         for q in range(fours.shape[0]):
             f = fours[q]
             a, b, c = vertices[f[0]], vertices[f[1]], vertices[f[2]]
@@ -60,8 +65,7 @@ def _delivered_normals(vertices: Vec3, faces: Int3, stands_for: Int1, sums: Vec4
     """The same of any mesh; each vertex has the normal of the one that stands for it in ``faces``."""
     ti.loop_config(serialize=True)
     for _ in range(1):
-        for i in range(sums.shape[0]):
-            sums[i] = ti.math.vec4(0.0)
+        _clear(sums)
         for c in range(faces.shape[0]):
             f = faces[c]
             n = _area_normal(vertices[f[0]], vertices[f[1]], vertices[f[2]])

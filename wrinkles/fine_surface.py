@@ -39,6 +39,23 @@ def _turned(d: vec3, j: ti.i32, frames: ti.template()) -> vec3:
     return d[0] * frames[3 * j] + d[1] * frames[3 * j + 1] + d[2] * frames[3 * j + 2]
 
 
+@ti.func
+def _wrinkles(
+    i: ti.i32,
+    node: ti.template(),
+    share: ti.template(),
+    corners: ti.template(),
+    grids: ti.template(),
+    frames: ti.template(),
+) -> vec3:
+    """What the patches add to vertex i [m]; nothing where there are no grids."""
+    added = vec3(0.0)
+    if grids.shape[0] > 0:
+        for c in ti.static(range(3)):
+            added += _turned(_patch(i, c, node, share, grids), corners[i][c], frames)
+    return added
+
+
 @ti.kernel
 def _correct_middle(
     smooth: Vec4,
@@ -61,10 +78,7 @@ def _correct_middle(
     ti.loop_config(serialize=True)
     for _ in range(1):
         for i in range(middle.shape[0]):
-            added = vec3(0.0)
-            if grids.shape[0] > 0:
-                for c in ti.static(range(3)):
-                    added += _turned(_patch(i, c, node, share, grids), corners[i][c], frames)
+            added = _wrinkles(i, node, share, corners, grids, frames)
             middle[i] = smooth[i] + vec4(added)
             fine[i] = added
         project_lengths(middle, edges, lengths, free_edges, sweeps)
@@ -130,10 +144,7 @@ def _make_delivered(
         for i in range(first):
             source[i] = smooth[i]
         for i in range(count):
-            added = vec3(0.0)
-            if grids.shape[0] > 0:
-                for c in ti.static(range(3)):
-                    added += _turned(_patch(i, c, node, share, grids), corners[i][c], frames)
+            added = _wrinkles(i, node, share, corners, grids, frames)
             source[first + i] = vec4(added)
         for k in range(frames.shape[0]):
             source[first + count + k] = vec4(ti.select(grids.shape[0] > 0, frames[k], vec3(0.0)))

@@ -62,7 +62,7 @@ __all__ = [
 
 Vector = tuple[float, float, float]
 
-_MESH = file_path(".obj", ".glb", ".gltf", builtins=[f"builtin:{name}" for name in BUILTIN_GARMENTS])
+_MESH = file_path(".obj", ".glb", ".gltf", ".npz", builtins=[f"builtin:{name}" for name in BUILTIN_GARMENTS])
 _CHARACTER_FILE = file_path(".glb", ".gltf", builtins=["builtin:mannequin"])
 _MOTION_FILE = file_path(".glb", ".gltf", ".npz", builtins=["builtin:mannequin"])
 

@@ -36,7 +36,7 @@ class Placement:
     Attributes:
         rotation: shape (3, 3). Its third column is where the outer side of the cloth looks at x = 0.
         translation: [m], shape (3,).
-        bend_radius: R [m]; None leaves the panel flat.
+        bend_radius: R [m]; negative rolls the sides forward, None leaves the panel flat.
     """
 
     rotation: Floats

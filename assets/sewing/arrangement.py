@@ -17,7 +17,7 @@ __all__ = ["arranged"]
 
 Floats = NDArray[np.float64]
 
-CLEARANCE = 0.008  # of a piece from the body at the start [m]
+CLEARANCE = 0.003  # of a piece from the body at the start [m]
 STAYING = 0.05  # weight that keeps a piece at its height, over that of its stitches [-]
 LIFTS = tuple(0.01 * k for k in (0, 1, 2, 3, 4, 5, 6, 7, 8, -1, -2, -3))  # of all pieces together [m]
 POINTS = 24  # parts of the straight line between two stitched vertices
@@ -27,10 +27,10 @@ STEP, MAX_MOVE = 0.01, 0.40  # by which a piece is moved out of the body at a ti
 def arranged(pieces: Pieces, placements: Sequence[Placement | None], body: StandingBody) -> Floats:
     """Positions of the pieces around the body [m], shape (n, 3).
 
-    A piece without a placement is laid, as flat as it is, as near as possible to what it is sewn to. Pieces go up or
-    down until those that are sewn together are level, and all together until the fewest stitches lead through the body.
-    A piece that stands in the body is moved out along its outer side, or away from the body's axis, whichever is
-    shorter.
+    A piece without a placement is laid, as flat as it is, as near as possible to what it is sewn to. Flat pieces go up
+    or down until those that are sewn together are level, and all together until the fewest stitches lead through the
+    body; a pattern with bent pieces was placed for its body. A piece that stands in the body is moved out along its
+    outer side, or away from the body's axis, whichever is shorter.
 
     Args:
         pieces: to be sewn.
@@ -50,8 +50,9 @@ def arranged(pieces: Pieces, placements: Sequence[Placement | None], body: Stand
             outward[number] = placement.rotation[:, 2]
     _lay_beside_neighbours(pieces, positions, outward)
     distance = BodyDistance(body.faces)
-    positions[:, 1] += _level(pieces, positions)[pieces.piece_of_vertex]
-    positions[:, 1] += _lift(pieces, positions, body, distance)
+    if all(placement is None or placement.bend_radius is None for placement in placements):
+        positions[:, 1] += _level(pieces, positions)[pieces.piece_of_vertex]
+        positions[:, 1] += _lift(pieces, positions, body, distance)
     for number, name in enumerate(pieces.names):
         mine = pieces.piece_of_vertex == number
         positions[mine] += _way_out(name, positions[mine], outward[number], body, distance)
@@ -96,7 +97,7 @@ def _level(pieces: Pieces, positions: Floats) -> Floats:
     matrix[rows, first] += 1.0
     matrix[rows, second] -= 1.0
     matrix[len(drop) :] = np.sqrt(STAYING * max(len(drop), 1) / count) * np.eye(count)
-    return np.linalg.lstsq(matrix, np.append(drop, np.zeros(count)), rcond=None)[0]
+    return np.asarray(np.linalg.lstsq(matrix, np.append(drop, np.zeros(count)), rcond=None)[0], float)
 
 
 def _lift(pieces: Pieces, positions: Floats, body: StandingBody, distance: BodyDistance) -> float:
@@ -117,9 +118,13 @@ def _lift(pieces: Pieces, positions: Floats, body: StandingBody, distance: BodyD
     return best
 
 
+def _is_free(points: Floats, body: StandingBody, distance: BodyDistance) -> bool:
+    return bool(distance.signed_distance(points, body.vertices).min() >= CLEARANCE)
+
+
 def _way_out(name: str, points: Floats, outward: Floats, body: StandingBody, distance: BodyDistance) -> Floats:
     """The shortest move of a piece along one of a few directions that frees it from the body [m], shape (3,)."""
-    if distance.signed_distance(points, body.vertices).min() >= CLEARANCE:
+    if _is_free(points, body, distance):
         return np.zeros(3)
     away = points.mean(axis=0) - body.vertices.mean(axis=0)
     away[1] = 0.0
@@ -127,7 +132,7 @@ def _way_out(name: str, points: Floats, outward: Floats, body: StandingBody, dis
     for step in range(1, round(MAX_MOVE / STEP) + 1):
         for direction in (outward, away):
             move = STEP * step * direction
-            if distance.signed_distance(points + move, body.vertices).min() >= CLEARANCE:
+            if _is_free(points + move, body, distance):
                 return move
     expected = f"free of the body after a move of {100.0 * MAX_MOVE:g} cm"
     raise InputError("a piece that stands in the body", key=f"panel {name!r}", expected=expected)

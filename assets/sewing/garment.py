@@ -15,6 +15,7 @@ from pbd.distance import TOLERANCE, BodyDistance
 __all__ = ["SewnGarment", "drape_figures", "faults_of"]
 
 MAX_SEAM_GAP = 0.0005  # between stitched points [m]
+MAX_SLIDE = 0.30  # of the garment's top, up or down from where its pieces were arranged [m]
 MAX_STRAIN = 0.25  # of the edges, at the 99th percentile [-]; more is a garment too small for its body
 
 
@@ -73,6 +74,10 @@ def faults_of(figures: dict[str, float]) -> list[str]:
         found.append(f"{figures['crossings']:.0f} edges go through other cloth")
     if figures["inside_body"]:
         found.append(f"{figures['inside_body']:.0f} vertices are inside the body, {figures['deepest_mm']:.1f} mm deep")
+    if figures["slid_cm"] > 100.0 * MAX_SLIDE:
+        found.append(f"it slid down by {figures['slid_cm']:.0f} cm: nothing holds it")
+    if figures["slid_cm"] < -100.0 * MAX_SLIDE:
+        found.append(f"it slid up by {-figures['slid_cm']:.0f} cm: it is too small where it belongs")
     if figures["tension_p99"] > MAX_STRAIN:
         found.append(
             f"the cloth is stretched by {100.0 * figures['tension_p99']:.0f} % (99th percentile of its edges): it is "

@@ -15,7 +15,7 @@ from pbd.attachment import closest_points
 from pbd.errors import InputError
 from pbd.mesh import edges_of
 
-__all__ = ["Joined", "Pieces", "carried_over", "join", "pieces_of"]
+__all__ = ["Joined", "Pieces", "carried_over", "join", "pieces_of", "without_closing_chords"]
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int32]
@@ -70,15 +70,20 @@ class Joined:
 
 
 def pieces_of(cut: CutPattern) -> Pieces:
-    """The panels of a cut pattern, with a triangle or two more where a seam would close to no surface.
-
-    Raises:
-        InputError: as :func:`join`.
-    """
+    """The panels of a cut pattern; see :func:`without_closing_chords`."""
     names = tuple(panel.name for panel in cut.pattern.panels)
     pieces = Pieces(
         names, cut.flat, cut.faces, cut.rest, cut.layers, cut.panel_of_vertex, cut.panel_of_face, cut.stitches
     )
+    return without_closing_chords(pieces)
+
+
+def without_closing_chords(pieces: Pieces) -> Pieces:
+    """The pieces, of which inner edges that would come to lie on one another are split.
+
+    Two triangles at a corner that is sewn to another one on both sides have all three sides in common with the other
+    piece's, so that four faces would share an edge.
+    """
     for _ in range(_ROUNDS):
         bad = _closing_chords(pieces)
         if not len(bad):

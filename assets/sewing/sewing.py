@@ -43,7 +43,7 @@ HANG = (1.2, 2.0, 0.3, 1.0)
 SETTLE = ((0.6, 2.0, 0.3, 1.0), (1.2, 1.0, 1.0, 1.0))
 # A waistband does not give way. So many layers make one, unless it is an elastic; its edges become no longer than this.
 # Membranes alone, in one pass a substep, let a skirt's waistband stretch by a fifth and slide over the hips.
-BAND_LAYERS, MAX_BAND_STRETCH = 2.5, 1.0
+BAND_LAYERS, MAX_BAND_STRETCH = 2.5, 1.01
 CLEARANCE = 0.003  # of smoothed cloth from the body [m]
 EXTRA, MAX_EXTRA = (0.4, 2.0, 1.0, 1.0), 3  # more of it while something is through cloth or body
 
@@ -124,6 +124,7 @@ def _sewn(
 ) -> SewnGarment:
     """One attempt, with so many seconds for the stitches to close; see :func:`sew`."""
     coarse, fine = cuts
+    top = float(start[:, 1].max())
     bend_factor = _bend_factor(coarse)
     clock.stage = "closing seams"
     positions = close_stitches(coarse, start, body, cloth, bend_factor, seconds, clock)
@@ -138,12 +139,12 @@ def _sewn(
     mesh = _surface(pattern, fine, surfaces[1], positions)
     for stage in SETTLE:
         mesh = _drape(mesh, body, cloth, bend_factor, stage, clock)
-    sewn = _judged(pattern, body, fabric, fine, surfaces[1], mesh)
+    sewn = _judged(pattern, body, fabric, fine, surfaces[1], mesh, top)
     for _ in range(MAX_EXTRA):
         if not (sewn.figures["crossings"] or sewn.figures["inside_body"]):
             break
         mesh = _drape(_untangled(mesh, body), body, cloth, bend_factor, EXTRA, clock)
-        sewn = _judged(pattern, body, fabric, fine, surfaces[1], mesh)
+        sewn = _judged(pattern, body, fabric, fine, surfaces[1], mesh, top)
     faults = faults_of(sewn.figures)
     if faults:
         raise SewingError(faults, sewn)
@@ -262,9 +263,9 @@ def _allowance(pieces: Pieces, surface: Joined) -> Floats:
 
 
 def _judged(
-    pattern: Pattern, body: StandingBody, fabric: str, pieces: Pieces, surface: Joined, mesh: ClothMesh
+    pattern: Pattern, body: StandingBody, fabric: str, pieces: Pieces, surface: Joined, mesh: ClothMesh, top: float
 ) -> SewnGarment:
-    """A draped mesh as a garment with its figures."""
+    """A draped mesh as a garment with its figures; its pieces were arranged up to a height ``top`` [m]."""
     if not np.isfinite(mesh.vertices).all():
         raise SewingError(["the simulation that drapes the garment burst"])
     garment = Garment(
@@ -272,5 +273,6 @@ def _judged(
     )
     ends = mesh.vertices[surface.vertex[pieces.stitches]]
     gap = float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).max(initial=0.0))
-    figures = {"seam_gap_mm": 1e3 * gap} | drape_figures(garment, body)
+    slid = 100.0 * (top - float(mesh.vertices[:, 1].max()))
+    figures = {"seam_gap_mm": 1e3 * gap, "slid_cm": slid} | drape_figures(garment, body)
     return SewnGarment(garment, pieces.names, pieces.piece_of_face, surface.seams, fabric, figures)

@@ -110,7 +110,8 @@ def close_stitches(
     Returns:
         positions afterwards [m], shape (n, 3).
     """
-    plain = ClothMesh.from_pattern(positions, pieces.faces, pieces.rest, pieces.layers)
+    # Elastic bands pull only once the stitches are closed: before, they would draw a panel off its place.
+    plain = ClothMesh.from_pattern(positions, pieces.faces, pieces.flat[pieces.faces], pieces.layers)
     mesh = replace(plain, stitches=_stitch_rows(pieces), stitch_weights=np.zeros(len(pieces.stitches)))
     substep = substep_of(float(mesh.edge_lengths()[1].mean()))
     options = SolverOptions(substep=substep, gravity=(0.0, 0.0, 0.0), self_collision=True)

@@ -16,7 +16,8 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from pbd.contact.blocks import LANES, empty_blocks
-from pbd.contact.pair_search import find_pairs, turning_kernel
+from pbd.contact.pair_search import find_pairs
+from pbd.contact.pair_sides import turning_kernel
 from pbd.contact.pairs import PULL
 from pbd.contact.strain_limits import MAX_STRETCH, limit_rows
 from pbd.contact.untangling import Untangling
@@ -180,8 +181,10 @@ class SelfCollision:
         self._ahead = 1.0  # how far the last search looked [s]
         self._pulls: tuple[np.ndarray, np.ndarray] | None = None
         all_edges, lengths = mesh.edge_lengths()
-        longest = lengths * mesh.edge_limits(MAX_STRETCH)
-        self.strain_limits, self.limit_work = limit_rows(all_edges, longest, count)
+        stretch = mesh.edge_limits(MAX_STRETCH)
+        # What is tight by itself, like a waistband, lies on the body as other cloth does.
+        clearances = np.where(stretch < MAX_STRETCH, model.fabric.thickness, 0.0)
+        self.strain_limits, self.limit_work = limit_rows(all_edges, stretch * lengths, count, clearances)
         self._make_room(2 * count)
 
     def _make_room(self, count: int) -> None:

@@ -92,7 +92,23 @@ def spread(
             marks[seeds[r]] |= NEAR
             queue[last] = seeds[r]
             last += 1
-    first = 0
+    mark_rings(last, 1, start, beside, marks, queue)
+
+
+@ti.func
+def mark_rings(
+    count: ti.i32,
+    only_marked: ti.i32,
+    start: ti.template(),
+    beside: ti.template(),
+    marks: ti.template(),
+    queue: ti.template(),
+):
+    """Mark as ``NEAR`` the vertices at most ``RINGS`` edges from the first ``count`` of the queue, which are marked.
+
+    If ``only_marked``, the way leads along vertices that had a mark.
+    """
+    first, last = 0, count
     for _ in range(RINGS):
         ring = last
         while first < ring:
@@ -100,7 +116,7 @@ def spread(
             first += 1
             for r in range(start[i], start[i + 1]):
                 j = beside[r][0]
-                if marks[j] != 0 and marks[j] & NEAR == 0:
+                if marks[j] & NEAR == 0 and (only_marked == 0 or marks[j] != 0):
                     marks[j] |= NEAR
                     queue[last] = j
                     last += 1
@@ -182,18 +198,7 @@ def mark_near(
                 marks[i] |= NEAR
                 queue[last] = i
                 last += 1
-    first = 0
-    for _ in range(RINGS):
-        ring = last
-        while first < ring:
-            i = queue[first]
-            first += 1
-            for r in range(start[i], start[i + 1]):
-                j = beside[r][0]
-                if marks[j] & NEAR == 0:
-                    marks[j] |= NEAR
-                    queue[last] = j
-                    last += 1
+    mark_rings(last, 0, start, beside, marks, queue)
 
 
 @ti.func

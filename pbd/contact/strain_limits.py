@@ -19,21 +19,24 @@ NEAR_SHARE = 0.8  # share of their greatest length from which edges are near it 
 EDGES = 16  # of a block
 
 
-def limit_rows(edges: np.ndarray, longest: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+def limit_rows(
+    edges: np.ndarray, longest: np.ndarray, count: int, clearances: np.ndarray | float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
     """The limits of edges, and which blocks of edges each vertex has edges in.
 
     Args:
         edges: their ends, int, shape (e, 2).
         longest: greatest lengths [m], shape (e,).
         count: of vertices.
+        clearances: height over the body below which shortening an edge does not take its ends [m], shape (e,).
 
     Returns:
-        rows of the ends of an edge and its greatest length [m], float32, shape (e, 4);
+        rows of the ends of an edge, its greatest length and its clearance [m], float32, shape (e, 4);
         for each block the pass in which it is due, then for each vertex where its blocks begin and where the last one's
         end, then those blocks, int32, shape (k,).
     """
     limits = np.zeros((len(edges), 4), np.float32)
-    limits[:, :2], limits[:, 2] = edges, longest
+    limits[:, :2], limits[:, 2], limits[:, 3] = edges, longest, clearances
     blocks = (len(edges) + EDGES - 1) // EDGES
     block = np.repeat(np.arange(len(edges)) // EDGES, 2)
     used = np.unique(np.stack([edges.ravel(), block], axis=1), axis=0)
@@ -96,8 +99,12 @@ def solve_strain_limits(
                             longest = ti.max(limits[c][2], before.norm() - h * MAX_RETURN_SPEED)
                             move = tether_correction(offset, longest) / ti.max(p[3] + q[3], 1e-20)
                             free = p[3] * q[3] == 0.0
-                            cloth.position_delta[i] = vec4(u + along_body(i, free, -p[3] * move, t, cloth, contact))
-                            cloth.position_delta[j] = vec4(v + along_body(j, free, q[3] * move, t, cloth, contact))
+                            cloth.position_delta[i] = vec4(
+                                u + along_body(i, free, -p[3] * move, limits[c][3], t, cloth, contact)
+                            )
+                            cloth.position_delta[j] = vec4(
+                                v + along_body(j, free, q[3] * move, limits[c][3], t, cloth, contact)
+                            )
                             last = this + 1
                             for end in range(2):
                                 fall_due(ti.select(end == 0, i, j), b, this, blocks, work)
@@ -112,11 +119,13 @@ def fall_due(i: ti.i32, b: ti.i32, this: ti.i32, blocks: ti.i32, work: ti.templa
 
 
 @ti.func
-def along_body(i: ti.i32, free, move: vec3, t: ti.f32, cloth: ti.template(), contact: ti.template()) -> vec3:
-    """A move of vertex i [m], less the part of it that would go under the body's surface unless it is free to."""
+def along_body(
+    i: ti.i32, free, move: vec3, clearance: ti.f32, t: ti.f32, cloth: ti.template(), contact: ti.template()
+) -> vec3:
+    """A move of vertex i [m], less the part of it that would go below a height over the body unless it is free to."""
     allowed = move
     if not free and contact.nearest[i] >= 0:
         normal = xyz(contact.contact_points[i, 2])
         height = height_over(xyz(cloth.position[i]), i, i, i, t, cloth, contact.contact_points)
-        allowed -= ti.min(ti.max(height, 0.0) + move.dot(normal), 0.0) * normal
+        allowed -= ti.min(ti.max(height - clearance, 0.0) + move.dot(normal), 0.0) * normal
     return allowed

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
 from pbd import Fabric, InputError, State, build_model
-from pbd.bending import _disc, _flat_patch, _strip_stiffness, bends_of, hinge_calibration, hinge_rows
+from pbd.bending import _disc, _flat_patch, _strip_stiffness, bends_of, hinge_calibration, hinge_rows, layer_stiffness
 from pbd.mesh import ClothMesh, vertex_rings
 from tests.pbd.meshes import cloth, free_model, grid, icosphere, run, turn
 
@@ -163,3 +163,24 @@ def test_a_model_scales_its_hinges_by_the_factor_and_the_option() -> None:
 
 def test_a_sphere_too_curved_for_patches_keeps_a_third() -> None:
     assert hinge_calibration(cloth(*icosphere(1, 0.1))) == pytest.approx(1 / 3)
+
+
+def test_layers_weigh_and_stretch_as_many_and_bend_as_their_square() -> None:
+    vertices, faces = grid(6, 4, 0.02)
+    one, fabric = cloth(vertices, faces), Fabric()
+    models = [
+        build_model(replace(one, layers=layers), fabric, bend_factor=1 / 3) for layers in (None, np.full(48, 3.0))
+    ]
+    assert models[1].mass.sum() == pytest.approx(3.0 * models[0].mass.sum())
+    softness = [model.hinge_data[:, 1, 1] for model in models]
+    np.testing.assert_allclose(softness[0] / softness[1], 9.0, rtol=1e-5)
+    unit = [model.triangle_data[7, :48] for model in models]
+    compliance = [model.triangle_data[8, :48] / share for model, share in zip(models, unit, strict=True)]
+    np.testing.assert_allclose(compliance[0] / compliance[1], 3.0, rtol=1e-4)
+
+
+def test_a_hinge_between_one_layer_and_three_bends_like_their_mean() -> None:
+    vertices, faces = grid(1, 1, 0.02)
+    np.testing.assert_allclose(layer_stiffness(replace(cloth(vertices, faces), layers=np.array([1.0, 3.0]))), [5.0])
+    with pytest.raises(InputError, match="layers"):
+        replace(cloth(vertices, faces), layers=np.array([1.0, 0.0]))

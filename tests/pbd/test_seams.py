@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pbd import ClothMesh, Colliders, Fabric, InputError, Solver, State
+from pbd import ClothMesh, Colliders, Fabric, InputError, Solver, SolverOptions, State
 from tests.assets.panels import two_panels
 from tests.pbd.meshes import cloth, free_model, grid, run
 
@@ -105,3 +105,28 @@ def test_a_vertex_that_is_sewn_to_several_panels_holds_them_all() -> None:
         solver.step(state, Colliders(), 1 / 60, wind=air)
     assert np.ptp(state.world()[:, 2]) > 0.2
     assert gaps(mesh, state.world()).max() < 1e-3
+
+
+def test_open_stitches_close_as_they_are_told_to() -> None:
+    vertices, faces, seams = two_panels()
+    model = free_model(sewn(vertices, faces, seams), Fabric(air_drag=0.0))
+    apart = vertices.copy()
+    apart[49:, 0] += 0.1  # the second panel
+    state, solver = State.at_rest(model, apart), Solver(model, SolverOptions(gravity=(0.0, 0.0, 0.0)))
+    (v, a, b), w = model.stitches.T, model.stitch_weights[:, None]
+
+    def widest() -> float:
+        x = state.world()
+        return float(np.linalg.norm(x[v] - (1.0 - w) * x[a] - w * x[b], axis=1).max())
+
+    assert widest() == pytest.approx(0.1)
+    for before, after in ((0.2, 0.15), (0.15, 0.11)):  # wider than they are open: nothing moves
+        solver.step(state, Colliders(), 1 / 60, stitch_gaps=(np.full(len(v), before), np.full(len(v), after)))
+    assert widest() == pytest.approx(0.1, abs=1e-5)
+    for before, after in zip(np.linspace(0.1, 0.02, 9)[:-1], np.linspace(0.1, 0.02, 9)[1:], strict=True):
+        solver.step(state, Colliders(), 1 / 60, stitch_gaps=(np.full(len(v), before), np.full(len(v), after)))
+        assert widest() < after + 5e-4
+    assert widest() > 0.01
+    for _ in range(10):
+        solver.step(state, Colliders(), 1 / 60)
+    assert widest() < 5e-4

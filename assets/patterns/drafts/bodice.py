@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 
 from assets.measures import BodyMeasures
 from assets.patterns.drafts.drawing import Outline, curve, line, same_names, symmetric
-from assets.patterns.drafts.placing import Surroundings, facing, nearest_placement, points_of
+from assets.patterns.drafts.placing import CLEARANCE, Surroundings, facing, nearest_placement, points_of
 from assets.patterns.pattern import Placement, Seam, edge_length
 from pbd.errors import InputError
 
@@ -205,33 +205,47 @@ def place_sleeve(outline: Outline, measures: BodyMeasures, around: Surroundings,
     reaches_elbow = float(np.ptp(points[:, 1])) > 0.6 * measures.arm_length
     along = (places.wrist if reaches_elbow else places.elbow) * flip - start
     along /= np.linalg.norm(along)
-    if reaches_elbow:  # halfway between that line and a bent elbow
-        start = start + 0.5 * _across(places.elbow * flip - start, along)
-    rotation = facing(_across((0.5 * side, 1.0, 0.0), along), -along)
+    top_side = np.array([0.5 * side, 1.0, 0.0])
+    if reaches_elbow:
+        # Turned towards a bent elbow: so a straight tube that is open below holds the whole arm.
+        bend = _across(places.elbow * flip - start, along)
+        start = start + 0.3 * bend
+        top_side = top_side + 6.0 * bend
+    rotation = facing(_across(top_side, along), -along)
     width, top = float(np.ptp(points[:, 0])), float(points[:, 1].max())
     crest = np.array([[0.0, top]])
     crown = float((shoulder - start) @ along)
 
     reach = float((places.wrist * flip - start) @ along)
 
-    def placed(distance: float, radius: float, apart: float) -> Placement:
+    def placed(distance: float, radius: float, apart: float, below: float) -> Placement:
         # The sleeve's outer line lies along the arm, which becomes thinner, so that the hem goes around the wrist.
-        first, last = (radius - girth / (2.0 * np.pi) - apart for girth in (measures.upper_arm, measures.wrist))
+        first = radius - measures.upper_arm / (2.0 * np.pi) - apart
+        last = radius - measures.wrist / (2.0 * np.pi) - below
         axis = _unit(along - rotation[:, 2] * (last - first) / reach)
         turned = facing(_across(rotation[:, 2], axis), -axis)
         origin = start - first * rotation[:, 2] + (crown + top + distance) * axis
         return Placement(turned, origin + radius * turned[:, 2], radius)
 
+    arm = [place * flip for place in (places.arm_start, places.elbow, places.wrist)]
+    middles = np.concatenate([np.linspace(arm[k], arm[k + 1], 8) for k in (0, 1)])
+
+    def cost(placement: Placement) -> float:
+        far = float(np.linalg.norm(placement.apply(crest) - shoulder))
+        return far + _open(placement, outline) + 10.0 * max(0.03 - _held(placement, outline, middles), 0.0)
+
     return nearest_placement(
         outline.name,
         points,
         [
-            partial(placed, radius=width / (2.0 * np.pi) * k, apart=apart)
+            partial(placed, radius=width / (2.0 * np.pi) * k, apart=apart, below=below)
             for k in (1.03, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0, 2.5)
-            for apart in (0.025, 0.04, 0.06)
+            for apart in (0.015, 0.03, 0.05)
+            for below in (0.015, 0.03, 0.05)
         ],
         around,
-        lambda placement: float(np.linalg.norm(placement.apply(crest) - shoulder) + _open(placement, outline)),
+        cost,
+        clearance=0.7 * CLEARANCE,  # a bent arm leaves little room in a straight tube
     )
 
 
@@ -239,6 +253,20 @@ def _open(placement: Placement, outline: Outline) -> float:
     """How wide the sleeve's own seam is open on average [m]."""
     back, front = (placement.apply(outline.edges[f"underarm_{half}"]) for half in ("back", "front"))
     return float(np.linalg.norm(back - front[::-1], axis=1).mean())
+
+
+def _held(placement: Placement, outline: Outline, places: Floats) -> float:
+    """How far places of the arm are inside of the sleeve, if its seam closed by the shortest way [m], at least."""
+    radius = placement.bend_radius or np.inf
+    local = (places - placement.translation) @ placement.rotation
+    ends = []
+    for edge in (outline.edges["underarm_back"], outline.edges["underarm_front"][::-1]):
+        x = np.interp(local[:, 1], edge[:, 1], edge[:, 0])
+        ends.append(np.stack([radius * np.sin(x / radius), radius * np.cos(x / radius) - radius], axis=1))
+    along = ends[1] - ends[0]
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.linalg.norm(along, axis=1)[:, None]
+    across *= np.sign(-(ends[0] * across).sum(axis=1))[:, None]  # towards the sleeve's outer line
+    return float(((local[:, [0, 2]] - ends[0]) * across).sum(axis=1).min())
 
 
 def _unit(vector: Floats) -> Floats:

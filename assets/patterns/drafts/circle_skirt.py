@@ -1,25 +1,29 @@
-"""A circle skirt: two halves of a ring whose inner edge is the waist."""
+"""A circle skirt: four sectors of a ring whose inner edge is the waist."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from assets.measures import BodyMeasures
-from assets.patterns.drafts.drawing import Outline, arc, bands, check_at_least, line, number, require, same_names
+from assets.patterns.drafts.drawing import Outline, arc, bands, check_at_least, line, number, require
 from assets.patterns.drafts.placing import Surroundings, facing, nearest_placement, points_of
-from assets.patterns.pattern import Pattern, Placement
+from assets.patterns.pattern import Pattern, Placement, Seam
 from pbd.errors import InputError
 
 __all__ = ["CircleSkirt", "circle_skirt"]
 
+Floats = NDArray[np.float64]
+
 _HEM, _WAISTBAND = 0.02, 0.03  # [m]
 _WAISTBAND_LAYERS = 3.0
-_ROLLS = (0.45, 0.5, 0.55, 0.6, 0.7, 0.8, 1.0)  # radii of the roll over the panel's half width [-]
+_PANELS = ("front", "left", "back", "right")
+_ROLLS = (0.5, 0.55, 0.6, 0.65, 0.7, 0.8, 0.9, 1.0, 1.3, 2.0)  # radii of the roll over the panel's half width [-]
+_DEPTH_LESS = 0.03  # [m] by which the waist's half depth is less than its half width
 
 
 @dataclass(frozen=True)
@@ -58,56 +62,54 @@ def circle_skirt(measures: BodyMeasures, parameters: CircleSkirt) -> Pattern:
             received=p.circle,
             expected=f"more than {(m.hip - m.waist) / (2.0 * math.pi * m.waist_to_hip):.2f}",
         )
-    half = 0.5 * math.pi * p.circle  # angle on both sides of the middle
-    front = _half_ring("front", radius, length, half, "left", "right")
-    back = _half_ring("back", radius, length, half, "right", "left")
+    outlines = [_sector(panel, radius, length, 0.25 * math.pi * p.circle) for panel in _PANELS]
     around = Surroundings(m)
-    reach = float(points_of(front)[:, 0].max())
-    before = _place(front, m, around, radius, 1, [reach * share for share in _ROLLS])
-    behind = _place(back, m, around, radius, -1, [before.bend_radius])  # so that the sides hang side by side
-    panels = (front.panel(before), back.panel(behind))
-    strips = [band for outline in (front, back) for band in bands(outline, ["hem"], _HEM, 2.0)]
-    for outline in (front, back):
+    panels = tuple(outline.panel(_place(outline, m, around, number)) for number, outline in enumerate(outlines))
+    strips, seams = [], []
+    for outline, neighbour in zip(outlines, outlines[1:] + outlines[:1], strict=True):
+        seams.append(Seam(outline.edge("next"), neighbour.edge("previous")))
+        strips += bands(outline, ["hem"], _HEM, 2.0)
         strips += bands(outline, ["waist"], _WAISTBAND, _WAISTBAND_LAYERS, m.waist / (m.waist + p.ease))
-    seams = same_names(front, back, "side_left", "side_right")
     return Pattern(name, panels, tuple(seams), tuple(strips), f"draft:{name}")
 
 
-def _half_ring(name: str, radius: float, length: float, half: float, plus: str, minus: str) -> Outline:
-    """Edges hem, side (plus), waist, side (minus); the waist's circle is around the origin, the hem below."""
+def _sector(name: str, radius: float, length: float, half: float) -> Outline:
+    """Edges hem, next (towards the next panel), waist, previous; the waist's circle is around the origin."""
     down = -0.5 * math.pi
     waist, hem = arc(radius, down + half, down - half), arc(radius + length, down - half, down + half)
+    # y = 0 at the waist's middle, so that the panel is placed by it.
+    waist, hem = (edge + (0.0, radius) for edge in (waist, hem))
     return Outline(
-        name,
-        {"hem": hem, f"side_{plus}": line(hem[-1], waist[0]), "waist": waist, f"side_{minus}": line(waist[-1], hem[0])},
+        name, {"hem": hem, "next": line(hem[-1], waist[0]), "waist": waist, "previous": line(waist[-1], hem[0])}
     )
 
 
-def _place(
-    outline: Outline,
-    measures: BodyMeasures,
-    around: Surroundings,
-    radius: float,
-    side: int,
-    rolls: Sequence[float | None],
-) -> Placement:
-    """A half that lies like a saddle cloth before (side 1) or behind (-1) the waist: its sides hang down.
-
-    The axis of its roll is level and leads away from the body, so that both halves have their side seams together
-    whatever the radius of the roll is.
-    """
-    waist = measures.landmarks.waist
-    rotation = facing((0.0, 1.0, 0.0), (0.0, 0.0, -side))
+def _place(outline: Outline, measures: BodyMeasures, around: Surroundings, number: int) -> Placement:
+    """A panel that hangs before, beside or behind the waist, its sides rolled outwards to those of its neighbours."""
+    places = measures.landmarks
+    turn = 0.5 * math.pi * number  # front, left, back, right
+    outward = np.array([math.sin(turn), 0.0, math.cos(turn)])
+    lateral = np.array([math.cos(turn), 0.0, -math.sin(turn)])
+    rotation = facing(outward, (0.0, 1.0, 0.0))
+    centre = np.array([0.0, places.waist[1] + 0.01, 0.5 * (places.waist[2] + places.hip[2])])
     points = points_of(outline)
+    reach = float(points[:, 0].max())
+    # The seams lie in planes at 45 degrees; the trunk is wider than deep, so that they do not meet on its axis.
+    wider = _DEPTH_LESS if number % 2 == 0 else -_DEPTH_LESS
+
+    def beyond(placed: Floats) -> Floats:
+        """Distance of points from the nearer of both planes, inside of the panel's own quarter [m]."""
+        local = placed - centre
+        return (local @ outward + wider - np.abs(local @ lateral)) / math.sqrt(2.0)
 
     def placed(distance: float, roll: float | None) -> Placement:
-        return Placement(rotation, np.array([0.0, waist[1] + 0.03, waist[2] + side * (distance - 0.5 * radius)]), roll)
+        return Placement(rotation, centre + distance * outward, roll)
 
     return nearest_placement(
         outline.name,
         points,
-        [partial(placed, roll=roll) for roll in rolls],
+        [partial(placed, roll=-reach * share) for share in _ROLLS],
         around,
-        lambda placement: abs(float(placement.translation[2] - waist[2])),
-        lambda placed: bool((side * (placed[:, 2] - waist[2]) > 0.005).all()),
+        lambda placement: float(np.abs(beyond(placement.apply(outline.edges["next"]))).mean()),
+        lambda points: bool((beyond(points) > 0.005).all()),
     )

@@ -16,12 +16,12 @@ from pbd.errors import InputError
 
 __all__ = [
     "Outline",
+    "Point",
     "arc",
     "bands",
     "check_at_least",
     "curve",
     "line",
-    "moved",
     "number",
     "require",
     "same_names",
@@ -29,6 +29,7 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
+Point = Sequence[float] | NDArray[np.float64]
 
 _CURVE_POINTS = 33
 
@@ -79,12 +80,12 @@ def check_at_least(draft: str, name: str, value: float, least: float, reason: st
         )
 
 
-def line(*points: Sequence[float]) -> Floats:
+def line(*points: Point) -> Floats:
     """A polyline through points [m]."""
     return np.array(points, float)
 
 
-def curve(start: Sequence[float], towards: Sequence[float], end: Sequence[float], arriving: Sequence[float]) -> Floats:
+def curve(start: Point, towards: Point, end: Point, arriving: Point) -> Floats:
     """A cubic Bezier curve as a polyline [m], shape (k, 2).
 
     Args:
@@ -125,16 +126,13 @@ class Outline:
         """Length of edges together [m]."""
         return sum(edge_length(self.edges[name]) for name in names)
 
-    def mirrored(self, name: str, names: Mapping[str, str] | None = None) -> Outline:
-        """The panel for the other side of the body.
+    def mirrored(self, name: str) -> Outline:
+        """The panel for the other side of the body; its edges keep their names.
 
         Args:
             name: of the new panel.
-            names: new names of edges; the others keep theirs.
         """
-        names = names or {}
-        turned = {names.get(key, key): edge[::-1] * (-1.0, 1.0) for key, edge in reversed(self.edges.items())}
-        return Outline(name, turned)
+        return Outline(name, {key: edge[::-1] * (-1.0, 1.0) for key, edge in reversed(list(self.edges.items()))})
 
     def panel(self, placement: Placement | None) -> Panel:
         """The panel; its warp runs along its y axis."""
@@ -164,11 +162,6 @@ def symmetric(name: str, half: Mapping[str, Floats], plus: str, minus: str) -> O
 def same_names(first: Outline, second: Outline, *names: str) -> list[Seam]:
     """Seams between edges that have one name in both panels."""
     return [Seam(first.edge(name), second.edge(name)) for name in names]
-
-
-def moved(edge: Floats, x: float, y: float) -> Floats:
-    """An edge elsewhere [m]."""
-    return edge + np.array([x, y])
 
 
 def bands(outline: Outline, names: Sequence[str], width: float, layers: float, length_ratio: float = 1.0) -> list[Band]:

@@ -6,7 +6,7 @@ the one whose seams stay nearest to each other is taken.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from functools import partial
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from assets.measures import BodyMeasures
-from assets.patterns.drafts.drawing import Outline
+from assets.patterns.drafts.drawing import Outline, Point
 from assets.patterns.pattern import Placement
 from pbd.errors import InputError
 
@@ -45,16 +45,20 @@ class Surroundings:
         self._vertices, self._normals = vertices, normals
         self._body = cKDTree(vertices)
         self._panels: list[Floats] = []
+        self._panel_tree: cKDTree | None = None
 
     def add(self, points: Floats) -> None:
         """Points of a panel that stands [m], shape (n, 3)."""
         self._panels.append(points)
+        self._panel_tree = cKDTree(np.concatenate(self._panels))
 
     def clear(self, points: Floats, clearance: float) -> bool:
         """Whether points [m], shape (n, 3), are outside the body and apart from the panels."""
-        return self.room(points) >= clearance and (
-            not self._panels or cKDTree(np.concatenate(self._panels)).query(points)[0].min() >= _PANEL_CLEARANCE
-        )
+        if self._panel_tree is not None:
+            near = self._panel_tree.query(points, distance_upper_bound=_PANEL_CLEARANCE)[0]
+            if np.isfinite(near).any():
+                return False
+        return self.room(points[::7]) >= clearance and self.room(points) >= clearance  # a few points say no quickly
 
     def room(self, points: Floats) -> float:
         """Distance of the nearest of points from the body [m], negative inside."""
@@ -77,7 +81,7 @@ def points_of(outline: Outline) -> Floats:
     return np.concatenate([loop, grid[_inside(grid, loop)]])
 
 
-def facing(outward: Sequence[float], up: Sequence[float]) -> Floats:
+def facing(outward: Point, up: Point) -> Floats:
     """The rotation of a panel whose outer side looks along one direction and whose y axis lies along another."""
     z = np.asarray(outward, float) / np.linalg.norm(outward)
     y = np.asarray(up, float) - (np.asarray(up, float) @ z) * z
@@ -92,6 +96,7 @@ def nearest_placement(
     surroundings: Surroundings,
     cost: Callable[[Placement], float],
     allowed: Callable[[Floats], bool] = lambda _: True,
+    clearance: float = CLEARANCE,
 ) -> Placement:
     """The placement with the least cost that is clear of the body and of the panels that stand.
 
@@ -102,6 +107,7 @@ def nearest_placement(
         surroundings: the body and the other panels; the panel is added to them.
         cost: of a placement, such as the width of the seams that are still open [m].
         allowed: whether the points may be there at all.
+        clearance: of the panel from the body [m].
 
     Raises:
         InputError: no place is clear.
@@ -111,7 +117,7 @@ def nearest_placement(
         for distance in np.arange(0.0, _REACH, _STEP):
             placement = candidate(float(distance))
             placed = placement.apply(points)
-            if allowed(placed) and surroundings.clear(placed, CLEARANCE):
+            if allowed(placed) and surroundings.clear(placed, clearance):
                 if best is None or cost(placement) < best[0]:
                     best = cost(placement), placement
                 break

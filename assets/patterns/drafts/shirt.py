@@ -67,7 +67,7 @@ def shirt(measures: BodyMeasures, parameters: Shirt) -> Pattern:
     front_panel = bodice_panel("front", front, "left", "right")
     back_panel = bodice_panel("back", back, "right", "left")
     cuff = m.wrist + p.cuff_ease
-    hem = cuff + 0.06  # gathered into the cuff
+    hem = cuff + 0.1  # gathered into the cuff
     armholes = (back_panel.length("armhole_left"), front_panel.length("armhole_left"))
     left = sleeve_panel("left_sleeve", *armholes, _CAP_SHARE, m.upper_arm + sleeve_ease, sleeve_length, hem)
     right = left.mirrored("right_sleeve")

@@ -1,7 +1,7 @@
 """Trousers: front and back of both legs, with darts at the waist.
 
-The rules are those of a block for trousers with a straight leg (Aldrich, Metric Pattern Cutting for Women's Wear): forks
-of a twentieth and a tenth of the hip, a centre back that leans and rises so that the seat has room to sit.
+The rules are those of a block for trousers with a straight leg (Aldrich, Metric Pattern Cutting for Women's Wear):
+forks of a twentieth and a tenth of the hip, a centre back that leans and rises so that the seat has room to sit.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def trousers(measures: BodyMeasures, parameters: Trousers) -> Pattern:
     right_back = back_with(depth)
     outlines = {
         "left_front": front,
-        "right_front": front.mirrored("right_front", {}),
+        "right_front": front.mirrored("right_front"),
         "left_back": right_back.mirrored("left_back"),
         "right_back": right_back,
     }
@@ -172,13 +172,10 @@ def _panel(
     crotch = (-0.5 * width, -depth)
     hip_point = (side, -hip_depth)
     if length > knee_depth + 0.03:
-        leg = line((hem, -length), (knee, -knee_depth))
-        thigh = np.array([side - knee, knee_depth - hip_depth])
-        outside = _joined(leg, curve(leg[-1], 0.35 * _slope(leg, thigh), hip_point, (0.0, 0.4 * thigh[1])))
-        inner = line((-knee, -knee_depth), (-hem, -length))
-        inner = _joined(_inner_thigh(crotch, (-knee, -knee_depth)), inner)
+        outside, inner = _long_leg((hem, -length), (knee, -knee_depth), hip_point, crotch)
     else:  # short trousers: straight from the fork to the hem
-        outside = curve((hem, -length), (0.0, 0.3 * (length - hip_depth)), hip_point, (0.0, 0.3 * (length - hip_depth)))
+        rise = (0.0, 0.3 * (length - hip_depth))
+        outside = curve((hem, -length), rise, hip_point, rise)
         inner = line(crotch, (-hem, -length))
     upper = curve(hip_point, (0.0, 0.4 * hip_depth), top_side, (-0.3 * taken, 0.35 * hip_depth))
     # The centre runs straight to the hip's height and then curves into the fork.
@@ -197,6 +194,17 @@ def _panel(
             "inseam": inner,
         },
     )
+
+
+def _long_leg(
+    hem: tuple[float, float], knee: tuple[float, float], hip: tuple[float, float], crotch: tuple[float, float]
+) -> tuple[Floats, Floats]:
+    """Outer side from hem to hip, and inner side from fork to hem."""
+    leg = line(hem, knee)
+    thigh = np.array(hip) - knee
+    outside = _joined(leg, curve(knee, 0.35 * _slope(leg, thigh), hip, (0.0, 0.4 * thigh[1])))
+    inside = _joined(_inner_thigh(crotch, (-knee[0], knee[1])), line((-knee[0], knee[1]), (-hem[0], hem[1])))
+    return outside, inside
 
 
 def _slope(leg: Floats, thigh: Floats) -> Floats:

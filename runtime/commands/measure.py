@@ -1,0 +1,48 @@
+"""`gube measure`: girths and lengths of a body."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from runtime.report import Report
+
+__all__ = ["SUMMARY", "add_arguments", "run"]
+
+SUMMARY = "measure girths and lengths of a body as a tape does"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.add_argument(
+        "body",
+        metavar="BODY",
+        help="a character (.glb) in its bind pose, builtin:mannequin, a vertex sequence (.npz) or a surface (.obj)",
+    )
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Measure a body and print every measure."""
+    from assets.character import load_character
+    from assets.measures import measure
+    from assets.sewing.body import load_standing_body
+    from runtime.report import Report
+
+    # A character need not be closed to be measured: jointed figures have gaps.
+    rigged = options.body.startswith("builtin:") or options.body.lower().endswith((".glb", ".gltf"))
+    measures = measure(load_character(options.body) if rigged else load_standing_body(options.body))
+    figures = {}
+    for name, value in measures.values().items():
+        unit, words = ("deg", math.degrees(value)) if name == "shoulder_slope" else ("m", value)
+        shown = (
+            "could not be measured"
+            if math.isnan(value)
+            else f"{words:8.1f} deg"
+            if unit == "deg"
+            else f"{words:8.3f} m"
+        )
+        print(f"{name.replace('_', ' '):22}{shown}")
+        figures[f"{name}_{unit}"] = words
+    return Report(figures)

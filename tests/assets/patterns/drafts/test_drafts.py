@@ -1,0 +1,214 @@
+"""Drafts: sound outlines, seams that match, garments larger than the body, panels that stand clear of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import pytest
+import trimesh
+
+from assets.character import load_character
+from assets.measures import BodyMeasures, measure
+from assets.patterns.drafts import DRAFTS, draft, draft_parameters
+from assets.patterns.drafts.placing import Surroundings
+from assets.patterns.pattern import EdgeName, Pattern, edge_length
+from pbd.errors import InputError
+from tests.data import data_path
+
+WOMAN = "characters/mh_female_bandai_NC.glb"
+LENGTHS = {"tshirt": (0.45, 0.75), "shirt": (0.5, 0.8), "aline_skirt": (0.35, 0.9), "circle_skirt": (0.3, 0.9)}
+
+
+@dataclass(frozen=True, eq=False)
+class Scaled:
+    name: str
+    vertices: np.ndarray
+    faces: np.ndarray
+
+
+@cache
+def measured(body: str, size: float = 1.0) -> BodyMeasures:
+    character = load_character("builtin:mannequin" if body == "mannequin" else data_path(WOMAN))
+    return measure(Scaled(body, size * character.vertices, character.faces))
+
+
+def variant(name: str, seed: int, body: str) -> tuple[BodyMeasures, Pattern]:
+    """A garment of random size, ease and lengths."""
+    rng = np.random.default_rng([seed, DRAFTS.index(name)])
+    m = measured(body, (0.85, 1.0, 1.15)[seed % 3])
+    parameters = {"ease": rng.uniform(0.03, 0.25)}
+    low, high = LENGTHS.get(name, (0.45, 1.0))
+    if seed:
+        whole = m.waist_to_floor if name not in ("tshirt", "shirt") else m.height / 1.7
+        parameters["length"] = rng.uniform(low, high) * whole
+    if name in ("tshirt", "shirt"):
+        parameters["neck_depth"] = rng.uniform(0.06, 0.14)
+    if name == "tshirt":
+        parameters["sleeve_length"] = rng.uniform(0.36, 0.75) * m.arm_length
+    if name == "aline_skirt":
+        parameters["flare"] = rng.uniform(0.0, 0.5)
+    if name == "circle_skirt":
+        parameters["circle"] = rng.uniform(0.55, 1.0)
+    if name == "trousers":
+        parameters["leg_width"] = m.thigh * rng.uniform(1.05, 1.2)
+    return m, draft(name, m, **parameters)
+
+
+def crosses_itself(loop: np.ndarray) -> bool:
+    """Whether two edges of a closed polyline that are not neighbours cross."""
+    a, b = loop[:, None], np.roll(loop, -1, axis=0)[:, None]
+    c, d = a[:, 0][None], b[:, 0][None]
+
+    def side(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> np.ndarray:
+        return np.sign((q - p)[..., 0] * (r - p)[..., 1] - (q - p)[..., 1] * (r - p)[..., 0])
+
+    crossing = (side(a, b, c) * side(a, b, d) < 0) & (side(c, d, a) * side(c, d, b) < 0)
+    return bool(crossing.any())
+
+
+def signed_area(loop: np.ndarray) -> float:
+    after = np.roll(loop, -1, axis=0)
+    return 0.5 * float((loop[:, 0] * after[:, 1] - loop[:, 1] * after[:, 0]).sum())
+
+
+def dense(outline: np.ndarray) -> np.ndarray:
+    """Points every centimetre of a closed polyline."""
+    ring = np.concatenate([outline, outline[:1]])
+    at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(ring, axis=0), axis=1))])
+    steps = np.arange(0.0, at[-1], 0.01)
+    return np.stack([np.interp(steps, at, ring[:, k]) for k in (0, 1)], axis=1)
+
+
+def check_sound(m: BodyMeasures, pattern: Pattern) -> None:
+    for panel in pattern.panels:
+        for edge, after in zip(panel.edges, panel.edges[1:] + panel.edges[:1], strict=True):
+            assert np.abs(edge[-1] - after[0]).max() < 1e-12, panel.name
+            assert edge_length(edge) > 0.004, panel.name
+        assert not crosses_itself(panel.outline), panel.name
+        assert signed_area(panel.outline) > 0.01, panel.name
+    sewn = [edge for seam in pattern.seams for edge in seam[:2]]
+    assert len(sewn) == len(set(sewn))
+    for seam in pattern.seams:
+        ratio = edge_length(pattern.edge(seam.first)) / edge_length(pattern.edge(seam.second))
+        assert 0.97 < ratio < 1.03, seam
+    around = Surroundings(m)
+    for panel in pattern.panels:
+        assert panel.placement is not None
+        assert around.room(panel.placement.apply(dense(panel.outline))) > 0.01, panel.name
+
+
+def in_space(pattern: Pattern, name: EdgeName) -> np.ndarray:
+    placement = pattern.panel(name.panel).placement
+    assert placement is not None
+    return placement.apply(pattern.edge(name))
+
+
+def free_girth(pattern: Pattern, names: list[EdgeName]) -> float:
+    return sum(edge_length(pattern.edge(name)) for name in names)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("name", DRAFTS)
+def test_a_draft_is_sound(name: str, seed: int) -> None:
+    check_sound(*variant(name, seed, "mannequin"))
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize("body", ["mannequin", "woman"])
+@pytest.mark.parametrize("name", DRAFTS)
+def test_twenty_variants_are_sound(name: str, body: str) -> None:
+    for seed in range(20):
+        check_sound(*variant(name, seed, body))
+
+
+def test_the_chest_is_as_wide_as_bust_and_ease() -> None:
+    m = measured("mannequin")
+    for ease in (0.05, 0.20):
+        pattern = draft("tshirt", m, ease=ease)
+        under = [pattern.panel(name).edges[3][0, 0] for name in ("front", "back")]  # where the armhole begins
+        assert 2.0 * sum(under) == pytest.approx(m.bust + ease, abs=1e-9)
+
+
+def test_waists_fit_the_body() -> None:
+    """The edges of the waist, without darts, are as long as the waist."""
+    m = measured("mannequin")
+    for name in ("aline_skirt", "circle_skirt", "trousers"):
+        pattern = draft(name, m)
+        waist = [band.edge for band in pattern.bands if band.layers > 2.0]
+        assert free_girth(pattern, waist) == pytest.approx(m.waist, rel=0.025), name
+
+
+def test_the_circle_skirt_is_a_circle() -> None:
+    m = measured("mannequin")
+    pattern = draft("circle_skirt", m, ease=0.0, length=0.5)
+    hems = [band.edge for band in pattern.bands if band.layers == 2.0]
+    assert free_girth(pattern, hems) == pytest.approx(m.waist + 2.0 * np.pi * 0.5, rel=1e-3)
+
+
+def test_sleeve_caps_are_as_long_as_armholes() -> None:
+    for name in ("tshirt", "shirt"):
+        pattern = draft(name, measured("mannequin"))
+        pairs = [seam for seam in pattern.seams if {"left_sleeve"} < {seam.first.panel, seam.second.panel}]
+        assert len(pairs) == 2
+        for seam in pairs:
+            lengths = [edge_length(pattern.edge(edge)) for edge in seam[:2]]
+            assert lengths[0] == pytest.approx(lengths[1], rel=1e-6)
+
+
+def test_seams_start_nearly_closed_at_matching_ends() -> None:
+    """Ends that are sewn together are nearer to each other than the wrong ones."""
+    for name in DRAFTS:
+        pattern = draft(name, measured("mannequin"))
+        for seam in pattern.seams:
+            first, second = (in_space(pattern, edge) for edge in seam[:2])
+            assert seam.reversed
+            right = np.linalg.norm(first[0] - second[-1]) + np.linalg.norm(first[-1] - second[0])
+            wrong = np.linalg.norm(first[0] - second[0]) + np.linalg.norm(first[-1] - second[-1])
+            assert right < wrong, (name, seam)
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "words"),
+    [
+        ("tshirt", {"ease": -0.02}, "ease is too small"),
+        ("tshirt", {"length": 0.2}, "length is too small"),
+        ("shirt", {"ease": 0.0}, "ease is too small"),
+        ("shirt", {"sleeve_length": 0.9}, "longer than the arm"),
+        ("aline_skirt", {"ease": -0.1}, "ease is too small"),
+        ("aline_skirt", {"length": 2.0}, "lie on the floor"),
+        ("circle_skirt", {"circle": 2.0}, "no part of a circle"),
+        ("circle_skirt", {"circle": 0.25, "length": 0.5}, ""),
+        ("trousers", {"leg_width": 0.1}, "leg width is too small"),
+        ("trousers", {"length": 0.2}, "length is too small"),
+        ("trousers", {"ease": float("nan")}, "ease is too small"),
+        ("tshirt", {"sleeves": 3.0}, "no such parameter"),
+        ("kilt", {}, "no such draft"),
+    ],
+)
+def test_what_cannot_be_worn_is_refused(name: str, parameters: dict[str, float], words: str) -> None:
+    m = measured("mannequin")
+    if not words:  # a quarter circle is wide enough for this body
+        check_sound(m, draft(name, m, **parameters))
+        return
+    with pytest.raises(InputError, match=words):
+        draft(name, m, **parameters)
+
+
+def test_a_body_without_a_waist_wears_no_skirt_of_ours() -> None:
+    m = measured("mannequin")
+    ball = trimesh.creation.icosphere()
+    barrel = BodyMeasures(
+        **{**m.__dict__, "waist": float("nan"), "surface": Scaled("barrel", ball.vertices, ball.faces)}
+    )
+    with pytest.raises(InputError, match="body without a waist"):
+        draft("circle_skirt", barrel)
+
+
+def test_parameters_are_listed_with_units() -> None:
+    for name in DRAFTS:
+        parameters = draft_parameters(name)
+        assert parameters[0].name == "ease"
+        assert {parameter.unit for parameter in parameters} <= {"m", "-"}
+        assert all(parameter.meaning for parameter in parameters)

@@ -1,0 +1,156 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from assets.garment import boundary_loops, load_garment
+from assets.io.sewn import read_sewn, write_sewn
+from assets.measures import measure
+from assets.patterns.drafts import DRAFTS, draft
+from assets.patterns.load import load_pattern
+from assets.patterns.panel_mesh import cut
+from assets.sewing.arrangement import CLEARANCE, arranged
+from assets.sewing.body import load_standing_body
+from assets.sewing.garment import SewnGarment, drape_figures, faults_of
+from assets.sewing.pieces import pieces_of
+from assets.sewing.sewing import SewingError, arranged_pieces, sew
+from pbd.distance import BodyDistance
+from pbd.errors import InputError
+from tests.assets.sewing.tubes import egg, tube_pattern
+from tests.data import data_path
+
+
+@pytest.fixture(scope="module")
+def tube() -> SewnGarment:
+    return sew(tube_pattern(), egg(), "cotton", 0.02)
+
+
+def test_a_tube_is_sewn_and_hangs_where_it_fits(tube: SewnGarment) -> None:
+    garment, figures = tube.garment, tube.figures
+    assert faults_of(figures) == []
+    assert len(boundary_loops(garment.faces)) == 2
+    assert garment.pattern is not None and garment.layers is not None
+    sides = garment.pattern[:, 1:] - garment.pattern[:, :1]
+    assert np.isclose(0.5 * np.linalg.det(sides).sum(), 0.6 * 0.1)  # the flat metric is that of the pattern
+    assert figures["tension_p99"] < 0.05
+    # The egg is as wide as the tube 0.27 m below or 0.03 m below the origin: the tube is caught at the upper place.
+    lowest = garment.vertices[:, 1].min()
+    assert -0.1 < lowest < 0.02
+    away = BodyDistance(egg().faces).signed_distance(garment.vertices, egg().vertices)
+    assert away.min() > 0.0
+
+
+def test_seams_and_bands_are_thicker(tube: SewnGarment) -> None:
+    garment = tube.garment
+    assert garment.layers is not None and garment.pattern is not None
+    middle = garment.pattern.mean(axis=1)  # (warp, weft): along the height, and from the middle to the seams
+    plain = (middle[:, 0] < 0.06) & (np.abs(middle[:, 1]) < 0.12)
+    np.testing.assert_allclose(garment.layers[plain], 1.0)
+    assert garment.layers[(middle[:, 0] > 0.085) & (np.abs(middle[:, 1]) < 0.12)].min() > 1.5
+    assert garment.layers[(middle[:, 0] < 0.06) & (np.abs(middle[:, 1]) > 0.142)].min() > 1.3
+
+
+def test_a_tube_that_is_too_small_says_so() -> None:
+    pole = replace(egg(), vertices=egg().vertices * [1.0, 6.0, 1.0])  # from which it cannot slide
+    with pytest.raises(SewingError, match="stays open|too small"):
+        sew(tube_pattern(girth=0.4), pole, "cotton", 0.025)
+
+
+def test_faults_name_what_is_wrong(tube: SewnGarment) -> None:
+    vertices = tube.garment.vertices.copy()
+    vertices[:10] = vertices[:10].mean(axis=0) * [0.0, 1.0, 0.0]
+    vertices[:10] += 1e-3 * np.arange(10)[:, None]
+    broken = replace(tube.garment, vertices=vertices)
+    faults = faults_of({"seam_gap_mm": 3.0, "slid_cm": 80.0} | drape_figures(broken, egg()))
+    assert "a seam stays open by 3.0 mm" in faults
+    assert "it slid down by 80 cm: nothing holds it" in faults
+    assert any("inside the body" in fault for fault in faults)
+
+
+def test_pieces_without_a_place_lie_beside_what_they_are_sewn_to() -> None:
+    pieces, start = arranged_pieces(tube_pattern(placed=False), egg(), 0.02)
+    ends = start[pieces.stitches]
+    assert np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).max() < 0.35
+    assert BodyDistance(egg().faces).signed_distance(start, egg().vertices).min() >= CLEARANCE
+
+
+def test_pieces_that_nothing_places_are_refused() -> None:
+    pieces = pieces_of(cut(tube_pattern(), 0.02))
+    with pytest.raises(InputError, match="front, back: pieces without a place"):
+        arranged(pieces, [None, None], egg())
+
+
+def test_a_piece_in_the_body_is_moved_out() -> None:
+    pattern = tube_pattern()
+    front = pattern.panels[0]
+    assert front.placement is not None
+    deep = replace(front, placement=replace(front.placement, translation=np.array([0.0, 0.0, 0.02])))
+    _, start = arranged_pieces(replace(pattern, panels=(deep, pattern.panels[1])), egg(), 0.02)
+    assert BodyDistance(egg().faces).signed_distance(start, egg().vertices).min() >= CLEARANCE
+
+
+def test_a_file_holds_the_whole_garment(tube: SewnGarment, tmp_path: Path) -> None:
+    path = tmp_path / "tube.npz"
+    write_sewn(path, tube)
+    found = read_sewn(path)
+    assert (found.panel_names, found.fabric) == (("front", "back"), "cotton")
+    for name in ("vertices", "faces", "pattern", "layers"):
+        np.testing.assert_array_equal(getattr(found.garment, name), getattr(tube.garment, name))
+    np.testing.assert_array_equal(found.seams, tube.seams)
+    np.testing.assert_array_equal(load_garment(path).vertices, tube.garment.vertices)
+
+
+def _with(**changes: np.ndarray) -> Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]]:
+    return lambda arrays: arrays | changes
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda arrays: {key: value for key, value in arrays.items() if key != "layers"}, "layers: a missing key"),
+        (_with(format=np.array(99)), "another version.*99"),
+        (_with(layers=np.zeros(3)), "layers: a bad array"),
+        (_with(vertices=np.full((4, 3), np.nan)), "vertices"),
+        (lambda arrays: arrays | {"faces": arrays["faces"] + 10_000}, "faces: a number out of range"),
+        (lambda arrays: arrays | {"pattern": arrays["pattern"][:, ::-1]}, "pattern, face 0.*counter-clockwise"),
+        (_with(fabric=np.array({"a": 1}, dtype=object)), "damaged|no arrays"),
+    ],
+)
+def test_bad_files_are_refused(
+    tube: SewnGarment, tmp_path: Path, change: Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]], message: str
+) -> None:
+    path = tmp_path / "tube.npz"
+    write_sewn(path, tube)
+    with np.load(path) as archive:
+        arrays = change(dict(archive))
+    np.savez(path, **arrays)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=message):
+        read_sewn(path)
+
+
+def test_a_body_must_be_closed(tmp_path: Path) -> None:
+    path = tmp_path / "sheet.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    with pytest.raises(InputError, match="not closed"):
+        load_standing_body(path)
+    with pytest.raises(InputError, match="unknown kind of body"):
+        load_standing_body(tmp_path / "body.stl")
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize("name", ["shirt_mean", "dress_pencil"])
+def test_patterns_of_garmentcode_come_out_whole(name: str) -> None:
+    pattern = load_pattern(data_path(f"patterns/{name}_specification.json"))
+    sew(pattern, load_standing_body(data_path("patterns/mean_all.obj")), "cotton", 0.01)
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize("name", DRAFTS)
+@pytest.mark.parametrize("body", ["builtin:mannequin", "characters/mh_female_bandai_NC.glb"])
+def test_drafts_come_out_whole(name: str, body: str) -> None:
+    figure = load_standing_body(body if body.startswith("builtin") else data_path(body))
+    sew(draft(name, measure(figure)), figure, "cotton", 0.01)
