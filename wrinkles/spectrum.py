@@ -112,15 +112,26 @@ class BandedEnergy:
         order = Dissection(stiffness)
         self._filters = [_Butterworth(stiffness, self._mass, length, order, np.complex64) for length in self.cutoffs]
 
-    def energy(self, vertices: np.ndarray) -> np.ndarray:
+    def energy(self, vertices: np.ndarray, where: np.ndarray | None = None) -> np.ndarray:
         """Bending energy in each band, per unit of bending stiffness [-], shape (f, b).
 
         Args:
             vertices: positions [m], shape (f, n, 3).
+            where: bool, shape (n,); curvature counts at these vertices only. None counts all.
         """
+        counted = np.ones(len(self._mass)) if where is None else np.asarray(where, float)
         frames = np.asarray(vertices, float).reshape(-1, len(self._mass), 3)
         parts = (frames[start : start + _CHUNK_FRAMES] for start in range(0, len(frames), _CHUNK_FRAMES))
-        return np.concatenate([self._energy_of_part(part) for part in parts])
+        return np.concatenate([self._energy_of_part(part, counted) for part in parts])
+
+    def curvature(self, vertices: np.ndarray) -> np.ndarray:
+        """Length of the curvature vector at each vertex [1/m], shape (n,); vertices: [m], shape (n, 3)."""
+        return np.linalg.norm(self._curvature @ np.asarray(vertices, float), axis=1)
+
+    @property
+    def areas(self) -> np.ndarray:
+        """Area around each vertex [m2], shape (n,)."""
+        return self._mass
 
     def amplitude(self, energy: np.ndarray) -> np.ndarray:
         """Amplitude of a plane wave over the whole mesh that has the energy of the band [m], shape of the energies.
@@ -148,9 +159,9 @@ class BandedEnergy:
         counted = truth > _MIN_ENERGY_SHARE * truth.sum()
         return {self.names[band]: float(test[band] / truth[band]) for band in np.flatnonzero(counted)}
 
-    def _energy_of_part(self, frames: np.ndarray) -> np.ndarray:
+    def _energy_of_part(self, frames: np.ndarray, counted: np.ndarray) -> np.ndarray:
         """Bending energy in each band of a few frames, shape (f, n, 3) to (f, b)."""
-        curvature = self._curvature @ frames.transpose(1, 0, 2).reshape(len(self._mass), -1)
+        curvature = counted[:, None] * (self._curvature @ frames.transpose(1, 0, 2).reshape(len(self._mass), -1))
         weighted = self._mass[:, None] * curvature
         columns = [(weighted * curvature).sum(axis=0), *(low_pass.kept(weighted) for low_pass in self._filters)]
         total, *over = (0.5 * column.reshape(-1, 3).sum(axis=1) for column in columns)

@@ -100,7 +100,8 @@ class GarmentSettings:
         seams: path of the stitches between the mesh's panels: a .csv file with the columns v, a, b, w.
         coarse_vertices: about how many vertices the coarse mesh gets; the mesh is then the fine one, bound to the
             subdivided coarse mesh. None where the mesh itself is the coarse one.
-        subdivisions: how often the coarse mesh is subdivided for the fine one.
+        subdivisions: how often the coarse mesh is subdivided for the fine one; None where the folds of the fabric
+            decide, see :func:`runtime.garment_setup.with_subdivisions`.
         attach: boundary vertices that the body carries: "top" (the highest loop), "none", or numbers of loops.
         attach_vertices: more vertices that the body carries.
         pins: vertices fixed in space.
@@ -117,13 +118,19 @@ class GarmentSettings:
     ease: tuple[float, float] = entry(pair(at_least=-0.5, at_most=2.0), (0.0, 0.0))
     seams: Path | None = entry(file_path(".csv"), None)
     coarse_vertices: int | None = entry(whole(at_least=50), None)
-    subdivisions: int = entry(whole(at_least=1), 2)
+    subdivisions: int | None = entry(whole(at_least=1), None)
     attach: str | tuple[int, ...] = entry(_ATTACH, "none")
     attach_vertices: tuple[int, ...] = entry(indices(), ())
     pins: tuple[int, ...] = entry(indices(), ())
     limits: Path | None = entry(file_path(".csv"), None)
     thickness: float | None = entry(number(above=0, unit="m"), None)
     pressure: float = entry(number(unit="Pa"), 0.0)
+
+    @property
+    def subdivision_count(self) -> int:
+        """``subdivisions`` of a scene in which they are named or chosen."""
+        assert self.subdivisions is not None, "with_subdivisions chooses them"
+        return self.subdivisions
 
     def __post_init__(self) -> None:
         if self.seams is not None and self.coarse_vertices is None:

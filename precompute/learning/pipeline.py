@@ -331,7 +331,7 @@ def _finished(
         coarse_vertices=levels.coarse.vertices,
         coarse_faces=levels.coarse.faces,
         rest_shape=coarse.rest_shape or RestShapeCorrection.none(levels.coarse.faces),
-        subdivisions=settings.subdivisions,
+        subdivisions=settings.subdivision_count,
         held=levels.coarse_held.astype(np.int32),
         limits=levels.coarse_limits,
         warp=(0.0, 1.0, 0.0),

@@ -50,10 +50,11 @@ def run(options: argparse.Namespace) -> Report:
     from runtime.report import Report
 
     scene = load_scene(options.scene)
+    from runtime.garment_setup import body_of, simulation_of, with_subdivisions
+
     if options.explain:
-        print(scene_text(scene), end="")
+        print(scene_text(with_subdivisions(scene)), end="")
         return Report()
-    from runtime.garment_setup import body_of, simulation_of
     from runtime.play import BAKED, simulated_frames, write_baked
 
     output = options.output or Path("out") / f"{options.scene.stem}.glb"

@@ -16,7 +16,7 @@ from assets.procedural.builtin import builtin_garment
 from pbd import DistanceField, InputError, Plane
 from pbd.attachment import Attachment
 from precompute.wrinkle_comparison.baselines import middle_levels
-from runtime.garment_setup import GarmentSetup, colliders_of, fabrics_of, motion_of, simulation_of
+from runtime.garment_setup import GarmentSetup, colliders_of, fabrics_of, motion_of, simulation_of, with_subdivisions
 from runtime.player import Player
 from runtime.simulation import poses_of
 from tests.assets.panels import two_panels
@@ -184,6 +184,22 @@ def skirt_with(folder: Path, keys: str, more: str = "", rows: str = "") -> Scene
     (folder / "limits.csv").write_text("vertex,maximum_distance,backstop,stiffness\n" + rows)
     text = f'[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\nattach = "top"\nsubdivisions = 1\n{keys}\n'
     return parse_scene(text + f'[character]\nfile = "builtin:mannequin"\nclip = "twirl"\n{more}', folder / "scene.toml")
+
+
+@pytest.mark.parametrize(("keys", "expected"), [("", 2), ('fabric = "silk"', 2), ("subdivisions = 1", 1)])
+def test_subdivisions_follow_from_the_fabric_unless_they_are_named(keys: str, expected: int) -> None:
+    scene = parse_scene(f'[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\n{keys}\n')
+    assert with_subdivisions(scene).garments[0].subdivisions == expected
+
+
+def test_softer_fabrics_need_finer_meshes() -> None:
+    def needed(bend: float, more: str = "") -> int | None:
+        fabric = f"fabric = {{ areal_density = 0.2, bend_warp = {bend}, bend_weft = {bend} }}"
+        scene = parse_scene(f'[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\n{fabric}\n{more}')
+        return with_subdivisions(scene).garments[0].subdivisions
+
+    assert [needed(bend) for bend in (1e-3, 3e-5, 1e-6, 0.0)] == [1, 2, 3, 3]
+    assert needed(1e-3, '[training]\nfabrics = ["silk"]\n') == 2
 
 
 def test_ease_reaches_both_meshes_of_a_scene(tmp_path: Path) -> None:

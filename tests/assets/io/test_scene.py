@@ -133,7 +133,7 @@ def test_a_scene_without_a_file_of_its_own_is_read_in_the_working_folder(load, t
 def test_a_short_scene_has_the_defaults(load) -> None:
     scene = load(SKIRT)
     (skirt,) = scene.garments
-    assert (skirt.mesh, skirt.subdivisions, skirt.attach, skirt.fabric) == ("builtin:skirt", 2, "none", Fabric())
+    assert (skirt.mesh, skirt.subdivisions, skirt.attach, skirt.fabric) == ("builtin:skirt", None, "none", Fabric())
     assert scene.character is None
     assert scene.solver.gravity == (0.0, -9.81, 0.0)
 
