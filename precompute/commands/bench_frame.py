@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--against",
         type=Path,
         metavar="CHECKOUT",
-        help="play the database in turns with the code in another folder, and print the times of both (default: no other)",
+        help="also play it in turns with the code in another folder and print only the times of both (default: none)",
     )
 
 
