@@ -228,10 +228,7 @@ class Subdivision:
         coarse = ClothMesh.from_pattern(coarse_vertices, self.coarse_faces, pattern, layers)
         corners = pattern
         for _ in self.steps:
-            a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-            ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-            parts = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
-            corners = np.stack([np.stack(p, axis=1) for p in parts], axis=1).reshape(-1, 3, 2)
+            corners = cut_corners(corners)
         if layers is not None:
             layers = np.repeat(layers, 4 ** len(self.steps))
         return coarse, ClothMesh.from_pattern(self.upsample(coarse_vertices), self.cut, corners, layers)
