@@ -60,8 +60,9 @@ def eased(
     if len(body_faces):
         vertices = push_outside(vertices, body_vertices, body_faces, _CLEARANCE)
         _check_size(garment, vertices, wanted, ease)
-    # Patterns count (weft, warp), see wrinkles.binding.
-    pattern = None if garment.pattern is None else garment.pattern * scale[::-1]
+    # The pattern of a sewn garment counts (warp, weft), texture coordinates count (weft, warp), see wrinkles.binding.
+    by_axis = scale if garment.layers is not None else scale[::-1]
+    pattern = None if garment.pattern is None else garment.pattern * by_axis
     return replace(garment, vertices=vertices, pattern=pattern)
 
 

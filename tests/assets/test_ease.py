@@ -83,3 +83,7 @@ def test_a_flat_pattern_is_scaled_alike() -> None:
     made = eased(replace(garment, pattern=corners), (0.2, 0.1), np.zeros(0, int), *NOBODY)
     assert made.pattern is not None
     np.testing.assert_allclose(made.pattern, corners * [1.2, 1.1])
+    sewn = replace(garment, pattern=corners[:, :, ::-1], layers=np.ones(len(flat)))  # counts (warp, weft)
+    made = eased(sewn, (0.2, 0.1), np.zeros(0, int), *NOBODY)
+    assert made.pattern is not None
+    np.testing.assert_allclose(made.pattern, corners[:, :, ::-1] * [1.1, 1.2])
