@@ -27,6 +27,7 @@ from pbd.attachment import push_outside, smooth_normals
 from pbd.bending import hinge_calibration
 from pbd.contact.strain_limits import MAX_STRETCH
 from pbd.crossings import crossings
+from pbd.errors import InputError
 from pbd.fabric import Fabric
 from pbd.mesh import ClothMesh, vertex_rings
 
@@ -35,6 +36,10 @@ __all__ = ["COARSE_EDGE", "SewingError", "arranged_pieces", "sew"]
 Floats = NDArray[np.float64]
 
 COARSE_EDGE = 0.025  # of the cut on which the stitches are closed [m]
+EDGES = (
+    0.002,
+    0.05,
+)  # that can be asked for [m]: below, a garment has over a million vertices; above, a sleeve has no round
 CLOSING_TIMES = (1.0, 2.0)  # tried one after the other [s]
 MAX_CLOSING_GAP = 0.02  # between two stitched vertices when they become one [m]
 SEAM_ALLOWANCE = 0.01  # of cloth on both sides of a seam that is folded back under it [m]
@@ -46,8 +51,6 @@ SETTLE = ((0.6, 2.0, 0.3, 1.0), (1.2, 1.0, 1.0, 1.0))
 BAND_LAYERS, MAX_BAND_STRETCH = 2.5, 1.01
 CLEARANCE = 0.003  # of smoothed cloth from the body [m]
 EXTRA, MAX_EXTRA = (0.4, 2.0, 1.0, 1.0), 3  # more of it while something is through cloth or body
-
-
 LIFT, MAX_LIFTS = 0.0005, 20  # of cloth off the body at a time [m], and how often
 SMOOTHED_RINGS, SMOOTHINGS = 6, 4  # around places where cloth is through itself, and how often
 
@@ -82,9 +85,12 @@ def sew(
         report: called with lines of progress.
 
     Raises:
-        InputError: a pattern that cannot be cut, arranged or joined, or a bad fabric.
+        InputError: a pattern that cannot be cut, arranged or joined, a bad fabric or edge length.
         SewingError: the garment is not whole.
     """
+    if not EDGES[0] <= edge_length <= EDGES[1]:
+        expected = f"{EDGES[0]:g} to {EDGES[1]:g} m"
+        raise InputError("edges that no garment has", key="edge", received=edge_length, expected=expected)
     cloth = load_fabric(fabric)
     coarse_edge = max(COARSE_EDGE, edge_length)
     coarse, start = arranged_pieces(pattern, body, coarse_edge)

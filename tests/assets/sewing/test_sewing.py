@@ -141,6 +141,12 @@ def test_a_body_must_be_closed(tmp_path: Path) -> None:
         load_standing_body(tmp_path / "body.stl")
 
 
+@pytest.mark.parametrize("edge", [0.0, 0.001, 0.2, float("nan")])
+def test_edges_that_no_garment_has_are_refused(edge: float) -> None:
+    with pytest.raises(InputError, match=r"edge: .*0\.002 to 0\.05"):
+        sew(tube_pattern(), egg(), "cotton", edge)
+
+
 @pytest.mark.proof
 @pytest.mark.parametrize("name", ["shirt_mean", "dress_pencil"])
 def test_patterns_of_garmentcode_come_out_whole(name: str) -> None:
