@@ -227,5 +227,5 @@ def _side_by_side(
 ROWS = (
     Row("drape_cipc", "dress sewn from its pattern: octaves of curvature against an IPC solver's drape", _drape_cipc,
         0.25, 0.25, {"bend_share": Parameter("bending over Young's modulus [-]", BEND_SHARE, 0.01, 10.0)},
-        best_solvers=("default",)),
+        best_solvers=("default",), refines=False),
 )  # fmt: skip

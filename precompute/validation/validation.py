@@ -208,7 +208,8 @@ def _settings(search: _Search, solvers: Sequence[str], resolution: int | None) -
     substeps is lost is not refined: that takes minutes.
     """
     first = TrialSetting(edges=resolution or TrialSetting.edges)
-    refined = () if resolution or "edges" in search.row.parameters else (FINER * first.edges,)
+    given = resolution or "edges" in search.row.parameters or not search.row.refines
+    refined = () if given else (FINER * first.edges,)
     for solver in solvers:
         for edges in (first.edges, *refined):
             setting = replace(first, solver=solver, edges=edges)

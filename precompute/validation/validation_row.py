@@ -67,6 +67,7 @@ class Row:
         parameters: the ones that the user may set.
         cases: values that the table has; one empty case for a test without any.
         best_solvers: tried in this order for the best column.
+        refines: whether the specimen has a finer mesh for more edges; not if its mesh is given.
     """
 
     name: str
@@ -77,6 +78,7 @@ class Row:
     parameters: Mapping[str, Parameter | Choice] = field(default_factory=dict)
     cases: Sequence[Mapping[str, Any]] = ({},)
     best_solvers: Sequence[str] = ("default", "fem-stvk/quasi-static")
+    refines: bool = True
 
     def run(self, setting: TrialSetting, case: Mapping[str, Any]) -> TrialResult:
         """Measure one case; parameters that it does not name are at their defaults."""

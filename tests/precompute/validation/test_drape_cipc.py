@@ -1,4 +1,5 @@
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -6,6 +7,7 @@ import pytest
 
 from precompute.validation import drape_cipc
 from precompute.validation.drape_cipc import SECTIONS, compare_drapes, folds_of, outermost_radius
+from precompute.validation.trial import TrialResult, TrialSetting
 from precompute.validation.validation import ROWS, validate
 
 
@@ -52,13 +54,28 @@ def test_without_the_data_nothing_is_measured(monkeypatch: pytest.MonkeyPatch, t
     assert not result.passed_best and "GUBE_DATA" in result.reason
 
 
+def test_a_given_mesh_is_not_run_again_as_a_finer_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried = []
+
+    def hopeless(setting: TrialSetting) -> TrialResult:
+        tried.append(setting.edges)
+        return TrialResult(1.0, 2.0, 1.0, 0.1)
+
+    given = replace(ROWS["drape_cipc"], measure=hopeless, parameters={})
+    validate(given, {})
+    assert set(tried) == {TrialSetting.edges}
+    tried.clear()
+    validate(replace(given, refines=True), {})
+    assert len(set(tried)) == 2
+
+
 @pytest.mark.proof
 def test_the_dress_closes_and_hangs_as_an_ipc_solver_drapes_it(monkeypatch: pytest.MonkeyPatch) -> None:
     data = Path(os.environ.get("GUBE_DATA") or "../shared/data")
     if not (data / "garments" / "cipc_dress_draped.obj").exists():
         pytest.skip(f"the dress is not in {data} (GUBE_DATA)")
     monkeypatch.setattr(drape_cipc, "_side_by_side", lambda *_: None)
-    result = ROWS["drape_cipc"].run(drape_cipc.TrialSetting(substeps=24), {})
+    result = ROWS["drape_cipc"].run(TrialSetting(substeps=24), {})
     assert result.figures["seam gap [mm]"] < 0.5
     # The shortest octave is left out: the panels do not touch one another, and the tops of the pleats crumple.
     longer = [v for name, v in result.figures.items() if name.startswith("octave") and "under" not in name]
