@@ -213,13 +213,13 @@ def _sewn(
 def _side_by_side(
     drape: Floats, reference: Floats, faces: NDArray[np.int32], body: tuple[Floats, NDArray[np.int32]]
 ) -> NDArray[np.uint8]:
-    from runtime.pictures import BODY_COLOR, Drawn, frame_camera, render, strip
+    from runtime.pictures import Drawn, frame_camera, render, strip
 
     columns = []
     for azimuth in (20.0, 110.0, 200.0):
-        camera = frame_camera(reference[None], azimuth_deg=azimuth)[0]
+        camera = frame_camera(np.concatenate([drape, reference])[None], azimuth_deg=azimuth)[0]
         columns.append(
-            [render([Drawn(*body, BODY_COLOR), Drawn(some, faces)], camera, (500, 500)) for some in (drape, reference)]
+            [render([Drawn.body(*body), Drawn(some, faces)], camera, (500, 500)) for some in (drape, reference)]
         )
     return strip(columns, ["front", "side", "back"], ["gube", "IPC"])
 
