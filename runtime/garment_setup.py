@@ -60,8 +60,6 @@ __all__ = [
 ]
 
 EDGE_SHARE = 0.6  # mean edge over the gravity length of the fabric, at which folds of a skirt have converged [-]
-    0.6  # mean edge over the gravity length of the fabric, at which a skirt's folds have converged in space [-]
-)
 MOST_SUBDIVISIONS = 3  # that a scene gets without naming them
 DELIVERED_SUBDIVISIONS = 2  # of the coarse mesh under a delivered fine mesh
 PROCEDURAL_PIECE = 20.0  # procedural motion is made in pieces of this length [s], each with a seed of its own
@@ -352,8 +350,8 @@ def with_subdivisions(scene: Scene) -> Scene:
     """The scene with the subdivisions that the folds of its fabrics need, where a garment does not name them.
 
     Folds of a skirt change by less than 10 % with a finer mesh where the mean edge is at most ``EDGE_SHARE`` of the
-    fabric's gravity length; crumpled cloth needs more (``gube bench space``). The softest of the fabrics that the garment is learned in counts.
-    A delivered fine mesh is as fine as it is.
+    fabric's gravity length; crumpled cloth needs more (``gube bench space``). The softest of the fabrics that the
+    garment is learned in counts. A delivered fine mesh is as fine as it is.
 
     Raises:
         InputError: a mesh that cannot be loaded.
