@@ -16,7 +16,7 @@ from pbd import ClothMesh, InputError, Limits
 from pbd.attachment import Attachment, push_outside
 from pbd.bending import hinge_rows
 from wrinkles.binding import Binding
-from wrinkles.surface import Subdivision
+from wrinkles.surface import SewnRest, Subdivision
 
 __all__ = ["MAX_AREA_CORRECTION", "Levels", "build_levels", "held_between", "levels_of", "with_area_of"]
 
@@ -116,7 +116,7 @@ def build_levels(
     warp: tuple[float, float, float] = (0.0, 1.0, 0.0),
     binding: Binding | None = None,
     limits: Limits | None = None,
-    sewn: tuple[np.ndarray, np.ndarray | None] | None = None,
+    sewn: SewnRest | None = None,
 ) -> Levels:
     """Make the two levels of a garment: push it out of the body in the bind pose, refine it and attach it.
 
@@ -130,7 +130,7 @@ def build_levels(
         warp: direction of the warp in space, shape (3,).
         binding: of a delivered fine mesh, if there is one.
         limits: how far coarse vertices may move from where the body carries them.
-        sewn: pattern and layers of a sewn garment, see :meth:`wrinkles.surface.Subdivision.sewn_meshes`.
+        sewn: how a sewn garment rests; None for any other, which rests as its mesh.
 
     Raises:
         InputError: a number of levels outside 1..4, or a subdivided mesh whose area differs by more than 2 %.
@@ -158,7 +158,7 @@ def levels_of(
     warp: tuple[float, float, float] = (0.0, 1.0, 0.0),
     binding: Binding | None = None,
     limits: Limits | None = None,
-    sewn: tuple[np.ndarray, np.ndarray | None] | None = None,
+    sewn: SewnRest | None = None,
 ) -> Levels:
     """Make the levels of a garment that is outside the body already; arguments as for :func:`build_levels`.
 
@@ -169,7 +169,7 @@ def levels_of(
     if sewn is None:
         coarse, fine = subdivision.meshes(vertices, warp)
     else:
-        coarse, fine = subdivision.sewn_meshes(vertices, *sewn)
+        coarse, fine = subdivision.sewn_meshes(vertices, sewn)
     coarse, ratio = with_area_of(coarse, fine)
     if binding is None and abs(ratio - 1.0) > MAX_AREA_CORRECTION:
         expected = f"1 within {100.0 * MAX_AREA_CORRECTION:g} %"
