@@ -155,11 +155,6 @@ class WrinkleDatabase:
         return vertices
 
     @property
-    def wrinkle_gain(self) -> float:
-        """Factor by which calibration scaled the mapping's coefficients [-]; 1 where the file holds none."""
-        return self.quality.get("wrinkle_gain", 1.0)
-
-    @property
     def subdivision(self) -> Subdivision:
         """The subdivision from the coarse to the fine mesh."""
         return Subdivision.of(self.coarse_faces, len(self.coarse_vertices), self.subdivisions, self.binding)

@@ -25,10 +25,8 @@ __all__ = ["MAX_AREA_CORRECTION", "Levels", "build_levels", "held_between", "lev
 CLEARANCE = 0.003
 MAX_AREA_DIFFERENCE = 0.005  # share by which the rest areas of coarse and fine mesh may differ; more is corrected,
 MAX_AREA_CORRECTION = 0.02  # and more than this share is refused: the coarse mesh is then too coarse
-# The cut-off between coarse and fine is the shortest fold that a coarse mesh represents well, but no shorter than the
-# folds that the dictionary is made for. These are about six times the length (B / (rho_A g))^(1/3) of ordinary cloth.
-MIN_CUTOFF_EDGES = 3.0  # in mean coarse edges
-MIN_CUTOFF = 0.12  # [m]
+# The cut-off between coarse and fine is the shortest fold that a coarse mesh represents well.
+CUTOFF_EDGES = 3.0  # in mean coarse edges
 
 
 @dataclass(frozen=True)
@@ -63,7 +61,7 @@ class Levels:
     @property
     def cutoff(self) -> float:
         """Wavelength at which the coarse mesh keeps half of a fold's amplitude [m]."""
-        return max(MIN_CUTOFF_EDGES * float(self.coarse.edge_lengths()[1].mean()), MIN_CUTOFF)
+        return CUTOFF_EDGES * float(self.coarse.edge_lengths()[1].mean())
 
     @property
     def rest_vertices(self) -> np.ndarray:

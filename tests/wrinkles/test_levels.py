@@ -11,7 +11,7 @@ from tests.pbd.meshes import grid
 from tests.runtime.players import skirt_stage
 from tests.wrinkles.meshes import flat_sheet, icosphere
 from wrinkles.charts import fine_places
-from wrinkles.levels import MIN_CUTOFF, Levels, build_levels
+from wrinkles.levels import Levels, build_levels
 
 NOBODY = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
 EDGE = 0.05
@@ -35,7 +35,7 @@ def wave(levels: Levels, wavelength: float, axis: int) -> np.ndarray:
 def test_the_filter_halves_folds_of_the_cutoff_wavelength(
     sheet: Levels, waves: float, tolerance: float, axis: int
 ) -> None:
-    assert sheet.cutoff == pytest.approx(3 * EDGE, rel=0.01) and sheet.cutoff > MIN_CUTOFF
+    assert sheet.cutoff == pytest.approx(3 * EDGE, rel=0.01)
     shape = wave(sheet, waves * sheet.cutoff, axis)
     fine = sheet.fine.vertices.copy()
     fine[:, 2] += 0.003 * shape
@@ -142,6 +142,6 @@ def test_levels_go_to_another_process_without_their_factors(sheet: Levels) -> No
     assert np.array_equal(other.filter_down(fine), before)
 
 
-def test_a_finer_mesh_does_not_shorten_the_cutoff() -> None:
-    levels = build_levels(*grid(8, 8, 0.02, "equilateral"), np.array([], int), *NOBODY, 1)
-    assert levels.cutoff == MIN_CUTOFF
+def test_the_cutoff_follows_the_mesh() -> None:
+    levels = [build_levels(*grid(8, 8, edge, "equilateral"), np.array([], int), *NOBODY, 1) for edge in (0.01, 0.04)]
+    assert levels[0].cutoff == pytest.approx(0.25 * levels[1].cutoff) == pytest.approx(0.03, rel=0.01)
