@@ -39,6 +39,7 @@ class Levels:
         coarse_held, fine_held: attached vertices, int, shapes (p,), (P,).
         coarse_attachment, fine_attachment: bind the attached vertices to the body; empty without a body.
         coarse_limits, fine_limits: how far vertices may move from where the body carries them.
+        sewn: how a sewn garment rests; None for any other.
         pattern: place of each corner of each coarse face in the flat pattern, for pictures [m], shape (m, 3, 2); None
             where there is none, or where a delivered fine mesh has it.
     """
@@ -52,6 +53,7 @@ class Levels:
     fine_attachment: Attachment
     coarse_limits: Limits
     fine_limits: Limits
+    sewn: SewnRest | None = None
     pattern: np.ndarray | None = None
 
     def __getstate__(self) -> dict:
@@ -164,10 +166,7 @@ def levels_of(
         InputError: a subdivided mesh whose area differs by more than 2 %.
     """
     subdivision = Subdivision.of(faces, len(vertices), levels, binding)
-    if sewn is None:
-        coarse, fine = subdivision.meshes(vertices, warp)
-    else:
-        coarse, fine = subdivision.sewn_meshes(vertices, sewn)
+    coarse, fine = subdivision.meshes(vertices, warp, sewn)
     coarse, ratio = with_area_of(coarse, fine)
     if binding is None and abs(ratio - 1.0) > MAX_AREA_CORRECTION:
         expected = f"1 within {100.0 * MAX_AREA_CORRECTION:g} %"
@@ -178,7 +177,8 @@ def levels_of(
     attachments = [Attachment.bind(points, body_vertices, body_faces) for points in carried]
     limits = limits or Limits.none()
     fine_limits = limits.between(subdivision.matrix) if len(limits.vertices) else limits
-    return Levels(subdivision, coarse, fine, held, fine_held, attachments[0], attachments[1], limits, fine_limits)
+    pattern = None if sewn is None else sewn.pattern
+    return Levels(subdivision, coarse, fine, held, fine_held, *attachments, limits, fine_limits, sewn, pattern)
 
 
 def with_area_of(coarse: ClothMesh, fine: ClothMesh) -> tuple[ClothMesh, float]:

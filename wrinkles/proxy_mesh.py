@@ -71,6 +71,7 @@ def proxy_mesh_of(levels: Levels, warp: tuple[float, float, float] = (0.0, 1.0, 
         vertices, face, place = _bound(plain, surface, middle.faces, chosen, coarse.vertices, weight)
         matrix = (_weights(plain, face, place) @ plain.matrix).tocsr()
         mesh = _in_metric(vertices, plain.coarse_faces, coarse, middle, abs(matrix), warp)
+        mesh = _sewn_as(coarse, mesh, abs(matrix))
         hinges_of(mesh.faces)
     except (InputError, ValueError):  # too little is left of straps and of scattered small parts
         return None
@@ -159,3 +160,25 @@ def _in_metric(
     flat = flatten_by_lengths(mesh.flat, faces, lengths * longer[own].mean(axis=1), side_edge)
     mesh = replace(mesh, flat=flat)
     return replace(mesh, flat=flat * np.sqrt(coarse.face_areas.sum() / mesh.face_areas.sum()))
+
+
+def _sewn_as(coarse: ClothMesh, mesh: ClothMesh, near: csr_matrix) -> ClothMesh:
+    """The mesh with the layers of the coarse one, and all their cloth, and with waistbands that hold.
+
+    Args:
+        coarse: the coarse mesh.
+        mesh: of which the coarse vertices depend.
+        near: size of each coarse vertex's weight on each vertex, shape (n, k).
+    """
+    if coarse.layers is not None:
+        layers = (near.T @ (coarse.vertex_cloth_areas / coarse.vertex_areas)) / np.asarray(near.sum(axis=0)).ravel()
+        layers = layers[mesh.faces].mean(axis=1)
+        layers *= coarse.face_cloth_areas.sum() / (mesh.face_areas @ layers)
+        mesh = replace(mesh, layers=layers)
+    if coarse.max_stretch is not None:
+        limits = np.full(len(coarse.vertices), np.inf)
+        np.minimum.at(limits, coarse.faces.ravel(), np.repeat(coarse.max_stretch, 3))
+        # The longer faces of this mesh belong to a band where they have an edge in it.
+        ends = limits[near.toarray().argmax(axis=0)][mesh.faces]
+        mesh = replace(mesh, max_stretch=np.sort(ends, axis=1)[:, 1])
+    return mesh

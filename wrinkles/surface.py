@@ -242,19 +242,10 @@ class Subdivision:
         """
         return splu((self.matrix.T @ self.matrix).tocsc()).solve(self.matrix.T @ np.asarray(fine, float))
 
-    def sewn_meshes(self, coarse_vertices: np.ndarray, rest: SewnRest) -> tuple[ClothMesh, ClothMesh]:
-        """Make the coarse and the fine mesh of a sewn garment, which rest as its pattern does.
-
-        Args:
-            coarse_vertices: [m], shape (n, 3).
-            rest: of the coarse faces.
-        """
-        fine = rest.subdivided(len(self.steps))
-        vertices = np.asarray(coarse_vertices, float)
-        return rest.mesh(vertices, self.coarse_faces), fine.mesh(self.upsample(vertices), self.cut)
-
-    def meshes(self, coarse_vertices: np.ndarray, warp: tuple = (0.0, 1.0, 0.0)) -> tuple[ClothMesh, ClothMesh]:
-        """Make the coarse and the fine mesh with one rest metric, that of the smooth fine mesh.
+    def meshes(
+        self, coarse_vertices: np.ndarray, warp: tuple = (0.0, 1.0, 0.0), sewn: SewnRest | None = None
+    ) -> tuple[ClothMesh, ClothMesh]:
+        """Make the coarse and the fine mesh with one rest metric: that of the smooth fine mesh, or of a sewn pattern.
 
         A coarse edge is as long as the fine edges along it, so that both meshes have the same area; the straight edge
         itself is shorter than the cloth. With a delivered fine mesh, coarse edges take the lengths of its pattern, see
@@ -263,8 +254,12 @@ class Subdivision:
         Args:
             coarse_vertices: [m], shape (n, 3).
             warp: direction of the warp in space, shape (3,).
+            sewn: how the coarse faces of a sewn garment rest; the warp is then that of the pattern.
         """
         fine_vertices = self.upsample(coarse_vertices)
+        if sewn is not None:
+            coarse = sewn.mesh(np.asarray(coarse_vertices, float), self.coarse_faces)
+            return coarse, sewn.subdivided(len(self.steps)).mesh(fine_vertices, self.cut)
         if self.binding is None:
             smooth, fine = fine_vertices, ClothMesh.from_surface(fine_vertices, self.cut, warp)
         else:
