@@ -61,8 +61,8 @@ def load_garment(path: str | PathLike[str], *, pattern: bool = False) -> Garment
     order of vertices and faces stays.
 
     Args:
-        path: the file; or "builtin:flag", "builtin:skirt", "builtin:tablecloth" or "builtin:tshirt" for one of the
-            built-in clothes, which have a pattern of their own where they need one.
+        path: the file; or "builtin:skirt" for one of the built-in clothes
+            (:data:`assets.procedural.builtin.BUILTIN_GARMENTS`), which have a pattern of their own.
         pattern: whether the texture coordinates are a flat pattern in metres.
 
     Raises:
