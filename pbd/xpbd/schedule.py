@@ -365,11 +365,11 @@ def hold_bands(
     step: ti.template(),
 ):  # fmt: skip
     """Let waistbands hold where the cloth does not collide with itself; t in [0, 1] of the frame."""
-    limits = ti.static(constraints.strain_limits)
-    work = ti.static(constraints.limit_work)
-    if limits.shape[0] > 0:
+    if constraints.strain_limits.shape[0] > 0:
         if workers.first():
-            solve_strain_limits(cloth, contact, limits, work, BAND_PASSES, step.h, t)
+            solve_strain_limits(
+                cloth, contact, constraints.strain_limits, constraints.limit_work, BAND_PASSES, step.h, t
+            )
         workers.barrier()
 
 

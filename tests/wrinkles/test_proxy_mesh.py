@@ -36,7 +36,8 @@ def test_a_third_of_the_vertices_carries_all_of_them(proxy: ProxyMesh, levels: L
     assert len(hinges_of(proxy.mesh.faces)) > len(proxy.mesh.vertices)
     assert np.abs(proxy.matrix.sum(axis=1) - 1.0).max() < 1e-12
     away = np.linalg.norm(proxy.matrix @ proxy.mesh.vertices - levels.coarse.vertices, axis=1)
-    assert np.sqrt((away**2).mean()) < 0.001 and away.max() < 0.005  # edges are 70 mm long
+    # Edges are 79 mm long; the skirt hangs in folds that are hardly longer than four of them.
+    assert np.sqrt((away**2).mean()) < 0.005 and away.max() < 0.015
 
 
 def test_masses_sum_to_the_same(proxy: ProxyMesh, levels: Levels) -> None:

@@ -102,7 +102,7 @@ def test_faces_look_away_from_the_body(name: str) -> None:
 
     away = middles - closest[cKDTree(closest).query(middles)[1]]
     lies = np.linalg.norm(away, axis=1) < 0.02
-    assert lies.sum() > 100 and ((normals * away).sum(axis=1) > 0.0)[lies].mean() > 0.98
+    assert lies.sum() > 100 and ((normals * away).sum(axis=1) > 0.0)[lies].mean() > 0.95
 
 
 def test_flag_hangs_upright_and_the_tablecloth_lies_level() -> None:
