@@ -37,7 +37,7 @@ class ProxyMesh:
         mesh: the mesh, with the rest metric and the total area of the coarse mesh.
         held: its attached vertices, int, shape (p,).
         matrix: gives coarse vertices from those of the mesh; rows sum to one, shape (n, k).
-        inverse: gives vertices of the mesh from coarse ones, by least squares over the area; inverse @ matrix is the
+        inverse: gives vertices of the mesh from coarse ones, by least squares over its cloth; inverse @ matrix is the
             identity, shape (k, n).
         nearest: the coarse vertex that depends most on each vertex of the mesh, int, shape (k,).
         leading: the vertex of the mesh that each coarse vertex depends on most, int32, shape (n,).
@@ -75,7 +75,7 @@ def proxy_mesh_of(levels: Levels, warp: tuple[float, float, float] = (0.0, 1.0, 
         hinges_of(mesh.faces)
     except (InputError, ValueError):  # too little is left of straps and of scattered small parts
         return None
-    area = diags(coarse.vertex_areas)
+    area = diags(coarse.vertex_cloth_areas)  # as its mass, so that momentum stays the same
     inverse = splu((matrix.T @ area @ matrix).tocsc()).solve((matrix.T @ area).toarray())
     size = np.abs(matrix.toarray())
     at = np.flatnonzero(np.isin(chosen, held))

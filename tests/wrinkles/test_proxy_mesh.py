@@ -51,7 +51,7 @@ def test_what_is_bound_comes_back_as_it_was(proxy: ProxyMesh, levels: Levels) ->
     rng = np.random.default_rng(0)
     own = proxy.mesh.vertices + 0.01 * rng.standard_normal(proxy.mesh.vertices.shape)
     assert np.abs(proxy.inverse @ (proxy.matrix @ own) - own).max() < 1e-12
-    velocity, mass = rng.standard_normal(levels.coarse.vertices.shape), levels.coarse.vertex_areas
+    velocity, mass = rng.standard_normal(levels.coarse.vertices.shape), levels.coarse.vertex_cloth_areas
     kept = proxy.matrix @ (proxy.inverse @ velocity)
     assert mass @ kept == pytest.approx(mass @ velocity, abs=1e-12)
     assert np.abs(proxy.matrix @ (proxy.inverse @ np.ones(len(mass))) - 1.0).max() < 1e-9
