@@ -178,7 +178,8 @@ def levels_of(
     limits = limits or Limits.none()
     fine_limits = limits.between(subdivision.matrix) if len(limits.vertices) else limits
     pattern = None if sewn is None else sewn.pattern
-    return Levels(subdivision, coarse, fine, held, fine_held, *attachments, limits, fine_limits, sewn, pattern)
+    one, two = attachments
+    return Levels(subdivision, coarse, fine, held, fine_held, one, two, limits, fine_limits, sewn, pattern)
 
 
 def with_area_of(coarse: ClothMesh, fine: ClothMesh) -> tuple[ClothMesh, float]:
