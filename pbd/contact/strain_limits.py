@@ -5,6 +5,8 @@ blocks. The first pass looks at all, and each pass after it at the blocks beside
 """
 
 import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
 
 from pbd.contact.response import height_over, substep_start
 from pbd.engine import ti
@@ -46,18 +48,26 @@ def limit_rows(
     return limits, np.concatenate([np.zeros(blocks, int), starts, used[:, 1]]).astype(np.int32)
 
 
-def strain_limits(mesh: ClothMesh, thickness: float, bands_only: bool = False) -> tuple[np.ndarray, np.ndarray]:
+def strain_limits(
+    mesh: ClothMesh, thickness: float, bands_without: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """The limits of a mesh's edges, see :func:`limit_rows`.
 
     Args:
         mesh: the garment.
         thickness: kept from the body [m]. Edges that are tight by themselves, like a waistband's, keep it as well.
-        bands_only: whether edges that have the usual limit are left out.
+        bands_without: vertices that something else holds, int, shape (p,). With them, edges that have the usual limit
+            are left out, and so are bands with any of these vertices: what is carried stays without a limit.
     """
     edges, lengths = mesh.edge_lengths()
     stretch = mesh.edge_limits(MAX_STRETCH)
     tight = stretch < MAX_STRETCH
-    rows = tight if bands_only else np.ones(len(edges), bool)
+    rows = np.ones(len(edges), bool)
+    if bands_without is not None:
+        count = len(mesh.vertices)
+        graph = csr_matrix((np.ones(tight.sum()), tuple(edges[tight].T)), (count, count))
+        _, band = connected_components(graph, directed=False)
+        rows = tight & ~np.isin(band, band[bands_without])[edges[:, 0]]
     clearances = np.where(tight, thickness, 0.0)
     return limit_rows(edges[rows], (stretch * lengths)[rows], len(mesh.vertices), clearances[rows])
 

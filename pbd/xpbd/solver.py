@@ -156,7 +156,7 @@ class Solver:
     def _workspace(self) -> dict[str, np.ndarray]:
         """Arguments of the kernels that hold nothing between two frames."""
         count, samples = self.model.vertex_count, len(self.model.samples)
-        limits, limit_work = strain_limits(self.model.mesh, self.model.fabric.thickness, bands_only=True)
+        limits, limit_work = strain_limits(self.model.mesh, self.model.fabric.thickness, self.model.held)
         return {
             **{name: np.zeros((count, 4), np.float32) for name in ("position_delta", "velocity_delta", "normals")},
             "contact_points": np.zeros((samples, 3, 4), np.float32),
@@ -166,7 +166,7 @@ class Solver:
             "max_approach": self._max_approach,
             "air": self._air,
             "steps": self._steps,
-            # Where the cloth does not collide with itself, its bands alone have limits of stretch:
+            # Where the cloth does not collide with itself, the bands that nothing carries have limits of stretch:
             "pairs": np.zeros((1, 4), np.int32),
             "pair_data": np.zeros((1, 2, 4), np.float32),
             "ready_pairs": np.zeros(2, np.int32),
