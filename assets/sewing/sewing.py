@@ -22,10 +22,9 @@ from assets.sewing.arrangement import arranged
 from assets.sewing.body import StandingBody
 from assets.sewing.garment import SewnGarment, body_crossings, drape_figures, faults_of
 from assets.sewing.pieces import Joined, Pieces, carried_over, join, pieces_of
-from assets.sewing.simulation import Clock, close_stitches, drape
+from assets.sewing.simulation import HELD, Clock, band_limits, close_stitches, drape, substep_of
 from pbd.attachment import push_outside, smooth_normals
 from pbd.bending import hinge_calibration
-from pbd.contact.strain_limits import MAX_STRETCH
 from pbd.crossings import crossings
 from pbd.errors import InputError
 from pbd.fabric import Fabric
@@ -46,9 +45,6 @@ SEAM_ALLOWANCE = 0.01  # of cloth on both sides of a seam that is folded back un
 # Stages of draping: seconds, damping [1/s], share of the fabric's friction, share of gravity.
 HANG = (1.2, 2.0, 0.3, 1.0)
 SETTLE = ((0.6, 2.0, 0.3, 1.0), (1.2, 1.0, 1.0, 1.0))
-# A waistband does not give way. So many layers make one, unless it is an elastic; its edges become no longer than this.
-# Membranes alone, in one pass a substep, let a skirt's waistband stretch by a fifth and slide over the hips.
-BAND_LAYERS, MAX_BAND_STRETCH = 2.5, 1.01
 CLEARANCE = 0.003  # of smoothed cloth from the body [m]
 EXTRA, MAX_EXTRA = (0.4, 2.0, 1.0, 1.0), 3  # more of it while something is through cloth or body
 LIFT, MAX_LIFTS = 0.0005, 20  # of cloth off the body at a time [m], and how often
@@ -219,9 +215,7 @@ def _untangled(mesh: ClothMesh, body: StandingBody) -> ClothMesh:
 
 def _work(coarse: Pieces, fine: Pieces, seconds: float, coarse_edge: float, edge_length: float) -> float:
     """Work of one attempt as :class:`Clock` counts it."""
-    from assets.sewing.simulation import CLOSED_SHARE, substep_of
-
-    first = (1.0 + CLOSED_SHARE) * seconds + HANG[0]
+    first = seconds + HELD + HANG[0]
     return len(coarse.flat) * first / substep_of(coarse_edge) + len(fine.flat) * sum(
         stage[0] for stage in SETTLE
     ) / substep_of(edge_length)
@@ -255,8 +249,7 @@ def _surface(pattern: Pattern, pieces: Pieces, surface: Joined, positions: Float
     rest = _along_grain(pattern, pieces)
     layers = pieces.layers + _allowance(pieces, surface)
     mesh = ClothMesh.from_pattern(surface.means(positions), surface.faces, rest, layers)
-    plain = np.abs(pieces.rest - pieces.flat[pieces.faces]).max(axis=(1, 2)) < 1e-9
-    return replace(mesh, max_stretch=np.where(plain & (pieces.layers >= BAND_LAYERS), MAX_BAND_STRETCH, MAX_STRETCH))
+    return replace(mesh, max_stretch=band_limits(pieces.layers))
 
 
 def _along_grain(pattern: Pattern, pieces: Pieces) -> Floats:
