@@ -15,7 +15,7 @@ from scipy.sparse import csr_matrix, diags
 from scipy.spatial import cKDTree
 
 from assets.fabrics import load_fabric
-from assets.garment import Garment
+from assets.garment import Garment, boundary_loops
 from assets.patterns.panel_mesh import cut
 from assets.patterns.pattern import Pattern
 from assets.sewing.arrangement import arranged
@@ -127,7 +127,7 @@ def _sewn(
 ) -> SewnGarment:
     """One attempt, with so many seconds for the stitches to close; see :func:`sew`."""
     coarse, fine = cuts
-    top = float(start[:, 1].max())
+    top = _top(surfaces[0].means(start), surfaces[0].faces)
     bend_factor = _bend_factor(coarse)
     clock.stage = "closing seams"
     positions = close_stitches(coarse, start, body, cloth, bend_factor, seconds, clock)
@@ -142,11 +142,12 @@ def _sewn(
     mesh = _surface(pattern, fine, surfaces[1], positions)
     for stage in SETTLE:
         mesh = _drape(mesh, body, cloth, bend_factor, stage, clock)
-    for rest in range(MAX_EXTRA, -1, -1):
-        sewn = _judged(pattern, body, fabric, fine, surfaces[1], _untangled(mesh, body), top)
-        if not rest or not any(sewn.figures[name] for name in ("crossings", "inside_body", "body_crossings")):
+    sewn = _judged(pattern, body, fabric, fine, surfaces[1], mesh, top)
+    for _ in range(MAX_EXTRA):
+        if not any(sewn.figures[name] for name in ("crossings", "inside_body", "body_crossings")):
             break
-        mesh = _drape(mesh, body, cloth, bend_factor, EXTRA, clock)
+        mesh = _drape(_untangled(mesh, body), body, cloth, bend_factor, EXTRA, clock)
+        sewn = _judged(pattern, body, fabric, fine, surfaces[1], mesh, top)
     faults = faults_of(sewn.figures)
     if faults:
         raise SewingError(faults, sewn)
@@ -194,6 +195,7 @@ def _untangled(mesh: ClothMesh, body: StandingBody) -> ClothMesh:
 
     Contact brings sheets back that are through one another. A crease that is folded into itself, as gathers are, has no
     right side; the smooth surface over it has one. Patches of one ring of vertices are tried first, then larger ones.
+    It is no state of rest: the cloth has to settle afterwards.
     """
     starts, ring = vertex_rings(mesh.faces, len(mesh.vertices))
     around = csr_matrix((np.ones(len(ring)), ring, starts), (len(mesh.vertices),) * 2)
@@ -284,10 +286,15 @@ def _allowance(pieces: Pieces, surface: Joined) -> Floats:
     return share
 
 
+def _top(vertices: Floats, faces: NDArray[np.int32]) -> float:
+    """Mean height of the uppermost opening [m]: a waist, a neckline."""
+    return max((float(vertices[loop, 1].mean()) for loop in boundary_loops(faces)), default=float(vertices[:, 1].max()))
+
+
 def _judged(
     pattern: Pattern, body: StandingBody, fabric: str, pieces: Pieces, surface: Joined, mesh: ClothMesh, top: float
 ) -> SewnGarment:
-    """A draped mesh as a garment with its figures; its pieces were arranged up to a height ``top`` [m]."""
+    """A draped mesh as a garment with its figures; its upper opening was arranged at a height ``top`` [m]."""
     if not np.isfinite(mesh.vertices).all():
         raise SewingError(["the simulation that drapes the garment burst"])
     mesh = _cleared(mesh, body)
@@ -296,6 +303,6 @@ def _judged(
     )
     ends = mesh.vertices[surface.vertex[pieces.stitches]]
     gap = float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).max(initial=0.0))
-    slid = 100.0 * (top - float(mesh.vertices[:, 1].max()))
+    slid = 100.0 * (top - _top(mesh.vertices, surface.faces))
     figures = {"seam_gap_mm": 1e3 * gap, "slid_cm": slid} | drape_figures(garment, body)
     return SewnGarment(garment, pieces.names, pieces.piece_of_face, surface.seams, fabric, figures)

@@ -260,7 +260,9 @@ def _held(placement: Placement, outline: Outline, places: Floats) -> float:
     radius = placement.bend_radius or np.inf
     local = (places - placement.translation) @ placement.rotation
     ends = []
-    for edge in (outline.edges["underarm_back"], outline.edges["underarm_front"][::-1]):
+    for name in ("underarm_back", "underarm_front"):
+        edge = outline.edges[name]
+        edge = edge[np.argsort(edge[:, 1])]  # upwards, in a mirrored panel too
         x = np.interp(local[:, 1], edge[:, 1], edge[:, 0])
         ends.append(np.stack([radius * np.sin(x / radius), radius * np.cos(x / radius) - radius], axis=1))
     along = ends[1] - ends[0]
