@@ -129,8 +129,7 @@ def close_stitches(
     cloth = _ClothOnBody(mesh, replace(fabric, friction=0.0), body, options, bend_factor)
     v, a, _ = cloth.model.stitches.T  # in an order of its own
     gaps = np.linalg.norm(positions[v] - positions[a], axis=1)
-    frames = round(seconds / FRAME)
-    shares = np.clip(1.0 - np.arange(frames + round(HELD / FRAME) + 1) / frames, 0.0, 1.0)
+    shares = np.clip(1.0 - np.arange(round((seconds + HELD) / FRAME) + 1) * FRAME / seconds, 0.0, 1.0)
     for before, after in zip(shares[:-1], shares[1:], strict=True):
         cloth.step(CLOSING_DAMPING, (before * gaps, after * gaps))
         clock.add(len(positions) * FRAME / substep)

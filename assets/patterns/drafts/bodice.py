@@ -25,6 +25,8 @@ Floats = NDArray[np.float64]
 
 _LEAST_CAP = 0.05  # height of a sleeve's cap over its armhole [-]
 _LEAST_UNDERARM = 0.03  # length of a sleeve's own seam [m]
+_MOST_SQUEEZE = 0.3  # of a sleeve along the arm before it is sewn [-]
+_BOW_STEPS = 6  # until a place on the arm finds its line of the sleeve; each one leaves at most that share of the error
 _SIDE_DART_DEPTH = 0.045  # of the dart's upper end below the armhole [m]
 
 
@@ -205,18 +207,15 @@ def place_sleeve(outline: Outline, measures: BodyMeasures, around: Surroundings,
     reaches_elbow = float(np.ptp(points[:, 1])) > 0.6 * measures.arm_length
     along = (places.wrist if reaches_elbow else places.elbow) * flip - start
     along /= np.linalg.norm(along)
-    top_side = np.array([0.5 * side, 1.0, 0.0])
-    if reaches_elbow:
-        # Turned towards a bent elbow: so a straight tube that is open below holds the whole arm.
-        bend = _across(places.elbow * flip - start, along)
-        start = start + 0.3 * bend
-        top_side = top_side + 6.0 * bend
-    rotation = facing(_across(top_side, along), -along)
+    rotation = facing(_across((0.5 * side, 1.0, 0.0), along), -along)
+    # The arm from beyond the wrist upwards: how far it is along that line, and beside it.
+    arm = np.array([2.0 * places.wrist - places.elbow, places.wrist, places.elbow, places.arm_start]) * flip
+    stations = (arm - start) @ along
+    beside = arm - start - stations[:, None] * along
     width, top = float(np.ptp(points[:, 0])), float(points[:, 1].max())
     crest = np.array([[0.0, top]])
     crown = float((shoulder - start) @ along)
-
-    reach = float((places.wrist * flip - start) @ along)
+    reach = float(stations[1])
 
     def placed(distance: float, radius: float, apart: float, below: float) -> Placement:
         # The sleeve's outer line lies along the arm, which becomes thinner, so that the hem goes around the wrist.
@@ -225,10 +224,13 @@ def place_sleeve(outline: Outline, measures: BodyMeasures, around: Surroundings,
         axis = _unit(along - rotation[:, 2] * (last - first) / reach)
         turned = facing(_across(rotation[:, 2], axis), -axis)
         origin = start - first * rotation[:, 2] + (crown + top + distance) * axis
-        return Placement(turned, origin + radius * turned[:, 2], radius)
+        # Away from the shoulder it is pushed together along the arm: a hem over the hand would catch the fingers.
+        squeeze = min(distance / reach, _MOST_SQUEEZE)
+        before = stations / (1.0 - squeeze)
+        bow = np.column_stack([crown + top + distance - before, beside - squeeze * before[:, None] * axis])
+        return Placement(turned, origin + radius * turned[:, 2], radius, bow)
 
-    arm = [place * flip for place in (places.arm_start, places.elbow, places.wrist)]
-    middles = np.concatenate([np.linspace(arm[k], arm[k + 1], 8) for k in (0, 1)])
+    middles = np.concatenate([np.linspace(arm[k], arm[k + 1], 8) for k in (1, 2)])
 
     def cost(placement: Placement) -> float:
         far = float(np.linalg.norm(placement.apply(crest) - shoulder))
@@ -245,7 +247,7 @@ def place_sleeve(outline: Outline, measures: BodyMeasures, around: Surroundings,
         ],
         around,
         cost,
-        clearance=0.7 * CLEARANCE,  # a bent arm leaves little room in a straight tube
+        clearance=0.7 * CLEARANCE,  # a narrow sleeve leaves little room
     )
 
 
@@ -259,6 +261,10 @@ def _held(placement: Placement, outline: Outline, places: Floats) -> float:
     """How far places of the arm are inside of the sleeve, if its seam closed by the shortest way [m], at least."""
     radius = placement.bend_radius or np.inf
     local = (places - placement.translation) @ placement.rotation
+    flat = local
+    for _ in range(_BOW_STEPS):
+        flat = local - placement.moves(flat[:, 1]) @ placement.rotation
+    local = flat
     ends = []
     for name in ("underarm_back", "underarm_front"):
         edge = outline.edges[name]

@@ -126,7 +126,9 @@ def check(title: str, variants: list[Variant]) -> None:
         times.append(seconds)
         words = " ".join(f"{key} {value:.3f}" for key, value in variant[0].items())
         print(f"{number:2d} {words} {seconds:5.1f} s {reason or 'whole'}", flush=True)
-    print(f"{title}: {whole} of {len(variants)} whole; {np.median(times):.1f} s, at most {max(times):.1f} s", flush=True)
+    print(
+        f"{title}: {whole} of {len(variants)} whole; {np.median(times):.1f} s, at most {max(times):.1f} s", flush=True
+    )
     assert whole >= LEAST_WHOLE
 
 
