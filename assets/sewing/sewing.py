@@ -43,7 +43,12 @@ CLOSING_TIMES = (1.0, 2.0)  # tried one after the other [s]
 MAX_CLOSING_GAP = 0.02  # between two stitched vertices when they become one [m]
 SEAM_ALLOWANCE = 0.01  # of cloth on both sides of a seam that is folded back under it [m]
 # Stages of draping: seconds, damping [1/s], share of the fabric's friction, share of gravity.
-HANG = (1.2, 2.0, 0.3, 1.0)
+HANG = (0.4, 2.0, 0.3, 1.0)
+TIGHTENING = (
+    1 / 3,
+    2 / 3,
+    1.0,
+)  # shares of an elastic's shortening, while it hangs: at once, a cuff snaps into the wrist
 SETTLE = ((0.6, 2.0, 0.3, 1.0), (1.2, 1.0, 1.0, 1.0))
 CLEARANCE = 0.003  # of smoothed cloth from the body [m]
 EXTRA, MAX_EXTRA = (0.4, 2.0, 1.0, 1.0), 3  # more of it while something is through cloth or body
@@ -133,9 +138,10 @@ def _sewn(
     positions = close_stitches(coarse, start, body, cloth, bend_factor, seconds, clock)
     _check_closed(pattern, coarse, positions)
     clock.stage = "draping"
-    mesh = _surface(pattern, coarse, surfaces[0], positions)
-    mesh = _drape(mesh, body, cloth, bend_factor, HANG, clock)
-    positions = mesh.vertices[surfaces[0].vertex]
+    for tightness in TIGHTENING:
+        mesh = _surface(pattern, coarse, surfaces[0], positions, tightness)
+        mesh = _drape(mesh, body, cloth, bend_factor, HANG, clock)
+        positions = mesh.vertices[surfaces[0].vertex]
     if fine is not coarse:
         positions = carried_over(coarse, positions, fine)
         bend_factor = _bend_factor(fine)
@@ -217,7 +223,7 @@ def _untangled(mesh: ClothMesh, body: StandingBody) -> ClothMesh:
 
 def _work(coarse: Pieces, fine: Pieces, seconds: float, coarse_edge: float, edge_length: float) -> float:
     """Work of one attempt as :class:`Clock` counts it."""
-    first = seconds + HELD + HANG[0]
+    first = seconds + HELD + len(TIGHTENING) * HANG[0]
     return len(coarse.flat) * first / substep_of(coarse_edge) + len(fine.flat) * sum(
         stage[0] for stage in SETTLE
     ) / substep_of(edge_length)
@@ -246,9 +252,10 @@ def _check_closed(pattern: Pattern, pieces: Pieces, positions: Floats) -> None:
         raise SewingError([f"a seam at {names} stays open by {1e3 * gaps.max():.0f} mm"])
 
 
-def _surface(pattern: Pattern, pieces: Pieces, surface: Joined, positions: Floats) -> ClothMesh:
-    """The garment as one surface at given positions of the pieces."""
-    rest = _along_grain(pattern, pieces)
+def _surface(pattern: Pattern, pieces: Pieces, surface: Joined, positions: Floats, tightness: float = 1.0) -> ClothMesh:
+    """The garment as one surface at given positions of the pieces, its elastics shortened by a share."""
+    cut_rest = pieces.flat[pieces.faces]
+    rest = _along_grain(pattern, replace(pieces, rest=cut_rest + tightness * (pieces.rest - cut_rest)))
     layers = pieces.layers + _allowance(pieces, surface)
     mesh = ClothMesh.from_pattern(surface.means(positions), surface.faces, rest, layers)
     return replace(mesh, max_stretch=band_limits(pieces.layers))

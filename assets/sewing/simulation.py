@@ -61,7 +61,7 @@ class Clock:
 
 
 def band_limits(layers: Floats) -> Floats:
-    """Greatest length of each face's edges over their rest length [-], shape (m,): waistbands and cuffs do not give way.
+    """Greatest length of each face's edges over their rest length [-], shape (m,): bands do not give way.
 
     Args:
         layers: of cloth in each face, shape (m,).

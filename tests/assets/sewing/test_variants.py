@@ -6,6 +6,7 @@ them: parameters, seconds, and whole or the reason.
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -119,16 +120,16 @@ def outcome(variant: Variant) -> tuple[str, float]:
 
 def check(title: str, variants: list[Variant]) -> None:
     whole, times = 0, []
-    print(f"\n{title}")
+    sys.stdout.write(f"\n{title}\n")
     for number, variant in enumerate(variants):
         reason, seconds = outcome(variant)
         whole += not reason
         times.append(seconds)
         words = " ".join(f"{key} {value:.3f}" for key, value in variant[0].items())
-        print(f"{number:2d} {words} {seconds:5.1f} s {reason or 'whole'}", flush=True)
-    print(
-        f"{title}: {whole} of {len(variants)} whole; {np.median(times):.1f} s, at most {max(times):.1f} s", flush=True
-    )
+        sys.stdout.write(f"{number:2d} {words} {seconds:5.1f} s {reason or 'whole'}\n")
+        sys.stdout.flush()
+    seconds = f"{np.median(times):.1f} s, at most {max(times):.1f} s"
+    sys.stdout.write(f"{title}: {whole} of {len(variants)} whole; {seconds}\n")
     assert whole >= LEAST_WHOLE
 
 
