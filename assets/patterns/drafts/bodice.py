@@ -15,11 +15,18 @@ from scipy.optimize import brentq
 
 from assets.measures import BodyMeasures
 from assets.patterns.drafts.drawing import Outline, curve, line, same_names, symmetric
-from assets.patterns.drafts.placing import CLEARANCE, Surroundings, facing, nearest_placement, points_of
-from assets.patterns.pattern import Placement, Seam, edge_length
+from assets.patterns.drafts.placing import (
+    CLEARANCE,
+    Surroundings,
+    facing,
+    nearest_placement,
+    place_on_trunk,
+    points_of,
+)
+from assets.patterns.pattern import Panel, Placement, Seam, edge_length
 from pbd.errors import InputError
 
-__all__ = ["BodiceLines", "bodice_panel", "bodice_seams", "place_sleeve", "sleeve_panel", "sleeve_seams"]
+__all__ = ["BodiceLines", "bodice_lines", "bodice_panel", "sewn_top", "sleeve_panel"]
 
 Floats = NDArray[np.float64]
 
@@ -59,6 +66,75 @@ class BodiceLines:
     length: float
     dart: float = 0.0
     dart_point: float = 0.0
+
+
+def bodice_lines(
+    m: BodyMeasures,
+    ease: float,
+    length: float,
+    hem: float,
+    neck_depth: float,
+    looseness: tuple[float, float],
+    dart: float = 0.0,
+) -> tuple[BodiceLines, BodiceLines]:
+    """Front and back.
+
+    Args:
+        m: measures of the body.
+        ease: added to the girth of the bust [m].
+        length: from the neck's side to the hem [m].
+        hem: half width of each at the hem [m], at least that of the chest is taken.
+        neck_depth: of the neckline in front [m].
+        looseness: how much further than the body's the neck's side and the shoulder point are from the middle [m].
+        dart: what the dart in the front's side takes in [m].
+    """
+    places = m.landmarks
+    chest = (m.bust + ease) / 4.0
+    shoulder = 0.5 * m.shoulder_width + looseness[1] + 0.05 * ease
+    body_depth = float(places.neck_side[1] - places.armpit[1])
+    common = dict(
+        chest=chest,
+        hem=max(chest, hem),
+        neck=float(places.neck_side[0]) + looseness[0],
+        shoulder=shoulder,
+        shoulder_drop=0.9 * float(places.neck_side[1] - places.shoulder[1]),
+        # Mueller & Sohn: a tenth of the bust and 10.5 cm, and the more ease, the deeper; at least clear of the armpit.
+        armhole_depth=max(0.1 * m.bust + 0.105, body_depth + 0.02) + 0.2 * ease,
+        length=length,
+    )
+    front = BodiceLines(
+        neck_depth=neck_depth,
+        narrowest=min(0.5 * m.chest_width, shoulder - 0.01, chest - 0.02),
+        dart=dart,
+        dart_point=min(0.5 * m.bust_point_distance + 0.025, chest - 0.05),
+        **common,
+    )
+    back = BodiceLines(
+        neck_depth=0.02, narrowest=min(0.5 * m.back_width + 0.005, shoulder - 0.005, chest - 0.02), **common
+    )
+    return front, back
+
+
+def sewn_top(m: BodyMeasures, front: Outline, back: Outline, left: Outline) -> tuple[list[Panel], list[Seam], Outline]:
+    """Front, back and both sleeves where they stand, their seams, and the right sleeve.
+
+    Args:
+        m: measures of the body.
+        front, back: of the bodice.
+        left: the left sleeve; the right one is its mirror image.
+
+    Raises:
+        InputError: there is no room for a panel around the body.
+    """
+    right, around, places = left.mirrored("right_sleeve"), Surroundings(m), m.landmarks
+    neck, middle = float(places.neck_side[1]) + 0.02, 0.5 * float(places.bust[2] + places.hip[2])
+    panels = [
+        outline.panel(place_on_trunk(outline, neck, middle, side, around)) for outline, side in ((front, 1), (back, -1))
+    ]
+    panels += [outline.panel(place_sleeve(outline, m, around, side)) for outline, side in ((left, 1), (right, -1))]
+    seams = bodice_seams(front, back)
+    seams += sleeve_seams(front, back, left, "left") + sleeve_seams(front, back, right, "right")
+    return panels, seams, right
 
 
 def bodice_panel(name: str, lines: BodiceLines, plus: str, minus: str) -> Outline:
