@@ -40,7 +40,7 @@ def main() -> None:
     player = gube.Player(database, character)
     for frame in range(1, 121):
         player.update(walk.pose(frame / 60.0), 1.0 / 60.0)
-    smooth = player.decoded(gube.LevelOfDetail(every=1, substeps=1, atoms=0, sweeps=0, passes=0))
+    smooth = player.decoded(gube.LevelOfDetail(every=1, substeps=1, atoms=0, passes=0))
     wrinkles = np.linalg.norm(player.vertices - smooth, axis=1)
     print(f"{len(database.coarse_vertices)} coarse and {len(smooth)} fine vertices, {player.timings['frame']:.1f} ms")
 

@@ -82,7 +82,6 @@ SHORT = Demo(
         compression_scales=(1.0, 10.0),
         shear_scales=(1.0, 0.3),
         bend_scales=(1.0,),
-        gains=(1.0,),  # what little motion tells is blotched when it is raised
         calibration_s=3.5,
         still_s=0.5,
         piece_s=0.25,

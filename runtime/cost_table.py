@@ -18,7 +18,7 @@ from runtime.level_of_detail import LevelOfDetail
 __all__ = ["FOLD", "CostTable", "Setting", "cost_table_path", "read_cost_table", "write_cost_table"]
 
 FORMAT = "gube front"
-VERSION = 2
+VERSION = 3
 FOLD = 6.0  # shortest fold under gravity, divided by l_g [-]
 FOLD_EDGES = 3.0  # edges along the shortest fold that a mesh can carry, as in wrinkles.levels [-]
 

@@ -13,7 +13,6 @@ from wrinkles.charts import Charts
 from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Decoder, Upsampler
-from wrinkles.edge_lengths import EdgeLengthProjection
 from wrinkles.features import Stencil
 from wrinkles.fine_normals import FineNormals
 from wrinkles.fine_surface import FineSurface
@@ -25,7 +24,7 @@ __all__ = ["FineGarment"]
 
 
 class FineGarment:
-    """Makes the fine mesh: subdivides, adds wrinkles, brings edge lengths back and relaxes against the body.
+    """Makes the fine mesh: subdivides, adds wrinkles and relaxes against the body.
 
     Args:
         database: what was learned.
@@ -44,8 +43,7 @@ class FineGarment:
         self._upsample, self._upsample_velocity = Upsampler(subdivision), Upsampler(subdivision)
         stencil, atoms = Stencil.of(charts, database.held), database.atoms
         self._decoder = Decoder(stencil, database.mapping, atoms, database.novelty)
-        patches, projection = Patches.of(subdivision, charts), EdgeLengthProjection(levels)
-        self._surface = FineSurface(subdivision, patches, atoms.vertex_mean, projection)
+        self._surface = FineSurface(subdivision, Patches.of(subdivision, charts), atoms.vertex_mean)
         self._relax = Relaxation.of(levels, source.vertices, source.faces, database.fabric.thickness)
         self._write_normals = FineNormals(subdivision)
         self.vertices = np.zeros((subdivision.fine_count, 3), np.float32)
@@ -75,7 +73,7 @@ class FineGarment:
         elif detail.passes:
             decoder.read(position, state.contact)
         grids = decoder.grids if drawn else None
-        self._surface(self._upsample.middle, grids, decoder.frames, self.vertices, detail.sweeps)
+        self._surface(self._upsample.middle, grids, decoder.frames, self.vertices)
         decoded = time.perf_counter()
         targets = self._levels.fine_attachment.targets(body_vertices)
         if detail.passes:

@@ -17,7 +17,6 @@ class LevelOfDetail:
         every: ticks from one update to the next; in between the garment keeps its velocity.
         substeps: number of substeps of the coarse simulation in an update.
         atoms: number of the dictionary's atoms that are used, the most important ones; 0 leaves the wrinkle layer out.
-        sweeps: number of sweeps over the edges of the middle mesh that bring their lengths back.
         passes: number of relaxation passes on the fine mesh; with 0 the fine mesh may enter the body.
         level: 0 simulates the coarse mesh, which the dictionary reads; 1 simulates the mesh below it, which has a third
             of its vertices and carries the coarse mesh (:mod:`wrinkles.proxy_mesh`).
@@ -29,7 +28,6 @@ class LevelOfDetail:
     every: int
     substeps: int
     atoms: int
-    sweeps: int
     passes: int
     level: int = 0
 
@@ -46,4 +44,4 @@ class LevelOfDetail:
         layer = f"{self.atoms} atoms" if self.atoms else "no wrinkle layer"
         every = "every tick" if self.every == 1 else f"every {self.every} ticks"
         mesh = " on the mesh below" if self.level else ""
-        return f"{every} {self.substeps} substeps{mesh}, {layer}, {self.sweeps} sweeps, {self.passes} relaxation passes"
+        return f"{every} {self.substeps} substeps{mesh}, {layer}, {self.passes} relaxation passes"

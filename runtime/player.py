@@ -19,7 +19,6 @@ from runtime.proxy_simulation import ProxySimulation
 from runtime.simulation import Simulation, body_source
 from runtime.transitions import FADE, Extrapolation, Fade, Interpolation
 from wrinkles.database import WrinkleDatabase
-from wrinkles.edge_lengths import PASSES
 from wrinkles.levels import Levels
 from wrinkles.proxy_mesh import proxy_mesh_of
 
@@ -82,7 +81,7 @@ class Player:
         self._extrapolation = Extrapolation(self.simulation, self._fine)
         self._fade = Fade(self.vertices)
         substeps = max(1, int(np.ceil(1.0 / (database.frame_rate * database.solver.substep) - 1e-6)))
-        self.full = LevelOfDetail(1, substeps, len(database.atoms.shapes), PASSES, 1)
+        self.full = LevelOfDetail(1, substeps, len(database.atoms.shapes), 1)
         self._detail, self._wait = self.full, 0  # ticks to leave out before the next update
         self._coarser: ProxySimulation | None = None  # made when it is first asked for
         self._bind_vertices = source.vertices

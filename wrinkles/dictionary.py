@@ -128,11 +128,6 @@ class CoefficientNetwork:
         bias = np.asarray(features, np.float32) @ self.fabric_weights
         return replace(self, bias_1=self.bias_1 + bias, fabric_weights=np.zeros_like(self.fabric_weights))
 
-    def amplified(self, gain: float) -> CoefficientNetwork:
-        """The mapping with all coefficients multiplied by ``gain`` [-]."""
-        factor = np.float32(gain)
-        return replace(self, weights_3=factor * self.weights_3, bias_3=factor * self.bias_3)
-
     def predict(self, features: np.ndarray) -> np.ndarray:
         """Coefficients for features, shape (..., n, DYNAMIC_COUNT) to (..., n, K).
 

@@ -1,15 +1,11 @@
-"""Fine vertices of a garment: smooth surface, wrinkles of the patches, lengths of edges and vertex mean in one pass.
-
-Loop's rule is linear, so that it is applied once: to the middle vertices after their edges have found their lengths.
-"""
+"""Fine vertices of a garment: smooth surface, wrinkles of the patches and vertex mean in one pass."""
 
 import numpy as np
 from scipy.sparse import csr_matrix, hstack
 
 from pbd.engine import ensure_initialized, ti
-from pbd.geometry import Float1, Int1, Int2, Int3, Vec3, Vec4, vec3, vec4, xyz
+from pbd.geometry import Float1, Int1, Int3, Vec3, Vec4, vec3, vec4, xyz
 from pbd.taichi_internals import Launch
-from wrinkles.edge_lengths import PASSES, EdgeLengthProjection, project_lengths
 from wrinkles.patches import NODES, SIDE, Patches
 from wrinkles.surface import Subdivision, csr_arrays
 
@@ -57,36 +53,6 @@ def _wrinkles(
 
 
 @ti.kernel
-def _correct_middle(
-    smooth: Vec4,
-    node: Int3,
-    share: Vec4,
-    corners: Int3,
-    grids: Vec3,
-    frames: Vec3,
-    edges: Int2,
-    lengths: Float1,
-    free_edges: ti.i32,
-    sweeps: ti.i32,
-    middle: Vec4,
-    fine: Vec3,
-):
-    """Displace smooth middle vertices as the lengths of edges ask for where wrinkles are added to them.
-
-    ``middle`` receives the smooth vertices with that displacement, the first of ``fine`` receive the wrinkles alone.
-    """
-    ti.loop_config(serialize=True)
-    for _ in range(1):
-        for i in range(middle.shape[0]):
-            added = _wrinkles(i, node, share, corners, grids, frames)
-            middle[i] = smooth[i] + vec4(added)
-            fine[i] = added
-        project_lengths(middle, edges, lengths, free_edges, sweeps)
-        for i in range(middle.shape[0]):
-            middle[i] = middle[i] - vec4(fine[i])
-
-
-@ti.kernel
 def _make_subdivided(
     start: Int1,
     index: Int1,
@@ -101,16 +67,10 @@ def _make_subdivided(
     frames: Vec3,
     fine: Vec3,
 ):
-    """Smooth surface through the corrected middle vertices, wrinkles and mean; see :meth:`FineSurface.__call__`."""
+    """Smooth surface, wrinkles and mean; see :meth:`FineSurface.__call__`."""
     ti.loop_config(serialize=True)
     for _ in range(1):
-        for i in range(middle.shape[0]):
-            x = fine[i] + xyz(sparse_row(start, index, value, middle, i))
-            if grids.shape[0] > 0:
-                for c in ti.static(range(3)):
-                    x += _turned(blend[i][c] * mean[i], corners[i][c], frames)
-            fine[i] = x
-        for i in range(middle.shape[0], fine.shape[0]):
+        for i in range(fine.shape[0]):
             x = xyz(sparse_row(start, index, value, middle, i))
             if grids.shape[0] > 0:
                 for c in ti.static(range(3)):
@@ -155,27 +115,14 @@ def _make_delivered(
 class FineSurface:
     """Makes fine vertices from the smooth middle ones and the grids of all coarse vertices.
 
-    The lengths of a delivered mesh are not corrected.
-
     Args:
         subdivision: from the coarse to the fine mesh.
         patches: where each fine vertex reads the grids.
         vertex_mean: displacement of each fine vertex in its own frame [m], float32, shape (N, 3); see
             :mod:`wrinkles.vertex_mean`.
-        projection: brings the edges of the middle mesh to their lengths; None leaves them as they are.
-
-    Attributes:
-        middle: smooth middle vertices after the correction of lengths [m], float32, shape (q, 4); for a delivered mesh
-            all that its fine vertices are made of.
     """
 
-    def __init__(
-        self,
-        subdivision: Subdivision,
-        patches: Patches,
-        vertex_mean: np.ndarray,
-        projection: EdgeLengthProjection | None = None,
-    ) -> None:
+    def __init__(self, subdivision: Subdivision, patches: Patches, vertex_mean: np.ndarray) -> None:
         ensure_initialized()
         u, v = (patches.within.reshape(-1, 3, 2)[..., axis].astype(float) for axis in (0, 1))
         share = np.stack([(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v], axis=-1) * patches.blend[..., None]
@@ -183,27 +130,15 @@ class FineSurface:
         self._reading = node, np.ascontiguousarray(share.reshape(-1, 4), np.float32), patches.corners
         self._blend, self._mean = patches.blend, vertex_mean
         self._delivered = patches.smoothing is not None
-        self._edges, self._lengths, self._free_edges = np.zeros((0, 2), np.int32), np.zeros(0, np.float32), 0
-        if projection is not None:
-            self._edges, self._lengths = projection.edges, projection.lengths
-            self._free_edges = projection.free_edges
         matrix = subdivision.from_middle
         if patches.smoothing is not None:
             matrix = hstack([matrix, patches.smoothing, _mean_rows(patches.turning, vertex_mean)])
         self._rows = csr_arrays(csr_matrix(matrix))
-        self.middle = np.zeros((matrix.shape[1], 4), np.float32)
+        self._source = np.zeros((matrix.shape[1] if self._delivered else 0, 4), np.float32)
         self._nothing = np.zeros((0, 3), np.float32)
-        self._correct = Launch(_correct_middle)
         self._make = Launch(_make_delivered if self._delivered else _make_subdivided)
 
-    def __call__(
-        self,
-        smooth: np.ndarray,
-        grids: np.ndarray | None,
-        frames: np.ndarray,
-        fine: np.ndarray,
-        sweeps: int = PASSES,
-    ) -> None:
+    def __call__(self, smooth: np.ndarray, grids: np.ndarray | None, frames: np.ndarray, fine: np.ndarray) -> None:
         """Write fine vertices.
 
         Args:
@@ -212,16 +147,13 @@ class FineSurface:
                 mean.
             frames: of the coarse vertices, float32, shape (n, 9).
             fine: receives the fine vertices [m], float32, shape (N, 3).
-            sweeps: over the edges of the middle mesh.
         """
         nodes = self._nothing if grids is None else grids.reshape(-1, 3)
         axes = frames.reshape(-1, 3)
         if self._delivered:
-            self._make(smooth, *self._reading, nodes, axes, *self._rows, self.middle, fine)
-            return
-        edges = self._edges, self._lengths, self._free_edges
-        self._correct(smooth, *self._reading, nodes, axes, *edges, sweeps, self.middle, fine)
-        self._make(*self._rows, self.middle, *self._reading, self._blend, self._mean, nodes, axes, fine)
+            self._make(smooth, *self._reading, nodes, axes, *self._rows, self._source, fine)
+        else:
+            self._make(*self._rows, smooth, *self._reading, self._blend, self._mean, nodes, axes, fine)
 
 
 def _mean_rows(turning: csr_matrix, mean: np.ndarray) -> csr_matrix:

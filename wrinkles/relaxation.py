@@ -8,13 +8,12 @@ from scipy.spatial import cKDTree
 from pbd.contact.colliders import Body
 from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Vec3, Vec4, descend, vec3, vec4, xyz
-from pbd.mesh import ClothMesh
+from pbd.mesh import ClothMesh, greedy_colors
 from pbd.taichi_internals import Launch
 from pbd.xpbd.views import BodySurface
 from wrinkles.charts import leading_vertices
 from wrinkles.clearance import clearances, facing
 from wrinkles.covered_body import MAX_HEIGHT, CoveredBody, edge_towards, has_more_edges, height_over
-from wrinkles.edge_lengths import edges_by_color
 from wrinkles.levels import Levels
 from wrinkles.opposite_parts import PHASES, find_moved, find_opposite, opposed
 
@@ -265,7 +264,7 @@ class Relaxation:
         order = np.lexsort((leading[:, 1], leading[:, 0]))
         self._free = order[~is_held[order]].astype(np.int32)
         self._leading = np.ascontiguousarray(leading[self._free], np.int32)
-        self._edges, lengths, self._free_edges = edges_by_color(*mesh.edge_lengths(), is_held)
+        self._edges, lengths, self._free_edges = _edges_by_color(*mesh.edge_lengths(), is_held)
         self._lengths = lengths.astype(np.float32)
         self._held = np.asarray(held, np.int32)
         self._clearance, self._facing, self._level = clearance, facing, level
@@ -385,3 +384,24 @@ class Relaxation:
             passes,
         )
         self._phase = (self._phase + 1) % PHASES
+
+
+def _edges_by_color(edges: np.ndarray, lengths: np.ndarray, is_held: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+    """Edges in the order in which their lengths are corrected: no two beside each other share a vertex.
+
+    Edges with two held ends are left out. Those with one follow after the others and have it first.
+
+    Args:
+        edges: int, shape (e, 2).
+        lengths: [m], shape (e,).
+        is_held: whether each vertex is held, bool, shape (n,).
+
+    Returns:
+        edges, int32, their lengths, and the number of those with two free ends.
+    """
+    kept = ~is_held[edges].all(axis=1)
+    edges, lengths = edges[kept], lengths[kept]
+    edges = np.where(is_held[edges[:, 1:]], edges[:, ::-1], edges)
+    order = np.lexsort((greedy_colors(edges, len(is_held)), is_held[edges[:, 0]]))
+    free = len(edges) - int(is_held[edges[:, 0]].sum())
+    return np.ascontiguousarray(edges[order], np.int32), lengths[order], free

@@ -312,7 +312,13 @@ def _judged(
         raise SewingError(["the simulation that drapes the garment burst"])
     mesh = _cleared(mesh, body)
     garment = Garment(
-        pattern.name, mesh.vertices, surface.faces, _along_grain(pattern, pieces), pattern.source, mesh.layers
+        pattern.name,
+        mesh.vertices,
+        surface.faces,
+        _along_grain(pattern, pieces),
+        pattern.source,
+        mesh.layers,
+        mesh.max_stretch,
     )
     ends = mesh.vertices[surface.vertex[pieces.stitches]]
     gap = float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).max(initial=0.0))

@@ -1,9 +1,5 @@
-"""Calibration: compression, shear and bending of the coarse model, and how strongly wrinkles are drawn, chosen so that
-the coarse garment goes where the fine one does and the decoded one folds as it does.
-
-A mapping fitted to single folds leaves out what it cannot tell, so that all it draws together is too smooth. Raising
-its coefficients a little gives the energy back, for little error in each fold: the expectation of a quantity known with
-correlation R has R^2 of its variance, and R^2 of it is the least squared error, but 1/R times it the right spectrum.
+"""Calibration: compression, shear and bending of the coarse model, chosen so that the coarse garment goes where the
+fine one does and the decoded one folds as it does.
 
 All models are tried on a few seconds of a few motions, the better third of them on more, and the last few on everything
 (successive halving: Jamieson and Talwalkar 2016, "Non-stochastic Best Arm Identification and Hyperparameter
@@ -37,8 +33,6 @@ __all__ = ["Calibration", "CoarseModel", "calibrate", "filtered"]
 
 KEPT = 3  # one in so many models goes on to the next rung, and no fewer than so many are tried on everything
 NEIGHBOUR = 0.5  # weight of a model's neighbours in judging it
-SKIPPED = 2  # gains from one to the next before the last rung
-EXCESS = 1.2  # over the fine cloth's energy in an octave, from which on wrinkles are not raised: that is noise
 DECODED = 40  # frames that a model is decoded at, about: energy and error change slowly
 FEATURES = 4  # recorded frames from one whose features are compared to the next
 CHAOS = 1.0  # how far apart two runs of one garment may be for no reason [mm, deg]
@@ -60,7 +54,6 @@ class Calibration:
 
     Attributes:
         options: of the coarse model.
-        gain: on the wrinkles that the mapping foretells [-].
         shift_before, shift_after: root mean squared Mahalanobis distance of the coarse run's features from the mean of
             the filtered fine run's, per dimension [-]; the fine run's own is one.
         mismatch_before, mismatch_after: Frechet distance of their distributions, per dimension [-].
@@ -68,7 +61,6 @@ class Calibration:
     """
 
     options: ModelOptions
-    gain: float
     shift_before: float
     shift_after: float
     mismatch_before: float
@@ -114,15 +106,15 @@ def calibrate(
     options: LearningOptions,
     report: Callable[[str], None] | None = None,
 ) -> Calibration:
-    """Try coarse models and gains on training motion and keep those that come nearest to the fine garment.
+    """Try coarse models on training motion and keep the one that comes nearest to the fine garment.
 
     Judged by three logarithms that count alike: bending energy in octave bands of wavelength, and in all of them
     together, of the decoded garment and not of the coarse one, root mean square of log(decoded / fine); how far
     the filtered coarse garment is from the filtered fine one, and how far the normals of the decoded garment are turned
     from the true ones, both over the least that any model comes to. The spectrum alone takes false folds of a coarse
-    model that is too stiff under compression for wrinkles. These are raised only as far as no octave has more energy
-    than the fine cloth's. Cloth is chaotic, and one run of a model may come out better or worse by a fifth for no
-    reason: a model is judged together with its neighbours, as far as they are tried as long as it is.
+    model that is too stiff under compression for wrinkles. Cloth is chaotic, and one run of a model may come out better
+    or worse by a fifth for no reason: a model is judged together with its neighbours, as far as they are tried as long
+    as it is.
 
     Args:
         layer: of the garment.
@@ -132,7 +124,7 @@ def calibrate(
         coarse: what all coarse models have in common.
         cache: folder of recorded runs.
         workers: that simulate and decode.
-        options: models, gains and times.
+        options: models and times.
         report: called with lines of progress.
     """
     grid = list(itertools.product(options.compression_scales, options.shear_scales, options.bend_scales))
@@ -149,24 +141,21 @@ def calibrate(
     for rung in range(len(sizes)):
         share = (rung + 1) / len(sizes)
         bench = _Bench.of(layer, mapping, atoms, runs, recordings, coarse, cache, options, share)
-        gains = options.gains if rung == len(sizes) - 1 else options.gains[::SKIPPED]
         tried = alive if 0 in alive else [0, *alive]  # the fabric itself is compared with to the end
         tell = counted(report, f"calibrating, round {rung + 1} of {len(sizes)}: models", len(tried))
-        jobs = [partial(_judge, bench, number, models[number], gains) for number in tried]
+        jobs = [partial(_judge, bench, number, models[number]) for number in tried]
         found = workers.run(jobs, done=tell)
-        here = [row | {"rung": float(rung)} for some in found for row in some]
+        here = [row | {"rung": float(rung)} for row in found]
         _rate(here)
         rows += here
-        judged = _together(here, neighbours, gains[0])
-        best = {number: min(row["together"] for row in judged if row["model"] == number) for number in alive}
+        together = _together(here, neighbours)
+        best = {number: together[number] for number in alive}
         alive = sorted(best, key=lambda number: best[number])[: sizes[rung + 1] if rung + 1 < len(sizes) else 1]
         alive.sort()
     (first,) = alive
-    fitting = [row for row in here if row["model"] == first and (row["gain"] == gains[0] or row["excess"] <= EXCESS)]
-    plain, kept = here[0], min(fitting, key=lambda row: row["error"])
+    plain, kept = here[0], next(row for row in here if row["model"] == first)
     return Calibration(
         models[first],
-        kept["gain"],
         plain["shift"],
         kept["shift"],
         plain["mismatch"],
@@ -235,8 +224,8 @@ class _Bench:
         )  # fmt: skip
 
 
-def _judge(bench: _Bench, number: int, model: ModelOptions, gains: Sequence[float]) -> list[dict[str, float]]:
-    """Simulate a coarse model and decode it at several gains: a row for each."""
+def _judge(bench: _Bench, number: int, model: ModelOptions) -> dict[str, float]:
+    """Simulate a coarse model and decode it."""
     layer, tries = bench.layer, [bench.coarse.run(run, model) for run in bench.runs]
     matrix = CoarseFilter(layer.levels).matrix
     found = record_runs(tries, bench.cache, 1)
@@ -248,24 +237,17 @@ def _judge(bench: _Bench, number: int, model: ModelOptions, gains: Sequence[floa
         "apart_mm": 1e3 * _apart(mine, bench.recordings),
     }
     whole, some = joined(tries, [r.where(slice(None, None, bench.every)) for r in mine])
-    rows = []
-    for gain in gains:
-        _, decoded = decode_recording(layer, by_features(bench.mapping.amplified(gain)), bench.atoms, whole, some)
-        total = bands_of(layer.levels).energy(decoded).mean(axis=0)
-        rows.append(
-            {
-                "model": number,
-                "squeeze": model.compression_compliance_scale,
-                "shear_scale": model.shear_scale,
-                "bend_scale": model.bend_scale,
-                "gain": gain,
-                "spectrum_error": float(np.sqrt((np.log(_with_sum(total) / _with_sum(bench.wanted)) ** 2).mean())),
-                "normal_error_deg": float(normal_error_deg(decoded, bench.fine, layer.levels.fine.faces).mean()),
-                "excess": float((total / bench.wanted).max()),
-                **off,
-            }
-        )
-    return rows
+    _, decoded = decode_recording(layer, by_features(bench.mapping), bench.atoms, whole, some)
+    total = bands_of(layer.levels).energy(decoded).mean(axis=0)
+    return {
+        "model": number,
+        "squeeze": model.compression_compliance_scale,
+        "shear_scale": model.shear_scale,
+        "bend_scale": model.bend_scale,
+        "spectrum_error": float(np.sqrt((np.log(_with_sum(total) / _with_sum(bench.wanted)) ** 2).mean())),
+        "normal_error_deg": float(normal_error_deg(decoded, bench.fine, layer.levels.fine.faces).mean()),
+        **off,
+    }
 
 
 def _rate(rows: list[dict[str, float]]) -> None:
@@ -284,19 +266,12 @@ def _neighbours(options: LearningOptions) -> np.ndarray:
     return (steps == 0) + NEIGHBOUR * (steps == 1)
 
 
-def _together(rows: list[dict[str, float]], neighbours: np.ndarray, lowest: float) -> list[dict[str, float]]:
-    """Rows that may be chosen, with the error that a model and its neighbours have together at one gain."""
-    chosen = []
-    for gain in sorted({row["gain"] for row in rows}):
-        same = [row for row in rows if row["gain"] == gain]
-        numbers = [int(row["model"]) for row in same]
-        weights = neighbours[np.ix_(numbers, numbers)]
-        weights = weights / weights.sum(axis=1, keepdims=True)
-        error, excess = (weights @ [row[name] for row in same] for name in ("error", "excess"))
-        for row, one, other in zip(same, error, excess, strict=True):
-            if gain == lowest or other <= EXCESS:
-                chosen.append(row | {"together": float(one)})
-    return chosen
+def _together(rows: list[dict[str, float]], neighbours: np.ndarray) -> dict[int, float]:
+    """The error that each model and its neighbours have together."""
+    numbers = [int(row["model"]) for row in rows]
+    weights = neighbours[np.ix_(numbers, numbers)]
+    errors = (weights / weights.sum(axis=1, keepdims=True)) @ [row["error"] for row in rows]
+    return dict(zip(numbers, errors.tolist(), strict=True))
 
 
 def _apart(some: Sequence[Recording], others: Sequence[Recording]) -> float:

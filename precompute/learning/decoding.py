@@ -18,7 +18,6 @@ from precompute.workers import Workers
 from runtime.simulation import BodySource
 from wrinkles.decoder import Upsampler
 from wrinkles.dictionary import Atoms, CoefficientNetwork
-from wrinkles.edge_lengths import EdgeLengthProjection
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.fine_surface import FineSurface
 from wrinkles.levels import Levels
@@ -67,8 +66,7 @@ def by_features(mapping: CoefficientNetwork) -> Predictor:
 
 def by_patches(layer: Layer, predict: Predictor, atoms: Atoms) -> FrameDecoder:
     """Wrinkles from patches whose coefficients a mapping gives."""
-    projection = _isometry(_Kept.of(layer.levels))
-    surface = FineSurface(layer.levels.subdivision, layer.patches, atoms.vertex_mean, projection)
+    surface = FineSurface(layer.levels.subdivision, layer.patches, atoms.vertex_mean)
 
     def lift(fine: np.ndarray, upsample: Upsampler, features: np.ndarray, frames: np.ndarray, pose: np.ndarray) -> None:
         grids = (predict(features, pose) @ atoms.shapes + atoms.mean).astype(np.float32)
@@ -216,11 +214,6 @@ class _Kept:
         for array in arrays:
             digest.update(np.ascontiguousarray(array).tobytes())
         return cls(digest.hexdigest(), levels, source, thickness)
-
-
-@lru_cache(maxsize=1)
-def _isometry(kept: _Kept) -> EdgeLengthProjection:
-    return EdgeLengthProjection(kept.levels)
 
 
 @lru_cache(maxsize=1)

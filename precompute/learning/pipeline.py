@@ -185,8 +185,8 @@ def precompute(
         mapping, atoms = _learned(work, examples)
         with clock.stage("calibrating"):
             coarse = _coarse_model(work, examples)
-            calibrations, mapping = _calibrated(work, examples, mapping, atoms, coarse)
-        database, atoms = _finished(work, examples, mapping, atoms, coarse, calibrations)
+            calibrations = _calibrated(work, examples, mapping, atoms, coarse)
+        database = _finished(work, examples, mapping, atoms, coarse, calibrations)
         database = as_stored(replace(database, trained_on=tuple(m.name for m in motions)))  # judged as it is played
         truth, evaluation, quality = None, None, dict(choice)
         if held_out:  # the first held-out clip is the one that is reported
@@ -199,7 +199,6 @@ def precompute(
         "feature_shift_after": calibration.shift_after,
         "feature_mismatch_before": calibration.mismatch_before,
         "feature_mismatch_after": calibration.mismatch_after,
-        "wrinkle_gain": calibration.gain,
         "atoms_kept": atoms.kept,
     }
     database = replace(database, quality=quality, training_minutes=(time.monotonic() - began) / 60.0)
@@ -234,7 +233,7 @@ def _simulated(work: _Work, motions: Sequence[Motion], judged: Sequence[Motion])
 
 
 def _learned(work: _Work, examples: Sequence[_Example]) -> tuple[CoefficientNetwork, Atoms]:
-    """The dictionary, with means of vertices for wrinkles that are not raised yet."""
+    """The dictionary."""
     clock, scene, layer, options = work.clock, work.scene, work.layer, work.options
     with clock.stage("fitting patches"):
         learned = spread_frames([example.recording for example in examples], options.training_frames)
@@ -279,13 +278,11 @@ def _coarse_model(work: _Work, examples: Sequence[_Example]) -> CoarseModel:
 
 def _calibrated(
     work: _Work, examples: Sequence[_Example], mapping: CoefficientNetwork, atoms: Atoms, coarse: CoarseModel
-) -> tuple[dict[str, Calibration], CoefficientNetwork]:
-    """Coarse models by fabric, and the mapping with its wrinkles as strong as the garment's own fabric has them."""
+) -> dict[str, Calibration]:
+    """Coarse models by fabric."""
     found: dict[str, Calibration] = {}
     for name in work.fabrics:
         mine = [example for example in examples if example.fabric == name]
-        # The own fabric comes first and chooses how strongly wrinkles are drawn; the others share its network.
-        options = replace(work.options, gains=(1.0,)) if found else work.options
         found[name] = calibrate(
             work.layer,
             mapping.for_fabric(mine[0].features),
@@ -295,11 +292,10 @@ def _calibrated(
             coarse,
             work.cache,
             work.workers,
-            options,
+            work.options,
             work.clock,
         )
-        mapping = mapping.amplified(found[name].gain)
-    return found, mapping
+    return found
 
 
 def _finished(
@@ -309,10 +305,9 @@ def _finished(
     atoms: Atoms,
     coarse: CoarseModel,
     calibrations: dict[str, Calibration],
-) -> tuple[WrinkleDatabase, Atoms]:
-    """The database without what judging it gives, with means of vertices and scores for raised wrinkles."""
+) -> WrinkleDatabase:
+    """The database without what judging it gives."""
     with work.clock.stage("unfamiliarity"):
-        atoms = _with_means(work, examples, mapping, atoms)
         mappings = _by_fabric(examples, mapping)
         novelty = fit_novelty(
             work.layer,
@@ -326,7 +321,7 @@ def _finished(
         )
     scene, settings, levels, body = work.scene, work.stage.settings, work.stage.levels, work.stage.body
     own, *others = work.fabrics
-    database = WrinkleDatabase(
+    return WrinkleDatabase(
         garment_name=settings.name,
         coarse_vertices=levels.coarse.vertices,
         coarse_faces=levels.coarse.faces,
@@ -336,6 +331,7 @@ def _finished(
         limits=levels.coarse_limits,
         warp=(0.0, 1.0, 0.0),
         binding=levels.subdivision.binding,
+        sewn=levels.sewn,
         fabric_name=own,
         fabric=work.fabrics[own],
         options=calibrations[own].options,
@@ -358,7 +354,6 @@ def _finished(
         code_version=code_version(),
         created=date.today().isoformat(),
     )
-    return database, atoms
 
 
 def _evaluated(work: _Work, database: WrinkleDatabase, motion: Motion) -> tuple[Truth, Evaluation, dict[str, float]]:

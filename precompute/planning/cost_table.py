@@ -73,7 +73,7 @@ def measure_cost_table(
     below = proxy_mesh_of(player.levels, database.warp)
     levels = [(0, SUBSTEPS)] if below is None else [(0, SUBSTEPS), (1, PROXY_SUBSTEPS)]
     pairs = [
-        LevelOfDetail(every, max(1, round(every * full.substeps * share)), 0, 0, 0, level)
+        LevelOfDetail(every, max(1, round(every * full.substeps * share)), 0, 0, level)
         for level, shares in levels
         for every in EVERY
         for share in shares
@@ -119,12 +119,10 @@ def cost_table_key(database: WrinkleDatabase) -> str:
     return f"{database.code_version} {database.created} {len(database.coarse_vertices)} {database.fabric_name}"
 
 
-def _layers(full: LevelOfDetail) -> list[tuple[int, int, int]]:
-    """Atoms, sweeps and passes, full detail first."""
+def _layers(full: LevelOfDetail) -> list[tuple[int, int]]:
+    """Atoms and passes, full detail first."""
     atoms = sorted({max(1, round(full.atoms * share)) for share in ATOMS}, reverse=True)
-    found = [(count, full.sweeps, full.passes) for count in atoms]
-    found += [(full.atoms, full.sweeps // 4, full.passes), (full.atoms, full.sweeps, 0), (full.atoms, 0, 0)]
-    return found + [(0, full.sweeps, full.passes), (0, full.sweeps // 4, 0), (0, 0, full.passes), (0, 0, 0)]
+    return [*((count, full.passes) for count in atoms), (full.atoms, 0), (0, full.passes), (0, 0)]
 
 
 def _poses(motion: Motion, tempo: float, dt: float) -> np.ndarray:
@@ -138,7 +136,7 @@ def _measure(
     inputs: PlaybackInputs,
     poses: np.ndarray,
     pairs: Sequence[LevelOfDetail],
-    layers: Sequence[tuple[int, int, int]],
+    layers: Sequence[tuple[int, int]],
     progress: Callable[[str], None],
 ) -> dict[str, np.ndarray]:
     """Errors and costs of all parts on one run of poses."""
@@ -148,7 +146,7 @@ def _measure(
     start = player.simulation.state.copy()
     found = _decode(player, poses, dt, inputs.wind, layers, first)
     around = [_around(player, every, poses, dt, found["layer"][-1]) for every in EVERY]
-    bare = LevelOfDetail(1, player.full.substeps, 0, 0, 0)
+    bare = LevelOfDetail(1, player.full.substeps, 0, 0)
     turn = isinstance(inputs.body, Character)
 
     def runs(detail: LevelOfDetail, seeds: range) -> tuple[list[np.ndarray], float, float]:
@@ -176,7 +174,7 @@ def _measure(
 
 
 def _decode(
-    player: Player, poses: np.ndarray, dt: float, wind: Air, layers: Sequence[tuple[int, int, int]], first: int
+    player: Player, poses: np.ndarray, dt: float, wind: Air, layers: Sequence[tuple[int, int]], first: int
 ) -> dict[str, np.ndarray]:
     """Play at full detail; every layer decodes every state, and every update goes on for some ticks."""
     details = [LevelOfDetail(1, player.full.substeps, *layer) for layer in layers]
@@ -224,7 +222,7 @@ def _decode(
 
 def _around(player: Player, every: int, poses: np.ndarray, dt: float, plain_ms: float) -> tuple[float, float]:
     """Cost of an update besides the simulation and the wrinkle layer, and of a tick without update [ms]."""
-    player.change(LevelOfDetail(every, 1, 0, 0, 0))
+    player.change(LevelOfDetail(every, 1, 0, 0))
     update, between = [], []
     for tick, pose in enumerate(poses[1 : PROBE_FRAMES + 1]):
         began = time.process_time()

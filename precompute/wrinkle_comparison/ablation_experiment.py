@@ -44,7 +44,6 @@ class Variant:
         begin: gives the mapping at the start of a run; one that remembers is shown all frames in order.
         passes: of relaxation.
         options: of the coarse model in the free run; None for the calibrated ones.
-        gain: on the coefficients that the mapping gives [-].
     """
 
     layer: Layer
@@ -52,12 +51,11 @@ class Variant:
     begin: Callable[[], Predictor]
     passes: int = 1
     options: ModelOptions | None = None
-    gain: float = 1.0
 
     def lift(self) -> FrameDecoder:
         """Adds wrinkles to a run from its first frame on."""
         predict = self.begin()
-        return by_patches(self.layer, lambda features, pose: self.gain * predict(features, pose), self.atoms)
+        return by_patches(self.layer, predict, self.atoms)
 
 
 class Experiment:
@@ -123,15 +121,11 @@ class Experiment:
         """The full variant with another mapping, layer or atoms."""
         return self.mapped(by_features(mapping), layer, atoms)
 
-    def mapped(
-        self, predict: Predictor, layer: Layer | None = None, atoms: Atoms | None = None, gain: float | None = None
-    ) -> Variant:
+    def mapped(self, predict: Predictor, layer: Layer | None = None, atoms: Atoms | None = None) -> Variant:
         """The same with any mapping; vertices have the mean of what it leaves."""
         layer, atoms = layer or self.layer, atoms or self.data.atoms
-        gain = self.database.wrinkle_gain if gain is None else gain
-        raised = lambda features, pose: gain * predict(features, pose)  # noqa: E731
-        atoms = with_vertex_mean(layer, [raised] * len(self.runs), atoms, self.runs, self.learned)
-        return Variant(layer, atoms, lambda: predict, gain=gain)
+        atoms = with_vertex_mean(layer, [predict] * len(self.runs), atoms, self.runs, self.learned)
+        return Variant(layer, atoms, lambda: predict)
 
     def judge(self, variant: Variant) -> dict[str, float]:
         """Figures given the coarse state and running freely, and the time of decoding over the full one's."""

@@ -256,10 +256,6 @@ def _relaxed(experiment: Experiment, passes: int) -> Variant:
     return replace(experiment.full, passes=passes)
 
 
-def _not_raised(experiment: Experiment) -> Variant:
-    return experiment.mapped(experiment.full.begin(), gain=1.0)
-
-
 def _coarse_model(experiment: Experiment, squeeze: float, bend_scale: float, shear_scale: float = 1.0) -> Variant:
     own = experiment.full.options or ModelOptions()
     options = replace(own, compression_compliance_scale=squeeze, bend_scale=bend_scale, shear_scale=shear_scale)
@@ -288,7 +284,6 @@ ABLATIONS = (
     Ablation("relaxation", "no pass", partial(_relaxed, passes=0)),
     Ablation("relaxation", "2 passes", partial(_relaxed, passes=2)),
     Ablation("relaxation", "3 passes", partial(_relaxed, passes=3)),
-    Ablation("calibration", "wrinkles not raised", _not_raised),
     Ablation("calibration", "off: squeeze 1, bending 1", partial(_coarse_model, squeeze=1.0, bend_scale=1.0)),
     Ablation("calibration", "squeeze 10, bending 1", partial(_coarse_model, squeeze=10.0, bend_scale=1.0)),
     Ablation("calibration", "squeeze 1, bending 10", partial(_coarse_model, squeeze=1.0, bend_scale=10.0)),

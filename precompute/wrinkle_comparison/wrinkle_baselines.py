@@ -61,7 +61,6 @@ def fit_baselines(
     *,
     epochs: int,
     seed: int,
-    gain: float = 1.0,
     report: Callable[[str], None] | None = None,
 ) -> list[WrinkleBaseline]:
     """Fit every baseline to a training set.
@@ -73,7 +72,6 @@ def fit_baselines(
             nothing is driven by them.
         epochs: of the wide network.
         seed: of every random choice.
-        gain: on the wrinkles of the wide network, which is ours but for its width [-].
         report: called with lines of progress.
     """
     progress = report or (lambda line: None)
@@ -88,7 +86,7 @@ def fit_baselines(
     progress("fitting baselines: modes")
     baselines.append(k_means_modes(data, seed))
     progress("fitting baselines: wide network")
-    wide = fit_layer(layer, data, hidden=WIDE, epochs=epochs, seed=seed).amplified(gain)
+    wide = fit_layer(layer, data, hidden=WIDE, epochs=epochs, seed=seed)
     return [*baselines, WrinkleBaseline("wide network", lambda f, pose: wide.predict(f), tuple(wide.arrays().values()))]
 
 

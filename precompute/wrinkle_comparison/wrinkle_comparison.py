@@ -209,7 +209,6 @@ def compare_wrinkles_file(
     chosen = spread_frames(recordings, LearningOptions().training_frames)
     data = training_set(layer, chosen, len(database.atoms.shapes), database.seed)
     poses = np.concatenate([run.poses[r.frames] for run, r in zip(runs, chosen, strict=True)])
-    gain = database.wrinkle_gain
     epochs = LearningOptions().epochs_for(len(data.features))
-    baselines = fit_baselines(layer, data, poses, epochs=epochs, seed=database.seed, gain=gain, report=report)
+    baselines = fit_baselines(layer, data, poses, epochs=epochs, seed=database.seed, report=report)
     return compare_wrinkles(layer, database, baselines, mesh_options, held_out, runs, chosen, report)

@@ -40,7 +40,6 @@ OPTIONS = LearningOptions(
     compression_scales=(1.0,),
     shear_scales=(1.0, 0.1),
     bend_scales=(1.0, 30.0),
-    gains=(1.0, 1.25),  # so little is learned that more only raises noise
     calibration_s=1.0,
     settle_s=0.3,
     still_s=0.2,

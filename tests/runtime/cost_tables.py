@@ -15,12 +15,12 @@ __all__ = ["made_front", "seen"]
 def made_front(count: int = 60, seed: int = 0) -> CostTable:
     """Costs over more than a decade, errors that fall with them, with scatter."""
     rng = np.random.default_rng(seed)
-    settings = [Setting(LevelOfDetail(1, 12, 48, 8, 1), 1.0, 1.0, (0.0, 0.0))]
+    settings = [Setting(LevelOfDetail(1, 12, 48, 1), 1.0, 1.0, (0.0, 0.0))]
     for k in range(1, count):
         every = int(rng.choice([1, 2, 4]))
         cost = 10.0 ** -(1.4 * k / count)
         error = 0.03 * (k / count) ** 2 * 10.0 ** rng.uniform(-0.3, 0.3)
-        detail = LevelOfDetail(every, 1 + k % 12, 48 * (k % 2), 8, k % 3)
+        detail = LevelOfDetail(every, 1 + k % 12, 48 * (k % 2), k % 3)
         settings.append(Setting(detail, cost, (0.9 * every if every > 1 else 1.0) * cost, (error, 1.5 * error)))
     return CostTable("cloak", "made up", "none", 0.8, (0.05,), 0.019, (0.5, 2.0), tuple(settings))
 
