@@ -224,8 +224,9 @@ def middle_levels(database: WrinkleDatabase, run: Run) -> Levels | None:
     vertices = plain.subdivision.upsample(database.coarse_vertices)[: one.fine_count]
     held = held_between(one, database.held)
     limits = database.limits.between(one.matrix)
+    sewn = None if database.sewn is None else database.sewn.subdivided(1)
     return levels_of(
-        vertices, one.faces, held, *body, database.subdivisions - 1, database.warp, database.binding, limits
+        vertices, one.faces, held, *body, database.subdivisions - 1, database.warp, database.binding, limits, sewn
     )
 
 
