@@ -4,10 +4,14 @@ PYTHON ?= $(firstword $(foreach name,python3.11 python3,$(if $(shell $(name) -c 
 BIN := .venv/bin
 export PYTHONHASHSEED := 0
 
-.PHONY: demo test lint format proofs proofs-long gpu-proofs lock clean
+.PHONY: demo garments test lint format proofs proofs-long gpu-proofs lock clean
 
 demo: .venv/ready
 	$(BIN)/gube demo
+
+# Sews the built-in garments anew: assets/data/*.npz.
+garments: .venv/ready
+	$(BIN)/python -m assets.procedural.builtin_sewing
 
 # Beside the type checker the kernels that most tests need are compiled, once for all processes that follow.
 # Then files go whole, in the order of tests/conftest.py, to as many processes as there are processors.

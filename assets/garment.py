@@ -39,6 +39,8 @@ class Garment:
         source: the file or the function that it came from.
         layers: of cloth in each face [-], shape (m,), float64; None where there is one everywhere. A sewn garment has
             them, and its pattern is in the order (warp, weft).
+        max_stretch: greatest length of the edges of each face over their rest length [-], shape (m,), float64; None
+            where nothing limits it but the fabric. The waistband of a sewn garment hardly gives way.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Garment:
     pattern: Floats | None
     source: str
     layers: Floats | None = None
+    max_stretch: Floats | None = None
 
 
 def load_garment(path: str | PathLike[str], *, pattern: bool = False) -> Garment:
@@ -58,8 +61,8 @@ def load_garment(path: str | PathLike[str], *, pattern: bool = False) -> Garment
     order of vertices and faces stays.
 
     Args:
-        path: the file; or "builtin:flag", "builtin:skirt", "builtin:tablecloth" or "builtin:tshirt" for one of the
-            built-in clothes, which have a pattern of their own where they need one.
+        path: the file; or "builtin:skirt" for one of the built-in clothes
+            (:data:`assets.procedural.builtin.BUILTIN_GARMENTS`), which have a pattern of their own.
         pattern: whether the texture coordinates are a flat pattern in metres.
 
     Raises:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pbd.contact.strain_limits import MAX_STRETCH
 from pbd.errors import InputError
 from pbd.limits import Limits
 from pbd.mesh import ClothMesh, Hinges
@@ -105,6 +106,11 @@ def _joined_mesh(meshes: Sequence[ClothMesh], offsets: np.ndarray) -> ClothMesh:
             if mesh.seam_hinges is not None
         ]
         seam_hinges = Hinges(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+    max_stretch = None
+    if any(mesh.max_stretch is not None for mesh in meshes):
+        max_stretch = np.concatenate(
+            [np.full(len(m.faces), MAX_STRETCH) if m.max_stretch is None else m.max_stretch for m in meshes]
+        )
     return ClothMesh(
         np.concatenate([mesh.vertices for mesh in meshes]),
         np.concatenate([mesh.faces + offset for mesh, offset in placed]).astype(np.int32),
@@ -112,4 +118,5 @@ def _joined_mesh(meshes: Sequence[ClothMesh], offsets: np.ndarray) -> ClothMesh:
         np.concatenate([mesh.stitches + offset for mesh, offset in placed]).astype(np.int32),
         np.concatenate([mesh.stitch_weights for mesh in meshes]),
         seam_hinges,
+        max_stretch=max_stretch,
     )

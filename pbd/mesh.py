@@ -207,8 +207,8 @@ class ClothMesh:
             gathered.
         layers: of cloth that lie on one another in each face and are sewn together [-], shape (m,); None where there is
             one everywhere.
-        max_stretch: greatest length of the edges of each face over their rest length, where the cloth collides with
-            itself [-], shape (m,); None where all have that of :mod:`pbd.contact.strain_limits`.
+        max_stretch: greatest length of the edges of each face over their rest length [-], shape (m,): less than that of
+            :mod:`pbd.contact.strain_limits` in waistbands; None where all have that.
     """
 
     vertices: np.ndarray

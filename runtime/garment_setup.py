@@ -34,12 +34,14 @@ from pbd import (
     build_model,
 )
 from pbd.attachment import Attachment
+from pbd.contact.strain_limits import MAX_STRETCH
 from pbd.layers import layered
 from runtime.simulation import Motion, Simulation, body_source
 from wrinkles.binding import Binding, bind
 from wrinkles.database import WrinkleDatabase
 from wrinkles.field import field_of_mesh
 from wrinkles.levels import Levels, build_levels
+from wrinkles.surface import SewnRest
 
 __all__ = [
     "PROCEDURAL_PIECE",
@@ -328,9 +330,12 @@ def _cuts(start: float, end: float, seconds: float) -> list[tuple[float, float]]
     return list(zip(ends[:-1], ends[1:], strict=True))
 
 
-def _sewn(garment: Garment) -> tuple[np.ndarray, np.ndarray | None] | None:
-    """Pattern and layers of a sewn garment; None for any other."""
-    return None if garment.layers is None or garment.pattern is None else (garment.pattern, garment.layers)
+def _sewn(garment: Garment) -> SewnRest | None:
+    """How a sewn garment rests; None for any other."""
+    if garment.layers is None or garment.pattern is None:
+        return None
+    unlimited = np.full(len(garment.faces), MAX_STRETCH)
+    return SewnRest(garment.pattern, garment.layers, unlimited if garment.max_stretch is None else garment.max_stretch)
 
 
 def garment_of(scene: Scene) -> tuple[GarmentSettings, Garment]:

@@ -44,7 +44,7 @@ from wrinkles.schema import (
     topology_hash,
     unpack,
 )
-from wrinkles.surface import Subdivision
+from wrinkles.surface import SewnRest, Subdivision
 
 __all__ = [
     "LearnedFabric",
@@ -91,6 +91,7 @@ class WrinkleDatabase:
         limits: how far coarse vertices may move from where the body carries them.
         warp: direction of the warp in space.
         binding: binding of a delivered fine mesh; None where the subdivided mesh is the fine one.
+        sewn: how the coarse faces of a sewn garment rest; None for any other, which rests as its mesh.
         fabric_name: name of the garment's own fabric.
         fabric: the garment's own fabric.
         options: options of the coarse model, calibrated for that fabric.
@@ -122,6 +123,7 @@ class WrinkleDatabase:
     limits: Limits
     warp: tuple[float, float, float]
     binding: Binding | None
+    sewn: SewnRest | None
     fabric_name: str
     fabric: Fabric
     options: ModelOptions
@@ -176,6 +178,7 @@ class WrinkleDatabase:
             self.warp,
             self.binding,
             self.limits,
+            self.sewn,
         )
 
     @property
@@ -340,7 +343,9 @@ def database_figures(path: str | Path) -> dict[str, float]:
     load = time.perf_counter() - start
     size = Path(path).stat().st_size
     with h5py.File(path) as file:
-        mesh = sum(file[e.name].id.get_storage_size() for e in ENTRIES if e.name.startswith(("binding/", "coarse_")))
+        mesh = sum(
+            file[e.name].id.get_storage_size() for e in ENTRIES if e.name.startswith(("binding/", "coarse_", "sewn/"))
+        )
     arrays = _arrays(database)
     scales = {f"{entry.name}_scale" for entry in ENTRIES if entry.scaled_along is not None}
     raw = sum(a.nbytes if a.dtype.kind == "S" else 4 * a.size for name, a in arrays.items() if name not in scales)
@@ -365,6 +370,7 @@ def _arrays(database: WrinkleDatabase) -> dict[str, np.ndarray]:
         "quality/names": tuple(quality),
         "quality/values": np.array(list(quality.values()), float),
         **_binding_values(database.binding),
+        **_sewn_values(database.sewn),
         **_other_fabrics_values(database.other_fabrics),
     }
     for entry in ENTRIES:
@@ -396,6 +402,12 @@ def _binding_of(values: dict[str, np.ndarray]) -> Binding | None:
     place, flat = values["place"].astype(float), values["flat"].astype(float)
     place = np.concatenate([1.0 - place.sum(axis=1, keepdims=True), place], axis=1)
     return Binding(**(values | {"place": place, "flat": flat}))
+
+
+def _sewn_values(sewn: SewnRest | None) -> dict[str, np.ndarray]:
+    """Entries of a sewn garment; of any other they are empty."""
+    sewn = sewn or SewnRest(np.zeros((0, 3, 2)), np.zeros(0), np.zeros(0))
+    return {f"sewn/{field.name}": getattr(sewn, field.name) for field in fields(SewnRest)}
 
 
 def _other_fabrics_values(others: tuple[LearnedFabric, ...]) -> dict[str, Any]:
@@ -438,6 +450,7 @@ def _unpacked(arrays: dict[str, np.ndarray]) -> WrinkleDatabase:
     return WrinkleDatabase(
         **root,
         binding=_binding_of(groups["binding"]),
+        sewn=SewnRest(**groups["sewn"]) if len(groups["sewn"]["layers"]) else None,
         rest_shape=RestShapeCorrection(**groups["rest_shape"]),
         limits=Limits(**groups["limits"]),
         fabric=Fabric(**groups["fabric"]),

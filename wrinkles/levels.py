@@ -16,7 +16,7 @@ from pbd import ClothMesh, InputError, Limits
 from pbd.attachment import Attachment, push_outside
 from pbd.bending import hinge_rows
 from wrinkles.binding import Binding
-from wrinkles.surface import Subdivision
+from wrinkles.surface import SewnRest, Subdivision
 
 __all__ = ["MAX_AREA_CORRECTION", "Levels", "build_levels", "held_between", "levels_of", "with_area_of"]
 
@@ -39,6 +39,7 @@ class Levels:
         coarse_held, fine_held: attached vertices, int, shapes (p,), (P,).
         coarse_attachment, fine_attachment: bind the attached vertices to the body; empty without a body.
         coarse_limits, fine_limits: how far vertices may move from where the body carries them.
+        sewn: how a sewn garment rests; None for any other.
         pattern: place of each corner of each coarse face in the flat pattern, for pictures [m], shape (m, 3, 2); None
             where there is none, or where a delivered fine mesh has it.
     """
@@ -52,6 +53,7 @@ class Levels:
     fine_attachment: Attachment
     coarse_limits: Limits
     fine_limits: Limits
+    sewn: SewnRest | None = None
     pattern: np.ndarray | None = None
 
     def __getstate__(self) -> dict:
@@ -114,7 +116,7 @@ def build_levels(
     warp: tuple[float, float, float] = (0.0, 1.0, 0.0),
     binding: Binding | None = None,
     limits: Limits | None = None,
-    sewn: tuple[np.ndarray, np.ndarray | None] | None = None,
+    sewn: SewnRest | None = None,
 ) -> Levels:
     """Make the two levels of a garment: push it out of the body in the bind pose, refine it and attach it.
 
@@ -128,7 +130,7 @@ def build_levels(
         warp: direction of the warp in space, shape (3,).
         binding: of a delivered fine mesh, if there is one.
         limits: how far coarse vertices may move from where the body carries them.
-        sewn: pattern and layers of a sewn garment, see :meth:`wrinkles.surface.Subdivision.sewn_meshes`.
+        sewn: how a sewn garment rests; None for any other, which rests as its mesh.
 
     Raises:
         InputError: a number of levels outside 1..4, or a subdivided mesh whose area differs by more than 2 %.
@@ -156,7 +158,7 @@ def levels_of(
     warp: tuple[float, float, float] = (0.0, 1.0, 0.0),
     binding: Binding | None = None,
     limits: Limits | None = None,
-    sewn: tuple[np.ndarray, np.ndarray | None] | None = None,
+    sewn: SewnRest | None = None,
 ) -> Levels:
     """Make the levels of a garment that is outside the body already; arguments as for :func:`build_levels`.
 
@@ -164,10 +166,7 @@ def levels_of(
         InputError: a subdivided mesh whose area differs by more than 2 %.
     """
     subdivision = Subdivision.of(faces, len(vertices), levels, binding)
-    if sewn is None:
-        coarse, fine = subdivision.meshes(vertices, warp)
-    else:
-        coarse, fine = subdivision.sewn_meshes(vertices, *sewn)
+    coarse, fine = subdivision.meshes(vertices, warp, sewn)
     coarse, ratio = with_area_of(coarse, fine)
     if binding is None and abs(ratio - 1.0) > MAX_AREA_CORRECTION:
         expected = f"1 within {100.0 * MAX_AREA_CORRECTION:g} %"
@@ -178,7 +177,9 @@ def levels_of(
     attachments = [Attachment.bind(points, body_vertices, body_faces) for points in carried]
     limits = limits or Limits.none()
     fine_limits = limits.between(subdivision.matrix) if len(limits.vertices) else limits
-    return Levels(subdivision, coarse, fine, held, fine_held, attachments[0], attachments[1], limits, fine_limits)
+    pattern = None if sewn is None else sewn.pattern
+    one, two = attachments
+    return Levels(subdivision, coarse, fine, held, fine_held, one, two, limits, fine_limits, sewn, pattern)
 
 
 def with_area_of(coarse: ClothMesh, fine: ClothMesh) -> tuple[ClothMesh, float]:

@@ -37,7 +37,7 @@ class ProxyMesh:
         mesh: the mesh, with the rest metric and the total area of the coarse mesh.
         held: its attached vertices, int, shape (p,).
         matrix: gives coarse vertices from those of the mesh; rows sum to one, shape (n, k).
-        inverse: gives vertices of the mesh from coarse ones, by least squares over the area; inverse @ matrix is the
+        inverse: gives vertices of the mesh from coarse ones, by least squares over its cloth; inverse @ matrix is the
             identity, shape (k, n).
         nearest: the coarse vertex that depends most on each vertex of the mesh, int, shape (k,).
         leading: the vertex of the mesh that each coarse vertex depends on most, int32, shape (n,).
@@ -71,10 +71,11 @@ def proxy_mesh_of(levels: Levels, warp: tuple[float, float, float] = (0.0, 1.0, 
         vertices, face, place = _bound(plain, surface, middle.faces, chosen, coarse.vertices, weight)
         matrix = (_weights(plain, face, place) @ plain.matrix).tocsr()
         mesh = _in_metric(vertices, plain.coarse_faces, coarse, middle, abs(matrix), warp)
+        mesh = _sewn_as(coarse, mesh, abs(matrix))
         hinges_of(mesh.faces)
     except (InputError, ValueError):  # too little is left of straps and of scattered small parts
         return None
-    area = diags(coarse.vertex_areas)
+    area = diags(coarse.vertex_cloth_areas)  # as its mass, so that momentum stays the same
     inverse = splu((matrix.T @ area @ matrix).tocsc()).solve((matrix.T @ area).toarray())
     size = np.abs(matrix.toarray())
     at = np.flatnonzero(np.isin(chosen, held))
@@ -159,3 +160,25 @@ def _in_metric(
     flat = flatten_by_lengths(mesh.flat, faces, lengths * longer[own].mean(axis=1), side_edge)
     mesh = replace(mesh, flat=flat)
     return replace(mesh, flat=flat * np.sqrt(coarse.face_areas.sum() / mesh.face_areas.sum()))
+
+
+def _sewn_as(coarse: ClothMesh, mesh: ClothMesh, near: csr_matrix) -> ClothMesh:
+    """The mesh with the layers of the coarse one, and all their cloth, and with waistbands that hold.
+
+    Args:
+        coarse: the coarse mesh.
+        mesh: of which the coarse vertices depend.
+        near: size of each coarse vertex's weight on each vertex, shape (n, k).
+    """
+    if coarse.layers is not None:
+        layers = (near.T @ (coarse.vertex_cloth_areas / coarse.vertex_areas)) / np.asarray(near.sum(axis=0)).ravel()
+        layers = layers[mesh.faces].mean(axis=1)
+        layers *= coarse.face_cloth_areas.sum() / (mesh.face_areas @ layers)
+        mesh = replace(mesh, layers=layers)
+    if coarse.max_stretch is not None:
+        limits = np.full(len(coarse.vertices), np.inf)
+        np.minimum.at(limits, coarse.faces.ravel(), np.repeat(coarse.max_stretch, 3))
+        # The longer faces of this mesh belong to a band where they have an edge in it.
+        ends = limits[near.toarray().argmax(axis=0)][mesh.faces]
+        mesh = replace(mesh, max_stretch=np.sort(ends, axis=1)[:, 1])
+    return mesh

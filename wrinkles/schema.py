@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 16
+SCHEMA_VERSION = 17
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE, STEPS = "text", "float32", "float64", "int32", "int64", "int8"
 
@@ -105,6 +105,9 @@ ENTRIES = (
     Entry("binding/flat", SINGLE, ("N", 2), "m"),
     Entry("binding/stitches", INDEX, ("s", 3)),
     Entry("binding/stitch_weights", DOUBLE, ("s",)),
+    Entry("sewn/pattern", DOUBLE, ("w", 3, 2), "m"),
+    Entry("sewn/layers", DOUBLE, ("w",)),
+    Entry("sewn/max_stretch", DOUBLE, ("w",)),
     Entry("fabric_name", TEXT),
     *_in_fabric("", ()),
     Entry("other_fabrics/name", TEXT, ("f",)),
@@ -151,9 +154,9 @@ ENTRIES = (
     Entry("scene", TEXT),
 )
 MAX_STEP = 127  # of int8
-# Sizes that may be zero: every garment has vertices, but it may have no pins and no limits, only one fabric, or a
-# subdivided fine mesh instead of a delivered one.
-SIZES_THAT_MAY_BE_ZERO = ("b", "p", "l", "q", "h", "t", "N", "M", "s", "f")
+# Sizes that may be zero: every garment has vertices, but it may have no pins and no limits, only one fabric, a
+# subdivided fine mesh instead of a delivered one, or no pattern by which it was sewn.
+SIZES_THAT_MAY_BE_ZERO = ("b", "p", "l", "q", "h", "t", "N", "M", "s", "f", "w")
 POSITIVE_ENTRIES = ("novelty/fade_from", "bend_factor", "frame_rate", "cutoff")
 
 
@@ -391,6 +394,25 @@ def _check_fine_mesh(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:
     stored, computed = arrays["topology_hash"].item().decode(), topology_hash(faces, levels, count)
     if stored != computed:
         refuse("does not belong to these faces and subdivisions", "topology_hash", stored, computed)
+    _check_sewn(arrays, refuse)
     vertices, means = fine or _subdivided_count(count, faces, levels), len(arrays["atoms/vertex_mean"])
     if means != vertices:
         refuse("another number of fine vertices", "atoms/vertex_mean", means, str(vertices))
+
+
+def _check_sewn(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:
+    """How a sewn garment rests belongs to its coarse faces, all of which have an area."""
+    pattern, layers, count = arrays["sewn/pattern"], arrays["sewn/layers"], len(arrays["coarse_faces"])
+    if not len(layers):
+        return
+    if len(layers) != count:
+        refuse("another number of faces", "sewn/pattern", len(layers), f"0 or {count}")
+    flat = np.linalg.det(pattern[:, 1:] - pattern[:, :1]) <= 0.0
+    if flat.any():
+        bad = int(np.argmax(flat))
+        refuse("a face without area", f"sewn/pattern[{bad}]", pattern[bad].tolist(), "corners counter-clockwise")
+    for name, least in (("layers", 0.0), ("max_stretch", 1.0)):
+        if (lowest := arrays[f"sewn/{name}"].min()) < least or lowest == 0.0:
+            refuse(
+                "out of range", f"sewn/{name}", lowest.item(), f"{'above' if least == 0.0 else 'at least'} {least:g}"
+            )

@@ -5,7 +5,7 @@ The upsampling is corrected, so that the fine surface passes close to the coarse
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,7 @@ from pbd.mesh import edges_of, flatten_by_lengths, flatten_by_surface
 if TYPE_CHECKING:
     from wrinkles.binding import Binding
 
-__all__ = ["Subdivision", "csr_arrays", "cut_corners", "cut_faces", "loop_step"]
+__all__ = ["SewnRest", "Subdivision", "csr_arrays", "cut_corners", "cut_faces", "loop_step"]
 
 
 def loop_step(faces: np.ndarray, vertex_count: int) -> tuple[csr_matrix, np.ndarray]:
@@ -89,6 +89,33 @@ def cut_corners(corners: np.ndarray) -> np.ndarray:
     ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
     parts = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
     return np.stack([np.stack(p, axis=1) for p in parts], axis=1).reshape(-1, 3, corners.shape[2])
+
+
+@dataclass(frozen=True, eq=False)
+class SewnRest:
+    """How the coarse faces of a sewn garment rest.
+
+    Attributes:
+        pattern: their corners (warp, weft) [m], shape (m, 3, 2).
+        layers: of cloth in each [-], shape (m,).
+        max_stretch: greatest length of their edges over the rest length [-], shape (m,): waistbands hardly give way.
+    """
+
+    pattern: np.ndarray
+    layers: np.ndarray
+    max_stretch: np.ndarray
+
+    def subdivided(self, levels: int) -> SewnRest:
+        """The same of the faces of :func:`cut_faces`, so many times."""
+        pattern = self.pattern
+        for _ in range(levels):
+            pattern = cut_corners(pattern)
+        return SewnRest(pattern, *(np.repeat(values, 4**levels) for values in (self.layers, self.max_stretch)))
+
+    def mesh(self, vertices: np.ndarray, faces: np.ndarray) -> ClothMesh:
+        """The garment at given vertices [m], shape (n, 3)."""
+        mesh = ClothMesh.from_pattern(vertices, faces, self.pattern, self.layers)
+        return replace(mesh, max_stretch=self.max_stretch)
 
 
 @dataclass(frozen=True)
@@ -215,26 +242,10 @@ class Subdivision:
         """
         return splu((self.matrix.T @ self.matrix).tocsc()).solve(self.matrix.T @ np.asarray(fine, float))
 
-    def sewn_meshes(
-        self, coarse_vertices: np.ndarray, pattern: np.ndarray, layers: np.ndarray | None
+    def meshes(
+        self, coarse_vertices: np.ndarray, warp: tuple = (0.0, 1.0, 0.0), sewn: SewnRest | None = None
     ) -> tuple[ClothMesh, ClothMesh]:
-        """Make the coarse and the fine mesh of a sewn garment, which rest as its pattern does.
-
-        Args:
-            coarse_vertices: [m], shape (n, 3).
-            pattern: corners of the coarse faces (warp, weft) [m], shape (m, 3, 2).
-            layers: of cloth in the coarse faces [-], shape (m,), or None.
-        """
-        coarse = ClothMesh.from_pattern(coarse_vertices, self.coarse_faces, pattern, layers)
-        corners = pattern
-        for _ in self.steps:
-            corners = cut_corners(corners)
-        if layers is not None:
-            layers = np.repeat(layers, 4 ** len(self.steps))
-        return coarse, ClothMesh.from_pattern(self.upsample(coarse_vertices), self.cut, corners, layers)
-
-    def meshes(self, coarse_vertices: np.ndarray, warp: tuple = (0.0, 1.0, 0.0)) -> tuple[ClothMesh, ClothMesh]:
-        """Make the coarse and the fine mesh with one rest metric, that of the smooth fine mesh.
+        """Make the coarse and the fine mesh with one rest metric: that of the smooth fine mesh, or of a sewn pattern.
 
         A coarse edge is as long as the fine edges along it, so that both meshes have the same area; the straight edge
         itself is shorter than the cloth. With a delivered fine mesh, coarse edges take the lengths of its pattern, see
@@ -243,8 +254,12 @@ class Subdivision:
         Args:
             coarse_vertices: [m], shape (n, 3).
             warp: direction of the warp in space, shape (3,).
+            sewn: how the coarse faces of a sewn garment rest; the warp is then that of the pattern.
         """
         fine_vertices = self.upsample(coarse_vertices)
+        if sewn is not None:
+            coarse = sewn.mesh(np.asarray(coarse_vertices, float), self.coarse_faces)
+            return coarse, sewn.subdivided(len(self.steps)).mesh(fine_vertices, self.cut)
         if self.binding is None:
             smooth, fine = fine_vertices, ClothMesh.from_surface(fine_vertices, self.cut, warp)
         else:

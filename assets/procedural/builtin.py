@@ -1,6 +1,8 @@
-"""The built-in clothes: a flag, a tablecloth, and a skirt and a T-shirt for the built-in mannequin."""
+"""The built-in clothes: a flag, a tablecloth, and garments that were sewn for the built-in mannequin."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +14,7 @@ from pbd.mesh import lattice_faces
 
 __all__ = ["BUILTIN_GARMENTS", "builtin_garment"]
 
-BUILTIN_GARMENTS = ("flag", "skirt", "tablecloth", "tshirt")
+BUILTIN_GARMENTS = ("circle_skirt", "flag", "shirt", "skirt", "tablecloth", "trousers", "tshirt")
 
 _SHEET_EDGE = 0.04  # of flag and tablecloth [m]
 
@@ -21,7 +23,8 @@ def builtin_garment(name: str) -> Garment:
     """One of the built-in clothes.
 
     `flag` is upright, 1.2 m long, its pole at x = 0, its lower edge 1 m up. `tablecloth` is level, 1.2 m square,
-    0.75 m up. `skirt` and `tshirt` are worn by :func:`~assets.procedural.mannequin.builtin_mannequin` in its bind pose.
+    0.75 m up. The others are worn by :func:`~assets.procedural.mannequin.builtin_mannequin` in its bind pose: they were
+    drafted for it, cut flat, sewn and draped, see :mod:`assets.procedural.builtin_sewing`.
 
     Raises:
         InputError: there is none of that name.
@@ -33,10 +36,9 @@ def builtin_garment(name: str) -> Garment:
     if name not in BUILTIN_GARMENTS:
         expected = "one of " + ", ".join(BUILTIN_GARMENTS)
         raise InputError("no such built-in garment", received=name, expected=expected)
-    with np.load(DATA / f"{name}.npz", allow_pickle=False) as data:
-        vertices, faces = data["vertices"].astype(np.float64), data["faces"].astype(np.int32)
-        pattern = data["pattern"].astype(np.float64) if "pattern" in data else None
-    return Garment(name, vertices, faces, pattern, f"builtin:{name}")
+    from assets.io.sewn import read_sewn  # loads much that a scene without clothes of its own does not need
+
+    return replace(read_sewn(DATA / f"{name}.npz").garment, source=f"builtin:{name}")
 
 
 def _sheet(name: str, size: tuple[float, float], corner: NDArray[np.float64], up: NDArray[np.float64]) -> Garment:

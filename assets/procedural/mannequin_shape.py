@@ -1,9 +1,13 @@
 """How the built-in mannequin is made: its skeleton, its surface and its skin weights.
 
-Runs when the mannequin's data file is made anew; playing reads the file only (see :mod:`assets.procedural.mannequin`).
+``python -m assets.procedural.mannequin_shape`` writes the data file anew, and its garments are sewn after it (see
+:mod:`assets.procedural.builtin_sewing`). Playing only reads the file (see :mod:`assets.procedural.mannequin`).
 """
 
 from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +22,12 @@ from assets.procedural.implicit import (
     surface_mesh,
     tapered_tube,
 )
-from assets.procedural.mannequin import JOINTS
+from assets.procedural.mannequin import DATA, JOINTS
 from assets.remesh import even_mesh
 from pbd.mesh import edges_of
+from pbd.storage import replacing
 
-__all__ = ["body_field", "make_mannequin", "skin_weights", "strongest"]
+__all__ = ["body_field", "make_mannequin", "skin_weights", "strongest", "write_mannequin"]
 
 Floats = NDArray[np.float64]
 
@@ -239,3 +244,14 @@ def _head(points: Floats) -> Floats:
     skull = ellipsoid(points, np.array([0.0, 1.613, -0.010]), np.array([0.072, 0.087, 0.090]))
     face = ellipsoid(points, np.array([0.0, 1.563, 0.026]), np.array([0.053, 0.080, 0.058]))
     return smooth_min(neck, smooth_min(skull, face, 0.05), 0.03)
+
+
+def write_mannequin(folder: Path = DATA) -> None:
+    """Make the data file of the mannequin."""
+    arrays: dict[str, Any] = make_mannequin()
+    with replacing(folder / "mannequin.npz") as path, open(path, "wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+if __name__ == "__main__":
+    write_mannequin()

@@ -19,7 +19,7 @@ from pbd.contact.blocks import LANES, empty_blocks
 from pbd.contact.pair_search import find_pairs
 from pbd.contact.pair_sides import turning_kernel
 from pbd.contact.pairs import PULL
-from pbd.contact.strain_limits import MAX_STRETCH, limit_rows
+from pbd.contact.strain_limits import strain_limits
 from pbd.contact.untangling import Untangling
 from pbd.mesh import edges_of
 from pbd.model import Model, State
@@ -180,11 +180,7 @@ class SelfCollision:
         self._find, self._turn_sides = Launch(find_pairs), Launch(turning_kernel())
         self._ahead = 1.0  # how far the last search looked [s]
         self._pulls: tuple[np.ndarray, np.ndarray] | None = None
-        all_edges, lengths = mesh.edge_lengths()
-        stretch = mesh.edge_limits(MAX_STRETCH)
-        # What is tight by itself, like a waistband, lies on the body as other cloth does.
-        clearances = np.where(stretch < MAX_STRETCH, model.fabric.thickness, 0.0)
-        self.strain_limits, self.limit_work = limit_rows(all_edges, stretch * lengths, count, clearances)
+        self.strain_limits, self.limit_work = strain_limits(mesh, model.fabric.thickness)
         self._make_room(2 * count)
 
     def _make_room(self, count: int) -> None:

@@ -9,9 +9,10 @@ import numpy as np
 from pbd.contact.response import height_over, substep_start
 from pbd.engine import ti
 from pbd.geometry import vec3, vec4, xyz
+from pbd.mesh import ClothMesh
 from pbd.xpbd.constraints import tether_correction
 
-__all__ = ["MAX_STRETCH", "limit_rows", "near_limits", "solve_strain_limits"]
+__all__ = ["MAX_STRETCH", "limit_rows", "near_limits", "solve_strain_limits", "strain_limits"]
 
 MAX_STRETCH = 1.5  # greatest length of an edge over its rest length [-]
 MAX_RETURN_SPEED = 3.0  # of an edge that starts a substep too long: a correction is also a velocity [m/s]
@@ -43,6 +44,22 @@ def limit_rows(
     first = blocks + count + 1
     starts = first + np.searchsorted(used[:, 0], np.arange(count + 1))
     return limits, np.concatenate([np.zeros(blocks, int), starts, used[:, 1]]).astype(np.int32)
+
+
+def strain_limits(mesh: ClothMesh, thickness: float, bands_only: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """The limits of a mesh's edges, see :func:`limit_rows`.
+
+    Args:
+        mesh: the garment.
+        thickness: kept from the body [m]. Edges that are tight by themselves, like a waistband's, keep it as well.
+        bands_only: whether edges that have the usual limit are left out.
+    """
+    edges, lengths = mesh.edge_lengths()
+    stretch = mesh.edge_limits(MAX_STRETCH)
+    tight = stretch < MAX_STRETCH
+    rows = tight if bands_only else np.ones(len(edges), bool)
+    clearances = np.where(tight, thickness, 0.0)
+    return limit_rows(edges[rows], (stretch * lengths)[rows], len(mesh.vertices), clearances[rows])
 
 
 @ti.func

@@ -51,7 +51,7 @@ WRITTEN = ("position", "velocity", "nearest", "contact_faces", "contact_weights"
 WORKSPACE = (
     "contact_distance", "position_delta", "normals", "velocity_delta", "contact_points", "active_samples",
     "active_counts", "displacement", "patch_centers", "predicted_displacement", "coarse_strain", "spring_workspace",
-    "max_approach", "reached", "cell_start", "cell_items", "item_cell",
+    "max_approach", "limit_work", "reached", "cell_start", "cell_items", "item_cell",
 )  # fmt: skip
 OWN = frozenset(READ + WORKSPACE)
 

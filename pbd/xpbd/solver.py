@@ -11,6 +11,7 @@ from pbd.contact.body_search import MAX_CELLS, find_nearest
 from pbd.contact.colliders import Body, Colliders
 from pbd.contact.distance_field import MOTION
 from pbd.contact.self_collision import SelfCollision
+from pbd.contact.strain_limits import strain_limits
 from pbd.engine import ensure_initialized
 from pbd.errors import InputError
 from pbd.limits import LimitTargets
@@ -155,6 +156,7 @@ class Solver:
     def _workspace(self) -> dict[str, np.ndarray]:
         """Arguments of the kernels that hold nothing between two frames."""
         count, samples = self.model.vertex_count, len(self.model.samples)
+        limits, limit_work = strain_limits(self.model.mesh, self.model.fabric.thickness, bands_only=True)
         return {
             **{name: np.zeros((count, 4), np.float32) for name in ("position_delta", "velocity_delta", "normals")},
             "contact_points": np.zeros((samples, 3, 4), np.float32),
@@ -164,12 +166,12 @@ class Solver:
             "max_approach": self._max_approach,
             "air": self._air,
             "steps": self._steps,
-            # Where the cloth does not collide with itself:
+            # Where the cloth does not collide with itself, its bands alone have limits of stretch:
             "pairs": np.zeros((1, 4), np.int32),
             "pair_data": np.zeros((1, 2, 4), np.float32),
             "ready_pairs": np.zeros(2, np.int32),
-            "strain_limits": np.zeros((0, 4), np.float32),
-            "limit_work": np.zeros(1, np.int32),
+            "strain_limits": limits,
+            "limit_work": limit_work,
         }
 
     def step(

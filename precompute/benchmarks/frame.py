@@ -267,7 +267,7 @@ def _growth(database: WrinkleDatabase, run: Run) -> float:
     for subdivisions in (database.subdivisions, database.subdivisions + 1):
         levels = levels_of(
             database.coarse_vertices, database.coarse_faces, database.held, source.vertices, source.faces,
-            subdivisions, database.warp, None, database.limits,
+            subdivisions, database.warp, None, database.limits, database.sewn,
         )  # fmt: skip
         # The time does not depend on the stiffness of the hinges, which takes long to calibrate.
         model = build_model(levels.fine, run.fabric, levels.fine_held, run.options, run.bend_factor, levels.fine_limits)

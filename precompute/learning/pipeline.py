@@ -331,6 +331,7 @@ def _finished(
         limits=levels.coarse_limits,
         warp=(0.0, 1.0, 0.0),
         binding=levels.subdivision.binding,
+        sewn=levels.sewn,
         fabric_name=own,
         fabric=work.fabrics[own],
         options=calibrations[own].options,

@@ -95,6 +95,8 @@ class Run:
             mesh.stitch_weights,
             np.zeros(0) if mesh.rest_bends is None else mesh.rest_bends,
             np.zeros(0) if mesh.cloth_areas is None else mesh.cloth_areas,
+            np.zeros(0) if mesh.layers is None else mesh.layers,
+            np.zeros(0) if mesh.max_stretch is None else mesh.max_stretch,
             attachment.corners,
             attachment.weights,
             attachment.offset,

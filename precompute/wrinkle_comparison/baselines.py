@@ -320,8 +320,9 @@ def middle_levels(database: WrinkleDatabase, run: Run, cuts: int = 1) -> Levels 
     vertices = plain.subdivision.upsample(database.coarse_vertices)[: one.fine_count]
     held = held_between(one, database.held)
     limits = database.limits.between(one.matrix)
+    sewn = None if database.sewn is None else database.sewn.subdivided(cuts)
     return levels_of(
-        vertices, one.faces, held, *body, database.subdivisions - cuts, database.warp, database.binding, limits
+        vertices, one.faces, held, *body, database.subdivisions - cuts, database.warp, database.binding, limits, sewn
     )
 
 

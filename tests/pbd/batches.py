@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pbd import BatchSolver, Body, Capsule, Colliders, Fabric, Solver, SolverOptions, State, build_model
@@ -24,7 +26,10 @@ class Sheet:
         flat, faces = grid(along, across, 0.04)
         self.start = flat[:, [0, 2, 1]]
         held = np.flatnonzero(flat[:, 0] < 1e-9)
-        self.model = build_model(cloth(self.start, faces), Fabric(stretch_warp=1e5, stretch_weft=1e5), held)
+        sheet = cloth(self.start, faces)
+        band = flat[faces][:, :, 0].min(axis=1) > flat[:, 0].max() - 0.05  # along the side opposite to the held one
+        sheet = replace(sheet, max_stretch=np.where(band, 1.0, 1.5))
+        self.model = build_model(sheet, Fabric(stretch_warp=1e5, stretch_weft=1e5), held)
         self.ball, self.ball_faces = icosphere(3, 0.15)
         self.ball = self.ball + [0.2, -0.153, 0.2 + shift]
         self.with_body = with_body

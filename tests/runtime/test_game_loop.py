@@ -323,6 +323,7 @@ def database() -> WrinkleDatabase:
         limits=Limits.none(),
         warp=(0.0, 1.0, 0.0),
         binding=None,
+        sewn=None,
         fabric_name="own",
         fabric=Fabric(),
         options=ModelOptions(),

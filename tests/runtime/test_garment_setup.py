@@ -186,7 +186,7 @@ def skirt_with(folder: Path, keys: str, more: str = "", rows: str = "") -> Scene
     return parse_scene(text + f'[character]\nfile = "builtin:mannequin"\nclip = "twirl"\n{more}', folder / "scene.toml")
 
 
-@pytest.mark.parametrize(("keys", "expected"), [("", 2), ('fabric = "silk"', 2), ("subdivisions = 1", 1)])
+@pytest.mark.parametrize(("keys", "expected"), [("", 2), ('fabric = "silk"', 3), ("subdivisions = 1", 1)])
 def test_subdivisions_follow_from_the_fabric_unless_they_are_named(keys: str, expected: int) -> None:
     scene = parse_scene(f'[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\n{keys}\n')
     assert with_subdivisions(scene).garments[0].subdivisions == expected
@@ -199,7 +199,7 @@ def test_softer_fabrics_need_finer_meshes() -> None:
         return with_subdivisions(scene).garments[0].subdivisions
 
     assert [needed(bend) for bend in (1e-3, 3e-5, 1e-6, 0.0)] == [1, 2, 3, 3]
-    assert needed(1e-3, '[training]\nfabrics = ["silk"]\n') == 2
+    assert needed(1e-3, '[training]\nfabrics = ["silk"]\n') == 3
 
 
 def test_ease_reaches_both_meshes_of_a_scene(tmp_path: Path) -> None:
@@ -208,7 +208,8 @@ def test_ease_reaches_both_meshes_of_a_scene(tmp_path: Path) -> None:
         before, after = getattr(plain, name), getattr(eased, name)
         assert after.face_areas.sum() / before.face_areas.sum() == pytest.approx(1.2 * 1.05, rel=0.02)
     held = plain.coarse_held
-    np.testing.assert_allclose(eased.coarse.vertices[held], plain.coarse.vertices[held], atol=1e-9)
+    # A sewn waist lies at the clearance itself, so that both garments are pushed out of the body a little.
+    np.testing.assert_allclose(eased.coarse.vertices[held], plain.coarse.vertices[held], atol=2e-5)
     with pytest.raises(InputError, match="ease: a garment smaller than the body"):
         GarmentSetup.of(skirt_with(tmp_path, "ease = [-0.4, 0]"))
 

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
+from assets.garment import highest_loop
 from assets.io.scene import parse_scene
-from assets.io.sewn import write_sewn
+from assets.io.sewn import read_sewn, write_sewn
+from assets.procedural.mannequin import DATA
 from assets.sewing.sewing import sew
+from pbd.contact.strain_limits import MAX_STRETCH
 from runtime import command
 from runtime.garment_setup import GarmentSetup, simulation_of
 from tests.assets.sewing.tubes import egg, tube_pattern
@@ -34,6 +39,7 @@ def test_both_levels_rest_as_the_pattern(folder: Path) -> None:
     for mesh in (levels.coarse, levels.fine):
         assert np.isclose(mesh.face_areas.sum(), 0.6 * 0.1)
         assert mesh.layers is not None and mesh.layers.max() > 1.5
+        assert mesh.max_stretch is not None and len(mesh.max_stretch) == len(mesh.faces)
     assert len(levels.fine.faces) == 16 * len(levels.coarse.faces)
     assert np.isclose(levels.fine.face_cloth_areas.sum(), levels.coarse.face_cloth_areas.sum())
 
@@ -46,6 +52,40 @@ def test_a_sewn_garment_stays_where_it_was_draped(folder: Path, fine: bool) -> N
     for frame in range(12):
         simulation.step(motion.pose(frame / 60), 1 / 60)
     assert np.linalg.norm(simulation.vertices - start, axis=1).max() < 0.01
+
+
+def slid(mesh: str | Path, clip: str = "walk", seconds: float = 2.5) -> float:
+    """How far the waist of an unattached garment has gone down against the body's skin under it [m]."""
+    text = f'[[garment]]\nname = "skirt"\nmesh = "{mesh}"\nfabric = "wool"\nsubdivisions = 1\n'
+    text += f'[character]\nfile = "builtin:mannequin"\nclip = "{clip}"\n'
+    simulation, motion = simulation_of(parse_scene(text, "scene.toml"))
+    assert motion is not None and simulation.source is not None and not len(simulation.model.held)
+    waist = highest_loop(simulation.model.mesh.vertices, simulation.model.mesh.faces)
+    near = cKDTree(simulation.source.vertices).query(simulation.model.mesh.vertices[waist])[1]
+
+    def height() -> float:
+        skin = simulation.body.current[near, 1] + simulation.body.origin[1]
+        return float((simulation.vertices[waist, 1] - skin).mean())
+
+    start = height()
+    for frame in range(1, round(60 * seconds)):
+        simulation.step(motion.pose(frame / 60), 1 / 60)
+    return start - height()
+
+
+@pytest.mark.parametrize("name", ["skirt", "trousers"])
+@pytest.mark.parametrize("clip", ["walk", "twirl"])
+def test_a_waistband_holds_without_being_attached(name: str, clip: str) -> None:
+    assert -0.005 < slid(f"builtin:{name}", clip) < 0.015
+
+
+def test_without_its_limits_the_waistband_gives_way(tmp_path: Path) -> None:
+    """The same skirt with the usual limits on every edge."""
+    sewn = read_sewn(DATA / "circle_skirt.npz")
+    unlimited = np.full(len(sewn.garment.faces), MAX_STRETCH)
+    write_sewn(tmp_path / "loose.npz", replace(sewn, garment=replace(sewn.garment, max_stretch=unlimited)))
+    assert slid("builtin:circle_skirt", seconds=1.0) < 0.02
+    assert slid(tmp_path / "loose.npz", seconds=1.0) > 0.08
 
 
 def test_the_command_writes_a_garment_or_says_why_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

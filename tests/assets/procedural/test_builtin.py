@@ -1,6 +1,7 @@
 """The built-in clothes: sound meshes that fit."""
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,17 +9,27 @@ import trimesh
 
 from assets.garment import boundary_loops, load_garment
 from assets.procedural.builtin import BUILTIN_GARMENTS, builtin_garment
-from assets.procedural.builtin_shape import make_skirt, tshirt_field
+from assets.procedural.builtin_sewing import CUTS, sewn_builtin
 from assets.procedural.mannequin import builtin_mannequin
+from pbd.contact.strain_limits import MAX_STRETCH
 from pbd.errors import InputError
+from pbd.mesh import ClothMesh
 
-LOOPS = {"flag": 1, "tablecloth": 1, "skirt": 2, "tshirt": 4}
-LEAST_ANGLE = {"flag": 44.0, "tablecloth": 44.0, "skirt": 45.0, "tshirt": 25.0}
+SEWN = tuple(CUTS)
+LOOPS = {"flag": 1, "tablecloth": 1, "circle_skirt": 2, "shirt": 4, "skirt": 2, "trousers": 3, "tshirt": 4}
+# Panels are cut along their outlines, whose corners are as sharp as the draft draws them.
+LEAST_ANGLE = {"flag": 44.0, "tablecloth": 44.0} | dict.fromkeys(SEWN, 24.0)
+MOST_VERTICES = {"circle_skirt": 1500, "shirt": 1200, "trousers": 1200}  # others 1000
 
 
-def angles(name: str) -> np.ndarray:
+def flat(name: str) -> np.ndarray:
+    """Corners of the faces as they were cut [m], shape (m, 3, 3)."""
     garment = builtin_garment(name)
-    p = garment.vertices[garment.faces]
+    assert garment.pattern is not None
+    return np.insert(garment.pattern, 2, 0.0, axis=2)
+
+
+def angles(p: np.ndarray) -> np.ndarray:
     u, v = np.roll(p, -1, axis=1) - p, np.roll(p, 1, axis=1) - p
     return np.degrees(np.arctan2(np.linalg.norm(np.cross(u, v), axis=2), (u * v).sum(axis=2)))
 
@@ -60,28 +71,27 @@ def test_mesh_is_manifold_with_the_right_openings(name: str) -> None:
 
 @pytest.mark.parametrize("name", BUILTIN_GARMENTS)
 def test_triangles_are_even(name: str) -> None:
-    garment = builtin_garment(name)
-    p = garment.vertices[garment.faces]
+    garment, p = builtin_garment(name), flat(name)
     lengths = np.linalg.norm(p - np.roll(p, -1, axis=1), axis=2)
-    sides = np.sort(np.stack([garment.faces, np.roll(garment.faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
-    mean = lengths.ravel()[np.unique(sides, axis=0, return_index=True)[1]].mean()
+    mean = lengths.mean()
     assert 0.028 < mean < 0.048
     assert 0.5 * mean < lengths.min() and lengths.max() < 1.6 * mean
-    assert angles(name).min() > LEAST_ANGLE[name]
-    assert 450 <= len(garment.vertices) <= 1000
+    assert angles(p).min() > LEAST_ANGLE[name]
+    assert 450 <= len(garment.vertices) <= MOST_VERTICES.get(name, 1000)
 
 
-@pytest.mark.parametrize("name", ["skirt", "tshirt"])
+@pytest.mark.parametrize("name", SEWN)
 def test_is_worn_outside_the_body_everywhere(name: str) -> None:
     garment = builtin_garment(name)
-    assert gap(garment.vertices).min() > 0.004
+    assert gap(garment.vertices).min() > 0.0025  # the fabrics' thickness is 3 mm
     middles = garment.vertices[garment.faces].mean(axis=1)
     sides = garment.vertices[np.concatenate([garment.faces[:, [0, 1]], garment.faces[:, [1, 2]]])].mean(axis=1)
-    assert gap(np.concatenate([middles, sides])).min() > 0.003
+    assert gap(np.concatenate([middles, sides])).min() > 0.0
 
 
-@pytest.mark.parametrize("name", ["skirt", "tshirt"])
+@pytest.mark.parametrize("name", SEWN)
 def test_faces_look_away_from_the_body(name: str) -> None:
+    """Those that lie on it: cloth that hangs in folds also looks aside and back."""
     garment = builtin_garment(name)
     p = garment.vertices[garment.faces]
     normals = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
@@ -91,7 +101,8 @@ def test_faces_look_away_from_the_body(name: str) -> None:
     from scipy.spatial import cKDTree
 
     away = middles - closest[cKDTree(closest).query(middles)[1]]
-    assert ((normals * away).sum(axis=1) > 0.0).mean() > 0.99
+    lies = np.linalg.norm(away, axis=1) < 0.02
+    assert lies.sum() > 100 and ((normals * away).sum(axis=1) > 0.0)[lies].mean() > 0.95
 
 
 def test_flag_hangs_upright_and_the_tablecloth_lies_level() -> None:
@@ -111,13 +122,15 @@ def test_flag_has_no_bias() -> None:
     assert np.sign(sides[diagonal, 0] * sides[diagonal, 1]).sum() == 0
 
 
-@pytest.mark.parametrize("name", ["flag", "tablecloth", "skirt"])
+@pytest.mark.parametrize("name", BUILTIN_GARMENTS)
 def test_pattern_is_flat_and_keeps_lengths(name: str) -> None:
-    garment = builtin_garment(name)
-    assert garment.pattern is not None
-    p, q = garment.vertices[garment.faces], garment.pattern
+    """Cloth that hangs is stretched a little; at seams and armholes a few edges are."""
+    p, q = builtin_garment(name).vertices[builtin_garment(name).faces], flat(name)
     ratio = np.linalg.norm(p - np.roll(p, -1, axis=1), axis=2) / np.linalg.norm(q - np.roll(q, -1, axis=1), axis=2)
-    assert ratio == pytest.approx(1.0, abs=0.005)
+    if name not in SEWN:
+        assert ratio == pytest.approx(1.0, abs=0.005)
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.002)
+    assert np.percentile(ratio, 1) > 0.97 and np.percentile(ratio, 99) < 1.05
     u, v = q[:, 1] - q[:, 0], q[:, 2] - q[:, 0]
     assert (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] > 0.0).all()  # seen from outside, not mirrored
 
@@ -126,29 +139,43 @@ def test_skirt_sits_at_the_waist_and_flares() -> None:
     skirt = builtin_garment("skirt")
     loops = sorted(boundary_loops(skirt.faces), key=lambda loop: -skirt.vertices[loop, 1].mean())
     waist, hem = (skirt.vertices[loop] for loop in loops)
-    assert 0.004 < gap(waist).min() and gap(waist).max() < 0.008
+    assert 0.0025 < gap(waist).min() and gap(waist).max() < 0.008
     around = [np.linalg.norm(loop - np.roll(loop, 1, axis=0), axis=1).sum() for loop in (waist, hem)]
     hips = body_mesh().section([0.0, 1.0, 0.0], [0.0, 0.88, 0.0])
     assert hips is not None
     middle = max(hips.entities, key=lambda entity: entity.length(hips.vertices))
-    assert 1.6 < around[1] / middle.length(hips.vertices) < 2.0
+    assert 2.0 < around[1] / middle.length(hips.vertices) < 2.4
     assert 0.35 < hem[:, 1].mean() < 0.55  # between the knee and the calf
-    valence = np.bincount(skirt.faces.ravel())
-    assert set(np.unique(valence)) == {3, 6}  # no irregular vertex, at the boundary or inside
 
 
-def test_data_files_are_what_the_generator_makes() -> None:
-    skirt, made = builtin_garment("skirt"), make_skirt()
-    assert np.abs(skirt.vertices - made["vertices"]).max() < 1e-5
-    assert np.array_equal(skirt.faces, made["faces"])
-    shirt = builtin_garment("tshirt")
-    inner = np.setdiff1d(np.arange(len(shirt.vertices)), np.concatenate(boundary_loops(shirt.faces)))
-    assert np.abs(tshirt_field(shirt.vertices[inner])).max() < 3e-4
-    assert np.abs(tshirt_field(shirt.vertices)).max() < 3e-3
+@pytest.mark.parametrize(("name", "rings"), [("skirt", 1), ("circle_skirt", 1), ("trousers", 1), ("tshirt", 0)])
+def test_waistbands_hardly_give_way(name: str, rings: int) -> None:
+    """Every edge of the waist, and no edge of the hem."""
+    garment = builtin_garment(name)
+    mesh = replace(ClothMesh.from_surface(garment.vertices, garment.faces), max_stretch=garment.max_stretch)
+    limits = mesh.edge_limits(MAX_STRETCH)
+    edges = mesh.edge_lengths()[0]
+    loops = sorted(boundary_loops(garment.faces), key=lambda loop: -garment.vertices[loop, 1].mean())
+    for number, loop in enumerate(loops):
+        around = np.sort(np.stack([loop, np.roll(loop, 1)], axis=1), axis=1)
+        mine = (edges[:, None] == around[None]).all(axis=2).any(axis=1)
+        assert mine.sum() == len(loop)
+        np.testing.assert_allclose(limits[mine], 1.01 if number < rings else MAX_STRETCH)
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize("name", SEWN)
+def test_garments_are_what_sewing_makes(name: str) -> None:
+    """The cut is the same; folds are, up to what other rounding of another processor makes of them."""
+    garment, made = builtin_garment(name), sewn_builtin(name).garment
+    np.testing.assert_array_equal(garment.faces, made.faces)
+    for key in ("pattern", "layers", "max_stretch"):
+        np.testing.assert_allclose(getattr(garment, key), getattr(made, key), atol=1e-9)
+    assert np.linalg.norm(garment.vertices - made.vertices, axis=1).max() < 0.001
 
 
 def test_an_unknown_name_is_refused() -> None:
-    with pytest.raises(InputError, match="flag, skirt, tablecloth, tshirt"):
+    with pytest.raises(InputError, match="circle_skirt, flag, shirt, skirt, tablecloth, trousers, tshirt"):
         builtin_garment("toga")
 
 

@@ -98,10 +98,21 @@ def test_a_file_holds_the_whole_garment(tube: SewnGarment, tmp_path: Path) -> No
     write_sewn(path, tube)
     found = read_sewn(path)
     assert (found.panel_names, found.fabric) == (("front", "back"), "cotton")
-    for name in ("vertices", "faces", "pattern", "layers"):
+    for name in ("vertices", "faces", "pattern", "layers", "max_stretch"):
         np.testing.assert_array_equal(getattr(found.garment, name), getattr(tube.garment, name))
     np.testing.assert_array_equal(found.seams, tube.seams)
     np.testing.assert_array_equal(load_garment(path).vertices, tube.garment.vertices)
+
+
+def test_files_of_the_version_before_are_read_without_bands(tube: SewnGarment, tmp_path: Path) -> None:
+    path = tmp_path / "tube.npz"
+    write_sewn(path, tube)
+    with np.load(path) as archive:
+        arrays = {name: archive[name] for name in archive if name != "max_stretch"} | {"format": np.array(1)}
+    np.savez(path, **arrays)  # type: ignore[arg-type]
+    found = load_garment(path)
+    assert found.max_stretch is None
+    np.testing.assert_array_equal(found.layers, tube.garment.layers)
 
 
 def _with(**changes: np.ndarray) -> Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]]:
@@ -114,6 +125,8 @@ def _with(**changes: np.ndarray) -> Callable[[dict[str, np.ndarray]], dict[str, 
         (lambda arrays: {key: value for key, value in arrays.items() if key != "layers"}, "layers: a missing key"),
         (_with(format=np.array(99)), "another version.*99"),
         (_with(layers=np.zeros(3)), "layers: a bad array"),
+        (lambda arrays: {k: v for k, v in arrays.items() if k != "max_stretch"}, "max_stretch: a missing key"),
+        (lambda arrays: arrays | {"max_stretch": 0.9 * arrays["max_stretch"] / 1.5}, "max_stretch.*at least 1"),
         (_with(vertices=np.full((4, 3), np.nan)), "vertices"),
         (lambda arrays: arrays | {"faces": arrays["faces"] + 10_000}, "faces: a number out of range"),
         (lambda arrays: arrays | {"pattern": arrays["pattern"][:, ::-1]}, "pattern, face 0.*counter-clockwise"),

@@ -37,6 +37,21 @@ def test_edges_are_drawn_out_no_further_than_their_limit() -> None:
     assert drawn[True] < 1.52
 
 
+def test_bands_hold_where_the_cloth_does_not_collide_with_itself() -> None:
+    """The left half of a sheet that hangs is a band; the other half stretches by its weight."""
+    mesh = cloth(*grid(6, 6, 0.02))
+    left = mesh.vertices[mesh.faces][:, :, 0].max(axis=1) < 0.061
+    banded = replace(mesh, max_stretch=np.where(left, 1.01, MAX_STRETCH))
+    model = free_model(banded, replace(LIMP, air_drag=20.0), np.flatnonzero(mesh.vertices[:, 1] > 0.119))
+    solver, state = Solver(model, SolverOptions()), State.at_rest(model)
+    for _ in range(60):
+        solver.step(state, Colliders(), 1 / 60)
+    edges, lengths = banded.edge_lengths()
+    stretch = np.linalg.norm(np.diff(state.world()[edges], axis=1)[:, 0], axis=1) / lengths
+    tight = banded.edge_limits(MAX_STRETCH) < MAX_STRETCH
+    assert tight.sum() > 30 and stretch[tight].max() < 1.03 and stretch[~tight].max() > 1.5
+
+
 def test_what_is_drawn_back_keeps_its_momentum() -> None:
     model = free_model(cloth(*grid(6, 6, 0.02)), replace(LIMP, air_drag=0.0))
     solver, state = Solver(model, replace(ON, gravity=(0.0, 0.0, 0.0))), State.at_rest(model)

@@ -50,6 +50,7 @@ def database() -> WrinkleDatabase:
         plain,
         coarse_vertices=levels.coarse.vertices,
         coarse_faces=faces,
+        sewn=None,
         rest_shape=RestShapeCorrection.none(faces),
         held=levels.coarse_held.astype(np.int32),
         subdivisions=2,
