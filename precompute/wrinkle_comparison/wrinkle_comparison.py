@@ -29,7 +29,7 @@ from precompute.learning.pipeline import default_cache, training_recordings, tra
 from precompute.learning.recording import Recording, Run
 from precompute.learning.training import Layer, build_layer, coefficients_of, spread_frames, training_set
 from precompute.wrinkle_comparison.baselines import player_times, typical_ms
-from precompute.wrinkle_comparison.compare import database_of, equal_cost_baselines
+from precompute.wrinkle_comparison.compare import database_of, plain_methods
 from precompute.wrinkle_comparison.wrinkle_baselines import WrinkleBaseline, fit_baselines
 from precompute.wrinkle_comparison.wrinkle_meshes import WrinkleMesh, WrinkleMeshOptions
 from runtime.garment_setup import GarmentSetup, scene_of
@@ -91,7 +91,7 @@ def compare_wrinkles(
     recordings: Sequence[Recording],
     report: Callable[[str], None] | None = None,
 ) -> WrinkleComparison:
-    """Judge the smooth surface, the database's mapping, every baseline and simulations at equal cost.
+    """Judge the smooth surface, the database's mapping, every baseline and plain cloth.
 
     Args:
         layer: of the garment.
@@ -137,7 +137,7 @@ def compare_wrinkles(
     settings = ", ".join(f"{name} {value:g}" for name, value in vars(mesh_options).items())
     # As published: on the simulated garment itself.
     judge("wrinkle meshes", lambda: _wrinkle_mesh(layer, mesh_options), 0.0, settings, held_out.plain)
-    for method in equal_cost_baselines(database, truth, ours_ms, report=report):
+    for method in plain_methods(database, truth, report=report):
         free = {} if method.frames is None else held_out.free_figures(method.frames[JUDGED])
         count = f"{method.settings['substeps a frame']} substeps a frame"
         methods.append(WrinkleMethod(method.name, method.frame_ms, 0.0, {}, free, count))
