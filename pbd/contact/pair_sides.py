@@ -101,19 +101,7 @@ def take_pair(q, owners, cloth: ti.template(), buffers: ti.template()):
     edges = q[1] < 0
     if edges:
         kept *= EDGE_SHARE
-    # Boxes of both features now, and of what their corners move against each other.
-    low, high = ti.min(vec3(0.0), ti.select(edges, x1, vec3(0.0))), ti.max(vec3(0.0), ti.select(edges, x1, vec3(0.0)))
-    own_low, own_high = ti.min(c0, ti.select(edges, c1, c0)), ti.max(c0, ti.select(edges, c1, c0))
-    other_low, other_high = ti.min(x2, x3), ti.max(x2, x3)
-    least, most = ti.min(c2, c3), ti.max(c2, c3)
-    other_low, other_high = ti.min(other_low, ti.select(edges, x2, x1)), ti.max(other_high, ti.select(edges, x2, x1))
-    least, most = ti.min(least, ti.select(edges, c2, c1)), ti.max(most, ti.select(edges, c2, c1))
-    least, most = ti.min(least - own_high, 0.0), ti.max(most - own_low, 0.0)
-    if cloth.tangled != 0:
-        most = ti.max(most, -least)
-        least = -most
-    other_low += least
-    other_high += most
+    low, high, other_low, other_high = boxes_of(edges, x1, x2, x3, c0, c1, c2, c3, cloth.tangled)
     reach = kept + SLACK
     may_touch = overlap(low - reach, high + reach, other_low, other_high)
     if may_touch and same_garment and surely_along_cloth(k, edges, cloth):
@@ -159,6 +147,29 @@ def take_pair(q, owners, cloth: ti.template(), buffers: ti.template()):
             buffers.pair_faces[c] = owners
             buffers.pair_data[c, 0] = vec4(normal, kept)
             buffers.pair_data[c, 1] = ti.math.vec4(gap, 1.0 if layers != 0 else 0.0, displacement, 0.0)
+
+
+@ti.func
+def boxes_of(edges, x1: vec3, x2: vec3, x3: vec3, c0: vec3, c1: vec3, c2: vec3, c3: vec3, any_way: ti.i32):
+    """Boxes of both features now; the second's is larger by its corners' motion against the first's.
+
+    Args:
+        edges, x1, x2, x3, c0, c1, c2, c3: see :func:`end_gap`.
+        any_way: whether that motion may lead the other way too.
+    """
+    low, high = ti.min(vec3(0.0), ti.select(edges, x1, vec3(0.0))), ti.max(vec3(0.0), ti.select(edges, x1, vec3(0.0)))
+    own_low, own_high = ti.min(c0, ti.select(edges, c1, c0)), ti.max(c0, ti.select(edges, c1, c0))
+    other_low, other_high = ti.min(x2, x3), ti.max(x2, x3)
+    least, most = ti.min(c2, c3), ti.max(c2, c3)
+    other_low, other_high = ti.min(other_low, ti.select(edges, x2, x1)), ti.max(other_high, ti.select(edges, x2, x1))
+    least, most = ti.min(least, ti.select(edges, c2, c1)), ti.max(most, ti.select(edges, c2, c1))
+    least, most = ti.min(least - own_high, 0.0), ti.max(most - own_low, 0.0)
+    if any_way != 0:
+        most = ti.max(most, -least)
+        least = -most
+    other_low += least
+    other_high += most
+    return low, high, other_low, other_high
 
 
 @ti.func
