@@ -40,6 +40,7 @@ class MovingCloth:
             back to at the frame's start [m], and velocity [m/s], vec3.
         stale: 1 for vertices that have left this motion.
         thickness, longest: of the fabric, and of the sides of the faces at rest [m].
+        tangled: 1 if cloth was on the wrong side at the last search: what is pulled back goes any way.
     """
 
     position: Any
@@ -55,6 +56,7 @@ class MovingCloth:
     stale: Any
     thickness: Any
     longest: Any
+    tangled: Any
     _data_oriented = True
 
 
@@ -106,20 +108,27 @@ def take_pair(q, owners, cloth: ti.template(), buffers: ti.template()):
     least, most = ti.min(c2, c3), ti.max(c2, c3)
     other_low, other_high = ti.min(other_low, ti.select(edges, x2, x1)), ti.max(other_high, ti.select(edges, x2, x1))
     least, most = ti.min(least, ti.select(edges, c2, c1)), ti.max(most, ti.select(edges, c2, c1))
-    other_low += ti.min(least - own_high, 0.0)
-    other_high += ti.max(most - own_low, 0.0)
+    least, most = ti.min(least - own_high, 0.0), ti.max(most - own_low, 0.0)
+    if cloth.tangled != 0:
+        most = ti.max(most, -least)
+        least = -most
+    other_low += least
+    other_high += most
     reach = kept + SLACK
     may_touch = overlap(low - reach, high + reach, other_low, other_high)
     if may_touch and same_garment and surely_along_cloth(k, edges, cloth):
         reach = kept + SLACK_ALONG_CLOTH
         may_touch = overlap(low - reach, high + reach, other_low, other_high)
     shares, across, offset = ti.math.vec4(0.0), vec3(0.0), vec3(0.0)
-    size, at_rest = 1e30, 1e30
+    size, at_rest, displacement = 1e30, 1e30, 0.0
     close = False
     if may_touch:
         shares, across, offset = closest_points(q, x1, x2, x3)
         size = offset.norm()
         nearest = ti.min(size, end_gap(edges, offset / ti.max(size, 1e-20), x1, x2, x3, c0, c1, c2, c3))
+        displacement = (shares[0] * c0 + shares[1] * c1 + shares[2] * c2 + shares[3] * c3).norm()
+        if cloth.tangled != 0:
+            nearest = size - displacement
         close = nearest < reach
         if close:
             rest_distance, along_cloth = distance_at_rest(q, k, cloth)
@@ -136,7 +145,6 @@ def take_pair(q, owners, cloth: ti.template(), buffers: ti.template()):
     if close and layers == 0:
         old = old_pair(q, k, cloth, buffers)
     if close:
-        displacement = (shares[0] * c0 + shares[1] * c1 + shares[2] * c2 + shares[3] * c3).norm()
         buffers.max_displacement[0] = ti.max(buffers.max_displacement[0], displacement)
         c = buffers.ready_pairs[0]
         buffers.ready_pairs[0] += 1
@@ -330,7 +338,7 @@ def turning_kernel() -> Callable[..., None]:
         for _ in range(1):
             none = vec3(0.0)
             cloth = MovingCloth(
-                position, none, none, none, rest, landmarks, layer, wrong_side, none, none, none, thickness, longest
+                position, none, none, none, rest, landmarks, layer, wrong_side, none, none, none, thickness, longest, 0
             )
             buffers = PairBuffers(old_pairs, old_normals, chain, pairs, pair_data, none, ready_pairs, none, none)
             furthest = 0.0
