@@ -143,9 +143,9 @@ def calibrate(
         here = [row | {"rung": float(rung)} for row in found]
         _rate(here)
         rows += here
-        together = _together(here, neighbours)
-        best = {number: together[number] for number in alive}
-        alive = sorted(best, key=lambda number: best[number])[: sizes[rung + 1] if rung + 1 < len(sizes) else 1]
+        # The fabric itself is a neighbour only as long as it may be chosen: it would count against some models alone.
+        together = _together([row for row in here if row["model"] in alive], neighbours)
+        alive = sorted(alive, key=lambda number: together[number])[: sizes[rung + 1] if rung + 1 < len(sizes) else 1]
         alive.sort()
     (first,) = alive
     plain, kept = here[0], next(row for row in here if row["model"] == first)
