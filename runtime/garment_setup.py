@@ -26,6 +26,7 @@ from pbd import (
     DistanceField,
     Fabric,
     InputError,
+    Limits,
     Model,
     ModelOptions,
     Plane,
@@ -40,8 +41,8 @@ from runtime.simulation import Motion, Simulation, body_source
 from wrinkles.binding import Binding, bind
 from wrinkles.database import WrinkleDatabase
 from wrinkles.field import field_of_mesh
-from wrinkles.levels import Levels, build_levels
-from wrinkles.surface import SewnRest
+from wrinkles.levels import Levels, build_levels, held_between
+from wrinkles.surface import SewnRest, Subdivision
 
 __all__ = [
     "PROCEDURAL_PIECE",
@@ -256,6 +257,7 @@ class GarmentSetup:
         garment, binding = coarse_garment(garment, settings)
         held = held_vertices(garment, settings)
         limits = None if settings.limits is None else load_limits(settings.limits, len(garment.vertices))
+        garment, held, limits = _subdivided(garment, held, limits, settings.coarse_subdivisions)
         levels = build_levels(
             garment.vertices,
             garment.faces,
@@ -330,6 +332,26 @@ def _cuts(start: float, end: float, seconds: float) -> list[tuple[float, float]]
     return list(zip(ends[:-1], ends[1:], strict=True))
 
 
+def _subdivided(
+    garment: Garment, held: np.ndarray, limits: Limits | None, times: int
+) -> tuple[Garment, np.ndarray, Limits | None]:
+    """A garment whose faces are cut in four so many times, on its smooth surface; with its held vertices and limits."""
+    if not times:
+        return garment, held, limits
+    finer = Subdivision.of(garment.faces, len(garment.vertices), times)
+    each = lambda values: None if values is None else np.repeat(values, 4**times)  # noqa: E731
+    cut = replace(
+        garment,
+        vertices=finer.upsample(garment.vertices),
+        faces=finer.faces,
+        pattern=finer.flat_corners(garment.pattern),
+        layers=each(garment.layers),
+        max_stretch=each(garment.max_stretch),
+    )
+    limits = limits if limits is None or not len(limits.vertices) else limits.between(finer.matrix)
+    return cut, held_between(finer, held), limits
+
+
 def _sewn(garment: Garment) -> SewnRest | None:
     """How a sewn garment rests; None for any other."""
     if garment.layers is None or garment.pattern is None:
@@ -371,6 +393,7 @@ def _with_subdivisions(scene: Scene, settings: GarmentSettings) -> GarmentSettin
         return replace(settings, subdivisions=DELIVERED_SUBDIVISIONS)
     garment = load_garment(settings.mesh, pattern=settings.pattern)
     edge = float(ClothMesh.from_surface(garment.vertices, garment.faces).edge_lengths()[1].mean())
+    edge /= 2.0**settings.coarse_subdivisions
     fabrics = [settings.fabric, *(PRESETS[name] for name in scene.training.fabrics)]
     wanted = EDGE_SHARE * min(fabric.gravity_length for fabric in fabrics)
     finest = MOST_SUBDIVISIONS if wanted == 0.0 else math.ceil(math.log2(edge / wanted))
@@ -429,10 +452,12 @@ def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion 
             raise InputError("no such vertex", key="garment[0].pins", received=max(settings.pins), expected=expected)
         nothing = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
         garment = _in_size(garment, settings, *nothing)
+        pins = np.array(settings.pins, int)
+        garment, pins, _ = _subdivided(garment, pins, None, settings.coarse_subdivisions)
         levels = build_levels(
             garment.vertices,
             garment.faces,
-            np.array(settings.pins, int),
+            pins,
             *nothing,
             settings.subdivision_count,
             sewn=_sewn(garment),

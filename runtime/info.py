@@ -21,7 +21,7 @@ from wrinkles.schema import ENTRIES
 
 __all__ = ["Check", "check_database", "figure_lines", "info_text"]
 
-RIVALS = ("smooth", "floor", "middle_mesh", "equal_cost_fine", "truth")  # prefixes of figures that stand beside ours
+RIVALS = ("smooth", "floor", "truth")  # prefixes of figures that stand beside ours
 EXPLANATIONS = {
     "normal_error_deg": "angle between our normals and the truth's, given the truth's coarse state",
     "normal_skill": "share of smooth's normal error that is removed: 0 none, 1 all",
@@ -60,7 +60,7 @@ EXPLANATIONS = {
     "feature_mismatch_after": "the same after calibration",
     "frame_ms_p50": "a whole frame, median",
     "frame_ms_p99": "a whole frame, slowest hundredth",
-    "frame_cpu_ms": "a whole frame, processor time; baselines at equal cost take as much",
+    "frame_cpu_ms": "a whole frame, processor time",
     "skin_ms_p50": "part of it: the body",
     "coarse_ms_p50": "part of it: the coarse garment",
     "decode_ms_p50": "part of it: wrinkles",

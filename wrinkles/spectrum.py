@@ -21,7 +21,7 @@ from pbd.errors import InputError
 from pbd.mesh import edges_of
 from wrinkles.nested_dissection import BlockSolver, Dissection
 
-__all__ = ["BandedEnergy", "LowPass", "spectrum_band_error_max"]
+__all__ = ["BandedEnergy", "LowPass", "cotangent_laplacian", "spectrum_band_error_max"]
 
 _ORDER = 4  # poles of G in q^2; with four, 88 % of a wave at the middle of an octave falls in that octave
 _MIN_ENERGY_SHARE = 1e-3  # of the truth's whole energy; a ratio to a band with less is not meaningful
@@ -46,7 +46,7 @@ class LowPass:
     def __init__(self, rest_vertices: np.ndarray, faces: np.ndarray, wavelength: float) -> None:
         if not wavelength > 0:
             raise InputError("bad cut-off", key="wavelength", received=wavelength, expected="a positive length [m]")
-        stiffness, self._mass = _laplacian(rest_vertices, faces)
+        stiffness, self._mass = cotangent_laplacian(rest_vertices, faces)
         self._filter = _Butterworth(stiffness, self._mass, wavelength, Dissection(stiffness), np.complex128)
 
     def __call__(self, vertices: np.ndarray) -> np.ndarray:
@@ -105,7 +105,7 @@ class BandedEnergy:
         between = [f"{a}-{b} mm" for a, b in zip(millimetres[:-1], millimetres[1:], strict=True)]
         self.names = (f"under {millimetres[0]} mm", *between, f"over {millimetres[-1]} mm")
 
-        stiffness, self._mass = _laplacian(rest_vertices, faces)
+        stiffness, self._mass = cotangent_laplacian(rest_vertices, faces)
         border = np.unique(edges[np.bincount(side_edge.ravel()) == 1])
         self._curvature = _extrapolation(edges, border, len(rest_vertices)) @ diags(1.0 / self._mass) @ stiffness
         # Single precision halves the time and costs 1e-5 of a band's energy.
@@ -212,7 +212,7 @@ class _Butterworth:
         return (2.0 / _ORDER) * sum((np.real(solver.quadratic(weighted)) for solver in self._solvers), np.zeros(()))
 
 
-def _laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[csc_matrix, np.ndarray]:
+def cotangent_laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[csc_matrix, np.ndarray]:
     """Cotangent stiffness, shape (n, n), and lumped mass: mixed Voronoi areas [m2], shape (n,).
 
     Meyer et al. 2003, "Discrete differential-geometry operators for triangulated 2-manifolds". With thirds of the face

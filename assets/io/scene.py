@@ -100,6 +100,7 @@ class GarmentSettings:
         seams: path of the stitches between the mesh's panels: a .csv file with the columns v, a, b, w.
         coarse_vertices: about how many vertices the coarse mesh gets; the mesh is then the fine one, bound to the
             subdivided coarse mesh. None where the mesh itself is the coarse one.
+        coarse_subdivisions: how often the mesh is subdivided for the coarse one, which is simulated.
         subdivisions: how often the coarse mesh is subdivided for the fine one; None where the folds of the fabric
             decide, see :func:`runtime.garment_setup.with_subdivisions`.
         attach: boundary vertices that the body carries: "top" (the highest loop), "none", or numbers of loops.
@@ -118,6 +119,7 @@ class GarmentSettings:
     ease: tuple[float, float] = entry(pair(at_least=-0.5, at_most=2.0), (0.0, 0.0))
     seams: Path | None = entry(file_path(".csv"), None)
     coarse_vertices: int | None = entry(whole(at_least=50), None)
+    coarse_subdivisions: int = entry(whole(at_least=0), 0)
     subdivisions: int | None = entry(whole(at_least=1), None)
     attach: str | tuple[int, ...] = entry(_ATTACH, "none")
     attach_vertices: tuple[int, ...] = entry(indices(), ())
@@ -135,6 +137,11 @@ class GarmentSettings:
     def __post_init__(self) -> None:
         if self.seams is not None and self.coarse_vertices is None:
             raise InputError("seams of a mesh that is not the fine one", key="seams", expected="coarse_vertices beside")
+        if self.coarse_vertices is not None and self.coarse_subdivisions:
+            key, expected = "coarse_subdivisions", "0: coarse_vertices says how fine the coarse mesh is"
+            raise InputError(
+                "subdivisions of a fine mesh", key=key, received=self.coarse_subdivisions, expected=expected
+            )
         if self.coarse_vertices is not None and not self.pattern:
             expected = "pattern = true: the rest shape of a mesh that is decimated is its pattern"
             raise InputError("no pattern", key="pattern", received=self.pattern, expected=expected)

@@ -37,11 +37,20 @@ class Placement:
         rotation: shape (3, 3). Its third column is where the outer side of the cloth looks at x = 0.
         translation: [m], shape (3,).
         bend_radius: R [m]; negative rolls the sides forward, None leaves the panel flat.
+        bow: how far the lines of equal y are moved afterwards, so that a sleeve follows a bent arm: rows of y and the
+            move in space [m], by growing y, linear in between, shape (k, 4); None for none.
     """
 
     rotation: Floats
     translation: Floats
     bend_radius: float | None = None
+    bow: Floats | None = None
+
+    def moves(self, y: Floats) -> Floats:
+        """Moves of lines of equal y [m], shape (n, 3); see bow."""
+        if self.bow is None:
+            return np.zeros((len(y), 3))
+        return np.stack([np.interp(y, self.bow[:, 0], self.bow[:, k]) for k in (1, 2, 3)], axis=1)
 
     def apply(self, flat: Floats) -> Floats:
         """Points of the panel [m], shape (n, 2), in space [m], shape (n, 3)."""
@@ -54,7 +63,7 @@ class Placement:
                 [self.bend_radius * np.sin(angle), y, self.bend_radius * (np.cos(angle) - 1.0)],
                 axis=1,
             )
-        return local @ self.rotation.T + self.translation
+        return local @ self.rotation.T + self.translation + self.moves(y)
 
 
 @dataclass(frozen=True, eq=False)

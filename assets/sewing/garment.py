@@ -15,7 +15,7 @@ from pbd.distance import TOLERANCE, BodyDistance
 __all__ = ["SewnGarment", "body_crossings", "drape_figures", "faults_of"]
 
 MAX_SEAM_GAP = 0.0005  # between stitched points [m]
-MAX_SLIDE = 0.30  # of the garment's top, up or down from where its pieces were arranged [m]
+MAX_SLIDE = 0.08  # of the garment's uppermost opening, up or down from where it was arranged [m]
 NEAR = 0.01  # faces of the body so near the garment's box may touch it [m]
 MAX_STRAIN = 0.25  # of the edges, at the 99th percentile [-]; more is a garment too small for its body
 

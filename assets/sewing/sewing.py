@@ -15,17 +15,16 @@ from scipy.sparse import csr_matrix, diags
 from scipy.spatial import cKDTree
 
 from assets.fabrics import load_fabric
-from assets.garment import Garment
+from assets.garment import Garment, boundary_loops
 from assets.patterns.panel_mesh import cut
 from assets.patterns.pattern import Pattern
 from assets.sewing.arrangement import arranged
 from assets.sewing.body import StandingBody
 from assets.sewing.garment import SewnGarment, body_crossings, drape_figures, faults_of
 from assets.sewing.pieces import Joined, Pieces, carried_over, join, pieces_of
-from assets.sewing.simulation import Clock, close_stitches, drape
+from assets.sewing.simulation import HELD, Clock, band_limits, close_stitches, drape, substep_of
 from pbd.attachment import push_outside, smooth_normals
 from pbd.bending import hinge_calibration
-from pbd.contact.strain_limits import MAX_STRETCH
 from pbd.crossings import crossings
 from pbd.errors import InputError
 from pbd.fabric import Fabric
@@ -44,11 +43,13 @@ CLOSING_TIMES = (1.0, 2.0)  # tried one after the other [s]
 MAX_CLOSING_GAP = 0.02  # between two stitched vertices when they become one [m]
 SEAM_ALLOWANCE = 0.01  # of cloth on both sides of a seam that is folded back under it [m]
 # Stages of draping: seconds, damping [1/s], share of the fabric's friction, share of gravity.
-HANG = (1.2, 2.0, 0.3, 1.0)
+HANG = (0.4, 2.0, 0.3, 1.0)
+TIGHTENING = (
+    1 / 3,
+    2 / 3,
+    1.0,
+)  # shares of an elastic's shortening, while it hangs: at once, a cuff snaps into the wrist
 SETTLE = ((0.6, 2.0, 0.3, 1.0), (1.2, 1.0, 1.0, 1.0))
-# A waistband does not give way. So many layers make one, unless it is an elastic; its edges become no longer than this.
-# Membranes alone, in one pass a substep, let a skirt's waistband stretch by a fifth and slide over the hips.
-BAND_LAYERS, MAX_BAND_STRETCH = 2.5, 1.01
 CLEARANCE = 0.003  # of smoothed cloth from the body [m]
 EXTRA, MAX_EXTRA = (0.4, 2.0, 1.0, 1.0), 3  # more of it while something is through cloth or body
 LIFT, MAX_LIFTS = 0.0005, 20  # of cloth off the body at a time [m], and how often
@@ -131,26 +132,34 @@ def _sewn(
 ) -> SewnGarment:
     """One attempt, with so many seconds for the stitches to close; see :func:`sew`."""
     coarse, fine = cuts
-    top = float(start[:, 1].max())
+    top = _top(surfaces[0].means(start), surfaces[0].faces)
     bend_factor = _bend_factor(coarse)
     clock.stage = "closing seams"
     positions = close_stitches(coarse, start, body, cloth, bend_factor, seconds, clock)
     _check_closed(pattern, coarse, positions)
     clock.stage = "draping"
-    mesh = _surface(pattern, coarse, surfaces[0], positions)
-    mesh = _drape(mesh, body, cloth, bend_factor, HANG, clock)
-    positions = mesh.vertices[surfaces[0].vertex]
+    for tightness in TIGHTENING:
+        mesh = _surface(pattern, coarse, surfaces[0], positions, tightness)
+        mesh = _drape(mesh, body, cloth, bend_factor, HANG, clock)
+        positions = mesh.vertices[surfaces[0].vertex]
     if fine is not coarse:
         positions = carried_over(coarse, positions, fine)
         bend_factor = _bend_factor(fine)
     mesh = _surface(pattern, fine, surfaces[1], positions)
     for stage in SETTLE:
         mesh = _drape(mesh, body, cloth, bend_factor, stage, clock)
-    for rest in range(MAX_EXTRA, -1, -1):
-        sewn = _judged(pattern, body, fabric, fine, surfaces[1], _untangled(mesh, body), top)
-        if not rest or not any(sewn.figures[name] for name in ("crossings", "inside_body", "body_crossings")):
+    sewn = _judged(pattern, body, fabric, fine, surfaces[1], mesh, top)
+    for _ in range(MAX_EXTRA):
+        if not any(sewn.figures[name] for name in ("crossings", "inside_body", "body_crossings")):
             break
-        mesh = _drape(mesh, body, cloth, bend_factor, EXTRA, clock)
+        mesh = _drape(_untangled(mesh, body), body, cloth, bend_factor, EXTRA, clock)
+        sewn = _judged(pattern, body, fabric, fine, surfaces[1], mesh, top)
+    if sewn.figures["crossings"]:
+        # Gathers in a cuff fold into themselves again and again: their smooth surface is kept as it is, and counted.
+        smooth = _untangled(mesh, body)
+        moved = int((smooth.vertices != mesh.vertices).any(axis=1).sum())
+        sewn = _judged(pattern, body, fabric, fine, surfaces[1], smooth, top)
+        sewn.figures["unsettled"] = moved
     faults = faults_of(sewn.figures)
     if faults:
         raise SewingError(faults, sewn)
@@ -198,6 +207,7 @@ def _untangled(mesh: ClothMesh, body: StandingBody) -> ClothMesh:
 
     Contact brings sheets back that are through one another. A crease that is folded into itself, as gathers are, has no
     right side; the smooth surface over it has one. Patches of one ring of vertices are tried first, then larger ones.
+    It is no state of rest: the cloth has to settle afterwards.
     """
     starts, ring = vertex_rings(mesh.faces, len(mesh.vertices))
     around = csr_matrix((np.ones(len(ring)), ring, starts), (len(mesh.vertices),) * 2)
@@ -219,9 +229,7 @@ def _untangled(mesh: ClothMesh, body: StandingBody) -> ClothMesh:
 
 def _work(coarse: Pieces, fine: Pieces, seconds: float, coarse_edge: float, edge_length: float) -> float:
     """Work of one attempt as :class:`Clock` counts it."""
-    from assets.sewing.simulation import CLOSED_SHARE, substep_of
-
-    first = (1.0 + CLOSED_SHARE) * seconds + HANG[0]
+    first = seconds + HELD + len(TIGHTENING) * HANG[0]
     return len(coarse.flat) * first / substep_of(coarse_edge) + len(fine.flat) * sum(
         stage[0] for stage in SETTLE
     ) / substep_of(edge_length)
@@ -250,13 +258,13 @@ def _check_closed(pattern: Pattern, pieces: Pieces, positions: Floats) -> None:
         raise SewingError([f"a seam at {names} stays open by {1e3 * gaps.max():.0f} mm"])
 
 
-def _surface(pattern: Pattern, pieces: Pieces, surface: Joined, positions: Floats) -> ClothMesh:
-    """The garment as one surface at given positions of the pieces."""
-    rest = _along_grain(pattern, pieces)
+def _surface(pattern: Pattern, pieces: Pieces, surface: Joined, positions: Floats, tightness: float = 1.0) -> ClothMesh:
+    """The garment as one surface at given positions of the pieces, its elastics shortened by a share."""
+    cut_rest = pieces.flat[pieces.faces]
+    rest = _along_grain(pattern, replace(pieces, rest=cut_rest + tightness * (pieces.rest - cut_rest)))
     layers = pieces.layers + _allowance(pieces, surface)
     mesh = ClothMesh.from_pattern(surface.means(positions), surface.faces, rest, layers)
-    plain = np.abs(pieces.rest - pieces.flat[pieces.faces]).max(axis=(1, 2)) < 1e-9
-    return replace(mesh, max_stretch=np.where(plain & (pieces.layers >= BAND_LAYERS), MAX_BAND_STRETCH, MAX_STRETCH))
+    return replace(mesh, max_stretch=band_limits(pieces.layers))
 
 
 def _along_grain(pattern: Pattern, pieces: Pieces) -> Floats:
@@ -291,10 +299,15 @@ def _allowance(pieces: Pieces, surface: Joined) -> Floats:
     return share
 
 
+def _top(vertices: Floats, faces: NDArray[np.int32]) -> float:
+    """Mean height of the uppermost opening [m]: a waist, a neckline."""
+    return max((float(vertices[loop, 1].mean()) for loop in boundary_loops(faces)), default=float(vertices[:, 1].max()))
+
+
 def _judged(
     pattern: Pattern, body: StandingBody, fabric: str, pieces: Pieces, surface: Joined, mesh: ClothMesh, top: float
 ) -> SewnGarment:
-    """A draped mesh as a garment with its figures; its pieces were arranged up to a height ``top`` [m]."""
+    """A draped mesh as a garment with its figures; its upper opening was arranged at a height ``top`` [m]."""
     if not np.isfinite(mesh.vertices).all():
         raise SewingError(["the simulation that drapes the garment burst"])
     mesh = _cleared(mesh, body)
@@ -309,6 +322,6 @@ def _judged(
     )
     ends = mesh.vertices[surface.vertex[pieces.stitches]]
     gap = float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).max(initial=0.0))
-    slid = 100.0 * (top - float(mesh.vertices[:, 1].max()))
+    slid = 100.0 * (top - _top(mesh.vertices, surface.faces))
     figures = {"seam_gap_mm": 1e3 * gap, "slid_cm": slid} | drape_figures(garment, body)
     return SewnGarment(garment, pieces.names, pieces.piece_of_face, surface.seams, fabric, figures)

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from assets.sewing.body import StandingBody
 from assets.sewing.pieces import Pieces
 from pbd.contact.colliders import Body, Colliders
+from pbd.contact.strain_limits import MAX_STRETCH
 from pbd.fabric import Fabric
 from pbd.mesh import ClothMesh, vertex_rings
 from pbd.model import State, build_model
 from pbd.xpbd.solver import Solver, SolverOptions
 
-__all__ = ["Clock", "close_stitches", "drape"]
+__all__ = ["HELD", "Clock", "band_limits", "close_stitches", "drape", "substep_of"]
 
 Floats = NDArray[np.float64]
 
@@ -26,9 +27,10 @@ GRAVITY = (0.0, -9.81, 0.0)
 # The substep belongs to the edges of the mesh: stiff cloth of short edges stretches in long substeps.
 SUBSTEP, SUBSTEP_EDGE = 1.0 / 1440.0, 0.01  # [s] at this edge length [m], and in proportion below
 CLOSING_DAMPING = 4.0  # rate at which velocities die away while the stitches close [1/s]
-CLOSED_SHARE = 0.3  # of the closing time for which the stitches are held closed afterwards
-
-
+HELD = 0.05  # for which the stitches are held closed afterwards [s]; weight would open them before they are joined
+# So many layers make a band that does not give way; its edges become no longer than this. Membranes alone, in one pass
+# a substep, let a skirt's waistband stretch by a fifth and slide over the hips.
+BAND_LAYERS, MAX_BAND_STRETCH = 2.5, 1.01
 MIN_SHARE = 0.05  # of the work after which the time left is said: kernels are compiled first
 
 
@@ -56,6 +58,15 @@ class Clock:
                 left = f", {(now - self._began) * (1.0 / share - 1.0):.0f} s left"
             self._report(f"{self.stage}: {100.0 * share:.0f} %{left}")
             self._said = now
+
+
+def band_limits(layers: Floats) -> Floats:
+    """Greatest length of each face's edges over their rest length [-], shape (m,): bands do not give way.
+
+    Args:
+        layers: of cloth in each face, shape (m,).
+    """
+    return np.where(layers >= BAND_LAYERS, MAX_BAND_STRETCH, MAX_STRETCH)
 
 
 def substep_of(edge_length: float) -> float:
@@ -93,7 +104,7 @@ def close_stitches(
     seconds: float,
     clock: Clock,
 ) -> Floats:
-    """Close all stitches in a time without weight and without friction, and let the closed garment fall a moment.
+    """Close all stitches in a time, without weight and without friction.
 
     Each stitch may be open by a share of its first gap, which falls to nothing in equal steps. The cloth keeps off
     itself all the time: panels that start on their own sides of the body stay there.
@@ -116,13 +127,10 @@ def close_stitches(
     substep = substep_of(float(mesh.edge_lengths()[1].mean()))
     options = SolverOptions(substep=substep, gravity=(0.0, 0.0, 0.0), self_collision=True)
     cloth = _ClothOnBody(mesh, replace(fabric, friction=0.0), body, options, bend_factor)
-    v, a, _ = cloth.model.stitches.T
+    v, a, _ = cloth.model.stitches.T  # in an order of its own
     gaps = np.linalg.norm(positions[v] - positions[a], axis=1)
-    frames = round(seconds / FRAME)
-    shares = np.clip(1.0 - np.arange(round((1.0 + CLOSED_SHARE) * frames) + 1) / frames, 0.0, 1.0)
+    shares = np.clip(1.0 - np.arange(round((seconds + HELD) / FRAME) + 1) * FRAME / seconds, 0.0, 1.0)
     for before, after in zip(shares[:-1], shares[1:], strict=True):
-        if before == 0.0:
-            cloth.solver.options = replace(options, gravity=GRAVITY)
         cloth.step(CLOSING_DAMPING, (before * gaps, after * gaps))
         clock.add(len(positions) * FRAME / substep)
     return cloth.state.world()

@@ -8,7 +8,7 @@ from pbd.engine import ti
 from pbd.geometry import vec3, vec4, xyz
 from pbd.taichi_internals import in_kernel
 
-__all__ = ["BoxTree", "flat", "list_near_groups", "lowest", "overlap", "update_nodes", "update_patch"]
+__all__ = ["BoxTree", "flat", "list_near_groups", "lowest", "overlap", "update_cone", "update_nodes", "update_patch"]
 
 
 @in_kernel
@@ -28,7 +28,8 @@ class BoxTree:
         common: for each neighbour and each face of the patch, bits of the neighbour's faces that share a vertex.
         boxes: low and high corner of each node [m], vec3.
         patch_boxes, face_blocks: see :mod:`pbd.contact.blocks`.
-        cones: axis of the normals of each patch, and cosine of the greatest angle to it, vec4.
+        cones: axis of the normals of each patch, and cosine of the greatest angle to it, vec4; then of each group.
+        joined_start, joined: of each group those, itself too, that it has a vertex in common with, ascending.
         near_groups: workspace.
         stale_patches, stale_faces: of each group and patch bits of its patches and faces that have a stale vertex.
     """
@@ -46,6 +47,8 @@ class BoxTree:
     patch_boxes: Any
     face_blocks: Any
     cones: Any
+    joined_start: Any
+    joined: Any
     near_groups: Any
     stale_patches: Any
     stale_faces: Any
@@ -114,6 +117,23 @@ def update_patch(
 
 
 @ti.func
+def update_cone(group: ti.i32, tree: ti.template()):
+    """The cone of the normals of a group, from those of its patches."""
+    axis = vec3(0.0)
+    for patch in range(tree.group_start[group], tree.group_start[group + 1]):
+        axis += xyz(tree.cones[patch])
+    axis /= ti.max(axis.norm(), 1e-20)
+    cosine = 1.0
+    for patch in range(tree.group_start[group], tree.group_start[group + 1]):
+        cone = tree.cones[patch]
+        between = ti.math.clamp(axis.dot(xyz(cone)), -1.0, 1.0)
+        sine = ti.sqrt(1.0 - between * between) * ti.sqrt(ti.max(1.0 - cone[3] * cone[3], 0.0))
+        # Of the sum of both angles, which are together less than half a turn where both cosines are above 0.
+        cosine = ti.min(cosine, ti.select(ti.min(between, cone[3]) > 0.0, between * cone[3] - sine, -1.0))
+    tree.cones[tree.patch_start.shape[0] - 1 + group] = vec4(axis, cosine)
+
+
+@ti.func
 def update_nodes(tree: ti.template()):
     """Boxes of the nodes, from the boxes of the patches."""
     for r in range(tree.nodes.shape[0]):
@@ -133,8 +153,13 @@ def update_nodes(tree: ti.template()):
 
 @ti.func
 def list_near_groups(first: ti.i32, group: ti.i32, leaf: ti.i32, tree: ti.template()) -> ti.i32:
-    """Put the groups near a group, from a first one on, into ``near_groups``; returns how many; ``leaf``: its own."""
+    """Put the groups near a group, from a first one on, into ``near_groups``; returns how many; ``leaf``: its own.
+
+    Those that share a vertex with it and cannot touch it are left out.
+    """
     near_count = 0
+    patches = tree.patch_start.shape[0] - 1
+    joined, last_joined = tree.joined_start[group], tree.joined_start[group + 1]
     low, high = tree.boxes[2 * leaf], tree.boxes[2 * leaf + 1]
     node = 0
     while node < tree.nodes.shape[0]:
@@ -144,6 +169,10 @@ def list_near_groups(first: ti.i32, group: ti.i32, leaf: ti.i32, tree: ti.templa
         else:
             node += 1
             if entry[2] >= 0:
-                tree.near_groups[near_count] = entry[2]
-                near_count += 1
+                while joined < last_joined and tree.joined[joined] < entry[2]:
+                    joined += 1
+                beside = joined < last_joined and tree.joined[joined] == entry[2]
+                if not (beside and flat(tree.cones[patches + group], tree.cones[patches + entry[2]])):
+                    tree.near_groups[near_count] = entry[2]
+                    near_count += 1
     return near_count

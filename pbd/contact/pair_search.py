@@ -6,7 +6,7 @@ is missed where both features are nearer than that to where they were expected.
 """
 
 from pbd.contact.blocks import HIGH, LANES, LOW, NORMAL, Blocks, facing, features, overlapping, sides, take
-from pbd.contact.box_tree import BoxTree, flat, list_near_groups, lowest, update_nodes, update_patch
+from pbd.contact.box_tree import BoxTree, flat, list_near_groups, lowest, update_cone, update_nodes, update_patch
 from pbd.contact.pair_sides import EDGE_SHARE, SLACK, MovingCloth, PairBuffers, take_pair
 from pbd.contact.untangling import note_crossings
 from pbd.engine import ti
@@ -68,6 +68,8 @@ def find_pairs(
     patch_boxes: Blocks,
     face_blocks: Blocks,
     cones: Vec4,
+    joined_start: Int1,
+    joined: Int1,
     near_groups: Int1,
     stale_patches: Int1,
     stale_faces: Int1,
@@ -89,6 +91,7 @@ def find_pairs(
     share: ti.f32,
     thickness: ti.f32,
     longest: ti.f32,
+    tangled: ti.i32,
 ):
     """Find the pairs that may touch in the next ``dt`` [s]; ``ready_pairs[0]`` receives how many there are.
 
@@ -106,11 +109,11 @@ def find_pairs(
             share,
             MovingCloth(
                 position, velocity, displacement, normals, rest, landmarks, layer, wrong_side, seen_position,
-                seen_velocity, stale, thickness, longest,
+                seen_velocity, stale, thickness, longest, tangled,
             ),
             BoxTree(
                 faces, owned, edges, patch_start, group_start, nodes, neighbour_start, neighbours, common, boxes,
-                patch_boxes, face_blocks, cones, near_groups, stale_patches, stale_faces,
+                patch_boxes, face_blocks, cones, joined_start, joined, near_groups, stale_patches, stale_faces,
             ),
             PairBuffers(
                 old_pairs, old_normals, chain, pairs, pair_data, pair_faces, ready_pairs, crossed, max_displacement
@@ -136,6 +139,7 @@ def search_pairs(
         tree.stale_patches[group] = 0
         for patch in range(tree.group_start[group], tree.group_start[group + 1]):
             update_patch(group, patch, margin, layers, cloth, tree)
+        update_cone(group, tree)
     update_nodes(tree)
     if layers > 0:
         for i in range(cloth.position.shape[0]):

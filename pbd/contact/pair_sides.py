@@ -40,6 +40,7 @@ class MovingCloth:
             back to at the frame's start [m], and velocity [m/s], vec3.
         stale: 1 for vertices that have left this motion.
         thickness, longest: of the fabric, and of the sides of the faces at rest [m].
+        tangled: 1 if cloth was on the wrong side at the last search: what is pulled back goes any way.
     """
 
     position: Any
@@ -55,6 +56,7 @@ class MovingCloth:
     stale: Any
     thickness: Any
     longest: Any
+    tangled: Any
     _data_oriented = True
 
 
@@ -96,36 +98,37 @@ def take_pair(q, owners, cloth: ti.template(), buffers: ti.template()):
     layers = cloth.layer[k[0]] - cloth.layer[k[3]]
     same_garment = layers == 0
     kept = cloth.thickness
-    low, high = ti.min(vec3(0.0), c0), ti.max(vec3(0.0), c0)
-    other_low = ti.min(ti.min(x2, x3), ti.min(x2 + c2, x3 + c3))
-    other_high = ti.max(ti.max(x2, x3), ti.max(x2 + c2, x3 + c3))
-    if q[1] < 0:
+    edges = q[1] < 0
+    if edges:
         kept *= EDGE_SHARE
-        low, high = ti.min(low, ti.min(x1, x1 + c1)), ti.max(high, ti.max(x1, x1 + c1))
-    else:
-        other_low, other_high = ti.min(other_low, ti.min(x1, x1 + c1)), ti.max(other_high, ti.max(x1, x1 + c1))
+    low, high, other_low, other_high = boxes_of(edges, x1, x2, x3, c0, c1, c2, c3, cloth.tangled)
     reach = kept + SLACK
-    shares, across, offset = ti.math.vec4(0.0), vec3(0.0), vec3(0.0)
-    size, displacement = 1e30, 0.0
-    at_rest = 1e30
     may_touch = overlap(low - reach, high + reach, other_low, other_high)
-    if may_touch:
-        rest_distance, along_cloth = distance_at_rest(q, k, cloth)
-        at_rest = rest_distance
-        if same_garment and along_cloth:
-            may_touch = at_rest > NEAR_ALONG_CLOTH * cloth.thickness
-            reach = kept + SLACK_ALONG_CLOTH
+    if may_touch and same_garment and surely_along_cloth(k, edges, cloth):
+        reach = kept + SLACK_ALONG_CLOTH
+        may_touch = overlap(low - reach, high + reach, other_low, other_high)
+    shares, across, offset = ti.math.vec4(0.0), vec3(0.0), vec3(0.0)
+    size, at_rest, displacement = 1e30, 1e30, 0.0
+    close = False
     if may_touch:
         shares, across, offset = closest_points(q, x1, x2, x3)
-        displacement = (shares[0] * c0 + shares[1] * c1 + shares[2] * c2 + shares[3] * c3).norm()
         size = offset.norm()
+        nearest = ti.min(size, end_gap(edges, offset / ti.max(size, 1e-20), x1, x2, x3, c0, c1, c2, c3))
+        displacement = (shares[0] * c0 + shares[1] * c1 + shares[2] * c2 + shares[3] * c3).norm()
+        if cloth.tangled != 0:
+            nearest = size - displacement
+        close = nearest < reach
+        if close:
+            rest_distance, along_cloth = distance_at_rest(q, k, cloth)
+            at_rest = rest_distance
+            if same_garment and along_cloth:
+                close = at_rest > NEAR_ALONG_CLOTH * cloth.thickness and nearest < kept + SLACK_ALONG_CLOTH
     outwards = vec3(0.0)
-    if layers != 0:
+    if close and layers != 0:
         knows_sides, direction = layer_side(q, k, layers, shares, offset, size, cloth)
         outwards = direction
         if not knows_sides:
             layers = 0
-    close = size < reach + displacement
     old = -1
     if close and layers == 0:
         old = old_pair(q, k, cloth, buffers)
@@ -144,6 +147,73 @@ def take_pair(q, owners, cloth: ti.template(), buffers: ti.template()):
             buffers.pair_faces[c] = owners
             buffers.pair_data[c, 0] = vec4(normal, kept)
             buffers.pair_data[c, 1] = ti.math.vec4(gap, 1.0 if layers != 0 else 0.0, displacement, 0.0)
+
+
+@ti.func
+def boxes_of(edges, x1: vec3, x2: vec3, x3: vec3, c0: vec3, c1: vec3, c2: vec3, c3: vec3, any_way: ti.i32):
+    """Boxes of both features now; the second's is larger by its corners' motion against the first's.
+
+    Args:
+        edges, x1, x2, x3, c0, c1, c2, c3: see :func:`end_gap`.
+        any_way: whether that motion may lead the other way too.
+    """
+    low, high = ti.min(vec3(0.0), ti.select(edges, x1, vec3(0.0))), ti.max(vec3(0.0), ti.select(edges, x1, vec3(0.0)))
+    own_low, own_high = ti.min(c0, ti.select(edges, c1, c0)), ti.max(c0, ti.select(edges, c1, c0))
+    other_low, other_high = ti.min(x2, x3), ti.max(x2, x3)
+    least, most = ti.min(c2, c3), ti.max(c2, c3)
+    other_low, other_high = ti.min(other_low, ti.select(edges, x2, x1)), ti.max(other_high, ti.select(edges, x2, x1))
+    least, most = ti.min(least, ti.select(edges, c2, c1)), ti.max(most, ti.select(edges, c2, c1))
+    least, most = ti.min(least - own_high, 0.0), ti.max(most - own_low, 0.0)
+    if any_way != 0:
+        most = ti.max(most, -least)
+        least = -most
+    other_low += least
+    other_high += most
+    return low, high, other_low, other_high
+
+
+@ti.func
+def surely_along_cloth(k, edges, cloth: ti.template()):
+    """Whether :func:`distance_at_rest` finds two features near along the cloth, wherever their closest points are.
+
+    Args:
+        k: vertices of the pair.
+        edges: whether its features are two edges, else a vertex and a face.
+        cloth: :class:`MovingCloth`.
+    """
+    along = (cloth.rest[k[2]] - cloth.rest[k[0]]).norm() < 2.0 * (cloth.thickness + SLACK) + 2.0 * cloth.longest
+    for row in ti.static(range(2)):
+        one, either = cloth.landmarks[k[0], row], cloth.landmarks[k[1], row]
+        two, three = cloth.landmarks[k[2], row], cloth.landmarks[k[3], row]
+        own, other = one, either
+        if edges:
+            own, other = either, two
+        furthest = ti.max(
+            ti.max(one, own) - ti.min(ti.min(two, three), other), ti.max(ti.max(two, three), other) - ti.min(one, own)
+        )
+        along = along and furthest.max() < 2.0 * (cloth.thickness + SLACK)
+    return along
+
+
+@ti.func
+def end_gap(edges, normal: vec3, x1: vec3, x2: vec3, x3: vec3, c0: vec3, c1: vec3, c2: vec3, c3: vec3) -> ti.f32:
+    """How far apart two features are at least after their displacements, if their corners go straight [m].
+
+    A plane between both stays between them. Along its normal the least coordinate of the one less the greatest of the
+    other is concave in time, so that over the displacements it is least at their start or at their end.
+
+    Args:
+        edges: whether the features are two edges, else a vertex and a face; the first vertex is the origin.
+        normal: unit, from the second feature's closest point to the first's.
+        x1, x2, x3: the other vertices; c0, c1, c2, c3: the displacements [m].
+    """
+    first, second = c0.dot(normal), (x1 + c1).dot(normal)
+    other = ti.max((x2 + c2).dot(normal), (x3 + c3).dot(normal))
+    if edges:
+        first = ti.min(first, second)
+    else:
+        other = ti.max(other, second)
+    return first - other
 
 
 @ti.func
@@ -279,7 +349,7 @@ def turning_kernel() -> Callable[..., None]:
         for _ in range(1):
             none = vec3(0.0)
             cloth = MovingCloth(
-                position, none, none, none, rest, landmarks, layer, wrong_side, none, none, none, thickness, longest
+                position, none, none, none, rest, landmarks, layer, wrong_side, none, none, none, thickness, longest, 0
             )
             buffers = PairBuffers(old_pairs, old_normals, chain, pairs, pair_data, none, ready_pairs, none, none)
             furthest = 0.0

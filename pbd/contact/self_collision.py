@@ -112,6 +112,33 @@ def _neighbours(
     return starts, (pairs % count).astype(np.int32), common
 
 
+def _joined_groups(faces: np.ndarray, group: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
+    """For each group those that share a vertex with it, itself too: offsets, and the groups, ascending.
+
+    Groups that do not hang together have none. Nor have those where sheets branch: a pocket faces the way of the cloth
+    that it is sewn to, and touches it.
+
+    Args:
+        faces: shape (m, 3); ``group``: of each face, ascending.
+        vertex_count: of the mesh.
+    """
+    count = int(group[-1]) + 1
+    corners = np.repeat(np.arange(len(faces)), 3), faces.ravel()
+    used = csr_matrix((np.ones(faces.size), corners), (len(faces), vertex_count))
+    one, other = (used @ used.T).nonzero()
+    within = group[one] == group[other]
+    graph = csr_matrix((np.ones(within.sum()), (one[within], other[within])), (len(faces), len(faces)))
+    pieces = np.unique(np.stack([group, connected_components(graph, directed=False)[1]], axis=1), axis=0)
+    _, side_edge = edges_of(faces)
+    branching = group[(np.bincount(side_edge.ravel()) > 2)[side_edge].any(axis=1)]
+    whole = np.bincount(pieces[:, 0], minlength=count) == 1
+    whole[branching] = False
+    joined = np.unique(np.stack([group[one], group[other]], axis=1), axis=0)
+    joined = joined[whole[joined].all(axis=1)]
+    starts = np.searchsorted(joined[:, 0], np.arange(count + 1))
+    return starts.astype(np.int32), np.ascontiguousarray(joined[:, 1], np.int32)
+
+
 class SelfCollision:
     """The pairs of one model, found anew every frame.
 
@@ -141,6 +168,8 @@ class SelfCollision:
             _, first = np.unique(features.ravel(), return_index=True)
             np.bitwise_or.at(owned, first // 3, 1 << (bit + first % 3))
         neighbour_start, neighbours, common = _neighbours(faces, patch_start, count)
+        group = np.repeat(np.arange(len(group_start) - 1), np.diff(patch_start[group_start]))
+        joined_start, joined = _joined_groups(faces, group, count)
         rest = np.ascontiguousarray(mesh.vertices - mesh.vertices.mean(axis=0), np.float32)
         self._layer = model.layer
         patches, groups = len(patch_start) - 1, len(group_start) - 1
@@ -165,7 +194,9 @@ class SelfCollision:
             "boxes": np.zeros((2 * len(nodes), 3), np.float32),
             "patch_boxes": empty_blocks(groups, False),
             "face_blocks": empty_blocks(patches, True),
-            "cones": np.zeros((patches, 4), np.float32),
+            "cones": np.zeros((patches + groups, 4), np.float32),
+            "joined_start": joined_start,
+            "joined": joined,
             "near_groups": np.zeros(groups, np.int32),
             "stale_patches": np.zeros(groups, np.int32),
             "stale_faces": np.zeros(patches, np.int32),
@@ -258,6 +289,7 @@ class SelfCollision:
                 "dt": dt,
                 "share": dt / self._ahead,
                 "thickness": thickness,
+                "tangled": int(self._pulls is not None),
             }
             self._find.by_name(arguments)
             if self.ready[0] > len(self.pairs):  # what was found before is lost with the buffers

@@ -52,6 +52,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="compare other methods that make the fine mesh of the database from the coarse one (default: off)",
     )
     parser.add_argument(
+        "--blind",
+        action="store_true",
+        help="also draw ours, the truth and plain cloth at equal cost without names, in random order; the key goes to "
+        "a folder of its own (default: off)",
+    )
+    parser.add_argument(
         "--clip",
         metavar="NAME",
         help="name of a clip to compare in, from which the database has not learned (default: its first held-out clip)",
@@ -78,6 +84,8 @@ def run(options: argparse.Namespace) -> Report:
             raise InputError("cannot be chosen here", key=f"--{name}", received=options.sources, expected=expected)
     if len(databases) > 1 or (options.wrinkles and (scenes or not databases)):
         raise InputError("one database at a time", key="SCENE", received=options.sources, expected="DB.h5")
+    if options.blind and (options.wrinkles or not of_database):
+        raise InputError("cannot be chosen here", key="--blind", received=options.sources, expected="a database (.h5)")
     options.output = options.output or (Path(".") if of_database else Path("out/compare"))
     options.database = Path(databases[0]) if databases else None
     check_folder(options.output)
@@ -136,7 +144,7 @@ def _compare_wrinkles(options: argparse.Namespace) -> Report:
 
 def _compare_database(options: argparse.Namespace) -> Report:
     from precompute.wrinkle_comparison.compare import compare_file
-    from precompute.wrinkle_comparison.comparison_page import verdict, write_comparison
+    from precompute.wrinkle_comparison.comparison_page import verdict, write_blind, write_comparison
     from runtime.report import Progress, Report
 
     with Progress(sys.stderr) as progress:
@@ -147,5 +155,8 @@ def _compare_database(options: argparse.Namespace) -> Report:
     write_comparison(page, found)
     print(verdict(found))
     print(f"\n{page}")
+    if options.blind:
+        *_, key = write_blind(options.output, found)
+        print(f"{options.output / 'blind'}, key: {key}")
     rows = [{"method": m.name, "frame_ms_p50": m.frame_ms, **m.settings, **m.figures} for m in found.methods]
     return Report(found.figures, rows)

@@ -37,7 +37,6 @@ def _beside_truth(
     from precompute.learning.evaluation import evaluate, fine_run, levels_from, truth_of
     from precompute.learning.pipeline import default_cache
     from precompute.wrinkle_comparison.baselines import player_times, typical_ms
-    from precompute.wrinkle_comparison.compare import equal_cost_baselines
     from runtime.play import posed_bodies
     from runtime.report import Progress
     from runtime.strips import draw_strips
@@ -52,9 +51,6 @@ def _beside_truth(
         figures: dict[str, Any] = dict(evaluation.figures)
         ours_ms, _ = player_times(database, truth)
         figures["frame_cpu_ms"] = typical_ms(ours_ms)
-        for baseline in equal_cost_baselines(database, truth, ours_ms, report=progress):
-            figures |= {f"{baseline.prefix}{name}": value for name, value in baseline.figures.items()}
-            figures[f"{baseline.prefix}frame_cpu_ms"] = baseline.frame_ms
         progress("drawing")
         numbers = truth.recording.frames
         shown = numbers % 10 == 0

@@ -127,12 +127,7 @@ def calibrate(
         options: models and times.
         report: called with lines of progress.
     """
-    grid = list(itertools.product(options.compression_scales, options.shear_scales, options.bend_scales))
-    own = runs[0].options  # with the fabric itself calibration is compared
-    models = [
-        replace(own, compression_compliance_scale=squeeze, shear_scale=shear, bend_scale=bend)
-        for squeeze, shear, bend in grid
-    ]
+    models = _models(runs[0].options, options)
     neighbours = _neighbours(options)
     sizes = [len(models)]
     while sizes[-1] > KEPT:
@@ -148,20 +143,14 @@ def calibrate(
         here = [row | {"rung": float(rung)} for row in found]
         _rate(here)
         rows += here
-        together = _together(here, neighbours)
-        best = {number: together[number] for number in alive}
-        alive = sorted(best, key=lambda number: best[number])[: sizes[rung + 1] if rung + 1 < len(sizes) else 1]
+        # The fabric itself is a neighbour only as long as it may be chosen: it would count against some models alone.
+        together = _together([row for row in here if row["model"] in alive], neighbours)
+        alive = sorted(alive, key=lambda number: together[number])[: sizes[rung + 1] if rung + 1 < len(sizes) else 1]
         alive.sort()
     (first,) = alive
     plain, kept = here[0], next(row for row in here if row["model"] == first)
-    return Calibration(
-        models[first],
-        plain["shift"],
-        kept["shift"],
-        plain["mismatch"],
-        kept["mismatch"],
-        tuple(rows),
-    )
+    shifts, mismatches = ((plain[name], kept[name]) for name in ("shift", "mismatch"))
+    return Calibration(models[first], *shifts, *mismatches, tuple(rows))
 
 
 @dataclass(frozen=True)
@@ -256,6 +245,15 @@ def _rate(rows: list[dict[str, float]]) -> None:
     for row in rows:
         logs = [np.log((row[name] + CHAOS) / (value + CHAOS)) for name, value in least.items()]
         row["error"] = float(np.linalg.norm([row["spectrum_error"], *logs]))
+
+
+def _models(own: ModelOptions, options: LearningOptions) -> list[ModelOptions]:
+    """The coarse models that are tried; the first is the fabric itself, with which calibration is compared."""
+    grid = itertools.product(options.compression_scales, options.shear_scales, options.bend_scales)
+    return [
+        replace(own, compression_compliance_scale=squeeze, shear_scale=shear, bend_scale=bend)
+        for squeeze, shear, bend in grid
+    ]
 
 
 def _neighbours(options: LearningOptions) -> np.ndarray:

@@ -1,24 +1,26 @@
-"""The baselines of a wrinkle database: the same garment simulated outright, on the fine mesh and on a middle one.
+"""The baselines of a wrinkle database: the same garment simulated outright, on every mesh of its chain.
 
-Costs are processor times, not times of day: methods are measured one after the other, and another program that takes
-turns with one of them must not make it look slow. On an idle machine both are the same, as everything runs on one core.
+Costs are processor times, not times of day: another program that takes turns with a method must not make it look slow.
+On an idle machine both are the same, as everything runs on one core. Methods that are compared play some frames each in
+turn (:func:`take_turns`), so that what the machine does besides hits all alike.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from typing import Protocol
 
 import numpy as np
 
-from pbd import Model, ModelOptions, SolverOptions, build_model
+from pbd import InputError, Model, ModelOptions, SolverOptions, build_model
 from pbd.attachment import Attachment
 from pbd.geometry import surface_normals
 from pbd.taichi_internals import Launch
 from precompute.learning.evaluation import Truth
 from precompute.learning.recording import Run, body_source
+from runtime.level_of_detail import LevelOfDetail
 from runtime.player import Player
 from runtime.simulation import BodySource, Simulation
 from wrinkles.database import WrinkleDatabase
@@ -29,20 +31,22 @@ from wrinkles.surface import Subdivision
 __all__ = [
     "PROBE_FRAMES",
     "Cloth",
+    "ClothTurn",
     "Played",
+    "PlayerTurn",
     "coarse_cloth",
-    "equal_cost_substeps",
     "fine_cloth",
     "middle_cloth",
     "middle_levels",
+    "plain_cloths",
     "player_times",
+    "take_turns",
     "typical_ms",
 ]
 
 PROBE_FRAMES = 90  # frames of a run that only a cost is measured on
 BURST_EXTENTS = 10.0  # cloth that is further away than so many extents of the garment has burst
-FIRST_GUESS = 8  # substeps that are tried after one
-MAX_SUBSTEPS = 128  # that are tried to fill a frame's time
+TURN = 8  # frames that a method plays before it is the next one's turn
 
 
 @dataclass(frozen=True)
@@ -102,28 +106,9 @@ class Cloth:
             keep: numbers of the frames that are kept, int, shape (f,).
             frame_count: stop after so many; None plays all.
         """
-        simulation = self.simulation(self.options)
-        upsample = None if self.subdivision is None else Upsampler(self.subdivision)
-        count = self.model.vertex_count if self.subdivision is None else self.subdivision.fine_count
-        vertices, normals = np.zeros((2, count, 3), np.float32)
-        shade = Launch(surface_normals)  # as the player calls it, so that baselines do not pay for calls
-        wanted, kept, times = set(keep.tolist()), [], []
-        burst = BURST_EXTENTS * np.ptp(self.model.mesh.vertices, axis=0).max()
-        for frame in range(1, (frame_count or self.run.frame_count) + 1):
-            began = time.process_time()
-            simulation.step(self.run.poses[frame], self.run.dt, self.run.wind)
-            state = simulation.state
-            if upsample is None:
-                vertices[:] = state.position[:, :3]
-            else:
-                upsample(state.position, vertices)
-            shade(vertices, self.fine_faces, normals)
-            times.append(1e3 * (time.process_time() - began))
-            if not (np.isfinite(state.velocity).all() and np.ptp(state.position[:, :3], axis=0).max() < burst):
-                return Played(_stacked(kept, count), typical_ms(times), frame * self.run.dt)
-            if frame in wanted:
-                kept.append((vertices + state.origin).astype(np.float32))
-        return Played(_stacked(kept, count), typical_ms(times), None)
+        turn = ClothTurn(self, keep)
+        turn.advance(frame_count or self.run.frame_count)
+        return turn.played
 
     def cost(self) -> float:
         """Processor time of a frame, from a short run [ms]."""
@@ -131,8 +116,153 @@ class Cloth:
         return self.play(np.zeros(0, int), count).frame_ms
 
 
-def _stacked(frames: list[np.ndarray], count: int) -> np.ndarray:
-    return np.array(frames, np.float32).reshape(-1, count, 3)
+class Turn(Protocol):
+    """A method that plays a motion some frames at a time."""
+
+    def advance(self, count: int) -> None:
+        """Play so many frames more, or those that are left."""
+
+
+def take_turns(turns: Sequence[Turn], frame_count: int) -> None:
+    """Let methods play a motion of so many frames, :data:`TURN` frames each in turn."""
+    for first in range(0, frame_count, TURN):
+        for turn in turns:
+            turn.advance(min(TURN, frame_count - first))
+
+
+class ClothTurn:
+    """A garment that is simulated outright, some frames at a time.
+
+    Args:
+        cloth: what is simulated.
+        keep: numbers of the frames that are kept, int, shape (f,).
+    """
+
+    def __init__(self, cloth: Cloth, keep: np.ndarray) -> None:
+        self._cloth, self._simulation = cloth, cloth.simulation(cloth.options)
+        self._upsample = None if cloth.subdivision is None else Upsampler(cloth.subdivision)
+        count = cloth.model.vertex_count if cloth.subdivision is None else cloth.subdivision.fine_count
+        self._vertices, self._normals = np.zeros((2, count, 3), np.float32)
+        self._shade = Launch(surface_normals)  # as the player calls it, so that baselines do not pay for calls
+        self._keeping = _Keeping(keep, count)
+        self._burst = BURST_EXTENTS * np.ptp(cloth.model.mesh.vertices, axis=0).max()
+        self._frame = 0
+
+    def advance(self, count: int) -> None:
+        """Play so many frames more, or those that are left; none once it has burst."""
+        run, keeping = self._cloth.run, self._keeping
+        for frame in range(self._frame + 1, min(self._frame + count, run.frame_count) + 1):
+            if keeping.broke_at is not None:
+                return
+            self._frame = frame
+            began = time.process_time()
+            self._simulation.step(run.poses[frame], run.dt, run.wind)
+            state = self._simulation.state
+            if self._upsample is None:
+                self._vertices[:] = state.position[:, :3]
+            else:
+                self._upsample(state.position, self._vertices)
+            self._shade(self._vertices, self._cloth.fine_faces, self._normals)
+            spent = 1e3 * (time.process_time() - began)
+            whole = np.isfinite(state.velocity).all() and np.ptp(state.position[:, :3], axis=0).max() < self._burst
+            keeping.frame(frame, spent, self._vertices + state.origin, None if whole else frame * run.dt)
+
+    @property
+    def played(self) -> Played:
+        """What was played."""
+        return self._keeping.played
+
+
+class PlayerTurn:
+    """A garment that is played from a database, with and without its wrinkles, some frames at a time.
+
+    Args:
+        database: what was learned.
+        run: gives body and poses.
+        keep: numbers of the frames that are kept, int, shape (f,).
+        detail: of the player; None takes all that there is.
+    """
+
+    def __init__(
+        self, database: WrinkleDatabase, run: Run, keep: np.ndarray, detail: LevelOfDetail | None = None
+    ) -> None:
+        self._run, self._player = run, Player(database, run.body, run.poses[0], run.primitives)
+        if detail is not None:
+            self._player.change(detail, fade=False)
+        levels = self._player.levels
+        self._upsample, self._shade = Upsampler(levels.subdivision), Launch(surface_normals)
+        self._vertices, self._normals = np.zeros((2, *self._player.vertices.shape), np.float32)
+        count = levels.subdivision.fine_count
+        self._ours, self._smooth = _Keeping(keep, count), _Keeping(keep, count)
+        self._frame = 0
+
+    @property
+    def times_ms(self) -> np.ndarray:
+        """Processor time of each frame [ms], shape (f,)."""
+        return self._ours.times
+
+    @property
+    def smooth_times_ms(self) -> np.ndarray:
+        """The same of the smooth surface alone."""
+        return self._smooth.times
+
+    def advance(self, count: int) -> None:
+        """Play so many frames more, or those that are left; none once it has broken."""
+        run, player = self._run, self._player
+        for frame in range(self._frame + 1, min(self._frame + count, run.frame_count) + 1):
+            if self._ours.broke_at is not None:
+                return
+            self._frame = frame
+            marks = [time.process_time()]
+            try:
+                player.step(run.poses[frame], run.dt, run.wind)
+            except InputError:  # the cloth is no longer finite
+                self._ours.broke_at = self._smooth.broke_at = frame * run.dt
+                return
+            marks.append(time.process_time())
+            player.decode()
+            marks.append(time.process_time())
+            self._upsample(player.simulation.state.position, self._vertices)
+            self._shade(self._vertices, player.levels.fine.faces, self._normals)
+            marks.append(time.process_time())
+            step, decode, smooth = 1e3 * np.diff(marks)
+            self._ours.frame(frame, step + decode, player.vertices + player.origin)
+            self._smooth.frame(frame, step + smooth, self._vertices + player.origin)
+
+    @property
+    def played(self) -> Played:
+        """What was played, with wrinkles."""
+        return self._ours.played
+
+    @property
+    def smooth(self) -> Played:
+        """The smooth surface of the same coarse states, at what it would cost alone."""
+        return self._smooth.played
+
+
+class _Keeping:
+    """Times of all frames and vertices of some, shape (``count``, 3)."""
+
+    def __init__(self, keep: np.ndarray, count: int) -> None:
+        self._wanted, self._count = set(keep.tolist()), count
+        self._kept: list[np.ndarray] = []
+        self._times: list[float] = []
+        self.broke_at: float | None = None
+
+    def frame(self, number: int, spent_ms: float, vertices: np.ndarray, broke_at: float | None = None) -> None:
+        self._times.append(spent_ms)
+        self.broke_at = broke_at
+        if broke_at is None and number in self._wanted:
+            self._kept.append(vertices.astype(np.float32))
+
+    @property
+    def times(self) -> np.ndarray:
+        return np.array(self._times)
+
+    @property
+    def played(self) -> Played:
+        frames = np.array(self._kept, np.float32).reshape(-1, self._count, 3)
+        return Played(frames, typical_ms(self._times), self.broke_at)
 
 
 def typical_ms(times: Sequence[float] | np.ndarray) -> float:
@@ -146,43 +276,9 @@ def player_times(database: WrinkleDatabase, truth: Truth) -> tuple[np.ndarray, n
     Returns:
         processor time of each frame of the truth's motion [ms], shapes (f,), (f,).
     """
-    run = truth.run
-    player = Player(database, run.body, run.poses[0], run.primitives)
-    upsample = Upsampler(player.levels.subdivision)
-    vertices, normals = np.zeros((2, *player.vertices.shape), np.float32)
-    shade, marks = Launch(surface_normals), []
-    for pose in run.poses[1:]:
-        begun = time.process_time()
-        player.step(pose, run.dt, run.wind)
-        stepped = time.process_time()
-        player.decode()
-        decoded = time.process_time()
-        upsample(player.simulation.state.position, vertices)
-        shade(vertices, player.levels.fine.faces, normals)
-        marks.append((begun, stepped, decoded, time.process_time()))
-    step, decode, smooth = np.diff(1e3 * np.array(marks), axis=1).T
-    return step + decode, step + smooth
-
-
-def equal_cost_substeps(cost: Callable[[int], float], budget: float) -> int:
-    """Whole number of substeps a frame, at least one, whose cost is nearest to a budget.
-
-    Args:
-        cost: of a frame with so many substeps, growing [ms].
-        budget: [ms].
-    """
-    at = lru_cache(maxsize=None)(cost)
-    if at(1) >= budget:
-        return 1
-    low, high, guess = 1, MAX_SUBSTEPS + 1, FIRST_GUESS
-    while high - low > 1:
-        low, high = (guess, high) if at(guess) < budget else (low, guess)
-        # What a frame costs besides its substeps is the same for any number: a line through two costs nearly hits it.
-        each = max((at(guess) - at(1)) / (guess - 1), 1e-9)
-        guess = int(np.clip(1.0 + (budget - at(1)) / each, low + 1, max(low + 1, high - 1)))
-    if high > MAX_SUBSTEPS:
-        return low
-    return low if budget - at(low) <= at(high) - budget else high
+    turn = PlayerTurn(database, truth.run, np.zeros(0, int))
+    turn.advance(truth.run.frame_count)
+    return turn.times_ms, turn.smooth_times_ms
 
 
 def fine_cloth(run: Run) -> Cloth:
@@ -208,36 +304,53 @@ def coarse_cloth(database: WrinkleDatabase, run: Run) -> Cloth:
     return Cloth(model, levels.coarse_attachment, source, run, database.solver, levels.subdivision, faces)
 
 
-def middle_levels(database: WrinkleDatabase, run: Run) -> Levels | None:
-    """Levels from the coarse mesh subdivided once to the fine mesh, whose numbering is the same.
+def middle_levels(database: WrinkleDatabase, run: Run, cuts: int = 1) -> Levels | None:
+    """Levels from the coarse mesh subdivided ``cuts`` times to the fine mesh, whose numbering is the same.
 
-    The middle mesh has the fine one's side lengths, as the coarse mesh has. None where a single subdivision makes the
+    The middle mesh has the fine one's side lengths, as the coarse mesh has. None where so many subdivisions make the
     fine mesh already.
     """
-    if database.subdivisions < 2:
+    if database.subdivisions <= cuts:
         return None
     source = body_source(run.body)
     body = (source.vertices, source.faces)
-    one = Subdivision.of(database.coarse_faces, len(database.coarse_vertices), 1)
+    one = Subdivision.of(database.coarse_faces, len(database.coarse_vertices), cuts)
     # Points of the smooth surface, so that the smooth surface through them is the same.
     plain = replace(database, binding=None)
     vertices = plain.subdivision.upsample(database.coarse_vertices)[: one.fine_count]
     held = held_between(one, database.held)
     limits = database.limits.between(one.matrix)
-    sewn = None if database.sewn is None else database.sewn.subdivided(1)
+    sewn = None if database.sewn is None else database.sewn.subdivided(cuts)
     return levels_of(
-        vertices, one.faces, held, *body, database.subdivisions - 1, database.warp, database.binding, limits, sewn
+        vertices, one.faces, held, *body, database.subdivisions - cuts, database.warp, database.binding, limits, sewn
     )
 
 
 def middle_cloth(database: WrinkleDatabase, run: Run, options: ModelOptions | None = None) -> Cloth | None:
-    """The garment on the middle mesh, converged as far as a fine run is; None where there is no such mesh."""
+    """The garment on the coarse mesh subdivided once, converged as far as a fine run is; None where that is fine."""
     levels = middle_levels(database, run)
-    if levels is None:
-        return None
+    return None if levels is None else _plain_cloth(database, run, levels, options, 1)
+
+
+def plain_cloths(database: WrinkleDatabase, run: Run) -> dict[str, Cloth]:
+    """The garment as plain cloth, of the fabric itself, by the mesh that is simulated: coarse, middle, fine.
+
+    A garment that is subdivided more than twice has several middle meshes, middle_1 the coarsest.
+    """
+    found = {"coarse": _plain_cloth(database, run, run.levels, None, 0)}
+    for cuts in range(1, database.subdivisions):
+        levels = middle_levels(database, run, cuts)
+        assert levels is not None
+        name = "middle" if database.subdivisions == 2 else f"middle_{cuts}"
+        found[name] = _plain_cloth(database, run, levels, None, cuts)
+    return found | {"fine": fine_cloth(run)}
+
+
+def _plain_cloth(database: WrinkleDatabase, run: Run, levels: Levels, options: ModelOptions | None, cuts: int) -> Cloth:
+    """The garment on the coarse mesh of some levels, which is the database's subdivided so many times."""
     options = options or ModelOptions(pressure=database.options.pressure)
     model = build_model(levels.coarse, database.fabric, levels.coarse_held, options, limits=levels.coarse_limits)
     # The stretch law of small steps asks for h N: one subdivision halves the edges, and so the substep.
-    solver = replace(database.solver, substep=database.solver.substep / 2.0)
+    solver = replace(database.solver, substep=database.solver.substep / 2.0**cuts)
     source = body_source(run.body)
     return Cloth(model, levels.coarse_attachment, source, run, solver, levels.subdivision, levels.fine.faces)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -21,33 +22,41 @@ from precompute.learning.evaluation import (
     fine_run,
     free_figures,
     levels_from,
-    play_freely,
     truth_of,
 )
 from precompute.learning.pipeline import default_cache, precompute
 from precompute.learning.recording import Recording, Run
-from precompute.stability.stability import StabilityLimit, largest_stable_step
 from precompute.workers import Workers
 from precompute.wrinkle_comparison.baselines import (
-    PROBE_FRAMES,
     Cloth,
-    coarse_cloth,
-    equal_cost_substeps,
+    ClothTurn,
+    Played,
+    PlayerTurn,
     fine_cloth,
-    middle_cloth,
-    player_times,
-    typical_ms,
+    plain_cloths,
+    take_turns,
 )
-from runtime.play import Free, playback_inputs
+from precompute.wrinkle_comparison.realism import PatchStatistics, Realism, realism
+from runtime.level_of_detail import LevelOfDetail
+from runtime.play import playback_inputs
+from runtime.player import Player
 from wrinkles.database import WrinkleDatabase, code_version, read_database
 from wrinkles.metrics import edge_stretch
+from wrinkles.proxy_mesh import proxy_mesh_of
 from wrinkles.spectrum import LowPass
 
-__all__ = ["Comparison", "Method", "compare", "compare_file", "database_of", "equal_cost_baselines", "winners"]
+__all__ = ["ERRORS", "Advantage", "Comparison", "Method", "compare", "compare_file", "database_of", "plain_methods"]
 
-STABILITY_SECONDS = 3.5  # the blend from the bind pose and two seconds of motion
-TIE = 1.05  # free runs are chaotic: what differs by less is the same
-AT_EQUAL_COST = ("", "smooth_", "middle_mesh_", "equal_cost_fine_")  # smooth costs less
+SUBSTEPS = (4, 6, 9, 14, 20)  # of plain cloth on each mesh
+BRIEF = {"middle": (6, 14), "fine": (6, 14)}  # the same where little time is spent
+ERRORS = {
+    "band": "spectrum_band_error_max",
+    "realism": "realism",
+    "low_frequency": "low_frequency_ratio_to_floor",
+    "normals": "free_normal_error_deg",
+}
+"""What plain cloth must reach, by the name of its cost advantage; the first two decide."""
+DECIDING = ("band", "realism")
 
 
 @dataclass(frozen=True)
@@ -62,6 +71,8 @@ class Method:
         settings: everything needed to repeat it.
         frames: fine vertices [m], float32, shape (f, N, 3); None where it broke.
         broke_at: when it burst, see :class:`precompute.wrinkle_comparison.baselines.Played` [s].
+        mesh: that plain cloth is simulated on; empty for what is no plain cloth.
+        realism: how it is told from the truth; None for the truth and where it broke.
     """
 
     prefix: str
@@ -71,6 +82,30 @@ class Method:
     settings: Mapping[str, float]
     frames: np.ndarray | None = field(default=None, repr=False)
     broke_at: float | None = None
+    mesh: str = ""
+    realism: Realism | None = field(default=None, repr=False)
+
+    @property
+    def ours(self) -> bool:
+        """Whether it is a setting of the player with wrinkles."""
+        return self.prefix == "" or self.prefix.startswith("ours_")
+
+
+class Advantage(NamedTuple):
+    """What the cheapest plain cloth that is as good as ours costs, over ours.
+
+    Attributes:
+        ratio: of both times [-]; below 1 plain cloth is the better choice.
+        at_least: no plain cloth that was tried is as good: the ratio is that of the dearest, a lower bound.
+        cloth: the plain cloth.
+    """
+
+    ratio: float
+    at_least: bool
+    cloth: Method
+
+    def __str__(self) -> str:
+        return f"{'at least ' if self.at_least else ''}{self.ratio:.2f}"
 
 
 @dataclass(frozen=True)
@@ -81,18 +116,54 @@ class Comparison:
         garment, motion: names.
         truth: what is right.
         methods: in the order of the page.
-        stability: the largest stable substep of each garment.
     """
 
     garment: str
     motion: str
     truth: Truth = field(repr=False)
     methods: tuple[Method, ...]
-    stability: tuple[StabilityLimit, ...]
 
     def method(self, prefix: str) -> Method:
         """The method whose figures have a prefix."""
         return next(method for method in self.methods if method.prefix == prefix)
+
+    @property
+    def plain(self) -> list[Method]:
+        """Plain cloth, on all meshes."""
+        return [method for method in self.methods if method.mesh]
+
+    @property
+    def equal_cost(self) -> Method | None:
+        """The plain cloth whose time is nearest to ours, of those that did not break."""
+        ours = self.method("").frame_ms
+        whole = [method for method in self.plain if method.figures]
+        return min(whole, key=lambda method: abs(math.log(method.frame_ms / ours)), default=None)
+
+    def advantage(self, error: str, ours: str = "") -> Advantage | None:
+        """How much dearer plain cloth is that is as good as ours by an error; None where no plain cloth held.
+
+        Plain cloth is as good if its error is at most ours, or at most the floor: below the floor nothing is better.
+
+        Args:
+            error: a name of ERRORS.
+            ours: prefix of a setting of the player.
+        """
+        figure, mine = ERRORS[error], self.method(ours)
+        whole = [method for method in self.plain if method.figures]
+        if not mine.figures or not whole:
+            return None
+        limit = max(mine.figures[figure], self.method("floor_").figures[figure])
+        good = [method for method in whole if method.figures[figure] <= limit]
+        if good:
+            cloth = min(good, key=lambda method: method.frame_ms)
+        else:
+            cloth = max(whole, key=lambda method: method.frame_ms)
+        return Advantage(cloth.frame_ms / mine.frame_ms, not good, cloth)
+
+    def cost_advantage(self, ours: str = "") -> Advantage | None:
+        """The least advantage by the errors that decide."""
+        found = [one for name in DECIDING if (one := self.advantage(name, ours)) is not None]
+        return min(found, key=lambda one: one.ratio, default=None)
 
     @property
     def figures(self) -> dict[str, float]:
@@ -101,19 +172,16 @@ class Comparison:
         for method in self.methods:
             if np.isfinite(method.frame_ms):
                 found[f"{method.prefix}frame_ms_p50"] = method.frame_ms
-        return found | {f"{one.name}_dt_max_s": one.dt_max for one in self.stability}
-
-    def winners(self, figure: str) -> tuple[str, ...]:
-        """Prefixes of the methods at equal cost that win by a figure; several where they are alike."""
-        values = {m.prefix: m.figures[figure] for m in self.methods if m.prefix in AT_EQUAL_COST and m.figures}
-        return winners(values, self.method("floor_").figures[figure])
-
-
-def winners(errors: Mapping[str, float], floor: float) -> tuple[str, ...]:
-    """Who has the least error. What lies within the floor or within 5 % of the least has won alike."""
-    finite = {name: error for name, error in errors.items() if np.isfinite(error)}
-    limit = max(floor, TIE * min(finite.values(), default=0.0))
-    return tuple(name for name, error in finite.items() if error <= limit)
+            if method.realism is not None:
+                places = method.realism.by_place.items()
+                found |= {f"{method.prefix}realism_{name.replace(' ', '_')}": value for name, value in places}
+        for prefix in [method.prefix for method in self.methods if method.ours]:
+            named = {f"_{name}": self.advantage(name, prefix) for name in ERRORS} | {"": self.cost_advantage(prefix)}
+            for name, one in named.items():
+                if one is not None:
+                    found[f"{prefix}cost_advantage{name}"] = one.ratio
+                    found[f"{prefix}cost_advantage{name}_is_at_least"] = float(one.at_least)
+        return found
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -121,7 +189,6 @@ def compare(
     database: WrinkleDatabase,
     truth: Truth,
     *,
-    free: Free | None = None,
     brief: bool = False,
     workers: Workers | int = 1,
     report: Callable[[str], None] | None = None,
@@ -131,131 +198,155 @@ def compare(
     Args:
         database: what was learned.
         truth: two converged fine runs, as :func:`precompute.learning.evaluation.truth_of` gives.
-        free: the player's free run of it, where there is one already.
-        brief: of what ours is compared with at equal cost only the middle mesh (the fine cloth where there is none),
-            nothing converged besides the truth and the floor, and no largest stable step.
+        brief: few plain cloths, and of ours only the full detail.
         workers: that measure what was played, or how many do.
         report: called with lines of progress.
+
+    Raises:
+        InputError: too short a motion to judge realism in.
     """
     tell = report or (lambda line: None)
-    run = truth.run
     with Workers.of(workers) as pool:
         # In a process of its own where there are some: it finds the kernels that earlier ones have left on the disk.
-        play = partial(_played, database, truth, free, brief)
-        tell("comparing: ours and smooth, and others at equal cost")
-        methods = play(tell) if pool.count == 1 else pool.run([play])[0]
+        play = partial(_played, database, truth, brief)
+        tell("comparing: all methods in turn")
+        methods = play() if pool.count == 1 else pool.run([play])[0]
         tell("comparing: figures")
         methods = _with_figures(truth, methods, pool)
-    clothes = {"coarse": coarse_cloth(database, truth.run), "middle_mesh": middle_cloth(database, truth.run)}
-    clothes["fine"] = fine_cloth(truth.run)
-    stability = []
-    poses = run.poses[: round(STABILITY_SECONDS / run.dt) + 1]
-    for name, cloth in clothes.items():
-        if cloth is not None and not brief:
-            tell(f"stability: {name.replace('_', ' ')}")
-            stability.append(largest_stable_step(name, cloth.simulation, cloth.options, poses, run.dt, run.wind))
-    return Comparison(database.garment_name, run.name, truth, tuple(methods), tuple(stability))
+    return Comparison(database.garment_name, truth.run.name, truth, tuple(methods))
 
 
-def _played(
-    database: WrinkleDatabase,
-    truth: Truth,
-    free: Free | None,
-    brief: bool,
-    tell: Callable[[str], None] = lambda line: None,
-) -> list[Method]:
-    """All methods with their times and frames, without figures of the frames; arguments as for :func:`compare`."""
-    free = free or play_freely(database, truth.run.body, truth.run)
-    ours_ms, smooth_ms = player_times(database, truth)
-    settings = _settings(coarse_cloth(database, truth.run))
+def _played(database: WrinkleDatabase, truth: Truth, brief: bool) -> list[Method]:
+    """All methods with their times and frames, without figures of the frames."""
+    run, keep = truth.run, truth.recording.frames
+    player = Player(database, run.body, run.poses[0], run.primitives)
+    details = {"": player.full}
+    if not brief:
+        full = player.full
+        details["ours_half_substeps_"] = replace(full, substeps=max(1, full.substeps // 2))
+        details["ours_half_atoms_"] = replace(full, atoms=max(1, full.atoms // 2))
+    ours = {prefix: PlayerTurn(database, run, keep, detail) for prefix, detail in details.items()}
+    plain = _plain_turns(database, truth, player, brief)
+    truth_cost = fine_cloth(run)
+    take_turns([*ours.values(), *(turn for _, turn in plain)], run.frame_count)
+    names = {"": "ours", "ours_half_substeps_": "ours, half the substeps", "ours_half_atoms_": "ours, half the atoms"}
+    simulated, dt = len(database.coarse_vertices), 1.0 / database.frame_rate
     methods = [
-        Method("smooth_", "smooth", typical_ms(smooth_ms), {}, settings, free.smooth),
-        Method("", "ours", typical_ms(ours_ms), {}, settings, free.frames),
+        _method(Method("smooth_", "smooth", 0.0, {}, _player_settings(simulated, player.full, dt)), ours[""].smooth)
     ]
-    fine, middle = fine_cloth(truth.run), middle_cloth(database, truth.run)
-    methods += _baselines(database, truth, ours_ms, tell, most=1 if brief else 2)
-    if middle is not None and not brief:
-        tell("comparing: middle mesh, converged")
-        methods.append(_cloth(truth, middle, "middle_mesh_converged_", "middle mesh, converged"))
-    tell("comparing: truth and floor")
-    methods.append(Method("truth_", "truth", fine.cost(), {}, _settings(fine), truth.frames))
-    settings = _settings(fine.with_substeps(math.ceil(1.5 * fine.substeps)))
+    methods += [
+        _method(Method(prefix, names[prefix], 0.0, {}, _player_settings(simulated, details[prefix], dt)), turn.played)
+        for prefix, turn in ours.items()
+    ]
+    methods += [_method(method, turn.smooth if isinstance(turn, PlayerTurn) else turn.played) for method, turn in plain]
+    methods.append(Method("truth_", "truth", truth_cost.cost(), {}, _settings(truth_cost), truth.frames))
+    settings = _settings(truth_cost.with_substeps(math.ceil(1.5 * truth_cost.substeps)))
     methods.append(Method("floor_", "floor", math.nan, {}, settings, truth.floor))
     return methods
 
 
-def equal_cost_baselines(
-    database: WrinkleDatabase, truth: Truth, ours_ms: np.ndarray, *, report: Callable[[str], None] | None = None
+def plain_methods(
+    database: WrinkleDatabase, truth: Truth, *, report: Callable[[str], None] | None = None
 ) -> list[Method]:
-    """The middle mesh, where there is one, and the fine cloth, with the substeps that the player's cost allows.
+    """A few plain cloths on the meshes finer than the coarse one, with their figures.
 
     Args:
         database: what was learned.
         truth: as for :func:`compare`.
-        ours_ms: processor time of each of the player's frames [ms], by
-            :func:`precompute.wrinkle_comparison.baselines.player_times`.
         report: called with lines of progress.
     """
     tell = report or (lambda line: None)
-    return _with_figures(truth, _baselines(database, truth, ours_ms, tell), 1)
+    tell("comparing: plain cloth")
+    player = Player(database, truth.run.body, truth.run.poses[0], truth.run.primitives)
+    plain = _plain_turns(database, truth, player, brief=True)
+    take_turns([turn for _, turn in plain], truth.run.frame_count)
+    played = [_method(method, turn.played) for method, turn in plain if isinstance(turn, ClothTurn)]
+    return _with_figures(truth, played, 1)
 
 
-def _baselines(
-    database: WrinkleDatabase, truth: Truth, ours_ms: np.ndarray, tell: Callable[[str], None], most: int = 2
-) -> list[Method]:
-    """The same without their figures, ``most`` of them."""
-    budget = typical_ms(ours_ms[:PROBE_FRAMES])  # on the frames that baselines are tried on
-    offered = [
-        (middle_cloth(database, truth.run), "middle_mesh_", "middle mesh, equal cost"),
-        (fine_cloth(truth.run), "equal_cost_fine_", "fine cloth, few substeps"),
-    ]
-    methods: list[Method] = []
-    for cloth, prefix, name in offered:
-        if cloth is not None and len(methods) < most:
-            tell(f"comparing: {name}")
-            methods.append(_cloth(truth, _at_cost(cloth, budget), prefix, name))
-    return methods
+def _plain_turns(
+    database: WrinkleDatabase, truth: Truth, player: Player, brief: bool
+) -> list[tuple[Method, ClothTurn | PlayerTurn]]:
+    """Plain cloth on every mesh, ready to be played."""
+    run, keep = truth.run, truth.recording.frames
+    found: list[tuple[Method, ClothTurn | PlayerTurn]] = []
+    proxy = None if brief else proxy_mesh_of(player.levels, database.warp)
+    if proxy is not None:
+        for substeps in SUBSTEPS:
+            # The player carries the coarse mesh on the mesh below it, and draws the smooth surface.
+            detail = LevelOfDetail(1, substeps, 0, 0, 1)
+            method = Method(
+                f"plain_below_{substeps}_",
+                f"mesh below, {substeps} substeps",
+                0.0,
+                {},
+                _player_settings(len(proxy.mesh.vertices), detail, 1.0 / database.frame_rate),
+                mesh="below",
+            )
+            found.append((method, PlayerTurn(database, run, keep, detail)))
+    for mesh, cloth in plain_cloths(database, run).items():
+        for substeps in BRIEF.get(mesh.split("_")[0], ()) if brief else SUBSTEPS:
+            tried = cloth.with_substeps(substeps)
+            kind = "mesh" if mesh != "fine" else "cloth"
+            name = f"{mesh.replace('_', ' ')} {kind}, {substeps} substeps"
+            method = Method(f"plain_{mesh}_{substeps}_", name, 0.0, {}, _settings(tried), mesh=mesh)
+            found.append((method, ClothTurn(tried, keep)))
+    return found
+
+
+def _method(method: Method, played: Played) -> Method:
+    """A method with what it played."""
+    frames = played.frames if played.broke_at is None else None
+    return replace(method, frame_ms=played.frame_ms, frames=frames, broke_at=played.broke_at)
 
 
 def _with_figures(truth: Truth, methods: Sequence[Method], workers: Workers | int) -> list[Method]:
     """Methods with figures of what they played; the truth itself is only asked what any run can be."""
-    jobs = [
-        partial(_figures_of, truth.run, truth.recording, truth.floor, truth.energy, method.frames, method.prefix)
-        for method in methods
-        if method.frames is not None
-    ]
+    shown = [method for method in methods if method.frames is not None]
     with Workers.of(workers) as pool:
-        found = iter(pool.run(jobs))
-    return [
-        method if method.frames is None else replace(method, figures={**next(found), **method.figures})
-        for method in methods
-    ]
+        # Filters of a mesh are larger than all else and are not sent: each process makes them once for its share.
+        shares = [shown[first :: pool.count] for first in range(min(pool.count, len(shown)))]
+        jobs = [partial(_figures_of, truth.run, truth.recording, truth.floor, truth.energy, share) for share in shares]
+        found = {method.prefix: method for share in pool.run(jobs) for method in share}
+    return [found.get(method.prefix, method) for method in methods]
 
 
 def _figures_of(
-    run: Run, recording: Recording, floor: np.ndarray, energy: np.ndarray, frames: np.ndarray, prefix: str
-) -> dict[str, float]:
-    """Figures of a method's frames beside a truth, whose filters are made anew: they are larger than all else."""
+    run: Run, recording: Recording, floor: np.ndarray, energy: np.ndarray, methods: Sequence[Method]
+) -> list[Method]:
+    """Methods with their figures beside a truth, whose filters are made anew."""
     levels = run.levels
     low_pass = LowPass(levels.rest_vertices, levels.fine.faces, levels.cutoff)
     truth = Truth(run, levels, recording, floor, bands_of(levels), energy, low_pass)
-    shared = _shared_figures(truth, frames)
-    return shared if prefix == "truth_" else free_figures(truth, frames) | shared
-
-
-def _at_cost(cloth: Cloth, budget: float) -> Cloth:
-    return cloth.with_substeps(equal_cost_substeps(lambda count: cloth.with_substeps(count).cost(), budget))
+    statistics = PatchStatistics(levels.fine)
+    of_truth = statistics(truth.frames)
+    measured = []
+    for method in methods:
+        assert method.frames is not None
+        figures, told = dict(method.figures), None
+        if method.prefix != "truth_":
+            told = realism(statistics, of_truth, statistics(method.frames))
+            figures |= free_figures(truth, method.frames) | {"realism": told.auc}
+        if not method.mesh:
+            figures |= _shared_figures(truth, method.frames)
+        measured.append(replace(method, figures=figures, realism=told))
+    return measured
 
 
 def _settings(cloth: Cloth) -> dict[str, float]:
-    options = cloth.model.options
     return {
         "simulated vertices": cloth.model.vertex_count,
         "substeps a frame": cloth.substeps,
         "substep [s]": cloth.run.dt / cloth.substeps,
-        "squeeze": options.compression_compliance_scale,
-        "shear_scale": options.shear_scale,
-        "bend_scale": options.bend_scale,
+    }
+
+
+def _player_settings(simulated: int, detail: LevelOfDetail, dt: float) -> dict[str, float]:
+    return {
+        "simulated vertices": simulated,
+        "substeps a frame": detail.substeps,
+        "substep [s]": dt / detail.substeps,
+        "atoms": detail.atoms,
     }
 
 
@@ -267,15 +358,6 @@ def _shared_figures(truth: Truth, frames: np.ndarray) -> dict[str, float]:
         "edge_stretch_p99_percent": 100.0 * stretch.p99,
         "edge_stretch_max_percent": 100.0 * stretch.max,
     }
-
-
-def _cloth(truth: Truth, cloth: Cloth, prefix: str, name: str) -> Method:
-    played = cloth.play(truth.recording.frames)
-    settings = _settings(cloth)
-    if played.broke_at is not None:
-        return Method(prefix, name, played.frame_ms, {}, settings, None, played.broke_at)
-    figures = {"substeps_per_frame": float(cloth.substeps)}
-    return Method(prefix, name, played.frame_ms, figures, settings, played.frames)
 
 
 def compare_file(

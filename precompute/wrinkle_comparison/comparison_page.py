@@ -1,63 +1,75 @@
-"""The page of a comparison: who wins, charts of error against time, one moment by all methods, all figures."""
+"""The page of a comparison: cost advantage, charts of error against time, one moment by some methods, all figures."""
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
+from pbd.storage import replacing
 from precompute.learning.recording import body_source
 from precompute.reporting.page import Band, Chart, Line, Picture, Point, Section, Table, Text, write_page
-from precompute.stability.stability import StabilityLimit
-from precompute.wrinkle_comparison.compare import AT_EQUAL_COST, Comparison, Method
-from runtime.pictures import Drawn, frame_camera, render, strip
+from precompute.wrinkle_comparison.compare import ERRORS, Comparison, Method
+from runtime.pictures import Drawn, frame_camera, render, save_png, strip
 
-__all__ = ["comparison_sections", "draw_methods", "verdict", "write_comparison"]
+__all__ = ["comparison_sections", "draw_methods", "plain_table", "verdict", "write_blind", "write_comparison"]
 
-_ARTICLE = {"middle_mesh_": "the middle mesh", "equal_cost_fine_": "the fine cloth"}
-_ELSEWHERE = ("substeps_per_frame",)  # figures that stand among the settings
 _PICTURE = (400, 460)
-_JUDGED = {
-    "spectrum_band_error_max": "the spectrum of folds (largest relative error of a band's bending energy)",
-    "free_normal_error_deg": "normals (mean angle to the truth's) [deg]",
-    "low_frequency_ratio_to_floor": "large folds in their places (low-frequency mismatch over the floor's)",
+_BLIND_MOMENTS = 6
+_WORDS = {
+    "band": "worst band of the spectrum",
+    "realism": "realism",
+    "low_frequency": "large folds in their places",
+    "normals": "normals",
 }
-_CHARTED = {
-    "spectrum_band_error_max": "largest error of a band of the spectrum [-]",
-    "free_normal_error_deg": "mean normal error [deg]",
-    "low_frequency_ratio_to_floor": "low-frequency mismatch over the floor's [-]",
+_LABELS = {
+    "band": "largest error of a band of the spectrum [-]",
+    "realism": "realism: AUC of telling it from the truth [-]",
+    "low_frequency": "low-frequency mismatch over the floor's [-]",
+    "normals": "mean normal error [deg]",
 }
-_NOTES = """All methods run freely over the same motion, which nothing was learned from; times are medians of
-processor time on one core and count skinning, simulation, what makes the fine vertices, and normals. Baselines take the
-whole number of substeps that brings their time nearest to ours, at least one; they are the fabric itself, with the
-truth's own solver.
+_NOTES = """All methods run freely over the same motion, which nothing was learned from; they play some frames each in
+turn. Times are medians of processor time on one core and count skinning, simulation, what makes the fine vertices, and
+normals. Plain cloth is the fabric itself on one mesh of the chain, with the truth's own solver and 4 to 20 substeps a
+frame.
+
+The cost advantage is the time of the cheapest plain cloth whose error is at most ours (or at most the floor), over our
+time. Where no plain cloth that was tried is as good, the dearest gives a lower bound, "at least". A plain cloth that
+breaks is not good.
+
+Realism is how well a classifier tells patches of a method's folds from the truth's: 0.5 if it cannot, 1 if it always
+can. It learns on some parts of the motion and is asked on others.
 
 The floor is what parts two converged simulations of the same scene, whose substeps differ by a factor of 1.5: folding
-is chaotic, so neither an error within the floor nor a difference of less than 5 % means anything. The truth stands in
-the charts at its own cost, with the floor as its error."""
-_STABILITY_NOTES = """The largest stable substep is found by bisection over 3.5 s of the motion. A run is a catastrophe
-if it is not finite, if an edge is stretched by 100 % of its length more than ever with substeps of 1/2000 s, or if a
-vertex is faster than 3 sqrt(2 g H) and the body's fastest vertex."""
+is chaotic, so an error within the floor means nothing. The truth stands in the charts at its own cost, with the floor
+as its error."""
 
 
 def verdict(comparison: Comparison) -> str:
-    """Who wins at equal cost, in sentences; a baseline that wins is named as plainly as ours would be."""
-    times = [f"{_called(m)} {m.frame_ms:.2f} ms" for m in _baselines(comparison)]
-    paragraphs = [f"Time of a frame, body included: {', '.join(times)}."]
-    paragraphs += [_sentence(comparison, figure, words) for figure, words in _JUDGED.items()]
-    ours = comparison.method("")
+    """The cost advantage, the figures of all methods and where realism is lost, in text."""
+    ours, whole = comparison.method(""), comparison.cost_advantage()
+    paragraphs = []
+    if whole is not None:
+        better = "plain cloth of equal error is the better choice" if whole.ratio < 1.0 else "ours pays"
+        paragraphs.append(f"Cost advantage {whole}: {better}.")
+    for name, words in _WORDS.items():
+        found = comparison.advantage(name)
+        if found is not None:
+            why = "none that was tried is as good; the dearest is" if found.at_least else "the cheapest as good is"
+            paragraphs.append(
+                f"By {words} (ours {ours.figures[ERRORS[name]]:.3g}, floor "
+                f"{comparison.method('floor_').figures[ERRORS[name]]:.3g}): {found}. Of plain cloths {why} "
+                f"{_called(found.cloth)}, {found.cloth.frame_ms:.2f} ms, {found.cloth.figures[ERRORS[name]]:.3g}; "
+                f"ours takes {ours.frame_ms:.2f} ms."
+            )
+    paragraphs.append(plain_table(comparison))
     paragraphs += [
-        f"The fine cloth cannot be had at our cost: with {_count(fine)} a frame takes {fine.frame_ms:.2f} ms."
-        for fine in comparison.methods
-        if fine.prefix == "equal_cost_fine_" and fine.frame_ms > 1.25 * ours.frame_ms
-    ]
-    told = [f"{_called(m)} {m.figures['edge_stretch_p99_percent']:.3g} %" for m in comparison.methods if m.figures]
-    paragraphs.append(f"Stretch that 1 % of the edges exceed: {', '.join(told)}.")
-    paragraphs += [
-        f"{_called(m).capitalize()}, substeps of {1e3 * m.settings['substep [s]']:.3g} ms, runs beyond what it stands: "
-        f"{1e3 * limit.dt_max:.3g} ms is its largest stable substep, and {limit.first_to_go} goes first."
-        for m, limit in _beyond_their_limits(comparison)
+        f"{m.name.capitalize()} is told from the truth by: {m.realism.told_by()}."
+        for m in comparison.methods
+        if m.realism is not None and not m.mesh and m.realism.auc > 0.6
     ]
     paragraphs += [
         f"{_called(m).capitalize()} broke: after {m.broke_at:.2f} s it had burst."
@@ -67,8 +79,22 @@ def verdict(comparison: Comparison) -> str:
     return "\n\n".join(paragraphs)
 
 
+def plain_table(comparison: Comparison) -> str:
+    """Time and errors of every method, a line each."""
+    lines = [f"{'':<30}{'ms':>8}{'worst band':>12}{'energy':>8}{'low freq.':>11}{'normals':>9}{'realism':>9}"]
+    names = (*[ERRORS["band"]], "bending_energy_ratio", ERRORS["low_frequency"], ERRORS["normals"], ERRORS["realism"])
+    for method in comparison.methods:
+        if method.prefix == "truth_":
+            continue
+        shown = "" if np.isnan(method.frame_ms) else f"{method.frame_ms:.2f}"
+        cells = [f"{method.figures[name]:.2f}" if name in method.figures else "broke" for name in names]
+        widths = (12, 8, 11, 9, 9)
+        lines.append(f"{method.name:<30}{shown:>8}" + "".join(f"{c:>{w}}" for c, w in zip(cells, widths, strict=True)))
+    return "\n".join(lines)
+
+
 def write_comparison(path: str | os.PathLike[str], comparison: Comparison) -> None:
-    """Write the page: who wins, charts of error against time, one moment by all methods, and all figures.
+    """Write the page.
 
     Args:
         path: the HTML file.
@@ -79,23 +105,32 @@ def write_comparison(path: str | os.PathLike[str], comparison: Comparison) -> No
 
 
 def comparison_sections(comparison: Comparison) -> list[Section]:
-    """Who wins, charts of error against time, one moment by all methods, and all figures."""
+    """The cost advantage, charts of error against time, one moment by some methods, and all figures."""
+    words = [part for part in verdict(comparison).split("\n\n") if "\n" not in part]
     return [
-        Text(verdict(comparison)),
-        *(_chart(comparison, figure, label) for figure, label in _CHARTED.items()),
+        Text("\n\n".join(words)),
+        *(_chart(comparison, name) for name in ERRORS),
         *_pictures(comparison),
+        _place_table(comparison),
         _figure_table(comparison),
         _band_table(comparison),
-        *([_stability_table(comparison)] if comparison.stability else []),
         Text(_NOTES),
-        *([Text(_STABILITY_NOTES)] if comparison.stability else []),
     ]
 
 
-def draw_methods(comparison: Comparison, methods: Sequence[Method]) -> np.ndarray:
-    """One moment, from the middle of the motion, by some methods: uint8, shape (h, w, 3)."""
+def draw_methods(
+    comparison: Comparison, methods: Sequence[Method], index: int | None = None, titles: Sequence[str] | None = None
+) -> np.ndarray:
+    """One moment by some methods: uint8, shape (h, w, 3).
+
+    Args:
+        comparison: of the methods.
+        methods: to be drawn; one that broke is left out.
+        index: number of the recorded frame; None takes the middle of the motion.
+        titles: above the pictures; None takes the names.
+    """
     truth = comparison.truth
-    index = len(truth.frames) // 2
+    index = len(truth.frames) // 2 if index is None else index
     source = body_source(truth.run.body)
     body = np.zeros((len(source.vertices), 3), np.float32)
     source.skin(truth.run.poses[truth.recording.frames[index]], np.zeros(3), body)
@@ -104,117 +139,122 @@ def draw_methods(comparison: Comparison, methods: Sequence[Method]) -> np.ndarra
     )
     cut = truth.levels.subdivision
     pattern = cut.flat_corners(truth.levels.pattern)
-    shown = {m.name: m.frames[index] for m in methods if m.frames is not None}
+    shown = [(m.name, m.frames[index]) for m in methods if m.frames is not None]
     columns = [
         [render([Drawn.body(body, source.faces), Drawn(vertices, cut.faces, pattern=pattern)], camera, _PICTURE)]
-        for vertices in shown.values()
+        for _, vertices in shown
     ]
-    return strip(columns, list(shown), [""])
+    return strip(columns, titles or [name for name, _ in shown], [""])
+
+
+def write_blind(folder: Path, comparison: Comparison) -> list[Path]:
+    """Draw ours, the truth and plain cloth at equal cost side by side, without names and in random order.
+
+    The order of each picture is in ``key.json``, in a folder of its own, to be read afterwards.
+
+    Args:
+        folder: pictures go to ``folder / blind``, the key to ``folder / blind_key``.
+        comparison: what was found.
+
+    Returns:
+        the pictures and the key.
+    """
+    truth, plain = comparison.truth, comparison.equal_cost
+    methods = [comparison.method(""), comparison.method("truth_"), *([] if plain is None else [plain])]
+    moments = np.unique(np.linspace(0, len(truth.frames) - 1, _BLIND_MOMENTS).round().astype(int))
+    rng, key, files = np.random.default_rng(), {}, []
+    letters = [chr(ord("A") + k) for k in range(len(methods))]
+    (folder / "blind").mkdir(parents=True, exist_ok=True)
+    (folder / "blind_key").mkdir(parents=True, exist_ok=True)
+    for index in moments:
+        order = [methods[k] for k in rng.permutation(len(methods))]
+        file = folder / "blind" / f"{truth.recording.frames[index]:04d}.png"
+        save_png(file, draw_methods(comparison, order, int(index), letters))
+        key[file.name] = {letter: method.name for letter, method in zip(letters, order, strict=True)}
+        files.append(file)
+    files.append(folder / "blind_key" / "key.json")
+    with replacing(files[-1]) as beside:
+        beside.write_text(json.dumps(key, indent=1) + "\n", encoding="utf-8")
+    return files
 
 
 def _pictures(comparison: Comparison) -> list[Section]:
-    cheap = _baselines(comparison)
-    dear = [m for m in comparison.methods if m.prefix not in AT_EQUAL_COST]
+    names = ["smooth_", "", "floor_", "truth_"]
+    plain = [comparison.equal_cost]
+    plain += [one.cloth for name in ("band", "realism") if (one := comparison.advantage(name)) is not None]
     caption = "The same moment, {}. Free runs part company, so folds differ in place."
-    return [
-        Picture(draw_methods(comparison, cheap), caption.format("methods at equal cost")),
-        Picture(draw_methods(comparison, dear), caption.format("converged simulations")),
+    found = [
+        Picture(draw_methods(comparison, [comparison.method(n) for n in names]), caption.format("ours and the truth"))
     ]
-
-
-def _baselines(comparison: Comparison) -> list[Method]:
-    return [m for m in comparison.methods if m.prefix in AT_EQUAL_COST]
-
-
-def _count(method: Method) -> str:
-    count = method.settings["substeps a frame"]
-    return "one substep" if count == 1 else f"{count} substeps"
+    cloths = list({m.prefix: m for m in plain if m is not None}.values())
+    if cloths:
+        words = "plain cloth: at equal cost, and the cheapest as good as ours by bands and by realism"
+        found.append(Picture(draw_methods(comparison, cloths), caption.format(words)))
+    return list(found)
 
 
 def _called(method: Method) -> str:
-    known = _ARTICLE.get(method.prefix)
-    return f"{known} with {_count(method)}" if known else method.name
+    return f"the {method.name.replace(', ', ' with ')}" if method.mesh else method.name
 
 
-def _beyond_their_limits(comparison: Comparison) -> list[tuple[Method, StabilityLimit]]:
-    """Baselines at equal cost whose substep is a catastrophe, with the limit."""
-    limits = {one.name: one for one in comparison.stability}
-    pairs = [("middle_mesh_", "middle_mesh"), ("equal_cost_fine_", "fine")]
-    found = [
-        (m, limits[name]) for m in comparison.methods for prefix, name in pairs if m.prefix == prefix and name in limits
-    ]
-    return [(m, limit) for m, limit in found if m.settings["substep [s]"] > 1.001 * limit.dt_max]
+def _group(method: Method) -> str:
+    """Methods that share a marker."""
+    if not method.mesh:
+        return "ours" if method.ours else method.name
+    return f"{method.name.split(',')[0]}, {method.settings['simulated vertices']:,.0f} vertices"
 
 
-def _sentence(comparison: Comparison, figure: str, words: str) -> str:
-    floor = comparison.method("floor_").figures[figure]
-    called = {m.prefix: f"{_called(m)} {m.figures[figure]:.3g}" for m in _baselines(comparison) if m.figures}
-    won = comparison.winners(figure)
-    rest = [text for prefix, text in called.items() if prefix not in won]
-    against = f", against {', '.join(rest)}" if rest else ""
-    if len(won) != 1:
-        names = ", ".join(called[prefix] for prefix in won)
-        behind = f"; behind them {', '.join(rest)}" if rest else ""
-        return f"By {words} nobody wins: {names} are alike{behind}; the floor is {floor:.3g}."
-    method = comparison.method(won[0])
-    figures = f"{method.figures[figure]:.3g}{against}; the floor is {floor:.3g}"
-    return f"By {words} {_called(method)} wins at equal cost: {figures}."
-
-
-def _chart(comparison: Comparison, figure: str, label: str) -> Chart:
+def _chart(comparison: Comparison, error: str) -> Chart:
+    figure = ERRORS[error]
     floor = comparison.method("floor_").figures[figure]
     points = []
     for method in comparison.methods:
         if np.isnan(method.frame_ms) or not method.figures:
             continue
-        error = floor if method.prefix == "truth_" else method.figures[figure]
-        if np.isfinite(error):
-            points.append(Point(method.frame_ms, error, method.name, method.name, method.settings))
+        value = floor if method.prefix == "truth_" else method.figures[figure]
+        if np.isfinite(value):
+            label = f"{method.settings['substeps a frame']:.0f}" if method.mesh else method.name
+            points.append(Point(method.frame_ms, value, _group(method), label, method.settings))
     ours = comparison.method("").frame_ms
     return Chart(
         points,
         "time of a frame [ms]",
-        label,
+        _LABELS[error],
         log_x=True,
-        log_y=figure == "spectrum_band_error_max" and min(point.y for point in points) > 0.0,
+        log_y=error == "band" and min(point.y for point in points) > 0.0,
         bands=[Band(0.0, floor, "floor")],
         lines=[Line("x", ours, "our cost")],
+        caption="Numbers beside plain cloth are its substeps a frame.",
     )
+
+
+def _place_table(comparison: Comparison) -> Table:
+    told = [m for m in comparison.methods if m.realism is not None]
+    places = list(dict.fromkeys(place for m in told if m.realism is not None for place in m.realism.by_place))
+    rows = [
+        [m.name, m.realism.auc, *(m.realism.by_place[place] for place in places), m.realism.told_by()]
+        for m in told
+        if m.realism is not None
+    ]
+    return Table(["", "whole", *places, "told by"], rows, "Realism by place: 0.5 cannot be told from the truth")
 
 
 def _figure_table(comparison: Comparison) -> Table:
-    names = list(
-        dict.fromkeys(
-            name
-            for m in comparison.methods
-            for name in m.figures
-            if name not in _ELSEWHERE and "band_ratio_" not in name
-        )
-    )
-    rows = [["frame_ms_p50", *(m.frame_ms for m in comparison.methods)]]
-    rows += [[name, *(m.figures.get(name) for m in comparison.methods)] for name in names]
+    names = list(dict.fromkeys(name for m in comparison.methods for name in m.figures if "band_ratio_" not in name))
+    rows = [[m.name, m.frame_ms, *(m.figures.get(name) for name in names)] for m in comparison.methods]
     settings = list(dict.fromkeys(name for m in comparison.methods for name in m.settings))
-    rows += [[name, *(m.settings.get(name) for m in comparison.methods)] for name in settings]
-    return Table(["", *(m.name for m in comparison.methods)], rows, "Figures and settings")
+    for row, method in zip(rows, comparison.methods, strict=True):
+        row += [method.settings.get(name) for name in settings]
+    return Table(["", "frame_ms_p50", *names, *settings], rows, "Figures and settings")
 
 
 def _band_table(comparison: Comparison) -> Table:
     start = "band_ratio_"
-    shown = [m for m in comparison.methods if any(name.startswith(start) for name in m.figures)]
     names = [name for name in comparison.method("").figures if name.startswith(start)]
-    rows = [[name.removeprefix(start).replace("_", " "), *(m.figures.get(name) for m in shown)] for name in names]
-    return Table(["wavelength", *(m.name for m in shown)], rows, "Bending energy over the truth's, by wavelength")
-
-
-def _stability_table(comparison: Comparison) -> Table:
     rows = [
-        [
-            one.name.replace("_", " "),
-            1e3 * one.dt_max,
-            1e3 * one.unstable if np.isfinite(one.unstable) else None,
-            one.first_to_go or "nothing",
-        ]
-        for one in comparison.stability
+        [m.name, *(m.figures.get(name) for name in names)]
+        for m in comparison.methods
+        if any(name.startswith(start) for name in m.figures)
     ]
-    header = ["garment", "largest stable substep [ms]", "shortest unstable one [ms]", "what went first there"]
-    return Table(header, rows, "Largest stable substep")
+    header = ["", *(name.removeprefix(start).replace("_", " ") for name in names)]
+    return Table(header, rows, "Bending energy over the truth's, by wavelength")

@@ -29,7 +29,7 @@ from precompute.learning.pipeline import default_cache, training_recordings, tra
 from precompute.learning.recording import Recording, Run
 from precompute.learning.training import Layer, build_layer, coefficients_of, spread_frames, training_set
 from precompute.wrinkle_comparison.baselines import player_times, typical_ms
-from precompute.wrinkle_comparison.compare import database_of, equal_cost_baselines
+from precompute.wrinkle_comparison.compare import database_of, plain_methods
 from precompute.wrinkle_comparison.wrinkle_baselines import WrinkleBaseline, fit_baselines
 from precompute.wrinkle_comparison.wrinkle_meshes import WrinkleMesh, WrinkleMeshOptions
 from runtime.garment_setup import GarmentSetup, scene_of
@@ -91,7 +91,7 @@ def compare_wrinkles(
     recordings: Sequence[Recording],
     report: Callable[[str], None] | None = None,
 ) -> WrinkleComparison:
-    """Judge the smooth surface, the database's mapping, every baseline and simulations at equal cost.
+    """Judge the smooth surface, the database's mapping, every baseline and plain cloth.
 
     Args:
         layer: of the garment.
@@ -137,10 +137,7 @@ def compare_wrinkles(
     settings = ", ".join(f"{name} {value:g}" for name, value in vars(mesh_options).items())
     # As published: on the simulated garment itself.
     judge("wrinkle meshes", lambda: _wrinkle_mesh(layer, mesh_options), 0.0, settings, held_out.plain)
-    for method in equal_cost_baselines(database, truth, ours_ms, report=report):
-        free = {} if method.frames is None else held_out.free_figures(method.frames[JUDGED])
-        count = f"{method.settings['substeps a frame']} substeps a frame"
-        methods.append(WrinkleMethod(method.name, method.frame_ms, 0.0, {}, free, count))
+    methods += _plain(database, held_out, report)
     progress("comparing wrinkles: true patches")
     true = iter(coefficients_of(layer, [*spread_frames(recordings, MEAN_FRAMES), truth.recording], atoms))
     limit = with_own_mean(
@@ -151,6 +148,21 @@ def compare_wrinkles(
     return WrinkleComparison(
         database.garment_name, truth.run.name, tuple(methods), held_out.given_figures(*shown), floor
     )
+
+
+def _plain(database: WrinkleDatabase, held_out: HeldOut, report: Callable[[str], None] | None) -> list[WrinkleMethod]:
+    """Plain cloth, running freely."""
+    return [
+        WrinkleMethod(
+            method.name,
+            method.frame_ms,
+            0.0,
+            {},
+            {} if method.frames is None else held_out.free_figures(method.frames[JUDGED]),
+            f"{method.settings['substeps a frame']} substeps a frame",
+        )
+        for method in plain_methods(database, held_out.truth, report=report)
+    ]
 
 
 def _wrinkle_mesh(layer: Layer, options: WrinkleMeshOptions) -> FrameDecoder:

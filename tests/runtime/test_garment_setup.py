@@ -289,3 +289,26 @@ def test_a_mesh_that_is_no_solid_is_refused(tmp_path: Path) -> None:
     (tmp_path / "fine").mkdir()
     with pytest.raises(InputError, match=r"ball\.obj: collider\[0\]\.spacing: a grid of .* points.*10,000,000"):
         colliders_of(solids(tmp_path / "fine", faces, "spacing = 0.0005\n"))
+
+
+def test_a_mesh_is_subdivided_before_it_is_simulated() -> None:
+    garment = '[[garment]]\nname = "s"\nmesh = "builtin:skirt"\nattach = "top"\nsubdivisions = {}\n{}\n'
+    text = garment + '[character]\nfile = "builtin:mannequin"\n'
+    plain = GarmentSetup.of(parse_scene(text.format(2, ""), "plain")).levels
+    finer = GarmentSetup.of(parse_scene(text.format(1, "coarse_subdivisions = 1"), "finer")).levels
+    assert len(finer.coarse.vertices) == plain.subdivision.middle.fine_count
+    assert np.array_equal(finer.fine.faces, plain.fine.faces)
+    np.testing.assert_allclose(finer.fine.flat, plain.fine.flat, atol=1e-9)  # the pattern of the same cloth
+    assert np.array_equal(finer.fine_held, plain.fine_held) and len(finer.coarse_held) > len(plain.coarse_held)
+    assert (
+        np.linalg.norm(finer.fine.vertices - plain.fine.vertices, axis=1).max() < 0.004
+    )  # pushed out of the body anew
+    assert finer.cutoff == pytest.approx(0.5 * plain.cutoff, rel=0.02)
+
+
+def test_a_delivered_fine_mesh_has_no_coarse_subdivisions(folder: Path) -> None:
+    with pytest.raises(InputError, match="coarse_vertices says how fine") as caught:
+        parse_scene(
+            SCENE.replace("coarse_vertices = 60", "coarse_vertices = 60\ncoarse_subdivisions = 1"), folder / "s.toml"
+        )
+    assert "coarse_subdivisions" in str(caught.value)

@@ -8,7 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from assets.measures import BodyMeasures
-from assets.patterns.drafts.drawing import Outline, bands, check_at_least, curve, line, number, require, same_names
+from assets.patterns.drafts.drawing import (
+    Outline,
+    bands,
+    check_above_floor,
+    check_at_least,
+    curve,
+    line,
+    number,
+    require,
+    same_names,
+)
 from assets.patterns.drafts.placing import Surroundings, place_on_trunk
 from assets.patterns.drafts.waist import dart_seams, share_surplus, waist_line
 from assets.patterns.pattern import Pattern
@@ -44,11 +54,7 @@ def aline_skirt(measures: BodyMeasures, parameters: AlineSkirt) -> Pattern:
     check_at_least(name, "flare", p.flare, 0.0, "so that the skirt does not become narrower")
     length = p.length if p.length is not None else float(m.landmarks.waist[1] - m.landmarks.knee[1])
     check_at_least(name, "length", length, m.waist_to_hip + 0.05, "5 cm below the hip")
-    if length > m.waist_to_floor:
-        floor = f"at most {m.waist_to_floor:.3f} m, the height of the waist"
-        raise InputError(
-            "the skirt would lie on the floor", key=f"draft {name}, length", received=length, expected=floor
-        )
+    check_above_floor(name, length, m)
     share = np.clip(m.front_share, 0.46, 0.54)
     front = _panel("front", m, p, length, share[1], share[2])
     back = _panel("back", m, p, length, 1.0 - share[1], 1.0 - share[2])

@@ -15,16 +15,25 @@ from scipy.optimize import brentq
 
 from assets.measures import BodyMeasures
 from assets.patterns.drafts.drawing import Outline, curve, line, same_names, symmetric
-from assets.patterns.drafts.placing import CLEARANCE, Surroundings, facing, nearest_placement, points_of
-from assets.patterns.pattern import Placement, Seam, edge_length
+from assets.patterns.drafts.placing import (
+    CLEARANCE,
+    Surroundings,
+    facing,
+    nearest_placement,
+    place_on_trunk,
+    points_of,
+)
+from assets.patterns.pattern import Panel, Placement, Seam, edge_length
 from pbd.errors import InputError
 
-__all__ = ["BodiceLines", "bodice_panel", "bodice_seams", "place_sleeve", "sleeve_panel", "sleeve_seams"]
+__all__ = ["BodiceLines", "bodice_lines", "bodice_panel", "sewn_top", "sleeve_panel"]
 
 Floats = NDArray[np.float64]
 
 _LEAST_CAP = 0.05  # height of a sleeve's cap over its armhole [-]
 _LEAST_UNDERARM = 0.03  # length of a sleeve's own seam [m]
+_MOST_SQUEEZE = 0.3  # of a sleeve along the arm before it is sewn [-]
+_BOW_STEPS = 6  # until a place on the arm finds its line of the sleeve; each one leaves at most that share of the error
 _SIDE_DART_DEPTH = 0.045  # of the dart's upper end below the armhole [m]
 
 
@@ -57,6 +66,75 @@ class BodiceLines:
     length: float
     dart: float = 0.0
     dart_point: float = 0.0
+
+
+def bodice_lines(
+    m: BodyMeasures,
+    ease: float,
+    length: float,
+    hem: float,
+    neck_depth: float,
+    looseness: tuple[float, float],
+    dart: float = 0.0,
+) -> tuple[BodiceLines, BodiceLines]:
+    """Front and back.
+
+    Args:
+        m: measures of the body.
+        ease: added to the girth of the bust [m].
+        length: from the neck's side to the hem [m].
+        hem: half width of each at the hem [m], at least that of the chest is taken.
+        neck_depth: of the neckline in front [m].
+        looseness: how much further than the body's the neck's side and the shoulder point are from the middle [m].
+        dart: what the dart in the front's side takes in [m].
+    """
+    places = m.landmarks
+    chest = (m.bust + ease) / 4.0
+    shoulder = 0.5 * m.shoulder_width + looseness[1] + 0.05 * ease
+    body_depth = float(places.neck_side[1] - places.armpit[1])
+    common = dict(
+        chest=chest,
+        hem=max(chest, hem),
+        neck=float(places.neck_side[0]) + looseness[0],
+        shoulder=shoulder,
+        shoulder_drop=0.9 * float(places.neck_side[1] - places.shoulder[1]),
+        # Mueller & Sohn: a tenth of the bust and 10.5 cm, and the more ease, the deeper; at least clear of the armpit.
+        armhole_depth=max(0.1 * m.bust + 0.105, body_depth + 0.02) + 0.2 * ease,
+        length=length,
+    )
+    front = BodiceLines(
+        neck_depth=neck_depth,
+        narrowest=min(0.5 * m.chest_width, shoulder - 0.01, chest - 0.02),
+        dart=dart,
+        dart_point=min(0.5 * m.bust_point_distance + 0.025, chest - 0.05),
+        **common,
+    )
+    back = BodiceLines(
+        neck_depth=0.02, narrowest=min(0.5 * m.back_width + 0.005, shoulder - 0.005, chest - 0.02), **common
+    )
+    return front, back
+
+
+def sewn_top(m: BodyMeasures, front: Outline, back: Outline, left: Outline) -> tuple[list[Panel], list[Seam], Outline]:
+    """Front, back and both sleeves where they stand, their seams, and the right sleeve.
+
+    Args:
+        m: measures of the body.
+        front, back: of the bodice.
+        left: the left sleeve; the right one is its mirror image.
+
+    Raises:
+        InputError: there is no room for a panel around the body.
+    """
+    right, around, places = left.mirrored("right_sleeve"), Surroundings(m), m.landmarks
+    neck, middle = float(places.neck_side[1]) + 0.02, 0.5 * float(places.bust[2] + places.hip[2])
+    panels = [
+        outline.panel(place_on_trunk(outline, neck, middle, side, around)) for outline, side in ((front, 1), (back, -1))
+    ]
+    panels += [outline.panel(place_sleeve(outline, m, around, side)) for outline, side in ((left, 1), (right, -1))]
+    seams = bodice_seams(front, back)
+    seams += sleeve_seams(front, back, left, "left") + sleeve_seams(front, back, right, "right")
+    return panels, seams, right
 
 
 def bodice_panel(name: str, lines: BodiceLines, plus: str, minus: str) -> Outline:
@@ -205,18 +283,15 @@ def place_sleeve(outline: Outline, measures: BodyMeasures, around: Surroundings,
     reaches_elbow = float(np.ptp(points[:, 1])) > 0.6 * measures.arm_length
     along = (places.wrist if reaches_elbow else places.elbow) * flip - start
     along /= np.linalg.norm(along)
-    top_side = np.array([0.5 * side, 1.0, 0.0])
-    if reaches_elbow:
-        # Turned towards a bent elbow: so a straight tube that is open below holds the whole arm.
-        bend = _across(places.elbow * flip - start, along)
-        start = start + 0.3 * bend
-        top_side = top_side + 6.0 * bend
-    rotation = facing(_across(top_side, along), -along)
+    rotation = facing(_across((0.5 * side, 1.0, 0.0), along), -along)
+    # The arm from beyond the wrist upwards: how far it is along that line, and beside it.
+    arm = np.array([2.0 * places.wrist - places.elbow, places.wrist, places.elbow, places.arm_start]) * flip
+    stations = (arm - start) @ along
+    beside = arm - start - stations[:, None] * along
     width, top = float(np.ptp(points[:, 0])), float(points[:, 1].max())
     crest = np.array([[0.0, top]])
     crown = float((shoulder - start) @ along)
-
-    reach = float((places.wrist * flip - start) @ along)
+    reach = float(stations[1])
 
     def placed(distance: float, radius: float, apart: float, below: float) -> Placement:
         # The sleeve's outer line lies along the arm, which becomes thinner, so that the hem goes around the wrist.
@@ -225,10 +300,13 @@ def place_sleeve(outline: Outline, measures: BodyMeasures, around: Surroundings,
         axis = _unit(along - rotation[:, 2] * (last - first) / reach)
         turned = facing(_across(rotation[:, 2], axis), -axis)
         origin = start - first * rotation[:, 2] + (crown + top + distance) * axis
-        return Placement(turned, origin + radius * turned[:, 2], radius)
+        # Away from the shoulder it is pushed together along the arm: a hem over the hand would catch the fingers.
+        squeeze = min(distance / reach, _MOST_SQUEEZE)
+        before = stations / (1.0 - squeeze)
+        bow = np.column_stack([crown + top + distance - before, beside - squeeze * before[:, None] * axis])
+        return Placement(turned, origin + radius * turned[:, 2], radius, bow)
 
-    arm = [place * flip for place in (places.arm_start, places.elbow, places.wrist)]
-    middles = np.concatenate([np.linspace(arm[k], arm[k + 1], 8) for k in (0, 1)])
+    middles = np.concatenate([np.linspace(arm[k], arm[k + 1], 8) for k in (1, 2)])
 
     def cost(placement: Placement) -> float:
         far = float(np.linalg.norm(placement.apply(crest) - shoulder))
@@ -245,7 +323,7 @@ def place_sleeve(outline: Outline, measures: BodyMeasures, around: Surroundings,
         ],
         around,
         cost,
-        clearance=0.7 * CLEARANCE,  # a bent arm leaves little room in a straight tube
+        clearance=0.7 * CLEARANCE,  # a narrow sleeve leaves little room
     )
 
 
@@ -259,8 +337,14 @@ def _held(placement: Placement, outline: Outline, places: Floats) -> float:
     """How far places of the arm are inside of the sleeve, if its seam closed by the shortest way [m], at least."""
     radius = placement.bend_radius or np.inf
     local = (places - placement.translation) @ placement.rotation
+    flat = local
+    for _ in range(_BOW_STEPS):
+        flat = local - placement.moves(flat[:, 1]) @ placement.rotation
+    local = flat
     ends = []
-    for edge in (outline.edges["underarm_back"], outline.edges["underarm_front"][::-1]):
+    for name in ("underarm_back", "underarm_front"):
+        edge = outline.edges[name]
+        edge = edge[np.argsort(edge[:, 1])]  # upwards, in a mirrored panel too
         x = np.interp(local[:, 1], edge[:, 1], edge[:, 0])
         ends.append(np.stack([radius * np.sin(x / radius), radius * np.cos(x / radius) - radius], axis=1))
     along = ends[1] - ends[0]

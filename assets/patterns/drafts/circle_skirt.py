@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from assets.measures import BodyMeasures
-from assets.patterns.drafts.drawing import Outline, arc, bands, check_at_least, line, number, require
+from assets.patterns.drafts.drawing import Outline, arc, bands, check_above_floor, check_at_least, line, number, require
 from assets.patterns.drafts.placing import Surroundings, facing, nearest_placement, points_of
 from assets.patterns.pattern import Pattern, Placement, Seam
 from pbd.errors import InputError
@@ -57,11 +57,7 @@ def circle_skirt(measures: BodyMeasures, parameters: CircleSkirt) -> Pattern:
     knee = float(m.landmarks.waist[1] - m.landmarks.knee[1])
     length = p.length if p.length is not None else knee
     check_at_least(name, "length", length, 0.15, "so that something covers the hips")
-    if length > m.waist_to_floor:
-        floor = f"at most {m.waist_to_floor:.3f} m, the height of the waist"
-        raise InputError(
-            "the skirt would lie on the floor", key=f"draft {name}, length", received=length, expected=floor
-        )
+    check_above_floor(name, length, m)
     radius = (m.waist + p.ease) / (2.0 * math.pi * p.circle)
     if 2.0 * math.pi * p.circle * (radius + m.waist_to_hip) < m.hip:
         raise InputError(

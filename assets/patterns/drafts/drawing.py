@@ -19,6 +19,7 @@ __all__ = [
     "Point",
     "arc",
     "bands",
+    "check_above_floor",
     "check_at_least",
     "curve",
     "line",
@@ -77,6 +78,24 @@ def check_at_least(draft: str, name: str, value: float, least: float, reason: st
             key=f"draft {draft}, {name}",
             received=round(float(value), 4),
             expected=f"at least {least:.3f} m, {reason}",
+        )
+
+
+def check_above_floor(draft: str, length: float, measures: BodyMeasures) -> None:
+    """Refuse what hangs from the waist and would lie on the floor.
+
+    Args:
+        draft: its name.
+        length: from the waist down [m].
+        measures: of the body.
+
+    Raises:
+        InputError: the waist is not as high.
+    """
+    if length > measures.waist_to_floor:
+        expected = f"at most {measures.waist_to_floor:.3f} m, the height of the waist"
+        raise InputError(
+            "the hem would lie on the floor", key=f"draft {draft}, length", received=length, expected=expected
         )
 
 

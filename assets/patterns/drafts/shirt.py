@@ -5,16 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from assets.measures import BodyMeasures
-from assets.patterns.drafts.bodice import (
-    BodiceLines,
-    bodice_panel,
-    bodice_seams,
-    place_sleeve,
-    sleeve_panel,
-    sleeve_seams,
-)
+from assets.patterns.drafts.bodice import bodice_lines, bodice_panel, sewn_top, sleeve_panel
 from assets.patterns.drafts.drawing import bands, check_at_least, number, require
-from assets.patterns.drafts.placing import Surroundings, place_on_trunk
 from assets.patterns.pattern import Pattern
 from pbd.errors import InputError
 
@@ -62,59 +54,21 @@ def shirt(measures: BodyMeasures, parameters: Shirt) -> Pattern:
         raise InputError(
             "the sleeve is longer than the arm", key=f"draft {name}", received=sleeve_length, expected=longest
         )
-    front, back = _lines(m, p, length)
+    dart = p.dart if p.dart is not None else min(0.8 * (m.front_waist_length - m.back_waist_length), 0.06)
+    dart = 0.0 if dart < _LEAST_DART else dart
+    hem = (m.hip + 0.6 * p.ease) / 4.0
+    front, back = bodice_lines(m, p.ease, length, hem, p.neck_depth, (0.01, 0.015), dart)
     check_at_least(name, "length", length, front.armhole_depth + 0.1, "10 cm below the armhole")
     front_panel = bodice_panel("front", front, "left", "right")
     back_panel = bodice_panel("back", back, "right", "left")
     cuff = m.wrist + p.cuff_ease
-    hem = cuff + 0.1  # gathered into the cuff
+    opening = cuff + 0.1  # gathered into the cuff
     armholes = (back_panel.length("armhole_left"), front_panel.length("armhole_left"))
-    left = sleeve_panel("left_sleeve", *armholes, _CAP_SHARE, m.upper_arm + sleeve_ease, sleeve_length, hem)
-    right = left.mirrored("right_sleeve")
-    around = Surroundings(m)
-    neck, middle = float(places.neck_side[1]) + 0.02, 0.5 * float(places.bust[2] + places.hip[2])
-    panels = (
-        front_panel.panel(place_on_trunk(front_panel, neck, middle, 1, around)),
-        back_panel.panel(place_on_trunk(back_panel, neck, middle, -1, around)),
-        left.panel(place_sleeve(left, m, around, 1)),
-        right.panel(place_sleeve(right, m, around, -1)),
-    )
-    seams = bodice_seams(front_panel, back_panel)
-    seams += sleeve_seams(front_panel, back_panel, left, "left")
-    seams += sleeve_seams(front_panel, back_panel, right, "right")
+    left = sleeve_panel("left_sleeve", *armholes, _CAP_SHARE, m.upper_arm + sleeve_ease, sleeve_length, opening)
+    panels, seams, right = sewn_top(m, front_panel, back_panel, left)
     strips = []
     for outline in (front_panel, back_panel):
         strips += bands(outline, ["hem"], _HEM, 2.0) + bands(outline, ["neck"], _NECK_BAND, 3.0)
     for outline in (left, right):
-        strips += bands(outline, ["hem"], _CUFF, 3.0, cuff / hem)
-    return Pattern(name, panels, tuple(seams), tuple(strips), f"draft:{name}")
-
-
-def _lines(m: BodyMeasures, p: Shirt, length: float) -> tuple[BodiceLines, BodiceLines]:
-    """Front and back."""
-    places = m.landmarks
-    dart = p.dart if p.dart is not None else min(0.8 * (m.front_waist_length - m.back_waist_length), 0.06)
-    dart = 0.0 if dart < _LEAST_DART else dart
-    chest = (m.bust + p.ease) / 4.0
-    shoulder = 0.5 * m.shoulder_width + 0.015 + 0.05 * p.ease
-    body_depth = float(places.neck_side[1] - places.armpit[1])
-    common = dict(
-        chest=chest,
-        hem=max(chest, (m.hip + 0.6 * p.ease) / 4.0),
-        neck=float(places.neck_side[0]) + 0.01,
-        shoulder=shoulder,
-        shoulder_drop=0.9 * float(places.neck_side[1] - places.shoulder[1]),
-        armhole_depth=max(0.1 * m.bust + 0.105, body_depth + 0.02) + 0.2 * p.ease,
-        length=length,
-    )
-    front = BodiceLines(
-        neck_depth=p.neck_depth,
-        narrowest=min(0.5 * m.chest_width, shoulder - 0.01, chest - 0.02),
-        dart=dart,
-        dart_point=min(0.5 * m.bust_point_distance + 0.025, chest - 0.05),
-        **common,
-    )
-    back = BodiceLines(
-        neck_depth=0.02, narrowest=min(0.5 * m.back_width + 0.005, shoulder - 0.005, chest - 0.02), **common
-    )
-    return front, back
+        strips += bands(outline, ["hem"], _CUFF, 3.0, cuff / opening)
+    return Pattern(name, tuple(panels), tuple(seams), tuple(strips), f"draft:{name}")

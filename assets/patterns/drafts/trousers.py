@@ -14,11 +14,19 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from assets.measures import BodyMeasures
-from assets.patterns.drafts.drawing import Outline, bands, check_at_least, curve, line, number, require
+from assets.patterns.drafts.drawing import (
+    Outline,
+    bands,
+    check_above_floor,
+    check_at_least,
+    curve,
+    line,
+    number,
+    require,
+)
 from assets.patterns.drafts.placing import Surroundings, facing, nearest_placement, points_of
 from assets.patterns.drafts.waist import dart_seams, share_surplus, waist_line
 from assets.patterns.pattern import Pattern, Placement, Seam, edge_length
-from pbd.errors import InputError
 
 __all__ = ["Trousers", "trousers"]
 
@@ -73,11 +81,7 @@ def trousers(measures: BodyMeasures, parameters: Trousers) -> Pattern:
     check_at_least(name, "rise_ease", p.rise_ease, 0.0, "so that the crotch is not above the body's")
     length = p.length if p.length is not None else m.waist_to_floor - 0.05
     check_at_least(name, "length", length, m.rise + p.rise_ease + 0.08, "8 cm below the crotch")
-    if length > m.waist_to_floor:
-        floor = f"at most {m.waist_to_floor:.3f} m, the height of the waist"
-        raise InputError(
-            "the legs would lie on the floor", key=f"draft {name}, length", received=length, expected=floor
-        )
+    check_above_floor(name, length, m)
     leg_width = p.leg_width if p.leg_width is not None else m.knee + 0.08
     least, where = _girth_at(m, length)
     check_at_least(name, "leg_width", leg_width, least + 0.02, f"2 cm more than the {where}")

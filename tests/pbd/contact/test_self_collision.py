@@ -9,7 +9,7 @@ import pytest
 from pbd import Colliders, Fabric, Plane, Solver, SolverOptions, State
 from pbd.attachment import closest_weights
 from pbd.contact.pairs import PULL
-from pbd.contact.self_collision import SelfCollision
+from pbd.contact.self_collision import SelfCollision, _joined_groups
 from pbd.crossings import crossings
 from pbd.mesh import edges_of
 from tests.pbd.meshes import cloth, free_model, grid, turn
@@ -104,6 +104,33 @@ def test_edges_are_through_one_another_only_so_far(gap: float, through: bool) ->
     pairs.find(state, 1e-6, 1, THICKNESS)
     (again,) = np.flatnonzero((pairs.pairs[: pairs.ready[0]] == pair).all(axis=1))
     assert (pairs.data[again, 0, :3] @ normal < 0.0) == through
+
+
+def test_groups_that_branch_or_do_not_hang_together_are_searched_whole() -> None:
+    """Three squares in a row, one group each: all join; those with a flap on an edge, or of two pieces, do not."""
+    faces = np.array([[0, 1, 2], [1, 3, 2], [2, 3, 4], [3, 5, 4], [4, 5, 6], [5, 7, 6]])
+    group = np.array([0, 0, 1, 1, 2, 2])
+    starts, joined = _joined_groups(faces, group, 8)
+    assert starts.tolist() == [0, 2, 5, 7] and joined.tolist() == [0, 1, 0, 1, 2, 1, 2]
+    flap = np.insert(faces, 4, [2, 3, 8], axis=0)
+    starts, joined = _joined_groups(flap, np.array([0, 0, 1, 1, 1, 2, 2]), 9)
+    assert starts.tolist() == [0, 0, 0, 1] and joined.tolist() == [2]
+    apart = faces.copy()
+    apart[3] = [5, 7, 6]
+    starts, joined = _joined_groups(apart, group, 8)
+    assert 1 not in joined and starts[1] == starts[2]
+
+
+def test_cloth_that_meets_on_its_way_is_found_and_cloth_that_leaves_is_not() -> None:
+    """Two leaves 1 cm apart: towards each other at 0.9 m/s they meet within 1/60 s, away from each other never."""
+    flat, faces = level(7, 6, 0.02)
+    vertices, faces = sheets(flat, flat + [0.004, 0.01, 0.0025], faces=faces)
+    model = free_model(cloth(vertices, faces), Fabric(thickness=THICKNESS))
+    for speed, found in ((-0.9, True), (0.9, False)):
+        state, pairs = State.at_rest(model), SelfCollision(model)
+        state.velocity[len(flat) :, 1] = speed
+        pairs.find(state, 1 / 600, 10, THICKNESS)
+        assert (pairs.ready[0] > 300) == found and (pairs.ready[0] == 0) != found
 
 
 def test_meshes_in_columns_cost_no_copies() -> None:

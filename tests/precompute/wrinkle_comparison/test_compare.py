@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from assets.procedural.builtin import builtin_garment
 from pbd import InputError, SolverOptions
-from precompute.learning.evaluation import Truth, fine_run, free_figures, levels_from, truth_of
-from precompute.stability import stability
-from precompute.stability.stability import MAX_SUBSTEP, MIN_SUBSTEP, largest_stable_step, real_substep
-from precompute.wrinkle_comparison import baselines
-from precompute.wrinkle_comparison.baselines import PROBE_FRAMES, Cloth, equal_cost_substeps, fine_cloth, middle_levels
-from precompute.wrinkle_comparison.compare import Comparison, compare, compare_file, equal_cost_baselines, winners
-from precompute.wrinkle_comparison.comparison_page import verdict, write_comparison
+from precompute.learning.evaluation import Truth, fine_run, levels_from, play_freely, truth_of
+from precompute.wrinkle_comparison import compare as comparing
+from precompute.wrinkle_comparison.baselines import fine_cloth, middle_levels, plain_cloths, take_turns
+from precompute.wrinkle_comparison.compare import ERRORS, Comparison, Method, compare, compare_file, plain_methods
+from precompute.wrinkle_comparison.comparison_page import verdict, write_blind, write_comparison
 from runtime.simulation import Simulation
 from tests.runtime.players import skirt_database, skirt_stage
 from tests.wrinkles.databases import placed
@@ -68,28 +66,26 @@ def database() -> WrinkleDatabase:
 def truth(database: WrinkleDatabase, tmp_path_factory: pytest.TempPathFactory) -> Truth:
     stage = skirt_stage()
     run = fine_run(levels_from(database, stage.body), stage.body, stage.motion(), database)
-    return truth_of(replace(run, poses=run.poses[:58]), tmp_path_factory.mktemp("cache"), 1)
+    return truth_of(replace(run, poses=run.poses[:84]), tmp_path_factory.mktemp("cache"), 1)
 
 
 @pytest.fixture(scope="module")
 def comparison(database: WrinkleDatabase, truth: Truth) -> Comparison:
     with pytest.MonkeyPatch.context() as patch:  # short: what is measured is not what is tested
-        patch.setattr(baselines, "PROBE_FRAMES", 16)
-        patch.setattr(stability, "MIN_SUBSTEP", 1.0 / 600.0)
-        patch.setattr(stability, "BISECTIONS", 4)
+        patch.setattr(comparing, "SUBSTEPS", (2, 12))
         return compare(database, truth)
 
 
-def rigged(comparison: Comparison, prefix: str) -> Comparison:
-    """The comparison with one method that has found the truth."""
-    truth = comparison.truth
-    methods = [
-        replace(m, figures={**m.figures, **free_figures(truth, truth.frames)}) if m.prefix == prefix else m
-        for m in comparison.methods
-    ]
-    # Nothing lies within this floor but what is right.
-    methods = [replace(m, figures=dict.fromkeys(m.figures, 1e-6)) if m.prefix == "floor_" else m for m in methods]
-    return replace(comparison, methods=tuple(methods))
+def some(prefix: str, frame_ms: float, error: float | None, mesh: str = "") -> Method:
+    """A method with one error for all, or one that broke."""
+    figures = {} if error is None else dict.fromkeys(ERRORS.values(), error)
+    return Method(prefix, prefix, frame_ms, figures, {}, mesh=mesh, broke_at=0.5 if error is None else None)
+
+
+def rigged(truth: Truth, ours: float, *plain: tuple[float, float | None], floor: float = 0.1) -> Comparison:
+    """Ours of 4 ms and plain cloth of some times and errors."""
+    cloths = [some(f"plain_{k}_", ms, error, "fine") for k, (ms, error) in enumerate(plain)]
+    return Comparison("x", "y", truth, (some("", 4.0, ours), *cloths, some("floor_", float("nan"), floor)))
 
 
 def test_the_middle_mesh_leads_to_the_same_fine_mesh(database: WrinkleDatabase, truth: Truth) -> None:
@@ -104,77 +100,58 @@ def test_the_middle_mesh_leads_to_the_same_fine_mesh(database: WrinkleDatabase, 
     assert middle_levels(replace(database, subdivisions=1), truth.run) is None
 
 
+def test_every_mesh_of_the_chain_is_a_plain_cloth(database: WrinkleDatabase, truth: Truth) -> None:
+    cloths = plain_cloths(database, truth.run)
+    assert list(cloths) == ["coarse", "middle", "fine"]
+    counts = [cloth.model.vertex_count for cloth in cloths.values()]
+    assert counts[0] == len(database.coarse_vertices) and counts[-1] == len(truth.levels.fine.vertices)
+    assert counts == sorted(counts)
+
+
 @pytest.mark.parametrize(
-    ("budget", "expected"), [(0.5, 1), (1.0, 1), (3.4, 4), (3.7, 5), (9.0, 15), (1e9, baselines.MAX_SUBSTEPS)]
+    ("ours", "plain", "ratio", "at_least"),
+    [
+        (0.3, [(8.0, 0.3), (20.0, 0.2), (2.0, 0.5)], 2.0, False),
+        (0.3, [(1.0, 0.29), (20.0, 0.2)], 0.25, False),
+        (0.3, [(8.0, 0.4), (20.0, 0.35)], 5.0, True),
+        (0.05, [(8.0, 0.1), (20.0, 0.2)], 2.0, False),  # within the floor nothing is better
+        (0.3, [(8.0, None), (12.0, 0.2), (90.0, None)], 3.0, False),  # a cloth that breaks is not good
+        (0.3, [(8.0, 0.4), (90.0, None)], 2.0, True),
+    ],
 )
-def test_substeps_come_nearest_to_the_budget(budget: float, expected: int) -> None:
-    assert equal_cost_substeps(lambda count: 1.4 + 0.5 * count, budget) == expected
+def test_the_advantage_is_that_over_the_cheapest_plain_cloth_as_good(
+    truth: Truth, ours: float, plain: list[tuple[float, float | None]], ratio: float, at_least: bool
+) -> None:
+    comparison = rigged(truth, ours, *plain)
+    found = comparison.advantage("band")
+    assert found is not None and (found.ratio, found.at_least) == (ratio, at_least)
+    figures = comparison.figures
+    assert figures["cost_advantage"] == figures["cost_advantage_realism"] == ratio
+    assert figures["cost_advantage_is_at_least"] == at_least
+    assert ("at least" in verdict(comparison).split("\n\n")[0]) == at_least
 
 
-@pytest.mark.parametrize("power", [0.8, 1.0, 1.2])
-def test_substeps_are_found_by_few_trials(power: float) -> None:
-    for wanted in (2, 7, 8, 21, 90):
-        tried: list[int] = []
-
-        def cost(count: int, tried: list[int] = tried) -> float:
-            tried.append(count)
-            return 1.0 + 0.3 * count**power
-
-        assert equal_cost_substeps(cost, cost(wanted)) == wanted
-        assert len(tried) <= 8
+def test_the_least_of_both_advantages_counts(truth: Truth) -> None:
+    comparison = rigged(truth, 0.3, (8.0, 0.25), (20.0, 0.2))
+    methods = list(comparison.methods)
+    methods[0] = replace(methods[0], figures={**methods[0].figures, "realism": 0.22})
+    figures = replace(comparison, methods=tuple(methods)).figures
+    assert figures["cost_advantage_band"] == figures["cost_advantage"] == 2.0
+    assert figures["cost_advantage_realism"] == 5.0
 
 
-def test_what_lies_within_the_floor_has_won_alike() -> None:
-    errors = {"ours": 0.3, "middle": 0.2, "fine": float("nan")}
-    assert winners(errors, 0.1) == ("middle",)
-    assert winners(errors, 0.25) == ("middle",)
-    assert winners({"ours": 0.209, "middle": 0.2, "fine": 0.22}, 0.1) == ("ours", "middle")
-    assert winners(errors, 0.35) == ("ours", "middle")
-    assert winners({"fine": float("nan")}, 0.1) == ()
+def test_methods_take_turns() -> None:
+    played: list[tuple[str, int]] = []
 
+    class One:
+        def __init__(self, name: str) -> None:
+            self.name = name
 
-class Breaking:
-    """A stand-in for a simulation that breaks, in one way, with substeps over a limit."""
+        def advance(self, count: int) -> None:
+            played.append((self.name, count))
 
-    def __init__(self, options: SolverOptions, limit: float, way: str) -> None:
-        vertices, faces, _ = tube()
-        edges = np.sort(faces[:, :2], axis=1)
-        lengths = np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1)
-        mesh = SimpleNamespace(vertices=vertices, edge_lengths=lambda: (edges, lengths))
-        self.model = SimpleNamespace(mesh=mesh)
-        self.source = SimpleNamespace(vertices=vertices, skin=lambda pose, origin, out: out.fill(0.0))
-        self.breaks, self.way, self.frames = options.substep > limit, way, 0
-        position = np.concatenate([vertices, np.ones((len(vertices), 1))], axis=1)
-        self.state = SimpleNamespace(position=position, velocity=np.zeros_like(vertices))
-
-    def step(self, pose: np.ndarray, dt: float, wind: tuple) -> None:
-        self.frames += 1
-        if self.breaks and self.frames == 8:
-            if self.way == "strain":
-                self.state.position[:, :3] *= 2.1
-            elif self.way == "speed":
-                self.state.velocity[3] = 40.0
-            else:
-                self.state.position[5, 0] = np.nan
-
-
-@pytest.mark.parametrize("way", ["strain", "speed", "not finite"])
-@pytest.mark.parametrize("limit", [1.0 / 1000.0, 1.0 / 170.0, 1.0 / 30.0])
-def test_bisection_finds_the_largest_stable_substep(limit: float, way: str) -> None:
-    poses = np.zeros((211, 1, 3, 4))
-    found = largest_stable_step("x", lambda options: Breaking(options, limit, way), SolverOptions(), poses, 1.0 / 60.0)
-    assert found.dt_max <= limit < found.unstable
-    assert found.first_to_go == way
-    # Neighbours: a whole number of substeps fills a frame, and longer ones are known to 5 %.
-    assert found.unstable / found.dt_max < 1.05 or real_substep(0.99 * found.unstable) == found.dt_max
-
-
-def test_the_ends_of_the_search_are_told_apart() -> None:
-    poses = np.zeros((211, 1, 3, 4))
-    always = largest_stable_step("x", lambda o: Breaking(o, 1.0, "speed"), SolverOptions(), poses, 1.0 / 60.0)
-    assert (always.dt_max, always.first_to_go, always.unstable) == (MAX_SUBSTEP, "", float("inf"))
-    never = largest_stable_step("x", lambda o: Breaking(o, 0.0, "speed"), SolverOptions(), poses, 1.0 / 60.0)
-    assert (never.dt_max, never.first_to_go, never.unstable) == (0.0, "speed", MIN_SUBSTEP)
+    take_turns([One("a"), One("b")], 20)
+    assert played == [("a", 8), ("b", 8), ("a", 8), ("b", 8), ("a", 4), ("b", 4)]
 
 
 @pytest.mark.parametrize(("array", "value"), [("velocity", np.inf), ("position", 40.0)])
@@ -193,55 +170,55 @@ def test_a_cloth_that_breaks_says_when(array: str, value: float, truth: Truth, m
     assert len(played.frames) == 2
 
 
-def test_converged_methods_are_right_and_smooth_is_not(comparison: Comparison) -> None:
-    figures = comparison.figures
-    truth = comparison.truth
+def test_more_substeps_are_nearer_to_the_truth_and_smooth_is_too_smooth(comparison: Comparison) -> None:
+    figures, truth = comparison.figures, comparison.truth
     assert figures["floor_low_frequency_ratio_to_floor"] == pytest.approx(1.0)
-    assert (
-        figures["middle_mesh_converged_low_frequency_ratio_to_floor"]
-        < figures["equal_cost_fine_low_frequency_ratio_to_floor"]
-    )
+    assert figures["plain_fine_12_low_frequency_ratio_to_floor"] < figures["plain_fine_2_low_frequency_ratio_to_floor"]
     assert figures["smooth_bending_energy_ratio"] < 1.0
     assert figures["smooth_frame_ms_p50"] < figures["frame_ms_p50"]
-    assert figures["middle_mesh_substeps_per_frame"] >= 1.0
-    assert figures["middle_mesh_frame_ms_p50"] < figures["truth_frame_ms_p50"]
+    assert figures["plain_middle_2_frame_ms_p50"] < figures["truth_frame_ms_p50"]
     assert "floor_frame_ms_p50" not in figures
     for method in comparison.methods:
         assert method.frames is not None and method.frames.shape == truth.frames.shape
-    assert {"coarse_dt_max_s", "middle_mesh_dt_max_s", "fine_dt_max_s"} < figures.keys()
-    assert 0.0 < figures["fine_dt_max_s"] <= figures["coarse_dt_max_s"]
+    assert 0.5 <= figures["floor_realism"] < figures["smooth_realism"] <= 1.0
+    assert {"cost_advantage_band", "cost_advantage_realism", "ours_half_substeps_cost_advantage"} < figures.keys()
 
 
-def test_rivals_have_the_players_own_cost(
-    database: WrinkleDatabase, truth: Truth, monkeypatch: pytest.MonkeyPatch
+def test_free_runs_are_those_of_the_player(database: WrinkleDatabase, comparison: Comparison) -> None:
+    truth = comparison.truth
+    free = play_freely(database, truth.run.body, truth.run)
+    np.testing.assert_array_equal(comparison.method("").frames, free.frames)
+
+
+def test_few_plain_cloths_are_as_in_the_whole_comparison(
+    database: WrinkleDatabase, comparison: Comparison, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Cloth, "cost", lambda cloth: 2.0 * cloth.substeps)
-    ours_ms = np.concatenate([np.full(PROBE_FRAMES // 2, 50.0), np.full(PROBE_FRAMES // 2, 6.0), np.full(500, 90.0)])
-    baselines = equal_cost_baselines(database, truth, ours_ms)
-    assert [baseline.settings["substeps a frame"] for baseline in baselines] == [3] * len(baselines)
+    monkeypatch.setattr(comparing, "BRIEF", {"fine": (2,)})
+    (found,) = plain_methods(database, comparison.truth)
+    assert dict(found.figures) == dict(comparison.method("plain_fine_2_").figures)
 
 
-def test_the_page_says_that_the_middle_mesh_wins(comparison: Comparison, tmp_path: Path) -> None:
-    write_comparison(tmp_path / "compare.html", rigged(comparison, "middle_mesh_"))
+def test_the_page_has_front_places_and_pictures(comparison: Comparison, tmp_path: Path) -> None:
+    write_comparison(tmp_path / "compare.html", comparison)
     page = (tmp_path / "compare.html").read_text(encoding="utf-8")
-    for words in ("the spectrum of folds", "normals", "large folds"):
-        assert any(words in part and "the middle mesh with" in part.split("at equal cost")[0] and " wins " in part
-                   for part in page.split("<p>"))  # fmt: skip
-    assert page.count('<svg class="plot"') == 3
-    assert "Largest stable substep" in page and "data:image/jpeg" in page
+    assert page.count('<svg class="plot"') == len(ERRORS)
+    assert "Cost advantage" in page and "Realism by place" in page and "data:image/jpeg" in page
 
 
-@pytest.mark.parametrize(
-    ("prefix", "name"), [("", "ours wins"), ("equal_cost_fine_", "the fine cloth with"), ("smooth_", "smooth wins")]
-)
-def test_whoever_wins_is_named(comparison: Comparison, prefix: str, name: str) -> None:
-    sentence = next(part for part in verdict(rigged(comparison, prefix)).split("\n\n") if "spectrum" in part)
-    assert name in sentence.split("at equal cost")[0]
+def test_blind_pictures_hide_the_names(comparison: Comparison, tmp_path: Path) -> None:
+    *pictures, key = write_blind(tmp_path, comparison)
+    order = json.loads(key.read_text(encoding="utf-8"))
+    assert set(order) == {picture.name for picture in pictures} and key.parent != pictures[0].parent
+    plain = comparison.equal_cost
+    assert plain is not None
+    for names in order.values():
+        assert set(names) == {"A", "B", "C"}
+        assert set(names.values()) == {"ours", "truth", plain.name}
 
 
 def test_a_method_that_broke_is_on_the_page(comparison: Comparison, tmp_path: Path) -> None:
     methods = [
-        replace(m, figures={}, frames=None, broke_at=0.5) if m.prefix == "equal_cost_fine_" else m
+        replace(m, figures={}, frames=None, broke_at=0.5, realism=None) if m.prefix == "plain_fine_2_" else m
         for m in comparison.methods
     ]
     write_comparison(tmp_path / "compare.html", replace(comparison, methods=tuple(methods)))

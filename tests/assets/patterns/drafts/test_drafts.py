@@ -157,6 +157,13 @@ def test_sleeve_caps_are_as_long_as_armholes() -> None:
             assert lengths[0] == pytest.approx(lengths[1], rel=1e-6)
 
 
+def test_the_right_sleeve_is_the_mirror_image_of_the_left_one() -> None:
+    """Of a body that is its own mirror image."""
+    pattern = draft("shirt", measured("woman"))
+    left, right = (in_space(pattern, EdgeName(f"{side}_sleeve", k)) for side, k in (("left", 0), ("right", 4)))
+    np.testing.assert_allclose(right[::-1] * [-1.0, 1.0, 1.0], left, atol=1e-6)
+
+
 def test_seams_start_nearly_closed_at_matching_ends() -> None:
     """Ends that are sewn together are nearer to each other than the wrong ones."""
     for name in DRAFTS:
