@@ -64,6 +64,7 @@ __all__ = [
 
 EDGE_SHARE = 0.6  # mean edge over the gravity length of the fabric, at which folds of a skirt have converged [-]
 MOST_SUBDIVISIONS = 3  # that a scene gets without naming them
+MOST_COARSE_SUBDIVISIONS = 3  # of a mesh before it is simulated: 64 times its faces
 DELIVERED_SUBDIVISIONS = 2  # of the coarse mesh under a delivered fine mesh
 PROCEDURAL_PIECE = 20.0  # procedural motion is made in pieces of this length [s], each with a seed of its own
 
@@ -335,21 +336,23 @@ def _cuts(start: float, end: float, seconds: float) -> list[tuple[float, float]]
 def _subdivided(
     garment: Garment, held: np.ndarray, limits: Limits | None, times: int
 ) -> tuple[Garment, np.ndarray, Limits | None]:
-    """A garment whose faces are cut in four so many times, on its smooth surface; with its held vertices and limits."""
+    """A garment whose faces are cut in four so many times, on its smooth surface; with its held vertices and limits.
+
+    Raises:
+        InputError: more times than MOST_COARSE_SUBDIVISIONS.
+    """
     if not times:
         return garment, held, limits
-    finer = Subdivision.of(garment.faces, len(garment.vertices), times)
-    each = lambda values: None if values is None else np.repeat(values, 4**times)  # noqa: E731
-    cut = replace(
-        garment,
-        vertices=finer.upsample(garment.vertices),
-        faces=finer.faces,
-        pattern=finer.flat_corners(garment.pattern),
-        layers=each(garment.layers),
-        max_stretch=each(garment.max_stretch),
-    )
-    limits = limits if limits is None or not len(limits.vertices) else limits.between(finer.matrix)
-    return cut, held_between(finer, held), limits
+    if times > MOST_COARSE_SUBDIVISIONS:
+        expected = f"0..{MOST_COARSE_SUBDIVISIONS}"
+        raise InputError("too fine a mesh to simulate", key="coarse_subdivisions", received=times, expected=expected)
+    finer, sewn = Subdivision.of(garment.faces, len(garment.vertices), times), _sewn(garment)
+    vertices, pattern = finer.upsample(garment.vertices), finer.flat_corners(garment.pattern)
+    cut = replace(garment, vertices=vertices, faces=finer.faces, pattern=pattern)
+    if sewn is not None:
+        sewn = sewn.subdivided(times)
+        cut = replace(cut, layers=sewn.layers, max_stretch=sewn.max_stretch)
+    return cut, held_between(finer, held), None if limits is None else limits.between(finer.matrix)
 
 
 def _sewn(garment: Garment) -> SewnRest | None:

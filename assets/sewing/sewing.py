@@ -44,11 +44,8 @@ MAX_CLOSING_GAP = 0.02  # between two stitched vertices when they become one [m]
 SEAM_ALLOWANCE = 0.01  # of cloth on both sides of a seam that is folded back under it [m]
 # Stages of draping: seconds, damping [1/s], share of the fabric's friction, share of gravity.
 HANG = (0.4, 2.0, 0.3, 1.0)
-TIGHTENING = (
-    1 / 3,
-    2 / 3,
-    1.0,
-)  # shares of an elastic's shortening, while it hangs: at once, a cuff snaps into the wrist
+# Shares of an elastic's shortening while it hangs: at once, a cuff snaps into the wrist.
+TIGHTENING = (1 / 3, 2 / 3, 1.0)
 SETTLE = ((0.6, 2.0, 0.3, 1.0), (1.2, 1.0, 1.0, 1.0))
 CLEARANCE = 0.003  # of smoothed cloth from the body [m]
 EXTRA, MAX_EXTRA = (0.4, 2.0, 1.0, 1.0), 3  # more of it while something is through cloth or body

@@ -300,10 +300,16 @@ def test_a_mesh_is_subdivided_before_it_is_simulated() -> None:
     assert np.array_equal(finer.fine.faces, plain.fine.faces)
     np.testing.assert_allclose(finer.fine.flat, plain.fine.flat, atol=1e-9)  # the pattern of the same cloth
     assert np.array_equal(finer.fine_held, plain.fine_held) and len(finer.coarse_held) > len(plain.coarse_held)
-    assert (
-        np.linalg.norm(finer.fine.vertices - plain.fine.vertices, axis=1).max() < 0.004
-    )  # pushed out of the body anew
+    moved = np.linalg.norm(finer.fine.vertices - plain.fine.vertices, axis=1)
+    assert moved.max() < 0.004  # pushed out of the body anew
     assert finer.cutoff == pytest.approx(0.5 * plain.cutoff, rel=0.02)
+
+
+def test_too_fine_a_mesh_to_simulate_is_refused() -> None:
+    text = '[[garment]]\nname = "s"\nmesh = "builtin:skirt"\ncoarse_subdivisions = 4\n'
+    text += '[character]\nfile = "builtin:mannequin"\n'
+    with pytest.raises(InputError, match="coarse_subdivisions: too fine a mesh to simulate.*received 4, expected 0..3"):
+        GarmentSetup.of(parse_scene(text, "s"))
 
 
 def test_a_delivered_fine_mesh_has_no_coarse_subdivisions(folder: Path) -> None:
