@@ -42,7 +42,7 @@ from wrinkles.binding import Binding, bind
 from wrinkles.database import WrinkleDatabase
 from wrinkles.field import field_of_mesh
 from wrinkles.levels import Levels, build_levels, held_between
-from wrinkles.surface import SewnRest, Subdivision
+from wrinkles.surface import SewnRest, Subdivision, cut_corners
 
 __all__ = [
     "PROCEDURAL_PIECE",
@@ -57,6 +57,7 @@ __all__ = [
     "held_vertices",
     "load_body",
     "motion_of",
+    "pattern_of",
     "scene_of",
     "simulation_of",
     "with_subdivisions",
@@ -374,6 +375,24 @@ def garment_of(scene: Scene) -> tuple[GarmentSettings, Garment]:
         raise InputError("one garment at a time", key="garment", received=names, expected="one [[garment]]")
     settings = scene.garments[0]
     return settings, load_garment(settings.mesh, pattern=settings.pattern)
+
+
+def pattern_of(scene: Scene) -> np.ndarray | None:
+    """Place of each corner of each face that is simulated in the flat pattern of a scene's only garment [m].
+
+    Returns:
+        shape (m, 3, 2); None without a pattern, or where it is that of a delivered fine mesh.
+
+    Raises:
+        InputError: as :func:`garment_of`.
+    """
+    settings, garment = garment_of(scene)
+    pattern = garment.pattern
+    if pattern is None or settings.coarse_vertices is not None:
+        return None
+    for _ in range(settings.coarse_subdivisions):
+        pattern = cut_corners(pattern)
+    return pattern
 
 
 def with_subdivisions(scene: Scene) -> Scene:

@@ -17,7 +17,7 @@ from pbd import InputError
 from pbd.wind import CALM, Air, Wind
 from runtime.bake import bake_glb, bake_obj, bake_pc2
 from runtime.game_loop import GameLoop, LiveInput, ScriptedInput
-from runtime.garment_setup import body_of, colliders_of, garment_of, load_body, motion_of, scene_of
+from runtime.garment_setup import body_of, colliders_of, load_body, motion_of, pattern_of, scene_of
 from runtime.outputs import check_file
 from runtime.player import Player
 from runtime.report import process_age
@@ -85,9 +85,8 @@ def playback_inputs(
         scene = scene_of(database)
         body = body_of(scene)
         database.require_body(body)
-        pattern = None if database.binding is not None else garment_of(scene)[1].pattern
         motions = _motions(body, clip, database, scene)
-        return PlaybackInputs(body, motions, scene.wind.air(), colliders_of(scene), pattern)
+        return PlaybackInputs(body, motions, scene.wind.air(), colliders_of(scene), pattern_of(scene))
     body = load_sequence(character) if character.suffix.lower() == ".npz" else load_body(character)
     database.require_body(body)
     return PlaybackInputs(body, _motions(body, clip, database, None))

@@ -37,6 +37,7 @@ from precompute.wrinkle_comparison.baselines import (
     take_turns,
 )
 from precompute.wrinkle_comparison.realism import PatchStatistics, Realism, realism
+from runtime.garment_setup import scene_of
 from runtime.level_of_detail import LevelOfDetail
 from runtime.play import playback_inputs
 from runtime.player import Player
@@ -384,7 +385,8 @@ def compare_file(
     database = read_database(path)
     inputs = playback_inputs(database, clip=clip)
     motion, levels = inputs.motions[0], replace(levels_from(database, inputs.body), pattern=inputs.pattern)
-    if motion.name in database.trained_on:
+    taught = [part.clip for part in scene_of(database).training.clips]  # a part of the whole clip is enough
+    if motion.name in (*database.trained_on, *taught):
         held_out = ", ".join(database.held_out) or "a clip that nothing was learned from"
         raise InputError(
             "the database has learned from this clip", key="--clip", received=motion.name, expected=held_out

@@ -16,7 +16,15 @@ from assets.procedural.builtin import builtin_garment
 from pbd import DistanceField, InputError, Plane
 from pbd.attachment import Attachment
 from precompute.wrinkle_comparison.baselines import middle_levels
-from runtime.garment_setup import GarmentSetup, colliders_of, fabrics_of, motion_of, simulation_of, with_subdivisions
+from runtime.garment_setup import (
+    GarmentSetup,
+    colliders_of,
+    fabrics_of,
+    motion_of,
+    pattern_of,
+    simulation_of,
+    with_subdivisions,
+)
 from runtime.player import Player
 from runtime.simulation import poses_of
 from tests.assets.panels import two_panels
@@ -295,13 +303,16 @@ def test_a_mesh_is_subdivided_before_it_is_simulated() -> None:
     garment = '[[garment]]\nname = "s"\nmesh = "builtin:skirt"\nattach = "top"\nsubdivisions = {}\n{}\n'
     text = garment + '[character]\nfile = "builtin:mannequin"\n'
     plain = GarmentSetup.of(parse_scene(text.format(2, ""), "plain")).levels
-    finer = GarmentSetup.of(parse_scene(text.format(1, "coarse_subdivisions = 1"), "finer")).levels
+    scene = parse_scene(text.format(1, "coarse_subdivisions = 1"), "finer")
+    finer = GarmentSetup.of(scene).levels
     assert len(finer.coarse.vertices) == plain.subdivision.middle.fine_count
     assert np.array_equal(finer.fine.faces, plain.fine.faces)
     np.testing.assert_allclose(finer.fine.flat, plain.fine.flat, atol=1e-9)  # the pattern of the same cloth
     assert np.array_equal(finer.fine_held, plain.fine_held) and len(finer.coarse_held) > len(plain.coarse_held)
     moved = np.linalg.norm(finer.fine.vertices - plain.fine.vertices, axis=1)
     assert moved.max() < 0.004  # pushed out of the body anew
+    assert finer.pattern is not None and len(finer.pattern) == len(finer.coarse.faces)
+    np.testing.assert_array_equal(pattern_of(scene), finer.pattern)
     assert finer.cutoff == pytest.approx(0.5 * plain.cutoff, rel=0.02)
 
 

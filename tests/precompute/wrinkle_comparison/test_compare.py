@@ -231,3 +231,12 @@ def test_a_clip_that_was_learned_from_is_refused(database: WrinkleDatabase, tmp_
     write_database(path, database)
     with pytest.raises(InputError, match="has learned from this clip.*sway.*expected walk"):
         compare_file(path, tmp_path, clip="sway")
+
+
+def test_a_clip_is_refused_of_which_a_part_was_learned_from(database: WrinkleDatabase, tmp_path: Path) -> None:
+    path = tmp_path / "skirt.h5"
+    scene = database.scene.replace('clip = "sway", start = 0.0', 'clip = "sway", start = 1.0')
+    assert scene != database.scene
+    write_database(path, replace(database, scene=scene, trained_on=("sway 1- s",)))
+    with pytest.raises(InputError, match="has learned from this clip.*sway"):
+        compare_file(path, tmp_path, clip="sway")
