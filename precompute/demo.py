@@ -177,7 +177,7 @@ def run_demo(
         say: told what is to stay on the screen: the stages as they begin, and that the first picture is there.
         report: called with lines of progress.
     """
-    from precompute.wrinkle_comparison.compare import compare
+    from precompute.wrinkle_comparison.compare import compare, write_choice
     from precompute.wrinkle_comparison.comparison_page import comparison_sections
 
     say = say or (lambda line: None)
@@ -196,6 +196,7 @@ def run_demo(
     with pool:
         with clock.stage("comparing"):
             comparison = compare(learned.database, truth, brief=demo.brief, workers=pool, report=clock)
+            write_choice(database_path, learned.database, comparison)
         with clock.stage("drawing"):
             picture = draw_moments(truth, evaluation, demo.moments)
             save_png(picture_file, picture)

@@ -19,7 +19,7 @@ from wrinkles.levels import MAX_AREA_CORRECTION, with_area_of
 from wrinkles.patches import Patches
 from wrinkles.schema import ENTRIES
 
-__all__ = ["Check", "check_database", "figure_lines", "info_text"]
+__all__ = ["Check", "better_choice", "check_database", "figure_lines", "info_text"]
 
 RIVALS = ("smooth", "floor", "truth")  # prefixes of figures that stand beside ours
 EXPLANATIONS = {
@@ -69,6 +69,11 @@ EXPLANATIONS = {
     "us_per_fine_vertex": "decoding, relaxation and normals",
     "fine_simulation_ms": "a frame of the fine simulation",
     "speedup_over_fine": "time of a frame of the fine simulation over ours",
+    "cost_advantage": "time of the cheapest plain cloth that is as good, over ours; below 1 plain cloth is better",
+    "cost_advantage_is_at_least": "1 where no plain cloth that was tried is as good: then the advantage is larger",
+    "plain_frame_ms": "a whole frame of that plain cloth, median",
+    "plain_substeps": "its substeps a frame",
+    "plain_vertex_count": "its simulated vertices",
 }
 
 
@@ -140,6 +145,7 @@ def _sections(database: WrinkleDatabase, figures: Mapping[str, float]) -> Iterat
         ("took", f"{database.training_minutes:.1f} min, seed {database.seed}"),
     ]
     yield "Training", training
+    yield "Plain cloth", [("better choice", better_choice(database.quality))]
     file = [
         ("size", f"{figures['database_mb']:.2f} MB, of which meshes {figures['mesh_mb']:.2f}"),
         ("beyond meshes", f"{figures['bytes_per_fine_vertex']:.1f} bytes a fine vertex"),
@@ -189,6 +195,22 @@ def _choice(quality: Mapping[str, float]) -> list[tuple[str, str]]:
     if "coverage" in quality:
         words += f"; held-out motion covered to {quality['coverage']:.3f}, taken evenly {quality['coverage_even']:.3f}"
     return [("chosen", words)]
+
+
+def better_choice(quality: Mapping[str, float]) -> str:
+    """Whether plain cloth is the better choice by the figures that a comparison left in a database."""
+    ratio = quality.get("cost_advantage")
+    if ratio is None:
+        return "unknown: `gube compare` with this database finds out"
+    cloth = (
+        f"{quality['plain_vertex_count']:.0f} vertices, {quality['plain_substeps']:.0f} substeps, "
+        f"{quality['plain_frame_ms']:.2f} ms a frame"
+    )
+    ours = f"the wrinkles, {quality['plain_frame_ms'] / ratio:.2f} ms a frame"
+    if quality["cost_advantage_is_at_least"]:
+        return f"{ours}; no plain cloth that was tried is as good, the dearest of {cloth}"
+    better, other = (f"plain cloth of {cloth}", ours) if ratio < 1.0 else (ours, f"plain cloth of {cloth}")
+    return f"{better}; as good is {other}"
 
 
 def _other_fabric(other: LearnedFabric, quality: Mapping[str, float]) -> str:

@@ -41,12 +41,22 @@ from runtime.garment_setup import scene_of
 from runtime.level_of_detail import LevelOfDetail
 from runtime.play import playback_inputs
 from runtime.player import Player
-from wrinkles.database import WrinkleDatabase, code_version, read_database
+from wrinkles.database import WrinkleDatabase, code_version, read_database, write_database
 from wrinkles.metrics import edge_stretch
 from wrinkles.proxy_mesh import proxy_mesh_of
 from wrinkles.spectrum import LowPass
 
-__all__ = ["ERRORS", "Advantage", "Comparison", "Method", "compare", "compare_file", "database_of", "plain_methods"]
+__all__ = [
+    "ERRORS",
+    "Advantage",
+    "Comparison",
+    "Method",
+    "compare",
+    "compare_file",
+    "database_of",
+    "plain_methods",
+    "write_choice",
+]
 
 SUBSTEPS = (4, 6, 9, 14, 20)  # of plain cloth on each mesh
 BRIEF = {"middle": (6, 14), "fine": (6, 14)}  # the same where little time is spent
@@ -165,6 +175,20 @@ class Comparison:
         """The least advantage by the errors that decide."""
         found = [one for name in DECIDING if (one := self.advantage(name, ours)) is not None]
         return min(found, key=lambda one: one.ratio, default=None)
+
+    @property
+    def choice(self) -> dict[str, float]:
+        """The figures that say whether plain cloth is the better choice, as a database keeps them; none if unknown."""
+        found = self.cost_advantage()
+        if found is None:
+            return {}
+        return {
+            "cost_advantage": found.ratio,
+            "cost_advantage_is_at_least": float(found.at_least),
+            "plain_frame_ms": found.cloth.frame_ms,
+            "plain_substeps": found.cloth.settings["substeps a frame"],
+            "plain_vertex_count": found.cloth.settings["simulated vertices"],
+        }
 
     @property
     def figures(self) -> dict[str, float]:
@@ -393,7 +417,21 @@ def compare_file(
         )
     run = fine_run(levels, inputs.body, motion, database, wind=inputs.wind, primitives=inputs.primitives)
     truth = truth_of(run, default_cache(path), 2, report)
-    return compare(database, truth if seconds is None else truth.until(seconds), report=report)
+    found = compare(database, truth if seconds is None else truth.until(seconds), report=report)
+    if clip is None and seconds is None:
+        write_choice(path, database, found)
+    return found
+
+
+def write_choice(path: Path, database: WrinkleDatabase, comparison: Comparison) -> None:
+    """Write into a database whether plain cloth is the better choice, for `gube info`.
+
+    Args:
+        path: the database's file.
+        database: what it holds.
+        comparison: on its first held-out motion.
+    """
+    write_database(path, replace(database, quality={**database.quality, **comparison.choice}))
 
 
 def database_of(path: Path, output: Path, report: Callable[[str], None] | None) -> Path:

@@ -14,12 +14,21 @@ from pbd import InputError, SolverOptions
 from precompute.learning.evaluation import Truth, fine_run, levels_from, play_freely, truth_of
 from precompute.wrinkle_comparison import compare as comparing
 from precompute.wrinkle_comparison.baselines import fine_cloth, middle_levels, plain_cloths, take_turns
-from precompute.wrinkle_comparison.compare import ERRORS, Comparison, Method, compare, compare_file, plain_methods
+from precompute.wrinkle_comparison.compare import (
+    ERRORS,
+    Comparison,
+    Method,
+    compare,
+    compare_file,
+    plain_methods,
+    write_choice,
+)
 from precompute.wrinkle_comparison.comparison_page import verdict, write_blind, write_comparison
+from runtime.info import better_choice, info_text
 from runtime.simulation import Simulation
 from tests.runtime.players import skirt_database, skirt_stage
 from tests.wrinkles.databases import placed
-from wrinkles.database import WrinkleDatabase, write_database
+from wrinkles.database import WrinkleDatabase, read_database, write_database
 from wrinkles.levels import build_levels
 from wrinkles.rest_shape import RestShapeCorrection
 
@@ -79,7 +88,8 @@ def comparison(database: WrinkleDatabase, truth: Truth) -> Comparison:
 def some(prefix: str, frame_ms: float, error: float | None, mesh: str = "") -> Method:
     """A method with one error for all, or one that broke."""
     figures = {} if error is None else dict.fromkeys(ERRORS.values(), error)
-    return Method(prefix, prefix, frame_ms, figures, {}, mesh=mesh, broke_at=0.5 if error is None else None)
+    settings = {"simulated vertices": 9.0, "substeps a frame": 3.0}
+    return Method(prefix, prefix, frame_ms, figures, settings, mesh=mesh, broke_at=0.5 if error is None else None)
 
 
 def rigged(truth: Truth, ours: float, *plain: tuple[float, float | None], floor: float = 0.1) -> Comparison:
@@ -138,6 +148,21 @@ def test_the_least_of_both_advantages_counts(truth: Truth) -> None:
     figures = replace(comparison, methods=tuple(methods)).figures
     assert figures["cost_advantage_band"] == figures["cost_advantage"] == 2.0
     assert figures["cost_advantage_realism"] == 5.0
+
+
+def test_a_database_says_which_is_the_better_choice(tmp_path: Path, database: WrinkleDatabase, truth: Truth) -> None:
+    path = tmp_path / "curtain.h5"
+    assert better_choice(database.quality).startswith("unknown")
+    for cloths, words in (
+        ([(1.0, 0.29), (20.0, 0.2)], "plain cloth of 9 vertices, 3 substeps, 1.00 ms a frame; as good is the wrinkles"),
+        ([(8.0, 0.3)], "the wrinkles, 4.00 ms a frame; as good is plain cloth of 9 vertices"),
+        ([(8.0, 0.4)], "the wrinkles, 4.00 ms a frame; no plain cloth that was tried is as good"),
+    ):
+        write_choice(path, database, rigged(truth, 0.3, *cloths))
+        written = read_database(path)
+        assert better_choice(written.quality).startswith(words)
+        assert database.quality.items() <= written.quality.items()
+        assert words in info_text(path)[0]
 
 
 def test_methods_take_turns() -> None:
