@@ -209,8 +209,9 @@ def better_choice(quality: Mapping[str, float]) -> str:
     ours = f"the wrinkles, {quality['plain_frame_ms'] / ratio:.2f} ms a frame"
     if quality["cost_advantage_is_at_least"]:
         return f"{ours}; no plain cloth that was tried is as good, the dearest of {cloth}"
-    better, other = (f"plain cloth of {cloth}", ours) if ratio < 1.0 else (ours, f"plain cloth of {cloth}")
-    return f"{better}; as good is {other}"
+    if ratio < 1.0:
+        return f"plain cloth of {cloth}; {ours}, are no better"
+    return f"{ours}; plain cloth that is as good takes {cloth}"
 
 
 def _other_fabric(other: LearnedFabric, quality: Mapping[str, float]) -> str:
