@@ -419,7 +419,11 @@ def compare_file(
     truth = truth_of(run, default_cache(path), 2, report)
     found = compare(database, truth if seconds is None else truth.until(seconds), report=report)
     if clip is None and seconds is None:
-        write_choice(path, database, found)
+        try:
+            write_choice(path, database, found)
+        except OSError as error:  # a folder that only others may write: what was found is not lost for it
+            if report is not None:
+                report(f"the database does not keep the cost advantage: {path} cannot be written ({error.strerror})")
     return found
 
 

@@ -265,3 +265,32 @@ def test_a_clip_is_refused_of_which_a_part_was_learned_from(database: WrinkleDat
     write_database(path, replace(database, scene=scene, trained_on=("sway 1- s",)))
     with pytest.raises(InputError, match="has learned from this clip.*sway"):
         compare_file(path, tmp_path, clip="sway")
+
+
+def test_only_the_whole_held_out_motion_decides(
+    database: WrinkleDatabase, truth: Truth, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "skirt.h5"
+    write_database(path, database)
+    monkeypatch.setattr(comparing, "truth_of", lambda *_: truth)
+    monkeypatch.setattr(comparing, "compare", lambda *_, **__: rigged(truth, 0.3, (8.0, 0.3)))
+    compare_file(path, tmp_path, seconds=2.0)
+    compare_file(path, tmp_path, clip=database.held_out[0])
+    assert "cost_advantage" not in read_database(path).quality
+    compare_file(path, tmp_path)
+    assert read_database(path).quality["cost_advantage"] == 2.0
+
+
+def test_a_database_that_cannot_be_written_costs_no_comparison(
+    database: WrinkleDatabase, truth: Truth, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    path, lines = tmp_path / "skirt.h5", []
+    write_database(path, database)
+    monkeypatch.setattr(comparing, "truth_of", lambda *_: truth)
+    monkeypatch.setattr(comparing, "compare", lambda *_, **__: rigged(truth, 0.3, (8.0, 0.3)))
+    monkeypatch.setattr(comparing, "write_database", refuse)
+    assert compare_file(path, tmp_path, report=lines.append).cost_advantage() is not None
+    assert any("cannot be written (Permission denied)" in line for line in lines)
