@@ -50,6 +50,7 @@ SOURCES = {
     "load_garment": "assets.garment:load_garment",
     "load_scene": "assets.io.scene:load_scene",
     "make_solver": "pbd.models.registry:make_solver",
+    "player_of": "runtime.plain_player:player_of",
     "parse_scene": "assets.io.scene:parse_scene",
     "precompute": "precompute.learning.pipeline:precompute",
     "read_cost_table": "runtime.cost_table:read_cost_table",
@@ -96,6 +97,7 @@ if TYPE_CHECKING:
     from runtime.garment_group import GarmentGroup as GarmentGroup
     from runtime.garment_setup import simulation_of as simulation_of
     from runtime.level_of_detail import LevelOfDetail as LevelOfDetail
+    from runtime.plain_player import player_of as player_of
     from runtime.planner import Planner as Planner
     from runtime.planner import ViewSize as ViewSize
     from runtime.player import Player as Player

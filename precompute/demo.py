@@ -27,6 +27,7 @@ from precompute.workers import Workers
 from runtime.bake import bake_glb
 from runtime.garment_setup import GarmentSetup
 from runtime.glb import BYTES_A_VERTEX
+from runtime.info import better_choice
 from runtime.pictures import Drawn, frame_camera, render, save_png, strip
 from runtime.play import posed_bodies
 from wrinkles.metrics import normal_error_deg
@@ -202,11 +203,13 @@ def run_demo(
             save_png(picture_file, picture)
             _bake(animation, truth, evaluation)
     figures = evaluation.figures
-    sections = newcomer_sections(learned, comparison.method("").frame_ms, picture, time.monotonic() - began)
+    better = better_choice(comparison.choice)
+    frame_ms, spent = comparison.method("").frame_ms, time.monotonic() - began
+    sections = newcomer_sections(learned, frame_ms, picture, spent, better)
     write_page(output / "index.html", "A skirt with learned folds", [*sections, *comparison_sections(comparison)])
     return DemoResult(
         figures,
-        words_of(figures, comparison.method("").frame_ms),
+        words_of(figures, frame_ms),
         output / "index.html",
         picture_file,
         first_picture,

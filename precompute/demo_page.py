@@ -36,7 +36,9 @@ def _nearer(ours: float, smooth: float) -> str:
     return f"{abs(share):.0f} % {'nearer to' if share >= 0.0 else 'further from'} the truth"
 
 
-def newcomer_sections(learned: Precomputed, frame_ms: float, picture: np.ndarray, seconds: float) -> list[Section]:
+def newcomer_sections(
+    learned: Precomputed, frame_ms: float, picture: np.ndarray, seconds: float, better: str
+) -> list[Section]:
     """The top of the page: what was made, how good it is and how fast, and the picture.
 
     Args:
@@ -44,6 +46,7 @@ def newcomer_sections(learned: Precomputed, frame_ms: float, picture: np.ndarray
         frame_ms: processor time of a frame, body included [ms].
         picture: uint8, shape (h, w, 3).
         seconds: that all of it took [s].
+        better: the better choice, see :func:`runtime.info.better_choice`.
     """
     database, truth = learned.database, learned.truth
     assert truth is not None and learned.evaluation is not None
@@ -70,7 +73,8 @@ chaotic: a second fine simulation of the same motion is {floor:.1f} degrees off 
 {free_smooth:.1f}."""
     fast = f"""A frame of ours takes {frame_ms:.1f} ms on one core of this machine, body included. At 60 frames a second
 there are 16.7 ms for everything, so that this skirt takes {share:.0f} % of one core. A frame of the fine simulation
-takes {slow:.0f} ms, {slow / frame_ms:.1f} times as long."""
+takes {slow:.0f} ms, {slow / frame_ms:.1f} times as long. By the comparison below the better choice for this skirt is
+{better}. `gube play` plays that."""
     return [
         Heading("What was made"),
         Text(made),

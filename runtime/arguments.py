@@ -70,6 +70,11 @@ def add_playback(parser: argparse.ArgumentParser) -> None:
         "--fabric", metavar="NAME", help="name of a fabric of the database (default: the garment's own fabric)"
     )
     parser.add_argument(
+        "--wrinkles",
+        action="store_true",
+        help="play the learned wrinkles even where plain cloth is the better choice (default: off)",
+    )
+    parser.add_argument(
         "--seconds", type=positive, metavar="S", help="play only so much of the motion [s] (default: all of it)"
     )
 

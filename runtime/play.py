@@ -19,12 +19,12 @@ from runtime.bake import bake_glb, bake_obj, bake_pc2
 from runtime.game_loop import GameLoop, LiveInput, ScriptedInput
 from runtime.garment_setup import body_of, colliders_of, load_body, motion_of, pattern_of, scene_of
 from runtime.outputs import check_file
+from runtime.plain_player import PlainPlayer, player_of
 from runtime.player import Player
 from runtime.report import process_age
 from runtime.simulation import Motion, Simulation, body_source, poses_of
 from runtime.strips import draw_strips_apart
 from wrinkles.database import WrinkleDatabase, read_database
-from wrinkles.levels import Levels
 
 __all__ = [
     "BAKED",
@@ -59,6 +59,7 @@ class PlaybackInputs:
         primitives: colliders besides the body.
         pattern: place of each corner of each coarse face in the flat pattern, for pictures [m], shape (m, 3, 2); None
             where it is unknown.
+        wrinkles: play what was learned even where plain cloth is the better choice.
     """
 
     body: Character | Sequence
@@ -66,6 +67,7 @@ class PlaybackInputs:
     wind: Wind = Wind(CALM)
     primitives: tuple = ()
     pattern: np.ndarray | None = None
+    wrinkles: bool = False
 
 
 def playback_inputs(
@@ -93,7 +95,12 @@ def playback_inputs(
 
 
 def open_database(
-    path: Path, *, character: Path | None = None, clip: str | None = None, fabric: str | None = None
+    path: Path,
+    *,
+    character: Path | None = None,
+    clip: str | None = None,
+    fabric: str | None = None,
+    wrinkles: bool = False,
 ) -> tuple[WrinkleDatabase, PlaybackInputs]:
     """Read a database and the inputs with which it is played.
 
@@ -101,6 +108,7 @@ def open_database(
         path: the database.
         character, clip: see :func:`playback_inputs`.
         fabric: name of a fabric of the database; None takes the garment's own.
+        wrinkles: see :class:`PlaybackInputs`.
 
     Raises:
         InputError: the file is no database, it has no such fabric, or as :func:`playback_inputs`.
@@ -108,7 +116,7 @@ def open_database(
     database = read_database(path)
     if fabric is not None:
         database = database.in_fabric(fabric)
-    return database, playback_inputs(database, character, clip)
+    return database, replace(playback_inputs(database, character, clip), wrinkles=wrinkles)
 
 
 def _motions(
@@ -161,7 +169,7 @@ class Free:
 
 
 def play(
-    player: Player,
+    player: Player | PlainPlayer,
     poses: np.ndarray,
     dt: float,
     wind: Air = CALM,
@@ -196,30 +204,30 @@ def play(
             rows["numbers"].append(number)
             rows["frames"].append((player.vertices + player.origin).astype(np.float32))
             coarse = player.simulation.state.world()
-            rows["smooth"].append(player.levels.subdivision.upsample(coarse).astype(np.float32))
+            rows["smooth"].append(player.smooth().astype(np.float32))
             rows["coarse"].append(coarse.astype(np.float32))
     arrays = {name: np.array(values) for name, values in rows.items()}
     spent = {name: np.array(values) for name, values in timings.items()}
     return Free(**arrays, timings=spent, held_off=held_off, state_hash=state_hash)
 
 
-def timing_figures(free: Free, levels: Levels) -> dict[str, float]:
+def timing_figures(free: Free, simulated_count: int) -> dict[str, float]:
     """Median times of the parts of a frame and its 99th percentile [ms], and numbers of vertices."""
-    count = levels.subdivision.fine_count
+    count = free.frames.shape[1]
     figures = {f"{name}_ms_p50": float(np.median(free.timings[name])) for name in TIMINGS}
     figures["frame_ms_p99"] = float(np.percentile(free.timings["frame"], 99))
     layer = sum(figures[f"{name}_ms_p50"] for name in ("decode", "relax", "normals"))
     return figures | {
         "us_per_fine_vertex": 1e3 * layer / count,
         "fine_vertex_count": float(count),
-        "coarse_vertex_count": float(levels.subdivision.coarse_count),
+        "coarse_vertex_count": float(simulated_count),
     }
 
 
 def play_motion(
     database: WrinkleDatabase, inputs: PlaybackInputs, motion: Motion, seconds: float | None, folder: Path
 ) -> dict[str, float | str]:
-    """Play a motion and draw every tenth frame, smooth and ours.
+    """Play a motion and draw every tenth frame: smooth and ours, or plain cloth where that is the better choice.
 
     Args:
         database: the database to play.
@@ -238,16 +246,18 @@ def play_motion(
     poses = poses_of(motion, dt, seconds)
     if len(poses) < 2:
         raise InputError("nothing to play", key="--seconds", received=seconds, expected=f"at least {dt:.3g} [s]")
-    player = Player(database, inputs.body, poses[0], inputs.primitives)
+    player = player_of(database, inputs.body, poses[0], inputs.primitives, inputs.wrinkles)
     first = process_age()
     free = play(player, poses, dt, inputs.wind)
     subdivision = player.levels.subdivision
     garment = (subdivision.faces, subdivision.flat_corners(inputs.pattern))
     bodies = posed_bodies(inputs.body, poses[free.numbers])
-    columns = {"smooth": free.smooth, "ours": free.frames}
+    plain = isinstance(player, PlainPlayer)
+    columns = {"plain cloth": free.frames} if plain else {"smooth": free.smooth, "ours": free.frames}
     draw_strips_apart(folder, motion.name, columns, *garment, bodies, inputs.body.faces, free.numbers, dt)
-    figures: dict[str, float | str] = {"frame_count": len(poses) - 1, "first_frame_s": first}
-    figures |= timing_figures(free, player.levels)
+    figures: dict[str, float | str] = {"method": "plain cloth" if plain else "wrinkles"}
+    figures |= {"frame_count": len(poses) - 1, "first_frame_s": first}
+    figures |= timing_figures(free, player.simulation.model.vertex_count)
     return figures | {"attached_off_mm": 1e3 * free.held_off, "state_hash": free.state_hash}
 
 
@@ -266,7 +276,7 @@ def loop_figures(
     Returns:
         figures of :meth:`runtime.game_loop.GameLoop.figures`.
     """
-    player = Player(database, inputs.body, motion.pose(0.0), inputs.primitives)
+    player = player_of(database, inputs.body, motion.pose(0.0), inputs.primitives, inputs.wrinkles)
     script = ScriptedInput(player.simulation, motion, seconds)
 
     def live(t: float) -> LiveInput:
@@ -287,7 +297,7 @@ def posed_bodies(body: Character | Sequence, poses: Iterable[np.ndarray]) -> np.
 
 def baked_frames(
     database: WrinkleDatabase, inputs: PlaybackInputs, motion: Motion, rate_hz: float, seconds: float | None = None
-) -> tuple[Player, np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[Player | PlainPlayer, np.ndarray, np.ndarray, np.ndarray]:
     """Play a motion and keep the garment at a rate of its own, from the start on.
 
     Args:
@@ -305,7 +315,7 @@ def baked_frames(
         InputError: a rate that is not positive.
     """
     tick = 1.0 / database.frame_rate
-    player = Player(database, inputs.body, motion.pose(0.0), inputs.primitives)
+    player = player_of(database, inputs.body, motion.pose(0.0), inputs.primitives, inputs.wrinkles)
     ticks = int(np.ceil(database.frame_rate / rate_hz)) + 1 if rate_hz > 0.0 else 1
     loop = GameLoop(player, lambda t: LiveInput(motion.pose(t), inputs.wind), rate_hz, tick, ticks)
     duration = motion.duration if seconds is None else min(seconds, motion.duration)

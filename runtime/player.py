@@ -22,7 +22,9 @@ from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels
 from wrinkles.proxy_mesh import proxy_mesh_of
 
-__all__ = ["FADE", "Player"]
+__all__ = ["FADE", "PARTS", "Player", "check_drag", "check_step"]
+
+PARTS = ("skin", "coarse", "decode", "relax", "normals", "frame")  # of a frame's time
 
 
 class Player:
@@ -62,7 +64,7 @@ class Player:
         if fabric is not None:
             database = database.in_fabric(fabric)
         self._pose_shape = (len(body.joint_names), 3, 4) if isinstance(body, Character) else body.vertices.shape[1:]
-        self._check_pose(start)
+        check_step(start, self._pose_shape)
         self.database = database
         source = body_source(body)
         self.levels: Levels = database.levels(source.vertices, source.faces)
@@ -87,7 +89,7 @@ class Player:
         self._bind_vertices = source.vertices
         self._idle, self._dt = 0.0, 0.0  # time since the last update, length of the last tick [s]
         self._alpha = 1.0
-        self.timings = dict.fromkeys(("skin", "coarse", "decode", "relax", "normals", "frame"), 0.0)
+        self.timings = dict.fromkeys(PARTS, 0.0)
         self._warm_up(start)
         self.decode()
 
@@ -174,11 +176,7 @@ class Player:
         Raises:
             InputError: an input that is not finite or of another shape; then nothing has changed.
         """
-        self._check_pose(pose)
-        if not (np.isfinite(dt) and dt >= 0.0):
-            raise InputError("bad time step", key="dt", received=dt, expected="a finite number, at least 0 [s]")
-        if not isinstance(wind, Wind) and (np.shape(wind) != (3,) or not np.isfinite(wind).all()):
-            raise InputError("bad wind", key="wind", received=wind, expected="three finite numbers [m/s]")
+        check_step(pose, self._pose_shape, dt, wind)
         self._fade.advance(dt)
         self._dt, self._idle = dt, self._idle + dt
         if self._wait:
@@ -221,6 +219,10 @@ class Player:
         timings["normals"] = 1e3 * (time.perf_counter() - began)
         timings["frame"] = sum(timings[part] for part in ("skin", "coarse", "decode", "relax", "normals"))
 
+    def smooth(self) -> np.ndarray:
+        """The garment without wrinkles in the world [m], float64, shape (N, 3)."""
+        return self.levels.subdivision.upsample(self.simulation.state.world())
+
     def decoded(self, detail: LevelOfDetail) -> np.ndarray:
         """Fine vertices of the last update at a detail, about ``origin`` [m], float32, shape (N, 3), a copy.
 
@@ -254,20 +256,10 @@ class Player:
         Raises:
             InputError: no such vertex, or a bad target.
         """
-        if target is not None and (np.shape(target) != (3,) or not np.isfinite(target).all()):
-            raise InputError("bad target", key="target", received=target, expected="three finite numbers [m]")
-        count = self.levels.subdivision.coarse_count
-        if not 0 <= vertex < count:
-            raise InputError("no such coarse vertex", key="vertex", received=vertex, expected=f"0..{count - 1}")
+        check_drag(vertex, target, self.levels.subdivision.coarse_count)
         self.simulation.drag(vertex, target)
         if self._coarser is not None and self._detail.level:
             self._coarser.hold()
-
-    def _check_pose(self, pose: np.ndarray) -> None:
-        if np.shape(pose) != self._pose_shape:
-            raise InputError("bad pose", key="pose", received=np.shape(pose), expected=f"shape {self._pose_shape}")
-        if not np.isfinite(pose).all():
-            raise InputError("bad pose", key="pose", received="values that are not finite", expected="finite numbers")
 
     def _warm_up(self, pose: np.ndarray) -> None:
         """Load or compile every kernel by a step that is taken back: the first frame is as fast as the others."""
@@ -278,3 +270,31 @@ class Player:
         simulation.place_body(pose)
         self._between.remember()
         self.timings = dict.fromkeys(self.timings, 0.0)
+
+
+def check_step(pose: np.ndarray, shape: tuple[int, ...], dt: float = 0.0, wind: Air = CALM) -> None:
+    """Refuse the input of a frame that a player cannot take.
+
+    Raises:
+        InputError: a pose of another shape, a pose, time or wind that is not finite, or a time below 0.
+    """
+    if np.shape(pose) != shape:
+        raise InputError("bad pose", key="pose", received=np.shape(pose), expected=f"shape {shape}")
+    if not np.isfinite(pose).all():
+        raise InputError("bad pose", key="pose", received="values that are not finite", expected="finite numbers")
+    if not (np.isfinite(dt) and dt >= 0.0):
+        raise InputError("bad time step", key="dt", received=dt, expected="a finite number, at least 0 [s]")
+    if not isinstance(wind, Wind) and (np.shape(wind) != (3,) or not np.isfinite(wind).all()):
+        raise InputError("bad wind", key="wind", received=wind, expected="three finite numbers [m/s]")
+
+
+def check_drag(vertex: int, target: np.ndarray | None, count: int) -> None:
+    """Refuse to hold a vertex that is none of ``count``, or at a point that is none.
+
+    Raises:
+        InputError: see above.
+    """
+    if target is not None and (np.shape(target) != (3,) or not np.isfinite(target).all()):
+        raise InputError("bad target", key="target", received=target, expected="three finite numbers [m]")
+    if not 0 <= vertex < count:
+        raise InputError("no such coarse vertex", key="vertex", received=vertex, expected=f"0..{count - 1}")

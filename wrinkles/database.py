@@ -47,6 +47,7 @@ from wrinkles.schema import (
 from wrinkles.surface import SewnRest, Subdivision
 
 __all__ = [
+    "CHOICE",
     "LearnedFabric",
     "WrinkleDatabase",
     "as_stored",
@@ -59,6 +60,8 @@ __all__ = [
 
 MIN_COMPRESSED_SIZE = 4096  # arrays of this size or more are stored in compressed chunks [bytes]
 HDF5_VERSIONS = ("v110", "v110")  # lowest and highest; headers of 1.10 take a third of the space of older ones
+CHOICE = ("cost_advantage", "cost_advantage_is_at_least", "plain_frame_ms", "plain_substeps", "plain_vertex_count")
+"""Figures of a database's quality by which plain cloth is the better choice or not, for the garment's own fabric."""
 COMPRESSION = {"chunks": True, "shuffle": True, "compression": "gzip"}
 
 
@@ -207,6 +210,7 @@ class WrinkleDatabase:
             fabric=other.fabric,
             options=other.options,
             other_fabrics=(),
+            quality={name: value for name, value in self.quality.items() if name not in CHOICE},
             mapping=self.mapping.for_fabric(fabric_features(other.fabric, self.fabric)),
         )
 

@@ -20,6 +20,9 @@ __all__ = [
 MAX_SLIDE = 0.0015
 MAX_SLIDE_SHARE = 0.1  # ... or less than this share of its height over the point [-]
 
+MAX_TOUCH_DISTANCE = 1.5  # cloth that is nearer to the body than this touches it [thicknesses]
+FACING = -0.5  # cosine of their normals under which two sides of the body face one another
+
 
 @ti.func
 def substep_start(cloth: ti.template(), i: ti.i32, h: ti.f32):
@@ -80,8 +83,13 @@ def surface_point(b: ti.i32, others, weights: vec3, t: ti.f32, body: ti.template
 
 
 @ti.func
-def touch_body(p: vec3, c: ti.i32, t: ti.f32, body: ti.template(), contact: ti.template()):
-    """Find where sample c, which is at p [m], touches the body, for all of the frame; t in [0, 1] of the frame."""
+def touch_body(p: vec3, c: ti.i32, t: ti.f32, thickness: ti.f32, body: ti.template(), contact: ti.template()):
+    """Find where sample c, which is at p [m], touches the body, for all of the frame; t in [0, 1] of the frame.
+
+    Where two sides of the body face one another over less than two thicknesses [m], no place is outside of both. Cloth
+    between them stays with the side that it touches. If it took the nearer one, each would push it to the other, and
+    it would tremble for ever and shake all the garment.
+    """
     ends = contact.samples[c]
     seed, distance = -1, 1e30
     for start in range(ti.select(ends[0] == ends[1], 1, 3)):  # on slivers walks from several starts end apart
@@ -93,11 +101,21 @@ def touch_body(p: vec3, c: ti.i32, t: ti.f32, body: ti.template(), contact: ti.t
             offset = between(found, t, body) - p
             if offset.dot(offset) < distance:
                 seed, distance = found, offset.dot(offset)
-    contact.nearest[c] = seed  # not what the hops below reach: on slivers that vertex is far away
     b, others, weights = closest_around(p, seed, t, body)
+    start, end, normal = surface_point(b, others, weights, t, body)
+    last = contact.contact_faces[c][0]
+    if last >= 0 and last != seed:
+        last = descend(p, last, t, body)
+        last_b, last_others, last_weights = closest_around(p, last, t, body)
+        last_start, last_end, last_normal = surface_point(last_b, last_others, last_weights, t, body)
+        away = p - (last_start + t * (last_end - last_start))
+        touched = away.dot(last_normal) > 0.0 and away.norm() < MAX_TOUCH_DISTANCE * thickness
+        if touched and last_normal.dot(normal) < FACING:
+            seed, b, others, weights = last, last_b, last_others, last_weights
+            start, end, normal = last_start, last_end, last_normal
+    contact.nearest[c] = seed  # not what the hops reached: on slivers that vertex is far away
     contact.contact_faces[c] = ti.Vector([seed, b, others[0], others[1]])
     contact.contact_weights[c] = ti.Vector([weights[1], weights[2]])
-    start, end, normal = surface_point(b, others, weights, t, body)
     # The smooth normal decides the side. The contact takes the exact direction to the surface where there is one.
     offset = p - (start + t * (end - start))
     size = offset.norm()

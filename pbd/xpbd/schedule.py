@@ -308,7 +308,7 @@ def collide_with_body(
                 offset, normal = (x - moved) + u, xyz(contact.contact_points[c, 2])
                 again = offset.dot(normal) < active_distance and slid_off(offset, normal)
             if again:
-                touch_body(x + u, c, t, body, contact)
+                touch_body(x + u, c, t, step.thickness, body, contact)
         height = height_over(x, c, i, j, t, cloth, contact.contact_points)
         if tests_all and height < active_distance:
             contact.active_samples[half + region + active_count] = c

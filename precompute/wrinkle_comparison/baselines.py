@@ -21,11 +21,12 @@ from pbd.taichi_internals import Launch
 from precompute.learning.evaluation import Truth
 from precompute.learning.recording import Run, body_source
 from runtime.level_of_detail import LevelOfDetail
+from runtime.plain_player import middle_levels, plain_model
 from runtime.player import Player
 from runtime.simulation import BodySource, Simulation
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Upsampler
-from wrinkles.levels import Levels, held_between, levels_of
+from wrinkles.levels import Levels
 from wrinkles.surface import Subdivision
 
 __all__ = [
@@ -37,7 +38,6 @@ __all__ = [
     "coarse_cloth",
     "fine_cloth",
     "middle_cloth",
-    "middle_levels",
     "plain_cloths",
     "player_times",
     "take_turns",
@@ -304,31 +304,9 @@ def coarse_cloth(database: WrinkleDatabase, run: Run) -> Cloth:
     return Cloth(model, levels.coarse_attachment, source, run, database.solver, levels.subdivision, faces)
 
 
-def middle_levels(database: WrinkleDatabase, run: Run, cuts: int = 1) -> Levels | None:
-    """Levels from the coarse mesh subdivided ``cuts`` times to the fine mesh, whose numbering is the same.
-
-    The middle mesh has the fine one's side lengths, as the coarse mesh has. None where so many subdivisions make the
-    fine mesh already.
-    """
-    if database.subdivisions <= cuts:
-        return None
-    source = body_source(run.body)
-    body = (source.vertices, source.faces)
-    one = Subdivision.of(database.coarse_faces, len(database.coarse_vertices), cuts)
-    # Points of the smooth surface, so that the smooth surface through them is the same.
-    plain = replace(database, binding=None)
-    vertices = plain.subdivision.upsample(database.coarse_vertices)[: one.fine_count]
-    held = held_between(one, database.held)
-    limits = database.limits.between(one.matrix)
-    sewn = None if database.sewn is None else database.sewn.subdivided(cuts)
-    return levels_of(
-        vertices, one.faces, held, *body, database.subdivisions - cuts, database.warp, database.binding, limits, sewn
-    )
-
-
 def middle_cloth(database: WrinkleDatabase, run: Run, options: ModelOptions | None = None) -> Cloth | None:
     """The garment on the coarse mesh subdivided once, converged as far as a fine run is; None where that is fine."""
-    levels = middle_levels(database, run)
+    levels = middle_levels(database, body_source(run.body))
     return None if levels is None else _plain_cloth(database, run, levels, options, 1)
 
 
@@ -339,7 +317,7 @@ def plain_cloths(database: WrinkleDatabase, run: Run) -> dict[str, Cloth]:
     """
     found = {"coarse": _plain_cloth(database, run, run.levels, None, 0)}
     for cuts in range(1, database.subdivisions):
-        levels = middle_levels(database, run, cuts)
+        levels = middle_levels(database, body_source(run.body), cuts)
         assert levels is not None
         name = "middle" if database.subdivisions == 2 else f"middle_{cuts}"
         found[name] = _plain_cloth(database, run, levels, None, cuts)
@@ -348,9 +326,8 @@ def plain_cloths(database: WrinkleDatabase, run: Run) -> dict[str, Cloth]:
 
 def _plain_cloth(database: WrinkleDatabase, run: Run, levels: Levels, options: ModelOptions | None, cuts: int) -> Cloth:
     """The garment on the coarse mesh of some levels, which is the database's subdivided so many times."""
-    options = options or ModelOptions(pressure=database.options.pressure)
-    model = build_model(levels.coarse, database.fabric, levels.coarse_held, options, limits=levels.coarse_limits)
     # The stretch law of small steps asks for h N: one subdivision halves the edges, and so the substep.
     solver = replace(database.solver, substep=database.solver.substep / 2.0**cuts)
     source = body_source(run.body)
+    model = plain_model(database, levels, options)
     return Cloth(model, levels.coarse_attachment, source, run, solver, levels.subdivision, levels.fine.faces)

@@ -36,7 +36,11 @@ def run(options: argparse.Namespace) -> Report:
 
     check_file(options.output, *BAKED)
     database, inputs = open_database(
-        options.database, character=options.character, clip=options.clip, fabric=options.fabric
+        options.database,
+        character=options.character,
+        clip=options.clip,
+        fabric=options.fabric,
+        wrinkles=options.wrinkles,
     )
     player, frames, normals, poses = baked_frames(database, inputs, inputs.motions[0], options.rate, options.seconds)
     faces = player.levels.subdivision.faces

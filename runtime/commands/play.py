@@ -62,7 +62,7 @@ def play_motions(
         options: of the command.
         figures_of: plays one motion of the cast and returns its figures.
     """
-    from runtime.info import figure_lines
+    from runtime.info import better_choice, figure_lines
     from runtime.outputs import check_folder
     from runtime.play import open_database
     from runtime.report import Report, numbers_of, process_age
@@ -71,12 +71,18 @@ def play_motions(
     if options.loop is None:
         check_folder(options.output)
     database, inputs = open_database(
-        options.database, character=options.character, clip=options.clip, fabric=options.fabric
+        options.database,
+        character=options.character,
+        clip=options.clip,
+        fabric=options.fabric,
+        wrinkles=options.wrinkles,
     )
     rows: list[dict[str, float | str]] = []
     for motion in inputs.motions:
         rows.append({"motion": motion.name, "import_s": import_s, **figures_of(database, inputs, motion)})
         print("\n".join([f"{motion.name}:", *figure_lines(numbers_of(rows[-1]))]))
+        if rows[-1].get("method") == "plain cloth":
+            print(f"  plain cloth, because it is {better_choice(database.quality)} (--wrinkles plays these)")
         if "state_hash" in rows[-1]:
             print(f"  state_hash {rows[-1]['state_hash']}")
     if options.loop is None:

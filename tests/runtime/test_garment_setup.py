@@ -15,7 +15,6 @@ from assets.io.scene import Scene, parse_scene
 from assets.procedural.builtin import builtin_garment
 from pbd import DistanceField, InputError, Plane
 from pbd.attachment import Attachment
-from precompute.wrinkle_comparison.baselines import middle_levels
 from runtime.garment_setup import (
     GarmentSetup,
     colliders_of,
@@ -25,8 +24,9 @@ from runtime.garment_setup import (
     simulation_of,
     with_subdivisions,
 )
+from runtime.plain_player import middle_levels
 from runtime.player import Player
-from runtime.simulation import poses_of
+from runtime.simulation import body_source, poses_of
 from tests.assets.panels import two_panels
 from tests.wrinkles.databases import placed, small_database
 from tests.wrinkles.meshes import icosphere
@@ -152,7 +152,7 @@ def test_a_delivered_mesh_has_a_middle_one(stage: GarmentSetup, monkeypatch: pyt
     # As if the subdivided mesh had another area than the coarse one, which is nothing to a mesh that came fine.
     monkeypatch.setattr("wrinkles.levels.MAX_AREA_CORRECTION", -1.0)
     run: Any = SimpleNamespace(body=stage.body)
-    middle = middle_levels(database_of(stage), run)
+    middle = middle_levels(database_of(stage), body_source(run.body))
     assert middle is not None and np.array_equal(middle.fine.faces, stage.levels.fine.faces)
     assert len(stage.levels.coarse.vertices) < len(middle.coarse.vertices) < len(middle.fine.vertices)
 

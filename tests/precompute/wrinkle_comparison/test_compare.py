@@ -13,7 +13,7 @@ from assets.procedural.builtin import builtin_garment
 from pbd import InputError, SolverOptions
 from precompute.learning.evaluation import Truth, fine_run, levels_from, play_freely, truth_of
 from precompute.wrinkle_comparison import compare as comparing
-from precompute.wrinkle_comparison.baselines import fine_cloth, middle_levels, plain_cloths, take_turns
+from precompute.wrinkle_comparison.baselines import fine_cloth, plain_cloths, take_turns
 from precompute.wrinkle_comparison.compare import (
     ERRORS,
     Comparison,
@@ -25,7 +25,8 @@ from precompute.wrinkle_comparison.compare import (
 )
 from precompute.wrinkle_comparison.comparison_page import verdict, write_blind, write_comparison
 from runtime.info import better_choice, info_text
-from runtime.simulation import Simulation
+from runtime.plain_player import middle_levels
+from runtime.simulation import Simulation, body_source
 from tests.runtime.players import skirt_database, skirt_stage
 from tests.wrinkles.databases import placed
 from wrinkles.database import WrinkleDatabase, read_database, write_database
@@ -99,7 +100,7 @@ def rigged(truth: Truth, ours: float, *plain: tuple[float, float | None], floor:
 
 
 def test_the_middle_mesh_leads_to_the_same_fine_mesh(database: WrinkleDatabase, truth: Truth) -> None:
-    middle, levels = middle_levels(database, truth.run), truth.levels
+    middle, levels = middle_levels(database, body_source(truth.run.body)), truth.levels
     assert middle is not None
     assert np.array_equal(middle.subdivision.faces, levels.fine.faces)
     assert np.array_equal(middle.fine_held, levels.fine_held)
@@ -107,7 +108,7 @@ def test_the_middle_mesh_leads_to_the_same_fine_mesh(database: WrinkleDatabase, 
     size = np.ptp(levels.fine.vertices, axis=0).max()
     assert np.abs(middle.fine.vertices - levels.fine.vertices).max() < 0.02 * size
     assert middle.coarse.face_areas.sum() == pytest.approx(levels.fine.face_areas.sum(), rel=0.01)
-    assert middle_levels(replace(database, subdivisions=1), truth.run) is None
+    assert middle_levels(replace(database, subdivisions=1), body_source(truth.run.body)) is None
 
 
 def test_every_mesh_of_the_chain_is_a_plain_cloth(database: WrinkleDatabase, truth: Truth) -> None:

@@ -1,0 +1,130 @@
+"""Plain cloth from a database: it is what the comparison measured, it is played where it is the better choice."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pbd import InputError
+from runtime import command
+from runtime.game_loop import GameLoop, LiveInput
+from runtime.plain_player import PlainCloth, PlainPlayer, plain_choice, player_of
+from runtime.player import Player
+from runtime.simulation import poses_of
+from tests.runtime.players import skirt_database, skirt_stage
+from wrinkles.database import CHOICE, LearnedFabric, WrinkleDatabase, write_database
+from wrinkles.surface import Subdivision
+
+TWICE = skirt_database(subdivisions=2)
+COUNTS = [
+    len(TWICE.coarse_vertices),
+    *(Subdivision.of(TWICE.coarse_faces, len(TWICE.coarse_vertices), cuts).fine_count for cuts in (1, 2)),
+]
+
+
+def judged(cuts: int, ratio: float = 0.5, at_least: float = 0.0) -> WrinkleDatabase:
+    """A database with a comparison's figures."""
+    figures = dict(zip(CHOICE, (ratio, at_least, 2.0, 5.0, float(COUNTS[cuts])), strict=True))
+    return skirt_database(subdivisions=2, quality=figures)
+
+
+@pytest.fixture(scope="module")
+def poses() -> np.ndarray:
+    stage = skirt_stage()
+    return poses_of(stage.motion(stage.scene.training.held_out[0]), 1.0 / 60.0, 0.5)
+
+
+def test_plain_cloth_is_chosen_where_it_is_cheaper_and_as_good() -> None:
+    assert plain_choice(TWICE) is None
+    assert [plain_choice(judged(cuts)) for cuts in range(3)] == [PlainCloth(cuts, 5) for cuts in range(3)]
+    assert plain_choice(judged(1, ratio=1.0)) is None
+    assert plain_choice(judged(1, at_least=1.0)) is None
+
+
+def test_the_choice_is_not_that_of_another_fabric() -> None:
+    database = judged(1)
+    other = LearnedFabric("denim", database.fabric, database.options)
+    both = skirt_database(subdivisions=2, quality={**database.quality, "normal_skill": 0.5}, other_fabrics=(other,))
+    assert plain_choice(both.in_fabric("denim")) is None
+    assert both.in_fabric("denim").quality == {"normal_skill": 0.5}
+    assert plain_choice(both.in_fabric(both.fabric_name)) == PlainCloth(1, 5)
+
+
+@pytest.mark.parametrize("cuts", [0, 1, 2])
+def test_it_starts_as_the_smooth_garment_and_stays_with_the_body(cuts: int, poses: np.ndarray) -> None:
+    body, database = skirt_stage().body, judged(cuts)
+    player, wrinkled = player_of(database, body, poses[0]), Player(database, body, poses[0])
+    assert isinstance(player, PlainPlayer)
+    assert player.simulation.model.vertex_count == COUNTS[cuts]
+    substep = player.simulation.solver.options.substep
+    assert substep == pytest.approx(1.0 / (60.0 * 5))
+    np.testing.assert_allclose(player.smooth(), wrinkled.smooth(), atol=1e-3)  # not yet moved
+    for pose in poses[1:]:
+        player.update(pose, 1.0 / 60.0)
+    np.testing.assert_allclose(np.linalg.norm(player.normals, axis=1), 1.0, atol=1e-5)
+    distance = np.linalg.norm(player.vertices[:, None] - player.body_vertices[None], axis=2).min(axis=1)
+    assert distance.max() < 0.3
+    targets = player.levels.fine_attachment.targets(player.body_vertices)
+    assert np.linalg.norm(player.vertices[player.levels.fine_held] - targets, axis=1).max() < 1e-3
+    assert player.timings["frame"] == pytest.approx(sum(t for part, t in player.timings.items() if part != "frame"))
+
+
+def test_the_wrinkles_are_played_where_they_are_asked_for(poses: np.ndarray) -> None:
+    assert isinstance(player_of(judged(1), skirt_stage().body, poses[0], wrinkles=True), Player)
+
+
+def test_warming_up_leaves_no_trace(poses: np.ndarray) -> None:
+    one, other = (player_of(judged(1), skirt_stage().body, poses[0]) for _ in range(2))
+    assert one.simulation.time == 0.0
+    for pose in poses[1:4]:
+        one.update(pose, 1.0 / 60.0)
+        other.update(pose, 1.0 / 60.0)
+    assert one.simulation.state.hash() == other.simulation.state.hash()
+
+
+def test_a_game_loop_plays_it_between_ticks(poses: np.ndarray) -> None:
+    player = player_of(judged(1), skirt_stage().body, poses[0])
+    loop = GameLoop(player, lambda t: LiveInput(poses[round(60.0 * t)]), 120.0)
+    loop.advance(1.0 / 60.0)
+    before = player.vertices.copy()
+    loop.advance(1.0 / 120.0)
+    between = player.vertices.copy()
+    loop.advance(1.0 / 120.0)
+    np.testing.assert_allclose(between, 0.5 * (before + player.vertices), atol=1e-5)
+
+
+def test_bad_input_is_refused(poses: np.ndarray) -> None:
+    body = skirt_stage().body
+    for cloth in (PlainCloth(3, 5), PlainCloth(-1, 5), PlainCloth(1, 0)):
+        with pytest.raises(InputError, match="plain cloth"):
+            PlainPlayer(TWICE, body, cloth, poses[0])
+    player = PlainPlayer(TWICE, body, PlainCloth(1, 4), poses[0])
+    state = player.simulation.state.hash()
+    for pose, dt, match in ((poses[0][1:], 0.01, "pose"), (poses[0], -1.0, "time"), (poses[0] * np.nan, 0.01, "pose")):
+        with pytest.raises(InputError, match=match):
+            player.step(pose, dt)
+    with pytest.raises(InputError, match="coarse vertex"):
+        player.drag(COUNTS[0], np.zeros(3))
+    assert player.simulation.state.hash() == state
+
+
+def test_a_coarse_vertex_is_dragged_by_its_number(poses: np.ndarray) -> None:
+    player = PlainPlayer(TWICE, skirt_stage().body, PlainCloth(1, 4), poses[0])
+    vertex = int(np.setdiff1d(np.arange(COUNTS[0]), TWICE.held)[-1])
+    target = player.simulation.state.world()[vertex] + [0.0, 0.03, 0.0]
+    player.drag(vertex, target)
+    for pose in poses[1:10]:
+        player.update(pose, 1.0 / 60.0)
+    np.testing.assert_allclose(player.simulation.state.world()[vertex], target, atol=1e-5)
+
+
+def test_gube_play_says_and_shows_what_it_plays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "skirt.h5"
+    write_database(path, judged(1))
+    arguments = ["play", str(path), "--seconds", "0.4", "-o", str(tmp_path / "out")]
+    assert command.main(arguments) == 0
+    assert f"plain cloth of {COUNTS[1]} vertices, 5 substeps" in capsys.readouterr().out
+    assert command.main([*arguments, "--wrinkles"]) == 0
+    assert "plain cloth of" not in capsys.readouterr().out
