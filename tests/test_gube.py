@@ -73,7 +73,7 @@ def test_its_version_is_that_of_the_package() -> None:
 @pytest.mark.parametrize(
     ("wrong", "hint"),
     [
-        ("Plyer", "did you mean Player?"),
+        ("Plyer", "did you mean Player"),
         ("load_charakter", "did you mean load_character"),
         ("solver", "did you mean Solver"),
         ("nothing", "dir(gube) lists the public names"),
