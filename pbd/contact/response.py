@@ -21,7 +21,7 @@ MAX_SLIDE = 0.0015
 MAX_SLIDE_SHARE = 0.1  # ... or less than this share of its height over the point [-]
 
 MAX_TOUCH_DISTANCE = 1.5  # cloth that is nearer to the body than this touches it [thicknesses]
-FACING = -0.5  # cosine of their normals under which two sides of the body face one another
+FACING = -0.2  # cosine of their normals under which two sides of the body face one another, as those of an armpit do
 
 
 @ti.func
