@@ -74,7 +74,7 @@ chaotic: a second fine simulation of the same motion is {floor:.1f} degrees off 
     fast = f"""A frame of ours takes {frame_ms:.1f} ms on one core of this machine, body included. At 60 frames a second
 there are 16.7 ms for everything, so that this skirt takes {share:.0f} % of one core. A frame of the fine simulation
 takes {slow:.0f} ms, {slow / frame_ms:.1f} times as long. By the comparison below the better choice for this skirt is
-{better}. `gube play` plays that."""
+{better}."""
     return [
         Heading("What was made"),
         Text(made),

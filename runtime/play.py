@@ -211,9 +211,13 @@ def play(
     return Free(**arrays, timings=spent, held_off=held_off, state_hash=state_hash)
 
 
-def timing_figures(free: Free, simulated_count: int) -> dict[str, float]:
-    """Median times of the parts of a frame and its 99th percentile [ms], and numbers of vertices."""
-    count = free.frames.shape[1]
+def timing_figures(free: Free, simulated_count: int, count: int) -> dict[str, float]:
+    """Median times of the parts of a frame and its 99th percentile [ms], and numbers of vertices.
+
+    Args:
+        free: what was played.
+        simulated_count, count: numbers of simulated and of shown vertices.
+    """
     figures = {f"{name}_ms_p50": float(np.median(free.timings[name])) for name in TIMINGS}
     figures["frame_ms_p99"] = float(np.percentile(free.timings["frame"], 99))
     layer = sum(figures[f"{name}_ms_p50"] for name in ("decode", "relax", "normals"))
@@ -252,12 +256,12 @@ def play_motion(
     subdivision = player.levels.subdivision
     garment = (subdivision.faces, subdivision.flat_corners(inputs.pattern))
     bodies = posed_bodies(inputs.body, poses[free.numbers])
-    plain = isinstance(player, PlainPlayer)
-    columns = {"plain cloth": free.frames} if plain else {"smooth": free.smooth, "ours": free.frames}
+    columns = {"smooth": free.smooth, "ours": free.frames}
+    if isinstance(player, PlainPlayer):
+        columns = {"plain cloth": free.frames}
     draw_strips_apart(folder, motion.name, columns, *garment, bodies, inputs.body.faces, free.numbers, dt)
-    figures: dict[str, float | str] = {"method": "plain cloth" if plain else "wrinkles"}
-    figures |= {"frame_count": len(poses) - 1, "first_frame_s": first}
-    figures |= timing_figures(free, player.simulation.model.vertex_count)
+    figures: dict[str, float | str] = {"frame_count": len(poses) - 1, "first_frame_s": first}
+    figures |= timing_figures(free, player.simulation.model.vertex_count, subdivision.fine_count)
     return figures | {"attached_off_mm": 1e3 * free.held_off, "state_hash": free.state_hash}
 
 

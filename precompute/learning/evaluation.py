@@ -329,7 +329,8 @@ def evaluate(
     figures |= {f"truth_{k}": v for k, v in penetration_figures(truth_distances, truth_room).items()}
     figures["contact_bending_ratio"] = contact_bending_ratio(truth, free.frames, distances, truth_distances)
     figures["attached_off_mm"] = 1e3 * free.held_off
-    figures |= timing_figures(free, truth.levels.subdivision.coarse_count)
+    subdivision = truth.levels.subdivision
+    figures |= timing_figures(free, subdivision.coarse_count, subdivision.fine_count)
     figures["fine_simulation_ms"] = recording.step_ms
     figures["speedup_over_fine"] = recording.step_ms / figures["frame_ms_p50"]
     figures |= pause.figures(paused.positions, "truth_") | in_time

@@ -30,7 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Report:
     """Play the first motion that is asked for and write it."""
+    from runtime.info import better_choice
     from runtime.outputs import check_file
+    from runtime.plain_player import PlainPlayer
     from runtime.play import BAKED, baked_frames, open_database, write_baked
     from runtime.report import Report
 
@@ -43,6 +45,8 @@ def run(options: argparse.Namespace) -> Report:
         wrinkles=options.wrinkles,
     )
     player, frames, normals, poses = baked_frames(database, inputs, inputs.motions[0], options.rate, options.seconds)
+    if isinstance(player, PlainPlayer):
+        print(f"plays {better_choice(database.quality)} (--wrinkles plays the wrinkles)")
     faces = player.levels.subdivision.faces
     write_baked(options.output, faces, frames, options.rate, normals, inputs.body, poses)
     print(f"{inputs.motions[0].name}: {len(frames)} frames of {frames.shape[1]} vertices baked to {options.output}")

