@@ -213,12 +213,12 @@ class PlainPlayer:
         timings["frame"] = sum(timings[part] for part in PARTS if part != "frame")
 
     def drag(self, vertex: int, target: np.ndarray | None) -> None:
-        """Hold a coarse vertex at a point in the world [m], shape (3,); None lets it go.
+        """Hold a simulated vertex at a point in the world [m], shape (3,); None lets it go.
 
         Raises:
             InputError: no such vertex, or a bad target.
         """
-        check_drag(vertex, target, self.levels.subdivision.coarse_count)
+        check_drag(vertex, target, self.simulation.model.vertex_count)
         self.simulation.drag(vertex, target)
 
     def _warm_up(self, pose: np.ndarray) -> None:

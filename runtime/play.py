@@ -45,6 +45,7 @@ __all__ = [
 TIMINGS = ("frame", "coarse", "skin", "decode", "relax", "normals")
 BAKED = (".glb", ".pc2", ".obj")
 BAKED_HZ = 30.0  # of a simulated animation [Hz]
+DRAWN = 10  # frames from one picture to the next
 HASH_FRAME = 120  # the coarse state is hashed after this many frames
 
 
@@ -174,7 +175,7 @@ def play(
     dt: float,
     wind: Air = CALM,
     *,
-    every: int = 10,
+    every: int = DRAWN,
     after: float = 0.0,
 ) -> Free:
     """Play all poses after the first one, at which the player stands.
@@ -244,15 +245,17 @@ def play_motion(
         figures by name; ``first_frame_s`` counts from the start of the process.
 
     Raises:
-        InputError: the time is shorter than a frame.
+        InputError: the time is too short for a picture.
     """
     dt = 1.0 / database.frame_rate
     poses = poses_of(motion, dt, seconds)
-    if len(poses) < 2:
-        raise InputError("nothing to play", key="--seconds", received=seconds, expected=f"at least {dt:.3g} [s]")
+    if len(poses) <= DRAWN:
+        raise InputError(
+            "nothing to draw", key="--seconds", received=seconds, expected=f"at least {DRAWN * dt:.3g} [s]"
+        )
     player = player_of(database, inputs.body, poses[0], inputs.primitives, inputs.wrinkles)
     first = process_age()
-    free = play(player, poses, dt, inputs.wind)
+    free = play(player, poses, dt, inputs.wind, every=DRAWN)
     subdivision = player.levels.subdivision
     garment = (subdivision.faces, subdivision.flat_corners(inputs.pattern))
     bodies = posed_bodies(inputs.body, poses[free.numbers])

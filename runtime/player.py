@@ -297,4 +297,4 @@ def check_drag(vertex: int, target: np.ndarray | None, count: int) -> None:
     if target is not None and (np.shape(target) != (3,) or not np.isfinite(target).all()):
         raise InputError("bad target", key="target", received=target, expected="three finite numbers [m]")
     if not 0 <= vertex < count:
-        raise InputError("no such coarse vertex", key="vertex", received=vertex, expected=f"0..{count - 1}")
+        raise InputError("no such simulated vertex", key="vertex", received=vertex, expected=f"0..{count - 1}")

@@ -103,8 +103,8 @@ def test_bad_input_is_refused(poses: np.ndarray) -> None:
     for pose, dt, match in ((poses[0][1:], 0.01, "pose"), (poses[0], -1.0, "time"), (poses[0] * np.nan, 0.01, "pose")):
         with pytest.raises(InputError, match=match):
             player.step(pose, dt)
-    with pytest.raises(InputError, match="coarse vertex"):
-        player.drag(COUNTS[0], np.zeros(3))
+    with pytest.raises(InputError, match="simulated vertex"):
+        player.drag(COUNTS[1], np.zeros(3))
     assert player.simulation.state.hash() == state
 
 
@@ -124,5 +124,8 @@ def test_gube_play_says_and_shows_what_it_plays(tmp_path: Path, capsys: pytest.C
     arguments = ["play", str(path), "--seconds", "0.4", "-o", str(tmp_path / "out")]
     assert command.main(arguments) == 0
     assert f"plain cloth of {COUNTS[1]} vertices, 5 substeps" in capsys.readouterr().out
+    assert command.main(["play", str(path), "--loop", "0.2"]) == 0
+    assert command.main(["bake", str(path), "--seconds", "0.1", "-o", str(tmp_path / "skirt.obj")]) == 0
+    assert capsys.readouterr().out.count(f"plain cloth of {COUNTS[1]} vertices, 5 substeps") == 2
     assert command.main([*arguments, "--wrinkles"]) == 0
     assert "plain cloth of" not in capsys.readouterr().out
