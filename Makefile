@@ -3,8 +3,9 @@ PYTHON ?= $(firstword $(foreach name,python3.11 python3,$(if $(shell $(name) -c 
 	print((3, 11) <= sys.version_info[:2] <= (3, 13) or "")' 2>/dev/null),$(name))))
 BIN := .venv/bin
 export PYTHONHASHSEED := 0
+export GUBE_DATA ?= $(CURDIR)/../shared/data
 
-.PHONY: demo garments test lint format proofs proofs-long gpu-proofs lock clean
+.PHONY: demo garments scenes test lint format proofs proofs-long gpu-proofs lock clean
 
 demo: .venv/ready
 	$(BIN)/gube demo
@@ -12,6 +13,17 @@ demo: .venv/ready
 # Sews the built-in garments anew: assets/data/*.npz.
 garments: .venv/ready
 	$(BIN)/python -m assets.procedural.builtin_sewing
+
+# Sews the garments of docs/scenes/sewn_*.toml for the MakeHuman woman.
+SEWN := tshirt shirt trousers circle_skirt
+scenes: $(SEWN:%=out/garments/%.npz)
+
+out/garments/tshirt.npz: SEWING := --fabric jersey --ease 0.10
+out/garments/shirt.npz out/garments/trousers.npz: SEWING := --fabric cotton
+out/garments/circle_skirt.npz: SEWING := --fabric silk
+out/garments/%.npz: | .venv/ready
+	$(BIN)/gube sew draft:$* -b $(GUBE_DATA)/characters/mh_female_bandai_NC.glb --edge 0.02 $(SEWING) -o $@ \
+		--picture out/garments/$*.png
 
 # Beside the type checker the kernels that most tests need are compiled, once for all processes that follow.
 # Then files go whole, in the order of tests/conftest.py, to as many processes as there are processors.
@@ -41,7 +53,7 @@ LONG := out/proofs-long
 proofs-long: $(patsubst docs/scenes/%.toml,$(LONG)/%/ablations.md,$(wildcard docs/scenes/*.toml))
 
 .PRECIOUS: $(LONG)/%/wrinkles.html
-$(LONG)/%/wrinkles.html: docs/scenes/%.toml | .venv/ready
+$(LONG)/%/wrinkles.html: docs/scenes/%.toml | .venv/ready scenes
 	$(BIN)/gube compare $< --wrinkles -o $(@D) --json $(@D)/wrinkles.json
 
 $(LONG)/%/ablations.md: $(LONG)/%/wrinkles.html
