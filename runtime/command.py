@@ -25,6 +25,7 @@ COMMANDS: Mapping[str, str] = {
     "simulate": "runtime.commands.simulate",
     "precompute": "precompute.commands.precompute",
     "play": "runtime.commands.play",
+    "view": "runtime.commands.view",
     "bake": "runtime.commands.bake",
     "info": "runtime.commands.info",
     "check": "runtime.commands.check",
@@ -47,7 +48,10 @@ COMMANDS: Mapping[str, str] = {
 GROUPS: Mapping[str, str] = {"bench": "measure the parts of the project and print a table"}
 """Summaries of groups."""
 
-OPTIONS: Mapping[tuple[str, str], str] = {("play", "truth"): "precompute.commands.play_truth"}
+OPTIONS: Mapping[tuple[str, str], str] = {
+    ("play", "truth"): "precompute.commands.play_truth",
+    ("view", "truth"): "precompute.commands.view_truth",
+}
 """Where ``run`` is found instead when a command gets a certain option: it needs more than the command itself does."""
 
 
