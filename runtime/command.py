@@ -42,6 +42,7 @@ COMMANDS: Mapping[str, str] = {
     "bench clips": "precompute.commands.bench_clips",
     "bench space": "precompute.commands.bench_space",
     "bench plan": "precompute.commands.bench_plan",
+    "bench view": "precompute.commands.bench_view",
 }
 """The file of each command, in the order of the help. Of two words, the first names a group."""
 

@@ -56,11 +56,9 @@ def view(options: argparse.Namespace, truths: Truths | None) -> Report:
     from runtime.viewer.viewer import Viewer
 
     check_folder(options.output)
-    source, saved = open_source(options.file, truths)
-    viewer = Viewer(source, options.output, saved)
-    print(
-        f"{source.title}\n{source.notice}\nopen {viewer.address} in a browser on this machine (Ctrl-C ends)", flush=True
-    )
+    opened = open_source(options.file, truths)
+    viewer = Viewer(opened, options.output)
+    print(opened.source.title, opened.source.notice, f"open {viewer.address} (Ctrl-C ends)", sep="\n", flush=True)
     try:
         viewer.run(threading.Event())
     except KeyboardInterrupt:  # the way to end it

@@ -7,7 +7,7 @@ is a mesh of its own.
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,19 @@ import numpy as np
 from pbd import ClothMesh
 from pbd.mesh import edges_of
 
-__all__ = ["BANDS", "CLOTH", "SCALES", "Band", "ColorScale", "FaceBending", "FaceStrain", "bands_of", "legend", "place"]
+__all__ = [
+    "BANDS",
+    "CLOTH",
+    "SCALES",
+    "Band",
+    "ColorScale",
+    "FaceBending",
+    "FaceStrain",
+    "bands_of",
+    "legend",
+    "names_legend",
+    "place",
+]
 
 Rgb = tuple[int, int, int]
 
@@ -65,15 +77,15 @@ SCALES = {
     "strain": ColorScale(
         "strain [%]",
         "the larger principal strain of each face: blue is shortened, red is stretched",
-        -4.5,
-        4.5,
+        -9.0,
+        9.0,
         _ramp(_COLD_TO_HOT),
     ),
     "bending": ColorScale(
         "curvature [1/m]",
-        "the sharpest bend to a neighbouring face: 100 /m is a radius of 1 cm",
+        "how sharply the cloth turns: 100 /m is a fold with a radius of 1 cm",
         0.0,
-        180.0,
+        90.0,
         _ramp(_DARK_TO_LIGHT),
     ),
     "contact": ColorScale(
@@ -145,17 +157,17 @@ class FaceBending:
         same = np.flatnonzero(edge[:-1] == edge[1:])
         one, two = order[same], order[same + 1]  # the sides of the two faces at each inner edge
         self._first, self._second = one // 3, two // 3
-        area = 0.5 * np.abs(np.linalg.det(cloth.flat))
         sides = np.stack([cloth.flat[:, :, 0], cloth.flat[:, :, 1] - cloth.flat[:, :, 0], cloth.flat[:, :, 1]], axis=1)
-        length = np.linalg.norm(sides, axis=2).ravel()[one]
-        # Middles of the two faces are a third of their heights over the edge apart.
-        distance = 2.0 * (area[self._first] + area[self._second]) / np.maximum(length, 1e-9) / 3.0
-        self._inverse_distance = (1.0 / np.maximum(distance, 1e-9)).astype(np.float32)
+        self._length = np.linalg.norm(sides, axis=2).ravel()[one].astype(np.float32)
+        self._inverse_area = (1.0 / np.abs(np.linalg.det(cloth.flat))).astype(np.float32)  # half of 1 / area
         self._around = np.full((len(faces), 3), len(same), np.int32)  # the inner edge at each side, or none
         self._around.ravel()[one] = self._around.ravel()[two] = np.arange(len(same))
 
     def __call__(self, vertices: np.ndarray) -> np.ndarray:
-        """Largest curvature over the sides of each face [1/m], float32, shape (m,): 0 where it has no neighbour.
+        """Curvature at each face, the sum of both principal ones without their signs [1/m], float32, shape (m,).
+
+        The turn of the surface over an edge times the edge's length is the curvature's integral over the two faces at
+        it, and each of them takes half. The turn is taken as twice the sine of its half.
 
         Args:
             vertices: [m], float32, shape (n, 3).
@@ -163,10 +175,10 @@ class FaceBending:
         first = vertices[self._corners[0]]
         normal = np.cross(vertices[self._corners[1]] - first, vertices[self._corners[2]] - first)
         normal /= np.maximum(np.sqrt(np.einsum("ij,ij->i", normal, normal)), 1e-20)[:, None]
-        turn = normal[self._first] - normal[self._second]  # twice the sine of half the angle: the angle, if it is small
-        curvature = np.zeros(len(turn) + 1, np.float32)
-        curvature[:-1] = np.sqrt(np.einsum("ij,ij->i", turn, turn)) * self._inverse_distance
-        return curvature[self._around].max(axis=1)
+        step = normal[self._first] - normal[self._second]
+        turn = np.zeros(len(step) + 1, np.float32)
+        turn[:-1] = np.sqrt(np.einsum("ij,ij->i", step, step)) * self._length
+        return turn[self._around].sum(axis=1) * self._inverse_area
 
 
 @dataclass(frozen=True)
@@ -225,25 +237,34 @@ def legend(scale: ColorScale, names: Sequence[str] = ()) -> str:
         names: of its bands, where they are kinds and no numbers.
     """
     if names:
-        rows = [
-            f'<div style="display:flex;align-items:center;gap:0.5em;margin:0.15em 0"><span style="width:1.4em;'
-            f'height:1em;background:rgb{color};display:inline-block"></span>{html.escape(name)}</div>'
-            for color, name in zip(scale.colors, names, strict=False)
-        ]
-        return _box(scale, "".join(rows))
+        return _box(scale.title, _rows(zip(names, scale.colors, strict=False)), scale.explanation)
     boxes = "".join(f'<span style="flex:1;height:1.1em;background:rgb{color}"></span>' for color in scale.colors)
     marks = np.linspace(scale.low, scale.high, 4)
-    numbers = "".join(f"<span>{'' if mark <= 0 or scale.low >= 0 else '+'}{mark:g}</span>" for mark in marks)
+    numbers = "".join(f"<span>{'+' if mark > 0 > scale.low else ''}{mark:g}</span>" for mark in marks)
     return _box(
-        scale,
+        scale.title,
         f'<div style="display:flex">{boxes}</div>'
         f'<div style="display:flex;justify-content:space-between">{numbers}</div>',
+        scale.explanation,
     )
 
 
-def _box(scale: ColorScale, content: str) -> str:
+def names_legend(colors: Mapping[str, Rgb]) -> str:
+    """A legend as HTML that names colours."""
+    return _box("", _rows(colors.items()), "")
+
+
+def _rows(colors: Iterable[tuple[str, Rgb]]) -> str:
+    return "".join(
+        '<div style="display:flex;align-items:center;gap:0.5em;margin:0.15em 0"><span style="width:1.4em;height:1em;'
+        f'background:rgb{color}"></span>{html.escape(name)}</div>'
+        for name, color in colors
+    )
+
+
+def _box(title: str, content: str, explanation: str) -> str:
     return (
         '<div style="font-size:0.85em;line-height:1.35;padding:0.2em 0.9em 0.6em">'
-        f"<b>{html.escape(scale.title)}</b>{content}"
-        f'<div style="opacity:0.75">{html.escape(scale.explanation)}</div></div>'
+        f"<b>{html.escape(title)}</b>{content}"
+        f'<div style="opacity:0.75">{html.escape(explanation)}</div></div>'
     )

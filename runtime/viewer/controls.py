@@ -15,17 +15,20 @@ import numpy as np
 import viser
 
 from runtime.player import PARTS
-from runtime.viewer.colors import CLOTH, SCALES, legend
+from runtime.viewer.colors import CLOTH, SCALES, legend, names_legend
 from runtime.viewer.garments import FabricFactors, Source, ViewedGarment
-from runtime.viewer.stage import Look
+from runtime.viewer.stage import OVERLAID_COLORS, Look
 
 __all__ = ["SPEEDS", "Controls"]
 
 SPEEDS = {"1": 1.0, "1/2": 0.5, "1/4": 0.25, "1/10": 0.1}
 MAX_WIND = 12.0  # [m/s]
 GRAPHED = (*(part for part in PARTS if part != "frame"), "sending")
-GRAPH_COLORS = ("#9c755f", "#4e79a7", "#f28e2b", "#e15759", "#76b7b2", "#b07aa1")
+GRAPH_COLORS = (
+    (156, 117, 95), (78, 121, 167), (242, 142, 43), (225, 87, 89), (118, 183, 178), (176, 122, 161),
+)  # fmt: skip
 GRAPH_FRAMES = 240
+GRAPH_MS = 20.0  # height of the graph [ms]; a frame at 60 Hz has 16.7
 
 Command = Callable[[], None]
 
@@ -82,6 +85,10 @@ class Controls:
         count = len(timings)
         if count > 1:
             self._graph.data = (np.arange(1.0 - count, 1.0), *timings.T)
+            medians = [
+                f"{name} {value:.1f} ms" for name, value in zip(GRAPHED, np.median(timings, axis=0), strict=True)
+            ]
+            self._graph_legend.content = names_legend(dict(zip(medians, GRAPH_COLORS, strict=True)))
 
     def _add_time(self) -> None:
         viewer, gui, playback = self._viewer, self._gui, self._viewer.playback
@@ -102,32 +109,41 @@ class Controls:
             self._on_update(motion, lambda name: viewer.choose(motion=motions[name]))
 
     def _add_show(self, garment: ViewedGarment) -> None:
-        viewer, gui, look = self._viewer, self._gui, self._viewer.look
+        gui, look = self._gui, self._viewer.look
         boxes = {name: gui.add_checkbox(name, name in look.meshes) for name in garment.meshes}
+        for box in boxes.values() if len(boxes) > 1 else ():
+            self._on_update(
+                box, lambda _: self._show(garment, meshes=tuple(name for name, box in boxes.items() if box.value))
+            )
         if len(boxes) > 1:
-            shown = lambda _: viewer.show(meshes=tuple(name for name, box in boxes.items() if box.value))  # noqa: E731
-            for box in boxes.values():
-                self._on_update(box, shown)
             places = ("side by side", "overlaid")
             overlaid = gui.add_dropdown("arranged", places, initial_value=places[look.overlaid])
-            self._on_update(overlaid, lambda value: viewer.show(overlaid=value == places[1]))
+            self._on_update(overlaid, lambda value: self._show(garment, overlaid=value == places[1]))
         colorings = (CLOTH, *(name for name in SCALES if garment.colors_by(name)))
         coloring = gui.add_dropdown("colours", colorings, initial_value=look.coloring)
+        self._on_update(coloring, lambda value: self._show(garment, coloring=value))
         self._legend = gui.add_html("")
-        self._show_legend(garment, look)
-        self._on_update(coloring, lambda value: self._show_legend(garment, viewer.show(coloring=value)))
-        for name, hint in (("wireframe", "edges instead of faces"), ("body", ""), ("follow", "keep it in the middle")):
-            box = gui.add_checkbox(name, getattr(look, name), hint=hint or None)
-            self._on_update(box, lambda value, name=name: viewer.show(**{name: value}))
+        self._show(garment)
+        for name, hint in (
+            ("wireframe", "edges instead of faces"),
+            ("body", None),
+            ("follow", "keep it in the middle"),
+        ):
+            box = gui.add_checkbox(name, getattr(look, name), hint=hint)
+            self._on_update(box, lambda value, name=name: self._show(garment, **{name: value}))
         if garment.details:
             details = gui.add_dropdown("level of detail", tuple(garment.details))
-            self._on_update(details, viewer.set_detail)
+            self._on_update(details, self._viewer.set_detail)
 
-    def _show_legend(self, garment: ViewedGarment, look: Look) -> None:
+    def _show(self, garment: ViewedGarment, **changes: Any) -> None:
+        """Change how the garment is shown, and its legend."""
+        look: Look = self._viewer.show(**changes)
         scale = SCALES.get(look.coloring)
-        self._legend.visible = scale is not None
+        self._legend.visible = scale is not None or (look.overlaid and len(look.meshes) > 1)
         if scale is not None:
             self._legend.content = legend(scale, garment.kinds if look.coloring == "level of detail" else ())
+        elif self._legend.visible:
+            self._legend.content = names_legend({name: OVERLAID_COLORS[name] for name in look.meshes})
 
     def _add_wind(self) -> None:
         viewer, gui, wind = self._viewer, self._gui, self._viewer.playback.wind
@@ -187,20 +203,17 @@ class Controls:
             self.commands.put(lambda: viewer.save_scene(*seen))
 
     def _add_graph(self) -> None:
-        zeros = np.zeros(2)
-        series: Any = [{"label": "frame"}]
-        series += [
-            {"label": f"{part} [ms]", "stroke": color, "width": 1.5}
-            for part, color in zip(GRAPHED, GRAPH_COLORS, strict=True)
-        ]
+        series: Any = [{}]
+        series += [{"stroke": f"rgb{color}", "width": 1.5} for color in GRAPH_COLORS]
         self._graph = self._gui.add_uplot(
-            (np.arange(2.0), *(zeros for _ in GRAPHED)),
+            (np.arange(2.0), *(np.zeros(2) for _ in GRAPHED)),
             tuple(series),
-            scales={"x": {"time": False}, "y": {"auto": True}},
+            scales={"x": {"time": False}, "y": {"range": (0.0, GRAPH_MS)}},
             axes=({"show": False}, {"size": 36}),
-            legend={"show": True},
-            height=220,
+            legend={"show": False},
+            height=180,
         )
+        self._graph_legend = self._gui.add_html("")
 
     def _on_click(self, handle: Any, act: Command) -> None:
         @handle.on_click

@@ -208,7 +208,7 @@ class ViewedGarment:
     @property
     def kinds(self) -> tuple[str, ...]:
         """Names of the kinds that the level of detail colours."""
-        return (*self.details, "not reduced")
+        return (*self.details, "another mesh")
 
     def set_detail(self, name: str) -> None:
         """Play at another level of detail.
@@ -301,7 +301,10 @@ class DatabaseSource:
     @property
     def notice(self) -> str:
         """What is played, in a sentence."""
-        return f"Better choice: {better_choice(self.database.quality)}."
+        choice = better_choice(self.database.quality)
+        if self.prefers_plain_cloth:
+            return f"Plays {choice}. 'play the wrinkles' plays what was learned."
+        return f"Plays the wrinkles. Better choice: {choice}."
 
     @property
     def wearable(self) -> bool:

@@ -19,7 +19,7 @@ from runtime.viewer.colors import BANDS, CLOTH, SCALES, bands_of
 from runtime.viewer.garments import COARSE, OURS, PLAIN, SMOOTH, TRUTH, ViewedGarment
 from runtime.viewer.playback import Playback
 
-__all__ = ["Look", "Stage"]
+__all__ = ["OVERLAID_COLORS", "Look", "Stage"]
 
 Rgb = tuple[int, int, int]
 Point = tuple[float, float, float]
@@ -34,10 +34,8 @@ CLOTH_COLOR, SKIN_COLOR = _rgb(GARMENT_COLOR), _rgb(BODY_COLOR)
 OVERLAID_COLORS = {
     COARSE: (206, 142, 70), SMOOTH: (104, 158, 108), OURS: CLOTH_COLOR, PLAIN: CLOTH_COLOR, TRUTH: (176, 84, 92),
 }  # fmt: skip
-OVERLAID_OPACITY = 0.45  # of all meshes but the main one
+OVERLAID_OPACITY = 0.45  # of all meshes but the main one; the coarse one shows its edges
 SPACING = 0.62  # from one column to the next, in heights
-FOLLOW_TIME = 0.25  # in which most of a step of the body is followed [s]
-JUMP = 0.5  # a body that moves further than this between two pictures is followed at once [m]
 CELL = 0.5  # of the floor's grid [m]
 FIELD_OF_VIEW_DEG = 30.0
 AZIMUTH_DEG, ELEVATION_DEG = 18.0, 7.0  # of the camera at the start, seen from where the body looks
@@ -105,16 +103,11 @@ class Stage:
         for name in self._garment.meshes:
             self._bind(self._nodes[f"{name}/garment"], name)
 
-    def show(self, playback: Playback, look: Look, elapsed: float) -> None:
-        """Send the present picture.
-
-        Args:
-            playback: plays the garment.
-            look: how it is shown.
-            elapsed: time by the clock since the last picture [s].
-        """
+    def show(self, playback: Playback, look: Look) -> None:
+        """Send the present picture."""
         garment, player, nodes = self._garment, self._garment.player, self._nodes
-        self._follow(look, elapsed)
+        if look.follow:
+            self.place = self._under_body()
         tick = playback.time / playback.tick
         _, body = player.interpolated()
         body = body.copy()
@@ -156,13 +149,6 @@ class Stage:
         """Take everything away."""
         for name in [*self._garment.meshes, "floor", *LIGHTS, "sky"]:
             self._nodes[name].remove()
-
-    def _follow(self, look: Look, elapsed: float) -> None:
-        if not look.follow:
-            return
-        step = self._under_body() - self.place
-        far = np.linalg.norm(step) > JUMP
-        self.place = self.place + (1.0 if far else 1.0 - math.exp(-elapsed / FOLLOW_TIME)) * step
 
     def _under_body(self) -> np.ndarray:
         """The point of the floor under the body, or under a garment without one [m], float64, shape (3,)."""
@@ -232,8 +218,7 @@ class Stage:
 
     def _show_garment(self, name: str, look: Look, vertices: np.ndarray) -> None:
         garment, nodes = self._garment, self._nodes
-        label_height = float(vertices[:, 1].max()) if not len(garment.body_faces) else self._top()
-        nodes[f"{name}/label"].position = (0.0, label_height, 0.0)
+        nodes[f"{name}/label"].position = self._over_head(vertices)
         values = None if look.coloring == CLOTH else garment.values(name, look.coloring, vertices)
         plain = nodes[f"{name}/garment"]
         plain.visible = values is None
@@ -241,10 +226,10 @@ class Stage:
             for band in range(BANDS):
                 nodes[f"{name}/{band}"].visible = values is not None
         if values is None:
-            main = name == garment.main or not look.overlaid or len(look.meshes) == 1
+            under = look.overlaid and name != garment.main and len(look.meshes) > 1
             plain.color = OVERLAID_COLORS[name] if look.overlaid else CLOTH_COLOR
-            plain.opacity = None if main else OVERLAID_OPACITY
-            plain.wireframe = look.wireframe
+            plain.opacity = OVERLAID_OPACITY if under else None
+            plain.wireframe = look.wireframe or (under and name == COARSE)
             plain.vertices = vertices
             return
         scale = SCALES[look.coloring]
@@ -275,9 +260,12 @@ class Stage:
 
         node.on_drag("left")(dragged)
 
-    def _top(self) -> float:
-        """Height of the body's highest vertex about the player's origin, and some room [m]."""
-        return float(self._garment.player.interpolated()[1][:, 1].max()) + 0.06
+    def _over_head(self, vertices: np.ndarray) -> Point:
+        """A point over the body, or over a garment without one, about the player's origin [m]."""
+        player = self._garment.player
+        points = player.interpolated()[1] if len(self._garment.body_faces) else vertices
+        x, _, z = self._under_body() - player.origin
+        return float(x), float(points[:, 1].max()) + 0.06, float(z)
 
 
 def _direction(azimuth_deg: float, elevation_deg: float) -> np.ndarray:

@@ -12,15 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from assets.io.scene import CameraSettings, Scene, ViewSettings
+from assets.io.scene import CameraSettings, ViewSettings
 from pbd import InputError
 from runtime.simulation import Motion
 from runtime.viewer.colors import CLOTH
 from runtime.viewer.controls import GRAPH_FRAMES, GRAPHED, Controls
 from runtime.viewer.garments import DatabaseSource, FabricFactors, Source, ViewedGarment
+from runtime.viewer.opening import Opened
 from runtime.viewer.playback import Playback
 from runtime.viewer.saving import bake_clip, clip_frames, write_picture, write_view
-from runtime.viewer.server import Server, open_server
+from runtime.viewer.server import HOST, Server, open_server
 from runtime.viewer.stage import FIELD_OF_VIEW_DEG, Look, Stage
 
 __all__ = ["PORT", "RATE_HZ", "Choice", "Viewer"]
@@ -51,9 +52,8 @@ class Viewer:
     """Plays what is viewed and serves it on loopback.
 
     Args:
-        source: a database or a scene.
+        opened: what is viewed, and how.
         output: folder for what is saved.
-        saved: the scene file of a saved view, which is opened; None for no such view.
         port: of the server, see :func:`runtime.viewer.server.open_server`.
 
     Attributes:
@@ -65,9 +65,9 @@ class Viewer:
         late_count: periods of :data:`RATE_HZ` that went by without a picture.
     """
 
-    def __init__(self, source: Source, output: Path, saved: Scene | None = None, port: int = PORT) -> None:
+    def __init__(self, opened: Opened, output: Path, port: int = PORT) -> None:
+        source, view, camera = opened
         self._source, self._output = source, output
-        view = saved.view if saved is not None and saved.view is not None else ViewSettings()
         self.choice = _choice_of(source, view)
         self.factors = FabricFactors(view.bending, view.stretch, view.weight)
         self.frame_count = self.late_count = 0
@@ -84,12 +84,17 @@ class Viewer:
         self._sent: tuple = ()
         self._new_factors: tuple[FabricFactors, float] | None = None
         self._set_stage()
-        self._aim(None if saved is None else saved.camera)
+        self._aim(camera)
 
     @property
     def address(self) -> str:
         """Where browsers on this machine find it."""
-        return f"http://127.0.0.1:{self._server.get_port()}"
+        return f"http://{HOST}:{self.port}"
+
+    @property
+    def port(self) -> int:
+        """Port of the server."""
+        return self._server.get_port()
 
     def run(self, stop: threading.Event) -> None:
         """Play until ``stop`` is set."""
@@ -233,7 +238,7 @@ class Viewer:
         picture = playback.time, self.look, self._changes
         began = time.perf_counter()
         if picture != self._sent or playback.playing:
-            self._stage.show(playback, self.look, elapsed)
+            self._stage.show(playback, self.look)
             self._sent = picture
         sending = 1e3 * (time.perf_counter() - began)
         if playback.playing:
