@@ -13,9 +13,9 @@ from runtime.player import PARTS, check_drag
 from runtime.simulation import Simulation
 from runtime.transitions import Interpolation
 from wrinkles.decoder import Upsampler
-from wrinkles.surface import Subdivision, cut_corners
+from wrinkles.surface import Subdivision
 
-__all__ = ["ScenePlayer"]
+__all__ = ["SUBDIVISIONS", "ScenePlayer"]
 
 SUBDIVISIONS = 2  # of the smooth surface
 
@@ -31,7 +31,7 @@ class ScenePlayer:
     Attributes:
         simulation: of the garments.
         subdivision: from the simulated mesh to the smooth surface.
-        fine: the smooth surface in the bind pose, with the rest shape of the simulated faces.
+        fine: the smooth surface at the start; each simulated face has 4 ** :data:`SUBDIVISIONS` of its faces, in order.
         vertices: of the smooth surface about ``origin`` [m], float32, shape (N, 3).
         timings: times of the last frame by part [ms].
     """
@@ -40,7 +40,7 @@ class ScenePlayer:
         self.simulation = simulation
         mesh = simulation.model.mesh
         self.subdivision = Subdivision.of(mesh.faces, len(mesh.vertices), SUBDIVISIONS)
-        self.fine = _smooth_mesh(mesh, self.subdivision)
+        self.fine = ClothMesh.from_surface(self.subdivision.upsample(mesh.vertices), self.subdivision.cut)
         self._upsample = Upsampler(self.subdivision)
         self.vertices = np.zeros((self.subdivision.fine_count, 3), np.float32)
         self._between, self._alpha = Interpolation(simulation), 1.0
@@ -103,12 +103,3 @@ class ScenePlayer:
         moment.put_back(self.simulation, pose)
         self._between.remember()
         self.decode()
-
-
-def _smooth_mesh(mesh: ClothMesh, subdivision: Subdivision) -> ClothMesh:
-    """The smooth surface of a mesh; its faces have the parts of the mesh's flat faces as their rest shape."""
-    corners = np.stack([np.zeros((len(mesh.faces), 2)), mesh.flat[:, :, 0], mesh.flat[:, :, 1]], axis=1)
-    for _ in subdivision.steps:
-        corners = cut_corners(corners)
-    flat = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
-    return ClothMesh(subdivision.upsample(mesh.vertices), subdivision.cut, flat)

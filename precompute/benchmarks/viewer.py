@@ -58,7 +58,14 @@ def connected(port: int) -> ClientConnection:
     """A connection to a viewer, as its own page opens it."""
     protocol: Any = f"viser-v{viser.__version__}"
     origin: Any = f"http://127.0.0.1:{port}"
-    return connect(f"ws://127.0.0.1:{port}", origin=origin, subprotocols=[protocol], max_size=None, compression=None)
+    return connect(
+        f"ws://127.0.0.1:{port}",
+        origin=origin,
+        subprotocols=[protocol],
+        max_size=None,
+        compression=None,
+        close_timeout=0.5,  # one that has stalled would have to read all that waits for it first
+    )
 
 
 def pictures_in(message: bytes) -> bool:
@@ -136,7 +143,9 @@ def bench_viewer(file: Path, seconds: float, report: Callable[[str], None]) -> d
         one = pool.submit(watch, port, seconds)
         memory: list[float] = []
         sample = lambda: memory.append(_resident_mb())  # noqa: E731
+        spent = time.process_time()
         _run(viewer, seconds, {0.25 * seconds: sample, 0.99 * seconds: sample})
+        spent = time.process_time() - spent
         watched, frames, late = one.result(), viewer.frame_count, viewer.late_count
         report("with a second client, one that reads nothing and one that goes away")
         crowd = [pool.submit(watch, port, CROWD_S) for _ in range(2)]
@@ -152,6 +161,7 @@ def bench_viewer(file: Path, seconds: float, report: Callable[[str], None]) -> d
         "update_interval_ms_p50": watched.interval_ms(50.0),
         "update_interval_ms_p99": watched.interval_ms(99.0),
         "loop_rate_hz": frames / seconds,
+        "processor_ms_per_update": 1e3 * spent / max(1, frames),
         "late_periods": float(late),
         "memory_mb": memory[0],
         "memory_growth_mb": memory[-1] - memory[0],

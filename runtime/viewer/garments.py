@@ -22,7 +22,7 @@ from runtime.level_of_detail import LevelOfDetail
 from runtime.plain_player import PlainPlayer, plain_choice, player_of
 from runtime.play import PlaybackInputs
 from runtime.player import Player
-from runtime.scene_player import ScenePlayer
+from runtime.scene_player import SUBDIVISIONS, ScenePlayer
 from runtime.simulation import Motion
 from runtime.viewer.colors import FaceBending, FaceStrain, place
 from wrinkles.database import WrinkleDatabase
@@ -184,6 +184,9 @@ class ViewedGarment:
             vertices: of the mesh [m], float32, shape (n, 3).
         """
         mesh, player = self.meshes[name], self.player
+        if coloring == "strain" and name == SMOOTH and isinstance(player, ScenePlayer):
+            simulated = self.meshes[COARSE].strain(self.vertices(COARSE, 0.0))  # of the surface no rest shape is known
+            return np.repeat(simulated, 4**SUBDIVISIONS)
         if coloring == "strain":
             return mesh.strain(vertices)
         if coloring == "bending":
