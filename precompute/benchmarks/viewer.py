@@ -22,7 +22,7 @@ import viser
 import zstandard
 from websockets.sync.client import ClientConnection, connect
 
-from assets.io.scene import ViewSettings
+from assets.io.view import ViewSettings
 from pbd import InputError
 from runtime.viewer.garments import DatabaseSource
 from runtime.viewer.opening import open_source

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import assets
-from assets.io.scene import CameraSettings, ViewSettings, load_scene
+from assets.io.scene import CameraSettings, load_scene
+from assets.io.view import ViewSettings
 from pbd import InputError
 from runtime.play import PlaybackInputs, open_database
 from runtime.viewer.garments import DatabaseSource, SceneSource, Source, Truth

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from assets.character import Character
-from assets.io.scene import CameraSettings, Scene, ViewSettings, WindSettings, scene_text
+from assets.io.scene import CameraSettings, Scene, WindSettings, scene_text
 from assets.io.sequence import Sequence
+from assets.io.view import ViewSettings
 from pbd.storage import replacing
 from pbd.wind import Wind
 from runtime.bake import bake_glb

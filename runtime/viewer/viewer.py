@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from assets.io.scene import CameraSettings, ViewSettings
+from assets.io.scene import CameraSettings
+from assets.io.view import ViewSettings
 from pbd import InputError
 from runtime.simulation import Motion
 from runtime.viewer.colors import CLOTH
@@ -234,7 +235,12 @@ class Viewer:
 
     def _frame(self, elapsed: float) -> None:
         playback = self.playback
-        playback.advance(elapsed)
+        try:
+            playback.advance(elapsed)
+        except InputError as error:  # what was dragged or set has driven the cloth out of all bounds
+            self._controls.say(f"starts again: {error}")
+            playback.release()
+            playback.go_to(0)
         picture = playback.time, self.look, self._changes
         began = time.perf_counter()
         if picture != self._sent or playback.playing:
