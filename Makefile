@@ -5,7 +5,7 @@ BIN := .venv/bin
 export PYTHONHASHSEED := 0
 export GUBE_DATA ?= $(CURDIR)/../shared/data
 
-.PHONY: demo garments scenes test lint format proofs proofs-long gpu-proofs lock clean
+.PHONY: demo garments scenes test browser-test lint format proofs proofs-long gpu-proofs lock clean
 
 demo: .venv/ready
 	$(BIN)/gube demo
@@ -30,6 +30,16 @@ out/garments/%.npz: | .venv/ready
 test: .venv/ready
 	$(MAKE) --no-print-directory -j 2 kernels-pairs lint kernels-plain
 	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder --durations 15
+
+# Pages in Debian's Chromium, which is installed where it is missing.
+CHROMIUM := /usr/bin/chromium
+browser-test: .venv/ready $(CHROMIUM)
+	$(BIN)/python -m pytest tests/browser -m browser --durations 5
+
+$(CHROMIUM):
+	@echo "installing Debian's chromium"
+	@{ apt-get update -qq && apt-get install -qq -y --no-install-recommends chromium; } >&2 || { \
+		echo "browser-test needs $(CHROMIUM), and apt-get cannot install it here" >&2; exit 1; }
 
 lint: .venv/ready
 	$(BIN)/ruff check .

@@ -25,6 +25,7 @@ COMMANDS: Mapping[str, str] = {
     "simulate": "runtime.commands.simulate",
     "precompute": "precompute.commands.precompute",
     "play": "runtime.commands.play",
+    "view": "runtime.commands.view",
     "bake": "runtime.commands.bake",
     "info": "runtime.commands.info",
     "check": "runtime.commands.check",
@@ -41,13 +42,17 @@ COMMANDS: Mapping[str, str] = {
     "bench clips": "precompute.commands.bench_clips",
     "bench space": "precompute.commands.bench_space",
     "bench plan": "precompute.commands.bench_plan",
+    "bench view": "precompute.commands.bench_view",
 }
 """The file of each command, in the order of the help. Of two words, the first names a group."""
 
 GROUPS: Mapping[str, str] = {"bench": "measure the parts of the project and print a table"}
 """Summaries of groups."""
 
-OPTIONS: Mapping[tuple[str, str], str] = {("play", "truth"): "precompute.commands.play_truth"}
+OPTIONS: Mapping[tuple[str, str], str] = {
+    ("play", "truth"): "precompute.commands.play_truth",
+    ("view", "truth"): "precompute.commands.view_truth",
+}
 """Where ``run`` is found instead when a command gets a certain option: it needs more than the command itself does."""
 
 

@@ -84,6 +84,20 @@ class FineGarment:
             self.vertices[self._levels.fine_held] = targets
         return 1e3 * (decoded - began), 1e3 * (time.perf_counter() - decoded)
 
+    @property
+    def novelty_score(self) -> np.ndarray:
+        """Log of the error that the dictionary expects at each coarse vertex [log deg], float32, shape (n,)."""
+        return self._decoder.score
+
+    @property
+    def memory(self) -> tuple[np.ndarray | int, ...]:
+        """What the relaxation remembers; see :attr:`wrinkles.relaxation.Relaxation.memory`."""
+        return self._relax.memory
+
+    @memory.setter
+    def memory(self, memory: tuple[np.ndarray | int, ...]) -> None:
+        self._relax.memory = memory
+
     def sample(
         self, position: np.ndarray, state: State, body: Body, body_vertices: np.ndarray, detail: LevelOfDetail
     ) -> np.ndarray:

@@ -147,6 +147,10 @@ class GameLoop:
         self.frames_of_ticks[ticks] += 1
         return ticks
 
+    def go_to(self, tick: int) -> None:
+        """Go on from another tick, into whose state the player has been put; its picture is shown already."""
+        self.tick_count, self.alpha, self._ahead, self._held = tick, 1.0, 0.0, None
+
     def run(self, seconds: float, show: Callable[[], Any] | None = None) -> dict[str, float]:
         """Play by the clock.
 

@@ -17,6 +17,7 @@ from assets.io.sequence import Sequence
 from pbd import InputError, Model, ModelOptions, build_model
 from pbd.contact.colliders import Primitive
 from pbd.wind import CALM, Air
+from runtime.moment import Moment
 from runtime.player import PARTS, Player, check_drag, check_step
 from runtime.simulation import BodySource, Simulation, body_source
 from runtime.transitions import Interpolation
@@ -106,6 +107,7 @@ class PlainPlayer:
     Attributes:
         levels: coarse and fine mesh of the database.
         simulation: of the plain cloth.
+        subdivision: from the simulated to the fine mesh; None where the fine mesh is simulated.
         vertices: fine vertices about ``origin`` [m], float32, shape (N, 3).
         normals: unit, float32, shape (N, 3).
         timings: times of the last frame by part [ms].
@@ -133,7 +135,7 @@ class PlainPlayer:
         self.database, self.cloth = database, cloth
         source = body_source(body)
         self.levels: Levels = database.levels(source.vertices, source.faces)
-        self._upsample: Upsampler | None = None
+        self.subdivision: Subdivision | None = None
         if cloth.cuts == database.subdivisions:
             fine = self.levels
             options = ModelOptions(pressure=database.options.pressure)
@@ -143,13 +145,14 @@ class PlainPlayer:
             simulated = self.levels if cloth.cuts == 0 else middle_levels(database, source, cloth.cuts)
             assert simulated is not None
             model, attachment = plain_model(database, simulated), simulated.coarse_attachment
-            self._upsample = Upsampler(simulated.subdivision)
+            self.subdivision = simulated.subdivision
+        self._upsample = None if self.subdivision is None else Upsampler(self.subdivision)
         solver = replace(database.solver, substep=1.0 / (database.frame_rate * cloth.substeps))
         self.simulation = Simulation(model, attachment, source, start, solver, primitives)
-        self._between = Interpolation(self.simulation)
+        self._between, self._alpha = Interpolation(self.simulation), 1.0
         self._write_normals = FineNormals(self.levels.subdivision)
         self.vertices, self.normals = np.zeros((2, self.levels.subdivision.fine_count, 3), np.float32)
-        self.timings = dict.fromkeys(PARTS, 0.0)
+        self.timings: dict[str, float] = dict.fromkeys(PARTS, 0.0)
         self._warm_up(start)
         self.decode()
 
@@ -200,7 +203,7 @@ class PlainPlayer:
         Args:
             alpha: 0 for the state before the last step, 1 for the one after it, in between interpolated.
         """
-        began = time.perf_counter()
+        began, self._alpha = time.perf_counter(), alpha
         position, _ = self._between.at(alpha)
         if self._upsample is None:
             self.vertices[:] = position[:, :3]
@@ -221,6 +224,32 @@ class PlainPlayer:
         check_drag(vertex, target, self.simulation.model.vertex_count)
         self.simulation.drag(vertex, target)
 
+    def interpolated(self) -> tuple[np.ndarray, np.ndarray]:
+        """Simulated vertices, shape (n, 4), and body, shape (b, 3), of the last picture about ``origin`` [m], float32.
+
+        Both are valid until the next call.
+        """
+        return self._between.at(self._alpha)
+
+    def keep(self) -> Moment:
+        """The present moment, to which :meth:`go_back` returns."""
+        return Moment.of(self.simulation)
+
+    def go_back(self, moment: Moment, pose: np.ndarray) -> None:
+        """Show a kept moment and play on from it. A vertex that was dragged then is free.
+
+        Args:
+            moment: of the same plain cloth, in any fabric.
+            pose: of the body at that moment.
+
+        Raises:
+            InputError: a pose that is not finite or of another shape; then nothing has changed.
+        """
+        check_step(pose, self._pose_shape)
+        moment.put_back(self.simulation, pose)
+        self._between.remember()
+        self.decode()
+
     def _warm_up(self, pose: np.ndarray) -> None:
         """Load or compile every kernel by a step that is taken back: the first frame is as fast as the others."""
         simulation = self.simulation
@@ -229,7 +258,7 @@ class PlainPlayer:
         simulation.state, simulation.time = start, 0.0
         simulation.place_body(pose)
         self._between.remember()
-        self.timings = dict.fromkeys(PARTS, 0.0)
+        self.timings: dict[str, float] = dict.fromkeys(PARTS, 0.0)
 
 
 def player_of(

@@ -15,6 +15,7 @@ from pbd.contact.colliders import Primitive
 from pbd.wind import CALM, Air, Wind
 from runtime.fine_garment import FineGarment
 from runtime.level_of_detail import LevelOfDetail
+from runtime.moment import Moment
 from runtime.proxy_simulation import ProxySimulation
 from runtime.simulation import Simulation, body_source
 from runtime.transitions import FADE, Extrapolation, Fade, Interpolation
@@ -89,7 +90,7 @@ class Player:
         self._bind_vertices = source.vertices
         self._idle, self._dt = 0.0, 0.0  # time since the last update, length of the last tick [s]
         self._alpha = 1.0
-        self.timings = dict.fromkeys(PARTS, 0.0)
+        self.timings: dict[str, float] = dict.fromkeys(PARTS, 0.0)
         self._warm_up(start)
         self.decode()
 
@@ -222,6 +223,41 @@ class Player:
     def smooth(self) -> np.ndarray:
         """The garment without wrinkles in the world [m], float64, shape (N, 3)."""
         return self.levels.subdivision.upsample(self.simulation.state.world())
+
+    def interpolated(self) -> tuple[np.ndarray, np.ndarray]:
+        """Coarse vertices, shape (n, 4), and body, shape (b, 3), of the last picture about ``origin`` [m], float32.
+
+        Both are valid until the next call.
+        """
+        return self._between.at(self._alpha)
+
+    def predicted_error(self) -> np.ndarray:
+        """Normal error of the wrinkles that is expected at each coarse vertex [deg], float32, shape (n,)."""
+        return np.exp(self._fine.novelty_score)
+
+    def keep(self) -> Moment:
+        """The present moment, to which :meth:`go_back` returns."""
+        return Moment.of(self.simulation, self._fine.memory)
+
+    def go_back(self, moment: Moment, pose: np.ndarray) -> None:
+        """Show a kept moment and play on from it. A vertex that was dragged then is free.
+
+        Args:
+            moment: of a player of this database, in any of its fabrics.
+            pose: of the body at that moment.
+
+        Raises:
+            InputError: a pose that is not finite or of another shape; then nothing has changed.
+        """
+        check_step(pose, self._pose_shape)
+        moment.put_back(self.simulation, pose)
+        self._fine.memory = moment.memory
+        self._idle, self._wait, self._extrapolation.started = 0.0, 0, False
+        self._fade.prepare()
+        if self._coarser is not None and self._detail.level:
+            self._coarser.take_over()
+        self._between.remember()
+        self.decode()
 
     def decoded(self, detail: LevelOfDetail) -> np.ndarray:
         """Fine vertices of the last update at a detail, about ``origin`` [m], float32, shape (N, 3), a copy.

@@ -75,6 +75,7 @@ class Decoder:
 
     Attributes:
         amplitude: share of the wrinkles that was drawn at each coarse vertex, float32, shape (n,).
+        score: log of the error that is expected there, see :meth:`NoveltyScore.score` [log deg], float32, shape (n,).
         frames, features: of the last state, see :meth:`Stencil.read`.
         grids: displacements in the patches' frames [m], float32, shape (n, 3 NODES).
     """
@@ -88,6 +89,7 @@ class Decoder:
     ) -> None:
         self.stencil, self.mapping, self.novelty = stencil, mapping, novelty
         self.amplitude = np.ones(len(stencil.corners), np.float32)
+        self.score = np.zeros(len(stencil.corners), np.float32)
         count, (regions, width_1, width_2) = len(stencil.corners), mapping.weights_2.shape
         self.frames = np.zeros((count, 9), np.float32)
         self.features = np.zeros((count, DYNAMIC_COUNT), np.float32)
@@ -141,8 +143,9 @@ class Decoder:
             np.maximum(second, 0.0, out=second)
             np.matmul(second, m.weights_3[r, :, :atoms], out=output[rows])
             output[rows] += m.bias_3[r, :atoms]
-        amplitude = self.novelty.amplitude(self.novelty.score(self._hidden_1))
+        score = self.novelty.score(self._hidden_1)
+        amplitude = self.novelty.amplitude(score)
         output *= amplitude[:, None]
-        self.amplitude[self._order], coefficients[self._order] = amplitude, output
+        self.score[self._order], self.amplitude[self._order], coefficients[self._order] = score, amplitude, output
         np.matmul(coefficients, self._shapes[:atoms], out=self.grids)
         self.grids += self._mean

@@ -32,6 +32,7 @@ from assets.io.settings import (
     vector,
     whole,
 )
+from assets.io.view import ViewSettings
 from assets.procedural.builtin import BUILTIN_GARMENTS
 from pbd import Capsule, Fabric, InputError, Plane, SolverOptions, Sphere
 from pbd.wind import Wind
@@ -375,6 +376,7 @@ class Scene:
     solver: SolverSettings = entry(table(SolverSettings), SolverSettings())
     wrinkles: WrinkleSettings = entry(table(WrinkleSettings), WrinkleSettings())
     camera: CameraSettings = entry(table(CameraSettings), CameraSettings())
+    view: ViewSettings | None = entry(table(ViewSettings), None)
 
 
 def load_scene(path: str | Path) -> Scene:

@@ -42,6 +42,7 @@ def run(options: argparse.Namespace) -> Report:
     print(f"picture:   {made.picture} (coarse | truth | ours | ours on the truth's own coarse skirt)")
     print(f"animation: {made.animation} (Blender: File, Import, glTF)")
     print(f"database:  {made.database}")
-    print(f"next: gube info {made.database}")
+    print(f"next: gube view {made.database}")
+    print(f"      gube info {made.database}")
     print(f"      gube play {made.database} --loop 60 --hz 60")
     return Report(made.figures)

@@ -1,0 +1,45 @@
+"""`gube view --truth`: a database in the browser beside the fine simulation.
+
+The arguments are those of :mod:`runtime.commands.view`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from runtime.commands.view import view
+
+if TYPE_CHECKING:
+    from runtime.play import PlaybackInputs
+    from runtime.report import Report
+    from runtime.viewer.garments import Truth
+    from wrinkles.database import WrinkleDatabase
+
+__all__ = ["run"]
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Find or simulate the fine runs, then serve until the command is interrupted."""
+    return view(options, _recorded_truths)
+
+
+def _recorded_truths(path: Path, database: WrinkleDatabase, inputs: PlaybackInputs) -> Mapping[str, Truth]:
+    """The fine simulation of each motion, from the runs that are kept beside the database."""
+    from precompute.learning.evaluation import fine_run, levels_from
+    from precompute.learning.pipeline import default_cache
+    from precompute.learning.recording import record_runs
+    from runtime.report import Progress
+    from runtime.viewer.garments import Truth
+
+    levels = levels_from(database, inputs.body)
+    runs = [
+        fine_run(levels, inputs.body, motion, database, wind=inputs.wind, primitives=inputs.primitives)
+        for motion in inputs.motions
+    ]
+    with Progress(sys.stderr) as progress:
+        recordings = record_runs(runs, default_cache(path), report=progress)
+    return {run.name: Truth(one.frames, one.positions) for run, one in zip(runs, recordings, strict=True)}

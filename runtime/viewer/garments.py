@@ -1,0 +1,396 @@
+"""What a viewer shows: the meshes of a garment that is played, their positions, and the values that colour them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from assets.character import Character
+from assets.io.scene import Scene
+from assets.io.sequence import Sequence
+from pbd import ClothMesh, Fabric, Solver, build_model
+from pbd.wind import Wind
+from runtime.garment_setup import body_of, scene_of, simulation_of
+from runtime.info import better_choice
+from runtime.level_of_detail import LevelOfDetail
+from runtime.plain_player import PlainPlayer, plain_choice, player_of
+from runtime.play import PlaybackInputs
+from runtime.player import Player
+from runtime.scene_player import SUBDIVISIONS, ScenePlayer
+from runtime.simulation import Motion
+from runtime.viewer.colors import FaceBending, FaceStrain, place
+from wrinkles.database import WrinkleDatabase
+from wrinkles.decoder import Upsampler
+
+__all__ = ["DatabaseSource", "FabricFactors", "SceneSource", "Source", "Truth", "ViewedGarment", "ViewedMesh"]
+
+COARSE, SMOOTH, OURS, PLAIN, TRUTH = "coarse", "smooth", "ours", "plain cloth", "truth"
+
+
+class FabricFactors(NamedTuple):
+    """Factors on the fabric of a garment [-].
+
+    Attributes:
+        bending, stretch, weight: factors on bending stiffness, on stretch and shear stiffness, and on mass per area.
+    """
+
+    bending: float = 1.0
+    stretch: float = 1.0
+    weight: float = 1.0
+
+    def applied(self, fabric: Fabric) -> Fabric:
+        """The fabric with these factors."""
+        return replace(
+            fabric,
+            areal_density=self.weight * fabric.areal_density,
+            bend_warp=self.bending * fabric.bend_warp,
+            bend_weft=self.bending * fabric.bend_weft,
+            stretch_warp=self.stretch * fabric.stretch_warp,
+            stretch_weft=self.stretch * fabric.stretch_weft,
+            shear=self.stretch * fabric.shear,
+        )
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A recorded fine simulation of a motion.
+
+    Attributes:
+        ticks: number of the tick of each frame, ascending, int, shape (f,).
+        positions: world [m], float32, shape (f, N, 3).
+    """
+
+    ticks: np.ndarray
+    positions: np.ndarray
+
+    def at(self, tick: float) -> np.ndarray:
+        """Positions at a tick, between two frames interpolated [m], float32, shape (N, 3)."""
+        after = int(np.clip(np.searchsorted(self.ticks, tick), 1, len(self.ticks) - 1)) if len(self.ticks) > 1 else 0
+        before = max(after - 1, 0)
+        length = max(1, self.ticks[after] - self.ticks[before])
+        share = np.float32(np.clip((tick - self.ticks[before]) / length, 0.0, 1.0))
+        return self.positions[before] + share * (self.positions[after] - self.positions[before])
+
+
+class ViewedMesh:
+    """A mesh of a garment and what its colours are computed from.
+
+    Args:
+        cloth: gives faces and rest shape.
+        faces: as they are drawn, int, shape (m, 3); None for those of the cloth.
+        from_simulated: matrix from values at simulated vertices to those at its own; None if these are the same.
+    """
+
+    def __init__(
+        self, cloth: ClothMesh, faces: np.ndarray | None = None, from_simulated: csr_matrix | None = None
+    ) -> None:
+        self.cloth, self._from_simulated = cloth, from_simulated
+        self.faces = cloth.faces if faces is None else faces
+
+    @cached_property
+    def strain(self) -> FaceStrain:
+        """Strain of its faces."""
+        return FaceStrain(self.cloth)
+
+    @cached_property
+    def bending(self) -> FaceBending:
+        """Curvature at its faces."""
+        return FaceBending(self.cloth)
+
+    def at_faces(self, values: np.ndarray) -> np.ndarray:
+        """Means over the corners of each face, shape (m,), of values at simulated vertices, shape (n,)."""
+        own = values if self._from_simulated is None else self._from_simulated @ values
+        return own[self.cloth.faces].mean(axis=1)
+
+
+class ViewedGarment:
+    """A player and the meshes that it can show.
+
+    Args:
+        player: plays the garment, at the start of the motion.
+        motion: of the body; None without one.
+        body_faces: of the body, int, shape (k, 3); no faces without one.
+        truth: a recorded fine simulation of the motion, if there is one.
+
+    Attributes:
+        meshes: by name, from the coarsest on.
+        details: levels of detail that it can be played at, the full one first; none where it has no such levels.
+    """
+
+    def __init__(
+        self,
+        player: Player | PlainPlayer | ScenePlayer,
+        motion: Motion | None,
+        body_faces: np.ndarray,
+        truth: Truth | None = None,
+    ) -> None:
+        self.player, self.motion, self.body_faces, self._truth = player, motion, body_faces, truth
+        self.details: dict[str, LevelOfDetail] = details_of(player) if isinstance(player, Player) else {}
+        self.meshes = self._meshes()
+        self._smooth: Upsampler | None = None
+        if isinstance(player, Player):
+            self._smooth = Upsampler(player.levels.subdivision)
+            self._smooth_vertices = np.zeros_like(player.vertices)
+        self._fabric = player.simulation.model.fabric
+
+    def _meshes(self) -> dict[str, ViewedMesh]:
+        player, simulated = self.player, ViewedMesh(self.player.simulation.model.mesh)
+        if isinstance(player, ScenePlayer):
+            return {COARSE: simulated, SMOOTH: ViewedMesh(player.fine, from_simulated=player.subdivision.matrix)}
+        levels = player.levels
+        subdivision = levels.subdivision if isinstance(player, Player) else player.subdivision
+        matrix = None if subdivision is None else subdivision.matrix
+        fine = ViewedMesh(levels.fine, levels.subdivision.faces, matrix)
+        meshes = {PLAIN: fine}
+        if isinstance(player, Player):
+            meshes = {COARSE: simulated, SMOOTH: fine, OURS: fine}
+        return meshes if self._truth is None else meshes | {TRUTH: fine}
+
+    @property
+    def main(self) -> str:
+        """Name of the mesh that a game would draw."""
+        return next(name for name in (OURS, PLAIN, SMOOTH) if name in self.meshes)
+
+    def vertices(self, name: str, tick: float) -> np.ndarray:
+        """Vertices of a mesh about the player's origin [m], float32, shape (n, 3).
+
+        Args:
+            name: of the mesh.
+            tick: of the picture, for the truth.
+        """
+        player = self.player
+        if name == COARSE:
+            return player.interpolated()[0][:, :3]
+        if name == TRUTH:
+            assert self._truth is not None
+            return self._truth.at(tick) - player.origin.astype(np.float32)
+        if name == SMOOTH and self._smooth is not None:
+            self._smooth(player.interpolated()[0], self._smooth_vertices)
+            return self._smooth_vertices
+        return player.vertices
+
+    def values(self, name: str, coloring: str, vertices: np.ndarray) -> np.ndarray | None:
+        """Values that colour the faces of a mesh, shape (m,); None where they are not known of it.
+
+        Args:
+            name: of the mesh.
+            coloring: a key of :data:`runtime.viewer.colors.SCALES`.
+            vertices: of the mesh [m], float32, shape (n, 3).
+        """
+        mesh, player = self.meshes[name], self.player
+        if coloring == "strain" and name == SMOOTH and isinstance(player, ScenePlayer):
+            simulated = self.meshes[COARSE].strain(self.vertices(COARSE, 0.0))  # of the surface no rest shape is known
+            return np.repeat(simulated, 4**SUBDIVISIONS)
+        if coloring == "strain":
+            return mesh.strain(vertices)
+        if coloring == "bending":
+            return mesh.bending(vertices)
+        if name == TRUTH:
+            return None
+        if coloring == "contact":
+            return 1e3 * mesh.at_faces(player.simulation.state.contact)
+        if not isinstance(player, Player):
+            return None
+        if coloring == "novelty":
+            return mesh.at_faces(player.predicted_error()) if player.detail.atoms else None
+        index = list(self.details.values()).index(player.detail)
+        return np.full(len(mesh.faces), place(index if name == OURS else len(self.details)), np.float32)
+
+    def colors_by(self, coloring: str) -> bool:
+        """Whether a key of :data:`runtime.viewer.colors.SCALES` colours any of the meshes."""
+        if coloring in ("novelty", "level of detail"):
+            return isinstance(self.player, Player)
+        return coloring != "contact" or len(self.body_faces) > 0
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Names of the kinds that the level of detail colours."""
+        return (*self.details, "another mesh")
+
+    def set_detail(self, name: str) -> None:
+        """Play at another level of detail.
+
+        Args:
+            name: a key of :attr:`details`.
+        """
+        assert isinstance(self.player, Player)
+        self.player.change(self.details[name])
+
+    def wear(self, factors: FabricFactors) -> None:
+        """Give the simulated garment other stiffness and weight. The wrinkles stay those of the learned fabric."""
+        simulation = self.player.simulation
+        model = simulation.model
+        fabric = factors.applied(self._fabric)
+        simulation.model = build_model(model.mesh, fabric, model.held, model.options, model.bend_factor, model.limits)
+        simulation.solver = Solver(simulation.model, simulation.solver.options)
+        simulation.state.position[:, 3] = simulation.model.inverse_mass
+
+
+def details_of(player: Player) -> dict[str, LevelOfDetail]:
+    """Levels of detail of a player by name, from the full one downwards."""
+    full = player.full
+    few = max(1, full.atoms // 4)
+    return {
+        "full": full,
+        "a quarter of the atoms": replace(full, atoms=few),
+        "every 2nd tick": replace(full, every=2),
+        "every 2nd tick, a quarter of the atoms": replace(full, every=2, atoms=few),
+        "no wrinkles": replace(full, atoms=0),
+    }
+
+
+@dataclass(frozen=True)
+class DatabaseSource:
+    """A wrinkle database that is viewed.
+
+    Attributes:
+        path: of its file.
+        database: the database.
+        inputs: its body, motions, wind and colliders.
+        truths: recorded fine simulations by the name of the motion.
+    """
+
+    path: Path
+    database: WrinkleDatabase
+    inputs: PlaybackInputs
+    truths: Mapping[str, Truth]
+
+    @property
+    def title(self) -> str:
+        """The garment and the file."""
+        return f"{self.database.garment_name} ({self.path.name})"
+
+    @property
+    def motions(self) -> tuple[Motion, ...]:
+        """Motions that can be played."""
+        return self.inputs.motions
+
+    @property
+    def fabrics(self) -> tuple[str, ...]:
+        """Fabrics that the wrinkles were learned in, the garment's own first."""
+        return self.database.fabric_names
+
+    @property
+    def frame_rate(self) -> float:
+        """Rate of ticks [Hz]."""
+        return self.database.frame_rate
+
+    @property
+    def wind(self) -> Wind:
+        """Wind of the scene."""
+        return self.inputs.wind
+
+    @property
+    def scene(self) -> Scene:
+        """The scene that is stored in the database."""
+        return scene_of(self.database)
+
+    @property
+    def body(self) -> Character | Sequence:
+        """What wears the garment."""
+        return self.inputs.body
+
+    @property
+    def prefers_plain_cloth(self) -> bool:
+        """Whether plain cloth costs less and is as good, as a comparison found."""
+        return plain_choice(self.database) is not None
+
+    @property
+    def notice(self) -> str:
+        """What is played, in a sentence."""
+        choice = better_choice(self.database.quality)
+        if self.prefers_plain_cloth:
+            return f"Plays {choice}. 'play the wrinkles' plays what was learned."
+        return f"Plays the wrinkles. Better choice: {choice}."
+
+    @property
+    def wearable(self) -> bool:
+        """Whether stiffness and weight can be changed."""
+        return True
+
+    def garment(self, motion: Motion | None, fabric: str, wrinkles: bool) -> ViewedGarment:
+        """The garment at the start of a motion.
+
+        Args:
+            motion: one of :attr:`motions`.
+            fabric: one of :attr:`fabrics`.
+            wrinkles: play the wrinkles even where plain cloth is the better choice.
+        """
+        assert motion is not None
+        database = self.database if fabric == self.database.fabric_name else self.database.in_fabric(fabric)
+        inputs = self.inputs
+        player = player_of(database, inputs.body, motion.pose(0.0), inputs.primitives, wrinkles)
+        truth = self.truths.get(motion.name) if fabric == self.database.fabric_name else None
+        return ViewedGarment(player, motion, inputs.body.faces, truth)
+
+
+@dataclass(frozen=True)
+class SceneSource:
+    """A scene whose garments are simulated without wrinkles.
+
+    Attributes:
+        path: of its file.
+        scene: the scene.
+        notice: what is played, in a sentence.
+    """
+
+    path: Path
+    scene: Scene
+    notice: str = "The garments of a scene, simulated without wrinkles. A database of `gube precompute` has wrinkles."
+
+    @property
+    def title(self) -> str:
+        """The garments and the file."""
+        return f"{', '.join(garment.name for garment in self.scene.garments)} ({self.path.name})"
+
+    @property
+    def motions(self) -> tuple[Motion, ...]:
+        """Motions to choose from: none, for a scene names its own."""
+        return ()
+
+    @property
+    def fabrics(self) -> tuple[str, ...]:
+        """Fabrics to choose from: none, for each garment has its own."""
+        return ()
+
+    @property
+    def frame_rate(self) -> float:
+        """Rate of ticks [Hz]."""
+        return self.scene.solver.frame_rate
+
+    @property
+    def wind(self) -> Wind:
+        """Wind of the scene."""
+        return self.scene.wind.air()
+
+    @property
+    def body(self) -> Character | Sequence | None:
+        """What wears the garments; None without a body."""
+        return None if self.scene.character is None else body_of(self.scene)
+
+    @property
+    def prefers_plain_cloth(self) -> bool:
+        """There are no wrinkles to choose."""
+        return False
+
+    @property
+    def wearable(self) -> bool:
+        """Whether stiffness and weight can be changed: those of several garments at once cannot."""
+        return len(self.scene.garments) == 1
+
+    def garment(self, motion: Motion | None, fabric: str, wrinkles: bool) -> ViewedGarment:
+        """The garments at the start of the motion; a scene has no other fabric and no wrinkles."""
+        simulation, motion = simulation_of(self.scene)
+        pose = None if motion is None else motion.pose(0.0)
+        player = ScenePlayer(simulation, pose, 1.0 / self.frame_rate)
+        faces = np.zeros((0, 3), np.int32) if self.body is None else self.body.faces
+        return ViewedGarment(player, motion, faces)
+
+
+Source = DatabaseSource | SceneSource

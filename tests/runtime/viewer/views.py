@@ -1,0 +1,28 @@
+"""Small databases and scenes that tests view."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from runtime.play import playback_inputs
+from runtime.viewer.garments import DatabaseSource
+from tests.data import ROOT
+from tests.runtime.players import skirt_database
+
+__all__ = ["FLAG", "HANGING", "skirt_source"]
+
+FLAG = """
+[[garment]]
+name = "flag"
+mesh = "builtin:flag"
+pins = [0]
+"""
+
+HANGING = "flag.toml"
+
+
+@cache
+def skirt_source() -> DatabaseSource:
+    """The skirt with random wrinkles."""
+    database = skirt_database()
+    return DatabaseSource(ROOT / "skirt.h5", database, playback_inputs(database), {})
