@@ -26,6 +26,7 @@ COMMANDS: Mapping[str, str] = {
     "precompute": "precompute.commands.precompute",
     "play": "runtime.commands.play",
     "bake": "runtime.commands.bake",
+    "export": "runtime.commands.export",
     "info": "runtime.commands.info",
     "check": "runtime.commands.check",
     "compare": "precompute.commands.compare",

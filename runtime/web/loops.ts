@@ -1,0 +1,175 @@
+// The inner loops of decoder.js in WebAssembly, in AssemblyScript: the same as its `plain`, on addresses in memory.
+// Numbers take four bytes. Vectors are loaded four numbers at a time: what stands behind the third is not used.
+
+/** c += a b. Rows of b times zeros of a are left out: rectified units are zero more often than not. */
+export function multiplyAdd(
+  a: usize, b: usize, c: usize, rows: i32, inner: i32, columns: i32, list: usize // for 2 inner numbers
+): void {
+  const width = <usize>columns << 2;
+  for (let i = 0; i < rows; i++) {
+    let end = list; // of the addresses in b and factors of the rows that are not left out
+    let row = b;
+    for (let k = 0; k < inner; k++) {
+      const factor = load<f32>(a);
+      store<usize>(end, row);
+      store<f32>(end, factor, 4);
+      end += <usize>(factor != 0) << 3;
+      a += 4;
+      row += width;
+    }
+    let j: usize = 0;
+    for (; j + 192 <= width; j += 192) add48(list, end, j, c + j);
+    for (; j + 96 <= width; j += 96) add24(list, end, j, c + j);
+    for (; j + 32 <= width; j += 32) add8(list, end, j, c + j);
+    for (; j + 16 <= width; j += 16) add4(list, end, j, c + j);
+    for (; j < width; j += 4) {
+      let sum = load<f32>(c + j);
+      for (let p = list; p < end; p += 8) sum += load<f32>(load<usize>(p) + j) * load<f32>(p, 4);
+      store<f32>(c + j, sum);
+    }
+    c += width;
+  }
+}
+
+// @ts-ignore: decorator
+@inline
+function product(factor: v128, row: usize, offset: usize): v128 {
+  return f32x4.mul(factor, v128.load(row + offset));
+}
+
+/** Adds the listed rows to 48 numbers, which stay in registers meanwhile. */
+// @ts-ignore: decorator
+@inline
+function add48(list: usize, end: usize, j: usize, c: usize): void {
+  let c0 = v128.load(c), c1 = v128.load(c, 16), c2 = v128.load(c, 32), c3 = v128.load(c, 48);
+  let c4 = v128.load(c, 64), c5 = v128.load(c, 80), c6 = v128.load(c, 96), c7 = v128.load(c, 112);
+  let c8 = v128.load(c, 128), c9 = v128.load(c, 144), c10 = v128.load(c, 160), c11 = v128.load(c, 176);
+  for (let p = list; p < end; p += 8) {
+    const row = load<usize>(p) + j, factor = v128.load32_splat(p, 4);
+    c0 = f32x4.add(c0, product(factor, row, 0));
+    c1 = f32x4.add(c1, product(factor, row, 16));
+    c2 = f32x4.add(c2, product(factor, row, 32));
+    c3 = f32x4.add(c3, product(factor, row, 48));
+    c4 = f32x4.add(c4, product(factor, row, 64));
+    c5 = f32x4.add(c5, product(factor, row, 80));
+    c6 = f32x4.add(c6, product(factor, row, 96));
+    c7 = f32x4.add(c7, product(factor, row, 112));
+    c8 = f32x4.add(c8, product(factor, row, 128));
+    c9 = f32x4.add(c9, product(factor, row, 144));
+    c10 = f32x4.add(c10, product(factor, row, 160));
+    c11 = f32x4.add(c11, product(factor, row, 176));
+  }
+  v128.store(c, c0);
+  v128.store(c, c1, 16);
+  v128.store(c, c2, 32);
+  v128.store(c, c3, 48);
+  v128.store(c, c4, 64);
+  v128.store(c, c5, 80);
+  v128.store(c, c6, 96);
+  v128.store(c, c7, 112);
+  v128.store(c, c8, 128);
+  v128.store(c, c9, 144);
+  v128.store(c, c10, 160);
+  v128.store(c, c11, 176);
+}
+
+// @ts-ignore: decorator
+@inline
+function add24(list: usize, end: usize, j: usize, c: usize): void {
+  let c0 = v128.load(c), c1 = v128.load(c, 16), c2 = v128.load(c, 32), c3 = v128.load(c, 48);
+  let c4 = v128.load(c, 64), c5 = v128.load(c, 80);
+  for (let p = list; p < end; p += 8) {
+    const row = load<usize>(p) + j, factor = v128.load32_splat(p, 4);
+    c0 = f32x4.add(c0, product(factor, row, 0));
+    c1 = f32x4.add(c1, product(factor, row, 16));
+    c2 = f32x4.add(c2, product(factor, row, 32));
+    c3 = f32x4.add(c3, product(factor, row, 48));
+    c4 = f32x4.add(c4, product(factor, row, 64));
+    c5 = f32x4.add(c5, product(factor, row, 80));
+  }
+  v128.store(c, c0);
+  v128.store(c, c1, 16);
+  v128.store(c, c2, 32);
+  v128.store(c, c3, 48);
+  v128.store(c, c4, 64);
+  v128.store(c, c5, 80);
+}
+
+// @ts-ignore: decorator
+@inline
+function add8(list: usize, end: usize, j: usize, c: usize): void {
+  let c0 = v128.load(c), c1 = v128.load(c, 16);
+  for (let p = list; p < end; p += 8) {
+    const row = load<usize>(p) + j, factor = v128.load32_splat(p, 4);
+    c0 = f32x4.add(c0, product(factor, row, 0));
+    c1 = f32x4.add(c1, product(factor, row, 16));
+  }
+  v128.store(c, c0);
+  v128.store(c, c1, 16);
+}
+
+// @ts-ignore: decorator
+@inline
+function add4(list: usize, end: usize, j: usize, c: usize): void {
+  let sum = v128.load(c);
+  for (let p = list; p < end; p += 8) {
+    sum = f32x4.add(sum, product(v128.load32_splat(p, 4), load<usize>(p), j));
+  }
+  v128.store(c, sum);
+}
+
+/** Negative numbers become zero. */
+export function rectify(values: usize, count: i32): void {
+  const end = values + (<usize>count << 2);
+  for (; values + 16 <= end; values += 16) v128.store(values, f32x4.max(v128.load(values), f32x4.splat(0)));
+  for (; values < end; values += 4) store<f32>(values, max<f32>(load<f32>(values), 0));
+}
+
+/** A sparse matrix times vectors. */
+export function multiplySparse(
+  start: usize, index: usize, value: usize, source: usize, out: usize, rows: i32
+): void {
+  let q = load<u32>(start);
+  for (let i = 0; i < rows; i++) {
+    const end = load<u32>(start, 4);
+    let sum = f32x4.splat(0);
+    for (; q < end; q++) {
+      const weight = v128.load32_splat(value + (q << 2));
+      sum = f32x4.add(sum, f32x4.mul(weight, v128.load(source + 12 * load<u32>(index + (q << 2)))));
+    }
+    v128.store(out, sum); // the next row overwrites the fourth number
+    start += 4;
+    out += 12;
+  }
+}
+
+/** What the patches add to the fine vertices, in space. Offsets count numbers. */
+export function readPatches(
+  near: usize, far: usize, share: usize, corners: usize, factor: usize, mean: usize, grids: usize, frames: usize,
+  added: usize, rows: i32
+): void {
+  for (let i = 0; i < rows; i++) {
+    const own = v128.load(mean);
+    let sum = f32x4.splat(0);
+    for (let c = 0; c < 3; c++) {
+      const at = grids + (load<u32>(near) << 2), further = grids + (load<u32>(far) << 2);
+      let d = f32x4.mul(v128.load32_splat(factor), own);
+      d = f32x4.add(d, product(v128.load32_splat(share), at, 0));
+      d = f32x4.add(d, product(v128.load32_splat(share, 4), at, 12));
+      d = f32x4.add(d, product(v128.load32_splat(share, 8), further, 0));
+      d = f32x4.add(d, product(v128.load32_splat(share, 12), further, 12));
+      const frame = frames + 36 * load<u32>(corners);
+      sum = f32x4.add(sum, product(v128.shuffle<f32>(d, d, 0, 0, 0, 0), frame, 0));
+      sum = f32x4.add(sum, product(v128.shuffle<f32>(d, d, 1, 1, 1, 1), frame, 12));
+      sum = f32x4.add(sum, product(v128.shuffle<f32>(d, d, 2, 2, 2, 2), frame, 24));
+      near += 4;
+      far += 4;
+      corners += 4;
+      factor += 4;
+      share += 16;
+    }
+    v128.store(added, sum);
+    mean += 12;
+    added += 12;
+  }
+}
