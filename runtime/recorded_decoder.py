@@ -102,17 +102,19 @@ class RecordedDecoder:
     def _grids(self, features: np.ndarray) -> np.ndarray:
         """Displacements in the patches' frames [m], shape (n, 3 NODES); see :class:`wrinkles.decoder.Decoder`."""
         a = self._arrays
-        hidden = np.maximum(features @ a["network/weights_1"] + self._place_bias, 0.0)
+        order, first = a["network/order"].astype(int), a["network/first_rows"]
+        hidden = np.maximum(features[order] @ a["network/weights_1"] + self._place_bias, 0.0)
         units = np.maximum(hidden @ a["novelty/weights_1"] + a["novelty/bias_1"], 0.0)
         score = units @ a["novelty/weights_2"] + np.float32(self._about["novelty_bias"])
         width = np.float32(self._about["fade_width"])
         amplitude = np.clip((np.float32(self._about["fade_end"]) - score) / width, 0.0, 1.0)
         coefficients = np.zeros((len(features), len(a["atoms/shapes"])), np.float32)
         for r in range(len(a["network/bias_2"])):
-            rows = a["network/region"] == r
+            rows = slice(first[r], first[r + 1])
             second = np.maximum(hidden[rows] @ a["network/weights_2"][r] + a["network/bias_2"][r], 0.0)
-            coefficients[rows] = second @ a["network/weights_3"][r] + a["network/bias_3"][r]
-        return (amplitude[:, None] * coefficients) @ a["atoms/shapes"] + a["atoms/mean"]
+            coefficients[order[rows]] = second @ a["network/weights_3"][r] + a["network/bias_3"][r]
+            coefficients[order[rows]] *= amplitude[rows, None]
+        return coefficients @ a["atoms/shapes"] + a["atoms/mean"]
 
     def _shorten(self, fine: np.ndarray) -> None:
         """Take back a share of the stretch of the edges, in place; see :mod:`wrinkles.relaxation`."""

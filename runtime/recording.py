@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_matrix
+from threadpoolctl import threadpool_limits
 
 from assets.character import Character
 from assets.io.sequence import Sequence
@@ -36,6 +37,7 @@ __all__ = ["record"]
 COARSE_STEP = 1e-4  # of recorded coarse and held vertices [m]
 CONTACT_STEP = FAR / 127  # of their distance from the body [m]
 CORRECTION_STEP = 3e-4  # of corrections [m]: a vertex is off by half the diagonal of such a cube at most
+STATE_STEPS = {"coarse": COARSE_STEP, "contact": CONTACT_STEP, "held": COARSE_STEP}  # what the decoder reads
 BODY_STEP = 1e-3  # of the vertices of a body that is a vertex sequence [m]
 MATRIX_STEP = 2.0**-14  # of the linear part of joints' matrices, which may scale up to twice [-]
 PLACE_STEP = 1e-4  # of their translations [m]
@@ -87,9 +89,8 @@ def record(
             "contact": _steps(player.simulation.state.contact, CONTACT_STEP),
             "held": _steps(about_origin[held], COARSE_STEP),
         }
-        decoded, axes = decoder(
-            *(_values(state[name], step) for name, step in zip(state, (COARSE_STEP, CONTACT_STEP, COARSE_STEP)))
-        )
+        with threadpool_limits(1):  # matrices this small are slower on several threads
+            decoded, axes = decoder(*(_values(state[name], step) for name, step in STATE_STEPS.items()))
         missing = np.einsum("ix,iax->ia", about_origin - decoded, axes[corners])
         correction = _steps(missing, CORRECTION_STEP)
         uncorrected.append(float(np.linalg.norm(missing, axis=1).max()))
@@ -148,12 +149,18 @@ def _garment(
 
 
 def _network(mapping: CoefficientNetwork, novelty: NoveltyScore, atoms: Atoms) -> dict[str, Quantised]:
-    """The network, its head for the novelty and the atoms; weights in steps of one byte, as the database has them."""
+    """The network, its head for the novelty and the atoms; weights in steps of one byte, as the database has them.
+
+    Rows, one for each coarse vertex, stand region by region.
+    """
+    order = np.argsort(mapping.region, kind="stable")
+    first_rows = np.searchsorted(mapping.region[order], np.arange(len(mapping.bias_2) + 1))
     return {
         "network/center": Quantised(mapping.center),
         "network/scale": Quantised(mapping.scale),
-        "network/region": Quantised(mapping.region.astype(np.uint8)),
-        "network/place": quantised(mapping.place, np.int8, along=0),
+        "network/order": _indices(order),
+        "network/first_rows": _indices(first_rows),
+        "network/place": quantised(mapping.place[order], np.int8, along=0),
         "network/place_weights": quantised(mapping.place_weights, np.int8, along=0),
         "network/weights_1": quantised(mapping.weights_1, np.int8, along=0),
         "network/bias_1": Quantised(mapping.bias_1),

@@ -78,24 +78,23 @@ def recording_bytes(about: Mapping[str, Any], arrays: Mapping[str, Quantised]) -
         about: what the header says besides the table of arrays.
         arrays: by name.
     """
-    table, blocks, offset = {}, [], 0
+    table: dict[str, dict[str, Any]] = {}
+    blocks: list[bytes] = []
+
+    def add(name: str, values: np.ndarray, differences: int = 0, **scaled: Any) -> None:
+        block = zlib.compress(_planes(values, differences), 9)
+        entry = {"type": str(values.dtype), "shape": values.shape, "offset": sum(map(len, blocks)), "size": len(block)}
+        table[name] = entry | ({"differences": differences} if differences else {}) | scaled
+        blocks.append(block)
+
     for name, array in arrays.items():
-        entry: dict[str, Any] = {"type": str(array.steps.dtype), "shape": array.steps.shape}
-        if array.differences:
-            entry["differences"] = array.differences
-        if array.scale is not None and array.along is None:
-            entry["scale"] = float(array.scale)
-        elif array.scale is not None:
-            entry |= {"scale": f"{name}_scale", "along": array.along}
-        for part, steps, order in ((name, array.steps, array.differences), (f"{name}_scale", array.scale, 0)):
-            if part != name:
-                if array.along is None:
-                    continue
-                entry = {"type": "float32", "shape": np.shape(steps)}
-            block = zlib.compress(_planes(np.asarray(steps), order), 9)
-            table[part] = entry | {"offset": offset, "size": len(block)}
-            blocks.append(block)
-            offset += len(block)
+        if array.scale is None:
+            add(name, array.steps, array.differences)
+        elif array.along is None:
+            add(name, array.steps, array.differences, scale=float(array.scale))
+        else:  # scales stand before the steps that they belong to
+            add(f"{name}_scale", array.scale)
+            add(name, array.steps, array.differences, scale=f"{name}_scale", along=array.along)
     header = json.dumps({"version": VERSION, **about, "arrays": table}, separators=(",", ":")).encode()
     return b"".join([MAGIC, struct.pack("<I", len(header)), header, *blocks])
 

@@ -20,14 +20,16 @@ async function gubeLoops(code, megabytes = 64) {
   return {
     floats: (source) => kept(Float32Array, source),
     indices: (source) => kept(Uint32Array, source),
-    multiplyAdd: (a, b, c, rows, inner, columns) => made.multiplyAdd(at(a), at(b), at(c), rows, inner, columns, at(list)),
+    multiplyAdd: (a, b, c, ...sizes) => made.multiplyAdd(at(a), at(b), at(c), ...sizes, at(list)),
     rectify: (values) => made.rectify(at(values), values.length),
     multiplySparse({ start, index, value }, source, out) {
       made.multiplySparse(at(start), at(index), at(value), at(source), at(out), start.length - 1);
     },
-    readPatches({ near, far, share, corners, factor, mean }, grids, frames, added) {
-      const read = [near, far, share, corners, factor, mean, grids, frames, added].map(at);
-      made.readPatches(...read, added.length / 3);
+    readPatches({ near, far, share, corners }, grids, frames, added) {
+      made.readPatches(...[near, far, share, corners, grids, frames, added].map(at), added.length / 3);
+    },
+    addTurned({ start, index, value }, own, frames, fine) {
+      made.addTurned(...[start, index, value, own, frames, fine].map(at), fine.length / 3);
     },
   };
 }

@@ -143,33 +143,56 @@ export function multiplySparse(
   }
 }
 
+/** The vector d, given in a frame, in space. */
+// @ts-ignore: decorator
+@inline
+function inSpace(d: v128, frame: usize): v128 {
+  const x = product(v128.shuffle<f32>(d, d, 0, 0, 0, 0), frame, 0);
+  const y = product(v128.shuffle<f32>(d, d, 1, 1, 1, 1), frame, 12);
+  return f32x4.add(f32x4.add(x, y), product(v128.shuffle<f32>(d, d, 2, 2, 2, 2), frame, 24));
+}
+
 /** What the patches add to the fine vertices, in space. Offsets count numbers. */
 export function readPatches(
-  near: usize, far: usize, share: usize, corners: usize, factor: usize, mean: usize, grids: usize, frames: usize,
-  added: usize, rows: i32
+  near: usize, far: usize, share: usize, corners: usize, grids: usize, frames: usize, added: usize, rows: i32
 ): void {
   for (let i = 0; i < rows; i++) {
-    const own = v128.load(mean);
     let sum = f32x4.splat(0);
     for (let c = 0; c < 3; c++) {
       const at = grids + (load<u32>(near) << 2), further = grids + (load<u32>(far) << 2);
-      let d = f32x4.mul(v128.load32_splat(factor), own);
-      d = f32x4.add(d, product(v128.load32_splat(share), at, 0));
+      let d = product(v128.load32_splat(share), at, 0);
       d = f32x4.add(d, product(v128.load32_splat(share, 4), at, 12));
       d = f32x4.add(d, product(v128.load32_splat(share, 8), further, 0));
       d = f32x4.add(d, product(v128.load32_splat(share, 12), further, 12));
-      const frame = frames + 36 * load<u32>(corners);
-      sum = f32x4.add(sum, product(v128.shuffle<f32>(d, d, 0, 0, 0, 0), frame, 0));
-      sum = f32x4.add(sum, product(v128.shuffle<f32>(d, d, 1, 1, 1, 1), frame, 12));
-      sum = f32x4.add(sum, product(v128.shuffle<f32>(d, d, 2, 2, 2, 2), frame, 24));
+      sum = f32x4.add(sum, inSpace(d, frames + 36 * load<u32>(corners)));
       near += 4;
       far += 4;
       corners += 4;
-      factor += 4;
       share += 16;
     }
     v128.store(added, sum);
-    mean += 12;
     added += 12;
+  }
+}
+
+/** Adds to each fine vertex a vector of its own, turned by a mixture of frames. */
+export function addTurned(
+  start: usize, index: usize, value: usize, own: usize, frames: usize, fine: usize, rows: i32
+): void {
+  let q = load<u32>(start);
+  for (let i = 0; i < rows; i++) {
+    const end = load<u32>(start, 4);
+    let sum = f32x4.splat(0);
+    for (; q < end; q++) {
+      const turned = inSpace(v128.load(own), frames + 36 * load<u32>(index + (q << 2)));
+      sum = f32x4.add(sum, f32x4.mul(v128.load32_splat(value + (q << 2)), turned));
+    }
+    sum = f32x4.add(sum, v128.load(fine));
+    // Three numbers and not four: behind them stands the next vertex.
+    v128.store64_lane(fine, sum, 0);
+    v128.store32_lane(fine, sum, 2, 8);
+    start += 4;
+    own += 12;
+    fine += 12;
   }
 }

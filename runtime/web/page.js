@@ -6,7 +6,7 @@
   const KEY_AZIMUTH = -75, KEY_ELEVATION = 38, RIM_AZIMUTH = 95, RIM_ELEVATION = 25; // from the camera's side [deg]
   const element = (id) => document.getElementById(id);
   const [canvas, play, scrub, clock, speed, cost] = ["canvas", "play", "scrub", "clock", "speed", "cost"].map(element);
-  const state = { time: 0, playing: false, waiting: false, wanted: null, costs: [], moment: null };
+  const state = { time: 0, playing: false, waiting: false, wanted: null, costs: [], moment: null, changed: false };
   let about, arrays, worker, view;
 
   // --- The worker ---------------------------------------------------------------------------------------------------
@@ -133,7 +133,7 @@
   function viewOf() {
     const renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
     renderer.shadowMap.enabled = true;
-    renderer.shadowMap.type = THREE.PCFSoftShadowMap;
+    renderer.shadowMap.type = THREE.VSMShadowMap;
     const scene = new THREE.Scene();
     const cloth = new THREE.MeshPhysicalMaterial({
       color: GARMENT, roughness: 0.85, side: THREE.DoubleSide, sheen: 0.7, sheenRoughness: 0.55,
@@ -154,11 +154,11 @@
     const key = new THREE.DirectionalLight(0xfff4e6, 3.1), rim = new THREE.DirectionalLight(0xdfe8ff, 0.9);
     key.castShadow = true;
     key.shadow.mapSize.set(2048, 2048);
-    key.shadow.radius = 4;
-    key.shadow.normalBias = 0.012;
-    key.shadow.bias = -0.0004;
-    const reach = 1.4; // around the garment [m]
-    Object.assign(key.shadow.camera, { left: -reach, right: reach, top: reach, bottom: -reach, near: 0.5, far: 8 });
+    key.shadow.radius = 3;
+    key.shadow.blurSamples = 12;
+    key.shadow.normalBias = 0.01;
+    const reach = 1.5; // around the garment [m]
+    Object.assign(key.shadow.camera, { left: -reach, right: reach, top: reach, bottom: -reach, near: 0.5, far: 9 });
     scene.add(new THREE.HemisphereLight(0xf2f4f8, 0x8a8480, 1.15), key, key.target, rim, rim.target);
 
     const camera = new THREE.PerspectiveCamera(28, 1, 0.05, 60), centre = new THREE.Vector3();
@@ -166,9 +166,12 @@
     orbit.enableDamping = true;
     orbit.dampingFactor = 0.15;
     const base = [0, 1, 2].map((a) => at("frames/origin", 3, 0, a)); // everything is drawn about the first origin
-    orbit.target.set(0, 0, 0);
-    camera.position.copy(directionOf(25, 8)).multiplyScalar(3.4);
     floor.position.y = about.floor - base[1];
+    // The first view shows the whole body.
+    const heights = arrays["body/vertices"] ? arrays["body/vertices"].filter((_, i) => i % 3 === 1) : [0, 1.7];
+    const height = heights.reduce((a, b) => Math.max(a, b)) - heights.reduce((a, b) => Math.min(a, b));
+    orbit.target.set(0, floor.position.y + height / 2, 0);
+    camera.position.copy(directionOf(25, 6)).multiplyScalar(2.3 * height).add(orbit.target);
     element("labels").replaceChildren(...Object.keys(garments).map((name) => {
       const label = document.createElement("span");
       label.textContent = name;
@@ -187,6 +190,7 @@
       for (const mesh of Object.values(garments)) mesh.position.copy(now);
       if (jointed) poseJoints(body, moment.time, base);
       else poseVertices(body, moment.time, now);
+      state.changed = true;
     }
 
     /** Lights keep their places relative to the camera, so that folds have a bright and a dark side in every view. */
@@ -199,11 +203,13 @@
       rim.position.copy(directionOf(around + RIM_AZIMUTH, RIM_ELEVATION)).add(centre);
     }
 
+    /** Draws the panes if anything has changed. */
     function draw() {
+      if (!orbit.update() && !state.changed) return;
+      state.changed = false;
       const width = canvas.clientWidth, height = canvas.clientHeight, panes = Object.entries(garments);
       renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
       renderer.setSize(width, height, false);
-      orbit.update();
       light();
       cloth.wireframe = element("wireframe").checked;
       body.visible = element("body").checked;
@@ -250,6 +256,8 @@
     requestAnimationFrame(tick);
   }
 
+  for (const id of ["wireframe", "body"]) element(id).addEventListener("change", () => (state.changed = true));
+  addEventListener("resize", () => (state.changed = true));
   play.addEventListener("click", () => setPlaying(!state.playing));
   scrub.addEventListener("input", () => {
     setPlaying(false);
