@@ -86,6 +86,18 @@ function gubeDecoder() {
         for (let q = start[i / 3]; q < start[i / 3 + 1]; q++) addInFrame(own, i, frames, 9 * index[q], value[q], fine);
       }
     },
+    /** Takes back a share of the stretch of one edge after the other; without a root, as Jakobsen (2001) does. */
+    shortenEdges({ ends, lengths }, fine, free, share) {
+      for (let e = 0; e < lengths.length; e++) {
+        const i = 3 * ends[2 * e], j = 3 * ends[2 * e + 1], wanted = lengths[e] * lengths[e];
+        const x = fine[j] - fine[i], y = fine[j + 1] - fine[i + 1], z = fine[j + 2] - fine[i + 2];
+        const squared = x * x + y * y + z * z;
+        if (squared <= wanted) continue;
+        const taken = share * (1 - (2 * wanted) / (squared + wanted)), first = e < free ? taken / 2 : 0; // 0 if held
+        fine[i] += first * x, fine[i + 1] += first * y, fine[i + 2] += first * z;
+        fine[j] -= (taken - first) * x, fine[j + 1] -= (taken - first) * y, fine[j + 2] -= (taken - first) * z;
+      }
+    },
   };
 
   /** Adds the vector at i of `own`, given in a frame, times a weight to the vector at i of `fine`. */
@@ -108,6 +120,7 @@ function gubeDecoder() {
       [this.coarse, this.filtered, this.frames, this.contact] = [3, 3, 9, 1].map((n) => loops.floats(n * count));
       [this.fine, this.added, this.smoothed, this.correction] = Array.from({ length: 4 }, () => vectors(fineCount));
       [this.middle, this.held] = [this.rows.middle.start.length - 1, arrays.held.length].map(vectors);
+      this.edges = { ends: loops.indices(arrays["edges/ends"]), lengths: loops.floats(arrays["edges/lengths"]) };
       this.prepareNetwork(count);
       this.preparePatches(fineCount);
     }
@@ -169,7 +182,7 @@ function gubeDecoder() {
       for (let i = 0; i < fine.length; i++) fine[i] += added[i];
       loops.addTurned(rows.turning, this.mean, this.frames, fine);
       this.arrays.held.forEach((vertex, p) => fine.set(this.held.subarray(3 * p, 3 * p + 3), 3 * vertex));
-      this.shortenEdges();
+      loops.shortenEdges(this.edges, fine, this.about.free_edges, this.about.stretch_share);
       this.correct();
     }
 
@@ -248,21 +261,6 @@ function gubeDecoder() {
       }
       repeat(arrays["atoms/mean"], grids);
       loops.multiplyAdd(output, n.shapes, grids, count, n.atoms, 3 * NODES);
-    }
-
-    /** Takes back a share of the stretch of one edge after the other; without a root, as Jakobsen (2001) does. */
-    shortenEdges() {
-      const { fine, about: { free_edges: free, stretch_share: share } } = this;
-      const ends = this.arrays["edges/ends"], lengths = this.arrays["edges/lengths"];
-      for (let e = 0; e < lengths.length; e++) {
-        const i = 3 * ends[2 * e], j = 3 * ends[2 * e + 1], wanted = lengths[e] * lengths[e];
-        const x = fine[j] - fine[i], y = fine[j + 1] - fine[i + 1], z = fine[j + 2] - fine[i + 2];
-        const squared = x * x + y * y + z * z;
-        if (squared <= wanted) continue;
-        const taken = share * (1 - (2 * wanted) / (squared + wanted)), first = e < free ? taken / 2 : 0; // 0 if held
-        fine[i] += first * x, fine[i + 1] += first * y, fine[i + 2] += first * z;
-        fine[j] -= (taken - first) * x, fine[j + 1] -= (taken - first) * y, fine[j + 2] -= (taken - first) * z;
-      }
     }
 
     /** Adds the recorded corrections, each in the frame of the vertex' first patch. */

@@ -19,14 +19,9 @@ export function multiplyAdd(
     }
     let j: usize = 0;
     for (; j + 192 <= width; j += 192) add48(list, end, j, c + j);
-    for (; j + 96 <= width; j += 96) add24(list, end, j, c + j);
+    for (; j + 64 <= width; j += 64) add16(list, end, j, c + j);
     for (; j + 32 <= width; j += 32) add8(list, end, j, c + j);
-    for (; j + 16 <= width; j += 16) add4(list, end, j, c + j);
-    for (; j < width; j += 4) {
-      let sum = load<f32>(c + j);
-      for (let p = list; p < end; p += 8) sum += load<f32>(load<usize>(p) + j) * load<f32>(p, 4);
-      store<f32>(c + j, sum);
-    }
+    for (; j < width; j += 16) addLast(list, end, j, c + j, width - j);
     c += width;
   }
 }
@@ -75,24 +70,19 @@ function add48(list: usize, end: usize, j: usize, c: usize): void {
 
 // @ts-ignore: decorator
 @inline
-function add24(list: usize, end: usize, j: usize, c: usize): void {
+function add16(list: usize, end: usize, j: usize, c: usize): void {
   let c0 = v128.load(c), c1 = v128.load(c, 16), c2 = v128.load(c, 32), c3 = v128.load(c, 48);
-  let c4 = v128.load(c, 64), c5 = v128.load(c, 80);
   for (let p = list; p < end; p += 8) {
     const row = load<usize>(p) + j, factor = v128.load32_splat(p, 4);
     c0 = f32x4.add(c0, product(factor, row, 0));
     c1 = f32x4.add(c1, product(factor, row, 16));
     c2 = f32x4.add(c2, product(factor, row, 32));
     c3 = f32x4.add(c3, product(factor, row, 48));
-    c4 = f32x4.add(c4, product(factor, row, 64));
-    c5 = f32x4.add(c5, product(factor, row, 80));
   }
   v128.store(c, c0);
   v128.store(c, c1, 16);
   v128.store(c, c2, 32);
   v128.store(c, c3, 48);
-  v128.store(c, c4, 64);
-  v128.store(c, c5, 80);
 }
 
 // @ts-ignore: decorator
@@ -108,14 +98,18 @@ function add8(list: usize, end: usize, j: usize, c: usize): void {
   v128.store(c, c1, 16);
 }
 
+/** Adds the listed rows to the last `left` bytes of a row, at most four numbers of which are written. */
 // @ts-ignore: decorator
 @inline
-function add4(list: usize, end: usize, j: usize, c: usize): void {
+function addLast(list: usize, end: usize, j: usize, c: usize, left: usize): void {
   let sum = v128.load(c);
   for (let p = list; p < end; p += 8) {
-    sum = f32x4.add(sum, product(v128.load32_splat(p, 4), load<usize>(p), j));
+    sum = f32x4.add(sum, product(v128.load32_splat(p, 4), load<usize>(p) + j, 0));
   }
-  v128.store(c, sum);
+  v128.store32_lane(c, sum, 0);
+  if (left > 4) v128.store32_lane(c, sum, 1, 4);
+  if (left > 8) v128.store32_lane(c, sum, 2, 8);
+  if (left > 12) v128.store32_lane(c, sum, 3, 12);
 }
 
 /** Negative numbers become zero. */
@@ -140,6 +134,35 @@ export function multiplySparse(
     v128.store(out, sum); // the next row overwrites the fourth number
     start += 4;
     out += 12;
+  }
+}
+
+/** Writes three numbers and not four: behind them stands another vertex. */
+// @ts-ignore: decorator
+@inline
+function storeVector(at: usize, vector: v128): void {
+  v128.store64_lane(at, vector, 0);
+  v128.store32_lane(at, vector, 2, 8);
+}
+
+/** Takes back a share of the stretch of one edge after the other; from `free` on their first ends are held. */
+export function shortenEdges(ends: usize, lengths: usize, fine: usize, count: i32, free: i32, share: f32): void {
+  for (let e = 0; e < count; e++) {
+    // Number by number: a load of four waits until single ones that were just stored are in memory.
+    const i = fine + 12 * load<u32>(ends), j = fine + 12 * load<u32>(ends, 4);
+    const x = load<f32>(j) - load<f32>(i), y = load<f32>(j, 4) - load<f32>(i, 4), z = load<f32>(j, 8) - load<f32>(i, 8);
+    const length = load<f32>(lengths), wanted = length * length, squared = x * x + y * y + z * z;
+    ends += 8;
+    lengths += 4;
+    if (squared <= wanted) continue;
+    const taken = share * (1 - (2 * wanted) / (squared + wanted)), first: f32 = e < free ? 0.5 * taken : 0;
+    const last = taken - first;
+    store<f32>(i, load<f32>(i) + first * x);
+    store<f32>(i, load<f32>(i, 4) + first * y, 4);
+    store<f32>(i, load<f32>(i, 8) + first * z, 8);
+    store<f32>(j, load<f32>(j) - last * x);
+    store<f32>(j, load<f32>(j, 4) - last * y, 4);
+    store<f32>(j, load<f32>(j, 8) - last * z, 8);
   }
 }
 
@@ -187,10 +210,7 @@ export function addTurned(
       const turned = inSpace(v128.load(own), frames + 36 * load<u32>(index + (q << 2)));
       sum = f32x4.add(sum, f32x4.mul(v128.load32_splat(value + (q << 2)), turned));
     }
-    sum = f32x4.add(sum, v128.load(fine));
-    // Three numbers and not four: behind them stands the next vertex.
-    v128.store64_lane(fine, sum, 0);
-    v128.store32_lane(fine, sum, 2, 8);
+    storeVector(fine, f32x4.add(sum, v128.load(fine)));
     start += 4;
     own += 12;
     fine += 12;

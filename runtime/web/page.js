@@ -105,7 +105,8 @@
   /** Number i of an array of frames, of so many numbers each, at a time. */
   function at(name, count, time, i) {
     const k = Math.floor(time), next = Math.min(k + 1, about.frame_count - 1), steps = arrays[name];
-    return about.arrays[name].scale * (steps[k * count + i] + (time - k) * (steps[next * count + i] - steps[k * count + i]));
+    const before = steps[k * count + i], after = steps[next * count + i];
+    return about.arrays[name].scale * (before + (time - k) * (after - before));
   }
 
   function poseJoints({ skeleton: { bones } }, time, base) {
@@ -113,7 +114,8 @@
     bones.forEach((bone, j) => {
       const m = (a, b) => at("frames/matrices", 9 * count, time, 9 * j + 3 * a + b);
       const t = (a) => at("frames/places", 3 * count, time, 3 * j + a) - base[a];
-      bone.matrixWorld.set(m(0, 0), m(0, 1), m(0, 2), t(0), m(1, 0), m(1, 1), m(1, 2), t(1), m(2, 0), m(2, 1), m(2, 2), t(2), 0, 0, 0, 1);
+      const row = (a) => [m(a, 0), m(a, 1), m(a, 2), t(a)];
+      bone.matrixWorld.set(...row(0), ...row(1), ...row(2), 0, 0, 0, 1);
     });
   }
 
@@ -247,10 +249,12 @@
       seek(time > end ? 0 : time);
     }
     scrub.value = state.time;
-    clock.textContent = `${(state.time / about.rate_hz).toFixed(2)} / ${((about.frame_count - 1) / about.rate_hz).toFixed(2)} s`;
+    const [seconds, all] = [state.time, about.frame_count - 1].map((frames) => (frames / about.rate_hz).toFixed(2));
+    clock.textContent = `${seconds} / ${all} s`;
     if (state.costs.length) {
       const [decode, normals] = [0, 1].map((part) => median(state.costs.map((costs) => costs[part])).toFixed(1));
-      cost.textContent = `decoding ${decode} ms, normals ${normals} ms a frame of ${about.arrays["frames/correction"].shape[1]} vertices`;
+      const count = about.arrays["frames/correction"].shape[1];
+      cost.textContent = `decoding ${decode} ms, normals ${normals} ms a frame of ${count} vertices`;
     }
     if (state.moment) view.draw();
     requestAnimationFrame(tick);

@@ -31,7 +31,8 @@ function gubeWorker() {
     normals = new Float32Array(decoder.fine.length);
     coarseNormals = new Float32Array(decoder.coarse.length);
     for (let k = 0; k < 10; k++) decoder.decode(k); // so that the loops are compiled well from the start
-    const shown = Object.entries(arrays).filter(([name]) => /^(faces|body)\/|^frames\/(origin|matrices|places|body)$/.test(name));
+    const drawn = /^(faces|body)\/|^frames\/(origin|matrices|places|body)$/;
+    const shown = Object.entries(arrays).filter(([name]) => drawn.test(name));
     postMessage({ kind: "loaded", about: data.about, arrays: Object.fromEntries(shown) });
   }
 
@@ -42,7 +43,8 @@ function gubeWorker() {
     const decoded = performance.now();
     writeNormals(decoder.fine, arrays["faces/fine"], normals);
     writeNormals(decoder.coarse, arrays["faces/coarse"], coarseNormals);
-    const moment = { origin: decoder.origin.slice(), decodeMs: decoded - began, normalsMs: performance.now() - decoded };
+    const costs = { decodeMs: decoded - began, normalsMs: performance.now() - decoded };
+    const moment = { origin: decoder.origin.slice(), ...costs };
     const sent = { fine: decoder.fine, normals, coarse: decoder.coarse, coarseNormals };
     for (const name of Object.keys(sent)) moment[name] = Float32Array.from(sent[name]);
     postMessage({ kind: "decoded", time, ...moment }, Object.keys(sent).map((name) => moment[name].buffer));
