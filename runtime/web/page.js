@@ -135,7 +135,7 @@
   function viewOf() {
     const renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
     renderer.shadowMap.enabled = true;
-    renderer.shadowMap.type = THREE.VSMShadowMap;
+    renderer.shadowMap.type = THREE.PCFShadowMap;
     const scene = new THREE.Scene();
     const cloth = new THREE.MeshPhysicalMaterial({
       color: GARMENT, roughness: 0.85, side: THREE.DoubleSide, sheen: 0.7, sheenRoughness: 0.55,
@@ -155,9 +155,8 @@
 
     const key = new THREE.DirectionalLight(0xfff4e6, 3.1), rim = new THREE.DirectionalLight(0xdfe8ff, 0.9);
     key.castShadow = true;
-    key.shadow.mapSize.set(2048, 2048);
-    key.shadow.radius = 3;
-    key.shadow.blurSamples = 12;
+    key.shadow.mapSize.set(1024, 1024);
+    key.shadow.radius = 2.5;
     key.shadow.normalBias = 0.01;
     const reach = 1.5; // around the garment [m]
     Object.assign(key.shadow.camera, { left: -reach, right: reach, top: reach, bottom: -reach, near: 0.5, far: 9 });
