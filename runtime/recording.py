@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from assets.character import Character
 from assets.io.sequence import Sequence
+from pbd.errors import InputError
 from pbd.geometry import FAR
 from runtime.play import PlaybackInputs
 from runtime.player import Player
@@ -32,7 +33,7 @@ from wrinkles.patches import Patches
 from wrinkles.relaxation import STRETCH_SHARE, Relaxation
 from wrinkles.vertex_mean import MEAN_STEP
 
-__all__ = ["record"]
+__all__ = ["record", "stored"]
 
 COARSE_STEP = 1e-4  # of recorded coarse and held vertices [m]
 CONTACT_STEP = FAR / 127  # of their distance from the body [m]
@@ -41,6 +42,18 @@ STATE_STEPS = {"coarse": COARSE_STEP, "contact": CONTACT_STEP, "held": COARSE_ST
 BODY_STEP = 1e-3  # of the vertices of a body that is a vertex sequence [m]
 MATRIX_STEP = 2.0**-14  # of the linear part of joints' matrices, which may scale up to twice [-]
 PLACE_STEP = 1e-4  # of their translations [m]
+# Arrays of frames: type, step, and how often differences are taken in time. Those of smooth motion are small, and
+# compress well.
+FRAMES = {
+    "origin": (np.int32, COARSE_STEP, 2),
+    "coarse": (np.int16, COARSE_STEP, 2),
+    "contact": (np.int8, CONTACT_STEP, 1),
+    "held": (np.int16, COARSE_STEP, 2),
+    "correction": (np.int16, CORRECTION_STEP, 0),
+    "matrices": (np.int16, MATRIX_STEP, 2),
+    "places": (np.int32, PLACE_STEP, 2),
+    "body": (np.int16, BODY_STEP, 2),
+}
 
 
 def record(
@@ -97,7 +110,8 @@ def record(
         off.append(float(np.linalg.norm(missing - correction * CORRECTION_STEP, axis=1).max()))
         for name, steps in {"origin": origin, **state, "correction": correction}.items():
             frames[name].append(steps)
-    arrays |= _frames(frames) | _body(inputs.body, poses, np.array(frames["origin"]) * COARSE_STEP)
+    arrays |= {f"frames/{name}": stored(name, np.array(steps)) for name, steps in frames.items()}
+    arrays |= _body(inputs.body, poses, np.array(frames["origin"]) * COARSE_STEP)
     header |= {"rate_hz": database.frame_rate, "frame_count": len(poses), "floor": floor, **about}
     figures = {
         "frame_count": float(len(poses)),
@@ -176,16 +190,22 @@ def _network(mapping: CoefficientNetwork, novelty: NoveltyScore, atoms: Atoms) -
     }
 
 
-def _frames(frames: Mapping[str, list[np.ndarray]]) -> dict[str, Quantised]:
-    """The recorded states. What moves smoothly is stored in second differences: these are small, and compress well."""
-    kinds = {
-        "origin": (np.int32, COARSE_STEP, 2),
-        "coarse": (np.int16, COARSE_STEP, 2),
-        "contact": (np.int8, CONTACT_STEP, 1),
-        "held": (np.int16, COARSE_STEP, 2),
-        "correction": (np.int16, CORRECTION_STEP, 0),
-    }
-    return {f"frames/{name}": _stored(np.array(frames[name]), *kind) for name, kind in kinds.items()}
+def stored(name: str, steps: np.ndarray) -> Quantised:
+    """An array of frames.
+
+    Args:
+        name: in :data:`FRAMES`.
+        steps: whole numbers, the first axis is time.
+
+    Raises:
+        InputError: a number that is too large for the file.
+    """
+    kind, step, differences = FRAMES[name]
+    limit, largest = np.iinfo(kind).max, np.abs(steps).max(initial=0)
+    if largest > limit:
+        expected = f"at most {limit * step:.3g}"
+        raise InputError("too large to be recorded", key=name, received=f"{largest * step:.3g}", expected=expected)
+    return Quantised(steps.astype(kind), np.asarray(step, np.float32), None, differences)
 
 
 def _body(body: Character | Sequence, poses: np.ndarray, origins: np.ndarray) -> dict[str, Quantised]:
@@ -196,10 +216,10 @@ def _body(body: Character | Sequence, poses: np.ndarray, origins: np.ndarray) ->
             "body/vertices": quantised(body.vertices, np.int16),
             "body/joints": _indices(np.where(body.joint_weights > 0.0, body.joint_indices, 0)),
             "body/weights": quantised(body.joint_weights, np.int16),
-            "frames/matrices": _stored(_steps(poses[..., :3], MATRIX_STEP), np.int16, MATRIX_STEP, 2),
-            "frames/places": _stored(_steps(poses[..., 3], PLACE_STEP), np.int32, PLACE_STEP, 2),
+            "frames/matrices": stored("matrices", _steps(poses[..., :3], MATRIX_STEP)),
+            "frames/places": stored("places", _steps(poses[..., 3], PLACE_STEP)),
         }
-    return arrays | {"frames/body": _stored(_steps(poses - origins[:, None], BODY_STEP), np.int16, BODY_STEP, 2)}
+    return arrays | {"frames/body": stored("body", _steps(poses - origins[:, None], BODY_STEP))}
 
 
 def _matrix(name: str, matrix: csr_matrix) -> dict[str, Quantised]:
@@ -224,9 +244,3 @@ def _steps(values: np.ndarray, step: float) -> np.ndarray:
 
 def _values(steps: np.ndarray, step: float) -> np.ndarray:
     return steps.astype(np.float32) * np.float32(step)
-
-
-def _stored(steps: np.ndarray, kind: type[np.signedinteger], step: float, differences: int) -> Quantised:
-    limits = np.iinfo(kind)
-    assert limits.min <= steps.min(initial=0) and steps.max(initial=0) <= limits.max
-    return Quantised(steps.astype(kind), np.float32(step), None, differences)

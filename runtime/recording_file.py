@@ -43,7 +43,11 @@ class Quantised:
 
 
 def quantised(
-    values: np.ndarray, kind: type[np.signedinteger], along: int | None = None, step: float | None = None, order: int = 0
+    values: np.ndarray,
+    kind: type[np.signedinteger],
+    along: int | None = None,
+    step: float | None = None,
+    order: int = 0,
 ) -> Quantised:
     """Quantise values to whole steps.
 
@@ -112,7 +116,7 @@ def read_recording(data: bytes) -> tuple[dict[str, Any], dict[str, Quantised]]:
     arrays = {}
     for name, entry in table.items():
         scale, along, order = entry.get("scale"), entry.get("along"), entry.get("differences", 0)
-        scale = plain[scale] if isinstance(scale, str) else None if scale is None else np.float32(scale)
+        scale = plain[scale] if isinstance(scale, str) else None if scale is None else np.asarray(scale, np.float32)
         arrays[name] = Quantised(plain[name], scale, along, order)
     return about, arrays
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -90,7 +91,7 @@ def test_it_shows_the_players_vertices(exported: Exported, page: Page) -> None:
     for number in (0, 7, 30):
         off = np.linalg.norm(shown(page, number) - exported.played[number], axis=1).max()
         assert off < LIMIT
-    print(f"\n{page.inner_text('#cost')}")
+    sys.stdout.write(f"\n{page.inner_text('#cost')}\n")
 
 
 def test_it_plays_pauses_and_goes_to_any_moment(exported: Exported, page: Page) -> None:
