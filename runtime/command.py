@@ -27,6 +27,7 @@ COMMANDS: Mapping[str, str] = {
     "play": "runtime.commands.play",
     "view": "runtime.commands.view",
     "bake": "runtime.commands.bake",
+    "export": "runtime.commands.export",
     "info": "runtime.commands.info",
     "check": "runtime.commands.check",
     "compare": "precompute.commands.compare",

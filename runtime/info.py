@@ -19,7 +19,7 @@ from wrinkles.levels import MAX_AREA_CORRECTION, with_area_of
 from wrinkles.patches import Patches
 from wrinkles.schema import ENTRIES
 
-__all__ = ["Check", "better_choice", "check_database", "figure_lines", "info_text"]
+__all__ = ["Check", "better_choice", "check_database", "figure_lines", "figure_table", "info_text"]
 
 RIVALS = ("smooth", "floor", "truth")  # prefixes of figures that stand beside ours
 EXPLANATIONS = {
@@ -236,17 +236,22 @@ def figure_lines(figures: Mapping[str, float]) -> list[str]:
     Args:
         figures: numbers by name; the prefix of a name says whose figure it is.
     """
+    columns, table = figure_table(figures)
+    lines = ["  " + " " * 30 + "".join(f"{column.replace('_', ' '):>17}" for column in columns)]
+    for name, row in table.items():
+        cells = "".join(f"{row[c]:17.5g}" if c in row else " " * 16 + "-" for c in columns)
+        lines.append(f"  {name:<30}{cells}  {EXPLANATIONS.get(name, '')}".rstrip())
+    return lines
+
+
+def figure_table(figures: Mapping[str, float]) -> tuple[list[str], dict[str, dict[str, float]]]:
+    """Columns of the table of figures, ours and baselines, and its rows: values by column, by name of the figure."""
     table: dict[str, dict[str, float]] = {name: {} for name in EXPLANATIONS}
     for name, value in figures.items():
         column, base = _column(name)
         table.setdefault(base, {})[column] = value
     columns = [c for c in ("ours", *RIVALS) if any(c in row for row in table.values())]
-    lines = ["  " + " " * 30 + "".join(f"{column.replace('_', ' '):>17}" for column in columns)]
-    for name, row in table.items():
-        if row:
-            cells = "".join(f"{row[c]:17.5g}" if c in row else " " * 16 + "-" for c in columns)
-            lines.append(f"  {name:<30}{cells}  {EXPLANATIONS.get(name, '')}".rstrip())
-    return lines
+    return columns, {name: row for name, row in table.items() if row}
 
 
 def _column(name: str) -> tuple[str, str]:

@@ -15,7 +15,7 @@ from wrinkles.binding import Binding
 from wrinkles.charts import Charts, fine_places
 from wrinkles.surface import Subdivision
 
-__all__ = ["NODES", "Patches", "slope_metric"]
+__all__ = ["NODES", "SIDE", "Patches", "slope_metric"]
 
 SIDE = 11  # nodes along each side of a grid
 NODES = SIDE * SIDE

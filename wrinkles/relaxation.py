@@ -17,7 +17,7 @@ from wrinkles.covered_body import MAX_HEIGHT, CoveredBody, edge_towards, has_mor
 from wrinkles.levels import Levels
 from wrinkles.opposite_parts import PHASES, find_moved, find_opposite, opposed
 
-__all__ = ["Relaxation"]
+__all__ = ["STRETCH_SHARE", "Relaxation"]
 
 STRETCH_SHARE = 0.25  # of an edge's stretch that a relaxation pass takes back
 # Where the coarse garment is further than this from the body, so is the fine one [m], ...
@@ -246,6 +246,11 @@ class Relaxation:
             :func:`wrinkles.clearance.clearances`.
         facing: 1 where the garment's faces look away from the body, -1 where they look at it.
         level: where the coarse vertices around a fine one are all further than this from the body, so is that one [m].
+
+    Attributes:
+        edges: in the order in which they are shortened, int32, shape (e, 2).
+        lengths: their rest lengths [m], float32, shape (e,).
+        free_edges: the edges before this one have two free ends; the others have their held end first.
     """
 
     def __init__(
@@ -264,8 +269,8 @@ class Relaxation:
         order = np.lexsort((leading[:, 1], leading[:, 0]))
         self._free = order[~is_held[order]].astype(np.int32)
         self._leading = np.ascontiguousarray(leading[self._free], np.int32)
-        self._edges, lengths, self._free_edges = _edges_by_color(*mesh.edge_lengths(), is_held)
-        self._lengths = lengths.astype(np.float32)
+        self.edges, lengths, self.free_edges = _edges_by_color(*mesh.edge_lengths(), is_held)
+        self.lengths = lengths.astype(np.float32)
         self._held = np.asarray(held, np.int32)
         self._clearance, self._facing, self._level = clearance, facing, level
         self._forget(int(leading.max()) + 1)
@@ -356,9 +361,9 @@ class Relaxation:
             fine,
             self._work,
             self._free,
-            self._edges,
-            self._lengths,
-            self._free_edges,
+            self.edges,
+            self.lengths,
+            self.free_edges,
             self._held,
             self._targets,
             self._leading,

@@ -1,0 +1,123 @@
+"""A page that plays a recorded garment in a browser, in a folder of its own; it needs no network and no server."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+from pbd.errors import InputError
+from runtime.info import EXPLANATIONS, better_choice, figure_table
+from wrinkles.database import WrinkleDatabase
+
+__all__ = ["check_page_folder", "page_text", "write_page"]
+
+WEB = Path(__file__).parent / "web"
+PROGRAM = ("index.html", "style.css", "decoder.js", "loops.js", "worker.js", "page.js")
+BUILT = ("three.js", "three.LICENSE", "loops.wasm")  # made by `make .venv/ready`, see the Makefile
+RECORDING = "recording.js"
+BEGINNING = "const gubeRecording = "
+PAGE = (*PROGRAM, "three.js", "three.LICENSE", RECORDING)
+
+
+def check_page_folder(folder: Path) -> None:
+    """Refuse to write a page where something else would be lost, or without its parts.
+
+    Raises:
+        InputError: a file, a folder with other files than those of a page, or three.js is missing.
+    """
+    missing = [name for name in BUILT if not (WEB / "built" / name).is_file()]
+    if missing:
+        raise InputError(
+            "this installation of gube has no three.js, which draws the page",
+            file=WEB / "built",
+            key=", ".join(missing),
+            received="no such file",
+            expected="`make .venv/ready` in a checkout, with access to npm's registry, or a wheel built there",
+        )
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        raise InputError("cannot be written", key="-o", received=str(folder), expected="a folder")
+    found = {entry.name for entry in folder.iterdir()} if folder.exists() else set()
+    others = sorted(found - set(PAGE) if _is_recording(folder / RECORDING) else found)
+    if others:
+        raise InputError(
+            "the folder holds other files, which would be lost",
+            key="-o",
+            received=f"{folder} with {', '.join(others[:3])}",
+            expected="a new or empty folder, or an earlier page",
+        )
+
+
+def _is_recording(file: Path) -> bool:
+    if not file.is_file():
+        return False
+    with file.open("rb") as content:
+        return content.read(len(BEGINNING)) == BEGINNING.encode()
+
+
+def write_page(folder: Path, recording: bytes) -> int:
+    """Write a page. It is made beside the folder and put in its place whole; an earlier page there is replaced.
+
+    Args:
+        folder: see :func:`check_page_folder`.
+        recording: of :func:`runtime.recording.record`.
+
+    Returns:
+        size of all its files [bytes].
+
+    Raises:
+        InputError: as :func:`check_page_folder`.
+    """
+    check_page_folder(folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    beside, old = (folder.with_name(f".{folder.name}.{os.getpid()}.{kind}") for kind in ("part", "old"))
+    try:
+        beside.mkdir()
+        for name in PROGRAM:
+            shutil.copyfile(WEB / name, beside / name)
+        for name in ("three.js", "three.LICENSE"):
+            shutil.copyfile(WEB / "built" / name, beside / name)
+        parts = {"recording": recording, "loops": (WEB / "built" / "loops.wasm").read_bytes()}
+        text = json.dumps({name: base64.b64encode(data).decode("ascii") for name, data in parts.items()})
+        (beside / RECORDING).write_text(f"{BEGINNING}{text};\n", encoding="ascii")
+        if folder.exists():
+            os.rename(folder, old)
+        try:
+            os.rename(beside, folder)
+        except OSError:
+            if old.exists():
+                os.rename(old, folder)
+            raise
+        shutil.rmtree(old, ignore_errors=True)
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+    return sum(file.stat().st_size for file in folder.iterdir())
+
+
+def page_text(database: WrinkleDatabase, motion: str) -> dict[str, Any]:
+    """What the page says in words and numbers: for the header of its recording.
+
+    Args:
+        database: that is played.
+        motion: name of the motion.
+    """
+    columns, table = figure_table(database.quality)
+    rows = [
+        {"name": name, "values": [row.get(column) for column in columns], "meaning": EXPLANATIONS.get(name, "")}
+        for name, row in table.items()
+    ]
+    facts = [
+        ("motion", motion),
+        ("fabric", database.fabric_name),
+        ("vertices", f"{len(database.coarse_vertices)} coarse, {database.fine_vertex_count} fine"),
+        ("dictionary", f"{len(database.atoms.shapes)} wrinkle shapes for the patch around each coarse vertex"),
+        ("learned from", ", ".join(database.trained_on) or "nothing"),
+        ("judged on", ", ".join(database.held_out) or "nothing"),
+        ("better choice", better_choice(database.quality)),
+        ("made", f"{database.created} by gube {database.code_version}"),
+    ]
+    figures = {"columns": [column.replace("_", " ") for column in columns], "rows": rows}
+    return {"garment": database.garment_name, "motion": motion, "facts": facts, "figures": figures}

@@ -1,0 +1,133 @@
+"""The page of `gube export` in a browser, opened from the disk."""
+
+from __future__ import annotations
+
+import base64
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from playwright.sync_api import Page
+
+from runtime.page import page_text, write_page
+from runtime.play import PlaybackInputs
+from runtime.player import Player
+from runtime.recording import record
+from runtime.simulation import poses_of
+from tests.runtime.players import skirt_database, skirt_stage
+
+pytestmark = pytest.mark.browser
+
+HOSTILE = "</script><img src=x onerror=\"document.title='hacked'\"><b>č</b>"
+SECONDS = 0.5
+LIMIT = 0.5e-3  # that the page promises [m]
+# A moment as the page shows it, with its fine vertices in base64.
+SHOWN = """async (time) => {
+    const { origin, fine, time: at } = await gubePage.shown(time);
+    const letters = Array.from(new Uint8Array(fine.buffer), (byte) => String.fromCharCode(byte));
+    return { at, origin: Array.from(origin), fine: btoa(letters.join("")) };
+}"""
+TIME = "() => gubePage.state.moment.time"
+# Ends when the page shows another moment than the given one.
+ANOTHER = """async (time) => {
+    while (gubePage.state.moment.time === time) await new Promise(requestAnimationFrame);
+    return gubePage.state.moment.time;
+}"""
+
+
+class Exported(NamedTuple):
+    """A page and the player's vertices of every frame, shape (f, N, 3)."""
+
+    folder: Path
+    played: np.ndarray
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Exported:
+    quality = {"normal_error_deg": 5.5, "normal_error_smooth_deg": 11.2, "bending_energy_ratio": 1.02}
+    names = {"garment_name": HOSTILE, "fabric_name": HOSTILE, "trained_on": (HOSTILE,), "held_out": (HOSTILE,)}
+    database = replace(skirt_database(subdivisions=2, quality=quality), **names)
+    stage = skirt_stage()
+    motion, dt = stage.motion(), 1.0 / database.frame_rate
+    about = page_text(database, f"walk {HOSTILE}")
+    recording, _ = record(database, PlaybackInputs(stage.body, (motion,)), motion, SECONDS, about)
+    folder = tmp_path_factory.mktemp("export") / "page"
+    write_page(folder, recording)
+    poses = poses_of(motion, dt, SECONDS)
+    player = Player(database, stage.body, poses[0])
+    played = [player.vertices + player.origin]
+    for pose in poses[1:]:
+        player.update(pose, dt)
+        played.append(player.vertices + player.origin)
+    return Exported(folder, np.array(played))
+
+
+@pytest.fixture
+def page(exported: Exported, open_page: Callable[[str], Page]) -> Iterator[Page]:
+    """The page, paused at its first frame. It asks for nothing but its own files."""
+    page = open_page("about:blank")
+    page.set_viewport_size({"width": 640, "height": 400})
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto((exported.folder / "index.html").as_uri())
+    page.evaluate(SHOWN, 0)
+    yield page
+    own = exported.folder.as_uri() + "/"
+    assert [address for address in asked if not address.startswith((own, "blob:"))] == []
+
+
+def shown(page: Page, time: float) -> np.ndarray:
+    """Fine vertices in the world as the page shows them at a time [frames], shape (N, 3)."""
+    moment = page.evaluate(SHOWN, time)
+    assert moment["at"] == time
+    return np.frombuffer(base64.b64decode(moment["fine"]), "<f4").reshape(-1, 3) + np.array(moment["origin"])
+
+
+def test_it_shows_the_players_vertices(exported: Exported, page: Page) -> None:
+    for number in (0, 7, 30):
+        off = np.linalg.norm(shown(page, number) - exported.played[number], axis=1).max()
+        assert off < LIMIT
+    sys.stdout.write(f"\n{page.inner_text('#cost')}\n")
+
+
+def test_it_plays_pauses_and_goes_to_any_moment(exported: Exported, page: Page) -> None:
+    last = len(exported.played) - 1
+    page.evaluate("() => document.querySelector('#play').click()")
+    assert page.evaluate(ANOTHER, page.evaluate(TIME)) > 0
+    page.evaluate("() => document.querySelector('#play').click()")
+    assert page.inner_text("#play") == "Play"
+    page.evaluate(SHOWN, 3)
+    page.fill("#scrub", str(last))
+    assert page.evaluate(ANOTHER, 3) == last
+    assert page.inner_text("#clock") == "0.50 / 0.50 s"
+    page.evaluate("() => document.activeElement.blur()")
+    page.keyboard.press("ArrowLeft")
+    assert page.evaluate(ANOTHER, last) == last - 1
+
+
+def test_the_picture_is_not_empty_and_moves(page: Page) -> None:
+    def picture() -> bytes:
+        page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        return page.screenshot(timeout=60_000)
+
+    pictures = [picture()]
+    shown(page, 20)
+    pictures.append(picture())
+    for box in ("wireframe", "body"):
+        page.evaluate(f"() => document.querySelector('#{box}').click()")
+        pictures.append(picture())
+    assert len(set(pictures)) == 4
+    assert min(map(len, pictures)) > 20_000  # an empty one is a few kilobytes
+
+
+def test_names_of_a_file_are_text_and_nothing_else(page: Page) -> None:
+    assert page.title() == f"{HOSTILE}: walk {HOSTILE}"
+    assert page.inner_text("#title") == f"{HOSTILE}, walk {HOSTILE}"
+    assert page.inner_text("#facts").count(HOSTILE) == 4  # motion, fabric, learned from, judged on
+    assert page.locator("img, b").count() == 0
+    figure = page.locator("#figures tr", has_text="normal_error_deg").inner_text().split("\t")
+    assert figure[:3] == ["normal_error_deg", "5.5", "11.2"] and "angle between our normals" in figure[3]
