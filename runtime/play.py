@@ -15,7 +15,7 @@ from assets.io.sequence import Sequence, SequenceMotion, load_sequence
 from assets.motion import ClipMotion
 from pbd import InputError
 from pbd.wind import CALM, Air, Wind
-from runtime.bake import bake_glb, bake_obj, bake_pc2
+from runtime.bake import bake_glb, bake_mdd, bake_obj, bake_pc2, bake_usd
 from runtime.game_loop import GameLoop, LiveInput, ScriptedInput
 from runtime.garment_setup import body_of, colliders_of, load_body, motion_of, pattern_of, scene_of
 from runtime.outputs import check_file
@@ -43,7 +43,7 @@ __all__ = [
 ]
 
 TIMINGS = ("frame", "coarse", "skin", "decode", "relax", "normals")
-BAKED = (".glb", ".pc2", ".obj")
+BAKED = (".glb", ".usdc", ".pc2", ".mdd", ".obj")
 BAKED_HZ = 30.0  # of a simulated animation [Hz]
 DRAWN = 10  # frames from one picture to the next
 HASH_FRAME = 120  # the coarse state is hashed after this many frames
@@ -385,10 +385,10 @@ def write_baked(
     body: Character | Sequence | None = None,
     poses: np.ndarray | None = None,
 ) -> None:
-    """Bake to the kind of file that the extension names; only .glb takes normals and the body along.
+    """Bake to the kind of file that the extension names; only .glb and .usdc take normals and the body along.
 
     Args:
-        path: .glb, .pc2 or .obj.
+        path: .glb, .usdc, .pc2, .mdd or .obj.
         faces: of the garment, int, shape (m, 3).
         frames: world [m], shape (f, n, 3).
         rate_hz: [Hz].
@@ -400,9 +400,13 @@ def write_baked(
         InputError: the extension is unknown, or the file cannot be written.
     """
     check_file(path, *BAKED)
-    if path.suffix.lower() == ".glb":
-        bake_glb(path, faces, frames, rate_hz, normals=normals, body=body, poses=poses)
-    elif path.suffix.lower() == ".pc2":
+    ending = path.suffix.lower()
+    if ending in (".glb", ".usdc"):
+        bake = bake_glb if ending == ".glb" else bake_usd
+        bake(path, faces, frames, rate_hz, normals=normals, body=body, poses=poses)
+    elif ending == ".pc2":
         bake_pc2(path, faces, frames)
+    elif ending == ".mdd":
+        bake_mdd(path, faces, frames, rate_hz)
     else:
         bake_obj(path, faces, frames)
