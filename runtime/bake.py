@@ -107,7 +107,7 @@ def bake_usd(
             file.add_character(body, poses, _BODY_COLOR)
         else:
             file.add(_track("body", body.faces, poses, rate_hz, None, _BODY_COLOR, False))
-    file.write(path)
+    file.write(Path(path))
 
 
 def bake_pc2(path: str | os.PathLike[str], faces: np.ndarray, frames: np.ndarray) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from assets.character import Character
 from assets.io.scene import MotionSettings, Scene
-from assets.io.sequence import Sequence, SequenceMotion, load_sequence
+from assets.io.sequence import Sequence, SequenceMotion, is_sequence, load_sequence
 from assets.motion import ClipMotion
 from pbd import InputError
 from pbd.wind import CALM, Air, Wind
@@ -78,7 +78,7 @@ def playback_inputs(
 
     Args:
         database: the database; without ``character`` the scene stored in it names body and motions.
-        character: a file with another source of the body and its clips: .glb, .gltf, or .npz for a vertex sequence.
+        character: a file with another source of the body and its clips: a character, or a vertex sequence.
         clip: name of a clip; None takes the held-out clips, or the first one if none is held out.
 
     Raises:
@@ -90,7 +90,7 @@ def playback_inputs(
         database.require_body(body)
         motions = _motions(body, clip, database, scene)
         return PlaybackInputs(body, motions, scene.wind.air(), colliders_of(scene), pattern_of(scene))
-    body = load_sequence(character) if character.suffix.lower() == ".npz" else load_body(character)
+    body = load_sequence(character) if is_sequence(character) else load_body(character)
     database.require_body(body)
     return PlaybackInputs(body, _motions(body, clip, database, None))
 
@@ -123,20 +123,22 @@ def open_database(
 def _motions(
     body: Character | Sequence, clip: str | None, database: WrinkleDatabase, scene: Scene | None
 ) -> tuple[Motion, ...]:
+    character = scene.character if scene is not None else None
+    own = (character.motion,) if character is not None and character.motion is not None else ()
     if isinstance(body, Sequence):
         if clip is not None:
             raise InputError("a vertex sequence has no clips", key="--clip", received=clip, expected="none")
-        parts = scene.training.held_out if scene is not None else ()
+        parts = scene.training.held_out or own if scene is not None else ()
         return tuple(motion_of(body, part) for part in parts) or (SequenceMotion(body),)
     known: dict[str, MotionSettings | None] = {}
     if scene is not None:
-        known |= {motion.name: motion for motion in (*scene.training.held_out, *scene.training.clips)}
+        known |= {motion.name: motion for motion in (*own, *scene.training.held_out, *scene.training.clips)}
     known |= {name: None for name in body.clips if name not in known}  # the body's own file
     if clip is not None:
         names = [clip]
     else:
-        own = scene.character.clip if scene is not None and scene.character is not None else None
-        names = [name for name in database.held_out if name in known] or [own or next(iter(known), "")]
+        first = character.clip if character is not None else None
+        names = [name for name in database.held_out if name in known] or [first or next(iter(known), "")]
     for name in names:
         if name not in known:
             expected = "one of " + ", ".join(sorted(known)) if known else "a character with clips"

@@ -95,7 +95,7 @@ class UsdFile:
         binding.CreateJointWeightsPrimvar(False, width).Set(Vt.FloatArray.FromNumpy(weights.ravel()))
         _set_extents(root, np.array([skin_vertices(body, pose) for pose in poses], np.float32))
 
-    def write(self, path: str | os.PathLike[str]) -> None:
+    def write(self, path: Path) -> None:
         """Write the stage as a binary .usdc file, which appears whole or not at all.
 
         Raises:
