@@ -21,7 +21,7 @@ PARTS = tuple(f"{side} {part}" for side in ("left", "right") for parts in LIMBS.
 
 # Names of parts in usual skeletons, without side, separators and numbers; those that say more come first.
 _NAMES = {
-    "upper arm": ("upperarm", "uparm", "arm", "shoulder"),  # "shoulder" only where no name speaks of an arm
+    "upper arm": ("upperarm", "uparm", "arm", "shoulder"),  # where another word is used, "shoulder" is the collar bone
     "lower arm": ("forearm", "lowerarm", "lowarm", "elbow"),
     "hand": ("hand", "wrist"),
     "upper leg": ("upleg", "upperleg", "thigh", "femur", "hip"),
@@ -36,19 +36,20 @@ _NOISE = {"bip", "def", "mixamorig", "j", "b"}  # what rigs put before every nam
 def find_parts(names: Sequence[str]) -> dict[str, int]:
     """Joints by the part of the body that their name says, for those of ``PARTS`` that a name says.
 
-    Where several joints have names of one part, the name that says more counts, and of equal names the first joint.
+    A skeleton has one word for a part on both sides; of several the one counts that says most. Of equal names the first
+    joint counts.
 
     Args:
         names: of all joints, parents first.
     """
-    found: dict[str, tuple[int, int]] = {}
-    for joint, name in enumerate(names):
-        side, word = _side_and_word(name)
-        for part, words in _NAMES.items():
-            if side and word in words:
-                candidate = (words.index(word), joint)
-                found[f"{side} {part}"] = min(found.get(f"{side} {part}", candidate), candidate)
-    return {part: joint for part, (_, joint) in found.items()}
+    found: dict[str, int] = {}
+    said = [_side_and_word(name) for name in names]
+    for part, words in _NAMES.items():
+        used = next((word for word in words if ("left", word) in said or ("right", word) in said), None)
+        for side in ("left", "right"):
+            if (side, used) in said:
+                found[f"{side} {part}"] = said.index((side, used))
+    return found
 
 
 def _side_and_word(name: str) -> tuple[str | None, str]:

@@ -88,9 +88,10 @@ def retargeted(character: Character, motion: Bvh, table: dict[str, tuple[str, st
     theirs["trunk"] = common_ancestor(motion.joint_parents, [theirs[part] for part in _TRUNK_ENDS])
     rest = {part: bind[joint, :3, 3] for part, joint in ours.items()}
     goal = {part: motion.positions[:, joint] for part, joint in theirs.items()}
-    scale = _leg_length(rest) / _leg_length(goal)
-    if not np.isfinite(scale):
-        raise InputError("legs without length", file=motion.file, expected="hips, knees and ankles that lie apart")
+    scale = _leg_length(rest) / max(_leg_length(goal), 1e-30)
+    if not 1e-9 < scale < 1e9:
+        received, expected = _leg_length(goal), "hips, knees and ankles that lie apart"
+        raise InputError("legs without length", file=motion.file, received=received, expected=expected)
     goal = {part: scale * places for part, places in goal.items()}
     first = _first_frame(goal, motion.rate)
     goal = {part: places[first:] for part, places in goal.items()}

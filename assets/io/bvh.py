@@ -164,8 +164,8 @@ def _motion(path: Path, lines: list[tuple[int, str]], width: int) -> tuple[Float
                 raise ValueError("a frame that has not a number for each channel")
             values[frame] = _finite(words)
         except ValueError as error:
-            key, received = f"line {number}", f"{len(words)} numbers"
-            raise InputError(str(error), file=path, key=key, received=received, expected=f"{width}") from error
+            key, expected = f"line {number}", f"{width} finite numbers"
+            raise InputError(str(error), file=path, key=key, received=line[:60], expected=expected) from error
     return values, 1.0 / heads[1]
 
 

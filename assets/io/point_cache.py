@@ -108,7 +108,8 @@ def mesh_beside(path: Path, first: NDArray[np.float32]) -> NDArray[np.int32]:
     if not len(mesh.faces):
         raise InputError("a mesh without faces", file=beside, expected=f"the mesh of {path.name}")
     a, b = edges_of(mesh.faces)[0].T
-    lengths = [float(np.median(np.linalg.norm(x[a] - x[b], axis=1))) for x in (first, mesh.vertices)]
+    with np.errstate(invalid="ignore"):  # values that are not finite are named later
+        lengths = [float(np.median(np.linalg.norm(x[a] - x[b], axis=1))) for x in (first.astype(float), mesh.vertices)]
     ratio = lengths[0] / max(lengths[1], 1e-12)
     if np.isfinite(ratio) and not _EDGE_RATIOS[0] <= ratio <= _EDGE_RATIOS[1]:
         raise InputError(

@@ -7,6 +7,8 @@ length or not finite in a file that the library opens. Lengths are turned into m
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from assets.io.obj import triangulate
+from assets.io.usd_guard import require_sound
 from pbd.errors import InputError
 
 __all__ = [
@@ -23,6 +26,7 @@ __all__ = [
     "numbers",
     "open_stage",
     "prims",
+    "read_all",
     "read_point_cache",
     "sample_times",
     "to_metres",
@@ -34,8 +38,15 @@ Floats = NDArray[np.float64]
 _MAX_NUMBERS = 2**30  # in a vertex sequence: more is a damaged file
 
 
-def open_stage(path: Path) -> Any:
-    """Open a .usd, .usda, .usdc or .usdz file with all that it refers to.
+@contextmanager
+def open_stage(path: Path, guarded: bool = True) -> Iterator[Any]:
+    """Open a .usd, .usda, .usdc or .usdz file with all that it refers to, and turn what USD raises into InputError.
+
+    USD reads values when they are asked for: also inside the block a damaged file may come to light.
+
+    Args:
+        path: the file.
+        guarded: whether it is first read in another process, see :mod:`assets.io.usd_guard`.
 
     Raises:
         InputError: the file cannot be read, is damaged, or refers to something that cannot be opened.
@@ -48,17 +59,28 @@ def open_stage(path: Path) -> Any:
     except OSError as error:
         problem = f"cannot be read: {(error.strerror or str(error)).lower()}"
         raise InputError(problem, file=path, expected="a USD file") from error
+    if guarded:
+        require_sound(path)
     try:
         stage: Any = Usd.Stage.Open(str(path))
-    except (Tf.ErrorException, RuntimeError) as error:
+        broken = stage.GetCompositionErrors()
+        if broken:
+            raise InputError(f"a reference that cannot be opened: {_said(broken[0])}", file=path)
+        rate = stage.GetTimeCodesPerSecond()
+        if not 0.0 < rate < np.inf:
+            raise InputError("bad rate", file=path, key="timeCodesPerSecond", received=rate, expected="more than 0")
+        yield stage
+    except (Tf.ErrorException, RuntimeError, UnicodeDecodeError) as error:
         raise InputError(f"no USD, truncated or damaged: {_said(error)}", file=path, expected="a USD file") from error
-    broken = stage.GetCompositionErrors()
-    if broken:
-        raise InputError(f"a reference that cannot be opened: {_said(broken[0])}", file=path)
-    rate = stage.GetTimeCodesPerSecond()
-    if not 0.0 < rate < np.inf:
-        raise InputError("bad rate", file=path, key="timeCodesPerSecond", received=rate, expected="more than 0")
-    return stage
+
+
+def read_all(path: Path) -> None:
+    """Read all that this project reads of a file, whatever it holds, in this very process."""
+    from assets.io.usd_character import character_of  # is made of this module's parts
+
+    for read in (lambda stage: character_of(stage, path, "probe"), lambda stage: _point_cache(stage, path)):
+        with suppress(InputError), open_stage(path, guarded=False) as stage:
+            read(stage)
 
 
 def _said(error: Any) -> str:
@@ -83,7 +105,8 @@ def has_skeleton(path: Path) -> bool:
     """
     from pxr import UsdSkel
 
-    return bool(prims(open_stage(path), UsdSkel.Skeleton))
+    with open_stage(path) as stage:
+        return bool(prims(stage, UsdSkel.Skeleton))
 
 
 def to_metres(stage: Any, path: Path) -> Floats:
@@ -239,9 +262,13 @@ def read_point_cache(path: Path) -> tuple[NDArray[np.float32], NDArray[np.int32]
         InputError: the file cannot be read, no mesh moves or several do, the number of points changes, or values are
             missing or bad.
     """
+    with open_stage(path) as stage:
+        return _point_cache(stage, path)
+
+
+def _point_cache(stage: Any, path: Path) -> tuple[NDArray[np.float32], NDArray[np.int32], float]:
     from pxr import UsdGeom, UsdSkel
 
-    stage = open_stage(path)
     moving = {}
     for prim in prims(stage, UsdGeom.Mesh):
         codes = [*UsdGeom.Mesh(prim).GetPointsAttr().GetTimeSamples(), *transform_times(prim)]

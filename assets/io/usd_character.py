@@ -15,7 +15,7 @@ from assets.transform import decompose
 from assets.weld import check_unit
 from pbd.errors import InputError
 
-__all__ = ["read_character"]
+__all__ = ["character_of", "read_character"]
 
 Floats = NDArray[np.float64]
 
@@ -33,12 +33,17 @@ def read_character(path: Path, name: str | None) -> Character:
     Raises:
         InputError: as :func:`assets.character.load_character`.
     """
-    stage = open_stage(path)
+    with open_stage(path) as stage:
+        return character_of(stage, path, name or path.stem)
+
+
+def character_of(stage: Any, path: Path, name: str) -> Character:
+    """The character of an open stage; see :func:`read_character`."""
     skeleton, cache, targets = _skinned(stage, path)
     query = cache.GetSkelQuery(skeleton)
     key = str(skeleton.GetPath())
     joints, parents = _joints(query, path, key)
-    bind = matrix(query.GetJointWorldBindTransforms(), path, f"{key}, bindTransforms")
+    bind = matrix(skeleton.GetBindTransformsAttr().Get() or [], path, f"{key}, bindTransforms")
     if bind.shape != (len(joints), 4, 4):
         expected = f"{len(joints)}, one for each joint"
         raise InputError(
@@ -52,7 +57,7 @@ def read_character(path: Path, name: str | None) -> Character:
     to_parent = np.linalg.inv(np.where((parents < 0)[:, None, None], np.eye(4), bind[parents]))
     rest_local = decompose(to_parent @ bind, f"{path}, {key}, bind pose")
     return Character(
-        name=name or path.stem,
+        name=name,
         vertices=vertices,
         faces=faces,
         joint_names=tuple(_short_names(joints)),
@@ -137,18 +142,19 @@ def _weights(
     target: Any, count: int, columns: NDArray[np.intp], width: int, path: Path, key: str
 ) -> NDArray[np.float32]:
     """Weight of every joint on every vertex, shape (count, width), rows sum to 1; ``columns`` places the joints."""
-    from pxr import Tf
-
     key = f"{key}, jointIndices and jointWeights"
-    try:
-        found = target.ComputeVaryingJointInfluences(count)
-    except Tf.ErrorException:
-        found = None
-    arrays = [np.array(value) for value in found] if found else [np.zeros(0), np.zeros(0)]
-    if arrays[0].size == 0 or arrays[0].size != arrays[1].size or arrays[0].size % count:
-        received, expected = [array.size for array in arrays], f"the same number for each of {count} points"
+    # USD's own ComputeVaryingJointInfluences ends the process where a damaged file gives a bad element size, and so do
+    # values of a primvar that is not there.
+    primvars = [target.GetJointIndicesPrimvar(), target.GetJointWeightsPrimvar()]
+    values = [primvar.Get() if primvar.IsDefined() and not primvar.IsIndexed() else None for primvar in primvars]
+    arrays = [np.array([] if value is None else value).ravel() for value in values]
+    rows = 1 if target.IsRigidlyDeformed() else count
+    size = arrays[0].size
+    if size == 0 or size != arrays[1].size or size % rows or any(array.dtype.kind not in "iuf" for array in arrays):
+        received, expected = [array.size for array in arrays], f"the same number for each of {rows} points, not indexed"
         raise InputError("bad influences", file=path, key=key, received=received, expected=expected)
-    indices, weights = arrays[0].reshape(count, -1).astype(np.int64), arrays[1].reshape(count, -1).astype(np.float64)
+    indices, weights = (np.broadcast_to(array.reshape(rows, -1), (count, size // rows)) for array in arrays)
+    indices, weights = indices.astype(np.int64), weights.astype(np.float64)
     used = weights != 0.0
     bad = np.flatnonzero(
         (~np.isfinite(weights) | (weights < 0.0) | used & ((indices < 0) | (indices >= len(columns)))).any(axis=1)
@@ -164,8 +170,8 @@ def _weights(
             expected=f"joints below {len(columns)}, weights not negative, not all zero",
         )
     dense = np.zeros((count, width), np.float32)
-    rows, entries = np.nonzero(used)
-    np.add.at(dense, (rows, columns[indices[rows, entries]]), weights[rows, entries])
+    points, entries = np.nonzero(used)
+    np.add.at(dense, (points, columns[indices[points, entries]]), weights[points, entries])
     return dense / dense.sum(axis=1, keepdims=True)
 
 
