@@ -259,8 +259,8 @@ def read_point_cache(path: Path) -> tuple[NDArray[np.float32], NDArray[np.int32]
         vertices in the world [m], shape (f, n, 3); faces, shape (m, 3); time from frame to frame [s].
 
     Raises:
-        InputError: the file cannot be read, no mesh moves or several do, the number of points changes, or values are
-            missing or bad.
+        InputError: the file cannot be read, a mesh is skinned, no mesh moves or several do, the number of points
+            changes, or values are missing or bad.
     """
     with open_stage(path) as stage:
         return _point_cache(stage, path)
@@ -272,7 +272,10 @@ def _point_cache(stage: Any, path: Path) -> tuple[NDArray[np.float32], NDArray[n
     moving = {}
     for prim in prims(stage, UsdGeom.Mesh):
         codes = [*UsdGeom.Mesh(prim).GetPointsAttr().GetTimeSamples(), *transform_times(prim)]
-        if len(set(codes)) > 1 and not UsdSkel.BindingAPI(prim).GetJointIndicesAttr().HasAuthoredValue():
+        if UsdSkel.BindingAPI(prim).GetJointIndicesAttr().HasAuthoredValue():
+            expected = "no skin: a file with a skeleton is read as a character"
+            raise InputError("a skinned mesh", file=path, key=str(prim.GetPath()), expected=expected)
+        if len(set(codes)) > 1:
             moving[str(prim.GetPath())] = (prim, codes)
     if len(moving) != 1:
         problem = "no mesh that moves" if not moving else "several meshes that move"
