@@ -45,10 +45,10 @@ def find_parts(names: Sequence[str]) -> dict[str, int]:
     found: dict[str, int] = {}
     said = [_side_and_word(name) for name in names]
     for part, words in _NAMES.items():
-        used = next((word for word in words if ("left", word) in said or ("right", word) in said), None)
+        used = [word for word in words if ("left", word) in said or ("right", word) in said]
         for side in ("left", "right"):
-            if (side, used) in said:
-                found[f"{side} {part}"] = said.index((side, used))
+            if used and (side, used[0]) in said:
+                found[f"{side} {part}"] = said.index((side, used[0]))
     return found
 
 

@@ -41,6 +41,7 @@ class UsdFile:
         self._stage.SetStartTimeCode(0.0)
         self._stage.SetEndTimeCode(frame_count - 1.0)
         self._stage.SetDefaultPrim(UsdGeom.Xform.Define(self._stage, _ROOT).GetPrim())
+        UsdGeom.Scope.Define(self._stage, f"{_ROOT}/materials")
 
     def add(self, track: Track) -> None:
         """A mesh with points and normals at every time code; single precision, so positions are exact to 1e-7."""
