@@ -4,7 +4,7 @@ PYTHON ?= $(firstword $(foreach name,python3.11 python3,$(if $(shell $(name) -c 
 BIN := .venv/bin
 export PYTHONHASHSEED := 0
 
-.PHONY: demo garments test lint format proofs proofs-long gpu-proofs lock clean
+.PHONY: demo garments blender test lint format proofs proofs-long gpu-proofs lock clean
 
 demo: .venv/ready
 	$(BIN)/gube demo
@@ -12,6 +12,12 @@ demo: .venv/ready
 # Sews the built-in garments anew: assets/data/*.npz.
 garments: .venv/ready
 	$(BIN)/python -m assets.procedural.builtin_sewing
+
+# The extension for Blender, to install from disk: dist/gube_blender.zip.
+blender: .venv/ready
+	mkdir -p dist
+	rm -f dist/gube_blender.zip
+	cd runtime/blender && ../../$(BIN)/python -m zipfile -c ../../dist/gube_blender.zip blender_manifest.toml *.py
 
 # Beside the type checker the kernels that most tests need are compiled, once for all processes that follow.
 # Then files go whole, in the order of tests/conftest.py, to as many processes as there are processors.
