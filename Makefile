@@ -5,7 +5,7 @@ BIN := .venv/bin
 export PYTHONHASHSEED := 0
 export GUBE_DATA ?= $(CURDIR)/../shared/data
 
-.PHONY: demo garments scenes test browser-test lint format proofs proofs-long gpu-proofs lock clean
+.PHONY: demo garments scenes test browser-test lint format proofs proofs-long gpu-proofs lock clean blender
 
 demo: .venv/ready
 	$(BIN)/gube demo
@@ -24,6 +24,12 @@ out/garments/circle_skirt.npz: SEWING := --fabric silk
 out/garments/%.npz: | .venv/ready
 	$(BIN)/gube sew draft:$* -b $(GUBE_DATA)/characters/mh_female_bandai_NC.glb --edge 0.02 $(SEWING) -o $@ \
 		--picture out/garments/$*.png
+
+# The extension for Blender, to install from disk: dist/gube_blender.zip.
+blender: .venv/ready
+	mkdir -p dist
+	rm -f dist/gube_blender.zip
+	cd runtime/blender && ../../$(BIN)/python -m zipfile -c ../../dist/gube_blender.zip blender_manifest.toml *.py
 
 # Beside the type checker the kernels that most tests need are compiled, once for all processes that follow.
 # Then files go whole, in the order of tests/conftest.py, to as many processes as there are processors.

@@ -19,7 +19,19 @@ from numpy.typing import NDArray
 from assets.transform import local_matrices
 from pbd.errors import InputError
 
-__all__ = ["Character", "Clip", "load_character", "with_clips"]
+__all__ = [
+    "CHARACTER_SUFFIXES",
+    "SEQUENCE_SUFFIXES",
+    "USD_SUFFIXES",
+    "Character",
+    "Clip",
+    "load_character",
+    "with_clips",
+]
+
+USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+CHARACTER_SUFFIXES = (".glb", ".gltf", *USD_SUFFIXES)
+SEQUENCE_SUFFIXES = (".npz", ".mdd", ".pc2", *USD_SUFFIXES)  # of bodies that are given as vertex positions over time
 
 Floats = NDArray[np.float64]
 
@@ -185,11 +197,12 @@ class Character:
 
 
 def load_character(path: str | PathLike[str], name: str | None = None) -> Character:
-    """A skinned character with all its clips from a glTF 2.0 file (.glb or .gltf), in metres, Y up.
+    """A skinned character with all its clips from a glTF 2.0 or USD file, in metres, Y up.
 
-    Primitives of all skinned meshes are merged. Vertices at one position with the same weights become one, so that
-    texture seams close; parts that touch but move apart stay apart. Of more than four influences the best four stay.
-    Morph targets and meshes without a skin are left out.
+    A glTF file (.glb or .gltf) is in metres and Y up; a USD file (.usd, .usda, .usdc, .usdz) names its unit and its up
+    axis and is turned. All skinned meshes are merged. Vertices at one position with the same weights become one, so
+    that texture seams close; parts that touch but move apart stay apart. Of more than four influences the best four
+    stay. Morph targets and meshes without a skin are left out.
 
     Args:
         path: the file, or "builtin:mannequin" for the built-in character.
@@ -206,9 +219,12 @@ def load_character(path: str | PathLike[str], name: str | None = None) -> Charac
             raise InputError("no such built-in character", received=str(path), expected="builtin:mannequin")
         mannequin = builtin_mannequin()
         return mannequin if name is None else replace(mannequin, name=name)
-    from assets.io.gltf_character import read_character  # needs pygltflib, which building a character does not
-
-    return read_character(Path(path), name)
+    path = Path(path)
+    if path.suffix.lower() in USD_SUFFIXES:
+        from assets.io.usd_character import read_character  # needs usd-core, which building a character does not
+    else:
+        from assets.io.gltf_character import read_character  # is made of this module's parts
+    return read_character(path, name)
 
 
 def with_clips(character: Character, other: Character) -> Character:

@@ -1,4 +1,4 @@
-"""Baked animations: glTF binary with a morph target a frame, point caches and OBJ sequences.
+"""Baked animations: glTF binary with a morph target a frame, USD, point caches and OBJ sequences.
 
 Arrays are in the glTF convention, which is the project's own: metres, Y up, counter-clockwise faces outside.
 """
@@ -15,9 +15,10 @@ from assets.io.sequence import Sequence
 from pbd.errors import InputError
 from pbd.storage import replacing
 from runtime.glb import Color, GlbFile, Track, unit_normals
+from runtime.usd import UsdFile
 from wrinkles.metrics import vertex_normals
 
-__all__ = ["bake_glb", "bake_obj", "bake_pc2"]
+__all__ = ["bake_glb", "bake_mdd", "bake_obj", "bake_pc2", "bake_usd"]
 
 _GARMENT_COLOR, _BODY_COLOR = (0.09, 0.21, 0.45, 1.0), (0.56, 0.34, 0.25, 1.0)
 
@@ -58,19 +59,55 @@ def bake_glb(
         InputError: shapes do not match, a value is not finite, a joint shears, or a rate is not positive.
     """
     garment = _track("garment", garment_faces, garment_frames, rate_hz, normals, _GARMENT_COLOR, True)
-    if (body is None) != (poses is None):
-        raise InputError("a body needs poses, and poses a body", key="body" if body is None else "poses")
+    _check_poses(body, poses, len(garment.frames))
     file = GlbFile()
     file.add(garment)
     if body is not None and poses is not None:
-        if len(poses) != len(garment.frames):
-            expected = f"{len(garment.frames)}, one for each frame of the garment"
-            raise InputError("poses do not match the frames", key="poses", received=len(poses), expected=expected)
         if isinstance(body, Character):
             file.add_character(body, poses, rate_hz, _BODY_COLOR)
         else:
             file.add(_track("body", body.faces, poses, rate_hz, None, _BODY_COLOR, False))
     _write(path, file.finish())
+
+
+def bake_usd(
+    path: str | os.PathLike[str],
+    garment_faces: np.ndarray,
+    garment_frames: np.ndarray,
+    rate_hz: float,
+    *,
+    normals: np.ndarray | None = None,
+    body: Character | Sequence | None = None,
+    poses: np.ndarray | None = None,
+) -> None:
+    """Write a binary USD file (.usdc): the garment as a mesh with time samples, and its body.
+
+    Frame k is the time code k; units are metres, Y is up. Positions and normals are float32: 24 bytes a vertex and
+    frame, linear between frames. A character is stored as a skinned mesh with its skeleton and one animation (UsdSkel),
+    a vertex sequence as the garment is. Each mesh has a material (UsdPreviewSurface).
+
+    Args:
+        path: file to write; it is never half-written.
+        garment_faces: vertex indices, shape (m, 3).
+        garment_frames: [m], shape (f, n, 3), world coordinates.
+        rate_hz: frames a second.
+        normals: unit normals, shape (f, n, 3); area-weighted ones are made where absent.
+        body: what wears the garment.
+        poses: of the body, one for each frame of the garment, as :func:`bake_glb` takes them.
+
+    Raises:
+        InputError: shapes do not match, a value is not finite, a joint shears, or a rate is not positive.
+    """
+    garment = _track("garment", garment_faces, garment_frames, rate_hz, normals, _GARMENT_COLOR, True)
+    _check_poses(body, poses, len(garment.frames))
+    file = UsdFile(rate_hz, len(garment.frames))
+    file.add(garment)
+    if body is not None and poses is not None:
+        if isinstance(body, Character):
+            file.add_character(body, poses, _BODY_COLOR)
+        else:
+            file.add(_track("body", body.faces, poses, rate_hz, None, _BODY_COLOR, False))
+    file.write(Path(path))
 
 
 def bake_pc2(path: str | os.PathLike[str], faces: np.ndarray, frames: np.ndarray) -> None:
@@ -94,6 +131,29 @@ def bake_pc2(path: str | os.PathLike[str], faces: np.ndarray, frames: np.ndarray
     header["points"], header["samples"] = frames.shape[1], len(frames)
     _write(path.with_suffix(".obj"), _obj(faces, frames[0]))
     _write(path, header.tobytes() + frames.astype("<f4").tobytes())
+
+
+def bake_mdd(path: str | os.PathLike[str], faces: np.ndarray, frames: np.ndarray, rate_hz: float) -> None:
+    """Write a point cache (MDD, float32) and, beside it with the ending ``.obj``, the mesh that it moves.
+
+    The file is big-endian: number of frames and of points (int32), the time of each frame [s], then the points frame
+    by frame [m].
+
+    Args:
+        path: the ``.mdd`` file.
+        faces: vertex indices, shape (m, 3).
+        frames: [m], shape (f, n, 3).
+        rate_hz: frames a second.
+
+    Raises:
+        InputError: shapes do not match, a vertex is not finite, or a rate is not positive.
+    """
+    path = Path(path)
+    faces, frames = _checked(faces, frames, "frames")
+    _check_rate(rate_hz)
+    header = np.array(frames.shape[:2], ">i4").tobytes() + (np.arange(len(frames)) / rate_hz).astype(">f4").tobytes()
+    _write(path.with_suffix(".obj"), _obj(faces, frames[0]))
+    _write(path, header + frames.astype(">f4").tobytes())
 
 
 def bake_obj(path: str | os.PathLike[str], faces: np.ndarray, frames: np.ndarray) -> list[Path]:
@@ -129,6 +189,20 @@ def _obj(faces: np.ndarray, vertices: np.ndarray) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
+def _check_poses(body: Character | Sequence | None, poses: np.ndarray | None, frame_count: int) -> None:
+    """Body and poses come together, one pose for each frame."""
+    if (body is None) != (poses is None):
+        raise InputError("a body needs poses, and poses a body", key="body" if body is None else "poses")
+    if poses is not None and len(poses) != frame_count:
+        expected = f"{frame_count}, one for each frame of the garment"
+        raise InputError("poses do not match the frames", key="poses", received=len(poses), expected=expected)
+
+
+def _check_rate(rate_hz: float) -> None:
+    if not (np.isfinite(rate_hz) and rate_hz > 0.0):
+        raise InputError("a rate must be positive", key="rate_hz", received=rate_hz, expected="frames a second")
+
+
 def _checked(faces: np.ndarray, frames: np.ndarray, key: str) -> tuple[np.ndarray, np.ndarray]:
     """Faces and frames as arrays that can be written."""
     faces, frames = np.asarray(faces), np.asarray(frames)
@@ -159,8 +233,7 @@ def _track(
     double_sided: bool,
 ) -> Track:
     faces, frames = _checked(faces, frames, f"{name}_frames")
-    if not (np.isfinite(rate_hz) and rate_hz > 0.0):
-        raise InputError("a rate must be positive", key="rate_hz", received=rate_hz, expected="frames a second")
+    _check_rate(rate_hz)
     if normals is None:
         normals = vertex_normals(frames, faces)
     normals = np.asarray(normals, dtype=np.float32)

@@ -10,15 +10,17 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.character import Character, load_character, with_clips
+from assets.character import Character, Clip, load_character, with_clips
 from assets.ease import eased
 from assets.fabrics import PRESETS
 from assets.garment import Garment, boundary_loops, highest_loop, load_garment
+from assets.io.bvh import read_bvh
 from assets.io.scene import FieldSettings, GarmentSettings, MotionSettings, Scene, parse_scene
 from assets.io.sequence import Sequence, SequenceMotion, load_sequence
 from assets.limits import load_limits
 from assets.motion import ClipMotion, part_of
 from assets.procedural.exploration import exploration_clip, exploration_motion
+from assets.retarget import load_joint_table, retargeted
 from assets.seams import load_seams
 from pbd import (
     Capsule,
@@ -48,6 +50,7 @@ __all__ = [
     "PROCEDURAL_PIECE",
     "GarmentSetup",
     "body_of",
+    "clip_of",
     "colliders_of",
     "coarse_garment",
     "fabric_of",
@@ -80,30 +83,57 @@ def load_body(file: Path | str) -> Character:
     return load_character(file)
 
 
+@cache
+def captured_clip(body: Character, file: Path, joints: Path | None) -> Clip:
+    """A captured motion on a character, made once.
+
+    Args:
+        body: the character.
+        file: the .bvh file.
+        joints: table of joints, see :func:`assets.retarget.load_joint_table`; None goes by names.
+
+    Raises:
+        InputError: as :func:`assets.io.bvh.read_bvh` and :func:`assets.retarget.retargeted`.
+    """
+    return retargeted(body, read_bvh(file), None if joints is None else load_joint_table(joints))
+
+
+def clip_of(body: Character, motion: MotionSettings) -> Clip:
+    """The whole clip that a motion is a part of, on this body.
+
+    Raises:
+        InputError: no such clip (those that exist are listed), a file with another skeleton, or a captured motion whose
+            joints are not found.
+    """
+    if motion.clip is None:
+        return captured_clip(body, Path(motion.file), motion.joints)
+    other = load_body(motion.file)
+    if motion.clip not in other.clips:
+        known = "one of " + ", ".join(sorted(other.clips)) if other.clips else "a file with clips"
+        raise InputError("no such clip", key="clip", received=motion.clip, expected=known)
+    return (with_clips(body, other) if other is not body else body).clip(motion.clip)
+
+
 def motion_of(body: Character | Sequence, motion: MotionSettings) -> Motion:
     """A clip of any file on this body, with a lead-in from the bind pose; or a part of a vertex sequence of this body.
 
     Raises:
-        InputError: no such clip (those that exist are listed), a file with another skeleton, a sequence of another
-            surface, or a part after the end.
+        InputError: as :func:`clip_of`, a sequence of another surface, or a part after the end.
     """
-    if isinstance(body, Sequence) != (motion.clip is None):
-        expected = "a vertex sequence (.npz)" if isinstance(body, Sequence) else "a character (.glb, .gltf)"
+    if isinstance(body, Sequence) != motion.is_sequence:
+        expected = (
+            "a vertex sequence (.npz, .mdd, .pc2, USD)" if isinstance(body, Sequence) else "a clip or a .bvh file"
+        )
         raise InputError("a motion of another kind of body", key="file", received=str(motion.file), expected=expected)
     try:
         if isinstance(body, Sequence):
-            sequence = load_sequence(str(motion.file))
+            sequence = load_sequence(motion.file, motion.rate)
             if not np.array_equal(sequence.faces, body.faces):
                 received, expected = f"{len(sequence.faces)} faces", "the faces of the scene's body"
                 raise InputError("a sequence of another surface", key="faces", received=received, expected=expected)
             made: Motion = SequenceMotion(sequence, motion.start, motion.end, motion.speed)
         else:
-            other = load_body(motion.file)
-            if motion.clip not in other.clips:
-                known = "one of " + ", ".join(sorted(other.clips)) if other.clips else "a file with clips"
-                raise InputError("no such clip", key="clip", received=motion.clip, expected=known)
-            clip = (with_clips(body, other) if other is not body else body).clip(motion.clip)
-            made = ClipMotion(body, part_of(clip, motion.start, motion.end), speed=motion.speed)
+            made = ClipMotion(body, part_of(clip_of(body, motion), motion.start, motion.end), speed=motion.speed)
     except InputError as error:
         if error.file is not None:
             raise
@@ -123,7 +153,9 @@ def body_of(scene: Scene) -> Character | Sequence:
     character = scene.character
     if character is None:
         raise InputError("no body", key="character", expected="a [character] with file or sequence")
-    return load_body(character.file) if character.file is not None else load_sequence(str(character.sequence))
+    if character.file is not None:
+        return load_body(character.file)
+    return load_sequence(str(character.sequence), character.rate)
 
 
 def fabric_of(settings: GarmentSettings) -> Fabric:
@@ -275,6 +307,8 @@ class GarmentSetup:
 
     def motion(self, motion: MotionSettings | None = None) -> Motion:
         """A motion of the body: the one given, or the scene's own."""
+        if motion is None and self.scene.character is not None:
+            motion = self.scene.character.motion
         if motion is None and isinstance(self.body, Sequence):
             return SequenceMotion(self.body)
         if motion is None:
@@ -310,9 +344,9 @@ class GarmentSetup:
 
     def _end(self, motion: MotionSettings) -> float:
         """End of a clip or of its part, in the clip's own time [s]."""
-        if motion.clip is None:
+        if not isinstance(self.body, Character):
             return self.motion(motion).duration * motion.speed
-        length = load_body(motion.file).clip(motion.clip).duration
+        length = clip_of(self.body, motion).duration
         return length if motion.end is None else min(motion.end, length)
 
     def _procedural(self) -> Iterator[tuple[Character, int, float]]:

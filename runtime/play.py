@@ -11,11 +11,11 @@ import numpy as np
 
 from assets.character import Character
 from assets.io.scene import MotionSettings, Scene
-from assets.io.sequence import Sequence, SequenceMotion, load_sequence
+from assets.io.sequence import Sequence, SequenceMotion, is_sequence, load_sequence
 from assets.motion import ClipMotion
 from pbd import InputError
 from pbd.wind import CALM, Air, Wind
-from runtime.bake import bake_glb, bake_obj, bake_pc2
+from runtime.bake import bake_glb, bake_mdd, bake_obj, bake_pc2, bake_usd
 from runtime.game_loop import GameLoop, LiveInput, ScriptedInput
 from runtime.garment_setup import body_of, colliders_of, load_body, motion_of, pattern_of, scene_of
 from runtime.outputs import check_file
@@ -43,7 +43,7 @@ __all__ = [
 ]
 
 TIMINGS = ("frame", "coarse", "skin", "decode", "relax", "normals")
-BAKED = (".glb", ".pc2", ".obj")
+BAKED = (".glb", ".usdc", ".pc2", ".mdd", ".obj")
 BAKED_HZ = 30.0  # of a simulated animation [Hz]
 DRAWN = 10  # frames from one picture to the next
 HASH_FRAME = 120  # the coarse state is hashed after this many frames
@@ -78,7 +78,7 @@ def playback_inputs(
 
     Args:
         database: the database; without ``character`` the scene stored in it names body and motions.
-        character: a file with another source of the body and its clips: .glb, .gltf, or .npz for a vertex sequence.
+        character: a file with another source of the body and its clips: a character, or a vertex sequence.
         clip: name of a clip; None takes the held-out clips, or the first one if none is held out.
 
     Raises:
@@ -90,7 +90,7 @@ def playback_inputs(
         database.require_body(body)
         motions = _motions(body, clip, database, scene)
         return PlaybackInputs(body, motions, scene.wind.air(), colliders_of(scene), pattern_of(scene))
-    body = load_sequence(character) if character.suffix.lower() == ".npz" else load_body(character)
+    body = load_sequence(character) if is_sequence(character) else load_body(character)
     database.require_body(body)
     return PlaybackInputs(body, _motions(body, clip, database, None))
 
@@ -123,20 +123,22 @@ def open_database(
 def _motions(
     body: Character | Sequence, clip: str | None, database: WrinkleDatabase, scene: Scene | None
 ) -> tuple[Motion, ...]:
+    character = scene.character if scene is not None else None
+    own = (character.motion,) if character is not None and character.motion is not None else ()
     if isinstance(body, Sequence):
         if clip is not None:
             raise InputError("a vertex sequence has no clips", key="--clip", received=clip, expected="none")
-        parts = scene.training.held_out if scene is not None else ()
+        parts = scene.training.held_out or own if scene is not None else ()
         return tuple(motion_of(body, part) for part in parts) or (SequenceMotion(body),)
     known: dict[str, MotionSettings | None] = {}
     if scene is not None:
-        known |= {motion.name: motion for motion in (*scene.training.held_out, *scene.training.clips)}
+        known |= {motion.name: motion for motion in (*own, *scene.training.held_out, *scene.training.clips)}
     known |= {name: None for name in body.clips if name not in known}  # the body's own file
     if clip is not None:
         names = [clip]
     else:
-        own = scene.character.clip if scene is not None and scene.character is not None else None
-        names = [name for name in database.held_out if name in known] or [own or next(iter(known), "")]
+        first = character.clip if character is not None else None
+        names = [name for name in database.held_out if name in known] or [first or next(iter(known), "")]
     for name in names:
         if name not in known:
             expected = "one of " + ", ".join(sorted(known)) if known else "a character with clips"
@@ -385,10 +387,10 @@ def write_baked(
     body: Character | Sequence | None = None,
     poses: np.ndarray | None = None,
 ) -> None:
-    """Bake to the kind of file that the extension names; only .glb takes normals and the body along.
+    """Bake to the kind of file that the extension names; only .glb and .usdc take normals and the body along.
 
     Args:
-        path: .glb, .pc2 or .obj.
+        path: .glb, .usdc, .pc2, .mdd or .obj.
         faces: of the garment, int, shape (m, 3).
         frames: world [m], shape (f, n, 3).
         rate_hz: [Hz].
@@ -400,9 +402,13 @@ def write_baked(
         InputError: the extension is unknown, or the file cannot be written.
     """
     check_file(path, *BAKED)
-    if path.suffix.lower() == ".glb":
-        bake_glb(path, faces, frames, rate_hz, normals=normals, body=body, poses=poses)
-    elif path.suffix.lower() == ".pc2":
+    ending = path.suffix.lower()
+    if ending in (".glb", ".usdc"):
+        bake = bake_glb if ending == ".glb" else bake_usd
+        bake(path, faces, frames, rate_hz, normals=normals, body=body, poses=poses)
+    elif ending == ".pc2":
         bake_pc2(path, faces, frames)
+    elif ending == ".mdd":
+        bake_mdd(path, faces, frames, rate_hz)
     else:
         bake_obj(path, faces, frames)

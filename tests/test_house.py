@@ -17,7 +17,11 @@ PLAYING = FLOORS[:4]
 NOT_FOR_PLAYING = ("sklearn", "matplotlib", "pyvista", "dask")
 TABLE_OF_COMMANDS = Path("runtime/command.py")  # alone names modules above its own floor
 TABLES = (TABLE_OF_COMMANDS, Path("gube/__init__.py"))  # alone import modules by name
-MODULES = [path for floor in FLOORS for path in sorted((ROOT / floor).rglob("*.py"))]
+EXTENSION = ROOT / "runtime" / "blender"  # runs inside Blender, and so has rules of its own
+FOR_BLENDER = sorted(EXTENSION.glob("*.py"))
+MODULES = [
+    path for floor in FLOORS for path in sorted((ROOT / floor).rglob("*.py")) if not path.is_relative_to(EXTENSION)
+]
 
 
 def names_of_modules(tree: ast.AST) -> Iterator[str]:
@@ -89,6 +93,25 @@ def test_a_breach_is_found(module: str, source: str, problem: str) -> None:
 )
 def test_what_is_allowed_passes(module: str, source: str) -> None:
     assert forbidden(Path(module), source) == []
+
+
+def not_in_blender(source: str) -> list[str]:
+    """Imports of an extension that Blender does not bring; "." is the extension itself."""
+    known = {*sys.stdlib_module_names, "bpy", "numpy", "."}
+    return [name for name, _ in imports(ast.parse(source)) if name.partition(".")[0] not in known and name != "."]
+
+
+@pytest.mark.parametrize("path", FOR_BLENDER, ids=lambda path: path.name)
+def test_the_extension_imports_what_blender_has(path: Path) -> None:
+    assert not_in_blender(path.read_text(encoding="utf-8")) == []
+    assert long_functions(path.read_text(encoding="utf-8")) == []
+
+
+def test_imports_that_blender_lacks_are_found() -> None:
+    assert not_in_blender("import bpy, json\nfrom . import files\nimport scipy\nfrom assets import motion") == [
+        "scipy",
+        "assets",
+    ]
 
 
 def test_no_test_module_is_imported() -> None:

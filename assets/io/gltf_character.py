@@ -10,16 +10,15 @@ from numpy.typing import NDArray
 
 from assets.character import Character, Clip
 from assets.io.gltf import Document, Primitive, read_document
+from assets.io.skin import MAX_SAMPLES, best_influences, merge_pieces
 from assets.transform import decompose, slerp
-from assets.weld import check_unit, group_rows
+from assets.weld import check_unit
 
 __all__ = ["read_character"]
 
 Floats = NDArray[np.float64]
 
-_INFLUENCE_COUNT = 4
 _TOLERANCE = 1e-3  # differences below this are rounding: [m] between bind poses, [-] between weights
-_MAX_SAMPLES = 2**26  # of one clip, joints times frames: more is a damaged file
 _MIN_CURVE_RATE = 60.0  # at least this many samples per second for curved interpolation [Hz]
 _ANIMATED_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 
@@ -50,9 +49,9 @@ def read_character(path: Path, name: str | None) -> Character:
         for primitive in document.primitives(node):
             weights = _weights(document, primitive, columns, len(kept))
             pieces.append((primitive.vertices @ matrix[:3, :3].T + matrix[:3, 3], primitive.faces, weights))
-    vertices, faces, weights = _merge(pieces)
+    vertices, faces, weights = merge_pieces(pieces)
     check_unit(vertices, path)
-    joint_indices, joint_weights = _best(weights)
+    joint_indices, joint_weights = best_influences(weights)
     to_parent = np.linalg.inv(np.where((parents < 0)[:, None, None], root, bind[parents]))
     return Character(
         name=name or path.stem,
@@ -190,36 +189,6 @@ def _weights(document: Document, primitive: Primitive, columns: NDArray[np.intp]
     return dense / total
 
 
-def _merge(pieces: list[tuple[Floats, Any, Any]]) -> tuple[Floats, NDArray[np.int32], NDArray[np.float32]]:
-    """One mesh of all pieces, one vertex for each position unless the weights there differ; unused vertices go."""
-    offsets = np.cumsum([0, *(len(piece[0]) for piece in pieces)])
-    vertices = np.concatenate([piece[0] for piece in pieces])
-    faces = np.concatenate([piece[1] + offset for piece, offset in zip(pieces, offsets[:-1], strict=True)])
-    weights = np.concatenate([piece[2] for piece in pieces])
-    # Positions are compared as the file stores them, in float32: the way into the world adds rounding of its own.
-    first, same = group_rows(vertices.astype(np.float32))
-    torn = np.zeros(len(first), dtype=bool)  # positions where parts meet that move apart
-    np.logical_or.at(torn, same, np.abs(weights - weights[first[same]]).max(axis=1) > _TOLERANCE)
-    compared = np.where(torn[same][:, None], weights, 0.0).astype(np.float32)
-    first, same = group_rows(np.concatenate([vertices.astype(np.float32), compared], axis=1))
-    faces = same[faces]
-    a, b, c = faces.T
-    faces = faces[(a != b) & (b != c) & (c != a)]
-    used, faces = np.unique(faces, return_inverse=True)
-    keep = first[used]
-    return vertices[keep], faces.reshape(-1, 3).astype(np.int32), weights[keep]
-
-
-def _best(weights: NDArray[np.float32]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """The largest influences of each vertex, largest first, scaled to sum to 1; joint 0 where there is none."""
-    if weights.shape[1] < _INFLUENCE_COUNT:
-        weights = np.pad(weights, ((0, 0), (0, _INFLUENCE_COUNT - weights.shape[1])))
-    joints = np.argsort(-weights, axis=1, kind="stable")[:, :_INFLUENCE_COUNT]
-    best = np.take_along_axis(weights, joints, axis=1).astype(np.float64)
-    best /= best.sum(axis=1, keepdims=True)
-    return np.where(best > 0.0, joints, 0).astype(np.int32), best.astype(np.float32)
-
-
 def _clips(document: Document, kept: list[int]) -> dict[str, Clip]:
     """All animations that move a joint, by name, in the order of the file."""
     rest = []
@@ -303,7 +272,7 @@ def _sample_times(
         frame = min(frame, 1.0 / _MIN_CURVE_RATE)
     span = times[-1] - times[0]
     count = max(round(span / frame), 1) + 1
-    if count * joint_count > _MAX_SAMPLES:
+    if count * joint_count > MAX_SAMPLES:
         raise document.error("a clip too long to sample", key, f"{count} frames of {joint_count} joints")
     return np.linspace(times[0], times[-1], count), (count - 1) / span
 

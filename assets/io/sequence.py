@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from assets.character import SEQUENCE_SUFFIXES, USD_SUFFIXES
+from assets.io.point_cache import mesh_beside, read_mdd, read_pc2
 from assets.weld import check_unit
 from pbd.engine import ensure_initialized, ti
 from pbd.errors import InputError
 from pbd.taichi_internals import Launch
 
-__all__ = ["Sequence", "SequenceBody", "SequenceMotion", "load_sequence"]
+__all__ = ["Sequence", "SequenceBody", "SequenceMotion", "is_sequence", "load_sequence"]
 
 Floats = NDArray[np.float64]
 
@@ -37,19 +39,60 @@ class Sequence:
     dt: float
 
 
-def load_sequence(path: str | PathLike[str]) -> Sequence:
-    """Load a vertex sequence from an .npz file with ``vertices``, ``faces`` and ``dt``; see :class:`Sequence`.
+def is_sequence(path: str | PathLike[str]) -> bool:
+    """Whether a file holds a vertex sequence and no character: by its ending, a USD file by having no skeleton.
+
+    Raises:
+        InputError: a USD file that cannot be read.
+    """
+    path = Path(path)
+    if path.suffix.lower() in USD_SUFFIXES:
+        from assets.io.usd import has_skeleton  # needs usd-core, which other files do not
+
+        return not has_skeleton(path)
+    return path.suffix.lower() in SEQUENCE_SUFFIXES
+
+
+def load_sequence(path: str | PathLike[str], rate_hz: float | None = None) -> Sequence:
+    """Load a vertex sequence.
+
+    Kinds of files: .npz with ``vertices``, ``faces`` and ``dt`` (see :class:`Sequence`); .mdd or .pc2 with the mesh
+    beside as .obj; .usd, .usda, .usdc or .usdz with one mesh that moves.
+
+    Args:
+        path: the file.
+        rate_hz: frames a second of a .pc2 file, which does not know them; None for any other.
 
     Raises:
         InputError: the file cannot be read or is truncated; a key is missing, holds objects, or has another shape;
-            positions that are not finite; a face with a bad index; a size that cannot be metres.
+            positions that are not finite; a face with a bad index; a size that cannot be metres; a rate that is missing
+            or not asked for.
     """
     path = Path(path)
-    arrays = _read_arrays(path)
-    vertices, faces, dt = arrays["vertices"], arrays["faces"], arrays["dt"]
-    _check(path, "vertices", vertices, "f", vertices.ndim == 3 and vertices.shape[2] == 3 and vertices.size > 0)
-    _check(path, "faces", faces, "iu", faces.ndim == 2 and faces.shape[1] == 3 and faces.size > 0)
-    _check(path, "dt", dt, "fiu", dt.ndim == 0 and dt.dtype.kind in "fiu" and 0.0 < float(dt) < np.inf)
+    suffix = path.suffix.lower()
+    if (rate_hz is not None) != (suffix == ".pc2"):
+        expected = "none: the file knows it" if rate_hz else "frames a second: a .pc2 file does not know them"
+        raise InputError("bad rate", file=path, key="rate", received=rate_hz, expected=expected)
+    if suffix in USD_SUFFIXES:
+        from assets.io.usd import read_point_cache  # needs usd-core, which other files do not
+
+        vertices, faces, dt = read_point_cache(path)
+    elif suffix in (".mdd", ".pc2"):
+        vertices, dt = read_mdd(path) if rate_hz is None else read_pc2(path, rate_hz)
+        faces = mesh_beside(path, vertices[0])
+    else:
+        arrays = _read_arrays(path)
+        vertices, faces, dt = arrays["vertices"], arrays["faces"], arrays["dt"]
+        _check(path, "vertices", vertices, "f", vertices.ndim == 3 and vertices.shape[2] == 3 and vertices.size > 0)
+        _check(path, "faces", faces, "iu", faces.ndim == 2 and faces.shape[1] == 3 and faces.size > 0)
+        _check(path, "dt", dt, "fiu", dt.ndim == 0 and dt.dtype.kind in "fiu" and 0.0 < float(dt) < np.inf)
+    _check_values(path, vertices, faces)
+    check_unit(vertices[0], path)
+    return Sequence(path.stem, vertices.astype(np.float32, copy=False), faces.astype(np.int32), float(dt))
+
+
+def _check_values(path: Path, vertices: NDArray[Any], faces: NDArray[Any]) -> None:
+    """All positions are finite, and faces name vertices that exist."""
     bad = np.argwhere(~np.isfinite(vertices).all(axis=2))
     if bad.size:
         frame, vertex = bad[0]
@@ -69,8 +112,6 @@ def load_sequence(path: str | PathLike[str]) -> Sequence:
             received=faces[bad[0]].tolist(),
             expected=f"0 to {count - 1}",
         )
-    check_unit(vertices[0], path)
-    return Sequence(path.stem, vertices.astype(np.float32, copy=False), faces.astype(np.int32), float(dt))
 
 
 class SequenceBody:

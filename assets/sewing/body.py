@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from assets.character import load_character
+from assets.character import CHARACTER_SUFFIXES, SEQUENCE_SUFFIXES, load_character
 from assets.io.obj import read_obj
-from assets.io.sequence import load_sequence
+from assets.io.sequence import is_sequence, load_sequence
 from assets.weld import check_unit, weld
 from pbd.errors import InputError
 from pbd.mesh import edges_of
@@ -39,19 +39,20 @@ def load_standing_body(path: str | Path) -> StandingBody:
     """Load a body to sew on.
 
     Args:
-        path: a character (.glb, .gltf) in its bind pose, "builtin:mannequin", the first frame of a vertex sequence
-            (.npz), or a closed surface (.obj).
+        path: a character (glTF, USD) in its bind pose, "builtin:mannequin", the first frame of a vertex sequence
+            (.npz, .mdd, USD), or a closed surface (.obj).
 
     Raises:
         InputError: the file cannot be read, or its surface is not closed.
     """
     suffix = Path(path).suffix.lower()
-    if str(path).startswith("builtin:") or suffix in (".glb", ".gltf"):
+    sequence = suffix in SEQUENCE_SUFFIXES and is_sequence(path)
+    if str(path).startswith("builtin:") or suffix in CHARACTER_SUFFIXES and not sequence:
         character = load_character(path)
         vertices, faces, name = character.vertices, character.faces, character.name
-    elif suffix == ".npz":
-        sequence = load_sequence(path)
-        vertices, faces, name = sequence.vertices[0].astype(float), sequence.faces, sequence.name
+    elif sequence:
+        loaded = load_sequence(path)
+        vertices, faces, name = loaded.vertices[0].astype(float), loaded.faces, loaded.name
     elif suffix == ".obj":
         mesh = read_obj(Path(path))
         if not len(mesh.faces):
@@ -61,7 +62,7 @@ def load_standing_body(path: str | Path) -> StandingBody:
         faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
         name = Path(path).stem
     else:
-        expected = ".glb, .gltf, .npz, .obj or builtin:mannequin"
+        expected = f"{', '.join(dict.fromkeys([*CHARACTER_SUFFIXES, *SEQUENCE_SUFFIXES]))}, .obj or builtin:mannequin"
         raise InputError("an unknown kind of body", file=path, received=suffix, expected=expected)
     edges, side_edge = edges_of(faces)
     share = float(np.mean(np.bincount(side_edge.ravel(), minlength=len(edges)) != 2))

@@ -18,7 +18,7 @@ SUMMARY = "play a wrinkle database and write an animation"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     add_playback(parser)
-    add_output_file(parser, "OUT", "the animation, a file ending in .glb, .pc2 or .obj")
+    add_output_file(parser, "OUT", "the animation, a file ending in .glb, .usdc, .pc2, .mdd or .obj")
     parser.add_argument(
         "--rate",
         type=positive,

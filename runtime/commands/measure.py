@@ -19,19 +19,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "body",
         metavar="BODY",
-        help="a character (.glb) in its bind pose, builtin:mannequin, a vertex sequence (.npz) or a surface (.obj)",
+        help="a character (glTF, USD) in its bind pose, builtin:mannequin, a vertex sequence (.npz, .mdd, USD) or a "
+        "surface (.obj)",
     )
 
 
 def run(options: argparse.Namespace) -> Report:
     """Measure a body and print every measure."""
-    from assets.character import load_character
+    from assets.character import CHARACTER_SUFFIXES, load_character
+    from assets.io.sequence import is_sequence
     from assets.measures import measure
     from assets.sewing.body import load_standing_body
     from runtime.report import Report
 
     # A character need not be closed to be measured: jointed figures have gaps.
-    rigged = options.body.startswith("builtin:") or options.body.lower().endswith((".glb", ".gltf"))
+    skinned = options.body.lower().endswith(CHARACTER_SUFFIXES) and not is_sequence(options.body)
+    rigged = options.body.startswith("builtin:") or skinned
     measures = measure(load_character(options.body) if rigged else load_standing_body(options.body))
     figures = {}
     for name, value in measures.values().items():

@@ -31,7 +31,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         dest="body",
         required=True,
         metavar="BODY",
-        help="a character (.glb), builtin:mannequin, a vertex sequence (.npz) or a closed surface (.obj) (required)",
+        help="a character (glTF, USD), builtin:mannequin, a vertex sequence (.npz, .mdd, USD) or a closed surface "
+        "(.obj) (required)",
     )
     add_output_file(parser, "GARMENT.npz", "the sewn garment")
     parser.add_argument(

@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         dest="output",
         type=Path,
         metavar="OUT",
-        help="the animation, a file ending in .glb, .pc2 or .obj (default: out/SCENE.glb)",
+        help="the animation, a file ending in .glb, .usdc, .pc2, .mdd or .obj (default: out/SCENE.glb)",
     )
     parser.add_argument(
         "--seconds",

@@ -213,7 +213,7 @@ DATABASE = ["precompute", "no.toml", "-o"]
         ([*DATABASE, "new/skirt.h5", "--cache", "file"], "--cache", "a folder"),
         (["demo", "-o", "file/demo"], "-o", "a folder"),
         (["play", "no.h5", "-o", "file"], "-o", "a folder"),
-        (["bake", "no.h5", "-o", "new/skirt.fbx"], "-o", "a file ending in .glb or .pc2 or .obj"),
+        (["bake", "no.h5", "-o", "new/skirt.fbx"], "-o", "a file ending in .glb or .usdc or .pc2 or .mdd or .obj"),
         (["bake", "no.h5", "-o", "file/skirt.glb"], "-o", "where files can be written"),
         (["compare", "no.h5", "-o", "file"], "-o", "a folder"),
     ],

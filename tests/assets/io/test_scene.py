@@ -226,6 +226,74 @@ def test_bad_seams_and_parts_are_refused(load, tmp_path: Path, old: str, new: st
         load(DRESS.replace(old, new))
 
 
+WORN = """
+[[garment]]
+name = "dress"
+mesh = "dress.obj"
+
+[character]
+file = "woman.usdc"
+
+[character.motion]
+file = "walk.bvh"
+joints = "joints.csv"
+end = 2.0
+
+[[training.clips]]
+file = "dance.bvh"
+
+[[training.clips]]
+file = "woman.usdc"
+clip = "run"
+"""
+
+
+def test_files_of_other_programs_are_read(load, tmp_path: Path) -> None:
+    for name in ("woman.usdc", "walk.bvh", "dance.bvh", "joints.csv", "body.mdd", "body.pc2"):
+        (tmp_path / name).touch()
+    scene = load(WORN)
+    assert scene.character is not None and scene.character.motion is not None
+    motion = scene.character.motion
+    assert (motion.name, motion.is_sequence, motion.joints) == (
+        "walk 0-2 s",
+        False,
+        (tmp_path / "joints.csv").resolve(),
+    )
+    assert [clip.name for clip in scene.training.clips] == ["dance", "run"]
+    assert parse_scene(scene_text(scene), tmp_path / "again.toml") == scene
+    cached = load(SKIRT + '[character]\nsequence = "body.pc2"\nrate = 25\nmotion = { file = "body.mdd" }')
+    assert cached.character is not None and cached.character.motion is not None
+    assert (cached.character.rate, cached.character.motion.is_sequence) == (25.0, True)
+    assert parse_scene(scene_text(cached), tmp_path / "again.toml") == cached
+    assert MotionSettings(file="body.usdc").is_sequence and not MotionSettings(file="body.usdc", clip="run").is_sequence
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"dance.bvh"', '"dance.bvh"\nclip = "a"', r"clips\[0\]\.clip.*received 'a'.*none: a captured motion has no"),
+        ('"dance.bvh"', '"woman.glb"', r"clips\[0\]\.clip: bad clip \(expected name of a clip"),
+        ('"dance.bvh"', '"body.pc2"', r"clips\[0\]\.rate: bad rate \(expected frames a second"),
+        ('"dance.bvh"', '"dance.bvh"\nrate = 25', r"clips\[0\]\.rate: bad rate \(received 25\.0, expected none"),
+        (
+            'clip = "run"',
+            'clip = "run"\njoints = "joints.csv"',
+            r"clips\[1\]\.joints: bad joints.*only a captured",
+        ),
+        ('"woman.usdc"\n\n', '"woman.usdc"\nclip = "run"\n\n', r"character\.clip: two motions \(received 'run'"),
+        ('"woman.usdc"\n\n', '"walk.bvh"\n\n', r"character\.file: bad value.*\.glb or \.gltf or \.usd"),
+        ('file = "woman.usdc"\n\n', 'sequence = "walk.bvh"\n\n', r"character\.sequence: bad value.*\.npz or \.mdd"),
+        ('file = "woman.usdc"\n\n', 'sequence = "body.pc2"\n\n', r"character\.rate: bad rate"),
+    ],
+)
+def test_files_that_do_not_fit_are_refused(load, tmp_path: Path, old: str, new: str, message: str) -> None:
+    for name in ("woman.usdc", "woman.glb", "walk.bvh", "dance.bvh", "joints.csv", "body.pc2"):
+        (tmp_path / name).touch()
+    assert old in WORN
+    with pytest.raises(InputError, match=message):
+        load(WORN.replace(old, new, 1))
+
+
 @pytest.mark.parametrize(
     ("one", "other", "expected"),
     [

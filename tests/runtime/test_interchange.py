@@ -1,0 +1,105 @@
+"""Scenes whose bodies and motions come from other programs' files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from assets.character import Character, load_character
+from assets.io.scene import parse_scene
+from assets.io.sequence import Sequence
+from assets.procedural.mannequin import builtin_mannequin
+from pbd import InputError
+from runtime import command
+from runtime.bake import bake_mdd, bake_pc2, bake_usd
+from runtime.garment_setup import GarmentSetup, body_of, motion_of
+from runtime.play import open_database
+from tests.assets.captures import write_bvh
+from tests.runtime.baking import sheet_sequence, walking_mannequin
+from tests.runtime.players import SCENE, skirt_database
+from wrinkles.database import write_database
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The mannequin as a USD character, its walk as a capture in centimetres, a sheet as point caches."""
+    path = tmp_path_factory.mktemp("files")
+    mannequin, poses = walking_mannequin(20)
+    faces, frames, sheet = sheet_sequence()
+    bake_usd(path / "body.usdc", faces, frames[:1].repeat(20, axis=0), 30.0, body=mannequin, poses=poses)
+    bind = np.linalg.inv(mannequin.inverse_bind)[:, :3, 3]
+    joints = np.einsum("fjab,jb->fja", poses[..., :3], bind) + poses[..., 3]
+    write_bvh(path / "walk.bvh", mannequin.joint_names, mannequin.joint_parents.tolist(), 100 * joints, 30.0)
+    bake_mdd(path / "sheet.mdd", sheet.faces, sheet.vertices, 30.0)
+    bake_pc2(path / "sheet.pc2", sheet.faces, sheet.vertices)
+    return path
+
+
+def test_a_captured_motion_is_learned_from_and_played(folder: Path) -> None:
+    text = SCENE.replace(
+        'clip = "walk"\n\n[[training.clips]]', '\n[character.motion]\nfile = "walk.bvh"\n\n[[training.clips]]'
+    )
+    text = text.replace('file = "builtin:mannequin"\nclip = "sway"', 'file = "walk.bvh"\nend = 0.5')
+    stage = GarmentSetup.of(parse_scene(text, folder / "scene.toml"))
+    (learned,) = stage.training_motions()
+    assert (learned.name, learned.duration) == ("walk 0-0.5 s", pytest.approx(1.5))  # a second leads into it
+    assert [part.name for part in stage.training_parts(0.25)] == ["walk 0-0.25 s", "walk 0.25-0.5 s"]
+    whole = stage.motion()
+    assert (whole.name, whole.duration) == ("walk", pytest.approx(1.0 + 19 / 30))
+    steps = whole.pose(1.6)[:, :, 3] - whole.pose(1.0)[:, :, 3]
+    assert np.linalg.norm(steps, axis=1).max() > 0.2
+
+
+def test_a_captured_motion_on_a_vertex_sequence_is_refused(folder: Path) -> None:
+    scene = parse_scene(SCENE, folder / "scene.toml")
+    capture = parse_scene(SCENE.replace('"builtin:mannequin"\nclip = "sway"', '"walk.bvh"'), folder / "scene.toml")
+    with pytest.raises(InputError, match=r"another kind of body.*walk\.bvh.*a vertex sequence"):
+        motion_of(sheet_sequence()[2], capture.training.clips[0])
+    wrong = '[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\n[character]\nsequence = "body.usdc"'
+    with pytest.raises(InputError, match=r"body\.usdc: /World/body/mesh: a skinned mesh.*read as a character"):
+        body_of(parse_scene(wrong, folder / "scene.toml"))
+    assert isinstance(body_of(scene), Character)
+
+
+def test_point_caches_are_bodies(folder: Path) -> None:
+    head = '[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\n[character]\nsequence = '
+    truth = sheet_sequence()[2]
+    for file in ('"sheet.mdd"', '"sheet.pc2"\nrate = 30'):
+        body = body_of(parse_scene(head + file, folder / "scene.toml"))
+        assert isinstance(body, Sequence)
+        assert np.array_equal(body.vertices, truth.vertices) and np.array_equal(body.faces, truth.faces)
+        assert body.dt == pytest.approx(1 / 30)
+
+
+def test_a_database_is_played_with_a_usd_character(folder: Path, tmp_path: Path) -> None:
+    write_database(tmp_path / "skirt.h5", skirt_database())
+    _, inputs = open_database(tmp_path / "skirt.h5", character=folder / "body.usdc")
+    (motion,) = inputs.motions
+    assert motion.name == "animation"
+    mannequin = builtin_mannequin()
+    assert np.array_equal(load_character(folder / "body.usdc").vertices, mannequin.vertices)
+    np.testing.assert_allclose(motion.pose(0.0), mannequin.bind_pose(), atol=1.0)
+    with pytest.raises(InputError, match=r"walk\.bvh"):
+        open_database(tmp_path / "skirt.h5", character=folder / "walk.bvh")
+
+
+def test_a_garment_on_a_captured_motion_is_simulated_and_baked(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = folder / "capture.toml"
+    scene.write_text(
+        '[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\nattach = "top"\nsubdivisions = 1\n'
+        '[character]\nfile = "body.usdc"\n[character.motion]\nfile = "walk.bvh"\n'
+    )
+    out = tmp_path / "skirt.usdc"
+    assert command.main(["simulate", str(scene), "-o", str(out), "--seconds", "0.2"]) == 0
+    assert load_character(out).clip("animation").frame_count == 7
+    assert command.main(["simulate", str(scene), "-o", str(tmp_path / "skirt.mdd"), "--seconds", "0.2"]) == 0
+    (folder / "walk.bvh").rename(folder / "gone.bvh")
+    try:
+        assert command.main(["simulate", str(scene), "-o", str(out)]) == 2
+    finally:
+        (folder / "gone.bvh").rename(folder / "walk.bvh")
+    assert "character.motion.file: no such file" in capsys.readouterr().err
