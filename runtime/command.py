@@ -20,6 +20,7 @@ __all__ = ["COMMANDS", "main", "parser"]
 
 COMMANDS: Mapping[str, str] = {
     "demo": "precompute.commands.demo",
+    "new": "runtime.commands.new",
     "measure": "runtime.commands.measure",
     "sew": "runtime.commands.sew",
     "simulate": "runtime.commands.simulate",
