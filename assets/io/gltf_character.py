@@ -67,7 +67,7 @@ def bind_vertices(path: Path) -> Floats:
 
 
 def _skinned_mesh(document: Document) -> tuple[Floats, Any, Any, list[int], NDArray[np.int32], Floats, Floats]:
-    """All skinned meshes as one, and the skeleton: vertices, faces, weights, nodes of the joints, parents, root, bind."""
+    """All skinned meshes as one, and the skeleton: vertices, faces, weights, joints (nodes), parents, root, bind."""
     shown = document.mesh_nodes()
     skinned = [node for node in shown if "skin" in document.json["nodes"][node]]
     if not skinned:
