@@ -29,6 +29,7 @@ def run(options: argparse.Namespace) -> Report:
     from assets.measures import measure
     from assets.sewing.body import load_standing_body
     from runtime.report import Report
+    from runtime.terminal import say
 
     # A character need not be closed to be measured: jointed figures have gaps.
     rigged = options.body.startswith("builtin:") or options.body.lower().endswith((".glb", ".gltf"))
@@ -43,6 +44,6 @@ def run(options: argparse.Namespace) -> Report:
             if unit == "deg"
             else f"{words:8.3f} m"
         )
-        print(f"{name.replace('_', ' '):22}{shown}")
+        say(f"{name.replace('_', ' '):22}{shown}")
         figures[f"{name}_{unit}"] = words
     return Report(figures)

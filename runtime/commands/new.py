@@ -33,20 +33,21 @@ def run(options: argparse.Namespace) -> Report:
     from runtime.new_scene import write_new_scene
     from runtime.outputs import check_file
     from runtime.report import Report
+    from runtime.terminal import say
 
     check_file(options.output, ".toml")
     if options.output.exists():
         expected = "a new file: a scene that somebody has changed is not written over"
         raise InputError("exists already", key="-o", received=str(options.output), expected=expected)
     made = write_new_scene(options.character, options.garments, options.output)
-    print(made.text)
+    say(made.text, verbatim=True)
     for guess in made.garments:
         for note in guess.notes:
-            print(f"note: {guess.garment.name}: {note}")
+            say(f"note: {guess.garment.name}: {note}")
     database = options.output.with_suffix(".h5")
-    print(f"scene in {options.output}; to go on:")
-    print(f"  gube simulate {options.output} --seconds 3")
-    print(f"  gube precompute {options.output} -o {database}")
+    say(f"scene in {options.output}; to go on:")
+    say(f"  gube simulate {options.output} --seconds 3")
+    say(f"  gube precompute {options.output} -o {database}")
     return Report(rows=_rows(made))
 
 
