@@ -4,10 +4,17 @@ PYTHON ?= $(firstword $(foreach name,python3.11 python3,$(if $(shell $(name) -c 
 BIN := .venv/bin
 export PYTHONHASHSEED := 0
 
-.PHONY: demo garments test lint format proofs proofs-long gpu-proofs lock clean
+.PHONY: demo docs gallery garments test lint format proofs proofs-long gpu-proofs lock clean
 
 demo: .venv/ready
 	$(BIN)/gube demo
+
+# The site of the documents, in out/site/html; out/validate.json and the films of `make gallery` are shown if they exist.
+docs: .venv/ready
+	$(BIN)/python -m docs.site.build
+
+gallery: .venv/ready
+	$(BIN)/python -m docs.site.gallery
 
 # Sews the built-in garments anew: assets/data/*.npz.
 garments: .venv/ready
