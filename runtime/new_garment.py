@@ -32,7 +32,6 @@ FABRICS = {"shirt": "jersey", "dress": "cotton", "skirt": "wool", "trousers": "d
 WORDS = {"jeans": "denim", "jersey": "jersey", "knit": "jersey", "silk": "silk", "satin": "silk", "nylon": "polyester"}
 MAX_COARSE = 3500  # vertices that are simulated, where the mesh leaves the choice
 MIN_COARSE_EDGE = 0.012  # of that mesh [m]
-DELIVERED_COARSE = 1000  # coarse vertices of a fine mesh in panels
 DENSE = 8000  # vertices from which on a frame is slow
 MAX_HOLE = 0.12  # a boundary loop that is shorter [m], or has so few edges, is a hole rather than an opening
 MAX_HOLE_EDGES = 6
@@ -106,6 +105,9 @@ def guess_garment(path: str, body: BodyGuess, folder: Path) -> GarmentGuess:
         if placement != AS_STORED or turned:
             garment, file = _written(garment, turned, folder / f"{file.stem}_metres.obj", f"{file.name}, {placement}")
         seams = _seams_of(garment, Path(path).absolute())
+    if not boundary_loops(garment.faces):
+        expected = "one surface without thickness, with openings for the body"
+        raise InputError("a closed mesh", file=path, key="openings", expected=expected)
     kind = _kind(garment, body.vertices)
     pieces = _piece_count(garment)
     if pieces > 1 and seams is None and garment.layers is None:

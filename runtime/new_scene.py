@@ -24,6 +24,7 @@ from runtime.new_garment import GarmentGuess, guess_garment
 __all__ = ["NewScene", "write_new_scene"]
 
 COLUMNS = 110  # of comments in the file
+MAX_COARSE_OF_FINE = 1000  # coarse vertices of a fine mesh in panels
 # How to mend a fault, by words of its message.
 MENDS = {
     "cannot be read": "check the path",
@@ -40,6 +41,7 @@ MENDS = {
     "same face as": "delete one of the two (Blender: Mesh, Clean Up, Merge by Distance, then delete the inner face)",
     "an edge of": "delete the inner faces (Blender: Select, All by Trait, Non Manifold)",
     "one side only": "cut the surface along a line, so that it has an inner and an outer side",
+    "a closed mesh": "take its thickness off (Blender: remove Solidify) and open it where the body goes through",
     "pieces that nothing holds": "join them to one surface (Blender: Mesh, Merge by Distance), or give stitches",
     "starts inside the body": "take the garment of this body, or move and sculpt it out of the body in its bind pose",
     "lies beside the body": "put it around the body in its bind pose, apply all transforms and export both",
@@ -143,7 +145,7 @@ def _garment_lines(guess: GarmentGuess, folder: Path) -> Iterator[str]:
     if guess.seams is not None:
         yield "# Stitches that are closed on this mesh. It is the fine mesh; a coarse one is made from it."
         yield f"seams = {_path(guess.seams, folder)}"
-        yield f"coarse_vertices = {min(1000, len(garment.vertices) // 8)}"
+        yield f"coarse_vertices = {min(MAX_COARSE_OF_FINE, len(garment.vertices) // 8)}"
     yield f"# Kind by its shape: {guess.kind}. Its {guess.area:.2f} m2 would weigh {_weights(guess.area)}."
     yield f"fabric = {_quoted(guess.fabric)}  # {fabric.areal_density:g} kg/m2"
     yield f"# {_held_by(guess)}"

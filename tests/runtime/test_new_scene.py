@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from assets.garment import Garment, load_garment
+from assets.garment import Garment, boundary_loops, load_garment
 from assets.io.converted import write_garment
 from assets.io.scene import load_scene
 from assets.placement import fit_of
@@ -173,6 +173,15 @@ def broken(folder: Path, kind: str) -> list[str]:
         halves = faces.copy()
         halves[cut] += len(vertices)
         vertices, faces = np.concatenate([vertices - [0.0, 0.0, 1e-4], vertices]), halves
+    if kind == "a closed mesh":  # with an inner side
+        inner = vertices - 0.002 * (vertices - vertices.mean(axis=0))
+        rims = [
+            [[a, b, len(vertices) + b], [a, len(vertices) + b, len(vertices) + a]]
+            for loop in boundary_loops(faces)
+            for b, a in zip(loop, np.roll(loop, -1), strict=True)
+        ]
+        faces = np.concatenate([faces, faces[:, ::-1] + len(vertices), np.concatenate(rims)])
+        vertices = np.concatenate([vertices, inner])
     if kind == "a tiny garment":
         vertices = 1e-6 * vertices
     return [character, str(stored(folder, replace(shirt, vertices=vertices, faces=faces), "shirt.obj"))]
@@ -191,6 +200,7 @@ def broken(folder: Path, kind: str) -> list[str]:
         ("not a number", "a number that is not finite", "delete the vertex"),
         ("far away", "lies beside the body", "put it around the body"),
         ("another body's", "starts inside the body", "take the garment of this body"),
+        ("a closed mesh", "a closed mesh", "Solidify"),
         ("two pieces", "2 pieces that nothing holds together", "join them"),
     ],
 )
