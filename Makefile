@@ -5,10 +5,17 @@ BIN := .venv/bin
 export PYTHONHASHSEED := 0
 export GUBE_DATA ?= $(CURDIR)/../shared/data
 
-.PHONY: demo garments scenes test browser-test lint format proofs proofs-long gpu-proofs lock clean blender
+.PHONY: demo docs gallery garments scenes blender test browser-test lint format proofs proofs-long gpu-proofs lock clean
 
 demo: .venv/ready
 	$(BIN)/gube demo
+
+# The site of the documents, in out/site/html; out/validate.json and the films of `make gallery` are shown if they exist.
+docs: .venv/ready
+	$(BIN)/python -m docs.site.build
+
+gallery: .venv/ready
+	$(BIN)/python -m docs.site.gallery
 
 # Sews the built-in garments anew: assets/data/*.npz.
 garments: .venv/ready

@@ -16,7 +16,16 @@ from assets.weld import check_unit, group_rows, weld
 from pbd.errors import InputError
 from pbd.mesh import edges_of
 
-__all__ = ["Garment", "boundary_loops", "check_faces", "highest_loop", "load_garment"]
+__all__ = [
+    "Garment",
+    "StoredSurface",
+    "boundary_loops",
+    "check_faces",
+    "checked_garment",
+    "highest_loop",
+    "load_garment",
+    "read_surface",
+]
 
 Floats = NDArray[np.float64]
 Faces = NDArray[np.int32]
@@ -80,6 +89,34 @@ def load_garment(path: str | PathLike[str], *, pattern: bool = False) -> Garment
         from assets.io.sewn import read_sewn  # is made of this module's parts
 
         return read_sewn(path).garment
+    return checked_garment(read_surface(path), pattern=pattern)
+
+
+@dataclass(frozen=True, eq=False)
+class StoredSurface:
+    """Triangles as a file has them, with neither welds nor checks.
+
+    Attributes:
+        path: the file.
+        vertices: shape (n, 3), float64.
+        faces: shape (m, 3), int32.
+        texture: texture coordinates of each face corner, shape (m, 3, 2), float64; None unless every face has them.
+        label: name of a face in messages.
+    """
+
+    path: Path
+    vertices: Floats
+    faces: Faces
+    texture: Floats | None
+    label: Callable[[int], str]
+
+
+def read_surface(path: Path) -> StoredSurface:
+    """Read the surface of an .obj, .glb or .gltf file.
+
+    Raises:
+        InputError: another kind of file, one that cannot be read or is damaged, or one without faces.
+    """
     if path.suffix.lower() == ".obj":
         mesh = read_obj(path)
         vertices, faces, texture, lines = mesh.vertices, mesh.faces, mesh.texture, mesh.lines
@@ -94,6 +131,12 @@ def load_garment(path: str | PathLike[str], *, pattern: bool = False) -> Garment
     if not len(faces):
         received = f"{len(vertices)} vertices"
         raise InputError("a mesh without faces", file=path, received=received, expected="a whole file with faces")
+    return StoredSurface(path, vertices, faces, texture, label)
+
+
+def checked_garment(surface: StoredSurface, *, pattern: bool = False) -> Garment:
+    """Weld and check a surface in metres; arguments and errors as for :func:`load_garment`."""
+    path, vertices, faces, label = surface.path, surface.vertices, surface.faces, surface.label
     if not (pattern and path.suffix.lower() == ".obj"):
         vertices, faces, _ = weld(vertices, faces)
     vertices, faces = _drop_unused(vertices, faces)
@@ -103,7 +146,7 @@ def load_garment(path: str | PathLike[str], *, pattern: bool = False) -> Garment
     faces[flipped] = faces[flipped][:, [0, 2, 1]]
     flat = None
     if pattern:
-        flat = _check_pattern(vertices, faces, texture, flipped, path, label)
+        flat = _check_pattern(vertices, faces, surface.texture, flipped, path, label)
     return Garment(path.stem, vertices, faces, flat, str(path))
 
 

@@ -20,6 +20,7 @@ __all__ = ["COMMANDS", "main", "parser"]
 
 COMMANDS: Mapping[str, str] = {
     "demo": "precompute.commands.demo",
+    "new": "runtime.commands.new",
     "measure": "runtime.commands.measure",
     "sew": "runtime.commands.sew",
     "simulate": "runtime.commands.simulate",
@@ -74,6 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from pbd.errors import InputError
     from runtime.outputs import check_file
     from runtime.report import write_report
+    from runtime.terminal import say_error
 
     try:
         if options.json:
@@ -82,20 +84,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.json:
             write_report(options.json, options.command, report.figures, report.rows)
     except InputError as error:
-        print(f"gube {options.command}: {error}", file=sys.stderr)
+        say_error(f"gube {options.command}", error)
         return 2
     except OSError as error:  # a full disk, or one that went away
-        print(f"gube {options.command}: {_disk_problem(error)}", file=sys.stderr)
+        say_error(f"gube {options.command}", _disk_problem(error))
         return 1
     except BrokenExecutor:
-        print(
-            f"gube {options.command}: a simulating process was ended from outside, perhaps for want of memory; "
+        say_error(
+            f"gube {options.command}",
+            "a simulating process was ended from outside, perhaps for want of memory; "
             "what it had finished is kept, and the same command goes on from there",
-            file=sys.stderr,
         )
         return 1
     except KeyboardInterrupt:
-        print("stopped", file=sys.stderr)
+        say_error("", "stopped")
         return 1
     return 0 if report.passed else 1
 
@@ -156,8 +158,9 @@ class _Version(argparse.Action):
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         from runtime.report import package_version
+        from runtime.terminal import say
 
-        print(f"gube {package_version('gube')}")
+        say(f"gube {package_version('gube')}")
         parser.exit()
 
 

@@ -6,7 +6,6 @@ import json
 import math
 import os
 import platform
-import shutil
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from pbd.storage import replacing
+from runtime.terminal import LiveLine, is_plain
 
 __all__ = [
     "Progress",
@@ -60,16 +60,13 @@ class Progress:
 
     def __init__(self, stream: TextIO) -> None:
         self._stream, self._began = stream, time.monotonic()
-        self._live, self._open = stream.isatty(), False
+        self._live = None if is_plain(stream) else LiveLine(stream)
 
     def __call__(self, line: str) -> None:
-        text = f"[{time.monotonic() - self._began:5.0f} s] {line}"
-        if self._live:
-            width = shutil.get_terminal_size().columns - 1
-            self._stream.write(f"\r\x1b[K{text[:width]}")
-            self._open = True
-        else:
-            self._stream.write(text + "\n")
+        if self._live is not None:
+            self._live.show(line)
+            return
+        self._stream.write(f"[{time.monotonic() - self._began:5.0f} s] {line}\n")
         self._stream.flush()
 
     def say(self, line: str) -> None:
@@ -81,10 +78,8 @@ class Progress:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._open:
-            self._stream.write("\n")
-            self._stream.flush()
-            self._open = False
+        if self._live is not None:
+            self._live.close()
 
 
 def process_age() -> float:

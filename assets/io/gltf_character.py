@@ -14,7 +14,7 @@ from assets.io.skin import MAX_SAMPLES, best_influences, merge_pieces
 from assets.transform import decompose, slerp
 from assets.weld import check_unit
 
-__all__ = ["read_character"]
+__all__ = ["bind_vertices", "read_character"]
 
 Floats = NDArray[np.float64]
 
@@ -34,22 +34,7 @@ def read_character(path: Path, name: str | None) -> Character:
         InputError: as :func:`assets.character.load_character`.
     """
     document = read_document(path)
-    shown = document.mesh_nodes()
-    skinned = [node for node in shown if "skin" in document.json["nodes"][node]]
-    if not skinned:
-        raise document.error("no skin: nothing ties the mesh to joints", "nodes", f"{len(shown)} meshes without a skin")
-    joints = {node: _skin_joints(document, node) for node in skinned}
-    kept, parents, root = _skeleton(document, [joint for some in joints.values() for joint in some])
-    place = {node: index for index, node in enumerate(kept)}
-    bind, mesh_to_world = _bind_pose(document, joints, kept, parents, root)
-    pieces = []
-    for node in skinned:
-        columns = np.array([place[joint] for joint in joints[node]])
-        matrix = mesh_to_world[node]
-        for primitive in document.primitives(node):
-            weights = _weights(document, primitive, columns, len(kept))
-            pieces.append((primitive.vertices @ matrix[:3, :3].T + matrix[:3, 3], primitive.faces, weights))
-    vertices, faces, weights = merge_pieces(pieces)
+    vertices, faces, weights, kept, parents, root, bind = _skinned_mesh(document)
     check_unit(vertices, path)
     joint_indices, joint_weights = best_influences(weights)
     to_parent = np.linalg.inv(np.where((parents < 0)[:, None, None], root, bind[parents]))
@@ -66,6 +51,38 @@ def read_character(path: Path, name: str | None) -> Character:
         root_transform=root,
         clips=_clips(document, kept),
     )
+
+
+def bind_vertices(path: Path) -> Floats:
+    """Vertices of a file's character in its bind pose, in whatever unit the file has, shape (n, 3).
+
+    Args:
+        path: a .glb or .gltf file.
+
+    Raises:
+        InputError: the file cannot be read, or has no skin or no weights.
+    """
+    return _skinned_mesh(read_document(path))[0]
+
+
+def _skinned_mesh(document: Document) -> tuple[Floats, Any, Any, list[int], NDArray[np.int32], Floats, Floats]:
+    """All skinned meshes as one, and the skeleton: vertices, faces, weights, joints (nodes), parents, root, bind."""
+    shown = document.mesh_nodes()
+    skinned = [node for node in shown if "skin" in document.json["nodes"][node]]
+    if not skinned:
+        raise document.error("no skin: nothing ties the mesh to joints", "nodes", f"{len(shown)} meshes without a skin")
+    joints = {node: _skin_joints(document, node) for node in skinned}
+    kept, parents, root = _skeleton(document, [joint for some in joints.values() for joint in some])
+    place = {node: index for index, node in enumerate(kept)}
+    bind, mesh_to_world = _bind_pose(document, joints, kept, parents, root)
+    pieces = []
+    for node in skinned:
+        columns = np.array([place[joint] for joint in joints[node]])
+        matrix = mesh_to_world[node]
+        for primitive in document.primitives(node):
+            weights = _weights(document, primitive, columns, len(kept))
+            pieces.append((primitive.vertices @ matrix[:3, :3].T + matrix[:3, 3], primitive.faces, weights))
+    return *merge_pieces(pieces), kept, parents, root, bind
 
 
 def _skin_joints(document: Document, node: int) -> list[int]:

@@ -27,15 +27,16 @@ def run(options: argparse.Namespace) -> Report:
     from precompute.benchmarks.clips import MAX_OVER_LIMBS, clip_rows, write_clips
     from runtime.outputs import check_file
     from runtime.report import Progress, Report
+    from runtime.terminal import say
 
     check_file(options.output, ".csv")
     with Progress(sys.stderr) as progress:
         rows = clip_rows(options.names, progress, options.output.parent)
     write_clips(options.output, rows)
     for row in rows:
-        print(row["clip"])
-        print("\n".join(f"    {name} {value:.4g}" for name, value in row.items() if name != "clip"))
-    print(options.output)
+        say(row["clip"])
+        say("\n".join(f"    {name} {value:.4g}" for name, value in row.items() if name != "clip"))
+    say(options.output)
     figures = {f"{row['clip']}_{name}": value for row in rows for name, value in row.items() if name != "clip"}
     well = all(
         row["finite"] == 1.0

@@ -30,13 +30,14 @@ def run(options: argparse.Namespace) -> Report:
     from precompute.failures.failures import CLASSIC, all_failure_rows, failure_table, write_failures
     from runtime.outputs import check_file
     from runtime.report import Progress, Report
+    from runtime.terminal import say
 
     check_file(options.output, ".csv")
     solvers = (options.solver,) if options.solver else ("default", *CLASSIC)
     with Progress(sys.stderr) as progress:
         rows = all_failure_rows(solvers, os.cpu_count() or 1, progress)
     write_failures(options.output, rows)
-    print(f"{failure_table(rows)}\n\n{options.output}")
+    say(f"{failure_table(rows)}\n\n{options.output}")
     ours = [row for row in rows if row["solver"] == "default"]
     catastrophic = [row for row in rows if row["class"] == "catastrophic"]
     figures = {

@@ -36,13 +36,14 @@ def run(options: argparse.Namespace) -> Report:
     from precompute.benchmarks.frame import bench_frame, frame_text
     from precompute.benchmarks.frame_turns import compare_frames
     from runtime.report import Progress, Report
+    from runtime.terminal import say
 
     if options.against is not None:
         with Progress(sys.stderr) as progress:
             comparison = compare_frames(options.database, options.against, options.seconds, progress)
-        print(comparison.text())
+        say(comparison.text())
         return Report(comparison.figures())
     with Progress(sys.stderr) as progress:
         bench = bench_frame(options.database, options.seconds, progress)
-    print(frame_text(bench))
+    say(frame_text(bench))
     return Report(bench.figures(), bench.rows())

@@ -30,10 +30,11 @@ def run(options: argparse.Namespace) -> Report:
     """Play the scenes and print a row for each; one that fails or misses the target fails the command."""
     from precompute.planning.plan_trial import trial_rows, trial_text
     from runtime.report import Progress, Report
+    from runtime.terminal import say
 
     with Progress(sys.stderr) as progress:
         rows = trial_rows(options.database, options.names, options.seconds, progress)
-    print(trial_text(rows))
+    say(trial_text(rows))
     figures = {f"{row['scene']}_{name}": value for row in rows for name, value in row.items() if name != "scene"}
     well = all(row["catastrophic"] == 0 and row["within_target_percent"] >= WELL for row in rows)
     return Report(figures, rows, passed=well)

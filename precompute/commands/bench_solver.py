@@ -31,12 +31,13 @@ def run(options: argparse.Namespace) -> Report:
     from precompute.benchmarks.solver_bench import bench_rows, bench_solver, bench_verdict, write_bench
     from runtime.outputs import check_folder
     from runtime.report import Progress, Report
+    from runtime.terminal import say
 
     check_folder(options.output)
     with Progress(sys.stderr) as progress:
         bench = bench_solver(report=progress, with_baselines=options.rivals)
     options.output.mkdir(parents=True, exist_ok=True)
     write_bench(options.output, bench)
-    print(bench_verdict(bench))
-    print(f"\n{options.output / 'solver.html'}")
+    say(bench_verdict(bench))
+    say(f"\n{options.output / 'solver.html'}")
     return Report(bench.figures(), bench_rows(bench))

@@ -42,6 +42,7 @@ def run(options: argparse.Namespace) -> Report:
     from precompute.reporting.tables import write_table
     from runtime.outputs import check_file
     from runtime.report import Progress, Report
+    from runtime.terminal import say
 
     check_file(options.output, ".csv")
     for name in options.fabric:
@@ -56,8 +57,8 @@ def run(options: argparse.Namespace) -> Report:
         found = measure_meshes(scene, options.fabric, options.subdivisions, options.seconds, workers, progress)
     rows = space_rows(found)
     write_table(options.output, rows, machine=True)
-    print(space_text(found))
-    print(options.output)
+    say(space_text(found))
+    say(options.output)
     figures: dict[str, float | str] = {}
     for fabric in dict.fromkeys(one.fabric for one in found):
         mesh = converged_mesh([one for one in found if one.fabric == fabric])

@@ -31,8 +31,9 @@ def run(options: argparse.Namespace) -> Report:
     """Run the square and print the verdicts beside those of other engines; any but "ok" fails the command."""
     from precompute.failures.stress import stress_figures, stress_rows, stress_text
     from runtime.report import Progress, Report
+    from runtime.terminal import say
 
     with Progress(sys.stderr) as progress:
         rows = stress_rows(options.solver, options.names, options.seconds, progress)
-    print(stress_text(rows))
+    say(stress_text(rows))
     return Report(stress_figures(rows), rows, passed=all(row["verdict"] == "ok" for row in rows))

@@ -25,9 +25,10 @@ def run(options: argparse.Namespace) -> Report:
     """Learn the variants and print the table."""
     from precompute.wrinkle_comparison.ablations import ablate_file, table
     from runtime.report import Progress, Report, machine_description, numbers_of
+    from runtime.terminal import say
 
     with Progress(sys.stderr) as progress:
         rows = ablate_file(options.database, report=progress)
     machine = machine_description()
-    print(f"{options.database.stem}, {machine['cpu']}, {machine['date'][:10]}:\n\n{table(rows)}")
+    say(f"{options.database.stem}, {machine['cpu']}, {machine['date'][:10]}:\n\n{table(rows)}")
     return Report(numbers_of(rows[0]), rows)

@@ -105,6 +105,7 @@ def _compare_scenes(options: argparse.Namespace, scenes: Sequence[str]) -> Repor
     )
     from precompute.wrinkle_comparison.compare import compare_file
     from runtime.report import Progress, Report
+    from runtime.terminal import say
 
     methods, output = [] if options.methods is None else options.methods.split(","), options.output
     with Progress(sys.stderr) as progress:
@@ -118,8 +119,8 @@ def _compare_scenes(options: argparse.Namespace, scenes: Sequence[str]) -> Repor
         more = wrinkle_sections(layer) + ([] if scenes else fabric_sections(output, progress))
         progress("drawing")
         write_comparison(output, found, more)
-    print("\n\n".join(comparison_text(one) for one in found))
-    print(f"\n{output / 'compare.html'}")
+    say("\n\n".join(comparison_text(one) for one in found))
+    say(f"\n{output / 'compare.html'}")
     return Report(comparison_figures(found), [point.row(one.scene.name) for one in found for point in one.points])
 
 
@@ -128,6 +129,7 @@ def _compare_wrinkles(options: argparse.Namespace) -> Report:
     from precompute.wrinkle_comparison.wrinkle_comparison import compare_wrinkles_file
     from precompute.wrinkle_comparison.wrinkle_page import wrinkle_rows, wrinkle_verdict, write_wrinkles
     from runtime.report import Progress, Report, numbers_of
+    from runtime.terminal import say
 
     for name in ("clip", "seconds"):
         if getattr(options, name) is not None:
@@ -136,8 +138,8 @@ def _compare_wrinkles(options: argparse.Namespace) -> Report:
         found = compare_wrinkles_file(options.database, options.output, report=progress)
     page = options.output / "wrinkles.html"
     write_wrinkles(page, found)
-    print(wrinkle_verdict(found))
-    print(f"\n{page}")
+    say(wrinkle_verdict(found))
+    say(f"\n{page}")
     rows = wrinkle_rows(found)
     return Report(numbers_of(rows[0]), rows)
 
@@ -146,6 +148,7 @@ def _compare_database(options: argparse.Namespace) -> Report:
     from precompute.wrinkle_comparison.compare import compare_file
     from precompute.wrinkle_comparison.comparison_page import verdict, write_blind, write_comparison
     from runtime.report import Progress, Report
+    from runtime.terminal import say
 
     with Progress(sys.stderr) as progress:
         found = compare_file(
@@ -153,10 +156,10 @@ def _compare_database(options: argparse.Namespace) -> Report:
         )
     page = options.output / "compare.html"
     write_comparison(page, found)
-    print(verdict(found))
-    print(f"\n{page}")
+    say(verdict(found))
+    say(f"\n{page}")
     if options.blind:
         *_, key = write_blind(options.output, found)
-        print(f"{options.output / 'blind'}, key: {key}")
+        say(f"{options.output / 'blind'}, key: {key}")
     rows = [{"method": m.name, "frame_ms_p50": m.frame_ms, **m.settings, **m.figures} for m in found.methods]
     return Report(found.figures, rows)

@@ -31,18 +31,19 @@ def run(options: argparse.Namespace) -> Report:
     from precompute.demo import FULL, SHORT, introduction, run_demo
     from runtime.outputs import check_folder
     from runtime.report import Progress, Report
+    from runtime.terminal import say
 
     check_folder(options.output)
     demo = FULL if options.full else SHORT
-    print(introduction(demo, options.output), flush=True)
+    say(introduction(demo, options.output))
     with Progress(sys.stderr) as progress:
         made = run_demo(options.output, demo, say=progress.say, report=progress)
-    print("\n".join(made.words))
-    print(f"page:      {made.page}")
-    print(f"picture:   {made.picture} (coarse | truth | ours | ours on the truth's own coarse skirt)")
-    print(f"animation: {made.animation} (Blender: File, Import, glTF)")
-    print(f"database:  {made.database}")
-    print(f"next: gube view {made.database}")
-    print(f"      gube info {made.database}")
-    print(f"      gube play {made.database} --loop 60 --hz 60")
+    say("\n".join(made.words))
+    say(f"page:      {made.page}")
+    say(f"picture:   {made.picture} (coarse | truth | ours | ours on the truth's own coarse skirt)")
+    say(f"animation: {made.animation} (Blender: File, Import, glTF)")
+    say(f"database:  {made.database}")
+    say(f"next: gube view {made.database}")
+    say(f"      gube info {made.database}")
+    say(f"      gube play {made.database} --loop 60 --hz 60")
     return Report(made.figures)

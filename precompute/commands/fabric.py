@@ -59,13 +59,14 @@ def _fit(fabric: Fabric, setting: TrialSetting, curves: Path, output: Path) -> R
     from precompute.fabric_lab.fabric_fit import draw_fit, fit_fabric, read_curves
     from precompute.fabric_lab.fabric_report import fabric_text
     from runtime.report import Report
+    from runtime.terminal import say
 
     fitted, found = fit_fabric(read_curves(curves), fabric, setting)
     draw_fit(output / "fit.png", found)
-    print(fabric_text(fitted))
+    say(fabric_text(fitted))
     for curve in found:
-        print(f"# {curve.instrument} {curve.direction}: {100.0 * curve.error:.2g} % off")
-    print(f"# {output / 'fit.png'}")
+        say(f"# {curve.instrument} {curve.direction}: {100.0 * curve.error:.2g} % off")
+    say(f"# {output / 'fit.png'}")
     rows = [{"instrument": c.instrument, "direction": c.direction, "error": c.error} for c in found]
     return Report(asdict(fitted), rows)
 
@@ -73,11 +74,12 @@ def _fit(fabric: Fabric, setting: TrialSetting, curves: Path, output: Path) -> R
 def _measure(fabric: Fabric, setting: TrialSetting, output: Path) -> Report:
     from precompute.fabric_lab.fabric_report import curve_rows, curves_text, draw_curves, measure_fabric, write_curves
     from runtime.report import Progress, Report
+    from runtime.terminal import say
 
     with Progress(sys.stderr) as progress:
         curves, figures = measure_fabric(fabric, setting, progress)
-    print(curves_text(curves, figures))
+    say(curves_text(curves, figures))
     write_curves(output / "curves.csv", curves)
     draw_curves(output / "curves.png", curves)
-    print(f"\n{output / 'curves.png'}")
+    say(f"\n{output / 'curves.png'}")
     return Report(figures, curve_rows(curves))

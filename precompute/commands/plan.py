@@ -57,6 +57,7 @@ def run(options: argparse.Namespace) -> Report:
     from runtime.outputs import check_folder
     from runtime.planner import TARGETS
     from runtime.report import Progress, Report
+    from runtime.terminal import say
 
     check_folder(options.output)
     with Progress(sys.stderr) as progress:
@@ -70,5 +71,5 @@ def run(options: argparse.Namespace) -> Report:
             garments=options.garments,
             report=progress,
         )
-    print(plan_text(found))
+    say(plan_text(found))
     return Report(found.figures, plan_rows(found))

@@ -46,6 +46,7 @@ def run(options: argparse.Namespace) -> Report:
     from runtime.info import info_text
     from runtime.outputs import check_file, check_folder
     from runtime.report import Progress, Report
+    from runtime.terminal import say
 
     if options.workers < 1:
         raise InputError("too few processes", key="--workers", received=options.workers, expected="at least 1")
@@ -56,7 +57,7 @@ def run(options: argparse.Namespace) -> Report:
     with Progress(sys.stderr) as progress:
         made = precompute(scene, options.output, cache=options.cache, workers=options.workers, report=progress)
     text, figures = info_text(options.output)
-    print(text)
-    print(f"where the time went:\n{stage_table(made.stages)}")
-    print(f"To see it: gube play {options.output} --truth\nFor others: gube bake {options.output} -o OUT.glb")
+    say(text)
+    say(f"where the time went:\n{stage_table(made.stages)}")
+    say(f"To see it: gube play {options.output} --truth\nFor others: gube bake {options.output} -o OUT.glb")
     return Report(figures | stage_figures(made.stages))

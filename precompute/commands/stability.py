@@ -41,17 +41,18 @@ def run(options: argparse.Namespace) -> Report:
     from precompute.stability.stability_sweep import METHODS, check_methods, sweep
     from runtime.outputs import check_folder
     from runtime.report import Progress, Report
+    from runtime.terminal import say
 
     if options.cell is not None:
         cell = chosen_cell(options.cell)
         cells = [run_cell(*cell, method) for method in check_methods(options.method or METHODS[:1])]
-        print("\n".join(map(cell_text, cells)))
+        say("\n".join(map(cell_text, cells)))
         return Report(cells[0].figures, [cell_row(one) for one in cells])
     check_folder(options.output)
     with Progress(sys.stderr) as progress:
         found = sweep(options.method or METHODS, workers=os.cpu_count() or 1, report=progress)
         progress("drawing")
         files = write_stability(options.output, found)
-    print(stability_text(found))
-    print(f"\n{files[0]}")
+    say(stability_text(found))
+    say(f"\n{files[0]}")
     return Report(found.figures, [cell_row(cell) for cell in found.cells])

@@ -43,14 +43,15 @@ def run(options: argparse.Namespace) -> Report:
     from precompute.validation.validation_pictures import draw_results
     from runtime.outputs import check_folder
     from runtime.report import Progress, Report
+    from runtime.terminal import say
 
     check_folder(options.output)
     tests = chosen_rows(options.names, options.param, options.solver)
     with Progress(sys.stderr) as progress:
         results = validate_all(tests, options.solver, options.resolution, os.cpu_count() or 1, progress)
-    print(validation_text(results))
+    say(validation_text(results))
     for path in draw_results(options.output, results):
-        print(path)
+        say(path)
     rows = [result_row(result) for result in results]
     figures = {
         "tests": len(rows),

@@ -35,6 +35,7 @@ def run(options: argparse.Namespace) -> Report:
     from runtime.plain_player import PlainPlayer
     from runtime.play import BAKED, baked_frames, open_database, write_baked
     from runtime.report import Report
+    from runtime.terminal import say
 
     check_file(options.output, *BAKED)
     database, inputs = open_database(
@@ -46,8 +47,8 @@ def run(options: argparse.Namespace) -> Report:
     )
     player, frames, normals, poses = baked_frames(database, inputs, inputs.motions[0], options.rate, options.seconds)
     if isinstance(player, PlainPlayer):
-        print(f"plays {better_choice(database.quality)} (--wrinkles plays the wrinkles)")
+        say(f"plays {better_choice(database.quality)} (--wrinkles plays the wrinkles)")
     faces = player.levels.subdivision.faces
     write_baked(options.output, faces, frames, options.rate, normals, inputs.body, poses)
-    print(f"{inputs.motions[0].name}: {len(frames)} frames of {frames.shape[1]} vertices baked to {options.output}")
+    say(f"{inputs.motions[0].name}: {len(frames)} frames of {frames.shape[1]} vertices baked to {options.output}")
     return Report({"frame_count": len(frames), "fine_vertex_count": frames.shape[1]})

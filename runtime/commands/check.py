@@ -24,8 +24,9 @@ def run(options: argparse.Namespace) -> Report:
     """Check a database and print a line for each check."""
     from runtime.info import check_database
     from runtime.report import Report
+    from runtime.terminal import say
 
     checks = check_database(options.database)
     for check in checks:
-        print(f"{'passed' if check.passed else 'FAILED'}  {check.check}: {check.detail}")
+        say(f"{'passed' if check.passed else 'FAILED'}  {check.check}: {check.detail}")
     return Report(rows=[check._asdict() for check in checks], passed=all(check.passed for check in checks))

@@ -24,7 +24,8 @@ def run(options: argparse.Namespace) -> Report:
     """Print what a database holds."""
     from runtime.info import info_text
     from runtime.report import Report
+    from runtime.terminal import say
 
     text, figures = info_text(options.database)
-    print(text, end="")
+    say(text.removesuffix("\n"))
     return Report(figures)

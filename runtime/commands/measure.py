@@ -31,6 +31,7 @@ def run(options: argparse.Namespace) -> Report:
     from assets.measures import measure
     from assets.sewing.body import load_standing_body
     from runtime.report import Report
+    from runtime.terminal import say
 
     # A character need not be closed to be measured: jointed figures have gaps.
     skinned = options.body.lower().endswith(CHARACTER_SUFFIXES) and not is_sequence(options.body)
@@ -46,6 +47,6 @@ def run(options: argparse.Namespace) -> Report:
             if unit == "deg"
             else f"{words:8.3f} m"
         )
-        print(f"{name.replace('_', ' '):22}{shown}")
+        say(f"{name.replace('_', ' '):22}{shown}")
         figures[f"{name}_{unit}"] = words
     return Report(figures)

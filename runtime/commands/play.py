@@ -67,6 +67,7 @@ def play_motions(
     from runtime.plain_player import plain_choice
     from runtime.play import open_database
     from runtime.report import Report, numbers_of, process_age
+    from runtime.terminal import say
 
     import_s = process_age()
     if options.loop is None:
@@ -80,7 +81,7 @@ def play_motions(
     )
     plain = not options.truth and not inputs.wrinkles and plain_choice(database) is not None
     if plain:
-        print(f"plays {better_choice(database.quality)} (--wrinkles plays the wrinkles)")
+        say(f"plays {better_choice(database.quality)} (--wrinkles plays the wrinkles)")
     rows: list[dict[str, float | str]] = []
     for motion in inputs.motions:
         rows.append(
@@ -91,9 +92,9 @@ def play_motions(
                 **figures_of(database, inputs, motion),
             }
         )
-        print("\n".join([f"{motion.name}:", *figure_lines(numbers_of(rows[-1]))]))
+        say("\n".join([f"{motion.name}:", *figure_lines(numbers_of(rows[-1]))]))
         if "state_hash" in rows[-1]:
-            print(f"  state_hash {rows[-1]['state_hash']}")
+            say(f"  state_hash {rows[-1]['state_hash']}")
     if options.loop is None:
-        print(f"pictures: {options.output}")
+        say(f"pictures: {options.output}")
     return Report({name: value for name, value in rows[0].items() if name not in ("motion", "method")}, rows)

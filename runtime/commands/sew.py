@@ -74,6 +74,7 @@ def run(options: argparse.Namespace) -> Report:
     from runtime.info import figure_lines
     from runtime.outputs import check_file
     from runtime.report import Progress, Report
+    from runtime.terminal import say, say_error
 
     check_file(options.output, ".npz")
     if options.picture:
@@ -89,17 +90,17 @@ def run(options: argparse.Namespace) -> Report:
             fault, sewn = error, error.garment
     figures = {} if sewn is None else dict(sewn.figures)
     figures["sewing_s"] = time.monotonic() - began
-    print("\n".join(figure_lines(figures)))
+    say("\n".join(figure_lines(figures)))
     if options.picture:
         from runtime.sewing_picture import draw_sewing
 
         draw_sewing(options.picture, pattern, body, sewn)
-        print(f"picture in {options.picture}")
+        say(f"picture in {options.picture}")
     if fault is not None or sewn is None:
-        print(f"{pattern.name} did not come out whole on {body.name}: {fault}", file=sys.stderr)
+        say_error("", f"{pattern.name} did not come out whole on {body.name}: {fault}")
         return Report(figures, passed=False)
     write_sewn(options.output, sewn)
-    print(f"garment in {options.output}")
+    say(f"garment in {options.output}")
     return Report(figures)
 
 

@@ -48,12 +48,13 @@ def run(options: argparse.Namespace) -> Report:
     from runtime.info import figure_lines
     from runtime.outputs import check_file
     from runtime.report import Report
+    from runtime.terminal import say
 
     scene = load_scene(options.scene)
     from runtime.garment_setup import body_of, simulation_of, with_subdivisions
 
     if options.explain:
-        print(scene_text(with_subdivisions(scene)), end="")
+        say(scene_text(with_subdivisions(scene)).removesuffix("\n"), verbatim=True)
         return Report()
     from runtime.play import BAKED, simulated_frames, write_baked
 
@@ -65,5 +66,5 @@ def run(options: argparse.Namespace) -> Report:
     frames, poses, rate, figures = simulated_frames(simulation, motion, scene, seconds)
     body = None if poses is None else body_of(scene)
     write_baked(output, simulation.model.mesh.faces, frames, rate, body=body, poses=poses)
-    print("\n".join([*figure_lines(figures), f"baked to {output}"]))
+    say("\n".join([*figure_lines(figures), f"baked to {output}"]))
     return Report(figures)

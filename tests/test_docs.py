@@ -1,0 +1,172 @@
+"""The documents: links and anchors lead somewhere, code in them is right, and pages made from the code are whole."""
+
+from __future__ import annotations
+
+import ast
+import re
+import shlex
+from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+from markdown.extensions.toc import slugify
+
+import gube
+from docs.site.build import NAV, front_page
+from docs.site.pages import GENERATED, TABLES, attribute_texts, options_page, scene_keys
+from runtime.command import COMMANDS, parser
+from tests.data import ROOT
+
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
+MADE = {*GENERATED, "index.md"}  # pages that only the site has
+by_name = pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(ROOT).as_posix())
+
+
+def prose_and_code(text: str) -> tuple[str, list[tuple[str, str]]]:
+    """A page without its code blocks, and the blocks with their language."""
+    blocks, prose, lines = [], [], text.split("\n")
+    while lines:
+        line = lines.pop(0)
+        if line.startswith("```"):
+            end = next((place for place, other in enumerate(lines) if other.startswith("```")), len(lines))
+            blocks.append((line.strip("`"), "\n".join(lines[:end])))
+            lines = lines[end + 1 :]
+        elif line.startswith("    ") and not line.lstrip().startswith(("-", "|", "*")):
+            block = [line[4:]]
+            while lines and (lines[0].startswith("    ") or not lines[0].strip()):
+                block.append(lines.pop(0)[4:])
+            blocks.append(("", "\n".join(block).strip("\n")))
+        else:
+            prose.append(line)
+    return "\n".join(prose), blocks
+
+
+def anchors(text: str) -> set[str]:
+    """Names of the headings of a page, as the site's builder makes them."""
+    prose, _ = prose_and_code(text)
+    titles = re.findall(r"^#+ +(.*?) *$", prose, re.MULTILINE)
+    return {slugify(re.sub(r"[`*]", "", title), "-") for title in titles}
+
+
+def broken(path: Path, text: str) -> list[str]:
+    """Links of a page to nowhere."""
+    prose, _ = prose_and_code(text)
+    found = []
+    for target in re.findall(r"\]\(([^)\s]+)\)", re.sub(r"`[^`]*`", "", prose)):
+        if re.match(r"[a-z]+:", target):
+            continue
+        place, _, anchor = target.partition("#")
+        file = path.parent / place if place else path
+        if not file.exists() and Path(place).name not in MADE:
+            found.append(target)
+        elif anchor and file.suffix == ".md" and file.exists() and file.name not in GENERATED:
+            if anchor not in anchors(file.read_text(encoding="utf-8")):
+                found.append(target)
+    return found
+
+
+def commands(code: str) -> Iterator[str]:
+    """Lines of a block that run `gube`, joined where they go on in the next line."""
+    for line in code.replace("\\\n", " ").split("\n"):
+        words = line.partition("  #")[0].strip()
+        if words.startswith("gube ") and "COMMAND" not in words:
+            yield words
+
+
+def refused(line: str) -> bool:
+    """Whether the parser refuses a line that runs `gube`."""
+    words = shlex.split(line, comments=True)[1:]
+    try:
+        parser(words).parse_args(words)
+    except SystemExit as error:
+        return error.code != 0
+    return False
+
+
+@by_name
+def test_links_and_anchors_lead_somewhere(path: Path) -> None:
+    assert broken(path, path.read_text(encoding="utf-8")) == []
+
+
+def test_a_broken_link_is_found(tmp_path: Path) -> None:
+    (tmp_path / "other.md").write_text("# One title\n", encoding="utf-8")
+    text = "[a](other.md) [b](other.md#one-title) [c](missing.md) [d](other.md#none) [e](#top) `[f](x)`\n# Top\n"
+    (tmp_path / "page.md").write_text(text, encoding="utf-8")
+    assert broken(tmp_path / "page.md", text) == ["missing.md", "other.md#none"]
+
+
+@by_name
+def test_python_code_compiles_and_imports_public_names_alone(path: Path) -> None:
+    _, blocks = prose_and_code(path.read_text(encoding="utf-8"))
+    for language, code in blocks:
+        if language != "python" and not code.startswith("import gube"):
+            continue
+        for node in ast.walk(ast.parse(code)):
+            if isinstance(node, ast.Import):
+                assert {alias.name for alias in node.names} <= {"gube", "numpy"}
+            if isinstance(node, ast.ImportFrom):
+                assert node.module == "gube"
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "gube":
+                assert node.attr in gube.__all__
+
+
+@by_name
+def test_commands_in_code_blocks_are_those_of_the_parser(path: Path) -> None:
+    _, blocks = prose_and_code(path.read_text(encoding="utf-8"))
+    lines = [line for _, code in blocks for line in commands(code)]
+    assert [line for line in lines if refused(line)] == []
+
+
+def test_a_wrong_command_is_found(capsys: pytest.CaptureFixture[str]) -> None:
+    code = "gube play a.h5 --truth  # judged\ngube play a.h5 \\\n    --nonsense\nmake test\ngube dance\n"
+    assert [refused(line) for line in commands(code)] == [False, True, True]
+    assert "--nonsense" in capsys.readouterr().err
+
+
+@by_name
+def test_commands_in_the_text_exist(path: Path) -> None:
+    prose, blocks = prose_and_code(path.read_text(encoding="utf-8"))
+    known = {name.split()[0] for name in COMMANDS}
+    if "lab-notes/" not in path.as_posix():  # which speak of commands as they were
+        assert {word for word in re.findall(r"`gube ([a-z]+)", prose)} <= known
+    targets = set(re.findall(r"^([a-z-]+)(?=:)", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    code = "\n".join(code for _, code in blocks)
+    named = {*re.findall(r"`make ([a-z-]+)", prose), *re.findall(r"^make ([a-z-]+)", code, re.MULTILINE)}
+    assert named - {"lint", "proofs-long"} <= targets
+
+
+@pytest.mark.parametrize("name", sorted({name.split()[0] for name in COMMANDS}))
+def test_each_command_has_a_section(name: str) -> None:
+    assert f"\n## gube {name}\n" in (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("heading", TABLES)
+def test_each_key_of_a_scene_is_explained_where_it_is_declared_and_in_the_guide(heading: str) -> None:
+    kind = TABLES[heading]
+    guide, texts = (ROOT / "docs" / "scenes.md").read_text(encoding="utf-8"), attribute_texts(kind)
+    row = re.compile(r"^\| `([^`]*)` \|.*\| (.*) \|$", re.MULTILINE)
+    section = scene_keys().partition(f"## {heading}\n")[2].partition("\n## ")[0]
+    assert {key for key, _ in row.findall(section)} == {one.metadata.get("key") or one.name for one in fields(kind)}
+    for one in fields(kind):
+        assert re.search(rf"`(\[\[)?(\w+\.)?{one.metadata.get('key') or one.name}\b", guide), one.name
+    if texts:
+        own = {one.name for one in fields(kind)}
+        assert own & set(texts) and set(texts) <= own
+
+
+def test_each_command_and_option_is_on_the_page_of_options() -> None:
+    page = options_page()
+    assert re.findall(r"^## gube (.*)$", page, re.MULTILINE) == list(COMMANDS)
+    assert page.count("`--json FILE`") == len(COMMANDS)
+
+
+def test_the_front_page_leads_to_pages_of_the_site() -> None:
+    text = front_page("[a](docs/a.md#b) [c](examples) ![d](docs/d.png) [e](https://f)")
+    assert text == "[a](a.md#b) [c](python.md#examples) ![d](d.png) [e](https://f)"
+
+
+def test_the_navigation_names_pages_that_there_are() -> None:
+    pages = [page for _, some in NAV for page in some]
+    assert [page for page in pages if page not in MADE and not (ROOT / "docs" / page).is_file()] == []
+    assert len(set(pages)) == len(pages)
