@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
@@ -46,6 +47,11 @@ from wrinkles.field import field_of_mesh
 from wrinkles.levels import Levels, build_levels, held_between
 from wrinkles.surface import SewnRest, Subdivision, cut_corners
 
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
 __all__ = [
     "PROCEDURAL_PIECE",
     "GarmentSetup",
@@ -53,6 +59,7 @@ __all__ = [
     "clip_of",
     "colliders_of",
     "coarse_garment",
+    "coarse_subdivisions_of",
     "fabric_of",
     "fabrics_of",
     "fine_options",
@@ -185,7 +192,7 @@ def fine_options(options: SolverOptions, subdivisions: int) -> SolverOptions:
 
     Args:
         options: of the coarse simulation.
-        subdivisions: from the coarse to the fine mesh.
+        subdivisions: from the garment's mesh to the fine one.
     """
     return replace(options, substep=options.substep / 2.0**subdivisions)
 
@@ -520,7 +527,7 @@ def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion 
         )
         motion = source = pose = None
     attachment = levels.fine_attachment if fine else levels.coarse_attachment
-    options = fine_options(scene.solver.options(), settings.subdivision_count) if fine else scene.solver.options()
+    options = fine_options(scene.solver.options(), settings.subdivisions_of_mesh) if fine else scene.solver.options()
     model = _model_of(settings, levels, fine)
     return Simulation(model, attachment if source else None, source, pose, options, colliders_of(scene)), motion
 
@@ -538,7 +545,7 @@ def _layers_of(scene: Scene, fine: bool) -> tuple[Simulation, Motion]:
     stages = [GarmentSetup.of(replace(scene, garments=(garment,))) for garment in scene.garments]
     options = scene.solver.options()
     if fine:
-        options = fine_options(options, max(garment.subdivision_count for garment in scene.garments))
+        options = fine_options(options, max(garment.subdivisions_of_mesh for garment in scene.garments))
     models, attachments = [], []
     for stage in stages:
         levels = stage.levels
@@ -579,6 +586,12 @@ def colliders_of(scene: Scene) -> tuple[Plane | Sphere | Capsule | DistanceField
 def _field(mesh: Path, spacing: float) -> DistanceField:
     solid = load_garment(mesh)
     return field_of_mesh(solid.vertices, solid.faces, spacing)
+
+
+def coarse_subdivisions_of(database: WrinkleDatabase) -> int:
+    """How often the garment's mesh was subdivided for the coarse one of a database; the scene's files may be gone."""
+    garments = tomllib.loads(database.scene).get("garment", [{}])
+    return int(garments[0].get("coarse_subdivisions", 0))
 
 
 def scene_of(database: WrinkleDatabase) -> Scene:

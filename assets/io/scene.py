@@ -139,6 +139,11 @@ class GarmentSettings:
         assert self.subdivisions is not None, "with_subdivisions chooses them"
         return self.subdivisions
 
+    @property
+    def subdivisions_of_mesh(self) -> int:
+        """How often the mesh is subdivided for the fine one."""
+        return self.coarse_subdivisions + self.subdivision_count
+
     def __post_init__(self) -> None:
         if self.seams is not None and self.coarse_vertices is None:
             raise InputError("seams of a mesh that is not the fine one", key="seams", expected="coarse_vertices beside")

@@ -37,12 +37,21 @@ def _beside_truth(
     from precompute.learning.evaluation import evaluate, fine_run, levels_from, truth_of
     from precompute.learning.pipeline import default_cache
     from precompute.wrinkle_comparison.baselines import player_times, typical_ms
+    from runtime.garment_setup import coarse_subdivisions_of
     from runtime.play import posed_bodies
     from runtime.report import Progress
     from runtime.strips import draw_strips
 
     levels = levels_from(database, inputs.body)
-    run = fine_run(levels, inputs.body, motion, database, wind=inputs.wind, primitives=inputs.primitives)
+    run = fine_run(
+        levels,
+        inputs.body,
+        motion,
+        database,
+        wind=inputs.wind,
+        primitives=inputs.primitives,
+        coarse_subdivisions=coarse_subdivisions_of(database),
+    )
     with Progress(sys.stderr) as progress:
         truth = truth_of(run, default_cache(options.database), os.cpu_count() or 1, progress)
         if options.seconds is not None:

@@ -426,7 +426,15 @@ def scene_run(stage: GarmentSetup, scene: Scene, motion: Motion, fabric: str | N
     worn = fabrics[next(iter(fabrics)) if fabric is None else fabric]
     options = ModelOptions(pressure=stage.settings.pressure)
     settings = _Settings(worn, options, scene.solver.options(), scene.solver.frame_rate)
-    return fine_run(stage.levels, stage.body, motion, settings, wind=scene.wind.air(), primitives=colliders_of(scene))
+    return fine_run(
+        stage.levels,
+        stage.body,
+        motion,
+        settings,
+        wind=scene.wind.air(),
+        primitives=colliders_of(scene),
+        coarse_subdivisions=stage.settings.coarse_subdivisions,
+    )
 
 
 def _given_figures(

@@ -37,7 +37,7 @@ from precompute.wrinkle_comparison.baselines import (
     take_turns,
 )
 from precompute.wrinkle_comparison.realism import PatchStatistics, Realism, realism
-from runtime.garment_setup import scene_of
+from runtime.garment_setup import coarse_subdivisions_of, scene_of
 from runtime.level_of_detail import LevelOfDetail
 from runtime.play import playback_inputs
 from runtime.player import Player
@@ -415,7 +415,15 @@ def compare_file(
         raise InputError(
             "the database has learned from this clip", key="--clip", received=motion.name, expected=held_out
         )
-    run = fine_run(levels, inputs.body, motion, database, wind=inputs.wind, primitives=inputs.primitives)
+    run = fine_run(
+        levels,
+        inputs.body,
+        motion,
+        database,
+        wind=inputs.wind,
+        primitives=inputs.primitives,
+        coarse_subdivisions=coarse_subdivisions_of(database),
+    )
     truth = truth_of(run, default_cache(path), 2, report)
     found = compare(database, truth if seconds is None else truth.until(seconds), report=report)
     if clip is None and seconds is None:

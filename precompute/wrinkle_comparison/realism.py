@@ -230,7 +230,9 @@ def realism(statistics: PatchStatistics, truth: np.ndarray, method: np.ndarray) 
     for number, name in enumerate(statistics.places):
         if not (statistics.place == number).any():
             continue
-        by_place[name] = _told([roc_auc_score(y[p == number], s[p == number]) for y, s, p in found if (p == number).any()])
+        by_place[name] = _told(
+            [roc_auc_score(y[p == number], s[p == number]) for y, s, p in found if (p == number).any()]
+        )
         here = place == number
         alone = [float(roc_auc_score(wanted[here], column[here])) for column in x.T]
         most = int(np.argmax(np.abs(np.array(alone) - 0.5)))

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from assets.fabrics import PRESETS
-from assets.io.scene import Scene, parse_scene
+from assets.io.scene import Scene, parse_scene, scene_text
 from assets.procedural.builtin import builtin_garment
 from pbd import DistanceField, InputError, Plane
 from pbd.attachment import Attachment
 from runtime.garment_setup import (
     GarmentSetup,
+    coarse_subdivisions_of,
     colliders_of,
     fabrics_of,
     motion_of,
@@ -314,6 +315,19 @@ def test_a_mesh_is_subdivided_before_it_is_simulated() -> None:
     assert finer.pattern is not None and len(finer.pattern) == len(finer.coarse.faces)
     np.testing.assert_array_equal(pattern_of(scene), finer.pattern)
     assert finer.cutoff == pytest.approx(0.5 * plain.cutoff, rel=0.02)
+
+
+def test_the_fine_cloth_is_as_converged_whichever_mesh_is_simulated() -> None:
+    garment = '[[garment]]\nname = "s"\nmesh = "builtin:skirt"\nattach = "top"\nsubdivisions = {}\n{}\n'
+    text = garment + '[character]\nfile = "builtin:mannequin"\n'
+    scenes = [
+        parse_scene(text.format(2, ""), "plain"),
+        parse_scene(text.format(1, "coarse_subdivisions = 1"), "finer"),
+    ]
+    plain, finer = (simulation_of(scene, fine=True)[0].solver.options for scene in scenes)
+    assert plain == finer
+    stored = [replace(small_database(), scene=scene_text(scene)) for scene in scenes]
+    assert [coarse_subdivisions_of(database) for database in stored] == [0, 1]
 
 
 def test_too_fine_a_mesh_to_simulate_is_refused() -> None:

@@ -30,6 +30,9 @@ def test_the_fine_cloth_takes_substeps_that_halve_with_its_edges(truth: Truth) -
     steps = len(truth.levels.subdivision.steps)
     assert truth.run.solver.substep == skirt_database().solver.substep / 2**steps
     assert truth.run.bend_factor is not None  # measured once; each run would measure it again
+    stage = skirt_stage()
+    finer = fine_run(stage.levels, stage.body, stage.motion(), skirt_database(), coarse_subdivisions=1)
+    assert finer.solver.substep == truth.run.solver.substep / 2
 
 
 def test_the_start_of_a_truth_is_cut_alike_everywhere(truth: Truth) -> None:
