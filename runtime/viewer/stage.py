@@ -116,7 +116,10 @@ class Stage:
             for index, name in enumerate(look.meshes):
                 column = nodes[name]
                 column.position = tuple(player.origin - self.place + self.offset(look, name))
-                nodes[f"{name}/label"].visible = len(look.meshes) > 1 and not look.overlaid
+                labelled = len(look.meshes) > 1 and not look.overlaid
+                nodes[f"{name}/label"].visible = labelled
+                if labelled:
+                    nodes[f"{name}/label"].position = self._over_head(garment.vertices(name, tick))
                 shows_body = look.body and len(garment.body_faces) > 0 and (index == 0 or not look.overlaid)
                 if f"{name}/body" in nodes:
                     nodes[f"{name}/body"].visible = shows_body
@@ -218,7 +221,6 @@ class Stage:
 
     def _show_garment(self, name: str, look: Look, vertices: np.ndarray) -> None:
         garment, nodes = self._garment, self._nodes
-        nodes[f"{name}/label"].position = self._over_head(vertices)
         values = None if look.coloring == CLOTH else garment.values(name, look.coloring, vertices)
         plain = nodes[f"{name}/garment"]
         plain.visible = values is None

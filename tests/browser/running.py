@@ -76,13 +76,13 @@ class Running:
         self._pipe, other = context.Pipe()
         self._process = context.Process(target=_play, args=(folder, other))
         self._process.start()
-        assert self._pipe.poll(90.0), "the viewer does not start"
+        assert self._pipe.poll(300.0), "the viewer does not start"
         self.folder, self.address = folder, self._pipe.recv()
 
     def told(self) -> Told:
         """Its present state."""
         self._pipe.send(True)
-        assert self._pipe.poll(20.0), "the viewer does not answer"
+        assert self._pipe.poll(120.0), "the viewer does not answer"
         return self._pipe.recv()
 
     def close(self) -> None:
