@@ -48,7 +48,10 @@ COMMANDS: Mapping[str, str] = {
 GROUPS: Mapping[str, str] = {"bench": "measure the parts of the project and print a table"}
 """Summaries of groups."""
 
-OPTIONS: Mapping[tuple[str, str], str] = {("play", "truth"): "precompute.commands.play_truth"}
+OPTIONS: Mapping[tuple[str, str], str] = {
+    ("play", "truth"): "precompute.commands.play_truth",
+    ("export", "truth"): "precompute.commands.export_truth",
+}
 """Where ``run`` is found instead when a command gets a certain option: it needs more than the command itself does."""
 
 

@@ -17,7 +17,7 @@ __all__ = ["check_page_folder", "page_text", "write_page"]
 
 WEB = Path(__file__).parent / "web"
 PROGRAM = ("index.html", "style.css", "decoder.js", "loops.js", "worker.js", "page.js")
-BUILT = ("three.js", "three.LICENSE", "loops.wasm")  # made by `make .venv/ready`, see the Makefile
+BUILT = ("three.js", "three.LICENSE", "loops.wasm")  # see the Makefile
 RECORDING = "recording.js"
 BEGINNING = "const gubeRecording = "
 PAGE = (*PROGRAM, "three.js", "three.LICENSE", RECORDING)
@@ -36,7 +36,7 @@ def check_page_folder(folder: Path) -> None:
             file=WEB / "built",
             key=", ".join(missing),
             received="no such file",
-            expected="`make .venv/ready` in a checkout, with access to npm's registry, or a wheel built there",
+            expected="`make runtime/web/built/three.js` in a checkout, with npm's registry in reach, or its wheel",
         )
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise InputError("cannot be written", key="-o", received=str(folder), expected="a folder")
