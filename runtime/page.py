@@ -19,6 +19,7 @@ WEB = Path(__file__).parent / "web"
 PROGRAM = ("index.html", "style.css", "decoder.js", "loops.js", "worker.js", "page.js")
 BUILT = ("three.js", "three.LICENSE", "loops.wasm")  # see the Makefile
 RECORDING = "recording.js"
+BAND = "running freely: bending energy in this band of wavelengths over the truth's"
 BEGINNING = "const gubeRecording = "
 PAGE = (*PROGRAM, "three.js", "three.LICENSE", RECORDING)
 
@@ -106,8 +107,9 @@ def page_text(database: WrinkleDatabase, motion: str) -> dict[str, Any]:
     """
     columns, table = figure_table(database.quality)
     rows = [
-        {"name": name, "values": [row.get(column) for column in columns], "meaning": EXPLANATIONS.get(name, "")}
+        {"name": name, "values": [row.get(column) for column in columns], "meaning": meaning}
         for name, row in table.items()
+        if (meaning := BAND if name.startswith("band_ratio_") else EXPLANATIONS.get(name))
     ]
     facts = [
         ("motion", motion),
