@@ -32,6 +32,23 @@ SHOWN = """async (time) => {
     const letters = (array) => Array.from(new Uint8Array(array.buffer), (byte) => String.fromCharCode(byte)).join("");
     return { at, origin: Array.from(origin), fine: btoa(letters(fine)), truth: btoa(letters(truth)) };
 }"""
+# Times of decoding [ms] in a worker of its own while nothing is drawn: each frame of the recording, three times over.
+COSTS = """async () => {
+    const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+    const program = [gubeDecoder, gubeLoops, gubeWorker].map(String).join("\\n") + "\\ngubeWorker();";
+    const worker = new Worker(URL.createObjectURL(new Blob([program], { type: "text/javascript" })));
+    const asked = (message) => new Promise((done) => {
+        worker.onmessage = ({ data }) => done(data);
+        worker.postMessage(message);
+    });
+    const { recording, loops } = gubeRecording;
+    const { about } = await asked({ kind: "load", recording: bytes(recording), loops: bytes(loops) });
+    const costs = [];
+    for (let k = 0; k < 3 * about.frame_count; k++) {
+        costs.push((await asked({ kind: "decode", time: k % about.frame_count })).decodeMs);
+    }
+    return costs;
+}"""
 TIME = "() => gubePage.state.moment.time"
 # Ends when the page shows another moment than the given one.
 ANOTHER = """async (time) => {
@@ -97,7 +114,15 @@ def test_it_shows_the_players_vertices(exported: Exported, page: Page) -> None:
     for number, vertices in truth.items():  # straight between its frames, and its last one after that
         assert np.abs(shown(page, number, "truth") - vertices - TRUTH_OFF).max() < 0.6 * TRUTH_STEP
     assert page.inner_text("#labels").split() == ["coarse", "ours", "truth"]
-    sys.stdout.write(f"\n{page.inner_text('#cost')}\n")
+
+
+def test_what_decoding_costs_is_printed(exported: Exported, page: Page) -> None:
+    """Seen with `pytest -s`."""
+    costs = page.evaluate(COSTS)
+    sys.stdout.write(
+        f"\ndecoding {exported.played.shape[1]} vertices: least {min(costs):.2f}, median {np.median(costs):.2f} ms\n"
+    )
+    assert len(costs) == 3 * len(exported.played) and min(costs) > 0.0
 
 
 def test_it_plays_pauses_and_goes_to_any_moment(exported: Exported, page: Page) -> None:
