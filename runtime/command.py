@@ -54,6 +54,7 @@ GROUPS: Mapping[str, str] = {"bench": "measure the parts of the project and prin
 OPTIONS: Mapping[tuple[str, str], str] = {
     ("play", "truth"): "precompute.commands.play_truth",
     ("view", "truth"): "precompute.commands.view_truth",
+    ("export", "truth"): "precompute.commands.export_truth",
 }
 """Where ``run`` is found instead when a command gets a certain option: it needs more than the command itself does."""
 

@@ -17,8 +17,9 @@ __all__ = ["check_page_folder", "page_text", "write_page"]
 
 WEB = Path(__file__).parent / "web"
 PROGRAM = ("index.html", "style.css", "decoder.js", "loops.js", "worker.js", "page.js")
-BUILT = ("three.js", "three.LICENSE", "loops.wasm")  # made by `make .venv/ready`, see the Makefile
+BUILT = ("three.js", "three.LICENSE", "loops.wasm")  # see the Makefile
 RECORDING = "recording.js"
+BAND = "running freely: bending energy in this band of wavelengths over the truth's"
 BEGINNING = "const gubeRecording = "
 PAGE = (*PROGRAM, "three.js", "three.LICENSE", RECORDING)
 
@@ -36,7 +37,7 @@ def check_page_folder(folder: Path) -> None:
             file=WEB / "built",
             key=", ".join(missing),
             received="no such file",
-            expected="`make .venv/ready` in a checkout, with access to npm's registry, or a wheel built there",
+            expected="`make runtime/web/built/three.js` in a checkout, with npm's registry in reach, or its wheel",
         )
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise InputError("cannot be written", key="-o", received=str(folder), expected="a folder")
@@ -106,8 +107,9 @@ def page_text(database: WrinkleDatabase, motion: str) -> dict[str, Any]:
     """
     columns, table = figure_table(database.quality)
     rows = [
-        {"name": name, "values": [row.get(column) for column in columns], "meaning": EXPLANATIONS.get(name, "")}
+        {"name": name, "values": [row.get(column) for column in columns], "meaning": meaning}
         for name, row in table.items()
+        if (meaning := BAND if name.startswith("band_ratio_") else EXPLANATIONS.get(name))
     ]
     facts = [
         ("motion", motion),

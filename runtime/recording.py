@@ -7,7 +7,7 @@ vertices out of the body, which a reader does not; what is left between both is 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -33,7 +33,7 @@ from wrinkles.patches import Patches
 from wrinkles.relaxation import STRETCH_SHARE, Relaxation
 from wrinkles.vertex_mean import MEAN_STEP
 
-__all__ = ["record", "stored"]
+__all__ = ["TRUTH_HZ", "TRUTH_STEP", "RecordedTruth", "record", "stored"]
 
 COARSE_STEP = 1e-4  # of recorded coarse and held vertices [m]
 CONTACT_STEP = FAR / 127  # of their distance from the body [m]
@@ -42,6 +42,9 @@ STATE_STEPS = {"coarse": COARSE_STEP, "contact": CONTACT_STEP, "held": COARSE_ST
 BODY_STEP = 1e-3  # of the vertices of a body that is a vertex sequence [m]
 MATRIX_STEP = 2.0**-14  # of the linear part of joints' matrices, which may scale up to twice [-]
 PLACE_STEP = 1e-4  # of their translations [m]
+TRUTH_STEP = 5e-4  # of the truth's vertices [m]
+TRUTH_HZ = 15.0  # about its rate [Hz]
+MAX_SIZE = 4.0e6  # of ten seconds with the truth [bytes]: in base64 and with three.js a page of 6 MB
 # Arrays of frames: type, step, and how often differences are taken in time. Those of smooth motion are small, and
 # compress well.
 FRAMES = {
@@ -53,7 +56,20 @@ FRAMES = {
     "matrices": (np.int16, MATRIX_STEP, 2),
     "places": (np.int32, PLACE_STEP, 2),
     "body": (np.int16, BODY_STEP, 2),
+    "truth": (np.int16, TRUTH_STEP, 2),
 }
+
+
+class RecordedTruth(NamedTuple):
+    """Some frames of a fine simulation of the motion that is recorded.
+
+    Attributes:
+        numbers: of the frames, ascending, int, shape (T,).
+        vertices: in the world [m], shape (T, N, 3).
+    """
+
+    numbers: np.ndarray
+    vertices: np.ndarray
 
 
 def record(
@@ -63,6 +79,7 @@ def record(
     seconds: float | None,
     about: Mapping[str, Any],
     progress: Callable[[str], None] = lambda line: None,
+    truth: RecordedTruth | None = None,
 ) -> tuple[bytes, dict[str, float]]:
     """Play a motion with the learned wrinkles and record it.
 
@@ -73,6 +90,7 @@ def record(
         seconds: length of the motion that is played [s]; None plays all of it.
         about: what the file's header says besides what decoding needs.
         progress: gets a line now and then.
+        truth: left out where the file would be larger than :data:`MAX_SIZE` for each ten seconds.
 
     Returns:
         the file's bytes, and figures by name: how far the decoded vertices are from the player's.
@@ -111,7 +129,8 @@ def record(
         for name, steps in {"origin": origin, **state, "correction": correction}.items():
             frames[name].append(steps)
     arrays |= {f"frames/{name}": stored(name, np.array(steps)) for name, steps in frames.items()}
-    arrays |= _body(inputs.body, poses, np.array(frames["origin"]) * COARSE_STEP)
+    origins = np.array(frames["origin"]) * COARSE_STEP
+    arrays |= _body(inputs.body, poses, origins)
     header |= {"rate_hz": database.frame_rate, "frame_count": len(poses), "floor": floor, **about}
     figures = {
         "frame_count": float(len(poses)),
@@ -119,7 +138,14 @@ def record(
         "decoded_off_mm": 1e3 * max(off),
         "uncorrected_off_mm": 1e3 * max(uncorrected),
     }
-    return recording_bytes(header, arrays), figures
+    data = recording_bytes(header, arrays)
+    if truth is not None:
+        added = _truth(truth, origins)
+        with_truth = recording_bytes(header, arrays | added)
+        fits = len(with_truth) <= MAX_SIZE * max(1.0, (len(poses) - 1) * dt / 10.0)
+        data = with_truth if fits else data
+        figures["truth_frame_count"] = float(len(added["truth/numbers"].steps) if fits else 0)
+    return data, figures
 
 
 def _garment(
@@ -220,6 +246,14 @@ def _body(body: Character | Sequence, poses: np.ndarray, origins: np.ndarray) ->
             "frames/places": stored("places", _steps(poses[..., 3], PLACE_STEP)),
         }
     return arrays | {"frames/body": stored("body", _steps(poses - origins[:, None], BODY_STEP))}
+
+
+def _truth(truth: RecordedTruth, origins: np.ndarray) -> dict[str, Quantised]:
+    """Its vertices about the origins of their frames."""
+    kept = truth.numbers < len(origins)
+    numbers = truth.numbers[kept]
+    steps = _steps(truth.vertices[kept] - origins[numbers][:, None], TRUTH_STEP)
+    return {"truth/numbers": _indices(numbers), "frames/truth": stored("truth", steps)}
 
 
 def _matrix(name: str, matrix: csr_matrix) -> dict[str, Quantised]:

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from runtime.arguments import add_motion
 
 if TYPE_CHECKING:
+    from runtime.play import PlaybackInputs
+    from runtime.recording import RecordedTruth
     from runtime.report import Report
+    from runtime.simulation import Motion
+    from wrinkles.database import WrinkleDatabase
 
-__all__ = ["SUMMARY", "add_arguments", "run"]
+    FindTruth = Callable[[WrinkleDatabase, PlaybackInputs, Motion, Callable[[str], None]], RecordedTruth]
+
+__all__ = ["SUMMARY", "add_arguments", "export_page", "run"]
 
 SUMMARY = "write a page that plays a wrinkle database in a browser"
 
@@ -22,10 +29,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", dest="output", type=Path, required=True, metavar="PAGE", help="a folder for the page (required)"
     )
+    parser.add_argument(
+        "--truth",
+        action="store_true",
+        help="show the fine simulation too; it is run if it is not recorded yet (default: off)",
+    )
 
 
 def run(options: argparse.Namespace) -> Report:
     """Play the first motion that is asked for, record it and write the page."""
+    return export_page(options)
+
+
+def export_page(options: argparse.Namespace, find_truth: FindTruth | None = None) -> Report:
+    """Play the first motion that is asked for, record it and write the page.
+
+    Args:
+        options: of the command.
+        find_truth: gives the fine simulation of a motion; None leaves it out.
+    """
     import sys
 
     from runtime.info import better_choice
@@ -46,8 +68,11 @@ def run(options: argparse.Namespace) -> Report:
         print(f"the page shows the wrinkles; the better choice is {better_choice(database.quality)}")
     about = page_text(database, motion.name)
     with Progress(sys.stderr) as progress:
-        recording, figures = record(database, inputs, motion, options.seconds, about, progress)
+        truth = None if find_truth is None else find_truth(database, inputs, motion, progress)
+        recording, figures = record(database, inputs, motion, options.seconds, about, progress, truth)
     figures["page_mb"] = write_page(options.output, recording) / 1e6
+    if figures.get("truth_frame_count") == 0:
+        print("the truth is left out: with it the page would be larger than 6 MB for ten seconds")
     print(
         f"{motion.name}: {figures['frame_count']:.0f} frames of {figures['fine_vertex_count']:.0f} vertices, "
         f"{figures['page_mb']:.2f} MB\n"

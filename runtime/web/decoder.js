@@ -200,7 +200,8 @@ function gubeDecoder() {
     /** Frames of the coarse vertices (axes along warp, weft and normal), and the network's input. */
     readFeatures() {
       const { arrays, contact, filtered: x, frames, network: { inputs, features, order } } = this;
-      const { far, spacing, clip } = this.about, p = new Float32Array(3 * POINTS), distance = new Float32Array(POINTS);
+      const { far, spacing, clip } = this.about, perSpacing = 1 / spacing;
+      const p = new Float32Array(3 * POINTS), distance = new Float32Array(POINTS);
       const [corners, weights] = [arrays["stencil/corners"], arrays["stencil/weights"]];
       const [center, scale] = [arrays["network/center"], arrays["network/scale"]];
       for (let row = 0; row < order.length; row++) {
@@ -224,7 +225,7 @@ function gubeDecoder() {
           if (q === 3 * CENTRE) continue;
           const d = p[q] - p[3 * CENTRE], e = p[q + 1] - p[3 * CENTRE + 1], g = p[q + 2] - p[3 * CENTRE + 2];
           for (let a = v; a < v + 9; a += 3, f++) {
-            features[f] = (d * frames[a] + e * frames[a + 1] + g * frames[a + 2]) / spacing;
+            features[f] = (d * frames[a] + e * frames[a + 1] + g * frames[a + 2]) * perSpacing;
           }
         }
         for (let a = v; a < v + 9; a += 3) features[f++] = -frames[a + 1];

