@@ -8,6 +8,7 @@ MIN_HEIGHT, MAX_HEIGHT = 0.5, 3.0  # of a body [m]
 MAX_OPEN_SHARE = 0.02  # of the body's edges
 MIN_VERTICES, MAX_VERTICES = 50, 20_000  # of a garment
 MAX_INSIDE_SHARE, MAX_DEPTH = 0.05, 0.02  # of the garment's vertices, and how deep they may lie in the body [m]
+MIN_SECONDS = 2.0  # of an action: a part of it is held out
 
 
 class Finding(NamedTuple):
@@ -91,7 +92,9 @@ def check_motion(first: float | None, last: float | None, rate: float) -> Findin
         return Finding(False, "The armature has no action: assign one in the Action Editor")
     seconds = (last - first) / rate
     text = f"The action takes {seconds:.1f} s"
-    return Finding(seconds >= 1.0, text if seconds >= 1.0 else f"{text}: at least a second is needed to learn from")
+    if seconds >= MIN_SECONDS:
+        return Finding(True, text)
+    return Finding(False, f"{text}: at least {MIN_SECONDS:g} s are needed to learn from")
 
 
 def edge_counts(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

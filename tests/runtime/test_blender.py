@@ -76,7 +76,7 @@ ONE = np.ones(3)
         (lambda: [checks.check_fit(0.001 * np.ones(20))], ["100.0 % of the garment lie inside"]),
         (lambda: [checks.check_motion(1.0, 61.0, 30.0)], []),
         (lambda: [checks.check_motion(None, None, 30.0)], ["no action: assign one"]),
-        (lambda: [checks.check_motion(1.0, 16.0, 30.0)], ["takes 0.5 s: at least a second"]),
+        (lambda: [checks.check_motion(1.0, 16.0, 30.0)], ["takes 0.5 s: at least 2 s are needed"]),
     ],
 )
 def test_what_fails_says_what_to_do(findings: Any, words: list[str]) -> None:
@@ -215,15 +215,15 @@ else:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The mannequin's walk of a second, the skirt, and the extension's archive."""
+    """Two seconds of the mannequin's walk, the skirt, and the extension's archive."""
     if importlib.util.find_spec("bpy") is None:
         pytest.skip("Blender is not installed as a module: pip install bpy")
     path = tmp_path_factory.mktemp("blender")
     mannequin, skirt = builtin_mannequin(), load_garment("builtin:skirt")
     motion = ClipMotion(mannequin, "walk", blend=0.0)
-    poses = np.array([motion.pose(k / 30) for k in range(31)])
+    poses = np.array([motion.pose(k / 30) for k in range(61)])
     frames = skirt.vertices.astype(np.float32)[None]
-    bake_usd(path / "mannequin.usdc", skirt.faces, frames.repeat(31, axis=0), 30.0, body=mannequin, poses=poses)
+    bake_usd(path / "mannequin.usdc", skirt.faces, frames.repeat(61, axis=0), 30.0, body=mannequin, poses=poses)
     bake_obj(path / "skirt.obj", skirt.faces, frames)
     with zipfile.ZipFile(path / "gube_blender.zip", "w") as archive:
         for file in EXTENSION.iterdir():
@@ -274,7 +274,7 @@ def test_blender_checks_and_writes_a_scene(folder: Path) -> None:
         np.testing.assert_allclose(garment.vertices, truth["skirt"], atol=1e-6)
         body = load_character(str(scene.character and scene.character.file))
         clip = body.clip("Animation")
-        assert clip.frame_count == 31 and round(clip.rate) == 30
+        assert clip.frame_count == 61 and round(clip.rate) == 30
         for number, expected in zip((0, 7, 20), truth["body"], strict=True):
             pose = body.pose_from_local(clip.translation[number], clip.rotation[number], clip.scale[number])
             np.testing.assert_allclose(skin_vertices(body, pose), expected, atol=1e-4)
@@ -289,5 +289,5 @@ def test_blender_learns_and_shows_the_result(folder: Path) -> None:
     data = (folder / "gube" / "result.pc2").read_bytes()
     count = int.from_bytes(data[16:20], "little")
     frames = np.frombuffer(data[32:], "<f4").reshape(-1, count, 3)
-    assert len(frames) == 61  # a second that leads in, and the action
+    assert len(frames) == 91  # a second that leads in, and the action
     np.testing.assert_allclose(np.load(folder / "shown.npy"), frames[45], atol=1e-5)
