@@ -75,7 +75,9 @@ def draped() -> Film:
     """A square of silk that falls on a ball."""
     mesh = gube.ClothMesh.grid(1.0, 1.0, 60, 60, centre=(0.0, 0.95, 0.0), level=True)
     model = gube.build_model(mesh, gube.load_fabric("silk"))
-    cloth = gube.Simulation(model, primitives=[gube.Sphere(BALL, RADIUS), gube.Plane((0.0, 0.0, 0.0))])
+    options = gube.SolverOptions(self_collision=True)
+    solids = [gube.Sphere(BALL, RADIUS), gube.Plane((0.0, 0.0, 0.0))]
+    cloth = gube.Simulation(model, options=options, primitives=solids)
     places, faces = ball()
     frames = []
     for tick in range(int(SECONDS * 60) + 1):
