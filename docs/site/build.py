@@ -22,11 +22,23 @@ PAGES, HTML = OUT / "pages", OUT / "html"
 
 NAV: list[tuple[str, list[str]]] = [
     ("Start", ["index.md", "gallery.md", "glossary.md"]),
-    ("Guides", ["viewer.md", "artists-guide.md", "interchange.md", "engine-guide.md", "patterns.md", "contributing.md"]),
+    (
+        "Guides",
+        ["viewer.md", "artists-guide.md", "interchange.md", "engine-guide.md", "patterns.md", "contributing.md"],
+    ),
     ("How it works", ["how-it-works.md", "solver.md", "ablations.md"]),
     (
         "Reference",
-        ["scenes.md", "scene-keys.md", "commands.md", "options.md", "api.md", "python.md", "database-file.md", "recording-file.md"],
+        [
+            "scenes.md",
+            "scene-keys.md",
+            "commands.md",
+            "options.md",
+            "api.md",
+            "python.md",
+            "database-file.md",
+            "recording-file.md",
+        ],
     ),
     ("Evidence", ["validation.md", "other-engines.md"]),
     ("Lab notes", ["lab-notes.md"]),

@@ -33,8 +33,9 @@ def run(options: argparse.Namespace) -> Report:
     from precompute.benchmarks.viewer import bench_viewer
     from runtime.info import figure_lines
     from runtime.report import Progress, Report
+    from runtime.terminal import say
 
     with Progress(sys.stderr) as progress:
         figures = bench_viewer(options.database, options.seconds, progress)
-    print("\n".join(figure_lines(figures)))
+    say("\n".join(figure_lines(figures)))
     return Report(figures)

@@ -57,6 +57,7 @@ def export_page(options: argparse.Namespace, find_truth: FindTruth | None = None
     from runtime.play import open_database
     from runtime.recording import record
     from runtime.report import Progress, Report
+    from runtime.terminal import say
 
     check_page_folder(options.output)
     check_folder(options.output)
@@ -65,15 +66,15 @@ def export_page(options: argparse.Namespace, find_truth: FindTruth | None = None
     )
     motion = inputs.motions[0]
     if plain_choice(database) is not None:
-        print(f"the page shows the wrinkles; the better choice is {better_choice(database.quality)}")
+        say(f"the page shows the wrinkles; the better choice is {better_choice(database.quality)}")
     about = page_text(database, motion.name)
     with Progress(sys.stderr) as progress:
         truth = None if find_truth is None else find_truth(database, inputs, motion, progress)
         recording, figures = record(database, inputs, motion, options.seconds, about, progress, truth)
     figures["page_mb"] = write_page(options.output, recording) / 1e6
     if figures.get("truth_frame_count") == 0:
-        print("the truth is left out: with it the page would be larger than 6 MB for ten seconds")
-    print(
+        say("the truth is left out: with it the page would be larger than 6 MB for ten seconds")
+    say(
         f"{motion.name}: {figures['frame_count']:.0f} frames of {figures['fine_vertex_count']:.0f} vertices, "
         f"{figures['page_mb']:.2f} MB\n"
         f"decoded vertices are within {figures['decoded_off_mm']:.2f} mm of the player's "

@@ -10,6 +10,7 @@ from runtime.arguments import add_output_folder
 
 if TYPE_CHECKING:
     from runtime.report import Report
+    from runtime.terminal import say
     from runtime.viewer.opening import Truths
 
 __all__ = ["SUMMARY", "add_arguments", "run", "view"]
@@ -52,17 +53,18 @@ def view(options: argparse.Namespace, truths: Truths | None) -> Report:
 
     from runtime.outputs import check_folder
     from runtime.report import Report
+    from runtime.terminal import say
     from runtime.viewer.opening import open_source
     from runtime.viewer.viewer import Viewer
 
     check_folder(options.output)
     opened = open_source(options.file, truths)
     viewer = Viewer(opened, options.output)
-    print(opened.source.title, opened.source.notice, f"open {viewer.address} (Ctrl-C ends)", sep="\n", flush=True)
+    say("\n".join((opened.source.title, opened.source.notice, f"open {viewer.address} (Ctrl-C ends)")))
     try:
         viewer.run(threading.Event())
     except KeyboardInterrupt:  # the way to end it
-        print()
+        say("")
     finally:
         viewer.close()
     return Report()
