@@ -49,7 +49,8 @@ class Controls:
     def __init__(self, server: viser.ViserServer, source: Source, garment: ViewedGarment, viewer: Any) -> None:
         self._gui, self._source, self._viewer = server.gui, source, viewer
         self.commands: SimpleQueue[Command] = SimpleQueue()
-        self._gui.add_html(_paragraph(source.title, source.notice))
+        notice = source.wrinkles_notice if viewer.choice.wrinkles else source.notice
+        self._gui.add_html(_paragraph(source.title, notice))
         self._status = self._gui.add_html("")
         with self._gui.add_folder("Time"):
             self._add_time()

@@ -303,11 +303,15 @@ class DatabaseSource:
 
     @property
     def notice(self) -> str:
-        """What is played, in a sentence."""
-        choice = better_choice(self.database.quality)
+        """What is played by itself, in a sentence."""
         if self.prefers_plain_cloth:
-            return f"Plays {choice}. 'play the wrinkles' plays what was learned."
-        return f"Plays the wrinkles. Better choice: {choice}."
+            return f"Plays {better_choice(self.database.quality)}. 'play the wrinkles' plays what was learned."
+        return self.wrinkles_notice
+
+    @property
+    def wrinkles_notice(self) -> str:
+        """What is played where the wrinkles are asked for, in a sentence."""
+        return f"Plays the wrinkles. Better choice: {better_choice(self.database.quality)}."
 
     @property
     def wearable(self) -> bool:
@@ -343,6 +347,11 @@ class SceneSource:
     path: Path
     scene: Scene
     notice: str = "The garments of a scene, simulated without wrinkles. A database of `gube precompute` has wrinkles."
+
+    @property
+    def wrinkles_notice(self) -> str:
+        """The same: there are no wrinkles to choose."""
+        return self.notice
 
     @property
     def title(self) -> str:

@@ -114,6 +114,7 @@ def plain_source() -> DatabaseSource:
 def test_plain_cloth_is_played_where_it_is_the_better_choice() -> None:
     source = plain_source()
     assert source.prefers_plain_cloth and source.notice.startswith("Plays plain cloth")
+    assert source.wrinkles_notice.startswith("Plays the wrinkles. Better choice: plain cloth")
     garment = source.garment(source.motions[0], source.fabrics[0], False)
     assert isinstance(garment.player, PlainPlayer)
     assert list(garment.meshes) == ["plain cloth"] and garment.main == "plain cloth"
