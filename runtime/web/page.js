@@ -171,7 +171,9 @@
     const base = [0, 1, 2].map((a) => at("frames/origin", 3, 0, a)); // everything is drawn about the first origin
     floor.position.y = about.floor - base[1];
     // The first view shows the whole body.
-    const heights = arrays["body/vertices"] ? arrays["body/vertices"].filter((_, i) => i % 3 === 1) : [0, 1.7];
+    const count = body.geometry.getAttribute("position").array.length;
+    const placed = (i) => (jointed ? arrays["body/vertices"][i] : at("frames/body", count, 0, i));
+    const heights = Array.from({ length: count / 3 }, (_, i) => placed(3 * i + 1));
     const height = heights.reduce((a, b) => Math.max(a, b)) - heights.reduce((a, b) => Math.min(a, b));
     orbit.target.set(0, floor.position.y + height / 2, 0);
     camera.position.copy(directionOf(25, 6)).multiplyScalar(2.3 * height).add(orbit.target);
