@@ -24,7 +24,6 @@ FILM_HZ, SECONDS = 15.0, 3.0
 QUALITY = 80  # of WebP [%]
 MAX_BYTES = 500_000  # of one film
 
-BALL, RADIUS = np.array([0.0, 0.5, 0.0]), 0.3
 ON_A_BODY = """
 [[garment]]
 name = "garment"
@@ -71,37 +70,10 @@ def worn(title: str, mesh: str, fabric: str, clip: str) -> Film:
     return Film(title, words, (np.array(garment), np.array(body)), (simulation.model.mesh.faces, simulation.body.faces))
 
 
-def draped() -> Film:
-    """A square of silk that falls on a ball."""
-    mesh = gube.ClothMesh.grid(1.0, 1.0, 60, 60, centre=(0.0, 0.95, 0.0), level=True)
-    model = gube.build_model(mesh, gube.load_fabric("silk"))
-    options = gube.SolverOptions(self_collision=True)
-    solids = [gube.Sphere(BALL, RADIUS), gube.Plane((0.0, 0.0, 0.0))]
-    cloth = gube.Simulation(model, options=options, primitives=solids)
-    places, faces = ball()
-    frames = []
-    for tick in range(int(SECONDS * 60) + 1):
-        if tick:
-            cloth.step(dt=1 / 60)
-        if tick % round(60 / FILM_HZ) == 0:
-            frames.append(cloth.vertices)
-    body = np.broadcast_to(places, (len(frames), *places.shape))
-    return Film("Silk on a ball", "A square metre of 3,721 vertices.", (np.array(frames), body), (mesh.faces, faces))
-
-
-def ball() -> tuple[np.ndarray, np.ndarray]:
-    """Vertices [m] and faces of the ball, a little smaller than the cloth sees it."""
-    import trimesh
-
-    sphere = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS - 0.004)
-    return np.asarray(sphere.vertices) + BALL, np.asarray(sphere.faces, np.int32)
-
-
 FILMS: Mapping[str, Callable[[], Film]] = {
     "skirt": lambda: worn("A wool skirt, twirling", "builtin:circle_skirt", "wool", "twirl"),
     "tshirt": lambda: worn("A jersey T-shirt, walking", "builtin:tshirt", "jersey", "walk"),
     "trousers": lambda: worn("Denim trousers, turning", "builtin:trousers", "denim", "turn"),
-    "drape": draped,
 }
 """Names of files, and the function that makes each film."""
 
