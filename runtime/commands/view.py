@@ -10,7 +10,6 @@ from runtime.arguments import add_output_folder
 
 if TYPE_CHECKING:
     from runtime.report import Report
-    from runtime.terminal import say
     from runtime.viewer.opening import Truths
 
 __all__ = ["SUMMARY", "add_arguments", "run", "view"]
