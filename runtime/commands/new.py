@@ -48,6 +48,7 @@ def run(options: argparse.Namespace) -> Report:
     say(f"scene in {options.output}; to go on:")
     say(f"  gube simulate {options.output} --seconds 3")
     say(f"  gube precompute {options.output} -o {database}")
+    say(f"  gube export {database} -o {options.output.with_suffix('')}")
     return Report(rows=_rows(made))
 
 

@@ -233,7 +233,7 @@ def test_the_command_prints_the_scene_and_never_writes_over_one(
     assert command.main([*words, "--json", str(figures)]) == 0
     printed = capsys.readouterr().out
     assert out.read_text(encoding="utf-8") in printed
-    assert f"gube precompute {out}" in printed
+    assert f"gube precompute {out}" in printed and f"gube export {out.with_suffix('.h5')}" in printed
     (row,) = json.loads(figures.read_text(encoding="utf-8"))["rows"]
     assert (row["kind"], row["read_as"], row["held_out"]) == ("skirt", "metres, Y up", "walk")
     assert command.main(words) == 2
