@@ -2,6 +2,8 @@
 PYTHON ?= $(firstword $(foreach name,python3.11 python3,$(if $(shell $(name) -c 'import sys; \
 	print((3, 11) <= sys.version_info[:2] <= (3, 13) or "")' 2>/dev/null),$(name))))
 BIN := .venv/bin
+WEB := runtime/web
+WEB_SOURCES := package.json package-lock.json $(WEB)/three.js $(WEB)/loops.ts
 export PYTHONHASHSEED := 0
 export GUBE_DATA ?= $(CURDIR)/../shared/data
 
@@ -85,9 +87,6 @@ $(LONG)/%/ablations.md: $(LONG)/%/wrinkles.html
 
 gpu-proofs: .venv/ready
 	$(BIN)/python -m pytest -m gpu -rs
-
-WEB := runtime/web
-WEB_SOURCES := package.json package-lock.json $(WEB)/three.js $(WEB)/loops.ts
 
 .venv/ready: .venv/installed $(WEB_SOURCES)
 	@$(MAKE) --no-print-directory $(WEB)/built/three.js || \

@@ -16,6 +16,7 @@ import gube
 from assets.fabrics import PRESETS
 from assets.io import scene as scene_module
 from assets.io.scene import Scene
+from assets.io.view import ViewSettings
 from pbd import Fabric, SolverOptions
 from precompute.failures.stress import QUOTED
 from runtime.command import COMMANDS, parser
@@ -32,7 +33,7 @@ TABLES = {
     "[garment.fabric]": Fabric,
     "[character]": scene_module.CharacterSettings,
     "[training]": scene_module.TrainingSettings,
-    "[[training.clips]] and [[training.held_out]]": scene_module.MotionSettings,
+    "[[training.clips]], [[training.held_out]] and [character.motion]": scene_module.MotionSettings,
     '[[collider]] of type "plane"': scene_module.PlaneSettings,
     '[[collider]] of type "sphere"': scene_module.SphereSettings,
     '[[collider]] of type "capsule"': scene_module.CapsuleSettings,
@@ -41,6 +42,7 @@ TABLES = {
     "[solver]": scene_module.SolverSettings,
     "[wrinkles]": scene_module.WrinkleSettings,
     "[camera]": scene_module.CameraSettings,
+    "[view]": ViewSettings,
 }
 
 
