@@ -25,10 +25,9 @@ from precompute.benchmarks.frame_limits import (
     normal_bytes,
 )
 from precompute.benchmarks.stopwatch import PARTS, Stopwatch, stopwatch
-from precompute.learning.evaluation import fine_run, levels_from
+from precompute.learning.evaluation import database_run
 from precompute.learning.recording import Run
 from precompute.wrinkle_comparison.baselines import Cloth, coarse_cloth, fine_cloth, middle_cloth
-from runtime.garment_setup import coarse_subdivisions_of
 from runtime.play import PlaybackInputs, open_database
 from runtime.player import Player
 from runtime.simulation import Simulation, body_source
@@ -148,16 +147,7 @@ def bench_frame(path: Path, seconds: float, report: Callable[[str], None] = lamb
     """
     database, inputs = open_database(path)
     motion = inputs.motions[0]
-    levels = levels_from(database, inputs.body)
-    run = fine_run(
-        levels,
-        inputs.body,
-        motion,
-        database,
-        wind=inputs.wind,
-        primitives=inputs.primitives,
-        coarse_subdivisions=coarse_subdivisions_of(database),
-    )
+    run = database_run(database, inputs, motion)
     least = (SKIPPED + 2 * LIMIT_EVERY) / database.frame_rate
     if min(seconds, motion.duration) < least:
         raise InputError("nothing to measure", key="--seconds", received=seconds, expected=f"at least {least:.2g} [s]")

@@ -20,7 +20,7 @@ def run(options: argparse.Namespace) -> Report:
     """Play the first motion that is asked for, take its fine simulation from the cache or run it, write the page."""
     from collections.abc import Callable
 
-    from precompute.learning.evaluation import fine_run, levels_from
+    from precompute.learning.evaluation import database_run
     from precompute.learning.pipeline import default_cache
     from precompute.learning.recording import record_runs
     from runtime.play import PlaybackInputs
@@ -31,8 +31,7 @@ def run(options: argparse.Namespace) -> Report:
     def truth_of(
         database: WrinkleDatabase, inputs: PlaybackInputs, motion: Motion, progress: Callable[[str], None]
     ) -> RecordedTruth:
-        levels = levels_from(database, inputs.body)
-        run = fine_run(levels, inputs.body, motion, database, wind=inputs.wind, primitives=inputs.primitives)
+        run = database_run(database, inputs, motion)
         (recording,) = record_runs([run], default_cache(options.database), 1, progress)
         kept = recording.frames % max(1, round(database.frame_rate / TRUTH_HZ)) == 0
         return RecordedTruth(recording.frames[kept], recording.positions[kept])

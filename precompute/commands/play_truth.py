@@ -34,24 +34,14 @@ def _beside_truth(
     options: argparse.Namespace, database: WrinkleDatabase, inputs: PlaybackInputs, motion: Motion
 ) -> dict[str, Any]:
     """Figures of a motion beside the fine simulation, and pictures of both."""
-    from precompute.learning.evaluation import evaluate, fine_run, levels_from, truth_of
+    from precompute.learning.evaluation import database_run, evaluate, truth_of
     from precompute.learning.pipeline import default_cache
     from precompute.wrinkle_comparison.baselines import player_times, typical_ms
-    from runtime.garment_setup import coarse_subdivisions_of
     from runtime.play import posed_bodies
     from runtime.report import Progress
     from runtime.strips import draw_strips
 
-    levels = levels_from(database, inputs.body)
-    run = fine_run(
-        levels,
-        inputs.body,
-        motion,
-        database,
-        wind=inputs.wind,
-        primitives=inputs.primitives,
-        coarse_subdivisions=coarse_subdivisions_of(database),
-    )
+    run = database_run(database, inputs, motion)
     with Progress(sys.stderr) as progress:
         truth = truth_of(run, default_cache(options.database), os.cpu_count() or 1, progress)
         if options.seconds is not None:
@@ -65,7 +55,7 @@ def _beside_truth(
         shown = numbers % 10 == 0
         free = evaluation.free
         columns = {"smooth": free.smooth[shown], "truth": truth.frames[shown], "ours": free.frames[shown]}
-        garment = (levels.subdivision.faces, levels.subdivision.flat_corners(inputs.pattern))
+        garment = (run.levels.subdivision.faces, run.levels.subdivision.flat_corners(inputs.pattern))
         bodies = posed_bodies(inputs.body, run.poses[numbers[shown]])
         draw_strips(options.output, motion.name, columns, *garment, bodies, inputs.body.faces, numbers[shown], run.dt)
     return figures | {"state_hash": free.state_hash}

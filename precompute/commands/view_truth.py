@@ -29,17 +29,13 @@ def run(options: argparse.Namespace) -> Report:
 
 def _recorded_truths(path: Path, database: WrinkleDatabase, inputs: PlaybackInputs) -> Mapping[str, Truth]:
     """The fine simulation of each motion, from the runs that are kept beside the database."""
-    from precompute.learning.evaluation import fine_run, levels_from
+    from precompute.learning.evaluation import database_run
     from precompute.learning.pipeline import default_cache
     from precompute.learning.recording import record_runs
     from runtime.report import Progress
     from runtime.viewer.garments import Truth
 
-    levels = levels_from(database, inputs.body)
-    runs = [
-        fine_run(levels, inputs.body, motion, database, wind=inputs.wind, primitives=inputs.primitives)
-        for motion in inputs.motions
-    ]
+    runs = [database_run(database, inputs, motion) for motion in inputs.motions]
     with Progress(sys.stderr) as progress:
         recordings = record_runs(runs, default_cache(path), report=progress)
     return {run.name: Truth(one.frames, one.positions) for run, one in zip(runs, recordings, strict=True)}

@@ -25,8 +25,8 @@ from precompute.learning.recording import Recording, Run, body_source, poses_of,
 from precompute.learning.stages import counted
 from precompute.learning.training import build_layer, features_of
 from precompute.workers import Workers
-from runtime.garment_setup import fine_options
-from runtime.play import Free, play, timing_figures
+from runtime.garment_setup import coarse_subdivisions_of, fine_options
+from runtime.play import Free, PlaybackInputs, play, timing_figures
 from runtime.player import Player
 from runtime.simulation import Motion
 from wrinkles.charts import leading_vertices
@@ -104,6 +104,25 @@ def fine_run(
         wind=wind,
         primitives=primitives,
         lead_in=motion.lead_in,
+    )
+
+
+def database_run(database: WrinkleDatabase, inputs: PlaybackInputs, motion: Motion) -> Run:
+    """The converged fine simulation of a motion with which a database is played: the same run as in learning it.
+
+    Args:
+        database: what was learned.
+        inputs: body, wind and colliders.
+        motion: of that body.
+    """
+    return fine_run(
+        replace(levels_from(database, inputs.body), pattern=inputs.pattern),
+        inputs.body,
+        motion,
+        database,
+        wind=inputs.wind,
+        primitives=inputs.primitives,
+        coarse_subdivisions=coarse_subdivisions_of(database),
     )
 
 

@@ -19,9 +19,8 @@ from precompute.learning.decoding import bands_of
 from precompute.learning.evaluation import (
     Truth,
     body_distances,
-    fine_run,
+    database_run,
     free_figures,
-    levels_from,
     truth_of,
 )
 from precompute.learning.pipeline import default_cache, precompute
@@ -37,7 +36,7 @@ from precompute.wrinkle_comparison.baselines import (
     take_turns,
 )
 from precompute.wrinkle_comparison.realism import PatchStatistics, Realism, realism
-from runtime.garment_setup import coarse_subdivisions_of, scene_of
+from runtime.garment_setup import scene_of
 from runtime.level_of_detail import LevelOfDetail
 from runtime.play import playback_inputs
 from runtime.player import Player
@@ -408,22 +407,14 @@ def compare_file(
     path = database_of(path, output, report)
     database = read_database(path)
     inputs = playback_inputs(database, clip=clip)
-    motion, levels = inputs.motions[0], replace(levels_from(database, inputs.body), pattern=inputs.pattern)
+    motion = inputs.motions[0]
     taught = [part.clip for part in scene_of(database).training.clips]  # a part of the whole clip is enough
     if motion.name in (*database.trained_on, *taught):
         held_out = ", ".join(database.held_out) or "a clip that nothing was learned from"
         raise InputError(
             "the database has learned from this clip", key="--clip", received=motion.name, expected=held_out
         )
-    run = fine_run(
-        levels,
-        inputs.body,
-        motion,
-        database,
-        wind=inputs.wind,
-        primitives=inputs.primitives,
-        coarse_subdivisions=coarse_subdivisions_of(database),
-    )
+    run = database_run(database, inputs, motion)
     truth = truth_of(run, default_cache(path), 2, report)
     found = compare(database, truth if seconds is None else truth.until(seconds), report=report)
     if clip is None and seconds is None:
