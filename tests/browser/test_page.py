@@ -50,9 +50,10 @@ COSTS = """async () => {
     return costs;
 }"""
 TIME = "() => gubePage.state.moment.time"
-# Ends when the page shows another moment than the given one.
+# Ends when the page shows another moment than the given one: its clock follows at the next frame of the browser.
 ANOTHER = """async (time) => {
     while (gubePage.state.moment.time === time) await new Promise(requestAnimationFrame);
+    await new Promise(requestAnimationFrame);
     return gubePage.state.moment.time;
 }"""
 
