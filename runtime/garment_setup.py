@@ -59,10 +59,10 @@ __all__ = [
     "clip_of",
     "colliders_of",
     "coarse_garment",
-    "coarse_subdivisions_of",
     "fabric_of",
     "fabrics_of",
     "fine_options",
+    "fine_substep_of",
     "garment_of",
     "held_vertices",
     "load_body",
@@ -185,16 +185,17 @@ def fabrics_of(scene: Scene, settings: GarmentSettings) -> dict[str, Fabric]:
     return {own: fabric_of(settings)} | {name: fabric_of(replace(settings, fabric=PRESETS[name])) for name in others}
 
 
-def fine_options(options: SolverOptions, subdivisions: int) -> SolverOptions:
-    """Options of the fine simulation.
+def fine_options(scene: Scene, subdivisions: int) -> SolverOptions:
+    """Options of the fine simulation: those of the scene with a substep of its own.
 
-    The stretch of small steps depends on substep times number of edges, so each subdivision halves the substep.
+    The stretch of small steps depends on substep times number of edges, so each subdivision halves the substep. It does
+    not hang on the coarse garment's substep: what is learned is no less converged where that is played in few.
 
     Args:
-        options: of the coarse simulation.
+        scene: what is simulated.
         subdivisions: from the garment's mesh to the fine one.
     """
-    return replace(options, substep=options.substep / 2.0**subdivisions)
+    return replace(scene.solver.options(), substep=scene.training.substep / 2.0**subdivisions)
 
 
 def held_vertices(garment: Garment, settings: GarmentSettings) -> np.ndarray:
@@ -527,7 +528,7 @@ def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion 
         )
         motion = source = pose = None
     attachment = levels.fine_attachment if fine else levels.coarse_attachment
-    options = fine_options(scene.solver.options(), settings.subdivisions_of_mesh) if fine else scene.solver.options()
+    options = fine_options(scene, settings.subdivisions_of_mesh) if fine else scene.solver.options()
     model = _model_of(settings, levels, fine)
     return Simulation(model, attachment if source else None, source, pose, options, colliders_of(scene)), motion
 
@@ -545,7 +546,7 @@ def _layers_of(scene: Scene, fine: bool) -> tuple[Simulation, Motion]:
     stages = [GarmentSetup.of(replace(scene, garments=(garment,))) for garment in scene.garments]
     options = scene.solver.options()
     if fine:
-        options = fine_options(options, max(garment.subdivisions_of_mesh for garment in scene.garments))
+        options = fine_options(scene, max(garment.subdivisions_of_mesh for garment in scene.garments))
     models, attachments = [], []
     for stage in stages:
         levels = stage.levels
@@ -588,10 +589,11 @@ def _field(mesh: Path, spacing: float) -> DistanceField:
     return field_of_mesh(solid.vertices, solid.faces, spacing)
 
 
-def coarse_subdivisions_of(database: WrinkleDatabase) -> int:
-    """How often the garment's mesh was subdivided for the coarse one of a database; the scene's files may be gone."""
-    garments = tomllib.loads(database.scene).get("garment", [{}])
-    return int(garments[0].get("coarse_subdivisions", 0))
+def fine_substep_of(database: WrinkleDatabase) -> float:
+    """Substep of the fine runs that a database was learned from [s]; the files of its scene may be gone."""
+    scene = tomllib.loads(database.scene)
+    subdivisions = scene.get("garment", [{}])[0].get("coarse_subdivisions", 0) + database.subdivisions
+    return scene.get("training", {}).get("substep", SolverOptions.substep) / 2.0**subdivisions
 
 
 def scene_of(database: WrinkleDatabase) -> Scene:

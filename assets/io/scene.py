@@ -261,6 +261,7 @@ class TrainingSettings:
         choose_s: learn only from those parts of all this that add most, so many seconds in all [s]; None learns from
             everything.
         fabrics: presets to learn the wrinkles in besides the garment's own fabric.
+        substep: of the fine runs on the garment's own mesh [s]; each subdivision to the fine mesh halves it.
     """
 
     clips: tuple[MotionSettings, ...] = entry(tables(table(MotionSettings)), ())
@@ -268,6 +269,7 @@ class TrainingSettings:
     procedural_seconds: float = entry(number(at_least=0, unit="s"), 0.0)
     choose_s: float | None = entry(number(above=0, unit="s"), None)
     fabrics: tuple[str, ...] = entry(several(choice(*PRESETS)), ())
+    substep: float = entry(number(above=0, unit="s"), SolverOptions.substep)
 
 
 @dataclass(frozen=True, kw_only=True)

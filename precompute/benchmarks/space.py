@@ -118,7 +118,7 @@ def _measured(scene: Scene, fabric: str, seconds: float) -> Measured:
     """Simulate one fabric on one mesh."""
     stage = GarmentSetup.of(scene)
     settings, levels, motion = stage.settings, stage.levels, stage.motion()
-    options = replace(fine_options(scene.solver.options(), settings.subdivisions_of_mesh), self_collision=True)
+    options = replace(fine_options(scene, settings.subdivisions_of_mesh), self_collision=True)
     worn, dt = fabric_of(settings), 1.0 / scene.solver.frame_rate
     model = build_model(levels.fine, worn, levels.fine_held, limits=levels.fine_limits)
     pose = motion.pose(0.0)

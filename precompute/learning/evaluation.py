@@ -25,7 +25,7 @@ from precompute.learning.recording import Recording, Run, body_source, poses_of,
 from precompute.learning.stages import counted
 from precompute.learning.training import build_layer, features_of
 from precompute.workers import Workers
-from runtime.garment_setup import coarse_subdivisions_of, fine_options
+from runtime.garment_setup import fine_substep_of
 from runtime.play import Free, PlaybackInputs, play, timing_figures
 from runtime.player import Player
 from runtime.simulation import Motion
@@ -74,9 +74,9 @@ def fine_run(
     motion: Motion,
     database_like,
     *,
+    substep: float,
     wind: Air = CALM,
     primitives: tuple = (),
-    coarse_subdivisions: int = 0,
 ) -> Run:
     """The converged fine simulation of a motion.
 
@@ -85,9 +85,9 @@ def fine_run(
         body: what moves.
         motion: how.
         database_like: gives ``fabric``, ``options``, ``solver`` and ``frame_rate``.
+        substep: of the fine run [s].
         wind: velocity of the air [m/s].
         primitives: what the garment meets besides the body.
-        coarse_subdivisions: of the garment's mesh for the coarse one: the fine run is no less converged for them.
     """
     dt = 1.0 / database_like.frame_rate
     return Run(
@@ -99,7 +99,7 @@ def fine_run(
         dt,
         database_like.fabric,
         ModelOptions(pressure=database_like.options.pressure),
-        fine_options(database_like.solver, coarse_subdivisions + len(levels.subdivision.steps)),
+        replace(database_like.solver, substep=substep),
         bend_factor=_fine_bend(levels),
         wind=wind,
         primitives=primitives,
@@ -122,7 +122,7 @@ def database_run(database: WrinkleDatabase, inputs: PlaybackInputs, motion: Moti
         database,
         wind=inputs.wind,
         primitives=inputs.primitives,
-        coarse_subdivisions=coarse_subdivisions_of(database),
+        substep=fine_substep_of(database),
     )
 
 

@@ -33,7 +33,7 @@ from precompute.learning.recording import Recording, Run, body_source, record_ru
 from precompute.learning.stages import StageClock, StageTime
 from precompute.learning.training import Layer, build_layer, fit_layer, spread_frames, training_set
 from precompute.workers import Workers
-from runtime.garment_setup import GarmentSetup, colliders_of, fabrics_of
+from runtime.garment_setup import GarmentSetup, colliders_of, fabrics_of, fine_options
 from runtime.simulation import Motion
 from wrinkles.charts import leading_vertices
 from wrinkles.database import LearnedFabric, WrinkleDatabase, as_stored, body_hash, code_version, write_database
@@ -433,7 +433,7 @@ def scene_run(stage: GarmentSetup, scene: Scene, motion: Motion, fabric: str | N
         settings,
         wind=scene.wind.air(),
         primitives=colliders_of(scene),
-        coarse_subdivisions=stage.settings.coarse_subdivisions,
+        substep=fine_options(scene, stage.settings.subdivisions_of_mesh).substep,
     )
 
 

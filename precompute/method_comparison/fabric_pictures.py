@@ -12,7 +12,7 @@ import numpy as np
 
 from assets.fabrics import PRESETS
 from assets.io.scene import MotionSettings, load_scene
-from pbd import Fabric, ModelOptions, SolverOptions
+from pbd import Fabric, ModelOptions
 from precompute.demo import FULL
 from precompute.learning.evaluation import body_source
 from precompute.learning.recording import Run, record_runs
@@ -43,7 +43,7 @@ def fabric_runs(fabrics: dict[str, Fabric] | None = None, subdivisions: int = 2,
     garment = replace(scene.garments[0], subdivisions=subdivisions)
     stage = GarmentSetup.of(replace(scene, garments=(garment,)))
     motion = stage.motion(MotionSettings(file="builtin:mannequin", clip=CLIP))
-    solver = fine_options(SolverOptions(), subdivisions)
+    solver = fine_options(scene, subdivisions)
     make = partial(
         Run,
         levels=stage.levels,

@@ -20,6 +20,7 @@ clip = "walk"
 
 [training]
 procedural_seconds = 2.0
+substep = 0.00416667
 
 [[training.held_out]]
 file = "builtin:mannequin"

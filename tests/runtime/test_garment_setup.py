@@ -17,9 +17,9 @@ from pbd import DistanceField, InputError, Plane
 from pbd.attachment import Attachment
 from runtime.garment_setup import (
     GarmentSetup,
-    coarse_subdivisions_of,
     colliders_of,
     fabrics_of,
+    fine_substep_of,
     motion_of,
     pattern_of,
     simulation_of,
@@ -322,12 +322,15 @@ def test_the_fine_cloth_is_as_converged_whichever_mesh_is_simulated() -> None:
     text = garment + '[character]\nfile = "builtin:mannequin"\n'
     scenes = [
         parse_scene(text.format(2, ""), "plain"),
-        parse_scene(text.format(1, "coarse_subdivisions = 1"), "finer"),
+        parse_scene(text.format(1, "coarse_subdivisions = 1") + "[solver]\nsubstep = 0.01\n", "finer"),
     ]
     plain, finer = (simulation_of(scene, fine=True)[0].solver.options for scene in scenes)
     assert plain == finer
-    stored = [replace(small_database(), scene=scene_text(scene)) for scene in scenes]
-    assert [coarse_subdivisions_of(database) for database in stored] == [0, 1]
+    stored = [
+        replace(small_database(), scene=scene_text(scene), subdivisions=subdivisions)
+        for scene, subdivisions in zip(scenes, (2, 1), strict=True)
+    ]
+    assert [fine_substep_of(database) for database in stored] == [plain.substep] * 2
 
 
 def test_too_fine_a_mesh_to_simulate_is_refused() -> None:

@@ -133,10 +133,11 @@ def test_play_loads_nothing_that_only_learning_needs_and_prints_nothing_of_its_e
 
 def test_truth_is_found_where_precompute_left_it(path: Path) -> None:
     """Both must ask for the same run, or the fine cloth is simulated again."""
-    from precompute.learning.evaluation import database_run, fine_run
+    from precompute.learning.evaluation import database_run
+    from precompute.learning.pipeline import scene_run
 
     stage, database = skirt_stage(), read_database(path)
-    learned = fine_run(stage.levels, stage.body, stage.motion(stage.scene.training.held_out[0]), database)
+    learned = scene_run(stage, stage.scene, stage.motion(stage.scene.training.held_out[0]))
     inputs = playback_inputs(database)
     played = database_run(database, inputs, inputs.motions[0])
     assert played.key() == learned.key()

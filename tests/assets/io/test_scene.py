@@ -49,6 +49,7 @@ clip = "walk"
 clips = [{ file = "builtin:mannequin", clip = "walk" }]
 held_out = [{ file = "builtin:mannequin", clip = "turn" }]
 procedural_seconds = 20
+substep = 0.001
 choose_s = 12
 fabrics = ["denim", "silk"]
 

@@ -21,7 +21,7 @@ START, STILL, PIECE = 1.5, 0.4, 0.5
 def run() -> Run:
     """Three seconds of the walk; nothing is simulated."""
     stage = skirt_stage()
-    whole = fine_run(stage.levels, stage.body, stage.motion(), skirt_database())
+    whole = fine_run(stage.levels, stage.body, stage.motion(), skirt_database(), substep=1.0 / 1440.0)
     return Run(**(vars(whole) | {"poses": poses_of(stage.motion(), whole.dt, 3.0)}))
 
 

@@ -75,7 +75,8 @@ def database() -> WrinkleDatabase:
 @pytest.fixture(scope="module")
 def truth(database: WrinkleDatabase, tmp_path_factory: pytest.TempPathFactory) -> Truth:
     stage = skirt_stage()
-    run = fine_run(levels_from(database, stage.body), stage.body, stage.motion(), database)
+    levels = levels_from(database, stage.body)
+    run = fine_run(levels, stage.body, stage.motion(), database, substep=1.0 / 480.0)
     return truth_of(replace(run, poses=run.poses[:84]), tmp_path_factory.mktemp("cache"), 1)
 
 
