@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from runtime.recording_file import Quantised
-from wrinkles.patches import NODES, SIDE
+from wrinkles.patches import Grid
 
 __all__ = ["RecordedDecoder"]
 
@@ -39,11 +39,12 @@ class RecordedDecoder:
         corners, blend = a["patches/corners"].astype(int), a["patches/blend"]
         u, v = (a["patches/within"].reshape(-1, 3, 2)[..., axis] for axis in (0, 1))
         share = np.stack([(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v], axis=-1) * blend[..., None]
-        first = corners * NODES + a["patches/cell"]
-        nodes = first[..., None] + np.array([0, 1, SIDE, SIDE + 1])
+        grid = Grid.with_nodes(len(a["atoms/mean"]) // 3)
+        first = corners * grid.nodes + a["patches/cell"]
+        nodes = first[..., None] + np.array([0, 1, grid.side, grid.side + 1])
         rows = np.repeat(np.arange(fine), 4)
         self._reading = [
-            csr_matrix((share[:, c].ravel(), (rows, nodes[:, c].ravel())), (fine, NODES * count)) for c in range(3)
+            csr_matrix((share[:, c].ravel(), (rows, nodes[:, c].ravel())), (fine, grid.nodes * count)) for c in range(3)
         ]
         if "turning/start" in a:
             self._turning = self._matrix("turning", count)
@@ -100,7 +101,7 @@ class RecordedDecoder:
         return frames, np.clip(features, -self._about["clip"], self._about["clip"]).astype(np.float32)
 
     def _grids(self, features: np.ndarray) -> np.ndarray:
-        """Displacements in the patches' frames [m], shape (n, 3 NODES); see :class:`wrinkles.decoder.Decoder`."""
+        """Displacements in the patches' frames [m], shape (n, 3 nodes); see :class:`wrinkles.decoder.Decoder`."""
         a = self._arrays
         order, first = a["network/order"].astype(int), a["network/first_rows"]
         hidden = np.maximum(features[order] @ a["network/weights_1"] + self._place_bias, 0.0)

@@ -13,7 +13,6 @@ from wrinkles.dictionary import CLIP, Atoms, CoefficientNetwork
 from wrinkles.features import DYNAMIC_COUNT, Stencil
 from wrinkles.fine_surface import sparse_row
 from wrinkles.novelty import NoveltyScore
-from wrinkles.patches import NODES
 from wrinkles.surface import Subdivision, csr_arrays
 
 __all__ = ["Decoder", "Upsampler"]
@@ -77,7 +76,7 @@ class Decoder:
         amplitude: share of the wrinkles that was drawn at each coarse vertex, float32, shape (n,).
         score: log of the error that is expected there, see :meth:`NoveltyScore.score` [log deg], float32, shape (n,).
         frames, features: of the last state, see :meth:`Stencil.read`.
-        grids: displacements in the patches' frames [m], float32, shape (n, 3 NODES).
+        grids: displacements in the patches' frames [m], float32, shape (n, 3 nodes).
     """
 
     def __init__(
@@ -102,7 +101,7 @@ class Decoder:
         self._hidden_1 = np.zeros((count, width_1), np.float32)
         self._hidden_2 = np.zeros((count, width_2), np.float32)
         self._output, self._coefficients = (np.zeros((count, len(atoms.shapes)), np.float32) for _ in range(2))
-        self.grids = np.zeros((count, 3 * NODES), np.float32)
+        self.grids = np.zeros((count, len(atoms.mean)), np.float32)
         self._shapes = np.ascontiguousarray(atoms.shapes)
         self._mean = atoms.mean
         self._blas = ThreadpoolController()

@@ -15,7 +15,7 @@ import numpy as np
 
 from pbd import Fabric
 from wrinkles.network import Network, Samples, in_threads
-from wrinkles.patches import NODES, slope_metric
+from wrinkles.patches import Grid
 
 __all__ = [
     "FABRIC_COUNT",
@@ -39,11 +39,11 @@ CLIP = 4.0  # features further out than this many standard deviations count as i
 
 @dataclass(frozen=True)
 class Atoms:
-    """Shapes of wrinkle patches: principal components in the slope metric, see :func:`wrinkles.patches.slope_metric`.
+    """Shapes of wrinkle patches: principal components in the metric of :meth:`wrinkles.patches.Grid.slope_metric`.
 
     Attributes:
-        shapes: displacements [m] of unit coefficients, float32, shape (K, 3 NODES): warp, weft, normal of node 0, ...
-        mean: mean patch [m], float32, shape (3 NODES,).
+        shapes: displacements [m] of unit coefficients, float32, shape (K, 3 nodes): warp, weft, normal of node 0, ...
+        mean: mean patch [m], float32, shape (3 nodes,).
         kept: share of the metric's variance that the atoms represent [-].
         vertex_mean: mean displacement of each fine vertex that patches do not represent, in the vertex's frame [m],
             float32, shape (N, 3), see :mod:`wrinkles.vertex_mean`.
@@ -56,31 +56,33 @@ class Atoms:
 
     @cached_property
     def analysis(self) -> np.ndarray:
-        """Matrix that gives coefficients of a patch: (patch - mean) @ analysis, float32, shape (3 NODES, K)."""
-        lower = slope_metric()
-        shapes = self.shapes.astype(float).T.reshape(NODES, -1)
-        return (lower @ (lower.T @ shapes)).reshape(3 * NODES, -1).astype(np.float32)
+        """Matrix that gives coefficients of a patch: (patch - mean) @ analysis, float32, shape (3 nodes, K)."""
+        size = len(self.mean)
+        lower = Grid.with_nodes(size // 3).slope_metric()
+        shapes = self.shapes.astype(float).T.reshape(size // 3, -1)
+        return (lower @ (lower.T @ shapes)).reshape(size, -1).astype(np.float32)
 
 
 def fit_atoms(patches: np.ndarray, count: int, fine_count: int) -> Atoms:
     """Principal components of patches in the slope metric; the vertex mean is zero.
 
     Args:
-        patches: [m], shape (S, 3 NODES).
+        patches: [m], shape (S, 3 nodes).
         count: number of atoms K.
         fine_count: number of fine vertices N.
     """
     from sklearn.decomposition import PCA
 
-    lower = slope_metric()
-    samples = patches.reshape(-1, NODES, 3)
+    nodes = patches.shape[1] // 3
+    lower = Grid.with_nodes(nodes).slope_metric()
+    samples = patches.reshape(-1, nodes, 3)
     mean = samples.mean(axis=0)
     whitened = (np.swapaxes(samples - mean, 1, 2) @ lower).swapaxes(1, 2).reshape(len(samples), -1)
     components = PCA(count, svd_solver="covariance_eigh").fit(whitened)
     basis = components.components_.T
-    shapes = np.linalg.solve(lower.T, basis.reshape(NODES, -1)).reshape(NODES, 3, -1)
+    shapes = np.linalg.solve(lower.T, basis.reshape(nodes, -1)).reshape(nodes, 3, -1)
     return Atoms(
-        np.ascontiguousarray(shapes.reshape(3 * NODES, -1).T, np.float32),
+        np.ascontiguousarray(shapes.reshape(3 * nodes, -1).T, np.float32),
         mean.ravel().astype(np.float32),
         float(components.explained_variance_ratio_.sum()),
         np.zeros((fine_count, 3), np.float32),

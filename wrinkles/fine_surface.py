@@ -6,7 +6,7 @@ from scipy.sparse import csr_matrix, hstack
 from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Float1, Int1, Int3, Vec3, Vec4, vec3, vec4, xyz
 from pbd.taichi_internals import Launch
-from wrinkles.patches import NODES, SIDE, Patches
+from wrinkles.patches import Patches
 from wrinkles.surface import Subdivision, csr_arrays
 
 __all__ = ["FineSurface", "sparse_row"]
@@ -22,11 +22,13 @@ def sparse_row(start: ti.template(), index: ti.template(), value: ti.template(),
 
 
 @ti.func
-def _patch(i: ti.i32, c: ti.template(), node: ti.template(), share: ti.template(), grids: ti.template()) -> vec3:
+def _patch(
+    i: ti.i32, c: ti.template(), node: ti.template(), share: ti.template(), side: ti.i32, grids: ti.template()
+) -> vec3:
     """What the patch of corner c adds to vertex i, in the patch's own frame [m]: read with bilinear interpolation."""
     first, w = node[i][c], share[3 * i + c]
     near = w[0] * grids[first] + w[1] * grids[first + 1]
-    return near + w[2] * grids[first + SIDE] + w[3] * grids[first + SIDE + 1]
+    return near + w[2] * grids[first + side] + w[3] * grids[first + side + 1]
 
 
 @ti.func
@@ -40,6 +42,7 @@ def _wrinkles(
     i: ti.i32,
     node: ti.template(),
     share: ti.template(),
+    side: ti.i32,
     corners: ti.template(),
     grids: ti.template(),
     frames: ti.template(),
@@ -48,7 +51,7 @@ def _wrinkles(
     added = vec3(0.0)
     if grids.shape[0] > 0:
         for c in ti.static(range(3)):
-            added += _turned(_patch(i, c, node, share, grids), corners[i][c], frames)
+            added += _turned(_patch(i, c, node, share, side, grids), corners[i][c], frames)
     return added
 
 
@@ -60,6 +63,7 @@ def _make_subdivided(
     middle: Vec4,
     node: Int3,
     share: Vec4,
+    side: ti.i32,
     corners: Int3,
     blend: Vec3,
     mean: Vec3,
@@ -74,7 +78,7 @@ def _make_subdivided(
             x = xyz(sparse_row(start, index, value, middle, i))
             if grids.shape[0] > 0:
                 for c in ti.static(range(3)):
-                    d = _patch(i, c, node, share, grids) + blend[i][c] * mean[i]
+                    d = _patch(i, c, node, share, side, grids) + blend[i][c] * mean[i]
                     x += _turned(d, corners[i][c], frames)
             fine[i] = x
 
@@ -84,6 +88,7 @@ def _make_delivered(
     smooth: Vec4,
     node: Int3,
     share: Vec4,
+    side: ti.i32,
     corners: Int3,
     grids: Vec3,
     frames: Vec3,
@@ -104,7 +109,7 @@ def _make_delivered(
         for i in range(first):
             source[i] = smooth[i]
         for i in range(count):
-            added = _wrinkles(i, node, share, corners, grids, frames)
+            added = _wrinkles(i, node, share, side, corners, grids, frames)
             source[first + i] = vec4(added)
         for k in range(frames.shape[0]):
             source[first + count + k] = vec4(ti.select(grids.shape[0] > 0, frames[k], vec3(0.0)))
@@ -126,8 +131,9 @@ class FineSurface:
         ensure_initialized()
         u, v = (patches.within.reshape(-1, 3, 2)[..., axis].astype(float) for axis in (0, 1))
         share = np.stack([(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v], axis=-1) * patches.blend[..., None]
-        node = (patches.cell + NODES * patches.corners).astype(np.int32)
-        self._reading = node, np.ascontiguousarray(share.reshape(-1, 4), np.float32), patches.corners
+        node = (patches.cell + patches.grid.nodes * patches.corners).astype(np.int32)
+        share = np.ascontiguousarray(share.reshape(-1, 4), np.float32)
+        self._reading = node, share, patches.grid.side, patches.corners
         self._blend, self._mean = patches.blend, vertex_mean
         self._delivered = patches.smoothing is not None
         matrix = subdivision.from_middle
@@ -143,7 +149,7 @@ class FineSurface:
 
         Args:
             smooth: middle vertices of the smooth surface [m], float32, shape (q, 4).
-            grids: displacements in the patches' frames [m], float32, shape (n, 3 NODES); None leaves out wrinkles and
+            grids: displacements in the patches' frames [m], float32, shape (n, 3 nodes); None leaves out wrinkles and
                 mean.
             frames: of the coarse vertices, float32, shape (n, 9).
             fine: receives the fine vertices [m], float32, shape (N, 3).

@@ -5,6 +5,7 @@ A fine vertex reads the grids of the three coarse vertices around it and blends 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,13 +16,71 @@ from wrinkles.binding import Binding
 from wrinkles.charts import Charts, fine_places
 from wrinkles.surface import Subdivision
 
-__all__ = ["NODES", "SIDE", "Patches", "slope_metric"]
+__all__ = ["Grid", "Patches"]
 
-SIDE = 11  # nodes along each side of a grid
-NODES = SIDE * SIDE
 BLEND_RADIUS = 1.1  # distance from a patch's centre at which its weight becomes 0, in coarse edges
 MIN_FRAME_WEIGHT = 0.02  # smaller weights of a coarse vertex's frame are left out
-CELLS_PER_SPACING = 4  # grid cells along a mean coarse edge, as many as fine edges after two subdivisions
+MOST_CELLS = 4  # along a mean coarse edge
+REACH = 1.25  # of a grid from its coarse vertex, in mean coarse edges
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The square grid of a patch, with its coarse vertex in the middle.
+
+    Attributes:
+        cells: along a mean coarse edge.
+    """
+
+    cells: int
+
+    @classmethod
+    def of(cls, subdivisions: int) -> Grid:
+        """With as many cells along a coarse edge as there are fine edges, or MOST_CELLS of them."""
+        return cls(min(2**subdivisions, MOST_CELLS))
+
+    @classmethod
+    def with_nodes(cls, count: int) -> Grid:
+        """The grid that has so many nodes."""
+        return cls(int((math.isqrt(count) // 2) / REACH))
+
+    @property
+    def side(self) -> int:
+        """Nodes along a side."""
+        return 2 * math.ceil(REACH * self.cells) + 1
+
+    @property
+    def nodes(self) -> int:
+        """Number of nodes."""
+        return self.side**2
+
+    def slope_metric(self) -> np.ndarray:
+        """Cholesky factor L of the metric in which patches d are compared, error = |L^T d|^2: shape (nodes, nodes).
+
+        A wrinkle is visible by its slope, so the metric is the sum of squared differences of neighbouring nodes. The
+        displacement itself is added with the weight of its slope over one coarse edge. Nodes are weighted by their
+        share in the blend.
+        """
+        side = self.side
+        axis = (np.arange(side) - side // 2) / self.cells
+        share = np.clip(1.0 - np.abs(axis), 0.05, None)
+        window = np.sqrt(np.outer(share, share)).ravel()
+        line = np.diff(np.eye(side), axis=0)
+        slopes = np.concatenate([np.kron(line, np.eye(side)), np.kron(np.eye(side), line)])
+        # The weight of a difference is the mean window of its two nodes.
+        between = np.abs(slopes) @ window / 2.0
+        slopes *= between[:, None]
+        values = np.diag(window / self.cells)
+        return np.linalg.cholesky(slopes.T @ slopes + values.T @ values)
+
+    def second_differences(self) -> np.ndarray:
+        """Quadratic form of the second differences along both axes, shape (nodes, nodes)."""
+        side = self.side
+        line = np.zeros((side - 2, side))
+        for i in range(side - 2):
+            line[i, i : i + 3] = (1.0, -2.0, 1.0)
+        both = np.kron(line, np.eye(side)), np.kron(np.eye(side), line)
+        return both[0].T @ both[0] + both[1].T @ both[1]
 
 
 @dataclass(frozen=True)
@@ -33,6 +92,7 @@ class Patches:
         blend: their weights, a partition of unity, float32, shape (N, 3).
         cell: lower node of the grid cell in each patch, int32, shape (N, 3).
         within: position in the cell along both axes in 0..1, float32, shape (N, 6).
+        grid: that each of them has.
         spacing: distance of the grid's nodes [m].
         turning: weights of the coarse vertices' frames in the frame of each fine vertex, rows sum to one, shape (N, n).
             They are the blend's weights; on a delivered mesh they are smoothed over the pattern, so that they do not
@@ -45,6 +105,7 @@ class Patches:
     blend: np.ndarray
     cell: np.ndarray
     within: np.ndarray
+    grid: Grid
     spacing: float
     turning: csr_matrix
     smoothing: csr_matrix | None = None
@@ -58,17 +119,19 @@ class Patches:
             charts: of the coarse mesh.
         """
         mesh: ClothMesh = charts.mesh
-        spacing = float(mesh.edge_lengths()[1].mean()) / CELLS_PER_SPACING
+        grid = Grid.of(len(subdivision.steps))
+        spacing = float(mesh.edge_lengths()[1].mean()) / grid.cells
         face, place = fine_places(subdivision)
-        grid = charts.locate(face, place) / spacing + SIDE // 2
-        grid = np.clip(grid, 0.0, SIDE - 1 - 1e-5)
-        lower = grid.astype(np.int64)
+        within = charts.locate(face, place) / spacing + grid.side // 2
+        within = np.clip(within, 0.0, grid.side - 1 - 1e-5)
+        lower = within.astype(np.int64)
         blend, binding = _blend(place), subdivision.binding
         read = cls(
             np.ascontiguousarray(mesh.faces[face], np.int32),
             np.ascontiguousarray(blend, np.float32),
-            np.ascontiguousarray(lower[..., 0] * SIDE + lower[..., 1], np.int32),
-            np.ascontiguousarray((grid - lower).reshape(len(face), 6), np.float32),
+            np.ascontiguousarray(lower[..., 0] * grid.side + lower[..., 1], np.int32),
+            np.ascontiguousarray((within - lower).reshape(len(face), 6), np.float32),
+            grid,
             spacing,
             _turning(binding, mesh.faces[face], blend, len(mesh.vertices)),
         )
@@ -93,9 +156,9 @@ class Patches:
             coarse_count: number of coarse vertices n.
 
         Returns:
-            a list of n pairs: fine vertices, int, shape (k,), and the matrix, shape (NODES, k).
+            a list of n pairs: fine vertices, int, shape (k,), and the matrix, shape (nodes, k).
         """
-        smooth = 1e-3 * _second_differences()
+        smooth = 1e-3 * self.grid.second_differences()
         members: list[list[tuple[int, int]]] = [[] for _ in range(coarse_count)]
         for vertex, row in enumerate(self.corners.tolist()):
             for corner, coarse in enumerate(row):
@@ -105,21 +168,21 @@ class Patches:
             vertex, corner = np.array(rows).T
             reading = self._bilinear(vertex, corner)
             weight = self.blend[vertex, corner].astype(float) + 0.02
-            left = reading.T @ (weight[:, None] * reading) + smooth + 1e-6 * np.eye(NODES)
+            left = reading.T @ (weight[:, None] * reading) + smooth + 1e-6 * np.eye(self.grid.nodes)
             result.append((vertex, np.linalg.solve(left, reading.T * weight)))
         return result
 
     def _bilinear(self, vertex: np.ndarray, corner: np.ndarray) -> np.ndarray:
-        """Matrix that reads grid values at fine vertices, shape (k, NODES)."""
-        rows = np.arange(len(vertex))
+        """Matrix that reads grid values at fine vertices, shape (k, nodes)."""
+        rows, side = np.arange(len(vertex)), self.grid.side
         node = self.cell[vertex, corner]
         u = self.within[vertex, 2 * corner].astype(float)
         v = self.within[vertex, 2 * corner + 1].astype(float)
-        reading = np.zeros((len(vertex), NODES))
+        reading = np.zeros((len(vertex), self.grid.nodes))
         reading[rows, node] = (1 - u) * (1 - v)
-        reading[rows, node + SIDE] = u * (1 - v)
+        reading[rows, node + side] = u * (1 - v)
         reading[rows, node + 1] = (1 - u) * v
-        reading[rows, node + SIDE + 1] = u * v
+        reading[rows, node + side + 1] = u * v
         return reading
 
 
@@ -155,32 +218,3 @@ def _turning(binding: Binding | None, corners: np.ndarray, blend: np.ndarray, co
     smooth.data[smooth.data < MIN_FRAME_WEIGHT] = 0.0
     smooth.eliminate_zeros()
     return (diags(1.0 / np.asarray(smooth.sum(axis=1)).ravel()) @ smooth).tocsr()
-
-
-def _second_differences() -> np.ndarray:
-    """Quadratic form of the second differences along both axes, shape (NODES, NODES)."""
-    line = np.zeros((SIDE - 2, SIDE))
-    for i in range(SIDE - 2):
-        line[i, i : i + 3] = (1.0, -2.0, 1.0)
-    both = np.kron(line, np.eye(SIDE)), np.kron(np.eye(SIDE), line)
-    return both[0].T @ both[0] + both[1].T @ both[1]
-
-
-def slope_metric() -> np.ndarray:
-    """Cholesky factor L of the metric in which patches d are compared, error = |L^T d|^2: shape (NODES, NODES).
-
-    A wrinkle is visible by its slope, so the metric is the sum of squared differences of neighbouring nodes. The
-    displacement itself is added with the weight of its slope over one coarse edge. Nodes are weighted by their share in
-    the blend.
-    """
-    axis = (np.arange(SIDE) - SIDE // 2) / CELLS_PER_SPACING
-    share = np.clip(1.0 - np.abs(axis), 0.05, None)
-    window = np.sqrt(np.outer(share, share)).ravel()
-    line = np.diff(np.eye(SIDE), axis=0)
-    slopes = np.concatenate([np.kron(line, np.eye(SIDE)), np.kron(np.eye(SIDE), line)])
-    # The weight of a difference is the mean window of its two nodes.
-    between = np.abs(slopes) @ window / 2.0
-    slopes *= between[:, None]
-    values = np.diag(window / CELLS_PER_SPACING)
-    metric = slopes.T @ slopes + values.T @ values
-    return np.linalg.cholesky(metric)

@@ -17,7 +17,7 @@ from pbd import Fabric, InputError, ModelOptions
 from pbd.mesh import edges_of
 from wrinkles.dictionary import FABRIC_COUNT
 from wrinkles.features import DYNAMIC_COUNT
-from wrinkles.patches import NODES
+from wrinkles.patches import Grid
 
 __all__ = [
     "ENTRIES",
@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 17
+SCHEMA_VERSION = 18
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE, STEPS = "text", "float32", "float64", "int32", "int64", "int8"
 
@@ -122,8 +122,8 @@ ENTRIES = (
     Entry("solver/linear_inertia", DOUBLE),
     Entry("solver/angular_inertia", DOUBLE),
     Entry("frame_rate", DOUBLE, unit="Hz"),
-    *_in_steps("atoms/shapes", ("K", 3 * NODES), "m", along=1),
-    Entry("atoms/mean", SINGLE, (3 * NODES,), "m"),
+    *_in_steps("atoms/shapes", ("K", "g"), "m", along=1),
+    Entry("atoms/mean", SINGLE, ("g",), "m"),
     Entry("atoms/kept", DOUBLE),
     Entry("atoms/vertex_mean", SINGLE, ("v", 3), "m"),
     Entry("mapping/center", SINGLE, (DYNAMIC_COUNT,)),
@@ -398,6 +398,9 @@ def _check_fine_mesh(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:
     vertices, means = fine or _subdivided_count(count, faces, levels), len(arrays["atoms/vertex_mean"])
     if means != vertices:
         refuse("another number of fine vertices", "atoms/vertex_mean", means, str(vertices))
+    size, wanted = len(arrays["atoms/mean"]), 3 * Grid.of(levels).nodes
+    if size != wanted:
+        refuse("another grid than that of these subdivisions", "atoms/mean", size, str(wanted))
 
 
 def _check_sewn(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:

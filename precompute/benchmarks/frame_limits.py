@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from pbd import Body, Model
 from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels
-from wrinkles.patches import NODES
+from wrinkles.patches import Grid
 
 __all__ = ["MachineSpeed", "cloth_bytes", "layer_bytes", "machine_speed", "network_products", "normal_bytes"]
 
@@ -95,7 +95,8 @@ def layer_bytes(levels: Levels, body: Body) -> dict[str, float]:
     coarse, fine = levels.subdivision.coarse_count, len(levels.fine.vertices)
     edges, body_count = len(levels.fine.edge_lengths()[1]), len(body.current)
     return {
-        "surface": (POSITION + 4 * 3 * NODES) * coarse + (2 * POINT + PLACE) * fine,
+        "surface": (POSITION + 4 * 3 * Grid.of(len(levels.subdivision.steps)).nodes) * coarse
+        + (2 * POINT + PLACE) * fine,
         "relaxation": 2 * POINT * fine + EDGE * edges + 2 * POINT * body_count,
         "normals": normal_bytes(fine, len(levels.fine.faces)),
     }

@@ -13,7 +13,7 @@ from wrinkles.dictionary import Atoms, CoefficientNetwork, fit_atoms, fit_coeffi
 from wrinkles.features import DYNAMIC_COUNT, REGIONS, Stencil
 from wrinkles.levels import Levels
 from wrinkles.network import in_threads
-from wrinkles.patches import NODES, Patches
+from wrinkles.patches import Patches
 
 __all__ = [
     "FeatureStatistics",
@@ -94,7 +94,7 @@ def training_set(layer: Layer, recordings: Sequence[Recording], atom_count: int,
     rng = np.random.default_rng(seed)
     some = rng.choice(frame_count, min(frame_count, max(1, SAMPLED_PATCHES // count)), replace=False)
     sample = np.stack(in_threads(lambda i: around.grids(i, some), range(count)), axis=1)
-    atoms = fit_atoms(sample.reshape(-1, 3 * NODES), atom_count, layer.levels.subdivision.fine_count)
+    atoms = fit_atoms(sample.reshape(-1, sample.shape[-1]), atom_count, layer.levels.subdivision.fine_count)
     return TrainingSet(around.features, around.coefficients(atoms), atoms)
 
 
@@ -151,14 +151,14 @@ class _Residuals:
         return found
 
     def grids(self, i: int, some: np.ndarray) -> np.ndarray:
-        """Grids that are fitted to it in some frames [m], float32, shape (f, 3 NODES)."""
+        """Grids that are fitted to it in some frames [m], float32, shape (f, 3 nodes)."""
         fit = self.fits[i][1].astype(np.float32)
         return (fit @ self.local(i, some)).transpose(2, 1, 0).reshape(len(some), -1)
 
     def coefficients(self, atoms: Atoms) -> np.ndarray:
         """What the grids of all patches are in atoms, float32, shape (f, n, K)."""
         found = np.zeros((len(self.features), len(self.fits), len(atoms.shapes)), np.float32)
-        analysis = atoms.analysis.astype(float).reshape(NODES, 3, -1)
+        analysis = atoms.analysis.astype(float).reshape(len(atoms.mean) // 3, 3, -1)
         offset = (atoms.mean @ atoms.analysis).astype(np.float32)
 
         def fill(i: int) -> None:

@@ -5,7 +5,6 @@
 function gubeDecoder() {
   const TYPES = { int8: Int8Array, uint8: Uint8Array, int16: Int16Array, uint16: Uint16Array, int32: Int32Array,
     uint32: Uint32Array, float32: Float32Array };
-  const SIDE = 11, NODES = SIDE * SIDE; // of a patch's grid
   const POINTS = 25, CENTRE = 12, UP = 17, DOWN = 7, LEFT = 11, RIGHT = 13; // of a stencil
   const INNER = [6, 7, 8, 11, 12, 13, 16, 17, 18];
 
@@ -146,7 +145,7 @@ function gubeDecoder() {
       });
       this.network = { count, inputs, width1, width2, units, atoms, order, bias, hidden1, output, weights1, unitWeights,
         shapes, parts, features: rows(inputs), hiddenUnits: rows(units) };
-      this.grids = rows(3 * NODES);
+      this.grids = rows(arrays["atoms/mean"].length);
     }
 
     /** Where each fine vertex reads the grids of its three patches: bilinear shares of two pairs of nodes. */
@@ -159,7 +158,8 @@ function gubeDecoder() {
         share.set([(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v].map((w) => w * blend[k]), 4 * k);
       }
       order.forEach((vertex, row) => (rowOf[vertex] = row));
-      const [near, far] = [0, SIDE].map((by) => (node, k) => 3 * (rowOf[corners[k]] * NODES + node + by))
+      const nodes = arrays["atoms/mean"].length / 3, side = Math.sqrt(nodes); // of a patch's grid
+      const [near, far] = [0, side].map((by) => (node, k) => 3 * (rowOf[corners[k]] * nodes + node + by))
         .map((offset) => loops.indices(Array.from(cell, offset)));
       this.patches = { near, far, share, corners };
       this.mean = loops.floats(arrays["patches/mean"]);
@@ -261,7 +261,7 @@ function gubeDecoder() {
         for (let k = row * n.atoms; k < (row + 1) * n.atoms; k++) output[k] *= amplitude;
       }
       repeat(arrays["atoms/mean"], grids);
-      loops.multiplyAdd(output, n.shapes, grids, count, n.atoms, 3 * NODES);
+      loops.multiplyAdd(output, n.shapes, grids, count, n.atoms, arrays["atoms/mean"].length);
     }
 
     /** Adds the recorded corrections, each in the frame of the vertex' first patch. */

@@ -48,10 +48,10 @@ def skirt_database(**changes: Any) -> WrinkleDatabase:
     """The database, with fields replaced by ``changes``."""
     stage = skirt_stage()
     coarse = stage.levels.coarse
-    database = small_database()
+    subdivisions = changes.get("subdivisions", stage.settings.subdivisions)
+    database = small_database(subdivisions=subdivisions)
     rng = np.random.default_rng(1)
     place = 0.01 * rng.standard_normal((len(coarse.vertices), database.mapping.place_bias.shape[1]))
-    subdivisions = changes.get("subdivisions", stage.settings.subdivisions)
     fine_count = Subdivision.of(coarse.faces, len(coarse.vertices), subdivisions).fine_count
     vertex_mean = 0.001 * rng.standard_normal((fine_count, 3))
     fields: dict[str, Any] = {

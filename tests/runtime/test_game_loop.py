@@ -18,7 +18,7 @@ from wrinkles.dictionary import FABRIC_COUNT, Atoms, CoefficientNetwork
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.levels import build_levels
 from wrinkles.novelty import NoveltyScore
-from wrinkles.patches import NODES
+from wrinkles.patches import Grid
 from wrinkles.rest_shape import RestShapeCorrection
 
 TICK = 1.0 / 60.0
@@ -313,6 +313,7 @@ def database() -> WrinkleDatabase:
     small = lambda *shape: (0.1 * random(shape)).astype(np.float32)  # noqa: E731
     zero = lambda *shape: np.zeros(shape, np.float32)  # noqa: E731
     one = lambda *shape: np.ones(shape, np.float32)  # noqa: E731
+    size = 3 * Grid.of(len(levels.subdivision.steps)).nodes
     return WrinkleDatabase(
         garment_name="skirt",
         coarse_vertices=levels.coarse.vertices,
@@ -331,7 +332,7 @@ def database() -> WrinkleDatabase:
         bend_factor=0.3,
         solver=SolverOptions(substep=1.0 / 480.0),
         frame_rate=60.0,
-        atoms=Atoms(0.01 * small(atoms, 3 * NODES), zero(3 * NODES), 1.0, zero(levels.subdivision.fine_count, 3)),
+        atoms=Atoms(0.01 * small(atoms, size), zero(size), 1.0, zero(levels.subdivision.fine_count, 3)),
         mapping=CoefficientNetwork(
             center=zero(DYNAMIC_COUNT),
             scale=one(DYNAMIC_COUNT),

@@ -13,7 +13,7 @@ from wrinkles.database import WrinkleDatabase
 from wrinkles.dictionary import FABRIC_COUNT, Atoms, CoefficientNetwork
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.novelty import NoveltyScore
-from wrinkles.patches import NODES
+from wrinkles.patches import Grid
 from wrinkles.rest_shape import RestShapeCorrection
 from wrinkles.surface import Subdivision
 
@@ -41,7 +41,9 @@ def small_database(side: int = 7, atoms: int = 5, hidden: tuple[int, int] = (8, 
         return (0.01 * rng.standard_normal(shape)).astype(np.float32)
 
     shown, count = changes.get("coarse_faces", faces), len(changes.get("coarse_vertices", vertices))
-    made = Subdivision.of(shown, count, changes.get("subdivisions", 2), changes.get("binding"))
+    subdivisions = changes.get("subdivisions", 2)
+    made = Subdivision.of(shown, count, subdivisions, changes.get("binding"))
+    size = 3 * Grid.of(subdivisions).nodes
     fields: dict[str, Any] = {
         "garment_name": "curtain č",
         "coarse_vertices": vertices + np.array([0.1, 1.2, -0.3]),
@@ -60,7 +62,7 @@ def small_database(side: int = 7, atoms: int = 5, hidden: tuple[int, int] = (8, 
         "bend_factor": 1.0 / 3.0,
         "solver": SolverOptions(1.0 / 900.0, (0.0, -9.81, 0.1), local_damping=1.5, linear_inertia=0.5),
         "frame_rate": 60.0,
-        "atoms": Atoms(weights(atoms, 3 * NODES), weights(3 * NODES), 0.97, weights(made.fine_count, 3)),
+        "atoms": Atoms(weights(atoms, size), weights(size), 0.97, weights(made.fine_count, 3)),
         "mapping": CoefficientNetwork(
             center=weights(DYNAMIC_COUNT),
             scale=1.0 + weights(DYNAMIC_COUNT),

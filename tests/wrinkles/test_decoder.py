@@ -14,7 +14,7 @@ from wrinkles.dictionary import FABRIC_COUNT, Atoms, CoefficientNetwork
 from wrinkles.features import DYNAMIC_COUNT, Stencil
 from wrinkles.fine_surface import FineSurface
 from wrinkles.novelty import NoveltyScore
-from wrinkles.patches import NODES, SIDE, Patches
+from wrinkles.patches import Patches
 from wrinkles.surface import Subdivision
 from wrinkles.vertex_mean import turned
 
@@ -52,7 +52,8 @@ class Layer:
         self.subdivision = Subdivision.of(faces, count, 2)
         charts = Charts.of(ClothMesh.from_surface(vertices, faces))
         self.stencil, self.patches = Stencil.of(charts, np.array([0])), Patches.of(self.subdivision, charts)
-        shapes, mean = single(atoms, 3 * NODES, size=0.01), single(3 * NODES, seed=1, size=0.01)
+        size = 3 * self.patches.grid.nodes
+        shapes, mean = single(atoms, size, size=0.01), single(size, seed=1, size=0.01)
         vertex_mean = single(self.subdivision.fine_count, 3, seed=11, size=0.01)
         self.atoms = Atoms(shapes, mean, 1.0, vertex_mean)
         self.mapping = CoefficientNetwork(
@@ -106,13 +107,13 @@ def test_the_decoder_adds_what_the_mapping_predicts(layer: Layer) -> None:
     grids = layer.mapping.predict(features) @ layer.atoms.shapes + layer.atoms.mean
     assert np.median(grids.std(axis=0)) > 1e-3
     # Turned into space first and read afterwards, vertex by vertex.
-    spatial = np.einsum("inx,ixy->iny", grids.reshape(count, NODES, 3), frames.reshape(count, 3, 3))
+    spatial = np.einsum("inx,ixy->iny", grids.reshape(count, -1, 3), frames.reshape(count, 3, 3))
     p, expected = layer.patches, np.zeros((layer.subdivision.fine_count, 3))
     for i in range(len(expected)):
         for c in range(3):
             u, v = p.within[i, 2 * c : 2 * c + 2]
             node = p.cell[i, c]
-            near = spatial[p.corners[i, c]][[node, node + 1, node + SIDE, node + SIDE + 1]]
+            near = spatial[p.corners[i, c]][[node, node + 1, node + p.grid.side, node + p.grid.side + 1]]
             expected[i] += p.blend[i, c] * (np.array([(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v]) @ near)
     assert np.abs(expected).max() > 0.01
     expected += turned(p.turning, frames, layer.atoms.vertex_mean)
@@ -142,6 +143,6 @@ def test_wrinkles_fade_where_the_state_is_unfamiliar(layer: Layer) -> None:
     np.testing.assert_allclose(faded[familiar], full[familiar], atol=1e-6)
     # What is left are the means, the same in every state.
     rest = flat - turned(layer.patches.turning, frames, layer.atoms.vertex_mean)
-    assert np.linalg.norm(rest, axis=1).max() <= np.linalg.norm(layer.atoms.mean.reshape(NODES, 3), axis=1).max()
+    assert np.linalg.norm(rest, axis=1).max() <= np.linalg.norm(layer.atoms.mean.reshape(-1, 3), axis=1).max()
     between = np.linalg.norm(faded - flat, axis=1).sum() / np.linalg.norm(full - flat, axis=1).sum()
     assert 0.4 < between < 0.95

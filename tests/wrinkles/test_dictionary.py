@@ -8,21 +8,23 @@ import pytest
 from pbd import Fabric
 from wrinkles.dictionary import CLIP, CoefficientNetwork, fabric_features, fit_atoms, fit_coefficient_network, whitening
 from wrinkles.features import DYNAMIC_COUNT
-from wrinkles.patches import NODES, SIDE, slope_metric
+from wrinkles.patches import Grid
+
+GRID = Grid.of(2)
+SIZE = 3 * GRID.nodes
 
 
 def seen(patches: np.ndarray) -> np.ndarray:
-    """Patches as the slope metric sees them: what an inner product of them is taken of, shape (s, 3 NODES)."""
-    return np.einsum("snc,nm->smc", patches.reshape(-1, NODES, 3).astype(float), slope_metric()).reshape(
-        len(patches), -1
-    )
+    """Patches as the slope metric sees them: what an inner product of them is taken of, shape (s, SIZE)."""
+    vectors = patches.reshape(-1, GRID.nodes, 3).astype(float)
+    return np.einsum("snc,nm->smc", vectors, GRID.slope_metric()).reshape(len(patches), -1)
 
 
 @pytest.fixture(scope="module")
 def patches() -> np.ndarray:
-    """Random mixtures of six waves [m], shape (400, 3 NODES), about a bump."""
+    """Random mixtures of six waves [m], shape (400, SIZE), about a bump."""
     rng = np.random.default_rng(0)
-    a, b = np.meshgrid(np.linspace(-1, 1, SIDE), np.linspace(-1, 1, SIDE), indexing="ij")
+    a, b = np.meshgrid(np.linspace(-1, 1, GRID.side), np.linspace(-1, 1, GRID.side), indexing="ij")
     waves = np.stack([np.sin(rng.uniform(1, 6) * a + rng.uniform(1, 6) * b + rng.uniform(0, 6)) for _ in range(6)])
     shapes = (waves[:, :, :, None] * rng.standard_normal((6, 1, 1, 3))).reshape(6, -1)
     strength = rng.standard_normal((400, 6)) * [5e-3, 4e-3, 3e-3, 2e-3, 1e-3, 5e-4]
@@ -32,7 +34,7 @@ def patches() -> np.ndarray:
 
 def test_atoms_are_orthonormal_in_the_slope_metric(patches: np.ndarray) -> None:
     atoms = fit_atoms(patches, 5, 0)
-    assert atoms.shapes.shape == (5, 3 * NODES) and atoms.analysis.shape == (3 * NODES, 5)
+    assert atoms.shapes.shape == (5, SIZE) and atoms.analysis.shape == (SIZE, 5)
     np.testing.assert_allclose(seen(atoms.shapes) @ seen(atoms.shapes).T, np.eye(5), atol=1e-4)
     np.testing.assert_allclose(atoms.shapes @ atoms.analysis, np.eye(5), atol=1e-4)
 

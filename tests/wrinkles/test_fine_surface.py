@@ -10,7 +10,7 @@ from tests.wrinkles.fine_surfaces import patch_sums
 from wrinkles.charts import Charts
 from wrinkles.fine_surface import FineSurface
 from wrinkles.levels import Levels, build_levels
-from wrinkles.patches import NODES, Patches
+from wrinkles.patches import Patches
 from wrinkles.vertex_mean import turned
 
 NOBODY = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
@@ -26,7 +26,7 @@ class Sheet:
         self.patches = Patches.of(self.subdivision, Charts.of(self.levels.coarse))
         rng, count = np.random.default_rng(0), len(vertices)
         self.mean = (0.002 * rng.standard_normal((self.subdivision.fine_count, 3))).astype(np.float32)
-        self.grids = (0.005 * rng.standard_normal((count, 3 * NODES))).astype(np.float32)
+        self.grids = (0.005 * rng.standard_normal((count, 3 * self.patches.grid.nodes))).astype(np.float32)
         self.frames = np.linalg.qr(rng.standard_normal((count, 3, 3)))[0].reshape(count, 9).astype(np.float32)
         smooth = self.subdivision.to_middle @ (vertices + 0.002 * rng.standard_normal(vertices.shape))
         self.smooth = np.insert(smooth, 3, 7.0, axis=1).astype(np.float32)  # nothing is to be read in the last column

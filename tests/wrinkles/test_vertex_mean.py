@@ -15,7 +15,7 @@ from wrinkles.charts import Charts
 from wrinkles.features import DYNAMIC_COUNT, Stencil
 from wrinkles.fine_surface import FineSurface
 from wrinkles.levels import Levels
-from wrinkles.patches import NODES, Patches
+from wrinkles.patches import Patches
 from wrinkles.surface import Subdivision
 from wrinkles.vertex_mean import MEAN_STEP, fit_vertex_mean, turned
 
@@ -89,7 +89,7 @@ def test_patches_are_written_smoothly_where_places_crowd(levels: Levels, patches
     assert abs(patches.smoothing - even).max() == 0.0
     patches = replace(patches, smoothing=binding.smoothing_where(levels.fine.vertices[:, 0] > 0.3))
     frames = frames_of(levels, levels.coarse.vertices)
-    grids = rng.standard_normal((len(frames), 3 * NODES)).astype(np.float32)
+    grids = rng.standard_normal((len(frames), 3 * patches.grid.nodes)).astype(np.float32)
     none, smoothed = np.zeros((2, levels.subdivision.fine_count, 3), np.float32)
     surface = FineSurface(levels.subdivision, patches, none)
     for _ in range(2):  # nothing is kept
@@ -102,7 +102,7 @@ def test_the_mean_is_written_as_it_is_turned(levels: Levels, patches: Patches) -
     frames = frames_of(levels, levels.coarse.vertices @ rotation(2, 0.3))
     mean = np.random.default_rng(2).standard_normal((levels.subdivision.fine_count, 3)).astype(np.float32)
     surface, fine = FineSurface(levels.subdivision, patches, mean), np.zeros_like(mean)
-    surface(flat(levels), np.zeros((len(frames), 3 * NODES), np.float32), frames, fine)
+    surface(flat(levels), np.zeros((len(frames), 3 * patches.grid.nodes), np.float32), frames, fine)
     np.testing.assert_allclose(fine, turned(patches.turning, frames, mean), atol=1e-5)
 
 

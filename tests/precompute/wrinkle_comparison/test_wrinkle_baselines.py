@@ -9,7 +9,7 @@ from tests.precompute.wrinkle_comparison.small import small_comparison
 from tests.runtime.players import skirt_stage
 from wrinkles.dictionary import fit_atoms
 from wrinkles.features import DYNAMIC_COUNT
-from wrinkles.patches import NODES
+from wrinkles.patches import Grid
 
 FRAMES, ATOMS = 24, 5
 
@@ -22,7 +22,7 @@ def baselines() -> tuple[list, TrainingSet, np.ndarray]:
     sway = rng.standard_normal((FRAMES, 3))
     features = (sway @ rng.standard_normal((3, count * DYNAMIC_COUNT))).reshape(FRAMES, count, DYNAMIC_COUNT)
     coefficients = 0.01 * np.einsum("fnd,dk->fnk", features, rng.standard_normal((DYNAMIC_COUNT, ATOMS)))
-    atoms = fit_atoms(rng.standard_normal((500, 3 * NODES)), ATOMS, 0)
+    atoms = fit_atoms(rng.standard_normal((500, 3 * Grid.of(2).nodes)), ATOMS, 0)
     data = TrainingSet(features.astype(np.float32), coefficients.astype(np.float32), atoms)
     poses = np.tile(np.eye(3, 4), (FRAMES, 6, 1, 1))
     turn = 0.3 * sway[:, 0]
@@ -61,7 +61,7 @@ def test_softness_is_chosen_by_motion_that_was_left_out() -> None:
     layer, rng = build_layer(skirt_stage().levels), np.random.default_rng(1)
     count = len(layer.levels.coarse.vertices)
     features = rng.standard_normal((60, count, DYNAMIC_COUNT)).astype(np.float32)
-    atoms = fit_atoms(rng.standard_normal((500, 3 * NODES)), ATOMS, 0)
+    atoms = fit_atoms(rng.standard_normal((500, 3 * Grid.of(2).nodes)), ATOMS, 0)
     noise = rng.standard_normal((60, count, ATOMS)).astype(np.float32)  # nothing to be learned: the softest is best
     with small_comparison():
         fitted = fit_baselines(layer, TrainingSet(features, noise, atoms), np.zeros((60, 9, 3)), epochs=1, seed=0)
