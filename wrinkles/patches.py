@@ -21,12 +21,11 @@ __all__ = ["Grid", "Patches"]
 BLEND_RADIUS = 1.1  # distance from a patch's centre at which its weight becomes 0, in coarse edges
 MIN_FRAME_WEIGHT = 0.02  # smaller weights of a coarse vertex's frame are left out
 MOST_CELLS = 4  # along a mean coarse edge
-REACH = 1.25  # of a grid from its coarse vertex, in mean coarse edges
 
 
 @dataclass(frozen=True)
 class Grid:
-    """The square grid of a patch, with its coarse vertex in the middle.
+    """The square grid of a patch: it reaches a mean coarse edge or more from its coarse vertex to all sides.
 
     Attributes:
         cells: along a mean coarse edge.
@@ -42,12 +41,12 @@ class Grid:
     @classmethod
     def with_nodes(cls, count: int) -> Grid:
         """The grid that has so many nodes."""
-        return cls(int((math.isqrt(count) // 2) / REACH))
+        return cls((4 * (math.isqrt(count) // 2) + 4) // 5)
 
     @property
     def side(self) -> int:
         """Nodes along a side."""
-        return 2 * math.ceil(REACH * self.cells) + 1
+        return 2 * (5 * self.cells // 4) + 1
 
     @property
     def nodes(self) -> int:

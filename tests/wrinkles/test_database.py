@@ -269,9 +269,9 @@ REFUSED: dict[str, tuple[Callable[[h5py.File], Any], str, str]] = {
         "received 7, expected 625",
     ),
     "other grid": (
-        lambda f: [put("atoms/mean", np.zeros(147, np.float32))(f), put("atoms/shapes", np.zeros((5, 147), np.int8))(f)],
+        lambda f: [put("atoms/mean", np.zeros(75, np.float32))(f), put("atoms/shapes", np.zeros((5, 75), np.int8))(f)],
         "atoms/mean: another grid than that of these subdivisions",
-        "received 147, expected 363",
+        "received 75, expected 363",
     ),
     "too few scales": (put("atoms/shapes_scale", np.ones(4, np.float32)), "atoms/shapes_scale: wrong shape", "K = 5"),
     "no scale": (edit("mapping/weights_3_scale", (1, 2), 0.0), "mapping/weights_3_scale: out of range", "above 0"),

@@ -58,7 +58,7 @@ def test_a_grid_is_found_by_its_number_of_nodes() -> None:
     grids = [Grid.of(subdivisions) for subdivisions in (1, 2, 3)]
     assert [grid.cells for grid in grids] == [2, 4, 4]  # one for each fine edge, but at most four
     assert [Grid.with_nodes(grid.nodes) for grid in grids] == grids
-    assert grids[0].nodes < grids[1].nodes / 2
+    assert [grid.nodes for grid in grids] == [25, 121, 121]
 
 
 def test_the_blend_is_a_partition_of_unity(sheet: Sheet) -> None:
@@ -82,7 +82,11 @@ def test_cells_and_places_in_them_are_inside_the_grid() -> None:
 def test_patches_reach_as_far_as_the_next_coarse_vertices(sheet: Sheet) -> None:
     lengths = np.linalg.norm(np.diff(sheet.coarse[sheet.subdivision.coarse_faces], axis=1), axis=2)
     assert sheet.patches.spacing * sheet.grid.cells == pytest.approx(lengths.mean(), rel=0.1)
-    assert sheet.covered.mean() > 0.85
+    away = np.abs(sheet.fine[:, None] - sheet.coarse[sheet.patches.corners])
+    outside = (away > axis(sheet.grid)[-1] * sheet.patches.spacing).any(axis=2)
+    assert (
+        sheet.patches.blend * outside
+    ).sum() < 0.015 * sheet.patches.blend.sum()  # what is not covered hardly counts
 
 
 def test_a_linear_function_is_read_exactly(sheet: Sheet) -> None:
