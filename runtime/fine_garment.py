@@ -44,7 +44,7 @@ class FineGarment:
         stencil, atoms = Stencil.of(charts, database.held), database.atoms
         self._decoder = Decoder(stencil, database.mapping, atoms, database.novelty)
         self._surface = FineSurface(subdivision, Patches.of(subdivision, charts), atoms.vertex_mean)
-        self._relax = Relaxation.of(levels, source.vertices, source.faces, database.fabric.thickness)
+        self._relax = Relaxation.of(levels, source.vertices, source.faces, database.fabric, database.bend_factor)
         self._write_normals = FineNormals(subdivision)
         self.vertices = np.zeros((subdivision.fine_count, 3), np.float32)
         self.normals = np.zeros((subdivision.fine_count, 3), np.float32)

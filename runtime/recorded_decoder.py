@@ -51,7 +51,6 @@ class RecordedDecoder:
         else:
             rows = np.repeat(np.arange(fine), 3)
             self._turning = csr_matrix((blend.ravel(), (rows, corners.ravel())), (fine, count))
-        self._passes = _independent(a["edges/ends"], int(about["free_edges"]))
 
     def _matrix(self, name: str, columns: int) -> csr_matrix:
         start, index, value = (self._arrays[f"{name}/{part}"] for part in ("start", "index", "value"))
@@ -82,7 +81,6 @@ class RecordedDecoder:
         fine = self._surface @ (self._middle @ coarse) + added + np.einsum("ia,iax->ix", a["patches/mean"], turned)
         fine = fine.astype(np.float32)
         fine[a["held"]] = held
-        self._shorten(fine)
         return fine, frames
 
     def _read(self, coarse: np.ndarray, contact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -117,41 +115,6 @@ class RecordedDecoder:
             coefficients[order[rows]] *= amplitude[rows, None]
         return coefficients @ a["atoms/shapes"] + a["atoms/mean"]
 
-    def _shorten(self, fine: np.ndarray) -> None:
-        """Take back a share of the stretch of the edges, in place; see :mod:`wrinkles.relaxation`."""
-        ends, lengths = self._arrays["edges/ends"].astype(int), self._arrays["edges/lengths"]
-        share = np.float32(self._about["stretch_share"])
-        for span, both in self._passes:
-            (i, j), wanted = ends[span].T, lengths[span] ** 2
-            edge = fine[j] - fine[i]
-            squared = (edge * edge).sum(axis=1)
-            taken = np.where(squared > wanted, share * (1.0 - 2.0 * wanted / (squared + wanted)), 0.0)[:, None] * edge
-            if both:
-                fine[i] += 0.5 * taken
-                fine[j] -= 0.5 * taken
-            else:
-                fine[j] -= taken
-
 
 def _unit(v: np.ndarray) -> np.ndarray:
     return v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-12)
-
-
-def _independent(ends: np.ndarray, free: int) -> list[tuple[slice, bool]]:
-    """Spans of edges that share no vertex which moves, so that all of a span can be shortened at once.
-
-    Args:
-        ends: of the edges, shape (e, 2).
-        free: edges before this one move both ends, the others the second one.
-
-    Returns:
-        spans in order, and whether their edges move both ends.
-    """
-    spans, began, seen = [], 0, set()
-    for number, (i, j) in enumerate(ends.tolist()):
-        moved = {i, j} if number < free else {j}
-        if seen & moved or number == free:
-            spans.append((slice(began, number), number <= free))
-            began, seen = number, set()
-        seen |= moved
-    return [*spans, (slice(began, len(ends)), len(ends) <= free)]

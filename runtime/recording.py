@@ -21,7 +21,7 @@ from runtime.play import PlaybackInputs
 from runtime.player import Player
 from runtime.recorded_decoder import RecordedDecoder
 from runtime.recording_file import Quantised, quantised, recording_bytes
-from runtime.simulation import BodySource, Motion, poses_of
+from runtime.simulation import Motion, poses_of
 from wrinkles.charts import Charts
 from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase
@@ -30,7 +30,6 @@ from wrinkles.features import Stencil
 from wrinkles.levels import Levels
 from wrinkles.novelty import FADE_WIDTH, NoveltyScore
 from wrinkles.patches import Patches
-from wrinkles.relaxation import STRETCH_SHARE, Relaxation
 from wrinkles.vertex_mean import MEAN_STEP
 
 __all__ = ["TRUTH_HZ", "TRUTH_STEP", "RecordedTruth", "record", "stored"]
@@ -98,9 +97,7 @@ def record(
     dt = 1.0 / database.frame_rate
     poses = poses_of(motion, dt, seconds)
     player = Player(database, inputs.body, poses[0], inputs.primitives)
-    source = player.simulation.source
-    assert source is not None
-    header, arrays = _garment(player.database, player.levels, source)
+    header, arrays = _garment(player.database, player.levels)
     decoder = RecordedDecoder(header, arrays)
     corners, held = arrays["patches/corners"].values[:, 0], player.levels.fine_held
     floor = float(player.body_vertices[:, 1].min() + player.origin[1])
@@ -148,13 +145,10 @@ def record(
     return data, figures
 
 
-def _garment(
-    database: WrinkleDatabase, levels: Levels, source: BodySource
-) -> tuple[dict[str, float], dict[str, Quantised]]:
+def _garment(database: WrinkleDatabase, levels: Levels) -> tuple[dict[str, float], dict[str, Quantised]]:
     """Header and arrays that decode any frame."""
     subdivision, charts = levels.subdivision, Charts.of(levels.coarse)
     stencil, patches = Stencil.of(charts, database.held), Patches.of(subdivision, charts)
-    relaxation = Relaxation.of(levels, source.vertices, source.faces, database.fabric.thickness)
     arrays = {
         **_matrix("filter", CoarseFilter(levels).matrix),
         **_matrix("middle", subdivision.to_middle),
@@ -167,8 +161,6 @@ def _garment(
         "patches/within": quantised(patches.within, np.int16),
         "patches/mean": quantised(database.atoms.vertex_mean, np.int16, step=MEAN_STEP),
         **_network(database.mapping, database.novelty, database.atoms),
-        "edges/ends": _indices(relaxation.edges),
-        "edges/lengths": quantised(relaxation.lengths, np.int16),
         "held": _indices(levels.fine_held),
         "faces/fine": _indices(subdivision.faces),
         "faces/coarse": _indices(subdivision.coarse_faces),
@@ -182,8 +174,6 @@ def _garment(
         "novelty_bias": database.novelty.bias_2,
         "fade_end": float(np.log(database.novelty.fade_from) + FADE_WIDTH),
         "fade_width": float(FADE_WIDTH),
-        "free_edges": relaxation.free_edges,
-        "stretch_share": STRETCH_SHARE,
     }
     return header, arrays
 

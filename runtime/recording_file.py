@@ -14,7 +14,7 @@ import numpy as np
 __all__ = ["MAGIC", "VERSION", "Quantised", "quantised", "read_recording", "recording_bytes"]
 
 MAGIC = b"gube rec"
-VERSION = 1
+VERSION = 2
 
 
 @dataclass(frozen=True)

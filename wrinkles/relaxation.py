@@ -1,25 +1,32 @@
-"""One quasi-static pass on the fine mesh: stretched edges back to length, held vertices in place, out of the body."""
+"""Quasi-static relaxation of the fine mesh: its own forces come to rest, held vertices in place, out of the body."""
 
 from copy import copy
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from pbd import Fabric
 from pbd.contact.colliders import Body
 from pbd.engine import ensure_initialized, ti
-from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Vec3, Vec4, descend, vec3, vec4, xyz
-from pbd.mesh import ClothMesh, greedy_colors
+from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, descend, vec3, vec4, xyz
+from pbd.model import Model, build_model
 from pbd.taichi_internals import Launch
-from pbd.xpbd.views import BodySurface
+from pbd.xpbd.constraint_passes import solve_bending, solve_membrane, solve_stitches
+from pbd.xpbd.views import BodySurface, ClothArrays, ConstraintArrays, MultigridArrays
 from wrinkles.charts import leading_vertices
 from wrinkles.clearance import clearances, facing
 from wrinkles.covered_body import MAX_HEIGHT, CoveredBody, edge_towards, has_more_edges, height_over
 from wrinkles.levels import Levels
 from wrinkles.opposite_parts import PHASES, find_moved, find_opposite, opposed
 
-__all__ = ["STRETCH_SHARE", "Relaxation"]
+__all__ = ["Relaxation"]
 
-STRETCH_SHARE = 0.25  # of an edge's stretch that a relaxation pass takes back
+# A pass is one of a substep in which cloth at rest goes as far as a signal of this speed [m/s] from edge to edge: the
+# shortest folds come to rest in a few, and longer ones hardly move.
+SPEED = 14.4
+# Of the thickness, kept from a flat body: cloth that is pressed gives way by the rest, and if every vertex were at one
+# distance, the body's faces would be seen in the cloth.
+KEPT = 0.5
 # Where the coarse garment is further than this from the body, so is the fine one [m], ...
 LEVEL = 0.025
 PLEATED = 0.045  # ... unless the garment came with pleats, which go deeper
@@ -32,10 +39,18 @@ MIN_KEPT = 0.0003  # kept from the part that the cloth covers where there is no 
 def _relax(
     fine: Vec3,
     work: Vec4,
+    delta: Vec4,
+    triangles: Int3,
+    triangle_blocks: Int2,
+    block_colors: Int1,
+    triangle_data: Float2,
+    hinges: Int4,
+    hinge_colors: Int1,
+    hinge_data: Vec4Rows,
+    stitches: Int3,
+    stitch_data: Vec4,
+    inverse_h2: ti.f32,
     free: Int1,
-    edges: Int2,
-    lengths: Float1,
-    free_edges: ti.i32,
     held: Int1,
     targets: Vec3,
     leading: Int3,
@@ -74,47 +89,31 @@ def _relax(
         for c in range(held.shape[0]):
             fine[held[c]] = targets[c]
         for i in range(fine.shape[0]):
-            work[i] = vec4(fine[i])
+            work[i] = vec4(fine[i], work[i][3])
+            delta[i] = ti.math.vec4(0.0)
+        cloth = ClothArrays(position=work, position_delta=delta)
+        constraints = ConstraintArrays(
+            triangles, triangle_blocks, block_colors, triangle_data, hinges, hinge_colors, hinge_data, stitches,
+            stitch_data,
+        )  # fmt: skip
         for _pass in range(passes):
-            _shorten_edges(work, edges, lengths, free_edges)
-            find_moved(covered)
-            find_opposite(phase, covered)
-            for i in range(free.shape[0]):
-                x = _out_of_body(i, xyz(work[free[i]]), covered)
-                work[free[i]] = vec4(x)
-                fine[free[i]] = x
+            _come_to_rest(cloth, constraints, MultigridArrays(False, parent=free, coarse_strain=work), inverse_h2)
+        find_moved(covered)
+        find_opposite(phase, covered)
+        for i in range(free.shape[0]):
+            j = free[i]
+            fine[j] = _out_of_body(i, xyz(work[j]) + xyz(delta[j]), covered)
 
 
 @ti.func
-def _shorten_edges(fine: ti.template(), edges: ti.template(), lengths: ti.template(), free_edges: ti.i32):
-    """Take back a share of the stretch of each edge, one edge after the other.
-
-    Only stretch is taken back: pushing short edges apart in one pass folds the mesh edge by edge. And only a share of
-    it: whole corrections of a stretched coarse state overshoot from edge to edge.
-
-    Args:
-        free_edges: the edges before this one have two free ends; the others have their held end first.
-    """
-    for c in range(free_edges):
-        i, j = edges[c][0], edges[c][1]
-        start, end = fine[i], fine[j]
-        # Half of the share at each end. A select, because whether an edge is stretched cannot be foreseen.
-        d = 0.5 * _stretch(end - start, lengths[c])
-        fine[i] = start + d
-        fine[j] = end - d
-    for c in range(free_edges, edges.shape[0]):
-        j = edges[c][1]
-        fine[j] = fine[j] - _stretch(fine[j] - fine[edges[c][0]], lengths[c])
-
-
-@ti.func
-def _stretch(d: ti.math.vec4, length: ti.f32) -> ti.math.vec4:
-    """The share of an edge's stretch that is taken back, as a vector along the edge d [m].
-
-    Without a root, 1 - L / |d| is 1 - 2 L^2 / (|d|^2 + L^2) up to half of the squared stretch (Jakobsen 2001).
-    """
-    squared, wanted = d[0] * d[0] + d[1] * d[1] + d[2] * d[2], length * length
-    return ti.select(squared > wanted, STRETCH_SHARE * (1.0 - 2.0 * wanted / (squared + wanted)), 0.0) * d
+def _come_to_rest(cloth: ti.template(), constraints: ti.template(), no_levels: ti.template(), inverse_h2: ti.f32):
+    """One pass over membrane, bending and stitches, from rest: velocities would only carry away what is not solved."""
+    for k in range(constraints.block_colors.shape[0] - 1):
+        first, last = constraints.block_colors[k], constraints.block_colors[k + 1]
+        solve_membrane(cloth, constraints, no_levels, 0, inverse_h2, 1.0, first, last)
+    for k in range(constraints.hinge_colors.shape[0] - 1):
+        solve_bending(cloth, constraints, inverse_h2, constraints.hinge_colors[k], constraints.hinge_colors[k + 1])
+    solve_stitches(cloth, constraints, 0.0)
 
 
 @ti.func
@@ -235,11 +234,13 @@ def _start(
 
 
 class Relaxation:
-    """One quasi-static pass on the fine mesh: stretched edges back to length, held vertices in place, out of the body.
+    """Quasi-static relaxation of the fine mesh: its own forces come to rest, held vertices in place, out of the body.
+
+    Smooth surface and wrinkles are a guess. A pass moves them as XPBD moves cloth that stands still, by the constraints
+    of the fine garment: folds get the shape in which they would rest.
 
     Args:
-        mesh: the fine mesh.
-        held: its held vertices, int, shape (P,).
+        model: the fine garment.
         leading: coarse vertices around each fine one, whose contact it starts from; see
             :func:`wrinkles.charts.leading_vertices`.
         clearance: kept from the body at each of its vertices [m], float32, shape (b,); see
@@ -247,30 +248,31 @@ class Relaxation:
         facing: 1 where the garment's faces look away from the body, -1 where they look at it.
         level: where the coarse vertices around a fine one are all further than this from the body, so is that one [m].
 
-    Attributes:
-        edges: in the order in which they are shortened, int32, shape (e, 2).
-        lengths: their rest lengths [m], float32, shape (e,).
-        free_edges: the edges before this one have two free ends; the others have their held end first.
     """
 
     def __init__(
         self,
-        mesh: ClothMesh,
-        held: np.ndarray,
+        model: Model,
         leading: np.ndarray,
         clearance: np.ndarray,
         facing: float,
         level: float = LEVEL,
     ) -> None:
         ensure_initialized()
-        is_held = np.zeros(len(mesh.vertices), bool)
-        is_held[held] = True
+        held = model.held
+        is_held = model.inverse_mass == 0.0
         # Vertices that lie near one another look at the same part of the body.
         order = np.lexsort((leading[:, 1], leading[:, 0]))
         self._free = order[~is_held[order]].astype(np.int32)
         self._leading = np.ascontiguousarray(leading[self._free], np.int32)
-        self.edges, lengths, self.free_edges = _edges_by_color(*mesh.edge_lengths(), is_held)
-        self.lengths = lengths.astype(np.float32)
+        stitch_data = np.zeros((len(model.stitches), 4), np.float32)
+        stitch_data[:, 0] = model.stitch_weights
+        self._constraints = (
+            model.triangles, model.triangle_blocks, model.block_colors, model.triangle_data, model.hinges,
+            model.hinge_colors, model.hinge_data, model.stitches, stitch_data,
+        )  # fmt: skip
+        self._inverse_h2 = (SPEED / float(model.mesh.edge_lengths()[1].mean())) ** 2
+        self._inverse_mass = model.inverse_mass
         self._held = np.asarray(held, np.int32)
         self._clearance, self._facing, self._level = clearance, facing, level
         self._forget(int(leading.max()) + 1)
@@ -281,7 +283,8 @@ class Relaxation:
         self._nearest = np.full(2 * count, -1, np.int32)
         self._across, self._before = (np.full(coarse_count, -1, np.int32) for _ in range(2))
         self._moved = np.zeros(coarse_count, np.int32)
-        self._work = np.zeros((count + len(self._held), 4), np.float32)
+        self._work, self._delta = np.zeros((2, count + len(self._held), 4), np.float32)
+        self._work[:, 3] = self._inverse_mass
         cells = 1 << (2 * coarse_count).bit_length()
         self._cells = np.zeros(cells + 1, np.int32), *(np.zeros(2 * coarse_count, np.int32) for _ in range(2))
         self._targets = np.zeros((len(self._held), 3), np.float32)
@@ -289,24 +292,26 @@ class Relaxation:
         self._relax = Launch(_relax)
 
     @classmethod
-    def of(cls, levels: Levels, body_vertices: np.ndarray, body_faces: np.ndarray, thickness: float) -> "Relaxation":
+    def of(
+        cls, levels: Levels, body_vertices: np.ndarray, body_faces: np.ndarray, fabric: Fabric, bend_factor: float
+    ) -> "Relaxation":
         """Relaxation of a garment on a body.
 
         Args:
             levels: of the garment.
             body_vertices: of the body in its bind pose [m], shape (b, 3).
             body_faces: int, shape (k, 3).
-            thickness: kept from a flat body [m].
+            fabric: of the garment.
+            bend_factor: hinge factor of its meshes, see :func:`pbd.bending.hinge_calibration`.
         """
         edges, lengths = levels.fine.edge_lengths()
         longest = np.zeros(len(levels.fine.vertices))
         np.maximum.at(longest, edges, lengths[:, None])
         spacing = longest[cKDTree(levels.fine.vertices).query(body_vertices)[1]]
         return cls(
-            levels.fine,
-            levels.fine_held,
+            build_model(levels.fine, fabric, levels.fine_held, bend_factor=bend_factor),
             leading_vertices(levels.subdivision),
-            clearances(body_vertices, body_faces, spacing, thickness),
+            clearances(body_vertices, body_faces, spacing, KEPT * fabric.thickness),
             facing(levels.coarse, body_vertices, body_faces),
             LEVEL if levels.subdivision.binding is None else PLEATED,
         )
@@ -360,10 +365,10 @@ class Relaxation:
         self._relax(
             fine,
             self._work,
+            self._delta,
+            *self._constraints,
+            self._inverse_h2,
             self._free,
-            self.edges,
-            self.lengths,
-            self.free_edges,
             self._held,
             self._targets,
             self._leading,
@@ -389,24 +394,3 @@ class Relaxation:
             passes,
         )
         self._phase = (self._phase + 1) % PHASES
-
-
-def _edges_by_color(edges: np.ndarray, lengths: np.ndarray, is_held: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-    """Edges in the order in which their lengths are corrected: no two beside each other share a vertex.
-
-    Edges with two held ends are left out. Those with one follow after the others and have it first.
-
-    Args:
-        edges: int, shape (e, 2).
-        lengths: [m], shape (e,).
-        is_held: whether each vertex is held, bool, shape (n,).
-
-    Returns:
-        edges, int32, their lengths, and the number of those with two free ends.
-    """
-    kept = ~is_held[edges].all(axis=1)
-    edges, lengths = edges[kept], lengths[kept]
-    edges = np.where(is_held[edges[:, 1:]], edges[:, ::-1], edges)
-    order = np.lexsort((greedy_colors(edges, len(is_held)), is_held[edges[:, 0]]))
-    free = len(edges) - int(is_held[edges[:, 0]].sum())
-    return np.ascontiguousarray(edges[order], np.int32), lengths[order], free

@@ -11,7 +11,8 @@ from itertools import groupby
 
 import numpy as np
 
-from pbd import Body
+from pbd import Body, Fabric
+from pbd.bending import hinge_calibration
 from precompute.learning.recording import Recording, Run, body_source
 from precompute.learning.training import Layer, features_of, spread_frames
 from precompute.workers import Workers
@@ -172,7 +173,7 @@ def decoded_frames(
     levels = layer.levels
     upsample = Upsampler(levels.subdivision)
     source = body_source(run.body)
-    relax = _relaxation(_Kept.of(levels, source, run.fabric.thickness)).fresh()
+    relax = _relaxation(_Kept.of(levels, source, run.fabric)).fresh()
     body = Body(source.faces, len(source.vertices))
     count = levels.subdivision.coarse_count
     position, frames = np.zeros((count, 4), np.float32), np.zeros((count, 9), np.float32)
@@ -203,23 +204,24 @@ class _Kept:
     key: str
     levels: Levels = field(compare=False)
     source: BodySource | None = field(default=None, compare=False)
-    thickness: float = 0.0
+    fabric: Fabric | None = field(default=None)
 
     @classmethod
-    def of(cls, levels: Levels, source: BodySource | None = None, thickness: float = 0.0) -> _Kept:
+    def of(cls, levels: Levels, source: BodySource | None = None, fabric: Fabric | None = None) -> _Kept:
         digest = hashlib.sha256()
         arrays = [levels.fine.vertices, levels.fine.faces, levels.fine.flat, levels.rest_vertices, levels.fine_held]
         arrays += [levels.coarse.vertices, levels.coarse.faces, levels.coarse_held]
         arrays += [] if source is None else [source.vertices, source.faces]
         for array in arrays:
             digest.update(np.ascontiguousarray(array).tobytes())
-        return cls(digest.hexdigest(), levels, source, thickness)
+        return cls(digest.hexdigest(), levels, source, fabric)
 
 
 @lru_cache(maxsize=1)
 def _relaxation(kept: _Kept) -> Relaxation:
-    assert kept.source is not None
-    return Relaxation.of(kept.levels, kept.source.vertices, kept.source.faces, kept.thickness)
+    assert kept.source is not None and kept.fabric is not None
+    bend_factor = hinge_calibration(kept.levels.coarse)
+    return Relaxation.of(kept.levels, kept.source.vertices, kept.source.faces, kept.fabric, bend_factor)
 
 
 @lru_cache(maxsize=1)

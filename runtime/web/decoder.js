@@ -14,7 +14,7 @@ function gubeDecoder() {
     if (text.decode(bytes.subarray(0, 8)) !== "gube rec") throw new Error("not a recorded garment");
     const length = new DataView(bytes.buffer, bytes.byteOffset).getUint32(8, true);
     const about = JSON.parse(text.decode(bytes.subarray(12, 12 + length)));
-    if (about.version !== 1) throw new Error(`a recorded garment of version ${about.version}, not 1`);
+    if (about.version !== 2) throw new Error(`a recorded garment of version ${about.version}, not 2`);
     const steps = {}, arrays = {};
     for (const [name, entry] of Object.entries(about.arrays)) {
       const start = 12 + length + entry.offset;
@@ -85,18 +85,6 @@ function gubeDecoder() {
         for (let q = start[i / 3]; q < start[i / 3 + 1]; q++) addInFrame(own, i, frames, 9 * index[q], value[q], fine);
       }
     },
-    /** Takes back a share of the stretch of one edge after the other; without a root, as Jakobsen (2001) does. */
-    shortenEdges({ ends, lengths }, fine, free, share) {
-      for (let e = 0; e < lengths.length; e++) {
-        const i = 3 * ends[2 * e], j = 3 * ends[2 * e + 1], wanted = lengths[e] * lengths[e];
-        const x = fine[j] - fine[i], y = fine[j + 1] - fine[i + 1], z = fine[j + 2] - fine[i + 2];
-        const squared = x * x + y * y + z * z;
-        if (squared <= wanted) continue;
-        const taken = share * (1 - (2 * wanted) / (squared + wanted)), first = e < free ? taken / 2 : 0; // 0 if held
-        fine[i] += first * x, fine[i + 1] += first * y, fine[i + 2] += first * z;
-        fine[j] -= (taken - first) * x, fine[j + 1] -= (taken - first) * y, fine[j + 2] -= (taken - first) * z;
-      }
-    },
   };
 
   /** Adds the vector at i of `own`, given in a frame, times a weight to the vector at i of `fine`. */
@@ -119,7 +107,6 @@ function gubeDecoder() {
       [this.coarse, this.filtered, this.frames, this.contact] = [3, 3, 9, 1].map((n) => loops.floats(n * count));
       [this.fine, this.added, this.smoothed, this.correction] = Array.from({ length: 4 }, () => vectors(fineCount));
       [this.middle, this.held] = [this.rows.middle.start.length - 1, arrays.held.length].map(vectors);
-      this.edges = { ends: loops.indices(arrays["edges/ends"]), lengths: loops.floats(arrays["edges/lengths"]) };
       this.prepareNetwork(count);
       this.preparePatches(fineCount);
     }
@@ -182,7 +169,6 @@ function gubeDecoder() {
       for (let i = 0; i < fine.length; i++) fine[i] += added[i];
       loops.addTurned(rows.turning, this.mean, this.frames, fine);
       this.arrays.held.forEach((vertex, p) => fine.set(this.held.subarray(3 * p, 3 * p + 3), 3 * vertex));
-      loops.shortenEdges(this.edges, fine, this.about.free_edges, this.about.stretch_share);
       this.correct();
     }
 

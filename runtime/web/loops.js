@@ -32,9 +32,6 @@ async function gubeLoops(code, megabytes = 64) {
     readPatches({ near, far, share, corners }, grids, frames, added) {
       made.readPatches(...[near, far, share, corners, grids, frames, added].map(at), added.length / 3);
     },
-    shortenEdges({ ends, lengths }, fine, free, share) {
-      made.shortenEdges(at(ends), at(lengths), at(fine), lengths.length, free, share);
-    },
     addTurned({ start, index, value }, own, frames, fine) {
       made.addTurned(...[start, index, value, own, frames, fine].map(at), fine.length / 3);
     },

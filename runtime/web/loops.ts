@@ -157,27 +157,6 @@ function storeVector(at: usize, vector: v128): void {
   v128.store32_lane(at, vector, 2, 8);
 }
 
-/** Takes back a share of the stretch of one edge after the other; from `free` on their first ends are held. */
-export function shortenEdges(ends: usize, lengths: usize, fine: usize, count: i32, free: i32, share: f32): void {
-  for (let e = 0; e < count; e++) {
-    // Number by number: a load of four waits until single ones that were just stored are in memory.
-    const i = fine + 12 * load<u32>(ends), j = fine + 12 * load<u32>(ends, 4);
-    const x = load<f32>(j) - load<f32>(i), y = load<f32>(j, 4) - load<f32>(i, 4), z = load<f32>(j, 8) - load<f32>(i, 8);
-    const length = load<f32>(lengths), wanted = length * length, squared = x * x + y * y + z * z;
-    ends += 8;
-    lengths += 4;
-    if (squared <= wanted) continue;
-    const taken = share * (1 - (2 * wanted) / (squared + wanted)), first: f32 = e < free ? 0.5 * taken : 0;
-    const last = taken - first;
-    store<f32>(i, load<f32>(i) + first * x);
-    store<f32>(i, load<f32>(i, 4) + first * y, 4);
-    store<f32>(i, load<f32>(i, 8) + first * z, 8);
-    store<f32>(j, load<f32>(j) - last * x);
-    store<f32>(j, load<f32>(j, 4) - last * y, 4);
-    store<f32>(j, load<f32>(j, 8) - last * z, 8);
-  }
-}
-
 /** The vector d, given in a frame, in space. */
 // @ts-ignore: decorator
 @inline

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pbd import Body
+from pbd import Body, Fabric
 from pbd.geometry import FAR
+from pbd.model import build_model
 from tests.pbd.meshes import grid
 from tests.wrinkles.meshes import icosphere
 from wrinkles.charts import leading_vertices
@@ -31,7 +32,9 @@ class Cloth:
         self.levels: Levels = build_levels(vertices, faces, np.array(held, int), *NOBODY, 2)
         leading = leading_vertices(self.levels.subdivision)
         clearance = np.full(max(1, len(body[0])), THICKNESS, np.float32)
-        self.relax = Relaxation(self.levels.fine, self.levels.fine_held, leading, clearance, facing, level)
+        model = build_model(self.levels.fine, Fabric(), self.levels.fine_held)
+        self.mass = model.mass
+        self.relax = Relaxation(model, leading, clearance, facing, level)
         self.frames = np.zeros((len(vertices), 9), np.float32)
         self.frames[:, 8] = facing  # the sheet's own faces look up or down; it covers what is under it
         self.body = Body(body[1], max(1, len(body[0])))
@@ -64,31 +67,36 @@ class Cloth:
         return np.linalg.norm(side, axis=1) / self.lengths - 1.0
 
 
-def test_relaxation_takes_stretch_back() -> None:
+def test_what_is_not_at_rest_comes_nearer_to_it_pass_by_pass() -> None:
+    """Stretched and pushed together, of single edges at once and of the whole sheet from its rim inwards."""
     cloth = Cloth()
-    pull = lambda x: np.maximum(cloth.strain(x), 0.0).mean()  # noqa: E731
-    # Of single edges at once, of the whole sheet from its rim inwards.
-    noisy = cloth.rest + 5e-4 * np.random.default_rng(0).standard_normal(cloth.rest.shape)
-    assert pull(cloth(noisy)) < 0.8 * pull(noisy) and pull(cloth(noisy, passes=3)) < 0.8 * pull(cloth(noisy))
-    large = 1.03 * cloth.rest
-    assert pull(cloth(large, passes=100)) < 0.8 * pull(cloth(large)) < 0.8 * pull(large)
-    for start in (noisy, large):
-        np.testing.assert_allclose(cloth(start).mean(axis=0), start.mean(axis=0), atol=1e-6)  # no vertex weighs more
+    off = lambda x: np.abs(cloth.strain(x)).mean()  # noqa: E731
+    noisy = cloth.rest + 5e-4 * np.random.default_rng(0).standard_normal(cloth.rest.shape) * [1.0, 1.0, 0.0]
+    assert off(cloth(noisy)) < 0.6 * off(noisy) and off(cloth(noisy, passes=3)) < 0.8 * off(cloth(noisy))
+    for start in (noisy, 1.03 * cloth.rest):
+        assert off(cloth(start, passes=30)) < 0.8 * off(cloth(start)) < 0.8 * off(start)
+        centres = [cloth.mass @ vertices / cloth.mass.sum() for vertices in (start, cloth(start))]
+        np.testing.assert_allclose(*centres, atol=1e-6)  # momentum is kept
 
 
-def test_relaxation_does_not_push_short_edges_apart() -> None:
+def test_short_folds_come_to_rest_and_long_ones_stay() -> None:
+    """A sine of two edges is bent half flat; one over the whole sheet is kept."""
     cloth = Cloth()
-    centre = cloth.rest.mean(axis=0)
-    shrunk = (centre + 0.9 * (cloth.rest - centre)).astype(np.float32)
-    assert np.array_equal(cloth(shrunk), shrunk)
+    x = cloth.rest[:, 0]
+    edge, width = cloth.lengths.mean(), np.ptp(x)
+    height = {}
+    for name, length in (("short", 2.1 * edge), ("long", 2.0 * width)):
+        start = cloth.rest + 1e-4 * np.sin(2.0 * np.pi * x / length)[:, None] * [0.0, 0.0, 1.0]
+        height[name] = np.std(cloth(start, passes=8)[:, 2]) / np.std(start[:, 2])
+    assert height["short"] < 0.5 and height["long"] > 0.98
 
 
 def test_a_mesh_that_fits_stays() -> None:
     cloth = Cloth()
     np.testing.assert_allclose(cloth(cloth.rest), cloth.rest, atol=1e-7)
-    bent = cloth.rest.copy()  # rolled up: chords are shorter than the cloth, nothing is stretched
+    bent = cloth.rest.copy()  # rolled up: nothing is stretched by more than its chord
     bent[:, 0], bent[:, 2] = 0.1 * np.sin(cloth.rest[:, 0] / 0.1), 0.1 * np.cos(cloth.rest[:, 0] / 0.1)
-    np.testing.assert_allclose(cloth(bent, passes=3), bent, atol=1e-5)
+    np.testing.assert_allclose(cloth(bent, passes=3), bent, atol=1e-4)
 
 
 def test_held_vertices_go_to_their_targets_and_others_to_them() -> None:
