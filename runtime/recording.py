@@ -36,13 +36,14 @@ __all__ = ["TRUTH_HZ", "TRUTH_STEP", "RecordedTruth", "record", "stored"]
 
 COARSE_STEP = 1e-4  # of recorded coarse and held vertices [m]
 CONTACT_STEP = FAR / 127  # of their distance from the body [m]
-CORRECTION_STEP = 3e-4  # of corrections [m]: a vertex is off by half the diagonal of such a cube at most
+CORRECTION_STEP = 2e-4  # of corrections [m]: a vertex is off by half the diagonal of such a cube at most
 STATE_STEPS = {"coarse": COARSE_STEP, "contact": CONTACT_STEP, "held": COARSE_STEP}  # what the decoder reads
 BODY_STEP = 1e-3  # of the vertices of a body that is a vertex sequence [m]
 MATRIX_STEP = 2.0**-14  # of the linear part of joints' matrices, which may scale up to twice [-]
 PLACE_STEP = 1e-4  # of their translations [m]
 TRUTH_STEP = 5e-4  # of the truth's vertices [m]
-TRUTH_HZ = 15.0  # about its rate [Hz]
+RECORDED_HZ = 30.0  # about the rate of recorded frames, between which readers mix [Hz]
+TRUTH_HZ = 15.0  # about that of the truth's [Hz]
 MAX_SIZE = 4.0e6  # of ten seconds with the truth [bytes]: in base64 and with three.js a page of 6 MB
 # Arrays of frames: type, step, and how often differences are taken in time. Those of smooth motion are small, and
 # compress well.
@@ -51,7 +52,7 @@ FRAMES = {
     "coarse": (np.int16, COARSE_STEP, 2),
     "contact": (np.int8, CONTACT_STEP, 1),
     "held": (np.int16, COARSE_STEP, 2),
-    "correction": (np.int16, CORRECTION_STEP, 0),
+    "correction": (np.int16, CORRECTION_STEP, 1),
     "matrices": (np.int16, MATRIX_STEP, 2),
     "places": (np.int32, PLACE_STEP, 2),
     "body": (np.int16, BODY_STEP, 2),
@@ -63,7 +64,7 @@ class RecordedTruth(NamedTuple):
     """Some frames of a fine simulation of the motion that is recorded.
 
     Attributes:
-        numbers: of the frames, ascending, int, shape (T,).
+        numbers: of the player's frames, ascending, int, shape (T,).
         vertices: in the world [m], shape (T, N, 3).
     """
 
@@ -95,7 +96,7 @@ def record(
         the file's bytes, and figures by name: how far the decoded vertices are from the player's.
     """
     dt = 1.0 / database.frame_rate
-    poses = poses_of(motion, dt, seconds)
+    poses, every = poses_of(motion, dt, seconds), max(1, round(database.frame_rate / RECORDED_HZ))
     player = Player(database, inputs.body, poses[0], inputs.primitives)
     header, arrays = _garment(player.database, player.levels)
     decoder = RecordedDecoder(header, arrays)
@@ -109,6 +110,8 @@ def record(
             player.update(pose, dt, inputs.wind)
         if number % 60 == 0:
             progress(f"recording frame {number} of {len(poses) - 1}")
+        if number % every:
+            continue
         world = player.simulation.state.world()
         origin = _steps(world.mean(axis=0), COARSE_STEP)
         about_origin = player.vertices + (player.origin - origin * COARSE_STEP)
@@ -127,17 +130,18 @@ def record(
             frames[name].append(steps)
     arrays |= {f"frames/{name}": stored(name, np.array(steps)) for name, steps in frames.items()}
     origins = np.array(frames["origin"]) * COARSE_STEP
-    arrays |= _body(inputs.body, poses, origins)
-    header |= {"rate_hz": database.frame_rate, "frame_count": len(poses), "floor": floor, **about}
+    recorded = poses[::every]
+    arrays |= _body(inputs.body, recorded, origins)
+    header |= {"rate_hz": database.frame_rate / every, "frame_count": len(recorded), "floor": floor, **about}
     figures = {
-        "frame_count": float(len(poses)),
+        "frame_count": float(len(recorded)),
         "fine_vertex_count": float(len(corners)),
         "decoded_off_mm": 1e3 * max(off),
         "uncorrected_off_mm": 1e3 * max(uncorrected),
     }
     data = recording_bytes(header, arrays)
     if truth is not None:
-        added = _truth(truth, origins)
+        added = _truth(truth, origins, every)
         with_truth = recording_bytes(header, arrays | added)
         fits = len(with_truth) <= MAX_SIZE * max(1.0, (len(poses) - 1) * dt / 10.0)
         data = with_truth if fits else data
@@ -238,10 +242,10 @@ def _body(body: Character | Sequence, poses: np.ndarray, origins: np.ndarray) ->
     return arrays | {"frames/body": stored("body", _steps(poses - origins[:, None], BODY_STEP))}
 
 
-def _truth(truth: RecordedTruth, origins: np.ndarray) -> dict[str, Quantised]:
-    """Its vertices about the origins of their frames."""
-    kept = truth.numbers < len(origins)
-    numbers = truth.numbers[kept]
+def _truth(truth: RecordedTruth, origins: np.ndarray, every: int) -> dict[str, Quantised]:
+    """Its vertices about the origins of recorded frames, of which ``every`` player's frame is one."""
+    kept = (truth.numbers % every == 0) & (truth.numbers < every * len(origins))
+    numbers = truth.numbers[kept] // every
     steps = _steps(truth.vertices[kept] - origins[numbers][:, None], TRUTH_STEP)
     return {"truth/numbers": _indices(numbers), "frames/truth": stored("truth", steps)}
 

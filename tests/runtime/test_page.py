@@ -44,8 +44,8 @@ def test_it_writes_a_page_with_its_recording(
     assert sorted(file.name for file in folder.iterdir()) == sorted(PAGE)
     assert [file.name for file in tmp_path.iterdir() if file.suffix in (".part", ".old")] == []
     about, arrays = read_recording(recording_of(folder))
-    assert (about["garment"], about["motion"], about["frame_count"]) == ("skirt", "walk", 7)
-    assert arrays["frames/correction"].steps.shape == (7, skirt_database().fine_vertex_count, 3)
+    assert (about["garment"], about["motion"], about["frame_count"]) == ("skirt", "walk", 4)
+    assert arrays["frames/correction"].steps.shape == (4, skirt_database().fine_vertex_count, 3)
     found = json.loads(figures.read_text(encoding="utf-8"))["figures"]
     assert found["page_mb"] == pytest.approx(sum(file.stat().st_size for file in folder.iterdir()) / 1e6)
     assert found["decoded_off_mm"] < 0.5 and f"within {found['decoded_off_mm']:.2f} mm" in printed
