@@ -19,7 +19,7 @@ from wrinkles.covered_body import MAX_HEIGHT, CoveredBody, edge_towards, has_mor
 from wrinkles.levels import Levels
 from wrinkles.opposite_parts import PHASES, find_moved, find_opposite, opposed
 
-__all__ = ["Relaxation"]
+__all__ = ["Relaxation", "full_passes"]
 
 # A pass is one of a substep in which cloth at rest goes as far as a signal of this speed [m/s] from edge to edge: the
 # shortest folds come to rest in a few, and longer ones hardly move.
@@ -33,6 +33,11 @@ PLEATED = 0.045  # ... unless the garment came with pleats, which go deeper
 MAX_COVERED = 0.04  # a part further away than this is not covered by the cloth if another part is right at it [m]
 GAP_SHARE = 0.3  # of the gap between two parts that the cloth keeps from each, if that is less than its clearance [-]
 MIN_KEPT = 0.0003  # kept from the part that the cloth covers where there is no gap [m]
+
+
+def full_passes(subdivisions: int) -> int:
+    """Passes of full detail: one for each octave between the coarse mesh and the fine one."""
+    return subdivisions
 
 
 @ti.kernel

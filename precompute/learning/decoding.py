@@ -22,7 +22,7 @@ from wrinkles.dictionary import Atoms, CoefficientNetwork
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.fine_surface import FineSurface
 from wrinkles.levels import Levels
-from wrinkles.relaxation import Relaxation
+from wrinkles.relaxation import Relaxation, full_passes
 from wrinkles.spectrum import BandedEnergy
 from wrinkles.vertex_mean import mean_from_sums, vertex_mean_sums
 
@@ -156,7 +156,7 @@ def _mean_sums(
 
 
 def decoded_frames(
-    layer: Layer, lift: FrameDecoder, run: Run, recording: Recording, passes: int = 1
+    layer: Layer, lift: FrameDecoder, run: Run, recording: Recording, passes: int | None = None
 ) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
     """The same a frame at a time, by any way to make wrinkles.
 
@@ -164,7 +164,7 @@ def decoded_frames(
         layer: of the garment; its stencil reads the features.
         lift: adds the wrinkles, see :data:`FrameDecoder`; called once a frame, in order.
         run, recording: as for :func:`decode_recording`.
-        passes: of relaxation.
+        passes: of relaxation; None takes those of full detail.
 
     Yields:
         smooth and decoded garment [m], float32, shape (N, 3) each, and the processor time from the smooth surface to
@@ -174,6 +174,7 @@ def decoded_frames(
     upsample = Upsampler(levels.subdivision)
     source = body_source(run.body)
     relax = _relaxation(_Kept.of(levels, source, run.fabric)).fresh()
+    passes = full_passes(len(levels.subdivision.steps)) if passes is None else passes
     body = Body(source.faces, len(source.vertices))
     count = levels.subdivision.coarse_count
     position, frames = np.zeros((count, 4), np.float32), np.zeros((count, 9), np.float32)

@@ -96,7 +96,7 @@ class HeldOut:
         return cls(truth, judged, plain, filtered(plain, CoarseFilter(truth.levels).matrix))
 
     def show(
-        self, layer: Layer, lift: FrameDecoder, recording: Recording, passes: int = 1
+        self, layer: Layer, lift: FrameDecoder, recording: Recording, passes: int | None = None
     ) -> tuple[np.ndarray, np.ndarray, float]:
         """Show recorded coarse states to one way, from the first to the last.
 

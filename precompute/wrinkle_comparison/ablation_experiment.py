@@ -42,14 +42,14 @@ class Variant:
         layer: the stencils that features are read from and the patches that are written to.
         atoms: of the coefficients.
         begin: gives the mapping at the start of a run; one that remembers is shown all frames in order.
-        passes: of relaxation.
+        passes: of relaxation; None takes those of full detail.
         options: of the coarse model in the free run; None for the calibrated ones.
     """
 
     layer: Layer
     atoms: Atoms
     begin: Callable[[], Predictor]
-    passes: int = 1
+    passes: int | None = None
     options: ModelOptions | None = None
 
     def lift(self) -> FrameDecoder:

@@ -57,7 +57,7 @@ __all__ = [
     "write_choice",
 ]
 
-SUBSTEPS = (4, 6, 9, 14, 20)  # of plain cloth on each mesh
+SUBSTEPS = (4, 6, 9, 14, 24, 36)  # of plain cloth on each mesh
 BRIEF = {"middle": (6, 14), "fine": (6, 14)}  # the same where little time is spent
 ERRORS = {
     "band": "spectrum_band_error_max",

@@ -33,7 +33,7 @@ _LABELS = {
 }
 _NOTES = """All methods run freely over the same motion, which nothing was learned from; they play some frames each in
 turn. Times are medians of processor time on one core and count skinning, simulation, what makes the fine vertices, and
-normals. Plain cloth is the fabric itself on one mesh of the chain, with the truth's own solver and 4 to 20 substeps a
+normals. Plain cloth is the fabric itself on one mesh of the chain, with the truth's own solver and 4 to 36 substeps a
 frame.
 
 The cost advantage is the time of the cheapest plain cloth whose error is at most ours (or at most the floor), over our

@@ -38,8 +38,8 @@ LIMIT = 0.5e-3  # that the page promises [m]
 class Recorded(NamedTuple):
     """A recording and its figures.
 
-    ``played`` and ``guessed`` are the player's vertices of every recorded frame in the world, shape (f, N, 3), the latter before
-    relaxation.
+    ``played`` and ``guessed`` are the player's vertices of every recorded frame in the world, shape (f, N, 3), the
+    latter before relaxation.
     """
 
     data: bytes
