@@ -22,6 +22,12 @@ def sparse_row(start: ti.template(), index: ti.template(), value: ti.template(),
 
 
 @ti.func
+def _side(grids: ti.template(), frames: ti.template()) -> ti.i32:
+    """Nodes along a side of the grids, one of which belongs to each frame's three axes."""
+    return int(ti.sqrt(3.0 * grids.shape[0] / frames.shape[0]) + 0.5)
+
+
+@ti.func
 def _patch(
     i: ti.i32, c: ti.template(), node: ti.template(), share: ti.template(), side: ti.i32, grids: ti.template()
 ) -> vec3:
@@ -63,7 +69,6 @@ def _make_subdivided(
     middle: Vec4,
     node: Int3,
     share: Vec4,
-    side: ti.i32,
     corners: Int3,
     blend: Vec3,
     mean: Vec3,
@@ -74,6 +79,7 @@ def _make_subdivided(
     """Smooth surface, wrinkles and mean; see :meth:`FineSurface.__call__`."""
     ti.loop_config(serialize=True)
     for _ in range(1):
+        side = _side(grids, frames)
         for i in range(fine.shape[0]):
             x = xyz(sparse_row(start, index, value, middle, i))
             if grids.shape[0] > 0:
@@ -88,7 +94,6 @@ def _make_delivered(
     smooth: Vec4,
     node: Int3,
     share: Vec4,
-    side: ti.i32,
     corners: Int3,
     grids: Vec3,
     frames: Vec3,
@@ -105,7 +110,7 @@ def _make_delivered(
     """
     ti.loop_config(serialize=True)
     for _ in range(1):
-        first, count = smooth.shape[0], fine.shape[0]
+        first, count, side = smooth.shape[0], fine.shape[0], _side(grids, frames)
         for i in range(first):
             source[i] = smooth[i]
         for i in range(count):
@@ -132,8 +137,7 @@ class FineSurface:
         u, v = (patches.within.reshape(-1, 3, 2)[..., axis].astype(float) for axis in (0, 1))
         share = np.stack([(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v], axis=-1) * patches.blend[..., None]
         node = (patches.cell + patches.grid.nodes * patches.corners).astype(np.int32)
-        share = np.ascontiguousarray(share.reshape(-1, 4), np.float32)
-        self._reading = node, share, patches.grid.side, patches.corners
+        self._reading = node, np.ascontiguousarray(share.reshape(-1, 4), np.float32), patches.corners
         self._blend, self._mean = patches.blend, vertex_mean
         self._delivered = patches.smoothing is not None
         matrix = subdivision.from_middle
