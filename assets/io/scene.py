@@ -392,7 +392,7 @@ class WrinkleSettings:
         seed: seed of every random choice in learning.
     """
 
-    hidden_width: int = entry(whole(at_least=1), 192)
+    hidden_width: int = entry(whole(at_least=1), 36)
     atoms: int = entry(whole(at_least=1), 48)
     seed: int = entry(whole(at_least=0), 0)
 
