@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Report:
     """Simulate a scene and write the animation, or only print the scene."""
     from assets.io.scene import load_scene, scene_text
-    from runtime.info import figure_lines
+    from runtime.figures import figure_lines
     from runtime.outputs import check_file
     from runtime.report import Report
     from runtime.terminal import say
