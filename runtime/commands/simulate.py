@@ -51,7 +51,9 @@ def run(options: argparse.Namespace) -> Report:
     from runtime.terminal import say
 
     scene = load_scene(options.scene)
-    from runtime.garment_setup import body_of, simulation_of, with_subdivisions
+    from runtime.garment_mesh import with_subdivisions
+    from runtime.scene_body import body_of
+    from runtime.scene_simulation import simulation_of
 
     if options.explain:
         say(scene_text(with_subdivisions(scene)).removesuffix("\n"), verbatim=True)
