@@ -55,7 +55,7 @@ SOURCES = {
     "precompute": "precompute.learning.pipeline:precompute",
     "read_cost_table": "runtime.cost_table:read_cost_table",
     "read_database": "wrinkles.database:read_database",
-    "simulation_of": "runtime.garment_setup:simulation_of",
+    "simulation_of": "runtime.scene_simulation:simulation_of",
 }
 
 if TYPE_CHECKING:
@@ -95,12 +95,12 @@ if TYPE_CHECKING:
     from runtime.game_loop import GameLoop as GameLoop
     from runtime.game_loop import LiveInput as LiveInput
     from runtime.garment_group import GarmentGroup as GarmentGroup
-    from runtime.garment_setup import simulation_of as simulation_of
     from runtime.level_of_detail import LevelOfDetail as LevelOfDetail
     from runtime.plain_player import player_of as player_of
     from runtime.planner import Planner as Planner
     from runtime.planner import ViewSize as ViewSize
     from runtime.player import Player as Player
+    from runtime.scene_simulation import simulation_of as simulation_of
     from runtime.simulation import Simulation as Simulation
     from wrinkles.database import WrinkleDatabase as WrinkleDatabase
     from wrinkles.database import read_database as read_database

@@ -10,6 +10,7 @@ import numpy as np
 
 from pbd import InputError, State, build_model
 from pbd.geometry import FAR
+from runtime.figures import figure_lines
 from wrinkles.charts import Charts
 from wrinkles.database import LearnedFabric, WrinkleDatabase, code_version, database_figures, read_database
 from wrinkles.decoder import Decoder
@@ -19,62 +20,7 @@ from wrinkles.levels import MAX_AREA_CORRECTION, with_area_of
 from wrinkles.patches import Patches
 from wrinkles.schema import ENTRIES
 
-__all__ = ["Check", "better_choice", "check_database", "figure_lines", "figure_table", "info_text"]
-
-RIVALS = ("smooth", "floor", "truth")  # prefixes of figures that stand beside ours
-EXPLANATIONS = {
-    "normal_error_deg": "angle between our normals and the truth's, given the truth's coarse state",
-    "normal_skill": "share of smooth's normal error that is removed: 0 none, 1 all",
-    "normal_correlation_p50": "correlation of wrinkles with the truth's: 1 the same, 0 unrelated; median frame",
-    "normal_correlation_p90": "the same in the best tenth of the frames",
-    "rmse_mm": "distance of vertices from the truth's",
-    "rmse_skill": "share of smooth's distance that is removed",
-    "sted": "error of edge lengths, in space and time",
-    "worse_than_smooth_percent": "patch-frames with a larger normal error than smooth's",
-    "unfamiliarity_spearman": "rank correlation of unfamiliarity with the error: 1 the same order",
-    "faded_percent": "patch-frames whose wrinkles are weakened because they are unfamiliar",
-    "bending_energy_ratio": "running freely: bending energy over the truth's, 1 is right",
-    "spectrum_band_error_max": "running freely: largest error of a band of wavelengths, as a share",
-    "spectrum_band_ratio_min": "running freely: weakest band over the truth's, 1 is right",
-    "spectrum_band_ratio_max": "running freely: strongest band over the truth's, 1 is right",
-    "low_frequency_ratio_to_floor": "running freely: error of the large motion, over the difference of two true runs",
-    "free_normal_error_deg": "running freely: normal error; below the floor it means nothing",
-    "contact_bending_ratio": "running freely: bending energy over the truth's where the cloth lies on the body",
-    "inside_body_percent": "vertices inside the body",
-    "deepest_mm": "largest depth of a vertex in the body",
-    "inside_body_with_room_percent": "vertices inside the body at places where there is room for cloth",
-    "deepest_with_room_mm": "largest depth of these",
-    "popping": "largest change of a patch's wrinkles in a frame, over the size of all wrinkles",
-    "jitter_px": "jumps from frame to frame on a standard screen, 95th percentile",
-    "rest_jitter_px": "the same while the body stands still after its motion",
-    "step_response_frames": "frames until nine tenths of the wrinkles have followed a jump of the coarse garment",
-    "reverse_gap_mm": "memory: distance of vertices at equal poses of a slow motion there and back",
-    "attached_off_mm": "largest distance of an attached vertex from its target",
-    "chosen_s": "length of the motion that was simulated finely, for each fabric",
-    "offered_s": "length of the motion from which it was chosen",
-    "coverage": "how well the chosen patches cover held-out ones: 1 as well as all that were offered",
-    "coverage_even": "the same for as much motion chosen at even intervals",
-    "feature_shift_before": "distance of the coarse garment's features from the training's, uncalibrated; 1 is its own",
-    "feature_shift_after": "the same after calibration",
-    "feature_mismatch_before": "distance between both distributions of features, before calibration",
-    "feature_mismatch_after": "the same after calibration",
-    "frame_ms_p50": "a whole frame, median",
-    "frame_ms_p99": "a whole frame, slowest hundredth",
-    "frame_cpu_ms": "a whole frame, processor time",
-    "skin_ms_p50": "part of it: the body",
-    "coarse_ms_p50": "part of it: the coarse garment",
-    "decode_ms_p50": "part of it: wrinkles",
-    "relax_ms_p50": "part of it: relaxation",
-    "normals_ms_p50": "part of it: normals",
-    "us_per_fine_vertex": "decoding, relaxation and normals",
-    "fine_simulation_ms": "a frame of the fine simulation",
-    "speedup_over_fine": "time of a frame of the fine simulation over ours",
-    "cost_advantage": "time of the cheapest plain cloth that is as good, over ours; below 1 plain cloth is better",
-    "cost_advantage_is_at_least": "1 where no plain cloth that was tried is as good: then the advantage is larger",
-    "plain_frame_ms": "a whole frame of that plain cloth, median",
-    "plain_substeps": "its substeps a frame",
-    "plain_vertex_count": "its simulated vertices",
-}
+__all__ = ["Check", "better_choice", "check_database", "info_text"]
 
 
 def info_text(path: str | Path) -> tuple[str, dict[str, float]]:
@@ -228,39 +174,6 @@ def _quality_lines(database: WrinkleDatabase) -> list[str]:
     """Table of figures on the first held-out clip, ours beside those of the baselines."""
     where = database.held_out[0] if database.held_out else "unknown, nothing was held out"
     return [f"Quality on motion from which it has not learned: {where}", *figure_lines(database.quality)]
-
-
-def figure_lines(figures: Mapping[str, float]) -> list[str]:
-    """A table of figures, those of baselines in columns beside ours, in the order of the explanations.
-
-    Args:
-        figures: numbers by name; the prefix of a name says whose figure it is.
-    """
-    columns, table = figure_table(figures)
-    lines = ["  " + " " * 30 + "".join(f"{column.replace('_', ' '):>17}" for column in columns)]
-    for name, row in table.items():
-        cells = "".join(f"{row[c]:17.5g}" if c in row else " " * 16 + "-" for c in columns)
-        lines.append(f"  {name:<30}{cells}  {EXPLANATIONS.get(name, '')}".rstrip())
-    return lines
-
-
-def figure_table(figures: Mapping[str, float]) -> tuple[list[str], dict[str, dict[str, float]]]:
-    """Columns of the table of figures, ours and baselines, and its rows: values by column, by name of the figure."""
-    table: dict[str, dict[str, float]] = {name: {} for name in EXPLANATIONS}
-    for name, value in figures.items():
-        column, base = _column(name)
-        table.setdefault(base, {})[column] = value
-    columns = [c for c in ("ours", *RIVALS) if any(c in row for row in table.values())]
-    return columns, {name: row for name, row in table.items() if row}
-
-
-def _column(name: str) -> tuple[str, str]:
-    """Column of a figure, and its name without the column: ("smooth", "rmse_mm") for "rmse_smooth_mm"."""
-    for rival in RIVALS:
-        if name.startswith(f"{rival}_"):
-            return rival, name.removeprefix(f"{rival}_")
-    plain = name.replace("_smooth_", "_")
-    return ("smooth", plain) if plain != name and plain in EXPLANATIONS else ("ours", name)
 
 
 class Check(NamedTuple):

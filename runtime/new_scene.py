@@ -13,13 +13,14 @@ import numpy as np
 
 from assets.fabrics import PRESETS
 from assets.garment import load_garment
-from assets.io.scene import MotionSettings, Scene, parse_scene
+from assets.io.body_settings import MotionSettings
+from assets.io.scene import Scene, parse_scene
 from assets.placement import AS_STORED
 from pbd import InputError
 from pbd.storage import replacing
-from runtime.garment_setup import simulation_of
 from runtime.new_body import BodyGuess, MotionGuess, guess_body, guess_motions
 from runtime.new_garment import GarmentGuess, guess_garment
+from runtime.scene_simulation import simulation_of
 
 __all__ = ["NewScene", "write_new_scene"]
 

@@ -6,11 +6,13 @@ import base64
 import json
 import os
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from pbd.errors import InputError
-from runtime.info import EXPLANATIONS, better_choice, figure_table
+from runtime.figures import FIRST, figure_of, figure_table, value_texts
+from runtime.info import better_choice
 from wrinkles.database import WrinkleDatabase
 
 __all__ = ["check_page_folder", "page_text", "write_page"]
@@ -19,7 +21,6 @@ WEB = Path(__file__).parent / "web"
 PROGRAM = ("index.html", "style.css", "decoder.js", "loops.js", "worker.js", "page.js")
 BUILT = ("three.js", "three.LICENSE", "loops.wasm")  # see the Makefile
 RECORDING = "recording.js"
-BAND = "running freely: bending energy in this band of wavelengths over the truth's"
 BEGINNING = "const gubeRecording = "
 PAGE = (*PROGRAM, "three.js", "three.LICENSE", RECORDING)
 
@@ -105,12 +106,6 @@ def page_text(database: WrinkleDatabase, motion: str) -> dict[str, Any]:
         database: that is played.
         motion: name of the motion.
     """
-    columns, table = figure_table(database.quality)
-    rows = [
-        {"name": name, "values": [row.get(column) for column in columns], "meaning": meaning}
-        for name, row in table.items()
-        if (meaning := BAND if name.startswith("band_ratio_") else EXPLANATIONS.get(name))
-    ]
     facts = [
         ("motion", motion),
         ("fabric", database.fabric_name),
@@ -121,5 +116,21 @@ def page_text(database: WrinkleDatabase, motion: str) -> dict[str, Any]:
         ("better choice", better_choice(database.quality)),
         ("made", f"{database.created} by gube {database.code_version}"),
     ]
-    figures = {"columns": [column.replace("_", " ") for column in columns], "rows": rows}
+    figures = _figure_tables(database.quality)
     return {"garment": database.garment_name, "motion": motion, "facts": facts, "figures": figures}
+
+
+def _figure_tables(quality: Mapping[str, float]) -> dict[str, Any]:
+    """Columns of both tables; rows of the first one under their titles, and of the second one, which holds the rest."""
+    columns, table = figure_table(quality)
+
+    def row(name: str) -> dict[str, Any]:
+        figure, values = figure_of(name), table[name]
+        unit = "" if figure.unit in ("", "-") else f" [{figure.unit}]"
+        texts = value_texts([values.get(column) for column in columns])
+        return {"name": figure.label + unit, "values": texts, "meaning": figure.meaning}
+
+    first = {title: [name for name in names if name in table] for title, names in FIRST.items()}
+    shown = {name for names in first.values() for name in names}
+    groups = [{"title": title, "rows": [row(name) for name in names]} for title, names in first.items() if names]
+    return {"columns": columns, "first": groups, "rest": [row(name) for name in table if name not in shown]}

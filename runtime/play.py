@@ -10,18 +10,21 @@ from pathlib import Path
 import numpy as np
 
 from assets.character import Character
-from assets.io.scene import MotionSettings, Scene
+from assets.io.body_settings import MotionSettings
+from assets.io.scene import Scene
 from assets.io.sequence import Sequence, SequenceMotion, is_sequence, load_sequence
 from assets.motion import ClipMotion
 from pbd import InputError
 from pbd.wind import CALM, Air, Wind
 from runtime.bake import bake_glb, bake_mdd, bake_obj, bake_pc2, bake_usd
 from runtime.game_loop import GameLoop, LiveInput, ScriptedInput
-from runtime.garment_setup import body_of, colliders_of, load_body, motion_of, pattern_of, scene_of
+from runtime.garment_mesh import pattern_of
+from runtime.garment_setup import colliders_of, scene_of
 from runtime.outputs import check_file
 from runtime.plain_player import PlainPlayer, player_of
 from runtime.player import Player
 from runtime.report import process_age
+from runtime.scene_body import body_of, load_body, motion_of
 from runtime.simulation import Motion, Simulation, body_source, poses_of
 from runtime.strips import draw_strips_apart
 from wrinkles.database import WrinkleDatabase, read_database

@@ -6,14 +6,14 @@ it stands for the data folder. Every error of a file is reported at once.
 
 from __future__ import annotations
 
-import math
 import sys
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from assets.character import CHARACTER_SUFFIXES, SEQUENCE_SUFFIXES, USD_SUFFIXES
 from assets.fabrics import PRESETS, load_fabric
+from assets.io.body_settings import CharacterSettings, MotionSettings
+from assets.io.collider_settings import COLLIDER, ColliderSettings
 from assets.io.settings import (
     Check,
     Reader,
@@ -35,7 +35,7 @@ from assets.io.settings import (
 )
 from assets.io.view import ViewSettings
 from assets.procedural.builtin import BUILTIN_GARMENTS
-from pbd import Capsule, Fabric, InputError, Plane, SolverOptions, Sphere
+from pbd import Fabric, InputError, SolverOptions
 from pbd.wind import Wind
 
 if sys.version_info >= (3, 11):
@@ -45,15 +45,9 @@ else:
 
 __all__ = [
     "CameraSettings",
-    "CapsuleSettings",
-    "CharacterSettings",
-    "FieldSettings",
     "GarmentSettings",
-    "MotionSettings",
-    "PlaneSettings",
     "Scene",
     "SolverSettings",
-    "SphereSettings",
     "TrainingSettings",
     "WindSettings",
     "WrinkleSettings",
@@ -65,11 +59,6 @@ __all__ = [
 Vector = tuple[float, float, float]
 
 _MESH = file_path(".obj", ".glb", ".gltf", ".npz", builtins=[f"builtin:{name}" for name in BUILTIN_GARMENTS])
-_CHARACTER_FILE = file_path(*CHARACTER_SUFFIXES, builtins=["builtin:mannequin"])
-_SEQUENCE_FILE = file_path(*SEQUENCE_SUFFIXES)
-_MOTION_FILE = file_path(
-    *dict.fromkeys([*CHARACTER_SUFFIXES, ".bvh", *SEQUENCE_SUFFIXES]), builtins=["builtin:mannequin"]
-)
 
 
 def _read_attach(reader: Reader, value: Any, key: str) -> str | tuple[int, ...]:
@@ -107,7 +96,7 @@ class GarmentSettings:
             subdivided coarse mesh. None where the mesh itself is the coarse one.
         coarse_subdivisions: how often the mesh is subdivided for the coarse one, which is simulated.
         subdivisions: how often the coarse mesh is subdivided for the fine one; None where the folds of the fabric
-            decide, see :func:`runtime.garment_setup.with_subdivisions`.
+            decide, see :func:`runtime.garment_mesh.with_subdivisions`.
         attach: boundary vertices that the body carries: "top" (the highest loop), "none", or numbers of loops.
         attach_vertices: more vertices that the body carries.
         pins: vertices fixed in space.
@@ -158,99 +147,6 @@ class GarmentSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MotionSettings:
-    """One clip of a character's file, a captured motion, or a vertex sequence, or a part of it.
-
-    Attributes:
-        file: path of a glTF or USD file, of a captured motion (.bvh) or of a vertex sequence, or "builtin:mannequin".
-        clip: name of the clip; None for a captured motion or a vertex sequence.
-        start, end: part of it that is meant [s]; None ends where it ends.
-        speed: its seconds per second [-].
-        joints: path of a .csv file of the joints that a captured motion moves, see
-            :func:`assets.retarget.load_joint_table`; None goes by their names.
-        rate: frames a second of a .pc2 file, which does not know them [Hz].
-    """
-
-    file: Path | str = entry(_MOTION_FILE)
-    clip: str | None = entry(text(), None)
-    start: float = entry(number(at_least=0, unit="s"), 0.0)
-    end: float | None = entry(number(above=0, unit="s"), None)
-    speed: float = entry(number(above=0), 1.0)
-    joints: Path | None = entry(file_path(".csv"), None)
-    rate: float | None = entry(number(above=0, unit="Hz"), None)
-
-    def __post_init__(self) -> None:
-        suffix = _suffix(self.file)
-        clipless = {".bvh": "a captured motion", **dict.fromkeys(SEQUENCE_SUFFIXES, "a vertex sequence")}
-        if suffix not in USD_SUFFIXES and (suffix in clipless) != (self.clip is None):
-            expected = f"none: {clipless[suffix]} has no clips" if suffix in clipless else "name of a clip"
-            raise InputError("bad clip", key="clip", received=self.clip, expected=expected)
-        if self.end is not None and self.end <= self.start:
-            expected = f"after the start, {self.start:g} [s]"
-            raise InputError("a part that ends before it starts", key="end", received=self.end, expected=expected)
-        if self.joints is not None and suffix != ".bvh":
-            expected = "none: only a captured motion (.bvh) is put on other joints"
-            raise InputError("bad joints", key="joints", received=str(self.joints), expected=expected)
-        _check_rate(self.rate, self.file)
-
-    @property
-    def is_sequence(self) -> bool:
-        """Whether it is a vertex sequence, and no motion of a character."""
-        return self.clip is None and _suffix(self.file) != ".bvh"
-
-    @property
-    def name(self) -> str:
-        """Name for figures and files: the clip's, with the part and the speed where they are not the whole and 1."""
-        words = [self.clip or Path(self.file).stem]
-        if self.start or self.end is not None:
-            words.append(f"{self.start:g}-{'' if self.end is None else f'{self.end:g}'} s")
-        if self.speed != 1.0:
-            words.append(f"x {self.speed:g}")
-        return " ".join(words)
-
-    def overlaps(self, other: MotionSettings) -> bool:
-        """Whether both are parts of one clip that have time in common, at whatever speed."""
-        ends = [math.inf if end is None else end for end in (self.end, other.end)]
-        same = (self.file, self.clip) == (other.file, other.clip)
-        return same and self.start < ends[1] and other.start < ends[0]
-
-
-@dataclass(frozen=True, kw_only=True)
-class CharacterSettings:
-    """The body and its motion: a skinned character, or a sequence of vertex positions.
-
-    Attributes:
-        file: path of a glTF or USD file, or "builtin:mannequin".
-        sequence: path of a vertex sequence instead.
-        clip: name of the clip to play; None for the file's first.
-        motion: a motion of another file to play instead of a clip.
-        rate: frames a second of a .pc2 sequence, which does not know them [Hz].
-    """
-
-    file: Path | str | None = entry(_CHARACTER_FILE, None)
-    sequence: Path | None = entry(_SEQUENCE_FILE, None)
-    clip: str | None = entry(text(), None)
-    motion: MotionSettings | None = entry(table(MotionSettings), None)
-    rate: float | None = entry(number(above=0, unit="Hz"), None)
-
-    def __post_init__(self) -> None:
-        if self.motion is not None and self.clip is not None:
-            raise InputError("two motions", key="clip", received=self.clip, expected="clip or motion, not both")
-        _check_rate(self.rate, self.sequence or "")
-
-
-def _suffix(file: Path | str) -> str:
-    return "" if str(file).startswith("builtin:") else Path(file).suffix.lower()
-
-
-def _check_rate(rate: float | None, file: Path | str) -> None:
-    """A .pc2 file needs a rate, and only that."""
-    if (rate is None) == (_suffix(file) == ".pc2"):
-        expected = "frames a second: a .pc2 file does not know them" if rate is None else "none: the file knows it"
-        raise InputError("bad rate", key="rate", received=rate, expected=expected)
-
-
-@dataclass(frozen=True, kw_only=True)
 class TrainingSettings:
     """The motions that the wrinkles are learned from and judged on.
 
@@ -270,72 +166,6 @@ class TrainingSettings:
     choose_s: float | None = entry(number(above=0, unit="s"), None)
     fabrics: tuple[str, ...] = entry(several(choice(*PRESETS)), ())
     substep: float = entry(number(above=0, unit="s"), SolverOptions.substep)
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlaneSettings:
-    """A solid half space below a plane through ``point`` [m], with ``normal`` [-] of any length."""
-
-    type: str = entry(choice("plane"), "plane")
-    point: Vector = entry(vector(unit="m"), (0.0, 0.0, 0.0))
-    normal: Vector = entry(vector(not_zero=True), (0.0, 1.0, 0.0))
-
-    def primitive(self) -> Plane:
-        """The collider, a new one each time."""
-        return Plane(self.point, self.normal)
-
-
-@dataclass(frozen=True, kw_only=True)
-class SphereSettings:
-    """A solid sphere: ``centre`` [m], ``radius`` [m]."""
-
-    type: str = entry(choice("sphere"), "sphere")
-    centre: Vector = entry(vector(unit="m"))
-    radius: float = entry(number(above=0, unit="m"))
-
-    def primitive(self) -> Sphere:
-        """The collider, a new one each time."""
-        return Sphere(self.centre, self.radius)
-
-
-@dataclass(frozen=True, kw_only=True)
-class CapsuleSettings:
-    """A solid capsule around the segment from ``start`` to ``end`` [m]: ``radius`` [m]."""
-
-    type: str = entry(choice("capsule"), "capsule")
-    start: Vector = entry(vector(unit="m"))
-    end: Vector = entry(vector(unit="m"))
-    radius: float = entry(number(above=0, unit="m"))
-
-    def primitive(self) -> Capsule:
-        """The collider, a new one each time."""
-        return Capsule(self.start, self.end, self.radius)
-
-
-@dataclass(frozen=True, kw_only=True)
-class FieldSettings:
-    """A solid of any shape, given by signed distances on a grid.
-
-    Attributes:
-        mesh: path of a closed mesh.
-        spacing: of the grid [m]; finer detail is smoothed away.
-        centre: where the mesh's own origin stands [m].
-    """
-
-    type: str = entry(choice("field"), "field")
-    mesh: Path = entry(file_path(".obj", ".glb", ".gltf"))
-    spacing: float = entry(number(above=0, unit="m"), 0.01)
-    centre: Vector = entry(vector(unit="m"), (0.0, 0.0, 0.0))
-
-
-_COLLIDERS = {"plane": PlaneSettings, "sphere": SphereSettings, "capsule": CapsuleSettings, "field": FieldSettings}
-
-
-def _read_collider(reader: Reader, value: Any, key: str) -> Any:
-    if not isinstance(value, dict):
-        raise Refused
-    kind = reader.value(choice(*_COLLIDERS), value.get("type"), f"{key}.type")
-    return reader.table(_COLLIDERS[kind], value, key) if kind else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -415,9 +245,7 @@ class Scene:
     )
     character: CharacterSettings | None = entry(table(CharacterSettings, one_of=("file", "sequence")), None)
     training: TrainingSettings = entry(table(TrainingSettings), TrainingSettings())
-    colliders: tuple[PlaneSettings | SphereSettings | CapsuleSettings | FieldSettings, ...] = entry(
-        tables(Check("a table", _read_collider)), (), key="collider"
-    )
+    colliders: tuple[ColliderSettings, ...] = entry(tables(COLLIDER), (), key="collider")
     wind: WindSettings = entry(table(WindSettings), WindSettings())
     solver: SolverSettings = entry(table(SolverSettings), SolverSettings())
     wrinkles: WrinkleSettings = entry(table(WrinkleSettings), WrinkleSettings())

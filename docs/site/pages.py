@@ -14,6 +14,7 @@ from typing import Any
 
 import gube
 from assets.fabrics import PRESETS
+from assets.io import body_settings, collider_settings
 from assets.io import scene as scene_module
 from assets.io.scene import Scene
 from assets.io.view import ViewSettings
@@ -31,13 +32,13 @@ FILMS = ROOT / "out" / "gallery" / "gallery.json"
 TABLES = {
     "[[garment]]": scene_module.GarmentSettings,
     "[garment.fabric]": Fabric,
-    "[character]": scene_module.CharacterSettings,
+    "[character]": body_settings.CharacterSettings,
     "[training]": scene_module.TrainingSettings,
-    "[[training.clips]], [[training.held_out]] and [character.motion]": scene_module.MotionSettings,
-    '[[collider]] of type "plane"': scene_module.PlaneSettings,
-    '[[collider]] of type "sphere"': scene_module.SphereSettings,
-    '[[collider]] of type "capsule"': scene_module.CapsuleSettings,
-    '[[collider]] of type "field"': scene_module.FieldSettings,
+    "[[training.clips]], [[training.held_out]] and [character.motion]": body_settings.MotionSettings,
+    '[[collider]] of type "plane"': collider_settings.PlaneSettings,
+    '[[collider]] of type "sphere"': collider_settings.SphereSettings,
+    '[[collider]] of type "capsule"': collider_settings.CapsuleSettings,
+    '[[collider]] of type "field"': collider_settings.FieldSettings,
     "[wind]": scene_module.WindSettings,
     "[solver]": scene_module.SolverSettings,
     "[wrinkles]": scene_module.WrinkleSettings,

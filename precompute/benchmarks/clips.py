@@ -12,15 +12,17 @@ import numpy as np
 
 from assets.fabrics import PRESETS
 from assets.garment import load_garment
-from assets.io.scene import MotionSettings, parse_scene
+from assets.io.body_settings import MotionSettings
+from assets.io.scene import parse_scene
 from pbd import ClothMesh, InputError, ModelOptions, SolverOptions, build_model
 from pbd.crossings import crossings
 from pbd.distance import TOLERANCE, BodyDistance
 from precompute.mechanics import FRAME_RATE, GRAVITY
 from precompute.method_comparison.error_classes import LIMITS, longest_run
 from precompute.reporting.tables import write_table
-from runtime.garment_setup import load_body, motion_of, simulation_of
 from runtime.pictures import Drawn, frame_camera, render, save_png, strip
+from runtime.scene_body import load_body, motion_of
+from runtime.scene_simulation import simulation_of
 from runtime.simulation import Motion, Simulation, body_source
 
 __all__ = ["CLIPS", "MAX_OVER_LIMBS", "clip_rows", "overlapping", "run_clip", "shrinking", "write_clips"]

@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Report:
     """Play the database's wrinkles to clients that draw nothing, and print the figures."""
     from precompute.benchmarks.viewer import bench_viewer
-    from runtime.info import figure_lines
+    from runtime.figures import figure_lines
     from runtime.report import Progress, Report
     from runtime.terminal import say
 

@@ -11,7 +11,8 @@ from types import MappingProxyType
 import numpy as np
 
 from assets.fabrics import PRESETS
-from assets.io.scene import MotionSettings, load_scene
+from assets.io.body_settings import MotionSettings
+from assets.io.scene import load_scene
 from pbd import Fabric, ModelOptions
 from precompute.demo import FULL
 from precompute.learning.evaluation import body_source

@@ -62,7 +62,8 @@ def play_motions(
         options: of the command.
         figures_of: plays one motion of the cast and returns its figures.
     """
-    from runtime.info import better_choice, figure_lines
+    from runtime.figures import figure_lines
+    from runtime.info import better_choice
     from runtime.outputs import check_folder
     from runtime.plain_player import plain_choice
     from runtime.play import open_database

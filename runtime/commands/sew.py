@@ -71,7 +71,7 @@ def run(options: argparse.Namespace) -> Report:
     from assets.io.sewn import write_sewn
     from assets.sewing.body import load_standing_body
     from assets.sewing.sewing import SewingError, sew
-    from runtime.info import figure_lines
+    from runtime.figures import figure_lines
     from runtime.outputs import check_file
     from runtime.report import Progress, Report
     from runtime.terminal import say, say_error

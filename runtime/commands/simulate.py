@@ -45,13 +45,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Report:
     """Simulate a scene and write the animation, or only print the scene."""
     from assets.io.scene import load_scene, scene_text
-    from runtime.info import figure_lines
+    from runtime.figures import figure_lines
     from runtime.outputs import check_file
     from runtime.report import Report
     from runtime.terminal import say
 
     scene = load_scene(options.scene)
-    from runtime.garment_setup import body_of, simulation_of, with_subdivisions
+    from runtime.garment_mesh import with_subdivisions
+    from runtime.scene_body import body_of
+    from runtime.scene_simulation import simulation_of
 
     if options.explain:
         say(scene_text(with_subdivisions(scene)).removesuffix("\n"), verbatim=True)

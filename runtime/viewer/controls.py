@@ -100,6 +100,7 @@ class Controls:
         self._time = gui.add_slider(
             "time [s]", 0.0, playback.duration, playback.tick, 0.0, hint="pause and show another moment"
         )
+        self._time.precision = 2  # a tick has more digits than the field has room for
         self._on_update(self._time, viewer.scrub)
         names = {value: name for name, value in SPEEDS.items()}
         speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value=names.get(playback.speed, "1"))
@@ -111,12 +112,17 @@ class Controls:
 
     def _add_show(self, garment: ViewedGarment) -> None:
         gui, look = self._gui, self._viewer.look
-        boxes = {name: gui.add_checkbox(name, name in look.meshes) for name in garment.meshes}
-        for box in boxes.values() if len(boxes) > 1 else ():
-            self._on_update(
-                box, lambda _: self._show(garment, meshes=tuple(name for name, box in boxes.items() if box.value))
+        if self._source.prefers_plain_cloth:
+            wrinkles = gui.add_checkbox(
+                "play the wrinkles", self._viewer.choice.wrinkles, hint="instead of plain cloth"
             )
-        if len(boxes) > 1:
+            self._on_update(wrinkles, lambda value: self._viewer.choose(wrinkles=value))
+        if len(garment.meshes) > 1:
+            boxes = {name: gui.add_checkbox(name, name in look.meshes) for name in garment.meshes}
+            for box in boxes.values():
+                self._on_update(
+                    box, lambda _: self._show(garment, meshes=tuple(name for name, box in boxes.items() if box.value))
+                )
             places = ("side by side", "overlaid")
             overlaid = gui.add_dropdown("arranged", places, initial_value=places[look.overlaid])
             self._on_update(overlaid, lambda value: self._show(garment, overlaid=value == places[1]))
@@ -166,24 +172,18 @@ class Controls:
 
     def _add_fabric(self) -> None:
         viewer, gui, source = self._viewer, self._gui, self._source
-        if source.prefers_plain_cloth:
-            box = gui.add_checkbox("play the wrinkles", viewer.choice.wrinkles, hint="instead of plain cloth")
-            self._on_update(box, lambda value: viewer.choose(wrinkles=value))
         if len(source.fabrics) > 1:
             fabric = gui.add_dropdown("fabric", source.fabrics, initial_value=viewer.choice.fabric)
             self._on_update(fabric, lambda name: viewer.choose(fabric=name))
         if not source.wearable:
             return
-        hint = "factor on the fabric, as powers of ten; wrinkles stay those of the fabric that was learned"
+        hint = "factor on the fabric: 1 is as it is; wrinkles stay those of the fabric that was learned"
         sliders = []
         for name, value in zip(FabricFactors._fields, viewer.factors, strict=True):
-            reach = 0.5 if name == "weight" else 1.0
-            factors = ("1/3", "3") if name == "weight" else ("1/10", "10")
-            marks = ((-reach, factors[0]), (0.0, "1"), (reach, factors[1]))
-            decades = min(max(math.log10(value), -reach), reach)
-            sliders.append(gui.add_slider(name, -reach, reach, 0.02, decades, marks=marks, hint=hint))
+            least, most = (0.3, 3.0) if name == "weight" else (0.1, 10.0)
+            sliders.append(gui.add_slider(name, least, most, 0.05, min(max(value, least), most), hint=hint))
         for slider in sliders:
-            self._on_update(slider, lambda _: viewer.set_factors(FabricFactors(*(10.0**one.value for one in sliders))))
+            self._on_update(slider, lambda _: viewer.set_factors(FabricFactors(*(one.value for one in sliders))))
 
     def _add_save(self) -> None:
         viewer, gui = self._viewer, self._gui

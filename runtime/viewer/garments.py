@@ -16,13 +16,15 @@ from assets.io.scene import Scene
 from assets.io.sequence import Sequence
 from pbd import ClothMesh, Fabric, Solver, build_model
 from pbd.wind import Wind
-from runtime.garment_setup import body_of, scene_of, simulation_of
+from runtime.garment_setup import scene_of
 from runtime.info import better_choice
 from runtime.level_of_detail import LevelOfDetail
 from runtime.plain_player import PlainPlayer, plain_choice, player_of
 from runtime.play import PlaybackInputs
 from runtime.player import Player
+from runtime.scene_body import body_of
 from runtime.scene_player import SUBDIVISIONS, ScenePlayer
+from runtime.scene_simulation import simulation_of
 from runtime.simulation import Motion
 from runtime.viewer.colors import FaceBending, FaceStrain, place
 from wrinkles.database import WrinkleDatabase

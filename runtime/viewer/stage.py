@@ -109,23 +109,24 @@ class Stage:
         if look.follow:
             self.place = self._under_body()
         tick = playback.time / playback.tick
-        _, body = player.interpolated()
-        body = body.copy()
+        # A slow browser takes over places and vertices at different times: what moves is in the vertices alone.
+        shift = (player.origin - self.place).astype(np.float32)
+        body = player.interpolated()[1] + shift
         with self._server.atomic():
             nodes["floor"].position = self._floor_place()
             for index, name in enumerate(look.meshes):
                 column = nodes[name]
-                column.position = tuple(player.origin - self.place + self.offset(look, name))
+                column.position = _point(self.offset(look, name))
                 labelled = len(look.meshes) > 1 and not look.overlaid
                 nodes[f"{name}/label"].visible = labelled
                 if labelled:
-                    nodes[f"{name}/label"].position = self._over_head(garment.vertices(name, tick))
+                    nodes[f"{name}/label"].position = self._over_head(garment.vertices(name, tick), shift)
                 shows_body = look.body and len(garment.body_faces) > 0 and (index == 0 or not look.overlaid)
                 if f"{name}/body" in nodes:
                     nodes[f"{name}/body"].visible = shows_body
                 if shows_body:
                     nodes[f"{name}/body"].vertices = body
-                self._show_garment(name, look, garment.vertices(name, tick))
+                self._show_garment(name, look, garment.vertices(name, tick), shift)
                 column.visible = True
             for name in garment.meshes:
                 if name not in look.meshes:
@@ -217,10 +218,12 @@ class Stage:
             garment.meshes[name].faces,
             color=CLOTH_COLOR,
             side="double",
+            receive_shadow=False,  # viser sets no bias: cloth that shades itself has stripes that look like folds
         )
 
-    def _show_garment(self, name: str, look: Look, vertices: np.ndarray) -> None:
+    def _show_garment(self, name: str, look: Look, vertices: np.ndarray, shift: np.ndarray) -> None:
         garment, nodes = self._garment, self._nodes
+        shown = vertices + shift
         values = None if look.coloring == CLOTH else garment.values(name, look.coloring, vertices)
         plain = nodes[f"{name}/garment"]
         plain.visible = values is None
@@ -232,10 +235,10 @@ class Stage:
             plain.color = OVERLAID_COLORS[name] if look.overlaid else CLOTH_COLOR
             plain.opacity = OVERLAID_OPACITY if under else None
             plain.wireframe = look.wireframe or (under and name == COARSE)
-            plain.vertices = vertices
+            plain.vertices = shown
             return
         scale = SCALES[look.coloring]
-        parts = bands_of(np.ascontiguousarray(vertices), garment.meshes[name].faces, scale.band(values))
+        parts = bands_of(np.ascontiguousarray(shown), garment.meshes[name].faces, scale.band(values))
         if name not in self._colored:
             self._add_bands(name)
         for band, part in enumerate(parts):
@@ -248,7 +251,9 @@ class Stage:
         empty = np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.uint32)
         for band in range(BANDS):
             place = f"/{name.replace(' ', '_')}/band_{band}"
-            node = self._nodes[f"{name}/{band}"] = self._server.scene.add_mesh_simple(place, *empty, side="double")
+            node = self._nodes[f"{name}/{band}"] = self._server.scene.add_mesh_simple(
+                place, *empty, side="double", receive_shadow=False
+            )
             self._bind(node, name)
         self._colored.add(name)
 
@@ -262,12 +267,12 @@ class Stage:
 
         node.on_drag("left")(dragged)
 
-    def _over_head(self, vertices: np.ndarray) -> Point:
-        """A point over the body, or over a garment without one, about the player's origin [m]."""
+    def _over_head(self, vertices: np.ndarray, shift: np.ndarray) -> Point:
+        """A point over the body, or over a garment without one, in its column [m]."""
         player = self._garment.player
         points = player.interpolated()[1] if len(self._garment.body_faces) else vertices
-        x, _, z = self._under_body() - player.origin
-        return float(x), float(points[:, 1].max()) + 0.06, float(z)
+        x, _, z = self._under_body() - self.place
+        return float(x), float(points[:, 1].max() + shift[1]) + 0.06, float(z)
 
 
 def _direction(azimuth_deg: float, elevation_deg: float) -> np.ndarray:

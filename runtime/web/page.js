@@ -296,13 +296,13 @@
     document.title = `${about.garment}: ${about.motion}`;
     element("title").textContent = `${about.garment}, ${about.motion}`;
     element("facts").append(...about.facts.map(([name, value]) => row([[name, ""], [value, ""]])));
-    const { columns, rows } = about.figures;
-    const table = element("figures");
-    table.append(row([["figure", ""], ...columns.map((column) => [column, "number"]), ["meaning", ""]], "th"));
-    for (const { name, values, meaning } of rows) {
-      const numbers = values.map((value) => [value === null ? "" : String(Number(value.toPrecision(4))), "number"]);
-      table.append(row([[name, "name"], ...numbers, [meaning, ""]]));
-    }
+    const { columns, first, rest } = about.figures;
+    const numbers = (texts) => texts.map((text) => [text, "number"]);
+    const heading = (title) => row([[title, "name"], ...numbers(columns), ["Meaning", ""]], "th");
+    const figure = ({ name, values, meaning }) => row([[name, "name"], ...numbers(values), [meaning, ""]]);
+    for (const { title, rows } of first) element("figures").append(heading(title), ...rows.map(figure));
+    element("more").hidden = !rest.length;
+    element("more-figures").append(heading("Figure"), ...rest.map(figure));
   }
 
   /** For tests: what is drawn, and a way to wait until a moment is. */

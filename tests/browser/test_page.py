@@ -67,7 +67,7 @@ class Exported(NamedTuple):
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Exported:
-    quality = {"normal_error_deg": 5.5, "normal_error_smooth_deg": 11.2, "bending_energy_ratio": 1.02}
+    quality = {"normal_error_deg": 5.5123, "normal_error_smooth_deg": 11.2, "frame_ms_p50": 7.84, "rmse_mm": 1.1425}
     names = {"garment_name": HOSTILE, "fabric_name": HOSTILE, "trained_on": (HOSTILE,), "held_out": (HOSTILE,)}
     database = replace(skirt_database(subdivisions=2, quality=quality), **names)
     stage = skirt_stage()
@@ -161,5 +161,14 @@ def test_names_of_a_file_are_text_and_nothing_else(page: Page) -> None:
     assert page.inner_text("#title") == f"{HOSTILE}, walk {HOSTILE}"
     assert page.inner_text("#facts").count(HOSTILE) == 4  # motion, fabric, learned from, judged on
     assert page.locator("img, b").count() == 0
-    figure = page.locator("#figures tr", has_text="normal_error_deg").inner_text().split("\t")
-    assert figure[:3] == ["normal_error_deg", "5.5", "11.2"] and "angle between our normals" in figure[3]
+
+
+def test_figures_have_plain_names_and_the_few_that_matter_come_first(page: Page) -> None:
+    rows = [row.split("\t") for row in page.locator("#figures tr").all_inner_texts()]
+    assert [row[0] for row in rows] == ["Quality", "normal error [deg]", "Cost", "time of a frame [ms]"]
+    assert rows[0][1:] == ["ours", "smooth", "Meaning"]
+    assert rows[1][1:3] == ["5.5", "11.2"] and "angle between our normals" in rows[1][3]
+    more = page.locator("#more-figures tr", has_text="distance of vertices [mm]")
+    assert not more.is_visible()
+    page.click("summary")
+    assert more.is_visible() and more.inner_text().split("\t")[1] == "1.14"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import math
 import struct
@@ -23,6 +22,7 @@ from assets.transform import local_matrices, slerp
 from pbd.errors import InputError
 from runtime.bake import bake_glb, bake_mdd, bake_obj, bake_pc2, bake_usd
 from runtime.glb import BYTES_A_VERTEX
+from tests.blender import POSED_VERTICES, require_blender
 from tests.runtime.baking import angles_deg, sheet_sequence, walking_mannequin, waving_sheet
 from wrinkles.metrics import vertex_normals
 
@@ -365,10 +365,10 @@ def test_an_obj_sequence_has_a_file_a_frame(tmp_path):
         np.testing.assert_allclose(mesh.vertices, vertices, atol=1e-6)
 
 
-BLENDER = """
+SCRIPT = (
+    POSED_VERTICES
+    + """
 import json, sys
-import bpy
-import numpy as np
 
 folder, frames = sys.argv[1], np.load(sys.argv[1] + "/frames.npy")
 halfway = np.load(folder + "/between.npy")
@@ -376,27 +376,17 @@ bpy.ops.wm.read_factory_settings(use_empty=True)
 scene = bpy.context.scene
 scene.render.fps = 30
 
-def vertices(item):
-    # Blender's z is up; its importers turn the project's y up.
-    evaluated = item.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    mesh = evaluated.to_mesh()
-    local = np.zeros(3 * len(mesh.vertices), np.float32)
-    mesh.vertices.foreach_get("co", local)
-    matrix = np.array(evaluated.matrix_world)
-    world = local.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]
-    return np.stack([world[:, 0], world[:, 2], -world[:, 1]], axis=1)
-
 def worst(item):
     errors = []
     for number, truth in enumerate(frames):
         scene.frame_set(number)
-        errors.append(float(np.abs(vertices(item) - truth).max()))
+        errors.append(float(np.abs(posed_vertices(item) - truth).max()))
     return max(errors)
 
 bpy.ops.import_scene.gltf(filepath=folder + "/a.glb")
 glb = worst(bpy.data.objects["garment"])
 scene.frame_set(7, subframe=0.25)
-between = float(np.abs(vertices(bpy.data.objects["garment"]) - halfway).max())
+between = float(np.abs(posed_vertices(bpy.data.objects["garment"]) - halfway).max())
 bpy.ops.wm.obj_import(filepath=folder + "/a.obj", forward_axis="NEGATIVE_Z", up_axis="Y")
 item = bpy.context.selected_objects[0]
 modifier = item.modifiers.new("cache", "MESH_CACHE")
@@ -409,12 +399,12 @@ bpy.ops.wm.usd_import(filepath=folder + "/a.usdc")
 usd = worst(bpy.data.objects["garment.001"])
 print("RESULT", json.dumps({"glb": glb, "between": between, "pc2": pc2, "mdd": mdd, "usd": usd}))
 """
+)
 
 
 @pytest.mark.proof
 def test_blender_plays_what_was_baked(tmp_path):
-    if importlib.util.find_spec("bpy") is None:
-        pytest.skip("Blender is not installed as a module: pip install bpy")
+    require_blender()
     faces, frames = waving_sheet(side=20, turn_deg=5.0)
     np.save(tmp_path / "frames.npy", frames)
     bake_glb(tmp_path / "a.glb", faces, frames, 30.0)
@@ -423,7 +413,7 @@ def test_blender_plays_what_was_baked(tmp_path):
     bake_mdd(tmp_path / "a.mdd", faces, frames, 30.0)
     bake_usd(tmp_path / "a.usdc", faces, frames, 30.0)
     # A process of its own: Blender brings its own LLVM.
-    result = subprocess.run([sys.executable, "-c", BLENDER, str(tmp_path)], capture_output=True, text=True, timeout=300)
+    result = subprocess.run([sys.executable, "-c", SCRIPT, str(tmp_path)], capture_output=True, text=True, timeout=300)
     lines = [line for line in result.stdout.splitlines() if line.startswith("RESULT ")]
     assert lines, result.stderr
     errors = json.loads(lines[0].removeprefix("RESULT "))

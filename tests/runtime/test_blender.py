@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import subprocess
 import sys
@@ -21,6 +20,7 @@ from assets.procedural.mannequin import builtin_mannequin
 from assets.skinning import skin_vertices
 from runtime.bake import bake_obj, bake_usd
 from runtime.blender import checks, jobs
+from tests.blender import POSED_VERTICES, require_blender
 from tests.data import ROOT
 
 if sys.version_info >= (3, 11):
@@ -139,11 +139,11 @@ def test_the_manifest_is_that_of_this_version() -> None:
     assert len(manifest["tagline"]) <= 64 and not manifest["tagline"].endswith(".")
 
 
-SCRIPT = """
+SCRIPT = (
+    POSED_VERTICES
+    + """
 import sys
 import types
-import bpy
-import numpy as np
 
 archive, folder, gube, what = sys.argv[1:]
 bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -171,15 +171,6 @@ print("MOVED", bpy.ops.gube.check(), settings.findings.replace("\\n", "|"))
 skirt.location.y -= 0.1
 bpy.context.view_layer.update()
 
-def y_up(item):
-    evaluated = item.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    mesh = evaluated.to_mesh()
-    local = np.zeros(3 * len(mesh.vertices), np.float32)
-    mesh.vertices.foreach_get("co", local)
-    matrix = np.array(evaluated.matrix_world)
-    world = local.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]
-    return np.stack([world[:, 0], world[:, 2], -world[:, 1]], axis=1)
-
 class Layout:
     drawn = []
 
@@ -201,23 +192,23 @@ if what == "write":
     frames = []
     for number in (0, 7, 20):
         scene.frame_set(number)
-        frames.append(y_up(body))
-    np.savez(folder + "/truth.npz", body=np.array(frames), skirt=y_up(skirt))
+        frames.append(posed_vertices(body))
+    np.savez(folder + "/truth.npz", body=np.array(frames), skirt=posed_vertices(skirt))
 else:
     print("LEARN", bpy.ops.gube.learn(), settings.status)
     shown = scene.objects['skirt "A" (gube)']
     modifier = shown.modifiers["gube"]
     scene.frame_set(int(modifier.frame_start + 45))
-    np.save(folder + "/shown.npy", y_up(shown))
+    np.save(folder + "/shown.npy", posed_vertices(shown))
     print("SHOWN", modifier.frame_start, skirt.hide_render)
 """
+)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two seconds of the mannequin's walk, the skirt, and the extension's archive."""
-    if importlib.util.find_spec("bpy") is None:
-        pytest.skip("Blender is not installed as a module: pip install bpy")
+    require_blender()
     path = tmp_path_factory.mktemp("blender")
     mannequin, skirt = builtin_mannequin(), load_garment("builtin:skirt")
     motion = ClipMotion(mannequin, "walk", blend=0.0)

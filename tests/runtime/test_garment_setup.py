@@ -15,18 +15,12 @@ from assets.io.scene import Scene, parse_scene, scene_text
 from assets.procedural.builtin import builtin_garment
 from pbd import DistanceField, InputError, Plane
 from pbd.attachment import Attachment
-from runtime.garment_setup import (
-    GarmentSetup,
-    colliders_of,
-    fabrics_of,
-    fine_substep_of,
-    motion_of,
-    pattern_of,
-    simulation_of,
-    with_subdivisions,
-)
+from runtime.garment_mesh import pattern_of, with_subdivisions
+from runtime.garment_setup import GarmentSetup, colliders_of, fabrics_of, fine_substep_of
 from runtime.plain_player import middle_levels
 from runtime.player import Player
+from runtime.scene_body import motion_of
+from runtime.scene_simulation import simulation_of
 from runtime.simulation import body_source, poses_of
 from tests.assets.panels import two_panels
 from tests.wrinkles.databases import placed, small_database

@@ -14,8 +14,9 @@ from assets.procedural.mannequin import builtin_mannequin
 from pbd import InputError
 from runtime import command
 from runtime.bake import bake_mdd, bake_pc2, bake_usd
-from runtime.garment_setup import GarmentSetup, body_of, motion_of
+from runtime.garment_setup import GarmentSetup
 from runtime.play import open_database
+from runtime.scene_body import body_of, motion_of
 from tests.assets.captures import write_bvh
 from tests.runtime.baking import sheet_sequence, walking_mannequin
 from tests.runtime.players import SCENE, skirt_database

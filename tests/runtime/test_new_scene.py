@@ -15,10 +15,10 @@ from assets.io.scene import load_scene
 from assets.placement import fit_of
 from pbd import InputError
 from runtime import command
-from runtime.garment_setup import simulation_of
 from runtime.new_body import BodyGuess, guess_body, guess_motions
 from runtime.new_garment import guess_garment
 from runtime.new_scene import write_new_scene
+from runtime.scene_simulation import simulation_of
 from tests.assets.files import bar_glb
 from tests.data import data_path
 

@@ -16,9 +16,9 @@ from assets.io.sequence import Sequence
 from pbd import InputError
 from pbd.wind import Wind
 from runtime import command
-from runtime.garment_setup import simulation_of
 from runtime.play import play, playback_inputs, simulated_frames
 from runtime.player import Player
+from runtime.scene_simulation import simulation_of
 from runtime.simulation import poses_of
 from tests.data import ROOT
 from tests.runtime.players import SCENE, skirt_database, skirt_stage

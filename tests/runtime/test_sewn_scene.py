@@ -16,7 +16,8 @@ from assets.procedural.mannequin import DATA
 from assets.sewing.sewing import sew
 from pbd.contact.strain_limits import MAX_STRETCH
 from runtime import command
-from runtime.garment_setup import GarmentSetup, simulation_of
+from runtime.garment_setup import GarmentSetup
+from runtime.scene_simulation import simulation_of
 from tests.assets.sewing.tubes import egg, tube_pattern
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import subprocess
 import sys
 from pathlib import Path
@@ -14,35 +13,27 @@ from assets.character import load_character
 from assets.io.bvh import read_bvh
 from assets.io.sequence import load_sequence
 from assets.skinning import skin_vertices
+from tests.blender import POSED_VERTICES, require_blender
 from tests.data import data_path
 
 FRAMES = 13  # of the action, 24 a second
 
-BLENDER = """
-import math, sys
-import bpy
-import numpy as np
+SCRIPT = (
+    POSED_VERTICES
+    + f"FRAMES = {FRAMES}"
+    + """
+import sys
 
 folder, capture = sys.argv[1:]
 bpy.ops.wm.read_factory_settings(use_empty=True)
 scene = bpy.context.scene
 scene.render.fps, scene.frame_start, scene.frame_end = 24, 1, FRAMES
 
-def posed(item):
-    # Blender's z is up.
-    evaluated = item.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    mesh = evaluated.to_mesh()
-    local = np.zeros(3 * len(mesh.vertices), np.float32)
-    mesh.vertices.foreach_get("co", local)
-    matrix = np.array(evaluated.matrix_world)
-    world = local.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]
-    return np.stack([world[:, 0], world[:, 2], -world[:, 1]], axis=1)
-
 def over_time(item):
     frames = []
     for number in range(1, FRAMES + 1):
         scene.frame_set(number)
-        frames.append(posed(item))
+        frames.append(posed_vertices(item))
     return np.array(frames)
 
 # A bar of quads, 2 m high, on two bones, the upper of which bends and the lower of which travels.
@@ -104,17 +95,17 @@ for number in range(1, FRAMES + 1):
     found.append(np.stack([heads[:, 0], heads[:, 2], -heads[:, 1]], axis=1))
 np.savez(folder + "/capture.npz", names=[bone.name for bone in rig.pose.bones], positions=np.array(found))
 print("DONE")
-""".replace("FRAMES", str(FRAMES))
+"""
+)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    if importlib.util.find_spec("bpy") is None:
-        pytest.skip("Blender is not installed as a module: pip install bpy")
+    require_blender()
     path = tmp_path_factory.mktemp("blender")
     capture = data_path("mocap/cmu_01_01_jumps_turn.bvh")
     # A process of its own: Blender brings its own LLVM.
-    command = [sys.executable, "-c", BLENDER, str(path), str(capture)]
+    command = [sys.executable, "-c", SCRIPT, str(path), str(capture)]
     result = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert "DONE" in result.stdout, result.stderr
     return path

@@ -7,16 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from assets.fabrics import PRESETS
-from assets.io.scene import (
-    CapsuleSettings,
-    CharacterSettings,
-    FieldSettings,
-    MotionSettings,
-    Scene,
-    load_scene,
-    parse_scene,
-    scene_text,
-)
+from assets.io.body_settings import CharacterSettings, MotionSettings
+from assets.io.collider_settings import CapsuleSettings, FieldSettings
+from assets.io.scene import Scene, load_scene, parse_scene, scene_text
 from pbd import Capsule, Fabric, InputError, SolverOptions
 from pbd.wind import Wind
 

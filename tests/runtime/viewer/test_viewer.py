@@ -156,6 +156,19 @@ def test_commands_change_time_look_wind_and_fabric(viewer: Viewer) -> None:
     )
 
 
+def test_what_moves_is_in_the_vertices_alone(viewer: Viewer) -> None:
+    """A browser that takes places and vertices over at different times still shows the body in the middle."""
+    nodes = viewer._stage._nodes
+    begun = viewer._stage.place.copy()
+    run(viewer, lambda: more_frames(viewer, 90))
+    assert np.linalg.norm(viewer._stage.place - begun) > 0.1
+    assert nodes["ours"].position == pytest.approx(np.zeros(3), abs=1e-9)
+    assert nodes["ours/body"].vertices.mean(axis=0, dtype=float)[[0, 2]] == pytest.approx(np.zeros(2), abs=1e-4)
+    garment, player = nodes["ours/garment"].vertices, viewer.playback.player
+    seen = garment.mean(axis=0, dtype=float) + viewer._stage.place
+    assert seen == pytest.approx((player.vertices + player.origin).mean(axis=0, dtype=float), abs=0.1)
+
+
 def test_a_drag_holds_the_vertex_under_the_mouse(viewer: Viewer) -> None:
     """A drag as viser tells it: points in the window, not in the world."""
     playback, stage = viewer.playback, viewer._stage

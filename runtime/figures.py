@@ -1,0 +1,203 @@
+"""Figures by which garments are judged: their names, units and meaning, and tables of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+__all__ = ["FIRST", "Figure", "figure_lines", "figure_of", "figure_table", "value_texts"]
+
+
+class Figure(NamedTuple):
+    """A figure in words.
+
+    Attributes:
+        label: its name in plain words.
+        unit: "-" for a share, a ratio or a count.
+        meaning: what is measured.
+    """
+
+    label: str
+    unit: str
+    meaning: str
+
+
+RIVALS = ("smooth", "floor", "truth")  # prefixes of figures that stand beside ours
+FIGURES = {
+    "normal_error_deg": Figure(
+        "normal error", "deg", "angle between our normals and the truth's, given the truth's coarse state"
+    ),
+    "normal_skill": Figure(
+        "normal error removed", "-", "share of smooth's normal error that is removed: 0 none, 1 all"
+    ),
+    "normal_correlation_p50": Figure(
+        "correlation of wrinkles, median frame",
+        "-",
+        "correlation of wrinkles with the truth's: 1 the same, 0 unrelated; median frame",
+    ),
+    "normal_correlation_p90": Figure(
+        "correlation of wrinkles, best frames", "-", "the same in the best tenth of the frames"
+    ),
+    "rmse_mm": Figure("distance of vertices", "mm", "distance of vertices from the truth's"),
+    "rmse_skill": Figure("distance removed", "-", "share of smooth's distance that is removed"),
+    "sted": Figure("error of edge lengths (STED)", "-", "error of edge lengths, in space and time"),
+    "worse_than_smooth_percent": Figure(
+        "worse than smooth", "%", "patch-frames with a larger normal error than smooth's"
+    ),
+    "unfamiliarity_spearman": Figure(
+        "novelty against error", "-", "rank correlation of unfamiliarity with the error: 1 the same order"
+    ),
+    "faded_percent": Figure("faded", "%", "patch-frames whose wrinkles are weakened because they are unfamiliar"),
+    "bending_energy_ratio": Figure(
+        "bending energy", "-", "running freely: bending energy over the truth's, 1 is right"
+    ),
+    "spectrum_band_error_max": Figure(
+        "error of the worst band", "-", "running freely: largest error of a band of wavelengths, as a share"
+    ),
+    "spectrum_band_ratio_min": Figure("weakest band", "-", "running freely: weakest band over the truth's, 1 is right"),
+    "spectrum_band_ratio_max": Figure(
+        "strongest band", "-", "running freely: strongest band over the truth's, 1 is right"
+    ),
+    "low_frequency_ratio_to_floor": Figure(
+        "error of the large motion",
+        "-",
+        "running freely: error of the large motion, over the difference of two true runs",
+    ),
+    "free_normal_error_deg": Figure(
+        "normal error, running freely", "deg", "running freely: normal error; below the floor it means nothing"
+    ),
+    "contact_bending_ratio": Figure(
+        "bending energy on the body",
+        "-",
+        "running freely: bending energy over the truth's where the cloth lies on the body",
+    ),
+    "inside_body_percent": Figure("inside the body", "%", "vertices inside the body"),
+    "deepest_mm": Figure("deepest inside the body", "mm", "largest depth of a vertex in the body"),
+    "inside_body_with_room_percent": Figure(
+        "inside the body where there is room", "%", "vertices inside the body at places where there is room for cloth"
+    ),
+    "deepest_with_room_mm": Figure("deepest where there is room", "mm", "largest depth of a vertex at such a place"),
+    "popping": Figure("popping", "-", "largest change of a patch's wrinkles in a frame, over the size of all wrinkles"),
+    "jitter_px": Figure("jitter", "px", "jumps from frame to frame on a standard screen, 95th percentile"),
+    "rest_jitter_px": Figure("jitter at rest", "px", "jumps of vertices while the body stands still after its motion"),
+    "step_response_frames": Figure(
+        "delay of wrinkles",
+        "frames",
+        "frames until nine tenths of the wrinkles have followed a jump of the coarse garment",
+    ),
+    "reverse_gap_mm": Figure(
+        "memory of a slow motion", "mm", "distance of vertices at equal poses of a slow motion there and back"
+    ),
+    "attached_off_mm": Figure("error of attachment", "mm", "largest distance of an attached vertex from its target"),
+    "chosen_s": Figure("motion learned from", "s", "length of the motion that was simulated finely, for each fabric"),
+    "offered_s": Figure("motion on offer", "s", "length of the motion from which it was chosen"),
+    "coverage": Figure(
+        "coverage", "-", "how well the chosen patches cover held-out ones: 1 as well as all that were offered"
+    ),
+    "coverage_even": Figure("coverage at even intervals", "-", "the same for as much motion chosen at even intervals"),
+    "feature_shift_before": Figure(
+        "shift of features, uncalibrated",
+        "-",
+        "distance of the coarse garment's features from the training's, uncalibrated; 1 is its own",
+    ),
+    "feature_shift_after": Figure("shift of features, calibrated", "-", "the same after calibration"),
+    "feature_mismatch_before": Figure(
+        "mismatch of features, uncalibrated", "-", "distance between both distributions of features, before calibration"
+    ),
+    "feature_mismatch_after": Figure("mismatch of features, calibrated", "-", "the same after calibration"),
+    "frame_ms_p50": Figure("time of a frame", "ms", "a whole frame, median"),
+    "frame_ms_p99": Figure("time of a slow frame", "ms", "a whole frame, slowest hundredth"),
+    "frame_cpu_ms": Figure("processor time of a frame", "ms", "a whole frame, processor time"),
+    "skin_ms_p50": Figure("time for the body", "ms", "part of a frame: the body"),
+    "coarse_ms_p50": Figure("time for the coarse garment", "ms", "part of a frame: the coarse garment"),
+    "decode_ms_p50": Figure("time for wrinkles", "ms", "part of a frame: wrinkles"),
+    "relax_ms_p50": Figure("time for relaxation", "ms", "part of a frame: relaxation"),
+    "normals_ms_p50": Figure("time for normals", "ms", "part of a frame: normals"),
+    "us_per_fine_vertex": Figure("time for a fine vertex", "us", "decoding, relaxation and normals"),
+    "fine_simulation_ms": Figure("time of a frame, simulated finely", "ms", "a frame of the fine simulation"),
+    "speedup_over_fine": Figure("speed-up", "-", "time of a frame of the fine simulation over ours"),
+    "cost_advantage": Figure(
+        "cost advantage",
+        "-",
+        "time of the cheapest plain cloth that is as good, over ours; below 1 plain cloth is better",
+    ),
+    "cost_advantage_is_at_least": Figure(
+        "cost advantage is a lower bound",
+        "-",
+        "1 where no plain cloth that was tried is as good: then the advantage is larger",
+    ),
+    "plain_frame_ms": Figure(
+        "time of a frame of plain cloth",
+        "ms",
+        "a whole frame of the plain cloth that the cost advantage is about, median",
+    ),
+    "plain_substeps": Figure("substeps of plain cloth", "-", "substeps a frame of that plain cloth"),
+    "plain_vertex_count": Figure("vertices of plain cloth", "-", "simulated vertices of that plain cloth"),
+    "coarse_vertex_count": Figure("coarse vertices", "-", "of the garment that is simulated while playing"),
+    "fine_vertex_count": Figure("fine vertices", "-", "of the garment that is drawn"),
+    "atoms_kept": Figure("held by the dictionary", "-", "share of the slopes of all wrinkles that its atoms can draw"),
+}
+BAND = "band_ratio_"  # how the name of the figure of one band of wavelengths begins
+# The figures that somebody reads first, by what they are about.
+FIRST = {
+    "Quality": ("normal_error_deg", "normal_skill", "bending_energy_ratio", "inside_body_percent", "jitter_px"),
+    "Cost": ("frame_ms_p50", "fine_simulation_ms", "speedup_over_fine", "cost_advantage"),
+}
+DIGITS = 3  # that the largest value of a row shows
+
+
+def figure_of(name: str) -> Figure:
+    """A figure by its name in files, without the prefix of a rival; one that is not declared here keeps its name."""
+    if name in FIGURES:
+        return FIGURES[name]
+    if name.startswith(BAND):
+        words = name.removeprefix(BAND).removesuffix("_mm").replace("_", " ")
+        meaning = "running freely: bending energy in this band of wavelengths over the truth's, 1 is right"
+        return Figure(f"bending energy, {words} mm", "-", meaning)
+    for declared, figure in FIGURES.items():
+        if name.endswith(f"_{declared}"):  # of another fabric that the garment has learned
+            return figure._replace(label=f"{figure.label}, {name.removesuffix(f'_{declared}')}")
+    return Figure(name.replace("_", " "), "", "")
+
+
+def value_texts(values: Sequence[float | None]) -> list[str]:
+    """Numbers of one figure with equally many decimals, so that they can be compared at a glance; "" for None."""
+    known = [value for value in values if value is not None]
+    largest = max(map(abs, known), default=0.0)
+    whole = all(float(value).is_integer() for value in known)
+    decimals = 0 if whole else min(max(DIGITS - 1 - math.floor(math.log10(largest)), 0), 4)
+    return ["" if value is None else f"{value:.{decimals}f}" for value in values]
+
+
+def figure_lines(figures: Mapping[str, float]) -> list[str]:
+    """A table of figures, those of baselines in columns beside ours, in the order in which they are declared here.
+
+    Args:
+        figures: numbers by name; the prefix of a name says whose figure it is.
+    """
+    columns, table = figure_table(figures)
+    lines = ["  " + " " * 30 + "".join(f"{column.replace('_', ' '):>17}" for column in columns)]
+    for name, row in table.items():
+        cells = "".join(f"{row[c]:17.5g}" if c in row else " " * 16 + "-" for c in columns)
+        lines.append(f"  {name:<30}{cells}  {figure_of(name).meaning}".rstrip())
+    return lines
+
+
+def figure_table(figures: Mapping[str, float]) -> tuple[list[str], dict[str, dict[str, float]]]:
+    """Columns of the table of figures, ours and baselines, and its rows: values by column, by name of the figure."""
+    table: dict[str, dict[str, float]] = {name: {} for name in FIGURES}
+    for name, value in figures.items():
+        column, base = _column(name)
+        table.setdefault(base, {})[column] = value
+    columns = [c for c in ("ours", *RIVALS) if any(c in row for row in table.values())]
+    return columns, {name: row for name, row in table.items() if row}
+
+
+def _column(name: str) -> tuple[str, str]:
+    """Column of a figure, and its name without the column: ("smooth", "rmse_mm") for "rmse_smooth_mm"."""
+    for rival in RIVALS:
+        if name.startswith(f"{rival}_"):
+            return rival, name.removeprefix(f"{rival}_")
+    plain = name.replace("_smooth_", "_")
+    return ("smooth", plain) if plain != name and plain in FIGURES else ("ours", name)

@@ -1,0 +1,207 @@
+"""The mesh of a scene's garment as it is simulated: in its size, decimated or subdivided, with the vertices held."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from assets.ease import eased
+from assets.fabrics import PRESETS
+from assets.garment import Garment, boundary_loops, highest_loop, load_garment
+from assets.io.scene import GarmentSettings, Scene
+from assets.seams import load_seams
+from pbd import ClothMesh, InputError, Limits
+from pbd.contact.strain_limits import MAX_STRETCH
+from wrinkles.binding import Binding, bind
+from wrinkles.levels import held_between
+from wrinkles.surface import SewnRest, Subdivision, cut_corners
+
+__all__ = [
+    "coarse_garment",
+    "garment_of",
+    "held_vertices",
+    "in_size",
+    "pattern_of",
+    "sewn_rest",
+    "subdivided",
+    "with_subdivisions",
+]
+
+EDGE_SHARE = 0.6  # mean edge over the gravity length of the fabric, at which folds of a skirt have converged [-]
+MOST_SUBDIVISIONS = 3  # that a scene gets without naming them
+MOST_COARSE_SUBDIVISIONS = 3  # of a mesh before it is simulated: 64 times its faces
+DELIVERED_SUBDIVISIONS = 2  # of the coarse mesh under a delivered fine mesh
+
+
+def held_vertices(garment: Garment, settings: GarmentSettings) -> np.ndarray:
+    """Vertices that the scene attaches to the body: int, shape (p,).
+
+    Raises:
+        InputError: a loop or a vertex that the garment does not have.
+    """
+    loops = boundary_loops(garment.faces)
+    held: list[np.ndarray] = [np.asarray(settings.attach_vertices, np.int64)]
+    if settings.attach == "top":
+        held.append(highest_loop(garment.vertices, garment.faces))
+    elif settings.attach != "none":
+        for number in settings.attach:
+            if not 0 <= int(number) < len(loops):
+                raise InputError(
+                    "no such boundary loop",
+                    file=garment.source,
+                    key="attach",
+                    received=number,
+                    expected=f"0..{len(loops) - 1}",
+                )
+            held.append(loops[int(number)])
+    vertices = np.unique(np.concatenate(held))
+    if vertices.size and vertices[-1] >= len(garment.vertices):
+        raise InputError(
+            "no such vertex",
+            file=garment.source,
+            key="attach_vertices",
+            received=int(vertices[-1]),
+            expected=f"0..{len(garment.vertices) - 1}",
+        )
+    return vertices
+
+
+def coarse_garment(garment: Garment, settings: GarmentSettings) -> tuple[Garment, Binding | None]:
+    """The coarse mesh of a garment: itself, or one made from it by decimation, to which it is then bound.
+
+    Raises:
+        InputError: a vertex with several places in the pattern, a mesh too coarse to decimate, or bad seams.
+    """
+    if settings.coarse_vertices is None:
+        return garment, None
+    assert garment.pattern is not None
+    count = len(garment.vertices)
+    if count < 8 * settings.coarse_vertices:
+        raise InputError(
+            "too many coarse vertices",
+            file=garment.source,
+            key="coarse_vertices",
+            received=settings.coarse_vertices,
+            expected=f"at most an eighth of the mesh's {count}",
+        )
+    flat = np.zeros((count, 2))
+    flat[garment.faces] = garment.pattern
+    several = np.flatnonzero((flat[garment.faces] != garment.pattern).any(axis=(1, 2)))
+    if several.size:
+        expected = "panels that share no vertex, sewn together by seams"
+        key = f"face {several[0]}"
+        raise InputError("a vertex with several places in the pattern", file=garment.source, key=key, expected=expected)
+    seams = None if settings.seams is None else load_seams(settings.seams, count)
+    vertices, subdivision = bind(
+        garment.vertices, garment.faces, flat, seams, settings.coarse_vertices, settings.subdivision_count
+    )
+    return replace(garment, vertices=vertices, faces=subdivision.coarse_faces, pattern=None), subdivision.binding
+
+
+def subdivided(
+    garment: Garment, held: np.ndarray, limits: Limits | None, times: int
+) -> tuple[Garment, np.ndarray, Limits | None]:
+    """A garment whose faces are cut in four so many times, on its smooth surface; with its held vertices and limits.
+
+    Raises:
+        InputError: more times than MOST_COARSE_SUBDIVISIONS.
+    """
+    if not times:
+        return garment, held, limits
+    if times > MOST_COARSE_SUBDIVISIONS:
+        expected = f"0..{MOST_COARSE_SUBDIVISIONS}"
+        raise InputError("too fine a mesh to simulate", key="coarse_subdivisions", received=times, expected=expected)
+    finer, sewn = Subdivision.of(garment.faces, len(garment.vertices), times), sewn_rest(garment)
+    vertices, pattern = finer.upsample(garment.vertices), finer.flat_corners(garment.pattern)
+    cut = replace(garment, vertices=vertices, faces=finer.faces, pattern=pattern)
+    if sewn is not None:
+        sewn = sewn.subdivided(times)
+        cut = replace(cut, layers=sewn.layers, max_stretch=sewn.max_stretch)
+    return cut, held_between(finer, held), None if limits is None else limits.between(finer.matrix)
+
+
+def sewn_rest(garment: Garment) -> SewnRest | None:
+    """How a sewn garment rests; None for any other."""
+    if garment.layers is None or garment.pattern is None:
+        return None
+    unlimited = np.full(len(garment.faces), MAX_STRETCH)
+    return SewnRest(garment.pattern, garment.layers, unlimited if garment.max_stretch is None else garment.max_stretch)
+
+
+def garment_of(scene: Scene) -> tuple[GarmentSettings, Garment]:
+    """Settings and mesh of the only garment of a scene.
+
+    Raises:
+        InputError: several garments, or one that cannot be loaded.
+    """
+    if len(scene.garments) != 1:
+        names = [garment.name for garment in scene.garments]
+        raise InputError("one garment at a time", key="garment", received=names, expected="one [[garment]]")
+    settings = scene.garments[0]
+    return settings, load_garment(settings.mesh, pattern=settings.pattern)
+
+
+def pattern_of(scene: Scene) -> np.ndarray | None:
+    """Place of each corner of each face that is simulated in the flat pattern of a scene's only garment [m].
+
+    Returns:
+        shape (m, 3, 2); None without a pattern, or where it is that of a delivered fine mesh.
+
+    Raises:
+        InputError: as :func:`garment_of`.
+    """
+    settings, garment = garment_of(scene)
+    pattern = garment.pattern
+    if pattern is None or settings.coarse_vertices is not None:
+        return None
+    for _ in range(settings.coarse_subdivisions):
+        pattern = cut_corners(pattern)
+    return pattern
+
+
+def with_subdivisions(scene: Scene) -> Scene:
+    """The scene with the subdivisions that the folds of its fabrics need, where a garment does not name them.
+
+    Folds of a skirt change by less than 10 % with a finer mesh where the mean edge is at most ``EDGE_SHARE`` of the
+    fabric's gravity length; crumpled cloth needs more (``gube bench space``). The softest of the fabrics that the
+    garment is learned in counts. A delivered fine mesh is as fine as it is.
+
+    Raises:
+        InputError: a mesh that cannot be loaded.
+    """
+    return replace(scene, garments=tuple(_with_subdivisions(scene, garment) for garment in scene.garments))
+
+
+def _with_subdivisions(scene: Scene, settings: GarmentSettings) -> GarmentSettings:
+    if settings.subdivisions is not None:
+        return settings
+    if settings.coarse_vertices is not None:
+        return replace(settings, subdivisions=DELIVERED_SUBDIVISIONS)
+    garment = load_garment(settings.mesh, pattern=settings.pattern)
+    edge = float(ClothMesh.from_surface(garment.vertices, garment.faces).edge_lengths()[1].mean())
+    edge /= 2.0**settings.coarse_subdivisions
+    fabrics = [settings.fabric, *(PRESETS[name] for name in scene.training.fabrics)]
+    wanted = EDGE_SHARE * min(fabric.gravity_length for fabric in fabrics)
+    finest = MOST_SUBDIVISIONS if wanted == 0.0 else math.ceil(math.log2(edge / wanted))
+    return replace(settings, subdivisions=min(max(finest, 1), MOST_SUBDIVISIONS))
+
+
+def in_size(garment: Garment, settings: GarmentSettings, body_vertices: np.ndarray, body_faces: np.ndarray) -> Garment:
+    """The garment with the ease of the scene; vertices that are held on its own mesh stay where they are.
+
+    Raises:
+        InputError: as :func:`assets.ease.eased` and :func:`held_vertices`.
+    """
+    if not any(settings.ease):
+        return garment
+    seams = None if settings.seams is None else load_seams(settings.seams, len(garment.vertices))
+    held = np.zeros(0, np.int64)
+    if settings.coarse_vertices is None:  # otherwise numbers of loops and vertices are those of another mesh
+        held = np.union1d(held_vertices(garment, settings), settings.pins).astype(np.int64)
+    try:
+        return eased(garment, settings.ease, held, body_vertices, body_faces, seams)
+    except InputError as error:
+        size = {"received": error.received, "expected": error.expected}
+        raise InputError(error.problem, file=garment.source, key="ease", **size) from error

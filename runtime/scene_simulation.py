@@ -1,0 +1,95 @@
+"""The simulation of a scene: its garments on their body, or one garment that hangs on its pins."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from assets.io.scene import GarmentSettings, Scene
+from pbd import InputError, Model, ModelOptions, build_model
+from pbd.attachment import Attachment
+from pbd.layers import layered
+from runtime.garment_mesh import garment_of, in_size, sewn_rest, subdivided, with_subdivisions
+from runtime.garment_setup import GarmentSetup, colliders_of, fabric_of, fine_options
+from runtime.simulation import Motion, Simulation, body_source
+from wrinkles.levels import Levels, build_levels
+
+__all__ = ["simulation_of"]
+
+
+def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion | None]:
+    """The simulation of a scene at its start: garments on a body, or one garment that hangs on its pins.
+
+    Args:
+        scene: with one garment, or on a body with several.
+        fine: simulate the subdivided mesh.
+
+    Returns:
+        the simulation at its start, and the motion of the body, None without one.
+
+    Raises:
+        InputError: as :meth:`GarmentSetup.of`; an attached garment without a body, or one that is pinned at a vertex
+            which it lacks.
+    """
+    scene = with_subdivisions(scene)
+    if scene.character is not None and len(scene.garments) > 1:
+        return _layers_of(scene, fine)
+    if scene.character is not None:
+        stage = GarmentSetup.of(scene)
+        settings, levels, motion = stage.settings, stage.levels, stage.motion()
+        source, pose = body_source(stage.body), motion.pose(0.0)
+    else:
+        settings, garment = garment_of(scene)
+        if settings.attach != "none" or settings.attach_vertices:
+            raise InputError("nothing to attach to", key="garment[0].attach", expected="pins, or a [character]")
+        if settings.limits is not None:
+            expected = "a [character]: limits are about where a body carries vertices"
+            raise InputError("nothing to be carried by", key="garment[0].limits", expected=expected)
+        if max(settings.pins, default=0) >= len(garment.vertices):
+            expected = f"0..{len(garment.vertices) - 1}"
+            raise InputError("no such vertex", key="garment[0].pins", received=max(settings.pins), expected=expected)
+        nothing = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
+        garment = in_size(garment, settings, *nothing)
+        pins = np.array(settings.pins, int)
+        garment, pins, _ = subdivided(garment, pins, None, settings.coarse_subdivisions)
+        levels = build_levels(
+            garment.vertices,
+            garment.faces,
+            pins,
+            *nothing,
+            settings.subdivision_count,
+            sewn=sewn_rest(garment),
+        )
+        motion = source = pose = None
+    attachment = levels.fine_attachment if fine else levels.coarse_attachment
+    options = fine_options(scene, settings.subdivisions_of_mesh) if fine else scene.solver.options()
+    model = _model_of(settings, levels, fine)
+    return Simulation(model, attachment if source else None, source, pose, options, colliders_of(scene)), motion
+
+
+def _model_of(settings: GarmentSettings, levels: Levels, fine: bool) -> Model:
+    """A garment of a scene, coarse or fine, in its fabric."""
+    mesh, held, limits = levels.coarse, levels.coarse_held, levels.coarse_limits
+    if fine:
+        mesh, held, limits = levels.fine, levels.fine_held, levels.fine_limits
+    return build_model(mesh, fabric_of(settings), held, ModelOptions(pressure=settings.pressure), limits=limits)
+
+
+def _layers_of(scene: Scene, fine: bool) -> tuple[Simulation, Motion]:
+    """All garments of a scene on its body, as one model."""
+    stages = [GarmentSetup.of(replace(scene, garments=(garment,))) for garment in scene.garments]
+    options = scene.solver.options()
+    if fine:
+        options = fine_options(scene, max(garment.subdivisions_of_mesh for garment in scene.garments))
+    models, attachments = [], []
+    for stage in stages:
+        levels = stage.levels
+        models.append(_model_of(stage.settings, levels, fine))
+        attachments.append(levels.fine_attachment if fine else levels.coarse_attachment)
+    joined = (
+        np.concatenate([getattr(part, name) for part in attachments]) for name in ("corners", "weights", "offset")
+    )
+    motion = stages[0].motion()
+    source, pose = body_source(stages[0].body), motion.pose(0.0)
+    return Simulation(layered(models), Attachment(*joined), source, pose, options, colliders_of(scene)), motion
