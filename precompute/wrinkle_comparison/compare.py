@@ -58,7 +58,7 @@ __all__ = [
 ]
 
 SUBSTEPS = (4, 6, 9, 14, 24, 36)  # of plain cloth on each mesh
-BRIEF = {"middle": (6, 14), "fine": (6, 14)}  # the same where little time is spent
+BRIEF = {"coarse": (6, 14), "middle": (6, 14), "fine": (6, 14)}  # the same where little time is spent
 ERRORS = {
     "band": "spectrum_band_error_max",
     "realism": "realism",
@@ -272,7 +272,7 @@ def _played(database: WrinkleDatabase, truth: Truth, brief: bool) -> list[Method
 def plain_methods(
     database: WrinkleDatabase, truth: Truth, *, report: Callable[[str], None] | None = None
 ) -> list[Method]:
-    """A few plain cloths on the meshes finer than the coarse one, with their figures.
+    """A few plain cloths on each mesh from the coarse one on, with their figures.
 
     Args:
         database: what was learned.
