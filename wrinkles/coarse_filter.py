@@ -4,7 +4,8 @@ The dictionary was trained on filtered coarse states, which have no folds of the
 """
 
 import numpy as np
-from scipy.sparse import csr_matrix, diags
+from scipy.sparse import csc_matrix, csr_matrix, diags, hstack
+from scipy.sparse.linalg import splu
 
 from pbd.bending import hinge_rows
 from pbd.engine import ensure_initialized, ti
@@ -13,6 +14,7 @@ from wrinkles.levels import Levels
 
 __all__ = ["CoarseFilter"]
 
+COLUMNS = 256  # that are solved for at once
 MIN_WEIGHT = 2e-3  # smaller weights are left out: the filter then reaches about three rings of vertices
 
 Vec4 = ti.types.ndarray(dtype=ti.math.vec4, ndim=1)
@@ -57,10 +59,21 @@ class CoarseFilter:
         weight = mesh.vertex_areas.copy()
         weight[levels.coarse_held] *= 1.0e3
         stiffness = (levels.cutoff / (2.0 * np.pi)) ** 4
-        whole = np.linalg.solve((diags(weight) + stiffness * bending).toarray(), np.diag(weight))
-        whole[np.abs(whole) < MIN_WEIGHT] = 0.0
-        whole[levels.coarse_held] = np.eye(count)[levels.coarse_held]
-        self.matrix = csr_matrix(whole / whole.sum(axis=1, keepdims=True))
+        factor = splu((diags(weight) + stiffness * bending).tocsc())
+        parts = []
+        for first in range(0, count, COLUMNS):  # the whole matrix would need count^2 numbers
+            last = min(first + COLUMNS, count)
+            some = np.zeros((count, last - first))
+            some[np.arange(first, last), np.arange(last - first)] = weight[first:last]
+            some = factor.solve(some)
+            some[np.abs(some) < MIN_WEIGHT] = 0.0
+            parts.append(csc_matrix(some))
+        matrix = hstack(parts).tolil()
+        matrix[levels.coarse_held] = 0.0
+        matrix[levels.coarse_held, levels.coarse_held] = 1.0
+        matrix = matrix.tocsr()
+        self.matrix = (diags(1.0 / np.asarray(matrix.sum(axis=1)).ravel()) @ matrix).tocsr()
+        self.matrix.sort_indices()
         self._start = self.matrix.indptr.astype(np.int32)
         self._index = self.matrix.indices.astype(np.int32)
         self._value = self.matrix.data.astype(np.float32)
