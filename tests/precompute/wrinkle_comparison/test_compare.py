@@ -54,7 +54,7 @@ def database() -> WrinkleDatabase:
     vertices, faces, held = tube()
     body = skirt_stage().body
     levels = build_levels(vertices, faces, held, body.vertices, body.faces, 2)
-    plain = skirt_database()
+    plain = skirt_database(subdivisions=2)
     bias = np.zeros((len(vertices), plain.mapping.place_bias.shape[1]))
     return replace(
         plain,
