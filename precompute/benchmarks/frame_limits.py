@@ -15,6 +15,7 @@ from pbd import Body, Model
 from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels
 from wrinkles.patches import Grid
+from wrinkles.relaxation import full_passes
 
 __all__ = ["MachineSpeed", "cloth_bytes", "layer_bytes", "machine_speed", "network_products", "normal_bytes"]
 
@@ -23,7 +24,8 @@ COPIED = 2**24  # float32 that are copied: 64 MiB, more than the caches hold, wh
 WIDTH = 512  # of the matrix product that is measured
 # Bytes of a vertex: position and normal in float32, the state's position and velocity.
 POINT, POSITION, VELOCITY = 12, 16, 12
-FACE, EDGE = 12, 12  # three corners; two ends and a length
+FACE = 12  # three corners
+TRIANGLE, HINGE = FACE + 48, 16 + 32  # vertices and twelve numbers; vertices and eight numbers
 PLACE = 24  # of a fine vertex on the coarse mesh: three coarse vertices and their weights
 
 
@@ -90,15 +92,16 @@ def layer_bytes(levels: Levels, body: Body) -> dict[str, float]:
     """Bytes that the parts of the wrinkle layer must at least read and write, by part.
 
     The surface reads coarse vertices, grids, means and the place of each fine vertex, and writes the fine vertices;
-    relaxation reads edges with their lengths, the body, and fine vertices, which it writes again.
+    relaxation reads the body, and in each pass the triangles, the hinges and the fine vertices, which it writes again.
     """
     coarse, fine = levels.subdivision.coarse_count, len(levels.fine.vertices)
-    edges, body_count = len(levels.fine.edge_lengths()[1]), len(body.current)
+    subdivisions, faces = len(levels.subdivision.steps), len(levels.fine.faces)
+    hinges = 3 * faces - len(levels.fine.edge_lengths()[1])  # edges with a face on both sides
+    each_pass = TRIANGLE * faces + HINGE * hinges + 2 * POSITION * fine
     return {
-        "surface": (POSITION + 4 * 3 * Grid.of(len(levels.subdivision.steps)).nodes) * coarse
-        + (2 * POINT + PLACE) * fine,
-        "relaxation": 2 * POINT * fine + EDGE * edges + 2 * POINT * body_count,
-        "normals": normal_bytes(fine, len(levels.fine.faces)),
+        "surface": (POSITION + 4 * 3 * Grid.of(subdivisions).nodes) * coarse + (2 * POINT + PLACE) * fine,
+        "relaxation": full_passes(subdivisions) * each_pass + 2 * POINT * (fine + len(body.current)),
+        "normals": normal_bytes(fine, faces),
     }
 
 
