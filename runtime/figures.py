@@ -133,6 +133,9 @@ FIGURES = {
         "a whole frame of the plain cloth that the cost advantage is about, median",
     ),
     "plain_substeps": Figure("substeps of plain cloth", "-", "substeps a frame of that plain cloth"),
+    "plain_passes": Figure(
+        "relaxation of plain cloth", "-", "relaxation passes of the fine mesh for what is shown of that plain cloth"
+    ),
     "plain_vertex_count": Figure("vertices of plain cloth", "-", "simulated vertices of that plain cloth"),
     "coarse_vertex_count": Figure("coarse vertices", "-", "of the garment that is simulated while playing"),
     "fine_vertex_count": Figure("fine vertices", "-", "of the garment that is drawn"),

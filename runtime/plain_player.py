@@ -1,4 +1,4 @@
-"""Plays the garment of a wrinkle database as plain cloth: a finer mesh is simulated, and no wrinkles are added.
+"""Plays the garment of a wrinkle database as plain cloth: a finer mesh is simulated, and no learned wrinkles are added.
 
 Where a comparison has found that plain cloth costs less and is as good, :func:`player_of` plays it.
 """
@@ -18,16 +18,18 @@ from pbd import InputError, Model, ModelOptions, build_model
 from pbd.contact.colliders import Primitive
 from pbd.wind import CALM, Air
 from runtime.moment import Moment
+from runtime.plain_surface import PlainSurface
 from runtime.player import PARTS, Player, check_drag, check_step
 from runtime.simulation import BodySource, Simulation, body_source
 from runtime.transitions import Interpolation
 from wrinkles.database import WrinkleDatabase
-from wrinkles.decoder import Upsampler
 from wrinkles.fine_normals import FineNormals
 from wrinkles.levels import Levels, held_between, levels_of
 from wrinkles.surface import Subdivision
 
 __all__ = ["PlainCloth", "PlainPlayer", "middle_levels", "plain_choice", "plain_model", "player_of"]
+
+MAX_PASSES = 16  # of relaxation; more are dearer than the substeps that they stand for
 
 
 class PlainCloth(NamedTuple):
@@ -37,10 +39,12 @@ class PlainCloth(NamedTuple):
         cuts: how often the database's coarse mesh is subdivided before it is simulated: 0 for the coarse mesh, the
             database's ``subdivisions`` for the fine one.
         substeps: in a tick.
+        passes: of relaxation of the fine mesh for what is shown; 0 shows the smooth surface.
     """
 
     cuts: int
     substeps: int
+    passes: int = 0
 
 
 def plain_choice(database: WrinkleDatabase) -> PlainCloth | None:
@@ -50,7 +54,8 @@ def plain_choice(database: WrinkleDatabase) -> PlainCloth | None:
         return None
     for cuts in range(database.subdivisions + 1):
         if _vertex_count(database, cuts) == quality["plain_vertex_count"]:
-            return PlainCloth(cuts, int(quality["plain_substeps"]))
+            # Databases that were compared before plain cloth could come to rest do not name the passes.
+            return PlainCloth(cuts, int(quality["plain_substeps"]), int(quality.get("plain_passes", 0)))
     return None  # the mesh below the coarse one, on which a player can carry the coarse one itself
 
 
@@ -125,8 +130,9 @@ class PlainPlayer:
         primitives: Iterable[Primitive] = (),
     ) -> None:
         database.require_body(body)
-        if not (0 <= cloth.cuts <= database.subdivisions and cloth.substeps >= 1):
-            expected = f"0 to {database.subdivisions} cuts and at least 1 substep"
+        most = MAX_PASSES if cloth.cuts < database.subdivisions else 0  # the fine mesh itself has no finer folds
+        if not (0 <= cloth.cuts <= database.subdivisions and cloth.substeps >= 1 and 0 <= cloth.passes <= most):
+            expected = f"0 to {database.subdivisions} cuts, at least 1 substep and 0 to {most} passes"
             raise InputError("no such plain cloth", key="cloth", received=tuple(cloth), expected=expected)
         bind_pose = body.bind_pose() if isinstance(body, Character) else body.vertices[0]
         start = bind_pose if pose is None else pose
@@ -136,6 +142,7 @@ class PlainPlayer:
         source = body_source(body)
         self.levels: Levels = database.levels(source.vertices, source.faces)
         self.subdivision: Subdivision | None = None
+        self._surface: PlainSurface | None = None
         if cloth.cuts == database.subdivisions:
             fine = self.levels
             options = ModelOptions(pressure=database.options.pressure)
@@ -146,7 +153,7 @@ class PlainPlayer:
             assert simulated is not None
             model, attachment = plain_model(database, simulated), simulated.coarse_attachment
             self.subdivision = simulated.subdivision
-        self._upsample = None if self.subdivision is None else Upsampler(self.subdivision)
+            self._surface = PlainSurface(simulated, database.fabric, database.bend_factor, source, cloth.passes)
         solver = replace(database.solver, substep=1.0 / (database.frame_rate * cloth.substeps))
         self.simulation = Simulation(model, attachment, source, start, solver, primitives)
         self._between, self._alpha = Interpolation(self.simulation), 1.0
@@ -204,11 +211,11 @@ class PlainPlayer:
             alpha: 0 for the state before the last step, 1 for the one after it, in between interpolated.
         """
         began, self._alpha = time.perf_counter(), alpha
-        position, _ = self._between.at(alpha)
-        if self._upsample is None:
+        position, body_vertices = self._between.at(alpha)
+        if self._surface is None:
             self.vertices[:] = position[:, :3]
         else:
-            self._upsample(position, self.vertices)
+            self._surface(position, self.simulation.state, self.simulation.body, body_vertices, self.vertices)
         made = time.perf_counter()
         self._write_normals(self.vertices, self.normals)
         timings = self.timings
@@ -233,7 +240,7 @@ class PlainPlayer:
 
     def keep(self) -> Moment:
         """The present moment, to which :meth:`go_back` returns."""
-        return Moment.of(self.simulation)
+        return Moment.of(self.simulation, () if self._surface is None else self._surface.memory)
 
     def go_back(self, moment: Moment, pose: np.ndarray) -> None:
         """Show a kept moment and play on from it. A vertex that was dragged then is free.
@@ -247,6 +254,8 @@ class PlainPlayer:
         """
         check_step(pose, self._pose_shape)
         moment.put_back(self.simulation, pose)
+        if self._surface is not None:
+            self._surface.memory = moment.memory
         self._between.remember()
         self.decode()
 

@@ -60,7 +60,14 @@ __all__ = [
 
 MIN_COMPRESSED_SIZE = 4096  # arrays of this size or more are stored in compressed chunks [bytes]
 HDF5_VERSIONS = ("v110", "v110")  # lowest and highest; headers of 1.10 take a third of the space of older ones
-CHOICE = ("cost_advantage", "cost_advantage_is_at_least", "plain_frame_ms", "plain_substeps", "plain_vertex_count")
+CHOICE = (
+    "cost_advantage",
+    "cost_advantage_is_at_least",
+    "plain_frame_ms",
+    "plain_substeps",
+    "plain_vertex_count",
+    "plain_passes",
+)
 """Figures of a database's quality by which plain cloth is the better choice or not, for the garment's own fabric."""
 COMPRESSION = {"chunks": True, "shuffle": True, "compression": "gzip"}
 

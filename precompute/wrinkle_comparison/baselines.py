@@ -22,6 +22,7 @@ from precompute.learning.evaluation import Truth
 from precompute.learning.recording import Run, body_source
 from runtime.level_of_detail import LevelOfDetail
 from runtime.plain_player import middle_levels, plain_model
+from runtime.plain_surface import PlainSurface
 from runtime.player import Player
 from runtime.simulation import BodySource, Simulation
 from wrinkles.database import WrinkleDatabase
@@ -76,6 +77,8 @@ class Cloth:
         options: of the solver.
         subdivision: from the simulated mesh to the fine one; None where they are the same.
         fine_faces: of the fine mesh.
+        levels: from the simulated mesh to the fine one; None for what cannot be relaxed.
+        passes: of relaxation of the fine mesh for what is shown.
     """
 
     model: Model
@@ -85,6 +88,8 @@ class Cloth:
     options: SolverOptions
     subdivision: Subdivision | None
     fine_faces: np.ndarray
+    levels: Levels | None = None
+    passes: int = 0
 
     def simulation(self, options: SolverOptions) -> Simulation:
         """One at the first pose."""
@@ -140,7 +145,13 @@ class ClothTurn:
 
     def __init__(self, cloth: Cloth, keep: np.ndarray) -> None:
         self._cloth, self._simulation = cloth, cloth.simulation(cloth.options)
-        self._upsample = None if cloth.subdivision is None else Upsampler(cloth.subdivision)
+        run = cloth.run
+        self._surface: Upsampler | PlainSurface | None = None
+        if cloth.passes:
+            assert cloth.levels is not None
+            self._surface = PlainSurface(cloth.levels, run.fabric, run.bend_factor, cloth.source, cloth.passes)
+        elif cloth.subdivision is not None:
+            self._surface = Upsampler(cloth.subdivision)
         count = cloth.model.vertex_count if cloth.subdivision is None else cloth.subdivision.fine_count
         self._vertices, self._normals = np.zeros((2, count, 3), np.float32)
         self._shade = Launch(surface_normals)  # as the player calls it, so that baselines do not pay for calls
@@ -158,10 +169,13 @@ class ClothTurn:
             began = time.process_time()
             self._simulation.step(run.poses[frame], run.dt, run.wind)
             state = self._simulation.state
-            if self._upsample is None:
+            body = self._simulation.body
+            if self._surface is None:
                 self._vertices[:] = state.position[:, :3]
+            elif isinstance(self._surface, PlainSurface):
+                self._surface(state.position, state, body, body.current, self._vertices)
             else:
-                self._upsample(state.position, self._vertices)
+                self._surface(state.position, self._vertices)
             self._shade(self._vertices, self._cloth.fine_faces, self._normals)
             spent = 1e3 * (time.process_time() - began)
             whole = np.isfinite(state.velocity).all() and np.ptp(state.position[:, :3], axis=0).max() < self._burst
@@ -330,4 +344,4 @@ def _plain_cloth(database: WrinkleDatabase, run: Run, levels: Levels, options: M
     solver = replace(database.solver, substep=database.solver.substep / 2.0**cuts)
     source = body_source(run.body)
     model = plain_model(database, levels, options)
-    return Cloth(model, levels.coarse_attachment, source, run, solver, levels.subdivision, levels.fine.faces)
+    return Cloth(model, levels.coarse_attachment, source, run, solver, levels.subdivision, levels.fine.faces, levels)

@@ -43,6 +43,7 @@ from runtime.player import Player
 from wrinkles.database import WrinkleDatabase, code_version, read_database, write_database
 from wrinkles.metrics import edge_stretch
 from wrinkles.proxy_mesh import proxy_mesh_of
+from wrinkles.relaxation import full_passes
 from wrinkles.spectrum import LowPass
 
 __all__ = [
@@ -187,6 +188,7 @@ class Comparison:
             "plain_frame_ms": found.cloth.frame_ms,
             "plain_substeps": found.cloth.settings["substeps a frame"],
             "plain_vertex_count": found.cloth.settings["simulated vertices"],
+            "plain_passes": found.cloth.settings.get("relaxation passes", 0.0),
         }
 
     @property
@@ -315,6 +317,11 @@ def _plain_turns(
             name = f"{mesh.replace('_', ' ')} {kind}, {substeps} substeps"
             method = Method(f"plain_{mesh}_{substeps}_", name, 0.0, {}, _settings(tried), mesh=mesh)
             found.append((method, ClothTurn(tried, keep)))
+            if cloth.levels is not None:
+                rested = replace(tried, passes=full_passes(len(cloth.levels.subdivision.steps)))
+                settings, called = _settings(rested), f"{name}, at rest"
+                method = Method(f"plain_{mesh}_{substeps}_at_rest_", called, 0.0, {}, settings, mesh=mesh)
+                found.append((method, ClothTurn(rested, keep)))
     return found
 
 
@@ -362,6 +369,7 @@ def _settings(cloth: Cloth) -> dict[str, float]:
         "simulated vertices": cloth.model.vertex_count,
         "substeps a frame": cloth.substeps,
         "substep [s]": cloth.run.dt / cloth.substeps,
+        "relaxation passes": cloth.passes,
     }
 
 

@@ -24,9 +24,9 @@ COUNTS = [
 ]
 
 
-def judged(cuts: int, ratio: float = 0.5, at_least: float = 0.0) -> WrinkleDatabase:
+def judged(cuts: int, ratio: float = 0.5, at_least: float = 0.0, passes: int = 0) -> WrinkleDatabase:
     """A database with a comparison's figures."""
-    figures = dict(zip(CHOICE, (ratio, at_least, 2.0, 5.0, float(COUNTS[cuts])), strict=True))
+    figures = dict(zip(CHOICE, (ratio, at_least, 2.0, 5.0, float(COUNTS[cuts]), float(passes)), strict=True))
     return skirt_database(subdivisions=2, quality=figures)
 
 
@@ -39,6 +39,9 @@ def poses() -> np.ndarray:
 def test_plain_cloth_is_chosen_where_it_is_cheaper_and_as_good() -> None:
     assert plain_choice(TWICE) is None
     assert [plain_choice(judged(cuts)) for cuts in range(3)] == [PlainCloth(cuts, 5) for cuts in range(3)]
+    assert plain_choice(judged(1, passes=1)) == PlainCloth(1, 5, passes=1)
+    earlier = {name: value for name, value in judged(1).quality.items() if name != "plain_passes"}
+    assert plain_choice(skirt_database(subdivisions=2, quality=earlier)) == PlainCloth(1, 5)
     assert plain_choice(judged(1, ratio=1.0)) is None
     assert plain_choice(judged(1, at_least=1.0)) is None
 
@@ -69,6 +72,38 @@ def test_it_starts_as_the_smooth_garment_and_stays_attached(cuts: int, poses: np
     assert player.timings["frame"] == pytest.approx(sum(t for part, t in player.timings.items() if part != "frame"))
 
 
+@pytest.mark.parametrize("cuts", [0, 1])
+def test_its_fine_mesh_comes_to_rest(cuts: int, poses: np.ndarray) -> None:
+    body, database = skirt_stage().body, judged(cuts)
+    smooth, rested = (PlainPlayer(database, body, PlainCloth(cuts, 5, passes), poses[0]) for passes in (0, 4))
+    for pose in poses[1:]:
+        smooth.update(pose, 1.0 / 60.0)
+        rested.update(pose, 1.0 / 60.0)
+    assert smooth.simulation.state.hash() == rested.simulation.state.hash()  # what is shown does not act back
+    edges, lengths = rested.levels.fine.edge_lengths()
+
+    def stretch(player: PlainPlayer) -> float:
+        sides = player.vertices[edges[:, 0]] - player.vertices[edges[:, 1]]
+        return float(np.abs(np.linalg.norm(sides, axis=1) / lengths - 1.0).mean())
+
+    assert stretch(rested) < 0.9 * stretch(smooth)
+    targets = rested.levels.fine_attachment.targets(rested.body_vertices)
+    # The middle mesh is subdivided to the same surface but for the rounding of its own bind pose.
+    np.testing.assert_allclose(rested.vertices[rested.levels.fine_held], targets, atol=1e-4)
+
+
+def test_a_kept_moment_comes_back_with_its_rest(poses: np.ndarray) -> None:
+    player = PlainPlayer(TWICE, skirt_stage().body, PlainCloth(1, 4, 1), poses[0])
+    for pose in poses[1:4]:
+        player.update(pose, 1.0 / 60.0)
+    moment = player.keep()
+    player.update(poses[4], 1.0 / 60.0)
+    after = player.vertices.copy()
+    player.go_back(moment, poses[3])
+    player.update(poses[4], 1.0 / 60.0)
+    np.testing.assert_array_equal(player.vertices, after)
+
+
 def test_the_wrinkles_are_played_where_they_are_asked_for(poses: np.ndarray) -> None:
     assert isinstance(player_of(judged(1), skirt_stage().body, poses[0], wrinkles=True), Player)
 
@@ -95,7 +130,8 @@ def test_a_game_loop_plays_it_between_ticks(poses: np.ndarray) -> None:
 
 def test_bad_input_is_refused(poses: np.ndarray) -> None:
     body = skirt_stage().body
-    for cloth in (PlainCloth(3, 5), PlainCloth(-1, 5), PlainCloth(1, 0)):
+    wrong = (3, 5), (-1, 5), (1, 0), (1, 5, -1), (1, 5, 99), (2, 5, 1)
+    for cloth in (PlainCloth(*values) for values in wrong):
         with pytest.raises(InputError, match="plain cloth"):
             PlainPlayer(TWICE, body, cloth, poses[0])
     player = PlainPlayer(TWICE, body, PlainCloth(1, 4), poses[0])

@@ -167,12 +167,12 @@ def test_a_database_says_which_is_the_better_choice(tmp_path: Path, database: Wr
         assert words in info_text(path)[0]
 
 
-@pytest.mark.parametrize("cuts", [0, 1, 2])
-def test_what_is_played_is_what_was_compared(cuts: int, database: WrinkleDatabase, truth: Truth) -> None:
+@pytest.mark.parametrize(("cuts", "passes"), [(0, 0), (1, 0), (2, 0), (0, 2), (1, 1)])
+def test_what_is_played_is_what_was_compared(cuts: int, passes: int, database: WrinkleDatabase, truth: Truth) -> None:
     run, keep = truth.run, np.array([2, 4, 8])
     cloth = list(plain_cloths(database, run).values())[cuts].with_substeps(6)
-    compared = cloth.play(keep, 8).frames
-    player = PlainPlayer(database, run.body, PlainCloth(cuts, 6), run.poses[0], run.primitives)
+    compared = replace(cloth, passes=passes).play(keep, 8).frames
+    player = PlainPlayer(database, run.body, PlainCloth(cuts, 6, passes), run.poses[0], run.primitives)
     for number in range(1, 9):
         player.update(run.poses[number], run.dt, run.wind)
         if number in keep:
