@@ -194,7 +194,7 @@ def _pictures(comparison: Comparison) -> list[Section]:
 
 
 def _called(method: Method) -> str:
-    return f"the {method.name.replace(', ', ' with ')}" if method.mesh else method.name
+    return f"the {method.name.replace(', ', ' with ', 1)}" if method.mesh else method.name
 
 
 def _group(method: Method) -> str:
