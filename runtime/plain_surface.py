@@ -21,12 +21,14 @@ class PlainSurface:
     Args:
         levels: from the simulated mesh to the fine one.
         fabric: of the garment.
-        bend_factor: hinge factor of its meshes, see :func:`pbd.bending.hinge_calibration`.
+        bend_factor: hinge factor of its meshes, see :func:`pbd.bending.hinge_calibration`; None finds it.
         source: the body, in its bind pose.
         passes: of relaxation; 0 draws the smooth surface.
     """
 
-    def __init__(self, levels: Levels, fabric: Fabric, bend_factor: float, source: BodySource, passes: int) -> None:
+    def __init__(
+        self, levels: Levels, fabric: Fabric, bend_factor: float | None, source: BodySource, passes: int
+    ) -> None:
         self._levels, self._passes = levels, passes
         self._upsample = Upsampler(levels.subdivision)
         self._relax: Relaxation | None = None

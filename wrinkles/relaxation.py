@@ -298,7 +298,12 @@ class Relaxation:
 
     @classmethod
     def of(
-        cls, levels: Levels, body_vertices: np.ndarray, body_faces: np.ndarray, fabric: Fabric, bend_factor: float
+        cls,
+        levels: Levels,
+        body_vertices: np.ndarray,
+        body_faces: np.ndarray,
+        fabric: Fabric,
+        bend_factor: float | None,
     ) -> "Relaxation":
         """Relaxation of a garment on a body.
 
@@ -307,7 +312,7 @@ class Relaxation:
             body_vertices: of the body in its bind pose [m], shape (b, 3).
             body_faces: int, shape (k, 3).
             fabric: of the garment.
-            bend_factor: hinge factor of its meshes, see :func:`pbd.bending.hinge_calibration`.
+            bend_factor: hinge factor of its meshes, see :func:`pbd.bending.hinge_calibration`; None finds it.
         """
         edges, lengths = levels.fine.edge_lengths()
         longest = np.zeros(len(levels.fine.vertices))
