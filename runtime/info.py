@@ -145,7 +145,7 @@ def _choice(quality: Mapping[str, float]) -> list[tuple[str, str]]:
 
 def better_choice(quality: Mapping[str, float]) -> str:
     """Whether plain cloth is the better choice by the figures that a comparison left in a database."""
-    ratio = quality.get("cost_advantage")
+    ratio = quality.get("cost_advantage_both")
     if ratio is None:
         return "unknown: `gube compare` with this database finds out"
     passes = int(quality.get("plain_passes", 0))
@@ -155,7 +155,7 @@ def better_choice(quality: Mapping[str, float]) -> str:
         f"{relaxed}{quality['plain_frame_ms']:.2f} ms a frame"
     )
     ours = f"the wrinkles, {quality['plain_frame_ms'] / ratio:.2f} ms a frame"
-    if quality["cost_advantage_is_at_least"]:
+    if quality["cost_advantage_both_is_at_least"]:
         return f"{ours}; no plain cloth that was tried is as good, the dearest of {cloth}"
     if ratio < 1.0:
         return f"plain cloth of {cloth}; {ours}, are no better"

@@ -50,11 +50,16 @@ as its error."""
 
 def verdict(comparison: Comparison) -> str:
     """The cost advantage, the figures of all methods and where realism is lost, in text."""
-    ours, whole = comparison.method(""), comparison.cost_advantage()
+    ours, whole, both = comparison.method(""), comparison.cost_advantage(), comparison.cost_advantage_both()
     paragraphs = []
-    if whole is not None:
-        better = "plain cloth of equal error is the better choice" if whole.ratio < 1.0 else "ours pays"
-        paragraphs.append(f"Cost advantage {whole}: {better}.")
+    if whole is not None and both is not None:
+        if both.ratio < 1.0 and not both.at_least:
+            better = f"plain cloth of equal error is the better choice, the {_called(both.cloth).removeprefix('the ')}"
+        elif whole.ratio < 1.0:
+            better = "plain cloth is as good for less by one measure, but not by both, so ours is played"
+        else:
+            better = "ours pays"
+        paragraphs.append(f"Cost advantage {whole}: {better}. Over plain cloth as good by both measures: {both}.")
     for name, words in _WORDS.items():
         found = comparison.advantage(name)
         if found is not None:

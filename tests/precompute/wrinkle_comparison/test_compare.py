@@ -149,7 +149,17 @@ def test_the_least_of_both_advantages_counts(truth: Truth) -> None:
     methods[0] = replace(methods[0], figures={**methods[0].figures, "realism": 0.22})
     figures = replace(comparison, methods=tuple(methods)).figures
     assert figures["cost_advantage_band"] == figures["cost_advantage"] == 2.0
-    assert figures["cost_advantage_realism"] == 5.0
+    assert figures["cost_advantage_realism"] == 5.0 == figures["cost_advantage_both"]
+
+
+def test_what_is_played_is_as_good_by_both_measures(truth: Truth) -> None:
+    comparison = rigged(truth, 0.3, (2.0, 0.25), (8.0, 0.2))
+    methods = list(comparison.methods)
+    methods[1] = replace(methods[1], figures={**methods[1].figures, "realism": 0.9})  # cheap, good by bands alone
+    comparison = replace(comparison, methods=tuple(methods))
+    assert comparison.figures["cost_advantage"] == 0.5 and comparison.choice["cost_advantage_both"] == 2.0
+    assert comparison.choice["plain_frame_ms"] == 8.0
+    assert "ours is played" in verdict(comparison)
 
 
 def test_a_database_says_which_is_the_better_choice(tmp_path: Path, database: WrinkleDatabase, truth: Truth) -> None:
@@ -291,9 +301,9 @@ def test_only_the_whole_held_out_motion_decides(
     monkeypatch.setattr(comparing, "compare", lambda *_, **__: rigged(truth, 0.3, (8.0, 0.3)))
     compare_file(path, tmp_path, seconds=2.0)
     compare_file(path, tmp_path, clip=database.held_out[0])
-    assert "cost_advantage" not in read_database(path).quality
+    assert "cost_advantage_both" not in read_database(path).quality
     compare_file(path, tmp_path)
-    assert read_database(path).quality["cost_advantage"] == 2.0
+    assert read_database(path).quality["cost_advantage_both"] == 2.0
 
 
 def test_a_database_that_cannot_be_written_costs_no_comparison(
