@@ -243,9 +243,11 @@ def test_free_runs_are_those_of_the_player(database: WrinkleDatabase, comparison
 def test_few_plain_cloths_are_as_in_the_whole_comparison(
     database: WrinkleDatabase, comparison: Comparison, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(comparing, "BRIEF", {"fine": (2,)})
-    (found,) = plain_methods(database, comparison.truth)
-    assert dict(found.figures) == dict(comparison.method("plain_fine_2_").figures)
+    monkeypatch.setattr(comparing, "BRIEF", (2,))
+    found = plain_methods(database, comparison.truth)
+    assert [method.prefix for method in found] == ["plain_middle_2_at_rest_", "plain_fine_2_"]
+    for method in found:
+        assert dict(method.figures) == dict(comparison.method(method.prefix).figures)
 
 
 def test_the_page_has_front_places_and_pictures(comparison: Comparison, tmp_path: Path) -> None:
