@@ -148,11 +148,10 @@ def better_choice(quality: Mapping[str, float]) -> str:
     ratio = quality.get("cost_advantage_both")
     if ratio is None:
         return "unknown: `gube compare` with this database finds out"
-    passes = int(quality.get("plain_passes", 0))
-    relaxed = f"relaxation passes {passes}, " if passes else ""
+    rest = ", at rest" if quality["plain_passes"] else ""
     cloth = (
-        f"{quality['plain_vertex_count']:.0f} vertices, {quality['plain_substeps']:.0f} substeps, "
-        f"{relaxed}{quality['plain_frame_ms']:.2f} ms a frame"
+        f"{quality['plain_vertex_count']:.0f} vertices, {quality['plain_substeps']:.0f} substeps{rest}, "
+        f"{quality['plain_frame_ms']:.2f} ms a frame"
     )
     ours = f"the wrinkles, {quality['plain_frame_ms'] / ratio:.2f} ms a frame"
     if quality["cost_advantage_both_is_at_least"]:

@@ -29,8 +29,6 @@ from wrinkles.surface import Subdivision
 
 __all__ = ["PlainCloth", "PlainPlayer", "middle_levels", "plain_choice", "plain_model", "player_of"]
 
-MAX_PASSES = 16  # of relaxation; more are dearer than the substeps that they stand for
-
 
 class PlainCloth(NamedTuple):
     """A way to play a garment as plain cloth.
@@ -54,8 +52,7 @@ def plain_choice(database: WrinkleDatabase) -> PlainCloth | None:
         return None
     for cuts in range(database.subdivisions + 1):
         if _vertex_count(database, cuts) == quality["plain_vertex_count"]:
-            # Databases that were compared before plain cloth could come to rest do not name the passes.
-            return PlainCloth(cuts, int(quality["plain_substeps"]), int(quality.get("plain_passes", 0)))
+            return PlainCloth(cuts, int(quality["plain_substeps"]), int(quality["plain_passes"]))
     return None  # the mesh below the coarse one, on which a player can carry the coarse one itself
 
 
@@ -130,9 +127,11 @@ class PlainPlayer:
         primitives: Iterable[Primitive] = (),
     ) -> None:
         database.require_body(body)
-        most = MAX_PASSES if cloth.cuts < database.subdivisions else 0  # the fine mesh itself has no finer folds
-        if not (0 <= cloth.cuts <= database.subdivisions and cloth.substeps >= 1 and 0 <= cloth.passes <= most):
-            expected = f"0 to {database.subdivisions} cuts, at least 1 substep and 0 to {most} passes"
+        possible = cloth.passes == 0 if cloth.cuts == database.subdivisions else cloth.passes >= 0
+        if not (0 <= cloth.cuts <= database.subdivisions and cloth.substeps >= 1 and possible):
+            expected = (
+                f"0 to {database.subdivisions} cuts, at least 1 substep, no passes where the fine mesh is simulated"
+            )
             raise InputError("no such plain cloth", key="cloth", received=tuple(cloth), expected=expected)
         bind_pose = body.bind_pose() if isinstance(body, Character) else body.vertices[0]
         start = bind_pose if pose is None else pose

@@ -58,9 +58,7 @@ class PlainSurface:
         self._shade(self._points, self._levels.coarse.faces, self._normals)
         self._frames[:, 6:] = self._normals
         targets = self._levels.fine_attachment.targets(body_vertices)
-        self._relax(
-            fine, targets, self._frames, state.nearest, state.contact, body, body_vertices, self._passes
-        )  # fmt: skip
+        self._relax(fine, targets, self._frames, state.nearest, state.contact, body, body_vertices, self._passes)
 
     @property
     def memory(self) -> tuple[np.ndarray | int, ...]:

@@ -28,7 +28,6 @@ from runtime.simulation import BodySource, Simulation
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Upsampler
 from wrinkles.levels import Levels
-from wrinkles.surface import Subdivision
 
 __all__ = [
     "PROBE_FRAMES",
@@ -75,9 +74,8 @@ class Cloth:
         source: the body.
         run: gives the poses.
         options: of the solver.
-        subdivision: from the simulated mesh to the fine one; None where they are the same.
         fine_faces: of the fine mesh.
-        levels: from the simulated mesh to the fine one; None for what cannot be relaxed.
+        levels: from the simulated mesh to the fine one; None where they are the same.
         passes: of relaxation of the fine mesh for what is shown.
     """
 
@@ -86,9 +84,8 @@ class Cloth:
     source: BodySource
     run: Run
     options: SolverOptions
-    subdivision: Subdivision | None
     fine_faces: np.ndarray
-    levels: Levels | None = None
+    levels: Levels | None
     passes: int = 0
 
     def simulation(self, options: SolverOptions) -> Simulation:
@@ -146,13 +143,11 @@ class ClothTurn:
     def __init__(self, cloth: Cloth, keep: np.ndarray) -> None:
         self._cloth, self._simulation = cloth, cloth.simulation(cloth.options)
         run = cloth.run
-        self._surface: Upsampler | PlainSurface | None = None
-        if cloth.passes:
-            assert cloth.levels is not None
+        self._surface: PlainSurface | None = None
+        count = cloth.model.vertex_count
+        if cloth.levels is not None:
             self._surface = PlainSurface(cloth.levels, run.fabric, run.bend_factor, cloth.source, cloth.passes)
-        elif cloth.subdivision is not None:
-            self._surface = Upsampler(cloth.subdivision)
-        count = cloth.model.vertex_count if cloth.subdivision is None else cloth.subdivision.fine_count
+            count = cloth.levels.subdivision.fine_count
         self._vertices, self._normals = np.zeros((2, count, 3), np.float32)
         self._shade = Launch(surface_normals)  # as the player calls it, so that baselines do not pay for calls
         self._keeping = _Keeping(keep, count)
@@ -172,10 +167,8 @@ class ClothTurn:
             body = self._simulation.body
             if self._surface is None:
                 self._vertices[:] = state.position[:, :3]
-            elif isinstance(self._surface, PlainSurface):
-                self._surface(state.position, state, body, body.current, self._vertices)
             else:
-                self._surface(state.position, self._vertices)
+                self._surface(state.position, state, body, body.current, self._vertices)
             self._shade(self._vertices, self._cloth.fine_faces, self._normals)
             spent = 1e3 * (time.process_time() - began)
             whole = np.isfinite(state.velocity).all() and np.ptp(state.position[:, :3], axis=0).max() < self._burst
@@ -299,7 +292,7 @@ def fine_cloth(run: Run) -> Cloth:
     """The garment and the settings of the fine simulation itself."""
     levels = run.levels
     model = build_model(levels.fine, run.fabric, levels.fine_held, run.options, run.bend_factor, levels.fine_limits)
-    return Cloth(model, levels.fine_attachment, body_source(run.body), run, run.solver, None, levels.fine.faces)
+    return Cloth(model, levels.fine_attachment, body_source(run.body), run, run.solver, levels.fine.faces, None)
 
 
 def coarse_cloth(database: WrinkleDatabase, run: Run) -> Cloth:
@@ -314,8 +307,7 @@ def coarse_cloth(database: WrinkleDatabase, run: Run) -> Cloth:
         levels.coarse_limits,
     )
     source = body_source(run.body)
-    faces = levels.fine.faces
-    return Cloth(model, levels.coarse_attachment, source, run, database.solver, levels.subdivision, faces)
+    return Cloth(model, levels.coarse_attachment, source, run, database.solver, levels.fine.faces, levels)
 
 
 def middle_cloth(database: WrinkleDatabase, run: Run, options: ModelOptions | None = None) -> Cloth | None:
@@ -344,4 +336,4 @@ def _plain_cloth(database: WrinkleDatabase, run: Run, levels: Levels, options: M
     solver = replace(database.solver, substep=database.solver.substep / 2.0**cuts)
     source = body_source(run.body)
     model = plain_model(database, levels, options)
-    return Cloth(model, levels.coarse_attachment, source, run, solver, levels.subdivision, levels.fine.faces, levels)
+    return Cloth(model, levels.coarse_attachment, source, run, solver, levels.fine.faces, levels)

@@ -196,7 +196,7 @@ class Comparison:
             "plain_frame_ms": found.cloth.frame_ms,
             "plain_substeps": found.cloth.settings["substeps a frame"],
             "plain_vertex_count": found.cloth.settings["simulated vertices"],
-            "plain_passes": found.cloth.settings.get("relaxation passes", 0.0),
+            "plain_passes": found.cloth.settings.get("relaxation passes", 0),
         }
 
     @property

@@ -10,9 +10,9 @@ import pytest
 from pbd import InputError
 from runtime import command
 from runtime.game_loop import GameLoop, LiveInput
-from runtime.plain_player import PlainCloth, PlainPlayer, plain_choice, player_of
+from runtime.plain_player import PlainCloth, PlainPlayer, middle_levels, plain_choice, player_of
 from runtime.player import Player
-from runtime.simulation import poses_of
+from runtime.simulation import body_source, poses_of
 from tests.runtime.players import skirt_database, skirt_stage
 from wrinkles.database import CHOICE, LearnedFabric, WrinkleDatabase, write_database
 from wrinkles.surface import Subdivision
@@ -40,8 +40,6 @@ def test_plain_cloth_is_chosen_where_it_is_cheaper_and_as_good() -> None:
     assert plain_choice(TWICE) is None
     assert [plain_choice(judged(cuts)) for cuts in range(3)] == [PlainCloth(cuts, 5) for cuts in range(3)]
     assert plain_choice(judged(1, passes=1)) == PlainCloth(1, 5, passes=1)
-    earlier = {name: value for name, value in judged(1).quality.items() if name != "plain_passes"}
-    assert plain_choice(skirt_database(subdivisions=2, quality=earlier)) == PlainCloth(1, 5)
     assert plain_choice(judged(1, ratio=1.0)) is None
     assert plain_choice(judged(1, at_least=1.0)) is None
 
@@ -86,22 +84,27 @@ def test_its_fine_mesh_comes_to_rest(cuts: int, poses: np.ndarray) -> None:
         sides = player.vertices[edges[:, 0]] - player.vertices[edges[:, 1]]
         return float(np.abs(np.linalg.norm(sides, axis=1) / lengths - 1.0).mean())
 
-    assert stretch(rested) < 0.9 * stretch(smooth)
-    targets = rested.levels.fine_attachment.targets(rested.body_vertices)
-    # The middle mesh is subdivided to the same surface but for the rounding of its own bind pose.
-    np.testing.assert_allclose(rested.vertices[rested.levels.fine_held], targets, atol=1e-4)
+    assert stretch(rested) < 0.6 * stretch(smooth)
+    simulated = middle_levels(database, body_source(body)) if cuts else rested.levels
+    assert simulated is not None
+    targets = simulated.fine_attachment.targets(rested.body_vertices)
+    np.testing.assert_allclose(rested.vertices[simulated.fine_held], targets, rtol=0.0, atol=1e-7)  # float32
 
 
 def test_a_kept_moment_comes_back_with_its_rest(poses: np.ndarray) -> None:
-    player = PlainPlayer(TWICE, skirt_stage().body, PlainCloth(1, 4, 1), poses[0])
+    cloth, body = PlainCloth(1, 4, 1), skirt_stage().body
+    player, other = (PlainPlayer(TWICE, body, cloth, poses[0]) for _ in range(2))
     for pose in poses[1:4]:
         player.update(pose, 1.0 / 60.0)
+        other.update(pose, 1.0 / 60.0)
     moment = player.keep()
-    player.update(poses[4], 1.0 / 60.0)
-    after = player.vertices.copy()
+    for pose in poses[4:9]:
+        player.update(pose, 1.0 / 60.0)
     player.go_back(moment, poses[3])
-    player.update(poses[4], 1.0 / 60.0)
-    np.testing.assert_array_equal(player.vertices, after)
+    other.decode()  # as often as the one that went back
+    np.testing.assert_array_equal(player.vertices, other.vertices)
+    for one, two in zip(player.keep().memory, other.keep().memory, strict=True):
+        np.testing.assert_array_equal(one, two)
 
 
 def test_the_wrinkles_are_played_where_they_are_asked_for(poses: np.ndarray) -> None:
@@ -130,7 +133,7 @@ def test_a_game_loop_plays_it_between_ticks(poses: np.ndarray) -> None:
 
 def test_bad_input_is_refused(poses: np.ndarray) -> None:
     body = skirt_stage().body
-    wrong = (3, 5), (-1, 5), (1, 0), (1, 5, -1), (1, 5, 99), (2, 5, 1)
+    wrong = (3, 5), (-1, 5), (1, 0), (1, 5, -1), (2, 5, 1)
     for cloth in (PlainCloth(*values) for values in wrong):
         with pytest.raises(InputError, match="plain cloth"):
             PlainPlayer(TWICE, body, cloth, poses[0])

@@ -106,6 +106,7 @@ def plain_source() -> DatabaseSource:
         "cost_advantage_both_is_at_least": 0.0,
         "plain_frame_ms": 1.0,
         "plain_substeps": 4.0,
+        "plain_passes": 1.0,
         "plain_vertex_count": float(len(source.database.coarse_vertices)),
     }
     return replace(source, database=replace(source.database, quality=quality))
