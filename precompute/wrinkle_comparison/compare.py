@@ -59,7 +59,7 @@ __all__ = [
 ]
 
 SUBSTEPS = (4, 6, 9, 14, 24, 36)  # of plain cloth on each mesh
-BRIEF = (6, 14)  # of the mesh below the fine one, at rest, where little time is spent; the last one of the fine mesh
+BRIEF = (6, 14)  # the same where little time is spent: of the mesh below the fine one; the first of coarser meshes
 ERRORS = {
     "band": "spectrum_band_error_max",
     "realism": "realism",
@@ -285,7 +285,7 @@ def _played(database: WrinkleDatabase, truth: Truth, brief: bool) -> list[Method
 def plain_methods(
     database: WrinkleDatabase, truth: Truth, *, report: Callable[[str], None] | None = None
 ) -> list[Method]:
-    """A few plain cloths on the fine mesh and the one below it, with their figures.
+    """A few plain cloths on each mesh below the fine one, with their figures.
 
     Args:
         database: what was learned.
@@ -322,16 +322,15 @@ def _plain_turns(
             )
             found.append((method, PlayerTurn(database, run, keep, detail)))
     clothes = plain_cloths(database, run)
-    # Coarser meshes lack the shortest octaves, and without coming to rest so does the mesh below the fine one.
-    few = {list(clothes)[-2]: BRIEF, "fine": BRIEF[-1:]}
+    *coarser, below, fine = clothes
+    few = dict.fromkeys(coarser, BRIEF[:1]) | {below: BRIEF, fine: ()}  # the fine cloth is dearest and seldom decides
     for mesh, cloth in clothes.items():
-        for substeps in few.get(mesh, ()) if brief else SUBSTEPS:
+        for substeps in few[mesh] if brief else SUBSTEPS:
             tried = cloth.with_substeps(substeps)
             kind = "mesh" if mesh != "fine" else "cloth"
             name = f"{mesh.replace('_', ' ')} {kind}, {substeps} substeps"
             method = Method(f"plain_{mesh}_{substeps}_", name, 0.0, {}, _settings(tried), mesh=mesh)
-            if not brief or cloth.levels is None:
-                found.append((method, ClothTurn(tried, keep)))
+            found.append((method, ClothTurn(tried, keep)))
             if cloth.levels is not None:
                 rested = replace(tried, passes=full_passes(len(cloth.levels.subdivision.steps)))
                 settings, called = _settings(rested), f"{name}, at rest"

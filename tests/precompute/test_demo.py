@@ -86,7 +86,7 @@ def test_the_page_begins_with_what_a_newcomer_wants_to_know(ran: Ran) -> None:
     figures = ran.made.figures
     assert f"{figures['normal_error_deg']:.1f} degrees" in page.replace("\n", " ")
     assert f"{figures['normal_error_smooth_deg']:.1f} degrees" in page.replace("\n", " ")
-    assert "middle mesh" in page or "fine cloth" in page
+    assert "coarse mesh" in page
 
 
 def test_words_are_borne_out_by_figures() -> None:

@@ -245,7 +245,9 @@ def test_few_plain_cloths_are_as_in_the_whole_comparison(
 ) -> None:
     monkeypatch.setattr(comparing, "BRIEF", (2,))
     found = plain_methods(database, comparison.truth)
-    assert [method.prefix for method in found] == ["plain_middle_2_at_rest_", "plain_fine_2_"]
+    assert [method.prefix for method in found] == [
+        f"plain_{mesh}_2_{rest}" for mesh in ("coarse", "middle") for rest in ("", "at_rest_")
+    ]
     for method in found:
         assert dict(method.figures) == dict(comparison.method(method.prefix).figures)
 
