@@ -10,20 +10,59 @@ import numpy as np
 from pbd.contact.strain_limits import MAX_STRETCH
 from pbd.errors import InputError
 from pbd.limits import Limits
-from pbd.mesh import ClothMesh, Hinges
+from pbd.mesh import ClothMesh, Hinges, hinges_of
 from pbd.model import BLOCK, Model, blocks_of
 
-__all__ = ["layered"]
+__all__ = ["layered", "parts_of"]
 
 
-def layered(models: Sequence[Model]) -> Model:
-    """One model of several garments, from the innermost outwards; its vertices, and those held, come in that order.
+def parts_of(mesh: ClothMesh, layer: np.ndarray) -> list[tuple[ClothMesh, np.ndarray]]:
+    """The garments of one mesh, from the innermost outwards.
+
+    Args:
+        mesh: of all garments.
+        layer: number of the garment that each vertex belongs to, int, shape (n,).
+
+    Returns:
+        mesh of each garment, and the numbers of its vertices in the mesh of all, ascending, int, shape (k,).
+    """
+    found = []
+    for number in range(int(layer.max()) + 1):
+        vertices = np.flatnonzero(layer == number)
+        own_number = np.full(len(layer), -1, np.int32)
+        own_number[vertices] = np.arange(len(vertices))
+        faces, sewn = layer[mesh.faces[:, 0]] == number, layer[mesh.stitches[:, 0]] == number
+        by_face = {name: getattr(mesh, name) for name in ("cloth_areas", "layers", "max_stretch")}
+        seams, bends = mesh.seam_hinges, mesh.rest_bends
+        if seams is not None:
+            across = layer[seams.vertices[:, 0]] == number
+            seams = Hinges(own_number[seams.vertices[across]], *(values[across] for values in seams[1:]))
+        if bends is not None:  # a garment's hinges are in the order that they have among all
+            bends = bends[layer[hinges_of(mesh.faces)[:, 0]] == number]
+        part = ClothMesh(
+            mesh.vertices[vertices],
+            own_number[mesh.faces[faces]],
+            mesh.flat[faces],
+            own_number[mesh.stitches[sewn]],
+            mesh.stitch_weights[sewn],
+            seams,
+            bends,
+            **{name: None if values is None else np.asarray(values)[faces] for name, values in by_face.items()},
+        )
+        found.append((part, vertices))
+    return found
+
+
+def layered(models: Sequence[Model], vertices: Sequence[np.ndarray] | None = None) -> Model:
+    """One model of several garments, from the innermost outwards.
 
     Contact knows one fabric: the greatest thickness of all, which does not give way, the least friction, and the drag
     of the innermost garment. Over 60 lines: most of them list the fields of a model.
 
     Args:
         models: from the innermost outwards, at least one.
+        vertices: numbers of each one's vertices in the model of all, ascending, int, shapes (k,); None numbers one
+            garment after the other.
 
     Raises:
         InputError: no garment, or garments with different factors on compression.
@@ -34,75 +73,89 @@ def layered(models: Sequence[Model]) -> Model:
     if len(scales) > 1:
         key, expected = "compression_compliance_scale", "one value for all"
         raise InputError("layers that differ", key=key, received=scales, expected=expected)
-    offsets = np.cumsum([0, *(model.vertex_count for model in models)])
+    counts = [model.vertex_count for model in models]
+    numbers = np.split(np.arange(sum(counts)), np.cumsum(counts)[:-1]) if vertices is None else list(vertices)
 
-    def shifted(name: str, of: Sequence = models) -> list[np.ndarray]:
-        return [getattr(part, name) + offset for part, offset in zip(of, offsets, strict=False)]
+    def renumbered(name: str, of: Sequence = models) -> np.ndarray:
+        parts = [number[getattr(part, name)] for part, number in zip(of, numbers, strict=True)]
+        return np.concatenate(parts).astype(np.int32)
 
     def joined(name: str) -> np.ndarray:
         return np.concatenate([getattr(model, name) for model in models])
 
-    def by_color(colors: str) -> tuple[np.ndarray, np.ndarray]:
-        counts = [np.diff(getattr(model, colors)) for model in models]
-        color = np.concatenate([np.repeat(np.arange(len(count)), count) for count in counts])
+    def by_vertex(values: Sequence[np.ndarray]) -> np.ndarray:
+        placed = np.zeros((sum(counts), *values[0].shape[1:]), values[0].dtype)
+        for number, value in zip(numbers, values, strict=True):
+            placed[number] = value
+        return placed
+
+    def by_color(colors: str, skip: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        sizes = [np.diff(getattr(model, colors))[skip:] for model in models]
+        color = np.concatenate([np.repeat(np.arange(len(size)), size) for size in sizes])
         ends = np.concatenate([[0], np.cumsum(np.bincount(color, minlength=1))]).astype(np.int32)
         return np.argsort(color, kind="stable"), ends
 
-    mesh = _joined_mesh([model.mesh for model in models], offsets)
-    # Vertices are the first colour of the samples of each garment, and so they are of all.
-    sample_order, sample_colors = by_color("sample_colors")
+    mesh = _joined_mesh([model.mesh for model in models], numbers)
+    # Vertices are the first colour of the samples: each one's own number is that of its sample.
+    edge_order, edge_colors = by_color("sample_colors", skip=1)
+    edges = np.concatenate([n[model.samples[len(n) :]] for model, n in zip(models, numbers, strict=True)])[edge_order]
+    alone = np.repeat(np.arange(sum(counts))[:, None], 2, axis=1)
     triangle_order, triangle_colors = by_color("triangle_colors")
     hinge_order, hinge_colors = by_color("hinge_colors")
     blocks, block_colors = blocks_of(triangle_colors)
     values = np.concatenate([model.triangle_data[:, : len(model.triangles)] for model in models], axis=1)[
         :, triangle_order
     ]
-    counts = [model.vertex_count for model in models]
     fabrics = [model.fabric for model in models]
     pressed = [np.resize(model.pressure, model.vertex_count) for model in models]  # nothing becomes zeros
     limits = [model.limits for model in models]
+    limited = renumbered("vertices", limits)
+    ascending = np.argsort(limited)
     thickness, friction = max(f.thickness for f in fabrics), min(f.friction for f in fabrics)
     return replace(
         models[0],
         mesh=mesh,
         fabric=replace(fabrics[0], thickness=thickness, friction=friction, compression=0.0),
-        mass=joined("mass"),
-        inverse_mass=joined("inverse_mass"),
-        held=np.concatenate(shifted("held")).astype(np.int32),
-        triangles=np.concatenate(shifted("triangles"))[triangle_order].astype(np.int32),
+        mass=by_vertex([model.mass for model in models]),
+        inverse_mass=by_vertex([model.inverse_mass for model in models]),
+        held=np.sort(renumbered("held")),
+        triangles=renumbered("triangles")[triangle_order],
         triangle_blocks=blocks,
         block_colors=block_colors,
         triangle_data=np.ascontiguousarray(np.pad(values, ((0, 0), (0, BLOCK)))),
         triangle_colors=triangle_colors,
-        hinges=np.concatenate(shifted("hinges"))[hinge_order].astype(np.int32),
+        hinges=renumbered("hinges")[hinge_order],
         hinge_data=joined("hinge_data")[hinge_order],
         hinge_colors=hinge_colors,
-        stitches=np.concatenate(shifted("stitches")).astype(np.int32),
+        stitches=renumbered("stitches"),
         stitch_weights=joined("stitch_weights"),
-        tethers=np.concatenate(shifted("tethers")).astype(np.int32),
+        tethers=renumbered("tethers"),
         tether_lengths=joined("tether_lengths"),
-        samples=np.concatenate(shifted("samples"))[sample_order].astype(np.int32),
-        sample_colors=sample_colors,
-        pressure=np.concatenate(pressed) if any(len(model.pressure) for model in models) else models[0].pressure,
+        samples=np.concatenate([alone, edges]).astype(np.int32),
+        sample_colors=np.concatenate([[0], len(alone) + edge_colors]).astype(np.int32),
+        pressure=by_vertex(pressed) if any(len(model.pressure) for model in models) else models[0].pressure,
         limits=Limits(
-            np.concatenate(shifted("vertices", limits)),
+            limited[ascending],
             *(
-                np.concatenate([getattr(part, name) for part in limits])
+                np.concatenate([getattr(part, name) for part in limits])[ascending]
                 for name in ("maximum_distance", "backstop", "stiffness")
             ),
         ),
-        layer=np.repeat(np.arange(len(models), dtype=np.int32), counts),
+        layer=by_vertex([np.full(count, number, np.int32) for number, count in enumerate(counts)]),
     )
 
 
-def _joined_mesh(meshes: Sequence[ClothMesh], offsets: np.ndarray) -> ClothMesh:
-    """One mesh of several; ``offsets``: number of each one's first vertex."""
-    placed = list(zip(meshes, offsets, strict=False))
+def _joined_mesh(meshes: Sequence[ClothMesh], numbers: Sequence[np.ndarray]) -> ClothMesh:
+    """One mesh of several; ``numbers``: of each one's vertices in it."""
+    placed = list(zip(meshes, numbers, strict=True))
+    vertices = np.zeros((sum(len(mesh.vertices) for mesh in meshes), 3))
+    for mesh, number in placed:
+        vertices[number] = mesh.vertices
     seam_hinges = None
     if any(mesh.seam_hinges is not None for mesh in meshes):
         parts = [
-            mesh.seam_hinges._replace(vertices=mesh.seam_hinges.vertices + offset)
-            for mesh, offset in placed
+            mesh.seam_hinges._replace(vertices=number[mesh.seam_hinges.vertices].astype(np.int32))
+            for mesh, number in placed
             if mesh.seam_hinges is not None
         ]
         seam_hinges = Hinges(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
@@ -112,10 +165,10 @@ def _joined_mesh(meshes: Sequence[ClothMesh], offsets: np.ndarray) -> ClothMesh:
             [np.full(len(m.faces), MAX_STRETCH) if m.max_stretch is None else m.max_stretch for m in meshes]
         )
     return ClothMesh(
-        np.concatenate([mesh.vertices for mesh in meshes]),
-        np.concatenate([mesh.faces + offset for mesh, offset in placed]).astype(np.int32),
+        vertices,
+        np.concatenate([number[mesh.faces] for mesh, number in placed]).astype(np.int32),
         np.concatenate([mesh.flat for mesh in meshes]),
-        np.concatenate([mesh.stitches + offset for mesh, offset in placed]).astype(np.int32),
+        np.concatenate([number[mesh.stitches] for mesh, number in placed]).astype(np.int32),
         np.concatenate([mesh.stitch_weights for mesh in meshes]),
         seam_hinges,
         max_stretch=max_stretch,

@@ -74,6 +74,16 @@ class Limits:
         law[soft, 2] = 1.0 / (self.stiffness[soft] * areas[self.vertices[soft]])
         return rows
 
+    def part(self, vertices: np.ndarray) -> Limits:
+        """Limits of some vertices, numbered among these.
+
+        Args:
+            vertices: ascending, int, shape (k,).
+        """
+        mine = np.isin(self.vertices, vertices)
+        own = np.searchsorted(vertices, self.vertices[mine])
+        return Limits(own, self.maximum_distance[mine], self.backstop[mine], self.stiffness[mine])
+
     def taken(self, stand_in: np.ndarray) -> Limits:
         """Limits of other vertices, each those of the vertex that stands for it, int, shape (k,)."""
         row = np.full(max(int(stand_in.max(initial=-1)), int(self.vertices.max(initial=-1))) + 1, -1)

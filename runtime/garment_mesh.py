@@ -24,6 +24,7 @@ __all__ = [
     "held_vertices",
     "in_size",
     "pattern_of",
+    "rest_of",
     "sewn_rest",
     "subdivided",
     "with_subdivisions",
@@ -130,6 +131,18 @@ def sewn_rest(garment: Garment) -> SewnRest | None:
     return SewnRest(garment.pattern, garment.layers, unlimited if garment.max_stretch is None else garment.max_stretch)
 
 
+def rest_of(garment: Garment) -> SewnRest:
+    """How a garment rests beside a sewn one: as it was sewn, or else face by face as its mesh."""
+    sewn = sewn_rest(garment)
+    if sewn is not None:
+        return sewn
+    pattern, count = garment.pattern, len(garment.faces)
+    if pattern is None:
+        sides = ClothMesh.from_surface(garment.vertices, garment.faces).flat.swapaxes(1, 2)
+        pattern = np.concatenate([np.zeros((count, 1, 2)), sides], axis=1)
+    return SewnRest(pattern, np.ones(count), np.full(count, MAX_STRETCH))
+
+
 def garment_of(scene: Scene) -> tuple[GarmentSettings, Garment]:
     """Settings and mesh of the only garment of a scene.
 
@@ -144,21 +157,23 @@ def garment_of(scene: Scene) -> tuple[GarmentSettings, Garment]:
 
 
 def pattern_of(scene: Scene) -> np.ndarray | None:
-    """Place of each corner of each face that is simulated in the flat pattern of a scene's only garment [m].
+    """Place of each corner of each face that is simulated in the flat patterns of a scene's garments [m].
 
     Returns:
-        shape (m, 3, 2); None without a pattern, or where it is that of a delivered fine mesh.
+        shape (m, 3, 2); None where a garment has no pattern, or has that of a delivered fine mesh.
 
     Raises:
-        InputError: as :func:`garment_of`.
+        InputError: a garment that cannot be loaded.
     """
-    settings, garment = garment_of(scene)
-    pattern = garment.pattern
-    if pattern is None or settings.coarse_vertices is not None:
-        return None
-    for _ in range(settings.coarse_subdivisions):
-        pattern = cut_corners(pattern)
-    return pattern
+    found = []
+    for settings in scene.garments:
+        pattern = load_garment(settings.mesh, pattern=settings.pattern).pattern
+        if pattern is None or settings.coarse_vertices is not None:
+            return None
+        for _ in range(settings.coarse_subdivisions):
+            pattern = cut_corners(pattern)
+        found.append(pattern)
+    return np.concatenate(found)
 
 
 def with_subdivisions(scene: Scene) -> Scene:

@@ -1,4 +1,4 @@
-"""Loads a scene with one garment on one body: the garment coarse and fine, the motions, and solids beside the body."""
+"""Loads a scene with garments on one body: the garments coarse and fine, the motions, and solids beside the body."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
 
 from assets.character import Character
 from assets.fabrics import PRESETS
@@ -18,21 +21,22 @@ from assets.io.sequence import Sequence, SequenceMotion
 from assets.limits import load_limits
 from assets.motion import ClipMotion, part_of
 from assets.procedural.exploration import exploration_clip, exploration_motion
-from pbd import Capsule, DistanceField, Fabric, InputError, Plane, SolverOptions, Sphere
+from pbd import Capsule, DistanceField, Fabric, InputError, Limits, Plane, SolverOptions, Sphere
 from runtime.garment_mesh import (
     coarse_garment,
-    garment_of,
     held_vertices,
     in_size,
+    rest_of,
     sewn_rest,
     subdivided,
     with_subdivisions,
 )
 from runtime.scene_body import body_of, clip_of, motion_of
 from runtime.simulation import Motion
+from wrinkles.binding import Binding
 from wrinkles.database import WrinkleDatabase
 from wrinkles.field import field_of_mesh
-from wrinkles.levels import Levels, build_levels
+from wrinkles.levels import Layers, Levels, build_levels
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -86,14 +90,87 @@ def fine_options(scene: Scene, subdivisions: int) -> SolverOptions:
     return replace(scene.solver.options(), substep=scene.training.substep / 2.0**subdivisions)
 
 
+class _Piece(NamedTuple):
+    """A garment as it is simulated: its coarse mesh, what binds a delivered fine mesh to it, and what holds it."""
+
+    garment: Garment
+    binding: Binding | None
+    held: np.ndarray
+    limits: Limits | None
+
+
+def _piece(number: int, settings: GarmentSettings, body_vertices: np.ndarray, body_faces: np.ndarray) -> _Piece:
+    """The garment of that number in a scene."""
+    if settings.pins:
+        expected = "attach or attach_vertices: pins hold a garment without a body"
+        key = f"garment[{number}].pins"
+        raise InputError("pins beside a body", key=key, received=settings.pins, expected=expected)
+    garment = load_garment(settings.mesh, pattern=settings.pattern)
+    garment = in_size(garment, settings, body_vertices, body_faces)
+    garment, binding = coarse_garment(garment, settings)
+    held = held_vertices(garment, settings)
+    limits = None if settings.limits is None else load_limits(settings.limits, len(garment.vertices))
+    garment, held, limits = subdivided(garment, held, limits, settings.coarse_subdivisions)
+    return _Piece(garment, binding, held, limits)
+
+
+def _outfit(scene: Scene, pieces: list[_Piece]) -> tuple[Scene, _Piece, Layers]:
+    """Several garments as one mesh; the scene in which all are subdivided equally often.
+
+    Raises:
+        InputError: settings that must be the same for all garments, or that an outfit cannot have.
+    """
+    garments = scene.garments
+    for number, (settings, piece) in enumerate(zip(garments, pieces, strict=True)):
+        if piece.binding is not None:
+            key, expected = f"garment[{number}].coarse_vertices", "a mesh that is simulated itself"
+            raise InputError(
+                "a decimated mesh in an outfit", key=key, received=settings.coarse_vertices, expected=expected
+            )
+        if settings.pressure != garments[0].pressure:
+            key, expected = f"garment[{number}].pressure", f"{garments[0].pressure:g}, as garment[0] has"
+            raise InputError("another pressure in an outfit", key=key, received=settings.pressure, expected=expected)
+    if scene.training.fabrics:
+        received, expected = list(scene.training.fabrics), "none: an outfit is learned in its own fabrics"
+        raise InputError("other fabrics of an outfit", key="training.fabrics", received=received, expected=expected)
+    most = max(garment.subdivision_count for garment in garments)
+    alike = replace(scene, garments=tuple(replace(garment, subdivisions=most) for garment in garments))
+    counts = [len(piece.garment.vertices) for piece in pieces]
+    first = np.cumsum([0, *counts])
+    limited = [
+        replace(piece.limits, vertices=piece.limits.vertices + n)
+        for piece, n in zip(pieces, first, strict=False)
+        if piece.limits is not None
+    ]
+    sewn = [rest_of(piece.garment) for piece in pieces]
+    garment = Garment(
+        " + ".join(garment.name for garment in garments),
+        np.concatenate([piece.garment.vertices for piece in pieces]),
+        np.concatenate([p.garment.faces + n for p, n in zip(pieces, first, strict=False)]).astype(np.int32),
+        np.concatenate([rest.pattern for rest in sewn]),
+        pieces[0].garment.source,
+        np.concatenate([rest.layers for rest in sewn]),
+        np.concatenate([rest.max_stretch for rest in sewn]),
+    )
+    held = np.concatenate([piece.held + n for piece, n in zip(pieces, first, strict=False)])
+    limits = None
+    if limited:
+        names = ("vertices", "maximum_distance", "backstop", "stiffness")
+        limits = Limits(*(np.concatenate([getattr(one, name) for one in limited]) for name in names))
+    layer = np.repeat(np.arange(len(pieces), dtype=np.int32), counts)
+    fabrics = tuple(fabric_of(garment) for garment in garments[1:])
+    layers = Layers(tuple(garment.name for garment in garments), fabrics, layer)
+    return alike, _Piece(garment, None, held, limits), layers
+
+
 @dataclass(frozen=True)
 class GarmentSetup:
-    """The contents of a scene with one garment on one body, loaded.
+    """The contents of a scene with one garment, or an outfit of several, on one body, loaded.
 
     Attributes:
         scene: its settings.
-        settings: of its garment.
-        garment: the coarse mesh as it came, or as it was made from a fine one.
+        settings: of its garment, of an outfit those of the innermost one.
+        garment: the coarse mesh as it came, or as it was made from a fine one; all of an outfit in one.
         body: the character or vertex sequence.
         levels: coarse and fine mesh, outside the body and attached.
     """
@@ -106,35 +183,41 @@ class GarmentSetup:
 
     @classmethod
     def of(cls, scene: Scene) -> GarmentSetup:
-        """Load everything that a scene with one garment on one body names.
+        """Load everything that a scene with garments on one body names.
 
         Raises:
-            InputError: several garments, no body, or anything that cannot be loaded.
+            InputError: no body, garments that make no outfit, or anything that cannot be loaded.
         """
         scene = with_subdivisions(scene)
-        settings, garment = garment_of(scene)
         body = body_of(scene)
-        if settings.pins:
-            expected = "attach or attach_vertices: pins hold a garment without a body"
-            raise InputError("pins beside a body", key="garment[0].pins", received=settings.pins, expected=expected)
         vertices = body.vertices if isinstance(body, Character) else body.vertices[0].astype(float)
-        garment = in_size(garment, settings, vertices, body.faces)
-        garment, binding = coarse_garment(garment, settings)
-        held = held_vertices(garment, settings)
-        limits = None if settings.limits is None else load_limits(settings.limits, len(garment.vertices))
-        garment, held, limits = subdivided(garment, held, limits, settings.coarse_subdivisions)
+        pieces = [_piece(number, settings, vertices, body.faces) for number, settings in enumerate(scene.garments)]
+        piece, layers = pieces[0], None
+        if len(pieces) > 1:
+            scene, piece, layers = _outfit(scene, pieces)
         levels = build_levels(
-            garment.vertices,
-            garment.faces,
-            held,
+            piece.garment.vertices,
+            piece.garment.faces,
+            piece.held,
             vertices,
             body.faces,
-            settings.subdivision_count,
-            binding=binding,
-            limits=limits,
-            sewn=sewn_rest(garment),
+            scene.garments[0].subdivision_count,
+            binding=piece.binding,
+            limits=piece.limits,
+            sewn=sewn_rest(piece.garment),
+            layers=layers,
         )
-        return cls(scene, settings, garment, body, replace(levels, pattern=garment.pattern))
+        return cls(scene, scene.garments[0], piece.garment, body, replace(levels, pattern=piece.garment.pattern))
+
+    @property
+    def name(self) -> str:
+        """Name of the garment, or of all garments of an outfit from the innermost outwards."""
+        return " + ".join(garment.name for garment in self.scene.garments)
+
+    @property
+    def subdivisions_of_mesh(self) -> int:
+        """How often the mesh is subdivided for the fine one; of an outfit the greatest number."""
+        return max(garment.subdivisions_of_mesh for garment in self.scene.garments)
 
     def motion(self, motion: MotionSettings | None = None) -> Motion:
         """A motion of the body: the one given, or the scene's own."""
@@ -231,7 +314,8 @@ def _field(mesh: Path, spacing: float) -> DistanceField:
 def fine_substep_of(database: WrinkleDatabase) -> float:
     """Substep of the fine runs that a database was learned from [s]; the files of its scene may be gone."""
     scene = tomllib.loads(database.scene)
-    subdivisions = scene.get("garment", [{}])[0].get("coarse_subdivisions", 0) + database.subdivisions
+    cuts = max(garment.get("coarse_subdivisions", 0) for garment in scene.get("garment", [{}]))
+    subdivisions = cuts + database.subdivisions
     return scene.get("training", {}).get("substep", SolverOptions.substep) / 2.0**subdivisions
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pbd import InputError, State, build_model
+from pbd import InputError, State
 from pbd.geometry import FAR
 from runtime.figures import figure_lines
 from wrinkles.charts import Charts
@@ -209,14 +209,9 @@ def check_database(path: str | Path) -> list[Check]:
         coarse, ratio = with_area_of(coarse, fine)
         near = database.binding is not None or abs(ratio - 1.0) <= MAX_AREA_CORRECTION
         checks.append(Check("one rest metric", near, f"coarse area over fine area {ratio:.5f}"))
-        model = build_model(
-            database.rest_shape.applied(coarse),
-            database.fabric,
-            database.held,
-            database.options,
-            database.bend_factor,
-            database.limits,
-        )
+        body = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
+        rest = database.rest_shape.applied(coarse)
+        model = database.levels(*body).model(database.fabric, database.options, database.bend_factor, mesh=rest)
         detail = f"{model.vertex_count} vertices, {1e3 * model.mass.sum():.0f} g, {len(model.hinges)} hinges"
         checks.append(Check("coarse model", True, detail))
         charts = Charts.of(coarse)

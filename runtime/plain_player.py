@@ -14,7 +14,7 @@ import numpy as np
 
 from assets.character import Character
 from assets.io.sequence import Sequence
-from pbd import InputError, Model, ModelOptions, build_model
+from pbd import InputError, Model, ModelOptions
 from pbd.contact.colliders import Primitive
 from pbd.wind import CALM, Air
 from runtime.moment import Moment
@@ -78,7 +78,10 @@ def middle_levels(database: WrinkleDatabase, source: BodySource, cuts: int = 1) 
     sewn = None if database.sewn is None else database.sewn.subdivided(cuts)
     body = (source.vertices, source.faces)
     left = database.subdivisions - cuts
-    return levels_of(vertices, one.faces, held, *body, left, database.warp, database.binding, limits, sewn)
+    layers = database.layers
+    if layers is not None:
+        layers = replace(layers, layer=layers.of_fine(one))
+    return levels_of(vertices, one.faces, held, *body, left, database.warp, database.binding, limits, sewn, layers)
 
 
 def plain_model(database: WrinkleDatabase, levels: Levels, options: ModelOptions | None = None) -> Model:
@@ -90,7 +93,7 @@ def plain_model(database: WrinkleDatabase, levels: Levels, options: ModelOptions
         options: None takes those of the fabric itself, uncalibrated.
     """
     options = options or ModelOptions(pressure=database.options.pressure)
-    return build_model(levels.coarse, database.fabric, levels.coarse_held, options, limits=levels.coarse_limits)
+    return levels.model(database.fabric, options)
 
 
 class PlainPlayer:
@@ -145,7 +148,7 @@ class PlainPlayer:
         if cloth.cuts == database.subdivisions:
             fine = self.levels
             options = ModelOptions(pressure=database.options.pressure)
-            model = build_model(fine.fine, database.fabric, fine.fine_held, options, limits=fine.fine_limits)
+            model = fine.model(database.fabric, options, fine=True)
             attachment = fine.fine_attachment
         else:
             simulated = self.levels if cloth.cuts == 0 else middle_levels(database, source, cloth.cuts)

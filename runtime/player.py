@@ -10,7 +10,7 @@ import numpy as np
 
 from assets.character import Character
 from assets.io.sequence import Sequence
-from pbd import InputError, build_model
+from pbd import InputError
 from pbd.contact.colliders import Primitive
 from pbd.wind import CALM, Air, Wind
 from runtime.fine_garment import FineGarment
@@ -70,14 +70,8 @@ class Player:
         self.database = database
         source = body_source(body)
         self.levels: Levels = database.levels(source.vertices, source.faces)
-        model = build_model(
-            database.rest_shape.applied(self.levels.coarse),
-            database.fabric,
-            database.held,
-            database.options,
-            database.bend_factor,
-            database.limits,
-        )
+        rest = database.rest_shape.applied(self.levels.coarse)
+        model = self.levels.model(database.fabric, database.options, database.bend_factor, mesh=rest)
         self.simulation = Simulation(model, self.levels.coarse_attachment, source, start, database.solver, primitives)
         self._fine = FineGarment(database, self.levels, source)
         self.vertices, self.normals = self._fine.vertices, self._fine.normals

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from assets.io.scene import GarmentSettings, Scene
-from pbd import InputError, Model, ModelOptions, build_model
-from pbd.attachment import Attachment
-from pbd.layers import layered
+from assets.io.scene import Scene
+from pbd import InputError, ModelOptions
 from runtime.garment_mesh import garment_of, in_size, sewn_rest, subdivided, with_subdivisions
 from runtime.garment_setup import GarmentSetup, colliders_of, fabric_of, fine_options
 from runtime.simulation import Motion, Simulation, body_source
-from wrinkles.levels import Levels, build_levels
+from wrinkles.levels import build_levels
 
 __all__ = ["simulation_of"]
 
@@ -33,8 +29,6 @@ def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion 
             which it lacks.
     """
     scene = with_subdivisions(scene)
-    if scene.character is not None and len(scene.garments) > 1:
-        return _layers_of(scene, fine)
     if scene.character is not None:
         stage = GarmentSetup.of(scene)
         settings, levels, motion = stage.settings, stage.levels, stage.motion()
@@ -63,33 +57,7 @@ def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion 
         )
         motion = source = pose = None
     attachment = levels.fine_attachment if fine else levels.coarse_attachment
-    options = fine_options(scene, settings.subdivisions_of_mesh) if fine else scene.solver.options()
-    model = _model_of(settings, levels, fine)
+    cuts = max(garment.subdivisions_of_mesh for garment in scene.garments)
+    options = fine_options(scene, cuts) if fine else scene.solver.options()
+    model = levels.model(fabric_of(settings), ModelOptions(pressure=settings.pressure), fine=fine)
     return Simulation(model, attachment if source else None, source, pose, options, colliders_of(scene)), motion
-
-
-def _model_of(settings: GarmentSettings, levels: Levels, fine: bool) -> Model:
-    """A garment of a scene, coarse or fine, in its fabric."""
-    mesh, held, limits = levels.coarse, levels.coarse_held, levels.coarse_limits
-    if fine:
-        mesh, held, limits = levels.fine, levels.fine_held, levels.fine_limits
-    return build_model(mesh, fabric_of(settings), held, ModelOptions(pressure=settings.pressure), limits=limits)
-
-
-def _layers_of(scene: Scene, fine: bool) -> tuple[Simulation, Motion]:
-    """All garments of a scene on its body, as one model."""
-    stages = [GarmentSetup.of(replace(scene, garments=(garment,))) for garment in scene.garments]
-    options = scene.solver.options()
-    if fine:
-        options = fine_options(scene, max(garment.subdivisions_of_mesh for garment in scene.garments))
-    models, attachments = [], []
-    for stage in stages:
-        levels = stage.levels
-        models.append(_model_of(stage.settings, levels, fine))
-        attachments.append(levels.fine_attachment if fine else levels.coarse_attachment)
-    joined = (
-        np.concatenate([getattr(part, name) for part in attachments]) for name in ("corners", "weights", "offset")
-    )
-    motion = stages[0].motion()
-    source, pose = body_source(stages[0].body), motion.pose(0.0)
-    return Simulation(layered(models), Attachment(*joined), source, pose, options, colliders_of(scene)), motion

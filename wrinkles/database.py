@@ -27,7 +27,7 @@ from pbd.mesh import edges_of
 from pbd.storage import replacing
 from wrinkles.binding import Binding
 from wrinkles.dictionary import Atoms, CoefficientNetwork, fabric_features
-from wrinkles.levels import Levels, levels_of
+from wrinkles.levels import Layers, Levels, levels_of
 from wrinkles.novelty import NoveltyScore
 from wrinkles.rest_shape import RestShapeCorrection
 from wrinkles.schema import (
@@ -102,7 +102,8 @@ class WrinkleDatabase:
         warp: direction of the warp in space.
         binding: binding of a delivered fine mesh; None where the subdivided mesh is the fine one.
         sewn: how the coarse faces of a sewn garment rest; None for any other, which rests as its mesh.
-        fabric_name: name of the garment's own fabric.
+        layers: garments of an outfit; None for one garment.
+        fabric_name: name of the garment's own fabric, of an outfit that of the innermost one; so are the next two.
         fabric: the garment's own fabric.
         options: options of the coarse model, calibrated for that fabric.
         other_fabrics: other fabrics that the garment can be played in, see :meth:`in_fabric`.
@@ -134,6 +135,7 @@ class WrinkleDatabase:
     warp: tuple[float, float, float]
     binding: Binding | None
     sewn: SewnRest | None
+    layers: Layers | None
     fabric_name: str
     fabric: Fabric
     options: ModelOptions
@@ -189,6 +191,7 @@ class WrinkleDatabase:
             self.binding,
             self.limits,
             self.sewn,
+            self.layers,
         )
 
     @property
@@ -382,6 +385,7 @@ def _arrays(database: WrinkleDatabase) -> dict[str, np.ndarray]:
         "quality/values": np.array(list(quality.values()), float),
         **_binding_values(database.binding),
         **_sewn_values(database.sewn),
+        **_layers_values(database.layers),
         **_other_fabrics_values(database.other_fabrics),
     }
     for entry in ENTRIES:
@@ -419,6 +423,24 @@ def _sewn_values(sewn: SewnRest | None) -> dict[str, np.ndarray]:
     """Entries of a sewn garment; of any other they are empty."""
     sewn = sewn or SewnRest(np.zeros((0, 3, 2)), np.zeros(0), np.zeros(0))
     return {f"sewn/{field.name}": getattr(sewn, field.name) for field in fields(SewnRest)}
+
+
+def _layers_values(layers: Layers | None) -> dict[str, Any]:
+    """Entries of the garments of an outfit; of one garment they are empty."""
+    layers = layers or Layers((), (), np.zeros(0, np.int32))
+    columns: dict[str, Any] = {"layers/names": layers.names, "layers/layer": layers.layer}
+    for field in fields(Fabric):
+        values = [getattr(fabric, field.name) for fabric in layers.fabrics]
+        columns[f"layers/fabrics/{field.name}"] = np.array(values, float)
+    return columns
+
+
+def _layers_of(names: tuple[str, ...], layer: np.ndarray, fabrics: dict[str, np.ndarray]) -> Layers | None:
+    """The garments that :func:`_layers_values` stored."""
+    if not names:
+        return None
+    rows = [{name: column[k].item() for name, column in fabrics.items()} for k in range(len(names) - 1)]
+    return Layers(names, tuple(Fabric(**row) for row in rows), layer)
 
 
 def _other_fabrics_values(others: tuple[LearnedFabric, ...]) -> dict[str, Any]:
@@ -462,6 +484,7 @@ def _unpacked(arrays: dict[str, np.ndarray]) -> WrinkleDatabase:
         **root,
         binding=_binding_of(groups["binding"]),
         sewn=SewnRest(**groups["sewn"]) if len(groups["sewn"]["layers"]) else None,
+        layers=_layers_of(**groups["layers"], fabrics=groups["layers/fabrics"]),
         rest_shape=RestShapeCorrection(**groups["rest_shape"]),
         limits=Limits(**groups["limits"]),
         fabric=Fabric(**groups["fabric"]),

@@ -12,13 +12,14 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import splu
 
-from pbd import ClothMesh, InputError, Limits
+from pbd import ClothMesh, Fabric, InputError, Limits, Model, ModelOptions, build_model
 from pbd.attachment import Attachment, push_outside
 from pbd.bending import hinge_rows
+from pbd.layers import layered, parts_of
 from wrinkles.binding import Binding
 from wrinkles.surface import SewnRest, Subdivision
 
-__all__ = ["MAX_AREA_CORRECTION", "Levels", "build_levels", "held_between", "levels_of", "with_area_of"]
+__all__ = ["MAX_AREA_CORRECTION", "Layers", "Levels", "build_levels", "held_between", "levels_of", "with_area_of"]
 
 # Vertices are pushed this far out of the body [m], so that attached ones start at least 2 mm outside it; the smooth
 # surface dips between them.
@@ -29,9 +30,28 @@ MAX_AREA_CORRECTION = 0.02  # and more than this share is refused: the coarse me
 CUTOFF_EDGES = 3.0  # in mean coarse edges
 
 
+@dataclass(frozen=True, eq=False)
+class Layers:
+    """Garments of one mesh that are worn over one another.
+
+    Attributes:
+        names: of the garments, from the innermost outwards.
+        fabrics: of the garments over the innermost one.
+        layer: number of the garment that each coarse vertex belongs to, 0 for the innermost, int32, shape (n,).
+    """
+
+    names: tuple[str, ...]
+    fabrics: tuple[Fabric, ...]
+    layer: np.ndarray
+
+    def of_fine(self, subdivision: Subdivision) -> np.ndarray:
+        """Number of the garment that each fine vertex belongs to, int32, shape (N,)."""
+        return self.layer[subdivision.coarse_faces[subdivision.places[0], 0]]
+
+
 @dataclass(frozen=True)
 class Levels:
-    """Coarse and fine mesh of one garment.
+    """Coarse and fine mesh of one garment, or of the garments of an outfit.
 
     Attributes:
         subdivision: from the coarse to the fine mesh.
@@ -42,6 +62,7 @@ class Levels:
         sewn: how a sewn garment rests; None for any other.
         pattern: place of each corner of each coarse face in the flat pattern, for pictures [m], shape (m, 3, 2); None
             where there is none, or where a delivered fine mesh has it.
+        layers: garments that the meshes consist of; None for one garment.
     """
 
     subdivision: Subdivision
@@ -55,6 +76,7 @@ class Levels:
     fine_limits: Limits
     sewn: SewnRest | None = None
     pattern: np.ndarray | None = None
+    layers: Layers | None = None
 
     def __getstate__(self) -> dict:
         # The cached factors are left out, because they cannot be sent to a worker process.
@@ -70,6 +92,35 @@ class Levels:
         """Fine vertices at rest [m], shape (N, 3): in the bind pose, or in the flat pattern for a delivered mesh."""
         binding = self.subdivision.binding
         return self.fine.vertices if binding is None else np.insert(binding.flat, 2, 0.0, axis=1)
+
+    def model(
+        self,
+        fabric: Fabric,
+        options: ModelOptions | None = None,
+        bend_factor: float | None = None,
+        *,
+        fine: bool = False,
+        mesh: ClothMesh | None = None,
+    ) -> Model:
+        """The garment as a model, coarse or fine; the garments of an outfit in layers.
+
+        Args:
+            fabric: of the garment, of an outfit that of the innermost one.
+            options, bend_factor: as for :func:`pbd.build_model`.
+            fine: which of both meshes.
+            mesh: the same mesh with another rest shape; None takes it as it is.
+        """
+        held, limits = (self.fine_held, self.fine_limits) if fine else (self.coarse_held, self.coarse_limits)
+        mesh = mesh or (self.fine if fine else self.coarse)
+        if self.layers is None:
+            return build_model(mesh, fabric, held, options, bend_factor, limits)
+        layer = self.layers.of_fine(self.subdivision) if fine else self.layers.layer
+        models, numbers = [], []
+        for (part, vertices), worn in zip(parts_of(mesh, layer), (fabric, *self.layers.fabrics), strict=True):
+            mine = np.searchsorted(vertices, held[layer[held] == len(models)])
+            models.append(build_model(part, worn, mine, options, bend_factor, limits.part(vertices)))
+            numbers.append(vertices)
+        return replace(layered(models, numbers), mesh=mesh)
 
     @cached_property
     def _filter(self) -> tuple:
@@ -117,6 +168,7 @@ def build_levels(
     binding: Binding | None = None,
     limits: Limits | None = None,
     sewn: SewnRest | None = None,
+    layers: Layers | None = None,
 ) -> Levels:
     """Make the two levels of a garment: push it out of the body in the bind pose, refine it and attach it.
 
@@ -131,6 +183,7 @@ def build_levels(
         binding: of a delivered fine mesh, if there is one.
         limits: how far coarse vertices may move from where the body carries them.
         sewn: how a sewn garment rests; None for any other, which rests as its mesh.
+        layers: garments that the mesh consists of; None for one garment.
 
     Raises:
         InputError: a number of levels outside 1..4, or a subdivided mesh whose area differs by more than 2 %.
@@ -145,7 +198,7 @@ def build_levels(
             outside = push_outside(subdivision.upsample(vertices), body_vertices, body_faces, CLEARANCE)
             vertices = subdivision.fit(outside)
         vertices = push_outside(vertices, body_vertices, body_faces, CLEARANCE)
-    return levels_of(vertices, faces, held, body_vertices, body_faces, levels, warp, binding, limits, sewn)
+    return levels_of(vertices, faces, held, body_vertices, body_faces, levels, warp, binding, limits, sewn, layers)
 
 
 def levels_of(
@@ -159,6 +212,7 @@ def levels_of(
     binding: Binding | None = None,
     limits: Limits | None = None,
     sewn: SewnRest | None = None,
+    layers: Layers | None = None,
 ) -> Levels:
     """Make the levels of a garment that is outside the body already; arguments as for :func:`build_levels`.
 
@@ -179,7 +233,7 @@ def levels_of(
     fine_limits = limits.between(subdivision.matrix) if len(limits.vertices) else limits
     pattern = None if sewn is None else sewn.pattern
     one, two = attachments
-    return Levels(subdivision, coarse, fine, held, fine_held, one, two, limits, fine_limits, sewn, pattern)
+    return Levels(subdivision, coarse, fine, held, fine_held, one, two, limits, fine_limits, sewn, pattern, layers)
 
 
 def with_area_of(coarse: ClothMesh, fine: ClothMesh) -> tuple[ClothMesh, float]:

@@ -9,7 +9,7 @@ from pbd import Fabric
 from pbd.contact.colliders import Body
 from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, descend, vec3, vec4, xyz
-from pbd.model import Model, build_model
+from pbd.model import Model
 from pbd.taichi_internals import Launch
 from pbd.xpbd.constraint_passes import solve_bending, solve_membrane, solve_stitches
 from pbd.xpbd.views import BodySurface, ClothArrays, ConstraintArrays, MultigridArrays
@@ -319,7 +319,7 @@ class Relaxation:
         np.maximum.at(longest, edges, lengths[:, None])
         spacing = longest[cKDTree(levels.fine.vertices).query(body_vertices)[1]]
         return cls(
-            build_model(levels.fine, fabric, levels.fine_held, bend_factor=bend_factor),
+            levels.model(fabric, bend_factor=bend_factor, fine=True),
             leading_vertices(levels.subdivision),
             clearances(body_vertices, body_faces, spacing, KEPT * fabric.thickness),
             facing(levels.coarse, body_vertices, body_faces),

@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 18
+SCHEMA_VERSION = 19
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE, STEPS = "text", "float32", "float64", "int32", "int64", "int8"
 
@@ -69,13 +69,12 @@ def _in_steps(name: str, shape: tuple[int | str, ...], unit: str = "-", along: i
     return steps, Entry(f"{name}_scale", SINGLE, (*shape[:along], *shape[along + 1 :]), unit)
 
 
-def _in_fabric(group: str, shape: tuple[str, ...]) -> Iterator[Entry]:
-    """Entries of a fabric and of the options of the coarse model calibrated for it; ``shape`` ("f",) for f fabrics."""
+def _columns(group: str, kind: type[Fabric] | type[ModelOptions], shape: tuple[str, ...]) -> Iterator[Entry]:
+    """An entry for each field of a fabric or of options; ``shape`` ("f",) for f of them."""
     units = {"areal_density": "kg/m2", "stretch_warp": "N/m", "stretch_weft": "N/m", "shear": "N/m"}
     units |= {"bend_warp": "N m", "bend_weft": "N m", "thickness": "m", "pressure": "Pa"}
-    for part, kind in (("fabric", Fabric), ("options", ModelOptions)):
-        for field in fields(kind):
-            yield Entry(f"{group}{part}/{field.name}", DOUBLE, shape, units.get(field.name, "-"))
+    for field in fields(kind):
+        yield Entry(f"{group}/{field.name}", DOUBLE, shape, units.get(field.name, "-"))
 
 
 ENTRIES = (
@@ -108,10 +107,15 @@ ENTRIES = (
     Entry("sewn/pattern", DOUBLE, ("w", 3, 2), "m"),
     Entry("sewn/layers", DOUBLE, ("w",)),
     Entry("sewn/max_stretch", DOUBLE, ("w",)),
+    Entry("layers/names", TEXT, ("i",)),
+    Entry("layers/layer", INDEX, ("o",)),
+    *_columns("layers/fabrics", Fabric, ("e",)),
     Entry("fabric_name", TEXT),
-    *_in_fabric("", ()),
+    *_columns("fabric", Fabric, ()),
+    *_columns("options", ModelOptions, ()),
     Entry("other_fabrics/name", TEXT, ("f",)),
-    *_in_fabric("other_fabrics/", ("f",)),
+    *_columns("other_fabrics/fabric", Fabric, ("f",)),
+    *_columns("other_fabrics/options", ModelOptions, ("f",)),
     Entry("bend_factor", DOUBLE),
     Entry("solver/substep", DOUBLE, unit="s"),
     Entry("solver/gravity", DOUBLE, (3,), "m/s2"),
@@ -156,7 +160,7 @@ ENTRIES = (
 MAX_STEP = 127  # of int8
 # Sizes that may be zero: every garment has vertices, but it may have no pins and no limits, only one fabric, a
 # subdivided fine mesh instead of a delivered one, or no pattern by which it was sewn.
-SIZES_THAT_MAY_BE_ZERO = ("b", "p", "l", "q", "h", "t", "N", "M", "s", "f", "w")
+SIZES_THAT_MAY_BE_ZERO = ("b", "p", "l", "q", "h", "t", "N", "M", "s", "f", "w", "i", "o", "e")
 POSITIVE_ENTRIES = ("novelty/fade_from", "bend_factor", "frame_rate", "cutoff")
 
 
@@ -358,6 +362,7 @@ def _check_indices(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:
         ("held", count, "a vertex"),
         ("limits/vertices", count, "a vertex"),
         ("mapping/region", len(arrays["mapping/bias_2"]), "a region"),
+        ("layers/layer", len(arrays["layers/names"]), "a garment"),
         ("binding/face", cut_count, "an index"),
         ("binding/panels", fine, "an index"),
         ("binding/stitches", fine, "an index"),
@@ -366,6 +371,10 @@ def _check_indices(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:
         if index.size and not 0 <= index.min() <= index.max() < limit:
             bad = int(index.min() if index.min() < 0 else index.max())
             refuse(f"{kind} that does not exist", name, bad, f"0 to {limit - 1}")
+    garments, fabrics, layer = (len(arrays[f"layers/{n}"]) for n in ("names", "fabrics/thickness", "layer"))
+    if (garments, layer) not in ((0, 0), (fabrics + 1, count)):
+        expected = f"none, or {fabrics + 1} garments and a number for each of {count} vertices"
+        refuse("garments that do not fit one another", "layers", (garments, layer), expected)
     for name in ("held", "limits/vertices"):
         if (np.diff(arrays[name]) <= 0).any():
             refuse("not in ascending order", name, arrays[name].tolist()[:8], "each vertex once, ascending")

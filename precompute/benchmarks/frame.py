@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pbd import Colliders, InputError, Solver, build_model
+from pbd import Colliders, InputError, Solver
 from pbd.geometry import surface_normals
 from pbd.taichi_internals import Launch
 from precompute.benchmarks.crowd import crowd_figures
@@ -266,10 +266,10 @@ def _growth(database: WrinkleDatabase, run: Run) -> float:
     for subdivisions in (database.subdivisions, database.subdivisions + 1):
         levels = levels_of(
             database.coarse_vertices, database.coarse_faces, database.held, source.vertices, source.faces,
-            subdivisions, database.warp, None, database.limits, database.sewn,
+            subdivisions, database.warp, None, database.limits, database.sewn, database.layers,
         )  # fmt: skip
         # The time does not depend on the stiffness of the hinges, which takes long to calibrate.
-        model = build_model(levels.fine, run.fabric, levels.fine_held, run.options, run.bend_factor, levels.fine_limits)
+        model = levels.model(run.fabric, run.options, run.bend_factor, fine=True)
         attachment = levels.fine_attachment
         simulations.append(Simulation(model, attachment, source, run.poses[0], options, run.primitives))
     frames = []

@@ -21,7 +21,6 @@ from scipy.spatial import cKDTree
 
 from assets.fabrics import PRESETS
 from assets.io.scene import Scene
-from pbd import build_model
 from precompute.workers import Workers
 from runtime.garment_setup import GarmentSetup, fabric_of, fine_options
 from runtime.simulation import Simulation, body_source
@@ -120,7 +119,7 @@ def _measured(scene: Scene, fabric: str, seconds: float) -> Measured:
     settings, levels, motion = stage.settings, stage.levels, stage.motion()
     options = replace(fine_options(scene, settings.subdivisions_of_mesh), self_collision=True)
     worn, dt = fabric_of(settings), 1.0 / scene.solver.frame_rate
-    model = build_model(levels.fine, worn, levels.fine_held, limits=levels.fine_limits)
+    model = levels.model(worn, fine=True)
     pose = motion.pose(0.0)
     simulation = Simulation(model, levels.fine_attachment, body_source(stage.body), pose, options)
     still, times = round(SETTLING / dt), []

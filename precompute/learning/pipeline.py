@@ -322,7 +322,7 @@ def _finished(
     scene, settings, levels, body = work.scene, work.stage.settings, work.stage.levels, work.stage.body
     own, *others = work.fabrics
     return WrinkleDatabase(
-        garment_name=settings.name,
+        garment_name=work.stage.name,
         coarse_vertices=levels.coarse.vertices,
         coarse_faces=levels.coarse.faces,
         rest_shape=coarse.rest_shape or RestShapeCorrection.none(levels.coarse.faces),
@@ -332,6 +332,7 @@ def _finished(
         warp=(0.0, 1.0, 0.0),
         binding=levels.subdivision.binding,
         sewn=levels.sewn,
+        layers=levels.layers,
         fabric_name=own,
         fabric=work.fabrics[own],
         options=calibrations[own].options,
@@ -433,7 +434,7 @@ def scene_run(stage: GarmentSetup, scene: Scene, motion: Motion, fabric: str | N
         settings,
         wind=scene.wind.air(),
         primitives=colliders_of(scene),
-        substep=fine_options(scene, stage.settings.subdivisions_of_mesh).substep,
+        substep=fine_options(scene, stage.subdivisions_of_mesh).substep,
     )
 
 

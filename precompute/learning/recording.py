@@ -20,7 +20,7 @@ import wrinkles.levels
 import wrinkles.surface
 from assets.character import Character
 from assets.io.sequence import Sequence as VertexSequence
-from pbd import ClothMesh, DistanceField, Fabric, ModelOptions, SolverOptions, State, build_model
+from pbd import ClothMesh, DistanceField, Fabric, ModelOptions, SolverOptions, State
 from pbd.fingerprint import source_fingerprint
 from pbd.storage import replacing
 from pbd.wind import CALM, Air, Wind
@@ -114,6 +114,9 @@ class Run:
         for array in arrays:
             digest.update(np.ascontiguousarray(array).tobytes())
         settings = [asdict(self.fabric), asdict(self.options), asdict(self.solver), self.dt, self.every]
+        if levels.layers is not None:
+            digest.update(levels.layers.layer.tobytes())
+            settings += [asdict(fabric) for fabric in levels.layers.fabrics]
         settings += [self.chunk]  # files of other lengths would be put together wrongly
         settings += [
             self.bend_factor,
@@ -131,12 +134,8 @@ class Run:
     def simulation(self) -> Simulation:
         """The simulation at the first pose."""
         levels = self.levels
-        held, attachment, limits = (
-            (levels.fine_held, levels.fine_attachment, levels.fine_limits)
-            if self.fine
-            else (levels.coarse_held, levels.coarse_attachment, levels.coarse_limits)
-        )
-        model = build_model(self._mesh(), self.fabric, held, self.options, self.bend_factor, limits)
+        attachment = levels.fine_attachment if self.fine else levels.coarse_attachment
+        model = levels.model(self.fabric, self.options, self.bend_factor, fine=self.fine, mesh=self._mesh())
         return Simulation(model, attachment, body_source(self.body), self.poses[0], self.solver, self.primitives)
 
 

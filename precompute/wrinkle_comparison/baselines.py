@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from pbd import InputError, Model, ModelOptions, SolverOptions, build_model
+from pbd import InputError, Model, ModelOptions, SolverOptions
 from pbd.attachment import Attachment
 from pbd.geometry import surface_normals
 from pbd.taichi_internals import Launch
@@ -291,21 +291,15 @@ def player_times(database: WrinkleDatabase, truth: Truth) -> tuple[np.ndarray, n
 def fine_cloth(run: Run) -> Cloth:
     """The garment and the settings of the fine simulation itself."""
     levels = run.levels
-    model = build_model(levels.fine, run.fabric, levels.fine_held, run.options, run.bend_factor, levels.fine_limits)
+    model = levels.model(run.fabric, run.options, run.bend_factor, fine=True)
     return Cloth(model, levels.fine_attachment, body_source(run.body), run, run.solver, levels.fine.faces, None)
 
 
 def coarse_cloth(database: WrinkleDatabase, run: Run) -> Cloth:
     """The coarse garment of a fine run with its calibrated model."""
     levels = run.levels
-    model = build_model(
-        database.rest_shape.applied(levels.coarse),
-        database.fabric,
-        levels.coarse_held,
-        database.options,
-        database.bend_factor,
-        levels.coarse_limits,
-    )
+    rest = database.rest_shape.applied(levels.coarse)
+    model = levels.model(database.fabric, database.options, database.bend_factor, mesh=rest)
     source = body_source(run.body)
     return Cloth(model, levels.coarse_attachment, source, run, database.solver, levels.fine.faces, levels)
 

@@ -363,7 +363,7 @@ def _figures_of(
     levels = run.levels
     low_pass = LowPass(levels.rest_vertices, levels.fine.faces, levels.cutoff)
     truth = Truth(run, levels, recording, floor, bands_of(levels), energy, low_pass)
-    statistics = PatchStatistics(levels.fine)
+    statistics = PatchStatistics(levels.fine, levels.rest_vertices)
     of_truth = statistics(truth.frames)
     measured = []
     for method in methods:

@@ -325,6 +325,7 @@ def database() -> WrinkleDatabase:
         warp=(0.0, 1.0, 0.0),
         binding=None,
         sewn=None,
+        layers=None,
         fabric_name="own",
         fabric=Fabric(),
         options=ModelOptions(),

@@ -10,6 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
+from assets.fabrics import PRESETS
 from pbd import Fabric, InputError, ModelOptions
 from tests.wrinkles.databases import small_database
 from tests.wrinkles.meshes import flat_sheet
@@ -26,6 +27,7 @@ from wrinkles.database import (
     write_database,
 )
 from wrinkles.dictionary import fabric_features
+from wrinkles.levels import Layers
 from wrinkles.schema import ENTRIES, SCHEMA_VERSION
 from wrinkles.surface import SewnRest, Subdivision
 
@@ -158,7 +160,24 @@ def test_every_field_has_its_entry() -> None:
     stored = {name.replace("/", ".") for name in names} - DERIVED - scales - {"quality.names", "quality.values"}
     others = {f"other_fabrics.{name}" for name in leaves(SILK)}
     whole = small_database(binding=small_binding(), sewn=small_sewn())
-    assert stored == set(leaves(whole)) - {"quality", "other_fabrics"} | others
+    layers = {"layers.names", "layers.layer", *(f"layers.fabrics.{field.name}" for field in fields(Fabric))}
+    assert stored == set(leaves(whole)) - {"quality", "other_fabrics", "layers"} | others | layers
+
+
+def test_the_garments_of_an_outfit_are_stored(tmp_path: Path) -> None:
+    layer = (np.arange(49) >= 20).astype(np.int32)
+    worn = Layers(("shirt", "jacket"), (PRESETS["denim"],), layer)
+    write_database(tmp_path / "a.h5", small_database(layers=worn))
+    found = read_database(tmp_path / "a.h5").layers
+    assert found is not None and (found.names, found.fabrics) == (worn.names, worn.fabrics)
+    np.testing.assert_array_equal(found.layer, layer)
+    for wrong, problem in (
+        (replace(worn, layer=layer[:-1]), "garments that do not fit"),
+        (replace(worn, names=("shirt",)), "garment"),
+        (replace(worn, layer=layer + 1), "a garment that does not exist"),
+    ):
+        with pytest.raises(InputError, match=problem):
+            write_database(tmp_path / "b.h5", small_database(layers=wrong))
 
 
 def test_figures_that_are_not_finite_are_not_stored(tmp_path: Path) -> None:
