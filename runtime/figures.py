@@ -78,6 +78,12 @@ FIGURES = {
         "inside the body where there is room", "%", "vertices inside the body at places where there is room for cloth"
     ),
     "deepest_with_room_mm": Figure("deepest where there is room", "mm", "largest depth of a vertex at such a place"),
+    "crossed_layers_percent": Figure(
+        "garments through one another", "%", "vertices on edges that go through another garment of the outfit"
+    ),
+    "crossed_layers_at_end_percent": Figure(
+        "garments through one another at the end", "%", "the same in the last frame of the clip"
+    ),
     "popping": Figure("popping", "-", "largest change of a patch's wrinkles in a frame, over the size of all wrinkles"),
     "jitter_px": Figure("jitter", "px", "jumps from frame to frame on a standard screen, 95th percentile"),
     "rest_jitter_px": Figure("jitter at rest", "px", "jumps of vertices while the body stands still after its motion"),

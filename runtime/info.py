@@ -16,7 +16,7 @@ from wrinkles.database import LearnedFabric, WrinkleDatabase, code_version, data
 from wrinkles.decoder import Decoder
 from wrinkles.features import Stencil
 from wrinkles.fine_surface import FineSurface
-from wrinkles.levels import MAX_AREA_CORRECTION, with_area_of
+from wrinkles.levels import MAX_AREA_CORRECTION, build_garments, with_area_of
 from wrinkles.patches import Patches
 from wrinkles.schema import ENTRIES
 
@@ -209,9 +209,15 @@ def check_database(path: str | Path) -> list[Check]:
         coarse, ratio = with_area_of(coarse, fine)
         near = database.binding is not None or abs(ratio - 1.0) <= MAX_AREA_CORRECTION
         checks.append(Check("one rest metric", near, f"coarse area over fine area {ratio:.5f}"))
-        body = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
-        rest = database.rest_shape.applied(coarse)
-        model = database.levels(*body).model(database.fabric, database.options, database.bend_factor, mesh=rest)
+        model = build_garments(
+            database.rest_shape.applied(coarse),
+            database.layers,
+            database.fabric,
+            database.held,
+            database.options,
+            database.bend_factor,
+            database.limits,
+        )
         detail = f"{model.vertex_count} vertices, {1e3 * model.mass.sum():.0f} g, {len(model.hinges)} hinges"
         checks.append(Check("coarse model", True, detail))
         charts = Charts.of(coarse)

@@ -80,7 +80,7 @@ def middle_levels(database: WrinkleDatabase, source: BodySource, cuts: int = 1) 
     left = database.subdivisions - cuts
     layers = database.layers
     if layers is not None:
-        layers = replace(layers, layer=layers.of_fine(one))
+        layers = layers.subdivided(one)
     return levels_of(vertices, one.faces, held, *body, left, database.warp, database.binding, limits, sewn, layers)
 
 

@@ -19,7 +19,16 @@ from pbd.layers import layered, parts_of
 from wrinkles.binding import Binding
 from wrinkles.surface import SewnRest, Subdivision
 
-__all__ = ["MAX_AREA_CORRECTION", "Layers", "Levels", "build_levels", "held_between", "levels_of", "with_area_of"]
+__all__ = [
+    "MAX_AREA_CORRECTION",
+    "Layers",
+    "Levels",
+    "build_garments",
+    "build_levels",
+    "held_between",
+    "levels_of",
+    "with_area_of",
+]
 
 # Vertices are pushed this far out of the body [m], so that attached ones start at least 2 mm outside it; the smooth
 # surface dips between them.
@@ -44,9 +53,9 @@ class Layers:
     fabrics: tuple[Fabric, ...]
     layer: np.ndarray
 
-    def of_fine(self, subdivision: Subdivision) -> np.ndarray:
-        """Number of the garment that each fine vertex belongs to, int32, shape (N,)."""
-        return self.layer[subdivision.coarse_faces[subdivision.places[0], 0]]
+    def subdivided(self, subdivision: Subdivision) -> Layers:
+        """The same garments on the fine mesh."""
+        return replace(self, layer=self.layer[subdivision.coarse_faces[subdivision.places[0], 0]])
 
 
 @dataclass(frozen=True)
@@ -111,16 +120,9 @@ class Levels:
             mesh: the same mesh with another rest shape; None takes it as it is.
         """
         held, limits = (self.fine_held, self.fine_limits) if fine else (self.coarse_held, self.coarse_limits)
+        layers = self.layers.subdivided(self.subdivision) if fine and self.layers is not None else self.layers
         mesh = mesh or (self.fine if fine else self.coarse)
-        if self.layers is None:
-            return build_model(mesh, fabric, held, options, bend_factor, limits)
-        layer = self.layers.of_fine(self.subdivision) if fine else self.layers.layer
-        models, numbers = [], []
-        for (part, vertices), worn in zip(parts_of(mesh, layer), (fabric, *self.layers.fabrics), strict=True):
-            mine = np.searchsorted(vertices, held[layer[held] == len(models)])
-            models.append(build_model(part, worn, mine, options, bend_factor, limits.part(vertices)))
-            numbers.append(vertices)
-        return replace(layered(models, numbers), mesh=mesh)
+        return build_garments(mesh, layers, fabric, held, options, bend_factor, limits)
 
     @cached_property
     def _filter(self) -> tuple:
@@ -234,6 +236,33 @@ def levels_of(
     pattern = None if sewn is None else sewn.pattern
     one, two = attachments
     return Levels(subdivision, coarse, fine, held, fine_held, one, two, limits, fine_limits, sewn, pattern, layers)
+
+
+def build_garments(
+    mesh: ClothMesh,
+    layers: Layers | None,
+    fabric: Fabric,
+    held: np.ndarray,
+    options: ModelOptions | None,
+    bend_factor: float | None,
+    limits: Limits,
+) -> Model:
+    """Model of a mesh of one garment, or of several in layers; see :func:`pbd.build_model`.
+
+    Args:
+        mesh: of all garments.
+        layers: which they are; None for one.
+        fabric: of the innermost one.
+        held, options, bend_factor, limits: as for :func:`pbd.build_model`.
+    """
+    if layers is None:
+        return build_model(mesh, fabric, held, options, bend_factor, limits)
+    models, numbers = [], []
+    for (part, vertices), worn in zip(parts_of(mesh, layers.layer), (fabric, *layers.fabrics), strict=True):
+        mine = np.searchsorted(vertices, held[layers.layer[held] == len(models)])
+        models.append(build_model(part, worn, mine, options, bend_factor, limits.part(vertices)))
+        numbers.append(vertices)
+    return replace(layered(models, numbers), mesh=mesh)
 
 
 def with_area_of(coarse: ClothMesh, fine: ClothMesh) -> tuple[ClothMesh, float]:

@@ -16,6 +16,7 @@ from assets.character import Character
 from assets.io.sequence import Sequence as VertexSequence
 from pbd import InputError, ModelOptions
 from pbd.bending import hinge_calibration
+from pbd.crossings import crossings
 from pbd.distance import BodyDistance, penetration_figures
 from pbd.wind import CALM, Air
 from precompute.learning.decoding import bands_of, decode_recording
@@ -59,6 +60,7 @@ __all__ = [
 
 SETTLE = 1.5  # the blend from the bind pose is not judged [s]
 BLOCK = 32  # frames whose distance to the body one worker measures
+CROSSED_FRAMES = 12  # of a run, in which garments that go through one another are counted
 DEFAULT = LearningOptions()
 
 
@@ -348,6 +350,8 @@ def evaluate(
     figures |= free_figures(truth, truth.floor, "floor_")
     figures |= penetration_figures(distances, room)
     figures |= {f"truth_{k}": v for k, v in penetration_figures(truth_distances, truth_room).items()}
+    figures |= _layer_figures(truth.levels, free.frames)
+    figures |= {f"truth_{name}": value for name, value in _layer_figures(truth.levels, recording.positions).items()}
     figures["contact_bending_ratio"] = contact_bending_ratio(truth, free.frames, distances, truth_distances)
     figures["attached_off_mm"] = 1e3 * free.held_off
     subdivision = truth.levels.subdivision
@@ -356,6 +360,19 @@ def evaluate(
     figures["speedup_over_fine"] = recording.step_ms / figures["frame_ms_p50"]
     figures |= pause.figures(paused.positions, "truth_") | in_time
     return Evaluation(figures, free, smooth, decoded)
+
+
+def _layer_figures(levels: Levels, frames: np.ndarray) -> dict[str, float]:
+    """How much the garments of an outfit go through one another; nothing for one garment."""
+    if levels.layers is None:
+        return {}
+    layer, faces = levels.layers.subdivided(levels.subdivision).layer, levels.fine.faces
+    shares = []
+    for number in np.unique(np.linspace(0, len(frames) - 1, CROSSED_FRAMES).round().astype(int)):
+        found = crossings(np.asarray(frames[number], float), faces)
+        between = layer[found[:, 0]] != layer[faces[found[:, 2], 0]]
+        shares.append(100.0 * len(np.unique(found[between, :2])) / len(layer))
+    return {"crossed_layers_percent": float(np.mean(shares)), "crossed_layers_at_end_percent": float(shares[-1])}
 
 
 def _given_figures(

@@ -1,0 +1,137 @@
+"""Scenes with several garments on a body: one mesh in layers, each garment in its own fabric."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from assets.fabrics import PRESETS
+from assets.io.scene import parse_scene
+from pbd import InputError
+from runtime.garment_mesh import pattern_of
+from runtime.garment_setup import GarmentSetup
+from runtime.scene_simulation import simulation_of
+from tests.assets.panels import two_panels
+
+TROUSERS = """
+[[garment]]
+name = "trousers"
+mesh = "builtin:trousers"
+fabric = "denim"
+subdivisions = 1
+"""
+SKIRT = """
+[[garment]]
+name = "skirt"
+mesh = "builtin:skirt"
+fabric = "silk"
+attach = "top"
+subdivisions = 1
+"""
+REST = """
+[character]
+file = "builtin:mannequin"
+clip = "walk"
+
+[training]
+fabrics = []
+
+[[training.held_out]]
+file = "builtin:mannequin"
+clip = "walk"
+end = 1.2
+"""
+OUTFIT = TROUSERS + SKIRT + REST
+
+
+def setup_of(text: str) -> GarmentSetup:
+    return GarmentSetup.of(parse_scene(text, "outfit.toml"))
+
+
+@pytest.fixture(scope="module")
+def setup() -> GarmentSetup:
+    return setup_of(OUTFIT)
+
+
+@pytest.fixture(scope="module")
+def trousers() -> GarmentSetup:
+    return setup_of(TROUSERS + REST)
+
+
+def test_an_outfit_is_one_mesh_in_layers(setup: GarmentSetup, trousers: GarmentSetup) -> None:
+    levels, alone = setup.levels, trousers.levels
+    count = len(alone.coarse.vertices)
+    assert setup.name == "trousers + skirt" and setup.subdivisions_of_mesh == 1
+    assert levels.layers is not None and levels.layers.names == ("trousers", "skirt")
+    assert levels.layers.fabrics == (PRESETS["silk"],)
+    assert levels.layers.layer.tolist() == [0] * count + [1] * 624
+    np.testing.assert_allclose(levels.coarse.vertices[:count], alone.coarse.vertices, atol=1e-6)
+    np.testing.assert_allclose(levels.coarse.flat[: len(alone.coarse.faces)], alone.coarse.flat)
+    fine = levels.layers.subdivided(levels.subdivision).layer
+    assert (fine[levels.fine.faces] == fine[levels.fine.faces[:, :1]]).all()
+    assert np.bincount(fine)[0] == len(alone.fine.vertices)
+
+
+def test_all_garments_are_as_fine_as_the_one_that_needs_it_most() -> None:
+    setup = setup_of(TROUSERS + SKIRT.replace("subdivisions = 1", "subdivisions = 2") + REST)
+    assert {garment.subdivisions for garment in setup.scene.garments} == {2}
+    assert len(setup.levels.subdivision.steps) == 2
+
+
+@pytest.mark.parametrize("fine", [False, True])
+def test_each_garment_has_its_own_fabric(setup: GarmentSetup, trousers: GarmentSetup, fine: bool) -> None:
+    levels = setup.levels
+    model = levels.model(PRESETS["denim"], bend_factor=1 / 3, fine=fine)
+    mesh = levels.fine if fine else levels.coarse
+    assert model.mesh is mesh
+    for number, fabric in enumerate((PRESETS["denim"], PRESETS["silk"])):
+        mine = model.layer == number
+        area = mesh.vertex_cloth_areas[mine].sum()
+        assert model.mass[mine].sum() == pytest.approx(fabric.areal_density * area, rel=1e-6)
+    np.testing.assert_array_equal(model.held, levels.fine_held if fine else levels.coarse_held)
+    assert (model.layer[model.held] == 1).all() and len(model.held)
+    alone = trousers.levels.model(PRESETS["denim"], bend_factor=1 / 3, fine=fine)
+    inner = model.layer[model.hinges[:, 0]] == 0
+    np.testing.assert_allclose(np.sort(model.hinge_data[inner, 1, 1]), np.sort(alone.hinge_data[:, 1, 1]), rtol=1e-5)
+
+
+def test_a_plain_outfit_is_simulated() -> None:
+    simulation, motion = simulation_of(parse_scene(OUTFIT, "outfit.toml"))
+    assert motion is not None and simulation.model.layer.max() == 1
+    start = simulation.vertices.copy()
+    for frame in range(1, 11):
+        simulation.step(motion.pose(frame / 60))
+    moved = np.linalg.norm(simulation.vertices - start, axis=1)
+    assert np.isfinite(moved).all() and 0.001 < moved.max() < 0.5
+
+
+def test_the_pattern_is_that_of_all_garments() -> None:
+    pattern = pattern_of(parse_scene(OUTFIT, "outfit.toml"))
+    assert pattern is not None and pattern.shape == (2216 + 1176, 3, 2)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "problem"),
+    [
+        ('"silk"', '"silk"\npressure = 5.0', r"garment\[1\].pressure: another pressure in an outfit"),
+        ("fabrics = []", 'fabrics = ["wool"]', "training.fabrics: other fabrics of an outfit"),
+        ('name = "skirt"', 'name = "trousers"', "trousers"),
+        ('attach = "top"', 'attach = "top"\npins = [3]', r"garment\[1\].pins: pins beside a body"),
+    ],
+)
+def test_what_makes_no_outfit_is_refused(old: str, new: str, problem: str) -> None:
+    with pytest.raises(InputError, match=problem):
+        setup_of(OUTFIT.replace(old, new))
+
+
+def test_a_decimated_garment_is_refused(tmp_path: Path) -> None:
+    vertices, faces, _ = two_panels(20, 20, 17)
+    lines = [f"v {x} {1 + y} 0.3" for x, y, _ in vertices] + [f"vt {x} {y}" for x, y, _ in vertices]
+    lines += ["f " + " ".join(f"{v + 1}/{v + 1}" for v in face) for face in faces]
+    (tmp_path / "cloth.obj").write_text("\n".join(lines))
+    mesh = f'"{(tmp_path / "cloth.obj").as_posix()}"\npattern = true\ncoarse_vertices = 60'
+    cloth = SKIRT.replace('"builtin:skirt"', mesh).replace('attach = "top"', "")
+    with pytest.raises(InputError, match=r"garment\[1\].coarse_vertices: a decimated mesh in an outfit"):
+        setup_of(TROUSERS + cloth + REST)
