@@ -52,7 +52,10 @@ class ProxyMesh:
 
 
 def proxy_mesh_of(levels: Levels, warp: tuple[float, float, float] = (0.0, 1.0, 0.0)) -> ProxyMesh | None:
-    """Make the mesh below the coarse one of a garment; None if it is too small or cannot be decimated.
+    """Make the mesh below the coarse one of a garment.
+
+    Returns:
+        None for an outfit, and for a mesh that is too small or cannot be decimated.
 
     Args:
         levels: of the garment.
@@ -60,7 +63,7 @@ def proxy_mesh_of(levels: Levels, warp: tuple[float, float, float] = (0.0, 1.0, 
     """
     coarse, middle = levels.coarse, levels.subdivision.middle
     count = len(coarse.vertices) // REDUCTION
-    if count < MIN_VERTICES:
+    if count < MIN_VERTICES or levels.layers is not None:
         return None
     surface = middle.upsample(coarse.vertices)
     held = held_between(middle, levels.coarse_held)

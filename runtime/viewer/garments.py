@@ -317,8 +317,8 @@ class DatabaseSource:
 
     @property
     def wearable(self) -> bool:
-        """Whether stiffness and weight can be changed."""
-        return True
+        """Whether stiffness and weight can be changed: those of several garments at once cannot."""
+        return self.database.layers is None
 
     def garment(self, motion: Motion | None, fabric: str, wrinkles: bool) -> ViewedGarment:
         """The garment at the start of a motion.
