@@ -1,5 +1,6 @@
 """Quasi-static relaxation of the fine mesh: its own forces come to rest, held vertices in place, out of the body."""
 
+from collections.abc import Sequence
 from copy import copy
 
 import numpy as np
@@ -16,6 +17,7 @@ from pbd.xpbd.views import BodySurface, ClothArrays, ConstraintArrays, Multigrid
 from wrinkles.charts import leading_vertices
 from wrinkles.clearance import clearances, facing
 from wrinkles.covered_body import MAX_HEIGHT, CoveredBody, edge_towards, has_more_edges, height_over
+from wrinkles.garment_separation import GarmentSeparation
 from wrinkles.levels import Levels
 from wrinkles.opposite_parts import PHASES, find_moved, find_opposite, opposed
 
@@ -252,7 +254,7 @@ class Relaxation:
             :func:`wrinkles.clearance.clearances`.
         facing: 1 where the garment's faces look away from the body, -1 where they look at it.
         level: where the coarse vertices around a fine one are all further than this from the body, so is that one [m].
-
+        separations: that keep the outer garments of an outfit over the inner ones, from the innermost outwards.
     """
 
     def __init__(
@@ -262,8 +264,10 @@ class Relaxation:
         clearance: np.ndarray,
         facing: float,
         level: float = LEVEL,
+        separations: Sequence[GarmentSeparation] = (),
     ) -> None:
         ensure_initialized()
+        self._separations = separations
         held = model.held
         is_held = model.inverse_mass == 0.0
         # Vertices that lie near one another look at the same part of the body.
@@ -318,12 +322,25 @@ class Relaxation:
         longest = np.zeros(len(levels.fine.vertices))
         np.maximum.at(longest, edges, lengths[:, None])
         spacing = longest[cKDTree(levels.fine.vertices).query(body_vertices)[1]]
-        return cls(
+        model, outwards = (
             levels.model(fabric, bend_factor=bend_factor, fine=True),
-            leading_vertices(levels.subdivision),
-            clearances(body_vertices, body_faces, spacing, KEPT * fabric.thickness),
             facing(levels.coarse, body_vertices, body_faces),
+        )
+        leading, layers = leading_vertices(levels.subdivision), levels.layers
+        return cls(
+            model,
+            leading,
+            clearances(body_vertices, body_faces, spacing, KEPT * fabric.thickness),
+            outwards,
             LEVEL if levels.subdivision.binding is None else PLEATED,
+            []
+            if layers is None
+            else [
+                GarmentSeparation(
+                    layers, levels.subdivision, leading, number, levels.fine_held, outwards, model.fabric.thickness
+                )
+                for number in range(1, len(layers.names))
+            ],
         )
 
     def fresh(self) -> "Relaxation":
@@ -403,4 +420,6 @@ class Relaxation:
             self._clearance,
             passes,
         )
+        for separation in self._separations:
+            separation(fine)
         self._phase = (self._phase + 1) % PHASES
