@@ -13,7 +13,7 @@ from wrinkles.surface import Subdivision
 
 __all__ = ["GarmentSeparation"]
 
-NEAR = 0.03  # a coarse vertex this far from the garments below is not over them [m]
+NEAR = 0.01  # a coarse vertex further than this and a mean coarse edge from those below is not over them [m]
 DEEPEST = 0.01  # a vertex deeper than this under them is not under them, but at another place [m]
 ASIDE = 0.001  # beyond a rim by more than this, and by more than its height, a vertex is not over the garment [m]
 
@@ -69,6 +69,7 @@ class GarmentSeparation:
         held: fine vertices that are not moved, int, shape (P,).
         facing: 1 where the garments' faces look away from the body, -1 where they look at it.
         kept: distance from the garments below [m].
+        edge: mean length of the coarse edges [m].
     """
 
     def __init__(
@@ -80,6 +81,7 @@ class GarmentSeparation:
         held: np.ndarray,
         facing: float,
         kept: float,
+        edge: float,
     ) -> None:
         ensure_initialized()
         fine = layers.subdivided(subdivision).layer
@@ -93,7 +95,7 @@ class GarmentSeparation:
         self._around = np.ascontiguousarray(leading[self._moved], np.int32)
         self._below, self._outer = np.flatnonzero(layers.layer < number), np.flatnonzero(layers.layer == number)
         self._seeds = np.full(len(layers.layer), -1, np.int32)
-        self._facing, self._kept = facing, kept
+        self._facing, self._kept, self._near = facing, kept, NEAR + edge
         self._shade, self._separate = Launch(surface_normals), Launch(_separate)
 
     def __call__(self, fine: np.ndarray) -> None:
@@ -106,7 +108,7 @@ class GarmentSeparation:
             fine: vertices of all garments [m], float32, shape (N, 3).
         """
         tree = cKDTree(fine[self._below])
-        distance, nearest = tree.query(fine[self._outer], distance_upper_bound=NEAR)
+        distance, nearest = tree.query(fine[self._outer], distance_upper_bound=self._near)
         near = np.isfinite(distance)
         self._seeds[self._outer] = -1
         self._seeds[self._outer[near]] = self._below[nearest[near]]

@@ -322,25 +322,16 @@ class Relaxation:
         longest = np.zeros(len(levels.fine.vertices))
         np.maximum.at(longest, edges, lengths[:, None])
         spacing = longest[cKDTree(levels.fine.vertices).query(body_vertices)[1]]
-        model, outwards = (
-            levels.model(fabric, bend_factor=bend_factor, fine=True),
-            facing(levels.coarse, body_vertices, body_faces),
-        )
-        leading, layers = leading_vertices(levels.subdivision), levels.layers
+        model = levels.model(fabric, bend_factor=bend_factor, fine=True)
+        outwards = facing(levels.coarse, body_vertices, body_faces)
+        leading = leading_vertices(levels.subdivision)
         return cls(
             model,
             leading,
             clearances(body_vertices, body_faces, spacing, KEPT * fabric.thickness),
             outwards,
             LEVEL if levels.subdivision.binding is None else PLEATED,
-            []
-            if layers is None
-            else [
-                GarmentSeparation(
-                    layers, levels.subdivision, leading, number, levels.fine_held, outwards, model.fabric.thickness
-                )
-                for number in range(1, len(layers.names))
-            ],
+            _separations(levels, leading, outwards, model.fabric.thickness),
         )
 
     def fresh(self) -> "Relaxation":
@@ -423,3 +414,15 @@ class Relaxation:
         for separation in self._separations:
             separation(fine)
         self._phase = (self._phase + 1) % PHASES
+
+
+def _separations(levels: Levels, leading: np.ndarray, outwards: float, kept: float) -> list[GarmentSeparation]:
+    """What keeps each outer garment of an outfit over those below it, from the innermost outwards."""
+    if levels.layers is None:
+        return []
+    edge, layers = float(levels.coarse.edge_lengths()[1].mean()), levels.layers
+    held, subdivision = levels.fine_held, levels.subdivision
+    return [
+        GarmentSeparation(layers, subdivision, leading, number, held, outwards, kept, edge)
+        for number in range(1, len(layers.names))
+    ]

@@ -215,6 +215,8 @@ class _Kept:
         arrays += [] if source is None else [source.vertices, source.faces]
         for array in arrays:
             digest.update(np.ascontiguousarray(array).tobytes())
+        if levels.layers is not None:
+            digest.update(levels.layers.layer.tobytes() + repr(levels.layers.fabrics).encode())
         return cls(digest.hexdigest(), levels, source, fabric)
 
 

@@ -11,7 +11,7 @@ from wrinkles.charts import leading_vertices
 from wrinkles.garment_separation import GarmentSeparation
 from wrinkles.levels import Layers, Levels, build_levels
 
-SIDE, KEPT = 9, 0.002
+SIDE, KEPT, EDGE = 9, 0.002, 0.05
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def separation(levels: Levels, held: np.ndarray) -> tuple[GarmentSeparation, np.
     layers, leading = levels.layers, leading_vertices(levels.subdivision)
     assert layers is not None
     layer = layers.subdivided(levels.subdivision).layer
-    return GarmentSeparation(layers, levels.subdivision, leading, 1, held, up, KEPT), layer, up
+    return GarmentSeparation(layers, levels.subdivision, leading, 1, held, up, KEPT, EDGE), layer, up
 
 
 def test_what_is_under_the_inner_garment_comes_over_it(levels: Levels) -> None:
@@ -48,7 +48,7 @@ def test_what_is_under_the_inner_garment_comes_over_it(levels: Levels) -> None:
     separate(fine)
     np.testing.assert_array_equal(fine[inner], before[inner])
     np.testing.assert_array_equal(fine[held], before[held])
-    over = outer & (before[:, 0] < before[inner, 0].max() - 0.01) & (np.abs(before[:, 2]) < 0.19)
+    over = outer & (before[:, 0] < before[inner, 0].max() - 0.01) & (np.abs(before[:, 2]) < 0.15)
     over[held] = False
     low = before[:, 1] < KEPT
     assert (over & low).sum() > 200
@@ -79,7 +79,7 @@ def test_the_outside_is_where_the_faces_look(levels: Levels) -> None:
     layers = levels.layers
     assert layers is not None
     leading = leading_vertices(levels.subdivision)
-    turned = GarmentSeparation(layers, levels.subdivision, leading, 1, np.zeros(0, int), -up, KEPT)
+    turned = GarmentSeparation(layers, levels.subdivision, leading, 1, np.zeros(0, int), -up, KEPT, EDGE)
     fine = levels.fine.vertices.astype(np.float32)
     fine[layer == 0, 1], fine[layer == 1, 1] = 0.0, 0.001
     other = fine.copy()
