@@ -254,6 +254,8 @@ class Relaxation:
             :func:`wrinkles.clearance.clearances`.
         facing: 1 where the garment's faces look away from the body, -1 where they look at it.
         level: where the coarse vertices around a fine one are all further than this from the body, so is that one [m].
+        comes_to_rest: whether a pass moves vertices by the garment's own forces. A delivered mesh may have pleats that
+            are longer than the coarse garment leaves room for: its shortest folds would get sharper with each pass.
         separations: that keep the outer garments of an outfit over the inner ones, from the innermost outwards.
     """
 
@@ -264,6 +266,7 @@ class Relaxation:
         clearance: np.ndarray,
         facing: float,
         level: float = LEVEL,
+        comes_to_rest: bool = True,
         separations: Sequence[GarmentSeparation] = (),
     ) -> None:
         ensure_initialized()
@@ -284,6 +287,7 @@ class Relaxation:
         self._inverse_mass = model.inverse_mass
         self._held = np.asarray(held, np.int32)
         self._clearance, self._facing, self._level = clearance, facing, level
+        self._comes_to_rest = comes_to_rest
         self._forget(int(leading.max()) + 1)
 
     def _forget(self, coarse_count: int) -> None:
@@ -321,6 +325,7 @@ class Relaxation:
         edges, lengths = levels.fine.edge_lengths()
         longest = np.zeros(len(levels.fine.vertices))
         np.maximum.at(longest, edges, lengths[:, None])
+        delivered = levels.subdivision.binding is not None
         spacing = longest[cKDTree(levels.fine.vertices).query(body_vertices)[1]]
         model = levels.model(fabric, bend_factor=bend_factor, fine=True)
         outwards = facing(levels.coarse, body_vertices, body_faces)
@@ -330,7 +335,8 @@ class Relaxation:
             leading,
             clearances(body_vertices, body_faces, spacing, KEPT * fabric.thickness),
             outwards,
-            LEVEL if levels.subdivision.binding is None else PLEATED,
+            PLEATED if delivered else LEVEL,
+            not delivered,
             _separations(levels, leading, outwards, model.fabric.thickness),
         )
 
@@ -377,7 +383,7 @@ class Relaxation:
             coarse_contact: distance of the coarse vertices, as in :class:`pbd.State`, float32, shape (n,).
             body: gives neighbourhoods and normals.
             current: where its vertices are [m], float32, shape (b, 3).
-            passes: number of passes.
+            passes: number of passes over the garment's own forces; none for a delivered mesh.
         """
         self._targets[:] = targets
         self._relax(
@@ -409,7 +415,7 @@ class Relaxation:
             body.fan_start,
             body.fan,
             self._clearance,
-            passes,
+            passes if self._comes_to_rest else 0,
         )
         for separation in self._separations:
             separation(fine)

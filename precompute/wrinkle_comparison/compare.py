@@ -331,7 +331,7 @@ def _plain_turns(
             name = f"{mesh.replace('_', ' ')} {kind}, {substeps} substeps"
             method = Method(f"plain_{mesh}_{substeps}_", name, 0.0, {}, _settings(tried), mesh=mesh)
             found.append((method, ClothTurn(tried, keep)))
-            if cloth.levels is not None:
+            if cloth.levels is not None and cloth.levels.subdivision.binding is None:  # others do not come to rest
                 rested = replace(tried, passes=full_passes(len(cloth.levels.subdivision.steps)))
                 settings, called = _settings(rested), f"{name}, at rest"
                 method = Method(f"plain_{mesh}_{substeps}_at_rest_", called, 0.0, {}, settings, mesh=mesh)

@@ -9,6 +9,7 @@ from pbd import Body, Fabric
 from pbd.geometry import FAR
 from pbd.model import build_model
 from tests.pbd.meshes import grid
+from tests.wrinkles.delivered import delivered_levels, delivered_panels
 from tests.wrinkles.meshes import icosphere
 from wrinkles.charts import leading_vertices
 from wrinkles.levels import Levels, build_levels
@@ -97,6 +98,25 @@ def test_a_mesh_that_fits_stays() -> None:
     bent = cloth.rest.copy()  # rolled up: nothing is stretched by more than its chord
     bent[:, 0], bent[:, 2] = 0.1 * np.sin(cloth.rest[:, 0] / 0.1), 0.1 * np.cos(cloth.rest[:, 0] / 0.1)
     np.testing.assert_allclose(cloth(bent, passes=3), bent, atol=1e-4)
+
+
+@pytest.mark.parametrize("delivered", [False, True])
+def test_a_delivered_mesh_does_not_come_to_rest(delivered: bool) -> None:
+    """Its pleats would get sharper."""
+    if delivered:
+        _, _, coarse, subdivision = delivered_panels()
+        levels = delivered_levels(coarse, subdivision)
+    else:
+        levels = Cloth(held=tuple(range(9))).levels
+    relax, body = Relaxation.of(levels, *NOBODY, Fabric(), 1 / 3), Body(NOBODY[1], 1)
+    rng, count = np.random.default_rng(2), levels.subdivision.coarse_count
+    start = (levels.fine.vertices + rng.normal(0.0, 0.0003, levels.fine.vertices.shape)).astype(np.float32)
+    fine, targets = start.copy(), start[levels.fine_held] + np.float32(0.001)
+    nothing = np.full(count, -1, np.int32), np.full(count, FAR, np.float32)
+    relax(fine, targets, np.zeros((count, 9), np.float32), *nothing, body, body.current, 2)
+    np.testing.assert_array_equal(fine[levels.fine_held], targets)
+    free = np.setdiff1d(np.arange(len(fine)), levels.fine_held)
+    assert np.array_equal(fine[free], start[free]) == delivered
 
 
 def test_held_vertices_go_to_their_targets_and_others_to_them() -> None:
