@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ from runtime.player import Player
 from tests.precompute.miniature import OPTIONS, SCENE, scene
 from wrinkles.database import WrinkleDatabase, read_database
 
+FEW_TRIES = replace(OPTIONS, shear_scales=(1.0,), bend_scales=(1.0,))
 TROUSERS = """
 [[garment]]
 name = "trousers"
@@ -26,7 +29,7 @@ subdivisions = 1
 def database(tmp_path_factory: pytest.TempPathFactory) -> WrinkleDatabase:
     path = tmp_path_factory.mktemp("outfit") / "outfit.h5"
     text = TROUSERS + SCENE.replace("end = 1.2", "end = 0.6")
-    precompute(scene(text), path, workers=1, options=OPTIONS)
+    precompute(scene(text), path, workers=1, options=FEW_TRIES)
     return read_database(path)
 
 
