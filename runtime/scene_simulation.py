@@ -31,7 +31,7 @@ def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion 
     scene = with_subdivisions(scene)
     if scene.character is not None:
         stage = GarmentSetup.of(scene)
-        settings, levels, motion = stage.settings, stage.levels, stage.motion()
+        scene, settings, levels, motion = stage.scene, stage.settings, stage.levels, stage.motion()
         source, pose = body_source(stage.body), motion.pose(0.0)
     else:
         settings, garment = garment_of(scene)

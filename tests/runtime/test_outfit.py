@@ -107,6 +107,14 @@ def test_a_plain_outfit_is_simulated() -> None:
     assert np.isfinite(moved).all() and 0.001 < moved.max() < 0.5
 
 
+def test_the_fine_substep_is_that_of_the_finest_garment() -> None:
+    """Trousers that are cut once before, and as often after it as the skirt needs: three times in all."""
+    inner = TROUSERS + "coarse_subdivisions = 1\n"
+    scene = parse_scene(inner + SKIRT.replace("subdivisions = 1", "subdivisions = 2") + REST, "outfit.toml")
+    simulation, _ = simulation_of(scene, fine=True)
+    assert simulation.solver.options.substep == pytest.approx(scene.training.substep / 8.0)
+
+
 def test_the_pattern_is_that_of_all_garments() -> None:
     pattern = pattern_of(parse_scene(OUTFIT, "outfit.toml"))
     assert pattern is not None and pattern.shape == (2216 + 1176, 3, 2)
