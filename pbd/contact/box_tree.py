@@ -23,7 +23,7 @@ class BoxTree:
         owned: of each face, bits of the corners and of the sides that belong to it.
         patch_start, group_start: offsets of the patches in the faces, and of the groups in the patches.
         nodes: of the tree over the groups, in preorder: the next node that is not below this one, its last group, its
-            group if it is a leaf, else -1.
+            group if it is a leaf, else -1, and the layer of all of its faces, -1 if they are of several.
         neighbour_start, neighbours: of each patch those, itself too, that it has a vertex in common with, ascending.
         common: for each neighbour and each face of the patch, bits of the neighbour's faces that share a vertex.
         boxes: low and high corner of each node [m], vec3.
@@ -152,19 +152,21 @@ def update_nodes(tree: ti.template()):
 
 
 @ti.func
-def list_near_groups(first: ti.i32, group: ti.i32, leaf: ti.i32, tree: ti.template()) -> ti.i32:
-    """Put the groups near a group, from a first one on, into ``near_groups``; returns how many; ``leaf``: its own.
+def list_near_groups(first: ti.i32, group: ti.i32, leaf: ti.i32, within: ti.i32, tree: ti.template()) -> ti.i32:
+    """Put the groups near a group, from a first one on, into ``near_groups``; returns how many.
 
-    Those that share a vertex with it and cannot touch it are left out.
+    Those that share a vertex with it and cannot touch it are left out, and, unless ``within`` layers is searched, those
+    of its layer. ``leaf``: its own node.
     """
     near_count = 0
     patches = tree.patch_start.shape[0] - 1
     joined, last_joined = tree.joined_start[group], tree.joined_start[group + 1]
     low, high = tree.boxes[2 * leaf], tree.boxes[2 * leaf + 1]
     node = 0
+    left_out = ti.select(within != 0, -2, tree.nodes[leaf][3])
     while node < tree.nodes.shape[0]:
         entry = tree.nodes[node]
-        if entry[1] < first or not overlap(low, high, tree.boxes[2 * node], tree.boxes[2 * node + 1]):
+        if entry[1] < first or entry[3] == left_out or not overlap(low, high, tree.boxes[2 * node], tree.boxes[2 * node + 1]):
             node = entry[0]
         else:
             node += 1

@@ -60,7 +60,7 @@ def find_pairs(
     edges: Int2,
     patch_start: Int1,
     group_start: Int1,
-    nodes: Int3,
+    nodes: Int4,
     neighbour_start: Int1,
     neighbours: Int1,
     common: Byte2,
@@ -92,12 +92,13 @@ def find_pairs(
     thickness: ti.f32,
     longest: ti.f32,
     tangled: ti.i32,
+    within: ti.i32,
 ):
     """Find the pairs that may touch in the next ``dt`` [s]; ``ready_pairs[0]`` receives how many there are.
 
     All are found if ``anew``. Else those found before are kept, except those of stale faces, which are found again;
     ``elapsed`` [s] is the time since the frame's start, ``share`` the part left of what the last search looked ahead
-    to. The other arguments are those of :class:`MovingCloth`, :class:`BoxTree` and :class:`PairBuffers`; over 12,
+    to; ``within`` says whether pairs of one layer are wanted. The other arguments are those of :class:`MovingCloth`, :class:`BoxTree` and :class:`PairBuffers`; over 12,
     because a kernel takes arrays one by one.
     """
     ti.loop_config(serialize=True)
@@ -107,6 +108,7 @@ def find_pairs(
             elapsed,
             dt,
             share,
+            within,
             MovingCloth(
                 position, velocity, displacement, normals, rest, landmarks, layer, wrong_side, seen_position,
                 seen_velocity, stale, thickness, longest, tangled,
@@ -127,6 +129,7 @@ def search_pairs(
     elapsed: ti.f32,
     dt: ti.f32,
     share: ti.f32,
+    within: ti.i32,
     cloth: ti.template(),
     tree: ti.template(),
     buffers: ti.template(),
@@ -153,7 +156,7 @@ def search_pairs(
         stale = tree.stale_patches[group]
         near_count = 0
         if stale != 0:
-            near_count = list_near_groups(ti.select(anew != 0, group, 0), group, leaf, tree)
+            near_count = list_near_groups(ti.select(anew != 0, group, 0), group, leaf, within, tree)
         leaf += 1
         while stale != 0:
             patch = tree.group_start[group] + lowest(stale)

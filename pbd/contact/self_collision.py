@@ -51,8 +51,17 @@ def _landmark_distances(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.stack(coordinates, axis=1)
 
 
-def _patches(landmarks: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _patches(
+    landmarks: np.ndarray, faces: np.ndarray, layer: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Faces in patches that hang together along the cloth, these in groups, and a binary tree over the groups.
+
+    The tree parts the layers first.
+
+    Args:
+        landmarks: see :func:`_landmark_distances`.
+        faces: shape (m, 3).
+        layer: of each face, shape (m,).
 
     Returns:
         order of the faces, offsets of the patches in it and of the groups in those, and the nodes for
@@ -62,6 +71,10 @@ def _patches(landmarks: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.n
     order, starts, group_starts, nodes = [], [0], [0], []
 
     def halves(members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        first, last = layer[members].min(), layer[members].max()
+        if first < last:
+            outer = 2 * layer[members] > first + last
+            return members[~outer], members[outer]
         spread = np.ptp(centres[members], axis=0)
         by_place = members[np.argsort(centres[members, np.argmax(spread)], kind="stable")]
         return by_place[: len(members) // 2], by_place[len(members) // 2 :]
@@ -75,9 +88,9 @@ def _patches(landmarks: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.n
             starts.append(starts[-1] + len(members))
 
     def build(members: np.ndarray) -> None:
-        node = len(nodes)
-        nodes.append([0, 0, -1])
-        if len(members) > LANES * LANES:
+        node, first, last = len(nodes), layer[members].min(), layer[members].max()
+        nodes.append([0, 0, -1, first if first == last else -1])
+        if first < last or len(members) > LANES * LANES:
             for half in halves(members):
                 build(half)
         else:
@@ -144,7 +157,8 @@ class SelfCollision:
 
     Args:
         model: the garment, or several layers of garments.
-        untangles: whether the search finds cloth that is through itself, and pulls it back; it costs time.
+        within: whether pairs of one layer are wanted, and cloth that is through itself is found and pulled back. Else
+            pairs of two layers alone are found, at a fraction of the cost.
 
     Attributes:
         pairs: (vertex, corners of a face), or (a, -b - 1, c, d) for the edges a-b and c-d, int32, shape (c, 4).
@@ -153,13 +167,13 @@ class SelfCollision:
         strain_limits, limit_work: see :func:`pbd.contact.strain_limits.limit_rows`.
     """
 
-    def __init__(self, model: Model, untangles: bool = True) -> None:
+    def __init__(self, model: Model, within: bool = True) -> None:
         mesh = model.mesh
         count = len(mesh.vertices)
         distances = _landmark_distances(mesh.vertices, mesh.faces)
         landmarks = np.zeros((count, 2, 4), np.float32)
         landmarks.reshape(count, 8)[:, : LANDMARKS + 1] = distances
-        order, patch_start, group_start, nodes = _patches(distances, mesh.faces)
+        order, patch_start, group_start, nodes = _patches(distances, mesh.faces, model.layer[mesh.faces[:, 0]])
         faces = np.ascontiguousarray(mesh.faces[order], np.int32)
         unique_edges, side_edge = edges_of(faces)
         edges = np.ascontiguousarray(unique_edges[side_edge.ravel()])
@@ -204,9 +218,10 @@ class SelfCollision:
             "seen_velocity": np.zeros((count, 3), np.float32),
             "stale": np.zeros(count, np.int32),
             "max_displacement": self._max_displacement,
+            "within": int(within),
             "longest": float(np.linalg.norm(np.diff(rest[edges], axis=1), axis=2).max()),
         }
-        self._untangling, self._untangles = Untangling(faces, self._layer, mesh.vertex_areas), untangles
+        self._untangling, self._untangles = Untangling(faces, self._layer, mesh.vertex_areas), within
         self._no_crossings = np.zeros((1, 3), np.int32)
         self._find, self._turn_sides = Launch(find_pairs), Launch(turning_kernel())
         self._ahead = 1.0  # how far the last search looked [s]

@@ -89,6 +89,24 @@ def test_every_pair_that_brute_force_finds_is_found_once(seed: int) -> None:
     assert len(found) == len(rows)  # none twice
 
 
+def test_between_layers_alone_the_same_pairs_are_found_as_when_all_are() -> None:
+    random = np.random.default_rng(7)
+    flat, faces = level(24, 20, 0.02)  # several groups each, so that the tree parts the layers
+    leaves = [flat @ turn(random.normal(size=3), 3.0).T + [0.004 * k, 0.0025 * k, 0.0] for k in range(4)]
+    vertices, faces = sheets(*leaves, faces=faces)
+    layer = np.repeat(np.array([0, 1, 0, 2], np.int32), len(flat))
+    model = replace(free_model(cloth(vertices, faces), Fabric(thickness=THICKNESS)), layer=layer)
+    state, rows = State.at_rest(model), {}
+    for within in (True, False):
+        pairs = SelfCollision(model, within)
+        pairs.find(state, 1e-6, 1, THICKNESS)
+        rows[within] = pairs.pairs[: pairs.ready[0]][pairs.data[: pairs.ready[0], 1, 1] != PULL]
+    crossing = layer[rows[True][:, 0]] != layer[rows[True][:, 3]]
+    assert 300 < crossing.sum() < len(crossing)
+    assert found_features(rows[False]) == found_features(rows[True][crossing])
+    assert len(rows[False]) == crossing.sum()
+
+
 @pytest.mark.parametrize(("gap", "through"), [(-0.5 * THICKNESS, True), (-1.5 * THICKNESS, False)])
 def test_edges_are_through_one_another_only_so_far(gap: float, through: bool) -> None:
     """What seems further through than cloth is thick has gone around; taken for through, it trembled for good."""
