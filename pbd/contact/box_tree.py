@@ -166,7 +166,8 @@ def list_near_groups(first: ti.i32, group: ti.i32, leaf: ti.i32, within: ti.i32,
     left_out = ti.select(within != 0, -2, tree.nodes[leaf][3])
     while node < tree.nodes.shape[0]:
         entry = tree.nodes[node]
-        if entry[1] < first or entry[3] == left_out or not overlap(low, high, tree.boxes[2 * node], tree.boxes[2 * node + 1]):
+        passed = entry[1] < first or entry[3] == left_out
+        if passed or not overlap(low, high, tree.boxes[2 * node], tree.boxes[2 * node + 1]):
             node = entry[0]
         else:
             node += 1

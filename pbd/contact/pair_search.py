@@ -98,8 +98,8 @@ def find_pairs(
 
     All are found if ``anew``. Else those found before are kept, except those of stale faces, which are found again;
     ``elapsed`` [s] is the time since the frame's start, ``share`` the part left of what the last search looked ahead
-    to; ``within`` says whether pairs of one layer are wanted. The other arguments are those of :class:`MovingCloth`, :class:`BoxTree` and :class:`PairBuffers`; over 12,
-    because a kernel takes arrays one by one.
+    to; ``within`` says whether pairs of one layer are wanted. The other arguments are those of :class:`MovingCloth`,
+    :class:`BoxTree` and :class:`PairBuffers`; over 12, because a kernel takes arrays one by one.
     """
     ti.loop_config(serialize=True)
     for _ in range(1):
