@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from assets.io.sequence import Sequence
 from pbd import InputError
 from pbd.contact.colliders import Primitive
 from pbd.wind import CALM, Air, Wind
+from runtime.dressing import Stay, place_on_body, settle, take_over
 from runtime.fine_garment import FineGarment
 from runtime.level_of_detail import LevelOfDetail
 from runtime.moment import Moment
@@ -23,9 +25,15 @@ from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels
 from wrinkles.proxy_mesh import proxy_mesh_of
 from wrinkles.relaxation import full_passes
+from wrinkles.worn_garments import garment_names, with_garments
 
 __all__ = ["FADE", "PARTS", "Player", "check_drag", "check_step"]
 
+DRESSED = (
+    "database", "levels", "simulation", "_fine", "vertices", "normals", "_between", "_extrapolation", "_fade", "full",
+    "_coarser",
+)  # fmt: skip
+"""Attributes of a player that belong to the garments that are worn."""
 PARTS = ("skin", "coarse", "decode", "relax", "normals", "frame")  # of a frame's time
 
 
@@ -62,17 +70,28 @@ class Player:
     ) -> None:
         database.require_body(body)
         bind_pose = body.bind_pose() if isinstance(body, Character) else body.vertices[0]
-        start = bind_pose if pose is None else pose
+        start, self._bind_pose = bind_pose if pose is None else pose, bind_pose
         if fabric is not None:
             database = database.in_fabric(fabric)
         self._pose_shape = (len(body.joint_names), 3, 4) if isinstance(body, Character) else body.vertices.shape[1:]
         check_step(start, self._pose_shape)
+        self._outfit, self._source, self._primitives = database, body_source(body), tuple(primitives)
+        self._dressed: dict[tuple[str, ...], dict[str, Any]] = {}  # what was made for other sets of garments
+        self._idle, self._dt, self._wait = 0.0, 0.0, 0  # since the last update, last tick [s]; ticks to leave out
+        self._alpha = 1.0
+        self.timings: dict[str, float] = dict.fromkeys(PARTS, 0.0)
+        self._dress(database, start)
+
+    def _dress(self, database: WrinkleDatabase, start: np.ndarray) -> None:
+        """Make all that hangs on the garments that are worn, at a pose of the body."""
+        source = self._source
         self.database = database
-        source = body_source(body)
         self.levels: Levels = database.levels(source.vertices, source.faces)
         rest = database.rest_shape.applied(self.levels.coarse)
         model = self.levels.model(database.fabric, database.options, database.bend_factor, mesh=rest)
-        self.simulation = Simulation(model, self.levels.coarse_attachment, source, start, database.solver, primitives)
+        self.simulation = Simulation(
+            model, self.levels.coarse_attachment, source, start, database.solver, self._primitives
+        )
         self._fine = FineGarment(database, self.levels, source)
         self.vertices, self.normals = self._fine.vertices, self._fine.normals
         self._between = Interpolation(self.simulation)
@@ -80,14 +99,59 @@ class Player:
         self._fade = Fade(self.vertices)
         substeps = max(1, int(np.ceil(1.0 / (database.frame_rate * database.solver.substep) - 1e-6)))
         self.full = LevelOfDetail(1, substeps, len(database.atoms.shapes), full_passes(database.subdivisions))
-        self._detail, self._wait = self.full, 0  # ticks to leave out before the next update
+        self._detail = self.full
         self._coarser: ProxySimulation | None = None  # made when it is first asked for
-        self._bind_vertices = source.vertices
-        self._idle, self._dt = 0.0, 0.0  # time since the last update, length of the last tick [s]
-        self._alpha = 1.0
-        self.timings: dict[str, float] = dict.fromkeys(PARTS, 0.0)
         self._warm_up(start)
         self.decode()
+
+    @property
+    def worn(self) -> tuple[str, ...]:
+        """Names of the garments that are worn, from the innermost outwards."""
+        return garment_names(self.database)
+
+    def wear(self, names: Iterable[str]) -> None:
+        """Put garments of an outfit on and take others off; what stays on goes on as it is, and nothing of it pops.
+
+        What is put on is placed where the body carries it from the bind pose, and finds its place within this call.
+        ``database``, ``levels``, ``simulation``, ``vertices`` and ``normals`` are others after it. The first call with
+        a set of garments makes what these need in some tenths of a second; the player keeps that for the next time. A
+        vertex that was dragged is free.
+
+        Args:
+            names: of garments of the outfit; the order in which they are worn is that of the outfit.
+
+        Raises:
+            InputError: no garment, or one that the outfit does not have; then nothing has changed.
+        """
+        database = with_garments(self._outfit, names)
+        before, worn = self.worn, garment_names(database)
+        if worn == before:
+            return
+        if self._detail.level:  # the mesh below the coarse one is another for other garments
+            self.change(replace(self._detail, level=0), self._wait, fade=False)
+        old_database, old_simulation, shown = self.database, self.simulation, self.vertices.copy()
+        old_between, detail, times = self._between.before, self._detail, (self._idle, self._dt, self._wait)
+        self._dressed[before] = {name: getattr(self, name) for name in DRESSED}
+        if worn in self._dressed:
+            vars(self).update(self._dressed[worn])
+        else:
+            self._dress(database, self._bind_pose)
+        stay = Stay.between(old_database, self.database)
+        simulation = self.simulation
+        take_over(old_simulation, simulation, stay)
+        if len(stay.new):
+            place_on_body(simulation, self.levels.coarse.vertices, stay.new)
+            settle(simulation, stay.new)
+        self._between.remember()
+        self._between.before[stay.coarse, :3] = old_between[stay.before, :3]
+        simulation.solver.options = old_simulation.solver.options
+        self._detail, self._extrapolation.started = detail, False
+        self._idle, self._dt, self._wait = times
+        self._fade.prepare()
+        self.decode(self._alpha)
+        now = self.vertices.copy()
+        now[stay.fine] = shown[stay.fine_before]
+        self._fade.start_from(now)
 
     @property
     def origin(self) -> np.ndarray:
@@ -148,7 +212,7 @@ class Player:
         if proxy is None:
             raise InputError("no such mesh", key="level", received=1, expected="0: this garment's mesh is too coarse")
         self._coarser = ProxySimulation(
-            proxy, self.simulation, self.database.options, self._bind_vertices, self.levels.coarse_attachment
+            proxy, self.simulation, self.database.options, self._source.vertices, self.levels.coarse_attachment
         )
 
     @property

@@ -102,6 +102,11 @@ class Fade:
         np.copyto(self._scratch, self._vertices)
         self._left = 0.0
 
+    def start_from(self, shown: np.ndarray) -> None:
+        """Show other vertices [m], float32, shape (N, 3), and let their difference vanish from now on."""
+        np.copyto(self._scratch, shown)
+        self.start()
+
     def start(self) -> None:
         """Show again what was kept, and let its difference to the vertices vanish from now on."""
         np.subtract(self._scratch, self._vertices, out=self._offset)

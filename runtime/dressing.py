@@ -1,0 +1,107 @@
+"""Garments of an outfit that are put on or taken off while it is played: what goes over from one set to the next."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pbd.attachment import Attachment
+from runtime.simulation import Simulation
+from wrinkles.database import WrinkleDatabase
+from wrinkles.worn_garments import garment_names
+
+__all__ = ["Stay", "place_on_body", "settle", "take_over"]
+
+SETTLING_STEPS = 20  # in which a garment that was put on finds its place on the body and over the garments below it
+SETTLING_TIME = 1.0 / 60.0  # of each of them [s]
+
+
+class Stay(NamedTuple):
+    """Vertices of the garments that stay on, and the same ones before.
+
+    Attributes:
+        coarse, before: rows of the coarse mesh now and before, int, shape (k,).
+        fine, fine_before: rows of the fine mesh now and before, int, shape (K,).
+        new: coarse vertices of the garments that were put on, int, shape (p,).
+    """
+
+    coarse: np.ndarray
+    before: np.ndarray
+    fine: np.ndarray
+    fine_before: np.ndarray
+    new: np.ndarray
+
+    @classmethod
+    def between(cls, before: WrinkleDatabase, now: WrinkleDatabase) -> Stay:
+        """What stays on from one set of garments to another of the same outfit."""
+        both = set(garment_names(before)) & set(garment_names(now))
+        (coarse, fine), (coarse_before, fine_before) = (_members(part, both) for part in (now, before))
+        new = np.setdiff1d(np.arange(len(now.coarse_vertices)), coarse)
+        return cls(coarse, coarse_before, fine, fine_before, new)
+
+
+def _members(database: WrinkleDatabase, names: set[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Coarse and fine vertices of some garments, ascending."""
+    if database.layers is None:
+        all_on = database.garment_name in names
+        return tuple(
+            np.arange(count if all_on else 0) for count in (len(database.coarse_vertices), database.fine_vertex_count)
+        )
+    worn = [number for number, name in enumerate(database.layers.names) if name in names]
+    fine = database.layers.subdivided(database.subdivision).layer
+    return np.flatnonzero(np.isin(database.layers.layer, worn)), np.flatnonzero(np.isin(fine, worn))
+
+
+def take_over(before: Simulation, now: Simulation, stay: Stay) -> None:
+    """Bring a simulation to the place and time of another, on the same body, and the garments that stay on to theirs.
+
+    What was dragged is free.
+    """
+    state, old = now.state, before.state
+    now.body, now.colliders, now.time = before.body, before.colliders, before.time
+    state.origin, state.carrier = old.origin.copy(), old.carrier.copy()
+    state.pairs, state.pair_sides = state.pairs[:0], state.pair_sides[:0]
+    state.position[stay.coarse, :3] = old.position[stay.before, :3]
+    for name in ("velocity", "contact"):
+        getattr(state, name)[stay.coarse] = getattr(old, name)[stay.before]
+    for name in ("nearest", "contact_faces", "contact_weights"):  # of vertices, which are the first samples
+        getattr(state, name)[stay.coarse] = getattr(old, name)[stay.before]
+
+
+def place_on_body(simulation: Simulation, vertices: np.ndarray, new: np.ndarray) -> None:
+    """Put garments where the body carries them from its bind pose.
+
+    Args:
+        simulation: whose body is posed.
+        vertices: of all garments in the bind pose [m], shape (n, 3).
+        new: vertices of the garments, int, shape (p,).
+    """
+    source = simulation.source
+    assert source is not None
+    carried = Attachment.bind(vertices[new], source.vertices, source.faces)
+    simulation.state.position[new, :3] = carried.targets(simulation.body.current)
+    simulation.state.velocity[new] = 0.0
+
+
+def settle(simulation: Simulation, new: np.ndarray) -> None:
+    """Simulate garments that were put on while body and other garments stand still.
+
+    Args:
+        simulation: of all garments.
+        new: vertices of those that move, int, shape (p,).
+    """
+    state, body, time = simulation.state, simulation.body, simulation.time
+    moving, previous = state.copy(), body.previous.copy()
+    body.previous[:] = body.current
+    state.position[:, 3] = 0.0
+    state.position[new, 3] = simulation.model.inverse_mass[new]
+    state.velocity[:] = 0.0
+    for _ in range(SETTLING_STEPS):
+        simulation.step_cloth(SETTLING_TIME)
+    others = np.setdiff1d(np.arange(len(state.position)), new)
+    state.position[:, 3] = simulation.model.inverse_mass
+    state.position[others], state.velocity[others] = moving.position[others], moving.velocity[others]
+    state.velocity[new] = 0.0
+    body.previous[:] = previous
+    state.carrier, simulation.time = moving.carrier, time
