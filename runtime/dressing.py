@@ -44,10 +44,8 @@ class Stay(NamedTuple):
 def _members(database: WrinkleDatabase, names: set[str]) -> tuple[np.ndarray, np.ndarray]:
     """Coarse and fine vertices of some garments, ascending."""
     if database.layers is None:
-        all_on = database.garment_name in names
-        return tuple(
-            np.arange(count if all_on else 0) for count in (len(database.coarse_vertices), database.fine_vertex_count)
-        )
+        coarse, fine = np.arange(len(database.coarse_vertices)), np.arange(database.fine_vertex_count)
+        return (coarse, fine) if database.garment_name in names else (coarse[:0], fine[:0])
     worn = [number for number, name in enumerate(database.layers.names) if name in names]
     fine = database.layers.subdivided(database.subdivision).layer
     return np.flatnonzero(np.isin(database.layers.layer, worn)), np.flatnonzero(np.isin(fine, worn))

@@ -31,7 +31,7 @@ __all__ = ["FADE", "PARTS", "Player", "check_drag", "check_step"]
 
 DRESSED = (
     "database", "levels", "simulation", "_fine", "vertices", "normals", "_between", "_extrapolation", "_fade", "full",
-    "_coarser",
+    "_coarser", "start",
 )  # fmt: skip
 """Attributes of a player that belong to the garments that are worn."""
 PARTS = ("skin", "coarse", "decode", "relax", "normals", "frame")  # of a frame's time
@@ -55,6 +55,7 @@ class Player:
         normals: unit, float32, shape (N, 3).
         timings: times of the last frame by part [ms].
         full: the most detail there is; the player begins with it.
+        start: the moment at which the garments that are worn would begin.
 
     Raises:
         InputError: a body that the database was not made for, a fabric that it was not learned in, or a bad pose.
@@ -70,7 +71,7 @@ class Player:
     ) -> None:
         database.require_body(body)
         bind_pose = body.bind_pose() if isinstance(body, Character) else body.vertices[0]
-        start, self._bind_pose = bind_pose if pose is None else pose, bind_pose
+        self._start_pose = start = bind_pose if pose is None else pose
         if fabric is not None:
             database = database.in_fabric(fabric)
         self._pose_shape = (len(body.joint_names), 3, 4) if isinstance(body, Character) else body.vertices.shape[1:]
@@ -103,6 +104,7 @@ class Player:
         self._coarser: ProxySimulation | None = None  # made when it is first asked for
         self._warm_up(start)
         self.decode()
+        self.start = self.keep()
 
     @property
     def worn(self) -> tuple[str, ...]:
@@ -135,7 +137,7 @@ class Player:
         if worn in self._dressed:
             vars(self).update(self._dressed[worn])
         else:
-            self._dress(database, self._bind_pose)
+            self._dress(database, self._start_pose)
         stay = Stay.between(old_database, self.database)
         simulation = self.simulation
         take_over(old_simulation, simulation, stay)

@@ -17,6 +17,7 @@ class ViewSettings:
     Attributes:
         database: wrinkle database that is played; None simulates the garments without wrinkles.
         motion: name of the motion; None takes the first one.
+        garments: names of the garments of an outfit that are worn; () wears all.
         fabric: name of a fabric of the database; None takes the garment's own.
         wrinkles: play the wrinkles even where plain cloth is the better choice.
         time: moment that is shown first [s].
@@ -31,6 +32,7 @@ class ViewSettings:
 
     database: Path | None = entry(file_path(".h5"), None)
     motion: str | None = entry(text(), None)
+    garments: tuple[str, ...] = entry(several(text()), ())
     fabric: str | None = entry(text(), None)
     wrinkles: bool = entry(truth(), False)
     time: float = entry(number(at_least=0, unit="s"), 0.0)

@@ -29,6 +29,7 @@ from runtime.simulation import Motion
 from runtime.viewer.colors import FaceBending, FaceStrain, place
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Upsampler
+from wrinkles.worn_garments import garment_names
 
 __all__ = ["DatabaseSource", "FabricFactors", "SceneSource", "Source", "Truth", "ViewedGarment", "ViewedMesh"]
 
@@ -155,6 +156,11 @@ class ViewedGarment:
         return meshes if self._truth is None else meshes | {TRUTH: fine}
 
     @property
+    def worn(self) -> tuple[str, ...]:
+        """Names of the garments that are worn; none where none can be taken off."""
+        return self.player.worn if isinstance(self.player, Player) else ()
+
+    @property
     def main(self) -> str:
         """Name of the mesh that a game would draw."""
         return next(name for name in (OURS, PLAIN, SMOOTH) if name in self.meshes)
@@ -279,6 +285,11 @@ class DatabaseSource:
         return self.database.fabric_names
 
     @property
+    def garments(self) -> tuple[str, ...]:
+        """Garments that can be taken off, from the innermost outwards; none where there is but one."""
+        return () if self.database.layers is None else garment_names(self.database)
+
+    @property
     def frame_rate(self) -> float:
         """Rate of ticks [Hz]."""
         return self.database.frame_rate
@@ -335,6 +346,22 @@ class DatabaseSource:
         truth = self.truths.get(motion.name) if fabric == self.database.fabric_name else None
         return ViewedGarment(player, motion, inputs.body.faces, truth)
 
+    def wearing(self, garment: ViewedGarment, names: tuple[str, ...]) -> ViewedGarment:
+        """The same player and motion with some garments of the outfit, from its present moment on.
+
+        Args:
+            garment: made by :meth:`garment`.
+            names: of :attr:`garments`.
+
+        Raises:
+            InputError: no garment, or one that the outfit does not have.
+        """
+        player, motion = garment.player, garment.motion
+        assert isinstance(player, Player) and motion is not None
+        player.wear(names)
+        truth = self.truths.get(motion.name) if player.worn == self.garments else None
+        return ViewedGarment(player, motion, self.inputs.body.faces, truth)
+
 
 @dataclass(frozen=True)
 class SceneSource:
@@ -363,6 +390,11 @@ class SceneSource:
     @property
     def motions(self) -> tuple[Motion, ...]:
         """Motions to choose from: none, for a scene names its own."""
+        return ()
+
+    @property
+    def garments(self) -> tuple[str, ...]:
+        """Garments that can be taken off: none."""
         return ()
 
     @property

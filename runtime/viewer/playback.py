@@ -136,6 +136,15 @@ class Playback:
             place -= 1
         self.show(moment, place * self.stride)
 
+    def forget(self, start: Moment) -> None:
+        """Keep no moment that was played: the player wears other garments.
+
+        Args:
+            start: moment of these at the start of the motion.
+        """
+        self._film = [start, *[None] * (self.end // self.stride)]
+        self.dragged = None
+
     def show(self, moment: Moment, tick: int) -> None:
         """Show a moment of the player at a tick."""
         self.player.go_back(moment, self._pose(tick))

@@ -15,6 +15,7 @@ import numpy as np
 from assets.io.scene import CameraSettings
 from assets.io.view import ViewSettings
 from pbd import InputError
+from runtime.player import Player
 from runtime.simulation import Motion
 from runtime.viewer.colors import CLOTH
 from runtime.viewer.controls import GRAPH_FRAMES, GRAPHED, Controls
@@ -73,6 +74,8 @@ class Viewer:
         self.factors = FabricFactors(view.bending, view.stretch, view.weight)
         self.frame_count = self.late_count = 0
         self._garment = self._make()
+        if view.garments:
+            self._garment = _wearing(source, self._garment, view.garments)
         self.playback = self._new_playback()
         self.look = _look_of(self._garment, view)
         if view.time > 0.0:
@@ -158,6 +161,22 @@ class Viewer:
         playing, speed, wind = self.playback.playing, self.playback.speed, self.playback.wind
         self.playback = self._new_playback()
         self.playback.playing, self.playback.speed, self.playback.wind = playing, speed, wind
+        self._show_other_meshes()
+
+    def wear(self, names: tuple[str, ...]) -> None:
+        """Put garments of the outfit on and take others off, and play on."""
+        source = self._source
+        assert isinstance(source, DatabaseSource)
+        player = self._garment.player
+        assert isinstance(player, Player)
+        try:
+            self._garment = source.wearing(self._garment, names)
+            self.playback.forget(player.start)
+        finally:  # a box that may not be cleared is set again
+            self._show_other_meshes()
+
+    def _show_other_meshes(self) -> None:
+        """Show the garment after it has been made anew."""
         kept = tuple(name for name in self.look.meshes if name in self._garment.meshes)
         coloring = self.look.coloring if self._garment.colors_by(self.look.coloring) else CLOTH
         self.look = replace(self.look, meshes=kept or (self._garment.main,), coloring=coloring)
@@ -201,6 +220,7 @@ class Viewer:
         view = ViewSettings(
             database=source.path.absolute() if isinstance(source, DatabaseSource) else None,
             motion=None if choice.motion is None else choice.motion.name,
+            garments=() if self._garment.worn == source.garments else self._garment.worn,
             fabric=choice.fabric or None,
             wrinkles=choice.wrinkles,
             time=round(self.playback.time, 4),
@@ -318,6 +338,18 @@ def _choice_of(source: Source, view: ViewSettings) -> Choice:
             raise InputError("unknown in this view", key=f"view.{key}", received=value, expected=expected)
     motion = next(iter(source.motions), None) if view.motion is None else motions[view.motion]
     return Choice(motion, view.fabric or next(iter(source.fabrics), ""), view.wrinkles)
+
+
+def _wearing(source: Source, garment: ViewedGarment, names: tuple[str, ...]) -> ViewedGarment:
+    """A view of some garments of an outfit.
+
+    Raises:
+        InputError: no outfit, or a garment that it does not have.
+    """
+    if not isinstance(source, DatabaseSource) or not source.garments:
+        expected = "the file of an outfit"
+        raise InputError("no garments to choose", key="view.garments", received=list(names), expected=expected)
+    return source.wearing(garment, names)
 
 
 def _look_of(garment: ViewedGarment, view: ViewSettings) -> Look:

@@ -1,4 +1,4 @@
-"""A wrinkle database with random weights for the built-in skirt on the mannequin."""
+"""Wrinkle databases with random weights for built-in garments on the mannequin."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from wrinkles.database import WrinkleDatabase, body_hash
 from wrinkles.rest_shape import RestShapeCorrection
 from wrinkles.surface import Subdivision
 
-__all__ = ["SCENE", "skirt_database", "skirt_stage"]
+__all__ = ["OUTFIT", "SCENE", "outfit_database", "random_database", "skirt_database", "skirt_stage"]
 
 SCENE = """
 [[garment]]
@@ -37,6 +37,16 @@ clip = "sway"
 file = "builtin:mannequin"
 clip = "walk"
 """
+OUTFIT = (
+    """
+[[garment]]
+name = "trousers"
+mesh = "builtin:trousers"
+fabric = "denim"
+subdivisions = 1
+"""
+    + SCENE
+)
 
 
 @cache
@@ -44,9 +54,19 @@ def skirt_stage() -> GarmentSetup:
     return GarmentSetup.of(parse_scene(SCENE, "skirt.toml"))
 
 
+@cache
+def outfit_database() -> WrinkleDatabase:
+    """A skirt over trousers."""
+    return random_database(GarmentSetup.of(parse_scene(OUTFIT, "outfit.toml")))
+
+
 def skirt_database(**changes: Any) -> WrinkleDatabase:
-    """The database, with fields replaced by ``changes``."""
-    stage = skirt_stage()
+    """The skirt, with fields replaced by ``changes``."""
+    return random_database(skirt_stage(), **changes)
+
+
+def random_database(stage: GarmentSetup, **changes: Any) -> WrinkleDatabase:
+    """The garments of a scene, with fields replaced by ``changes``."""
     coarse = stage.levels.coarse
     subdivisions = changes.get("subdivisions", stage.settings.subdivisions)
     database = small_database(subdivisions=subdivisions)
@@ -55,11 +75,12 @@ def skirt_database(**changes: Any) -> WrinkleDatabase:
     fine_count = Subdivision.of(coarse.faces, len(coarse.vertices), subdivisions).fine_count
     vertex_mean = 0.001 * rng.standard_normal((fine_count, 3))
     fields: dict[str, Any] = {
-        "garment_name": "skirt",
+        "garment_name": stage.name,
         "coarse_vertices": coarse.vertices,
         "coarse_faces": coarse.faces,
         "rest_shape": RestShapeCorrection.none(coarse.faces),
         "sewn": stage.levels.sewn,
+        "layers": stage.levels.layers,
         "subdivisions": subdivisions,
         "limits": stage.levels.coarse_limits,
         "held": stage.levels.coarse_held.astype(np.int32),

@@ -20,7 +20,7 @@ from runtime.viewer import opening
 from runtime.viewer.garments import DatabaseSource, FabricFactors
 from runtime.viewer.opening import Opened, open_source
 from runtime.viewer.viewer import Viewer
-from tests.runtime.viewer.views import FLAG, skirt_source
+from tests.runtime.viewer.views import FLAG, outfit_source, skirt_source
 from wrinkles.database import write_database
 
 PATIENCE_S = 60.0
@@ -156,6 +156,26 @@ def test_commands_change_time_look_wind_and_fabric(viewer: Viewer) -> None:
     )
 
 
+def test_garments_of_an_outfit_are_taken_off_and_put_on(tmp_path: Path) -> None:
+    viewer = Viewer(Opened(outfit_source(), ViewSettings(garments=("skirt",))), tmp_path, port=0)
+    try:
+        run(viewer, lambda: more_frames(viewer, 10))
+        assert viewer._garment.worn == ("skirt",)
+        obey(viewer, lambda: viewer.wear(("trousers", "skirt")))
+        assert viewer._garment.worn == ("trousers", "skirt") and viewer.playback.tick_count > 0
+        assert len(viewer._stage._nodes["ours/garment"].vertices) == len(viewer.playback.player.vertices)
+        obey(viewer, lambda: viewer.scrub(0.0))
+        assert viewer.playback.tick_count == 0
+        obey(viewer, lambda: viewer.wear(()))  # the last garment stays on, and the window says why
+        assert viewer._garment.worn == ("trousers", "skirt")
+        assert "at least one of trousers, skirt" in viewer._controls._status.content
+        obey(viewer, lambda: viewer.wear(("trousers",)))
+        obey(viewer, lambda: viewer.save_scene(np.ones(3), np.zeros(3), 0.5))
+        assert 'garments = ["trousers"]' in (tmp_path / "view_1.toml").read_text()
+    finally:
+        viewer.close()
+
+
 def test_what_moves_is_in_the_vertices_alone(viewer: Viewer) -> None:
     """A browser that takes places and vertices over at different times still shows the body in the middle."""
     nodes = viewer._stage._nodes
@@ -274,6 +294,7 @@ def test_a_picture_is_written_over_the_background_and_names_are_never_taken_twic
         (ViewSettings(motion="dance"), "view.motion"),
         (ViewSettings(fabric="tin"), "view.fabric"),
         (ViewSettings(meshes=("ours", "theirs")), "view.meshes"),
+        (ViewSettings(garments=("skirt",)), "view.garments"),
     ],
 )
 def test_a_view_of_what_is_not_there_is_refused(tmp_path: Path, view: ViewSettings, message: str) -> None:

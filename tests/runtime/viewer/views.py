@@ -7,9 +7,9 @@ from functools import cache
 from runtime.play import playback_inputs
 from runtime.viewer.garments import DatabaseSource
 from tests.data import ROOT
-from tests.runtime.players import skirt_database
+from tests.runtime.players import outfit_database, skirt_database
 
-__all__ = ["FLAG", "HANGING", "skirt_source"]
+__all__ = ["FLAG", "HANGING", "outfit_source", "skirt_source"]
 
 FLAG = """
 [[garment]]
@@ -26,3 +26,9 @@ def skirt_source() -> DatabaseSource:
     """The skirt with random wrinkles."""
     database = skirt_database()
     return DatabaseSource(ROOT / "skirt.h5", database, playback_inputs(database), {})
+
+
+def outfit_source() -> DatabaseSource:
+    """A skirt over trousers with random wrinkles."""
+    database = outfit_database()
+    return DatabaseSource(ROOT / "outfit.h5", database, playback_inputs(database), {})
