@@ -104,6 +104,19 @@ def _patches(
     return np.concatenate(order), offsets, group_offsets, np.array(nodes, np.int32)
 
 
+def _owned(faces: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    """Bits of the corners and sides that belong to each face: a feature belongs to the first that has it, shape (m,).
+
+    Args:
+        faces, sides: numbers of the corners and of the edges of each face, int, shapes (m, 3).
+    """
+    owned = np.zeros(len(faces), np.int32)
+    for bit, features in ((0, faces), (3, sides)):
+        _, first = np.unique(features.ravel(), return_index=True)
+        np.bitwise_or.at(owned, first // 3, 1 << (bit + first % 3))
+    return owned
+
+
 def _neighbours(
     faces: np.ndarray, patch_start: np.ndarray, vertex_count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -177,10 +190,7 @@ class SelfCollision:
         faces = np.ascontiguousarray(mesh.faces[order], np.int32)
         unique_edges, side_edge = edges_of(faces)
         edges = np.ascontiguousarray(unique_edges[side_edge.ravel()])
-        owned = np.zeros(len(order), np.int32)
-        for bit, features in ((0, faces), (3, side_edge)):
-            _, first = np.unique(features.ravel(), return_index=True)
-            np.bitwise_or.at(owned, first // 3, 1 << (bit + first % 3))
+        owned = _owned(faces, side_edge)
         neighbour_start, neighbours, common = _neighbours(faces, patch_start, count)
         group = np.repeat(np.arange(len(group_start) - 1), np.diff(patch_start[group_start]))
         joined_start, joined = _joined_groups(faces, group, count)
