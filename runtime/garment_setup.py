@@ -31,6 +31,7 @@ from runtime.garment_mesh import (
     subdivided,
     with_subdivisions,
 )
+from runtime.layer_order import check_order
 from runtime.scene_body import body_of, clip_of, motion_of
 from runtime.simulation import Motion
 from wrinkles.binding import Binding
@@ -207,6 +208,8 @@ class GarmentSetup:
             sewn=sewn_rest(piece.garment),
             layers=layers,
         )
+        if layers is not None:
+            check_order(levels.coarse.vertices, levels.coarse.faces, layers)
         return cls(scene, scene.garments[0], piece.garment, body, replace(levels, pattern=piece.garment.pattern))
 
     @property

@@ -74,6 +74,15 @@ def test_an_outfit_is_one_mesh_in_layers(setup: GarmentSetup, trousers: GarmentS
     assert np.bincount(fine)[0] == len(alone.fine.vertices)
 
 
+def test_a_garment_that_starts_inside_one_below_it_is_refused() -> None:
+    """The message says where, how deep, and that the other order would do."""
+    with pytest.raises(InputError, match="starts inside one below") as refused:
+        setup_of(SKIRT + TROUSERS + REST)
+    error = refused.value
+    assert error.key == "garment[1].mesh" and "mm deep at (" in str(error.received)
+    assert "'trousers' listed before 'skirt'" in str(error.expected)
+
+
 def test_all_garments_are_as_fine_as_the_one_that_needs_it_most() -> None:
     setup = setup_of(TROUSERS + SKIRT.replace("subdivisions = 1", "subdivisions = 2") + REST)
     assert {garment.subdivisions for garment in setup.scene.garments} == {2}

@@ -1,0 +1,87 @@
+"""Whether the garments of an outfit lie over one another in the order in which a scene lists them."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from pbd import InputError
+from pbd.attachment import closest_points, smooth_normals
+from wrinkles.levels import Layers
+
+__all__ = ["check_order"]
+
+NEAR = 0.1  # garments further apart than this do not lie over one another there [m]
+ASIDE = 0.7  # share of the distance along the normal below which a vertex lies beside a garment, not over it [-]
+# Garments drafted for one body start with at most 30 % of their vertices up to 19 mm inside the one below, and contact
+# brings these out within a tenth of a second. In the other order it is 70 % and more, 18 mm deep in the median.
+MOST_INSIDE = 0.5  # share of the vertices near a garment that may start inside it [-]
+DEEPEST = 0.03  # depth at which a garment may start inside one below it [m]
+
+
+class _Depths(NamedTuple):
+    """How a garment lies over another one.
+
+    Attributes:
+        inside: share of the vertices near the other garment that are inside it [-].
+        deepest: greatest depth of a vertex inside it [m], 0 if there is none.
+        place: of that vertex [m], shape (3,).
+    """
+
+    inside: float
+    deepest: float
+    place: np.ndarray
+
+    @property
+    def possible(self) -> bool:
+        """Whether contact brings out what is inside."""
+        return self.inside <= MOST_INSIDE and self.deepest <= DEEPEST
+
+
+def check_order(vertices: np.ndarray, faces: np.ndarray, layers: Layers) -> None:
+    """Refuse an outfit of which a garment starts inside one that is listed before it.
+
+    Args:
+        vertices: of all garments in the bind pose [m], shape (n, 3).
+        faces: int, shape (m, 3).
+        layers: garments of the mesh.
+
+    Raises:
+        InputError: see above; it says where, how deep, and what mends it.
+    """
+    parts = [faces[layers.layer[faces[:, 0]] == number] for number in range(len(layers.names))]
+    for inner, outer in combinations(range(len(parts)), 2):
+        found = _depths(vertices, parts[outer], parts[inner])
+        if found.possible:
+            continue
+        under, over = layers.names[inner], layers.names[outer]
+        x, y, z = found.place
+        received = (
+            f"{100 * found.inside:.0f} % of {over!r} that is near {under!r} lies inside it, "
+            f"{1e3 * found.deepest:.0f} mm deep at ({x:.2f}, {y:.2f}, {z:.2f})"
+        )
+        expected = f"{over!r} outside {under!r} by its shape: make it wider there"
+        if _depths(vertices, parts[inner], parts[outer]).possible:
+            expected = f"{over!r} listed before {under!r}, for it lies inside it; or made wider there"
+        key = f"garment[{outer}].mesh"
+        raise InputError("a garment starts inside one below it", key=key, received=received, expected=expected)
+
+
+def _depths(vertices: np.ndarray, over: np.ndarray, under: np.ndarray) -> _Depths:
+    """How the garment with faces ``over`` lies over the one with faces ``under``, int, shapes (k, 3), (m, 3)."""
+    mine = np.unique(over)
+    face, weights = closest_points(vertices[mine], vertices, under)
+    corners = under[face]
+    surface = np.einsum("pc,pci->pi", weights, vertices[corners])
+    normals = np.einsum("pc,pci->pi", weights, smooth_normals(vertices, under)[corners])
+    offset = vertices[mine] - surface
+    height = np.einsum("pi,pi->p", offset, normals) / np.maximum(np.linalg.norm(normals, axis=1), 1e-30)
+    distance = np.linalg.norm(offset, axis=1)
+    near = (distance < NEAR) & (np.abs(height) > ASIDE * distance)
+    inside = near & (height < 0.0)
+    if not inside.any():
+        return _Depths(0.0, 0.0, np.zeros(3))
+    deepest = int(np.argmin(np.where(inside, height, np.inf)))
+    return _Depths(inside.sum() / near.sum(), -float(height[deepest]), vertices[mine[deepest]])
