@@ -7,13 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from pbd.attachment import closest_points
 from pbd.contact.strain_limits import MAX_STRETCH
 from pbd.errors import InputError
 from pbd.limits import Limits
 from pbd.mesh import ClothMesh, Hinges, hinges_of
 from pbd.model import BLOCK, Model, blocks_of
 
-__all__ = ["layered", "parts_of"]
+__all__ = ["FASTENING_REACH", "fastened", "layered", "parts_of"]
+
+FASTENING_REACH = 0.1  # a vertex further than this from the garments below it is not fastened to them [m]
 
 
 def parts_of(mesh: ClothMesh, layer: np.ndarray) -> list[tuple[ClothMesh, np.ndarray]]:
@@ -129,6 +132,7 @@ def layered(models: Sequence[Model], vertices: Sequence[np.ndarray] | None = Non
         hinge_colors=hinge_colors,
         stitches=renumbered("stitches"),
         stitch_weights=joined("stitch_weights"),
+        stitch_gaps=joined("stitch_gaps"),
         tethers=renumbered("tethers"),
         tether_lengths=joined("tether_lengths"),
         samples=np.concatenate([alone, edges]).astype(np.int32),
@@ -142,6 +146,41 @@ def layered(models: Sequence[Model], vertices: Sequence[np.ndarray] | None = Non
             ),
         ),
         layer=by_vertex([np.full(count, number, np.int32) for number, count in enumerate(counts)]),
+    )
+
+
+def fastened(model: Model, vertices: np.ndarray) -> Model:
+    """The model with vertices of outer garments fastened to the garments below them.
+
+    Each is stitched to the nearest point of the nearest edge below, and goes no further from it than it is in the
+    mesh's positions. A vertex that has no garment below it is left free.
+
+    Args:
+        model: of :func:`layered`.
+        vertices: int, shape (k,).
+    """
+    mesh, stitches, weights, gaps = model.mesh, [], [], []
+    for number in range(1, int(model.layer.max()) + 1):
+        mine = vertices[model.layer[vertices] == number]
+        below = mesh.faces[model.layer[mesh.faces[:, 0]] < number]
+        if not len(mine):
+            continue
+        face, weight = closest_points(mesh.vertices[mine], mesh.vertices, below)
+        far = np.argsort(weight, axis=1)[:, 0]  # the corner opposite to the nearest edge
+        ends = np.stack([below[face, (far + 1) % 3], below[face, (far + 2) % 3]], axis=1)
+        start, along = mesh.vertices[ends[:, 0]], mesh.vertices[ends[:, 1]] - mesh.vertices[ends[:, 0]]
+        place = ((mesh.vertices[mine] - start) * along).sum(axis=1) / np.maximum((along * along).sum(axis=1), 1e-30)
+        place = np.clip(place, 0.0, 1.0)
+        gap = np.linalg.norm(mesh.vertices[mine] - start - place[:, None] * along, axis=1)
+        near = gap < FASTENING_REACH
+        stitches.append(np.concatenate([mine[:, None], ends], axis=1)[near])
+        weights.append(place[near])
+        gaps.append(gap[near])
+    return replace(
+        model,
+        stitches=np.concatenate([model.stitches, *stitches]).astype(np.int32),
+        stitch_weights=np.concatenate([model.stitch_weights, *weights]).astype(np.float32),
+        stitch_gaps=np.concatenate([model.stitch_gaps, *gaps]).astype(np.float32),
     )
 
 

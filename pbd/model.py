@@ -86,6 +86,7 @@ class Model:
         block_colors: offsets of the colours of the blocks, shape (colours + 1,).
         hinges: shape (h, 4); hinge_data: K row | sum of w K^2, compliance, bend at rest, shape (h, 2, 4).
         stitches: (v, a, b), shape (s, 3); stitch_weights: position of v between a (0) and b (1), shape (s,).
+        stitch_gaps: how far v may be from there [m], float32, shape (s,).
         tethers: (vertex, held vertex), shape (t, 2); tether_lengths: [m], shape (t,).
         samples: where contact with a body is tested: the vertices (i, i), then the ends (i, j) of long edges, tested in
             their middle, int32, shape (s, 2).
@@ -114,6 +115,7 @@ class Model:
     hinge_colors: np.ndarray
     stitches: np.ndarray
     stitch_weights: np.ndarray
+    stitch_gaps: np.ndarray
     tethers: np.ndarray
     tether_lengths: np.ndarray
     samples: np.ndarray
@@ -182,6 +184,7 @@ def build_model(
         hinge_colors,
         np.ascontiguousarray(mesh.stitches[order], np.int32),
         mesh.stitch_weights[order].astype(np.float32),
+        np.zeros(len(order), np.float32),
         tethers,
         lengths,
         *_samples(mesh),

@@ -20,6 +20,7 @@ from wrinkles.surface import SewnRest, Subdivision, cut_corners
 
 __all__ = [
     "coarse_garment",
+    "fastened_vertices",
     "garment_of",
     "held_vertices",
     "in_size",
@@ -42,27 +43,41 @@ def held_vertices(garment: Garment, settings: GarmentSettings) -> np.ndarray:
     Raises:
         InputError: a loop or a vertex that the garment does not have.
     """
-    loops = boundary_loops(garment.faces)
-    held: list[np.ndarray] = [np.asarray(settings.attach_vertices, np.int64)]
-    if settings.attach == "top":
-        held.append(highest_loop(garment.vertices, garment.faces))
-    elif settings.attach != "none":
-        for number in settings.attach:
+    return _chosen_vertices(garment, settings, "attach")
+
+
+def fastened_vertices(garment: Garment, settings: GarmentSettings) -> np.ndarray:
+    """Vertices that the scene fastens to the garments below: int, shape (k,).
+
+    Raises:
+        InputError: a loop or a vertex that the garment does not have.
+    """
+    return _chosen_vertices(garment, settings, "fasten")
+
+
+def _chosen_vertices(garment: Garment, settings: GarmentSettings, key: str) -> np.ndarray:
+    """Vertices of the boundary loops that a key of the settings names, and those of ``KEY_vertices``."""
+    loops, chosen = boundary_loops(garment.faces), getattr(settings, key)
+    found: list[np.ndarray] = [np.asarray(getattr(settings, f"{key}_vertices"), np.int64)]
+    if chosen == "top":
+        found.append(highest_loop(garment.vertices, garment.faces))
+    elif chosen != "none":
+        for number in chosen:
             if not 0 <= int(number) < len(loops):
                 raise InputError(
                     "no such boundary loop",
                     file=garment.source,
-                    key="attach",
+                    key=key,
                     received=number,
                     expected=f"0..{len(loops) - 1}",
                 )
-            held.append(loops[int(number)])
-    vertices = np.unique(np.concatenate(held))
+            found.append(loops[int(number)])
+    vertices = np.unique(np.concatenate(found))
     if vertices.size and vertices[-1] >= len(garment.vertices):
         raise InputError(
             "no such vertex",
             file=garment.source,
-            key="attach_vertices",
+            key=f"{key}_vertices",
             received=int(vertices[-1]),
             expected=f"0..{len(garment.vertices) - 1}",
         )
@@ -102,15 +117,25 @@ def coarse_garment(garment: Garment, settings: GarmentSettings) -> tuple[Garment
 
 
 def subdivided(
-    garment: Garment, held: np.ndarray, limits: Limits | None, times: int
-) -> tuple[Garment, np.ndarray, Limits | None]:
-    """A garment whose faces are cut in four so many times, on its smooth surface; with its held vertices and limits.
+    garment: Garment, held: np.ndarray, limits: Limits | None, times: int, fastened: np.ndarray | None = None
+) -> tuple[Garment, np.ndarray, Limits | None, np.ndarray]:
+    """A garment whose faces are cut in four so many times, on its smooth surface.
+
+    Args:
+        garment: its mesh.
+        held, fastened: vertices, int, ascending; None are none.
+        limits: of its vertices, or None.
+        times: how often.
+
+    Returns:
+        the garment with its held vertices, limits and fastened vertices.
 
     Raises:
         InputError: more times than MOST_COARSE_SUBDIVISIONS.
     """
+    fastened = np.zeros(0, np.int64) if fastened is None else fastened
     if not times:
-        return garment, held, limits
+        return garment, held, limits, fastened
     if times > MOST_COARSE_SUBDIVISIONS:
         expected = f"0..{MOST_COARSE_SUBDIVISIONS}"
         raise InputError("too fine a mesh to simulate", key="coarse_subdivisions", received=times, expected=expected)
@@ -120,7 +145,8 @@ def subdivided(
     if sewn is not None:
         sewn = sewn.subdivided(times)
         cut = replace(cut, layers=sewn.layers, max_stretch=sewn.max_stretch)
-    return cut, held_between(finer, held), None if limits is None else limits.between(finer.matrix)
+    limits = None if limits is None else limits.between(finer.matrix)
+    return cut, held_between(finer, held), limits, held_between(finer, fastened)
 
 
 def sewn_rest(garment: Garment) -> SewnRest | None:

@@ -24,6 +24,7 @@ from assets.procedural.exploration import exploration_clip, exploration_motion
 from pbd import Capsule, DistanceField, Fabric, InputError, Limits, Plane, SolverOptions, Sphere
 from runtime.garment_mesh import (
     coarse_garment,
+    fastened_vertices,
     held_vertices,
     in_size,
     rest_of,
@@ -31,7 +32,7 @@ from runtime.garment_mesh import (
     subdivided,
     with_subdivisions,
 )
-from runtime.layer_order import check_order
+from runtime.layer_order import check_fastened, check_order
 from runtime.scene_body import body_of, clip_of, motion_of
 from runtime.simulation import Motion
 from wrinkles.binding import Binding
@@ -98,6 +99,7 @@ class _Piece(NamedTuple):
     binding: Binding | None
     held: np.ndarray
     limits: Limits | None
+    fastened: np.ndarray
 
 
 def _piece(number: int, settings: GarmentSettings, body_vertices: np.ndarray, body_faces: np.ndarray) -> _Piece:
@@ -109,10 +111,15 @@ def _piece(number: int, settings: GarmentSettings, body_vertices: np.ndarray, bo
     garment = load_garment(settings.mesh, pattern=settings.pattern)
     garment = in_size(garment, settings, body_vertices, body_faces)
     garment, binding = coarse_garment(garment, settings)
-    held = held_vertices(garment, settings)
+    held, fastened = held_vertices(garment, settings), fastened_vertices(garment, settings)
+    if number == 0 and len(fastened):
+        expected = "none: it is the innermost garment, and the body holds by attach"
+        key = "garment[0].fasten" if settings.fasten != "none" else "garment[0].fasten_vertices"
+        raise InputError("nothing below to fasten to", key=key, received=len(fastened), expected=expected)
     limits = None if settings.limits is None else load_limits(settings.limits, len(garment.vertices))
-    garment, held, limits = subdivided(garment, held, limits, settings.coarse_subdivisions)
-    return _Piece(garment, binding, held, limits)
+    times = settings.coarse_subdivisions
+    garment, held, limits, fastened = subdivided(garment, held, limits, times, fastened)
+    return _Piece(garment, binding, held, limits, fastened)
 
 
 def _outfit(scene: Scene, pieces: list[_Piece]) -> tuple[Scene, _Piece, Layers]:
@@ -160,8 +167,9 @@ def _outfit(scene: Scene, pieces: list[_Piece]) -> tuple[Scene, _Piece, Layers]:
         limits = Limits(*(np.concatenate([getattr(one, name) for one in limited]) for name in names))
     layer = np.repeat(np.arange(len(pieces), dtype=np.int32), counts)
     fabrics = tuple(fabric_of(garment) for garment in garments[1:])
-    layers = Layers(tuple(garment.name for garment in garments), fabrics, layer)
-    return alike, _Piece(garment, None, held, limits), layers
+    fastened = np.concatenate([piece.fastened + n for piece, n in zip(pieces, first, strict=False)]).astype(np.int32)
+    layers = Layers(tuple(garment.name for garment in garments), fabrics, layer, fastened)
+    return alike, _Piece(garment, None, held, limits, fastened), layers
 
 
 @dataclass(frozen=True)
@@ -210,6 +218,7 @@ class GarmentSetup:
         )
         if layers is not None:
             check_order(levels.coarse.vertices, levels.coarse.faces, layers)
+            check_fastened(levels.coarse.vertices, levels.coarse.faces, layers)
         return cls(scene, scene.garments[0], piece.garment, body, replace(levels, pattern=piece.garment.pattern))
 
     @property

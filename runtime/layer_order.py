@@ -9,9 +9,10 @@ import numpy as np
 
 from pbd import InputError
 from pbd.attachment import closest_points, smooth_normals
+from pbd.layers import FASTENING_REACH
 from wrinkles.levels import Layers
 
-__all__ = ["check_order"]
+__all__ = ["check_fastened", "check_order"]
 
 NEAR = 0.1  # garments further apart than this do not lie over one another there [m]
 ASIDE = 0.7  # share of the distance along the normal below which a vertex lies beside a garment, not over it [-]
@@ -67,6 +68,31 @@ def check_order(vertices: np.ndarray, faces: np.ndarray, layers: Layers) -> None
             expected = f"{over!r} listed before {under!r}, for it lies inside it; or made wider there"
         key = f"garment[{outer}].mesh"
         raise InputError("a garment starts inside one below it", key=key, received=received, expected=expected)
+
+
+def check_fastened(vertices: np.ndarray, faces: np.ndarray, layers: Layers) -> None:
+    """Refuse an outfit with a garment that is to be fastened where nothing lies below it.
+
+    Args:
+        vertices, faces, layers: as for :func:`check_order`.
+
+    Raises:
+        InputError: see above.
+    """
+    for number in np.unique(layers.layer[layers.fastened]).tolist():
+        mine = layers.fastened[layers.layer[layers.fastened] == number]
+        below = faces[layers.layer[faces[:, 0]] < number]
+        face, weights = closest_points(vertices[mine], vertices, below)
+        distance = np.linalg.norm(np.einsum("pc,pci->pi", weights, vertices[below[face]]) - vertices[mine], axis=1)
+        if distance.max() >= FASTENING_REACH:
+            x, y, z = vertices[mine[np.argmax(distance)]]
+            received = f"{1e3 * distance.max():.0f} mm from the nearest one at ({x:.2f}, {y:.2f}, {z:.2f})"
+            expected = (
+                f"vertices of {layers.names[number]!r} less than {1e3 * FASTENING_REACH:.0f} mm from a garment below"
+            )
+            raise InputError(
+                "nothing below to fasten to", key=f"garment[{number}].fasten", received=received, expected=expected
+            )
 
 
 def _depths(vertices: np.ndarray, over: np.ndarray, under: np.ndarray) -> _Depths:

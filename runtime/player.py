@@ -222,6 +222,23 @@ class Player:
         """What is stepped."""
         return self._coarser.simulation if self._coarser is not None and self._detail.level else self.simulation
 
+    def fasten(self, name: str, closed: bool = True) -> None:
+        """Fasten a garment of an outfit to those below it again, as its scene says, or open it.
+
+        Args:
+            name: one of :attr:`worn`.
+            closed: False opens it.
+
+        Raises:
+            InputError: a garment that is not worn, or that nothing fastens.
+        """
+        layers = self.levels.layers
+        fastened = () if layers is None else {layers.names[k] for k in np.unique(layers.layer[layers.fastened])}
+        if layers is None or name not in fastened:
+            expected = "one of " + ", ".join(sorted(fastened)) if fastened else "none: nothing is fastened"
+            raise InputError("no such fastening", key="name", received=name, expected=expected)
+        self.simulation.fasten(layers.names.index(name), closed)
+
     def update(self, pose: np.ndarray, dt: float, wind: Air = CALM) -> None:
         """One frame: advance the coarse garment to a pose in ``dt`` [s] and make the fine one; see :meth:`step`."""
         self.step(pose, dt, wind)

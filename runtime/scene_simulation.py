@@ -46,7 +46,7 @@ def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion 
         nothing = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
         garment = in_size(garment, settings, *nothing)
         pins = np.array(settings.pins, int)
-        garment, pins, _ = subdivided(garment, pins, None, settings.coarse_subdivisions)
+        garment, pins, *_ = subdivided(garment, pins, None, settings.coarse_subdivisions)
         levels = build_levels(
             garment.vertices,
             garment.faces,

@@ -19,6 +19,9 @@ from pbd.wind import CALM, Air, Wind
 
 __all__ = ["BodySource", "Motion", "Simulation", "body_source", "poses_of"]
 
+CLOSING_SPEED = 0.5  # of stitches that are closed while a garment is played [m/s]
+OPEN = 1e3  # gap of a stitch that is open [m]
+
 
 class BodySource(Protocol):
     """A body that poses move: a skinned character or a vertex sequence.
@@ -105,6 +108,7 @@ class Simulation:
         self.body = Body(source.faces, len(source.vertices)) if source else Body(np.zeros((0, 3), np.int32), 1)
         self.colliders = Colliders(tuple(primitives), self.body if source else None)
         self.time = 0.0
+        self._stitch_gaps, self._opened = model.stitch_gaps.copy(), np.zeros(len(model.stitch_gaps), bool)
         self._before, self._alpha = self.state.world(), 1.0
         self._skinned_targets = self._bind(model)
         if pose is not None:
@@ -116,6 +120,7 @@ class Simulation:
         other.model, other.attachment = model, attachment
         other.solver, other.state = Solver(model, self.solver.options), State.at_rest(model)
         other._before, other._alpha = other.state.world(), 1.0
+        other._stitch_gaps, other._opened = model.stitch_gaps.copy(), np.zeros(len(model.stitch_gaps), bool)
         other._skinned_targets = self._bind(model)
         return other
 
@@ -176,7 +181,36 @@ class Simulation:
 
     def step_cloth(self, dt: float, wind: Air = CALM) -> None:
         """Advance the garment while the body goes from its last pose to the current one."""
-        self.solver.step(self.state, self.colliders, dt, *self.carried(dt, wind))
+        self.solver.step(
+            self.state, self.colliders, dt, *self.carried(dt, wind), stitch_gaps=self._next_stitch_gaps(dt)
+        )
+
+    def fasten(self, number: int, closed: bool) -> None:
+        """Close or open what fastens a garment of an outfit to those below it.
+
+        What is closed comes together at :data:`CLOSING_SPEED`.
+
+        Args:
+            number: of the garment, from the innermost, 0, outwards.
+            closed: whether it is fastened from now on.
+        """
+        layer, (v, a, b) = self.model.layer, self.model.stitches.T
+        rows = (layer[v] == number) & (layer[a] != number)
+        self._opened[rows] = not closed
+        if closed:
+            x, w = self.state.position[:, :3], self.model.stitch_weights[rows, None]
+            apart = (1.0 - w) * x[a[rows]] + w * x[b[rows]] - x[v[rows]]
+            self._stitch_gaps[rows] = np.maximum(np.linalg.norm(apart, axis=1), self.model.stitch_gaps[rows])
+
+    def _next_stitch_gaps(self, dt: float) -> tuple[np.ndarray, np.ndarray] | None:
+        """How far stitches may be open at the start and at the end of a step; None where all are as in the model."""
+        before, closed = self._stitch_gaps, self.model.stitch_gaps
+        if not self._opened.any() and np.array_equal(before, closed):
+            return None
+        after = np.maximum(before - np.float32(CLOSING_SPEED * dt), closed)
+        after[self._opened] = OPEN
+        self._stitch_gaps = after
+        return np.where(self._opened, after, before), after
 
     def carried(self, dt: float, wind: Air = CALM) -> tuple[np.ndarray | None, Any, LimitTargets | None]:
         """What carries the garment in a step that ends at the body's current pose; the time goes on by it.

@@ -427,20 +427,22 @@ def _sewn_values(sewn: SewnRest | None) -> dict[str, np.ndarray]:
 
 def _layers_values(layers: Layers | None) -> dict[str, Any]:
     """Entries of the garments of an outfit; of one garment they are empty."""
-    layers = layers or Layers((), (), np.zeros(0, np.int32))
-    columns: dict[str, Any] = {"layers/names": layers.names, "layers/layer": layers.layer}
+    layers = layers or Layers((), (), *np.zeros((2, 0), np.int32))
+    columns: dict[str, Any] = {f"layers/{name}": getattr(layers, name) for name in ("names", "layer", "fastened")}
     for field in fields(Fabric):
         values = [getattr(fabric, field.name) for fabric in layers.fabrics]
         columns[f"layers/fabrics/{field.name}"] = np.array(values, float)
     return columns
 
 
-def _layers_of(names: tuple[str, ...], layer: np.ndarray, fabrics: dict[str, np.ndarray]) -> Layers | None:
+def _layers_of(
+    names: tuple[str, ...], layer: np.ndarray, fastened: np.ndarray, fabrics: dict[str, np.ndarray]
+) -> Layers | None:
     """The garments that :func:`_layers_values` stored."""
     if not names:
         return None
     rows = [{name: column[k].item() for name, column in fabrics.items()} for k in range(len(names) - 1)]
-    return Layers(names, tuple(Fabric(**row) for row in rows), layer)
+    return Layers(names, tuple(Fabric(**row) for row in rows), layer, fastened)
 
 
 def _other_fabrics_values(others: tuple[LearnedFabric, ...]) -> dict[str, Any]:

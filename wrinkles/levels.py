@@ -15,7 +15,7 @@ from scipy.sparse.linalg import splu
 from pbd import ClothMesh, Fabric, InputError, Limits, Model, ModelOptions, build_model
 from pbd.attachment import Attachment, push_outside
 from pbd.bending import hinge_rows
-from pbd.layers import layered, parts_of
+from pbd.layers import fastened, layered, parts_of
 from wrinkles.binding import Binding
 from wrinkles.surface import SewnRest, Subdivision
 
@@ -47,15 +47,18 @@ class Layers:
         names: of the garments, from the innermost outwards.
         fabrics: of the garments over the innermost one.
         layer: number of the garment that each coarse vertex belongs to, 0 for the innermost, int32, shape (n,).
+        fastened: vertices that are fastened to the garments below them, ascending, int32, shape (k,).
     """
 
     names: tuple[str, ...]
     fabrics: tuple[Fabric, ...]
     layer: np.ndarray
+    fastened: np.ndarray
 
     def subdivided(self, subdivision: Subdivision) -> Layers:
         """The same garments on the fine mesh."""
-        return replace(self, layer=self.layer[subdivision.coarse_faces[subdivision.places[0], 0]])
+        layer = self.layer[subdivision.coarse_faces[subdivision.places[0], 0]]
+        return replace(self, layer=layer, fastened=held_between(subdivision, self.fastened).astype(np.int32))
 
 
 @dataclass(frozen=True)
@@ -262,7 +265,7 @@ def build_garments(
         mine = np.searchsorted(vertices, held[layers.layer[held] == len(models)])
         models.append(build_model(part, worn, mine, options, bend_factor, limits.part(vertices)))
         numbers.append(vertices)
-    return replace(layered(models, numbers), mesh=mesh)
+    return fastened(replace(layered(models, numbers), mesh=mesh), layers.fastened)
 
 
 def with_area_of(coarse: ClothMesh, fine: ClothMesh) -> tuple[ClothMesh, float]:

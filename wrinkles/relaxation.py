@@ -278,7 +278,8 @@ class Relaxation:
         self._free = order[~is_held[order]].astype(np.int32)
         self._leading = np.ascontiguousarray(leading[self._free], np.int32)
         stitch_data = np.zeros((len(model.stitches), 4), np.float32)
-        stitch_data[:, 0] = model.stitch_weights
+        stitch_data[:, 0], stitch_data[:, 1] = model.stitch_weights, model.stitch_gaps
+        stitch_data[:, 2] = model.stitch_gaps
         self._constraints = (
             model.triangles, model.triangle_blocks, model.block_colors, model.triangle_data, model.hinges,
             model.hinge_colors, model.hinge_data, model.stitches, stitch_data,

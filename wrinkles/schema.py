@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 19
+SCHEMA_VERSION = 20
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE, STEPS = "text", "float32", "float64", "int32", "int64", "int8"
 
@@ -109,6 +109,7 @@ ENTRIES = (
     Entry("sewn/max_stretch", DOUBLE, ("w",)),
     Entry("layers/names", TEXT, ("i",)),
     Entry("layers/layer", INDEX, ("o",)),
+    Entry("layers/fastened", INDEX, ("q",)),
     *_columns("layers/fabrics", Fabric, ("e",)),
     Entry("fabric_name", TEXT),
     *_columns("fabric", Fabric, ()),
@@ -363,6 +364,7 @@ def _check_indices(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:
         ("limits/vertices", count, "a vertex"),
         ("mapping/region", len(arrays["mapping/bias_2"]), "a region"),
         ("layers/layer", len(arrays["layers/names"]), "a garment"),
+        ("layers/fastened", len(arrays["layers/layer"]), "a vertex"),
         ("binding/face", cut_count, "an index"),
         ("binding/panels", fine, "an index"),
         ("binding/stitches", fine, "an index"),
@@ -375,7 +377,7 @@ def _check_indices(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:
     if (garments, layer) not in ((0, 0), (fabrics + 1, count)):
         expected = f"none, or {fabrics + 1} garments and a number for each of {count} vertices"
         refuse("garments that do not fit one another", "layers", (garments, layer), expected)
-    for name in ("held", "limits/vertices"):
+    for name in ("held", "limits/vertices", "layers/fastened"):
         if (np.diff(arrays[name]) <= 0).any():
             refuse("not in ascending order", name, arrays[name].tolist()[:8], "each vertex once, ascending")
 

@@ -52,6 +52,7 @@ def with_garments(database: WrinkleDatabase, names: Iterable[str]) -> WrinkleDat
         tuple(known[number] for number in numbers),
         tuple(fabrics[1:]),
         np.searchsorted(numbers, layers.layer[vertices]).astype(np.int32),
+        own_number[layers.fastened[vertices[layers.fastened]]],
     )
     mapping, sewn = database.mapping, database.sewn
     return replace(

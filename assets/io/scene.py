@@ -99,6 +99,8 @@ class GarmentSettings:
             decide, see :func:`runtime.garment_mesh.with_subdivisions`.
         attach: boundary vertices that the body carries: "top" (the highest loop), "none", or numbers of loops.
         attach_vertices: more vertices that the body carries.
+        fasten: boundary vertices that are fastened to the garments below: "top", "none", or numbers of loops.
+        fasten_vertices: more vertices that are fastened to the garments below, like buttons.
         pins: vertices fixed in space.
         limits: path of a .csv file of limits painted on the coarse mesh, about where the body carries its vertices,
             with the columns vertex, maximum_distance, backstop, stiffness; see :class:`pbd.Limits`.
@@ -117,6 +119,8 @@ class GarmentSettings:
     subdivisions: int | None = entry(whole(at_least=1), None)
     attach: str | tuple[int, ...] = entry(_ATTACH, "none")
     attach_vertices: tuple[int, ...] = entry(indices(), ())
+    fasten: str | tuple[int, ...] = entry(_ATTACH, "none")
+    fasten_vertices: tuple[int, ...] = entry(indices(), ())
     pins: tuple[int, ...] = entry(indices(), ())
     limits: Path | None = entry(file_path(".csv"), None)
     thickness: float | None = entry(number(above=0, unit="m"), None)

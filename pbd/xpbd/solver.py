@@ -195,7 +195,7 @@ class Solver:
             wind: velocity of the air [m/s], shape (3,), or at each vertex, shape (n, 3).
             limit_targets: where the body carries the vertices that the model limits; None sets them free.
             stitch_gaps: how far each stitch of the model may be open at the start and at the end of the frame [m],
-                shape (s,) both; None closes all.
+                shape (s,) both; None takes those of the model.
 
         Raises:
             InputError: dt below zero or not finite, a state of another model or not finite, bad targets, wind or
@@ -206,7 +206,8 @@ class Solver:
         if dt < MIN_FRAME_TIME:
             return
         arguments = self.prepare(state, colliders, dt, targets, wind, limit_targets)
-        self._stitch_data[:, 1:3] = 0.0 if stitch_gaps is None else np.transpose(stitch_gaps)
+        gaps = (self.model.stitch_gaps,) * 2 if stitch_gaps is None else stitch_gaps
+        self._stitch_data[:, 1:3] = np.transpose(gaps)
         if colliders.body is not None:
             self._find_nearest.by_name(arguments)
         advance = self._advance if colliders.body is None else self._advance_on_body

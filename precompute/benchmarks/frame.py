@@ -86,7 +86,7 @@ class FrameBench:
         costs: of ours, and of plain cloth on each mesh.
         speed: of this machine.
         growth: time of a frame of the fine mesh subdivided once more, over that of the fine mesh, with equal substeps.
-        crowd: see :func:`precompute.benchmarks.crowd.crowd_figures`.
+        crowd: see :func:`precompute.benchmarks.crowd.crowd_figures`; nothing of an outfit.
     """
 
     costs: Sequence[FrameCost]
@@ -166,8 +166,10 @@ def bench_frame(path: Path, seconds: float, report: Callable[[str], None] = lamb
         if cloth is not None:
             report(name.replace("_", " "))
             costs.append(_plain(name, cloth, speed, round(PLAIN_S[name] * database.frame_rate)))
-    report("a crowd")
-    crowd = crowd_figures(coarse_cloth(database, run))
+    crowd: Mapping[str, float] = {}
+    if database.layers is None:  # a batch does not keep garments from one another
+        report("a crowd")
+        crowd = crowd_figures(coarse_cloth(database, run))
     report("four times the vertices")
     return FrameBench(costs, speed, _growth(database, run), crowd)
 

@@ -11,7 +11,7 @@ from assets.fabrics import PRESETS
 from assets.io.scene import parse_scene
 from pbd import InputError
 from runtime.garment_mesh import pattern_of
-from runtime.garment_setup import GarmentSetup
+from runtime.garment_setup import GarmentSetup, fabric_of
 from runtime.scene_simulation import simulation_of
 from tests.assets.panels import two_panels
 
@@ -81,6 +81,49 @@ def test_a_garment_that_starts_inside_one_below_it_is_refused() -> None:
     error = refused.value
     assert error.key == "garment[1].mesh" and "mm deep at (" in str(error.received)
     assert "'trousers' listed before 'skirt'" in str(error.expected)
+
+
+HELD_UP = SKIRT.replace('attach = "top"', 'fasten = "top"')
+
+
+def test_a_garment_that_is_fastened_hangs_on_the_one_below_it_until_it_is_opened() -> None:
+    setup = setup_of(TROUSERS + HELD_UP + REST)
+    model = setup.levels.model(fabric_of(setup.settings))
+    v, a, b = model.stitches[model.layer[model.stitches[:, 0]] == 1].T
+    across = model.layer[a] == 0
+    assert across.sum() > 10 and (model.layer[b[across]] == 0).all() and (model.stitch_gaps > 0.0).sum() == across.sum()
+    fine = setup.levels.model(fabric_of(setup.settings), fine=True)
+    assert (fine.stitch_gaps > 0.0).sum() == 2 * across.sum()
+
+    simulation, motion = simulation_of(parse_scene(TROUSERS + HELD_UP + REST, "outfit.toml"))
+    assert motion is not None
+    top, gaps = v[across], []
+
+    def step(frames: range) -> None:
+        for frame in frames:
+            simulation.step(motion.pose(frame / 60), 1 / 60)
+        world, model = simulation.state.world(), simulation.model
+        w = model.stitch_weights[model.stitch_gaps > 0.0, None]
+        apart = (1 - w) * world[a[across]] + w * world[b[across]] - world[top]
+        gaps.append((np.linalg.norm(apart, axis=1) - model.stitch_gaps[model.stitch_gaps > 0.0]).max())
+
+    step(range(1, 40))
+    assert gaps[-1] < 0.004
+    simulation.fasten(1, closed=False)
+    step(range(40, 55))
+    assert gaps[-1] > 0.01
+    simulation.fasten(1, closed=True)
+    step(range(55, 56))
+    assert gaps[-1] > 0.005  # it comes together and does not jump
+    step(range(56, 72))
+    assert gaps[-1] < 0.004
+
+
+def test_what_cannot_be_fastened_is_refused() -> None:
+    with pytest.raises(InputError, match="garment.0..fasten: nothing below"):
+        setup_of(TROUSERS + 'fasten = "top"\n' + SKIRT + REST)
+    with pytest.raises(InputError, match="mm from the nearest one at"):
+        setup_of(TROUSERS + SKIRT + "fasten = [0, 1]\n" + REST)
 
 
 def test_all_garments_are_as_fine_as_the_one_that_needs_it_most() -> None:

@@ -160,21 +160,25 @@ def test_every_field_has_its_entry() -> None:
     stored = {name.replace("/", ".") for name in names} - DERIVED - scales - {"quality.names", "quality.values"}
     others = {f"other_fabrics.{name}" for name in leaves(SILK)}
     whole = small_database(binding=small_binding(), sewn=small_sewn())
-    layers = {"layers.names", "layers.layer", *(f"layers.fabrics.{field.name}" for field in fields(Fabric))}
+    layers = {f"layers.fabrics.{field.name}" for field in fields(Fabric)}
+    layers |= {f"layers.{name}" for name in ("names", "layer", "fastened")}
     assert stored == set(leaves(whole)) - {"quality", "other_fabrics", "layers"} | others | layers
 
 
 def test_the_garments_of_an_outfit_are_stored(tmp_path: Path) -> None:
     layer = (np.arange(49) >= 20).astype(np.int32)
-    worn = Layers(("shirt", "jacket"), (PRESETS["denim"],), layer)
+    worn = Layers(("shirt", "jacket"), (PRESETS["denim"],), layer, np.array([21, 30], np.int32))
     write_database(tmp_path / "a.h5", small_database(layers=worn))
     found = read_database(tmp_path / "a.h5").layers
     assert found is not None and (found.names, found.fabrics) == (worn.names, worn.fabrics)
     np.testing.assert_array_equal(found.layer, layer)
+    np.testing.assert_array_equal(found.fastened, worn.fastened)
     for wrong, problem in (
         (replace(worn, layer=layer[:-1]), "garments that do not fit"),
         (replace(worn, names=("shirt",)), "garment"),
         (replace(worn, layer=layer + 1), "a garment that does not exist"),
+        (replace(worn, fastened=np.array([49], np.int32)), "a vertex that does not exist"),
+        (replace(worn, fastened=np.array([30, 21], np.int32)), "not in ascending order"),
     ):
         with pytest.raises(InputError, match=problem):
             write_database(tmp_path / "b.h5", small_database(layers=wrong))

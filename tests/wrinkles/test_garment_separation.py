@@ -20,7 +20,9 @@ def levels() -> Levels:
     vertices, faces = flat_sheet(SIDE, 0.4)
     flat = vertices - vertices.mean(axis=0)
     flat = flat[:, np.argsort(-np.ptp(flat, axis=0), kind="stable")][:, [0, 2, 1]]  # the sheet lies in x and z
-    layers = Layers(("inner", "outer"), (Fabric(),), np.repeat(np.array([0, 1], np.int32), len(flat)))
+    layers = Layers(
+        ("inner", "outer"), (Fabric(),), np.repeat(np.array([0, 1], np.int32), len(flat)), np.zeros(0, np.int32)
+    )
     both = np.concatenate([flat, flat + [0.1, 0.004, 0.0]])
     nothing = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
     joined = np.concatenate([faces, faces + len(flat)])
