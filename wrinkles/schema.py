@@ -109,7 +109,7 @@ ENTRIES = (
     Entry("sewn/max_stretch", DOUBLE, ("w",)),
     Entry("layers/names", TEXT, ("i",)),
     Entry("layers/layer", INDEX, ("o",)),
-    Entry("layers/fastened", INDEX, ("q",)),
+    Entry("layers/fastened", INDEX, ("k",)),
     *_columns("layers/fabrics", Fabric, ("e",)),
     Entry("fabric_name", TEXT),
     *_columns("fabric", Fabric, ()),

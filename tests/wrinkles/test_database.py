@@ -173,6 +173,8 @@ def test_the_garments_of_an_outfit_are_stored(tmp_path: Path) -> None:
     assert found is not None and (found.names, found.fabrics) == (worn.names, worn.fabrics)
     np.testing.assert_array_equal(found.layer, layer)
     np.testing.assert_array_equal(found.fastened, worn.fastened)
+    figures = {f"figure_{k}": 1.0 for k in range(5)}  # more than there are vertices that are fastened
+    write_database(tmp_path / "c.h5", small_database(layers=worn, quality=figures))
     for wrong, problem in (
         (replace(worn, layer=layer[:-1]), "garments that do not fit"),
         (replace(worn, names=("shirt",)), "garment"),
