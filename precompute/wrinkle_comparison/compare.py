@@ -438,7 +438,7 @@ def compare_file(
         )
     run = database_run(database, inputs, motion)
     truth = truth_of(run, default_cache(path), 2, report)
-    found = compare(database, truth if seconds is None else truth.until(seconds), report=report)
+    found = compare(database, truth if seconds is None else truth.until(seconds), workers=2, report=report)
     if clip is None and seconds is None:
         try:
             write_choice(path, database, found)
