@@ -6,6 +6,8 @@ Arrays are in the glTF convention, which is the project's own: metres, Y up, cou
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +22,8 @@ from wrinkles.metrics import vertex_normals
 
 __all__ = ["bake_glb", "bake_mdd", "bake_obj", "bake_pc2", "bake_usd"]
 
-_GARMENT_COLOR, _BODY_COLOR = (0.09, 0.21, 0.45, 1.0), (0.56, 0.34, 0.25, 1.0)
+_GARMENT_COLORS = (0.09, 0.21, 0.45, 1.0), (0.62, 0.58, 0.5, 1.0), (0.3, 0.05, 0.06, 1.0), (0.06, 0.2, 0.12, 1.0)
+_BODY_COLOR = (0.56, 0.34, 0.25, 1.0)
 
 
 def bake_glb(
@@ -32,6 +35,7 @@ def bake_glb(
     normals: np.ndarray | None = None,
     body: Character | Sequence | None = None,
     poses: np.ndarray | None = None,
+    garments: Mapping[str, np.ndarray] | None = None,
 ) -> None:
     """Write an animated glTF 2.0 binary: the garment as a mesh with a morph target a frame, and its body.
 
@@ -54,14 +58,17 @@ def bake_glb(
         body: what wears the garment.
         poses: of the body, one for each frame of the garment: skinning matrices (f, joints, 3, 4) of a character,
             vertices (f, b, 3) of a vertex sequence.
+        garments: vertices of each garment of an outfit by its name, int, shapes (k,): each is a mesh with a material of
+            its own. None writes one mesh, "garment".
 
     Raises:
         InputError: shapes do not match, a value is not finite, a joint shears, or a rate is not positive.
     """
-    garment = _track("garment", garment_faces, garment_frames, rate_hz, normals, _GARMENT_COLOR, True)
-    _check_poses(body, poses, len(garment.frames))
+    tracks = _garment_tracks(garment_faces, garment_frames, rate_hz, normals, garments)
+    _check_poses(body, poses, len(tracks[0].frames))
     file = GlbFile()
-    file.add(garment)
+    for track in tracks:
+        file.add(track)
     if body is not None and poses is not None:
         if isinstance(body, Character):
             file.add_character(body, poses, rate_hz, _BODY_COLOR)
@@ -79,6 +86,7 @@ def bake_usd(
     normals: np.ndarray | None = None,
     body: Character | Sequence | None = None,
     poses: np.ndarray | None = None,
+    garments: Mapping[str, np.ndarray] | None = None,
 ) -> None:
     """Write a binary USD file (.usdc): the garment as a mesh with time samples, and its body.
 
@@ -94,14 +102,16 @@ def bake_usd(
         normals: unit normals, shape (f, n, 3); area-weighted ones are made where absent.
         body: what wears the garment.
         poses: of the body, one for each frame of the garment, as :func:`bake_glb` takes them.
+        garments: as :func:`bake_glb` takes them.
 
     Raises:
         InputError: shapes do not match, a value is not finite, a joint shears, or a rate is not positive.
     """
-    garment = _track("garment", garment_faces, garment_frames, rate_hz, normals, _GARMENT_COLOR, True)
-    _check_poses(body, poses, len(garment.frames))
-    file = UsdFile(rate_hz, len(garment.frames))
-    file.add(garment)
+    tracks = _garment_tracks(garment_faces, garment_frames, rate_hz, normals, garments)
+    _check_poses(body, poses, len(tracks[0].frames))
+    file = UsdFile(rate_hz, len(tracks[0].frames))
+    for track in tracks:
+        file.add(track)
     if body is not None and poses is not None:
         if isinstance(body, Character):
             file.add_character(body, poses, _BODY_COLOR)
@@ -221,6 +231,35 @@ def _checked(faces: np.ndarray, frames: np.ndarray, key: str) -> tuple[np.ndarra
             expected=f"indices 0 to {frames.shape[1] - 1}",
         )
     return faces, frames
+
+
+def _garment_tracks(
+    faces: np.ndarray,
+    frames: np.ndarray,
+    rate_hz: float,
+    normals: np.ndarray | None,
+    garments: Mapping[str, np.ndarray] | None,
+) -> list[Track]:
+    """One mesh, or that of each garment of an outfit; arguments as for :func:`bake_glb`."""
+    whole = _track("garment", faces, frames, rate_hz, normals, _GARMENT_COLORS[0], True)
+    if garments is None:
+        return [whole]
+    tracks = []
+    for number, (name, vertices) in enumerate(garments.items()):
+        own_number = np.full(whole.frames.shape[1], -1, np.int32)
+        own_number[vertices] = np.arange(len(vertices))
+        mine = own_number[whole.faces]
+        tracks.append(
+            replace(
+                whole,
+                name=name if name != "body" else "body_garment",
+                faces=mine[(mine >= 0).all(axis=1)],
+                frames=whole.frames[:, vertices],
+                normals=whole.normals[:, vertices],
+                color=_GARMENT_COLORS[number % len(_GARMENT_COLORS)],
+            )
+        )
+    return tracks
 
 
 def _track(

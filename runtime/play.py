@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -389,8 +389,9 @@ def write_baked(
     normals: np.ndarray | None = None,
     body: Character | Sequence | None = None,
     poses: np.ndarray | None = None,
+    garments: Mapping[str, np.ndarray] | None = None,
 ) -> None:
-    """Bake to the kind of file that the extension names; only .glb and .usdc take normals and the body along.
+    """Bake to the kind of file that the extension names; only .glb and .usdc take more along than faces and frames.
 
     Args:
         path: .glb, .usdc, .pc2, .mdd or .obj.
@@ -400,6 +401,7 @@ def write_baked(
         normals: unit, shape (f, n, 3).
         body: what wears the garment.
         poses: of the body, one for each frame, shape (f, ...).
+        garments: vertices of each garment of an outfit by its name, int, shapes (k,); None for one garment.
 
     Raises:
         InputError: the extension is unknown, or the file cannot be written.
@@ -408,7 +410,7 @@ def write_baked(
     ending = path.suffix.lower()
     if ending in (".glb", ".usdc"):
         bake = bake_glb if ending == ".glb" else bake_usd
-        bake(path, faces, frames, rate_hz, normals=normals, body=body, poses=poses)
+        bake(path, faces, frames, rate_hz, normals=normals, body=body, poses=poses, garments=garments)
     elif ending == ".pc2":
         bake_pc2(path, faces, frames)
     elif ending == ".mdd":

@@ -45,9 +45,12 @@ class UsdFile:
 
     def add(self, track: Track) -> None:
         """A mesh with points and normals at every time code; single precision, so positions are exact to 1e-7."""
-        from pxr import Vt
+        from pxr import Tf, Vt
 
-        mesh = self._mesh(f"{_ROOT}/{track.name}", track.name, track.faces, track.color, track.double_sided)
+        name = Tf.MakeValidIdentifier(track.name)
+        while self._stage.GetPrimAtPath(f"{_ROOT}/{name}"):  # other names may have become the same identifier
+            name += "_"
+        mesh = self._mesh(f"{_ROOT}/{name}", name, track.faces, track.color, track.double_sided)
         points, normals = mesh.CreatePointsAttr(), mesh.CreateNormalsAttr()
         frames = track.frames.astype(np.float32)
         for code, (vertices, directions) in enumerate(zip(frames, track.normals, strict=True)):

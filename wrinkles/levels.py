@@ -25,6 +25,7 @@ __all__ = [
     "Levels",
     "build_garments",
     "build_levels",
+    "garment_vertices",
     "held_between",
     "levels_of",
     "with_area_of",
@@ -266,6 +267,14 @@ def build_garments(
         models.append(build_model(part, worn, mine, options, bend_factor, limits.part(vertices)))
         numbers.append(vertices)
     return fastened(replace(layered(models, numbers), mesh=mesh), layers.fastened)
+
+
+def garment_vertices(levels: Levels) -> dict[str, np.ndarray] | None:
+    """Fine vertices of each garment of an outfit by its name, int, shapes (k,); None for one garment."""
+    if levels.layers is None:
+        return None
+    fine = levels.layers.subdivided(levels.subdivision).layer
+    return {name: np.flatnonzero(fine == number) for number, name in enumerate(levels.layers.names)}
 
 
 def with_area_of(coarse: ClothMesh, fine: ClothMesh) -> tuple[ClothMesh, float]:

@@ -36,6 +36,7 @@ def run(options: argparse.Namespace) -> Report:
     from runtime.play import BAKED, baked_frames, open_database, write_baked
     from runtime.report import Report
     from runtime.terminal import say
+    from wrinkles.levels import garment_vertices
 
     check_file(options.output, *BAKED)
     database, inputs = open_database(
@@ -49,6 +50,8 @@ def run(options: argparse.Namespace) -> Report:
     if isinstance(player, PlainPlayer):
         say(f"plays {better_choice(database.quality)} (--wrinkles plays the wrinkles)")
     faces = player.levels.subdivision.faces
-    write_baked(options.output, faces, frames, options.rate, normals, inputs.body, poses)
+    write_baked(
+        options.output, faces, frames, options.rate, normals, inputs.body, poses, garment_vertices(player.levels)
+    )
     say(f"{inputs.motions[0].name}: {len(frames)} frames of {frames.shape[1]} vertices baked to {options.output}")
     return Report({"frame_count": len(frames), "fine_vertex_count": frames.shape[1]})

@@ -29,6 +29,7 @@ from runtime.simulation import Motion
 from runtime.viewer.colors import FaceBending, FaceStrain, place
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Upsampler
+from wrinkles.levels import garment_vertices
 from wrinkles.worn_garments import garment_names
 
 __all__ = ["DatabaseSource", "FabricFactors", "SceneSource", "Source", "Truth", "ViewedGarment", "ViewedMesh"]
@@ -159,6 +160,11 @@ class ViewedGarment:
     def worn(self) -> tuple[str, ...]:
         """Names of the garments that are worn; none where none can be taken off."""
         return self.player.worn if isinstance(self.player, Player) else ()
+
+    @property
+    def vertices_of_garments(self) -> dict[str, np.ndarray] | None:
+        """Fine vertices of each garment of an outfit by its name; None for anything else."""
+        return garment_vertices(self.player.levels) if isinstance(self.player, Player) else None
 
     @property
     def main(self) -> str:

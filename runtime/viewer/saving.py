@@ -5,6 +5,7 @@ Files go to one folder under names that the viewer chooses; a browser names neit
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -80,10 +81,11 @@ def bake_clip(
     poses: np.ndarray | None,
     rate_hz: float,
     body: Character | Sequence | None,
+    garments: Mapping[str, np.ndarray] | None,
 ) -> Path:
     """Write frames as an animation; arguments as for :func:`runtime.bake.bake_glb`."""
     path = free_file(folder, "clip", ".glb")
-    bake_glb(path, faces, frames, rate_hz, body=None if poses is None else body, poses=poses)
+    bake_glb(path, faces, frames, rate_hz, body=None if poses is None else body, poses=poses, garments=garments)
     return path
 
 

@@ -197,11 +197,12 @@ class Viewer:
         """Write every moment that is kept; the loop waits only until they are shown once more."""
         frames, poses, rate_hz = clip_frames(self._garment, self.playback)
         faces, body = self._garment.meshes[self._garment.main].faces, self._source.body
+        garments = self._garment.vertices_of_garments
         self._controls.say("writing the clip ...")
 
         def bake() -> None:
             try:
-                self._controls.say(f"clip: {bake_clip(self._output, faces, frames, poses, rate_hz, body)}")
+                self._controls.say(f"clip: {bake_clip(self._output, faces, frames, poses, rate_hz, body, garments)}")
             except (OSError, InputError) as error:
                 self._controls.say(f"no clip: {error}")
 
@@ -220,7 +221,7 @@ class Viewer:
         view = ViewSettings(
             database=source.path.absolute() if isinstance(source, DatabaseSource) else None,
             motion=None if choice.motion is None else choice.motion.name,
-            garments=() if self._garment.worn == source.garments else self._garment.worn,
+            garments=self._garment.worn if source.garments and self._garment.worn != source.garments else (),
             fabric=choice.fabric or None,
             wrinkles=choice.wrinkles,
             time=round(self.playback.time, 4),

@@ -139,6 +139,20 @@ def test_every_frame_and_what_lies_between_play_back(tmp_path, turn_deg):
         assert np.abs(read.at((k + 0.75) / 30.0)[0] - between).max() < 3e-4 + 1.3 * sagitta
 
 
+def test_garments_of_an_outfit_are_meshes_of_their_own(tmp_path):
+    faces, frames = waving_sheet()
+    count = frames.shape[1]
+    both = np.concatenate([frames, frames + np.float32([0.0, 0.1, 0.0])], axis=1)
+    garments = {"shirt": np.arange(count), "body": np.arange(count, 2 * count)}
+    all_faces = np.concatenate([faces, faces + count])
+    bake_glb(tmp_path / "a.glb", all_faces, both, 30.0, garments=garments)
+    for name, vertices in (("shirt", garments["shirt"]), ("body_garment", garments["body"])):
+        read = Read(tmp_path / "a.glb", name)
+        assert np.array_equal(read.faces, faces)
+        assert np.abs(read.at(3 / 30.0)[0] - both[3][vertices]).max() < 3e-5
+    assert len({str(one.pbrMetallicRoughness.baseColorFactor) for one in read.document.materials}) == 2
+
+
 def test_normals_of_a_garment_that_turns_right_round_are_kept(tmp_path):
     faces, frames = waving_sheet(frame_count=24, turn_deg=45.0)
     bake_glb(tmp_path / "a.glb", faces, frames, 30.0)

@@ -52,6 +52,17 @@ def test_a_garment_has_every_frame_at_its_time_code(tmp_path: Path) -> None:
     np.testing.assert_allclose(points(stage, "/World/garment", 3.75), between, atol=1e-6)
 
 
+def test_garments_of_an_outfit_are_meshes_with_valid_names(tmp_path: Path) -> None:
+    faces, frames = waving_sheet()
+    count = frames.shape[1]
+    garments = {"long shirt": np.arange(count), "long_shirt": np.arange(count, 2 * count)}
+    both = np.concatenate([frames, frames + np.float32([0.0, 0.1, 0.0])], axis=1)
+    bake_usd(tmp_path / "a.usdc", np.concatenate([faces, faces + count]), both, 25.0, garments=garments)
+    stage = Usd.Stage.Open(str(tmp_path / "a.usdc"))
+    for name, vertices in (("long_shirt", garments["long shirt"]), ("long_shirt_", garments["long_shirt"])):
+        np.testing.assert_array_equal(points(stage, f"/World/{name}", 2), both[2][vertices])
+
+
 def test_a_garment_has_a_material(tmp_path: Path) -> None:
     bake_usd(tmp_path / "a.usdc", *waving_sheet(2), 30.0)
     stage: Any = Usd.Stage.Open(str(tmp_path / "a.usdc"))
