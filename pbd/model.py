@@ -166,7 +166,6 @@ def build_model(
         bend_factor = hinge_calibration(mesh)
     triangles, triangle_data, triangle_colors = _membrane(mesh, options.membrane(fabric), inverse_mass)
     hinges, hinge_data, hinge_colors = _bending(mesh, fabric, inverse_mass, options.bend_scale * bend_factor)
-    order, _ = _by_color(mesh.stitches, count)
     tethers, lengths = _tethers(mesh, held, options.tether_slack)
     return Model(
         mesh,
@@ -182,9 +181,7 @@ def build_model(
         hinges,
         hinge_data,
         hinge_colors,
-        np.ascontiguousarray(mesh.stitches[order], np.int32),
-        mesh.stitch_weights[order].astype(np.float32),
-        np.zeros(len(order), np.float32),
+        *_stitches(mesh),
         tethers,
         lengths,
         *_samples(mesh),
@@ -193,6 +190,13 @@ def build_model(
         np.full(count if options.pressure else 0, options.pressure, np.float32),
         limits,
     )
+
+
+def _stitches(mesh: ClothMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Stitches in the order of their colours, their weights, and their gaps, which are closed."""
+    order, _ = _by_color(mesh.stitches, len(mesh.vertices))
+    stitches = np.ascontiguousarray(mesh.stitches[order], np.int32)
+    return stitches, mesh.stitch_weights[order].astype(np.float32), np.zeros(len(order), np.float32)
 
 
 def _check_vertices(held: np.ndarray, limits: Limits, count: int) -> None:
