@@ -22,6 +22,7 @@ from assets.limits import load_limits
 from assets.motion import ClipMotion, part_of
 from assets.procedural.exploration import exploration_clip, exploration_motion
 from pbd import Capsule, DistanceField, Fabric, InputError, Limits, Plane, SolverOptions, Sphere
+from runtime.fitting import fitted
 from runtime.garment_mesh import (
     coarse_garment,
     fastened_vertices,
@@ -33,7 +34,7 @@ from runtime.garment_mesh import (
     with_subdivisions,
 )
 from runtime.layer_order import check_fastened, check_order
-from runtime.scene_body import body_of, clip_of, motion_of
+from runtime.scene_body import body_of, clip_of, load_body, motion_of
 from runtime.simulation import Motion
 from wrinkles.binding import Binding
 from wrinkles.database import WrinkleDatabase
@@ -102,13 +103,19 @@ class _Piece(NamedTuple):
     fastened: np.ndarray
 
 
-def _piece(number: int, settings: GarmentSettings, body_vertices: np.ndarray, body_faces: np.ndarray) -> _Piece:
+def _piece(number: int, settings: GarmentSettings, body: Character | Sequence) -> _Piece:
     """The garment of that number in a scene."""
+    body_vertices, body_faces = _bind_vertices(body), body.faces
     if settings.pins:
         expected = "attach or attach_vertices: pins hold a garment without a body"
         key = f"garment[{number}].pins"
         raise InputError("pins beside a body", key=key, received=settings.pins, expected=expected)
     garment = load_garment(settings.mesh, pattern=settings.pattern)
+    if settings.made_for is not None:
+        if not isinstance(body, Character):
+            key, expected = f"garment[{number}].made_for", "a skinned character, whose joints carry the garment"
+            raise InputError("a garment of another body", key=key, received="a vertex sequence", expected=expected)
+        garment = fitted(garment, load_body(settings.made_for), body, settings.fit)
     garment = in_size(garment, settings, body_vertices, body_faces)
     garment, binding = coarse_garment(garment, settings)
     held, fastened = held_vertices(garment, settings), fastened_vertices(garment, settings)
@@ -120,6 +127,10 @@ def _piece(number: int, settings: GarmentSettings, body_vertices: np.ndarray, bo
     times = settings.coarse_subdivisions
     garment, held, limits, fastened = subdivided(garment, held, limits, times, fastened)
     return _Piece(garment, binding, held, limits, fastened)
+
+
+def _bind_vertices(body: Character | Sequence) -> np.ndarray:
+    return body.vertices if isinstance(body, Character) else body.vertices[0].astype(float)
 
 
 def _outfit(scene: Scene, pieces: list[_Piece]) -> tuple[Scene, _Piece, Layers]:
@@ -199,8 +210,8 @@ class GarmentSetup:
         """
         scene = with_subdivisions(scene)
         body = body_of(scene)
-        vertices = body.vertices if isinstance(body, Character) else body.vertices[0].astype(float)
-        pieces = [_piece(number, settings, vertices, body.faces) for number, settings in enumerate(scene.garments)]
+        vertices = _bind_vertices(body)
+        pieces = [_piece(number, settings, body) for number, settings in enumerate(scene.garments)]
         piece, layers = pieces[0], None
         if len(pieces) > 1:
             scene, piece, layers = _outfit(scene, pieces)

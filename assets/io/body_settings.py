@@ -10,9 +10,9 @@ from assets.character import CHARACTER_SUFFIXES, SEQUENCE_SUFFIXES, USD_SUFFIXES
 from assets.io.settings import entry, file_path, number, table, text
 from pbd import InputError
 
-__all__ = ["CharacterSettings", "MotionSettings"]
+__all__ = ["CHARACTER_FILE", "CharacterSettings", "MotionSettings"]
 
-_CHARACTER_FILE = file_path(*CHARACTER_SUFFIXES, builtins=["builtin:mannequin"])
+CHARACTER_FILE = file_path(*CHARACTER_SUFFIXES, builtins=["builtin:mannequin"])
 _SEQUENCE_FILE = file_path(*SEQUENCE_SUFFIXES)
 _MOTION_FILE = file_path(
     *dict.fromkeys([*CHARACTER_SUFFIXES, ".bvh", *SEQUENCE_SUFFIXES]), builtins=["builtin:mannequin"]
@@ -89,7 +89,7 @@ class CharacterSettings:
         rate: frames a second of a .pc2 sequence, which does not know them [Hz].
     """
 
-    file: Path | str | None = entry(_CHARACTER_FILE, None)
+    file: Path | str | None = entry(CHARACTER_FILE, None)
     sequence: Path | None = entry(_SEQUENCE_FILE, None)
     clip: str | None = entry(text(), None)
     motion: MotionSettings | None = entry(table(MotionSettings), None)

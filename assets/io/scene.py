@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from assets.fabrics import PRESETS, load_fabric
-from assets.io.body_settings import CharacterSettings, MotionSettings
+from assets.io.body_settings import CHARACTER_FILE, CharacterSettings, MotionSettings
 from assets.io.collider_settings import COLLIDER, ColliderSettings
 from assets.io.settings import (
     Check,
@@ -87,6 +87,10 @@ class GarmentSettings:
     Attributes:
         name: name in figures and files, unique in the scene.
         mesh: path of the garment's mesh, or a built-in one: "builtin:skirt".
+        made_for: the character in whose bind pose the mesh was made, with the joints of the scene's; None for the
+            scene's own.
+        fit: what becomes of the lengths at rest of a garment that was made for another body: "body" lets the cloth grow
+            and shrink as the body does, "lengths" keeps them.
         pattern: whether the mesh's texture coordinates are a flat pattern [m].
         fabric: its fabric; in a file a preset's name, the path of a .json file or a table of SI values.
         ease: shares (around, along) by which the cloth is larger than its mesh, "along" being the vertical laid into
@@ -110,6 +114,8 @@ class GarmentSettings:
 
     name: str = entry(text())
     mesh: Path | str = entry(_MESH)
+    made_for: Path | str | None = entry(CHARACTER_FILE, None)
+    fit: str = entry(choice("body", "lengths"), "body")
     pattern: bool = entry(truth(), False)
     fabric: Fabric = entry(_FABRIC, Fabric())
     ease: tuple[float, float] = entry(pair(at_least=-0.5, at_most=2.0), (0.0, 0.0))
