@@ -116,8 +116,8 @@ class Player:
 
         What is put on is placed where the body carries it from the bind pose, and finds its place within this call.
         ``database``, ``levels``, ``simulation``, ``vertices`` and ``normals`` are others after it. The first call with
-        a set of garments makes what these need in some tenths of a second; the player keeps that for the next time. A
-        vertex that was dragged is free.
+        a set of garments makes what these need in a second or two; the player keeps that for the next time, so that
+        taking off then costs a few frames and putting on some tenths of a second. A vertex that was dragged is free.
 
         Args:
             names: of garments of the outfit; the order in which they are worn is that of the outfit.
