@@ -14,7 +14,7 @@ from scipy.sparse.linalg import spsolve
 
 from pbd.mesh import ClothMesh, Hinges, edges_of, hinges_of, vertex_rings
 
-__all__ = ["bends_of", "hinge_calibration", "hinge_rows", "layer_stiffness"]
+__all__ = ["bends_of", "friction_share", "hinge_calibration", "hinge_rows", "layer_stiffness"]
 
 
 def hinge_rows(mesh: ClothMesh, held: np.ndarray | None = None) -> Hinges:
@@ -25,6 +25,23 @@ def hinge_rows(mesh: ClothMesh, held: np.ndarray | None = None) -> Hinges:
         held: vertices that are moved from outside. A face with three of them is rigid: all the bending at its
             hinge happens over the other face.
 
+    """
+    hinges, first, second, sides = _hinge_sides(mesh)
+    (start_0, end_0, direction), (end_1, start_1, _) = sides  # the second face runs the edge the other way
+    rows = np.stack([end_0 + end_1, start_0 + start_1, -start_0 - end_0, -start_1 - end_1], axis=1)
+    bends = mesh.face_areas.copy()
+    if held is not None:
+        bends[np.isin(mesh.faces, held).all(axis=1)] = 0.0
+    areas = np.maximum(bends[first] + bends[second], 1e-12)
+    return Hinges(hinges, rows, areas, np.arctan2(direction[:, 1], direction[:, 0]))
+
+
+def _hinge_sides(mesh: ClothMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple]:
+    """Hinges with both of their faces.
+
+    Returns:
+        the hinges, int, shape (h, 4); the first and the second face of each; and of both the cotangents at the start
+        and at the end of the edge as that face runs it, and the edge's direction [m], shape (h, 2).
     """
     hinges = hinges_of(mesh.faces)
     # Directed side (a, b) -> face and corner, to find both faces of each hinge again.
@@ -47,14 +64,29 @@ def hinge_rows(mesh: ClothMesh, held: np.ndarray | None = None) -> Hinges:
         at_end = np.einsum("ij,ij->i", a - b, c - b) / area_2
         return at_start, at_end, b - a
 
-    start_0, end_0, direction = cotangents(first)
-    end_1, start_1, _ = cotangents(second)  # the second face runs the edge the other way
-    rows = np.stack([end_0 + end_1, start_0 + start_1, -start_0 - end_0, -start_1 - end_1], axis=1)
-    bends = mesh.face_areas.copy()
-    if held is not None:
-        bends[np.isin(mesh.faces, held).all(axis=1)] = 0.0
-    areas = np.maximum(bends[first // 3] + bends[second // 3], 1e-12)
-    return Hinges(hinges, rows, areas, np.arctan2(direction[:, 1], direction[:, 0]))
+    return hinges, first // 3, second // 3, (cotangents(first), cotangents(second))
+
+
+def friction_share(mesh: ClothMesh) -> float:
+    """What a moment of friction per width becomes as the force of friction at each hinge [-].
+
+    Cloth that is bent to a curvature k along a direction bends each hinge by b = n . K x. The hinges must lose, over a
+    change dk, what the cloth loses by its area: the sum of F |db| is H A |dk|. With the same force F at all hinges that
+    is F = H A / sum |db/dk|, here as the mean over eight directions.
+    """
+    hinges, _, _, ((start_0, end_0, direction), (end_1, start_1, _)) = _hinge_sides(mesh)
+    if not len(hinges):
+        return 0.0
+    length, angle = np.linalg.norm(direction, axis=1), np.arctan2(direction[:, 1], direction[:, 0])
+    height_0, height_1 = length / np.maximum(start_0 + end_0, 1e-9), length / np.maximum(start_1 + end_1, 1e-9)
+    shares = []
+    for turn in DIRECTIONS:
+        along, across = np.cos(turn - angle), np.sin(turn - angle)
+        at_j = length * along
+        at_k, at_l = (start_0 * along + across) * height_0, (start_1 * along - across) * height_1
+        bends = (start_0 + start_1) * at_j**2 - length / height_0 * at_k**2 - length / height_1 * at_l**2
+        shares.append(mesh.face_areas.sum() / (0.5 * np.abs(bends).sum()))
+    return float(np.mean(shares))
 
 
 def layer_stiffness(mesh: ClothMesh) -> np.ndarray:

@@ -29,6 +29,9 @@ class Fabric:
             P = p_c ((thickness/T)^3 - 1) [Pa]; 0 for a thickness that does not give way.
         friction: Coulomb coefficient against colliders [-].
         air_drag: drag coefficient of the surface for flow along its normal [-].
+        bend_hysteresis_warp: width of the loop that the moment per width makes over the curvature along the warp when
+            the cloth is bent to and fro, Kawabata's 2HB [N]: twice the moment of its internal friction.
+        bend_hysteresis_weft: the same along the weft [N].
 
     Raises:
         InputError: a value that is not finite, not positive where it must be, or a Poisson ratio for which the
@@ -46,10 +49,13 @@ class Fabric:
     compression: float = 0.0
     friction: float = 0.3
     air_drag: float = 1.0
+    bend_hysteresis_warp: float = 0.0
+    bend_hysteresis_weft: float = 0.0
 
     def __post_init__(self) -> None:
         errors = []
         may_be_zero = {"poisson", "friction", "air_drag", "bend_warp", "bend_weft", "compression"}
+        may_be_zero |= {"bend_hysteresis_warp", "bend_hysteresis_weft"}
         for field in fields(self):
             value = getattr(self, field.name)
             wanted = "a finite number, at least 0" if field.name in may_be_zero else "a finite number above 0"

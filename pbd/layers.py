@@ -105,6 +105,9 @@ def layered(models: Sequence[Model], vertices: Sequence[np.ndarray] | None = Non
     alone = np.repeat(np.arange(sum(counts))[:, None], 2, axis=1)
     triangle_order, triangle_colors = by_color("triangle_colors")
     hinge_order, hinge_colors = by_color("hinge_colors")
+    plastic_counts = [model.plastic_count for model in models]
+    before = np.cumsum([0, *plastic_counts])
+    hinge_numbers = np.concatenate([model.hinge_numbers + n for model, n in zip(models, before, strict=False)])
     blocks, block_colors = blocks_of(triangle_colors)
     values = np.concatenate([model.triangle_data[:, : len(model.triangles)] for model in models], axis=1)[
         :, triangle_order
@@ -129,6 +132,8 @@ def layered(models: Sequence[Model], vertices: Sequence[np.ndarray] | None = Non
         triangle_colors=triangle_colors,
         hinges=renumbered("hinges")[hinge_order],
         hinge_data=joined("hinge_data")[hinge_order],
+        hinge_numbers=hinge_numbers[hinge_order].astype(np.int32),
+        plastic_count=sum(plastic_counts),
         hinge_colors=hinge_colors,
         stitches=renumbered("stitches"),
         stitch_weights=joined("stitch_weights"),

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from pbd.bending import hinge_calibration, hinge_rows, layer_stiffness
+from pbd.bending import friction_share, hinge_calibration, hinge_rows, layer_stiffness
 from pbd.errors import InputError
 from pbd.fabric import Fabric
 from pbd.limits import Limits
@@ -84,7 +84,11 @@ class Model:
         triangle_colors, hinge_colors: offsets of the colours, shape (colours + 1,).
         triangle_blocks: first triangle and size of each block, all of one colour, shape (b, 2).
         block_colors: offsets of the colours of the blocks, shape (colours + 1,).
-        hinges: shape (h, 4); hinge_data: K row | sum of w K^2, compliance, bend at rest, shape (h, 2, 4).
+        hinges: shape (h, 4); hinge_data: K row | sum of w K^2, compliance, bend at rest, and the bend by which the
+            compliance alone would bear the force of internal friction [m], 0 without; shape (h, 2, 4).
+        hinge_numbers: place of each hinge in ``State.plastic_bends``, int32, shape (h,).
+        plastic_count: how many of these there are: one for each hinge of the mesh, whatever is held, or 0 where no
+            hinge has internal friction.
         stitches: (v, a, b), shape (s, 3); stitch_weights: position of v between a (0) and b (1), shape (s,).
         stitch_gaps: how far v may be from there [m], float32, shape (s,).
         tethers: (vertex, held vertex), shape (t, 2); tether_lengths: [m], shape (t,).
@@ -112,6 +116,8 @@ class Model:
     block_colors: np.ndarray
     hinges: np.ndarray
     hinge_data: np.ndarray
+    hinge_numbers: np.ndarray
+    plastic_count: int
     hinge_colors: np.ndarray
     stitches: np.ndarray
     stitch_weights: np.ndarray
@@ -165,7 +171,9 @@ def build_model(
     if bend_factor is None:
         bend_factor = hinge_calibration(mesh)
     triangles, triangle_data, triangle_colors = _membrane(mesh, options.membrane(fabric), inverse_mass)
-    hinges, hinge_data, hinge_colors = _bending(mesh, fabric, inverse_mass, options.bend_scale * bend_factor)
+    hinges, hinge_data, hinge_numbers, plastic_count, hinge_colors = _bending(
+        mesh, fabric, inverse_mass, options.bend_scale * bend_factor
+    )
     tethers, lengths = _tethers(mesh, held, options.tether_slack)
     return Model(
         mesh,
@@ -180,6 +188,8 @@ def build_model(
         *blocks_of(triangle_colors),
         hinges,
         hinge_data,
+        hinge_numbers,
+        plastic_count,
         hinge_colors,
         *_stitches(mesh),
         tethers,
@@ -271,7 +281,7 @@ def blocks_of(colors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _bending(
     mesh: ClothMesh, fabric: Fabric, inverse_mass: np.ndarray, factor: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, np.ndarray]:
     hinges, rows, areas, angle = hinge_rows(mesh, np.flatnonzero(inverse_mass == 0.0))
     rest = np.zeros(len(hinges)) if mesh.rest_bends is None else mesh.rest_bends
     stacked = layer_stiffness(mesh)
@@ -284,6 +294,10 @@ def _bending(
     along_warp, along_weft = np.sin(angle) ** 2, np.cos(angle) ** 2
     bend = (np.sqrt(fabric.bend_warp) * along_warp + np.sqrt(fabric.bend_weft) * along_weft) ** 2
     stiffness = 3.0 * factor * stacked * bend / areas
+    friction = np.zeros(len(hinges))
+    if fabric.bend_hysteresis_warp + fabric.bend_hysteresis_weft > 0.0:
+        mixed = np.sqrt(fabric.bend_hysteresis_warp) * along_warp + np.sqrt(fabric.bend_hysteresis_weft) * along_weft
+        friction = 0.5 * friction_share(mesh) * np.sqrt(stacked) * mixed**2  # of each of several layers
     sums = (inverse_mass[hinges] * rows**2).sum(axis=1)
     stiffness[sums == 0] = 0.0  # all held
     works = stiffness > 1e-9 * stiffness.max(initial=0.0)
@@ -291,8 +305,9 @@ def _bending(
     order, offsets = _by_color(hinges, len(mesh.vertices))
     data = np.zeros((len(hinges), 2, 4), np.float32)
     data[:, 0] = rows[order]
-    data[:, 1, :3] = np.stack([sums[order], 1.0 / stiffness[order], rest[order]], axis=1)
-    return np.ascontiguousarray(hinges[order]), data, offsets
+    data[:, 1] = np.stack([sums, 1.0 / stiffness, rest, friction[works] / stiffness], axis=1)[order]
+    numbers, count = np.flatnonzero(works)[order].astype(np.int32), len(works) if friction.any() else 0
+    return np.ascontiguousarray(hinges[order]), data, numbers, count, offsets
 
 
 def _samples(mesh: ClothMesh) -> tuple[np.ndarray, np.ndarray]:
@@ -338,6 +353,8 @@ class State:
             float64, shape (3, 4); for :func:`pbd.xpbd.inertia.scale_inertial_forces`.
         pair_sides: direction in which the first feature of each lies from the second and how far [m], negative once it
             has gone through, float32, shape (c, 4).
+        plastic_bends: bend of each hinge at which its internal friction is without force [m], see
+            :func:`pbd.xpbd.constraints.rubbing_hinge`, float32, shape (h,); no number where nothing rubs.
     """
 
     origin: np.ndarray
@@ -350,6 +367,7 @@ class State:
     carrier: np.ndarray = field(repr=False)
     pairs: np.ndarray = field(repr=False)
     pair_sides: np.ndarray = field(repr=False)
+    plastic_bends: np.ndarray = field(repr=False)
 
     @classmethod
     def at_rest(cls, model: Model, vertices: np.ndarray | None = None) -> State:
@@ -364,7 +382,8 @@ class State:
         nearest, pairs = np.full(len(model.samples), -1, np.int32), np.zeros((0, 4), np.int32)
         faces, weights = np.full((len(model.samples), 4), -1, np.int32), np.zeros((len(model.samples), 2), np.float32)
         carrier, sides = np.zeros((3, 4)), np.zeros((0, 4), np.float32)
-        return cls(origin, position, velocity, nearest, faces, weights, contact, carrier, pairs, sides)
+        bends = np.zeros(model.plastic_count, np.float32)
+        return cls(origin, position, velocity, nearest, faces, weights, contact, carrier, pairs, sides, bends)
 
     def world(self) -> np.ndarray:
         """World positions [m], float64, shape (n, 3)."""
@@ -383,7 +402,7 @@ class State:
 
     _names = (
         "origin", "position", "velocity", "nearest", "contact_faces", "contact_weights", "contact", "carrier", "pairs",
-        "pair_sides",
+        "pair_sides", "plastic_bends",
     )  # fmt: skip
 
     def hash(self) -> str:
@@ -414,10 +433,11 @@ class State:
         count, samples, pairs = len(state.position), len(state.nearest), len(state.pairs)
         shapes = (
             (3,), (count, 4), (count, 3), (samples,), (samples, 4), (samples, 2), (count,), (3, 4), (pairs, 4),
-            (pairs, 4),
+            (pairs, 4), state.plastic_bends.shape[:1],
         )  # fmt: skip
         kinds = (
             "float64", "float32", "float32", "int32", "int32", "float32", "float32", "float64", "int32", "float32",
+            "float32",
         )  # fmt: skip
         expected = list(zip(kinds, shapes, strict=True))
         if received != expected:

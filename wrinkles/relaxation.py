@@ -280,9 +280,11 @@ class Relaxation:
         stitch_data = np.zeros((len(model.stitches), 4), np.float32)
         stitch_data[:, 0], stitch_data[:, 1] = model.stitch_weights, model.stitch_gaps
         stitch_data[:, 2] = model.stitch_gaps
+        hinge_data = model.hinge_data.copy()
+        hinge_data[:, 1, 3] = 0.0  # a pass starts from rest: nothing rubs
         self._constraints = (
             model.triangles, model.triangle_blocks, model.block_colors, model.triangle_data, model.hinges,
-            model.hinge_colors, model.hinge_data, model.stitches, stitch_data,
+            model.hinge_colors, hinge_data, model.stitches, stitch_data,
         )  # fmt: skip
         self._inverse_h2 = (SPEED / float(model.mesh.edge_lengths()[1].mean())) ** 2
         self._inverse_mass = model.inverse_mass

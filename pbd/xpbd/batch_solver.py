@@ -133,7 +133,7 @@ class BatchSolver:
             wants the processor: they wait for each other hundreds of times a frame. On CUDA a block of threads does.
 
     Raises:
-        InputError: no garment, one that collides with itself, or more threads than Taichi has.
+        InputError: no garment, one that collides with itself or has internal friction, or more threads than Taichi has.
     """
 
     def __init__(self, solvers: Sequence[Solver], threads_each: int = 1) -> None:
@@ -145,6 +145,9 @@ class BatchSolver:
             )
         if any(solver.in_contact for solver in solvers):
             raise InputError("garments that collide with themselves", key="solvers", expected="self_collision = false")
+        if any(solver.model.plastic_count for solver in solvers):
+            expected = "bend_hysteresis of 0"
+            raise InputError("garments with internal friction", key="solvers", expected=expected)
         with_multigrid = any(solver.with_multigrid for solver in solvers)
         on_cuda = running_arch() == "cuda"
         self._solvers = list(solvers)

@@ -6,8 +6,10 @@ from pbd.model import BLOCK
 from pbd.xpbd.constraints import (
     bent_hinge,
     hinge_multiplier,
+    hinge_normal,
     limit_correction,
     membrane_multipliers,
+    rubbing_hinge,
     stitch_multiplier,
     tether_correction,
 )
@@ -102,8 +104,15 @@ def solve_bending(cloth: ti.template(), constraints: ti.template(), inverse_h2: 
         # All four components alike, so that the compiler takes them at once; the last one moves nothing.
         d1, d2, d3 = (p1 - p0) + (u1 - u0), (p2 - p0) + (u2 - u0), (p3 - p0) + (u3 - u0)
         multiplier = hinge_multiplier(d1, d2, d3, rows, inverse_sum) * ti.math.vec4(1.0, 1.0, 1.0, 0.0)
-        if law[2] != 0.0:
-            bent, along, across = bent_hinge(xyz(d1), xyz(d2), xyz(d3), rows, law[2], inverse_sum)
+        if law[2] != 0.0 or law[3] > 0.0:
+            bent = xyz(rows[1] * d1 + rows[2] * d2 + rows[3] * d3)
+            normal, length, least = hinge_normal(xyz(d1), xyz(d2 - d3))
+            rest = law[2]
+            if law[3] > 0.0:  # a third row of data is there
+                kept = constraints.hinge_data[c, 2][0]
+                rest, inverse_sum, kept = rubbing_hinge(normal.dot(bent), law, kept, inverse_h2)
+                constraints.hinge_data[c, 2][0] = kept
+            bent, along, across = bent_hinge(xyz(d1), xyz(d2 - d3), bent, normal, length, least, rest, inverse_sum)
             multiplier = vec4(bent)
             u0, u1 = u0 - p0[3] * vec4(along), u1 + p1[3] * vec4(along)
             u2, u3 = u2 + p2[3] * vec4(across), u3 - p3[3] * vec4(across)

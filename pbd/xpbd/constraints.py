@@ -8,13 +8,16 @@ term of XPBD (Macklin, Mueller, Chentanez 2016, eq. 18) keeps material stiffness
 from pbd.engine import ti
 
 __all__ = [
+    "FRICTION_STIFFNESS",
     "bent_hinge",
     "contact_correction",
     "drag_velocity",
     "hinge_multiplier",
+    "hinge_normal",
     "larger",
     "limit_correction",
     "membrane_multipliers",
+    "rubbing_hinge",
     "spring_multiplier",
     "stitch_multiplier",
     "tether_correction",
@@ -29,6 +32,7 @@ MIN_DETERMINANT = 1e-6  # of a triangle's system, over the product of its diagon
 # slope of the cosine is zero, and the correction would be without bounds.
 MIN_SQUARED_SINE = 0.6  # of that angle
 
+FRICTION_STIFFNESS = 3.0  # of a hinge's element of internal friction over its elastic stiffness [-]
 # A hinge is nearly closed when (x_j - x_i) x (x_k - x_l) is no longer than this times its edge squared [-].
 MIN_OPENING = 0.1
 
@@ -149,30 +153,76 @@ def hinge_multiplier(d1, d2, d3, rows, inverse_sum: ti.f32):
 
 
 @ti.func
-def bent_hinge(d1: vec3, d2: vec3, d3: vec3, rows, rest: ti.f32, inverse_sum: ti.f32):
+def hinge_normal(d1: vec3, across: vec3):
+    """Direction n of a hinge's bend, and lengths [m2]: unit along (x_j - x_i) x (x_k - x_l), shorter if nearly closed.
+
+    Args:
+        d1, across: x_j - x_i and x_k - x_l [m].
+
+    Returns:
+        n, the length of the product, and the least length with which n is of unit length.
+    """
+    normal = d1.cross(across)
+    length, least = normal.norm(), MIN_OPENING * d1.dot(d1)
+    return normal / ti.max(length, least), length, least
+
+
+@ti.func
+def bent_hinge(
+    d1: vec3, across: vec3, bent: vec3, normal: vec3, length: ti.f32, least: ti.f32, rest: ti.f32, inverse_sum: ti.f32
+):
     """Quadratic hinge that rests bent: energy |K x - c n|^2 / (2 alpha), n unit along (x_j - x_i) x (x_k - x_l).
 
     The turning of n counts, so that forces turn nothing: momentum and angular momentum are kept. Where the hinge is
     nearly closed, and its n undetermined, c fades.
 
     Args:
-        d1, d2, d3, rows, inverse_sum: as for :func:`hinge_multiplier`.
+        d1, across: x_j - x_i and x_k - x_l [m].
+        bent: K x [m].
+        normal, length, least: see :func:`hinge_normal`.
         rest: c, see :func:`pbd.bending.bends_of` [m].
+        inverse_sum: as for :func:`hinge_multiplier`.
 
     Returns:
         lambda, and vectors p and q: vertices i, j, k, l move by w (K lambda - p), w (K lambda + p), w (K lambda + q)
         and w (K lambda - q).
     """
-    across = d2 - d3
-    normal = d1.cross(across)
-    length, least = normal.norm(), MIN_OPENING * d1.dot(d1)
-    normal /= ti.max(length, least)
-    multiplier = -(rows[1] * d1 + rows[2] * d2 + rows[3] * d3 - rest * normal) * inverse_sum
+    multiplier = -(bent - rest * normal) * inverse_sum
     turning = multiplier
     if length > least:
         turning -= normal * normal.dot(multiplier)
     turning *= rest / ti.max(length, least)
     return multiplier, turning.cross(across), d1.cross(turning)
+
+
+@ti.func
+def rubbing_hinge(bend: ti.f32, law, plastic: ti.f32, inverse_h2: ti.f32):
+    """Internal friction of a hinge: an elastoplastic element beside the elastic one (Miguel et al. 2013).
+
+    The element is :data:`FRICTION_STIFFNESS` times as stiff as the elastic hinge and slips at a force of its own. The
+    step is implicit: where the element would slip at the end of the substep, its force is the one at which it slips.
+
+    Args:
+        bend: n . K x before the correction [m].
+        law: sum of w K^2 [1/kg], compliance [m/N], bend at rest [m], and the bend by which the elastic hinge alone
+            would bear the force at which the element slips [m].
+        plastic: bend at which the element is without force [m].
+        inverse_h2: [1/s2].
+
+    Returns:
+        bend at rest and inverse_sum of the elastic hinge that does the same in this substep, see :func:`bent_hinge`;
+        and the element's ``plastic`` after it.
+    """
+    stuck = 1.0 / (law[0] + law[1] * inverse_h2 / (1.0 + FRICTION_STIFFNESS))
+    rest = (law[2] + FRICTION_STIFFNESS * plastic) / (1.0 + FRICTION_STIFFNESS)
+    inverse_sum, kept = stuck, plastic
+    off = bend - law[0] * stuck * (bend - rest) - plastic
+    if ti.abs(off) * FRICTION_STIFFNESS > law[3]:
+        slipping = ti.select(off > 0.0, law[3], -law[3])
+        inverse_sum = 1.0 / (law[0] + law[1] * inverse_h2)
+        rest = law[2] - slipping
+        kept = bend - law[0] * inverse_sum * (bend - rest) - slipping / FRICTION_STIFFNESS
+    return rest, inverse_sum, kept
 
 
 @ti.func

@@ -31,6 +31,7 @@ AIR_DENSITY = 1.2  # [kg/m3]
 STRIDE_SHARE = 0.25  # of the mean edge [-], ...
 MIN_STRIDE = 0.01  # ... but at least this [m]
 MAX_REFINEMENT = 8  # times as many substeps, at most
+CHECKED = ("position", "velocity", "nearest", "contact", "plastic_bends")  # of a state: their lengths
 # On a body, garments with fewer vertices take a kernel that compiles in a tenth of the time. Their step is 5 to 20 %
 # longer for it.
 MIN_OPTIMIZED = 4000
@@ -129,12 +130,20 @@ class Solver:
     def _model_arrays(self) -> dict[str, np.ndarray]:
         """Arguments of the kernels that belong to the model."""
         names = (
-            "triangles", "triangle_blocks", "block_colors", "triangle_data", "hinges", "hinge_colors", "hinge_data",
+            "triangles", "triangle_blocks", "block_colors", "triangle_data", "hinges", "hinge_colors",
             "stitches", "tethers", "tether_lengths", "held", "pressure", "samples", "sample_colors",
         )  # fmt: skip
+        if self.model.plastic_count:
+            kept = np.zeros((len(self.model.hinges), 1, 4), np.float32)  # what the state remembers of friction
+            self._hinge_data = np.concatenate([self.model.hinge_data, kept], axis=1)
+        else:
+            self._hinge_data = self.model.hinge_data
         self._stitch_data = np.zeros((len(self.model.stitches), 4), np.float32)
         self._stitch_data[:, 0] = self.model.stitch_weights
-        return {name: getattr(self.model, name) for name in names} | {"stitch_data": self._stitch_data}
+        return {name: getattr(self.model, name) for name in names} | {
+            "stitch_data": self._stitch_data,
+            "hinge_data": self._hinge_data,
+        }
 
     def _multigrid_arrays(self) -> dict[str, np.ndarray]:
         """Arguments of the kernels that belong to the coarser levels."""
@@ -211,10 +220,15 @@ class Solver:
         if colliders.body is not None:
             self._find_nearest.by_name(arguments)
         advance = self._advance if colliders.body is None else self._advance_on_body
+        numbers = self.model.hinge_numbers
+        if self.model.plastic_count:
+            self._hinge_data[:, 2, 0] = state.plastic_bends[numbers]
         if self._pairs is None:
             advance.by_name(arguments)
         else:
             self._advance_in_contact(advance, state, arguments, dt)
+        if self.model.plastic_count:
+            state.plastic_bends[numbers] = self._hinge_data[:, 2, 0]
 
     def _advance_in_contact(self, advance: Launch, state: State, arguments: dict[str, Any], dt: float) -> None:
         """Advance the state with the cloth's own pairs, which are found anew as often as it moves far."""
@@ -378,8 +392,9 @@ class Solver:
     ) -> None:
         """Refuse input that the kernels cannot take."""
         model = self.model
-        received = (len(state.position), len(state.velocity), len(state.nearest), len(state.contact))
-        expected = (model.vertex_count, model.vertex_count, len(model.samples), model.vertex_count)
+        received = tuple(len(getattr(state, name)) for name in CHECKED)
+        count, samples = model.vertex_count, len(model.samples)
+        expected = (count, count, samples, count, model.plastic_count)
         if received != expected:
             raise InputError("state of another model", key="state", received=received, expected=f"lengths {expected}")
         if not (np.isfinite(state.position).all() and np.isfinite(state.velocity).all()):

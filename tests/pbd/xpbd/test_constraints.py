@@ -11,6 +11,7 @@ from pbd.xpbd.constraints import (
     contact_correction,
     drag_velocity,
     hinge_multiplier,
+    hinge_normal,
     membrane_multipliers,
     stitch_multiplier,
     tether_correction,
@@ -59,14 +60,12 @@ def hinge_multipliers(differences: Rows, rows: Rows, inverse_sum: Rows, out: Row
 @ti.kernel
 def bent_hinges(differences: Rows, rows: Rows, rest: Rows, out: Rows):
     for c in range(differences.shape[0]):
-        m, p, q = bent_hinge(
-            vec3(differences[c, 0], differences[c, 1], differences[c, 2]),
-            vec3(differences[c, 3], differences[c, 4], differences[c, 5]),
-            vec3(differences[c, 6], differences[c, 7], differences[c, 8]),
-            ti.math.vec4(rows[c, 0], rows[c, 1], rows[c, 2], rows[c, 3]),
-            rest[c, 0],
-            1.0,
-        )
+        d1 = vec3(differences[c, 0], differences[c, 1], differences[c, 2])
+        d2 = vec3(differences[c, 3], differences[c, 4], differences[c, 5])
+        d3 = vec3(differences[c, 6], differences[c, 7], differences[c, 8])
+        bent = rows[c, 1] * d1 + rows[c, 2] * d2 + rows[c, 3] * d3
+        normal, length, least = hinge_normal(d1, d2 - d3)
+        m, p, q = bent_hinge(d1, d2 - d3, bent, normal, length, least, rest[c, 0], 1.0)
         for a in ti.static(range(3)):
             out[c, a] = rows[c, 0] * m[a] - p[a]
             out[c, 3 + a] = rows[c, 1] * m[a] + p[a]

@@ -1,0 +1,184 @@
+"""Internal friction of bending: the loop of moment over curvature, what is left of a bend, what a swing loses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial import Delaunay
+
+from pbd import (
+    BatchSolver,
+    Colliders,
+    Fabric,
+    InputError,
+    Model,
+    ModelOptions,
+    Solver,
+    SolverOptions,
+    State,
+    build_model,
+)
+from pbd.bending import bends_of, friction_share
+from pbd.layers import layered
+from pbd.mesh import ClothMesh
+from pbd.xpbd.constraints import FRICTION_STIFFNESS
+from precompute.validation.trial import Specimen, level, strip
+
+HYSTERESIS = 1.2e-3  # of cotton broadcloth, Kawabata's 2HB [N]
+BEND = 11.6e-6  # [N m]
+COTTON = Fabric(
+    0.15, 2000.0, 2000.0, 0.2, 300.0, BEND, BEND, air_drag=0.0,
+    bend_hysteresis_warp=HYSTERESIS, bend_hysteresis_weft=HYSTERESIS,
+)  # fmt: skip
+SMOOTH = replace(COTTON, bend_hysteresis_warp=0.0, bend_hysteresis_weft=0.0)
+WEIGHTLESS = SolverOptions(gravity=(0.0, 0.0, 0.0), coarse_sweeps=0)
+
+
+def model_of(specimen: Specimen, fabric: Fabric, held: np.ndarray | None = None) -> Model:
+    mesh = ClothMesh.from_pattern(level(specimen.flat), specimen.faces, specimen.flat[specimen.faces])
+    return build_model(mesh, fabric, held, ModelOptions(tether_slack=0.0))
+
+
+def rolled(specimen: Specimen, curvature: float, angle: float) -> np.ndarray:
+    """The specimen on a cylinder with its axis at right angles to a direction [m]."""
+    along = np.array([np.cos(angle), np.sin(angle)])
+    s, t = specimen.flat @ along, specimen.flat @ np.array([-along[1], along[0]])
+    turn = curvature * s
+    x, up = (s, 0.0 * s) if curvature == 0.0 else (np.sin(turn) / curvature, (1.0 - np.cos(turn)) / curvature)
+    flat = x[:, None] * along + t[:, None] * np.array([-along[1], along[0]])
+    return np.stack([flat[:, 0], up, -flat[:, 1]], axis=1)
+
+
+def moments(specimen: Specimen, fabric: Fabric, angle: float, path: np.ndarray) -> np.ndarray:
+    """Moment per width [N] of cloth that is laid on one cylinder after the other, curvatures [1/m], shape (k,).
+
+    The cloth is so heavy that it stays where it is laid. The moment is the work by which its hinges resist a change of
+    the curvature, over that change and the area.
+    """
+    model = model_of(specimen, replace(fabric, areal_density=1e9))
+    state, solver = State.at_rest(model), Solver(model, replace(WEIGHTLESS, substep=1 / 60))
+    order, found = model.hinge_numbers, []
+    softness, slips_at = model.hinge_data[:, 1, 1].astype(float), model.hinge_data[:, 1, 3].astype(float)
+    for curvature in path:
+        state.position[:, :3] = rolled(specimen, curvature, angle) - state.origin
+        state.velocity[:] = 0.0
+        solver.step(state, Colliders(), 1 / 60)
+        places = np.stack([rolled(specimen, c, angle) for c in (curvature, curvature + 0.1)])
+        bends, more = bends_of(model.mesh, places)[:, order]
+        rubbing = FRICTION_STIFFNESS * (bends - state.plastic_bends[order]) if model.plastic_count else 0.0 * bends
+        assert (np.abs(rubbing) <= 1.001 * slips_at + 1e-6).all()
+        found.append((((bends + rubbing) / softness) @ (more - bends)) / 0.1 / model.mesh.face_areas.sum())
+    return np.array(found)
+
+
+def unordered(side: float, count: int) -> Specimen:
+    """A square of so many vertices without any order [m]."""
+    points = np.random.default_rng(0).uniform(0.0, side, (count, 2))
+    for _ in range(40):  # each goes to the middle of its faces
+        faces = Delaunay(points).simplices
+        sums, used = np.zeros_like(points), np.bincount(faces.ravel(), minlength=count)
+        for corner in range(3):
+            np.add.at(sums, faces[:, corner], points[faces].mean(axis=1))
+        points = np.clip(sums / used[:, None], 0.0, side)
+    faces = Delaunay(points).simplices
+    one, two = (points[faces[:, k]] - points[faces[:, 0]] for k in (1, 2))
+    twice = one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]
+    faces[twice < 0.0] = faces[twice < 0.0][:, ::-1]
+    used, faces = np.unique(faces[np.abs(twice) > 5e-7], return_inverse=True)
+    return Specimen(points[used], faces.reshape(-1, 3).astype(np.int32), side / np.sqrt(count))
+
+
+@pytest.mark.parametrize(
+    ("specimen", "mean", "each"), [(unordered(0.04, 400), 0.03, 0.08), (strip(0.04, 0.04, 16, 0), 0.03, 0.35)]
+)
+def test_bending_to_and_fro_makes_a_loop_as_wide_as_the_fabric_says(
+    specimen: Specimen, mean: float, each: float
+) -> None:
+    """Kawabata's test in eight directions: to 2.5 /cm and back; the loop's width is read at 1 /cm.
+
+    On a lattice of equal triangles it hangs on the direction, for all edges of one direction slip at once.
+    """
+    steps = np.linspace(0.0, 250.0, 26)
+    path = np.concatenate([steps, steps[::-1][1:], -steps[1:], -steps[::-1][1:], steps[1:]])
+    assert path[-16] == path[40] == 100.0 and path[50] == 0.0
+    widths = []
+    for angle in np.arange(8) * np.pi / 8:
+        found = moments(specimen, COTTON, angle, path)
+        widths.append(found[-16] - found[40])
+        assert -found[50] == pytest.approx(0.5 * widths[-1], rel=0.1)  # on the way back, flat cloth is held bent
+    assert np.mean(widths) == pytest.approx(HYSTERESIS, rel=mean)
+    assert np.abs(np.array(widths) / HYSTERESIS - 1.0).max() < each
+
+
+def test_without_hysteresis_there_is_no_loop() -> None:
+    path = np.array([0.0, 50.0, 100.0, 150.0, 100.0, 50.0, 0.0])
+    found = moments(strip(0.04, 0.04, 16, 0), SMOOTH, 0.4, path)
+    assert found[:3] == pytest.approx(found[:3:-1], rel=1e-6) and found[3] > found[2] > found[1] > 0.0
+
+
+def test_the_share_of_friction_hardly_hangs_on_the_mesh() -> None:
+    """Equilateral triangles: bends are cos^2 of the direction, half of the area's in the mean, three hinges a face."""
+    for edges in (8, 16, 32):
+        mesh = model_of(strip(0.1, 0.1, edges, 0), COTTON).mesh
+        assert friction_share(mesh) == pytest.approx(2.0 / 3.0, rel=0.15)
+
+
+def bent_strip(fabric: Fabric, seconds: float, curl: float = 60.0) -> list[float]:
+    """A strip that is rolled up, held at one end and let go without weight; heights of its tip [m]."""
+    specimen = strip(0.06, 0.02, 12, 1)
+    held = np.flatnonzero(specimen.flat[:, 0] < 1e-9)
+    model = model_of(specimen, fabric, held)
+    state, solver = State.at_rest(model), Solver(model, replace(WEIGHTLESS, substep=1 / 2400, local_damping=0.0))
+    tip = specimen.flat[:, 0] > 0.06 - 1e-9
+    for target in np.linspace(0.0, curl, 30)[1:]:  # it is rolled slowly, so that friction follows
+        state.position[:, :3] = rolled(specimen, target, 0.0) - state.origin
+        state.position[held, :3] = level(specimen.flat)[held] - state.origin
+        state.velocity[:] = 0.0
+        solver.step(state, Colliders(), 1 / 2400)
+    heights = []
+    for _ in range(round(seconds * 240)):
+        solver.step(state, Colliders(), 1 / 240)
+        heights.append(float(state.world()[tip, 1].mean()))
+    return heights
+
+
+def test_what_was_bent_stays_bent_and_cloth_without_friction_does_not() -> None:
+    creased, smooth = (np.array(bent_strip(fabric, 2.0)[240:]) for fabric in (COTTON, SMOOTH))
+    assert creased.mean() > 0.01 and creased.min() > -0.002  # it swings about a bent shape
+    assert smooth.min() < -0.03 and smooth.max() > 0.03  # this one to both sides
+    assert creased.std() < 0.4 * smooth.std()  # and has lost of its swing what friction takes
+
+
+def test_friction_is_kept_in_the_state_and_costs_nothing_where_there_is_none(tmp_path) -> None:
+    model = model_of(strip(0.06, 0.02, 12, 1), COTTON)
+    state = State.at_rest(model)
+    assert len(state.plastic_bends) == model.plastic_count > 0
+    state.plastic_bends[:] = 0.001
+    assert state.hash() != State.at_rest(model).hash()
+    state.save(str(tmp_path / "a.npz"))
+    assert State.load(str(tmp_path / "a.npz")).hash() == state.hash()
+    none = model_of(strip(0.06, 0.02, 12, 1), SMOOTH)
+    assert none.plastic_count == 0 and len(State.at_rest(none).plastic_bends) == 0
+    with pytest.raises(InputError, match="state of another model"):
+        Solver(none).step(state, Colliders(), 1 / 60)
+
+
+def test_layers_keep_their_own_friction() -> None:
+    specimen = strip(0.06, 0.02, 12, 1)
+    rubs, free = (
+        model_of(specimen, COTTON),
+        model_of(specimen, SMOOTH),
+    )
+    both = layered([free, rubs, rubs])
+    assert both.plastic_count == 2 * rubs.plastic_count
+    used = both.hinge_numbers[both.hinge_data[:, 1, 3] > 0.0]
+    assert np.array_equal(np.sort(used), np.arange(both.plastic_count))
+
+
+def test_what_cannot_be_is_refused() -> None:
+    with pytest.raises(InputError, match="bend_hysteresis_warp"):
+        Fabric(bend_hysteresis_warp=-1e-3)
+    with pytest.raises(InputError, match="internal friction"):
+        BatchSolver([Solver(model_of(strip(0.06, 0.02, 12, 1), COTTON))])
