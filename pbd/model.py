@@ -427,10 +427,14 @@ class State:
         try:
             with open(path, "rb") as file, np.lib.npyio.NpzFile(file, allow_pickle=False) as data:
                 state = cls(*(data[name] for name in cls._names))
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        except (
+            OSError, ValueError, RuntimeError, MemoryError, KeyError, EOFError, zipfile.BadZipFile, zlib.error
+        ) as error:  # fmt: skip
             raise InputError(f"not a saved state: {error}", file=path, expected="a file of State.save") from error
         received = [(array.dtype.name, array.shape) for array in (getattr(state, name) for name in cls._names)]
-        count, samples, pairs = len(state.position), len(state.nearest), len(state.pairs)
+        count, samples, pairs = (
+            len(array) if array.ndim else -1 for array in (state.position, state.nearest, state.pairs)
+        )
         shapes = (
             (3,), (count, 4), (count, 3), (samples,), (samples, 4), (samples, 2), (count,), (3, 4), (pairs, 4),
             (pairs, 4), state.plastic_bends.shape[:1],
@@ -442,4 +446,7 @@ class State:
         expected = list(zip(kinds, shapes, strict=True))
         if received != expected:
             raise InputError("not a saved state", file=path, received=received, expected=str(expected))
+        for name in cls._names:
+            if not np.isfinite(getattr(state, name)).all():
+                raise InputError("a state that is not finite", file=path, key=name, expected="finite numbers")
         return state

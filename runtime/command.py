@@ -36,6 +36,7 @@ COMMANDS: Mapping[str, str] = {
     "validate": "precompute.commands.validate",
     "fabric": "precompute.commands.fabric",
     "stability": "precompute.commands.stability",
+    "fuzz": "precompute.commands.fuzz",
     "bench frame": "precompute.commands.bench_frame",
     "bench wrinkles": "precompute.commands.bench_wrinkles",
     "bench solver": "precompute.commands.bench_solver",

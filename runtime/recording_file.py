@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from pbd import InputError
+
 __all__ = ["MAGIC", "VERSION", "Quantised", "quantised", "read_recording", "recording_bytes"]
 
 MAGIC = b"gube rec"
@@ -104,7 +106,20 @@ def recording_bytes(about: Mapping[str, Any], arrays: Mapping[str, Quantised]) -
 
 
 def read_recording(data: bytes) -> tuple[dict[str, Any], dict[str, Quantised]]:
-    """Header and arrays of :func:`recording_bytes`."""
+    """Header and arrays of :func:`recording_bytes`.
+
+    Raises:
+        InputError: bytes that it did not make.
+    """
+    try:
+        return _read(data)
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError, struct.error, zlib.error) as error:
+        raise InputError(f"cannot be read: {error}", key="recording", expected="a file of recording_bytes") from error
+
+
+def _read(data: bytes) -> tuple[dict[str, Any], dict[str, Quantised]]:
+    if data[: len(MAGIC)] != MAGIC:
+        raise ValueError("another beginning")
     (length,) = struct.unpack_from("<I", data, len(MAGIC))
     start = len(MAGIC) + 4
     about = json.loads(data[start : start + length])

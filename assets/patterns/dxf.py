@@ -39,12 +39,12 @@ def read_dxf(path: Path) -> tuple[Panel, ...]:
         InputError: the file cannot be read, says no unit, has no panels, or an open outline.
     """
     from ezdxf.filemanagement import readfile
-    from ezdxf.lldxf.const import DXFError
 
     try:
         document = readfile(path)
-    except (OSError, UnicodeDecodeError, DXFError) as error:
-        raise InputError(f"cannot be read: {error}", file=path, expected="a DXF drawing") from error
+    except Exception as error:  # of damaged files ezdxf raises StopIteration, IndexError, OverflowError and others
+        problem = f"cannot be read: {error or type(error).__name__}"
+        raise InputError(problem, file=path, expected="a DXF drawing") from error
     space: Any = document.modelspace()
     unit = _unit(document, space, path)
     inserts = space.query("INSERT")

@@ -25,6 +25,7 @@ Floats = NDArray[np.float64]
 
 _UNITS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72.0, "pc": 0.0254 / 6.0, "px": 0.0254 / 96.0}  # [m]
 _ARC_PIECES = 128
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _GRAIN = ".grain"
 
 
@@ -79,10 +80,10 @@ def _points(segment: Any, unit: float) -> Floats:
 
 def _unit(root: Any, path: Path) -> float:
     """Length of the drawing's own unit [m]: width over viewBox, or 1/96 inch."""
-    box = [float(word) for word in re.findall(r"[-+.\deE]+", root.get("viewBox") or "")]
+    box = [float(word) for word in re.findall(_NUMBER, root.get("viewBox") or "")]
     scales = []
     for size, key in zip(box[2:4], ("width", "height"), strict=False):
-        match = re.fullmatch(r"\s*([-+.\deE]+)\s*([a-z]*)\s*", root.get(key) or "")
+        match = re.fullmatch(rf"\s*({_NUMBER})\s*([a-z]*)\s*", root.get(key) or "")
         if match:
             number, unit = float(match[1]), match[2] or "px"
             if unit not in _UNITS or not number > 0.0 or not size > 0.0:
