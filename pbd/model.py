@@ -161,13 +161,7 @@ def build_model(
     count = len(mesh.vertices)
     held = np.unique(np.asarray([] if held is None else held, np.int32))
     _check_vertices(held, limits, count)
-    mass = fabric.areal_density * mesh.vertex_cloth_areas
-    if np.any(mass <= 0):
-        vertex = int(np.argmin(mass))
-        raise InputError("vertex in no face", key=f"vertex {vertex}", expected="every vertex in a face")
-    mass = _shared(mass, mesh)
-    inverse_mass = 1.0 / mass
-    inverse_mass[held] = 0.0
+    mass, inverse_mass = _masses(mesh, fabric, held)
     if bend_factor is None:
         bend_factor = hinge_calibration(mesh)
     triangles, triangle_data, triangle_colors = _membrane(mesh, options.membrane(fabric), inverse_mass)
@@ -200,6 +194,18 @@ def build_model(
         np.full(count if options.pressure else 0, options.pressure, np.float32),
         limits,
     )
+
+
+def _masses(mesh: ClothMesh, fabric: Fabric, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Masses [kg] and their inverses [1/kg], 0 where a vertex is held, shape (n,)."""
+    mass = fabric.areal_density * mesh.vertex_cloth_areas
+    if np.any(mass <= 0):
+        vertex = int(np.argmin(mass))
+        raise InputError("vertex in no face", key=f"vertex {vertex}", expected="every vertex in a face")
+    mass = _shared(mass, mesh)
+    inverse_mass = 1.0 / mass
+    inverse_mass[held] = 0.0
+    return mass, inverse_mass
 
 
 def _stitches(mesh: ClothMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -38,13 +38,19 @@ def read_dxf(path: Path) -> tuple[Panel, ...]:
     Raises:
         InputError: the file cannot be read, says no unit, has no panels, or an open outline.
     """
-    from ezdxf.filemanagement import readfile
-
     try:
-        document = readfile(path)
+        return _panels(path)
+    except InputError:
+        raise
     except Exception as error:  # of damaged files ezdxf raises StopIteration, IndexError, OverflowError and others
         problem = f"cannot be read: {error or type(error).__name__}"
         raise InputError(problem, file=path, expected="a DXF drawing") from error
+
+
+def _panels(path: Path) -> tuple[Panel, ...]:
+    from ezdxf.filemanagement import readfile
+
+    document = readfile(path)
     space: Any = document.modelspace()
     unit = _unit(document, space, path)
     inserts = space.query("INSERT")

@@ -7,7 +7,6 @@ release since 2023. Units and the direction of y are dealt with here.
 from __future__ import annotations
 
 import re
-import xml.etree.ElementTree
 from pathlib import Path
 from typing import Any
 
@@ -38,13 +37,19 @@ def read_svg(path: Path) -> tuple[Panel, ...]:
     Raises:
         InputError: the file cannot be read, has no panels, an open outline, or a panel of several outlines.
     """
+    try:
+        return _panels(path)
+    except InputError:
+        raise
+    except Exception as error:  # of damaged files svgpathtools raises AttributeError, IndexError and others
+        raise InputError(f"cannot be read: {error}", file=path, expected="an SVG drawing") from error
+
+
+def _panels(path: Path) -> tuple[Panel, ...]:
     from svgpathtools import Document
 
-    try:
-        document = Document(str(path))
-        paths = document.paths()
-    except (OSError, ValueError, IndexError, KeyError, xml.etree.ElementTree.ParseError) as error:
-        raise InputError(f"cannot be read: {error}", file=path, expected="an SVG drawing") from error
+    document = Document(str(path))
+    paths = document.paths()
     unit = _unit(document.root, path)
     drawn, grains = {}, {}
     errors: list[InputError] = []

@@ -11,10 +11,12 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields, is_dataclass
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
+from queue import Empty
 from types import FrameType
 from typing import Any
 
@@ -63,6 +65,9 @@ class FuzzResult:
     lines: set[tuple[str, int]] = field(default_factory=set)
     escapes: dict[str, Escape] = field(default_factory=dict)
 
+    def __str__(self) -> str:
+        return f"{self.cases.total()} cases, {len(self.escapes)} escapes, {len(self.lines)} lines"
+
 
 class _TooLongError(BaseException):
     """A reader that takes too long; no ``except Exception`` of a library catches it."""
@@ -90,31 +95,15 @@ def fuzz(
     Raises:
         InputError: a file that nothing reads.
     """
-    from precompute.fuzzing.readers import READERS
-
-    for path in files:
-        if path.suffix.lower() not in READERS or not path.is_file():
-            raise InputError("nothing reads this", file=path, expected="a file that ends in " + ", ".join(READERS))
+    _check_files(files)
     tell = report or (lambda line: None)
     output.mkdir(parents=True, exist_ok=True)
-    result, context, end = FuzzResult(), get_context("spawn"), time.monotonic() + seconds
-    queue = context.Queue()
-
-    def start(number: int) -> Any:
-        folder = output / f"worker_{number}"
-        arguments = (list(files), folder, seed + number, end - time.monotonic(), queue, number)
-        process = context.Process(target=_work, args=arguments, daemon=True)
-        process.start()
-        return process
-
+    result, end, queue = FuzzResult(), time.monotonic() + seconds, get_context("spawn").Queue()
+    start = partial(_start, files, output, seed, end, queue)
     running = {number: start(number) for number in range(workers)}
     heard, told, fresh = dict.fromkeys(running, time.monotonic()), time.monotonic(), workers
     while running:
-        try:
-            number, kind, content = queue.get(timeout=1.0)
-        except Exception:  # noqa: BLE001 - the queue is empty
-            pass
-        else:
+        for number, kind, content in _told(queue):
             heard[number] = time.monotonic()
             _take(result, output, kind, content)
         for number, process in list(running.items()):
@@ -127,8 +116,7 @@ def fuzz(
             del running[number]
             if process.exitcode != 0:
                 words = "does not come back" if silent else f"ends the process (exit {process.exitcode})"
-                for case in sorted((output / f"worker_{number}").glob("case.*")):
-                    _take(result, output, "escape", (case, f"{case.suffix}: {words}"))
+                _take_last(result, output, number, words)
                 if time.monotonic() < end:
                     running[fresh] = start(fresh)
                     heard[fresh] = time.monotonic()
@@ -136,14 +124,43 @@ def fuzz(
             shutil.rmtree(output / f"worker_{number}", ignore_errors=True)
         if time.monotonic() - told > 5.0:
             told = time.monotonic()
-            tell(
-                f"fuzzing: {result.cases.total()} cases, {len(result.escapes)} escapes, {len(result.lines)} lines, "
-                f"{max(0.0, end - told):.0f} s left"
-            )
-    while not queue.empty():
-        _, kind, content = queue.get()
+            tell(f"fuzzing: {result}, {max(0.0, end - told):.0f} s left")
+    for _, kind, content in _told(queue):
         _take(result, output, kind, content)
     return result
+
+
+def _start(files: Sequence[Path], output: Path, seed: int, end: float, queue: Any, number: int) -> Any:
+    """A process that works until a time of the clock."""
+    arguments = list(files), output / f"worker_{number}", seed + number, end - time.monotonic(), queue, number
+    process = get_context("spawn").Process(target=_work, args=arguments, daemon=True)
+    process.start()
+    return process
+
+
+def _told(queue: Any) -> list[tuple[int, str, Any]]:
+    """What processes have said; waits a second for the first word."""
+    found = []
+    with suppress(Empty):
+        found.append(queue.get(timeout=1.0))
+        while True:
+            found.append(queue.get_nowait())
+    return found
+
+
+def _check_files(files: Sequence[Path]) -> None:
+    """Refuse files that nothing reads."""
+    from precompute.fuzzing.readers import READERS
+
+    for path in files:
+        if path.suffix.lower() not in READERS or not path.is_file():
+            raise InputError("nothing reads this", file=path, expected="a file that ends in " + ", ".join(READERS))
+
+
+def _take_last(result: FuzzResult, output: Path, number: int, words: str) -> None:
+    """Add the case at which a process has ended."""
+    for case in sorted((output / f"worker_{number}").glob("case.*")):
+        _take(result, output, "escape", (case, f"{case.suffix}: {words}"))
 
 
 def _take(result: FuzzResult, output: Path, kind: str, content: Any) -> None:
