@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 from typing import NamedTuple
 
@@ -12,14 +13,14 @@ from pbd.attachment import closest_points, smooth_normals
 from pbd.layers import FASTENING_REACH
 from wrinkles.levels import Layers
 
-__all__ = ["check_fastened", "check_order"]
+__all__ = ["check_fastened", "check_order", "in_order"]
 
 NEAR = 0.1  # garments further apart than this do not lie over one another there [m]
 ASIDE = 0.7  # share of the distance along the normal below which a vertex lies beside a garment, not over it [-]
-# Garments drafted for one body start with at most 30 % of their vertices up to 19 mm inside the one below, and contact
-# brings these out within a tenth of a second. In the other order it is 70 % and more, 18 mm deep in the median.
+# Garments made for one body start with at most 31 % of their vertices inside the one below, up to 39 mm deep, and
+# contact brings these out. In the other order it is 54 % and more, 57 mm deep.
 MOST_INSIDE = 0.5  # share of the vertices near a garment that may start inside it [-]
-DEEPEST = 0.03  # depth at which a garment may start inside one below it [m]
+DEEPEST = 0.05  # depth at which a garment may start inside one below it [m]
 
 
 class _Depths(NamedTuple):
@@ -68,6 +69,27 @@ def check_order(vertices: np.ndarray, faces: np.ndarray, layers: Layers) -> None
             expected = f"{over!r} listed before {under!r}, for it lies inside it; or made wider there"
         key = f"garment[{outer}].mesh"
         raise InputError("a garment starts inside one below it", key=key, received=received, expected=expected)
+
+
+def in_order(garments: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[int]:
+    """Numbers of garments from the innermost outwards, by how much of each lies inside the other where two are near.
+
+    Args:
+        garments: vertices in the bind pose [m], shapes (n, 3), and faces, int, shapes (m, 3); those that lie apart keep
+            their order.
+    """
+    order = list(range(len(garments)))
+
+    def inside(over: int, under: int) -> float:
+        (x, f), (y, g) = garments[over], garments[under]
+        return _depths(np.concatenate([x, y]), f, g + len(x)).inside
+
+    for _ in order:
+        for place in range(len(order) - 1):
+            one, other = order[place : place + 2]
+            if inside(other, one) > inside(one, other):
+                order[place : place + 2] = other, one
+    return order
 
 
 def check_fastened(vertices: np.ndarray, faces: np.ndarray, layers: Layers) -> None:

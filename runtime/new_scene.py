@@ -18,6 +18,7 @@ from assets.io.scene import Scene, parse_scene
 from assets.placement import AS_STORED
 from pbd import InputError
 from pbd.storage import replacing
+from runtime.layer_order import in_order
 from runtime.new_body import BodyGuess, MotionGuess, guess_body, guess_motions
 from runtime.new_garment import GarmentGuess, guess_garment
 from runtime.scene_simulation import simulation_of
@@ -101,6 +102,7 @@ def write_new_scene(character: str, garments: Sequence[str], path: Path) -> NewS
     if body is None or motions is None or errors:
         raise InputError.join(errors)
     found.sort(key=lambda guess: guess.fit.gap_p50)
+    found = [found[k] for k in in_order([(guess.garment.vertices, guess.garment.faces) for guess in found])]
     text = "\n".join(_lines(body, motions, found, folder)) + "\n"
     scene = parse_scene(text, path.absolute())
     simulation_of(scene)  # what cannot be simulated is refused here, not later
@@ -127,8 +129,7 @@ def _with_mend(error: InputError) -> InputError:
 def _lines(body: BodyGuess, motions: MotionGuess, garments: Sequence[GarmentGuess], folder: Path) -> Iterator[str]:
     yield "# Written by `gube new`. Every comment is a guess or a measure that led to one: change what is wrong."
     if len(garments) > 1:
-        yield "# Garments are in the order of their median distance from the body, the innermost first."
-        yield "# `gube precompute` learns one at a time: keep one [[garment]] for it."
+        yield "# Garments are an outfit, in the order in which they lie over one another, the innermost first."
     for guess in garments:
         yield from ("", "[[garment]]", *_garment_lines(guess, folder))
     yield from ("", "[character]", *_body_lines(body, motions, folder))

@@ -12,7 +12,10 @@ from hypothesis import strategies as st
 from pbd import Fabric, InputError
 
 stiffness = st.floats(1e-2, 1e5)
-MAY_BE_ZERO = ("compression", "poisson", "friction", "air_drag", "bend_warp", "bend_weft")
+MAY_BE_ZERO = (
+    "compression", "poisson", "friction", "air_drag", "bend_warp", "bend_weft", "bend_hysteresis_warp",
+    "bend_hysteresis_weft",
+)  # fmt: skip
 
 
 @given(stiffness, stiffness, stiffness, st.floats(0.0, 0.95))

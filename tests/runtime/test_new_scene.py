@@ -242,8 +242,11 @@ def test_the_command_prints_the_scene_and_never_writes_over_one(
 
 def test_two_garments_are_ordered_from_the_body_outwards(tmp_path: Path) -> None:
     made = write_new_scene(MANNEQUIN, ["builtin:skirt", "builtin:tshirt"], tmp_path / "scene.toml")
-    assert [garment.garment.name for garment in made.garments] == ["tshirt", "skirt"]
-    assert "learns one at a time" in made.text
+    assert [garment.garment.name for garment in made.garments] == ["skirt", "tshirt"]
+    assert "Garments are an outfit" in made.text
+    three = ["builtin:shirt", "builtin:trousers", "builtin:tshirt"]
+    made = write_new_scene(MANNEQUIN, three, tmp_path / "three.toml")
+    assert [garment.garment.name for garment in made.garments] == ["trousers", "tshirt", "shirt"]
 
 
 WOMAN = "characters/mh_female_bandai_NC.glb"
