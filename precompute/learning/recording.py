@@ -31,6 +31,8 @@ from wrinkles.rest_shape import RestShapeCorrection
 
 __all__ = ["Recording", "Run", "body_source", "poses_of", "record_runs"]
 
+CHUNK_ARRAYS = ("frames", "positions", "contact", "nearest", "coarse", "step_ms")
+
 CHUNK_SECONDS = 1.0  # what a cut-off run loses at most [s of motion]
 
 
@@ -188,6 +190,8 @@ def record_runs(
         report: told a line of progress now and then.
     """
     folders = [cache / run.key() for run in runs]
+    for folder in folders:
+        _drop_broken(folder)
     total = sum(run.frame_count for run in runs)
     done = lambda: sum(  # noqa: E731
         min(run.frame_count, run.chunk * len(list(folder.glob("chunk_*.npz"))))
@@ -208,6 +212,20 @@ def record_runs(
             jobs = [partial(_record, run, folder) for folder, run in longest_first]
             pool.run(jobs, meanwhile=lambda: _tell(report, done(), before, total, began))
     return [_read(run, folder) for run, folder in zip(runs, folders, strict=True)]
+
+
+def _drop_broken(folder: Path) -> None:
+    """Remove the first chunk that cannot be read as it was written, and all after it, which went on from it."""
+    chunks = sorted(folder.glob("chunk_*.npz"))
+    for number, path in enumerate(chunks):
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                for name in (*CHUNK_ARRAYS, *(f"state_{name}" for name in State._names)):
+                    file[name]  # the archive checks the sum of each array that is read
+        except Exception:  # noqa: BLE001 - NumPy and zipfile raise what they like for damaged files
+            for broken in chunks[number:]:
+                broken.unlink()
+            return
 
 
 def _tell(report: Callable[[str], None] | None, done: int, before: int, total: int, began: float) -> None:
