@@ -21,7 +21,11 @@ SUMMARY = "read broken files and tell what gets through"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     parser.add_argument(
-        "files", nargs="*", type=Path, metavar="FILE", help="good files to break (default: small ones of every kind)"
+        "files",
+        nargs="*",
+        type=Path,
+        metavar="FILE",
+        help="good files to break, beside small ones of every kind (default: none)",
     )
     parser.add_argument(
         "--seconds", type=positive, default=30.0, metavar="S", help="time by the clock [s] (default: %(default)g)"

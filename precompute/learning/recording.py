@@ -224,7 +224,7 @@ def _drop_broken(folder: Path) -> None:
                     file[name]  # the archive checks the sum of each array that is read
         except Exception:  # noqa: BLE001 - NumPy and zipfile raise what they like for damaged files
             for broken in chunks[number:]:
-                broken.unlink()
+                broken.unlink(missing_ok=True)  # another process may have found it too
             return
 
 

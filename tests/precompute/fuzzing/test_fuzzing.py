@@ -58,7 +58,6 @@ class Holder:
 
 def test_answers_of_readers_are_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fuzzing, "CASE_SECONDS", 0.2)
-    monkeypatch.setattr(fuzzing.signal, "SIGALRM", fuzzing.signal.SIGALRM)
     before = fuzzing.signal.signal(fuzzing.signal.SIGALRM, fuzzing._too_long)
 
     def refuse(path: Path) -> None:
