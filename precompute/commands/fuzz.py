@@ -20,13 +20,8 @@ SUMMARY = "read broken files and tell what gets through"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
-    parser.add_argument(
-        "files",
-        nargs="*",
-        type=Path,
-        metavar="FILE",
-        help="good files to break, beside small ones of every kind (default: none)",
-    )
+    files = "good files to break, beside small ones of every kind (default: none)"
+    parser.add_argument("files", nargs="*", type=Path, metavar="FILE", help=files)
     parser.add_argument(
         "--seconds", type=positive, default=30.0, metavar="S", help="time by the clock [s] (default: %(default)g)"
     )
