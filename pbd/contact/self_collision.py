@@ -336,9 +336,15 @@ class SelfCollision:
         self.ready[0] = count
 
     def remember(self, state: State) -> None:
-        """Keep in the state the pairs that touch at the end of the frame, with their directions."""
+        """Keep in the state the pairs that touch at the end of the frame, with their directions.
+
+        A pull knows better than the pair of its vertex and face on which side they belong.
+        """
         count = self.ready[0]
         data = self.data[:count]
         touching = (data[:, 1, 0] < data[:, 0, 3]) & (data[:, 1, 1] != PULL)
+        if self._pulls is not None:
+            keys = np.ascontiguousarray(self.pairs[:count]).view([("", np.int32)] * 4)[:, 0]
+            touching &= ~np.isin(keys, keys[data[:, 1, 1] == PULL])
         state.pairs = np.ascontiguousarray(self.pairs[:count][touching])
         state.pair_sides = np.concatenate([self.data[:count, 0, :3], self.data[:count, 1, :1]], axis=1)[touching]
