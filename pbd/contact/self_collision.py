@@ -338,13 +338,25 @@ class SelfCollision:
     def remember(self, state: State) -> None:
         """Keep in the state the pairs that touch at the end of the frame, with their directions.
 
-        A pull knows better than the pair of its vertex and face on which side they belong.
+        A pull knows better than a pair of its vertex and face that would keep them where they are.
         """
         count = self.ready[0]
         data = self.data[:count]
         touching = (data[:, 1, 0] < data[:, 0, 3]) & (data[:, 1, 1] != PULL)
         if self._pulls is not None:
-            keys = np.ascontiguousarray(self.pairs[:count]).view([("", np.int32)] * 4)[:, 0]
-            touching &= ~np.isin(keys, keys[data[:, 1, 1] == PULL])
+            touching &= ~self._opposed(state.position[:, :3], self.pairs[:count], data)
         state.pairs = np.ascontiguousarray(self.pairs[:count][touching])
         state.pair_sides = np.concatenate([self.data[:count, 0, :3], self.data[:count, 1, :1]], axis=1)[touching]
+
+    def _opposed(self, position: np.ndarray, pairs: np.ndarray, data: np.ndarray) -> np.ndarray:
+        """Pairs that push a vertex to the side of a face from which a pull brings it back: bool, shape (c,)."""
+        pulls = np.flatnonzero(data[:, 1, 1] == PULL)
+        if not len(pulls):
+            return np.zeros(len(pairs), bool)
+        a, b, c = position[pairs[pulls, 1:].T]
+        back = data[pulls, 1, 3, None] * np.cross(b - a, c - a)
+        keys = np.ascontiguousarray(pairs).view([("", np.int32)] * 4)[:, 0]
+        order = np.argsort(keys[pulls])
+        place = np.searchsorted(keys[pulls], keys, sorter=order)
+        found = order[np.minimum(place, len(pulls) - 1)]
+        return (keys[pulls][found] == keys) & ((data[:, 0, :3] * back[found]).sum(axis=1) < 0.0)
