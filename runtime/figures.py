@@ -112,6 +112,7 @@ FIGURES = {
         "mismatch of features, uncalibrated", "-", "distance between both distributions of features, before calibration"
     ),
     "feature_mismatch_after": Figure("mismatch of features, calibrated", "-", "the same after calibration"),
+    "budget_ms": Figure("budget of a frame", "ms", "time that the scene allows for a frame"),
     "frame_ms_p50": Figure("time of a frame", "ms", "a whole frame, median"),
     "frame_ms_p99": Figure("time of a slow frame", "ms", "a whole frame, slowest hundredth"),
     "frame_cpu_ms": Figure("processor time of a frame", "ms", "a whole frame, processor time"),

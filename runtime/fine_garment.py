@@ -41,7 +41,8 @@ class FineGarment:
         self._levels = levels
         self._filter = CoarseFilter(levels)
         self._upsample, self._upsample_velocity = Upsampler(subdivision), Upsampler(subdivision)
-        stencil, atoms = Stencil.of(charts, database.held), database.atoms
+        layer = None if levels.layers is None else levels.layers.layer
+        stencil, atoms = Stencil.of(charts, database.held, layer), database.atoms
         self._decoder = Decoder(stencil, database.mapping, atoms, database.novelty)
         self._surface = FineSurface(subdivision, Patches.of(subdivision, charts), atoms.vertex_mean)
         self._relax = Relaxation.of(levels, source.vertices, source.faces, database.fabric, database.bend_factor)

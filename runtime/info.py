@@ -223,7 +223,8 @@ def check_database(path: str | Path) -> list[Check]:
         charts = Charts.of(coarse)
         patches = Patches.of(subdivision, charts)
         checks.append(_check_patches(patches, subdivision.fine_count))
-        stencil = Stencil.of(charts, database.held)
+        layer = None if database.layers is None else database.layers.layer
+        stencil = Stencil.of(charts, database.held, layer)
         state, torn = State.at_rest(model), State.at_rest(model)
         rng, edge = np.random.default_rng(0), float(coarse.edge_lengths()[1].mean())
         torn.position[:, :3] += rng.normal(0.0, edge, coarse.vertices.shape)

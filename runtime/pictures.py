@@ -22,6 +22,7 @@ from runtime.studio import studio
 __all__ = [
     "BODY_COLOR",
     "GARMENT_COLOR",
+    "GARMENT_COLORS",
     "Camera",
     "Drawn",
     "encode_image",
@@ -33,6 +34,8 @@ __all__ = [
 
 BODY_COLOR = (0.62, 0.59, 0.56)
 GARMENT_COLOR = (0.37, 0.45, 0.55)
+# Of the garments of an outfit, from the innermost outwards; a fifth one begins anew.
+GARMENT_COLORS = (GARMENT_COLOR, (0.58, 0.36, 0.30), (0.40, 0.50, 0.36), (0.63, 0.52, 0.30))
 
 _PAPER, _INK = (255, 255, 255), (30, 30, 34)
 
@@ -59,6 +62,28 @@ class Drawn:
     def body(cls, vertices: np.ndarray, faces: np.ndarray) -> Drawn:
         """A body: one neutral tone, matt."""
         return cls(vertices, faces, BODY_COLOR, cloth=False)
+
+    @classmethod
+    def garments(
+        cls, vertices: np.ndarray, faces: np.ndarray, pattern: np.ndarray | None, layer: np.ndarray | None
+    ) -> list[Drawn]:
+        """A garment, or each garment of an outfit in a colour of its own.
+
+        Args:
+            vertices, faces, pattern: of all garments, as above.
+            layer: number of the garment of each vertex, int, shape (n,); None for one garment.
+        """
+        if layer is None:
+            return [cls(vertices, faces, pattern=pattern)]
+        drawn = []
+        for number in range(int(layer.max()) + 1):
+            mine, own = layer[faces[:, 0]] == number, np.flatnonzero(layer == number)
+            own_number = np.zeros(len(layer), np.int64)
+            own_number[own] = np.arange(len(own))
+            flat = None if pattern is None else pattern[mine]
+            color = GARMENT_COLORS[number % len(GARMENT_COLORS)]
+            drawn.append(cls(vertices[own], own_number[faces[mine]], color, flat))
+        return drawn
 
 
 @dataclass(frozen=True)

@@ -262,7 +262,7 @@ def play_motion(
     first = process_age()
     free = play(player, poses, dt, inputs.wind, every=DRAWN)
     subdivision = player.levels.subdivision
-    garment = (subdivision.faces, subdivision.flat_corners(inputs.pattern))
+    garment = (subdivision.faces, subdivision.flat_corners(inputs.pattern), player.levels.fine_layer)
     bodies = posed_bodies(inputs.body, poses[free.numbers])
     columns = {"smooth": free.smooth, "ours": free.frames}
     if isinstance(player, PlainPlayer):

@@ -61,7 +61,7 @@ class RecordedDecoder:
 
         Args:
             coarse: coarse vertices about any origin [m], float32, shape (n, 3).
-            contact: their distance from the body [m], float32, shape (n,).
+            contact: their distance from the body or the garments below [m], float32, shape (n,).
             held: held fine vertices about the same origin [m], float32, shape (P, 3).
 
         Returns:

@@ -27,6 +27,7 @@ from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase
 from wrinkles.dictionary import CLIP, Atoms, CoefficientNetwork
 from wrinkles.features import Stencil
+from wrinkles.layer_distance import LayerDistance
 from wrinkles.levels import Levels
 from wrinkles.novelty import FADE_WIDTH, NoveltyScore
 from wrinkles.patches import Patches
@@ -100,7 +101,9 @@ def record(
     player = Player(database, inputs.body, poses[0], inputs.primitives)
     header, arrays = _garment(player.database, player.levels)
     decoder = RecordedDecoder(header, arrays)
-    corners, held = arrays["patches/corners"].values[:, 0], player.levels.fine_held
+    corners, held, layers = arrays["patches/corners"].values[:, 0], player.levels.fine_held, player.levels.layers
+    below = None if layers is None else LayerDistance(player.levels.coarse, layers.layer)
+    still = CoarseFilter(player.levels)
     floor = float(player.body_vertices[:, 1].min() + player.origin[1])
     frames: dict[str, list[np.ndarray]] = {name: [] for name in ("origin", "coarse", "contact", "held", "correction")}
     off: list[float] = []
@@ -112,12 +115,14 @@ def record(
             progress(f"recording frame {number} of {len(poses) - 1}")
         if number % every:
             continue
-        world = player.simulation.state.world()
+        cloth = player.simulation.state
+        contact = cloth.contact if below is None else below(still(cloth.position), cloth.contact)
+        world = cloth.world()
         origin = _steps(world.mean(axis=0), COARSE_STEP)
         about_origin = player.vertices + (player.origin - origin * COARSE_STEP)
         state = {
             "coarse": _steps(world - origin * COARSE_STEP, COARSE_STEP),
-            "contact": _steps(player.simulation.state.contact, CONTACT_STEP),
+            "contact": _steps(contact, CONTACT_STEP),
             "held": _steps(about_origin[held], COARSE_STEP),
         }
         with threadpool_limits(1):  # matrices this small are slower on several threads
@@ -171,6 +176,9 @@ def _garment(database: WrinkleDatabase, levels: Levels) -> tuple[dict[str, float
     }
     if patches.smoothing is not None:
         arrays |= _matrix("smoothing", patches.smoothing) | _matrix("turning", patches.turning)
+    layer = levels.fine_layer
+    if layer is not None:
+        arrays["garments"] = Quantised(layer.astype(np.uint8))
     header = {
         "far": FAR,
         "clip": CLIP,

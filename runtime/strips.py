@@ -24,6 +24,7 @@ def draw_strips(
     columns: Mapping[str, np.ndarray],
     faces: np.ndarray,
     pattern: np.ndarray | None,
+    layer: np.ndarray | None,
     bodies: np.ndarray,
     body_faces: np.ndarray,
     numbers: np.ndarray,
@@ -37,6 +38,7 @@ def draw_strips(
         columns: the pictures side by side: vertices of a garment [m], shape (f, N, 3), by title.
         faces: faces of the garments, int, shape (m, 3).
         pattern: place of each corner of each face in the flat pattern [m], shape (m, 3, 2), or None.
+        layer: of an outfit the number of the garment of each vertex, int, shape (N,), or None.
         bodies: vertices of the body [m], shape (f, b, 3).
         body_faces: faces of the body, int, shape (k, 3).
         numbers: numbers of the frames, int, shape (f,); without frames no file is written.
@@ -55,7 +57,7 @@ def draw_strips(
     for index, number in enumerate(numbers):
         body = Drawn.body(bodies[index], body_faces)
         images = [
-            [render([body, Drawn(vertices[index], faces, pattern=pattern)], cameras[index], PICTURE)]
+            [render([body, *Drawn.garments(vertices[index], faces, pattern, layer)], cameras[index], PICTURE)]
             for vertices in columns.values()
         ]
         files.append(folder / f"{re.sub(r'[^-.0-9A-Za-z]+', '_', name)}_{number:04d}.png")

@@ -1,4 +1,4 @@
-"""Features of the coarse garment, the input of the dictionary: local shape, gravity and distance from the body.
+"""Features of the coarse garment, the input of the dictionary: local shape, gravity, distance from what it lies on.
 
 A stencil of 5 by 5 chart points around every coarse vertex is read in the vertex's own frame, so that the features do
 not change when the garment turns about the vertical or moves.
@@ -16,6 +16,7 @@ from pbd.engine import ensure_initialized, ti
 from pbd.geometry import FAR
 from pbd.taichi_internals import Launch, quickly_compiled
 from wrinkles.charts import Charts
+from wrinkles.layer_distance import LayerDistance
 
 __all__ = ["DYNAMIC_COUNT", "INNER_OFFSETS", "REGIONS", "Stencil"]
 
@@ -25,7 +26,7 @@ CENTRE = POINTS // 2
 OTHERS = [p for p in range(POINTS) if p != CENTRE]
 INNER = [CENTRE + SIDE * a + b for a in (-1, 0, 1) for b in (-1, 0, 1)]
 UP, DOWN, LEFT, RIGHT = CENTRE + SIDE, CENTRE - SIDE, CENTRE - 1, CENTRE + 1  # +-1 along warp, -+1 along weft
-# Features that change with the state: 72 components of offsets, 3 of gravity, 9 distances from the body.
+# Features that change with the state: 72 components of offsets, 3 of gravity, 9 distances from what it lies on.
 DYNAMIC_COUNT = 3 * len(OTHERS) + 3 + len(INNER)
 # Numbers of the features that are offsets of the eight points around the centre.
 INNER_OFFSETS = [3 * OTHERS.index(p) + a for p in INNER if p != CENTRE for a in range(3)]
@@ -108,21 +109,24 @@ class Stencil:
         spacing: distance between stencil points [m].
         static: features of each coarse vertex: which of the other points exist (24), share of the stencil that is
             held (1), slow modes of the mesh (8); float32, shape (n, 33).
+        below: finds how far the garments of an outfit are from one another; None for one garment.
     """
 
     corners: np.ndarray
     weights: np.ndarray
     spacing: float
     static: np.ndarray
+    below: LayerDistance | None = None
     _launch: Launch = field(default_factory=lambda: Launch(_read_stencil), init=False, repr=False, compare=False)
 
     @classmethod
-    def of(cls, charts: Charts, held: np.ndarray) -> "Stencil":
+    def of(cls, charts: Charts, held: np.ndarray, layer: np.ndarray | None = None) -> "Stencil":
         """Make the stencils of a coarse mesh.
 
         Args:
             charts: of the mesh.
             held: its held vertices, int, shape (p,).
+            layer: of an outfit the number of the garment of each vertex, int, shape (n,).
         """
         ensure_initialized()
         mesh = charts.mesh
@@ -141,6 +145,7 @@ class Stencil:
             np.ascontiguousarray(weights.reshape(count, -1), np.float32),
             spacing,
             static.astype(np.float32),
+            None if layer is None else LayerDistance(mesh, layer),
         )
 
     def regions(self, count: int = REGIONS) -> np.ndarray:
@@ -174,7 +179,7 @@ class Stencil:
 
         Args:
             position: [m], float32, shape (n, 4); the last column is not used.
-            contact: as in :class:`pbd.State`, float32, shape (n,).
+            contact: distance from the body as in :class:`pbd.State`, float32, shape (n,).
             frames: receives the frame of each vertex as rows (warp, weft, normal), float32, shape (n, 9).
             features: receives clip((features - center) * scale, -limit, limit) [-], float32, shape (n, DYNAMIC_COUNT).
             center, scale: float32, shape (DYNAMIC_COUNT,); None is 0 and 1.
@@ -184,7 +189,7 @@ class Stencil:
         scale = np.ones(DYNAMIC_COUNT, np.float32) if scale is None else scale
         self._launch(
             position,
-            contact,
+            contact if self.below is None else self.below(position, contact),
             self.corners,
             self.weights,
             self.spacing,

@@ -101,6 +101,11 @@ class Levels:
         return CUTOFF_EDGES * float(self.coarse.edge_lengths()[1].mean())
 
     @property
+    def fine_layer(self) -> np.ndarray | None:
+        """Of an outfit the number of the garment of each fine vertex, int32, shape (N,); None for one garment."""
+        return None if self.layers is None else self.layers.subdivided(self.subdivision).layer
+
+    @property
     def rest_vertices(self) -> np.ndarray:
         """Fine vertices at rest [m], shape (N, 3): in the bind pose, or in the flat pattern for a delivered mesh."""
         binding = self.subdivision.binding

@@ -230,11 +230,14 @@ class WrinkleSettings:
         hidden_width: width of the network's second hidden layer; the first is eight thirds as wide.
         atoms: atoms of the dictionary.
         seed: seed of every random choice in learning.
+        budget_ms: of a frame on one core [ms]: the finest mesh that fits into it is simulated, see
+            :mod:`precompute.learning.within_budget`; None simulates the mesh that ``coarse_subdivisions`` names.
     """
 
     hidden_width: int = entry(whole(at_least=1), 36)
     atoms: int = entry(whole(at_least=1), 48)
     seed: int = entry(whole(at_least=0), 0)
+    budget_ms: float | None = entry(number(above=0, unit="ms"), None)
 
 
 @dataclass(frozen=True, kw_only=True)

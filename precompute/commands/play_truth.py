@@ -55,7 +55,8 @@ def _beside_truth(
         shown = numbers % 10 == 0
         free = evaluation.free
         columns = {"smooth": free.smooth[shown], "truth": truth.frames[shown], "ours": free.frames[shown]}
-        garment = (run.levels.subdivision.faces, run.levels.subdivision.flat_corners(inputs.pattern))
+        subdivision = run.levels.subdivision
+        garment = (subdivision.faces, subdivision.flat_corners(inputs.pattern), run.levels.fine_layer)
         bodies = posed_bodies(inputs.body, run.poses[numbers[shown]])
         draw_strips(options.output, motion.name, columns, *garment, bodies, inputs.body.faces, numbers[shown], run.dt)
     return figures | {"state_hash": free.state_hash}

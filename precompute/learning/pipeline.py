@@ -32,6 +32,7 @@ from precompute.learning.options import LearningOptions
 from precompute.learning.recording import Recording, Run, body_source, record_runs
 from precompute.learning.stages import StageClock, StageTime
 from precompute.learning.training import Layer, build_layer, fit_layer, spread_frames, training_set
+from precompute.learning.within_budget import choice_of, choices_within_budget
 from precompute.workers import Workers
 from runtime.garment_setup import GarmentSetup, colliders_of, fabrics_of, fine_options
 from runtime.simulation import Motion
@@ -68,7 +69,7 @@ class Precomputed:
         calibration: of the coarse model in the garment's own fabric.
         truth: of the first held-out motion, None without one.
         evaluation: of the database on it.
-        stages: where the time went.
+        stages: where the time went, for the mesh that was chosen.
     """
 
     database: WrinkleDatabase
@@ -158,7 +159,8 @@ def precompute(
     """Simulate, learn, calibrate, judge and write.
 
     Fine runs are cached by content and go on where they were cut off; everything after them is repeated from the
-    same seed, so that an interrupted call gives the same database. It is the same for any number of workers, too.
+    same seed, so that an interrupted call gives the same database. It is the same for any number of workers, too. Where
+    the scene names a budget, the machine's speed decides which mesh is simulated.
 
     Args:
         scene: one garment on one body, with training and held-out motion.
@@ -166,33 +168,69 @@ def precompute(
         workers: processes that simulate and decode, or how many of them there are to be.
         report: called with lines of progress.
         options: how much is done.
-        clock: of a longer work that STAGES are a part of; None times STAGES alone.
+        clock: of a longer work that STAGES are a part of, of a scene without a budget; None times STAGES alone.
 
     Raises:
         InputError: nothing to learn from, a held-out motion that is trained on too, or a file that cannot be loaded.
     """
     began, output = time.monotonic(), Path(output)
-    stage = GarmentSetup.of(scene)
-    held_out = _held_out(scene, stage)
+    choices = choices_within_budget(scene)
+    stage = GarmentSetup.of(choices[0])
+    held_out = _held_out(choices[0], stage)
     with Workers.of(workers) as pool:
-        clock = clock or StageClock(STAGES if held_out else STAGES[:-1], pool, report)
-        fabrics = fabrics_of(scene, stage.settings)
-        cache = cache or default_cache(output)
-        work = _Work(scene, stage, build_layer(stage.levels), fabrics, cache, pool, clock, options)
-        with clock.stage("simulating"):
-            motions, choice = training_motions(work.layer, stage, scene, cache, pool, clock)
-            examples = _simulated(work, motions, held_out[:1])
-        mapping, atoms = _learned(work, examples)
-        with clock.stage("calibrating"):
-            coarse = _coarse_model(work, examples)
-            calibrations = _calibrated(work, examples, mapping, atoms, coarse)
-        database = _finished(work, examples, mapping, atoms, coarse, calibrations)
-        database = as_stored(replace(database, trained_on=tuple(m.name for m in motions)))  # judged as it is played
-        truth, evaluation, quality = None, None, dict(choice)
-        if held_out:  # the first held-out clip is the one that is reported
-            with clock.stage("evaluating"):
-                truth, evaluation, figures = _evaluated(work, database, held_out[0])
-                quality |= figures
+        for one in choices:
+            stage = stage if one is choices[0] else GarmentSetup.of(one)
+            own_clock = StageClock(STAGES if held_out else STAGES[:-1], pool, report)
+            fabrics, layer = fabrics_of(one, stage.settings), build_layer(stage.levels)
+            work = _Work(one, stage, layer, fabrics, cache or default_cache(output), pool, clock or own_clock, options)
+            last = one is choices[-1]
+            if not last and not _coarse_garment_fits(work, held_out[0]):
+                continue
+            made = _precomputed(work, held_out, output)
+            if last or _fits(work, made.database.quality["frame_ms_p50"], "a frame"):
+                break
+    database = replace(made.database, training_minutes=(time.monotonic() - began) / 60.0)
+    write_database(output, database)
+    return replace(made, database=database)
+
+
+def _fits(work: _Work, frame_ms: float, what: str) -> bool:
+    """Whether a time is within the scene's budget; always without one."""
+    budget = work.scene.wrinkles.budget_ms
+    if budget is None:
+        return True
+    said = choice_of(work.scene, len(work.stage.levels.coarse.vertices))
+    work.clock(f"{said}: {what} takes {frame_ms:.1f} ms of {budget:g}")
+    return frame_ms <= budget
+
+
+def _coarse_garment_fits(work: _Work, motion: Motion) -> bool:
+    """Whether the coarse garment alone is within the scene's budget: what is not need not be learned."""
+    if work.scene.wrinkles.budget_ms is None:
+        return True
+    run = work.run(motion)
+    coarse = replace(run, name=f"{run.name} (coarse)", fine=False, solver=work.scene.solver.options())
+    (recording,) = record_runs([coarse], work.cache, work.workers, work.clock)
+    return _fits(work, recording.step_ms, "the simulated garment alone")
+
+
+def _precomputed(work: _Work, held_out: Sequence[Motion], output: Path) -> Precomputed:
+    """Learn, calibrate and judge; nothing is written."""
+    clock, stage, scene = work.clock, work.stage, work.scene
+    with clock.stage("simulating"):
+        motions, choice = training_motions(work.layer, stage, scene, work.cache, work.workers, clock)
+        examples = _simulated(work, motions, held_out[:1])
+    mapping, atoms = _learned(work, examples)
+    with clock.stage("calibrating"):
+        coarse = _coarse_model(work, examples)
+        calibrations = _calibrated(work, examples, mapping, atoms, coarse)
+    database = _finished(work, examples, mapping, atoms, coarse, calibrations)
+    database = as_stored(replace(database, trained_on=tuple(m.name for m in motions)))  # judged as it is played
+    truth, evaluation, quality = None, None, dict(choice)
+    if held_out:  # the first held-out clip is the one that is reported
+        with clock.stage("evaluating"):
+            truth, evaluation, figures = _evaluated(work, database, held_out[0])
+            quality |= figures
     calibration = calibrations[work.own_fabric]
     quality |= {
         "feature_shift_before": calibration.shift_before,
@@ -201,8 +239,9 @@ def precompute(
         "feature_mismatch_after": calibration.mismatch_after,
         "atoms_kept": atoms.kept,
     }
-    database = replace(database, quality=quality, training_minutes=(time.monotonic() - began) / 60.0)
-    write_database(output, database)
+    if scene.wrinkles.budget_ms is not None:
+        quality["budget_ms"] = scene.wrinkles.budget_ms
+    database = replace(database, quality=quality)
     return Precomputed(database, output, calibration, truth, evaluation, tuple(clock.times))
 
 

@@ -43,7 +43,8 @@ class Layer:
 def build_layer(levels: Levels) -> Layer:
     """Charts, stencil and patches of a garment."""
     charts = Charts.of(levels.coarse)
-    return Layer(levels, Stencil.of(charts, levels.coarse_held), Patches.of(levels.subdivision, charts))
+    layer = None if levels.layers is None else levels.layers.layer
+    return Layer(levels, Stencil.of(charts, levels.coarse_held, layer), Patches.of(levels.subdivision, charts))
 
 
 def features_of(layer: Layer, recording: Recording) -> tuple[np.ndarray, np.ndarray]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from runtime.play import playback_inputs
 from runtime.report import machine_description
 from wrinkles.database import WrinkleDatabase, read_database
 
-__all__ = ["Planned", "cost_table_of", "plan_file", "plan_rows", "plan_text"]
+__all__ = ["Planned", "cost_table_of", "plain_cloth", "plan_file", "plan_rows", "plan_text"]
 
 NEAR_DISTANCE, FAR_DISTANCE = 2.0, 20.0  # from the camera, for the figure cost_ratio_2m_20m [m]
 DISTANCE_COUNT = 50  # distances at which choices are compared
@@ -35,12 +36,14 @@ class Planned:
         sights: how each is seen.
         choices: one for each.
         figures: of the plan, by name.
+        plain: what plain cloth that is as good as full detail costs, in a line.
     """
 
     table: CostTable
     views: tuple[ViewSize, ...]
     choices: tuple[Choice, ...]
-    figures: dict[str, float | str]
+    figures: dict[str, Any]
+    plain: str
 
 
 def cost_table_of(database: WrinkleDatabase, path: Path, report: Callable[[str], None] | None = None) -> CostTable:
@@ -104,7 +107,33 @@ def plan_file(
     choices = planner.plan(views)
     figures = plan_figures(table, views, choices, target_px)
     figures |= {"distance_m": away, "frame_ms": planner.tick_ms(choices), "settings": float(len(table.settings))}
-    return Planned(table, tuple(views), tuple(choices), figures)
+    plain, words = plain_cloth(database.quality, table, figures["cost_ms"] / garments)
+    return Planned(table, tuple(views), tuple(choices), figures | plain, words)
+
+
+def plain_cloth(quality: Mapping[str, float], table: CostTable, chosen_ms: float) -> tuple[dict[str, float], str]:
+    """Plain cloth beside the settings of the table: it is as good as full detail, as `gube compare` measured.
+
+    Args:
+        quality: figures of the database.
+        table: of its garment.
+        chosen_ms: cost of the setting that was chosen [ms].
+
+    Returns:
+        ``plain_cost_ms``, that of the cheapest plain cloth that is as good as full detail [ms], if there is one that is
+        known; and what follows from it, in a line.
+    """
+    ratio = quality.get("cost_advantage_both")
+    if ratio is None:
+        return {}, "plain cloth was not compared: `gube compare` with this database does it"
+    if quality["cost_advantage_both_is_at_least"]:
+        return {}, "no plain cloth that was tried is as good as full detail"
+    cost = ratio * table.settings[0].cost_ms
+    rest = ", brought to rest on the fine mesh," if quality["plain_passes"] else ""
+    mesh = f"{quality['plain_vertex_count']:.0f} vertices with {quality['plain_substeps']:.0f} substeps{rest}"
+    words = f"plain cloth of {mesh} is as good as full detail and costs {cost:.3g} ms"
+    words += ": play that instead (gube play does)" if cost < chosen_ms else ": no better choice"
+    return {"plain_cost_ms": cost}, words
 
 
 def seen_from(table: CostTable, distance: float, field_of_view_deg: float = 40.0) -> ViewSize:
@@ -115,7 +144,7 @@ def seen_from(table: CostTable, distance: float, field_of_view_deg: float = 40.0
 
 def plan_figures(
     table: CostTable, views: Sequence[ViewSize], choices: Sequence[Choice], target_px: float
-) -> dict[str, float | str]:
+) -> dict[str, Any]:
     """Figures of a plan: the choice, its cost and error, how much dearer than the cheapest, and what distance saves."""
     cost = sum(choice.cost_ms for choice in choices)
     near, far = (
@@ -151,13 +180,14 @@ def plan_text(planned: Planned) -> str:
             f"cost {figures['cost_ms']:.3g} ms a tick, {figures['frame_ms']:.3g} in the dearest; "
             f"full detail {table.settings[0].cost_ms * len(planned.choices):.3g}",
             f"error on screen {figures['screen_error_px']:.2g} px",
+            planned.plain,
             f"at 2 m {figures['cost_ratio_2m_20m']:.3g} times the cost at 20 m",
             _fineness(table, figures),
         ]
     )
 
 
-def _fineness(table: CostTable, figures: dict[str, float | str]) -> str:
+def _fineness(table: CostTable, figures: dict[str, Any]) -> str:
     """Whether the simulated meshes are finer than folds of l_g need, in a line."""
     meshes = " and ".join(f"{1e3 * edge:.0f}" for edge in table.edges)
     line = f"meshes of {meshes} mm; l_g = {1e3 * table.gravity_length:.0f} mm makes folds of {FOLD:g} l_g and longer"

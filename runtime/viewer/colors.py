@@ -9,11 +9,14 @@ from __future__ import annotations
 import html
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import cycle, islice
+from typing import Any
 
 import numpy as np
 
 from pbd import ClothMesh
 from pbd.mesh import edges_of
+from runtime.pictures import GARMENT_COLORS
 
 __all__ = [
     "BANDS",
@@ -23,16 +26,19 @@ __all__ = [
     "ColorScale",
     "FaceBending",
     "FaceStrain",
+    "CLOTH_COLORS",
+    "GARMENTS",
     "bands_of",
     "legend",
     "names_legend",
     "place",
+    "rgb",
 ]
 
 Rgb = tuple[int, int, int]
 
 BANDS = 9
-CLOTH = "cloth"  # no colour but the cloth's own
+CLOTH = "cloth"  # the cloth's own colour, of each garment of an outfit another
 PAD_VERTICES, PAD_FACES = 512, 1024  # bands are filled up to multiples, so that their sizes hardly change
 _COLD_TO_HOT = ((40, 70, 150), (92, 140, 196), (200, 203, 206), (222, 138, 92), (160, 38, 40))  # about a middle
 _DARK_TO_LIGHT = ((52, 38, 92), (56, 92, 140), (48, 146, 136), (132, 192, 88), (246, 222, 74))
@@ -41,6 +47,12 @@ _CATEGORIES = (
     (78, 121, 167), (242, 142, 43), (89, 161, 79), (225, 87, 89), (176, 122, 161), (156, 117, 95), (186, 176, 172),
     (237, 201, 72), (118, 183, 178),
 )  # fmt: skip
+
+
+def rgb(color: tuple[float, float, float]) -> Rgb:
+    """A colour in parts of 255."""
+    red, green, blue = (round(255.0 * part) for part in color)
+    return red, green, blue
 
 
 def _ramp(anchors: Sequence[Rgb]) -> tuple[Rgb, ...]:
@@ -107,6 +119,11 @@ SCALES = {
     ),
 }
 """Scales by the name of what they colour, beside :data:`CLOTH`."""
+CLOTH_COLORS: tuple[Rgb, ...] = tuple(rgb(color) for color in GARMENT_COLORS)
+GARMENTS = ColorScale(
+    "garment", "the garments of the outfit", 0.0, float(BANDS), tuple(islice(cycle(CLOTH_COLORS), BANDS))
+)
+"""The scale of :data:`CLOTH` for an outfit; garments beyond the last band have the last one's colour."""
 
 
 class FaceStrain:
@@ -224,8 +241,8 @@ def _padded(count: int, step: int) -> int:
     return max(1, -(-count // step)) * step
 
 
-def place(index: int) -> float:
-    """The value that puts a face into a band of a scale of kinds."""
+def place(index: Any) -> Any:
+    """The value, or an array of them, that puts a face into a band of a scale of kinds."""
     return index + 0.5
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Callable
+from itertools import cycle
 from queue import SimpleQueue
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 import viser
 
 from runtime.player import PARTS
-from runtime.viewer.colors import CLOTH, SCALES, legend, names_legend
+from runtime.viewer.colors import CLOTH, CLOTH_COLORS, SCALES, legend, names_legend
 from runtime.viewer.garments import FabricFactors, Source, ViewedGarment
 from runtime.viewer.stage import OVERLAID_COLORS, Look
 
@@ -152,9 +153,12 @@ class Controls:
         """Change how the garment is shown, and its legend."""
         look: Look = self._viewer.show(**changes)
         scale = SCALES.get(look.coloring)
-        self._legend.visible = scale is not None or (look.overlaid and len(look.meshes) > 1)
+        garments = garment.worn if look.coloring == CLOTH and not look.overlaid and len(garment.worn) > 1 else ()
+        self._legend.visible = scale is not None or len(garments) > 1 or (look.overlaid and len(look.meshes) > 1)
         if scale is not None:
             self._legend.content = legend(scale, garment.kinds if look.coloring == "level of detail" else ())
+        elif garments:
+            self._legend.content = names_legend(dict(zip(garments, cycle(CLOTH_COLORS), strict=False)))
         elif self._legend.visible:
             self._legend.content = names_legend({name: OVERLAID_COLORS[name] for name in look.meshes})
 

@@ -26,7 +26,7 @@ from runtime.scene_body import body_of
 from runtime.scene_player import SUBDIVISIONS, ScenePlayer
 from runtime.scene_simulation import simulation_of
 from runtime.simulation import Motion
-from runtime.viewer.colors import FaceBending, FaceStrain, place
+from runtime.viewer.colors import CLOTH, FaceBending, FaceStrain, place
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Upsampler
 from wrinkles.levels import garment_vertices
@@ -194,10 +194,13 @@ class ViewedGarment:
 
         Args:
             name: of the mesh.
-            coloring: a key of :data:`runtime.viewer.colors.SCALES`.
+            coloring: a key of :data:`runtime.viewer.colors.SCALES`, or its CLOTH, which tells garments of an outfit.
             vertices: of the mesh [m], float32, shape (n, 3).
         """
         mesh, player = self.meshes[name], self.player
+        if coloring == CLOTH:
+            layer = player.simulation.model.layer
+            return place(np.round(mesh.at_faces(layer.astype(np.float32)))) if layer.any() else None
         if coloring == "strain" and name == SMOOTH and isinstance(player, ScenePlayer):
             simulated = self.meshes[COARSE].strain(self.vertices(COARSE, 0.0))  # of the surface no rest shape is known
             return np.repeat(simulated, 4**SUBDIVISIONS)

@@ -15,7 +15,7 @@ import viser
 
 from runtime.pictures import BODY_COLOR, GARMENT_COLOR
 from runtime.studio import BACKGROUND
-from runtime.viewer.colors import BANDS, CLOTH, SCALES, bands_of
+from runtime.viewer.colors import BANDS, CLOTH, GARMENTS, SCALES, bands_of, rgb
 from runtime.viewer.garments import COARSE, OURS, PLAIN, SMOOTH, TRUTH, ViewedGarment
 from runtime.viewer.playback import Playback
 
@@ -25,12 +25,7 @@ Rgb = tuple[int, int, int]
 Point = tuple[float, float, float]
 
 
-def _rgb(color: tuple[float, float, float]) -> Rgb:
-    red, green, blue = (round(255.0 * part) for part in color)
-    return red, green, blue
-
-
-CLOTH_COLOR, SKIN_COLOR = _rgb(GARMENT_COLOR), _rgb(BODY_COLOR)
+CLOTH_COLOR, SKIN_COLOR = rgb(GARMENT_COLOR), rgb(BODY_COLOR)
 OVERLAID_COLORS = {
     COARSE: (206, 142, 70), SMOOTH: (104, 158, 108), OURS: CLOTH_COLOR, PLAIN: CLOTH_COLOR, TRUTH: (176, 84, 92),
 }  # fmt: skip
@@ -167,7 +162,7 @@ class Stage:
 
     def _add_surroundings(self) -> None:
         server, nodes = self._server, self._nodes
-        below, above = (np.array(_rgb(color), float) for color in BACKGROUND)
+        below, above = (np.array(rgb(color), float) for color in BACKGROUND)
         shade = np.linspace(0.0, 1.0, 64)[:, None, None]
         picture = np.broadcast_to(above + shade * (below - above), (64, 64, 3)).astype(np.uint8)
         server.scene.set_background_image(picture)
@@ -224,7 +219,9 @@ class Stage:
     def _show_garment(self, name: str, look: Look, vertices: np.ndarray, shift: np.ndarray) -> None:
         garment, nodes = self._garment, self._nodes
         shown = vertices + shift
-        values = None if look.coloring == CLOTH else garment.values(name, look.coloring, vertices)
+        # Meshes that are overlaid have a colour each, and the garments of an outfit do not.
+        plainly = look.coloring == CLOTH and look.overlaid
+        values = None if plainly else garment.values(name, look.coloring, vertices)
         plain = nodes[f"{name}/garment"]
         plain.visible = values is None
         if name in self._colored:
@@ -237,7 +234,7 @@ class Stage:
             plain.wireframe = look.wireframe or (under and name == COARSE)
             plain.vertices = shown
             return
-        scale = SCALES[look.coloring]
+        scale = GARMENTS if look.coloring == CLOTH else SCALES[look.coloring]
         parts = bands_of(np.ascontiguousarray(shown), garment.meshes[name].faces, scale.band(values))
         if name not in self._colored:
             self._add_bands(name)

@@ -2,7 +2,8 @@
 
 /** The page of `gube export`: asks the worker for moments of the recording and draws them. */
 (() => {
-  const GARMENT = 0x5e738c, BODY = 0x9e968f; // as in the pictures of gube
+  // As in the pictures of gube; garments from the innermost outwards.
+  const GARMENTS = [0x5e738c, 0x945c4c, 0x66805c, 0xa1854c], BODY = 0x9e968f;
   const KEY_AZIMUTH = -75, KEY_ELEVATION = 38, RIM_AZIMUTH = 95, RIM_ELEVATION = 25; // from the camera's side [deg]
   const element = (id) => document.getElementById(id);
   const [canvas, play, scrub, clock, speed, cost] = ["canvas", "play", "scrub", "clock", "speed", "cost"].map(element);
@@ -67,8 +68,16 @@
 
   // --- The view -----------------------------------------------------------------------------------------------------
 
+  /** A mesh of one material, or of garments with one each. */
   function meshOf(faces, count, material) {
-    const geometry = new THREE.BufferGeometry();
+    const geometry = new THREE.BufferGeometry(), garments = arrays.garments;
+    if (Array.isArray(material)) {
+      const parts = material.map(() => []);
+      for (let i = 0; i < faces.length; i += 3) parts[garments[faces[i]]].push(faces[i], faces[i + 1], faces[i + 2]);
+      let start = 0;
+      parts.forEach((part, g) => { geometry.addGroup(start, part.length, g); start += part.length; });
+      faces = parts.flat();
+    }
     geometry.setIndex(new THREE.BufferAttribute(Uint32Array.from(faces), 1));
     for (const name of ["position", "normal"]) {
       geometry.setAttribute(name, new THREE.BufferAttribute(new Float32Array(3 * count), 3));
@@ -137,10 +146,12 @@
     renderer.shadowMap.enabled = true;
     renderer.shadowMap.type = THREE.PCFShadowMap;
     const scene = new THREE.Scene();
-    const cloth = new THREE.MeshPhysicalMaterial({
-      color: GARMENT, roughness: 0.85, side: THREE.DoubleSide, sheen: 0.7, sheenRoughness: 0.55,
+    const last = "garments" in arrays ? arrays.garments.reduce((a, b) => Math.max(a, b)) : 0;
+    const cloths = Array.from({ length: last + 1 }, (_, g) => new THREE.MeshPhysicalMaterial({
+      color: GARMENTS[g % GARMENTS.length], roughness: 0.85, side: THREE.DoubleSide, sheen: 0.7, sheenRoughness: 0.55,
       sheenColor: new THREE.Color(0xb9c4d2),
-    });
+    }));
+    const cloth = last ? cloths : cloths[0];
     const skin = new THREE.MeshStandardMaterial({ color: BODY, roughness: 0.8 });
     const fineCount = about.arrays["frames/correction"].shape[1];
     const garments = {
@@ -217,7 +228,7 @@
       renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
       renderer.setSize(width, height, false);
       light();
-      cloth.wireframe = element("wireframe").checked;
+      for (const material of cloths) material.wireframe = element("wireframe").checked;
       body.visible = element("body").checked;
       camera.aspect = width / panes.length / height;
       camera.updateProjectionMatrix();

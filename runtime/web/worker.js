@@ -31,7 +31,7 @@ function gubeWorker() {
     normals = new Float32Array(decoder.fine.length);
     coarseNormals = new Float32Array(decoder.coarse.length);
     for (let k = 0; k < 10; k++) decoder.decode(k); // so that the loops are compiled well from the start
-    const drawn = /^(faces|body)\/|^frames\/(origin|matrices|places|body)$/;
+    const drawn = /^(faces|body)\/|^garments$|^frames\/(origin|matrices|places|body)$/;
     const shown = Object.entries(arrays).filter(([name]) => drawn.test(name));
     postMessage({ kind: "loaded", about, arrays: Object.fromEntries(shown) });
   }

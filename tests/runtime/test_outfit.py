@@ -160,11 +160,10 @@ def test_a_plain_outfit_is_simulated() -> None:
 
 
 def test_the_fine_substep_is_that_of_the_finest_garment() -> None:
-    """Trousers that are cut once before, and as often after it as the skirt needs: three times in all."""
-    inner = TROUSERS + "coarse_subdivisions = 1\n"
-    scene = parse_scene(inner + SKIRT.replace("subdivisions = 1", "subdivisions = 2") + REST, "outfit.toml")
+    """A skirt that is cut once before it is simulated and once after it, beside trousers that are cut once."""
+    scene = parse_scene(TROUSERS + SKIRT + "coarse_subdivisions = 1\n" + REST, "outfit.toml")
     simulation, _ = simulation_of(scene, fine=True)
-    assert simulation.solver.options.substep == pytest.approx(scene.training.substep / 8.0)
+    assert simulation.solver.options.substep == pytest.approx(scene.training.substep / 4.0)
 
 
 def test_the_pattern_is_that_of_all_garments() -> None:

@@ -84,6 +84,7 @@ angular_inertia = 0.25
 
 [wrinkles]
 hidden_width = 32
+budget_ms = 8.0
 atoms = 16
 seed = 3
 

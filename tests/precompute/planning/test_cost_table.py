@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -13,7 +14,7 @@ import pytest
 
 from precompute.learning.pipeline import Precomputed, default_cache, precompute
 from precompute.planning import cost_table as measuring
-from precompute.planning.planning import cost_table_of
+from precompute.planning.planning import cost_table_of, plain_cloth
 from runtime import command
 from runtime.cost_table import CostTable, cost_table_path
 from tests.precompute.miniature import OPTIONS, SCENE
@@ -168,3 +169,20 @@ def test_bad_plans_end_with_a_message(
         status = ended.code
     assert status == 2
     assert expected in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("quality", "cost", "words"),
+    [
+        ({}, None, "plain cloth was not compared"),
+        ({"cost_advantage_both": 2.0, "cost_advantage_both_is_at_least": 1.0}, None, "no plain cloth .* is as good"),
+        ({"cost_advantage_both": 0.5, "cost_advantage_both_is_at_least": 0.0}, 0.5, "costs 0.5 ms: play that instead"),
+        ({"cost_advantage_both": 0.9, "cost_advantage_both_is_at_least": 0.0}, 0.9, "costs 0.9 ms: no better choice"),
+    ],
+)
+def test_plain_cloth_that_is_as_good_stands_beside_the_settings(
+    quality: dict[str, float], cost: float | None, words: str
+) -> None:
+    mesh = {"plain_vertex_count": 900.0, "plain_substeps": 6.0, "plain_passes": 1.0, "plain_frame_ms": 4.0}
+    figures, line = plain_cloth(quality | mesh, made_front(), 0.8)
+    assert figures.get("plain_cost_ms") == cost and re.search(words, line)
