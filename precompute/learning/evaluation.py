@@ -274,6 +274,25 @@ def free_figures(truth: Truth, frames: np.ndarray, prefix: str = "") -> dict[str
     }
 
 
+def garment_figures(truth: Truth, frames: np.ndarray, prefix: str = "") -> dict[str, float]:
+    """Statistics of each garment of an outfit by itself, running freely, its name before theirs; else none.
+
+    Args:
+        truth: of the outfit.
+        frames: fine vertices of a free run [m], shape (f, N, 3).
+        prefix: of the names.
+    """
+    layers, layer, figures = truth.levels.layers, truth.levels.fine_layer, {}
+    for number, name in enumerate(() if layers is None else layers.names):
+        where = layer == number
+        found, wanted = truth.bands.energy(frames, where), truth.bands.energy(truth.frames, where)
+        garment = f"{prefix}{name.replace(' ', '_')}"
+        figures[f"{garment}_bending_energy_ratio"] = float(found.sum() / len(found) / (wanted.sum() / len(wanted)))
+        error = spectrum_band_error_max(truth.bands.band_ratios(found, wanted))
+        figures[f"{garment}_spectrum_band_error_max"] = error
+    return figures
+
+
 def contact_bending_ratio(
     truth: Truth, frames: np.ndarray, distances: np.ndarray, truth_distances: np.ndarray
 ) -> float:
@@ -348,6 +367,7 @@ def evaluate(
     figures |= free_figures(truth, free.frames)
     figures |= free_figures(truth, free.smooth, "smooth_")
     figures |= free_figures(truth, truth.floor, "floor_")
+    figures |= garment_figures(truth, free.frames) | garment_figures(truth, truth.floor, "floor_")
     figures |= penetration_figures(distances, room)
     figures |= {f"truth_{k}": v for k, v in penetration_figures(truth_distances, truth_room).items()}
     figures |= _layer_figures(truth.levels, free.frames)

@@ -10,7 +10,17 @@ from scipy.spatial import ConvexHull
 
 from pbd.errors import InputError
 from pbd.mesh import lattice_faces
-from runtime.pictures import Camera, Drawn, encode_image, frame_camera, render, save_png, strip
+from runtime.pictures import (
+    GARMENT_COLOR,
+    GARMENT_COLORS,
+    Camera,
+    Drawn,
+    encode_image,
+    frame_camera,
+    render,
+    save_png,
+    strip,
+)
 
 pytest.importorskip("pyvista", reason="pictures are drawn by pyvista")
 
@@ -88,6 +98,21 @@ def test_a_picture_is_as_sharp_far_from_the_origin():
     near_picture = render([Drawn(vertices, faces)], here, (200, 200), floor=-0.5)
     far_picture = render([Drawn(vertices + far, faces)], there, (200, 200), floor=-0.5)
     assert np.abs(near_picture.astype(int) - far_picture).max() <= 2
+
+
+def test_the_garments_of_an_outfit_have_colours_of_their_own():
+    vertices, faces = sphere(0.3)
+    both = np.concatenate([vertices - [0.4, 0.0, 0.0], vertices + [0.4, 0.0, 0.0]])
+    layer = np.repeat([0, 1], len(vertices))
+    drawn = Drawn.garments(both, np.concatenate([faces, faces + len(vertices)]), None, layer)
+    assert [one.color for one in drawn] == list(GARMENT_COLORS[:2])
+    assert [len(one.vertices) for one in drawn] == [len(vertices)] * 2
+    assert all(np.array_equal(one.faces, faces) for one in drawn)
+    image = render(drawn, Camera(np.array([0.0, 0.0, 4.0]), np.zeros(3), 30.0), (200, 100), floor=None)
+    left, right = image[45:55, 60:70].reshape(-1, 3).mean(axis=0), image[45:55, 130:140].reshape(-1, 3).mean(axis=0)
+    assert left[2] > left[0] and right[0] > right[2]  # blue-grey and reddish
+    (alone,) = Drawn.garments(vertices, faces, None, None)
+    assert alone.color == GARMENT_COLOR and alone.vertices is vertices
 
 
 def test_a_shadow_lies_on_the_floor():

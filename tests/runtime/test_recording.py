@@ -15,6 +15,8 @@ import pytest
 import trimesh
 
 from assets.io.sequence import Sequence, SequenceMotion
+from assets.motion import ClipMotion
+from assets.procedural.mannequin import builtin_mannequin
 from pbd import Limits
 from runtime import recording
 from runtime.fine_garment import FineGarment
@@ -26,7 +28,7 @@ from runtime.recording import TRUTH_STEP, RecordedTruth, record
 from runtime.recording_file import Quantised, quantised, read_recording, recording_bytes
 from runtime.simulation import Motion, poses_of
 from tests.data import ROOT
-from tests.runtime.players import skirt_database, skirt_stage
+from tests.runtime.players import outfit_database, skirt_database, skirt_stage
 from tests.wrinkles.databases import small_database
 from tests.wrinkles.delivered import delivered_panels
 from wrinkles.database import WrinkleDatabase, body_hash
@@ -77,6 +79,14 @@ def skirt() -> Recorded:
 
 
 @cache
+def outfit() -> Recorded:
+    """A skirt over trousers: the dictionary reads how far they are from one another."""
+    body = builtin_mannequin()
+    motion = ClipMotion(body, "walk")
+    return recorded(outfit_database(), PlaybackInputs(body, (motion,)), motion, 0.2)
+
+
+@cache
 def panels() -> Recorded:
     """A delivered mesh on a vertex sequence: a post that rises, from which two panels hang."""
     _, _, coarse, subdivision = delivered_panels()
@@ -114,7 +124,7 @@ def decoded(data: bytes, folder: Path, *times: float) -> np.ndarray:
     return np.frombuffer(result.stdout, "<f8").reshape(2, len(times), -1, 3)
 
 
-@pytest.mark.parametrize("case", [skirt, panels])
+@pytest.mark.parametrize("case", [skirt, panels, outfit])
 def test_the_reference_decoder_gives_the_players_vertices(case: Callable[[], Recorded], tmp_path: Path) -> None:
     data, figures, played, _ = case()
     times = range(len(played))
@@ -125,7 +135,7 @@ def test_the_reference_decoder_gives_the_players_vertices(case: Callable[[], Rec
     assert np.abs(fast - plain).max() < 2e-6
 
 
-@pytest.mark.parametrize("case", [skirt, panels])
+@pytest.mark.parametrize("case", [skirt, panels, outfit])
 def test_wrinkles_are_decoded_and_not_recorded(case: Callable[[], Recorded], tmp_path: Path) -> None:
     """Corrections are what relaxation does: without them vertices are where they are before it."""
     recording = case()
@@ -135,6 +145,13 @@ def test_wrinkles_are_decoded_and_not_recorded(case: Callable[[], Recorded], tmp
     plain, _ = decoded(recording_bytes(about, arrays), tmp_path, 1)
     assert np.linalg.norm(plain[0] - recording.guessed[1], axis=1).max() < LIMIT
     assert np.linalg.norm(recording.guessed[1] - recording.played[1], axis=1).max() > 2.0 * LIMIT
+
+
+def test_only_an_outfit_says_which_garment_a_vertex_belongs_to() -> None:
+    _, arrays = read_recording(outfit().data)
+    garments = arrays["garments"].values
+    assert len(garments) == arrays["frames/correction"].steps.shape[1] and set(garments.tolist()) == {0, 1}
+    assert "garments" not in read_recording(skirt().data)[1]
 
 
 def test_between_two_frames_their_states_are_mixed_and_decoded(tmp_path: Path) -> None:

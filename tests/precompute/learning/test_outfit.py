@@ -40,6 +40,9 @@ def test_the_file_has_all_garments(database: WrinkleDatabase) -> None:
     figures = database.quality
     assert 0.0 <= figures["crossed_layers_percent"] < 2.0
     assert 0.0 <= figures["truth_crossed_layers_percent"] < 2.0 and "crossed_layers_at_end_percent" in figures
+    for garment in ("trousers", "skirt"):
+        assert 0.1 < figures[f"{garment}_bending_energy_ratio"] < 10.0
+        assert {f"{garment}_spectrum_band_error_max", f"floor_{garment}_spectrum_band_error_max"} <= figures.keys()
 
 
 def test_the_player_moves_all_garments_in_layers(database: WrinkleDatabase) -> None:

@@ -17,6 +17,7 @@ from assets.io.view import ViewSettings
 from pbd import InputError
 from precompute.benchmarks.viewer import connected, pictures_in
 from runtime.viewer import opening
+from runtime.viewer.colors import CLOTH_COLORS
 from runtime.viewer.garments import DatabaseSource, FabricFactors
 from runtime.viewer.opening import Opened, open_source
 from runtime.viewer.viewer import Viewer
@@ -163,7 +164,10 @@ def test_garments_of_an_outfit_are_taken_off_and_put_on(tmp_path: Path) -> None:
         assert viewer._garment.worn == ("skirt",)
         obey(viewer, lambda: viewer.wear(("trousers", "skirt")))
         assert viewer._garment.worn == ("trousers", "skirt") and viewer.playback.tick_count > 0
-        assert len(viewer._stage._nodes["ours/garment"].vertices) == len(viewer.playback.player.vertices)
+        nodes = viewer._stage._nodes
+        assert [nodes[f"ours/{number}"].color for number in (0, 1)] == list(CLOTH_COLORS[:2])
+        assert nodes["ours/0"].visible and not nodes["ours/garment"].visible
+        assert all(name in viewer._controls._legend.content for name in ("trousers", "skirt"))
         obey(viewer, lambda: viewer.scrub(0.0))
         assert viewer.playback.tick_count == 0
         obey(viewer, lambda: viewer.wear(()))  # the last garment stays on, and the window says why
