@@ -188,12 +188,19 @@ class PlayerTurn:
         run: gives body and poses.
         keep: numbers of the frames that are kept, int, shape (f,).
         detail: of the player; None takes all that there is.
+        player: at the first pose; None makes one.
     """
 
     def __init__(
-        self, database: WrinkleDatabase, run: Run, keep: np.ndarray, detail: LevelOfDetail | None = None
+        self,
+        database: WrinkleDatabase,
+        run: Run,
+        keep: np.ndarray,
+        detail: LevelOfDetail | None = None,
+        player: Player | None = None,
     ) -> None:
-        self._run, self._player = run, Player(database, run.body, run.poses[0], run.primitives)
+        self._run = run
+        self._player = player or Player(database, run.body, run.poses[0], run.primitives)
         if detail is not None:
             self._player.change(detail, fade=False)
         levels = self._player.levels

@@ -77,7 +77,8 @@ class Method:
     Attributes:
         prefix: of its figures' names; ours has none.
         name: for people.
-        frame_ms: median processor time of a frame, body included [ms]; nan for the floor, which is no method.
+        frame_ms: median processor time of a frame, body included [ms]; nan for the floor, which is no method. Of the
+            truth in a brief comparison it is the time by the clock that its simulation took.
         figures: by name, without the prefix; none where it broke.
         settings: everything needed to repeat it.
         frames: fine vertices [m], float32, shape (f, N, 3); None where it broke.
@@ -262,8 +263,9 @@ def _played(database: WrinkleDatabase, truth: Truth, brief: bool) -> list[Method
         full = player.full
         details["ours_half_substeps_"] = replace(full, substeps=max(1, full.substeps // 2))
         details["ours_half_atoms_"] = replace(full, atoms=max(1, full.atoms // 2))
-    ours = {prefix: PlayerTurn(database, run, keep, detail) for prefix, detail in details.items()}
     plain = _plain_turns(database, truth, player, brief)
+    others = {prefix: PlayerTurn(database, run, keep, detail) for prefix, detail in details.items() if prefix}
+    ours = {"": PlayerTurn(database, run, keep, player=player)} | others
     truth_cost = fine_cloth(run)
     take_turns([*ours.values(), *(turn for _, turn in plain)], run.frame_count)
     names = {"": "ours", "ours_half_substeps_": "ours, half the substeps", "ours_half_atoms_": "ours, half the atoms"}
@@ -276,7 +278,8 @@ def _played(database: WrinkleDatabase, truth: Truth, brief: bool) -> list[Method
         for prefix, turn in ours.items()
     ]
     methods += [_method(method, turn.smooth if isinstance(turn, PlayerTurn) else turn.played) for method, turn in plain]
-    methods.append(Method("truth_", "truth", truth_cost.cost(), {}, _settings(truth_cost), truth.frames))
+    truth_ms = truth.recording.step_ms if brief else truth_cost.cost()
+    methods.append(Method("truth_", "truth", truth_ms, {}, _settings(truth_cost), truth.frames))
     settings = _settings(truth_cost.with_substeps(math.ceil(1.5 * truth_cost.substeps)))
     methods.append(Method("floor_", "floor", math.nan, {}, settings, truth.floor))
     return methods
