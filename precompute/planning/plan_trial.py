@@ -21,7 +21,7 @@ from runtime.player import Player
 from runtime.simulation import Motion
 from wrinkles.database import WrinkleDatabase, read_database
 
-__all__ = ["SCENES", "PlanTrial", "trial_rows", "trial_text", "try_plan"]
+__all__ = ["SCENES", "PlanTrial", "sight", "there_and_back", "trial_rows", "trial_text", "try_plan"]
 
 TARGET_PX = TARGETS["imperceptible"]
 
@@ -101,12 +101,12 @@ def try_plan(
         seconds: to play [s].
     """
     dt = 1.0 / database.frame_rate
-    times = _there_and_back(motion.duration, dt, round(seconds / dt))
+    times = there_and_back(motion.duration, dt, round(seconds / dt))
     player, shadow = (Player(database, inputs.body, motion.pose(0.0), inputs.primitives) for _ in range(2))
     group = GarmentGroup([player], Planner([table], TARGET_PX, 1e9))
     errors, changes, cost, catastrophic, idle, updated = [], 0, 0.0, 0, 0, times[0]
     for tick in range(1, len(times)):
-        view = _sight(player, cameras(tick * dt), table)
+        view = sight(player, cameras(tick * dt), table)
         before, hash_before = player.detail, player.simulation.state.position.copy()
         try:
             group.update([motion.pose(times[tick])], dt, [view], inputs.wind)
@@ -194,7 +194,8 @@ def trial_text(rows: Sequence[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def _sight(player: Player, cameras: tuple[CameraSettings, ...], table: CostTable) -> ViewSize:
+def sight(player: Player, cameras: tuple[CameraSettings, ...], table: CostTable) -> ViewSize:
+    """How a garment at the origin is seen, at the speed that it has now."""
     speed = float(np.sqrt(3.0 * np.mean(player.simulation.state.velocity.astype(float) ** 2)))
     return sight_of(cameras, (0.0, 0.0, 0.0), table.size, speed)
 
@@ -210,7 +211,7 @@ def _truth(player: Player, shadow: Player, motion: Motion, times: np.ndarray, dt
     return shadow.vertices + shadow.origin
 
 
-def _there_and_back(duration: float, dt: float, count: int) -> np.ndarray:
+def there_and_back(duration: float, dt: float, count: int) -> np.ndarray:
     """Times of a motion that turns round gently at both ends, shape (count + 1,)."""
     phase = np.arange(count + 1) * dt % (2.0 * duration)
     return np.minimum(phase, 2.0 * duration - phase)
