@@ -26,14 +26,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--garments",
         type=int,
         metavar="N",
-        help="play N of them, each before a camera of its own, and count the ticks over the budget instead [-] (default: one)",
+        help="play N of them, each before a camera of its own, and count ticks over the budget [-] (default: one)",
     )
     parser.add_argument(
         "--budget-ms",
         type=positive,
         metavar="MS",
-        default=1000.0 / 60.0,
-        help="with --garments, time of all of one process in a tick [ms] (default: that of a tick at 60 Hz)",
+        default=16.0,
+        help="with --garments, time of all of one process in a tick [ms] (default: %(default)g)",
     )
     parser.add_argument(
         "--workers",
