@@ -244,6 +244,10 @@ def test_two_garments_are_ordered_from_the_body_outwards(tmp_path: Path) -> None
     made = write_new_scene(MANNEQUIN, ["builtin:skirt", "builtin:tshirt"], tmp_path / "scene.toml")
     assert [garment.garment.name for garment in made.garments] == ["skirt", "tshirt"]
     assert "Garments are an outfit" in made.text
+
+
+@pytest.mark.proof
+def test_three_garments_are_ordered_too(tmp_path: Path) -> None:
     three = ["builtin:shirt", "builtin:trousers", "builtin:tshirt"]
     made = write_new_scene(MANNEQUIN, three, tmp_path / "three.toml")
     assert [garment.garment.name for garment in made.garments] == ["trousers", "tshirt", "shirt"]
