@@ -132,6 +132,10 @@ def take_pair(q, owners, cloth: ti.template(), buffers: ti.template()):
     old = -1
     if close and layers == 0:
         old = old_pair(q, k, cloth, buffers)
+    # Layers that are through each other and do not know their sides would hold one another there. Let go, most come
+    # apart.
+    if old >= 0 and not same_garment and buffers.old_normals[old][3] < 0.0:
+        close = False
     if close:
         buffers.max_displacement[0] = ti.max(buffers.max_displacement[0], displacement)
         c = buffers.ready_pairs[0]
