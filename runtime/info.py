@@ -88,6 +88,7 @@ def _sections(database: WrinkleDatabase, figures: Mapping[str, float]) -> Iterat
         ("learned from", ", ".join(database.trained_on) or "nothing"),
         *_choice(database.quality),
         ("judged on", ", ".join(database.held_out) or "nothing"),
+        *_budget(database.quality),
         ("took", f"{database.training_minutes:.1f} min, seed {database.seed}"),
     ]
     yield "Training", training
@@ -141,6 +142,15 @@ def _choice(quality: Mapping[str, float]) -> list[tuple[str, str]]:
     if "coverage" in quality:
         words += f"; held-out motion covered to {quality['coverage']:.3f}, taken evenly {quality['coverage_even']:.3f}"
     return [("chosen", words)]
+
+
+def _budget(quality: Mapping[str, float]) -> list[tuple[str, str]]:
+    """A row about the budget that chose the simulated mesh; none without one."""
+    if "budget_ms" not in quality:
+        return []
+    spent, budget = quality["frame_ms_p50"], quality["budget_ms"]
+    kept = "the finest mesh that fits" if spent <= budget else "no mesh fits, and this is the coarsest"
+    return [("budget", f"{budget:g} ms a frame; it takes {spent:.1f} ms: {kept}")]
 
 
 def better_choice(quality: Mapping[str, float]) -> str:

@@ -187,7 +187,7 @@ def precompute(
             if not last and not _coarse_garment_fits(work, held_out[0]):
                 continue
             made = _precomputed(work, held_out, output)
-            if last or _fits(work, made.database.quality["frame_ms_p50"], "a frame"):
+            if _fits(work, made.database.quality.get("frame_ms_p50", 0.0), "a frame") or last:
                 break
     database = replace(made.database, training_minutes=(time.monotonic() - began) / 60.0)
     write_database(output, database)

@@ -250,3 +250,10 @@ def test_gube_check_has_a_row_for_every_check_and_its_status(
     assert command.main(["check", str(bad)]) == 2
     assert command.main(["info", str(tmp_path / "absent.h5")]) == 2
     assert "absent.h5: no such file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("spent", "words"), [(7.4, "the finest mesh that fits"), (9.0, "no mesh fits")])
+def test_the_budget_that_chose_the_mesh_is_told(write: Callable[..., Path], spent: float, words: str) -> None:
+    text, figures = info_text(write(quality=QUALITY | {"budget_ms": 8.0, "frame_ms_p50": spent}))
+    assert f"8 ms a frame; it takes {spent:.1f} ms: {words}" in text and figures["budget_ms"] == 8.0
+    assert "ms a frame; it takes" not in info_text(write())[0]
