@@ -78,6 +78,7 @@ class Player:
         check_step(start, self._pose_shape)
         self._outfit, self._source, self._primitives = database, body_source(body), tuple(primitives)
         self._dressed: dict[tuple[str, ...], dict[str, Any]] = {}  # what was made for other sets of garments
+        self._unfastened: set[str] = set()
         self._idle, self._dt, self._wait = 0.0, 0.0, 0  # since the last update, last tick [s]; ticks to leave out
         self._alpha = 1.0
         self.timings: dict[str, float] = dict.fromkeys(PARTS, 0.0)
@@ -144,6 +145,8 @@ class Player:
         if len(stay.new):
             place_on_body(simulation, self.levels.coarse.vertices, stay.new)
             settle(simulation, stay.new)
+        for name in self._fastened():
+            self._fasten(name, name not in self._unfastened)
         self._between.remember()
         self._between.before[stay.coarse, :3] = old_between[stay.before, :3]
         simulation.solver.options = old_simulation.solver.options
@@ -232,12 +235,21 @@ class Player:
         Raises:
             InputError: a garment that is not worn, or that nothing fastens.
         """
-        layers = self.levels.layers
-        fastened = () if layers is None else {layers.names[k] for k in np.unique(layers.layer[layers.fastened])}
-        if layers is None or name not in fastened:
-            expected = "one of " + ", ".join(sorted(fastened)) if fastened else "none: nothing is fastened"
+        fastened = self._fastened()
+        if name not in fastened:
+            expected = "one of " + ", ".join(fastened) if fastened else "none: nothing is fastened"
             raise InputError("no such fastening", key="name", received=name, expected=expected)
-        self.simulation.fasten(layers.names.index(name), closed)
+        self._unfastened = self._unfastened - {name} if closed else self._unfastened | {name}
+        self._fasten(name, closed)
+
+    def _fastened(self) -> list[str]:
+        """Names of the garments that are worn and that the scene fastens to those below them."""
+        layers = self.levels.layers
+        return [] if layers is None else sorted({layers.names[k] for k in np.unique(layers.layer[layers.fastened])})
+
+    def _fasten(self, name: str, closed: bool) -> None:
+        assert self.levels.layers is not None
+        self.simulation.fasten(self.levels.layers.names.index(name), closed)
 
     def update(self, pose: np.ndarray, dt: float, wind: Air = CALM) -> None:
         """One frame: advance the coarse garment to a pose in ``dt`` [s] and make the fine one; see :meth:`step`."""

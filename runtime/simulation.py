@@ -202,10 +202,15 @@ class Simulation:
             apart = (1.0 - w) * x[a[rows]] + w * x[b[rows]] - x[v[rows]]
             self._stitch_gaps[rows] = np.maximum(np.linalg.norm(apart, axis=1), self.model.stitch_gaps[rows])
 
+    @property
+    def any_open(self) -> bool:
+        """Whether anything that fastens a garment to those below it is open."""
+        return bool(self._opened.any())
+
     def _next_stitch_gaps(self, dt: float) -> tuple[np.ndarray, np.ndarray] | None:
         """How far stitches may be open at the start and at the end of a step; None where all are as in the model."""
         before, closed = self._stitch_gaps, self.model.stitch_gaps
-        if not self._opened.any() and np.array_equal(before, closed):
+        if not self.any_open and np.array_equal(before, closed):
             return None
         after = np.maximum(before - np.float32(CLOSING_SPEED * dt), closed)
         after[self._opened] = OPEN

@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from assets.io.scene import parse_scene
 from assets.motion import ClipMotion
 from assets.procedural.mannequin import builtin_mannequin
 from pbd import InputError
+from runtime.garment_setup import GarmentSetup
 from runtime.player import Player
-from tests.runtime.players import outfit_database
+from tests.runtime.players import OUTFIT, outfit_database, random_database
 from wrinkles.database import read_database, write_database
 from wrinkles.worn_garments import with_garments
 
@@ -83,3 +85,16 @@ def test_what_is_left_of_an_outfit_is_a_database(tmp_path: Path) -> None:
     assert both.levels.layers is not None
     fine = both.levels.layers.subdivided(both.levels.subdivision).layer == 1
     np.testing.assert_allclose(both.levels.fine.vertices[fine], player.levels.fine.vertices, atol=1e-6)
+
+
+def test_a_fastening_that_was_opened_stays_open_when_garments_change() -> None:
+    text = OUTFIT.replace('attach = "top"', 'fasten = "top"')
+    player = Player(random_database(GarmentSetup.of(parse_scene(text, "outfit.toml"))), builtin_mannequin())
+    player.fasten("skirt", closed=False)
+    player.wear(["skirt"])
+    player.wear(["trousers", "skirt"])
+    assert player.simulation.any_open
+    player.fasten("skirt")
+    player.wear(["trousers"])
+    player.wear(["trousers", "skirt"])
+    assert not player.simulation.any_open
