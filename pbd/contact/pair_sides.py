@@ -132,10 +132,8 @@ def take_pair(q, owners, cloth: ti.template(), buffers: ti.template()):
     old = -1
     if close and layers == 0:
         old = old_pair(q, k, cloth, buffers)
-    # Layers that are through each other and do not know their sides would hold one another there. Let go, most come
-    # apart.
-    if old >= 0 and not same_garment and buffers.old_normals[old][3] < 0.0:
-        close = False
+        # Layers that went through each other and do not know their sides would hold one another there: they let go.
+        close = same_garment or old < 0 or buffers.old_normals[ti.max(old, 0)][3] >= 0.0
     if close:
         buffers.max_displacement[0] = ti.max(buffers.max_displacement[0], displacement)
         c = buffers.ready_pairs[0]
