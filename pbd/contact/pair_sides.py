@@ -97,10 +97,8 @@ def take_pair(q, owners, cloth: ti.template(), buffers: ti.template()):
     c2, c3 = cloth.displacement[k[2]], cloth.displacement[k[3]]
     layers = cloth.layer[k[0]] - cloth.layer[k[3]]
     same_garment = layers == 0
-    kept = cloth.thickness
     edges = q[1] < 0
-    if edges:
-        kept *= EDGE_SHARE
+    kept = cloth.thickness * ti.select(edges, EDGE_SHARE, 1.0)
     low, high, other_low, other_high = boxes_of(edges, x1, x2, x3, c0, c1, c2, c3, cloth.tangled)
     reach = kept + SLACK
     may_touch = overlap(low - reach, high + reach, other_low, other_high)
