@@ -65,6 +65,7 @@ def test_the_first_that_fits_is_kept_and_the_last_in_any_case(
         seen.append(work.scene)
         return replace(learned, database=replace(learned.database, quality={"frame_ms_p50": next(frames)}))
 
+    monkeypatch.setattr(pipeline, "build_layer", lambda levels: SimpleNamespace(levels=levels))  # it takes seconds
     monkeypatch.setattr(pipeline, "record_runs", timed)
     monkeypatch.setattr(pipeline, "_precomputed", made)
     precompute(asked, tmp_path / "skirt.h5", report=lines.append)
