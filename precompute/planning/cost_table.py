@@ -31,7 +31,6 @@ __all__ = ["cost_table_key", "measure_cost_table"]
 TEMPOS = (1.0, 1.5)  # that the motion is played at: errors grow with speed
 EVERY = (1, 2, 4, 8)
 SUBSTEPS = (1.0, 2 / 3, 1 / 2, 1 / 3)  # a tick, shares of the full number
-FEW_SUBSTEPS = (1 / 6, 1 / 8)  # beside them where there is no mesh below, as for outfits
 PROXY_SUBSTEPS = (1 / 2, 1 / 3, 1 / 4)  # the same on the mesh below, whose longer edges need fewer
 ATOMS = (1.0, 1 / 2, 1 / 6)
 MAX_TICKS = 400  # ticks that are played at each tempo
@@ -72,7 +71,7 @@ def measure_cost_table(
     full = player.full
     layers = _layers(full)
     below = proxy_mesh_of(player.levels, database.warp)
-    levels = [(0, (*SUBSTEPS, *FEW_SUBSTEPS))] if below is None else [(0, SUBSTEPS), (1, PROXY_SUBSTEPS)]
+    levels = [(0, SUBSTEPS)] if below is None else [(0, SUBSTEPS), (1, PROXY_SUBSTEPS)]
     pairs = [
         LevelOfDetail(every, max(1, round(every * full.substeps * share)), 0, 0, level)
         for level, shares in levels
