@@ -278,7 +278,7 @@ def garment_vertices(levels: Levels) -> dict[str, np.ndarray] | None:
     """Fine vertices of each garment of an outfit by its name, int, shapes (k,); None for one garment."""
     if levels.layers is None:
         return None
-    fine = levels.layers.subdivided(levels.subdivision).layer
+    fine = levels.fine_layer
     return {name: np.flatnonzero(fine == number) for number, name in enumerate(levels.layers.names)}
 
 

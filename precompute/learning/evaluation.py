@@ -384,9 +384,9 @@ def evaluate(
 
 def _layer_figures(levels: Levels, frames: np.ndarray) -> dict[str, float]:
     """How much the garments of an outfit go through one another; nothing for one garment."""
-    if levels.layers is None:
+    layer, faces = levels.fine_layer, levels.fine.faces
+    if layer is None:
         return {}
-    layer, faces = levels.layers.subdivided(levels.subdivision).layer, levels.fine.faces
     shares = []
     for number in np.unique(np.linspace(0, len(frames) - 1, CROSSED_FRAMES).round().astype(int)):
         found = crossings(np.asarray(frames[number], float), faces)
