@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from threadpoolctl import threadpool_limits
 
-__all__ = ["Workers", "run_jobs", "worker_pool"]
+__all__ = ["Workers", "limit_threads", "run_jobs", "timed", "worker_pool"]
 
 Result = TypeVar("Result")
 
@@ -34,7 +34,7 @@ class Workers:
         self.count = count
         self._open = ExitStack()
         self._pool: ProcessPoolExecutor | None = None
-        self._spent: dict[int, float] = {}
+        self._spent: dict[int | str, float] = {}
 
     @staticmethod
     @contextmanager
@@ -68,7 +68,7 @@ class Workers:
             return results
         if self._pool is None:
             self._pool = self._open.enter_context(worker_pool(self.count))
-        futures = [self._pool.submit(_timed, job) for job in jobs]
+        futures = [self._pool.submit(timed, job) for job in jobs]
         pending = set(futures)
         while pending:
             ended, pending = wait(pending, timeout=GLANCE, return_when=FIRST_COMPLETED)
@@ -90,7 +90,7 @@ class Workers:
 
 def run_jobs(
     jobs: Sequence[Callable[[], Result]],
-    workers: int,
+    workers: Workers | int,
     *,
     done: Callable[[int, Result], None] | None = None,
     meanwhile: Callable[[], None] | None = None,
@@ -99,7 +99,7 @@ def run_jobs(
 
     Args:
         jobs: functions that another process finds by name, or ``functools.partial`` of them, started in this order.
-        workers: processes at a time; with one of them all jobs stay in this process.
+        workers: processes at a time, with one of them all jobs stay in this process; or workers that live on.
         done: called after each job with the number of jobs that have ended, and its result.
         meanwhile: called every few seconds while other processes work.
 
@@ -107,13 +107,22 @@ def run_jobs(
         Exception: the first that a job raises; jobs that wait for their turn are given up.
         concurrent.futures.BrokenExecutor: a process was ended from outside.
     """
-    with Workers(workers if workers == 1 else min(workers, len(jobs)) or 1) as own:
+    if isinstance(workers, int):
+        workers = workers if workers == 1 else min(workers, len(jobs)) or 1
+    with Workers.of(workers) as own:
         return own.run(jobs, done=done, meanwhile=meanwhile)
 
 
-def _timed(job: Callable[[], Any]) -> tuple[Any, int, float]:
+def timed(job: Callable[[], Any]) -> tuple[Any, int, float]:
     """The result, and the process that computed it with its processor time so far [s]."""
     return job(), os.getpid(), time.process_time()
+
+
+def limit_threads() -> None:
+    """One thread for Taichi, and one for each BLAS that is loaded from now on, such as SciPy's own copy."""
+    os.environ["GUBE_THREADS"] = "1"
+    for name in BLAS:
+        os.environ[name] = "1"
 
 
 @contextmanager
@@ -133,11 +142,9 @@ def worker_pool(workers: int, prepare: Callable[[], None] | None = None) -> Iter
 
 
 def _begin(prepare: Callable[[], None] | None) -> None:
-    """One thread for Taichi and one for BLAS; and an end of this process when the parent's comes."""
-    os.environ["GUBE_THREADS"] = "1"
+    """One thread, and an end of this process when the parent's comes."""
+    limit_threads()
     threadpool_limits(1, user_api="blas")  # for what is loaded
-    for name in BLAS:  # for what is loaded later, such as SciPy's own copy
-        os.environ[name] = "1"
     parent = parent_process()
     assert parent is not None
 

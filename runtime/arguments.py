@@ -15,6 +15,7 @@ __all__ = [
     "add_output_file",
     "add_output_folder",
     "add_playback",
+    "add_scheduler",
     "angle",
     "duration",
     "edge_count",
@@ -82,6 +83,16 @@ def add_motion(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--seconds", type=positive, metavar="S", help="play only so much of the motion [s] (default: all of it)"
+    )
+
+
+def add_scheduler(parser: argparse.ArgumentParser) -> None:
+    """Add the option ``--scheduler`` of a command whose work can be done on a cluster."""
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="address of a Dask scheduler, whose workers do the work; 'local' starts one on this machine "
+        "(default: processes of this machine without one)",
     )
 
 

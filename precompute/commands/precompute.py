@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from runtime.arguments import add_output_file
+from runtime.arguments import add_output_file, add_scheduler
 
 if TYPE_CHECKING:
     from runtime.report import Report
@@ -35,13 +35,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=os.cpu_count() or 1,
         help="processes that simulate at a time [-] (default: one for each core, here %(default)s)",
     )
+    add_scheduler(parser)
 
 
 def run(options: argparse.Namespace) -> Report:
     """Simulate, learn, and print what the new database holds."""
     from assets.io.scene import load_scene
     from pbd.errors import InputError
-    from precompute.learning.pipeline import precompute
+    from precompute.cluster import workers_of
+    from precompute.learning.pipeline import default_cache, precompute
     from precompute.learning.stages import stage_figures, stage_table
     from runtime.info import info_text
     from runtime.outputs import check_file, check_folder
@@ -54,8 +56,9 @@ def run(options: argparse.Namespace) -> Report:
     if options.cache is not None:
         check_folder(options.cache, "--cache")
     scene = load_scene(options.scene)
-    with Progress(sys.stderr) as progress:
-        made = precompute(scene, options.output, cache=options.cache, workers=options.workers, report=progress)
+    cache = options.cache or default_cache(options.output)
+    with Progress(sys.stderr) as progress, workers_of(options.scheduler, options.workers, cache) as workers:
+        made = precompute(scene, options.output, cache=cache, workers=workers, report=progress)
     text, figures = info_text(options.output)
     say(text)
     say(f"where the time went:\n{stage_table(made.stages)}")

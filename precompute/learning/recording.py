@@ -24,6 +24,7 @@ from pbd import ClothMesh, DistanceField, Fabric, ModelOptions, SolverOptions, S
 from pbd.fingerprint import source_fingerprint
 from pbd.storage import replacing
 from pbd.wind import CALM, Air, Wind
+from precompute.cluster import ClusterWorkers, cache_here
 from precompute.workers import Workers
 from runtime.simulation import Simulation, body_source, poses_of
 from wrinkles.levels import Levels
@@ -34,6 +35,8 @@ __all__ = ["Recording", "Run", "body_source", "poses_of", "record_runs"]
 CHUNK_ARRAYS = ("frames", "positions", "contact", "nearest", "coarse", "step_ms")
 
 CHUNK_SECONDS = 1.0  # what a cut-off run loses at most [s of motion]
+
+_going_on: dict[tuple[str, int], Simulation] = {}  # in a cluster's process: the last simulation, by the next chunk
 
 
 @dataclass(frozen=True)
@@ -189,6 +192,7 @@ def record_runs(
         workers: processes that go on living, or a number of processes for these runs; each run stays on one.
         report: told a line of progress now and then.
     """
+    cache = cache_here(cache)
     folders = [cache / run.key() for run in runs]
     for folder in folders:
         _drop_broken(folder)
@@ -204,7 +208,9 @@ def record_runs(
     }
     longest_first = sorted(todo.items(), key=lambda item: -item[1].frame_count)
     began, before = time.monotonic(), done()
-    if len(todo) == 1 or workers == 1:
+    if isinstance(workers, ClusterWorkers):
+        _record_apart(longest_first, workers, lambda: _tell(report, done(), before, total, began))
+    elif len(todo) == 1 or workers == 1:
         for folder, run in longest_first:
             _record(run, folder, lambda: _tell(report, done(), before, total, began))
     elif todo:
@@ -240,46 +246,99 @@ def _tell(report: Callable[[str], None] | None, done: int, before: int, total: i
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def _record(run: Run, folder: Path, after_chunk: Callable[[], None] | None = None) -> None:
     """Simulate a run chunk by chunk; each chunk holds the state at its end, from which the next one goes on."""
-    simulation = run.simulation()
-    levels, count = run.levels, run.levels.subdivision.coarse_count
-    at_coarse = levels.subdivision.at_coarse if run.fine else np.arange(count)
+    first = _first_missing(folder)
+    simulation = _simulation_at(run, first, _state(folder, first))
+    for chunk in range(first, run.chunk_count):
+        _write(folder, chunk, _chunk(run, simulation, chunk))
+        if after_chunk is not None:
+            after_chunk()
+
+
+def _record_apart(todo: Sequence[tuple[Path, Run]], workers: ClusterWorkers, told: Callable[[], None]) -> None:
+    """The same by processes that do not see the folders: each gets a state and sends a chunk back."""
+    chunks = [_first_missing(folder) for folder, _ in todo]
+
+    def job(number: int) -> partial[dict[str, np.ndarray]]:
+        (folder, run), chunk = todo[number], chunks[number]
+        return partial(_chunk_apart, run, run.key(), chunk, _state(folder, chunk))
+
+    def after(number: int, arrays: dict[str, np.ndarray]) -> partial[dict[str, np.ndarray]] | None:
+        folder, run = todo[number]
+        _write(folder, chunks[number], arrays)
+        chunks[number] += 1
+        return job(number) if chunks[number] < run.chunk_count else None
+
+    workers.run_in_steps([job(number) for number in range(len(todo))], after, told)
+
+
+def _chunk_apart(run: Run, key: str, chunk: int, state: State | None) -> dict[str, np.ndarray]:
+    """A chunk from the state before it; the simulation is kept for the next one."""
+    simulation = _going_on.pop((key, chunk), None) or _simulation_at(run, chunk, state)
+    _going_on.clear()
+    arrays = _chunk(run, simulation, chunk)
+    _going_on[key, chunk + 1] = simulation
+    return arrays
+
+
+def _first_missing(folder: Path) -> int:
+    """The number of the first chunk that is not there."""
     first = 0
     while (folder / f"chunk_{first:04d}.npz").exists():
         first += 1
-    if 0 < first < run.chunk_count:
-        with np.load(folder / f"chunk_{first - 1:04d}.npz", allow_pickle=False) as last:
-            simulation.state = State(*(last[f"state_{name}"] for name in State._names))
+    return first
+
+
+def _state(folder: Path, chunk: int) -> State | None:
+    """The state from which a chunk goes on; None for the first."""
+    if chunk == 0:
+        return None
+    with np.load(folder / f"chunk_{chunk - 1:04d}.npz", allow_pickle=False) as last:
+        return State(*(last[f"state_{name}"] for name in State._names))
+
+
+def _simulation_at(run: Run, chunk: int, state: State | None) -> Simulation:
+    """The simulation of a run where a chunk begins."""
+    simulation = run.simulation()
+    if state is not None and chunk < run.chunk_count:
+        simulation.state = state
         body = simulation.body
         probes = body.probes, body.probe_weights  # chosen by the first pose, not by the one to go on from
-        simulation.place_body(run.poses[first * run.chunk])
+        simulation.place_body(run.poses[chunk * run.chunk])
         body.probes, body.probe_weights = probes
-    for chunk in range(first, run.chunk_count):
-        rows: dict[str, list] = {"frames": [], "positions": [], "contact": [], "nearest": []}
-        times = []
-        for frame in range(chunk * run.chunk, min((chunk + 1) * run.chunk, run.frame_count)):
-            simulation.pose_body(run.poses[frame + 1])
-            began = time.perf_counter()
-            simulation.step_cloth(run.dt, run.wind)
-            times.append(time.perf_counter() - began)
-            if (frame + 1) % run.every == 0:
-                state = simulation.state
-                rows["frames"].append(frame + 1)
-                rows["positions"].append(state.world().astype(np.float32))
-                rows["contact"].append(state.contact[at_coarse])
-                rows["nearest"].append(state.nearest[at_coarse])
-        arrays = {name: np.array(values) for name, values in rows.items()}
-        if not len(arrays["frames"]):
-            arrays["positions"] = np.zeros((0, simulation.model.vertex_count, 3), np.float32)
-            arrays["contact"], arrays["nearest"] = np.zeros((0, count), np.float32), np.zeros((0, count), np.int32)
-        arrays["coarse"] = arrays["positions"]
-        if run.fine:
-            arrays["coarse"] = levels.filter_down(arrays["positions"]).astype(np.float32)
-        arrays["step_ms"] = np.array(1e3 * np.median(times))
-        arrays |= {f"state_{name}": getattr(simulation.state, name) for name in State._names}
-        with replacing(folder / f"chunk_{chunk:04d}.npz") as temporary, open(temporary, "wb") as file:
-            np.savez(file, allow_pickle=False, **arrays)
-        if after_chunk is not None:
-            after_chunk()
+    return simulation
+
+
+def _chunk(run: Run, simulation: Simulation, chunk: int) -> dict[str, np.ndarray]:
+    """Simulate a chunk: its arrays as they are stored."""
+    levels, count = run.levels, run.levels.subdivision.coarse_count
+    at_coarse = levels.subdivision.at_coarse if run.fine else np.arange(count)
+    rows: dict[str, list] = {"frames": [], "positions": [], "contact": [], "nearest": []}
+    times = []
+    for frame in range(chunk * run.chunk, min((chunk + 1) * run.chunk, run.frame_count)):
+        simulation.pose_body(run.poses[frame + 1])
+        began = time.perf_counter()
+        simulation.step_cloth(run.dt, run.wind)
+        times.append(time.perf_counter() - began)
+        if (frame + 1) % run.every == 0:
+            state = simulation.state
+            rows["frames"].append(frame + 1)
+            rows["positions"].append(state.world().astype(np.float32))
+            rows["contact"].append(state.contact[at_coarse])
+            rows["nearest"].append(state.nearest[at_coarse])
+    arrays = {name: np.array(values) for name, values in rows.items()}
+    if not len(arrays["frames"]):
+        arrays["positions"] = np.zeros((0, simulation.model.vertex_count, 3), np.float32)
+        arrays["contact"], arrays["nearest"] = np.zeros((0, count), np.float32), np.zeros((0, count), np.int32)
+    arrays["coarse"] = arrays["positions"]
+    if run.fine:
+        arrays["coarse"] = levels.filter_down(arrays["positions"]).astype(np.float32)
+    arrays["step_ms"] = np.array(1e3 * np.median(times))
+    return arrays | {f"state_{name}": np.array(getattr(simulation.state, name)) for name in State._names}
+
+
+def _write(folder: Path, chunk: int, arrays: dict[str, np.ndarray]) -> None:
+    with replacing(folder / f"chunk_{chunk:04d}.npz") as temporary, open(temporary, "wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
 
 
 def _read(run: Run, folder: Path) -> Recording:

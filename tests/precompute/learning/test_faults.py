@@ -11,11 +11,11 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from precompute.learning.pipeline import Precomputed, default_cache
 from tests.data import ROOT
+from tests.precompute.miniature import same
 from wrinkles.database import WrinkleDatabase, read_database
 
 pytestmark = pytest.mark.proof
@@ -42,7 +42,6 @@ def full(*names):
 
 os.replace = full
 """
-TIMED = ("_ms", "us_per_fine_vertex", "speedup_over_fine")
 
 
 def begin(output: Path, workers: int = 2, first: str = "", **environment: str) -> subprocess.Popen[bytes]:
@@ -59,14 +58,7 @@ def begin(output: Path, workers: int = 2, first: str = "", **environment: str) -
 def finish(output: Path, expected: WrinkleDatabase) -> None:
     """Go on to the end; all that was learned and measured is the same, but times."""
     assert begin(output).wait(timeout=600) == 0
-    found = read_database(output)
-    for part in ("mapping", "atoms", "novelty", "rest_shape"):
-        for name, array in vars(getattr(expected, part)).items():
-            assert np.array_equal(array, getattr(getattr(found, part), name)), f"{part}.{name}"
-    assert found.options == expected.options and found.bend_factor == expected.bend_factor
-    assert set(found.quality) == set(expected.quality)
-    for name, value in expected.quality.items():
-        assert any(part in name for part in TIMED) or found.quality[name] == value, name
+    same(read_database(output), expected)
     assert not list(output.parent.glob(".*.part"))
 
 
