@@ -53,7 +53,9 @@ __all__ = [
     "WrinkleSettings",
     "load_scene",
     "parse_scene",
+    "scene_of",
     "scene_text",
+    "toml_file",
 ]
 
 Vector = tuple[float, float, float]
@@ -272,15 +274,7 @@ def load_scene(path: str | Path) -> Scene:
     Raises:
         InputError: the file cannot be read or is not TOML; or values that cannot be used, with every such place.
     """
-    path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        problem = f"cannot be read: {(error.strerror or str(error)).lower()}"
-        raise InputError(problem, file=path, expected="a scene file (TOML)") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"not TOML: {error}", file=path) from error
-    return parse_scene(text, path)
+    return scene_of(toml_file(path), path)
 
 
 def parse_scene(text: str, path: str | Path = "scene.toml") -> Scene:
@@ -294,12 +288,44 @@ def parse_scene(text: str, path: str | Path = "scene.toml") -> Scene:
     Raises:
         InputError: not TOML, or values that cannot be used, with every such place.
     """
+    return scene_of(_toml(text, Path(path)), path)
+
+
+def toml_file(path: str | Path) -> dict[str, Any]:
+    """The tables of a scene file, as they stand.
+
+    Raises:
+        InputError: the file cannot be read or is not TOML.
+    """
     path = Path(path)
     try:
-        values = tomllib.loads(text)
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        problem = f"cannot be read: {(error.strerror or str(error)).lower()}"
+        raise InputError(problem, file=path, expected="a scene file (TOML)") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"not TOML: {error}", file=path) from error
+    return _toml(text, path)
+
+
+def _toml(text: str, path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"not TOML: {error}", file=path) from error
-    reader = Reader(path)
+
+
+def scene_of(values: dict[str, Any], path: str | Path) -> Scene:
+    """The scene that tables of a scene file describe.
+
+    Args:
+        values: the tables.
+        path: as for :func:`parse_scene`.
+
+    Raises:
+        InputError: values that cannot be used, with every such place.
+    """
+    reader = Reader(Path(path))
     scene = reader.table(Scene, values)
     if reader.errors:
         raise InputError.join(reader.errors)

@@ -7,7 +7,7 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
-from runtime.arguments import add_output_file
+from runtime.arguments import add_output_file, add_scheduler
 
 if TYPE_CHECKING:
     from runtime.report import Report
@@ -22,11 +22,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--solver", metavar="S", help="name of the only solver that is run (default: default and the classic ones)"
     )
+    add_scheduler(parser)
     add_output_file(parser, "OUT.csv", "a file for the table of all runs", "out/bench/failures.csv")
 
 
 def run(options: argparse.Namespace) -> Report:
     """Run the scenes and print the class of error in which each method ends."""
+    from precompute.cluster import workers_of
     from precompute.failures.failures import CLASSIC, all_failure_rows, failure_table, write_failures
     from runtime.outputs import check_file
     from runtime.report import Progress, Report
@@ -34,8 +36,8 @@ def run(options: argparse.Namespace) -> Report:
 
     check_file(options.output, ".csv")
     solvers = (options.solver,) if options.solver else ("default", *CLASSIC)
-    with Progress(sys.stderr) as progress:
-        rows = all_failure_rows(solvers, os.cpu_count() or 1, progress)
+    with Progress(sys.stderr) as progress, workers_of(options.scheduler, os.cpu_count() or 1) as workers:
+        rows = all_failure_rows(solvers, workers, progress)
     write_failures(options.output, rows)
     say(f"{failure_table(rows)}\n\n{options.output}")
     ours = [row for row in rows if row["solver"] == "default"]

@@ -20,8 +20,14 @@ SUMMARY = "learn the wrinkles of a scene's garment and write its wrinkle databas
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
-    parser.add_argument("scene", type=Path, metavar="SCENE", help="a scene file (.toml)")
-    add_output_file(parser, "DB.h5", "the wrinkle database, a file ending in .h5")
+    parser.add_argument("scene", type=Path, nargs="?", metavar="SCENE", help="a scene file (.toml)")
+    parser.add_argument(
+        "--all",
+        type=Path,
+        metavar="WARDROBE",
+        help="instead of a scene a file (.toml) of many: learn a database from each (default: only the scene)",
+    )
+    add_output_file(parser, "DB.h5", "the wrinkle database, a file ending in .h5; with --all a folder for all of them")
     parser.add_argument(
         "--cache",
         type=Path,
@@ -52,9 +58,13 @@ def run(options: argparse.Namespace) -> Report:
 
     if options.workers < 1:
         raise InputError("too few processes", key="--workers", received=options.workers, expected="at least 1")
-    check_file(options.output, ".h5")
+    if (options.scene is None) == (options.all is None):
+        raise InputError("nothing to learn from, or too much", key="SCENE", expected="a scene file, or --all WARDROBE")
     if options.cache is not None:
         check_folder(options.cache, "--cache")
+    if options.all is not None:
+        return _run_all(options)
+    check_file(options.output, ".h5")
     scene = load_scene(options.scene)
     cache = options.cache or default_cache(options.output)
     with Progress(sys.stderr) as progress, workers_of(options.scheduler, options.workers, cache) as workers:
@@ -64,3 +74,24 @@ def run(options: argparse.Namespace) -> Report:
     say(f"where the time went:\n{stage_table(made.stages)}")
     say(f"To see it: gube play {options.output} --truth\nFor others: gube bake {options.output} -o OUT.glb")
     return Report(figures | stage_figures(made.stages))
+
+
+def _run_all(options: argparse.Namespace) -> Report:
+    """Learn a database from each scene of a wardrobe."""
+    from assets.io.wardrobe import load_wardrobe
+    from precompute.cluster import workers_of
+    from precompute.wardrobe import learn_wardrobe, wardrobe_rows, wardrobe_text, write_wardrobe
+    from runtime.outputs import check_folder
+    from runtime.report import Progress, Report
+    from runtime.terminal import say
+
+    check_folder(options.output)
+    scenes = load_wardrobe(options.all)
+    cache, page = options.cache or options.output / ".gube-cache", options.output / "wardrobe.html"
+    with Progress(sys.stderr) as progress, workers_of(options.scheduler, options.workers, cache) as workers:
+        outcomes = learn_wardrobe(scenes, options.output, cache, workers, progress)
+    write_wardrobe(page, outcomes)
+    say(f"{wardrobe_text(outcomes)}\n{page}")
+    failed = sum(bool(one.problem) for one in outcomes)
+    figures = {"databases": float(len(outcomes) - failed), "failed_databases": float(failed)}
+    return Report(figures, wardrobe_rows(outcomes), passed=not failed)

@@ -7,7 +7,7 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
-from runtime.arguments import add_output_folder
+from runtime.arguments import add_output_folder, add_scheduler
 
 if TYPE_CHECKING:
     from runtime.report import Report
@@ -30,11 +30,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MAP:X:Y",
         help="name of a map and coordinates in it; run only this cell and print how it fails (default: all cells)",
     )
+    add_scheduler(parser)
     add_output_folder(parser, "out/stability", "a folder for the page")
 
 
 def run(options: argparse.Namespace) -> Report:
     """Run all cells of the maps and write the page, or run one cell."""
+    from precompute.cluster import workers_of
     from precompute.stability.stability_cells import run_cell
     from precompute.stability.stability_maps import chosen_cell
     from precompute.stability.stability_page import cell_row, cell_text, stability_text, write_stability
@@ -49,8 +51,8 @@ def run(options: argparse.Namespace) -> Report:
         say("\n".join(map(cell_text, cells)))
         return Report(cells[0].figures, [cell_row(one) for one in cells])
     check_folder(options.output)
-    with Progress(sys.stderr) as progress:
-        found = sweep(options.method or METHODS, workers=os.cpu_count() or 1, report=progress)
+    with Progress(sys.stderr) as progress, workers_of(options.scheduler, os.cpu_count() or 1) as workers:
+        found = sweep(options.method or METHODS, workers=workers, report=progress)
         progress("drawing")
         files = write_stability(options.output, found)
     say(stability_text(found))

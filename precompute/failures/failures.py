@@ -14,7 +14,7 @@ from precompute.failures.failure_play import Outcome, play
 from precompute.failures.failure_scenes import scenes
 from precompute.method_comparison.error_classes import ErrorClass
 from precompute.reporting.tables import write_table
-from precompute.workers import run_jobs
+from precompute.workers import Workers, run_jobs
 
 __all__ = ["CLASSIC", "all_failure_rows", "failure_rows", "failure_table", "write_failures"]
 
@@ -65,13 +65,13 @@ def _lines() -> list[str]:
 
 
 def all_failure_rows(
-    solvers: Sequence[str], workers: int, report: Callable[[str], None] = lambda line: None
+    solvers: Sequence[str], workers: Workers | int, report: Callable[[str], None] = lambda line: None
 ) -> list[dict[str, Any]]:
     """The rows of several solvers, in order.
 
     Args:
         solvers: as for :func:`failure_rows`.
-        workers: processes at a time.
+        workers: that run the scenes, or how many do.
         report: called with a line of progress.
 
     Raises:

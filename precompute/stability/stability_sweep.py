@@ -24,7 +24,7 @@ from precompute.stability.stability_cells import (
 )
 from precompute.stability.stability_maps import MAPS, StabilityMap
 from precompute.stability.stability_theory import ExplicitLimit, explicit_limits
-from precompute.workers import run_jobs
+from precompute.workers import Workers, run_jobs
 
 __all__ = ["METHODS", "Border", "StabilitySweep", "cell_command", "check_methods", "sweep"]
 
@@ -100,7 +100,7 @@ def sweep(
     methods: Sequence[str] = METHODS,
     maps: Sequence[StabilityMap] = MAPS,
     *,
-    workers: int = 1,
+    workers: Workers | int = 1,
     seconds: float = SECONDS,
     report: Callable[[str], None] | None = None,
 ) -> StabilitySweep:
@@ -109,7 +109,7 @@ def sweep(
     Args:
         methods: names of :data:`pbd.models.SOLVERS`.
         maps: which.
-        workers: processes at a time.
+        workers: that run the cells, or how many do.
         seconds: of each run [s].
         report: called with lines of progress.
 

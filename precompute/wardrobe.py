@@ -1,0 +1,174 @@
+"""`gube precompute --all`: many wrinkle databases, and a page that shows the worst first."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+from assets.io.scene import Scene, scene_text
+from pbd.errors import InputError
+from pbd.storage import replacing
+from precompute.learning.options import LearningOptions
+from precompute.learning.pipeline import DEFAULT, precompute
+from precompute.learning.stages import counted
+from precompute.reporting.page import Section, Table, Text, write_page
+from precompute.workers import Workers
+from wrinkles.database import code_version, read_database
+
+__all__ = ["Outcome", "learn_wardrobe", "wardrobe_rows", "wardrobe_text", "write_wardrobe"]
+
+COLUMNS = (
+    "spectrum_band_error_max", "floor_spectrum_band_error_max", "bending_energy_ratio", "normal_skill",
+    "inside_body_percent", "deepest_mm", "frame_ms_p50",
+)  # fmt: skip
+WORST_BY = COLUMNS[0]  # the largest error of an octave of bending energy
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one database.
+
+    Attributes:
+        name: of the scene.
+        problem: why there is none, empty where there is one.
+        minutes: that it took; 0 for one that was there.
+        figures: its quality by name.
+    """
+
+    name: str
+    problem: str = ""
+    minutes: float = 0.0
+    figures: Mapping[str, float] = field(default_factory=dict)
+
+
+def learn_wardrobe(
+    scenes: Mapping[str, Scene],
+    output: Path,
+    cache: Path,
+    workers: Workers,
+    report: Callable[[str], None],
+    options: LearningOptions = DEFAULT,
+) -> list[Outcome]:
+    """Learn a database from each scene; one that fails does not stop the others.
+
+    A database that is there, of the same scene and code, is kept. Where at least as many are left as there are workers,
+    each worker learns whole ones; else they come one after the other, and all workers share the work of each.
+
+    Args:
+        scenes: by their names.
+        output: folder of the databases, ``NAME.h5``.
+        cache: folder of simulated runs.
+        workers: that simulate and learn.
+        report: called with lines of progress.
+        options: how much is done.
+
+    Returns:
+        outcomes in the order of the scenes.
+    """
+    found = {name: one for name, scene in scenes.items() if (one := _there(name, scene, output)) is not None}
+    left = {name: scene for name, scene in scenes.items() if name not in found}
+    report(f"{len(found)} of {len(scenes)} databases are there")
+    tell = counted(report, "databases", len(left))
+    if len(left) < workers.count or workers.count == 1:
+        for done, (name, scene) in enumerate(left.items(), 1):
+            told = lambda line, name=name: report(f"{name}: {line}")  # noqa: E731
+            found[name] = _stored(_learned(name, scene, cache, options, workers, told), output)
+            tell(done, None)
+    else:
+        jobs = [partial(_learned, name, scene, cache, options) for name, scene in left.items()]
+
+        def store(done: int, result: tuple[Outcome, bytes]) -> None:
+            found[result[0].name] = _stored(result, output)
+            tell(done, None)
+
+        workers.run(jobs, done=store)
+    return [found[name] for name in scenes]
+
+
+def _there(name: str, scene: Scene, output: Path) -> Outcome | None:
+    """The outcome of a database that was learned before from the same scene by the same code."""
+    try:
+        database = read_database(output / f"{name}.h5")
+    except InputError:  # there is none, or an older one
+        return None
+    if database.scene != scene_text(scene) or database.code_version != code_version():
+        return None
+    return Outcome(name, figures=dict(database.quality))
+
+
+def _learned(
+    name: str,
+    scene: Scene,
+    cache: Path,
+    options: LearningOptions,
+    workers: Workers | int = 1,
+    report: Callable[[str], None] | None = None,
+) -> tuple[Outcome, bytes]:
+    """The outcome, and the database as the bytes of its file, since a worker may be on another machine."""
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"{name}.h5"
+        try:
+            made = precompute(scene, path, cache=cache, workers=workers, report=report, options=options)
+        except InputError as error:
+            return Outcome(name, str(error)), b""
+        except Exception:  # noqa: BLE001 - the others shall go on
+            return Outcome(name, traceback.format_exc()), b""
+        minutes = (time.monotonic() - began) / 60.0
+        return Outcome(name, minutes=minutes, figures=dict(made.database.quality)), path.read_bytes()
+
+
+def _stored(result: tuple[Outcome, bytes], output: Path) -> Outcome:
+    outcome, content = result
+    if not outcome.problem:
+        with replacing(output / f"{outcome.name}.h5") as beside:
+            beside.write_bytes(content)
+    return outcome
+
+
+def worst_first(outcomes: Sequence[Outcome]) -> list[Outcome]:
+    """Those without a database, then by the largest error of an octave."""
+    return sorted(outcomes, key=lambda one: (not one.problem, -one.figures.get(WORST_BY, float("inf"))))
+
+
+def wardrobe_rows(outcomes: Sequence[Outcome]) -> list[dict[str, float | str]]:
+    """A row for each database, the worst first."""
+    return [
+        {"database": one.name, "problem": one.problem, "minutes": one.minutes}
+        | {name: one.figures.get(name, float("nan")) for name in COLUMNS}
+        for one in worst_first(outcomes)
+    ]
+
+
+def wardrobe_text(outcomes: Sequence[Outcome]) -> str:
+    """A line for each database, the worst first."""
+    width = max(len(one.name) for one in outcomes)
+    lines = []
+    for one in worst_first(outcomes):
+        said = f"worst octave {one.figures.get(WORST_BY, float('nan')):.2f}"
+        lines.append(f"{one.name:<{width}}  {one.problem.strip().splitlines()[-1] if one.problem else said}")
+    return "\n".join(lines)
+
+
+def write_wardrobe(path: Path, outcomes: Sequence[Outcome]) -> None:
+    """Write the page."""
+    failed = [one for one in outcomes if one.problem]
+    sections: list[Section] = [
+        Text(
+            f"{len(outcomes) - len(failed)} of {len(outcomes)} databases were learned. The worst come first, by the "
+            "largest error of an octave of bending energy on motion that nothing was learned from; floor is the same "
+            "of a second true run."
+        ),
+        Table(("database", "minutes", *COLUMNS), [
+            (row["database"], *(row[name] for name in ("minutes", *COLUMNS))) if not row["problem"] else
+            (row["database"], *("-" for _ in ("minutes", *COLUMNS))) for row in wardrobe_rows(outcomes)
+        ]),
+    ]  # fmt: skip
+    if failed:
+        sections.append(Table(("database", "why there is none"), [(one.name, one.problem) for one in failed]))
+    write_page(path, "Wardrobe", sections)

@@ -1,0 +1,64 @@
+"""Many databases: one that fails does not stop the others, what is there is kept, the page shows the worst first."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import precompute.wardrobe
+from assets.io.scene import Scene, scene_text
+from pbd.errors import InputError
+from precompute.learning.pipeline import Precomputed
+from precompute.wardrobe import Outcome, learn_wardrobe, wardrobe_rows, wardrobe_text, write_wardrobe
+from precompute.workers import Workers
+from tests.precompute.miniature import OPTIONS, scene
+from wrinkles.database import read_database
+
+
+def test_one_that_fails_does_not_stop_the_others(
+    learned: Precomputed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Learning itself is replaced by a copy of a database, since it is tested elsewhere."""
+    first = scene()
+    refused = replace(first, garments=(replace(first.garments[0], name="refused"),))
+    broken = replace(first, garments=(replace(first.garments[0], name="broken"),))
+    begun: list[str] = []
+
+    def copied(of: Scene, path: Path, **other: Any) -> Precomputed:
+        begun.append(of.garments[0].name)
+        if of is refused:
+            raise InputError("refused", key="garment")
+        if of is broken:
+            raise ZeroDivisionError("broken")
+        shutil.copy(learned.path, path)
+        return learned
+
+    monkeypatch.setattr(precompute.wardrobe, "precompute", copied)
+    scenes, output, lines = {"no": refused, "bad": broken, "good": first}, tmp_path / "made", []
+    with Workers(1) as workers:
+        found = learn_wardrobe(scenes, output, tmp_path / "cache", workers, lines.append, OPTIONS)
+        assert [one.name for one in found] == ["no", "bad", "good"]
+        assert "refused" in found[0].problem and "ZeroDivisionError" in found[1].problem and not found[2].problem
+        assert [path.name for path in output.iterdir()] == ["good.h5"]
+        assert read_database(output / "good.h5").scene == scene_text(first)
+        assert any("databases: 3 of 3" in line for line in lines)
+        begun.clear()
+        again = learn_wardrobe(scenes, output, tmp_path / "cache", workers, lines.append, OPTIONS)
+    assert begun == ["refused", "broken"] and again[2].figures == found[2].figures
+
+
+def test_the_worst_come_first(tmp_path: Path) -> None:
+    name = "spectrum_band_error_max"
+    outcomes = [
+        Outcome("fair", figures={name: 0.3}), Outcome("good", figures={name: 0.1}),
+        Outcome("none", "<b> cannot be\nread"), Outcome("bad", figures={name: 0.9}),
+    ]  # fmt: skip
+    assert [row["database"] for row in wardrobe_rows(outcomes)] == ["none", "bad", "fair", "good"]
+    assert wardrobe_text(outcomes).splitlines()[0] == "none  read"
+    write_wardrobe(tmp_path / "page.html", outcomes)
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "3 of 4 databases" in page and "&lt;b&gt;" in page and page.index("bad") < page.index("good")
