@@ -91,11 +91,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:  # a full disk, or one that went away
         say_error(f"gube {options.command}", _disk_problem(error))
         return 1
-    except BrokenExecutor:
+    except BrokenExecutor as error:
+        # A pool of this machine says it in words of its library, a cluster in ours.
+        ended = "a simulating process was ended from outside, perhaps for want of memory"
+        why = str(error) if type(error) is BrokenExecutor else ended
         say_error(
             f"gube {options.command}",
-            "a simulating process was ended from outside, perhaps for want of memory; "
-            "what it had finished is kept, and the same command goes on from there",
+            f"{why}; what was finished is kept, and the same command goes on from there",
         )
         return 1
     except KeyboardInterrupt:

@@ -31,6 +31,7 @@ NAV: list[tuple[str, list[str]]] = [
         "Reference",
         [
             "scenes.md",
+            "cluster.md",
             "scene-keys.md",
             "commands.md",
             "options.md",

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from runtime.arguments import duration, positive
+from runtime.arguments import add_scheduler, duration, positive
 
 if TYPE_CHECKING:
     from runtime.report import Report
@@ -68,6 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="compare in only so much of the motion [s] (default: all of it)",
     )
+    add_scheduler(parser)
 
 
 def run(options: argparse.Namespace) -> Report:
@@ -84,6 +85,9 @@ def run(options: argparse.Namespace) -> Report:
             raise InputError("cannot be chosen here", key=f"--{name}", received=options.sources, expected=expected)
     if len(databases) > 1 or (options.wrinkles and (scenes or not databases)):
         raise InputError("one database at a time", key="SCENE", received=options.sources, expected="DB.h5")
+    if options.scheduler is not None and (options.wrinkles or not of_database):
+        expected = "a database (.h5)"
+        raise InputError("cannot be chosen here", key="--scheduler", received=options.sources, expected=expected)
     if options.blind and (options.wrinkles or not of_database):
         raise InputError("cannot be chosen here", key="--blind", received=options.sources, expected="a database (.h5)")
     options.output = options.output or (Path(".") if of_database else Path("out/compare"))
@@ -145,14 +149,16 @@ def _compare_wrinkles(options: argparse.Namespace) -> Report:
 
 
 def _compare_database(options: argparse.Namespace) -> Report:
+    from precompute.cluster import workers_of
     from precompute.wrinkle_comparison.compare import compare_file
     from precompute.wrinkle_comparison.comparison_page import verdict, write_blind, write_comparison
     from runtime.report import Progress, Report
     from runtime.terminal import say
 
-    with Progress(sys.stderr) as progress:
+    clip, seconds = options.clip, options.seconds
+    with Progress(sys.stderr) as progress, workers_of(options.scheduler, 2) as workers:
         found = compare_file(
-            options.database, options.output, clip=options.clip, seconds=options.seconds, report=progress
+            options.database, options.output, clip=clip, seconds=seconds, workers=workers, report=progress
         )
     page = options.output / "compare.html"
     write_comparison(page, found)

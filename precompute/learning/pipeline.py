@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import date
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -27,11 +28,12 @@ from precompute.learning.evaluation import (
     truth_of,
     truth_runs,
 )
+from precompute.learning.kept import Kept
 from precompute.learning.novelty import fit_novelty
 from precompute.learning.options import LearningOptions
 from precompute.learning.recording import Recording, Run, body_source, record_runs
 from precompute.learning.stages import StageClock, StageTime
-from precompute.learning.training import Layer, build_layer, fit_layer, spread_frames, training_set
+from precompute.learning.training import Layer, TrainingSet, build_layer, fit_layer, spread_frames, training_set
 from precompute.learning.within_budget import choice_of, choices_within_budget
 from precompute.workers import Workers
 from runtime.garment_setup import GarmentSetup, colliders_of, fabrics_of, fine_options
@@ -40,6 +42,7 @@ from wrinkles.charts import leading_vertices
 from wrinkles.database import LearnedFabric, WrinkleDatabase, as_stored, body_hash, code_version, write_database
 from wrinkles.dictionary import Atoms, CoefficientNetwork, fabric_features
 from wrinkles.metrics import given_coarse_figures
+from wrinkles.novelty import NoveltyScore
 from wrinkles.rest_shape import RestShapeCorrection
 
 __all__ = [
@@ -158,8 +161,8 @@ def precompute(
 ) -> Precomputed:
     """Simulate, learn, calibrate, judge and write.
 
-    Fine runs are cached by content and go on where they were cut off; everything after them is repeated from the
-    same seed, so that an interrupted call gives the same database. It is the same for any number of workers, too. Where
+    Fine runs are cached by content and go on where they were cut off, and so is what each stage after them gives: an
+    interrupted call gives the same database. It is the same for any number of workers, too. Where
     the scene names a budget, the machine's speed decides which mesh is simulated.
 
     Args:
@@ -220,11 +223,12 @@ def _precomputed(work: _Work, held_out: Sequence[Motion], output: Path) -> Preco
     with clock.stage("simulating"):
         motions, choice = training_motions(work.layer, stage, scene, work.cache, work.workers, clock)
         examples = _simulated(work, motions, held_out[:1])
-    mapping, atoms = _learned(work, examples)
+    kept = Kept(work.cache, scene, [example.run for example in examples], work.options)
+    mapping, atoms = _learned(work, examples, kept)
     with clock.stage("calibrating"):
         coarse = _coarse_model(work, examples)
-        calibrations = _calibrated(work, examples, mapping, atoms, coarse)
-    database = _finished(work, examples, mapping, atoms, coarse, calibrations)
+        calibrations = _calibrated(work, examples, mapping, atoms, coarse, kept)
+    database = _finished(work, examples, mapping, atoms, coarse, calibrations, kept)
     database = as_stored(replace(database, trained_on=tuple(m.name for m in motions)))  # judged as it is played
     truth, evaluation, quality = None, None, dict(choice)
     if held_out:  # the first held-out clip is the one that is reported
@@ -271,21 +275,30 @@ def _simulated(work: _Work, motions: Sequence[Motion], judged: Sequence[Motion])
     ]
 
 
-def _learned(work: _Work, examples: Sequence[_Example]) -> tuple[CoefficientNetwork, Atoms]:
+def _learned(work: _Work, examples: Sequence[_Example], kept: Kept) -> tuple[CoefficientNetwork, Atoms]:
     """The dictionary."""
     clock, scene, layer, options = work.clock, work.scene, work.layer, work.options
-    with clock.stage("fitting patches"):
+
+    @cache
+    def training() -> tuple[list[Recording], TrainingSet]:
         learned = spread_frames([example.recording for example in examples], options.training_frames)
-        data = training_set(layer, learned, scene.wrinkles.atoms, work.seed)
-    with clock.stage("fitting"):
+        return learned, training_set(layer, learned, scene.wrinkles.atoms, work.seed)
+
+    def fitted() -> CoefficientNetwork:
+        learned, data = training()
         width = scene.wrinkles.hidden_width
         features = [example.features for example in examples]
         told = np.repeat(features, [len(recording.frames) for recording in learned], axis=0)
         epochs = options.epochs_for(len(data.features))
         hidden = (8 * width // 3, width)
-        mapping = fit_layer(layer, data, hidden=hidden, epochs=epochs, seed=work.seed, report=clock, fabrics=told)
+        return fit_layer(layer, data, hidden=hidden, epochs=epochs, seed=work.seed, report=clock, fabrics=told)
+
+    with clock.stage("fitting patches"):
+        patches = kept.instance(Atoms, "patches", lambda: training()[1].atoms)
+    with clock.stage("fitting"):
+        mapping = kept.instance(CoefficientNetwork, "network", fitted)
     with clock.stage("means of vertices"):
-        return mapping, _with_means(work, examples, mapping, data.atoms)
+        return mapping, kept.instance(Atoms, "means", lambda: _with_means(work, examples, mapping, patches))
 
 
 def _with_means(work: _Work, examples: Sequence[_Example], mapping: CoefficientNetwork, atoms: Atoms) -> Atoms:
@@ -316,13 +329,18 @@ def _coarse_model(work: _Work, examples: Sequence[_Example]) -> CoarseModel:
 
 
 def _calibrated(
-    work: _Work, examples: Sequence[_Example], mapping: CoefficientNetwork, atoms: Atoms, coarse: CoarseModel
+    work: _Work,
+    examples: Sequence[_Example],
+    mapping: CoefficientNetwork,
+    atoms: Atoms,
+    coarse: CoarseModel,
+    kept: Kept,
 ) -> dict[str, Calibration]:
     """Coarse models by fabric."""
-    found: dict[str, Calibration] = {}
-    for name in work.fabrics:
+
+    def found(name: str) -> Calibration:
         mine = [example for example in examples if example.fabric == name]
-        found[name] = calibrate(
+        return calibrate(
             work.layer,
             mapping.for_fabric(mine[0].features),
             atoms,
@@ -334,7 +352,15 @@ def _calibrated(
             work.options,
             work.clock,
         )
-    return found
+
+    values = {
+        name: kept.values(f"calibration {number}", lambda name=name: asdict(found(name)))
+        for number, name in enumerate(work.fabrics)
+    }
+    return {
+        name: Calibration(**(value | {"options": ModelOptions(**value["options"]), "rows": tuple(value["rows"])}))
+        for name, value in values.items()
+    }
 
 
 def _finished(
@@ -344,11 +370,12 @@ def _finished(
     atoms: Atoms,
     coarse: CoarseModel,
     calibrations: dict[str, Calibration],
+    kept: Kept,
 ) -> WrinkleDatabase:
     """The database without what judging it gives."""
     with work.clock.stage("unfamiliarity"):
         mappings = _by_fabric(examples, mapping)
-        novelty = fit_novelty(
+        given = (
             work.layer,
             [mappings[example.fabric] for example in examples],
             atoms,
@@ -358,6 +385,7 @@ def _finished(
             work.workers,
             work.options.score_frames,
         )
+        novelty = kept.instance(NoveltyScore, "unfamiliarity", lambda: fit_novelty(*given))
     scene, settings, levels, body = work.scene, work.stage.settings, work.stage.levels, work.stage.body
     own, *others = work.fabrics
     return WrinkleDatabase(

@@ -415,6 +415,7 @@ def compare_file(
     *,
     clip: str | None = None,
     seconds: float | None = None,
+    workers: Workers | int = 2,
     report: Callable[[str], None] | None = None,
 ) -> Comparison:
     """Compare on the held-out motion of a database or a scene.
@@ -424,6 +425,7 @@ def compare_file(
         output: folder of that database.
         clip: name of a clip that nothing was learned from; None takes the first that is held out.
         seconds: cut the motion there.
+        workers: that simulate, play and measure; one of them plays all methods in turn.
         report: called with lines of progress.
 
     Raises:
@@ -440,8 +442,9 @@ def compare_file(
             "the database has learned from this clip", key="--clip", received=motion.name, expected=held_out
         )
     run = database_run(database, inputs, motion)
-    truth = truth_of(run, default_cache(path), 2, report)
-    found = compare(database, truth if seconds is None else truth.until(seconds), workers=2, report=report)
+    with Workers.of(workers) as pool:
+        truth = truth_of(run, default_cache(path), pool, report)
+        found = compare(database, truth if seconds is None else truth.until(seconds), workers=pool, report=report)
     if clip is None and seconds is None:
         try:
             write_choice(path, database, found)
