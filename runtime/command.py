@@ -44,6 +44,7 @@ COMMANDS: Mapping[str, str] = {
     "bench stress": "precompute.commands.bench_stress",
     "bench clips": "precompute.commands.bench_clips",
     "bench space": "precompute.commands.bench_space",
+    "bench cluster": "precompute.commands.bench_cluster",
     "bench plan": "precompute.commands.bench_plan",
     "bench view": "precompute.commands.bench_view",
 }

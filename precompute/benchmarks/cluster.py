@@ -1,0 +1,80 @@
+"""What a scheduler adds to the time of many databases: Dask's own one, with workers that sleep."""
+
+from __future__ import annotations
+
+import asyncio
+import heapq
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+__all__ = ["cluster_row", "durations"]
+
+SPREAD = (0.5, 1.5)  # of the times of databases, over their mean
+SLEPT = 10.0  # by each worker in the simulation, about [s]
+
+
+def durations(minutes: float, databases: int, seed: int = 0) -> np.ndarray:
+    """Processor times of databases, spread about their mean [s], shape (databases,)."""
+    return 60.0 * minutes * np.random.default_rng(seed).uniform(*SPREAD, databases)
+
+
+def listed(durations: Sequence[float] | np.ndarray, workers: int) -> float:
+    """When the last of them ends if each worker takes the next one as soon as it is free, without any delay [s]."""
+    free = [0.0] * workers
+    for one in durations:
+        heapq.heapreplace(free, free[0] + one)
+    return max(free)
+
+
+def cluster_row(durations: np.ndarray, workers: int, size: int) -> dict[str, float]:
+    """One database to a worker at a time, by a real scheduler whose workers sleep a scaled time.
+
+    What the scheduler adds does not shrink with the tasks, so that it is taken in seconds as they come, and compared
+    with the true time of the work. All workers live in this process: the figures count their own work, too, and are
+    bounds from above.
+
+    Args:
+        durations: of the databases [s], shape (n,).
+        workers: how many.
+        size: of a database, which is sent back [bytes].
+
+    Returns:
+        figures of a table's row.
+    """
+    from distributed import Client, LocalCluster
+
+    scale = SLEPT / (durations.sum() / workers)
+    loopback = "127.0.0.1:0"
+    with (
+        LocalCluster(
+            n_workers=workers, processes=False, threads_per_worker=1, silence_logs=50,
+            dashboard_address=loopback, worker_dashboard_address=loopback,
+        ) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):  # fmt: skip
+        began, spent = time.monotonic(), time.process_time()
+        tasks = [client.submit(_asleep, float(scale * one), size, pure=False) for one in durations]
+        client.gather(tasks)
+        measured, spent = time.monotonic() - began, time.process_time() - spent
+    ideal = listed(durations, workers)
+    added = measured - scale * ideal
+    return {
+        "workers": workers,
+        "databases": len(durations),
+        "makespan_h": (ideal + added) / 3600.0,
+        "least_h": ideal / 3600.0,
+        "busy_percent": 100.0 * durations.sum() / (workers * (ideal + added)),
+        "added_s": added,
+        "added_percent": 100.0 * added / ideal,
+        "processor_ms_per_task": 1e3 * spent / len(durations),
+        "saturated_workers": durations.mean() * len(durations) / spent,  # where tasks end faster than they are dealt
+        "moved_mb": 1e-6 * size * len(durations),
+    }
+
+
+async def _asleep(seconds: float, size: int) -> bytes:
+    """A database's learning, as the scheduler sees it."""
+    await asyncio.sleep(seconds)
+    return bytes(size)
