@@ -64,9 +64,9 @@ class Locked:
 def licence_of(about: PackageMetadata) -> str:
     """Licence in a package's metadata: the expression, else a short name, else the classifiers; empty without any."""
     classifiers = [text for text in about.get_all("Classifier") or [] if text.startswith("License ::")]
-    short = about.get("License") or ""
+    (expression, *_), (short, *_) = (about.get_all(key) or [""] for key in ("License-Expression", "License"))
     short = short if len(short) <= LONGEST and short != "UNKNOWN" else ""
-    return about.get("License-Expression") or short or " AND ".join(text.rpartition(" :: ")[2] for text in classifiers)
+    return expression or short or " AND ".join(text.rpartition(" :: ")[2] for text in classifiers)
 
 
 def direct_reasons(project: str) -> dict[str, str]:
