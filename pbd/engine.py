@@ -19,7 +19,10 @@ os.environ.setdefault("TI_ENABLE_TORCH", "0")  # torch, if installed, would add 
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
 os.environ.setdefault("TI_ENABLE_PYBUF", "0")  # in a notebook Taichi would announce that it is in one
 
-import taichi as ti
+if os.environ.get("GUBE_ENGINE") == "quadrants":
+    import quadrants as ti
+else:
+    import taichi as ti
 
 from pbd.errors import InputError
 

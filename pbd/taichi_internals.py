@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import is_dataclass
 from functools import lru_cache
 from types import SimpleNamespace
 from typing import Any
@@ -19,7 +20,6 @@ from pbd.engine import ensure_initialized, is_running, ti
 __all__ = ["Launch", "in_kernel", "local", "quickly_compiled", "same", "signature", "subscript"]
 
 impl, kernel_impl = ti.lang.impl, ti.lang.kernel_impl
-Context = ti.lang.ast.ast_transformer_utils.ASTTransformerContext
 
 
 def _place(self: Any, node: Any) -> str:
@@ -39,7 +39,8 @@ def _make_translation_fast() -> None:
     used several times in a kernel is looked up in its file, cut out and laid out anew each time. And for every function
     that is decorated, the source of the module around it is read.
     """
-    Context.get_pos_info, kernel_impl._inside_class = _place, _inside_class
+    context = ti.lang.ast.ast_transformer_utils.ASTTransformerContext
+    context.get_pos_info, kernel_impl._inside_class = _place, _inside_class
     for name in ("getsourcelines", "getsourcefile"):
         setattr(kernel_impl, name, lru_cache(maxsize=None)(getattr(kernel_impl, name)))
     text = kernel_impl.textwrap
@@ -75,8 +76,13 @@ def _compilation_of(kernel: Any) -> Iterator[None]:
 
 
 def in_kernel(function: Any) -> Any:
-    """Mark a Python function or class that kernels call while they are compiled, so that Taichi does not warn of it."""
-    setattr(function, "_is_taichi_function", False)  # noqa: B010
+    """Mark a Python function or class that kernels call while they are compiled, so that Taichi does not warn of it.
+
+    A dataclass is one no longer: Quadrants would hand on its members as so many arguments.
+    """
+    setattr(function, f"_is_{ti.__name__}_function", False)  # noqa: B010
+    if is_dataclass(function):
+        delattr(function, "__dataclass_fields__")  # noqa: B043
     return function
 
 
@@ -93,7 +99,12 @@ def same(array: Any, other: Any) -> bool:
 
 def signature(kernel: Callable[..., None]) -> dict[str, Any]:
     """Names and types of the arguments of a ``ti.kernel``."""
-    return {argument.name: argument.annotation for argument in getattr(kernel, "_primal").arguments}  # noqa: B009
+    return {argument.name: argument.annotation for argument in _arguments(getattr(kernel, "_primal"))}  # noqa: B009
+
+
+def _arguments(kernel: Any) -> list[Any]:
+    """Descriptions of a kernel's arguments, each with a name and an annotation."""
+    return kernel.arg_metas if hasattr(kernel, "arg_metas") else kernel.arguments  # Quadrants; Taichi
 
 
 def local(value: Any) -> Any:
