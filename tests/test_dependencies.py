@@ -31,7 +31,7 @@ RUN = {
     "wheel": ("Makefile", "--no-build-isolation"),  # setuptools of that environment asks for it
 }
 FOLDERS = ("gube", "pbd", "assets", "wrinkles", "runtime", "precompute", "tests", "docs")
-NOT_LOCKED = {"bpy", "mujoco", "newton", "pybullet", "pypbd", "tomli"}  # rivals; for Python 3.10
+NOT_LOCKED = {"bpy", "mujoco", "newton", "pybullet", "pypbd", "quadrants", "tomli"}  # other engines; for Python 3.10
 
 
 def unhashed(lock: str) -> list[str]:
