@@ -51,6 +51,7 @@ def test_a_bad_thread_count_in_the_environment_is_refused(value: str) -> None:
     assert "GUBE_THREADS" in result.stdout and value in result.stdout
 
 
+@pytest.mark.skipif(PREFIX == "QD", reason="another name asks for Taichi, which need not be installed")
 def test_an_engine_that_there_is_not_is_refused() -> None:
     script = (
         "from pbd import InputError, ensure_initialized\ntry: ensure_initialized()\nexcept InputError as e: print(e)"
@@ -82,6 +83,7 @@ def test_one_thread_and_two_share_compiled_kernels(tmp_path: Path) -> None:
     assert one == two and one[0]
 
 
+@pytest.mark.skipif(PREFIX == "QD", reason="keeps kernels whatever lock there is")
 def test_a_lock_that_was_left_does_not_keep_kernels_from_being_kept(tmp_path: Path) -> None:
     lock = tmp_path / f"{PREFIX.lower()}cache.lock"
     lock.touch()
