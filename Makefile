@@ -7,7 +7,7 @@ WEB_SOURCES := package.json package-lock.json $(WEB)/three.js $(WEB)/loops.ts
 export PYTHONHASHSEED := 0
 export GUBE_DATA ?= $(CURDIR)/../shared/data
 
-.PHONY: demo docs gallery garments scenes blender test browser-test lint format proofs proofs-long gpu-proofs lock clean
+.PHONY: demo docs gallery garments scenes blender test browser-test lint format proofs proofs-long gpu-proofs licences lock clean
 
 demo: .venv/ready
 	$(BIN)/gube demo
@@ -114,9 +114,13 @@ $(WEB)/built/three.js: .venv/installed $(WEB_SOURCES)
 	$(BIN)/python -m pip install -qq --disable-pip-version-check --no-deps --no-build-isolation -e .
 	touch $@
 
-# Needs uv. Keeps the versions that the lock has; add UPGRADE=--upgrade for new ones.
+# Lists all that is locked, with licence and use, and writes it for the wheel: dependencies.cdx.json.
+licences: .venv/ready
+	$(BIN)/python -m docs.site.dependencies
+
+# Needs uv; then `make licences`. Keeps the versions that the lock has; add UPGRADE=--upgrade for new ones.
 lock:
-	echo pip | uv pip compile pyproject.toml - --extra all --generate-hashes --universal --python-version 3.11 \
+	uv pip compile pyproject.toml --extra all --generate-hashes --universal --python-version 3.11 \
 		--no-header --no-annotate --no-emit-index-url $(UPGRADE) --output-file requirements.lock
 
 clean:

@@ -1,9 +1,9 @@
 """The one module that sets Taichi up.
 
-Every kernel of the project is written against the ``ti`` that this module exports, so that a maintained
-fork of Taichi can take its place here. Importing the module is cheap: Taichi itself is loaded, but
-no runtime is created before :func:`ensure_initialized`. Code that depends on the insides of Taichi is in
-:mod:`pbd.taichi_internals`.
+Every kernel of the project is written against the ``ti`` that this module exports. With ``GUBE_ENGINE=quadrants`` in
+the environment it is the maintained fork Quadrants (``pip install gube[quadrants]``). Importing the module is cheap:
+Taichi itself is loaded, but no runtime is created before :func:`ensure_initialized`. Code that depends on the insides
+of Taichi is in :mod:`pbd.taichi_internals`.
 """
 
 from __future__ import annotations
@@ -12,16 +12,26 @@ import io
 import os
 import threading
 import time
+import warnings
 from contextlib import redirect_stdout, suppress
 from pathlib import Path
 
-os.environ.setdefault("TI_ENABLE_TORCH", "0")  # torch, if installed, would add seconds to the import
-os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
-os.environ.setdefault("TI_ENABLE_PYBUF", "0")  # in a notebook Taichi would announce that it is in one
-
-import taichi as ti
-
 from pbd.errors import InputError
+
+ENGINES = {"taichi": "TI", "quadrants": "QD"}  # and what their settings in the environment begin with
+_engine = os.environ.get("GUBE_ENGINE", "taichi")
+_prefix = ENGINES.get(_engine, "TI")
+os.environ.setdefault(f"{_prefix}_ENABLE_TORCH", "0")  # torch, if installed, would add seconds to the import
+os.environ.setdefault(f"ENABLE_{_engine.upper()}_HEADER_PRINT", "0")
+os.environ.setdefault(f"{_prefix}_ENABLE_PYBUF", "0")  # in a notebook Taichi would announce that it is in one
+
+if _engine == "quadrants":
+    import quadrants as ti  # pyright: ignore[reportMissingImports]
+
+    # A call of a kernel with a named tuple is looked up anew each time; those that are called often do not look up.
+    warnings.filterwarnings("ignore", message=".*Template mapper caching disabled")
+else:
+    import taichi as ti
 
 __all__ = ["cuda_is_here", "ensure_initialized", "is_running", "running_arch", "running_threads", "ti"]
 
@@ -60,6 +70,8 @@ def ensure_initialized(arch: str = "cpu", threads: int | None = None) -> None:
                 received={"arch": arch, "threads": threads},
                 expected=f"{_settings}, or a fresh process",
             )
+        if _engine not in ENGINES:
+            raise InputError("unknown engine", key="GUBE_ENGINE", received=_engine, expected=" or ".join(ENGINES))
         wish = os.environ.get("GUBE_THREADS", "0")
         if not wish.isdecimal():
             raise InputError(
@@ -112,8 +124,8 @@ def _remove_left_lock() -> None:
 
     Taichi waits some seconds for it at every start, and then neither reads nor keeps any kernel, without a word.
     """
-    folder = os.environ.get("TI_OFFLINE_CACHE_FILE_PATH") or ti.lang.impl.default_cfg().offline_cache_file_path
-    lock = Path(folder) / "ticache.lock"
+    path = os.environ.get(f"{_prefix}_OFFLINE_CACHE_FILE_PATH") or ti.lang.impl.default_cfg().offline_cache_file_path
+    lock = Path(path) / f"{_prefix.lower()}cache.lock"
     with suppress(OSError):  # there is none, or it is another user's
         if time.time() - lock.stat().st_mtime > LOCKED_AT_MOST:
             lock.unlink()
@@ -121,7 +133,7 @@ def _remove_left_lock() -> None:
 
 def cuda_is_here() -> bool:
     """Whether there is an NVIDIA GPU with its driver."""
-    return bool(ti.lang.impl._ti_core.with_cuda())
+    return bool(getattr(ti.lang.impl, f"_{_prefix.lower()}_core").with_cuda())
 
 
 def running_arch() -> str:

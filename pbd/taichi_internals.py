@@ -1,14 +1,17 @@
-"""The insides of Taichi 1.7 that the project depends on, all in this module.
+"""The insides of Taichi 1.7 and of Quadrants 1.3 that the project depends on, all in this module.
 
-Another Taichi may have other insides. Then kernels still run: :class:`Launch` calls them in the ordinary way.
+Another version may have other insides. Then kernels still run: :class:`Launch` calls them in the ordinary way.
 """
 
 from __future__ import annotations
 
+import copyreg
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import is_dataclass
 from functools import lru_cache
+from operator import attrgetter
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,8 +21,8 @@ from pbd.engine import ensure_initialized, is_running, ti
 
 __all__ = ["Launch", "in_kernel", "local", "quickly_compiled", "same", "signature", "subscript"]
 
+QUADRANTS = ti.__name__ == "quadrants"
 impl, kernel_impl = ti.lang.impl, ti.lang.kernel_impl
-Context = ti.lang.ast.ast_transformer_utils.ASTTransformerContext
 
 
 def _place(self: Any, node: Any) -> str:
@@ -39,7 +42,10 @@ def _make_translation_fast() -> None:
     used several times in a kernel is looked up in its file, cut out and laid out anew each time. And for every function
     that is decorated, the source of the module around it is read.
     """
-    Context.get_pos_info, kernel_impl._inside_class = _place, _inside_class
+    kernel_impl._inside_class = _inside_class
+    if QUADRANTS:
+        return  # has mended the rest itself
+    ti.lang.ast.ast_transformer_utils.ASTTransformerContext.get_pos_info = _place
     for name in ("getsourcelines", "getsourcefile"):
         setattr(kernel_impl, name, lru_cache(maxsize=None)(getattr(kernel_impl, name)))
     text = kernel_impl.textwrap
@@ -48,7 +54,9 @@ def _make_translation_fast() -> None:
 
 try:
     _make_translation_fast()
-except AttributeError:  # another Taichi
+    if QUADRANTS:  # its kernels are objects; like functions, they go to other processes by their names
+        copyreg.pickle(ti.lang._quadrants_callable.QuadrantsCallable, attrgetter("__qualname__"))
+except AttributeError:  # another version
     pass
 
 
@@ -75,8 +83,13 @@ def _compilation_of(kernel: Any) -> Iterator[None]:
 
 
 def in_kernel(function: Any) -> Any:
-    """Mark a Python function or class that kernels call while they are compiled, so that Taichi does not warn of it."""
-    setattr(function, "_is_taichi_function", False)  # noqa: B010
+    """Mark a Python function or class that kernels call while they are compiled, so that Taichi does not warn of it.
+
+    A dataclass is one no longer: Quadrants would hand on its members as so many arguments.
+    """
+    setattr(function, f"_is_{ti.__name__}_function", False)  # noqa: B010
+    if is_dataclass(function):
+        delattr(function, "__dataclass_fields__")  # noqa: B043
     return function
 
 
@@ -93,7 +106,17 @@ def same(array: Any, other: Any) -> bool:
 
 def signature(kernel: Callable[..., None]) -> dict[str, Any]:
     """Names and types of the arguments of a ``ti.kernel``."""
-    return {argument.name: argument.annotation for argument in getattr(kernel, "_primal").arguments}  # noqa: B009
+    return {argument.name: argument.annotation for argument in _arguments(getattr(kernel, "_primal"))}  # noqa: B009
+
+
+def _arguments(kernel: Any) -> list[Any]:
+    """Descriptions of a kernel's arguments, each with a name and an annotation."""
+    return kernel.arg_metas if QUADRANTS else kernel.arguments
+
+
+def _slot(position: int) -> Any:
+    """Place of an argument in a launch context."""
+    return position if QUADRANTS else (position,)
 
 
 def local(value: Any) -> Any:
@@ -138,8 +161,8 @@ class Launch:
                 if not self._ordinary:
                     self._bind(arguments)
             return
-        for slot, set_number in self._numbers:
-            set_number(slot, arguments[slot[0]])
+        for position, slot, set_number in self._numbers:
+            set_number(slot, arguments[position])
         for position, slots, convert, set_number in self._vectors:
             for slot, value in zip(slots, arguments[position], strict=True):
                 set_number(slot, convert(value))
@@ -175,19 +198,20 @@ class Launch:
 
     def _set_array(self, position: int, array: np.ndarray, inner: int) -> None:
         outer = array.shape[: array.ndim - inner]
-        self._context.set_arg_external_array_with_shape((position,), array.ctypes.data, array.nbytes, outer, 0)
+        self._context.set_arg_external_array_with_shape(_slot(position), array.ctypes.data, array.nbytes, outer, 0)
 
     def _bind(self, arguments: tuple) -> None:
         """Make a launch context for these arguments."""
         self._arrays: list[list[Any]] = []
-        self._numbers: list[tuple[tuple[int], Callable[[tuple[int], Any], None]]] = []
+        self._numbers: list[tuple[int, Any, Callable[[Any, Any], None]]] = []
         self._vectors: list[tuple[int, list[tuple[int, int]], Callable[[Any], Any], Callable[..., None]]] = []
         self._count = len(arguments)
         try:
             kernel = getattr(self._kernel, "_primal")  # noqa: B009
-            compiled = kernel.compiled_kernels[kernel.ensure_compiled(*arguments)]
-            self._context = compiled.make_launch_context()
-            for position, (argument, parameter) in enumerate(zip(arguments, kernel.arguments, strict=True)):
+            translated = kernel.materialized_kernels if QUADRANTS else kernel.compiled_kernels
+            translated = translated[kernel.ensure_compiled(*arguments)]
+            self._context = translated.make_launch_context()
+            for position, (argument, parameter) in enumerate(zip(arguments, _arguments(kernel), strict=True)):
                 wish = parameter.annotation
                 if isinstance(wish, ti.types.ndarray):
                     if type(argument) is not np.ndarray:
@@ -199,9 +223,9 @@ class Launch:
                     self._arrays.append([position, argument, argument.shape, inner])
                     self._set_array(position, argument, inner)
                 elif wish is ti.f32:
-                    self._numbers.append(((position,), self._context.set_arg_float))
+                    self._numbers.append((position, _slot(position), self._context.set_arg_float))
                 elif wish is ti.i32:
-                    self._numbers.append(((position,), self._context.set_arg_int))
+                    self._numbers.append((position, _slot(position), self._context.set_arg_int))
                 elif wish.ndim == 1 and wish.dtype == ti.f32:
                     slots = [(position, i) for i in range(wish.n)]
                     self._vectors.append((position, slots, float, self._context.set_struct_arg_float))
@@ -209,7 +233,8 @@ class Launch:
                     self._ordinary = True
                     return
             program = impl.get_runtime().prog
-            self._compiled = program.compile_kernel(program.config(), program.get_device_caps(), compiled)
+            compiled = program.compile_kernel(program.config(), program.get_device_caps(), translated)
+            self._compiled = compiled.compiled_kernel_data if QUADRANTS else compiled
         except (AttributeError, KeyError, TypeError):  # another Taichi
             self._ordinary = True
             return

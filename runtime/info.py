@@ -211,6 +211,7 @@ def check_database(path: str | Path) -> list[Check]:
     database = read_database(path)
     checks = [
         Check("file", True, f"{figures['database_mb']:.2f} MB read in {figures['load_s']:.3f} s; hashes agree"),
+        _check_build(database),
         _check_quality(database),
     ]
     try:
@@ -248,6 +249,13 @@ def check_database(path: str | Path) -> list[Check]:
     except InputError as error:
         checks.append(Check("garment", False, str(error)))
     return checks
+
+
+def _check_build(database: WrinkleDatabase) -> Check:
+    """Names the build that made the file. Files of other builds are good: how they are read follows their schema."""
+    made = f"made by gube {database.code_version} on {database.created}"
+    same = database.code_version == code_version()
+    return Check("build", True, made + (", which is this one" if same else f"; this is gube {code_version()}"))
 
 
 def _check_quality(database: WrinkleDatabase) -> Check:

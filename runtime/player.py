@@ -379,10 +379,15 @@ class Player:
     def drag(self, vertex: int, target: np.ndarray | None) -> None:
         """Hold a coarse vertex at a point in the world [m], shape (3,); None lets it go.
 
+        To let go of a vertex that went with its garment (:meth:`wear`) changes nothing: a game loop cannot know of it.
+
         Raises:
             InputError: no such vertex, or a bad target.
         """
-        check_drag(vertex, target, self.levels.subdivision.coarse_count)
+        count = self.levels.subdivision.coarse_count
+        if target is None and vertex >= count:
+            return
+        check_drag(vertex, target, count)
         self.simulation.drag(vertex, target)
         if self._coarser is not None and self._detail.level:
             self._coarser.hold()

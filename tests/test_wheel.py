@@ -34,12 +34,13 @@ def test_it_holds_the_six_packages_whole_and_nothing_else(wheel: Path) -> None:
     assert shipped == in_checkout
 
 
-def test_it_carries_the_licence_and_the_command(wheel: Path) -> None:
+def test_it_carries_the_licence_the_command_and_the_list_of_dependencies(wheel: Path) -> None:
     archive = zipfile.ZipFile(wheel)
     about = [name for name in archive.namelist() if ".dist-info/" in name]
     texts = {name.partition(".dist-info/")[2]: archive.read(name).decode() for name in about}
     assert texts["licenses/LICENSE"].startswith("MIT License")
     assert "gube = runtime.command:main" in texts["entry_points.txt"]
+    assert texts["sboms/dependencies.cdx.json"] == (ROOT / "dependencies.cdx.json").read_text(encoding="utf-8")
 
 
 def test_the_command_starts_from_the_wheel_alone(wheel: Path, tmp_path: Path) -> None:

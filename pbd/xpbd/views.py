@@ -6,7 +6,7 @@ be left out.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
 from pbd.engine import ti
@@ -34,7 +34,7 @@ View = TypeVar("View")
 @in_kernel
 def view_of(kind: type[View], arrays: Mapping[str, Any]) -> View:
     """A view of the arrays that have the names of its attributes."""
-    return kind(**{field.name: arrays[field.name] for field in fields(kind) if field.name in arrays})  # type: ignore[arg-type]
+    return kind(**{name: arrays[name] for name in getattr(kind, "__match_args__") if name in arrays})  # noqa: B009
 
 
 @in_kernel

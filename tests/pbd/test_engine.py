@@ -15,6 +15,8 @@ from pbd.geometry import Vec3
 from pbd.taichi_internals import Launch, quickly_compiled
 from tests.data import ROOT
 
+PREFIX, NAME = {"taichi": ("TI", "Taichi"), "quadrants": ("QD", "Quadrants")}[ti.__name__]
+
 
 def test_the_same_wish_again_does_nothing() -> None:
     ensure_initialized()
@@ -49,6 +51,17 @@ def test_a_bad_thread_count_in_the_environment_is_refused(value: str) -> None:
     assert "GUBE_THREADS" in result.stdout and value in result.stdout
 
 
+@pytest.mark.skipif(PREFIX == "QD", reason="another name asks for Taichi, which need not be installed")
+def test_an_engine_that_there_is_not_is_refused() -> None:
+    script = (
+        "from pbd import InputError, ensure_initialized\ntry: ensure_initialized()\nexcept InputError as e: print(e)"
+    )
+    settings = {**os.environ, "GUBE_ENGINE": "warp"}
+    command = [sys.executable, "-c", script]
+    result = subprocess.run(command, cwd=ROOT, env=settings, capture_output=True, text=True, check=True)
+    assert "GUBE_ENGINE" in result.stdout and "taichi or quadrants" in result.stdout
+
+
 def _compiled(folder: Path, threads: str = "1") -> tuple[list[str], str]:
     """Kernels that are kept in a folder after a process has used one, and its result."""
     script = (
@@ -56,12 +69,12 @@ def _compiled(folder: Path, threads: str = "1") -> tuple[list[str], str]:
         "ensure_initialized()\nout = np.zeros((3, 3), np.float32)\n"
         "surface_normals(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32), out)\nprint(out.tolist())\n"
     )
-    settings = {"GUBE_THREADS": threads, "TI_OFFLINE_CACHE_FILE_PATH": str(folder)}
+    settings = {"GUBE_THREADS": threads, f"{PREFIX}_OFFLINE_CACHE_FILE_PATH": str(folder)}
     result = subprocess.run(
         [sys.executable, "-c", script], cwd=ROOT, env=os.environ | settings, capture_output=True, text=True
     )
     assert result.returncode == 0, result.stderr
-    return sorted(path.name for path in folder.glob("*.tic")), result.stdout
+    return sorted(path.name for path in folder.rglob(f"*.{PREFIX[0].lower()}?c")), result.stdout
 
 
 def test_one_thread_and_two_share_compiled_kernels(tmp_path: Path) -> None:
@@ -70,8 +83,9 @@ def test_one_thread_and_two_share_compiled_kernels(tmp_path: Path) -> None:
     assert one == two and one[0]
 
 
+@pytest.mark.skipif(PREFIX == "QD", reason="keeps kernels whatever lock there is")
 def test_a_lock_that_was_left_does_not_keep_kernels_from_being_kept(tmp_path: Path) -> None:
-    lock = tmp_path / "ticache.lock"
+    lock = tmp_path / f"{PREFIX.lower()}cache.lock"
     lock.touch()
     assert not _compiled(tmp_path)[0] and lock.exists()  # someone may be at work
     os.utime(lock, (0.0, 0.0))
@@ -167,7 +181,7 @@ def test_a_launch_refuses_what_a_call_refuses(place: int, value: object) -> None
     before = arguments[0].copy()
     bad = list(arguments)
     bad[place] = value
-    with pytest.raises((TypeError, ValueError, ti.TaichiRuntimeTypeError)):
+    with pytest.raises((TypeError, ValueError, getattr(ti, f"{NAME}RuntimeTypeError"))):
         launch(*bad)
     assert np.array_equal(arguments[0], before)
     _compare(launch, arguments)
@@ -218,7 +232,9 @@ def test_a_quickly_compiled_kernel_has_the_same_bits() -> None:
     config, seen = ti.lang.impl.get_runtime().prog.config(), []
     kernel = getattr(move, "_primal")  # noqa: B009
     ordinary = kernel.launch_kernel
-    kernel.launch_kernel = lambda *arguments: (seen.append(config.cfg_optimization), ordinary(*arguments))[1]
+    kernel.launch_kernel = lambda *arguments, **more: (
+        seen.append(config.cfg_optimization), ordinary(*arguments, **more)
+    )[1]  # fmt: skip
     quick, analysed, launch = points.copy(), points.copy(), Launch(move)
     launch(quick, weights)
     assert seen == [False] and config.cfg_optimization
@@ -232,7 +248,7 @@ def test_the_place_of_an_error_in_a_kernel_is_named() -> None:
         points[0] = missing  # pyright: ignore[reportUndefinedVariable] # noqa: F821
 
     ensure_initialized()
-    with pytest.raises(ti.TaichiCompilationError, match=r"test_engine\.py.*line \d+, in wrong"):
+    with pytest.raises(getattr(ti, f"{NAME}CompilationError"), match=r"test_engine\.py.*line \d+, in wrong"):
         wrong(np.zeros((1, 3), np.float32))
 
 

@@ -163,6 +163,7 @@ def test_a_sound_database_passes_every_check(write: Callable[..., Path]) -> None
     checks = check_database(write())
     assert [check.check for check in checks] == [
         "file",
+        "build",
         "held-out motion",
         "one rest metric",
         "coarse model",
@@ -171,7 +172,14 @@ def test_a_sound_database_passes_every_check(write: Callable[..., Path]) -> None
         "decoding a torn garment",
     ]
     assert all(check.passed for check in checks)
-    assert "5.50 deg, smooth 11.20 deg" in checks[1].detail
+    assert "5.50 deg, smooth 11.20 deg" in checks[2].detail
+
+
+def test_a_check_names_the_build_that_made_the_file(write: Callable[..., Path]) -> None:
+    other = check_database(write())[1].detail
+    own = check_database(write(code_version=code_version()))[1].detail
+    assert other.startswith("made by gube 0.1.0+0123456789ab on ") and other.endswith(f"this is gube {code_version()}")
+    assert own.startswith(f"made by gube {code_version()} on ") and own.endswith(", which is this one")
 
 
 def scaled(factor: float) -> dict[str, Any]:
@@ -241,7 +249,7 @@ def test_gube_check_has_a_row_for_every_check_and_its_status(
     out = tmp_path / "check.json"
     assert command.main(["check", str(write()), "--json", str(out)]) == 0
     rows = json.loads(out.read_text(encoding="utf-8"))["rows"]
-    assert [row["passed"] for row in rows] == [True] * 7
+    assert [row["passed"] for row in rows] == [True] * 8
     assert set(rows[0]) == {"check", "passed", "detail"}
     bad = write(**scaled(1e9))
     assert command.main(["check", str(bad)]) == 1

@@ -11,6 +11,7 @@ from assets.io.scene import parse_scene
 from assets.motion import ClipMotion
 from assets.procedural.mannequin import builtin_mannequin
 from pbd import InputError
+from runtime.game_loop import GameLoop, LiveInput
 from runtime.garment_setup import GarmentSetup
 from runtime.player import Player
 from tests.runtime.players import OUTFIT, outfit_database, random_database
@@ -62,6 +63,25 @@ def test_garments_are_taken_off_and_put_on_without_a_jump() -> None:
     player.wear(["trousers"])
     player.wear(["trousers", "skirt"])
     assert len(player.vertices) == len(again)
+
+
+def test_a_game_loop_lets_go_of_a_vertex_that_went_with_its_garment() -> None:
+    body = builtin_mannequin()
+    motion, drag = ClipMotion(body, "walk"), [True]
+    player = Player(outfit_database(), body, motion.pose(0.0))
+    last = player.simulation.model.vertex_count - 1
+
+    def live(t: float) -> LiveInput:
+        return LiveInput(motion.pose(t), (0.0, 0.0, 0.0), (last, np.zeros(3)) if drag[0] else None)
+
+    loop = GameLoop(player, live)
+    loop.advance(1 / 60)
+    player.wear(["skirt"])
+    assert last >= player.simulation.model.vertex_count
+    drag[0] = False
+    loop.advance(1 / 60)
+    with pytest.raises(InputError, match="no such simulated vertex"):
+        player.drag(last, np.zeros(3))
 
 
 def test_garments_that_an_outfit_lacks_are_refused() -> None:
