@@ -9,7 +9,9 @@ import numpy as np
 
 from pbd.errors import InputError
 
-__all__ = ["Fabric"]
+__all__ = ["MAX_STIFFENING_STRAIN", "Fabric", "stiffening_stress"]
+
+MAX_STIFFENING_STRAIN = 0.2  # up to which tension is a cubic of the strain [-]: fabrics are measured up to 17 %
 
 
 @dataclass(frozen=True)
@@ -32,10 +34,14 @@ class Fabric:
         bend_hysteresis_warp: width of the loop that the moment per width makes over the curvature along the warp when
             the cloth is bent to and fro, Kawabata's 2HB [N]: twice the moment of its internal friction.
         bend_hysteresis_weft: the same along the weft [N].
+        stiffening_warp_10: tension along the warp at 10 % strain, over ``stretch_warp`` times the strain [-]; 1 for a
+            straight line. Curves of knits are J-shaped: 2 to 10.
+        stiffening_warp_20: the same at 20 % strain. See :meth:`stiffening`.
+        stiffening_weft_10, stiffening_weft_20: the same along the weft [-].
 
     Raises:
-        InputError: a value that is not finite, not positive where it must be, or a Poisson ratio for which the
-            elasticity is not positive definite; all of them at once.
+        InputError: a value that is not finite, not positive where it must be, a Poisson ratio for which the
+            elasticity is not positive definite, or a tension that falls with strain; all of them at once.
     """
 
     areal_density: float = 0.15
@@ -51,6 +57,10 @@ class Fabric:
     air_drag: float = 1.0
     bend_hysteresis_warp: float = 0.0
     bend_hysteresis_weft: float = 0.0
+    stiffening_warp_10: float = 1.0
+    stiffening_warp_20: float = 1.0
+    stiffening_weft_10: float = 1.0
+    stiffening_weft_20: float = 1.0
 
     def __post_init__(self) -> None:
         errors = []
@@ -74,8 +84,32 @@ class Fabric:
                     expected=f"below sqrt(E1/E2) = {limit:.3g}",
                 )
             )
+        if not errors:
+            errors += self._falling()
         if errors:
             raise InputError.join(errors)
+
+    def _falling(self) -> list[InputError]:
+        """An error for each axis along which tension falls with strain somewhere."""
+        strain = np.linspace(0.0, MAX_STIFFENING_STRAIN, 101)
+        errors = []
+        for axis, (first, second) in zip(("warp", "weft"), self.stiffening(), strict=True):
+            if (1.0 + strain * (2.0 * first + 3.0 * second * strain)).min() <= 0.0:
+                received = tuple(getattr(self, f"stiffening_{axis}_{percent}") for percent in (10, 20))
+                expected = "tension that rises with strain up to 20 %"
+                key = f"fabric.stiffening_{axis}_10, _20"
+                errors.append(InputError("tension that falls", key=key, received=received, expected=expected))
+        return errors
+
+    def stiffening(self) -> np.ndarray:
+        """(a, b) of the warp and of the weft [-], shape (2, 2): tension is E h e (1 + a e + b e^2) at a strain e.
+
+        So up to ``MAX_STIFFENING_STRAIN``; beyond it the curve goes on along its tangent. Under compression it is the
+        straight line E h e.
+        """
+        ten = np.array([self.stiffening_warp_10, self.stiffening_weft_10]) - 1.0
+        twenty = np.array([self.stiffening_warp_20, self.stiffening_weft_20]) - 1.0
+        return np.stack([20.0 * ten - 5.0 * twenty, 50.0 * twenty - 100.0 * ten], axis=1)
 
     def membrane_stiffness(self) -> np.ndarray:
         """Plane-stress matrix D [N/m], shape (3, 3), for strains (e11, e22, gamma12 = 2 e12).
@@ -94,3 +128,23 @@ class Fabric:
         """l_g = (B / (rho_A g))^(1/3) [m] with B the geometric mean of warp and weft."""
         bend = math.sqrt(self.bend_warp * self.bend_weft)
         return (bend / (self.areal_density * 9.81)) ** (1.0 / 3.0)
+
+
+def stiffening_stress(strain: np.ndarray, law: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What stiffening adds to the tension of a fabric, over its E h.
+
+    Args:
+        strain: along the axis [-], shape (...).
+        law: (a, b) of :meth:`Fabric.stiffening`, shape (2,).
+
+    Returns:
+        Energy, stress and tangent [-], each like ``strain``; zero under compression.
+    """
+    first, second = law
+    strain = np.maximum(strain, 0.0)
+    cubic = np.minimum(strain, MAX_STIFFENING_STRAIN)
+    beyond = strain - cubic
+    energy = cubic**3 * (first / 3.0 + second * cubic / 4.0)
+    stress = cubic**2 * (first + second * cubic)
+    tangent = cubic * (2.0 * first + 3.0 * second * cubic)
+    return energy + beyond * (stress + 0.5 * beyond * tangent), stress + beyond * tangent, tangent

@@ -109,9 +109,10 @@ def layered(models: Sequence[Model], vertices: Sequence[np.ndarray] | None = Non
     before = np.cumsum([0, *plastic_counts])
     hinge_numbers = np.concatenate([model.hinge_numbers + n for model, n in zip(models, before, strict=False)])
     blocks, block_colors = blocks_of(triangle_colors)
-    values = np.concatenate([model.triangle_data[:, : len(model.triangles)] for model in models], axis=1)[
-        :, triangle_order
-    ]
+    rows = max(len(model.triangle_data) for model in models)  # more where one of the fabrics stiffens
+    own = [model.triangle_data[:, : len(model.triangles)] for model in models]
+    padded = [np.pad(values, ((0, rows - len(values)), (0, 0))) for values in own]
+    values = np.concatenate(padded, axis=1)[:, triangle_order]
     fabrics = [model.fabric for model in models]
     pressed = [np.resize(model.pressure, model.vertex_count) for model in models]  # nothing becomes zeros
     limits = [model.limits for model in models]

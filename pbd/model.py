@@ -81,6 +81,7 @@ class Model:
         held: vertices that follow targets (pins and attachments), int32, shape (p,).
         triangles: shape (m, 3); triangle_data: inverse flat, gram, unit, compliance, see
             :func:`pbd.xpbd.constraints.membrane_multipliers`, and columns to fill the last block: (12, m + BLOCK).
+            Where a fabric stiffens, four rows more: (a, b) of warp and weft, see :meth:`pbd.Fabric.stiffening`.
         triangle_colors, hinge_colors: offsets of the colours, shape (colours + 1,).
         triangle_blocks: first triangle and size of each block, all of one colour, shape (b, 2).
         block_colors: offsets of the colours of the blocks, shape (colours + 1,).
@@ -267,8 +268,10 @@ def _membrane(mesh: ClothMesh, fabric: Fabric, inverse_mass: np.ndarray) -> tupl
     unit = np.where(trace > 0, 1.0 / np.where(trace > 0, trace, 1.0), 1.0)  # without a free corner nothing moves
     softest = unit * np.abs(softness).max(axis=(1, 2))
     softness *= (MAX_SOFTNESS / np.maximum(softest, MAX_SOFTNESS))[:, None, None]
-    data = np.zeros((12, len(faces) + BLOCK), np.float32)
-    data[:, : len(faces)] = [
+    stiffening = fabric.stiffening().ravel()
+    data = np.zeros((16 if stiffening.any() else 12, len(faces) + BLOCK), np.float32)
+    data[12:, : len(faces)] = stiffening[: len(data) - 12, None]
+    data[:12, : len(faces)] = [
         *inverse.reshape(-1, 4).T,
         *(unit * gram[:, a, b] for a, b in ((0, 0), (0, 1), (1, 1))),
         unit,

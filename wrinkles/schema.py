@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 22
+SCHEMA_VERSION = 23
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE, STEPS = "text", "float32", "float64", "int32", "int64", "int8"
 

@@ -1,7 +1,8 @@
 """Membranes of constant-strain triangles: one element, four measures of strain.
 
 The element's energy is A/2 e^T D e with e = (e11, e22, 2 e12) a function of F = [w_u w_v], the images of the warp and
-weft axes. What tells the models apart is e(F).
+weft axes. What tells the models apart is e(F). A fabric that stiffens adds an energy of e11 alone and one of e22 alone,
+each in the model's own strain.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from pbd.fabric import Fabric
+from pbd.fabric import Fabric, stiffening_stress
 from pbd.mesh import ClothMesh
 from pbd.models.elements import ElementEnergy, clamped
 
@@ -143,18 +144,24 @@ class LinearStrain:
 
 
 class Membrane(ElementEnergy):
-    """Sum of A/2 e^T D e over the triangles of a mesh.
+    """Sum of A/2 e^T D e over the triangles of a mesh, and of what stiffening adds along warp and weft.
 
     Args:
         mesh: the cloth.
         strain: e(F).
         stiffness: D, for (e11, e22, 2 e12) [N/m], shape (3, 3).
+        fabric: for its stiffening; None for none.
     """
 
     per_element = ("rows", "areas", "frames")
 
-    def __init__(self, mesh: ClothMesh, strain: Strain, stiffness: np.ndarray) -> None:
+    def __init__(self, mesh: ClothMesh, strain: Strain, stiffness: np.ndarray, fabric: Fabric | None = None) -> None:
         super().__init__(mesh.faces, len(mesh.vertices))
+        # (axis, E h, law) of the axes along which the fabric stiffens.
+        self.stiffening: list[tuple[int, float, np.ndarray]] = []
+        if fabric is not None:
+            laws = zip((fabric.stretch_warp, fabric.stretch_weft), fabric.stiffening(), strict=True)
+            self.stiffening = [(axis, young, law) for axis, (young, law) in enumerate(laws) if law.any()]
         self.strain, self.stiffness, self.areas = strain, stiffness, mesh.face_areas
         self.rows = deformation_rows(mesh)
         self.frames = strain.frames if isinstance(strain, LinearStrain) else np.zeros(len(mesh.faces))
@@ -172,19 +179,32 @@ class Membrane(ElementEnergy):
 
     def values(self, corners: np.ndarray) -> np.ndarray:
         strain = self.strain.values(deformation(self.rows, corners))
-        return 0.5 * self.areas * np.einsum("ma,ab,mb->m", strain, self.stiffness, strain)
+        energy = 0.5 * np.einsum("ma,ab,mb->m", strain, self.stiffness, strain)
+        for axis, young, law in self.stiffening:
+            energy += young * stiffening_stress(strain[:, axis], law)[0]
+        return self.areas * energy
+
+    def _stress(self, strain: np.ndarray) -> np.ndarray:
+        stress = strain @ self.stiffness
+        for axis, young, law in self.stiffening:
+            stress[:, axis] += young * stiffening_stress(strain[:, axis], law)[1]
+        return stress
 
     def slopes(self, corners: np.ndarray) -> np.ndarray:
         f = deformation(self.rows, corners)
-        stress = self.strain.values(f) @ self.stiffness * self.areas[:, None]
+        stress = self._stress(self.strain.values(f)) * self.areas[:, None]
         pull = np.einsum("ms,msia->mia", stress, self.strain.slopes(f))
         return np.einsum("mca,mia->mci", self.rows, pull)
 
     def curvatures(self, corners: np.ndarray, positive: bool) -> np.ndarray:
         f = deformation(self.rows, corners)
-        stress = self.strain.values(f) @ self.stiffness
+        strain = self.strain.values(f)
+        stress = self._stress(strain)
         slopes = self.strain.slopes(f).reshape(-1, 3, 6)
         inner = slopes.transpose(0, 2, 1) @ self.stiffness @ slopes
+        for axis, young, law in self.stiffening:
+            tangent = young * stiffening_stress(strain[:, axis], law)[2]
+            inner += tangent[:, None, None] * slopes[:, axis, :, None] * slopes[:, axis, None]
         inner += self.strain.curvatures(f, stress).reshape(-1, 6, 6)
         if positive:
             inner = clamped(inner)
@@ -215,14 +235,15 @@ def continuum_membrane(mesh: ClothMesh, fabric: Fabric, kind: str) -> Membrane:
     """Orthotropic plane stress by name: ``linear``, ``corotational`` or ``stvk``."""
     if kind == "linear":
         frames = rotations(deformation(deformation_rows(mesh), mesh.vertices[mesh.faces]))
-        return Membrane(mesh, LinearStrain(frames), fabric.membrane_stiffness())
+        return Membrane(mesh, LinearStrain(frames), fabric.membrane_stiffness(), fabric)
     strain = {"corotational": CorotationalStrain, "stvk": GreenStrain}[kind]()
-    return Membrane(mesh, strain, fabric.membrane_stiffness())
+    return Membrane(mesh, strain, fabric.membrane_stiffness(), fabric)
 
 
 def condition_membrane(mesh: ClothMesh, fabric: Fabric) -> Membrane:
     """Baraff and Witkin's stretch and shear: three springs that know nothing of each other, so Poisson's ratio is 0."""
-    return Membrane(mesh, ConditionStrain(), np.diag([fabric.stretch_warp, fabric.stretch_weft, fabric.shear]))
+    stiffness = np.diag([fabric.stretch_warp, fabric.stretch_weft, fabric.shear])
+    return Membrane(mesh, ConditionStrain(), stiffness, fabric)
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:

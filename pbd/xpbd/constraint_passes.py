@@ -10,6 +10,7 @@ from pbd.xpbd.constraints import (
     limit_correction,
     membrane_multipliers,
     rubbing_hinge,
+    stiffened,
     stitch_multiplier,
     tether_correction,
 )
@@ -59,30 +60,46 @@ def solve_membrane(
             if levels > 0:
                 e = multigrid.coarse_strain[multigrid.parent[f[0]]]
                 e1[a], e2[a], e3[a] = e[0], e[1], e[2]
-        for a in range(BLOCK):  # the triangles beyond the block's size come to nothing
-            c = begin + a
-            inverse_flat = row4(constraints.triangle_data, 0, c)
-            g = membrane_multipliers(
-                vec3(x1[a], y1[a], z1[a]),
-                vec3(x2[a], y2[a], z2[a]),
-                inverse_flat,
-                vec3(constraints.triangle_data[4, c], constraints.triangle_data[5, c], constraints.triangle_data[6, c]),
-                inverse_h2 * row4(constraints.triangle_data, 8, c),
-                constraints.triangle_data[7, c],
-                compression_compliance_scale,
-                vec3(e1[a], e2[a], e3[a]),
-            )
-            gu, gv = vec3(g[0, 0], g[1, 0], g[2, 0]), vec3(g[0, 1], g[1, 1], g[2, 1])
-            m1 = inverse_flat[0] * gu + inverse_flat[1] * gv
-            m2 = inverse_flat[2] * gu + inverse_flat[3] * gv
-            x1[a], y1[a], z1[a] = m1[0], m1[1], m1[2]
-            x2[a], y2[a], z2[a] = m2[0], m2[1], m2[2]
+        # A kernel has the loop twice, so that fabrics that do not stiffen pay nothing.
+        for stiffens in ti.static((False, True)):
+            if stiffens == (constraints.triangle_data.shape[0] > 12):
+                for a in range(BLOCK):  # the triangles beyond the block's size come to nothing
+                    c = begin + a
+                    inverse_flat = row4(constraints.triangle_data, 0, c)
+                    side_1, side_2 = vec3(x1[a], y1[a], z1[a]), vec3(x2[a], y2[a], z2[a])
+                    gram = row3(constraints.triangle_data, 4, c)
+                    compliance = inverse_h2 * row4(constraints.triangle_data, 8, c)
+                    borne = vec3(e1[a], e2[a], e3[a])
+                    if ti.static(stiffens):
+                        law = row4(constraints.triangle_data, 12, c)
+                        compliance, borne = stiffened(side_1, side_2, inverse_flat, gram, compliance, law, borne)
+                    g = membrane_multipliers(
+                        side_1,
+                        side_2,
+                        inverse_flat,
+                        gram,
+                        compliance,
+                        constraints.triangle_data[7, c],
+                        compression_compliance_scale,
+                        borne,
+                    )
+                    gu, gv = vec3(g[0, 0], g[1, 0], g[2, 0]), vec3(g[0, 1], g[1, 1], g[2, 1])
+                    m1 = inverse_flat[0] * gu + inverse_flat[1] * gv
+                    m2 = inverse_flat[2] * gu + inverse_flat[3] * gv
+                    x1[a], y1[a], z1[a] = m1[0], m1[1], m1[2]
+                    x2[a], y2[a], z2[a] = m2[0], m2[1], m2[2]
         for a in range(size):
             f = constraints.triangles[begin + a]
             m1, m2 = ti.math.vec4(x1[a], y1[a], z1[a], 0.0), ti.math.vec4(x2[a], y2[a], z2[a], 0.0)
             cloth.position_delta[f[0]] = cloth.position_delta[f[0]] - cloth.position[f[0]][3] * (m1 + m2)
             cloth.position_delta[f[1]] = cloth.position_delta[f[1]] + cloth.position[f[1]][3] * m1
             cloth.position_delta[f[2]] = cloth.position_delta[f[2]] + cloth.position[f[2]][3] * m2
+
+
+@ti.func
+def row3(data: ti.template(), first: ti.template(), c: ti.i32):
+    """Three rows of a column, from the first on."""
+    return vec3(data[first, c], data[first + 1, c], data[first + 2, c])
 
 
 @ti.func

@@ -6,6 +6,7 @@ term of XPBD (Macklin, Mueller, Chentanez 2016, eq. 18) keeps material stiffness
 """
 
 from pbd.engine import ti
+from pbd.fabric import MAX_STIFFENING_STRAIN
 
 __all__ = [
     "FRICTION_STIFFNESS",
@@ -19,6 +20,7 @@ __all__ = [
     "membrane_multipliers",
     "rubbing_hinge",
     "spring_multiplier",
+    "stiffened",
     "stitch_multiplier",
     "tether_correction",
 ]
@@ -31,6 +33,8 @@ MIN_DETERMINANT = 1e-6  # of a triangle's system, over the product of its diagon
 # The shear acts as if warp and weft met at no sharper angle than 51 deg. Where they lie along each other, the true
 # slope of the cosine is zero, and the correction would be without bounds.
 MIN_SQUARED_SINE = 0.6  # of that angle
+
+STRAIN_STEPS = 4  # of Newton's method for the strain at which a triangle comes to rest
 
 FRICTION_STIFFNESS = 3.0  # of a hinge's element of internal friction over its elastic stiffness [-]
 # A hinge is nearly closed when (x_j - x_i) x (x_k - x_l) is no longer than this times its edge squared [-].
@@ -109,6 +113,68 @@ def membrane_multipliers(
     ls = scale * (c02 * cu + c12 * cv + c22 * cs_left)
     gu, gv = lu * nu + ls * tu, lv * nv + ls * tv
     return mat3x2([[gu[0], gv[0]], [gu[1], gv[1]], [gu[2], gv[2]]])
+
+
+@ti.func
+def stiffening_ratio(
+    strain: ti.f32, mobility: ti.f32, compliance: ti.f32, borne: ti.f32, first: ti.f32, second: ti.f32
+):
+    """What stiffening adds to the tension of an axis at the end of a substep, over E h times the strain [-].
+
+    The tension is E h (c + s(c)) with s of :func:`pbd.fabric.stiffening_stress`. Newton's method finds the strain c at
+    which the triangle comes to rest if nothing else moves it: c + (g/alpha) (c + s(c) - e) = strain. Taken at the
+    predicted strain instead, the tension would be too great, the more so the longer the substep.
+
+    Args:
+        strain: predicted [-].
+        mobility, compliance: g and alpha/h^2 of the axis, both times ``unit`` [-].
+        borne: e, strain that the coarser levels bear already [-].
+        first, second: (a, b) of the axis [-].
+    """
+    share = mobility / compliance
+    c = larger(strain, 0.0)
+    for _ in ti.static(range(STRAIN_STEPS)):
+        m = ti.min(c, MAX_STIFFENING_STRAIN)
+        slope = m * (2.0 * first + 3.0 * second * m)
+        stress = m * m * (first + second * m) + slope * (c - m)
+        c = larger(c - (c - strain + share * (c + stress - borne)) / (1.0 + share * (1.0 + slope)), 0.0)
+    m = ti.min(c, MAX_STIFFENING_STRAIN)
+    return (m * m * (first + second * m) + m * (2.0 * first + 3.0 * second * m) * (c - m)) / larger(c, 1e-12)
+
+
+@ti.func
+def stiffened(side_1: vec3, side_2: vec3, inverse_flat, gram, compliance, law, coarse_strain):
+    """Compliance of a triangle whose warp and weft are stiffer the more they are stretched, by their secants.
+
+    With E1 h f1 and E2 h f2 added to the diagonal of D, the compliance is (D + F)^-1. The strain that the coarser
+    levels bear stands for a tension; the stiffened triangle bears it at (D + F)^-1 D times that strain.
+
+    Args:
+        side_1, side_2, inverse_flat, gram, compliance, coarse_strain: as for :func:`membrane_multipliers`.
+        law: (a, b) of the warp and of the weft [-], see :meth:`pbd.Fabric.stiffening`.
+
+    Returns:
+        compliance and coarse_strain of the stiffened triangle; the same bits where neither axis stays stretched.
+    """
+    cu = (side_1 * inverse_flat[0] + side_2 * inverse_flat[2]).norm() - 1.0
+    cv = (side_1 * inverse_flat[1] + side_2 * inverse_flat[3]).norm() - 1.0
+    au, auv, av = compliance[0], compliance[1], compliance[2]
+    fu = stiffening_ratio(cu, gram[0], au, coarse_strain[0], law[0], law[1])
+    fv = stiffening_ratio(cv, gram[2], av, coarse_strain[1], law[2], law[3])
+    # D11 = q/alpha11 and D22 = q/alpha22, with 1/q = 1 - nu12 nu21; E1 h = 1/alpha11.
+    coupling = auv * auv / (au * av)
+    q = 1.0 / (1.0 - coupling)
+    scale = 1.0 / ((q + fu) * (q + fv) - coupling * q * q)
+    nu, nv, nuv = au * (q + fv) * scale, av * (q + fu) * scale, auv * q * scale
+    eu, ev = coarse_strain[0], coarse_strain[1]
+    su, sv = fu * eu / au, fv * ev / av  # F e
+    changed = ti.abs(fu) + ti.abs(fv) > 0.0
+    return (
+        ti.math.vec4(
+            ti.select(changed, nu, au), ti.select(changed, nuv, auv), ti.select(changed, nv, av), compliance[3]
+        ),
+        vec3(eu - nu * su - nuv * sv, ev - nuv * su - nv * sv, coarse_strain[2]),
+    )
 
 
 @ti.func

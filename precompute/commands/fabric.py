@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--solver",
         metavar="S",
-        default="fem-stvk/quasi-static",
+        default="fem-corotational/quasi-static",
         help="name of the solver that moves the cloth (default: %(default)s)",
     )
     add_output_folder(parser, "out/fabric", "a folder for curves and their picture")

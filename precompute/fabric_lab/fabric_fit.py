@@ -12,8 +12,10 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from assets.fabrics import fitted_tension
 from pbd import Fabric
 from pbd.errors import InputError
+from pbd.fabric import stiffening_stress
 from pbd.storage import replacing
 from precompute.fabric_lab.laboratory import (
     DIRECTIONS,
@@ -31,6 +33,8 @@ __all__ = ["FittedCurve", "draw_fit", "fit_fabric", "read_curves"]
 COLUMNS = ("instrument", "direction", "deformation", "load")
 INSTRUMENTS = {"tension": tension_curve, "shear": shear_curve, "bending": bending_curve}
 PRESSED = ("compression", "normal")
+# A curve of tension that goes this far [-], and has so many points, says how the fabric stiffens.
+FAR_STRAIN, FAR_POINTS = 0.05, 3
 
 
 @dataclass(frozen=True)
@@ -100,11 +104,12 @@ def read_curves(path: Path) -> dict[tuple[str, str], LoadCurve]:
 def fit_fabric(
     curves: dict[tuple[str, str], LoadCurve], fabric: Fabric, setting: TrialSetting
 ) -> tuple[Fabric, list[FittedCurve]]:
-    """The fabric whose straight lines are nearest to the curves, and what it gives in the same instruments.
+    """The fabric that is nearest to the curves, and what it gives in the same instruments.
 
     A fabric has one stiffness for each instrument and axis: a line through the origin is fitted by least squares of the
-    loads. Tension at the bias gives the shear stiffness where shear itself was not measured. Van Wyk's law is a line in
-    1/T^3.
+    loads. Tension along warp or weft that is measured up to 5 % strain or further also gives the stiffening
+    (:func:`assets.fabrics.fitted_tension`). Tension at the bias gives the shear stiffness where shear itself was not
+    measured. Van Wyk's law is a line in 1/T^3.
 
     Args:
         curves: as :func:`read_curves` gives them.
@@ -124,6 +129,9 @@ def fit_fabric(
         ("bending", "weft"): "bend_weft",
     }
     fitted = replace(fabric, **{names[key]: value for key, value in line.items() if key in names})
+    for axis in ("warp", "weft"):
+        if ("tension", axis) in curves:
+            fitted = _pulled(curves["tension", axis], axis, fitted)
     bias, shear = line.get(("tension", "bias")), ("shear", "warp") in line
     if bias is not None and not shear:
         # 4/E45 = 1/E1 + 1/E2 + 1/G - 2 nu12/E1
@@ -145,10 +153,31 @@ def fit_fabric(
             continue
         drawn = INSTRUMENTS[instrument](setting, fitted, DIRECTIONS[direction], tuple(measured.deformation))
         # The strain in the middle of a strip is a little less than what its ends were given.
-        difference = drawn.load * measured.deformation / drawn.deformation - measured.load
+        far, near = (_straightened(fitted, instrument, direction, c.deformation) for c in (measured, drawn))
+        difference = drawn.load * far / near - measured.load
         error = float(np.sqrt((difference**2).mean() / (measured.load**2).mean()))
         found.append(FittedCurve(instrument, direction, measured, drawn, error))
     return fitted, found
+
+
+def _pulled(curve: LoadCurve, axis: str, fabric: Fabric) -> Fabric:
+    """With the stretch stiffness and the stiffening of a curve of tension that goes far enough."""
+    if len(curve.deformation) < FAR_POINTS or curve.deformation.max() < FAR_STRAIN:
+        return replace(fabric, **{f"stiffening_{axis}_10": 1.0, f"stiffening_{axis}_20": 1.0})
+    try:
+        stretch, ten, twenty = fitted_tension(curve.deformation, curve.load)
+    except InputError as error:
+        raise InputError(f"no curve of tension: {error}", key=f"tension {axis}") from error
+    changes = {f"stretch_{axis}": stretch, f"stiffening_{axis}_10": ten, f"stiffening_{axis}_20": twenty}
+    return replace(fabric, **changes)
+
+
+def _straightened(fabric: Fabric, instrument: str, direction: str, deformation: np.ndarray) -> np.ndarray:
+    """Deformation at which a fabric that does not stiffen would bear the same load, shape (k,)."""
+    if instrument != "tension" or direction == "bias":
+        return deformation
+    law = fabric.stiffening()[("warp", "weft").index(direction)]
+    return deformation + stiffening_stress(deformation, law)[1]
 
 
 def _pressed(curve: LoadCurve, fabric: Fabric) -> Fabric:

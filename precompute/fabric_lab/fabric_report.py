@@ -28,6 +28,7 @@ from precompute.validation.trial import TrialSetting
 __all__ = ["curve_rows", "curves_text", "draw_curves", "fabric_text", "measure_fabric", "write_curves"]
 
 STRAINS = (0.005, 0.01, 0.02)
+FAR_STRAINS = (*STRAINS, 0.05, 0.10, 0.17)  # of a fabric that stiffens
 SHEARS = (0.01, 0.04)  # [rad]
 CURVATURES = (50.0, 100.0)  # [1/m]
 PRESSURES = (50.0, 500.0, 2000.0, 5000.0)  # [Pa]
@@ -51,10 +52,11 @@ def measure_fabric(
         report: called with a line of progress.
     """
     moving = TrialSetting(edges=setting.edges) if setting.solver.endswith("quasi-static") else setting
+    strains = FAR_STRAINS if fabric.stiffening().any() else STRAINS
     curves = {}
     for direction, angle in DIRECTIONS.items():
         report(f"tension, shear and bending along the {direction}")
-        curves["tension", direction] = tension_curve(setting, fabric, angle, STRAINS)
+        curves["tension", direction] = tension_curve(setting, fabric, angle, strains)
         curves["shear", direction] = shear_curve(setting, fabric, angle, SHEARS)
         curves["bending", direction] = bending_curve(setting, fabric, angle, CURVATURES)
     report("compression, friction, drape")

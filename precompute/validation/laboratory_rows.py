@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
+from assets.fabrics import load_fabric, measured_tension
 from pbd import Fabric
 from precompute.fabric_lab.laboratory import (
     DIRECTIONS,
@@ -31,6 +34,12 @@ PRESSURES = (50.0, 500.0, 2000.0, 5000.0)  # [Pa]
 STRAINS = (0.005, 0.01, 0.02)
 SHEARS = (0.01, 0.03, 0.05)  # [rad]
 CURVATURES = (50.0, 100.0)  # [1/m]
+# Measured by Wang, O'Brien and Ramamoorthi 2011.
+CLOTHS = (
+    "gray-interlock", "camel-ponte-roma", "ivory-rib-knit", "navy-sparkle-sweat", "pink-ribbon-brown",
+    "tango-red-jet-set", "white-swim-solid", "11oz-black-denim", "royal-target", "white-dots-on-blk",
+)  # fmt: skip
+FAR_STRAINS = (0.02, 0.05, 0.10, 0.17)
 
 
 def _elastic(fabric: Fabric, angle: float) -> float:
@@ -45,6 +54,22 @@ def _tension(setting: TrialSetting, angle_deg: float, strain: float) -> TrialRes
     law = np.array([_elastic(WOVEN, math.radians(a)) for a in degrees])
     curve = Curve("angle to the warp [deg]", "E h [N/m]", (degrees, law), (np.array([angle_deg]), np.array([found])))
     return TrialResult.relative(_elastic(WOVEN, angle), found, measured.cost_ms, curve)
+
+
+def _tension_measured(setting: TrialSetting, fabric: str, direction: str) -> TrialResult:
+    """Tension at 17 %; the error is the largest of the four strains."""
+    path = Path(os.environ.get("GUBE_DATA", "out/data")) / "materials" / f"{fabric}.json"
+    if not path.is_file():
+        missing = f"no file {path} (GUBE_DATA)"
+        return TrialResult(math.nan, math.nan, math.nan, math.nan, missing=missing)
+    cloth = replace(load_fabric(path), air_drag=0.0)
+    drawn = tension_curve(setting, cloth, DIRECTIONS[direction], FAR_STRAINS)
+    law = measured_tension(path, direction, drawn.deformation)
+    errors = drawn.load / law - 1.0
+    figures = {f"error_at_{100.0 * e:.0f}_percent": float(error) for e, error in zip(FAR_STRAINS, errors, strict=True)}
+    curve = Curve("strain", "tension [N/m]", (drawn.deformation, law), (drawn.deformation, drawn.load))
+    error = float(np.abs(errors).max())
+    return TrialResult(float(law[-1]), float(drawn.load[-1]), error, drawn.cost_ms, curve, figures=figures)
 
 
 def _shear_forces(fabric: Fabric, angle: float, shears: np.ndarray) -> np.ndarray:
@@ -102,6 +127,12 @@ ROWS = (
         {"angle_deg": Parameter("strip against warp [deg]", 0.0, 0.0, 180.0),
          "strain": Parameter("strain of the strip", 0.002, 1e-4, 0.1)},
         tuple({"angle_deg": a} for a in (0.0, 22.5, 45.0, 67.5, 90.0))),
+    Row("tension_measured", "ten measured fabrics at 2, 5, 10 and 17 % strain against their own curves [N/m]",
+        _tension_measured, 0.02, 0.05,
+        {"fabric": Choice("measured fabric", CLOTHS[0], CLOTHS),
+         "direction": Choice("of the sample", "warp", ("warp", "weft"))},
+        tuple({"fabric": f, "direction": d} for f in CLOTHS for d in ("warp", "weft")),
+        ("default", "fem-corotational/quasi-static")),
     Row("kawabata", "the fabric's own curves by Kawabata's instruments", _kawabata, 0.01, 0.05,
         {"instrument": Choice("instrument", "tension", INSTRUMENTS),
          "direction": Choice("of the sample", "warp", tuple(DIRECTIONS))},

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pbd import Fabric, InputError
+from pbd.fabric import MAX_STIFFENING_STRAIN, stiffening_stress
 
 stiffness = st.floats(1e-2, 1e5)
 MAY_BE_ZERO = (
@@ -64,3 +65,36 @@ def test_an_elasticity_that_gives_energy_is_refused() -> None:
 def test_gravity_length() -> None:
     fabric = Fabric(areal_density=0.2, bend_warp=4e-5, bend_weft=1e-5)
     assert fabric.gravity_length == pytest.approx((2e-5 / (0.2 * 9.81)) ** (1 / 3))
+
+
+KNIT = Fabric(stiffening_warp_10=3.0, stiffening_warp_20=6.0, stiffening_weft_10=2.0, stiffening_weft_20=2.5)
+
+
+def test_a_fabric_does_not_stiffen_unless_told() -> None:
+    assert not Fabric().stiffening().any()
+
+
+def test_tension_at_10_and_20_percent_is_what_the_fabric_says() -> None:
+    strain = np.array([0.1, 0.2])
+    for law, ratios in zip(KNIT.stiffening(), ([3.0, 6.0], [2.0, 2.5]), strict=True):
+        assert 1.0 + stiffening_stress(strain, law)[1] / strain == pytest.approx(ratios)
+
+
+@pytest.mark.parametrize(
+    "law", [*KNIT.stiffening(), Fabric(stiffening_warp_10=1.2, stiffening_warp_20=1.1).stiffening()[0]]
+)
+def test_tension_is_the_slope_of_its_energy_and_has_a_smooth_slope_itself(law: np.ndarray) -> None:
+    strain = np.linspace(-0.1, 0.6, 1401)
+    energy, stress, tangent = stiffening_stress(strain, law)
+    step = strain[1] - strain[0]
+    np.testing.assert_allclose(np.gradient(energy, step)[1:-1], stress[1:-1], atol=2e-4 * np.abs(stress).max())
+    np.testing.assert_allclose(np.gradient(stress, step)[1:-1], tangent[1:-1], atol=5e-3 * np.abs(tangent).max())
+    assert not energy[strain <= 0.0].any() and not tangent[strain <= 0.0].any()
+    assert (np.diff(strain + stress) > 0.0).all()  # monotone
+    assert np.ptp(tangent[strain > MAX_STIFFENING_STRAIN]) == 0.0
+
+
+@pytest.mark.parametrize(("ten", "twenty"), [(2.0, 1.6), (0.2, 1.0), (1.0, 0.5)])
+def test_tension_that_falls_with_strain_is_refused(ten: float, twenty: float) -> None:
+    with pytest.raises(InputError, match=r"fabric.stiffening_weft_10, _20.*tension that rises"):
+        Fabric(stiffening_weft_10=ten, stiffening_weft_20=twenty)

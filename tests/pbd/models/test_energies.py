@@ -1,6 +1,7 @@
 """Energies of cloth: derivatives against finite differences, invariance, and patch tests between formulations."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ from tests.pbd.models.sheets import FABRIC, sheet
 
 ISOTROPIC = Fabric(stretch_warp=600.0, stretch_weft=600.0, poisson=1 / 3, shear=225.0, bend_warp=0.0, bend_weft=0.0)
 
+
+KNIT = replace(FABRIC, stiffening_warp_10=3.0, stiffening_warp_20=6.0, stiffening_weft_10=2.0, stiffening_weft_20=2.5)
 
 ENERGIES: dict[str, Callable[[Model], ElementEnergy | Sum]] = {
     "triangle springs": lambda model: triangle_springs(model.mesh, model.fabric),
@@ -60,7 +63,23 @@ def test_derivatives_against_finite_differences(name: str) -> None:
     """First and second, 1e-6 of the largest."""
     model = sheet()
     energy = ENERGIES[name](model)
-    x = crumpled(model, points_of(energy))
+    check_derivatives(energy, crumpled(model, points_of(energy)))
+
+
+@pytest.mark.parametrize("stretch", [1.1, 1.4])
+@pytest.mark.parametrize("kind", ["condition", "linear", "corotational", "stvk"])
+def test_derivatives_of_cloth_that_stiffens(kind: str, stretch: float) -> None:
+    """Stretched within the cubic of the law, and on its tangent: at the end of both the third derivative jumps."""
+    model = sheet()
+    energy = condition_membrane(model.mesh, KNIT) if kind == "condition" else continuum_membrane(model.mesh, KNIT, kind)
+    straight = ENERGIES[kind](model)
+    x = stretch * model.mesh.vertices + np.random.default_rng(3).normal(0.0, 0.0005, model.mesh.vertices.shape)
+    check_derivatives(energy, x if kind == "linear" else x @ turn((1.0, 2.0, 0.5), 70.0).T)
+    assert energy.energy(x) > 1.3 * straight.energy(x)
+    assert energy.energy(0.9 * model.mesh.vertices) == straight.energy(0.9 * model.mesh.vertices)
+
+
+def check_derivatives(energy: ElementEnergy | Sum, x: np.ndarray) -> None:
     gradient = energy.gradient(x)
     measured = differences(energy.energy, x, 1e-4).reshape(x.shape)
     assert np.abs(measured - gradient).max() < 1e-6 * np.abs(gradient).max()

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from pbd.engine import ti
+from pbd.fabric import stiffening_stress
 from pbd.xpbd.constraints import (
     MIN_OPENING,
     PUSH_OUT,
@@ -13,6 +15,7 @@ from pbd.xpbd.constraints import (
     hinge_multiplier,
     hinge_normal,
     membrane_multipliers,
+    stiffened,
     stitch_multiplier,
     tether_correction,
 )
@@ -41,6 +44,24 @@ def membrane_rows(sides: Rows, data: Rows, compression_scale: ti.f32, out: Rows)
         )
         for a, b in ti.static(ti.ndrange(3, 2)):
             out[c, 2 * a + b] = g[a, b]
+
+
+@ti.kernel
+def stiffened_rows(sides: Rows, data: Rows, laws: Rows, strains: Rows, out: Rows):
+    for c in range(sides.shape[0]):
+        compliance, borne = stiffened(
+            vec3(sides[c, 0], sides[c, 1], sides[c, 2]),
+            vec3(sides[c, 3], sides[c, 4], sides[c, 5]),
+            ti.math.vec4(data[c, 0], data[c, 1], data[c, 2], data[c, 3]),
+            vec3(data[c, 4], data[c, 5], data[c, 6]),
+            ti.math.vec4(data[c, 7], data[c, 8], data[c, 9], data[c, 10]),
+            ti.math.vec4(laws[c, 0], laws[c, 1], laws[c, 2], laws[c, 3]),
+            vec3(strains[c, 0], strains[c, 1], strains[c, 2]),
+        )
+        for a in ti.static(range(4)):
+            out[c, a] = compliance[a]
+        for a in ti.static(range(3)):
+            out[c, 4 + a] = borne[a]
 
 
 @ti.kernel
@@ -187,6 +208,39 @@ class Triangles:
         sides = self.sides.transpose(0, 2, 1).reshape(-1, 6)
         g = call(membrane_rows, sides, data, compression_scale, width=6).reshape(-1, 3, 2)
         return self.weight[:, :, None] * np.einsum("ckb,cxb->ckx", rows, g)
+
+
+def stiffened_by(strain: float, law: np.ndarray, softness: float, borne: float) -> tuple[np.ndarray, np.ndarray]:
+    """Compliance and strain of the coarser levels of 200 triangles that the warp is stretched by; mobility is 1."""
+    sides = np.tile([1.0 + strain, 0.0, 0.0, 0.0, 0.99, 0.0], (COUNT, 1))
+    data = np.tile([1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 1.0, softness, -0.2 * softness, 2.0 * softness, softness], (COUNT, 1))
+    laws = np.tile([*law, *law], (COUNT, 1))
+    out = call(stiffened_rows, sides, data, laws, np.tile([borne, 0.0, 0.0], (COUNT, 1)), width=7)[0]
+    return out[:4], out[4:]
+
+
+@pytest.mark.parametrize("strain", [0.05, 0.15, 0.5])
+@pytest.mark.parametrize("softness", [0.05, 1.0, 50.0])
+@pytest.mark.parametrize("borne", [0.0, 0.02])
+def test_a_stiffened_triangle_has_the_tension_at_which_its_substep_ends(
+    strain: float, softness: float, borne: float
+) -> None:
+    """The warp alone: c + (g/alpha) (c + s(c) - e) = strain, and tension by the secant at c; the weft is slack."""
+    law = np.array([10.0, 40.0])
+    ends = brentq(lambda c: c + (c + stiffening_stress(np.array(c), law)[1] - borne) / softness - strain, 0.0, strain)
+    ratio = float(stiffening_stress(np.array(ends), law)[1]) / ends
+    plain = softness * np.array([[1.0, -0.2], [-0.2, 2.0]])
+    stiff = np.linalg.inv(np.linalg.inv(plain) + np.diag([ratio / softness, 0.0]))
+    found, left = stiffened_by(strain, law, softness, borne)
+    assert found == pytest.approx([stiff[0, 0], stiff[0, 1], stiff[1, 1], softness], rel=5e-3)
+    assert left == pytest.approx([*(stiff @ np.linalg.inv(plain) @ [borne, 0.0]), 0.0], rel=5e-3, abs=1e-6)
+
+
+def test_a_slack_triangle_and_a_fabric_that_does_not_stiffen_keep_their_bits() -> None:
+    for strain, law in ((-0.1, np.array([10.0, 40.0])), (0.1, np.zeros(2))):
+        found, left = stiffened_by(strain, law, 0.7, 0.03)
+        assert np.array_equal(found, np.float32([0.7, -0.2 * 0.7, 1.4, 0.7]))
+        assert np.array_equal(left, np.float32([0.03, 0.0, 0.0]))
 
 
 @pytest.mark.parametrize("deform", [0.01, 0.3])

@@ -47,6 +47,21 @@ def test_a_bad_file_is_one_clear_message(tmp_path: Path, text: str, words: str) 
         read_curves(tmp_path / "no.csv")
 
 
+def test_a_far_curve_of_tension_gives_the_stiffening(tmp_path: Path) -> None:
+    """E h = 40 N/m and three times the straight line at 10 %, five times at 20 %: 40 e (1 + 20 e)."""
+    lines = [f"tension,weft,{e},{40.0 * e * (1.0 + 20.0 * e):.6f}" for e in (0.02, 0.05, 0.10, 0.17)]
+    (tmp_path / "curves.csv").write_text("\n".join([CURVES.splitlines()[0], *lines]))
+    setting = TrialSetting("fem-corotational/quasi-static", edges=10)
+    fabric, found = fit_fabric(read_curves(tmp_path / "curves.csv"), FABRIC, setting)
+    assert (fabric.stretch_weft, fabric.stiffening_weft_10, fabric.stiffening_weft_20) == pytest.approx(
+        (40, 3, 5), 1e-4
+    )
+    assert fabric.stiffening_warp_10 == 1.0 and found[0].error < 0.05
+    (tmp_path / "curves.csv").write_text("\n".join([CURVES.splitlines()[0], *lines]).replace("0.17,", "0.01,"))
+    with pytest.raises(InputError, match=r"tension weft.*rising with strain"):
+        fit_fabric(read_curves(tmp_path / "curves.csv"), FABRIC, setting)
+
+
 def test_a_bias_stiffer_than_any_fabric(tmp_path: Path) -> None:
     (tmp_path / "curves.csv").write_text(CURVES.replace("0.1052632", "5"))
     with pytest.raises(InputError, match="tension bias"):
