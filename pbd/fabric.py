@@ -32,6 +32,8 @@ class Fabric:
         bend_hysteresis_warp: width of the loop that the moment per width makes over the curvature along the warp when
             the cloth is bent to and fro, Kawabata's 2HB [N]: twice the moment of its internal friction.
         bend_hysteresis_weft: the same along the weft [N].
+        shear_hysteresis: width of the loop that the shear force per width makes over the shear when the cloth is
+            sheared to and fro, Kawabata's 2HG [N/m]: twice the force of its internal friction.
 
     Raises:
         InputError: a value that is not finite, not positive where it must be, or a Poisson ratio for which the
@@ -51,11 +53,12 @@ class Fabric:
     air_drag: float = 1.0
     bend_hysteresis_warp: float = 0.0
     bend_hysteresis_weft: float = 0.0
+    shear_hysteresis: float = 0.0
 
     def __post_init__(self) -> None:
         errors = []
         may_be_zero = {"poisson", "friction", "air_drag", "bend_warp", "bend_weft", "compression"}
-        may_be_zero |= {"bend_hysteresis_warp", "bend_hysteresis_weft"}
+        may_be_zero |= {"bend_hysteresis_warp", "bend_hysteresis_weft", "shear_hysteresis"}
         for field in fields(self):
             value = getattr(self, field.name)
             wanted = "a finite number, at least 0" if field.name in may_be_zero else "a finite number above 0"

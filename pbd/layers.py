@@ -108,10 +108,17 @@ def layered(models: Sequence[Model], vertices: Sequence[np.ndarray] | None = Non
     plastic_counts = [model.plastic_count for model in models]
     before = np.cumsum([0, *plastic_counts])
     hinge_numbers = np.concatenate([model.hinge_numbers + n for model, n in zip(models, before, strict=False)])
+    # With friction of shear in one of them, every triangle has a place in the state.
+    face_counts = [len(model.triangles) for model in models]
+    before = np.cumsum([0, *face_counts])
+    triangle_numbers = np.concatenate([m.triangle_numbers + n for m, n in zip(models, before, strict=False)])
+    shear_count = sum(face_counts) if any(model.plastic_shear_count for model in models) else 0
     blocks, block_colors = blocks_of(triangle_colors)
-    values = np.concatenate([model.triangle_data[:, : len(model.triangles)] for model in models], axis=1)[
-        :, triangle_order
-    ]
+    rows = max(len(model.triangle_data) for model in models)
+    values = np.zeros((rows, sum(face_counts) + BLOCK), np.float32)
+    for model, first, last in zip(models, before, before[1:], strict=False):
+        values[: len(model.triangle_data), first:last] = model.triangle_data[:, : last - first]
+    values[:, : len(triangle_order)] = values[:, triangle_order]
     fabrics = [model.fabric for model in models]
     pressed = [np.resize(model.pressure, model.vertex_count) for model in models]  # nothing becomes zeros
     limits = [model.limits for model in models]
@@ -128,7 +135,9 @@ def layered(models: Sequence[Model], vertices: Sequence[np.ndarray] | None = Non
         triangles=renumbered("triangles")[triangle_order],
         triangle_blocks=blocks,
         block_colors=block_colors,
-        triangle_data=np.ascontiguousarray(np.pad(values, ((0, 0), (0, BLOCK)))),
+        triangle_data=values,
+        triangle_numbers=triangle_numbers[triangle_order].astype(np.int32),
+        plastic_shear_count=shear_count,
         triangle_colors=triangle_colors,
         hinges=renumbered("hinges")[hinge_order],
         hinge_data=joined("hinge_data")[hinge_order],

@@ -45,6 +45,7 @@ def solve_membrane(
     x1, y1, z1 = ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK)
     x2, y2, z2 = ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK)
     e1, e2, e3 = ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK)
+    plastic = ti.Vector([0.0] * BLOCK)
     for b in range(first, last):
         begin, size = constraints.triangle_blocks[b][0], constraints.triangle_blocks[b][1]
         for a in range(size):
@@ -62,7 +63,10 @@ def solve_membrane(
         for a in range(BLOCK):  # the triangles beyond the block's size come to nothing
             c = begin + a
             inverse_flat = row4(constraints.triangle_data, 0, c)
-            g = membrane_multipliers(
+            slips_at, kept = 0.0, 0.0
+            if ti.static(constraints.rubs):
+                slips_at, kept = constraints.triangle_data[12, c], constraints.triangle_data[13, c]
+            g, kept = membrane_multipliers(
                 vec3(x1[a], y1[a], z1[a]),
                 vec3(x2[a], y2[a], z2[a]),
                 inverse_flat,
@@ -71,7 +75,12 @@ def solve_membrane(
                 constraints.triangle_data[7, c],
                 compression_compliance_scale,
                 vec3(e1[a], e2[a], e3[a]),
+                slips_at,
+                kept,
+                constraints.rubs,
             )
+            if ti.static(constraints.rubs):
+                plastic[a] = kept
             gu, gv = vec3(g[0, 0], g[1, 0], g[2, 0]), vec3(g[0, 1], g[1, 1], g[2, 1])
             m1 = inverse_flat[0] * gu + inverse_flat[1] * gv
             m2 = inverse_flat[2] * gu + inverse_flat[3] * gv
@@ -83,6 +92,8 @@ def solve_membrane(
             cloth.position_delta[f[0]] = cloth.position_delta[f[0]] - cloth.position[f[0]][3] * (m1 + m2)
             cloth.position_delta[f[1]] = cloth.position_delta[f[1]] + cloth.position[f[1]][3] * m1
             cloth.position_delta[f[2]] = cloth.position_delta[f[2]] + cloth.position[f[2]][3] * m2
+            if ti.static(constraints.rubs):
+                constraints.triangle_data[13, begin + a] = plastic[a]
 
 
 @ti.func

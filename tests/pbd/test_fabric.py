@@ -14,7 +14,7 @@ from pbd import Fabric, InputError
 stiffness = st.floats(1e-2, 1e5)
 MAY_BE_ZERO = (
     "compression", "poisson", "friction", "air_drag", "bend_warp", "bend_weft", "bend_hysteresis_warp",
-    "bend_hysteresis_weft",
+    "bend_hysteresis_weft", "shear_hysteresis",
 )  # fmt: skip
 
 

@@ -244,7 +244,7 @@ REFUSED: dict[str, tuple[Callable[[h5py.File], Any], str, str]] = {
     "older": (put("schema_version", np.int64(1)), "no longer read", f"received 1, expected {SCHEMA_VERSION}"),
     "version in words": (put("schema_version", np.bytes_("one")), "no longer read", "received 'one'"),
     "missing array": (delete("mapping/bias_3"), "mapping/bias_3", "missing"),
-    "missing group": (delete("fabric"), "fabric/shear", "13 problems"),
+    "missing group": (delete("fabric"), "fabric/shear", "14 problems"),
     "missing header": (delete("seed"), "seed", "missing"),
     "unknown array": (lambda f: f.create_dataset("atoms/extra", data=1.0), "atoms/extra", "unknown key"),
     "unknown group": (lambda f: f.create_group("later"), "later", "unknown key"),
