@@ -376,6 +376,9 @@ class State:
             has gone through, float32, shape (c, 4).
         plastic_bends: bend of each hinge at which its internal friction is without force [m], see
             :func:`pbd.xpbd.constraints.rubbing_hinge`, float32, shape (h,); no number where nothing rubs.
+        plastic_curvatures: curvatures (11, 22, 12 twice) of each face at which the internal friction of its plate
+            element is without force [1/m], see :class:`pbd.models.friction.CurvatureFriction`, float32, shape (m, 3);
+            the finite elements write them; no number where nothing rubs.
         plastic_shears: shear of each triangle at which its internal friction is without force [-], see
             :func:`pbd.xpbd.constraints.rubbing_shear`, float32, shape (m,); no number where nothing rubs.
     """
@@ -391,6 +394,7 @@ class State:
     pairs: np.ndarray = field(repr=False)
     pair_sides: np.ndarray = field(repr=False)
     plastic_bends: np.ndarray = field(repr=False)
+    plastic_curvatures: np.ndarray = field(repr=False)
     plastic_shears: np.ndarray = field(repr=False)
 
     @classmethod
@@ -406,8 +410,12 @@ class State:
         nearest, pairs = np.full(len(model.samples), -1, np.int32), np.zeros((0, 4), np.int32)
         faces, weights = np.full((len(model.samples), 4), -1, np.int32), np.zeros((len(model.samples), 2), np.float32)
         carrier, sides = np.zeros((3, 4)), np.zeros((0, 4), np.float32)
-        bends, shears = np.zeros(model.plastic_count, np.float32), np.zeros(model.plastic_shear_count, np.float32)
-        return cls(origin, position, velocity, nearest, faces, weights, contact, carrier, pairs, sides, bends, shears)
+        return cls(
+            origin, position, velocity, nearest, faces, weights, contact, carrier, pairs, sides,
+            np.zeros(model.plastic_count, np.float32),
+            np.zeros((len(model.mesh.faces) if model.plastic_count else 0, 3), np.float32),
+            np.zeros(model.plastic_shear_count, np.float32),
+        )  # fmt: skip
 
     def world(self) -> np.ndarray:
         """World positions [m], float64, shape (n, 3)."""
@@ -426,7 +434,7 @@ class State:
 
     _names = (
         "origin", "position", "velocity", "nearest", "contact_faces", "contact_weights", "contact", "carrier", "pairs",
-        "pair_sides", "plastic_bends", "plastic_shears",
+        "pair_sides", "plastic_bends", "plastic_curvatures", "plastic_shears",
     )  # fmt: skip
 
     def hash(self) -> str:
@@ -461,11 +469,12 @@ class State:
         )
         shapes = (
             (3,), (count, 4), (count, 3), (samples,), (samples, 4), (samples, 2), (count,), (3, 4), (pairs, 4),
-            (pairs, 4), state.plastic_bends.shape[:1], state.plastic_shears.shape[:1],
+            (pairs, 4), state.plastic_bends.shape[:1], (*state.plastic_curvatures.shape[:1], 3),
+            state.plastic_shears.shape[:1],
         )  # fmt: skip
         kinds = (
             "float64", "float32", "float32", "int32", "int32", "float32", "float32", "float64", "int32", "float32",
-            "float32", "float32",
+            "float32", "float32", "float32",
         )  # fmt: skip
         expected = list(zip(kinds, shapes, strict=True))
         if received != expected:
