@@ -38,6 +38,8 @@ class Fabric:
             straight line. Curves of knits are J-shaped: 2 to 10.
         stiffening_warp_20: the same at 20 % strain. See :meth:`stiffening`.
         stiffening_weft_10, stiffening_weft_20: the same along the weft [-].
+        shear_hysteresis: width of the loop that the shear force per width makes over the shear when the cloth is
+            sheared to and fro, Kawabata's 2HG [N/m]: twice the force of its internal friction.
 
     Raises:
         InputError: a value that is not finite, not positive where it must be, a Poisson ratio for which the
@@ -61,11 +63,12 @@ class Fabric:
     stiffening_warp_20: float = 1.0
     stiffening_weft_10: float = 1.0
     stiffening_weft_20: float = 1.0
+    shear_hysteresis: float = 0.0
 
     def __post_init__(self) -> None:
         errors = []
         may_be_zero = {"poisson", "friction", "air_drag", "bend_warp", "bend_weft", "compression"}
-        may_be_zero |= {"bend_hysteresis_warp", "bend_hysteresis_weft"}
+        may_be_zero |= {"bend_hysteresis_warp", "bend_hysteresis_weft", "shear_hysteresis"}
         for field in fields(self):
             value = getattr(self, field.name)
             wanted = "a finite number, at least 0" if field.name in may_be_zero else "a finite number above 0"

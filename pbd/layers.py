@@ -108,11 +108,13 @@ def layered(models: Sequence[Model], vertices: Sequence[np.ndarray] | None = Non
     plastic_counts = [model.plastic_count for model in models]
     before = np.cumsum([0, *plastic_counts])
     hinge_numbers = np.concatenate([model.hinge_numbers + n for model, n in zip(models, before, strict=False)])
+    # With friction of shear in one of them, every triangle has a place in the state.
+    face_counts = [len(model.triangles) for model in models]
+    before = np.cumsum([0, *face_counts])
+    triangle_numbers = np.concatenate([m.triangle_numbers + n for m, n in zip(models, before, strict=False)])
+    shear_count = sum(face_counts) if any(model.plastic_shear_count for model in models) else 0
     blocks, block_colors = blocks_of(triangle_colors)
-    rows = max(len(model.triangle_data) for model in models)  # more where one of the fabrics stiffens
-    own = [model.triangle_data[:, : len(model.triangles)] for model in models]
-    padded = [np.pad(values, ((0, rows - len(values)), (0, 0))) for values in own]
-    values = np.concatenate(padded, axis=1)[:, triangle_order]
+    values = np.pad(_triangle_rows(models)[:, triangle_order], ((0, 0), (0, BLOCK)))
     fabrics = [model.fabric for model in models]
     pressed = [np.resize(model.pressure, model.vertex_count) for model in models]  # nothing becomes zeros
     limits = [model.limits for model in models]
@@ -129,7 +131,9 @@ def layered(models: Sequence[Model], vertices: Sequence[np.ndarray] | None = Non
         triangles=renumbered("triangles")[triangle_order],
         triangle_blocks=blocks,
         block_colors=block_colors,
-        triangle_data=np.ascontiguousarray(np.pad(values, ((0, 0), (0, BLOCK)))),
+        triangle_data=values,
+        triangle_numbers=triangle_numbers[triangle_order].astype(np.int32),
+        plastic_shear_count=shear_count,
         triangle_colors=triangle_colors,
         hinges=renumbered("hinges")[hinge_order],
         hinge_data=joined("hinge_data")[hinge_order],
@@ -188,6 +192,19 @@ def fastened(model: Model, vertices: np.ndarray) -> Model:
         stitch_weights=np.concatenate([model.stitch_weights, *weights]).astype(np.float32),
         stitch_gaps=np.concatenate([model.stitch_gaps, *gaps]).astype(np.float32),
     )
+
+
+def _triangle_rows(models: Sequence[Model]) -> np.ndarray:
+    """Data of the triangles of all models, one after the other; zeros where one has less than others."""
+    own = [model.triangle_data[:, : len(model.triangles)] for model in models]
+    rubs = [model.plastic_shear_count > 0 for model in models]
+    plain = [values[: len(values) - rub] for values, rub in zip(own, rubs, strict=True)]
+    rows = max(len(values) for values in plain)
+    together = np.concatenate([np.pad(values, ((0, rows - len(values)), (0, 0))) for values in plain], axis=1)
+    if not any(rubs):
+        return together
+    slips = [values[-1] if rub else np.zeros(values.shape[1]) for values, rub in zip(own, rubs, strict=True)]
+    return np.concatenate([together, np.concatenate(slips)[None]]).astype(np.float32)
 
 
 def _joined_mesh(meshes: Sequence[ClothMesh], numbers: Sequence[np.ndarray]) -> ClothMesh:

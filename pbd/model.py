@@ -35,8 +35,8 @@ class ModelOptions:
     Attributes:
         compression_compliance_scale: factor on the in-plane compliance under compression [-]. A coarse mesh cannot
             buckle where cloth does, so its triangles may shorten instead.
-        shear_scale: factor on the shear stiffness [-]. Cloth that is sheared buckles along the bias; a coarse mesh
-            cannot do that either.
+        shear_scale: factor on the shear stiffness and on the friction of shear [-]. Cloth that is sheared buckles along
+            the bias; a coarse mesh cannot do that either.
         bend_scale: factor on the bending stiffness [-].
         tether_slack: length of a tether over the geodesic distance [-]; 0 leaves tethers out.
         pressure: of the air behind the cloth over that before it, where its normals point [Pa].
@@ -65,7 +65,8 @@ class ModelOptions:
 
     def membrane(self, fabric: Fabric) -> Fabric:
         """The fabric as the model has it in its plane."""
-        return replace(fabric, shear=self.shear_scale * fabric.shear)
+        scale = self.shear_scale
+        return replace(fabric, shear=scale * fabric.shear, shear_hysteresis=scale * fabric.shear_hysteresis)
 
 
 @dataclass(frozen=True)
@@ -82,6 +83,10 @@ class Model:
         triangles: shape (m, 3); triangle_data: inverse flat, gram, unit, compliance, see
             :func:`pbd.xpbd.constraints.membrane_multipliers`, and columns to fill the last block: (12, m + BLOCK).
             Where a fabric stiffens, four rows more: (a, b) of warp and weft, see :meth:`pbd.Fabric.stiffening`.
+            With internal friction a last row: the shear at which it slips, see
+            :func:`pbd.xpbd.constraints.rubbing_shear`.
+        triangle_numbers: place of each triangle in ``State.plastic_shears``, int32, shape (m,).
+        plastic_shear_count: how many of these there are: m, or 0 where no shear has internal friction.
         triangle_colors, hinge_colors: offsets of the colours, shape (colours + 1,).
         triangle_blocks: first triangle and size of each block, all of one colour, shape (b, 2).
         block_colors: offsets of the colours of the blocks, shape (colours + 1,).
@@ -112,6 +117,8 @@ class Model:
     held: np.ndarray
     triangles: np.ndarray
     triangle_data: np.ndarray
+    triangle_numbers: np.ndarray
+    plastic_shear_count: int
     triangle_colors: np.ndarray
     triangle_blocks: np.ndarray
     block_colors: np.ndarray
@@ -165,7 +172,9 @@ def build_model(
     mass, inverse_mass = _masses(mesh, fabric, held)
     if bend_factor is None:
         bend_factor = hinge_calibration(mesh)
-    triangles, triangle_data, triangle_colors = _membrane(mesh, options.membrane(fabric), inverse_mass)
+    triangles, triangle_data, triangle_numbers, triangle_colors = _membrane(
+        mesh, options.membrane(fabric), inverse_mass
+    )
     hinges, hinge_data, hinge_numbers, plastic_count, hinge_colors = _bending(
         mesh, fabric, inverse_mass, options.bend_scale * bend_factor
     )
@@ -179,6 +188,8 @@ def build_model(
         held,
         triangles,
         triangle_data,
+        triangle_numbers,
+        len(triangles) if fabric.shear_hysteresis > 0.0 else 0,
         triangle_colors,
         *blocks_of(triangle_colors),
         hinges,
@@ -252,7 +263,9 @@ def _by_color(members: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     return order, offsets.astype(np.int32)
 
 
-def _membrane(mesh: ClothMesh, fabric: Fabric, inverse_mass: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _membrane(
+    mesh: ClothMesh, fabric: Fabric, inverse_mass: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     inverse = np.linalg.inv(mesh.flat)
     corner_rows = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)  # (m, 3, 2)
     gram = np.einsum("mc,mca,mcb->mab", inverse_mass[mesh.faces], corner_rows, corner_rows)
@@ -269,15 +282,18 @@ def _membrane(mesh: ClothMesh, fabric: Fabric, inverse_mass: np.ndarray) -> tupl
     softest = unit * np.abs(softness).max(axis=(1, 2))
     softness *= (MAX_SOFTNESS / np.maximum(softest, MAX_SOFTNESS))[:, None, None]
     stiffening = fabric.stiffening().ravel()
-    data = np.zeros((16 if stiffening.any() else 12, len(faces) + BLOCK), np.float32)
-    data[12:, : len(faces)] = stiffening[: len(data) - 12, None]
-    data[:12, : len(faces)] = [
+    slips_at = 0.5 * fabric.shear_hysteresis * mesh.face_cloth_areas[order] * softness[:, 2, 2]
+    rows = [
         *inverse.reshape(-1, 4).T,
         *(unit * gram[:, a, b] for a, b in ((0, 0), (0, 1), (1, 1))),
         unit,
         *(unit * softness[:, a, b] for a, b in ((0, 0), (0, 1), (1, 1), (2, 2))),
+        *(np.repeat(stiffening[:, None], len(faces), axis=1) if stiffening.any() else []),
+        *([slips_at] if fabric.shear_hysteresis > 0.0 else []),
     ]
-    return np.ascontiguousarray(faces), data, offsets
+    data = np.zeros((len(rows), len(faces) + BLOCK), np.float32)
+    data[:, : len(faces)] = rows
+    return np.ascontiguousarray(faces), data, order.astype(np.int32), offsets
 
 
 def blocks_of(colors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -364,6 +380,11 @@ class State:
             has gone through, float32, shape (c, 4).
         plastic_bends: bend of each hinge at which its internal friction is without force [m], see
             :func:`pbd.xpbd.constraints.rubbing_hinge`, float32, shape (h,); no number where nothing rubs.
+        plastic_curvatures: curvatures (11, 22, 12 twice) of each face at which the internal friction of its plate
+            element is without force [1/m], see :class:`pbd.models.friction.CurvatureFriction`, float32, shape (m, 3);
+            the finite elements write them; no number where nothing rubs.
+        plastic_shears: shear of each triangle at which its internal friction is without force [-], see
+            :func:`pbd.xpbd.constraints.rubbing_shear`, float32, shape (m,); no number where nothing rubs.
     """
 
     origin: np.ndarray
@@ -377,6 +398,8 @@ class State:
     pairs: np.ndarray = field(repr=False)
     pair_sides: np.ndarray = field(repr=False)
     plastic_bends: np.ndarray = field(repr=False)
+    plastic_curvatures: np.ndarray = field(repr=False)
+    plastic_shears: np.ndarray = field(repr=False)
 
     @classmethod
     def at_rest(cls, model: Model, vertices: np.ndarray | None = None) -> State:
@@ -391,8 +414,12 @@ class State:
         nearest, pairs = np.full(len(model.samples), -1, np.int32), np.zeros((0, 4), np.int32)
         faces, weights = np.full((len(model.samples), 4), -1, np.int32), np.zeros((len(model.samples), 2), np.float32)
         carrier, sides = np.zeros((3, 4)), np.zeros((0, 4), np.float32)
-        bends = np.zeros(model.plastic_count, np.float32)
-        return cls(origin, position, velocity, nearest, faces, weights, contact, carrier, pairs, sides, bends)
+        return cls(
+            origin, position, velocity, nearest, faces, weights, contact, carrier, pairs, sides,
+            np.zeros(model.plastic_count, np.float32),
+            np.zeros((len(model.mesh.faces) if model.plastic_count else 0, 3), np.float32),
+            np.zeros(model.plastic_shear_count, np.float32),
+        )  # fmt: skip
 
     def world(self) -> np.ndarray:
         """World positions [m], float64, shape (n, 3)."""
@@ -411,7 +438,7 @@ class State:
 
     _names = (
         "origin", "position", "velocity", "nearest", "contact_faces", "contact_weights", "contact", "carrier", "pairs",
-        "pair_sides", "plastic_bends",
+        "pair_sides", "plastic_bends", "plastic_curvatures", "plastic_shears",
     )  # fmt: skip
 
     def hash(self) -> str:
@@ -446,11 +473,12 @@ class State:
         )
         shapes = (
             (3,), (count, 4), (count, 3), (samples,), (samples, 4), (samples, 2), (count,), (3, 4), (pairs, 4),
-            (pairs, 4), state.plastic_bends.shape[:1],
+            (pairs, 4), state.plastic_bends.shape[:1], (*state.plastic_curvatures.shape[:1], 3),
+            state.plastic_shears.shape[:1],
         )  # fmt: skip
         kinds = (
             "float64", "float32", "float32", "int32", "int32", "float32", "float32", "float64", "int32", "float32",
-            "float32",
+            "float32", "float32", "float32",
         )  # fmt: skip
         expected = list(zip(kinds, shapes, strict=True))
         if received != expected:

@@ -73,7 +73,7 @@ def _columns(group: str, kind: type[Fabric] | type[ModelOptions], shape: tuple[s
     """An entry for each field of a fabric or of options; ``shape`` ("f",) for f of them."""
     units = {"areal_density": "kg/m2", "stretch_warp": "N/m", "stretch_weft": "N/m", "shear": "N/m"}
     units |= {"bend_warp": "N m", "bend_weft": "N m", "thickness": "m", "pressure": "Pa"}
-    units |= {"bend_hysteresis_warp": "N", "bend_hysteresis_weft": "N"}
+    units |= {"bend_hysteresis_warp": "N", "bend_hysteresis_weft": "N", "shear_hysteresis": "N/m"}
     for field in fields(kind):
         yield Entry(f"{group}/{field.name}", DOUBLE, shape, units.get(field.name, "-"))
 

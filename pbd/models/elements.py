@@ -9,9 +9,12 @@ from typing import Protocol
 
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.linalg import factorized
+from scipy.sparse.linalg import factorized, spsolve
 
 __all__ = ["ElementEnergy", "Energy", "QuadraticElements", "Sum", "clamped"]
+
+SETTLINGS = 50  # steps in which hidden points of elements that are not quadratic settle
+LEAST_DECREASE = 1e-14  # of the energy, with which they are content [-]
 
 
 class Energy(Protocol):
@@ -119,8 +122,9 @@ class Sum:
     """Several energies of a cloth as one.
 
     Some parts may have points of their own beside the vertices, counted after them. Hidden points have no mass: they
-    stand where they cost least. Only quadratic parts may have any. What is given n vertices adds them by itself;
-    derivatives over all points want all points (:meth:`completed`).
+    stand where they cost least. Only parts that are quadratic or convex in them may have any, and the first of those
+    must be quadratic. What is given n vertices adds them by itself; derivatives over all points want all points
+    (:meth:`completed`).
 
     Args:
         parts: taken over; all count the hidden points from now on.
@@ -149,6 +153,25 @@ class Sum:
             relax = self._relax = factorized(matrix[::3, ::3][hidden, hidden].tocsc())
         force = np.sum([part.gradient(points)[hidden] for part in parts], axis=0)
         points[hidden] -= np.stack([relax(force[:, c].copy()) for c in range(3)], axis=1)
+        others = [part for part in self.parts if not isinstance(part, QuadraticElements)]
+        convex = [part for part in others if part.elements.max(initial=0) >= self.vertex_count]
+        return self._settled(points, parts + convex) if convex else points
+
+    def _settled(self, points: np.ndarray, parts: Sequence[ElementEnergy]) -> np.ndarray:
+        """Hidden points moved to where parts that are convex in them cost least (Newton's method, halved steps)."""
+        hidden = slice(3 * self.vertex_count, None)
+        for _ in range(SETTLINGS):
+            force = np.sum([part.gradient(points) for part in parts], axis=0).ravel()[hidden]
+            matrix = sum((part.hessian(points, True) for part in parts[1:]), parts[0].hessian(points, True))
+            move = np.zeros(points.size)
+            move[hidden] = -spsolve(matrix[hidden, hidden].tocsc(), force)
+            slope, value = float(force @ move[hidden]), sum(part.energy(points) for part in parts)
+            if -slope <= LEAST_DECREASE * abs(value):
+                break
+            move = move.reshape(-1, 3)
+            while sum(part.energy(points + move) for part in parts) > value and np.abs(move).max() > 0.0:
+                move *= 0.5
+            points = points + move
         return points
 
     def energy(self, x: np.ndarray) -> float:

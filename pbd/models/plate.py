@@ -14,7 +14,15 @@ from pbd.mesh import ClothMesh, Hinges, edges_of
 from pbd.model import Model
 from pbd.models.elements import ElementEnergy, QuadraticElements
 
-__all__ = ["HingeAngles", "angle_bending", "bending_matrix", "isometric_bending", "morley_bending"]
+__all__ = [
+    "HingeAngles",
+    "angle_bending",
+    "bending_matrix",
+    "cross_matrix",
+    "isometric_bending",
+    "morley_bending",
+    "morley_rows",
+]
 
 
 def bending_matrix(fabric: Fabric, poisson: float) -> np.ndarray:
@@ -109,7 +117,7 @@ class HingeAngles(ElementEnergy):
             turn = np.zeros((len(corners), 3, 4, 3))
             start, end, tip = corners[:, 0], corners[:, 1], corners[:, apex]
             for vertex, side in ((0, tip - end), (1, start - tip), (apex, end - start)):
-                turn[:, :, vertex] = sign * _cross_matrix(side)
+                turn[:, :, vertex] = sign * cross_matrix(side)
             total += arms[:, :, None, None, None] * (inner @ turn.reshape(-1, 3, 12)).reshape(-1, 1, 3, 4, 3)
             total += lever[:, None, :, None, None] * arm_slopes[:, :, None]
         return total
@@ -151,7 +159,7 @@ def morley_bending(model: Model, poisson: float) -> list[ElementEnergy]:
     parts: list[ElementEnergy] = []
     if fabric.bend_warp * fabric.bend_weft > 0.0:
         rigid = np.asarray(np.isin(mesh.faces, model.held).all(axis=1))
-        elements, rows, point_count = _morley_rows(mesh, rigid)
+        elements, rows, point_count = morley_rows(mesh, rigid)
         matrices = mesh.face_areas[~rigid, None, None] * np.einsum("mai,ab,mbj->mij", rows, stiffness, rows)
         parts.append(QuadraticElements(elements, point_count, matrices))
     if mesh.seam_hinges is not None:
@@ -181,7 +189,7 @@ def _quadratic(model: Model, hinges: Hinges, stiffness: np.ndarray) -> Quadratic
     return QuadraticElements(hinges.vertices, model.vertex_count, matrices)
 
 
-def _morley_rows(mesh: ClothMesh, rigid: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+def morley_rows(mesh: ClothMesh, rigid: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
     """Of each face that bends: its six points (m, 6), (k11, k22, 2 k12) as rows on them (m, 3, 6); all points' number.
 
     Args:
@@ -277,7 +285,7 @@ def _arms(corners: np.ndarray, edge: np.ndarray, apex: int) -> tuple[np.ndarray,
     return arms, slopes
 
 
-def _cross_matrix(a: np.ndarray) -> np.ndarray:
+def cross_matrix(a: np.ndarray) -> np.ndarray:
     """Matrix of b -> a x b, shape (m, 3, 3)."""
     x, y, z = a.T
     zero = np.zeros_like(x)

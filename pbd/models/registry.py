@@ -12,8 +12,9 @@ from pbd.errors import InputError
 from pbd.model import Model, State
 from pbd.models.descent import ProjectiveDynamics, VertexBlockDescent
 from pbd.models.elements import ElementEnergy, QuadraticElements, Sum
+from pbd.models.friction import friction_elements
 from pbd.models.integrators import BDF2, ImplicitEuler, Midpoint, PenaltyEuler, QuasiStatic, SymplecticEuler, Verlet
-from pbd.models.membrane import condition_membrane, continuum_membrane
+from pbd.models.membrane import Membrane, condition_membrane, continuum_membrane
 from pbd.models.plate import angle_bending, isometric_bending, morley_bending
 from pbd.models.position_based import PBD, XPBD, StrainBased
 from pbd.models.springs import prestressed_springs, square_springs, triangle_springs
@@ -88,9 +89,15 @@ def cloth_energy(model: Model, membrane: str, bending: str, bend_poisson: float 
         bend_poisson: Poisson ratio of the bending ``morley`` [-].
 
     Raises:
-        InputError: a mesh on which the membrane does not exist.
+        InputError: a mesh on which the membrane does not exist, or a fabric that rubs and elements that do not.
     """
-    parts = [MEMBRANES[membrane](model), *BENDINGS[bending](model, bend_poisson), *_stitches(model)]
+    sheet = MEMBRANES[membrane](model)
+    parts = [sheet, *BENDINGS[bending](model, bend_poisson), *_stitches(model)]
+    if model.plastic_count or model.plastic_shear_count:
+        if not (isinstance(sheet, Membrane) and bending == "morley"):
+            expected = "hysteresis of 0, the default solver, or a finite-element membrane with its own plate"
+            raise InputError("no internal friction", key="solver", received=f"{membrane}+{bending}", expected=expected)
+        parts += friction_elements(model, sheet)
     return Sum(parts, model.vertex_count)
 
 

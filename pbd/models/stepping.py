@@ -12,6 +12,7 @@ from pbd.contact.colliders import Colliders
 from pbd.errors import InputError
 from pbd.model import Model, State
 from pbd.models.elements import Sum
+from pbd.models.friction import FrictionElements
 from pbd.models.newton import StepError
 from pbd.models.obstacles import Obstacles
 from pbd.xpbd.solver import AIR_DENSITY, Solver
@@ -81,6 +82,7 @@ class ClothSolver(ABC):
         self.gravity = np.array(options.gravity, float)
         self.edge = float(model.mesh.edge_lengths()[1].mean())
         self.position, self.velocity = np.zeros((2, model.vertex_count, 3))
+        self._friction = [part for part in energy.parts if isinstance(part, FrictionElements)]
         self._drag = 0.5 * AIR_DENSITY * model.fabric.air_drag * model.mesh.vertex_areas / model.mass
         self._written: tuple[np.ndarray, np.ndarray] | None = None
         self._last_h = 0.0
@@ -115,18 +117,23 @@ class ClothSolver(ABC):
         held = self.model.held
         first, last = self.position[held], self.position[held] if targets is None else np.asarray(targets, float)
         x, v = self.position.copy(), self.velocity.copy()
+        for part in self._friction:
+            part.plastic = getattr(state, part.stored).reshape(len(self.model.mesh.faces), -1)[part.faces].astype(float)
         for s in range(1, substeps + 1):
             obstacles = Obstacles(rows, (s - 1) / substeps, s / substeps, self.model.fabric.thickness)
             target = first + s / substeps * (last - first)
             try:
                 x, v = self.advance(x, v, h, target, obstacles, np.asarray(wind, float))
                 self._check_result(x, v)
+                self._slip(x)
             except StepError as error:
                 self._written = None
                 raise StepError(f"{error.problem} (substep {s} of {substeps})", self.name) from error
         self.position, self.velocity = x, v
         state.position[:, :3] = x - state.origin
         state.velocity[:] = v
+        for part in self._friction:
+            getattr(state, part.stored).reshape(len(self.model.mesh.faces), -1)[part.faces] = part.plastic
         self._written = state.world(), state.velocity.copy()
 
     @abstractmethod
@@ -151,6 +158,13 @@ class ClothSolver(ABC):
         Raises:
             StepError: it came to no valid end.
         """
+
+    def _slip(self, x: np.ndarray) -> None:
+        """Elements of internal friction follow the cloth."""
+        if self._friction:
+            points = self.energy.completed(x)
+            for part in self._friction:
+                part.slip(points)
 
     def forget(self) -> None:
         """Drop what was kept from earlier substeps: the state, or the length of a substep, has changed."""
@@ -194,6 +208,10 @@ class ClothSolver(ABC):
             raise InputError("bad time step", key="dt", received=dt, expected="a finite number, at least 0 [s]")
         if len(state.position) != count or len(state.velocity) != count:
             raise InputError("state of another model", key="state", received=len(state.position), expected=str(count))
+        for name in {part.stored for part in self._friction}:
+            faces, found = len(self.model.mesh.faces), len(getattr(state, name))
+            if found != faces:
+                raise InputError("state of another model", key=f"state.{name}", received=found, expected=str(faces))
         if not (np.isfinite(state.position).all() and np.isfinite(state.velocity).all()):
             raise InputError("state is not finite", key="state", expected="finite positions and velocities")
         if targets is not None and (np.shape(targets) != (held, 3) or not np.isfinite(targets).all()):

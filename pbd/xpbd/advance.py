@@ -28,13 +28,16 @@ __all__ = ["advance_kernel"]
 
 
 @cache
-def advance_kernel(with_multigrid: bool, with_pairs: bool = False, quickly: bool = False) -> Callable[..., None]:
+def advance_kernel(
+    with_multigrid: bool, with_pairs: bool = False, rubs: bool = False, quickly: bool = False
+) -> Callable[..., None]:
     """The kernel that advances a garment by a frame.
 
     Over 60 lines and over 12 arguments: it is the one place that lists all arrays of a step.
 
     Args:
         with_multigrid, with_pairs: whether coarser levels and pairs are used. Both take long to compile.
+        rubs: whether shear has internal friction.
         quickly: see :func:`pbd.taichi_internals.quickly_compiled`; the same results, and slower constraints.
     """
 
@@ -116,7 +119,7 @@ def advance_kernel(with_multigrid: bool, with_pairs: bool = False, quickly: bool
                 ),
                 ConstraintArrays(
                     triangles, triangle_blocks, block_colors, triangle_data, hinges, hinge_colors, hinge_data,
-                    stitches, stitch_data, tethers, tether_lengths, limits, strain_limits, limit_work,
+                    stitches, stitch_data, tethers, tether_lengths, limits, strain_limits, limit_work, rubs,
                 ),
                 BodySurface(body_start, body_end, ring_start, ring, fan_start, fan, body_normals),
                 Obstacles(primitives, fields, field_values),

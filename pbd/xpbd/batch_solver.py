@@ -145,8 +145,8 @@ class BatchSolver:
             )
         if any(solver.in_contact for solver in solvers):
             raise InputError("garments that collide with themselves", key="solvers", expected="self_collision = false")
-        if any(solver.model.plastic_count for solver in solvers):
-            expected = "bend_hysteresis of 0"
+        if any(solver.model.plastic_count or solver.model.plastic_shear_count for solver in solvers):
+            expected = "bend_hysteresis and shear_hysteresis of 0"
             raise InputError("garments with internal friction", key="solvers", expected=expected)
         with_multigrid = any(solver.with_multigrid for solver in solvers)
         on_cuda = running_arch() == "cuda"

@@ -17,6 +17,8 @@ from pbd.xpbd.constraints import (
 
 __all__ = ["solve_bending", "solve_limits", "solve_membrane", "solve_stitches", "solve_tethers"]
 
+STIFFENING_ROWS = 16  # of the data of triangles that stiffen, at least; others have 12, and both two more for friction
+
 
 @ti.func
 def solve_membrane(
@@ -46,6 +48,7 @@ def solve_membrane(
     x1, y1, z1 = ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK)
     x2, y2, z2 = ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK)
     e1, e2, e3 = ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK), ti.Vector([0.0] * BLOCK)
+    plastic = ti.Vector([0.0] * BLOCK)
     for b in range(first, last):
         begin, size = constraints.triangle_blocks[b][0], constraints.triangle_blocks[b][1]
         for a in range(size):
@@ -61,8 +64,9 @@ def solve_membrane(
                 e = multigrid.coarse_strain[multigrid.parent[f[0]]]
                 e1[a], e2[a], e3[a] = e[0], e[1], e[2]
         # A kernel has the loop twice, so that fabrics that do not stiffen pay nothing.
+        rows = constraints.triangle_data.shape[0]
         for stiffens in ti.static((False, True)):
-            if stiffens == (constraints.triangle_data.shape[0] > 12):
+            if stiffens == (rows >= STIFFENING_ROWS):
                 for a in range(BLOCK):  # the triangles beyond the block's size come to nothing
                     c = begin + a
                     inverse_flat = row4(constraints.triangle_data, 0, c)
@@ -73,7 +77,11 @@ def solve_membrane(
                     if ti.static(stiffens):
                         law = row4(constraints.triangle_data, 12, c)
                         compliance, borne = stiffened(side_1, side_2, inverse_flat, gram, compliance, law, borne)
-                    g = membrane_multipliers(
+                    slips_at, kept = 0.0, 0.0
+                    if ti.static(constraints.rubs):
+                        slips_at = constraints.triangle_data[rows - 2, c]
+                        kept = constraints.triangle_data[rows - 1, c]
+                    g, kept = membrane_multipliers(
                         side_1,
                         side_2,
                         inverse_flat,
@@ -82,7 +90,12 @@ def solve_membrane(
                         constraints.triangle_data[7, c],
                         compression_compliance_scale,
                         borne,
+                        slips_at,
+                        kept,
+                        constraints.rubs,
                     )
+                    if ti.static(constraints.rubs):
+                        plastic[a] = kept
                     gu, gv = vec3(g[0, 0], g[1, 0], g[2, 0]), vec3(g[0, 1], g[1, 1], g[2, 1])
                     m1 = inverse_flat[0] * gu + inverse_flat[1] * gv
                     m2 = inverse_flat[2] * gu + inverse_flat[3] * gv
@@ -94,6 +107,8 @@ def solve_membrane(
             cloth.position_delta[f[0]] = cloth.position_delta[f[0]] - cloth.position[f[0]][3] * (m1 + m2)
             cloth.position_delta[f[1]] = cloth.position_delta[f[1]] + cloth.position[f[1]][3] * m1
             cloth.position_delta[f[2]] = cloth.position_delta[f[2]] + cloth.position[f[2]][3] * m2
+            if ti.static(constraints.rubs):
+                constraints.triangle_data[rows - 1, begin + a] = plastic[a]
 
 
 @ti.func

@@ -19,6 +19,7 @@ __all__ = [
     "limit_correction",
     "membrane_multipliers",
     "rubbing_hinge",
+    "rubbing_shear",
     "spring_multiplier",
     "stiffened",
     "stitch_multiplier",
@@ -36,7 +37,7 @@ MIN_SQUARED_SINE = 0.6  # of that angle
 
 STRAIN_STEPS = 4  # of Newton's method for the strain at which a triangle comes to rest
 
-FRICTION_STIFFNESS = 3.0  # of a hinge's element of internal friction over its elastic stiffness [-]
+FRICTION_STIFFNESS = 3.0  # of an element of internal friction, of a hinge or of shear, over the elastic stiffness [-]
 # A hinge is nearly closed when (x_j - x_i) x (x_k - x_l) is no longer than this times its edge squared [-].
 MIN_OPENING = 0.1
 
@@ -49,7 +50,17 @@ def larger(a: ti.f32, b: ti.f32) -> ti.f32:
 
 @ti.func
 def membrane_multipliers(
-    side_1: vec3, side_2: vec3, inverse_flat, gram, compliance, unit, compression_compliance_scale, coarse_strain
+    side_1: vec3,
+    side_2: vec3,
+    inverse_flat,
+    gram,
+    compliance,
+    unit,
+    compression_compliance_scale,
+    coarse_strain,
+    slips_at: ti.f32,
+    plastic: ti.f32,
+    rubs: ti.template(),
 ):
     """Orthotropic plane-stress membrane of one triangle: three constraints solved together.
 
@@ -68,10 +79,12 @@ def membrane_multipliers(
         unit: scale of the system [kg m2] that keeps its determinant in float32's range however fine the mesh.
         compression_compliance_scale: factor on the compliance of a warp or weft that is compressed [-].
         coarse_strain: strain that the coarser levels bear already, by the same compliance [-]: (uu, vv, uv).
+        slips_at, plastic, rubs: internal friction of the shear, see :func:`rubbing_shear`; without ``rubs``, which is
+            known while a kernel is compiled, there is none.
 
     Returns:
         3 by 2 matrix with columns g_u, g_v: corner 1 moves by w1 (b00 g_u + b01 g_v), corner 2 by
-        w2 (b10 g_u + b11 g_v), corner 0 by -w0 ((b00 + b10) g_u + (b01 + b11) g_v).
+        w2 (b10 g_u + b11 g_v), corner 0 by -w0 ((b00 + b10) g_u + (b01 + b11) g_v). And ``plastic`` after it.
     """
     wu = side_1 * inverse_flat[0] + side_2 * inverse_flat[2]
     wv = side_1 * inverse_flat[1] + side_2 * inverse_flat[3]
@@ -103,16 +116,69 @@ def membrane_multipliers(
         )
         + compliance[3]
     )
+    c02, c12, c22 = a01 * a12 - a02 * a11, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
+    kept = plastic
+    if ti.static(rubs):
+        at_rest, softer, kept = rubbing_shear(
+            c02 * cu + c12 * cv + c22 * cs_left,
+            larger(a02 * c02 + a12 * c12 + a22 * c22, MIN_DETERMINANT * a00 * a11 * a22),
+            c22,
+            compliance[3],
+            coarse_strain[2],
+            slips_at,
+            plastic,
+        )
+        cs_left -= at_rest
+        a22 += softer
     # Symmetric 3 by 3 solve by cofactors; the matrix is positive definite.
-    c00, c01, c02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
-    c11, c12, c22 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
+    c00, c01, c11 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a00 * a22 - a02 * a02
     # In float32 the determinant of a sliver may come to nothing or less.
     scale = -unit / larger(a00 * c00 + a01 * c01 + a02 * c02, MIN_DETERMINANT * a00 * a11 * a22)
     lu = scale * (c00 * cu + c01 * cv + c02 * cs_left)
     lv = scale * (c01 * cu + c11 * cv + c12 * cs_left)
     ls = scale * (c02 * cu + c12 * cv + c22 * cs_left)
     gu, gv = lu * nu + ls * tu, lv * nv + ls * tv
-    return mat3x2([[gu[0], gv[0]], [gu[1], gv[1]], [gu[2], gv[2]]])
+    return mat3x2([[gu[0], gv[0]], [gu[1], gv[1]], [gu[2], gv[2]]]), kept
+
+
+@ti.func
+def rubbing_shear(
+    product: ti.f32,
+    determinant: ti.f32,
+    minor: ti.f32,
+    compliance: ti.f32,
+    coarse: ti.f32,
+    slips_at: ti.f32,
+    plastic: ti.f32,
+):
+    """Internal friction of shear: an elastoplastic element beside the elastic one, as in :func:`rubbing_hinge`.
+
+    The shear's own multiplier is -(product)/(determinant) by Cramer's rule, and both are linear in its compliance and
+    in the strain at which it rests. So the element's force at the end of the substep is known before the system is
+    solved, and the system is solved once. There is no branch, so that triangles are solved together.
+
+    Args:
+        product: of the strains with the shear's column of cofactors, for the elastic shear alone.
+        determinant: of the system, for the elastic shear alone.
+        minor: c22, the shear's own cofactor.
+        compliance: of the shear, as in the system.
+        coarse: shear that the coarser levels bear already [-].
+        slips_at: shear at which the elastic shear alone would bear the force at which the element slips [-].
+        plastic: shear at which the element is without force [-].
+
+    Returns:
+        Change of the shear at rest [-] and of the compliance, which make of the elastic shear one that does the same in
+        this substep; and the element's ``plastic`` after it.
+    """
+    rest = FRICTION_STIFFNESS / (1.0 + FRICTION_STIFFNESS) * (plastic - coarse)
+    softer = compliance / (1.0 + FRICTION_STIFFNESS) - compliance
+    stuck = larger(determinant + minor * softer, MIN_DETERMINANT * determinant)
+    after = coarse + rest + (compliance + softer) * (product - minor * rest) / stuck
+    slips = ti.abs(after - plastic) * FRICTION_STIFFNESS > slips_at
+    slipping = ti.select(after > plastic, slips_at, -slips_at)
+    slid = coarse - slipping + compliance * (product + minor * slipping) / determinant
+    kept = slid - slipping / FRICTION_STIFFNESS
+    return ti.select(slips, -slipping, rest), ti.select(slips, 0.0, softer), ti.select(slips, kept, plastic)
 
 
 @ti.func

@@ -31,7 +31,8 @@ AIR_DENSITY = 1.2  # [kg/m3]
 STRIDE_SHARE = 0.25  # of the mean edge [-], ...
 MIN_STRIDE = 0.01  # ... but at least this [m]
 MAX_REFINEMENT = 8  # times as many substeps, at most
-CHECKED = ("position", "velocity", "nearest", "contact", "plastic_bends")  # of a state: their lengths
+# Of a state: their lengths.
+CHECKED = ("position", "velocity", "nearest", "contact", "plastic_bends", "plastic_shears")
 # On a body, garments with fewer vertices take a kernel that compiles in a tenth of the time. Their step is 5 to 20 %
 # longer for it.
 MIN_OPTIMIZED = 4000
@@ -122,7 +123,7 @@ class Solver:
         self._pairs = SelfCollision(model, self.options.self_collision) if self.in_contact else None
         self._stride = max(MIN_STRIDE, STRIDE_SHARE * float(model.mesh.edge_lengths()[1].mean()))
         self._find_nearest = Launch(find_nearest)
-        kinds = self.with_multigrid, self._pairs is not None
+        kinds = self.with_multigrid, self._pairs is not None, model.plastic_shear_count > 0
         self._advance, self._advance_on_body = Launch(advance_kernel(*kinds)), Launch(advance_kernel(*kinds))
         if count < MIN_OPTIMIZED:
             self._advance_on_body = Launch(advance_kernel(*kinds, quickly=True))
@@ -130,7 +131,7 @@ class Solver:
     def _model_arrays(self) -> dict[str, np.ndarray]:
         """Arguments of the kernels that belong to the model."""
         names = (
-            "triangles", "triangle_blocks", "block_colors", "triangle_data", "hinges", "hinge_colors",
+            "triangles", "triangle_blocks", "block_colors", "hinges", "hinge_colors",
             "stitches", "tethers", "tether_lengths", "held", "pressure", "samples", "sample_colors",
         )  # fmt: skip
         if self.model.plastic_count:
@@ -138,11 +139,15 @@ class Solver:
             self._hinge_data = np.concatenate([self.model.hinge_data, kept], axis=1)
         else:
             self._hinge_data = self.model.hinge_data
+        self._triangle_data = self.model.triangle_data
+        if self.model.plastic_shear_count:
+            self._triangle_data = np.pad(self._triangle_data, ((0, 1), (0, 0)))
         self._stitch_data = np.zeros((len(self.model.stitches), 4), np.float32)
         self._stitch_data[:, 0] = self.model.stitch_weights
         return {name: getattr(self.model, name) for name in names} | {
             "stitch_data": self._stitch_data,
             "hinge_data": self._hinge_data,
+            "triangle_data": self._triangle_data,
         }
 
     def _multigrid_arrays(self) -> dict[str, np.ndarray]:
@@ -220,15 +225,19 @@ class Solver:
         if colliders.body is not None:
             self._find_nearest.by_name(arguments)
         advance = self._advance if colliders.body is None else self._advance_on_body
-        numbers = self.model.hinge_numbers
-        if self.model.plastic_count:
-            self._hinge_data[:, 2, 0] = state.plastic_bends[numbers]
+        model, count = self.model, len(self.model.triangles)
+        if model.plastic_count:
+            self._hinge_data[:, 2, 0] = state.plastic_bends[model.hinge_numbers]
+        if model.plastic_shear_count:
+            self._triangle_data[-1, :count] = state.plastic_shears[model.triangle_numbers]
         if self._pairs is None:
             advance.by_name(arguments)
         else:
             self._advance_in_contact(advance, state, arguments, dt)
-        if self.model.plastic_count:
-            state.plastic_bends[numbers] = self._hinge_data[:, 2, 0]
+        if model.plastic_count:
+            state.plastic_bends[model.hinge_numbers] = self._hinge_data[:, 2, 0]
+        if model.plastic_shear_count:
+            state.plastic_shears[model.triangle_numbers] = self._triangle_data[-1, :count]
 
     def _advance_in_contact(self, advance: Launch, state: State, arguments: dict[str, Any], dt: float) -> None:
         """Advance the state with the cloth's own pairs, which are found anew as often as it moves far."""
@@ -394,7 +403,7 @@ class Solver:
         model = self.model
         received = tuple(len(getattr(state, name)) for name in CHECKED)
         count, samples = model.vertex_count, len(model.samples)
-        expected = (count, count, samples, count, model.plastic_count)
+        expected = (count, count, samples, count, model.plastic_count, model.plastic_shear_count)
         if received != expected:
             raise InputError("state of another model", key="state", received=received, expected=f"lengths {expected}")
         if not (np.isfinite(state.position).all() and np.isfinite(state.velocity).all()):

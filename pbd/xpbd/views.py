@@ -77,6 +77,9 @@ class ConstraintArrays:
     """The constraints of a garment, see :class:`pbd.Model`.
 
     Attributes:
+        rubs: whether the shear of the triangles has internal friction, known while the kernel is compiled. Their data
+            then have two more rows: the shear at which it slips, see :func:`pbd.xpbd.constraints.rubbing_shear`, and
+            the one at which it is without force, which is written.
         stitch_data: of each stitch the place w on its edge, and how far it is still open at the start and at the end of
             the frame [m], vec4.
         limits: position of the target at the frame's start and the vertex, motion of the target over the frame, normal
@@ -98,6 +101,7 @@ class ConstraintArrays:
     limits: Any = None
     strain_limits: Any = None
     limit_work: Any = None
+    rubs: bool = False
     _data_oriented = True
 
 

@@ -15,7 +15,7 @@ from pbd.fabric import MAX_STIFFENING_STRAIN, stiffening_stress
 stiffness = st.floats(1e-2, 1e5)
 MAY_BE_ZERO = (
     "compression", "poisson", "friction", "air_drag", "bend_warp", "bend_weft", "bend_hysteresis_warp",
-    "bend_hysteresis_weft",
+    "bend_hysteresis_weft", "shear_hysteresis",
 )  # fmt: skip
 
 

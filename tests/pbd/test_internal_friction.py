@@ -1,4 +1,4 @@
-"""Internal friction of bending: the loop of moment over curvature, what is left of a bend, what a swing loses."""
+"""Internal friction: loops of bending and shear, what is left of a bend, what a swing loses."""
 
 from __future__ import annotations
 
@@ -33,6 +33,9 @@ COTTON = Fabric(
     bend_hysteresis_warp=HYSTERESIS, bend_hysteresis_weft=HYSTERESIS,
 )  # fmt: skip
 SMOOTH = replace(COTTON, bend_hysteresis_warp=0.0, bend_hysteresis_weft=0.0)
+RUBBED = 1.0  # of a cotton cloth, Kawabata's 2HG [N/m]
+SHEARED = replace(SMOOTH, shear=40.0, shear_hysteresis=RUBBED)
+KNIT = {"stiffening_warp_10": 3.0, "stiffening_warp_20": 8.0, "stiffening_weft_10": 2.0, "stiffening_weft_20": 4.0}
 WEIGHTLESS = SolverOptions(gravity=(0.0, 0.0, 0.0), coarse_sweeps=0)
 
 
@@ -73,6 +76,24 @@ def moments(specimen: Specimen, fabric: Fabric, angle: float, path: np.ndarray) 
     return np.array(found)
 
 
+def shear_forces(specimen: Specimen, fabric: Fabric, path: np.ndarray) -> np.ndarray:
+    """Shear force per width [N/m] of cloth so heavy that it stays where it is laid, angles [rad], shape (k,)."""
+    model = model_of(specimen, replace(fabric, areal_density=1e9))
+    state, solver = State.at_rest(model), Solver(model, replace(WEIGHTLESS, substep=1 / 60))
+    flat, found = level(specimen.flat), []
+    for angle in path:
+        # Weft turns against the warp and keeps its length, so that nothing but the shear is strained.
+        state.position[:, 0] = flat[:, 0] - np.sin(angle) * flat[:, 2] - state.origin[0]
+        state.position[:, 2] = np.cos(angle) * flat[:, 2] - state.origin[2]
+        state.velocity[:] = 0.0
+        solver.step(state, Colliders(), 1 / 60)
+        rubbing = FRICTION_STIFFNESS * (np.sin(angle) - state.plastic_shears) if model.plastic_shear_count else 0.0
+        force = fabric.shear * (np.sin(angle) + rubbing)
+        assert np.ptp(force) < 1e-3 * fabric.shear * 0.14  # the same in all triangles
+        found.append(float(np.mean(force)))
+    return np.array(found)
+
+
 def unordered(side: float, count: int) -> Specimen:
     """A square of so many vertices without any order [m]."""
     points = np.random.default_rng(0).uniform(0.0, side, (count, 2))
@@ -110,6 +131,57 @@ def test_bending_to_and_fro_makes_a_loop_as_wide_as_the_fabric_says(
         assert -found[50] == pytest.approx(0.5 * widths[-1], rel=0.1)  # on the way back, flat cloth is held bent
     assert np.mean(widths) == pytest.approx(HYSTERESIS, rel=mean)
     assert np.abs(np.array(widths) / HYSTERESIS - 1.0).max() < each
+
+
+@pytest.mark.parametrize("knit", [False, True])
+def test_shear_to_and_fro_makes_a_loop_as_wide_as_the_fabric_says(knit: bool) -> None:
+    """Kawabata's test: to 8 deg and back to -8 deg; widths at 0.5 and 5 deg, slope from 0.5 to 2.5 deg."""
+    steps = np.radians(np.arange(0.0, 8.25, 0.25))
+    path = np.concatenate([steps, steps[::-1][1:], -steps[1:], -steps[::-1][1:], steps[1:]])
+    found = shear_forces(unordered(0.04, 200), replace(SHEARED, **KNIT) if knit else SHEARED, path)
+    back, forth = found[32:97], found[96:]  # from 8 deg to -8 deg and up again
+    going = back[::-1]
+    for degrees in (0.5, 2.5, 5.0, -0.5, -5.0):
+        place = round((degrees + 8.0) / 0.25)
+        assert forth[place] - going[place] == pytest.approx(RUBBED, rel=1e-3)
+    slope = (forth[42] - forth[34]) / (np.sin(np.radians(2.5)) - np.sin(np.radians(0.5)))
+    assert slope == pytest.approx(SHEARED.shear, rel=1e-3)
+    # Before it slips the element adds its own stiffness to the cloth's.
+    start = shear_forces(strip(0.04, 0.04, 8, 0), SHEARED, np.array([0.004, 0.005]))
+    own = SHEARED.shear * np.sin([0.004, 0.005])
+    assert start == pytest.approx(own + np.minimum(FRICTION_STIFFNESS * own, 0.5 * RUBBED), rel=1e-3)
+    smooth = shear_forces(strip(0.04, 0.04, 8, 0), SMOOTH, path[:66])
+    assert smooth == pytest.approx(SMOOTH.shear * np.sin(path[:66]), rel=1e-6)
+
+
+def sheared_strip(fabric: Fabric, seconds: float) -> np.ndarray:
+    """A strip clamped along one long side, sheared by 4 deg, and let go without weight; shear of its other side [-]."""
+    specimen = strip(0.05, 0.1, 10, 0)
+    x = specimen.flat[:, 0]
+    heavy, model = (
+        model_of(specimen, some, np.flatnonzero(x < 1e-9)) for some in (replace(fabric, areal_density=1e9), fabric)
+    )
+    state, solver = State.at_rest(heavy), Solver(heavy, replace(WEIGHTLESS, substep=1 / 60))
+    far = x > 0.05 - 1e-9
+    for angle in np.radians(np.linspace(0.0, 4.0, 20)):  # it is sheared slowly, so that friction follows
+        state.position[:, 2] = level(specimen.flat)[:, 2] + np.sin(angle) * x - state.origin[2]
+        state.velocity[:] = 0.0
+        solver.step(state, Colliders(), 1 / 60)
+    state.position[:, 3], state.velocity[:] = model.inverse_mass, 0.0
+    found, solver = [], Solver(model, replace(WEIGHTLESS, substep=1 / 2400))
+    for _ in range(round(seconds * 240)):
+        solver.step(state, Colliders(), 1 / 240)
+        found.append(float((state.world() - level(specimen.flat))[far, 2].mean() / 0.05))
+    return np.array(found)
+
+
+def test_what_was_sheared_comes_back_only_in_part() -> None:
+    rubbed = sheared_strip(replace(SHEARED, shear_hysteresis=5.0), 0.5)
+    smooth = sheared_strip(replace(SHEARED, shear_hysteresis=0.0), 0.5)
+    # It comes to rest where the cloth and the element, which has slipped this far, pull as strongly.
+    slipped = np.sin(np.radians(4.0)) - 2.5 / (FRICTION_STIFFNESS * SHEARED.shear)
+    assert rubbed[60:] == pytest.approx(FRICTION_STIFFNESS / (1.0 + FRICTION_STIFFNESS) * slipped, rel=0.05)
+    assert smooth.min() < -0.5 * np.radians(4.0)
 
 
 def test_without_hysteresis_there_is_no_loop() -> None:
@@ -165,6 +237,44 @@ def test_friction_is_kept_in_the_state_and_costs_nothing_where_there_is_none(tmp
         Solver(none).step(state, Colliders(), 1 / 60)
 
 
+def test_friction_of_shear_is_kept_in_the_state_too(tmp_path) -> None:
+    model = model_of(strip(0.06, 0.02, 12, 1), SHEARED)
+    state = State.at_rest(model)
+    assert len(state.plastic_shears) == model.plastic_shear_count == len(model.triangles)
+    state.plastic_shears[:] = 0.001
+    assert state.hash() != State.at_rest(model).hash()
+    state.save(str(tmp_path / "a.npz"))
+    assert State.load(str(tmp_path / "a.npz")).hash() == state.hash()
+    none = model_of(strip(0.06, 0.02, 12, 1), SMOOTH)
+    assert none.plastic_shear_count == 0 and len(State.at_rest(none).plastic_shears) == 0
+    with pytest.raises(InputError, match="state of another model"):
+        Solver(none).step(state, Colliders(), 1 / 60)
+
+
+@pytest.mark.parametrize("more", [(False, False), (True, False), (False, True), (True, True)])
+def test_a_layer_shears_as_it_does_alone(more: tuple[bool, bool]) -> None:
+    """Whichever of both stiffens, too: the rows of data of both kinds stand beside one another."""
+    specimen = strip(0.06, 0.06, 6, 0)
+    fabrics = [
+        replace(fabric, **KNIT) if knit else fabric for fabric, knit in zip((SMOOTH, SHEARED), more, strict=True)
+    ]
+    free, rubs = (model_of(specimen, fabric) for fabric in fabrics)
+    both = layered([free, rubs])
+    assert len(both.triangle_data) == 13 + 4 * any(more)
+    assert both.plastic_shear_count == 2 * len(rubs.triangles)
+    assert np.array_equal(np.sort(both.triangle_numbers), np.arange(both.plastic_shear_count))
+    state = State.at_rest(both, np.concatenate([free.mesh.vertices + [0, 0.1, 0], rubs.mesh.vertices]))
+    alone = State.at_rest(rubs)
+    for some in (state, alone):
+        some.position[:, 0] -= 0.1 * some.position[:, 2]
+    Solver(both, WEIGHTLESS).step(state, Colliders(), 1 / 60)
+    Solver(rubs, WEIGHTLESS).step(alone, Colliders(), 1 / 60)
+    count = len(rubs.triangles)
+    assert np.abs(alone.plastic_shears).max() > 1e-3
+    assert state.plastic_shears[count:] == pytest.approx(alone.plastic_shears, abs=1e-4)
+    assert (state.position[len(free.mesh.vertices) :, 0] - alone.position[:, 0]) == pytest.approx(0.0, abs=1e-5)
+
+
 def test_layers_keep_their_own_friction() -> None:
     specimen = strip(0.06, 0.02, 12, 1)
     rubs, free = (
@@ -180,5 +290,8 @@ def test_layers_keep_their_own_friction() -> None:
 def test_what_cannot_be_is_refused() -> None:
     with pytest.raises(InputError, match="bend_hysteresis_warp"):
         Fabric(bend_hysteresis_warp=-1e-3)
-    with pytest.raises(InputError, match="internal friction"):
-        BatchSolver([Solver(model_of(strip(0.06, 0.02, 12, 1), COTTON))])
+    with pytest.raises(InputError, match="shear_hysteresis"):
+        Fabric(shear_hysteresis=-1.0)
+    for fabric in (COTTON, SHEARED):
+        with pytest.raises(InputError, match="internal friction"):
+            BatchSolver([Solver(model_of(strip(0.06, 0.02, 12, 1), fabric))])

@@ -11,7 +11,7 @@ import pytest
 from pbd import Colliders, Fabric, InputError, ModelOptions, Solver, SolverOptions, Sphere, State, build_model
 from tests.pbd.meshes import body_of, cloth, free_model, grid, icosphere, run
 
-RUBBING = Fabric(bend_hysteresis_warp=1e-3, bend_hysteresis_weft=5e-4)
+RUBBING = Fabric(bend_hysteresis_warp=1e-3, bend_hysteresis_weft=5e-4, shear_hysteresis=1.0)
 MODEL = free_model(cloth(*grid(6, 6, 0.05)), RUBBING, held=np.array([0, 6]))
 
 

@@ -13,7 +13,7 @@ from pbd.models.membrane import condition_membrane, continuum_membrane
 from pbd.models.plate import angle_bending, isometric_bending, morley_bending
 from pbd.models.springs import prestressed_springs, square_springs, triangle_springs
 from tests.pbd.meshes import cloth, free_model, grid, turn
-from tests.pbd.models.sheets import FABRIC, sheet
+from tests.pbd.models.sheets import FABRIC, differences, sheet
 
 ISOTROPIC = Fabric(stretch_warp=600.0, stretch_weft=600.0, poisson=1 / 3, shear=225.0, bend_warp=0.0, bend_weft=0.0)
 
@@ -43,19 +43,6 @@ def crumpled(model: Model, points: int = 0) -> np.ndarray:
 
 def points_of(energy: ElementEnergy | Sum) -> int:
     return energy.point_count if isinstance(energy, Sum) else energy.vertex_count
-
-
-def differences(function: Callable, x: np.ndarray, step: float) -> np.ndarray:
-    """Central differences of fourth order, shape (n, 3, ...)."""
-    rows = []
-    for place in range(x.size):
-        move = np.zeros(x.size)
-        move[place] = step
-        move = move.reshape(x.shape)
-        near = (function(x + move) - function(x - move)) / (2 * step)
-        far = (function(x + 2 * move) - function(x - 2 * move)) / (4 * step)
-        rows.append((4 * near - far) / 3)
-    return np.array(rows)
 
 
 @pytest.mark.parametrize("name", ENERGIES)

@@ -7,6 +7,7 @@ from scipy.optimize import brentq
 from pbd.engine import ti
 from pbd.fabric import stiffening_stress
 from pbd.xpbd.constraints import (
+    FRICTION_STIFFNESS,
     MIN_OPENING,
     PUSH_OUT,
     bent_hinge,
@@ -32,7 +33,7 @@ COUNT = 200
 @ti.kernel
 def membrane_rows(sides: Rows, data: Rows, compression_scale: ti.f32, out: Rows):
     for c in range(sides.shape[0]):
-        g = membrane_multipliers(
+        g, _ = membrane_multipliers(
             vec3(sides[c, 0], sides[c, 1], sides[c, 2]),
             vec3(sides[c, 3], sides[c, 4], sides[c, 5]),
             ti.math.vec4(data[c, 0], data[c, 1], data[c, 2], data[c, 3]),
@@ -41,6 +42,9 @@ def membrane_rows(sides: Rows, data: Rows, compression_scale: ti.f32, out: Rows)
             data[c, 11],
             compression_scale,
             vec3(0.0),
+            0.0,
+            0.0,
+            False,
         )
         for a, b in ti.static(ti.ndrange(3, 2)):
             out[c, 2 * a + b] = g[a, b]
@@ -62,6 +66,27 @@ def stiffened_rows(sides: Rows, data: Rows, laws: Rows, strains: Rows, out: Rows
             out[c, a] = compliance[a]
         for a in ti.static(range(3)):
             out[c, 4 + a] = borne[a]
+
+
+@ti.kernel
+def rubbing_rows(sides: Rows, data: Rows, coarse: Rows, friction: Rows, out: Rows):
+    for c in range(sides.shape[0]):
+        g, kept = membrane_multipliers(
+            vec3(sides[c, 0], sides[c, 1], sides[c, 2]),
+            vec3(sides[c, 3], sides[c, 4], sides[c, 5]),
+            ti.math.vec4(data[c, 0], data[c, 1], data[c, 2], data[c, 3]),
+            vec3(data[c, 4], data[c, 5], data[c, 6]),
+            ti.math.vec4(data[c, 7], data[c, 8], data[c, 9], data[c, 10]),
+            data[c, 11],
+            1.0,
+            vec3(coarse[c, 0], coarse[c, 1], coarse[c, 2]),
+            friction[c, 0],
+            friction[c, 1],
+            True,
+        )
+        for a, b in ti.static(ti.ndrange(3, 2)):
+            out[c, 2 * a + b] = g[a, b]
+        out[c, 6] = kept
 
 
 @ti.kernel
@@ -196,8 +221,38 @@ class Triangles:
         multiplier = -np.linalg.solve(system, self.strains(self.corners())[:, :, None])
         return np.einsum("cakx,ca->ckx", weighted, multiplier[:, :, 0])
 
+    def rubbing(self, coarse: np.ndarray, slips_at: np.ndarray, plastic: np.ndarray) -> tuple[np.ndarray, ...]:
+        """The same with friction of shear; the plastic shear after it; and whether it slipped.
+
+        The element is found by trying: stuck, and where its force is too great, with the force at which it slips.
+        """
+        jacobian, strains, k = self.gradients(), self.strains(self.corners()) - coarse, FRICTION_STIFFNESS
+        weighted = jacobian * self.weight[:, None, :, None]
+        system = np.einsum("cakx,cbkx->cab", jacobian, weighted)
+
+        def solve(softness: float, rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            alpha, left = self.alpha.copy(), strains.copy()
+            alpha[:, 2, 2] *= softness
+            left[:, 2] = strains[:, 2] + coarse[:, 2] - rest
+            multiplier = -np.linalg.solve(system + alpha, left[:, :, None])[:, :, 0]
+            return multiplier, rest - alpha[:, 2, 2] * multiplier[:, 2]
+
+        stuck, shear = solve(1.0 / (1.0 + k), (coarse[:, 2] + k * plastic) / (1.0 + k))
+        slips = k * np.abs(shear - plastic) > slips_at
+        slipping = np.sign(shear - plastic) * slips_at
+        loose, slid = solve(1.0, coarse[:, 2] - slipping)
+        multiplier = np.where(slips[:, None], loose, stuck)
+        after = np.where(slips, slid - slipping / k, plastic)
+        return np.einsum("cakx,ca->ckx", weighted, multiplier), after, slips
+
     def solved(self, compression_scale: float = 1.0) -> np.ndarray:
         """What the function gives for the corners [m], shape (c, 3, 3)."""
+        rows, sides, data = self.data()
+        g = call(membrane_rows, sides, data, compression_scale, width=6).reshape(-1, 3, 2)
+        return self.weight[:, :, None] * np.einsum("ckb,cxb->ckx", rows, g)
+
+    def data(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rows b of the corners, and the function's arguments: sides, and all else."""
         rows = np.concatenate([-self.inverse.sum(axis=1, keepdims=True), self.inverse], axis=1)  # (c, corner, 2)
         gram = np.einsum("ck,cka,ckb->cab", self.weight, rows, rows)
         unit = 1.0 / np.trace(gram, axis1=1, axis2=2)
@@ -205,9 +260,7 @@ class Triangles:
         soft = np.stack([self.alpha[:, a, b] for a, b in ((0, 0), (0, 1), (1, 1), (2, 2))], axis=1)
         data = np.concatenate([self.inverse.reshape(-1, 4), system * unit[:, None], soft * unit[:, None]], axis=1)
         data = np.concatenate([data, unit[:, None]], axis=1)
-        sides = self.sides.transpose(0, 2, 1).reshape(-1, 6)
-        g = call(membrane_rows, sides, data, compression_scale, width=6).reshape(-1, 3, 2)
-        return self.weight[:, :, None] * np.einsum("ckb,cxb->ckx", rows, g)
+        return rows, self.sides.transpose(0, 2, 1).reshape(-1, 6), data
 
 
 def stiffened_by(strain: float, law: np.ndarray, softness: float, borne: float) -> tuple[np.ndarray, np.ndarray]:
@@ -251,6 +304,29 @@ def test_the_membrane_solves_its_three_strains_together(deform: float, free_corn
     error = np.abs(solved - exact).max(axis=(1, 2)) / np.abs(exact).max(axis=(1, 2))
     assert error.max() < 1e-3
     assert np.median(error) < 1e-5
+
+
+def test_friction_of_shear_is_solved_with_the_three_strains() -> None:
+    triangles, rng = Triangles(3, 0.05), np.random.default_rng(1)
+    coarse, plastic = rng.uniform(-0.01, 0.01, (COUNT, 3)), rng.uniform(-0.05, 0.05, COUNT)
+    slips_at = rng.uniform(0.0, 0.1, COUNT)
+    exact, after, slips = triangles.rubbing(coarse, slips_at, plastic)
+    assert 0.2 < slips.mean() < 0.8
+    rows, sides, data = triangles.data()
+    found = call(rubbing_rows, sides, data, coarse, np.stack([slips_at, plastic], axis=1), width=7)
+    solved = triangles.weight[:, :, None] * np.einsum("ckb,cxb->ckx", rows, found[:, :6].reshape(-1, 3, 2))
+    error = np.abs(solved - exact).max(axis=(1, 2)) / np.abs(exact).max(axis=(1, 2))
+    assert error.max() < 1e-3
+    assert np.median(error) < 1e-5
+    assert found[:, 6] == pytest.approx(after, abs=1e-5)
+
+
+def test_friction_of_no_force_is_no_friction() -> None:
+    triangles = Triangles(4, 0.05)
+    rows, sides, data = triangles.data()
+    found = call(rubbing_rows, sides, data, np.zeros((COUNT, 3)), np.zeros((COUNT, 2)), width=7)
+    solved = triangles.weight[:, :, None] * np.einsum("ckb,cxb->ckx", rows, found[:, :6].reshape(-1, 3, 2))
+    assert solved == pytest.approx(triangles.solved(), rel=1e-4, abs=1e-7)
 
 
 def test_a_triangle_at_rest_is_left_alone_however_it_is_turned() -> None:
