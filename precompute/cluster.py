@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import pickle
 import queue
 import re
-import tempfile
 import threading
 import time
 import uuid
@@ -86,6 +84,14 @@ class ClusterWorkers(Workers):
             raise InputError("these workers cannot be used", key="--scheduler", received=received, expected=expected)
         return len(threads)
 
+    @property
+    def sees_files(self) -> bool:
+        """Whether all workers see the client's cache, and so probably the files beside it."""
+        if self._cache is None:
+            return False
+        found: Any = self._client.run(Path.exists, self._cache / self._token)
+        return all(found.values())
+
     def run(
         self,
         jobs: Sequence[Callable[[], Result]],
@@ -135,8 +141,12 @@ class ClusterWorkers(Workers):
             for number, job in enumerate(jobs):
                 submit(number, job, shared)
             while running:
-                with suppress(queue.Empty):
+                try:
                     future = ended.get(timeout=GLANCE)
+                except queue.Empty:
+                    seen = self._watched(seen)
+                else:
+                    seen = time.monotonic()
                     number, known = running.pop(future)
                     result, where = self._result(future)
                     if (following := after(number, result)) is not None:
@@ -144,7 +154,6 @@ class ClusterWorkers(Workers):
                 if meanwhile is not None and time.monotonic() - told > GLANCE:
                     meanwhile()
                     told = time.monotonic()
-                seen = self._watched(seen)
         finally:
             self._client.cancel(list(running))
 
@@ -230,7 +239,7 @@ def _call(
         limit_threads()
         folder, token = cache
         if folder is not None and folder not in _caches:
-            own = Path(tempfile.gettempdir()) / f"gube-cache-{os.getuid()}"
+            own = Path(worker.local_directory) / "gube-cache"  # of this worker alone, and ends with it
             _caches[folder] = folder if (folder / token).exists() else own
         function, named = pickle.loads(packed)  # noqa: S301 - from the scheduler's other side, not from a file
         job = partial(function, *(pickle.loads(one) for one in arguments), **named)  # noqa: S301

@@ -6,6 +6,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -22,11 +23,16 @@ from wrinkles.database import code_version, read_database
 
 __all__ = ["Outcome", "learn_wardrobe", "wardrobe_rows", "wardrobe_text", "write_wardrobe"]
 
-COLUMNS = (
-    "spectrum_band_error_max", "floor_spectrum_band_error_max", "bending_energy_ratio", "normal_skill",
-    "inside_body_percent", "deepest_mm", "frame_ms_p50",
-)  # fmt: skip
-WORST_BY = COLUMNS[0]  # the largest error of an octave of bending energy
+WORST_BY = "spectrum_band_error_max"  # the largest error of an octave of bending energy
+COLUMNS = {  # figures of a database, and what they are called on the page
+    WORST_BY: "worst octave",
+    "floor_spectrum_band_error_max": "floor",
+    "bending_energy_ratio": "energy",
+    "normal_skill": "skill",
+    "inside_body_percent": "inside [%]",
+    "deepest_mm": "deepest [mm]",
+    "frame_ms_p50": "frame [ms]",
+}
 
 
 @dataclass(frozen=True)
@@ -57,7 +63,8 @@ def learn_wardrobe(
     """Learn a database from each scene; one that fails does not stop the others.
 
     A database that is there, of the same scene and code, is kept. Where at least as many are left as there are workers,
-    each worker learns whole ones; else they come one after the other, and all workers share the work of each.
+    and these see the scenes' files, each worker learns whole ones; else they come one after the other, and all workers
+    share the work of each.
 
     Args:
         scenes: by their names.
@@ -69,12 +76,15 @@ def learn_wardrobe(
 
     Returns:
         outcomes in the order of the scenes.
+
+    Raises:
+        concurrent.futures.BrokenExecutor: the workers are gone.
     """
     found = {name: one for name, scene in scenes.items() if (one := _there(name, scene, output)) is not None}
     left = {name: scene for name, scene in scenes.items() if name not in found}
     report(f"{len(found)} of {len(scenes)} databases are there")
     tell = counted(report, "databases", len(left))
-    if len(left) < workers.count or workers.count == 1:
+    if len(left) < workers.count or workers.count == 1 or not workers.sees_files:
         for done, (name, scene) in enumerate(left.items(), 1):
             told = lambda line, name=name: report(f"{name}: {line}")  # noqa: E731
             found[name] = _stored(_learned(name, scene, cache, options, workers, told), output)
@@ -117,6 +127,8 @@ def _learned(
             made = precompute(scene, path, cache=cache, workers=workers, report=report, options=options)
         except InputError as error:
             return Outcome(name, str(error)), b""
+        except BrokenExecutor:  # the others have no workers either
+            raise
         except Exception:  # noqa: BLE001 - the others shall go on
             return Outcome(name, traceback.format_exc()), b""
         minutes = (time.monotonic() - began) / 60.0
@@ -150,9 +162,15 @@ def wardrobe_text(outcomes: Sequence[Outcome]) -> str:
     width = max(len(one.name) for one in outcomes)
     lines = []
     for one in worst_first(outcomes):
-        said = f"worst octave {one.figures.get(WORST_BY, float('nan')):.2f}"
+        said = f"worst octave {one.figures[WORST_BY]:.2f}" if one.figures else "not judged: no motion is held out"
         lines.append(f"{one.name:<{width}}  {one.problem.strip().splitlines()[-1] if one.problem else said}")
     return "\n".join(lines)
+
+
+def _cells(outcome: Outcome) -> list[str]:
+    """A row of the page; a dash where there is no figure."""
+    values = [outcome.minutes or None, *(outcome.figures.get(name) for name in COLUMNS)]
+    return [outcome.name, *("-" if value is None else f"{value:.3g}" for value in values)]
 
 
 def write_wardrobe(path: Path, outcomes: Sequence[Outcome]) -> None:
@@ -162,13 +180,11 @@ def write_wardrobe(path: Path, outcomes: Sequence[Outcome]) -> None:
         Text(
             f"{len(outcomes) - len(failed)} of {len(outcomes)} databases were learned. The worst come first, by the "
             "largest error of an octave of bending energy on motion that nothing was learned from; floor is the same "
-            "of a second true run."
+            "of a second true run, energy is bending energy over the truth's, skill is how much nearer to the truth "
+            "than a smooth garment the wrinkles are, put on the truth's own coarse garment."
         ),
-        Table(("database", "minutes", *COLUMNS), [
-            (row["database"], *(row[name] for name in ("minutes", *COLUMNS))) if not row["problem"] else
-            (row["database"], *("-" for _ in ("minutes", *COLUMNS))) for row in wardrobe_rows(outcomes)
-        ]),
-    ]  # fmt: skip
+        Table(("database", "minutes", *COLUMNS.values()), [_cells(one) for one in worst_first(outcomes)]),
+    ]
     if failed:
         sections.append(Table(("database", "why there is none"), [(one.name, one.problem) for one in failed]))
     write_page(path, "Wardrobe", sections)

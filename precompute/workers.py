@@ -30,6 +30,8 @@ class Workers:
         count: processes at a time; with one of them all jobs stay in this process.
     """
 
+    sees_files = True  # whether a job may read the files of this machine
+
     def __init__(self, count: int) -> None:
         self.count = count
         self._open = ExitStack()

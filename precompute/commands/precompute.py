@@ -80,6 +80,7 @@ def _run_all(options: argparse.Namespace) -> Report:
     """Learn a database from each scene of a wardrobe."""
     from assets.io.wardrobe import load_wardrobe
     from precompute.cluster import workers_of
+    from precompute.learning.pipeline import default_cache
     from precompute.wardrobe import learn_wardrobe, wardrobe_rows, wardrobe_text, write_wardrobe
     from runtime.outputs import check_folder
     from runtime.report import Progress, Report
@@ -87,7 +88,8 @@ def _run_all(options: argparse.Namespace) -> Report:
 
     check_folder(options.output)
     scenes = load_wardrobe(options.all)
-    cache, page = options.cache or options.output / ".gube-cache", options.output / "wardrobe.html"
+    page = options.output / "wardrobe.html"
+    cache = options.cache or default_cache(page)
     with Progress(sys.stderr) as progress, workers_of(options.scheduler, options.workers, cache) as workers:
         outcomes = learn_wardrobe(scenes, options.output, cache, workers, progress)
     write_wardrobe(page, outcomes)

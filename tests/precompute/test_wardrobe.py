@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from concurrent.futures import BrokenExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -51,8 +52,43 @@ def test_one_that_fails_does_not_stop_the_others(
     assert begun == ["refused", "broken"] and again[2].figures == found[2].figures
 
 
+def test_without_workers_it_ends(learned: Precomputed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def lost(*given: Any, **named: Any) -> None:
+        raise BrokenExecutor("gone")
+
+    monkeypatch.setattr(precompute.wardrobe, "precompute", lost)
+    with Workers(1) as workers, pytest.raises(BrokenExecutor, match="gone"):
+        learn_wardrobe({"one": scene()}, tmp_path, tmp_path / "cache", workers, lambda line: None, OPTIONS)
+
+
+@pytest.mark.parametrize("sees_files", [True, False])
+def test_whole_ones_are_dealt_only_to_workers_that_see_the_files(
+    sees_files: bool, learned: Precomputed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shared: list[Any] = []
+
+    def copied(of: Scene, path: Path, *, workers: Workers | int, **other: Any) -> Precomputed:
+        shared.append(workers)
+        shutil.copy(learned.path, path)
+        return learned
+
+    class Dealt(Workers):
+        def run(self, jobs: Any, *, done: Any = None, meanwhile: Any = None) -> list:
+            for number, job in enumerate(jobs, 1):
+                done(number, job())
+            return []
+
+    monkeypatch.setattr(precompute.wardrobe, "precompute", copied)
+    with Dealt(2) as workers:
+        workers.sees_files = sees_files
+        scenes = {name: scene() for name in ("one", "two")}
+        learn_wardrobe(scenes, tmp_path / "made", tmp_path / "cache", workers, lambda line: None, OPTIONS)
+        assert shared == ([1, 1] if sees_files else [workers, workers])
+
+
 def test_the_worst_come_first(tmp_path: Path) -> None:
     name = "spectrum_band_error_max"
+    assert "not judged" in wardrobe_text([Outcome("alone", minutes=2.0)])
     outcomes = [
         Outcome("fair", figures={name: 0.3}), Outcome("good", figures={name: 0.1}),
         Outcome("none", "<b> cannot be\nread"), Outcome("bad", figures={name: 0.9}),
