@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["SUMMARY", "add_arguments", "run"]
 
 SUMMARY = "play a database under the planner and measure the error on screen against full detail"
+BUDGET_MS = 16.0
 WELL = 99.0  # of the ticks must be within the target [%]
 
 
@@ -32,15 +33,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--budget-ms",
         type=positive,
         metavar="MS",
-        default=16.0,
-        help="with --garments, time of all of one process in a tick [ms] (default: %(default)g)",
+        help=f"only with --garments: time of all of one process in a tick [ms] (default: {BUDGET_MS:g})",
     )
     parser.add_argument(
         "--workers",
         type=int,
         metavar="N",
-        default=os.cpu_count() or 1,
-        help="with --garments, processes that share them out [-] (default: one for each core, here %(default)s)",
+        help="only with --garments: processes that share them out [-] (default: one for each core, here "
+        f"{os.cpu_count() or 1})",
     )
     parser.add_argument(
         "--seconds", type=positive, metavar="S", default=300.0, help="length of a scene [s] (default: %(default)g)"
@@ -62,11 +62,14 @@ def run(options: argparse.Namespace) -> Report:
         if options.names:
             expected = "none beside --garments: each has its own flight"
             raise InputError("scenes of a group", key="NAME", received=options.names, expected=expected)
+        workers = (os.cpu_count() or 1) if options.workers is None else options.workers
+        budget_ms = BUDGET_MS if options.budget_ms is None else options.budget_ms
         with Progress(sys.stderr) as progress:
-            found = group_figures(
-                options.database, options.garments, options.workers, options.budget_ms, options.seconds, progress
-            )
+            found = group_figures(options.database, options.garments, workers, budget_ms, options.seconds, progress)
         return Report(found, passed=not found["catastrophic"] and found["over_budget_percent"] <= 1.0)
+    for key, value in (("--budget-ms", options.budget_ms), ("--workers", options.workers)):
+        if value is not None:
+            raise InputError("an option of a group", key=key, received=value, expected="--garments N beside it")
     with Progress(sys.stderr) as progress:
         rows = trial_rows(options.database, options.names, options.seconds, progress)
     say(trial_text(rows))
