@@ -12,6 +12,16 @@ import numpy as np
 __all__ = ["cluster_row", "durations"]
 
 SPREAD = (0.5, 1.5)  # of the times of databases, over their mean
+LOOPBACK = "127.0.0.1"
+TOGETHER = 50  # workers that start at a time
+QUIET = {
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.system-monitor.interval": "1h",
+    "distributed.admin.tick.limit": "1h",
+    "distributed.comm.timeouts.connect": "600s",
+    "distributed.comm.timeouts.tcp": "600s",
+    "distributed.scheduler.worker-ttl": None,
+}
 SLEPT = 10.0  # by each worker in the simulation, about [s]
 
 
@@ -43,21 +53,8 @@ def cluster_row(durations: np.ndarray, workers: int, size: int) -> dict[str, flo
     Returns:
         figures of a table's row.
     """
-    from distributed import Client, LocalCluster
-
     scale = SLEPT / (durations.sum() / workers)
-    loopback = "127.0.0.1:0"
-    with (
-        LocalCluster(
-            n_workers=workers, processes=False, threads_per_worker=1, silence_logs=50,
-            dashboard_address=loopback, worker_dashboard_address=loopback,
-        ) as cluster,
-        Client(cluster, set_as_default=False) as client,
-    ):  # fmt: skip
-        began, spent = time.monotonic(), time.process_time()
-        tasks = [client.submit(_asleep, float(scale * one), size, pure=False) for one in durations]
-        client.gather(tasks)
-        measured, spent = time.monotonic() - began, time.process_time() - spent
+    measured, spent = asyncio.run(_work(scale * durations, workers, size))
     ideal = listed(durations, workers)
     added = measured - scale * ideal
     return {
@@ -72,6 +69,30 @@ def cluster_row(durations: np.ndarray, workers: int, size: int) -> dict[str, flo
         "saturated_workers": durations.mean() * len(durations) / spent,  # where tasks end faster than they are dealt
         "moved_mb": 1e-6 * size * len(durations),
     }
+
+
+async def _work(durations: np.ndarray, workers: int, size: int) -> tuple[float, float]:
+    """Time and processor time until all of them have slept [s]."""
+    import dask.config
+    from distributed import Client, Scheduler, Worker
+
+    loopback = {"host": LOOPBACK, "dashboard_address": f"{LOOPBACK}:0"}
+    # A worker that shares its process with hundreds is silent for long while they start.
+    with dask.config.set(QUIET):
+        async with (
+            Scheduler(**loopback, port=0) as scheduler,
+            Client(scheduler.address, asynchronous=True, set_as_default=False) as client,
+        ):
+            options = loopback | {"nthreads": 1, "memory_limit": None, "silence_logs": 50}
+            crew = [Worker(scheduler.address, **options) for _ in range(workers)]
+            for first in range(0, workers, TOGETHER):
+                await asyncio.gather(*(worker.start() for worker in crew[first : first + TOGETHER]))
+            began, spent = time.monotonic(), time.process_time()
+            tasks = [client.submit(_asleep, float(one), size, pure=False) for one in durations]
+            await client.gather(tasks)
+            found = time.monotonic() - began, time.process_time() - spent
+            await asyncio.gather(*(worker.close(nanny=False) for worker in crew))
+    return found
 
 
 async def _asleep(seconds: float, size: int) -> bytes:

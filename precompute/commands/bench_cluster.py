@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["SUMMARY", "add_arguments", "run"]
 
 SUMMARY = "simulate clusters that learn many databases and tell what their scheduler adds"
-WORKERS = (10, 30, 100)  # 200 in one process did not start within a minute
+WORKERS = (10, 100, 1000)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

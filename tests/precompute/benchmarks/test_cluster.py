@@ -12,10 +12,10 @@ def test_a_worker_takes_the_next_as_soon_as_it_is_free() -> None:
     assert listed([3.0], 4) == 3.0
 
 
-def test_a_real_scheduler_adds_something_and_not_much() -> None:
+def test_a_real_scheduler_adds_something() -> None:
     times = durations(10.0, 12)
     assert times.shape == (12,) and 300.0 <= times.min() < times.max() <= 900.0
     row = cluster_row(times, 4, 1000)
-    assert row["makespan_h"] >= row["least_h"] == listed(times, 4) / 3600.0
-    assert 0.0 < row["added_s"] < 60.0 and row["moved_mb"] == 0.012
+    assert row["least_h"] == listed(times, 4) / 3600.0 and row["moved_mb"] == 0.012
+    assert row["added_s"] > 0.0 and np.isclose(row["makespan_h"], row["least_h"] + row["added_s"] / 3600.0)
     assert np.isclose(row["busy_percent"], 100.0 * times.sum() / (4 * 3600.0 * row["makespan_h"]))
