@@ -256,9 +256,12 @@ def _shared(mass: np.ndarray, mesh: ClothMesh) -> np.ndarray:
 
 
 def _by_color(members: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Order of the constraints by colour, and the offsets of the colours."""
+    """Order of the constraints by colour, and the offsets of the colours.
+
+    Constraints of one colour go through memory in one direction: their order makes no difference to the result.
+    """
     colors = greedy_colors(members, count)
-    order = np.argsort(colors, kind="stable")
+    order = np.lexsort((members.max(axis=1), colors))
     offsets = np.concatenate([[0], np.cumsum(np.bincount(colors, minlength=1))])
     return order, offsets.astype(np.int32)
 

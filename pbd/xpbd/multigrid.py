@@ -141,7 +141,7 @@ def build_multigrid(mesh: ClothMesh, mass: np.ndarray, inverse_mass: np.ndarray,
         rows, pair_data, pair_shares = _springs(coarse, softness)
         rows, pair_data, pair_shares = (part[moves[rows].any(axis=1)] for part in (rows, pair_data, pair_shares))
         colors = greedy_colors(rows, len(roots))
-        order = np.argsort(colors, kind="stable")
+        order = np.lexsort((rows.max(axis=1), colors))
         springs.append(rows[order] + starts[-1])
         data.append(pair_data[order])
         spring_shares.append(pair_shares[order])
