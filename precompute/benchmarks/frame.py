@@ -85,13 +85,14 @@ class FrameBench:
     Attributes:
         costs: of ours, and of plain cloth on each mesh.
         speed: of this machine.
-        growth: time of a frame of the fine mesh subdivided once more, over that of the fine mesh, with equal substeps.
+        growth: time of a frame of the fine mesh subdivided once more, over that of the fine mesh, with equal substeps;
+            None for a delivered mesh, whose pleats are in no subdivided one.
         crowd: see :func:`precompute.benchmarks.crowd.crowd_figures`; nothing of an outfit.
     """
 
     costs: Sequence[FrameCost]
     speed: MachineSpeed
-    growth: float
+    growth: float | None
     crowd: Mapping[str, float]
 
     def figures(self) -> dict[str, float]:
@@ -111,7 +112,7 @@ class FrameBench:
             "normals_ms_p50": ours.sum_ms("normals"),
             **ours.figures(),
             **{f"{cost.name}_{name}": value for cost in plain for name, value in cost.figures().items()},
-            "growth_of_four_times_the_vertices": self.growth,
+            **({} if self.growth is None else {"growth_of_four_times_the_vertices": self.growth}),
             **self.crowd,
             **self.speed.figures(),
         }
@@ -170,6 +171,8 @@ def bench_frame(path: Path, seconds: float, report: Callable[[str], None] = lamb
     if database.layers is None:  # a batch does not keep garments from one another
         report("a crowd")
         crowd = crowd_figures(coarse_cloth(database, run))
+    if database.binding is not None:
+        return FrameBench(costs, speed, None, crowd)
     report("four times the vertices")
     return FrameBench(costs, speed, _growth(database, run), crowd)
 
@@ -262,7 +265,7 @@ def _table(frames: Sequence[Mapping[str, float]]) -> dict[str, np.ndarray]:
 
 
 def _growth(database: WrinkleDatabase, run: Run) -> float:
-    """See :attr:`FrameBench.growth`; both meshes are subdivided ones, also where a fine mesh was delivered."""
+    """See :attr:`FrameBench.growth`."""
     source, simulations = body_source(run.body), []
     options = replace(run.solver, substep=run.dt / GROWTH_SUBSTEPS)
     for subdivisions in (database.subdivisions, database.subdivisions + 1):
@@ -300,7 +303,7 @@ def frame_text(bench: FrameBench) -> str:
     lines += [
         f"without the network: {figures['frame_without_network_ms']:.2f} ms, p99 over p50: "
         f"{figures['frame_p99_over_p50']:.2f}",
-        f"four times the vertices take {bench.growth:.2f} times as long",
+        *([] if bench.growth is None else [f"four times the vertices take {bench.growth:.2f} times as long"]),
         *(f"{name.replace('_', ' ')}: {value:.2f}" for name, value in bench.crowd.items()),
         f"this machine copies {figures['memory_copy_gb_s']:.1f} GB/s (read and written) and multiplies at "
         f"{figures['blas_gflop_s']:.0f} GFLOP/s",

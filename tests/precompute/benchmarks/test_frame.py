@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from unittest.mock import patch
 
@@ -63,6 +64,11 @@ def test_figures_have_the_names_of_the_parts(bench: FrameBench) -> None:
     assert len(bench.rows()) == sum(len(cost.times) for cost in bench.costs)
     text = frame_text(bench)
     assert all(cost.name.replace("_", " ") in text for cost in bench.costs)
+    delivered = replace(bench, growth=None)  # where a fine mesh was delivered
+    assert set(figures) - set(delivered.figures()) == {"growth_of_four_times_the_vertices"}
+    assert set(text.splitlines()) - set(frame_text(delivered).splitlines()) == {
+        f"four times the vertices take {bench.growth:.2f} times as long"
+    }
 
 
 def test_a_limit_counts_bytes_and_products() -> None:
