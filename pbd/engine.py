@@ -24,6 +24,8 @@ _prefix = ENGINES.get(_engine, "TI")
 os.environ.setdefault(f"{_prefix}_ENABLE_TORCH", "0")  # torch, if installed, would add seconds to the import
 os.environ.setdefault(f"ENABLE_{_engine.upper()}_HEADER_PRINT", "0")
 os.environ.setdefault(f"{_prefix}_ENABLE_PYBUF", "0")  # in a notebook Taichi would announce that it is in one
+# Taichi would ask its makers' server for a newer version, in a thread that ends at any time; see _threads.
+os.environ.setdefault(f"{_prefix}_SKIP_VERSION_CHECK", "ON")
 
 if _engine == "quadrants":
     import quadrants as ti  # pyright: ignore[reportMissingImports]
@@ -98,9 +100,16 @@ def ensure_initialized(arch: str = "cpu", threads: int | None = None) -> None:
 
 
 def _threads() -> set[int]:
-    """Numbers of this process's threads; none where the system does not list them."""
+    """Numbers of this process's threads; none where the system does not list them.
+
+    A list that is read while a thread ends may lack another one (``next_tid`` in fs/proc/base.c of Linux): it counts
+    when it comes twice.
+    """
+    before: set[int] | None = None
     with suppress(OSError):
-        return {int(name) for name in os.listdir("/proc/self/task")}
+        while (found := {int(name) for name in os.listdir("/proc/self/task")}) != before:
+            before = found
+        return found
     return set()
 
 

@@ -105,10 +105,11 @@ def layered(models: Sequence[Model], vertices: Sequence[np.ndarray] | None = Non
     alone = np.repeat(np.arange(sum(counts))[:, None], 2, axis=1)
     triangle_order, triangle_colors = by_color("triangle_colors")
     hinge_order, hinge_colors = by_color("hinge_colors")
-    plastic_counts = [model.plastic_count for model in models]
-    before = np.cumsum([0, *plastic_counts])
+    # With friction in one of them, every hinge and every triangle has a place in the state.
+    hinge_counts = [max(model.plastic_count, 1 + model.hinge_numbers.max(initial=-1)) for model in models]
+    before = np.cumsum([0, *hinge_counts])
     hinge_numbers = np.concatenate([model.hinge_numbers + n for model, n in zip(models, before, strict=False)])
-    # With friction of shear in one of them, every triangle has a place in the state.
+    plastic_count = int(before[-1]) if any(model.plastic_count for model in models) else 0
     face_counts = [len(model.triangles) for model in models]
     before = np.cumsum([0, *face_counts])
     triangle_numbers = np.concatenate([m.triangle_numbers + n for m, n in zip(models, before, strict=False)])
@@ -138,7 +139,7 @@ def layered(models: Sequence[Model], vertices: Sequence[np.ndarray] | None = Non
         hinges=renumbered("hinges")[hinge_order],
         hinge_data=joined("hinge_data")[hinge_order],
         hinge_numbers=hinge_numbers[hinge_order].astype(np.int32),
-        plastic_count=sum(plastic_counts),
+        plastic_count=plastic_count,
         hinge_colors=hinge_colors,
         stitches=renumbered("stitches"),
         stitch_weights=joined("stitch_weights"),

@@ -15,6 +15,8 @@ __all__ = ["Stay", "place_on_body", "settle", "take_over"]
 
 SETTLING_STEPS = 20  # in which a garment that was put on finds its place on the body and over the garments below it
 SETTLING_TIME = 1.0 / 60.0  # of each of them [s]
+INTERNAL_FRICTION = (("plastic_bends", "hinges", "hinge_numbers"), ("plastic_shears", "triangles", "triangle_numbers"))
+"""What a state remembers of creases, the constraints that have them, and the place of each in the state."""
 
 
 class Stay(NamedTuple):
@@ -54,17 +56,37 @@ def _members(database: WrinkleDatabase, names: set[str]) -> tuple[np.ndarray, np
 def take_over(before: Simulation, now: Simulation, stay: Stay) -> None:
     """Bring a simulation to the place and time of another, on the same body, and the garments that stay on to theirs.
 
-    What was dragged is free.
+    What was dragged is free, and what is put on has no creases.
     """
     state, old = now.state, before.state
     now.body, now.colliders, now.time = before.body, before.colliders, before.time
     state.origin, state.carrier = old.origin.copy(), old.carrier.copy()
     state.pairs, state.pair_sides = state.pairs[:0], state.pair_sides[:0]
+    state.position[:, 3] = now.model.inverse_mass
     state.position[stay.coarse, :3] = old.position[stay.before, :3]
     for name in ("velocity", "contact"):
         getattr(state, name)[stay.coarse] = getattr(old, name)[stay.before]
     for name in ("nearest", "contact_faces", "contact_weights"):  # of vertices, which are the first samples
         getattr(state, name)[stay.coarse] = getattr(old, name)[stay.before]
+    for name, constraints, numbers in INTERNAL_FRICTION:
+        kept, kept_before = getattr(state, name), getattr(old, name)
+        kept[:] = 0.0
+        if len(kept) and len(kept_before):
+            rows, rows_before = _same_rows(getattr(now.model, constraints), getattr(before.model, constraints), stay)
+            kept[getattr(now.model, numbers)[rows]] = kept_before[getattr(before.model, numbers)[rows_before]]
+
+
+def _same_rows(now: np.ndarray, before: np.ndarray, stay: Stay) -> np.ndarray:
+    """Constraints on the garments that stay on, of their vertices now, shape (c, k), and before, shape (b, k).
+
+    Returns:
+        the row of each in both, int, shape (2, r).
+    """
+    number = np.full(1 + max(before.max(initial=0), stay.before.max(initial=0)), -1)
+    number[stay.before] = stay.coarse
+    rows_before = {tuple(vertices): row for row, vertices in enumerate(number[before].tolist())}
+    rows = {row: rows_before.get(tuple(vertices), -1) for row, vertices in enumerate(now.tolist())}
+    return np.array([pair for pair in rows.items() if pair[1] >= 0], int).reshape(-1, 2).T
 
 
 def place_on_body(simulation: Simulation, vertices: np.ndarray, new: np.ndarray) -> None:
@@ -101,5 +123,10 @@ def settle(simulation: Simulation, new: np.ndarray) -> None:
     state.position[:, 3] = simulation.model.inverse_mass
     state.position[others], state.velocity[others] = moving.position[others], moving.velocity[others]
     state.velocity[new] = 0.0
+    for name, constraints, numbers in INTERNAL_FRICTION:
+        if len(getattr(state, name)):
+            old = ~np.isin(getattr(simulation.model, constraints)[:, 0], new)
+            places = getattr(simulation.model, numbers)[old]
+            getattr(state, name)[places] = getattr(moving, name)[places]
     body.previous[:] = previous
     state.carrier, simulation.time = moving.carrier, time

@@ -269,3 +269,16 @@ def test_threads_that_share_a_loop_have_a_core_each(threads: int) -> None:
     assert own == str(cores)  # the caller's thread goes where it likes
     expected = {str([core]) for core in cores[:2]} if 1 < threads <= len(cores) else {str(cores)}
     assert set(placed.split(";")) == expected
+
+
+def test_no_thread_asks_for_a_newer_version() -> None:
+    """Taichi's own would, over the network; and it would end while the threads of the engine are listed."""
+    script = (
+        "import threading\nstarted, start = [], threading.Thread.start\n"
+        "threading.Thread.start = lambda self: (started.append(self), start(self))[1]\n"
+        "from pbd import ensure_initialized\nensure_initialized()\nprint(started)\n"
+    )
+    settings = {name: value for name, value in os.environ.items() if name != f"{PREFIX}_SKIP_VERSION_CHECK"}
+    command = [sys.executable, "-c", script]
+    result = subprocess.run(command, cwd=ROOT, env=settings, capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"

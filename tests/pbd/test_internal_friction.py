@@ -276,15 +276,23 @@ def test_a_layer_shears_as_it_does_alone(more: tuple[bool, bool]) -> None:
 
 
 def test_layers_keep_their_own_friction() -> None:
-    specimen = strip(0.06, 0.02, 12, 1)
-    rubs, free = (
-        model_of(specimen, COTTON),
-        model_of(specimen, SMOOTH),
-    )
+    """Beside a larger layer without friction, whose hinges have places of their own."""
+    specimens = strip(0.06, 0.06, 12, 3), strip(0.06, 0.02, 12, 1)
+    fabrics = SMOOTH, replace(COTTON, bend_hysteresis_warp=1e-4, bend_hysteresis_weft=1e-4)
+    free, rubs = (model_of(specimen, fabric) for specimen, fabric in zip(specimens, fabrics, strict=True))
     both = layered([free, rubs, rubs])
-    assert both.plastic_count == 2 * rubs.plastic_count
-    used = both.hinge_numbers[both.hinge_data[:, 1, 3] > 0.0]
-    assert np.array_equal(np.sort(used), np.arange(both.plastic_count))
+    assert len(np.unique(both.hinge_numbers)) == len(both.hinges) > 2 * len(rubs.hinges) + rubs.plastic_count
+    assert both.hinge_numbers.max() < both.plastic_count
+    large, small = (rolled(specimen, 60.0, 0.0) for specimen in specimens)
+    state = State.at_rest(both, np.concatenate([large + [0, 0.2, 0], small, small - [0, 0.2, 0]]))
+    alone = State.at_rest(rubs, small)
+    Solver(both, WEIGHTLESS).step(state, Colliders(), 1 / 60)
+    Solver(rubs, WEIGHTLESS).step(alone, Colliders(), 1 / 60)
+    assert np.abs(alone.plastic_bends).max() > 1e-4
+    kept = state.plastic_bends[-2 * rubs.plastic_count :].reshape(2, -1)
+    for layer in kept:
+        assert layer == pytest.approx(alone.plastic_bends, abs=1e-6)
+    assert not state.plastic_bends[: -2 * rubs.plastic_count].any()
 
 
 def test_what_cannot_be_is_refused() -> None:

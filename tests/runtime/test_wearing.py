@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -10,10 +12,14 @@ import pytest
 from assets.io.scene import parse_scene
 from assets.motion import ClipMotion
 from assets.procedural.mannequin import builtin_mannequin
-from pbd import InputError
+from pbd import Fabric, InputError, State
+from pbd.layers import layered
+from runtime.dressing import Stay, take_over
 from runtime.game_loop import GameLoop, LiveInput
 from runtime.garment_setup import GarmentSetup
 from runtime.player import Player
+from runtime.simulation import Simulation
+from tests.pbd.meshes import cloth, free_model, grid
 from tests.runtime.players import OUTFIT, outfit_database, random_database
 from wrinkles.database import read_database, write_database
 from wrinkles.worn_garments import with_garments
@@ -82,6 +88,70 @@ def test_a_game_loop_lets_go_of_a_vertex_that_went_with_its_garment() -> None:
     loop.advance(1 / 60)
     with pytest.raises(InputError, match="no such simulated vertex"):
         player.drag(last, np.zeros(3))
+
+
+def test_creases_stay_in_what_stays_on() -> None:
+    """A skirt with internal friction over trousers without it; what is put on again has creases of its own."""
+    fabric = "fabric = { bend_hysteresis_warp = 1e-3, bend_hysteresis_weft = 1e-3 }"
+    text = OUTFIT.replace('attach = "top"', f'attach = "top"\n{fabric}')
+    body = builtin_mannequin()
+    motion = ClipMotion(body, "walk")
+    player = Player(random_database(GarmentSetup.of(parse_scene(text, "outfit.toml"))), body, motion.pose(0.0))
+    for frame in range(1, 25):
+        player.update(motion.pose(frame / 60), 1 / 60)
+    before = creases(player, "skirt")
+    assert np.count_nonzero(before) > 100
+    for names in (["skirt"], ["trousers", "skirt"]):
+        player.wear(names)
+        np.testing.assert_array_equal(creases(player, "skirt"), before)
+    player.wear(["trousers"])
+    player.wear(["trousers", "skirt"])
+    assert not np.array_equal(creases(player, "skirt"), before)
+
+
+def creases(player: Player, name: str) -> np.ndarray:
+    """Of the hinges of a garment, in the order of their vertices."""
+    model, number = player.simulation.model, player.worn.index(name)
+    mine = model.layer[model.hinges[:, 0]] == number
+    order = np.lexsort(model.hinges[mine].T)
+    return player.simulation.state.plastic_bends[model.hinge_numbers[mine][order]]
+
+
+def test_creases_and_shears_go_over_by_vertices() -> None:
+    """From two layers of which one has internal friction to that one alone, and back."""
+    fabric = Fabric(bend_hysteresis_warp=1e-3, shear_hysteresis=1.0)
+    rubs, free = (free_model(cloth(*grid(4, 4, 0.05)), one) for one in (fabric, Fabric()))
+    both, count = layered([free, rubs]), rubs.vertex_count
+    alone, outer = np.arange(count), np.arange(count) + count
+    before, now = (SimpleNamespace(model=model, state=State.at_rest(model)) for model in (rubs, both))
+    for simulation in (before, now):
+        simulation.body, simulation.colliders, simulation.time = None, None, 0.0
+    before.state.plastic_bends[rubs.hinge_numbers] = 1.0 + np.arange(len(rubs.hinges))
+    before.state.plastic_shears[rubs.triangle_numbers] = 1.0 + np.arange(len(rubs.triangles))
+    kept = before.state.copy()
+    now.state.plastic_bends[:] = -1.0  # of an earlier time
+    none = alone[:0]
+    take_over(cast(Simulation, before), cast(Simulation, now), Stay(outer, alone, none, none, alone))
+    assert sorted(now.state.plastic_bends[now.state.plastic_bends != 0.0]) == sorted(kept.plastic_bends)
+    assert sorted(now.state.plastic_shears[now.state.plastic_shears != 0.0]) == sorted(kept.plastic_shears)
+    before.state = State.at_rest(rubs)
+    take_over(cast(Simulation, now), cast(Simulation, before), Stay(alone, outer, none, none, none))
+    np.testing.assert_array_equal(before.state.plastic_bends, kept.plastic_bends)
+    np.testing.assert_array_equal(before.state.plastic_shears, kept.plastic_shears)
+
+
+def test_a_vertex_that_was_dragged_is_free_when_its_garment_is_worn_again() -> None:
+    body = builtin_mannequin()
+    player = Player(outfit_database(), body)
+    model = player.simulation.model
+    trousers = int(np.flatnonzero((model.layer == 0) & (model.inverse_mass > 0.0))[0])
+    player.drag(trousers, player.simulation.state.world()[trousers])
+    player.wear(["trousers"])
+    player.drag(trousers, player.simulation.state.world()[trousers])
+    player.wear(["trousers", "skirt"])
+    np.testing.assert_array_equal(player.simulation.state.position[:, 3], player.simulation.model.inverse_mass)
+    player.wear(["trousers"])
+    np.testing.assert_array_equal(player.simulation.state.position[:, 3], player.simulation.model.inverse_mass)
 
 
 def test_garments_that_an_outfit_lacks_are_refused() -> None:
