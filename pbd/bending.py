@@ -14,7 +14,7 @@ from scipy.sparse.linalg import spsolve
 
 from pbd.mesh import ClothMesh, Hinges, edges_of, hinges_of, vertex_rings
 
-__all__ = ["bends_of", "friction_share", "hinge_calibration", "hinge_rows", "layer_stiffness"]
+__all__ = ["bends_of", "border_share", "friction_share", "hinge_calibration", "hinge_rows", "layer_stiffness"]
 
 
 def hinge_rows(mesh: ClothMesh, held: np.ndarray | None = None) -> Hinges:
@@ -87,6 +87,27 @@ def friction_share(mesh: ClothMesh) -> float:
         bends = (start_0 + start_1) * at_j**2 - length / height_0 * at_k**2 - length / height_1 * at_l**2
         shares.append(mesh.face_areas.sum() / (0.5 * np.abs(bends).sum()))
     return float(np.mean(shares))
+
+
+def border_share(mesh: ClothMesh, held: np.ndarray | None = None) -> np.ndarray:
+    """Cloth that each hinge stands for over the mean area of its faces, shape (h,), as :func:`pbd.mesh.hinges_of` [-].
+
+    A face gives a third of its area to each of its hinges. One with a free side has fewer hinges, and gives them all of
+    its area; otherwise narrow strips would be too soft. A side whose ends are both sewn is not free.
+
+    Args:
+        mesh, held: as for :func:`hinge_rows`.
+    """
+    _, first, second, _ = _hinge_sides(mesh)
+    edges, side_edge = edges_of(mesh.faces)
+    sewn = np.zeros(len(mesh.vertices), bool)
+    sewn[mesh.stitches.ravel()] = True
+    free = (np.bincount(side_edge.ravel(), minlength=len(edges)) == 1) & ~sewn[edges].all(axis=1)
+    shares = 3.0 / np.maximum(3 - free[side_edge].sum(axis=1), 1)
+    bends = mesh.face_areas.copy()
+    if held is not None:
+        bends[np.isin(mesh.faces, held).all(axis=1)] = 0.0
+    return (bends * shares)[[first, second]].sum(axis=0) / np.maximum(bends[first] + bends[second], 1e-12)
 
 
 def layer_stiffness(mesh: ClothMesh) -> np.ndarray:
