@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from pbd.bending import friction_share, hinge_calibration, hinge_rows, layer_stiffness
+from pbd.bending import border_share, friction_share, hinge_calibration, hinge_rows, layer_stiffness
 from pbd.errors import InputError
 from pbd.fabric import Fabric
 from pbd.limits import Limits
@@ -25,6 +25,8 @@ BLOCK = 16  # triangles of one colour that are solved at once
 # Compliance over mobility of a triangle. A softer one has no effect, and float32 holds the cube of this one [s2].
 MAX_SOFTNESS = 1e4
 MASS_ROUNDS = 8  # in which stitches even out masses
+# Cloth with a longer gravity length than this is stiff [m]: 95 % of 618 fabrics lie below 2.8 cm (Feng et al. 2022).
+STIFF_LENGTH = 0.03
 GRID = 1.0  # origins are whole multiples of this power of two [m], so that moving one rounds nothing away
 
 
@@ -141,6 +143,11 @@ class Model:
     smooth: bool = False
 
     @property
+    def stiff(self) -> bool:
+        """Whether the cloth is stiffer than what clothes are made of."""
+        return _is_stiff(self.fabric, self.options.bend_scale)
+
+    @property
     def vertex_count(self) -> int:
         """Number of vertices n [-]."""
         return len(self.mesh.vertices)
@@ -176,7 +183,7 @@ def build_model(
         mesh, options.membrane(fabric), inverse_mass
     )
     hinges, hinge_data, hinge_numbers, plastic_count, hinge_colors = _bending(
-        mesh, fabric, inverse_mass, options.bend_scale * bend_factor
+        mesh, fabric, inverse_mass, options.bend_scale * bend_factor, _is_stiff(fabric, options.bend_scale)
     )
     tethers, lengths = _tethers(mesh, held, options.tether_slack)
     return Model(
@@ -206,6 +213,10 @@ def build_model(
         np.full(count if options.pressure else 0, options.pressure, np.float32),
         limits,
     )
+
+
+def _is_stiff(fabric: Fabric, bend_scale: float) -> bool:
+    return fabric.gravity_length * bend_scale ** (1.0 / 3.0) > STIFF_LENGTH
 
 
 def _masses(mesh: ClothMesh, fabric: Fabric, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -305,20 +316,22 @@ def blocks_of(colors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _bending(
-    mesh: ClothMesh, fabric: Fabric, inverse_mass: np.ndarray, factor: float
+    mesh: ClothMesh, fabric: Fabric, inverse_mass: np.ndarray, factor: float, is_stiff: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, np.ndarray]:
-    hinges, rows, areas, angle = hinge_rows(mesh, np.flatnonzero(inverse_mass == 0.0))
+    held = np.flatnonzero(inverse_mass == 0.0)
+    hinges, rows, areas, angle = hinge_rows(mesh, held)
+    share = border_share(mesh, held) if is_stiff else np.ones(len(hinges))
     rest = np.zeros(len(hinges)) if mesh.rest_bends is None else mesh.rest_bends
     stacked = layer_stiffness(mesh)
     if mesh.seam_hinges is not None:
         pairs = zip((hinges, rows, areas, angle), mesh.seam_hinges, strict=True)
         hinges, rows, areas, angle = (np.concatenate(pair) for pair in pairs)
         rest = np.concatenate([rest, np.zeros(len(hinges) - len(rest))])
-        stacked = np.concatenate([stacked, np.ones(len(hinges) - len(stacked))])
+        stacked, share = (np.concatenate([some, np.ones(len(hinges) - len(some))]) for some in (stacked, share))
     # A hinge bends at right angles to its edge; between the axes the stiffness follows the square of a mixed root.
     along_warp, along_weft = np.sin(angle) ** 2, np.cos(angle) ** 2
     bend = (np.sqrt(fabric.bend_warp) * along_warp + np.sqrt(fabric.bend_weft) * along_weft) ** 2
-    stiffness = 3.0 * factor * stacked * bend / areas
+    stiffness = 3.0 * factor * stacked * share * bend / areas
     friction = np.zeros(len(hinges))
     if fabric.bend_hysteresis_warp + fabric.bend_hysteresis_weft > 0.0:
         mixed = np.sqrt(fabric.bend_hysteresis_warp) * along_warp + np.sqrt(fabric.bend_hysteresis_weft) * along_weft

@@ -21,7 +21,7 @@ from pbd.xpbd.advance import advance_kernel
 from pbd.xpbd.inertia import damp_locally, scale_inertial_forces
 from pbd.xpbd.multigrid import Multigrid, build_multigrid
 from pbd.xpbd.rigid_motion import RigidTransform, detect_teleport, max_displacement
-from pbd.xpbd.stiff_bending import bending_factor, is_stiff, no_factor, stiff_hinge_data
+from pbd.xpbd.stiff_bending import bending_factor, is_stiff, no_factor
 from pbd.xpbd.views import FrameSteps, StepParameters
 from pbd.xpbd.workers import MAX_WORKERS
 
@@ -140,9 +140,7 @@ class Solver:
             kept = np.zeros((len(self.model.hinges), 1, 4), np.float32)  # what the state remembers of friction
             self._hinge_data = np.concatenate([self.model.hinge_data, kept], axis=1)
         else:
-            self._hinge_data = stiff_hinge_data(self.model) if self.stiff else self.model.hinge_data
-        substep = self.options.substep
-        factor = bending_factor(self.model, self._hinge_data, substep) if self.stiff else no_factor()
+            self._hinge_data = self.model.hinge_data
         self._triangle_data = self.model.triangle_data
         if self.model.plastic_shear_count:
             self._triangle_data = np.pad(self._triangle_data, ((0, 1), (0, 0)))
@@ -151,7 +149,7 @@ class Solver:
         return {name: getattr(self.model, name) for name in names} | {
             "stitch_data": self._stitch_data,
             "hinge_data": self._hinge_data,
-            "bending_factor": factor,
+            "bending_factor": bending_factor(self.model, self.options.substep) if self.stiff else no_factor(),
             "triangle_data": self._triangle_data,
         }
 

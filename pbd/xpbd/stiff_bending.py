@@ -19,19 +19,16 @@ from scipy.sparse import csc_matrix, csr_matrix, diags
 from scipy.sparse.linalg import splu
 from threadpoolctl import threadpool_limits
 
-from pbd.bending import border_share
 from pbd.contact.response import substep_start
 from pbd.engine import ti
 from pbd.geometry import vec4, xyz
 from pbd.model import Model
 from pbd.xpbd.constraints import hinge_multiplier
 
-__all__ = ["bending_factor", "is_stiff", "no_factor", "pass_ratio", "solve_stiff_bending", "stiff_hinge_data"]
+__all__ = ["bending_factor", "is_stiff", "no_factor", "pass_ratio", "solve_stiff_bending"]
 
 THETA = 0.5  # weight of the end of the substep [-]
 DELTA = 0.25  # damping of slow modes, as a part of implicit Euler's [-]
-# Cloth with a longer gravity length than this is stiff [m]: 95 % of 618 fabrics lie below 2.8 cm (Feng et al. 2022).
-STIFF_LENGTH = 0.03
 MAX_PASS_RATIO = 0.1  # at which one pass over the hinges leaves cloth 4 % too soft [-]
 HEADER = 3  # rows of the factor before its entries, for each unknown
 
@@ -50,18 +47,8 @@ def is_stiff(model: Model, h: float) -> bool:
     So it is where the fabric is stiff, one pass over the hinges would leave it too soft, and all hinges rest flat and
     without friction. Layers are of several fabrics, and keep the pass.
     """
-    length = model.fabric.gravity_length * model.options.bend_scale ** (1.0 / 3.0)
     plain = not model.plastic_count and not model.layer.any() and not model.hinge_data[:, 1, 2].any()
-    return plain and length > STIFF_LENGTH and pass_ratio(model, h) > MAX_PASS_RATIO
-
-
-def stiff_hinge_data(model: Model) -> np.ndarray:
-    """``Model.hinge_data`` where hinges near free borders stand for all of the cloth there: the same shape."""
-    share = np.maximum(border_share(model.mesh, model.held), 1.0)
-    across_seams = model.hinge_numbers >= len(share)
-    data = model.hinge_data.copy()
-    data[:, 1, 1] /= np.where(across_seams, 1.0, share[np.where(across_seams, 0, model.hinge_numbers)])
-    return data
+    return model.stiff and plain and pass_ratio(model, h) > MAX_PASS_RATIO
 
 
 def no_factor() -> np.ndarray:
@@ -69,12 +56,11 @@ def no_factor() -> np.ndarray:
     return np.zeros((0, 2), np.float32)
 
 
-def bending_factor(model: Model, hinge_data: np.ndarray, h: float) -> np.ndarray:
+def bending_factor(model: Model, h: float) -> np.ndarray:
     """Sparse factors L D L^T of M + THETA h^2 K, for :func:`solve_stiff_bending`.
 
     Args:
         model: the garment.
-        hinge_data: see :func:`stiff_hinge_data`.
         h: the longest substep [s].
 
     Returns:
@@ -85,10 +71,10 @@ def bending_factor(model: Model, hinge_data: np.ndarray, h: float) -> np.ndarray
     free = np.flatnonzero(model.inverse_mass > 0.0)
     hinges = np.arange(len(model.hinges)).repeat(4)
     rows = csr_matrix(
-        (hinge_data[:, 0].ravel().astype(float), (hinges, model.hinges.ravel())),
+        (model.hinge_data[:, 0].ravel().astype(float), (hinges, model.hinges.ravel())),
         (len(model.hinges), model.vertex_count),
     )[:, free]
-    stiffness = rows.T @ diags(1.0 / hinge_data[:, 1, 1].astype(float)) @ rows
+    stiffness = rows.T @ diags(1.0 / model.hinge_data[:, 1, 1].astype(float)) @ rows
     system = csc_matrix(diags(model.mass[free]) + THETA * h * h * stiffness)
     with threadpool_limits(1, "blas"):  # so that rounding does not depend on the number of threads
         factors = splu(system, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
