@@ -144,8 +144,8 @@ class Model:
 
     @property
     def stiff(self) -> bool:
-        """Whether the cloth is stiffer than what clothes are made of."""
-        return _is_stiff(self.fabric, self.options.bend_scale)
+        """Whether the fabric is stiffer than what clothes are made of."""
+        return self.fabric.gravity_length > STIFF_LENGTH
 
     @property
     def vertex_count(self) -> int:
@@ -183,7 +183,7 @@ def build_model(
         mesh, options.membrane(fabric), inverse_mass
     )
     hinges, hinge_data, hinge_numbers, plastic_count, hinge_colors = _bending(
-        mesh, fabric, inverse_mass, options.bend_scale * bend_factor, _is_stiff(fabric, options.bend_scale)
+        mesh, fabric, inverse_mass, options.bend_scale * bend_factor
     )
     tethers, lengths = _tethers(mesh, held, options.tether_slack)
     return Model(
@@ -213,10 +213,6 @@ def build_model(
         np.full(count if options.pressure else 0, options.pressure, np.float32),
         limits,
     )
-
-
-def _is_stiff(fabric: Fabric, bend_scale: float) -> bool:
-    return fabric.gravity_length * bend_scale ** (1.0 / 3.0) > STIFF_LENGTH
 
 
 def _masses(mesh: ClothMesh, fabric: Fabric, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -316,11 +312,11 @@ def blocks_of(colors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _bending(
-    mesh: ClothMesh, fabric: Fabric, inverse_mass: np.ndarray, factor: float, is_stiff: bool
+    mesh: ClothMesh, fabric: Fabric, inverse_mass: np.ndarray, factor: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, np.ndarray]:
     held = np.flatnonzero(inverse_mass == 0.0)
     hinges, rows, areas, angle = hinge_rows(mesh, held)
-    share = border_share(mesh, held) if is_stiff else np.ones(len(hinges))
+    share = border_share(mesh, held) if fabric.gravity_length > STIFF_LENGTH else np.ones(len(hinges))
     rest = np.zeros(len(hinges)) if mesh.rest_bends is None else mesh.rest_bends
     stacked = layer_stiffness(mesh)
     if mesh.seam_hinges is not None:
