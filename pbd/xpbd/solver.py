@@ -21,7 +21,7 @@ from pbd.xpbd.advance import advance_kernel
 from pbd.xpbd.inertia import damp_locally, scale_inertial_forces
 from pbd.xpbd.multigrid import Multigrid, build_multigrid
 from pbd.xpbd.rigid_motion import RigidTransform, detect_teleport, max_displacement
-from pbd.xpbd.stiff_bending import bending_factor, is_stiff, no_factor
+from pbd.xpbd.stiff_bending import bending_factor, bounded_hinge_data, is_stiff, no_factor
 from pbd.xpbd.views import FrameSteps, StepParameters
 from pbd.xpbd.workers import MAX_WORKERS
 
@@ -141,6 +141,10 @@ class Solver:
             self._hinge_data = np.concatenate([self.model.hinge_data, kept], axis=1)
         else:
             self._hinge_data = self.model.hinge_data
+        factor = no_factor()
+        if self.stiff:
+            self._hinge_data = bounded_hinge_data(self.model, self.options.substep)
+            factor = bending_factor(self.model, self._hinge_data, self.options.substep)
         self._triangle_data = self.model.triangle_data
         if self.model.plastic_shear_count:
             self._triangle_data = np.pad(self._triangle_data, ((0, 1), (0, 0)))
@@ -149,7 +153,7 @@ class Solver:
         return {name: getattr(self.model, name) for name in names} | {
             "stitch_data": self._stitch_data,
             "hinge_data": self._hinge_data,
-            "bending_factor": bending_factor(self.model, self.options.substep) if self.stiff else no_factor(),
+            "bending_factor": factor,
             "triangle_data": self._triangle_data,
         }
 
