@@ -93,7 +93,8 @@ class Model:
         triangle_blocks: first triangle and size of each block, all of one colour, shape (b, 2).
         block_colors: offsets of the colours of the blocks, shape (colours + 1,).
         hinges: shape (h, 4); hinge_data: K row | sum of w K^2, compliance, bend at rest, and the bend by which the
-            compliance alone would bear the force of internal friction [m], 0 without; shape (h, 2, 4).
+            compliance alone would bear the force of internal friction [m], 0 without; shape (h, 2, 4). Where the fabric
+            is stiff, hinges are stiffer at free borders, see :func:`pbd.bending.border_share`.
         hinge_numbers: place of each hinge in ``State.plastic_bends``, int32, shape (h,).
         plastic_count: how many of these there are: one for each hinge of the mesh, whatever is held, or 0 where no
             hinge has internal friction.
