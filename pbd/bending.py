@@ -8,13 +8,15 @@ it on strips cut from the mesh and returns the factor c that gives the fabric's 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.sparse import bmat, csr_matrix
 from scipy.sparse.linalg import spsolve
 
 from pbd.mesh import ClothMesh, Hinges, edges_of, hinges_of, vertex_rings
 
-__all__ = ["bends_of", "friction_share", "hinge_calibration", "hinge_rows", "layer_stiffness"]
+__all__ = ["bends_of", "border_share", "friction_share", "hinge_calibration", "hinge_rows", "layer_stiffness"]
 
 
 def hinge_rows(mesh: ClothMesh, held: np.ndarray | None = None) -> Hinges:
@@ -89,6 +91,58 @@ def friction_share(mesh: ClothMesh) -> float:
     return float(np.mean(shares))
 
 
+def border_share(mesh: ClothMesh, held: np.ndarray | None = None) -> np.ndarray:
+    """How much stiffer each hinge has to be for the free sides of its faces, shape (h,), as :func:`pbd.mesh.hinges_of`.
+
+    A face with a free side has two hinges or one. On some meshes these bend freely along the side, if the cloth bends
+    across it at will, and narrow strips are too soft. Its hinges make up for that: they share all of its area, unless
+    less is enough to bear a bend along the side as three would. A side whose ends are both sewn is not free.
+
+    Args:
+        mesh, held: as for :func:`hinge_rows`.
+
+    Returns:
+        The mean over the two faces of each hinge [-], at least 1.
+    """
+    _, first, second, _ = _hinge_sides(mesh)
+    edges, side_edge = edges_of(mesh.faces)
+    sewn = np.zeros(len(mesh.vertices), bool)
+    sewn[mesh.stitches.ravel()] = True
+    free = ((np.bincount(side_edge.ravel(), minlength=len(edges)) == 1) & ~sewn[edges].all(axis=1))[side_edge]
+    flat = np.concatenate([np.zeros((len(mesh.faces), 1, 2)), mesh.flat.transpose(0, 2, 1)], axis=1)
+    sides = np.roll(flat, -1, axis=1) - flat
+    sides /= np.linalg.norm(sides, axis=2, keepdims=True)
+    shares = np.ones(len(mesh.faces))
+    for side in range(3):
+        along = sides[:, side, None]
+        cosine = (along * sides).sum(axis=2)
+        sine = along[:, :, 0] * sides[:, :, 1] - along[:, :, 1] * sides[:, :, 0]
+        # What each hinge bends by for a bend along the side, one across it, and a twist.
+        bends = np.stack([sine**2, cosine**2, math.sqrt(2.0) * sine * cosine], axis=2)
+        whole, left = _border_stiffness(bends), _border_stiffness(bends * ~free[:, :, None])
+        shares = np.where(free[:, side], np.maximum(shares, whole / np.maximum(left, 1e-12)), shares)
+    shares = np.minimum(shares, 3.0 / np.maximum(3 - free.sum(axis=1), 1))
+    areas = mesh.face_areas.copy()
+    if held is not None:
+        areas[np.isin(mesh.faces, held).all(axis=1)] = 0.0
+    share = (areas * shares)[first] + (areas * shares)[second]
+    return np.where(areas[first] + areas[second] > 0.0, share / np.maximum(areas[first] + areas[second], 1e-12), 1.0)
+
+
+def _border_stiffness(bends: np.ndarray) -> np.ndarray:
+    """Stiffness of faces against the first of three kinds of bend, where the others find their least energy [-].
+
+    The cloth beyond the face resists these by ``NEIGHBOUR_STIFFNESS``.
+
+    Args:
+        bends: of each hinge for each kind [-], shape (m, 3, 3).
+    """
+    energy = np.einsum("fha,fhb->fab", bends, bends)
+    others = energy[:, 1:, 1:] + NEIGHBOUR_STIFFNESS * np.eye(2)
+    given = np.linalg.solve(others, energy[:, 1:, :1])
+    return energy[:, 0, 0] - (energy[:, :1, 1:] @ given)[:, 0, 0]
+
+
 def layer_stiffness(mesh: ClothMesh) -> np.ndarray:
     """Bending stiffness of the cloth at each hinge over that of one layer: shape (h,), as :func:`pbd.mesh.hinges_of`.
 
@@ -118,6 +172,9 @@ def bends_of(mesh: ClothMesh, positions: np.ndarray) -> np.ndarray:
     return np.einsum("ha,ahfx,fhx->fh", rows, np.stack([i, j, k, l]).swapaxes(1, 2), normal)
 
 
+# Of the cloth beyond a face at the border over that of one hinge [-]. Strips on irregular triangles at four angles bend
+# within 3 % of their fabric with 0.05 (within 4 % with 0.1 and 0.02), without all of this by up to 8 % too far.
+NEIGHBOUR_STIFFNESS = 0.05
 DIRECTIONS = np.arange(8) * np.pi / 8
 LENGTH, WIDTH = 0.85, 0.5  # half length and half width of a test strip, as parts of its patch's reach
 

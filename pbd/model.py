@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from pbd.bending import friction_share, hinge_calibration, hinge_rows, layer_stiffness
+from pbd.bending import border_share, friction_share, hinge_calibration, hinge_rows, layer_stiffness
 from pbd.errors import InputError
 from pbd.fabric import Fabric
 from pbd.limits import Limits
@@ -25,6 +25,8 @@ BLOCK = 16  # triangles of one colour that are solved at once
 # Compliance over mobility of a triangle. A softer one has no effect, and float32 holds the cube of this one [s2].
 MAX_SOFTNESS = 1e4
 MASS_ROUNDS = 8  # in which stitches even out masses
+# Cloth with a longer gravity length than this is stiff [m]: 95 % of 618 fabrics lie below 2.8 cm (Feng et al. 2022).
+STIFF_LENGTH = 0.03
 GRID = 1.0  # origins are whole multiples of this power of two [m], so that moving one rounds nothing away
 
 
@@ -91,7 +93,8 @@ class Model:
         triangle_blocks: first triangle and size of each block, all of one colour, shape (b, 2).
         block_colors: offsets of the colours of the blocks, shape (colours + 1,).
         hinges: shape (h, 4); hinge_data: K row | sum of w K^2, compliance, bend at rest, and the bend by which the
-            compliance alone would bear the force of internal friction [m], 0 without; shape (h, 2, 4).
+            compliance alone would bear the force of internal friction [m], 0 without; shape (h, 2, 4). Where the fabric
+            is stiff, hinges are stiffer at free borders, see :func:`pbd.bending.border_share`.
         hinge_numbers: place of each hinge in ``State.plastic_bends``, int32, shape (h,).
         plastic_count: how many of these there are: one for each hinge of the mesh, whatever is held, or 0 where no
             hinge has internal friction.
@@ -139,6 +142,11 @@ class Model:
     pressure: np.ndarray
     limits: Limits
     smooth: bool = False
+
+    @property
+    def stiff(self) -> bool:
+        """Whether the fabric is stiffer than what clothes are made of."""
+        return self.fabric.gravity_length > STIFF_LENGTH
 
     @property
     def vertex_count(self) -> int:
@@ -310,18 +318,20 @@ def blocks_of(colors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _bending(
     mesh: ClothMesh, fabric: Fabric, inverse_mass: np.ndarray, factor: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, np.ndarray]:
-    hinges, rows, areas, angle = hinge_rows(mesh, np.flatnonzero(inverse_mass == 0.0))
+    held = np.flatnonzero(inverse_mass == 0.0)
+    hinges, rows, areas, angle = hinge_rows(mesh, held)
+    share = border_share(mesh, held) if fabric.gravity_length > STIFF_LENGTH else np.ones(len(hinges))
     rest = np.zeros(len(hinges)) if mesh.rest_bends is None else mesh.rest_bends
     stacked = layer_stiffness(mesh)
     if mesh.seam_hinges is not None:
         pairs = zip((hinges, rows, areas, angle), mesh.seam_hinges, strict=True)
         hinges, rows, areas, angle = (np.concatenate(pair) for pair in pairs)
         rest = np.concatenate([rest, np.zeros(len(hinges) - len(rest))])
-        stacked = np.concatenate([stacked, np.ones(len(hinges) - len(stacked))])
+        stacked, share = (np.concatenate([some, np.ones(len(hinges) - len(some))]) for some in (stacked, share))
     # A hinge bends at right angles to its edge; between the axes the stiffness follows the square of a mixed root.
     along_warp, along_weft = np.sin(angle) ** 2, np.cos(angle) ** 2
     bend = (np.sqrt(fabric.bend_warp) * along_warp + np.sqrt(fabric.bend_weft) * along_weft) ** 2
-    stiffness = 3.0 * factor * stacked * bend / areas
+    stiffness = 3.0 * factor * stacked * share * bend / areas
     friction = np.zeros(len(hinges))
     if fabric.bend_hysteresis_warp + fabric.bend_hysteresis_weft > 0.0:
         mixed = np.sqrt(fabric.bend_hysteresis_warp) * along_warp + np.sqrt(fabric.bend_hysteresis_weft) * along_weft

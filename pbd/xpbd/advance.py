@@ -29,7 +29,7 @@ __all__ = ["advance_kernel"]
 
 @cache
 def advance_kernel(
-    with_multigrid: bool, with_pairs: bool = False, rubs: bool = False, quickly: bool = False
+    with_multigrid: bool, with_pairs: bool = False, rubs: bool = False, stiff: bool = False, quickly: bool = False
 ) -> Callable[..., None]:
     """The kernel that advances a garment by a frame.
 
@@ -38,6 +38,7 @@ def advance_kernel(
     Args:
         with_multigrid, with_pairs: whether coarser levels and pairs are used. Both take long to compile.
         rubs: whether shear has internal friction.
+        stiff: whether the bending of stiff cloth is solved by a factor.
         quickly: see :func:`pbd.taichi_internals.quickly_compiled`; the same results, and slower constraints.
     """
 
@@ -60,6 +61,7 @@ def advance_kernel(
         hinges: Int4,
         hinge_colors: Int1,
         hinge_data: Vec4Rows,
+        bending_factor: Vec2,
         stitches: Int3,
         stitch_data: Vec4,
         tethers: Int2,
@@ -95,7 +97,6 @@ def advance_kernel(
         coarse_strain: Vec4,
         level_starts: Int1,
         children: Int1,
-        child_starts: Int1,
         springs: Int2,
         spring_colors: Int1,
         color_starts: Int1,
@@ -119,7 +120,8 @@ def advance_kernel(
                 ),
                 ConstraintArrays(
                     triangles, triangle_blocks, block_colors, triangle_data, hinges, hinge_colors, hinge_data,
-                    stitches, stitch_data, tethers, tether_lengths, limits, strain_limits, limit_work, rubs,
+                    stitches, stitch_data, tethers, tether_lengths, limits, strain_limits, limit_work,
+                    bending_factor, rubs, stiff,
                 ),
                 BodySurface(body_start, body_end, ring_start, ring, fan_start, fan, body_normals),
                 Obstacles(primitives, fields, field_values),
@@ -129,7 +131,7 @@ def advance_kernel(
                 ),
                 MultigridArrays(
                     with_multigrid, parent, mass_share, displacement, patch_centers, predicted_displacement,
-                    coarse_strain, level_starts, children, child_starts, springs, spring_colors, color_starts,
+                    coarse_strain, level_starts, children, springs, spring_colors, color_starts,
                     spring_data, spring_shares, spring_workspace,
                 ),
                 PairArrays(with_pairs, pairs, pair_data, ready_pairs),

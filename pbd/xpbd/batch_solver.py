@@ -62,11 +62,11 @@ class _GarmentViews:
 
     _data_oriented = True
 
-    def __init__(self, arguments: Any, with_multigrid: bool) -> None:
+    def __init__(self, arguments: Any, with_multigrid: bool, stiff: bool) -> None:
         found = arguments.found
         self.step = StepView(found["steps"], found["parameters"])
         self.cloth = view_of(ClothArrays, found)
-        self.constraints = view_of(ConstraintArrays, found)
+        self.constraints = view_of(ConstraintArrays, {**found, "stiff": stiff})
         self.body = view_of(BodySurface, found)
         self.obstacles = view_of(Obstacles, found)
         self.contact = view_of(ContactWork, found)
@@ -82,7 +82,7 @@ def _layout(with_multigrid: bool) -> ArgumentLayout:
 
 
 @cache
-def _batch_kernel(with_multigrid: bool, on_cuda: bool) -> Callable[..., None]:
+def _batch_kernel(with_multigrid: bool, stiff: bool, on_cuda: bool) -> Callable[..., None]:
     layout, stride = _layout(with_multigrid), 1 if on_cuda else LOOP_BLOCK
 
     @ti.kernel
@@ -111,6 +111,7 @@ def _batch_kernel(with_multigrid: bool, on_cuda: bool) -> Callable[..., None]:
                         garment, [floats, twos, threes, fours, integers, pairs, triples, quads], table, reals, counts
                     ),
                     with_multigrid,
+                    stiff,
                 )
                 group = WorkerGroup(worker, workers, barrier_counts, garment, awaited)
                 if group.first():
@@ -149,11 +150,12 @@ class BatchSolver:
             expected = "bend_hysteresis and shear_hysteresis of 0"
             raise InputError("garments with internal friction", key="solvers", expected=expected)
         with_multigrid = any(solver.with_multigrid for solver in solvers)
+        stiff = any(solver.stiff for solver in solvers)
         on_cuda = running_arch() == "cuda"
         self._solvers = list(solvers)
         self._workers = MAX_WORKERS if on_cuda else threads_each
         self._layout = _layout(with_multigrid)
-        self._launch = Launch(_batch_kernel(with_multigrid, on_cuda))
+        self._launch = Launch(_batch_kernel(with_multigrid, stiff, on_cuda))
         self._arrays: list[dict[str, np.ndarray]] = []  # that the pools were made for
         self._pools: ArrayPools | None = None
         self._views: list[list[tuple[str, np.ndarray]]] = []  # parts of the pools that a step reads of the world

@@ -68,11 +68,14 @@ class Multigrid:
             np.zeros((0, 2), np.int32), one, one, one, np.zeros((0, 3, 4), np.float32), np.zeros((0, 2), np.float32),
         )  # fmt: skip
 
-    def children(self) -> tuple[np.ndarray, np.ndarray]:
-        """Members of the patches: their indices in ``parent``, and offsets of the patches, shape (k + 1,); int32."""
+    def children(self) -> np.ndarray:
+        """Members of the patches, int32: k + 1 numbers, where in this array those of each begin, and then the members
+        by their indices in ``parent``.
+        """
         order = np.argsort(self.parent, kind="stable")
-        offsets = np.searchsorted(self.parent[order], np.arange(len(self.inverse_mass) + 1))
-        return order.astype(np.int32), offsets.astype(np.int32)
+        patches = np.arange(len(self.inverse_mass) + 1)
+        begins = len(patches) + np.searchsorted(self.parent[order], patches)
+        return np.concatenate([begins, order]).astype(np.int32)
 
     @cached_property
     def _rates(self) -> list[float]:

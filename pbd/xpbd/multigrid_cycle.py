@@ -30,7 +30,7 @@ def restrict(workers: ti.template(), cloth: ti.template(), multigrid: ti.templat
         first, last = multigrid.level_starts[level], multigrid.level_starts[level + 1]
         for a in range(workers.begin(first, last), workers.end(first, last)):
             center, displacement = vec3(0.0), vec3(0.0)
-            for q in range(multigrid.child_starts[a], multigrid.child_starts[a + 1]):
+            for q in range(multigrid.children[a], multigrid.children[a + 1]):
                 i = multigrid.children[q]
                 if level == 0:
                     start = substep_start(cloth, i, step.h)

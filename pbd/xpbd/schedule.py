@@ -22,6 +22,7 @@ from pbd.geometry import FAR, vec3, vec4, xyz
 from pbd.xpbd.constraint_passes import solve_bending, solve_limits, solve_membrane, solve_stitches, solve_tethers
 from pbd.xpbd.constraints import cushioned, drag_velocity
 from pbd.xpbd.multigrid_cycle import restrict, solve_levels
+from pbd.xpbd.stiff_bending import solve_stiff_bending
 
 __all__ = ["advance_garment"]
 
@@ -53,8 +54,9 @@ def advance_garment(
 ):
     """Advance a garment by the substeps of a frame.
 
-    Per substep: prediction, held vertices, coarser levels, membrane, bending, stitches, tethers, limits, contact with
-    the body, strain limits and contact of the cloth with itself, with primitives and fields, velocities.
+    Per substep: prediction, held vertices, bending of stiff cloth, coarser levels, membrane, bending, stitches,
+    tethers, limits, contact with the body, strain limits and contact of the cloth with itself, with primitives and
+    fields, velocities.
 
     Digits are kept in three places. A vertex stands at ``position`` (on a grid) plus a small ``position_delta`` that
     takes the corrections. The velocity takes (delta - predicted delta)/h, the sum of the corrections, instead of a
@@ -88,6 +90,10 @@ def advance_garment(
         if substep < step.end:
             move_held(workers, cloth, t, step)
             workers.barrier()
+            if ti.static(constraints.stiff):
+                if workers.first() and constraints.bending_factor.shape[0] > 0:
+                    solve_stiff_bending(cloth, constraints, multigrid.patch_centers, step.h)
+                workers.barrier()
             if ti.static(multigrid.used):
                 if step.levels > 0:
                     restrict(workers, cloth, multigrid, step)
@@ -256,7 +262,11 @@ def solve_constraints(
             workers.begin(first, last), workers.end(first, last),
         )  # fmt: skip
         workers.barrier()
-    for k in range(constraints.hinge_colors.shape[0] - 1):
+    hinge_colors = constraints.hinge_colors.shape[0] - 1
+    if ti.static(constraints.stiff):
+        if constraints.bending_factor.shape[0] > 0:  # solved after the prediction
+            hinge_colors = 0
+    for k in range(hinge_colors):
         first, last = constraints.hinge_colors[k], constraints.hinge_colors[k + 1]
         solve_bending(cloth, constraints, step.inverse_h2, workers.begin(first, last), workers.end(first, last))
         workers.barrier()

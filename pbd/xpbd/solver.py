@@ -21,6 +21,7 @@ from pbd.xpbd.advance import advance_kernel
 from pbd.xpbd.inertia import damp_locally, scale_inertial_forces
 from pbd.xpbd.multigrid import Multigrid, build_multigrid
 from pbd.xpbd.rigid_motion import RigidTransform, detect_teleport, max_displacement
+from pbd.xpbd.stiff_bending import bending_factor, bounded_hinge_data, is_stiff, no_factor
 from pbd.xpbd.views import FrameSteps, StepParameters
 from pbd.xpbd.workers import MAX_WORKERS
 
@@ -115,6 +116,7 @@ class Solver:
         if self.options.coarse_sweeps and not model.layer.any():  # levels know one fabric
             levels = build_multigrid(model.mesh, model.mass, model.inverse_mass, model.options.membrane(model.fabric))
         self._multigrid = levels
+        self.stiff = is_stiff(model, self.options.substep)
         self._steps, self._max_approach = np.zeros(len(FrameSteps._fields), np.int32), np.zeros(1, np.float32)
         self._fixed = self._model_arrays() | self._multigrid_arrays() | self._workspace()
         # Substeps are never longer than this: levels that are of no use in it are of none in any.
@@ -123,7 +125,7 @@ class Solver:
         self._pairs = SelfCollision(model, self.options.self_collision) if self.in_contact else None
         self._stride = max(MIN_STRIDE, STRIDE_SHARE * float(model.mesh.edge_lengths()[1].mean()))
         self._find_nearest = Launch(find_nearest)
-        kinds = self.with_multigrid, self._pairs is not None, model.plastic_shear_count > 0
+        kinds = self.with_multigrid, self._pairs is not None, model.plastic_shear_count > 0, self.stiff
         self._advance, self._advance_on_body = Launch(advance_kernel(*kinds)), Launch(advance_kernel(*kinds))
         if count < MIN_OPTIMIZED:
             self._advance_on_body = Launch(advance_kernel(*kinds, quickly=True))
@@ -139,6 +141,10 @@ class Solver:
             self._hinge_data = np.concatenate([self.model.hinge_data, kept], axis=1)
         else:
             self._hinge_data = self.model.hinge_data
+        factor = no_factor()
+        if self.stiff:
+            self._hinge_data = bounded_hinge_data(self.model, self.options.substep)
+            factor = bending_factor(self.model, self._hinge_data, self.options.substep)
         self._triangle_data = self.model.triangle_data
         if self.model.plastic_shear_count:
             self._triangle_data = np.pad(self._triangle_data, ((0, 1), (0, 0)))
@@ -147,6 +153,7 @@ class Solver:
         return {name: getattr(self.model, name) for name in names} | {
             "stitch_data": self._stitch_data,
             "hinge_data": self._hinge_data,
+            "bending_factor": factor,
             "triangle_data": self._triangle_data,
         }
 
@@ -162,9 +169,10 @@ class Solver:
         # Made one by one: an array that is the same object as at the last call need not be handed over again.
         arrays = {name: np.zeros((max(1, patches), 4), np.float32) for name in written}
         arrays["displacement"][:patches, 3] = levels.inverse_mass
-        children, child_starts = levels.children()
         workspace = np.zeros((9, len(levels.springs) + BLOCK), np.float32)
-        arrays |= {"children": children, "child_starts": child_starts, "spring_workspace": workspace}
+        if self.stiff:
+            arrays["patch_centers"] = np.zeros((max(patches, 2 * self.model.vertex_count), 4), np.float32)
+        arrays |= {"children": levels.children(), "spring_workspace": workspace}
         return arrays | {name: getattr(levels, name) for name in names}
 
     def _workspace(self) -> dict[str, np.ndarray]:

@@ -84,6 +84,8 @@ class ConstraintArrays:
             the frame [m], vec4.
         limits: position of the target at the frame's start and the vertex, motion of the target over the frame, normal
             there, law of :func:`pbd.xpbd.constraints.limit_correction`; vec4, shape (l, 4).
+        bending_factor: see :func:`pbd.xpbd.stiff_bending.bending_factor`; no row where hinges are solved one by one.
+        stiff: whether the kernel solves any bending by such a factor, known while it is compiled.
         strain_limits, limit_work: see :func:`pbd.contact.strain_limits.limit_rows`.
     """
 
@@ -101,7 +103,9 @@ class ConstraintArrays:
     limits: Any = None
     strain_limits: Any = None
     limit_work: Any = None
+    bending_factor: Any = None
     rubs: bool = False
+    stiff: bool = False
     _data_oriented = True
 
 
@@ -179,7 +183,7 @@ class MultigridArrays:
         used: whether the kernel has coarser levels at all, known while it is compiled.
         displacement: of the centres of the patches over the substep [m], and inverse masses [1/kg], vec4. Corrections
             go here: small numbers keep their digits.
-        patch_centers: at the start of the substep [m], vec4.
+        patch_centers: at the start of the substep [m], vec4. Before that it is workspace of the bending of stiff cloth.
         predicted_displacement: the displacement before any correction [m], vec4.
         coarse_strain: strain that the springs of the coarser levels bear (uu, vv, 2 uv) [-], vec4.
         spring_workspace: of each spring its direction, distance and length [m], compliance, inverse mass of both ends,
@@ -195,7 +199,6 @@ class MultigridArrays:
     coarse_strain: Any = None
     level_starts: Any = None
     children: Any = None
-    child_starts: Any = None
     springs: Any = None
     spring_colors: Any = None
     color_starts: Any = None

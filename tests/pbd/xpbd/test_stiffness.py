@@ -122,13 +122,16 @@ def test_cantilever_of_twenty_edges(gamma: float, gravity: float) -> None:
 
 
 @pytest.mark.proof
-@pytest.mark.parametrize("gamma", [0.1, 0.3])
+@pytest.mark.parametrize("gamma", [0.5, 1.0])
 def test_what_bending_loses_to_the_step_follows_its_law(gamma: float) -> None:
-    """One pass a substep bends too far by about 2 h^2 B/(rho_A d^4), d the edge, as stretch goes by its own law."""
-    edges, gravity, length = 12, 1.0, 0.2
-    converged = cantilever(gamma, edges, gravity, 640)
+    """One pass a substep bends too far by about 2 h^2 B/(rho_A d^4), d the edge, as stretch goes by its own law.
+
+    The strip is so short that its fabric is not stiff: the hinges of stiff cloth are solved at once.
+    """
+    edges, gravity, length = 12, 1.0, 0.04
+    converged = cantilever(gamma, edges, gravity, 640, length=length)
     for substeps in (80, 160):
         bend_over_density, edge = gravity * length**3 / gamma, length / edges
         law = bend_over_density / (60.0 * substeps) ** 2 / edge**4
-        excess = cantilever(gamma, edges, gravity, substeps) / converged - 1.0
+        excess = cantilever(gamma, edges, gravity, substeps, length=length) / converged - 1.0
         assert law < 0.05 and 1.6 * law < excess < 2.6 * law

@@ -228,6 +228,12 @@ def test_the_command_says_what_is_unknown(capsys: pytest.CaptureFixture) -> None
     assert "unknown test" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("gamma", [0.1, 1.0, 30.0])
+def test_the_default_solver_holds_stiff_cantilevers_at_its_default_setting(gamma: float) -> None:
+    result = validate(ROWS["cantilever"], {"gamma": gamma}, "default", 20)
+    assert result.passed_default, result.default.error
+
+
 @pytest.mark.proof
 @pytest.mark.parametrize(
     ("name", "case"),
