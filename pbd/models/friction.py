@@ -153,7 +153,8 @@ class CurvatureFriction(FrictionElements):
         unit = off / length[:, 0]
         slipping = (np.eye(3) - unit[:, :, None] * unit[:, None]) / length
         inner = np.where(self.hardness * length <= 1.0, self.hardness * np.eye(3), slipping)
-        total = np.einsum("maci,mab,mbdj->mcidj", slopes, inner, slopes)
+        flat = slopes.reshape(len(slopes), 3, -1)
+        total = (flat.swapaxes(1, 2) @ inner @ flat).reshape(len(slopes), 6, 3, 6, 3)
         if not positive:
             total += self._turning(corners, self._moments(off), bent, size, normal)
         return self.areas[:, None, None, None, None] * total
