@@ -185,20 +185,19 @@ class Sum:
                 points, value = near, found
         for _ in range(SETTLINGS):
             force = np.sum([part.gradient(points) for part in parts], axis=0)[hidden].ravel()
+            if not np.isfinite(force).all():
+                return points  # of a step that has failed, which the caller finds
             matrix = sum((part.hessian(points, True, self.vertex_count) for part in convex), self._stiffness)
             move = np.zeros_like(points)
             factors = splu(matrix.tocsc(), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
             move[hidden] = -factors.solve(force).reshape(-1, 3)
             slope = float(force @ move[hidden].ravel())
             if -slope <= LEAST_DECREASE * abs(value):
+                points = points + move
                 break
-            while True:
-                tried = points + move
-                found = sum(part.energy(tried) for part in parts)
-                if found <= value + ROUNDING * abs(value):
-                    break
+            while (found := sum(part.energy(points + move) for part in parts)) > value + ROUNDING * abs(value):
                 move *= 0.5
-            points, value = tried, found
+            points, value = points + move, found
         self._offset = (points - relaxed)[hidden]
         return points
 
