@@ -157,11 +157,11 @@ class Sum:
         # Starting from points close by loses no digits far from the origin.
         points = np.concatenate([x, np.broadcast_to(x[0], (self.point_count - len(x), 3))])
         parts = [part for part in self.parts if isinstance(part, QuadraticElements)]
-        if self._relax is None:
+        relax = self._relax
+        if relax is None:
             first, *more = [part.hessian(points, first=self.vertex_count) for part in parts]
             self._stiffness = sum(more, first)
-            self._relax = factorized(self._stiffness[::3, ::3].tocsc())
-        relax = self._relax
+            relax = self._relax = factorized(self._stiffness[::3, ::3].tocsc())
         force = np.sum([part.gradient(points)[hidden] for part in parts], axis=0)
         points[hidden] -= np.stack([relax(force[:, c].copy()) for c in range(3)], axis=1)
         others = [part for part in self.parts if not isinstance(part, QuadraticElements)]
@@ -187,7 +187,9 @@ class Sum:
             force = np.sum([part.gradient(points) for part in parts], axis=0)[hidden].ravel()
             if not np.isfinite(force).all():
                 return points  # of a step that has failed, which the caller finds
-            matrix = sum((part.hessian(points, True, self.vertex_count) for part in convex), self._stiffness)
+            matrix = self._stiffness
+            for part in convex:
+                matrix = matrix + part.hessian(points, True, self.vertex_count)
             move = np.zeros_like(points)
             factors = splu(matrix.tocsc(), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
             move[hidden] = -factors.solve(force).reshape(-1, 3)
