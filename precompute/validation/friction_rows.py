@@ -245,8 +245,8 @@ def _most_curved(specimen: Specimen, places: np.ndarray) -> float:
     bends = []
     for middle in at:
         near = np.abs(x - middle) < reach
-        bends.append(2.0 * np.polyfit(places[near, 0] - places[near, 0].mean(), places[near, 1], 2)[0])
-    bends = np.abs(bends)
+        bends.append(np.linalg.norm(np.polyfit(x[near] - middle, places[near, :2], 2)[0]))
+    bends = np.array(bends)
     best = int(np.argmax(bends))
     strong = bends > 0.5 * bends[best]
     left, right = best, best

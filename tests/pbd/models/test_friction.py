@@ -77,6 +77,20 @@ def test_slipping_keeps_the_force(kind: str) -> None:
     assert energy.plastic == pytest.approx(plastic, rel=1e-9, abs=1e-12)
 
 
+def test_until_it_slips_bending_is_four_times_as_stiff_along_both_axes() -> None:
+    """Three times by friction, whatever the other axis' hysteresis is."""
+    energy = elements("bending")
+    assert isinstance(energy, CurvatureFriction)
+    moments, stiffness = np.array([0.2, 0.05]), np.array([FABRIC.bend_warp, FABRIC.bend_weft])
+    for axis in (0, 1):
+        slips_at = moments[axis] / (3.0 * stiffness[axis])
+        off = np.zeros((3, 3))
+        off[:, axis] = np.array([0.5, 1.0, 4.0]) * slips_at * energy.scale[axis]
+        force, slid = energy.forces(off)
+        assert energy.scale[axis] * force[:, axis] == pytest.approx(moments[axis] * np.array([0.5, 1.0, 1.0]))
+        assert slid == pytest.approx([0.0, 0.0, 3.0 * slips_at * energy.scale[axis]], abs=1e-12)
+
+
 def rolled(vertices: np.ndarray, curvature: float, angle: float) -> np.ndarray:
     """A level sheet on a cylinder with its axis at right angles to a direction [m]."""
     along, up = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([0.0, 0.0, 1.0])
