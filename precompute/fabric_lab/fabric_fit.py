@@ -157,14 +157,7 @@ def fit_fabric(
     bias = line.get(("tension", "bias"))
     shear = ("shear", "warp") in line or any(("shear_loop", axis) in curves for axis in ("warp", "weft"))
     if bias is not None and not shear:
-        # 4/E45 = 1/E1 + 1/E2 + 1/G - 2 nu12/E1
-        rest = 1.0 / fitted.stretch_warp + 1.0 / fitted.stretch_weft - 2.0 * fitted.poisson / fitted.stretch_warp
-        softness = 4.0 / bias - rest
-        if softness <= 0.0:
-            raise InputError(
-                "no fabric is so stiff at the bias", key="tension bias", received=bias, expected=f"below {4 / rest:.4g}"
-            )
-        fitted = replace(fitted, shear=1.0 / softness)
+        fitted = replace(fitted, shear=_shear_of_bias(bias, fitted))
     found = []
     if PRESSED in curves:
         fitted = _pressed(curves[PRESSED], fitted)
@@ -184,6 +177,16 @@ def fit_fabric(
         error = float(np.sqrt((difference**2).mean() / (measured.load**2).mean()))
         found.append(FittedCurve(instrument, direction, measured, drawn, error))
     return fitted, found
+
+
+def _shear_of_bias(bias: float, fabric: Fabric) -> float:
+    """Shear stiffness by tension at the bias, 4/E45 = 1/E1 + 1/E2 + 1/G - 2 nu12/E1."""
+    rest = 1.0 / fabric.stretch_warp + 1.0 / fabric.stretch_weft - 2.0 * fabric.poisson / fabric.stretch_warp
+    softness = 4.0 / bias - rest
+    if softness <= 0.0:
+        expected = f"below {4 / rest:.4g}"
+        raise InputError("no fabric is so stiff at the bias", key="tension bias", received=bias, expected=expected)
+    return 1.0 / softness
 
 
 def _rubbed(curves: dict[tuple[str, str], LoadCurve], fabric: Fabric) -> Fabric:

@@ -175,9 +175,9 @@ def _hysteresis(setting: TrialSetting, loop: str, direction: str, weft: float) -
     rising, falling = branches(curve, instrument, direction)
     x = np.array([-far, far, far, -far, -far])
     sides = np.array([-1.0, 1.0, -1.0, -1.0, 1.0]) * 0.5 * width + stiffness * x
-    drawn = tuple(np.concatenate([rising[k], falling[k][::-1]]) for k in (0, 1))
+    drawn = np.concatenate([rising, falling[:, ::-1]], axis=1)
     error = max(abs(value - 1.0) for value in figures.values())
-    picture = Curve("curvature [1/m]" if loop == "bending" else "shear [rad]", "load", (x, sides), drawn)
+    picture = Curve("curvature [1/m]" if loop == "bending" else "shear [rad]", "load", (x, sides), (drawn[0], drawn[1]))
     return TrialResult(own, area, error, curve.cost_ms, picture, figures=figures)
 
 
