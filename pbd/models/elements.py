@@ -15,6 +15,7 @@ __all__ = ["ElementEnergy", "Energy", "QuadraticElements", "Sum", "clamped"]
 
 SETTLINGS = 50  # steps in which hidden points of elements that are not quadratic settle
 LEAST_DECREASE = 1e-14  # of the energy, with which they are content [-]
+HALVINGS = 30  # of a step at most
 ROUNDING = 1e-13  # part of the energy that rounding may add
 
 
@@ -197,8 +198,13 @@ class Sum:
             if -slope <= LEAST_DECREASE * abs(value):
                 points = points + move
                 break
-            while (found := sum(part.energy(points + move) for part in parts)) > value + ROUNDING * abs(value):
+            for _ in range(HALVINGS):
+                found = sum(part.energy(points + move) for part in parts)
+                if found <= value + ROUNDING * abs(value):
+                    break
                 move *= 0.5
+            else:
+                break  # downhill leads nowhere but into rounding
             points, value = points + move, found
         self._offset = (points - relaxed)[hidden]
         return points
