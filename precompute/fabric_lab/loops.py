@@ -177,7 +177,8 @@ def read_loop(curve: LoadCurve, instrument: str, direction: str) -> Reading:
     rising, falling = branches(curve, instrument, direction)
     value = lambda branch, at: np.interp(at, branch[0], branch[1])  # noqa: E731
     places = np.linspace(*gauge.slope, SLOPE_POINTS)
-    slopes = [np.polyfit(places, value(rising, places), 1)[0], np.polyfit(places, -value(falling, -places), 1)[0]]
+    design = places - places.mean()
+    slopes = [design @ value(rising, places), -design @ value(falling, -places)] / (design @ design)
     stiffness = float(np.mean(slopes))
     if not stiffness > 0.0:
         expected = f"load that rises with the deformation between {gauge.slope[0]:.4g} and {gauge.slope[1]:.4g}"

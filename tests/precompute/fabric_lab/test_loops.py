@@ -144,6 +144,7 @@ def changed(deformation: np.ndarray, load: np.ndarray) -> str:
         (changed(LOOP.deformation / 2.0, LOOP.load / 2.0), "no loop.*to 150 and to -150 or further"),
         (changed(np.sort(LOOP.deformation)[[0, 2, 1, *range(3, 30)]], LOOP.load), "no loop"),
         (rows(LOOP).replace("bending_loop,warp,250,", "bending_loop,warp,inf,"), "bad point.*two finite numbers"),
+        (changed(LOOP.deformation, -1e300 * np.sign(LOOP.deformation)), "load falls as the deformation rises"),
         (rows(LOOP).replace("bending_loop", "bending loop"), "unknown word.*bending_loop or shear_loop"),
     ],
 )  # fmt: skip
