@@ -9,12 +9,14 @@ from typing import Protocol
 
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.linalg import factorized, spsolve
+from scipy.sparse.linalg import factorized, splu
 
 __all__ = ["ElementEnergy", "Energy", "QuadraticElements", "Sum", "clamped"]
 
 SETTLINGS = 50  # steps in which hidden points of elements that are not quadratic settle
 LEAST_DECREASE = 1e-14  # of the energy, with which they are content [-]
+HALVINGS = 30  # of a step at most
+ROUNDING = 1e-13  # part of the energy that rounding may add
 
 
 class Energy(Protocol):
@@ -77,14 +79,18 @@ class ElementEnergy(ABC):
         columns = [np.bincount(flat, slopes[..., c].ravel(), self.vertex_count) for c in range(3)]
         return np.stack(columns, axis=1)
 
-    def hessian(self, x: np.ndarray, positive: bool = False) -> csr_matrix:
-        return self.assembled(self.curvatures(x[self.elements], positive))
+    def hessian(self, x: np.ndarray, positive: bool = False, first: int = 0) -> csr_matrix:
+        """Of the points from ``first`` on, shape (3 (n - first), 3 (n - first)); see :class:`Energy`."""
+        return self.assembled(self.curvatures(x[self.elements], positive), first)
 
-    def assembled(self, blocks: np.ndarray) -> csr_matrix:
-        """Sparse matrix of element matrices, shape (m, k, 3, k, 3)."""
-        rows = np.broadcast_to((3 * self.elements[:, :, None] + np.arange(3))[..., None, None], blocks.shape)
+    def assembled(self, blocks: np.ndarray, first: int = 0) -> csr_matrix:
+        """Sparse matrix of element matrices, shape (m, k, 3, k, 3), of the points from ``first`` on."""
+        rows = np.broadcast_to((3 * (self.elements - first)[:, :, None] + np.arange(3))[..., None, None], blocks.shape)
         columns = rows.transpose(0, 3, 4, 1, 2)
-        size = 3 * self.vertex_count
+        size = 3 * (self.vertex_count - first)
+        if first:
+            used = (rows >= 0) & (columns >= 0)
+            blocks, rows, columns = blocks[used], rows[used], columns[used]
         return coo_matrix((blocks.ravel(), (rows.ravel(), columns.ravel())), (size, size)).tocsr()
 
 
@@ -112,7 +118,9 @@ class QuadraticElements(ElementEnergy):
     def curvatures(self, corners: np.ndarray, positive: bool) -> np.ndarray:
         return np.einsum("mab,ij->maibj", self.matrices, np.eye(3))
 
-    def hessian(self, x: np.ndarray, positive: bool = False) -> csr_matrix:
+    def hessian(self, x: np.ndarray, positive: bool = False, first: int = 0) -> csr_matrix:
+        if first:
+            return super().hessian(x, positive, first)
         if self._constant is None:
             self._constant = super().hessian(x, positive)
         return self._constant
@@ -137,7 +145,10 @@ class Sum:
         self.vertex_count = self.point_count if vertex_count is None else vertex_count
         for part in self.parts:
             part.vertex_count = self.point_count
+        # Of the hidden points: solution by the quadratic parts, their matrix; how far others moved them [m].
         self._relax: Callable[[np.ndarray], np.ndarray] | None = None
+        self._stiffness = csr_matrix((0, 0))
+        self._offset: np.ndarray | None = None
 
     def completed(self, x: np.ndarray) -> np.ndarray:
         """Vertices [m], shape (n, 3), with hidden points where they cost least: shape (all, 3)."""
@@ -149,29 +160,53 @@ class Sum:
         parts = [part for part in self.parts if isinstance(part, QuadraticElements)]
         relax = self._relax
         if relax is None:
-            matrix = sum((part.hessian(points) for part in parts[1:]), parts[0].hessian(points))
-            relax = self._relax = factorized(matrix[::3, ::3][hidden, hidden].tocsc())
+            first, *more = [part.hessian(points, first=self.vertex_count) for part in parts]
+            self._stiffness = sum(more, first)
+            relax = self._relax = factorized(self._stiffness[::3, ::3].tocsc())
         force = np.sum([part.gradient(points)[hidden] for part in parts], axis=0)
         points[hidden] -= np.stack([relax(force[:, c].copy()) for c in range(3)], axis=1)
         others = [part for part in self.parts if not isinstance(part, QuadraticElements)]
         convex = [part for part in others if part.elements.max(initial=0) >= self.vertex_count]
-        return self._settled(points, parts + convex) if convex else points
+        return self._settled(points, parts, convex) if convex else points
 
-    def _settled(self, points: np.ndarray, parts: Sequence[ElementEnergy]) -> np.ndarray:
-        """Hidden points moved to where parts that are convex in them cost least (Newton's method, halved steps)."""
-        hidden = slice(3 * self.vertex_count, None)
+    def _settled(
+        self, points: np.ndarray, quadratic: Sequence[QuadraticElements], convex: Sequence[ElementEnergy]
+    ) -> np.ndarray:
+        """Hidden points moved to where parts that are convex in them cost least (Newton's method, halved steps).
+
+        They start where the quadratic parts alone have them, or as far from there as they were the last time.
+        """
+        parts, hidden = [*quadratic, *convex], slice(self.vertex_count, None)
+        relaxed, value = points, sum(part.energy(points) for part in parts)
+        if self._offset is not None:
+            near = points.copy()
+            near[hidden] += self._offset
+            found = sum(part.energy(near) for part in parts)
+            if found < value:
+                points, value = near, found
         for _ in range(SETTLINGS):
-            force = np.sum([part.gradient(points) for part in parts], axis=0).ravel()[hidden]
-            matrix = sum((part.hessian(points, True) for part in parts[1:]), parts[0].hessian(points, True))
-            move = np.zeros(points.size)
-            move[hidden] = -spsolve(matrix[hidden, hidden].tocsc(), force)
-            slope, value = float(force @ move[hidden]), sum(part.energy(points) for part in parts)
+            force = np.sum([part.gradient(points) for part in parts], axis=0)[hidden].ravel()
+            if not np.isfinite(force).all():
+                return points  # of a step that has failed, which the caller finds
+            matrix = self._stiffness
+            for part in convex:
+                matrix = matrix + part.hessian(points, True, self.vertex_count)
+            move = np.zeros_like(points)
+            factors = splu(matrix.tocsc(), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+            move[hidden] = -factors.solve(force).reshape(-1, 3)
+            slope = float(force @ move[hidden].ravel())
             if -slope <= LEAST_DECREASE * abs(value):
+                points = points + move
                 break
-            move = move.reshape(-1, 3)
-            while sum(part.energy(points + move) for part in parts) > value and np.abs(move).max() > 0.0:
+            for _ in range(HALVINGS):
+                found = sum(part.energy(points + move) for part in parts)
+                if found <= value + ROUNDING * abs(value):
+                    break
                 move *= 0.5
-            points = points + move
+            else:
+                break  # downhill leads nowhere but into rounding
+            points, value = points + move, found
+        self._offset = (points - relaxed)[hidden]
         return points
 
     def energy(self, x: np.ndarray) -> float:

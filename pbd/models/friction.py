@@ -20,6 +20,9 @@ from pbd.xpbd.constraints import FRICTION_STIFFNESS
 __all__ = ["CurvatureFriction", "FrictionElements", "ShearFriction", "friction_elements"]
 
 
+ROOTS = 40  # steps of Newton's method in which it is found how far an element slips
+
+
 class FrictionElements(ElementEnergy):
     """Elements that stick and slip.
 
@@ -104,7 +107,7 @@ class CurvatureFriction(FrictionElements):
         faces: that they belong to, int, shape (m,).
         areas: of the faces [m2], shape (m,).
         moments: H of warp and weft, half of Kawabata's 2HB [N].
-        stiffness: B of warp and weft [N m]. The element is three times as stiff in that of both in which it slips last.
+        stiffness: B of warp and weft [N m]. Along each the element is three times as stiff.
     """
 
     stored = "plastic_curvatures"
@@ -123,8 +126,9 @@ class CurvatureFriction(FrictionElements):
         self.rows, self.faces, self.areas = rows, faces, areas
         warp, weft = moments
         self.scale = np.array([warp, weft, np.sqrt(0.5 * warp * weft)])
-        given = [b / h**2 for h, b in zip(moments, stiffness, strict=True) if h > 0.0]
-        self.hardness = FRICTION_STIFFNESS * min(given)
+        # An element gives by this for a force of 1 that belongs to the scaled strains, shape (3,).
+        give = [h**2 / (FRICTION_STIFFNESS * b) if h > 0.0 else 1.0 for h, b in zip(moments, stiffness, strict=True)]
+        self.give = np.array([*give, np.sqrt(give[0] * give[1])])
         self.plastic = np.zeros((len(elements), 3))
 
     def curved(self, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -136,41 +140,55 @@ class CurvatureFriction(FrictionElements):
         off = self.scale * (np.einsum("mai,mi->ma", bent, normal) - self.plastic)
         return bent, size, normal, off
 
+    def forces(self, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Forces f of length 1 at most that belong to the scaled strains, shape (m, 3); how far each slips, shape (m,).
+
+        It slips by t f, so that off = (give + t) f: t >= 0 makes f as long as 1. Newton's method for 1/|f| goes up to
+        it (More and Sorensen 1983).
+        """
+        length = np.linalg.norm(off, axis=1)
+        slips = np.linalg.norm(off / self.give, axis=1) > 1.0
+        slid = np.where(slips, np.maximum(length - self.give.max(), 0.0), 0.0)
+        for _ in range(ROOTS):
+            force = off / (self.give + slid[:, None])
+            size = np.linalg.norm(force, axis=1)
+            slope = (force**2 / (self.give + slid[:, None])).sum(axis=1)
+            step = np.where(slips, size**2 * (size - 1.0) / np.maximum(slope, 1e-300), 0.0)
+            slid += step
+            if not (step > 1e-15 * slid).any():
+                break
+        return off / (self.give + slid[:, None]), slid
+
     def values(self, corners: np.ndarray) -> np.ndarray:
-        length = np.linalg.norm(self.curved(corners)[3], axis=1)
-        sticks = self.hardness * length <= 1.0
-        return self.areas * np.where(sticks, 0.5 * self.hardness * length**2, length - 0.5 / self.hardness)
+        force, slid = self.forces(self.curved(corners)[3])
+        return self.areas * (0.5 * force**2 @ self.give + slid)
 
     def slopes(self, corners: np.ndarray) -> np.ndarray:
         bent, size, normal, off = self.curved(corners)
-        moment = self.areas[:, None] * self._moments(off)
+        moment = self.areas[:, None] * self.scale * self.forces(off)[0]
         return np.einsum("ma,maci->mci", moment, self._curvature_slopes(corners, bent, size, normal))
 
     def curvatures(self, corners: np.ndarray, positive: bool) -> np.ndarray:
         bent, size, normal, off = self.curved(corners)
         slopes = self._curvature_slopes(corners, bent, size, normal) * self.scale[:, None, None]
-        length = np.maximum(np.linalg.norm(off, axis=1), 1e-30)[:, None, None]
-        unit = off / length[:, 0]
-        slipping = (np.eye(3) - unit[:, :, None] * unit[:, None]) / length
-        inner = np.where(self.hardness * length <= 1.0, self.hardness * np.eye(3), slipping)
-        total = np.einsum("maci,mab,mbdj->mcidj", slopes, inner, slopes)
+        force, slid = self.forces(off)
+        inner = np.eye(3) / (self.give + slid[:, None])[:, None]
+        along = force / (self.give + slid[:, None])
+        slipping = along[:, :, None] * along[:, None] / np.maximum((force * along).sum(axis=1), 1e-300)[:, None, None]
+        inner -= np.where(slid[:, None, None] > 0.0, slipping, 0.0)
+        flat = slopes.reshape(len(slopes), 3, -1)
+        total = (flat.swapaxes(1, 2) @ inner @ flat).reshape(len(slopes), 6, 3, 6, 3)
         if not positive:
-            total += self._turning(corners, self._moments(off), bent, size, normal)
+            total += self._turning(corners, self.scale * force, bent, size, normal)
         return self.areas[:, None, None, None, None] * total
 
     def slip(self, points: np.ndarray) -> None:
-        off = self.curved(points[self.elements])[3]
-        length = np.maximum(np.linalg.norm(off, axis=1, keepdims=True), 1e-30)
-        slid = off * np.maximum(1.0 - 1.0 / (self.hardness * length), 0.0)
-        self.plastic += slid / np.where(self.scale > 0.0, self.scale, 1.0)
+        force, slid = self.forces(self.curved(points[self.elements])[3])
+        self.plastic += slid[:, None] * force / np.where(self.scale > 0.0, self.scale, 1.0)
 
     def moments(self, points: np.ndarray) -> np.ndarray:
         """Moments per width in each face, conjugate to the curvatures (11, 22, 12 twice) [N], shape (m, 3)."""
-        return self._moments(self.curved(points[self.elements])[3])
-
-    def _moments(self, off: np.ndarray) -> np.ndarray:
-        length = np.maximum(np.linalg.norm(off, axis=1, keepdims=True), 1e-30)
-        return self.scale * off * np.minimum(self.hardness, 1.0 / length)
+        return self.scale * self.forces(self.curved(points[self.elements])[3])[0]
 
     def _curvature_slopes(
         self, corners: np.ndarray, bent: np.ndarray, size: np.ndarray, normal: np.ndarray

@@ -1,4 +1,4 @@
-"""Fabrics fitted to measured curves: a CSV file of force against strain in, a fabric and a picture of both out."""
+"""Fabrics fitted to measured curves: a CSV file of load against deformation in, a fabric and a picture of both out."""
 
 from __future__ import annotations
 
@@ -25,6 +25,14 @@ from precompute.fabric_lab.laboratory import (
     shear_curve,
     tension_curve,
 )
+from precompute.fabric_lab.loops import (
+    LOOP_SOLVER,
+    LOOPS,
+    bending_loop,
+    branches,
+    check_loop,
+    shear_loop,
+)
 from precompute.validation.trial import TrialSetting
 
 __all__ = ["FittedCurve", "draw_fit", "fit_fabric", "read_curves"]
@@ -32,6 +40,7 @@ __all__ = ["FittedCurve", "draw_fit", "fit_fabric", "read_curves"]
 # Columns of a row, in the units of :class:`precompute.fabric_lab.laboratory.LoadCurve`.
 COLUMNS = ("instrument", "direction", "deformation", "load")
 INSTRUMENTS = {"tension": tension_curve, "shear": shear_curve, "bending": bending_curve}
+LOOP_INSTRUMENTS = {"bending_loop": bending_loop, "shear_loop": shear_loop}
 PRESSED = ("compression", "normal")
 # A curve of tension that goes this far [-], and has so many points, says how the fabric stiffens.
 FAR_STRAIN, FAR_POINTS = 0.05, 3
@@ -58,10 +67,13 @@ def read_curves(path: Path) -> dict[tuple[str, str], LoadCurve]:
     """Curves of a CSV file with the columns instrument, direction, deformation, load, by instrument and direction.
 
     Instruments are tension (strain, N/m), shear (rad, N/m) and bending (1/m, N); directions warp, weft and bias. And
-    compression (thickness in m, Pa) in the direction normal.
+    compression (thickness in m, Pa) in the direction normal. A bending_loop or shear_loop, in the units of bending and
+    shear, has its rows in the order in which it was measured and goes to both sides
+    (:func:`precompute.fabric_lab.loops.branches`).
 
     Raises:
-        InputError: no such file, another header, an unknown word, or a number that is not finite and above 0.
+        InputError: no such file, another header, an unknown word, a number that is not finite or, but for a loop, not
+            above 0, or a loop that is none (:func:`precompute.fabric_lab.loops.check_loop`).
     """
     try:
         with open(path, newline="", encoding="utf-8") as file:
@@ -74,8 +86,8 @@ def read_curves(path: Path) -> dict[tuple[str, str], LoadCurve]:
     points: dict[tuple[str, str], list[tuple[float, float]]] = {}
     errors = []
     for number, row in enumerate(rows, 2):
-        pressed = (row["instrument"], row["direction"]) == PRESSED
-        for name, allowed in (("instrument", INSTRUMENTS), ("direction", DIRECTIONS)):
+        pressed, looped = (row["instrument"], row["direction"]) == PRESSED, row["instrument"] in LOOP_INSTRUMENTS
+        for name, allowed in (("instrument", INSTRUMENTS | LOOP_INSTRUMENTS), ("direction", DIRECTIONS)):
             if row[name] not in allowed and not pressed:
                 expected = " or ".join(allowed) + ", or compression with normal"
                 errors.append(
@@ -85,20 +97,28 @@ def read_curves(path: Path) -> dict[tuple[str, str], LoadCurve]:
             point = (float(row["deformation"]), float(row["load"]))
         except (TypeError, ValueError):
             point = (math.nan, math.nan)
-        if not all(0.0 < value < math.inf for value in point):
+        if not all((-math.inf if looped else 0.0) < value < math.inf for value in point):
             received = (row["deformation"], row["load"])
+            expected = "two finite numbers" if looped else "two numbers above 0"
             errors.append(
-                InputError(
-                    "bad point", file=path, key=f"line {number}", received=received, expected="two numbers above 0"
-                )
+                InputError("bad point", file=path, key=f"line {number}", received=received, expected=expected)
             )
         points.setdefault((row["instrument"], row["direction"]), []).append(point)
     if not rows:
         errors.append(InputError("no curve", file=path, received=0, expected="at least one row"))
     if errors:
         raise InputError.join(errors)
-    ordered = {key: np.array(sorted(found)) for key, found in points.items()}
-    return {key: LoadCurve(curve[:, 0], curve[:, 1], math.nan) for key, curve in ordered.items()}
+    ordered = {key: np.array(found if key[0] in LOOPS else sorted(found)) for key, found in points.items()}
+    curves = {key: LoadCurve(curve[:, 0], curve[:, 1], math.nan) for key, curve in ordered.items()}
+    for (instrument, direction), curve in curves.items():
+        if instrument in LOOPS:
+            try:
+                check_loop(curve, instrument, direction)
+            except InputError as error:
+                errors.append(error.in_file(path))
+    if errors:
+        raise InputError.join(errors)
+    return curves
 
 
 def fit_fabric(
@@ -109,7 +129,8 @@ def fit_fabric(
     A fabric has one stiffness for each instrument and axis: a line through the origin is fitted by least squares of the
     loads. Tension along warp or weft that is measured up to 5 % strain or further also gives the stiffening
     (:func:`assets.fabrics.fitted_tension`). Tension at the bias gives the shear stiffness where shear itself was not
-    measured. Van Wyk's law is a line in 1/T^3.
+    measured. Van Wyk's law is a line in 1/T^3. A loop gives stiffness and hysteresis as Kawabata reads them, the
+    stiffness rather than a curve of the same kind; shear that was measured along warp and weft gives the mean of both.
 
     Args:
         curves: as :func:`read_curves` gives them.
@@ -119,7 +140,7 @@ def fit_fabric(
     line = {
         key: float(c.deformation @ c.load / (c.deformation @ c.deformation))
         for key, c in curves.items()
-        if key != PRESSED
+        if key != PRESSED and key[0] not in LOOPS
     }
     names = {
         ("tension", "warp"): "stretch_warp",
@@ -132,16 +153,11 @@ def fit_fabric(
     for axis in ("warp", "weft"):
         if ("tension", axis) in curves:
             fitted = _pulled(curves["tension", axis], axis, fitted)
-    bias, shear = line.get(("tension", "bias")), ("shear", "warp") in line
+    fitted = _rubbed(curves, fitted)
+    bias = line.get(("tension", "bias"))
+    shear = ("shear", "warp") in line or any(("shear_loop", axis) in curves for axis in ("warp", "weft"))
     if bias is not None and not shear:
-        # 4/E45 = 1/E1 + 1/E2 + 1/G - 2 nu12/E1
-        rest = 1.0 / fitted.stretch_warp + 1.0 / fitted.stretch_weft - 2.0 * fitted.poisson / fitted.stretch_warp
-        softness = 4.0 / bias - rest
-        if softness <= 0.0:
-            raise InputError(
-                "no fabric is so stiff at the bias", key="tension bias", received=bias, expected=f"below {4 / rest:.4g}"
-            )
-        fitted = replace(fitted, shear=1.0 / softness)
+        fitted = replace(fitted, shear=_shear_of_bias(bias, fitted))
     found = []
     if PRESSED in curves:
         fitted = _pressed(curves[PRESSED], fitted)
@@ -151,6 +167,9 @@ def fit_fabric(
             error = float(np.sqrt(((drawn.deformation / measured.deformation - 1.0) ** 2).mean()))
             found.append(FittedCurve(instrument, direction, measured, drawn, error))
             continue
+        if instrument in LOOPS:
+            found.append(_loop_beside(instrument, direction, measured, fitted, setting))
+            continue
         drawn = INSTRUMENTS[instrument](setting, fitted, DIRECTIONS[direction], tuple(measured.deformation))
         # The strain in the middle of a strip is a little less than what its ends were given.
         far, near = (_straightened(fitted, instrument, direction, c.deformation) for c in (measured, drawn))
@@ -158,6 +177,51 @@ def fit_fabric(
         error = float(np.sqrt((difference**2).mean() / (measured.load**2).mean()))
         found.append(FittedCurve(instrument, direction, measured, drawn, error))
     return fitted, found
+
+
+def _shear_of_bias(bias: float, fabric: Fabric) -> float:
+    """Shear stiffness by tension at the bias, 4/E45 = 1/E1 + 1/E2 + 1/G - 2 nu12/E1."""
+    rest = 1.0 / fabric.stretch_warp + 1.0 / fabric.stretch_weft - 2.0 * fabric.poisson / fabric.stretch_warp
+    softness = 4.0 / bias - rest
+    if softness <= 0.0:
+        expected = f"below {4 / rest:.4g}"
+        raise InputError("no fabric is so stiff at the bias", key="tension bias", received=bias, expected=expected)
+    return 1.0 / softness
+
+
+def _rubbed(curves: dict[tuple[str, str], LoadCurve], fabric: Fabric) -> Fabric:
+    """With the stiffness and the hysteresis of loops; those at the bias say nothing that warp and weft do not."""
+    for axis in ("warp", "weft"):
+        if ("bending_loop", axis) in curves:
+            reading = check_loop(curves["bending_loop", axis], "bending_loop", axis)
+            changes = {f"bend_{axis}": reading.stiffness, f"bend_hysteresis_{axis}": reading.widths[0]}
+            fabric = replace(fabric, **changes)
+    sheared = [
+        check_loop(curves[key], *key) for key in (("shear_loop", "warp"), ("shear_loop", "weft")) if key in curves
+    ]
+    if sheared:
+        # The fabric has one width for all shears: the mean of 2HG and 2HG5.
+        width = float(np.mean([reading.widths for reading in sheared]))
+        fabric = replace(fabric, shear=float(np.mean([r.stiffness for r in sheared])), shear_hysteresis=width)
+    return fabric
+
+
+def _loop_beside(
+    instrument: str, direction: str, measured: LoadCurve, fabric: Fabric, setting: TrialSetting
+) -> FittedCurve:
+    """The loop of the fitted fabric, as far to both sides as the measured one; its error is that of both branches."""
+    x = measured.deformation
+    path = np.clip(LOOPS[instrument].path, x.min(), x.max())
+    sample = TrialSetting(LOOP_SOLVER, edges=setting.edges)
+    drawn = LOOP_INSTRUMENTS[instrument](sample, fabric, DIRECTIONS[direction], path)
+    ours, theirs = branches(drawn, instrument, direction), branches(measured, instrument, direction)
+    off, size = [], []
+    for own, (at, load) in zip(ours, theirs, strict=True):
+        within = (at >= path.min()) & (at <= path.max())
+        off.append((np.interp(at, *own) - load)[within])
+        size.append(load[within])
+    error = float(np.sqrt((np.concatenate(off) ** 2).mean() / (np.concatenate(size) ** 2).mean()))
+    return FittedCurve(instrument, direction, measured, drawn, error)
 
 
 def _pulled(curve: LoadCurve, axis: str, fabric: Fabric) -> Fabric:
@@ -198,21 +262,25 @@ def draw_fit(path: Path, found: Sequence[FittedCurve]) -> None:
     rows = -(-len(found) // columns)
     figure = Figure(figsize=(4.2 * columns, 3.6 * rows), layout="constrained")
     labels = {"tension": ("strain", "N/m"), "shear": ("shear [rad]", "N/m"), "bending": ("curvature [1/m]", "N")}
-    labels["compression"] = ("thickness [m]", "Pa")
+    labels |= {"compression": ("thickness [m]", "Pa"), "bending_loop": labels["bending"], "shear_loop": labels["shear"]}
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for panel in panels[len(found) :]:
         panel.set_axis_off()
     for panel, curve in zip(panels, found, strict=False):
-        through_zero = curve.instrument != "compression"
+        looped = curve.instrument in LOOPS
+        through_zero = curve.instrument != "compression" and not looped
         line = np.pad(np.stack([curve.fitted.deformation, curve.fitted.load]), ((0, 0), (int(through_zero), 0)))
         panel.plot(*line, color="tab:red", label="fitted")
         panel.plot(curve.measured.deformation, curve.measured.load, "o", color="0.4", label="measured")
         x_label, y_label = labels[curve.instrument]
-        panel.set_xlim(0.0, 1.1 * curve.measured.deformation.max())
-        panel.set_ylim(0.0, 1.1 * curve.measured.load.max())
+        if not looped:
+            panel.set_xlim(0.0, 1.1 * curve.measured.deformation.max())
+            panel.set_ylim(0.0, 1.1 * curve.measured.load.max())
         panel.set_xlabel(x_label)
         panel.set_ylabel(y_label)
-        panel.set_title(f"{curve.instrument}, {curve.direction}: {100.0 * curve.error:.2g} % off", fontsize=9)
+        panel.set_title(
+            f"{curve.instrument.replace('_', ' ')}, {curve.direction}: {100.0 * curve.error:.2g} % off", fontsize=9
+        )
         panel.legend(fontsize=8)
     with replacing(path) as beside, open(beside, "wb") as file:
         FigureCanvasAgg(figure).print_png(file)

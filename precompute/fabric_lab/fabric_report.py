@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -21,22 +22,26 @@ from precompute.fabric_lab.laboratory import (
     shear_curve,
     tension_curve,
 )
+from precompute.fabric_lab.loops import LOOP_SOLVER, LOOPS, bending_loop, read_loop, shear_loop
 from precompute.reporting.tables import write_table
 from precompute.validation.drape_rows import cusick_drape
 from precompute.validation.trial import TrialSetting
 
-__all__ = ["curve_rows", "curves_text", "draw_curves", "fabric_text", "measure_fabric", "write_curves"]
+__all__ = ["curve_rows", "curves_text", "draw_curves", "fabric_text", "loop_figures", "measure_fabric", "write_curves"]
 
 STRAINS = (0.005, 0.01, 0.02)
 FAR_STRAINS = (*STRAINS, 0.05, 0.10, 0.17)  # of a fabric that stiffens
 SHEARS = (0.01, 0.04)  # [rad]
 CURVATURES = (50.0, 100.0)  # [1/m]
 PRESSURES = (50.0, 500.0, 2000.0, 5000.0)  # [Pa]
+ROUNDING = 1e-4  # width of a loop without friction, over the range of its loads [-]
 LABELS = {
     "tension": ("strain", "tension [N/m]"),
     "shear": ("shear [rad]", "shear force [N/m]"),
     "bending": ("curvature [1/m]", "moment per width [N]"),
     "compression": ("thickness [m]", "pressure [Pa]"),
+    "bending_loop": ("curvature [1/m]", "moment per width [N]"),
+    "shear_loop": ("shear [rad]", "shear force [N/m]"),
 }
 
 
@@ -44,6 +49,10 @@ def measure_fabric(
     fabric: Fabric, setting: TrialSetting, report: Callable[[str], None] = lambda line: None
 ) -> tuple[dict[tuple[str, str], LoadCurve], dict[str, float]]:
     """Curves of a fabric by instrument and direction, and single figures.
+
+    Loops of bending and shear are measured with the finite elements whatever the setting's solver: a load cell reads
+    nothing but the membrane of the default one. Their figures are named as Kawabata names them
+    (:func:`precompute.fabric_lab.loops.read_loop`).
 
     Args:
         fabric: SI values.
@@ -59,9 +68,16 @@ def measure_fabric(
         curves["tension", direction] = tension_curve(setting, fabric, angle, strains)
         curves["shear", direction] = shear_curve(setting, fabric, angle, SHEARS)
         curves["bending", direction] = bending_curve(setting, fabric, angle, CURVATURES)
+    sample = TrialSetting(LOOP_SOLVER, edges=setting.edges)
+    for direction in ("warp", "weft"):
+        report(f"loop of bending along the {direction}")
+        angle, path = DIRECTIONS[direction], LOOPS["bending_loop"].path
+        curves["bending_loop", direction] = bending_loop(sample, fabric, angle, path)
+    report("loop of shear")
+    curves["shear_loop", "warp"] = shear_loop(sample, fabric, DIRECTIONS["warp"], LOOPS["shear_loop"].path)
     report("compression, friction, drape")
     curves["compression", "normal"] = compression_curve(moving, fabric, PRESSURES)
-    figures = {
+    figures = loop_figures(curves) | {
         "friction": friction_coefficient(moving, fabric)[0],
         "gravity_length_m": fabric.gravity_length,
         "cusick_drape_coefficient": cusick_drape(moving, fabric.gravity_length)[0],
@@ -69,13 +85,36 @@ def measure_fabric(
     return curves, figures
 
 
+def loop_figures(curves: Mapping[tuple[str, str], LoadCurve]) -> dict[str, float]:
+    """What is read off the loops among the curves: B [N m], 2HB [N], G, 2HG and 2HG5 [N/m]."""
+    found: dict[str, float] = {}
+    for (instrument, direction), curve in curves.items():
+        if instrument not in LOOPS:
+            continue
+        reading = read_loop(curve, instrument, direction)
+        if instrument == "bending_loop":
+            found |= {f"B_{direction}": reading.stiffness, f"2HB_{direction}": reading.widths[0]}
+        else:
+            found |= {"G": reading.stiffness, "2HG": reading.widths[0], "2HG5": reading.widths[1]}
+    return found
+
+
 def curve_rows(curves: Mapping[tuple[str, str], LoadCurve]) -> list[dict[str, float | str]]:
-    """One row per point: what :func:`precompute.fabric_lab.fabric_fit.read_curves` reads."""
+    """One row per point: what :func:`precompute.fabric_lab.fabric_fit.read_curves` reads.
+
+    Loops without width are left out: they hold nothing that the curves of bending and shear do not.
+    """
     return [
         {"instrument": instrument, "direction": direction, "deformation": float(x), "load": float(y)}
         for (instrument, direction), curve in curves.items()
         for x, y in zip(curve.deformation, curve.load, strict=True)
+        if instrument not in LOOPS or _has_width(curve, instrument, direction)
     ]
+
+
+def _has_width(curve: LoadCurve, instrument: str, direction: str) -> bool:
+    widths = read_loop(curve, instrument, direction).widths
+    return min(widths) > ROUNDING * float(np.ptp(curve.load))
 
 
 def write_curves(path: Path, curves: Mapping[tuple[str, str], LoadCurve]) -> None:
@@ -85,19 +124,22 @@ def write_curves(path: Path, curves: Mapping[tuple[str, str], LoadCurve]) -> Non
 
 def draw_curves(path: Path, curves: Mapping[tuple[str, str], LoadCurve]) -> None:
     """One panel per instrument, as PNG."""
-    figure = Figure(figsize=(16.0, 3.8), layout="constrained")
-    for panel, (instrument, labels) in zip(figure.subplots(1, len(LABELS)), LABELS.items(), strict=True):
+    figure = Figure(figsize=(13.0, 7.4), layout="constrained")
+    for panel, (instrument, labels) in zip(figure.subplots(2, 3).ravel(), LABELS.items(), strict=True):
         for (name, direction), curve in curves.items():
             if name == instrument:
-                panel.plot(curve.deformation, curve.load, "o-", label=direction)
+                panel.plot(curve.deformation, curve.load, ".-" if instrument in LOOPS else "o-", label=direction)
         panel.set_xlabel(labels[0])
         panel.set_ylabel(labels[1])
-        panel.set_title(instrument)
-        panel.set_xlim(
-            0.0, 1.1 * max((c.deformation.max() for (name, _), c in curves.items() if name == instrument), default=1.0)
-        )
-        panel.set_ylim(bottom=0.0)
-        if panel.lines:
+        panel.set_title(instrument.replace("_", " "))
+        if instrument in LOOPS:
+            panel.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
+            panel.axvline(0.0, color="0.8", linewidth=0.8, zorder=0)
+        else:
+            reach = max((c.deformation.max() for (name, _), c in curves.items() if name == instrument), default=1.0)
+            panel.set_xlim(0.0, 1.1 * reach)
+            panel.set_ylim(bottom=0.0)
+        if panel.get_legend_handles_labels()[0]:
             panel.legend(fontsize=8)
     with replacing(path) as beside, open(beside, "wb") as file:
         FigureCanvasAgg(figure).print_png(file)
@@ -109,7 +151,7 @@ def fabric_text(fabric: Fabric) -> str:
 
 
 def curves_text(curves: Mapping[tuple[str, str], LoadCurve], figures: Mapping[str, float]) -> str:
-    """A line through each curve and the single figures."""
+    """A line through each curve, and the single figures, among them those of the loops."""
     lines = []
     for (instrument, direction), curve in curves.items():
         if instrument == "compression":
@@ -117,6 +159,8 @@ def curves_text(curves: Mapping[tuple[str, str], LoadCurve], figures: Mapping[st
                 f"{1e3 * x:.3g} mm at {y:g} Pa" for x, y in zip(curve.deformation, curve.load, strict=True)
             )
             lines.append(f"compression          {thickness}")
+            continue
+        if instrument in LOOPS:
             continue
         slope = float(curve.deformation @ curve.load / (curve.deformation @ curve.deformation))
         unit = "N m" if instrument == "bending" else "N/m"

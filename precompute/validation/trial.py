@@ -14,6 +14,7 @@ from scipy.spatial import Delaunay, cKDTree
 from pbd import ClothMesh, Colliders, Fabric, Model, ModelOptions, SolverOptions, State, build_model
 from pbd.bending import hinge_calibration
 from pbd.models import AnySolver, Options, make_solver
+from pbd.models.integrators import QuasiStatic
 from precompute.mechanics import FRAME_RATE, GRAVITY
 
 __all__ = [
@@ -220,6 +221,15 @@ class Trial:
         self.solver.step(self.state, self.colliders, dt, targets)
         self.times.append(time.process_time() - begin)
 
+    def lay(self, places: np.ndarray) -> None:
+        """Put the cloth to places [m], shape (n, 3), at rest, and let it come from there to its equilibrium in a frame.
+
+        Held vertices stay there.
+        """
+        self.state.position[:, :3] = places - self.state.origin
+        self.state.velocity[:] = 0.0
+        self.frame(places[self.model.held])
+
     def settle(self, scale: float, limit: float = 40.0, still: float = 1e-5) -> None:
         """Run with damping until nothing moves.
 
@@ -263,6 +273,9 @@ class Trial:
             released: vertices, int.
         """
         held = np.setdiff1d(self.model.held, released)
+        if isinstance(self.solver, QuasiStatic):  # it knows the forces themselves
+            force = self.solver.energy.gradient(self.solver.position)[held]
+            return force.sum(axis=0), np.cross(self.solver.position[held], force).sum(axis=0)
         model = build_model(self.model.mesh, self.fabric, held, self.model.options, self.model.bend_factor)
         state = self.state.copy()
         state.position[:, 3] = model.inverse_mass

@@ -16,6 +16,7 @@ from precompute.validation import (
     contact_rows,
     drape_cipc,
     drape_rows,
+    friction_rows,
     laboratory_rows,
     membrane_rows,
     motion_rows,
@@ -35,11 +36,10 @@ __all__ = [
     "result_row",
 ]
 
-ROWS: Mapping[str, Row] = {
-    row.name: row
-    for module in (bending_rows, membrane_rows, motion_rows, contact_rows, drape_rows, laboratory_rows, drape_cipc)
-    for row in module.ROWS
-}
+ROW_MODULES = (
+    bending_rows, membrane_rows, motion_rows, contact_rows, drape_rows, laboratory_rows, friction_rows, drape_cipc,
+)  # fmt: skip
+ROWS: Mapping[str, Row] = {row.name: row for module in ROW_MODULES for row in module.ROWS}
 MAX_RUN_S = 20.0  # processor time of a run, on the way to the cheapest and to the best setting [s]
 MAX_SUBSTEPS = 4096  # of a frame
 FINER = 2  # times as many edges, where more substeps do not help

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial import Delaunay
 
 from pbd import (
     BatchSolver,
@@ -24,6 +23,7 @@ from pbd.bending import bends_of, friction_share
 from pbd.layers import layered
 from pbd.mesh import ClothMesh
 from pbd.xpbd.constraints import FRICTION_STIFFNESS
+from precompute.validation.friction_rows import rolled, unordered
 from precompute.validation.trial import Specimen, level, strip
 
 HYSTERESIS = 1.2e-3  # of cotton broadcloth, Kawabata's 2HB [N]
@@ -42,16 +42,6 @@ WEIGHTLESS = SolverOptions(gravity=(0.0, 0.0, 0.0), coarse_sweeps=0)
 def model_of(specimen: Specimen, fabric: Fabric, held: np.ndarray | None = None) -> Model:
     mesh = ClothMesh.from_pattern(level(specimen.flat), specimen.faces, specimen.flat[specimen.faces])
     return build_model(mesh, fabric, held, ModelOptions(tether_slack=0.0))
-
-
-def rolled(specimen: Specimen, curvature: float, angle: float) -> np.ndarray:
-    """The specimen on a cylinder with its axis at right angles to a direction [m]."""
-    along = np.array([np.cos(angle), np.sin(angle)])
-    s, t = specimen.flat @ along, specimen.flat @ np.array([-along[1], along[0]])
-    turn = curvature * s
-    x, up = (s, 0.0 * s) if curvature == 0.0 else (np.sin(turn) / curvature, (1.0 - np.cos(turn)) / curvature)
-    flat = x[:, None] * along + t[:, None] * np.array([-along[1], along[0]])
-    return np.stack([flat[:, 0], up, -flat[:, 1]], axis=1)
 
 
 def moments(specimen: Specimen, fabric: Fabric, angle: float, path: np.ndarray) -> np.ndarray:
@@ -92,23 +82,6 @@ def shear_forces(specimen: Specimen, fabric: Fabric, path: np.ndarray) -> np.nda
         assert np.ptp(force) < 1e-3 * fabric.shear * 0.14  # the same in all triangles
         found.append(float(np.mean(force)))
     return np.array(found)
-
-
-def unordered(side: float, count: int) -> Specimen:
-    """A square of so many vertices without any order [m]."""
-    points = np.random.default_rng(0).uniform(0.0, side, (count, 2))
-    for _ in range(40):  # each goes to the middle of its faces
-        faces = Delaunay(points).simplices
-        sums, used = np.zeros_like(points), np.bincount(faces.ravel(), minlength=count)
-        for corner in range(3):
-            np.add.at(sums, faces[:, corner], points[faces].mean(axis=1))
-        points = np.clip(sums / used[:, None], 0.0, side)
-    faces = Delaunay(points).simplices
-    one, two = (points[faces[:, k]] - points[faces[:, 0]] for k in (1, 2))
-    twice = one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]
-    faces[twice < 0.0] = faces[twice < 0.0][:, ::-1]
-    used, faces = np.unique(faces[np.abs(twice) > 5e-7], return_inverse=True)
-    return Specimen(points[used], faces.reshape(-1, 3).astype(np.int32), side / np.sqrt(count))
 
 
 @pytest.mark.parametrize(

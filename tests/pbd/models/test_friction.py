@@ -77,6 +77,20 @@ def test_slipping_keeps_the_force(kind: str) -> None:
     assert energy.plastic == pytest.approx(plastic, rel=1e-9, abs=1e-12)
 
 
+def test_until_it_slips_bending_is_four_times_as_stiff_along_both_axes() -> None:
+    """Three times by friction, whatever the other axis' hysteresis is."""
+    energy = elements("bending")
+    assert isinstance(energy, CurvatureFriction)
+    moments, stiffness = np.array([0.2, 0.05]), np.array([FABRIC.bend_warp, FABRIC.bend_weft])
+    for axis in (0, 1):
+        slips_at = moments[axis] / (3.0 * stiffness[axis])
+        off = np.zeros((3, 3))
+        off[:, axis] = np.array([0.5, 1.0, 4.0]) * slips_at * energy.scale[axis]
+        force, slid = energy.forces(off)
+        assert energy.scale[axis] * force[:, axis] == pytest.approx(moments[axis] * np.array([0.5, 1.0, 1.0]))
+        assert slid == pytest.approx([0.0, 0.0, 3.0 * slips_at * energy.scale[axis]], abs=1e-12)
+
+
 def rolled(vertices: np.ndarray, curvature: float, angle: float) -> np.ndarray:
     """A level sheet on a cylinder with its axis at right angles to a direction [m]."""
     along, up = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([0.0, 0.0, 1.0])
@@ -85,6 +99,27 @@ def rolled(vertices: np.ndarray, curvature: float, angle: float) -> np.ndarray:
         return vertices
     move = (np.sin(curvature * s) / curvature - s)[:, None] * along
     return vertices + move + ((1.0 - np.cos(curvature * s)) / curvature)[:, None] * up
+
+
+def test_hidden_points_stand_where_they_cost_least_whatever_was_asked_before() -> None:
+    """They start where they were the last time, which must not show in cloth that has slipped."""
+    random = np.random.default_rng(5)
+    used, places = cloth_energy(MODEL, "fem-stvk", "morley"), []
+    for _ in range(4):
+        places.append(MODEL.mesh.vertices @ turn((1.0, 2.0, 0.5), 50.0).T + random.normal(0.0, 0.005, (20, 3)))
+    for x in (*places, places[-1]):
+        fresh = cloth_energy(MODEL, "fem-stvk", "morley")
+        for energy in (used, fresh):
+            (rubbing,) = (part for part in energy.parts if isinstance(part, CurvatureFriction))
+            rubbing.plastic = np.random.default_rng(1).normal(0.0, 20.0, rubbing.plastic.shape)
+        points = used.completed(x)
+        assert points == pytest.approx(fresh.completed(x), abs=1e-9)
+        bent = [part for part in used.parts if part.elements.max() >= len(x)]
+        forces = [part.gradient(points)[len(x) :] for part in bent]
+        assert len(bent) == 2 and np.abs(forces[0]).max() > 0.01
+        assert np.abs(forces[0] + forces[1]).max() < 1e-6 * np.abs(forces[0]).max()
+    assert not np.isfinite(used.completed(np.full((20, 3), np.nan))).any()
+    assert used.completed(places[0]) == pytest.approx(fresh.completed(places[0]), abs=1e-9)
 
 
 @pytest.mark.parametrize("degrees", [0.0, 30.0, 45.0, 90.0])

@@ -21,7 +21,8 @@ from runtime import command
 
 TABLE = (
     "cantilever bending_direction upright_buckling lateral_buckling stick_slip tension hanging_strip catenary swing "
-    "damping momentum incline capstan hencky disc_folds kawabata cusick drape_cipc tension_measured"
+    "damping momentum incline capstan hencky disc_folds kawabata cusick drape_cipc tension_measured "
+    "hysteresis creases dry_damping"
 ).split()
 
 
