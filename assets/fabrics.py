@@ -47,17 +47,23 @@ class MeasuredFabric:
     fabric: Fabric
 
 
+_STIFFENING = ("stiffening_warp_10", "stiffening_warp_20", "stiffening_weft_10", "stiffening_weft_20")
+
+
 def _measured(
-    sample: str, use: str, density: float, *values: float, bend: tuple[float, float], stiffening: tuple[float, ...]
+    sample: str,
+    use: str,
+    density: float,
+    stretch: tuple[float, float],
+    poisson: float,
+    shear: float,
+    bend: tuple[float, float],
+    stiffening: tuple[float, float, float, float],
 ) -> MeasuredFabric:
-    """A preset: density [kg/m2], E1 h, E2 h [N/m], nu12 [-], G h [N/m]; bending [uN m]; stiffening [-] in order."""
-    warp, weft = bend
-    names = ("stiffening_warp_10", "stiffening_warp_20", "stiffening_weft_10", "stiffening_weft_20")
-    return MeasuredFabric(
-        sample,
-        use,
-        Fabric(density, *values, 1e-6 * warp, 1e-6 * weft, **dict(zip(names, stiffening, strict=True))),
-    )
+    """A preset of values in the order of :class:`pbd.Fabric`, bending in [uN m]."""
+    law = dict(zip(_STIFFENING, stiffening, strict=True))
+    fabric = Fabric(density, *stretch, poisson, shear, 1e-6 * bend[0], 1e-6 * bend[1], **law)
+    return MeasuredFabric(sample, use, fabric)
 
 
 # Source: the data of Wang, O'Brien and Ramamoorthi, "Data-driven elastic models for cloth: modeling and measurement",
@@ -68,43 +74,43 @@ MEASURED = MappingProxyType(
     {
         "blanket_228": _measured(
             "pink-ribbon-brown", "blanket, polyester",
-            0.228, 211.0, 341.0, 0.433, 30.3, bend=(29.3, 14.9), stiffening=(1.57, 2.06, 1.80, 2.75),
+            0.228, (211.0, 341.0), 0.433, 30.3, (29.3, 14.9), (1.57, 2.06, 1.80, 2.75),
         ),
         "denim_11oz": _measured(
             "11oz-black-denim", "jeans, 99 % cotton, 1 % spandex",
-            0.324, 410.0, 2030.0, 0.0101, 53.4, bend=(16.0, 24.2), stiffening=(1.24, 1.51, 1.18, 1.37),
+            0.324, (410.0, 2030.0), 0.0101, 53.4, (16.0, 24.2), (1.24, 1.51, 1.18, 1.37),
         ),
         "interlock_187": _measured(
             "gray-interlock", "T-shirt, 60 % cotton, 40 % polyester",
-            0.187, 33.2, 69.0, 0.0, 36.9, bend=(5.80, 3.57), stiffening=(2.13, 2.88, 7.85, 14.9),
+            0.187, (33.2, 69.0), 0.0, 36.9, (5.80, 3.57), (2.13, 2.88, 7.85, 14.9),
         ),
         "jacket_113": _measured(
             "tango-red-jet-set", "jacket, polyester",
-            0.113, 51.6, 206.0, 0.317, 14.3, bend=(3.57, 5.09), stiffening=(1.71, 2.56, 3.63, 5.32),
+            0.113, (51.6, 206.0), 0.317, 14.3, (3.57, 5.09), (1.71, 2.56, 3.63, 5.32),
         ),
         "ponte_roma_284": _measured(
             "camel-ponte-roma", "jacket, 60 % polyester, 40 % rayon",
-            0.284, 62.3, 88.1, 0.0, 31.9, bend=(9.09, 9.29), stiffening=(2.18, 3.52, 3.32, 5.80),
+            0.284, (62.3, 88.1), 0.0, 31.9, (9.09, 9.29), (2.18, 3.52, 3.32, 5.80),
         ),
         "rib_knit_276": _measured(
             "ivory-rib-knit", "underwear, 95 % cotton, 5 % spandex",
-            0.276, 85.7, 130.0, 0.0, 83.2, bend=(11.6, 8.06), stiffening=(1.31, 1.66, 3.16, 5.82),
+            0.276, (85.7, 130.0), 0.0, 83.2, (11.6, 8.06), (1.31, 1.66, 3.16, 5.82),
         ),
         "sweater_224": _measured(
             "navy-sparkle-sweat", "sweater, 96 % polyester, 4 % spandex",
-            0.224, 25.0, 6.54, 0.0, 17.6, bend=(14.9, 11.4), stiffening=(1.92, 2.13, 31.7, 32.0),
+            0.224, (25.0, 6.54), 0.0, 17.6, (14.9, 11.4), (1.92, 2.13, 31.7, 32.0),
         ),
         "swimsuit_204": _measured(
             "white-swim-solid", "swimsuit, 87 % nylon, 13 % spandex",
-            0.204, 95.0, 207.0, 0.0653, 60.8, bend=(15.1, 12.8), stiffening=(1.01, 0.982, 1.17, 1.25),
+            0.204, (95.0, 207.0), 0.0653, 60.8, (15.1, 12.8), (1.01, 0.982, 1.17, 1.25),
         ),
         "tablecloth_128": _measured(
             "white-dots-on-blk", "tablecloth, polyester",
-            0.128, 4000.0, 4050.0, 0.00017, 19.2, bend=(12.9, 7.82), stiffening=(1.19, 1.40, 1.20, 1.41),
+            0.128, (4000.0, 4050.0), 0.00017, 19.2, (12.9, 7.82), (1.19, 1.40, 1.20, 1.41),
         ),
         "trousers_220": _measured(
             "royal-target", "trousers, 65 % cotton, 35 % polyester",
-            0.220, 4030.0, 4070.0, 0.00451, 105.0, bend=(31.4, 31.4), stiffening=(1.19, 1.39, 1.19, 1.41),
+            0.220, (4030.0, 4070.0), 0.00451, 105.0, (31.4, 31.4), (1.19, 1.39, 1.19, 1.41),
         ),
     }
 )  # fmt: skip
