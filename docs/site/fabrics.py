@@ -42,6 +42,7 @@ CURVATURES = (50.0, 100.0)  # [1/m]
 COLUMNS = 2  # fabrics beside one another
 SHOWN = (340, 240)  # a drape [pixel]
 HEIGHT = 0.08  # of the pedestal [m]
+REACH = 0.14  # of a draped disc, which the picture has room for [m]
 COLORS = 128
 
 
@@ -92,8 +93,8 @@ def draped_picture(cloth: np.ndarray, faces: np.ndarray) -> np.ndarray:
         [np.stack([low, next_low, next_low + 96], axis=1), np.stack([low, next_low + 96, low + 96], axis=1)]
     )
     pedestal = Drawn.body(np.concatenate([ring, ring + [0.0, HEIGHT - 0.003, 0.0]]), sides)
-    room = np.array([[x, y, z] for x in (-0.14, 0.14) for y in (0.0, HEIGHT) for z in (-0.14, 0.14)])
-    camera = frame_camera(room[None], azimuth_deg=20.0, elevation_deg=30.0, aspect=SHOWN[0] / SHOWN[1], margin=1.0)[0]
+    room = np.concatenate([REACH / PEDESTAL * ring + [0.0, height, 0.0] for height in (0.0, HEIGHT)])
+    camera = frame_camera(room[None], azimuth_deg=20.0, elevation_deg=30.0, aspect=SHOWN[0] / SHOWN[1], margin=1.02)[0]
     return render([pedestal, Drawn(cloth + [0.0, HEIGHT, 0.0], faces)], camera, SHOWN)
 
 
@@ -103,10 +104,10 @@ def draw(found: Mapping[str, Measured]) -> Image.Image:
     figure = Figure(figsize=(8.0 * COLUMNS, 1.7 * rows + 0.4), dpi=100, layout="constrained")
     figure.get_layout_engine().set(w_pad=0.03, h_pad=0.03)  # type: ignore[union-attr]
     grid = figure.subplots(rows, 4 * COLUMNS, squeeze=False, width_ratios=[1.5, 1.0, 1.0, 1.0] * COLUMNS)
-    titles = ("tension [N/m] over strain [%]", "shear [N/m] over angle [rad]", "moment [mN] over curvature [1/m]")
+    titles = ("tension [N/m], strain [%]", "shear [N/m], angle [rad]", "moment [mN], curvature [1/m]")
     for column in range(COLUMNS):
         for place, title in enumerate(titles):
-            grid[0, 4 * column + 1 + place].set_title(title, fontsize=7.5)
+            grid[0, 4 * column + 1 + place].set_title(title, fontsize=7)
     for number, (name, measured) in enumerate(found.items()):
         row, column = number % rows, number // rows
         shown, *panels = grid[row, 4 * column : 4 * column + 4]
