@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from PIL import Image
 
 from assets.fabrics import MEASURED, PRESETS
@@ -101,8 +102,9 @@ def draped_picture(cloth: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def draw(found: Mapping[str, Measured]) -> Image.Image:
     """All fabrics on one sheet: drape, tension, shear and bending of each."""
     rows = -(-len(found) // COLUMNS)
-    figure = Figure(figsize=(8.0 * COLUMNS, 1.7 * rows + 0.4), dpi=100, layout="constrained")
-    figure.get_layout_engine().set(w_pad=0.03, h_pad=0.03)  # type: ignore[union-attr]
+    figure = Figure(
+        figsize=(8.0 * COLUMNS, 1.7 * rows + 0.4), dpi=100, layout=ConstrainedLayoutEngine(w_pad=0.03, h_pad=0.03)
+    )
     grid = figure.subplots(rows, 4 * COLUMNS, squeeze=False, width_ratios=[1.5, 1.0, 1.0, 1.0] * COLUMNS)
     titles = ("tension [N/m], strain [%]", "shear [N/m], angle [rad]", "moment [mN], curvature [1/m]")
     for column in range(COLUMNS):

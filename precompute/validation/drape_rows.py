@@ -15,7 +15,7 @@ from precompute.validation.strip_references import cusick_estimate
 from precompute.validation.trial import FABRIC, Curve, Trial, TrialResult, TrialSetting, disc, level
 from precompute.validation.validation_row import Parameter, Row
 
-__all__ = ["DISC", "PEDESTAL", "ROWS", "cusick_drape", "drape", "drape_coefficient", "fold_number"]
+__all__ = ["PEDESTAL", "ROWS", "cusick_drape", "drape", "drape_coefficient", "fold_number"]
 
 DISC, PEDESTAL = 0.15, 0.09  # radii in Cusick's drape meter [m]
 STARTS = (4, 5, 6, 7, 8)  # folds
