@@ -1,7 +1,7 @@
 """Makes table and picture of the page of fabrics: python -m docs.site.fabrics, which is what `make fabrics` runs.
 
-Each preset lies in virtual instruments of a textile laboratory. The picture is ``docs/fabric-presets.png``; the table
-stands between two marks in ``docs/fabrics.md``.
+Each preset lies in virtual instruments of a textile laboratory. The picture is ``docs/fabric-presets.png``; it and the
+table stand between two marks in ``docs/fabrics.md``.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ from precompute.validation.trial import TrialSetting
 from runtime.pictures import Drawn, frame_camera, render
 
 PAGE, PICTURE = ROOT / "docs" / "fabrics.md", ROOT / "docs" / "fabric-presets.png"
-BEGIN, END = "<!-- `make fabrics` writes this table -->", "<!-- end of the table -->"
+BEGIN, END = "<!-- `make fabrics` writes the lines from here -->", "<!-- to here -->"
+SHOWN_PICTURE = f"![each preset as a disc on a pedestal, with its tension, shear and bending]({PICTURE.name})"
 
 # A pull takes the default solver in small substeps, for Newton's method does not find every equilibrium of cloth that
 # stiffens; cloth in clamps takes the equilibrium, for the default solver leaves clamped strips too stiff.
@@ -191,10 +192,10 @@ def main() -> int:
         sys.stdout.flush()
     with replacing(PICTURE) as beside:
         draw(found).save(beside, "PNG", optimize=True)
-    text = PAGE.read_text(encoding="utf-8")
-    before, rest = text.split(BEGIN)
+    before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
+    made = "\n\n".join([BEGIN, SHOWN_PICTURE, numbers_table(), END])
     with replacing(PAGE) as beside:
-        beside.write_text(f"{before}{BEGIN}\n\n{numbers_table()}\n\n{END}{rest.split(END)[1]}", encoding="utf-8")
+        beside.write_text(before + made + rest.split(END)[1], encoding="utf-8")
     return 0
 
 
