@@ -7,7 +7,7 @@ WEB_SOURCES := package.json package-lock.json $(WEB)/three.js $(WEB)/loops.ts
 export PYTHONHASHSEED := 0
 export GUBE_DATA ?= $(CURDIR)/../shared/data
 
-.PHONY: demo docs gallery garments scenes blender test browser-test lint format proofs proofs-long gpu-proofs licences lock clean
+.PHONY: demo docs gallery fabrics garments scenes blender test browser-test lint format proofs proofs-long gpu-proofs licences lock clean
 
 demo: .venv/ready
 	$(BIN)/gube demo
@@ -18,6 +18,10 @@ docs: .venv/ready
 
 gallery: .venv/ready
 	$(BIN)/python -m docs.site.gallery
+
+# Measures and draws the presets of fabrics: docs/fabric-presets.png and the table of docs/fabrics.md.
+fabrics: .venv/ready
+	$(BIN)/python -m docs.site.fabrics
 
 # Sews the built-in garments anew: assets/data/*.npz.
 garments: .venv/ready

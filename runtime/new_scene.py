@@ -148,7 +148,8 @@ def _garment_lines(guess: GarmentGuess, folder: Path) -> Iterator[str]:
         yield "# Stitches that are closed on this mesh. It is the fine mesh; a coarse one is made from it."
         yield f"seams = {_path(guess.seams, folder)}"
         yield f"coarse_vertices = {min(MAX_COARSE_OF_FINE, len(garment.vertices) // 8)}"
-    yield f"# Kind by its shape: {guess.kind}. Its {guess.area:.2f} m2 would weigh {_weights(guess.area)}."
+    weights = f"Kind by its shape: {guess.kind}. Its {guess.area:.2f} m2 would weigh {_weights(guess.area)}."
+    yield from wrap(weights, COLUMNS, initial_indent="# ", subsequent_indent="#   ")
     yield f"fabric = {_quoted(guess.fabric)}  # {fabric.areal_density:g} kg/m2"
     yield f"# {_held_by(guess)}"
     yield f"attach = {_quoted(guess.attach)}"

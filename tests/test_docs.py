@@ -14,6 +14,7 @@ from markdown.extensions.toc import slugify
 
 import gube
 from docs.site.build import NAV, front_page
+from docs.site.fabrics import BEGIN, END, PAGE, numbers_table
 from docs.site.pages import GENERATED, TABLES, attribute_texts, options_page, scene_keys
 from runtime.command import COMMANDS, parser
 from tests.data import ROOT
@@ -170,3 +171,8 @@ def test_the_navigation_names_pages_that_there_are() -> None:
     pages = [page for _, some in NAV for page in some]
     assert [page for page in pages if page not in MADE and not (ROOT / "docs" / page).is_file()] == []
     assert len(set(pages)) == len(pages)
+
+
+def test_the_page_of_fabrics_has_the_numbers_of_the_code() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    assert text.partition(BEGIN)[2].partition(END)[0].strip().endswith(numbers_table())

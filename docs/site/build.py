@@ -31,6 +31,7 @@ NAV: list[tuple[str, list[str]]] = [
         "Reference",
         [
             "scenes.md",
+            "fabrics.md",
             "cluster.md",
             "scene-keys.md",
             "commands.md",

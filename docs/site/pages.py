@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import gube
-from assets.fabrics import PRESETS
 from assets.io import body_settings, collider_settings
 from assets.io import scene as scene_module
 from assets.io.scene import Scene
@@ -72,15 +71,7 @@ def scene_keys() -> str:
                 _without_roles(meanings.get(one.name, "")),
             )
             lines.append("| " + " | ".join(_cell(cell) for cell in cells) + " |")
-    lines += [
-        "",
-        "## Presets of fabrics",
-        "",
-        "| " + " | ".join(["name", *(one.name for one in fields(Fabric))]) + " |",
-    ]
-    lines.append("|---" * (len(fields(Fabric)) + 1) + "|")
-    for name, fabric in PRESETS.items():
-        lines.append("| " + " | ".join([name, *(f"{getattr(fabric, one.name):g}" for one in fields(Fabric))]) + " |")
+    lines += ["", "Presets of fabrics are on [a page of their own](fabrics.md)."]
     return "\n".join(lines) + "\n"
 
 

@@ -15,9 +15,10 @@ from precompute.validation.strip_references import cusick_estimate
 from precompute.validation.trial import FABRIC, Curve, Trial, TrialResult, TrialSetting, disc, level
 from precompute.validation.validation_row import Parameter, Row
 
-__all__ = ["ROWS", "cusick_drape"]
+__all__ = ["PEDESTAL", "ROWS", "cusick_drape", "drape", "drape_coefficient", "fold_number"]
 
-DISC, PEDESTAL = 0.15, 0.09  # Cusick's drape meter [m]
+DISC, PEDESTAL = 0.15, 0.09  # radii in Cusick's drape meter [m]
+STARTS = (4, 5, 6, 7, 8)  # folds
 
 
 def _fabric(gravity_length: float) -> Fabric:
@@ -48,8 +49,8 @@ def _rim(trial: Trial) -> np.ndarray:
     return trial.world()[rim[np.argsort(np.arctan2(flat[rim, 1], flat[rim, 0]))]]
 
 
-def _folds(trial: Trial) -> int:
-    """Waves of the rim's height: the strongest."""
+def fold_number(trial: Trial) -> int:
+    """Folds of a draped disc: the strongest wave of its rim's height."""
     height = _rim(trial)[:, 1]
     return int(np.argmax(np.abs(np.fft.rfft(height - height.mean()))))
 
@@ -76,26 +77,34 @@ def _disc_folds(setting: TrialSetting, radius_over_length: float, radius_over_cl
     wave = np.tile(np.concatenate([half, half[::-1]]), cone.folds)
     curve = Curve("around the rim", "height / R", (np.linspace(0.0, 1.0, len(wave)), wave),
                   (np.linspace(0.0, 1.0, len(rim)), rim[:, 1] / radius))  # fmt: skip
-    found = _folds(best)
+    found = fold_number(best)
     cost = float(np.median([trial.cost_ms for trial in ended]))
     return TrialResult(float(cone.folds), float(found), float(abs(found - cone.folds)), cost, curve)
+
+
+def drape(setting: TrialSetting, fabric: Fabric) -> Trial:
+    """A fabric in Cusick's drape meter: of starts with 4 to 8 folds the one that ends with the least energy."""
+    return min((_draped(setting, fabric, DISC, PEDESTAL, folds) for folds in STARTS), key=_energy)
 
 
 @lru_cache(maxsize=16)
 def cusick_drape(setting: TrialSetting, gravity_length: float) -> tuple[float, float, np.ndarray]:
     """Cusick's drape coefficient of a fabric [-], cost of a frame [ms], rim from above [m], shape (k, 2)."""
     trial = _draped(setting, _fabric(gravity_length), DISC, PEDESTAL, 6)
-    x, _, z = _rim(trial).T
+    return drape_coefficient(trial), trial.cost_ms, _rim(trial)[:, [0, 2]]
+
+
+def drape_coefficient(trial: Trial) -> float:
+    """Cusick's drape coefficient [-]: the ring's shadow over the flat ring."""
     # The shadow: the farthest that the cloth reaches in each direction.
-    places = trial.world()
+    places, count = trial.world(), len(_rim(trial))
     turn, reach = np.arctan2(places[:, 2], places[:, 0]), np.hypot(places[:, 0], places[:, 2])
-    bins = np.arange(len(x)) * 2.0 * math.pi / len(x) - math.pi
+    bins = np.arange(count) * 2.0 * math.pi / count - math.pi
     k = np.digitize(turn, bins) - 1
-    farthest = np.full(len(x), PEDESTAL)
+    farthest = np.full(count, PEDESTAL)
     np.maximum.at(farthest, k, reach)
-    area = 0.5 * float((farthest**2).sum()) * 2.0 * math.pi / len(x)
-    shadow = (area - math.pi * PEDESTAL**2) / (math.pi * (DISC**2 - PEDESTAL**2))
-    return shadow, trial.cost_ms, np.stack([x, z], axis=1)
+    area = 0.5 * float((farthest**2).sum()) * 2.0 * math.pi / count
+    return (area - math.pi * PEDESTAL**2) / (math.pi * (DISC**2 - PEDESTAL**2))
 
 
 def _cusick(setting: TrialSetting, gravity_length_cm: float) -> TrialResult:
