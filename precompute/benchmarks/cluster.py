@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import heapq
+import logging
 import time
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -76,21 +78,22 @@ async def _work(durations: np.ndarray, workers: int, size: int) -> tuple[float, 
     import dask.config
     from distributed import Client, Scheduler, Worker
 
-    loopback = {"host": LOOPBACK, "dashboard_address": f"{LOOPBACK}:0"}
+    loopback: dict[str, Any] = {"host": LOOPBACK, "dashboard_address": f"{LOOPBACK}:0"}
     # A worker that shares its process with hundreds is silent for long while they start.
     with dask.config.set(QUIET):
-        async with (
-            Scheduler(**loopback, port=0) as scheduler,
-            Client(scheduler.address, asynchronous=True, set_as_default=False) as client,
-        ):
-            options = loopback | {"nthreads": 1, "memory_limit": None, "silence_logs": 50}
-            crew = [Worker(scheduler.address, **options) for _ in range(workers)]
+        async with Scheduler(**loopback, port=0) as scheduler:
+            crew = [
+                Worker(scheduler.address, nthreads=1, memory_limit=0, silence_logs=logging.CRITICAL, **loopback)
+                for _ in range(workers)
+            ]
             for first in range(0, workers, TOGETHER):
                 await asyncio.gather(*(worker.start() for worker in crew[first : first + TOGETHER]))
-            began, spent = time.monotonic(), time.process_time()
-            tasks = [client.submit(_asleep, float(one), size, pure=False) for one in durations]
-            await client.gather(tasks)
-            found = time.monotonic() - began, time.process_time() - spent
+            client: Any = Client(scheduler.address, asynchronous=True, set_as_default=False)
+            async with client:
+                began, spent = time.monotonic(), time.process_time()
+                tasks = [client.submit(_asleep, float(one), size, pure=False) for one in durations]
+                await client.gather(tasks)
+                found = time.monotonic() - began, time.process_time() - spent
             await asyncio.gather(*(worker.close(nanny=False) for worker in crew))
     return found
 
