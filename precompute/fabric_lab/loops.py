@@ -21,7 +21,7 @@ __all__ = [
 LOOP_SOLVER = "fem-stvk/quasi-static"  # its shear strain is that of a trellis, whose yarns keep their lengths
 SLOPE_POINTS = 21  # through which a line gives the slope
 CLOSED = 0.05  # by so much of its range the load of a loop may differ where it meets itself [-]
-RETURNED = 0.02  # and by so much of its range the deformation at which it ends [-]
+RETURNED = 0.02  # and by so much of its range the deformation may end before it began, or go back on its way [-]
 
 
 @dataclass(frozen=True)
@@ -182,12 +182,7 @@ def read_loop(curve: LoadCurve, instrument: str, direction: str) -> Reading:
     stiffness = float(np.mean(slopes))
     if not stiffness > 0.0:
         expected = f"load that rises with the deformation between {gauge.slope[0]:.4g} and {gauge.slope[1]:.4g}"
-        raise InputError(
-            "load falls as the deformation rises",
-            key=key,
-            received=stiffness,
-            expected=expected,
-        )
+        raise InputError("load falls as the deformation rises", key=key, received=stiffness, expected=expected)
     widths = [float(np.mean([value(rising, at) - value(falling, at) for at in (side, -side)])) for side in gauge.widths]
     return Reading(stiffness, tuple(widths))
 
@@ -202,8 +197,8 @@ def check_loop(curve: LoadCurve, instrument: str, direction: str) -> Reading:
     if not min(reading.widths) > 0.0:
         expected = "a width above 0, rows in the order of measuring; a fabric without hysteresis has no rows of a loop"
         problem = "loop without width or run the wrong way round"
-        key = f"{instrument} {direction}"
-        raise InputError(problem, key=key, received=min(reading.widths), expected=expected)
+        received, key = min(reading.widths), f"{instrument} {direction}"
+        raise InputError(problem, key=key, received=received, expected=expected)
     return reading
 
 
@@ -229,7 +224,7 @@ def branches(curve: LoadCurve, instrument: str, direction: str) -> tuple[np.ndar
     end = turn[1] + int(np.argmax(sign * x[turn[1] :])) + 1
     pieces = [slice(0, turn[0] + 1), slice(turn[0], turn[1] + 1), slice(turn[1], end)]
     steps = [sign * way * np.diff(x[piece]) for piece, way in zip(pieces, (1.0, -1.0, 1.0), strict=True)]
-    if min(step.min(initial=0.0) for step in steps) < 0.0:
+    if min(step.min(initial=0.0) for step in steps) < -RETURNED * span:
         expected = "deformation that turns at its largest and at its smallest value alone"
         raise InputError("no loop", key=key, received="one that turns in between", expected=expected)
     if sign * (x[end - 1] - x[0]) < -RETURNED * span:
