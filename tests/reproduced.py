@@ -1,7 +1,7 @@
 """Scenes that must end in the same bits wherever they run: `python -m tests.reproduced` prints a line for each.
 
 Between them they take every way through the solver: coarser levels, a body, friction, self-collision, internal
-friction, garments shared by threads, and a player with its wrinkles.
+friction, garments dealt to threads, and a player with its wrinkles.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import hashlib
 import numpy as np
 
 from pbd import Colliders, Fabric, Solver, SolverOptions, Sphere, State
-from pbd.engine import running_threads
 from runtime.player import Player
 from runtime.simulation import poses_of
 from runtime.terminal import say
@@ -37,8 +36,8 @@ def folds(frames: int = 60) -> str:
 
 
 def batch() -> str:
-    """Three sheets on bodies and rods, each shared by all threads."""
-    states = together(sheets(), OPTIONS, 60, running_threads())
+    """Three sheets on bodies and rods, dealt to all threads."""
+    states = together(sheets(), OPTIONS, 60)
     return hashlib.sha256("".join(state.hash() for state in states).encode()).hexdigest()
 
 
