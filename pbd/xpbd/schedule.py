@@ -92,7 +92,7 @@ def advance_garment(
             workers.barrier()
             if ti.static(constraints.stiff):
                 if workers.first() and constraints.bending_factor.shape[0] > 0:
-                    solve_stiff_bending(cloth, constraints, multigrid.patch_centers, step.h)
+                    solve_stiff_bending(cloth, constraints, constraints.bending_factor, multigrid.patch_centers, step.h)
                 workers.barrier()
             if ti.static(multigrid.used):
                 if step.levels > 0:

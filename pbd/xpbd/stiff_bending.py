@@ -118,11 +118,14 @@ def place(factor: ti.template(), row: ti.i32) -> ti.i32:
 
 
 @ti.func
-def solve_stiff_bending(cloth: ti.template(), constraints: ti.template(), work: ti.template(), h: ti.f32):
+def solve_stiff_bending(
+    cloth: ti.template(), constraints: ti.template(), factor: ti.template(), work: ti.template(), h: ti.f32
+):
     """Move all vertices by the bending of all hinges, right after the prediction: for one worker.
 
     Args:
         cloth, constraints: views of the garment.
+        factor: see :func:`bending_factor`.
         work: vec4 for two times all vertices; what it holds is lost.
         h: [s].
     """
@@ -141,7 +144,6 @@ def solve_stiff_bending(cloth: ti.template(), constraints: ti.template(), work: 
         force = hinge_multiplier(d1, d2, d3, rows, 1.0 / constraints.hinge_data[c, 1][1])
         for a in ti.static(range(4)):
             work[count + q[a]] = work[count + q[a]] + rows[a] * force
-    factor = ti.static(constraints.bending_factor)
     unknowns = (place(factor, 1) // HEADER) - 1
     for i in range(unknowns):
         row = HEADER * i
