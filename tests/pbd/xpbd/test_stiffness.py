@@ -111,8 +111,8 @@ def test_bending_does_not_hang_on_the_step() -> None:
 
 @pytest.mark.parametrize(("gamma", "gravity"), [(0.1, 0.3), (1.0, 1.0), (10.0, 3.0)])
 def test_cantilever(gamma: float, gravity: float) -> None:
-    """Converged, small and large deflection; within 5 %."""
-    assert cantilever(gamma, 10, gravity, 160) == pytest.approx(CANTILEVER[gamma], rel=0.05)
+    """Small and large deflection; within 5 %."""
+    assert cantilever(gamma, 20, gravity, 80) == pytest.approx(CANTILEVER[gamma], rel=0.05)
 
 
 @pytest.mark.proof
