@@ -30,7 +30,7 @@ __all__ = ["bending_factor", "bounded_hinge_data", "is_stiff", "no_factor", "pas
 THETA = 0.5  # weight of the end of the substep [-]
 DELTA = 0.25  # damping of slow modes, as a part of implicit Euler's [-]
 MAX_PASS_RATIO = 0.1  # at which one pass over the hinges leaves cloth 4 % too soft [-]
-# A stiffer hinge is taken as this stiff, by the same ratio [-]: float32 would lose the momentum of free cloth, and fling
+# A stiffer hinge is taken as this stiff, by the same ratio [-]: float32 would lose the momentum of free cloth and fling
 # slivers away. A strip of 20 edges that is as stiff sags by a thousandth of its length.
 STIFFEST = 1e4
 HEADER = 3  # rows of the factor before its entries, for each unknown
