@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from pbd import Fabric
+from pbd.models.newton import StepError
 from pbd.storage import replacing
 from precompute.fabric_lab.laboratory import (
     DIRECTIONS,
@@ -27,12 +28,23 @@ from precompute.reporting.tables import write_table
 from precompute.validation.drape_rows import cusick_drape
 from precompute.validation.trial import TrialSetting
 
-__all__ = ["curve_rows", "curves_text", "draw_curves", "fabric_text", "loop_figures", "measure_fabric", "write_curves"]
+__all__ = [
+    "PULLED",
+    "curve_rows",
+    "curves_text",
+    "draw_curves",
+    "fabric_text",
+    "loop_figures",
+    "measure_fabric",
+    "pull",
+    "write_curves",
+]
 
 STRAINS = (0.005, 0.01, 0.02)
 FAR_STRAINS = (*STRAINS, 0.05, 0.10, 0.17)  # of a fabric that stiffens
 SHEARS = (0.01, 0.04)  # [rad]
 CURVATURES = (50.0, 100.0)  # [1/m]
+PULLED = TrialSetting(substeps=1536)  # of strips that are pulled by the default solver
 PRESSURES = (50.0, 500.0, 2000.0, 5000.0)  # [Pa]
 ROUNDING = 1e-4  # width of a loop without friction, over the range of its loads [-]
 LABELS = {
@@ -65,7 +77,7 @@ def measure_fabric(
     curves = {}
     for direction, angle in DIRECTIONS.items():
         report(f"tension, shear and bending along the {direction}")
-        curves["tension", direction] = tension_curve(setting, fabric, angle, strains)
+        curves["tension", direction] = pull(setting, fabric, angle, strains)
         curves["shear", direction] = shear_curve(setting, fabric, angle, SHEARS)
         curves["bending", direction] = bending_curve(setting, fabric, angle, CURVATURES)
     sample = TrialSetting(LOOP_SOLVER, edges=setting.edges)
@@ -83,6 +95,18 @@ def measure_fabric(
         "cusick_drape_coefficient": cusick_drape(moving, fabric.gravity_length)[0],
     }
     return curves, figures
+
+
+def pull(setting: TrialSetting, fabric: Fabric, angle: float, strains: Sequence[float]) -> LoadCurve:
+    """Tension; arguments as for :func:`precompute.fabric_lab.laboratory.tension_curve`.
+
+    Newton's method does not find every equilibrium of cloth that stiffens, and ends: the default solver takes over, in
+    steps that are small enough.
+    """
+    try:
+        return tension_curve(setting, fabric, angle, strains)
+    except StepError:
+        return tension_curve(PULLED, fabric, angle, strains)
 
 
 def loop_figures(curves: Mapping[tuple[str, str], LoadCurve]) -> dict[str, float]:

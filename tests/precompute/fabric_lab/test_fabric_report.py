@@ -2,13 +2,23 @@
 
 from dataclasses import asdict, replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 
 from pbd import Fabric
+from pbd.models.newton import StepError
 from precompute.fabric_lab.fabric_fit import read_curves
-from precompute.fabric_lab.fabric_report import curves_text, draw_curves, fabric_text, measure_fabric, write_curves
+from precompute.fabric_lab.fabric_report import (
+    PULLED,
+    curves_text,
+    draw_curves,
+    fabric_text,
+    measure_fabric,
+    pull,
+    write_curves,
+)
 from precompute.fabric_lab.laboratory import LoadCurve
 from precompute.validation.trial import FABRIC, TrialSetting
 
@@ -33,6 +43,18 @@ def test_values_read_back_as_a_fabric() -> None:
     fabric = replace(FABRIC, compression=1500.0)
     values = dict(line.split(" = ") for line in fabric_text(fabric).splitlines())
     assert asdict(Fabric(**{name: float(text) for name, text in values.items()})) == pytest.approx(asdict(fabric))
+
+
+def test_a_pull_without_an_equilibrium_is_measured_by_small_steps() -> None:
+    def measured(setting: TrialSetting, *_: object) -> LoadCurve:
+        if setting.solver.endswith("quasi-static"):
+            raise StepError("no equilibrium")
+        assert setting == PULLED
+        return CURVES["tension", "warp"]
+
+    with patch("precompute.fabric_lab.fabric_report.tension_curve", measured):
+        found = pull(TrialSetting(solver="fem-corotational/quasi-static"), FABRIC, 0.0, (0.01,))
+    assert found is CURVES["tension", "warp"]
 
 
 @pytest.mark.proof
