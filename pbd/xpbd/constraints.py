@@ -40,6 +40,7 @@ STRAIN_STEPS = 4  # of Newton's method for the strain at which a triangle comes 
 FRICTION_STIFFNESS = 3.0  # of an element of internal friction, of a hinge or of shear, over the elastic stiffness [-]
 # A hinge is nearly closed when (x_j - x_i) x (x_k - x_l) is no longer than this times its edge squared [-].
 MIN_OPENING = 0.1
+NO_OPENING = 1e-18  # of a hinge whose vertices are all in one point, which has no direction [m2]
 
 
 @ti.func
@@ -295,7 +296,7 @@ def hinge_normal(d1: vec3, across: vec3):
         n, the length of the product, and the least length with which n is of unit length.
     """
     normal = d1.cross(across)
-    length, least = normal.norm(), MIN_OPENING * d1.dot(d1)
+    length, least = normal.norm(), ti.max(MIN_OPENING * d1.dot(d1), NO_OPENING)
     return normal / ti.max(length, least), length, least
 
 

@@ -188,6 +188,18 @@ def test_any_cloth_stays_finite(drawn: Drawn) -> None:
     play(drawn)
 
 
+def test_cloth_in_one_point_that_rubs_stays_finite() -> None:
+    """Hinges of no size have no direction in which to bend: found among a thousand scenes."""
+    options = SolverOptions(1 / 720, coarse_sweeps=0, local_damping=100.0, linear_inertia=0.0, angular_inertia=0.5)
+    play(
+        Drawn(
+            seed=3594, components=3, points=7, scale=1.0, squash=0.0738864442157231, dt=1 / 60, stretch=1e-30, bend=1.0,
+            density=1.0, held=4, speed=89.27711888261823, colliders=("sphere", "capsule"), tethers=False, squeezed=0.0,
+            hysteresis=0.6747604005889312, compression=1.0, options=options, teleport=True,
+        )
+    )  # fmt: skip
+
+
 @pytest.mark.proof
 @pytest.mark.parametrize("number", range(10))
 def test_ten_thousand_cloths_stay_finite(number: int) -> None:
