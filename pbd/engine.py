@@ -90,6 +90,9 @@ def ensure_initialized(arch: str = "cpu", threads: int | None = None) -> None:
                 default_ip=ti.i32,
                 offline_cache=True,
                 log_level=ti.ERROR,
+                # The analysis of control flow takes nine tenths of the time of compiling, and more than in proportion
+                # to a kernel's size. It gains nothing where indices are variables of one number: i = f[0], not f[0].
+                cfg_optimization=arch != "cpu",
                 fast_math=False,  # the same function in two kernels must round alike; costs a tenth of a frame
             )
         # Taichi compiles a kernel for a number of threads and keeps it for that number alone. Its threads are started

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import copyreg
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import is_dataclass
 from functools import lru_cache
 from operator import attrgetter
@@ -19,7 +18,7 @@ import numpy as np
 
 from pbd.engine import ensure_initialized, is_running, ti
 
-__all__ = ["Launch", "in_kernel", "local", "quickly_compiled", "same", "signature", "subscript"]
+__all__ = ["Launch", "in_kernel", "local", "same", "signature", "subscript"]
 
 QUADRANTS = ti.__name__ == "quadrants"
 impl, kernel_impl = ti.lang.impl, ti.lang.kernel_impl
@@ -58,28 +57,6 @@ try:
         copyreg.pickle(ti.lang._quadrants_callable.QuadrantsCallable, attrgetter("__qualname__"))
 except AttributeError:  # another version
     pass
-
-
-def quickly_compiled(kernel: Any) -> Any:
-    """Mark a kernel so that :class:`Launch` compiles it without Taichi's analysis of control flow.
-
-    The analysis takes most of the time of compiling, more than in proportion to the kernel's size. It makes passes over
-    constraints a sixth faster; kernels of searches, with many branches, gain nothing. Results are the same bits.
-    """
-    kernel.is_quickly_compiled = True
-    return kernel
-
-
-@contextmanager
-def _compilation_of(kernel: Any) -> Iterator[None]:
-    """Compile a kernel as it is marked while this is open."""
-    config = impl.get_runtime().prog.config() if getattr(kernel, "is_quickly_compiled", False) else SimpleNamespace()
-    before = getattr(config, "cfg_optimization", None)
-    config.cfg_optimization = False
-    try:
-        yield
-    finally:
-        config.cfg_optimization = before
 
 
 def in_kernel(function: Any) -> Any:
@@ -156,10 +133,9 @@ class Launch:
         if not self._prepare(arguments):
             if not is_running():  # Taichi's own message says nothing to the user
                 ensure_initialized()
-            with _compilation_of(self._kernel):
-                self._kernel(*arguments)  # compiles it, and reports a wrong argument
-                if not self._ordinary:
-                    self._bind(arguments)
+            self._kernel(*arguments)  # compiles it, and reports a wrong argument
+            if not self._ordinary:
+                self._bind(arguments)
             return
         for position, slot, set_number in self._numbers:
             set_number(slot, arguments[position])

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from pbd import ClothMesh
 from pbd.engine import ensure_initialized, ti
 from pbd.geometry import FAR
-from pbd.taichi_internals import Launch, quickly_compiled
+from pbd.taichi_internals import Launch
 from wrinkles.charts import Charts
 from wrinkles.layer_distance import LayerDistance
 
@@ -41,7 +41,6 @@ Float1 = ti.types.ndarray(dtype=ti.f32, ndim=1)
 Int2 = ti.types.ndarray(dtype=ti.i32, ndim=2)
 
 
-@quickly_compiled
 @ti.kernel
 def _read_stencil(
     position: Vec4,

@@ -46,16 +46,17 @@ def _subdivided_normals(vertices: Vec3, fours: Int6, sums: Vec4, normals: Vec3):
         _clear(sums)
         for q in range(fours.shape[0]):
             f = fours[q]
-            a, b, c = vertices[f[0]], vertices[f[1]], vertices[f[2]]
-            ab, bc, ca = vertices[f[3]], vertices[f[4]], vertices[f[5]]
+            i0, i1, i2, i01, i12, i20 = f[0], f[1], f[2], f[3], f[4], f[5]
+            a, b, c = vertices[i0], vertices[i1], vertices[i2]
+            ab, bc, ca = vertices[i01], vertices[i12], vertices[i20]
             at_a, at_b, at_c = _area_normal(a, ab, ca), _area_normal(ab, b, bc), _area_normal(ca, bc, c)
             between = _area_normal(ab, bc, ca)
-            sums[f[0]] = sums[f[0]] + at_a
-            sums[f[1]] = sums[f[1]] + at_b
-            sums[f[2]] = sums[f[2]] + at_c
-            sums[f[3]] = sums[f[3]] + (at_a + at_b + between)
-            sums[f[4]] = sums[f[4]] + (at_b + at_c + between)
-            sums[f[5]] = sums[f[5]] + (at_c + at_a + between)
+            sums[i0] = sums[i0] + at_a
+            sums[i1] = sums[i1] + at_b
+            sums[i2] = sums[i2] + at_c
+            sums[i01] = sums[i01] + (at_a + at_b + between)
+            sums[i12] = sums[i12] + (at_b + at_c + between)
+            sums[i20] = sums[i20] + (at_c + at_a + between)
         for i in range(sums.shape[0]):
             normals[i] = _unit(sums[i])
 

@@ -6,7 +6,7 @@ from typing import Any
 from pbd.contact.blocks import greater, smaller
 from pbd.engine import ti
 from pbd.geometry import FAR, Float1, Int1, Int2, Int3, Vec3, Vec4, between, vec3, xyz
-from pbd.taichi_internals import in_kernel, quickly_compiled
+from pbd.taichi_internals import in_kernel
 from pbd.xpbd.constraints import larger
 from pbd.xpbd.views import BodySurface
 
@@ -297,7 +297,6 @@ def nearest_between_ends(c: ti.i32, body: ti.template(), search: ti.template()) 
     return best
 
 
-@quickly_compiled
 @ti.kernel
 def find_nearest(
     position: Vec4,

@@ -132,10 +132,11 @@ def solve_pairs(
             c = pairs.ready_pairs[2 + r]
         q = pairs.pairs[c]
         k = corners_of(q)
-        p0, u0 = cloth.position[k[0]], xyz(cloth.position_delta[k[0]])
-        x1 = (xyz(cloth.position[k[1]]) - xyz(p0)) + (xyz(cloth.position_delta[k[1]]) - u0)
-        x2 = (xyz(cloth.position[k[2]]) - xyz(p0)) + (xyz(cloth.position_delta[k[2]]) - u0)
-        x3 = (xyz(cloth.position[k[3]]) - xyz(p0)) + (xyz(cloth.position_delta[k[3]]) - u0)
+        i0, i1, i2, i3 = k[0], k[1], k[2], k[3]
+        p0, u0 = cloth.position[i0], xyz(cloth.position_delta[i0])
+        x1 = (xyz(cloth.position[i1]) - xyz(p0)) + (xyz(cloth.position_delta[i1]) - u0)
+        x2 = (xyz(cloth.position[i2]) - xyz(p0)) + (xyz(cloth.position_delta[i2]) - u0)
+        x3 = (xyz(cloth.position[i3]) - xyz(p0)) + (xyz(cloth.position_delta[i3]) - u0)
         thickness = pairs.pair_data[c, 0][3]
         shares, normal, gap = ti.math.vec4(1.0, 0.0, 0.0, 0.0), vec3(0.0), FAR_GAP
         pair_friction = friction
@@ -163,21 +164,22 @@ def push_apart(
     k, shares, normal: vec3, gap: ti.f32, thickness: ti.f32, friction: ti.f32, cloth: ti.template(), h: ti.f32
 ):
     """Bring the features of a pair of vertices ``k`` to their thickness; for shares see :func:`closest_points`."""
-    p0, p1, p2, p3 = cloth.position[k[0]], cloth.position[k[1]], cloth.position[k[2]], cloth.position[k[3]]
+    i0, i1, i2, i3 = k[0], k[1], k[2], k[3]
+    w = ti.math.vec4(cloth.position[i0][3], cloth.position[i1][3], cloth.position[i2][3], cloth.position[i3][3])
     effective_inverse_mass = (
-        shares[0] * shares[0] * p0[3]
-        + shares[1] * shares[1] * p1[3]
-        + shares[2] * shares[2] * p2[3]
-        + shares[3] * shares[3] * p3[3]
+        shares[0] * shares[0] * w[0]
+        + shares[1] * shares[1] * w[1]
+        + shares[2] * shares[2] * w[2]
+        + shares[3] * shares[3] * w[3]
     )
-    mobility = ti.abs(shares) * ti.math.vec4(p0[3], p1[3], p2[3], p3[3])
+    mobility = ti.abs(shares) * w
     effective_inverse_mass = ti.max(effective_inverse_mass, mobility.max() / MAX_LEVER)
     if effective_inverse_mass > 0.0:
         slip = (
-            shares[0] * (xyz(cloth.position_delta[k[0]]) - substep_start(cloth, k[0], h))
-            + shares[1] * (xyz(cloth.position_delta[k[1]]) - substep_start(cloth, k[1], h))
-            + shares[2] * (xyz(cloth.position_delta[k[2]]) - substep_start(cloth, k[2], h))
-            + shares[3] * (xyz(cloth.position_delta[k[3]]) - substep_start(cloth, k[3], h))
+            shares[0] * (xyz(cloth.position_delta[i0]) - substep_start(cloth, i0, h))
+            + shares[1] * (xyz(cloth.position_delta[i1]) - substep_start(cloth, i1, h))
+            + shares[2] * (xyz(cloth.position_delta[i2]) - substep_start(cloth, i2, h))
+            + shares[3] * (xyz(cloth.position_delta[i3]) - substep_start(cloth, i3, h))
         )
         move = contact_correction(gap - thickness, normal, slip, friction, h)
         # A feature that is through comes back without speed: it would go on with it when it is out.
@@ -185,7 +187,14 @@ def push_apart(
         if gap < 0.0:
             back = normal * ti.max(move.dot(normal) + ti.min(slip.dot(normal), 0.0), 0.0) / effective_inverse_mass
         move /= effective_inverse_mass
-        for a in ti.static(range(4)):
-            share = cloth.position[k[a]][3] * shares[a]
-            cloth.position_delta[k[a]] = vec4(xyz(cloth.position_delta[k[a]]) + share * move)
-            cloth.velocity_delta[k[a]] = cloth.velocity_delta[k[a]] - vec4(share / h * back)
+        give(i0, w[0] * shares[0], move, back, cloth, h)
+        give(i1, w[1] * shares[1], move, back, cloth, h)
+        give(i2, w[2] * shares[2], move, back, cloth, h)
+        give(i3, w[3] * shares[3], move, back, cloth, h)
+
+
+@ti.func
+def give(i: ti.i32, share: ti.f32, move: vec3, back: vec3, cloth: ti.template(), h: ti.f32):
+    """Give vertex i its share of a pair's move [m], and take that of the speed with which it came back."""
+    cloth.position_delta[i] = vec4(xyz(cloth.position_delta[i]) + share * move)
+    cloth.velocity_delta[i] = cloth.velocity_delta[i] - vec4(share / h * back)

@@ -9,7 +9,6 @@ from functools import cache
 
 from pbd.engine import ti
 from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec2, Vec3, Vec4, Vec4Rows
-from pbd.taichi_internals import quickly_compiled
 from pbd.xpbd.schedule import advance_garment
 from pbd.xpbd.views import (
     BodySurface,
@@ -29,7 +28,7 @@ __all__ = ["advance_kernel"]
 
 @cache
 def advance_kernel(
-    with_multigrid: bool, with_pairs: bool = False, rubs: bool = False, stiff: bool = False, quickly: bool = False
+    with_multigrid: bool, with_pairs: bool = False, rubs: bool = False, stiff: bool = False
 ) -> Callable[..., None]:
     """The kernel that advances a garment by a frame.
 
@@ -39,7 +38,6 @@ def advance_kernel(
         with_multigrid, with_pairs: whether coarser levels and pairs are used. Both take long to compile.
         rubs: whether shear has internal friction.
         stiff: whether the bending of stiff cloth is solved by a factor.
-        quickly: see :func:`pbd.taichi_internals.quickly_compiled`; the same results, and slower constraints.
     """
 
     @ti.kernel
@@ -137,4 +135,4 @@ def advance_kernel(
                 PairArrays(with_pairs, pairs, pair_data, ready_pairs),
             )  # fmt: skip
 
-    return quickly_compiled(advance) if quickly else advance
+    return advance

@@ -53,15 +53,16 @@ def solve_membrane(
         begin, size = constraints.triangle_blocks[b][0], constraints.triangle_blocks[b][1]
         for a in range(size):
             f = constraints.triangles[begin + a]
-            if f[0] < 0:  # never; see above
+            i, j, k = f[0], f[1], f[2]
+            if i < 0:  # never; see above
                 break
-            x0, u0 = cloth.position[f[0]], cloth.position_delta[f[0]]
-            side_1 = (cloth.position[f[1]] - x0) + (cloth.position_delta[f[1]] - u0)
-            side_2 = (cloth.position[f[2]] - x0) + (cloth.position_delta[f[2]] - u0)
+            x0, u0 = cloth.position[i], cloth.position_delta[i]
+            side_1 = (cloth.position[j] - x0) + (cloth.position_delta[j] - u0)
+            side_2 = (cloth.position[k] - x0) + (cloth.position_delta[k] - u0)
             x1[a], y1[a], z1[a] = side_1[0], side_1[1], side_1[2]
             x2[a], y2[a], z2[a] = side_2[0], side_2[1], side_2[2]
             if levels > 0:
-                e = multigrid.coarse_strain[multigrid.parent[f[0]]]
+                e = multigrid.coarse_strain[multigrid.parent[i]]
                 e1[a], e2[a], e3[a] = e[0], e[1], e[2]
         # A kernel has the loop twice, so that fabrics that do not stiffen pay nothing.
         rows = constraints.triangle_data.shape[0]
@@ -104,9 +105,10 @@ def solve_membrane(
         for a in range(size):
             f = constraints.triangles[begin + a]
             m1, m2 = ti.math.vec4(x1[a], y1[a], z1[a], 0.0), ti.math.vec4(x2[a], y2[a], z2[a], 0.0)
-            cloth.position_delta[f[0]] = cloth.position_delta[f[0]] - cloth.position[f[0]][3] * (m1 + m2)
-            cloth.position_delta[f[1]] = cloth.position_delta[f[1]] + cloth.position[f[1]][3] * m1
-            cloth.position_delta[f[2]] = cloth.position_delta[f[2]] + cloth.position[f[2]][3] * m2
+            i, j, k = f[0], f[1], f[2]
+            cloth.position_delta[i] = cloth.position_delta[i] - cloth.position[i][3] * (m1 + m2)
+            cloth.position_delta[j] = cloth.position_delta[j] + cloth.position[j][3] * m1
+            cloth.position_delta[k] = cloth.position_delta[k] + cloth.position[k][3] * m2
             if ti.static(constraints.rubs):
                 constraints.triangle_data[rows - 1, begin + a] = plastic[a]
 
@@ -125,33 +127,61 @@ def row4(data: ti.template(), first: ti.template(), c: ti.i32):
 
 @ti.func
 def solve_bending(cloth: ti.template(), constraints: ti.template(), inverse_h2: ti.f32, begin: ti.i32, end: ti.i32):
-    """One pass over the hinges ``begin`` to ``end``, which is left out, of one colour; ``inverse_h2`` [1/s2]."""
+    """One pass over the hinges ``begin`` to ``end``, which is left out, of one colour; ``inverse_h2`` [1/s2].
+
+    Hinges that are flat at rest and do not rub are read, solved and written without a branch in between, so that the
+    compiler takes all four components at once.
+    """
+    bent_count = 0
     for c in range(begin, end):
         q = constraints.hinges[c]
-        p0, p1, p2, p3 = cloth.position[q[0]], cloth.position[q[1]], cloth.position[q[2]], cloth.position[q[3]]
-        u0, u1 = cloth.position_delta[q[0]], cloth.position_delta[q[1]]
-        u2, u3 = cloth.position_delta[q[2]], cloth.position_delta[q[3]]
-        rows, law = constraints.hinge_data[c, 0], constraints.hinge_data[c, 1]
-        inverse_sum = 1.0 / (law[0] + law[1] * inverse_h2)
-        # All four components alike, so that the compiler takes them at once; the last one moves nothing.
-        d1, d2, d3 = (p1 - p0) + (u1 - u0), (p2 - p0) + (u2 - u0), (p3 - p0) + (u3 - u0)
-        multiplier = hinge_multiplier(d1, d2, d3, rows, inverse_sum) * ti.math.vec4(1.0, 1.0, 1.0, 0.0)
-        if law[2] != 0.0 or law[3] > 0.0:
-            bent = xyz(rows[1] * d1 + rows[2] * d2 + rows[3] * d3)
-            normal, length, least = hinge_normal(xyz(d1), xyz(d2 - d3))
-            rest = law[2]
-            if law[3] > 0.0:  # a third row of data is there
-                kept = constraints.hinge_data[c, 2][0]
-                rest, inverse_sum, kept = rubbing_hinge(normal.dot(bent), law, kept, inverse_h2)
-                constraints.hinge_data[c, 2][0] = kept
-            bent, along, across = bent_hinge(xyz(d1), xyz(d2 - d3), bent, normal, length, least, rest, inverse_sum)
-            multiplier = vec4(bent)
-            u0, u1 = u0 - p0[3] * vec4(along), u1 + p1[3] * vec4(along)
-            u2, u3 = u2 + p2[3] * vec4(across), u3 - p3[3] * vec4(across)
-        cloth.position_delta[q[0]] = u0 + p0[3] * rows[0] * multiplier
-        cloth.position_delta[q[1]] = u1 + p1[3] * rows[1] * multiplier
-        cloth.position_delta[q[2]] = u2 + p2[3] * rows[2] * multiplier
-        cloth.position_delta[q[3]] = u3 + p3[3] * rows[3] * multiplier
+        law = constraints.hinge_data[c, 1]
+        if law[2] == 0.0 and law[3] <= 0.0:
+            i, j, k, m = q[0], q[1], q[2], q[3]
+            p0, p1, p2, p3 = cloth.position[i], cloth.position[j], cloth.position[k], cloth.position[m]
+            u0, u1 = cloth.position_delta[i], cloth.position_delta[j]
+            u2, u3 = cloth.position_delta[k], cloth.position_delta[m]
+            rows = constraints.hinge_data[c, 0]
+            inverse_sum = 1.0 / (law[0] + law[1] * inverse_h2)
+            d1, d2, d3 = (p1 - p0) + (u1 - u0), (p2 - p0) + (u2 - u0), (p3 - p0) + (u3 - u0)
+            multiplier = hinge_multiplier(d1, d2, d3, rows, inverse_sum)
+            cloth.position_delta[i] = u0 + p0[3] * rows[0] * multiplier
+            cloth.position_delta[j] = u1 + p1[3] * rows[1] * multiplier
+            cloth.position_delta[k] = u2 + p2[3] * rows[2] * multiplier
+            cloth.position_delta[m] = u3 + p3[3] * rows[3] * multiplier
+        else:
+            bent_count += 1
+    if bent_count > 0:
+        for c in range(begin, end):
+            law = constraints.hinge_data[c, 1]
+            if law[2] != 0.0 or law[3] > 0.0:
+                solve_bent_hinge(cloth, constraints, c, inverse_h2)
+
+
+@ti.func
+def solve_bent_hinge(cloth: ti.template(), constraints: ti.template(), c: ti.i32, inverse_h2: ti.f32):
+    """Solve hinge c, which is bent at rest or rubs; ``inverse_h2`` [1/s2]."""
+    q = constraints.hinges[c]
+    i, j, k, m = q[0], q[1], q[2], q[3]
+    p0, p1, p2, p3 = cloth.position[i], cloth.position[j], cloth.position[k], cloth.position[m]
+    u0, u1 = cloth.position_delta[i], cloth.position_delta[j]
+    u2, u3 = cloth.position_delta[k], cloth.position_delta[m]
+    rows, law = constraints.hinge_data[c, 0], constraints.hinge_data[c, 1]
+    inverse_sum = 1.0 / (law[0] + law[1] * inverse_h2)
+    d1, d2, d3 = (p1 - p0) + (u1 - u0), (p2 - p0) + (u2 - u0), (p3 - p0) + (u3 - u0)
+    bent = xyz(rows[1] * d1 + rows[2] * d2 + rows[3] * d3)
+    normal, length, least = hinge_normal(xyz(d1), xyz(d2 - d3))
+    rest = law[2]
+    if law[3] > 0.0:  # a third row of data is there
+        kept = constraints.hinge_data[c, 2][0]
+        rest, inverse_sum, kept = rubbing_hinge(normal.dot(bent), law, kept, inverse_h2)
+        constraints.hinge_data[c, 2][0] = kept
+    bent, along, across = bent_hinge(xyz(d1), xyz(d2 - d3), bent, normal, length, least, rest, inverse_sum)
+    multiplier = vec4(bent)
+    cloth.position_delta[i] = (u0 - p0[3] * vec4(along)) + p0[3] * rows[0] * multiplier
+    cloth.position_delta[j] = (u1 + p1[3] * vec4(along)) + p1[3] * rows[1] * multiplier
+    cloth.position_delta[k] = (u2 + p2[3] * vec4(across)) + p2[3] * rows[2] * multiplier
+    cloth.position_delta[m] = (u3 - p3[3] * vec4(across)) + p3[3] * rows[3] * multiplier
 
 
 @ti.func
@@ -163,17 +193,17 @@ def solve_stitches(cloth: ti.template(), constraints: ti.template(), t: ti.f32):
     for c in range(constraints.stitches.shape[0]):
         s, data = constraints.stitches[c], constraints.stitch_data[c]
         w, gap = data[0], data[1] + t * (data[2] - data[1])
-        v, a, b = cloth.position[s[0]], cloth.position[s[1]], cloth.position[s[2]]
-        uv = xyz(cloth.position_delta[s[0]])
-        ua, ub = xyz(cloth.position_delta[s[1]]), xyz(cloth.position_delta[s[2]])
+        i, j, k = s[0], s[1], s[2]
+        v, a, b = cloth.position[i], cloth.position[j], cloth.position[k]
+        uv, ua, ub = xyz(cloth.position_delta[i]), xyz(cloth.position_delta[j]), xyz(cloth.position_delta[k])
         to_a, to_b = (xyz(a) - xyz(v)) + (ua - uv), (xyz(b) - xyz(v)) + (ub - uv)
         multiplier = stitch_multiplier(to_a, to_b, w, v[3], a[3], b[3])
         if gap > 0.0:
             distance = ((1.0 - w) * to_a + w * to_b).norm()
             multiplier *= ti.max(0.0, 1.0 - gap / ti.max(distance, 1e-20))
-        cloth.position_delta[s[0]] = vec4(uv + v[3] * multiplier)
-        cloth.position_delta[s[1]] = vec4(ua - a[3] * (1.0 - w) * multiplier)
-        cloth.position_delta[s[2]] = vec4(ub - b[3] * w * multiplier)
+        cloth.position_delta[i] = vec4(uv + v[3] * multiplier)
+        cloth.position_delta[j] = vec4(ua - a[3] * (1.0 - w) * multiplier)
+        cloth.position_delta[k] = vec4(ub - b[3] * w * multiplier)
 
 
 @ti.func

@@ -34,9 +34,6 @@ MIN_STRIDE = 0.01  # ... but at least this [m]
 MAX_REFINEMENT = 8  # times as many substeps, at most
 # Of a state: their lengths.
 CHECKED = ("position", "velocity", "nearest", "contact", "plastic_bends", "plastic_shears")
-# On a body, garments with fewer vertices take a kernel that compiles in a tenth of the time. Their step is 5 to 20 %
-# longer for it.
-MIN_OPTIMIZED = 4000
 MIN_FRAME_TIME = 1e-7  # shorter frames do nothing [s]: float32 does not hold the square of their inverse
 
 
@@ -126,9 +123,7 @@ class Solver:
         self._stride = max(MIN_STRIDE, STRIDE_SHARE * float(model.mesh.edge_lengths()[1].mean()))
         self._find_nearest = Launch(find_nearest)
         kinds = self.with_multigrid, self._pairs is not None, model.plastic_shear_count > 0, self.stiff
-        self._advance, self._advance_on_body = Launch(advance_kernel(*kinds)), Launch(advance_kernel(*kinds))
-        if count < MIN_OPTIMIZED:
-            self._advance_on_body = Launch(advance_kernel(*kinds, quickly=True))
+        self._advance = Launch(advance_kernel(*kinds))
 
     def _model_arrays(self) -> dict[str, np.ndarray]:
         """Arguments of the kernels that belong to the model."""
@@ -232,22 +227,21 @@ class Solver:
         self._stitch_data[:, 1:3] = np.transpose(gaps)
         if colliders.body is not None:
             self._find_nearest.by_name(arguments)
-        advance = self._advance if colliders.body is None else self._advance_on_body
         model, count = self.model, len(self.model.triangles)
         if model.plastic_count:
             self._hinge_data[:, 2, 0] = state.plastic_bends[model.hinge_numbers]
         if model.plastic_shear_count:
             self._triangle_data[-1, :count] = state.plastic_shears[model.triangle_numbers]
         if self._pairs is None:
-            advance.by_name(arguments)
+            self._advance.by_name(arguments)
         else:
-            self._advance_in_contact(advance, state, arguments, dt)
+            self._advance_in_contact(state, arguments, dt)
         if model.plastic_count:
             state.plastic_bends[model.hinge_numbers] = self._hinge_data[:, 2, 0]
         if model.plastic_shear_count:
             state.plastic_shears[model.triangle_numbers] = self._triangle_data[-1, :count]
 
-    def _advance_in_contact(self, advance: Launch, state: State, arguments: dict[str, Any], dt: float) -> None:
+    def _advance_in_contact(self, state: State, arguments: dict[str, Any], dt: float) -> None:
         """Advance the state with the cloth's own pairs, which are found anew as often as it moves far."""
         assert self._pairs is not None
         steps = FrameSteps(*self._steps.tolist())
@@ -256,7 +250,7 @@ class Solver:
             good = self._pairs.find(state, dt / steps.count, steps.count - end, self.model.fabric.thickness, end)
             begin, end = end, min(end + steps.refresh * max(1, good // steps.refresh), steps.count)
             self._steps[:2] = begin, end
-            advance.by_name(arguments | self._pairs.arrays())
+            self._advance.by_name(arguments | self._pairs.arrays())
             self._pairs.remember(state)
 
     def prepare(

@@ -137,14 +137,17 @@ def solve_stiff_bending(
         work[count + i] = ti.math.vec4(0.0)
     for c in range(constraints.hinges.shape[0]):
         q = constraints.hinges[c]
-        p0, u0 = cloth.position[q[0]], work[q[0]]
-        d1 = (cloth.position[q[1]] - p0) + (work[q[1]] - u0)
-        d2 = (cloth.position[q[2]] - p0) + (work[q[2]] - u0)
-        d3 = (cloth.position[q[3]] - p0) + (work[q[3]] - u0)
+        i, j, k, m = q[0], q[1], q[2], q[3]
+        p0, u0 = cloth.position[i], work[i]
+        d1 = (cloth.position[j] - p0) + (work[j] - u0)
+        d2 = (cloth.position[k] - p0) + (work[k] - u0)
+        d3 = (cloth.position[m] - p0) + (work[m] - u0)
         rows = constraints.hinge_data[c, 0]
         force = hinge_multiplier(d1, d2, d3, rows, 1.0 / constraints.hinge_data[c, 1][1])
-        for a in ti.static(range(4)):
-            work[count + q[a]] = work[count + q[a]] + rows[a] * force
+        work[count + i] = work[count + i] + rows[0] * force
+        work[count + j] = work[count + j] + rows[1] * force
+        work[count + k] = work[count + k] + rows[2] * force
+        work[count + m] = work[count + m] + rows[3] * force
     unknowns = (place(factor, 1) // HEADER) - 1
     for i in range(unknowns):
         row = HEADER * i

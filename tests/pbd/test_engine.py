@@ -12,7 +12,7 @@ import pytest
 from pbd import InputError, ensure_initialized
 from pbd.engine import ti
 from pbd.geometry import Vec3
-from pbd.taichi_internals import Launch, quickly_compiled
+from pbd.taichi_internals import Launch
 from tests.data import ROOT
 
 PREFIX, NAME = {"taichi": ("TI", "Taichi"), "quadrants": ("QD", "Quadrants")}[ti.__name__]
@@ -209,37 +209,6 @@ def test_taichi_arrays_are_taken() -> None:
 def test_a_launch_can_be_sent_to_another_process() -> None:
     other = pickle.loads(pickle.dumps(_launch()))  # noqa: S301
     _compare(other, _arguments(7))
-
-
-def test_a_quickly_compiled_kernel_has_the_same_bits() -> None:
-    """And other kernels are analysed as before."""
-
-    @quickly_compiled
-    @ti.kernel
-    def move(points: Vec3, weights: ti.types.ndarray(dtype=ti.f32, ndim=1)):
-        ti.loop_config(serialize=True)
-        for i in range(points.shape[0]):
-            p = points[i]
-            if weights[i] > 0.5:
-                p = p * weights[i] + 0.1
-            if p.norm() > 1.0:
-                p /= p.norm()
-            points[i] = p
-
-    ensure_initialized()
-    generator = np.random.default_rng(3)
-    points, weights = generator.standard_normal((50, 3)).astype(np.float32), generator.random(50).astype(np.float32)
-    config, seen = ti.lang.impl.get_runtime().prog.config(), []
-    kernel = getattr(move, "_primal")  # noqa: B009
-    ordinary = kernel.launch_kernel
-    kernel.launch_kernel = lambda *arguments, **more: (
-        seen.append(config.cfg_optimization), ordinary(*arguments, **more)
-    )[1]  # fmt: skip
-    quick, analysed, launch = points.copy(), points.copy(), Launch(move)
-    launch(quick, weights)
-    assert seen == [False] and config.cfg_optimization
-    move(analysed, weights)
-    assert seen == [False, True] and np.array_equal(quick, analysed) and not np.array_equal(quick, points)
 
 
 def test_the_place_of_an_error_in_a_kernel_is_named() -> None:
