@@ -7,9 +7,12 @@ turn (:func:`take_turns`), so that what the machine does besides hits all alike.
 
 from __future__ import annotations
 
+import os
+import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -138,9 +141,10 @@ class ClothTurn:
     Args:
         cloth: what is simulated.
         keep: numbers of the frames that are kept, int, shape (f,).
+        folder: where they are kept; None keeps them in memory.
     """
 
-    def __init__(self, cloth: Cloth, keep: np.ndarray) -> None:
+    def __init__(self, cloth: Cloth, keep: np.ndarray, folder: Path | None = None) -> None:
         self._cloth, self._simulation = cloth, cloth.simulation(cloth.options)
         run = cloth.run
         self._surface: PlainSurface | None = None
@@ -150,7 +154,7 @@ class ClothTurn:
             count = cloth.levels.subdivision.fine_count
         self._vertices, self._normals = np.zeros((2, count, 3), np.float32)
         self._shade = Launch(surface_normals)  # as the player calls it, so that baselines do not pay for calls
-        self._keeping = _Keeping(keep, count)
+        self._keeping = _Keeping(keep, count, folder)
         self._burst = BURST_EXTENTS * np.ptp(cloth.model.mesh.vertices, axis=0).max()
         self._frame = 0
 
@@ -189,6 +193,7 @@ class PlayerTurn:
         keep: numbers of the frames that are kept, int, shape (f,).
         detail: of the player; None takes all that there is.
         player: at the first pose; None makes one.
+        folder: where frames are kept; None keeps them in memory.
     """
 
     def __init__(
@@ -198,6 +203,7 @@ class PlayerTurn:
         keep: np.ndarray,
         detail: LevelOfDetail | None = None,
         player: Player | None = None,
+        folder: Path | None = None,
     ) -> None:
         self._run = run
         self._player = player or Player(database, run.body, run.poses[0], run.primitives)
@@ -207,7 +213,7 @@ class PlayerTurn:
         self._upsample, self._shade = Upsampler(levels.subdivision), Launch(surface_normals)
         self._vertices, self._normals = np.zeros((2, *self._player.vertices.shape), np.float32)
         count = levels.subdivision.fine_count
-        self._ours, self._smooth = _Keeping(keep, count), _Keeping(keep, count)
+        self._ours, self._smooth = _Keeping(keep, count, folder), _Keeping(keep, count, folder)
         self._frame = 0
 
     @property
@@ -255,19 +261,28 @@ class PlayerTurn:
 
 
 class _Keeping:
-    """Times of all frames and vertices of some, shape (``count``, 3)."""
+    """Times of all frames and vertices of some, shape (``count``, 3), in a file where a folder is named."""
 
-    def __init__(self, keep: np.ndarray, count: int) -> None:
+    def __init__(self, keep: np.ndarray, count: int, folder: Path | None) -> None:
         self._wanted, self._count = set(keep.tolist()), count
         self._kept: list[np.ndarray] = []
         self._times: list[float] = []
+        self._file: Path | None = None
+        if folder is not None:
+            descriptor, name = tempfile.mkstemp(".f32", dir=folder)
+            os.close(descriptor)
+            self._file = Path(name)
         self.broke_at: float | None = None
 
     def frame(self, number: int, spent_ms: float, vertices: np.ndarray, broke_at: float | None = None) -> None:
         self._times.append(spent_ms)
         self.broke_at = broke_at
         if broke_at is None and number in self._wanted:
-            self._kept.append(vertices.astype(np.float32))
+            if self._file is None:
+                self._kept.append(vertices.astype(np.float32))
+            else:
+                with self._file.open("ab") as file:  # not mapped: a full disk would end the process without a word
+                    file.write(np.ascontiguousarray(vertices, np.float32).data)
 
     @property
     def times(self) -> np.ndarray:
@@ -275,7 +290,10 @@ class _Keeping:
 
     @property
     def played(self) -> Played:
-        frames = np.array(self._kept, np.float32).reshape(-1, self._count, 3)
+        if self._file is not None and self._file.stat().st_size > 0:
+            frames: np.ndarray = np.memmap(self._file, np.float32, "r").reshape(-1, self._count, 3)
+        else:
+            frames = np.array(self._kept, np.float32).reshape(-1, self._count, 3)
         return Played(frames, typical_ms(self._times), self.broke_at)
 
 

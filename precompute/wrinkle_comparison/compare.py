@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -81,7 +82,8 @@ class Method:
             truth in a brief comparison it is the time by the clock that its simulation took.
         figures: by name, without the prefix; none where it broke.
         settings: everything needed to repeat it.
-        frames: fine vertices [m], float32, shape (f, N, 3); None where it broke.
+        frames: fine vertices [m], float32, shape (f, N, 3); None where it broke. Where they are mapped from a file,
+            another process gets the file's name and not the frames.
         broke_at: when it burst, see :class:`precompute.wrinkle_comparison.baselines.Played` [s].
         mesh: that plain cloth is simulated on; empty for what is no plain cloth.
         realism: how it is told from the truth; None for the truth and where it broke.
@@ -96,6 +98,18 @@ class Method:
     broke_at: float | None = None
     mesh: str = ""
     realism: Realism | None = field(default=None, repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        if not isinstance(self.frames, np.memmap):
+            return self.__dict__
+        return self.__dict__ | {"frames": (self.frames.filename, self.frames.shape)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        frames = state["frames"]
+        if isinstance(frames, tuple):
+            file, shape = frames
+            frames = np.memmap(file, np.float32, "r", shape=shape)
+        self.__dict__.update(state | {"frames": frames})
 
     @property
     def ours(self) -> bool:
@@ -244,9 +258,10 @@ def compare(
         InputError: too short a motion to judge realism in.
     """
     tell = report or (lambda line: None)
-    with Workers.of(workers) as pool:
+    # Forty methods of a fine garment do not fit into memory together. Frames stay mapped when their files are removed.
+    with Workers.of(workers) as pool, TemporaryDirectory(prefix="gube-") as folder:
         # In a process of its own where there are some: it finds the kernels that earlier ones have left on the disk.
-        play = partial(_played, database, truth, brief)
+        play = partial(_played, database, truth, brief, Path(folder) if pool.sees_files else None)
         tell("comparing: all methods in turn")
         methods = play() if pool.count == 1 else pool.run([play])[0]
         tell("comparing: figures")
@@ -254,7 +269,7 @@ def compare(
     return Comparison(database.garment_name, truth.run.name, truth, tuple(methods))
 
 
-def _played(database: WrinkleDatabase, truth: Truth, brief: bool) -> list[Method]:
+def _played(database: WrinkleDatabase, truth: Truth, brief: bool, folder: Path | None) -> list[Method]:
     """All methods with their times and frames, without figures of the frames."""
     run, keep = truth.run, truth.recording.frames
     player = Player(database, run.body, run.poses[0], run.primitives)
@@ -263,9 +278,11 @@ def _played(database: WrinkleDatabase, truth: Truth, brief: bool) -> list[Method
         full = player.full
         details["ours_half_substeps_"] = replace(full, substeps=max(1, full.substeps // 2))
         details["ours_half_atoms_"] = replace(full, atoms=max(1, full.atoms // 2))
-    plain = _plain_turns(database, truth, player, brief)
-    others = {prefix: PlayerTurn(database, run, keep, detail) for prefix, detail in details.items() if prefix}
-    ours = {"": PlayerTurn(database, run, keep, player=player)} | others
+    plain = _plain_turns(database, truth, player, brief, folder)
+    others = {
+        prefix: PlayerTurn(database, run, keep, detail, folder=folder) for prefix, detail in details.items() if prefix
+    }
+    ours = {"": PlayerTurn(database, run, keep, player=player, folder=folder)} | others
     truth_cost = fine_cloth(run)
     take_turns([*ours.values(), *(turn for _, turn in plain)], run.frame_count)
     names = {"": "ours", "ours_half_substeps_": "ours, half the substeps", "ours_half_atoms_": "ours, half the atoms"}
@@ -305,7 +322,7 @@ def plain_methods(
 
 
 def _plain_turns(
-    database: WrinkleDatabase, truth: Truth, player: Player, brief: bool
+    database: WrinkleDatabase, truth: Truth, player: Player, brief: bool, folder: Path | None = None
 ) -> list[tuple[Method, ClothTurn | PlayerTurn]]:
     """Plain cloth on every mesh, ready to be played."""
     run, keep = truth.run, truth.recording.frames
@@ -323,7 +340,7 @@ def _plain_turns(
                 _player_settings(len(proxy.mesh.vertices), detail, 1.0 / database.frame_rate),
                 mesh="below",
             )
-            found.append((method, PlayerTurn(database, run, keep, detail)))
+            found.append((method, PlayerTurn(database, run, keep, detail, folder=folder)))
     clothes = plain_cloths(database, run)
     *coarser, below, fine = clothes
     few = dict.fromkeys(coarser, BRIEF[:1]) | {below: BRIEF, fine: ()}  # the fine cloth is dearest and seldom decides
@@ -333,12 +350,12 @@ def _plain_turns(
             kind = "mesh" if mesh != "fine" else "cloth"
             name = f"{mesh.replace('_', ' ')} {kind}, {substeps} substeps"
             method = Method(f"plain_{mesh}_{substeps}_", name, 0.0, {}, _settings(tried), mesh=mesh)
-            found.append((method, ClothTurn(tried, keep)))
+            found.append((method, ClothTurn(tried, keep, folder)))
             if cloth.levels is not None and cloth.levels.subdivision.binding is None:  # others do not come to rest
                 rested = replace(tried, passes=full_passes(len(cloth.levels.subdivision.steps)))
                 settings, called = _settings(rested), f"{name}, at rest"
                 method = Method(f"plain_{mesh}_{substeps}_at_rest_", called, 0.0, {}, settings, mesh=mesh)
-                found.append((method, ClothTurn(rested, keep)))
+                found.append((method, ClothTurn(rested, keep, folder)))
     return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from assets.procedural.builtin import builtin_garment
 from pbd import InputError, SolverOptions
 from precompute.learning.evaluation import Truth, fine_run, levels_from, play_freely, truth_of
 from precompute.wrinkle_comparison import compare as comparing
-from precompute.wrinkle_comparison.baselines import fine_cloth, plain_cloths, take_turns
+from precompute.wrinkle_comparison.baselines import ClothTurn, fine_cloth, plain_cloths, take_turns
 from precompute.wrinkle_comparison.compare import (
     ERRORS,
     Comparison,
@@ -218,6 +219,18 @@ def test_a_cloth_that_breaks_says_when(array: str, value: float, truth: Truth, m
     played = fine_cloth(truth.run).with_substeps(2).play(np.array([2, 4, 8]))
     assert played.broke_at == pytest.approx(6 / 30)
     assert len(played.frames) == 2
+
+
+def test_frames_kept_in_a_file_go_to_another_process_by_its_name(tmp_path: Path, truth: Truth) -> None:
+    cloth, keep = fine_cloth(truth.run).with_substeps(2), np.array([2, 4, 8])
+    turn = ClothTurn(cloth, keep, tmp_path)
+    turn.advance(8)
+    frames = turn.played.frames
+    assert np.array_equal(frames, cloth.play(keep, 8).frames)
+    sent = pickle.dumps(Method("", "ours", 1.0, {}, {}, frames))
+    assert len(sent) < frames.nbytes
+    received = pickle.loads(sent)  # noqa: S301
+    assert np.array_equal(received.frames, frames)
 
 
 def test_more_substeps_are_nearer_to_the_truth_and_smooth_is_too_smooth(comparison: Comparison) -> None:
