@@ -43,7 +43,7 @@ def full_passes(subdivisions: int) -> int:
 
 
 @ti.kernel
-def _rest(
+def _relax(
     fine: Vec3,
     work: Vec4,
     delta: Vec4,
@@ -60,34 +60,6 @@ def _rest(
     free: Int1,
     held: Int1,
     targets: Vec3,
-    passes: ti.i32,
-):
-    """Move free vertices by the garment's own forces. Over 12 arguments: a kernel takes arrays one by one.
-
-    Vertices and how far they have moved since are kept apart in ``work`` and ``delta``.
-    """
-    ti.loop_config(serialize=True)
-    for _ in range(1):
-        for c in range(held.shape[0]):
-            fine[held[c]] = targets[c]
-        for i in range(fine.shape[0]):
-            work[i] = vec4(fine[i], work[i][3])
-            delta[i] = ti.math.vec4(0.0)
-        cloth = ClothArrays(position=work, position_delta=delta)
-        constraints = ConstraintArrays(
-            triangles, triangle_blocks, block_colors, triangle_data, hinges, hinge_colors, hinge_data, stitches,
-            stitch_data,
-        )  # fmt: skip
-        for _pass in range(passes):
-            _come_to_rest(cloth, constraints, MultigridArrays(False, parent=free, coarse_strain=work), inverse_h2)
-
-
-@ti.kernel
-def _leave_body(
-    fine: Vec3,
-    work: Vec4,
-    delta: Vec4,
-    free: Int1,
     leading: Int3,
     frames: Float2,
     facing: ti.f32,
@@ -111,11 +83,9 @@ def _leave_body(
     fan_start: Int1,
     fan: Int2,
     clearance: Float1,
+    passes: ti.i32,
 ):
-    """Move free vertices out of the body, from where :func:`_rest` has left them: ``fine`` receives where they are.
-
-    See :class:`CoveredBody`. Over 12 arguments: a kernel takes arrays one by one.
-    """
+    """See :meth:`Relaxation.__call__` and :class:`CoveredBody`. Over 12 arguments: a kernel takes arrays one by one."""
     ti.loop_config(serialize=True)
     for _ in range(1):
         covered = CoveredBody(
@@ -123,6 +93,18 @@ def _leave_body(
             edge_sides, coarse_nearest, coarse_contact, coarse_before, moved, across, cell_start, cell_items, item_cell,
             leading, frames, facing, level,
         )  # fmt: skip
+        for c in range(held.shape[0]):
+            fine[held[c]] = targets[c]
+        for i in range(fine.shape[0]):
+            work[i] = vec4(fine[i], work[i][3])
+            delta[i] = ti.math.vec4(0.0)
+        cloth = ClothArrays(position=work, position_delta=delta)
+        constraints = ConstraintArrays(
+            triangles, triangle_blocks, block_colors, triangle_data, hinges, hinge_colors, hinge_data, stitches,
+            stitch_data,
+        )  # fmt: skip
+        for _pass in range(passes):
+            _come_to_rest(cloth, constraints, MultigridArrays(False, parent=free, coarse_strain=work), inverse_h2)
         find_moved(covered)
         find_opposite(phase, covered)
         for i in range(free.shape[0]):
@@ -323,7 +305,7 @@ class Relaxation:
         self._cells = np.zeros(cells + 1, np.int32), *(np.zeros(2 * coarse_count, np.int32) for _ in range(2))
         self._targets = np.zeros((len(self._held), 3), np.float32)
         self._phase = -1  # every vertex searches
-        self._rest, self._leave_body = Launch(_rest), Launch(_leave_body)
+        self._relax = Launch(_relax)
 
     @classmethod
     def of(
@@ -407,7 +389,7 @@ class Relaxation:
             passes: number of passes over the garment's own forces; none for a delivered mesh.
         """
         self._targets[:] = targets
-        self._rest(
+        self._relax(
             fine,
             self._work,
             self._delta,
@@ -416,13 +398,6 @@ class Relaxation:
             self._free,
             self._held,
             self._targets,
-            passes if self._comes_to_rest else 0,
-        )
-        self._leave_body(
-            fine,
-            self._work,
-            self._delta,
-            self._free,
             self._leading,
             frames,
             self._facing,
@@ -443,6 +418,7 @@ class Relaxation:
             body.fan_start,
             body.fan,
             self._clearance,
+            passes if self._comes_to_rest else 0,
         )
         for separation in self._separations:
             separation(fine)
