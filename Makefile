@@ -44,10 +44,8 @@ blender: .venv/ready
 	rm -f dist/gube_blender.zip
 	cd runtime/blender && ../../$(BIN)/python -m zipfile -c ../../dist/gube_blender.zip blender_manifest.toml *.py
 
-# Beside the type checker the kernels that most tests need are compiled, once for all processes that follow.
-# Then files go whole, in the order of tests/conftest.py, to as many processes as there are processors.
-test: .venv/ready
-	$(MAKE) --no-print-directory -j 2 kernels-pairs lint kernels-plain
+# Files go whole, in the order of tests/conftest.py, to as many processes as there are processors.
+test: lint
 	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder --durations 15
 
 # Pages in Debian's Chromium, which is installed where it is missing.
@@ -64,9 +62,6 @@ lint: .venv/ready
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright --pythonpath $(BIN)/python
-
-kernels-%: .venv/ready
-	$(BIN)/python -m tests.kernels $*
 
 format: .venv/ready
 	$(BIN)/ruff check --fix .

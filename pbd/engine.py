@@ -79,7 +79,7 @@ def ensure_initialized(arch: str = "cpu", threads: int | None = None) -> None:
             raise InputError(
                 "bad thread count", key="GUBE_THREADS", received=wish, expected="a whole number, at least 0"
             )
-        count = threads or int(wish) or os.cpu_count() or 1
+        count = threads or int(wish) or _cores()
         _remove_left_lock()
         others = _threads()
         with redirect_stdout(io.StringIO()):  # Taichi prints the arch, whatever its log level
@@ -100,6 +100,13 @@ def ensure_initialized(arch: str = "cpu", threads: int | None = None) -> None:
         ti.lang.impl.get_runtime().prog.config().cpu_max_num_threads = max(count, COMPILED_FOR)
         _spread(sorted(_threads() - others), count)
         _settings = {"arch": arch, "threads": count}
+
+
+def _cores() -> int:
+    """Cores that this process may use: threads that share a core wait for one another very long."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def _threads() -> set[int]:

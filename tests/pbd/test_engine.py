@@ -78,7 +78,7 @@ def _compiled(folder: Path, threads: str = "1") -> tuple[list[str], str]:
 
 
 def test_one_thread_and_two_share_compiled_kernels(tmp_path: Path) -> None:
-    """Compiling is half a minute of a first frame, and a worker process has one thread."""
+    """Compiling is most of a first frame, and a worker process has one thread."""
     one, two = (_compiled(tmp_path, threads) for threads in ("1", "2"))
     assert one == two and one[0]
 
@@ -238,6 +238,19 @@ def test_threads_that_share_a_loop_have_a_core_each(threads: int) -> None:
     assert own == str(cores)  # the caller's thread goes where it likes
     expected = {str([core]) for core in cores[:2]} if 1 < threads <= len(cores) else {str(cores)}
     assert set(placed.split(";")) == expected
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no system that places threads")
+def test_threads_are_counted_by_the_cores_that_the_process_may_use() -> None:
+    """Two threads on one core wait for one another very long."""
+    script = (
+        "import os\nos.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:1])\n"
+        "from pbd import engine\nengine.ensure_initialized()\nprint(engine._settings['threads'])\n"
+    )
+    settings = {name: value for name, value in os.environ.items() if name != "GUBE_THREADS"}
+    command = [sys.executable, "-c", script]
+    result = subprocess.run(command, cwd=ROOT, env=settings, capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "1"
 
 
 def test_no_thread_asks_for_a_newer_version() -> None:
