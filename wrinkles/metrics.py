@@ -290,9 +290,7 @@ def edge_stretch(vertices: np.ndarray, edges: np.ndarray, rest_lengths: np.ndarr
     return Stretch(float(stretch.mean()), float(np.percentile(stretch, 99)), float(stretch.max()))
 
 
-def bending_energy(
-    vertices: np.ndarray, rest_vertices: np.ndarray, faces: np.ndarray, where: np.ndarray | None = None
-) -> np.ndarray:
+def bending_energy(vertices: np.ndarray, mesh: ClothMesh, where: np.ndarray | None = None) -> np.ndarray:
     """Bending energy per unit of bending stiffness, per frame [-], shape (f,).
 
     Quadratic hinges, E = 1/2 x^T Q x = sum of c (3/2) |K x|^2 / (A0 + A1) (Bergou et al. 2006, "A quadratic
@@ -301,13 +299,12 @@ def bending_energy(
 
     Args:
         vertices: positions [m], shape (f, n, 3).
-        rest_vertices: positions that set the rest metric [m], shape (n, 3).
-        faces: int, shape (m, 3).
+        mesh: the cloth, whose flat faces set the metric.
         where: bool, shape (f, n); only hinges with both ends of their edge marked are counted, for instance vertices
             in contact. None counts all.
     """
     frames = _frames(vertices, "vertices")
-    hinges, rows, areas, _ = hinge_rows(ClothMesh.from_surface(rest_vertices, np.asarray(faces)))
+    hinges, rows, areas, _ = hinge_rows(mesh)
     rows = rows / np.sqrt(areas)[:, None]  # sqrt(2 c 3/2 / (A0 + A1)) with c = 1/3
     index = np.repeat(np.arange(len(hinges)), 4)
     factor = csr_matrix((rows.ravel(), (index, hinges.ravel())), shape=(len(hinges), frames.shape[1]))
@@ -322,16 +319,15 @@ def bending_energy(
     return energy
 
 
-def bending_energy_ratio(test: np.ndarray, truth: np.ndarray, rest_vertices: np.ndarray, faces: np.ndarray) -> float:
+def bending_energy_ratio(test: np.ndarray, truth: np.ndarray, mesh: ClothMesh) -> float:
     """Mean bending energy of the test over that of the truth [-]. The sequences may differ in length.
 
     Args:
         test: positions [m], shape (f, n, 3).
         truth: positions [m], shape (g, n, 3).
-        rest_vertices: positions that set the rest metric [m], shape (n, 3).
-        faces: int, shape (m, 3).
+        mesh: the cloth, whose flat faces set the metric.
     """
-    energies = (bending_energy(frames, rest_vertices, faces).mean() for frames in (test, truth))
+    energies = (bending_energy(frames, mesh).mean() for frames in (test, truth))
     return float(next(energies) / next(energies))
 
 

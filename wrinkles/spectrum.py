@@ -17,6 +17,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.sparse import csc_matrix, csr_matrix, diags
 
+from pbd import ClothMesh
 from pbd.errors import InputError
 from pbd.mesh import edges_of
 from wrinkles.nested_dissection import BlockSolver, Dissection
@@ -35,18 +36,17 @@ class LowPass:
     normal derivative tends to zero there.
 
     Args:
-        rest_vertices: positions that set the rest metric [m], shape (n, 3).
-        faces: int, shape (m, 3).
+        mesh: the cloth, whose flat faces set the metric.
         wavelength: cut-off [m].
 
     Raises:
         InputError: a wavelength that is not positive, a face without area or a vertex without a face.
     """
 
-    def __init__(self, rest_vertices: np.ndarray, faces: np.ndarray, wavelength: float) -> None:
+    def __init__(self, mesh: ClothMesh, wavelength: float) -> None:
         if not wavelength > 0:
             raise InputError("bad cut-off", key="wavelength", received=wavelength, expected="a positive length [m]")
-        stiffness, self._mass = cotangent_laplacian(rest_vertices, faces)
+        stiffness, self._mass = cotangent_laplacian(mesh)
         self._filter = _Butterworth(stiffness, self._mass, wavelength, Dissection(stiffness), np.complex128)
 
     def __call__(self, vertices: np.ndarray) -> np.ndarray:
@@ -70,15 +70,17 @@ class BandedEnergy:
     With the curvature vector y = L x, the bending energy is 1/2 int |y|^2 per unit of bending stiffness. Its part at
     wavelengths over a cut-off is 1/2 int y . G_c y, and a band is the difference of two such parts: all bands are
     positive, and their sum is exactly the whole energy. The first band contains all shorter waves (mesh noise), and
-    the last all longer ones. Rest angles are zero, so that the rest shape's own curvature counts.
+    the last all longer ones. Rest angles are zero, so that the start shape's own curvature counts.
+
+    L is that of the flat faces. With the metric of a start shape in space that is not isometric to them, L x has a part
+    in the cloth's plane, where nothing is bent.
 
     At an open border L x is a boundary force and no curvature; border vertices take the mean of their inner neighbours.
 
     Args:
-        rest_vertices: positions that set the rest metric [m], shape (n, 3).
-        faces: int, shape (m, 3).
+        mesh: the cloth, whose flat faces set the metric.
         cutoffs: wavelengths between the bands, ascending [m]. None takes octaves: the first cut-off is 5 mean edge
-            lengths, and the last is below the diagonal of the mesh's bounding box by an octave or less.
+            lengths, and the last is below the diagonal of the start shape's bounding box by an octave or less.
 
     Attributes:
         cutoffs: wavelengths between the bands [m], shape (b - 1,).
@@ -88,15 +90,11 @@ class BandedEnergy:
         InputError: cut-offs that do not ascend from above zero, a face without area or a vertex without a face.
     """
 
-    def __init__(
-        self, rest_vertices: np.ndarray, faces: np.ndarray, cutoffs: Sequence[float] | np.ndarray | None = None
-    ) -> None:
-        rest_vertices, faces = np.asarray(rest_vertices, float), np.asarray(faces)
-        edges, side_edge = edges_of(faces)
+    def __init__(self, mesh: ClothMesh, cutoffs: Sequence[float] | np.ndarray | None = None) -> None:
+        edges, side_edge = edges_of(mesh.faces)
         if cutoffs is None:
-            sides = rest_vertices[edges[:, 1]] - rest_vertices[edges[:, 0]]
-            shortest = 5.0 * np.linalg.norm(sides, axis=1).mean()
-            octaves = np.log2(np.linalg.norm(np.ptp(rest_vertices, axis=0)) / shortest)
+            shortest = 5.0 * mesh.edge_lengths()[1].mean()
+            octaves = np.log2(np.linalg.norm(np.ptp(mesh.vertices, axis=0)) / shortest)
             cutoffs = shortest * 2.0 ** np.arange(max(int(np.ceil(octaves)), 1))
         self.cutoffs = np.asarray(cutoffs, float)
         if self.cutoffs.ndim != 1 or not self.cutoffs.size or np.any(np.diff(self.cutoffs, prepend=0.0) <= 0):
@@ -105,9 +103,9 @@ class BandedEnergy:
         between = [f"{a}-{b} mm" for a, b in zip(millimetres[:-1], millimetres[1:], strict=True)]
         self.names = (f"under {millimetres[0]} mm", *between, f"over {millimetres[-1]} mm")
 
-        stiffness, self._mass = cotangent_laplacian(rest_vertices, faces)
+        stiffness, self._mass = cotangent_laplacian(mesh)
         border = np.unique(edges[np.bincount(side_edge.ravel()) == 1])
-        self._curvature = _extrapolation(edges, border, len(rest_vertices)) @ diags(1.0 / self._mass) @ stiffness
+        self._curvature = _extrapolation(edges, border, len(self._mass)) @ diags(1.0 / self._mass) @ stiffness
         # Single precision halves the time and costs 1e-5 of a band's energy.
         order = Dissection(stiffness)
         self._filters = [_Butterworth(stiffness, self._mass, length, order, np.complex64) for length in self.cutoffs]
@@ -212,16 +210,15 @@ class _Butterworth:
         return (2.0 / _ORDER) * sum((np.real(solver.quadratic(weighted)) for solver in self._solvers), np.zeros(()))
 
 
-def cotangent_laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[csc_matrix, np.ndarray]:
-    """Cotangent stiffness, shape (n, n), and lumped mass: mixed Voronoi areas [m2], shape (n,).
+def cotangent_laplacian(mesh: ClothMesh) -> tuple[csc_matrix, np.ndarray]:
+    """Cotangent stiffness of the flat faces, shape (n, n), and lumped mass: mixed Voronoi areas [m2], shape (n,).
 
     Meyer et al. 2003, "Discrete differential-geometry operators for triangulated 2-manifolds". With thirds of the face
     areas 5 % of a long wave's energy would leak into the shortest band where valences vary; with these areas 0.5 % do.
     """
-    vertices, faces = np.asarray(vertices, float), np.asarray(faces)
-    count = len(vertices)
-    corner = vertices[faces]
-    area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    faces, count = np.asarray(mesh.faces), len(mesh.vertices)
+    corners = np.concatenate([np.zeros((len(faces), 1, 2)), np.swapaxes(mesh.flat, 1, 2)], axis=1)
+    area = mesh.face_areas
     if not np.all(area > 1e-14):
         face = int(np.argmin(np.nan_to_num(area)))
         raise InputError("face without area", key=f"face {face}", received=float(area[face]), expected="over 1e-14 m2")
@@ -229,7 +226,7 @@ def cotangent_laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[csc_ma
     cotangents, of_edge = np.zeros((2, len(faces), 3))
     for k in range(3):
         i, j = faces[:, (k + 1) % 3], faces[:, (k + 2) % 3]
-        to_i, to_j = vertices[i] - vertices[faces[:, k]], vertices[j] - vertices[faces[:, k]]
+        to_i, to_j = (corners[:, (k + n) % 3] - corners[:, k] for n in (1, 2))
         cotangents[:, k] = np.einsum("fi,fi->f", to_i, to_j) / (2.0 * area)
         of_edge[:, k] = cotangents[:, k] * ((to_i - to_j) ** 2).sum(axis=1) / 8.0  # half of it to each end
         half = 0.5 * cotangents[:, k]

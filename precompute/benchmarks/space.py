@@ -133,7 +133,7 @@ def _measured(scene: Scene, fabric: str, seconds: float) -> Measured:
         elif frame % EVERY == 0 and frame > still + SKIPPED / dt:
             moving.append(simulation.vertices)
     octaves = worn.thickness * 2.0 ** np.arange(1, 8)
-    energy = BandedEnergy(levels.rest_vertices, levels.fine.faces, octaves)
+    energy = BandedEnergy(levels.fine, octaves)
     where = np.ones(len(levels.rest_vertices), bool)
     if levels.sewn is None:  # cloth that was cut flat is bent nowhere at rest
         where = away_from_hems(energy, levels.rest_vertices)

@@ -210,7 +210,7 @@ class _Kept:
     @classmethod
     def of(cls, levels: Levels, source: BodySource | None = None, fabric: Fabric | None = None) -> _Kept:
         digest = hashlib.sha256()
-        arrays = [levels.fine.vertices, levels.fine.faces, levels.fine.flat, levels.rest_vertices, levels.fine_held]
+        arrays = [levels.fine.vertices, levels.fine.faces, levels.fine.flat, levels.fine_held]
         arrays += [levels.coarse.vertices, levels.coarse.faces, levels.coarse_held]
         arrays += [] if source is None else [source.vertices, source.faces]
         for array in arrays:
@@ -229,7 +229,7 @@ def _relaxation(kept: _Kept) -> Relaxation:
 
 @lru_cache(maxsize=1)
 def _bands(kept: _Kept) -> BandedEnergy:
-    return BandedEnergy(kept.levels.rest_vertices, kept.levels.fine.faces)
+    return BandedEnergy(kept.levels.fine)
 
 
 def bands_of(levels: Levels) -> BandedEnergy:

@@ -206,7 +206,7 @@ def truth_of(run: Run, cache: Path, workers: Workers | int, report: Callable[[st
     first, second = settled(first, run), settled(second, run)
     levels = run.levels
     bands = bands_of(levels)
-    low_pass = LowPass(levels.rest_vertices, levels.fine.faces, levels.cutoff)
+    low_pass = LowPass(levels.fine, levels.cutoff)
     return Truth(run, levels, first, second.positions, bands, bands.energy(first.positions), low_pass)
 
 
@@ -257,16 +257,16 @@ def body_distances(truth: Truth, frames: np.ndarray) -> tuple[np.ndarray, np.nda
 
 def free_figures(truth: Truth, frames: np.ndarray, prefix: str = "") -> dict[str, float]:
     """Statistics of a free run against the truth; names as in the design, with a prefix."""
-    rest, faces = truth.levels.rest_vertices, truth.levels.fine.faces
+    mesh = truth.levels.fine
     ratios = truth.bands.band_ratios(truth.bands.energy(frames), truth.energy)
     figures = {
-        "bending_energy_ratio": bending_energy_ratio(frames, truth.frames, rest, faces),
+        "bending_energy_ratio": bending_energy_ratio(frames, truth.frames, mesh),
         "spectrum_band_error_max": spectrum_band_error_max(ratios),
         "spectrum_band_ratio_min": min(ratios.values()),
         "spectrum_band_ratio_max": max(ratios.values()),
         "low_frequency_ratio_to_floor": low_frequency_rmse_mm(frames, truth.frames, truth.low_pass)
         / truth.low_frequency_floor_mm,
-        "free_normal_error_deg": float(np.mean(normal_error_deg(frames, truth.frames, faces))),
+        "free_normal_error_deg": float(np.mean(normal_error_deg(frames, truth.frames, mesh.faces))),
         "jitter_px": jitter_px(frames),
     }
     return {prefix + name: float(value) for name, value in figures.items()} | {
@@ -297,11 +297,11 @@ def contact_bending_ratio(
     truth: Truth, frames: np.ndarray, distances: np.ndarray, truth_distances: np.ndarray
 ) -> float:
     """Bending energy of what lies on the body (within 8 mm) over the truth's, per vertex."""
-    rest, faces = truth.levels.rest_vertices, truth.levels.fine.faces
+    mesh = truth.levels.fine
 
     def density(vertices: np.ndarray, distance: np.ndarray) -> float:
         touching = distance < 0.008
-        return float(bending_energy(vertices, rest, faces, where=touching).sum() / max(1, touching.sum()))
+        return float(bending_energy(vertices, mesh, where=touching).sum() / max(1, touching.sum()))
 
     return density(frames, distances) / density(truth.frames, truth_distances)
 

@@ -60,7 +60,7 @@ class Judge:
         sheet = self.scene.compared()
         rest = np.insert(sheet.flat, 2, 0.0, axis=1)
         self._mesh = ClothMesh.from_pattern(rest, sheet.faces, sheet.flat[sheet.faces])
-        self._bands = BandedEnergy(rest, sheet.faces)
+        self._bands = BandedEnergy(self._mesh)
         self._border = _border(len(sheet.xs), len(sheet.ys))
         *proxy, finest = self.references
         if self.scene.unique:
@@ -112,7 +112,7 @@ class Judge:
         x = self._later(run)
         energy = self._bands.energy(x).mean(axis=0)
         found = {f"energy {name}": float(value) for name, value in zip(self._bands.names, energy, strict=True)}
-        found["bending_energy"] = float(bending_energy(x, self._mesh.vertices, self._mesh.faces).mean())
+        found["bending_energy"] = float(bending_energy(x, self._mesh).mean())
         found["fold_count"] = float(fold_count(x[::3, self._border]).mean())
         return found
 

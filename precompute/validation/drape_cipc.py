@@ -106,19 +106,18 @@ def folds_of(reach: Floats) -> tuple[Floats, Floats]:
     return (peaks[middle] - count) * 360.0 / count, found["prominences"][middle]
 
 
-def compare_drapes(rest: Floats, faces: NDArray[np.int32], drape: Floats, reference: Floats, seam_gap: float) -> Drape:
+def compare_drapes(mesh: ClothMesh, drape: Floats, reference: Floats, seam_gap: float) -> Drape:
     """Compare two drapes of one mesh.
 
     Args:
-        rest: positions that set the rest metric [m], shape (n, 3).
-        faces: shape (m, 3).
+        mesh: the cloth, whose flat faces set the metric.
         drape, reference: positions [m], shape (n, 3).
         seam_gap: widest seam of the drape [m].
     """
     center = reference[:, [0, 2]].mean(axis=0)
     counts, depths, same, hem = [], [], [], None
     for height in SECTIONS:
-        reaches = [outermost_radius(vertices, faces, height, center) for vertices in (drape, reference)]
+        reaches = [outermost_radius(vertices, mesh.faces, height, center) for vertices in (drape, reference)]
         hem = hem or reaches
         (ours, our_depths), (theirs, their_depths) = (folds_of(reach) for reach in reaches)
         apart = np.abs((theirs[:, None] - ours + 180.0) % 360.0 - 180.0)
@@ -127,7 +126,7 @@ def compare_drapes(rest: Floats, faces: NDArray[np.int32], drape: Floats, refere
         same.append(float((apart.min(axis=1, initial=360.0) <= SAME_PLACE_DEG).mean()) if len(theirs) else 1.0)
     assert hem is not None
     degrees = np.arange(DIRECTIONS) * 360.0 / DIRECTIONS
-    bands = BandedEnergy(rest, faces)
+    bands = BandedEnergy(mesh)
     octaves = bands.band_ratios(bands.energy(drape[None]), bands.energy(reference[None]))
     curve = Curve(
         "direction [deg]", "outermost radius at the hem [mm]", (degrees, 1e3 * hem[1]), (degrees, 1e3 * hem[0])
@@ -152,7 +151,7 @@ def _drape_cipc(setting: TrialSetting, bend_share: float) -> TrialResult:
     mesh = replace(mesh, stitches=seams.vertices, stitch_weights=seams.weights)
     body = np.asarray(sequence.vertices[0], float), sequence.faces
     drape, cost = _sewn(mesh, body, bend_share, setting)
-    found = compare_drapes(flat.vertices, flat.faces, drape, reference, _gaps(seams, drape).max())
+    found = compare_drapes(mesh, drape, reference, _gaps(seams, drape).max())
     figures = {f"octave {name}": ratio for name, ratio in found.octaves.items()}
     for height, folds, depth, same in zip(SECTIONS, found.folds, found.depth_mm, found.same_place, strict=True):
         figures |= {f"folds at {height} m": folds[0], f"reference folds at {height} m": folds[1]}

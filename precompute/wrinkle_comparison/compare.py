@@ -381,9 +381,9 @@ def _figures_of(
 ) -> list[Method]:
     """Methods with their figures beside a truth, whose filters are made anew."""
     levels = run.levels
-    low_pass = LowPass(levels.rest_vertices, levels.fine.faces, levels.cutoff)
+    low_pass = LowPass(levels.fine, levels.cutoff)
     truth = Truth(run, levels, recording, floor, bands_of(levels), energy, low_pass)
-    statistics = PatchStatistics(levels.fine, levels.rest_vertices)
+    statistics = PatchStatistics(levels.fine)
     of_truth = statistics(truth.frames)
     measured = []
     for method in methods:

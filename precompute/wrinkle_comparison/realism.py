@@ -85,9 +85,7 @@ class PatchStatistics:
     """Statistics of folds in patches of a garment, at the same places and times for all methods.
 
     Args:
-        mesh: the fine mesh in its bind pose, Y up.
-        rest: its vertices at rest [m], shape (N, 3): a mesh that came in folds may have faces without area in the bind
-            pose. None takes the bind pose.
+        mesh: the fine mesh in its bind pose, Y up. Its flat faces set the metric.
 
     Attributes:
         centres: vertices in the middle of the patches, int, shape (p,).
@@ -97,19 +95,19 @@ class PatchStatistics:
             shape (p,).
     """
 
-    def __init__(self, mesh: ClothMesh, rest: np.ndarray | None = None) -> None:
+    def __init__(self, mesh: ClothMesh) -> None:
         vertices, self._faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
-        count, rest = len(vertices), vertices if rest is None else np.asarray(rest, float)
-        stiffness, self._mass = cotangent_laplacian(rest, self._faces)
+        count = len(vertices)
+        stiffness, self._mass = cotangent_laplacian(mesh)
         self._curvature = (diags(-0.5 / self._mass) @ stiffness).tocsr()
-        edges, side_edge = edges_of(self._faces)
+        edges, lengths = mesh.edge_lengths()
+        _, side_edge = edges_of(self._faces)
         border = np.unique(edges[np.bincount(side_edge.ravel()) == 1])
         # At a border the Laplacian is a force and no curvature: its vertices have no part in any patch.
         self._inner = np.ones(count, bool)
         self._inner[border] = False
-        self._edges = edges[self._inner[edges].all(axis=1)]
-        lengths = np.linalg.norm(rest[edges[:, 1]] - rest[edges[:, 0]], axis=1)
-        self._lengths = np.linalg.norm(rest[self._edges[:, 1]] - rest[self._edges[:, 0]], axis=1)
+        inner = self._inner[edges].all(axis=1)
+        self._edges, self._lengths = edges[inner], lengths[inner]
         ends, which = self._edges.T.ravel(), np.tile(np.arange(len(self._edges)), 2)
         around = csr_matrix((np.ones(len(ends)), (ends, which)), (count, len(self._edges)))
         self._around = diags(1.0 / np.maximum(np.asarray(around.sum(axis=1)).ravel(), 1.0)) @ around

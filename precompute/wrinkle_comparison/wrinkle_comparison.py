@@ -181,7 +181,7 @@ def tuned_wrinkle_mesh(layer: Layer, run: Run, recording: Recording) -> WrinkleM
         run: a fine training run.
         recording: some frames of it, one after the other.
     """
-    bands = BandedEnergy(layer.levels.rest_vertices, layer.levels.fine.faces)
+    bands = BandedEnergy(layer.levels.fine)
     wanted = bands.energy(recording.positions).mean(axis=0)
 
     def error(options: WrinkleMeshOptions) -> float:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.sparse import block_diag, csc_matrix, diags
 
+from pbd import ClothMesh
 from tests.wrinkles.meshes import flat_sheet
 from wrinkles.nested_dissection import BlockSolver, Dissection
 from wrinkles.spectrum import cotangent_laplacian
@@ -11,7 +12,7 @@ from wrinkles.spectrum import cotangent_laplacian
 
 def turned_system(side: int) -> csc_matrix:
     """Mass and stiffness of a sheet, as a filter's pole joins them: complex symmetric."""
-    stiffness, mass = cotangent_laplacian(*flat_sheet(side, 1.0, jitter=0.25))
+    stiffness, mass = cotangent_laplacian(ClothMesh.from_surface(*flat_sheet(side, 1.0, jitter=0.25)))
     return csc_matrix(diags(mass) - (0.05**2 / np.exp(0.25j * np.pi)) * stiffness)
 
 

@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from pbd import ClothMesh
 from pbd.errors import InputError
 from tests.wrinkles.meshes import flat_sheet, turned
+from wrinkles.metrics import bending_energy
 from wrinkles.spectrum import BandedEnergy, LowPass, spectrum_band_error_max
 
 SIZE = 1.0
@@ -17,7 +21,7 @@ def sheet() -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.fixture(scope="module")
 def banded(sheet: tuple[np.ndarray, np.ndarray]) -> BandedEnergy:
-    return BandedEnergy(*sheet)
+    return BandedEnergy(ClothMesh.from_surface(*sheet))
 
 
 def wave(rest: np.ndarray, amplitude: float, wavelength: float) -> np.ndarray:
@@ -110,7 +114,7 @@ def test_low_pass_halves_the_amplitude_at_its_cutoff(sheet: tuple) -> None:
     # Cosines whose slope vanishes at the border are eigenvectors there: no border effect.
     rest, faces = sheet
     for halves, expected in ((2, 1.0), (10, 0.5), (30, 0.0)):
-        low_pass = LowPass(rest, faces, 2 * SIZE / 10)
+        low_pass = LowPass(ClothMesh.from_surface(rest, faces), 2 * SIZE / 10)
         field = np.cos(np.pi * halves * rest[:, 0] / SIZE)
         low = low_pass(np.stack([rest[:, 0] * 0 + 1.0, field, 0 * field], axis=1))
         assert np.allclose(low[:, 0], 1.0)
@@ -119,18 +123,33 @@ def test_low_pass_halves_the_amplitude_at_its_cutoff(sheet: tuple) -> None:
 
 def test_low_pass_filters_each_frame(sheet: tuple) -> None:
     rest, faces = sheet
-    low_pass = LowPass(rest, faces, 0.2)
+    low_pass = LowPass(ClothMesh.from_surface(rest, faces), 0.2)
     frames = rest + np.random.default_rng(0).normal(scale=0.01, size=(34, len(rest), 3))
     assert np.allclose(low_pass(frames)[33], low_pass(frames[33]))
 
 
 def test_bad_input_is_refused(sheet: tuple) -> None:
     rest, faces = sheet
+    mesh = ClothMesh.from_surface(rest, faces)
     with pytest.raises(InputError, match="cutoffs"):
-        BandedEnergy(rest, faces, cutoffs=[0.2, 0.1])
+        BandedEnergy(mesh, cutoffs=[0.2, 0.1])
     with pytest.raises(InputError, match="wavelength"):
-        LowPass(rest, faces, 0.0)
+        LowPass(mesh, 0.0)
     with pytest.raises(InputError, match="without area"):
-        LowPass(rest, np.concatenate([faces, [[0, 0, 1]]]), 0.2)
+        LowPass(replace(mesh, flat=mesh.flat * (np.arange(len(faces)) != 7)[:, None, None]), 0.2)
     with pytest.raises(InputError, match=f"vertex {len(rest)}"):
-        LowPass(np.concatenate([rest, [[0.0, 9.0, 0.0]]]), faces, 0.2)
+        LowPass(replace(mesh, vertices=np.concatenate([rest, [[0.0, 9.0, 0.0]]])), 0.2)
+
+
+def test_the_flat_faces_set_the_metric_and_not_the_start_shape(sheet: tuple) -> None:
+    """A sewn garment starts on its body, and that shape's edges have other lengths than the pattern's."""
+    rest, faces = sheet
+    squeezed = rest.copy()
+    squeezed[:, 0] = SIZE * (rest[:, 0] / SIZE) ** 1.5
+    mesh = replace(ClothMesh.from_surface(rest, faces), vertices=squeezed)
+    folded = wave(rest, 0.002, 0.1)
+    expected = BandedEnergy(ClothMesh.from_surface(rest, faces))
+    found = BandedEnergy(mesh, cutoffs=expected.cutoffs)
+    assert np.allclose(found.energy(folded), expected.energy(folded))
+    assert found.energy(rest).sum() < 1e-6 * found.energy(folded).sum()
+    assert bending_energy(rest[None], mesh)[0] < 1e-6 * bending_energy(folded[None], mesh)[0]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from assets.io.scene import parse_scene
+from pbd import ClothMesh
 from pbd.mesh import lattice_faces
 from precompute.benchmarks.space import Measured, away_from_hems, converged_mesh, measure_meshes, space_rows, space_text
 from wrinkles.spectrum import BandedEnergy
@@ -37,12 +38,12 @@ def test_cloth_around_a_turned_hem_is_left_out() -> None:
     x = np.where(s < 0.27, s, 0.27 + 0.004 * np.sin(angle) - np.maximum(s - 0.27 - 0.004 * np.pi, 0.0))
     rest = np.stack([x, t, 0.004 * (1.0 - np.cos(angle))], axis=2).reshape(-1, 3)
     faces = lattice_faces(np.arange(len(rest)).reshape(s.shape))
-    energy = BandedEnergy(rest, faces, [0.01, 0.1])
+    energy = BandedEnergy(ClothMesh.from_surface(rest, faces), [0.01, 0.1])
     where = away_from_hems(energy, rest)
     assert where[s.ravel() < 0.24].all() and not where[s.ravel() > 0.26].any()
     assert energy.energy(rest[None], where).sum() < 0.01 * energy.energy(rest[None]).sum()
     flat = np.stack([s, t, 0.0 * s], axis=2).reshape(-1, 3)
-    assert away_from_hems(BandedEnergy(flat, faces, [0.01]), flat).all()
+    assert away_from_hems(BandedEnergy(ClothMesh.from_surface(flat, faces), [0.01]), flat).all()
 
 
 def test_each_fabric_is_measured_on_each_mesh() -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pbd import ClothMesh
 from precompute.validation import drape_cipc
 from precompute.validation.drape_cipc import SECTIONS, compare_drapes, folds_of, outermost_radius
 from precompute.validation.trial import TrialResult, TrialSetting
@@ -37,14 +38,14 @@ def test_a_round_tube_has_no_folds() -> None:
 
 
 def test_a_drape_is_compared_with_itself_and_with_a_turned_one() -> None:
-    rest, faces = tube(0, 0.0)
+    mesh = ClothMesh.from_surface(*tube(0, 0.0))
     reference, turned = tube(9, 0.02)[0], tube(9, 0.02, turn=np.radians(20.0))[0]
-    same = compare_drapes(rest, faces, reference, reference, 0.0)
+    same = compare_drapes(mesh, reference, reference, 0.0)
     assert same.worst_octave == pytest.approx(0.0) and (same.same_place == 1.0).all()
     assert (same.folds == 9).all() and same.folds.shape == (len(SECTIONS), 2)
-    moved = compare_drapes(rest, faces, turned, reference, 0.0)
+    moved = compare_drapes(mesh, turned, reference, 0.0)
     assert (moved.same_place == 0.0).all() and (moved.folds == 9).all()
-    deeper = compare_drapes(rest, faces, tube(9, 0.03)[0], reference, 0.0)
+    deeper = compare_drapes(mesh, tube(9, 0.03)[0], reference, 0.0)
     assert deeper.worst_octave > 1.0  # energy grows as the square of the depth
 
 

@@ -98,7 +98,7 @@ def test_noise_and_blur_and_haste_are_found(mesh: ClothMesh, statistics: PatchSt
     noisy = told(statistics, of_truth, folds(mesh, 1) + 2e-4 * noise)
     assert noisy.auc > 0.9
     assert noisy.by_feature["sharpness of ridges, within 3 cm"] > 0.9
-    blurred = told(statistics, of_truth, LowPass(mesh.vertices, mesh.faces, 0.06)(folds(mesh, 1)))
+    blurred = told(statistics, of_truth, LowPass(mesh, 0.06)(folds(mesh, 1)))
     assert blurred.auc > 0.9
     assert blurred.by_feature["size of the curvature, within 6 cm"] < 0.1
     assert "too small" in blurred.told_by()
