@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.patheffects import withStroke
 from PIL import Image
 
 from assets.fabrics import MEASURED, PRESETS
@@ -119,7 +120,8 @@ def draw(found: Mapping[str, Measured]) -> Image.Image:
         shown.set_axis_off()
         shown.set_title(name, fontsize=10, fontweight="bold", loc="left", pad=2)
         words = f"drape {100.0 * measured.coefficient:.0f} %, {measured.folds} folds"
-        shown.text(0.99, 0.02, words, fontsize=7, ha="right", va="bottom", transform=shown.transAxes)
+        label = shown.text(0.99, 0.02, words, fontsize=7, ha="right", va="bottom", transform=shown.transAxes)
+        label.set_path_effects([withStroke(linewidth=2.0, foreground="white")])  # readable on dark cloth
         for panel, instrument in zip(panels, ("tension", "shear", "bending"), strict=True):
             draw_panel(panel, PRESETS[name], instrument, measured.curves)
     for empty in range(len(found), rows * COLUMNS):
@@ -153,10 +155,11 @@ def draw_panel(panel: Axes, fabric: Fabric, instrument: str, curves: Mapping[tup
 def numbers_table() -> str:
     """The presets' numbers and their sources, as Markdown."""
     lines = [
-        "| preset | use | kg/m2 | E h [N/m] | nu12 | G h [N/m] | B [uN m] | 10, 20 % warp | 10, 20 % weft | friction "
-        "| l_g [cm] | source |",
-        "|---" * 12 + "|",
+        "| preset | kg/m2 | E h [N/m] | nu12 | G h [N/m] | B [uN m] | 10, 20 % warp | 10, 20 % weft | friction "
+        "| l_g [cm] |",
+        "|---" * 10 + "|",
     ]
+    of = ["| preset | use | source |", "|---" * 3 + "|"]
     for name, one in PRESETS.items():
         measured = MEASURED.get(name)
         warp, weft = (
@@ -164,7 +167,6 @@ def numbers_table() -> str:
         )
         cells = [
             f"`{name}`",
-            measured.use if measured else "round numbers",
             f"{one.areal_density:.3g}",
             f"{one.stretch_warp:.4g}, {one.stretch_weft:.4g}",
             f"{one.poisson:.3g}",
@@ -174,10 +176,11 @@ def numbers_table() -> str:
             "{:.3g}, {:.3g}".format(*weft),
             f"{one.friction:.2g}",
             f"{100.0 * one.gravity_length:.3g}",
-            f"W, {measured.sample}" if measured else "F",
         ]
         lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        use, source = (measured.use, f"W, {measured.sample}") if measured else ("round numbers", "F")
+        of.append(f"| `{name}` | {use} | {source} |")
+    return "\n".join([*lines, "", *of])
 
 
 def main() -> int:
