@@ -33,9 +33,12 @@ def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         edges (int32, shape (e, 2), each row ascending, rows sorted) and the edge of each face side
         (int32, shape (m, 3); side s joins corners s and s + 1).
     """
-    sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
-    edges, inverse = np.unique(np.sort(sides, axis=1), axis=0, return_inverse=True)
-    return edges.astype(np.int32), inverse.reshape(-1, 3).astype(np.int32)
+    faces = np.asarray(faces, np.int64)
+    following = np.roll(faces, -1, axis=1)
+    count = faces.max(initial=0) + 1
+    # Numbers are sorted ten times as fast as rows.
+    key, inverse = np.unique(np.minimum(faces, following) * count + np.maximum(faces, following), return_inverse=True)
+    return np.stack(np.divmod(key, count), axis=1).astype(np.int32), inverse.reshape(-1, 3).astype(np.int32)
 
 
 def hinges_of(faces: np.ndarray) -> np.ndarray:

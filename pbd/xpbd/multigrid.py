@@ -267,8 +267,8 @@ def _coarser(level: _Level, patch: np.ndarray, roots: np.ndarray) -> tuple[_Leve
     from_here = offset[start] + _carried(rest[~inside], normal[start], normal[middle[start]]) - centre[here]
     beyond = _carried(offset[end] - centre[there], normal[middle[end]], normal[middle[start]])
     vectors = from_here - beyond
-    pairs, which, times = np.unique(np.stack([here, there], axis=1), axis=0, return_inverse=True, return_counts=True)
-    which = which.ravel()
+    key, which, times = np.unique(here.astype(np.int64) * count + there, return_inverse=True, return_counts=True)
+    pairs = np.stack(np.divmod(key, count), axis=1)
     mean = lambda values: np.bincount(which, values, len(pairs)) / times  # noqa: E731
     # The longest of them counts, and none is shorter than the straight distance: a spring that is too short would add a
     # stiffness that no cloth has; one that is too long only helps less. Where the cloth starts stretched, the straight
