@@ -12,9 +12,10 @@ import math
 
 import numpy as np
 from scipy.sparse import bmat, csr_matrix
+from scipy.sparse.csgraph import dijkstra
 from scipy.sparse.linalg import spsolve
 
-from pbd.mesh import ClothMesh, Hinges, edges_of, hinges_of, vertex_rings
+from pbd.mesh import ClothMesh, Hinges, edges_of, hinges_of
 
 __all__ = ["bends_of", "border_share", "friction_share", "hinge_calibration", "hinge_rows", "layer_stiffness"]
 
@@ -194,21 +195,22 @@ def hinge_calibration(mesh: ClothMesh, patches: int = 6, rings: tuple[int, ...] 
     Returns:
         c [-].
     """
-    offsets, ring = vertex_rings(mesh.faces, len(mesh.vertices))
     rng = np.random.default_rng(0)
     edges, side_edge = edges_of(mesh.faces)
     rim = edges[np.bincount(side_edge.ravel(), minlength=len(edges)) == 1].ravel()
-    on_rim = np.isin(np.arange(len(mesh.vertices)), rim)
+    graph = _edge_graph(edges, len(mesh.vertices))
+    to_rim = np.full(len(mesh.vertices), np.inf)  # in rings of edges
+    if len(rim):
+        to_rim = dijkstra(graph, unweighted=True, indices=np.unique(rim), min_only=True)
     centres = rng.permutation(len(mesh.vertices))
     for size in rings:
         stiffness: list[float] = []
         for centre in centres:
             if len(stiffness) >= len(DIRECTIONS) * patches:
                 break
-            disc = _disc(int(centre), offsets, ring, size)
-            if on_rim[disc].any():  # a patch cut short by the border would measure the border
+            if to_rim[centre] <= size:  # a patch cut short by the border would measure the border
                 continue
-            patch = _flat_patch(mesh, disc, int(centre))
+            patch = _flat_patch(mesh, _disc(graph, centre, size), int(centre))
             if patch is not None:
                 stiffness.extend(_strip_stiffness(*patch, angle) for angle in DIRECTIONS)
         good = [value for value in stiffness if np.isfinite(value) and value > 0]
@@ -217,13 +219,14 @@ def hinge_calibration(mesh: ClothMesh, patches: int = 6, rings: tuple[int, ...] 
     return 1.0 / 3.0
 
 
-def _disc(centre: int, offsets: np.ndarray, ring: np.ndarray, rings: int) -> np.ndarray:
-    seen, front = {centre}, [centre]
-    for _ in range(rings):
-        front = [int(n) for v in front for n in ring[offsets[v] : offsets[v + 1]] if int(n) not in seen]
-        front = list(dict.fromkeys(front))
-        seen.update(front)
-    return np.fromiter(sorted(seen), int)
+def _edge_graph(edges: np.ndarray, count: int) -> csr_matrix:
+    both = np.concatenate([edges, edges[:, ::-1]])
+    return csr_matrix((np.ones(len(both)), (both[:, 0], both[:, 1])), (count, count))
+
+
+def _disc(graph: csr_matrix, centre: int, rings: int) -> np.ndarray:
+    """Vertices that so many edges or fewer join to the centre, int, ascending."""
+    return np.flatnonzero(dijkstra(graph, unweighted=True, indices=centre, limit=rings) <= rings)
 
 
 def _flat_patch(mesh: ClothMesh, disc: np.ndarray, centre: int) -> tuple[np.ndarray, np.ndarray] | None:

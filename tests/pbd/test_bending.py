@@ -9,8 +9,17 @@ from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
 from pbd import Fabric, InputError, State, build_model
-from pbd.bending import _disc, _flat_patch, _strip_stiffness, bends_of, hinge_calibration, hinge_rows, layer_stiffness
-from pbd.mesh import ClothMesh, vertex_rings
+from pbd.bending import (
+    _disc,
+    _edge_graph,
+    _flat_patch,
+    _strip_stiffness,
+    bends_of,
+    hinge_calibration,
+    hinge_rows,
+    layer_stiffness,
+)
+from pbd.mesh import ClothMesh, edges_of
 from tests.pbd.meshes import cloth, free_model, grid, icosphere, run, turn
 
 DIRECTIONS = np.arange(4) * np.pi / 4
@@ -94,10 +103,9 @@ def test_a_curved_mesh_is_flat_at_rest_in_its_pattern() -> None:
 def test_calibrated_strips_bend_with_the_stiffness_asked_for(kind: str, tolerance: float) -> None:
     mesh = cloth(*grid(40, 40, 0.02, kind))
     factor = hinge_calibration(mesh)
-    offsets, ring = vertex_rings(mesh.faces, len(mesh.vertices))
-    centre = 20 * 41 + 20
+    graph, centre = _edge_graph(edges_of(mesh.faces)[0], len(mesh.vertices)), 20 * 41 + 20
     # Larger patches than those that were calibrated on, in the middle of the mesh.
-    patch = _flat_patch(mesh, _disc(centre, offsets, ring, 14), centre)
+    patch = _flat_patch(mesh, _disc(graph, centre, 14), centre)
     assert patch is not None
     ratios = factor * np.array([_strip_stiffness(*patch, angle) for angle in DIRECTIONS])
     assert ratios.mean() == pytest.approx(1.0, abs=tolerance)
