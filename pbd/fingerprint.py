@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import hashlib
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 
@@ -29,7 +30,7 @@ def source_fingerprint(*sources: ModuleType | Path) -> str:
         files |= found
     digest = hashlib.sha256()
     for name, path in sorted(files.items()):
-        digest.update(name.encode() + b"\0" + _code(path).encode() + b"\0")
+        digest.update(name.encode() + b"\0" + _code_hash(path.read_bytes()))
     return digest.hexdigest()
 
 
@@ -46,10 +47,12 @@ def _files(source: ModuleType | Path) -> dict[str, Path]:
     return {f"{prefix}/{path.relative_to(root).as_posix()}": path for path in root.rglob("*.py")}
 
 
-def _code(path: Path) -> str:
-    tree = ast.parse(path.read_bytes(), filename=str(path))
+@cache
+def _code_hash(source: bytes) -> bytes:
+    """Of one file; kept by its content, since a process asks for some files several times."""
+    tree = ast.parse(source)
     for node in ast.walk(tree):
         if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)):
             if ast.get_docstring(node, clean=False) is not None:
                 del node.body[0]
-    return ast.dump(tree)
+    return hashlib.sha256(ast.dump(tree).encode()).digest()
