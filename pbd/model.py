@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import zipfile
-import zlib
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,7 +14,7 @@ from pbd.errors import InputError
 from pbd.fabric import Fabric
 from pbd.limits import Limits
 from pbd.mesh import ClothMesh, greedy_colors
-from pbd.storage import replacing
+from pbd.storage import BROKEN_NPZ, replacing
 
 __all__ = ["Model", "ModelOptions", "State", "build_model"]
 
@@ -476,9 +474,7 @@ class State:
         try:
             with open(path, "rb") as file, np.lib.npyio.NpzFile(file, allow_pickle=False) as data:
                 state = cls(*(data[name] for name in cls._names))
-        except (
-            OSError, ValueError, RuntimeError, MemoryError, KeyError, EOFError, zipfile.BadZipFile, zlib.error
-        ) as error:  # fmt: skip
+        except (OSError, KeyError, *BROKEN_NPZ) as error:
             raise InputError(f"not a saved state: {error}", file=path, expected="a file of State.save") from error
         received = [(array.dtype.name, array.shape) for array in (getattr(state, name) for name in cls._names)]
         count, samples, pairs = (

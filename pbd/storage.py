@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import os
+import tokenize
+import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["replacing"]
+__all__ = ["BROKEN_NPZ", "replacing"]
+
+BROKEN_NPZ = (ValueError, RuntimeError, MemoryError, EOFError, zipfile.BadZipFile, zlib.error, tokenize.TokenError)
+"""What numpy and zipfile raise for damaged files of arrays; ValueError also for arrays of objects."""
 
 
 @contextmanager

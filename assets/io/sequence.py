@@ -1,7 +1,5 @@
 """Bodies that are given as vertex positions over time."""
 
-import zipfile
-import zlib
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -15,6 +13,7 @@ from assets.io.point_cache import mesh_beside, read_mdd, read_pc2
 from assets.weld import check_unit
 from pbd.engine import ensure_initialized, ti
 from pbd.errors import InputError
+from pbd.storage import BROKEN_NPZ
 from pbd.taichi_internals import Launch
 
 __all__ = ["Sequence", "SequenceBody", "SequenceMotion", "is_sequence", "load_sequence"]
@@ -204,8 +203,7 @@ def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         raise InputError("cannot be read", file=path, received=problem, expected="an .npz file") from error
     except InputError:
         raise
-    # What numpy and zipfile raise for damaged files; ValueError also for arrays of objects.
-    except (ValueError, RuntimeError, MemoryError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except BROKEN_NPZ as error:
         what = str(error).partition(". ")[0].partition(":")[0]  # without numpy's advice
         raise InputError(
             f"truncated, damaged or no arrays of numbers: {what}",

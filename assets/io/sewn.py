@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +12,7 @@ from assets.garment import Garment, check_faces
 from assets.sewing.garment import SewnGarment
 from assets.weld import check_unit
 from pbd.errors import InputError
-from pbd.storage import replacing
+from pbd.storage import BROKEN_NPZ, replacing
 
 __all__ = ["read_sewn", "write_sewn"]
 
@@ -117,7 +115,7 @@ def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         raise InputError(problem, file=path, expected="a file of gube sew") from error
     except InputError:
         raise
-    except (ValueError, RuntimeError, MemoryError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except BROKEN_NPZ as error:
         reason = str(error).partition(". ")[0].partition(":")[0]  # without numpy's advice
         raise InputError(
             f"truncated, damaged or no arrays of numbers: {reason}", file=path, expected="a file of gube sew"

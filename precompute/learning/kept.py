@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import zipfile
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import fields
@@ -20,7 +19,7 @@ import runtime
 import wrinkles
 from assets.io.scene import Scene, scene_text
 from pbd.fingerprint import source_fingerprint
-from pbd.storage import replacing
+from pbd.storage import BROKEN_NPZ, replacing
 from precompute.learning.options import LearningOptions
 from precompute.learning.recording import Run
 
@@ -47,7 +46,7 @@ class Kept:
     def instance(self, kind: type[Kind], name: str, compute: Callable[[], Kind]) -> Kind:
         """A data class of arrays and numbers, computed where it is not kept or its file is broken."""
         path = self._folder / f"{name}.npz"
-        with suppress(OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        with suppress(OSError, KeyError, *BROKEN_NPZ):
             return _read(kind, path)
         found = compute()
         with replacing(path) as beside, open(beside, "wb") as file:

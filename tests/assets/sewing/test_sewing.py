@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -142,6 +143,20 @@ def test_bad_files_are_refused(
         arrays = change(dict(archive))
     np.savez(path, **arrays)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=message):
+        read_sewn(path)
+
+
+def test_an_array_whose_header_ends_in_a_bracket_is_refused(tube: SewnGarment, tmp_path: Path) -> None:
+    """numpy takes such a header apart with Python's tokenizer, whose error is of no usual kind."""
+    path, header = tmp_path / "tube.npz", b"{'descr': '<f8', 'fortran_order': False, 'shape': (3,\n"
+    write_sewn(path, tube)
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    members["faces.npy"] = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    with pytest.raises(InputError, match="damaged"):
         read_sewn(path)
 
 
