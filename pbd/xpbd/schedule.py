@@ -31,10 +31,9 @@ MIN_ACTIVE_DISTANCE = 0.01
 # Faces around a vertex whose area is below this part of the squares of their sides are squeezed to lines [-].
 MIN_AREA_SHARE = 1e-4
 MIN_SIDES_SQUARED = 1e-12  # added to the sides of the faces at a vertex, squared: loose points have no face at all [m2]
-MAX_LIMIT_PASSES = 8  # over the strain limits before contact of the cloth with itself, and as many after it
-# Over the edges of waistbands, which are few. Shortening one edge lengthens the next: 8 passes leave a ring 2.5 % too
-# long, 32 leave 2.2 %, 100 leave 2.0 %.
-BAND_PASSES = 32
+# At most, over the strain limits. Shortening one edge lengthens the next: 8 passes leave a waistband 2.5 % too long, 32
+# leave 2.2 %, 100 leave 2.0 %. Where cloth collides with itself there are as many before as after it.
+LIMIT_PASSES = 32
 STITCH_PASSES = 4  # over the stitches, of which several may meet in one vertex
 # In a frame positions are whole multiples of 1 m / GRID_STEPS: exact in float32 up to 16 m.
 GRID_STEPS = 2.0**20
@@ -357,14 +356,14 @@ def collide_with_itself(
     if workers.first():
         if tests_all:
             near = near_limits(cloth, limits)
-        solve_strain_limits(cloth, contact, limits, work, near * MAX_LIMIT_PASSES, step.h, t)
+        solve_strain_limits(cloth, contact, limits, work, near * LIMIT_PASSES, step.h, t)
         solve_pairs(cloth, pairs, tests_all, step.refresh * step.share, step.friction, step.h)
     workers.barrier()
     for k in range(contact.sample_colors.shape[0] - 1):
         return_to_surface(workers, cloth, contact, k, t, step)
         workers.barrier()
     if workers.first():
-        solve_strain_limits(cloth, contact, limits, work, near * MAX_LIMIT_PASSES, step.h, t)
+        solve_strain_limits(cloth, contact, limits, work, near * LIMIT_PASSES, step.h, t)
     workers.barrier()
     return near
 
@@ -378,7 +377,7 @@ def hold_bands(
     if constraints.strain_limits.shape[0] > 0:
         if workers.first():
             solve_strain_limits(
-                cloth, contact, constraints.strain_limits, constraints.limit_work, BAND_PASSES, step.h, t
+                cloth, contact, constraints.strain_limits, constraints.limit_work, LIMIT_PASSES, step.h, t
             )
         workers.barrier()
 
