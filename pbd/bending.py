@@ -15,9 +15,13 @@ from scipy.sparse import bmat, csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.sparse.linalg import spsolve
 
+from pbd.fabric import Fabric
 from pbd.mesh import ClothMesh, Hinges, edges_of, hinges_of
 
-__all__ = ["bends_of", "border_share", "friction_share", "hinge_calibration", "hinge_rows", "layer_stiffness"]
+__all__ = [
+    "bends_of", "border_share", "friction_share", "hinge_calibration", "hinge_friction", "hinge_rows",
+    "hinge_stiffness", "layer_stiffness",
+]  # fmt: skip
 
 
 def hinge_rows(mesh: ClothMesh, held: np.ndarray | None = None) -> Hinges:
@@ -68,6 +72,37 @@ def _hinge_sides(mesh: ClothMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray, t
         return at_start, at_end, b - a
 
     return hinges, first // 3, second // 3, (cotangents(first), cotangents(second))
+
+
+def hinge_stiffness(fabric: Fabric, angle: np.ndarray) -> np.ndarray:
+    """Stiffness B of each hinge [N m], shape (h,), with which hinges of all directions bend as the fabric does.
+
+    A hinge feels the curvature across its edge alone: k = n . K n. A bend along the warp bends hinges of other
+    directions too, so that a hinge with the fabric's own stiffness in its direction would draw warp and weft together.
+    With hinges in all directions alike, the means of B cos^4, B sin^4 and 3 B cos^2 sin^2 are 3/8 of the warp's
+    stiffness, the weft's, and the root of their product (Huber's estimate of the twist). B = a + b cos(2 p) +
+    c cos(4 p), with p from the warp to n, has three numbers for these three. Below a tenth of the other axis it would
+    be negative in places, and is 0 there.
+
+    Args:
+        fabric: B of warp and weft.
+        angle: of each hinge's edge against the warp [rad], shape (h,).
+    """
+    warp, weft, twist = fabric.bend_warp, fabric.bend_weft, math.sqrt(fabric.bend_warp * fabric.bend_weft)
+    once = -np.cos(2.0 * angle)  # the hinge bends at right angles to its edge
+    twice = 2.0 * once**2 - 1.0
+    mean = 0.375 * (warp + weft) + 0.25 * twist
+    return np.maximum(mean + 0.75 * (warp - weft) * once + 0.75 * (warp + weft - 2.0 * twist) * twice, 0.0)
+
+
+def hinge_friction(fabric: Fabric, angle: np.ndarray) -> np.ndarray:
+    """Hysteresis 2HB of each hinge [N], shape (h,), with which hinges of all directions lose what the fabric loses.
+
+    As :func:`hinge_stiffness`; what is lost grows with the first power of the curvature, whose mean is that of cos^2.
+    Below a third of the other axis it would be negative in places, and is 0 there.
+    """
+    warp, weft = fabric.bend_hysteresis_warp, fabric.bend_hysteresis_weft
+    return np.maximum(0.5 * (warp + weft) - (warp - weft) * np.cos(2.0 * angle), 0.0)
 
 
 def friction_share(mesh: ClothMesh) -> float:

@@ -9,7 +9,15 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from pbd.bending import border_share, friction_share, hinge_calibration, hinge_rows, layer_stiffness
+from pbd.bending import (
+    border_share,
+    friction_share,
+    hinge_calibration,
+    hinge_friction,
+    hinge_rows,
+    hinge_stiffness,
+    layer_stiffness,
+)  # fmt: skip
 from pbd.errors import InputError
 from pbd.fabric import Fabric
 from pbd.limits import Limits
@@ -326,14 +334,10 @@ def _bending(
         hinges, rows, areas, angle = (np.concatenate(pair) for pair in pairs)
         rest = np.concatenate([rest, np.zeros(len(hinges) - len(rest))])
         stacked, share = (np.concatenate([some, np.ones(len(hinges) - len(some))]) for some in (stacked, share))
-    # A hinge bends at right angles to its edge; between the axes the stiffness follows the square of a mixed root.
-    along_warp, along_weft = np.sin(angle) ** 2, np.cos(angle) ** 2
-    bend = (np.sqrt(fabric.bend_warp) * along_warp + np.sqrt(fabric.bend_weft) * along_weft) ** 2
-    stiffness = 3.0 * factor * stacked * share * bend / areas
+    stiffness = 3.0 * factor * stacked * share * hinge_stiffness(fabric, angle) / areas
     friction = np.zeros(len(hinges))
     if fabric.bend_hysteresis_warp + fabric.bend_hysteresis_weft > 0.0:
-        mixed = np.sqrt(fabric.bend_hysteresis_warp) * along_warp + np.sqrt(fabric.bend_hysteresis_weft) * along_weft
-        friction = 0.5 * friction_share(mesh) * np.sqrt(stacked) * mixed**2  # of each of several layers
+        friction = 0.5 * friction_share(mesh) * np.sqrt(stacked) * hinge_friction(fabric, angle)  # of each layer
     sums = (inverse_mass[hinges] * rows**2).sum(axis=1)
     stiffness[sums == 0] = 0.0  # all held
     works = stiffness > 1e-9 * stiffness.max(initial=0.0)

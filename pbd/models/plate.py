@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pbd.bending import hinge_rows
+from pbd.bending import hinge_rows, hinge_stiffness
 from pbd.errors import InputError
 from pbd.fabric import Fabric
 from pbd.mesh import ClothMesh, Hinges, edges_of
@@ -175,10 +175,8 @@ def _hinges(model: Model) -> Hinges:
 
 
 def _stiffness(model: Model, hinges: Hinges) -> np.ndarray:
-    """3 c B/(A0 + A1) [N/m], shape (h,), with B across the hinge's edge as in :func:`pbd.build_model`."""
-    fabric = model.fabric
-    along_warp, along_weft = np.sin(hinges.angle) ** 2, np.cos(hinges.angle) ** 2
-    bend = (np.sqrt(fabric.bend_warp) * along_warp + np.sqrt(fabric.bend_weft) * along_weft) ** 2
+    """3 c B/(A0 + A1) [N/m], shape (h,), with B of :func:`pbd.bending.hinge_stiffness`."""
+    bend = hinge_stiffness(model.fabric, hinges.angle)
     stiffness = 3.0 * model.options.bend_scale * model.bend_factor * bend / hinges.areas
     stiffness[np.isin(hinges.vertices, model.held).all(axis=1)] = 0.0
     return stiffness

@@ -16,7 +16,9 @@ from pbd.bending import (
     _strip_stiffness,
     bends_of,
     hinge_calibration,
+    hinge_friction,
     hinge_rows,
+    hinge_stiffness,
     layer_stiffness,
 )
 from pbd.mesh import ClothMesh, edges_of
@@ -150,10 +152,10 @@ def test_warp_and_weft_bend_each_with_their_own_stiffness() -> None:
     edge = mesh.vertices[model.hinges[:, 1]] - mesh.vertices[model.hinges[:, 0]]
     across = np.abs(edge[:, 0]) < 1e-9  # the hinge's edge runs along the weft: it bends the warp
     along = np.abs(edge[:, 1]) < 1e-9
-    assert across.any() and ratio[across] == pytest.approx(4.0)
-    assert along.any() and ratio[along] == pytest.approx(1.0)
-    # Between the axes: (sqrt B1 / 2 + sqrt B2 / 2)^2.
-    assert ratio[~across & ~along] == pytest.approx(2.25)
+    # Those in between bend along with both, see hinge_stiffness: its mean is 0.375 (4 + 1) + 0.25 sqrt(4).
+    assert across.any() and ratio[across] == pytest.approx(2.375 + 0.75 * 3.0 + 0.75)
+    assert along.any() and ratio[along] == pytest.approx(2.375 - 0.75 * 3.0 + 0.75)
+    assert ratio[~across & ~along] == pytest.approx(2.375 - 0.75)
 
 
 def test_without_bending_stiffness_there_are_no_hinges() -> None:
@@ -192,3 +194,24 @@ def test_a_hinge_between_one_layer_and_three_bends_like_their_mean() -> None:
     np.testing.assert_allclose(layer_stiffness(replace(cloth(vertices, faces), layers=np.array([1.0, 3.0]))), [5.0])
     with pytest.raises(InputError, match="layers"):
         replace(cloth(vertices, faces), layers=np.array([1.0, 0.0]))
+
+
+@pytest.mark.parametrize("weft", [1.0, 0.5, 0.2])
+def test_hinges_of_all_directions_bend_as_the_fabric_does(weft: float) -> None:
+    fabric = Fabric(0.2, bend_warp=1e-5, bend_weft=1e-5 * weft, bend_hysteresis_warp=1e-3, bend_hysteresis_weft=6e-4)
+    edges = np.linspace(0.0, np.pi, 3600, endpoint=False)
+    across = edges + 0.5 * np.pi  # the direction in which a hinge bends
+    stiffness = 8.0 / 3.0 * hinge_stiffness(fabric, edges)
+    along_warp, along_weft = np.cos(across) ** 2, np.sin(across) ** 2
+    assert np.mean(stiffness * along_warp**2) == pytest.approx(fabric.bend_warp)
+    assert np.mean(stiffness * along_weft**2) == pytest.approx(fabric.bend_weft)
+    assert 3.0 * np.mean(stiffness * along_warp * along_weft) == pytest.approx(1e-5 * np.sqrt(weft))
+    friction = 2.0 * hinge_friction(fabric, edges)
+    assert np.mean(friction * along_warp) == pytest.approx(1e-3)
+    assert np.mean(friction * along_weft) == pytest.approx(6e-4)
+
+
+def test_hinges_never_push() -> None:
+    fabric = Fabric(0.2, bend_warp=1e-5, bend_weft=1e-8, bend_hysteresis_warp=1e-3, bend_hysteresis_weft=0.0)
+    edges = np.linspace(0.0, np.pi, 36)
+    assert hinge_stiffness(fabric, edges).min() == 0.0 and hinge_friction(fabric, edges).min() == 0.0
