@@ -39,7 +39,8 @@ EDGES = (
     0.002,
     0.05,
 )  # that can be asked for [m]: below, a garment has over a million vertices; above, a sleeve has no round
-CLOSING_TIMES = (1.0, 2.0)  # tried one after the other [s]
+# Tried one after the other: seconds for the stitches to close, and smoothings that make the body's limbs thin at first.
+CLOSINGS = ((1.0, 0), (1.0, 12))
 MAX_CLOSING_GAP = 0.02  # between two stitched vertices when they become one [m]
 SEAM_ALLOWANCE = 0.01  # of cloth on both sides of a seam that is folded back under it [m]
 # Stages of draping: seconds, damping [1/s], share of the fabric's friction, share of gravity.
@@ -95,10 +96,10 @@ def sew(
     fine = coarse if edge_length >= coarse_edge else pieces_of(cut(pattern, edge_length))
     surfaces = join(coarse), join(fine)
     error = SewingError(["nothing was tried"])
-    for seconds in CLOSING_TIMES:
+    for seconds, smoothings in CLOSINGS:
         clock = Clock(_work(coarse, fine, seconds, coarse_edge, edge_length), report)
         try:
-            return _sewn(pattern, body, cloth, fabric, (coarse, fine), surfaces, start, seconds, clock)
+            return _sewn(pattern, body, cloth, fabric, (coarse, fine), surfaces, start, (seconds, smoothings), clock)
         except SewingError as failed:
             error = failed
             if report is not None:
@@ -124,15 +125,16 @@ def _sewn(
     cuts: tuple[Pieces, Pieces],
     surfaces: tuple[Joined, Joined],
     start: Floats,
-    seconds: float,
+    closing: tuple[float, int],
     clock: Clock,
 ) -> SewnGarment:
-    """One attempt, with so many seconds for the stitches to close; see :func:`sew`."""
+    """One attempt, with a row of :data:`CLOSINGS`; see :func:`sew`."""
     coarse, fine = cuts
     top = _top(surfaces[0].means(start), surfaces[0].faces)
     bend_factor = _bend_factor(coarse)
     clock.stage = "closing seams"
-    positions = close_stitches(coarse, start, body, cloth, bend_factor, seconds, clock)
+    seconds, smoothings = closing
+    positions = close_stitches(coarse, start, body, cloth, bend_factor, seconds, clock, smoothings)
     _check_closed(pattern, coarse, positions)
     clock.stage = "draping"
     for tightness in TIGHTENING:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 
 from assets.sewing.body import StandingBody
 from assets.sewing.pieces import Pieces
@@ -87,10 +88,11 @@ class _ClothOnBody:
         self._body.place((body.vertices - self.state.origin).astype(np.float32))
         self._colliders = Colliders((), self._body)
 
-    def step(self, damping: float, gaps: tuple[Floats, Floats] | None = None) -> None:
-        """A frame, after which velocities have died away at a rate [1/s]."""
+    def step(self, damping: float, gaps: tuple[Floats, Floats] | None = None, body: Floats | None = None) -> None:
+        """A frame, after which velocities have died away at a rate [1/s]; ``body`` [m], where its vertices go."""
         self.solver.follow(self.state, self._colliders)
-        self._body.advance(self._body.current.copy())
+        current = self._body.current.copy() if body is None else (body - self.state.origin).astype(np.float32)
+        self._body.advance(current)
         self.solver.step(self.state, self._colliders, FRAME, stitch_gaps=gaps)
         self.state.velocity *= np.float32(np.exp(-damping * FRAME))
 
@@ -103,6 +105,7 @@ def close_stitches(
     bend_factor: float,
     seconds: float,
     clock: Clock,
+    smoothings: int = 0,
 ) -> Floats:
     """Close all stitches in a time, without weight and without friction.
 
@@ -117,6 +120,7 @@ def close_stitches(
         bend_factor: see :func:`pbd.model.build_model`.
         seconds: time from the first moment until no stitch may be open.
         clock: counts the work.
+        smoothings: of the body, which make limbs thin, at the start; it grows to its own shape while they close.
 
     Returns:
         positions afterwards [m], shape (n, 3).
@@ -126,14 +130,26 @@ def close_stitches(
     mesh = replace(plain, stitches=_stitch_rows(pieces), stitch_weights=np.zeros(len(pieces.stitches)))
     substep = substep_of(float(mesh.edge_lengths()[1].mean()))
     options = SolverOptions(substep=substep, gravity=(0.0, 0.0, 0.0), self_collision=True)
-    cloth = _ClothOnBody(mesh, replace(fabric, friction=0.0), body, options, bend_factor)
+    thin = _smoothed(body, smoothings)
+    cloth = _ClothOnBody(mesh, replace(fabric, friction=0.0), replace(body, vertices=thin), options, bend_factor)
     v, a, _ = cloth.model.stitches.T  # in an order of its own
     gaps = np.linalg.norm(positions[v] - positions[a], axis=1)
     shares = np.clip(1.0 - np.arange(round((seconds + HELD) / FRAME) + 1) * FRAME / seconds, 0.0, 1.0)
     for before, after in zip(shares[:-1], shares[1:], strict=True):
-        cloth.step(CLOSING_DAMPING, (before * gaps, after * gaps))
+        grown = body.vertices + after * (thin - body.vertices) if smoothings else None
+        cloth.step(CLOSING_DAMPING, (before * gaps, after * gaps), grown)
         clock.add(len(positions) * FRAME / substep)
     return cloth.state.world()
+
+
+def _smoothed(body: StandingBody, times: int) -> Floats:
+    """Vertices of the body, each at the mean of its neighbours so many times [m], shape (n, 3)."""
+    starts, ring = vertex_rings(body.faces, len(body.vertices))
+    around = csr_matrix((np.ones(len(ring)), ring, starts), (len(body.vertices),) * 2)
+    vertices, counts = body.vertices, np.diff(starts)[:, None]
+    for _ in range(times):
+        vertices = np.where(counts > 0, (around @ vertices) / np.maximum(counts, 1), vertices)
+    return vertices
 
 
 def drape(

@@ -19,6 +19,7 @@ from assets.sewing.body import load_standing_body
 from assets.sewing.garment import SewnGarment, drape_figures, faults_of
 from assets.sewing.pieces import pieces_of
 from assets.sewing.sewing import SewingError, arranged_pieces, sew
+from pbd.contact.colliders import Body
 from pbd.distance import BodyDistance
 from pbd.errors import InputError
 from tests.assets.sewing.tubes import egg, tube_pattern
@@ -53,6 +54,21 @@ def test_seams_and_bands_are_thicker(tube: SewnGarment) -> None:
     np.testing.assert_allclose(garment.layers[plain], 1.0)
     assert garment.layers[(middle[:, 0] > 0.085) & (np.abs(middle[:, 1]) < 0.12)].min() > 1.5
     assert garment.layers[(middle[:, 0] < 0.06) & (np.abs(middle[:, 1]) > 0.142)].min() > 1.3
+
+
+def test_a_body_that_is_thin_while_the_seams_close_has_its_own_shape_afterwards(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    placed: list[np.ndarray] = []
+    place, advance = Body.place, Body.advance
+    monkeypatch.setattr("assets.sewing.sewing.CLOSINGS", ((1.0, 12),))
+    monkeypatch.setattr(Body, "place", lambda self, vertices: (placed.append(vertices), place(self, vertices))[1])
+    monkeypatch.setattr(Body, "advance", lambda self, vertices: (placed.append(vertices), advance(self, vertices))[1])
+    sewn = sew(tube_pattern(), egg(), "cotton", 0.025)
+    widths = [np.ptp(vertices[:, 0]) for vertices in placed]
+    assert widths[0] < 0.97 * widths[-1] and widths[-1] == pytest.approx(np.ptp(egg().vertices[:, 0]))
+    away = BodyDistance(egg().faces).signed_distance(sewn.garment.vertices, egg().vertices)
+    assert away.min() > 0.0
 
 
 def test_a_tube_that_is_too_small_says_so() -> None:
