@@ -10,6 +10,7 @@ from pbd import Fabric
 from pbd.contact.colliders import Body
 from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, descend, vec3, vec4, xyz
+from pbd.mesh import vertex_rings
 from pbd.model import Model
 from pbd.taichi_internals import Launch
 from pbd.xpbd.constraint_passes import solve_bending, solve_membrane, solve_stitches
@@ -35,6 +36,11 @@ PLEATED = 0.045  # ... unless the garment came with pleats, which go deeper
 MAX_COVERED = 0.04  # a part further away than this is not covered by the cloth if another part is right at it [m]
 GAP_SHARE = 0.3  # of the gap between two parts that the cloth keeps from each, if that is less than its clearance [-]
 MIN_KEPT = 0.0003  # kept from the part that the cloth covers where there is no gap [m]
+# Cloth that a small part of the body lifts stands over it like a tent: what lies around is lifted, too, less by this
+# share of the distance [-]. Where nothing is lifted further than the first height there is no tent, and none is higher
+# than the second [m].
+SLOPE = 0.15
+MIN_LIFT, MAX_LIFT = 0.001, 0.008
 
 
 def full_passes(subdivisions: int) -> int:
@@ -83,6 +89,10 @@ def _relax(
     fan_start: Int1,
     fan: Int2,
     clearance: Float1,
+    fine_start: Int1,
+    fine_ring: Int1,
+    lifts: Vec4,
+    queue: Int1,
     passes: ti.i32,
 ):
     """See :meth:`Relaxation.__call__` and :class:`CoveredBody`. Over 12 arguments: a kernel takes arrays one by one."""
@@ -95,6 +105,7 @@ def _relax(
         )  # fmt: skip
         for c in range(held.shape[0]):
             fine[held[c]] = targets[c]
+            lifts[held[c]] = vec4(vec3(0.0), MAX_LIFT)
         for i in range(fine.shape[0]):
             work[i] = vec4(fine[i], work[i][3])
             delta[i] = ti.math.vec4(0.0)
@@ -107,9 +118,21 @@ def _relax(
             _come_to_rest(cloth, constraints, MultigridArrays(False, parent=free, coarse_strain=work), inverse_h2)
         find_moved(covered)
         find_opposite(phase, covered)
+        count = 0
         for i in range(free.shape[0]):
             j = free[i]
-            fine[j] = _out_of_body(i, xyz(work[j]) + xyz(delta[j]), covered)
+            start = xyz(work[j]) + xyz(delta[j])
+            fine[j] = _out_of_body(i, start, covered)
+            moved_by = fine[j] - start
+            lifts[j] = ti.math.vec4(0.0)
+            if _between_parts(i, covered):
+                lifts[j][3] = MAX_LIFT  # nothing may lift it into the other part
+            elif moved_by.dot(moved_by) > MIN_LIFT * MIN_LIFT:
+                height = moved_by.norm()
+                lifts[j] = vec4(moved_by / height, ti.min(height, MAX_LIFT))
+                queue[count] = j
+                count += 1
+        _lift_around(fine, fine_start, fine_ring, lifts, queue, count)
 
 
 @ti.func
@@ -124,6 +147,43 @@ def _come_to_rest(cloth: ti.template(), constraints: ti.template(), no_levels: t
 
 
 @ti.func
+def _lift_around(
+    fine: ti.template(), starts: ti.template(), ring: ti.template(), lifts: ti.template(), queue: ti.template(),
+    count: ti.i32,
+):  # fmt: skip
+    """Lift what lies around vertices that the body has lifted; see ``SLOPE``.
+
+    Args:
+        fine: where vertices are after they left the body [m].
+        starts, ring: neighbours of each vertex.
+        lifts: direction and height by which each vertex is lifted [m].
+        queue: vertices whose neighbours are looked at, in this order.
+        count: of them at first.
+    """
+    place, last = 0, count
+    while place < last:
+        i = queue[place]
+        place += 1
+        up, height = xyz(lifts[i]), lifts[i][3]
+        for r in range(starts[i], starts[i + 1]):
+            j = ring[r]
+            lift = height - SLOPE * (fine[j] - fine[i]).norm()
+            if lift > lifts[j][3] + SLOPE * MIN_LIFT and last < queue.shape[0]:
+                fine[j] += (lift - lifts[j][3]) * up
+                lifts[j] = vec4(up, lift)
+                queue[last] = j
+                last += 1
+
+
+@ti.func
+def _between_parts(i: ti.i32, covered: ti.template()) -> bool:
+    """Whether free vertex i lies between two parts of the body that face one another."""
+    across = ti.static(covered.across)
+    around = covered.leading[i]
+    return ti.max(across[around[0]], across[around[1]], across[around[2]]) >= 0
+
+
+@ti.func
 def _out_of_body(i: ti.i32, start: vec3, covered: ti.template()) -> vec3:
     """Where free vertex i goes from ``start`` [m] so that it keeps its clearance from the body.
 
@@ -131,12 +191,12 @@ def _out_of_body(i: ti.i32, start: vec3, covered: ti.template()) -> vec3:
     """
     p = start
     around = covered.leading[i]
-    contact, across, moved = ti.static(covered.coarse_contact, covered.across, covered.moved)
+    contact, moved = ti.static(covered.coarse_contact, covered.moved)
     if ti.min(contact[around[0]], contact[around[1]], contact[around[2]]) < covered.level:
         body, normals = ti.static(covered.surface.body_start, covered.surface.body_normals)
         normal, other_normal, home, outwards = vec3(0.0), vec3(0.0), vec3(0.0), vec3(0.0)
         gap, other_gap, kept, other_kept = MAX_HEIGHT, MAX_HEIGHT, 0.0, 0.0
-        parts = ti.select(ti.max(across[around[0]], across[around[1]], across[around[2]]) >= 0, 2, 1)
+        parts = ti.select(_between_parts(i, covered), 2, 1)
         # Between two parts a vertex that stayed with the one that it was at would end inside the other.
         anew = parts == 2 or moved[around[0]] + moved[around[1]] + moved[around[2]] > 0
         for part in range(parts):
@@ -288,6 +348,7 @@ class Relaxation:
         )  # fmt: skip
         self._inverse_h2 = (SPEED / float(model.mesh.edge_lengths()[1].mean())) ** 2
         self._inverse_mass = model.inverse_mass
+        self._rings = vertex_rings(model.mesh.faces, len(model.mesh.vertices))
         self._held = np.asarray(held, np.int32)
         self._clearance, self._facing, self._level = clearance, facing, level
         self._comes_to_rest = comes_to_rest
@@ -301,6 +362,8 @@ class Relaxation:
         self._moved = np.zeros(coarse_count, np.int32)
         self._work, self._delta = np.zeros((2, count + len(self._held), 4), np.float32)
         self._work[:, 3] = self._inverse_mass
+        self._lifts = np.zeros((len(self._work), 4), np.float32)
+        self._queue = np.zeros(4 * len(self._work), np.int32)
         cells = 1 << (2 * coarse_count).bit_length()
         self._cells = np.zeros(cells + 1, np.int32), *(np.zeros(2 * coarse_count, np.int32) for _ in range(2))
         self._targets = np.zeros((len(self._held), 3), np.float32)
@@ -418,6 +481,9 @@ class Relaxation:
             body.fan_start,
             body.fan,
             self._clearance,
+            *self._rings,
+            self._lifts,
+            self._queue,
             passes if self._comes_to_rest else 0,
         )
         for separation in self._separations:
