@@ -362,8 +362,8 @@ class Relaxation:
         self._moved = np.zeros(coarse_count, np.int32)
         self._work, self._delta = np.zeros((2, count + len(self._held), 4), np.float32)
         self._work[:, 3] = self._inverse_mass
-        self._lifts = np.zeros((len(self._work), 4), np.float32)
-        self._queue = np.zeros(4 * len(self._work), np.int32)
+        lifts, queue = np.zeros((len(self._work), 4), np.float32), np.zeros(4 * len(self._work), np.int32)
+        self._lifting = *self._rings, lifts, queue
         cells = 1 << (2 * coarse_count).bit_length()
         self._cells = np.zeros(cells + 1, np.int32), *(np.zeros(2 * coarse_count, np.int32) for _ in range(2))
         self._targets = np.zeros((len(self._held), 3), np.float32)
@@ -481,9 +481,7 @@ class Relaxation:
             body.fan_start,
             body.fan,
             self._clearance,
-            *self._rings,
-            self._lifts,
-            self._queue,
+            *self._lifting,
             passes if self._comes_to_rest else 0,
         )
         for separation in self._separations:
