@@ -25,6 +25,7 @@ from pbd import (
 )  # fmt: skip
 from pbd.contact.colliders import Body
 from pbd.xpbd.rigid_motion import MIN_TELEPORT_SPEED
+from pbd.xpbd.solver import MIN_FRAME_TIME
 from runtime.terminal import say
 from tests.pbd.meshes import icosphere
 
@@ -186,6 +187,19 @@ PHASES = (Phase.explicit, Phase.reuse, Phase.generate)  # what fails names its s
 @given(SCENES)
 def test_any_cloth_stays_finite(drawn: Drawn) -> None:
     play(drawn)
+
+
+@pytest.mark.parametrize("dt", [1e-7, MIN_FRAME_TIME, 1e-5])
+def test_cloth_without_stiffness_stays_finite_in_the_shortest_frames(dt: float) -> None:
+    """Compliance over the square of the time goes out of float32's range: found among a thousand scenes."""
+    options = SolverOptions(1 / 240, coarse_sweeps=1, self_collision=True, linear_inertia=0.0, angular_inertia=0.5)
+    play(
+        Drawn(
+            seed=3853, components=1, points=19, scale=0.006014776677662011, squash=0.05864979209694738, dt=dt,
+            stretch=1e-30, bend=0.0, density=1000.0, held=1, speed=74.6, colliders=(), tethers=False, squeezed=0.1,
+            hysteresis=0.0, compression=1000.0, options=options, teleport=False,
+        )
+    )  # fmt: skip
 
 
 def test_cloth_in_one_point_that_rubs_stays_finite() -> None:
