@@ -40,7 +40,7 @@ EDGES = (
     0.05,
 )  # that can be asked for [m]: below, a garment has over a million vertices; above, a sleeve has no round
 # Tried one after the other: seconds for the stitches to close, and smoothings that make the body's limbs thin at first.
-CLOSINGS = ((1.0, 0), (1.0, 12))
+CLOSINGS = ((1.0, 0), (2.0, 0), (1.0, 12))
 MAX_CLOSING_GAP = 0.02  # between two stitched vertices when they become one [m]
 SEAM_ALLOWANCE = 0.01  # of cloth on both sides of a seam that is folded back under it [m]
 # Stages of draping: seconds, damping [1/s], share of the fabric's friction, share of gravity.
