@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix, diags
 from scipy.spatial import cKDTree
 
 from assets.fabrics import load_fabric
@@ -22,13 +21,13 @@ from assets.sewing.arrangement import arranged
 from assets.sewing.body import StandingBody
 from assets.sewing.garment import SewnGarment, body_crossings, drape_figures, faults_of
 from assets.sewing.pieces import Joined, Pieces, carried_over, join, pieces_of
-from assets.sewing.simulation import HELD, Clock, band_limits, close_stitches, drape, substep_of
+from assets.sewing.simulation import HELD, Clock, band_limits, close_stitches, drape, neighbour_means, substep_of
 from pbd.attachment import push_outside, smooth_normals
 from pbd.bending import hinge_calibration
 from pbd.crossings import crossings
 from pbd.errors import InputError
 from pbd.fabric import Fabric
-from pbd.mesh import ClothMesh, vertex_rings
+from pbd.mesh import ClothMesh
 
 __all__ = ["COARSE_EDGE", "SewingError", "arranged_pieces", "sew"]
 
@@ -208,9 +207,7 @@ def _untangled(mesh: ClothMesh, body: StandingBody) -> ClothMesh:
     right side; the smooth surface over it has one. Patches of one ring of vertices are tried first, then larger ones.
     It is no state of rest: the cloth has to settle afterwards.
     """
-    starts, ring = vertex_rings(mesh.faces, len(mesh.vertices))
-    around = csr_matrix((np.ones(len(ring)), ring, starts), (len(mesh.vertices),) * 2)
-    mean, vertices = diags(1.0 / np.diff(starts)) @ around, mesh.vertices.copy()
+    (mean, around), vertices = neighbour_means(mesh.faces, len(mesh.vertices)), mesh.vertices.copy()
     for rings in range(1, SMOOTHED_RINGS + 1):
         found = crossings(vertices, mesh.faces)
         if not len(found):

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, diags
 
 from assets.sewing.body import StandingBody
 from assets.sewing.pieces import Pieces
@@ -19,7 +19,7 @@ from pbd.mesh import ClothMesh, vertex_rings
 from pbd.model import State, build_model
 from pbd.xpbd.solver import Solver, SolverOptions
 
-__all__ = ["HELD", "Clock", "band_limits", "close_stitches", "drape", "substep_of"]
+__all__ = ["HELD", "Clock", "band_limits", "close_stitches", "drape", "neighbour_means", "substep_of"]
 
 Floats = NDArray[np.float64]
 
@@ -105,7 +105,7 @@ def close_stitches(
     bend_factor: float,
     seconds: float,
     clock: Clock,
-    smoothings: int = 0,
+    smoothings: int,
 ) -> Floats:
     """Close all stitches in a time, without weight and without friction.
 
@@ -144,12 +144,18 @@ def close_stitches(
 
 def _smoothed(body: StandingBody, times: int) -> Floats:
     """Vertices of the body, each at the mean of its neighbours so many times [m], shape (n, 3)."""
-    starts, ring = vertex_rings(body.faces, len(body.vertices))
-    around = csr_matrix((np.ones(len(ring)), ring, starts), (len(body.vertices),) * 2)
-    vertices, counts = body.vertices, np.diff(starts)[:, None]
+    vertices, (mean, _) = body.vertices, neighbour_means(body.faces, len(body.vertices))
     for _ in range(times):
-        vertices = np.where(counts > 0, (around @ vertices) / np.maximum(counts, 1), vertices)
+        vertices = mean @ vertices
     return vertices
+
+
+def neighbour_means(faces: NDArray[np.int32], count: int) -> tuple[csr_matrix, csr_matrix]:
+    """Means over the neighbours of each vertex, itself where it has none, and 1 for each neighbour: shape (n, n)."""
+    starts, ring = vertex_rings(faces, count)
+    around = csr_matrix((np.ones(len(ring)), ring, starts), (count, count))
+    counts = np.diff(starts)
+    return diags(1.0 / np.maximum(counts, 1)) @ around + diags((counts == 0).astype(float)), around
 
 
 def drape(
