@@ -174,7 +174,7 @@ class BatchSolver:
 
         Args:
             states, colliders, targets, winds, limit_targets: of each garment as in :meth:`pbd.Solver.step`.
-            dt: frame time [s]; 0, or below 1e-6, does nothing.
+            dt: frame time [s]; 0, or below 1e-7, does nothing.
 
         Raises:
             InputError: as in :meth:`pbd.Solver.step`, or not one of each for every garment.

@@ -34,9 +34,7 @@ MIN_STRIDE = 0.01  # ... but at least this [m]
 MAX_REFINEMENT = 8  # times as many substeps, at most
 # Of a state: their lengths.
 CHECKED = ("position", "velocity", "nearest", "contact", "plastic_bends", "plastic_shears")
-# Shorter frames do nothing [s]: the softest triangle (MAX_SOFTNESS, a thousand times softer when compressed) over the
-# square of the time, squared, would be over what float32 holds.
-MIN_FRAME_TIME = 1e-6
+MIN_FRAME_TIME = 1e-7  # shorter frames do nothing [s]: float32 does not hold the square of their inverse
 
 
 @dataclass(frozen=True)
@@ -208,7 +206,7 @@ class Solver:
         Args:
             state: of this model.
             colliders: what it collides with; a body's ``origin`` must be the state's.
-            dt: frame time [s]; 0, or below 1e-6, does nothing.
+            dt: frame time [s]; 0, or below 1e-7, does nothing.
             targets: where the held vertices stand at the end of the frame, world [m], shape (p, 3);
                 None leaves them where they are.
             wind: velocity of the air [m/s], shape (3,), or at each vertex, shape (n, 3).

@@ -111,11 +111,10 @@ def check_distances(seed: int) -> None:
     model, state = dust(points)
     body = Body(faces, len(vertices))
     body.place(vertices.astype(np.float32))
-    Solver(model, SolverOptions(gravity=(0.0, 0.0, 0.0))).step(state, Colliders((), body), 1e-6)
+    Solver(model, SolverOptions(gravity=(0.0, 0.0, 0.0))).step(state, Colliders((), body), 1e-7)
     distance = state.contact[::3]
     assert (state.nearest[::3] >= 0).all()
-    # In a microsecond the cloth itself moves by up to a micrometre and a half: it leaves the body.
-    assert np.abs(distance) == pytest.approx(exact, abs=2.5e-6)
+    assert np.abs(distance) == pytest.approx(exact, abs=1e-6)
     clear = np.abs(exact - np.abs(height)) < 1e-6  # the face that it was raised from is the closest
     assert np.array_equal(np.sign(distance[clear]), np.sign(height[clear]))
 
