@@ -143,7 +143,7 @@ def test_relaxation_pushes_vertices_out_of_the_body_and_leaves_others() -> None:
     after = np.linalg.norm(relaxed - centre, axis=1)
     sag = 0.1 - np.linalg.norm((ball[faces]).mean(axis=1), axis=1).min()  # faces lie inside the sphere
     assert after.min() > 0.1 + THICKNESS - sag - 1e-4
-    assert after[inside].max() < 0.1 + THICKNESS + 4e-3  # what is lifted less is lifted by what is lifted more
+    assert after[inside].max() < 0.1 + THICKNESS + 3.3e-3  # what is lifted less is lifted by what is lifted more
     to_lifted = np.linalg.norm(start[:, None] - start[inside], axis=2).min(axis=1)
     away = to_lifted > MAX_LIFT / SLOPE
     assert away.sum() > 30
