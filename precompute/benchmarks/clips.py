@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from pbd.distance import TOLERANCE, BodyDistance
 from precompute.mechanics import FRAME_RATE, GRAVITY
 from precompute.method_comparison.error_classes import LIMITS, longest_run
 from precompute.reporting.tables import write_table
+from precompute.workers import Workers, run_jobs
 from runtime.pictures import Drawn, frame_camera, render, save_png, strip
 from runtime.scene_body import load_body, motion_of
 from runtime.scene_simulation import simulation_of
@@ -155,7 +157,10 @@ CLIPS: Mapping[str, Callable[[], tuple[Simulation, Motion]]] = {
 
 
 def run_clip(
-    simulation: Simulation, motion: Motion, seconds: float | None = None, picture: Path | None = None
+    simulation: Simulation,
+    motion: Motion,
+    seconds: float | None = None,
+    picture: Callable[[np.ndarray], None] | None = None,
 ) -> dict[str, float]:
     """Play a clip to its end and judge it.
 
@@ -167,7 +172,7 @@ def run_clip(
         simulation: at its start.
         motion: of the body.
         seconds: only the start of it.
-        picture: where a few frames are drawn.
+        picture: called with an image of a few frames, as for :func:`runtime.pictures.save_png`.
 
     Returns:
         figures by name, see :func:`_clip_figures`; where a run ends early because it is not finite, ``frames``,
@@ -210,7 +215,7 @@ def run_clip(
         if picture is not None and frame in _moments(frames):
             shown.append((world, posed))
     if picture is not None:
-        _draw(picture, simulation, shown, [f"{(frame + 1) / FRAME_RATE:.1f} s" for frame in _moments(frames)])
+        picture(_drawn(simulation, shown, [f"{(frame + 1) / FRAME_RATE:.1f} s" for frame in _moments(frames)]))
     bound = 3.0 * np.sqrt(2.0 * GRAVITY * height) + limbs
     broken = drawn | (fastest > bound * LIMITS["speed_over_limit"][2]) | (boxes > LIMITS["box_ratio"][2])
     return _clip_figures(simulation, times, limbs, fastest, moved, worst, inside, broken, excused)
@@ -301,7 +306,7 @@ def _moments(frames: int) -> list[int]:
     return np.linspace(0, frames - 1, SHOWN + 1).astype(int)[1:].tolist()
 
 
-def _draw(path: Path, simulation: Simulation, shown: Sequence, titles: list[str]) -> None:
+def _drawn(simulation: Simulation, shown: Sequence, titles: list[str]) -> np.ndarray:
     """A row of frames from before, and one from behind."""
     model = simulation.model
     columns = []
@@ -315,11 +320,21 @@ def _draw(path: Path, simulation: Simulation, shown: Sequence, titles: list[str]
                 meshes.append(Drawn(world, faces, LAYERS[layer]))
             images.append(render(meshes, camera, (420, 560), floor=None))
         columns.append(images)
-    save_png(path, strip(columns, titles, ["front", "back"]))
+    return strip(columns, titles, ["front", "back"])
+
+
+def _played(name: str, drawn: bool) -> tuple[dict[str, float], list[np.ndarray]]:
+    """Figures of a clip, and its picture if it is wanted and the clip came to its end."""
+    pictures: list[np.ndarray] = []
+    figures = run_clip(*CLIPS[name](), picture=pictures.append if drawn else None)
+    return figures, pictures
 
 
 def clip_rows(
-    names: Sequence[str] = (), report: Callable[[str], None] = lambda line: None, pictures: Path | None = None
+    names: Sequence[str] = (),
+    report: Callable[[str], None] = lambda line: None,
+    pictures: Path | None = None,
+    workers: Workers | int = 1,
 ) -> list[dict[str, Any]]:
     """A row of each clip, see :func:`run_clip`; all of :data:`CLIPS` where no name is given.
 
@@ -327,6 +342,7 @@ def clip_rows(
         names: keys of :data:`CLIPS`.
         report: called with a line of progress.
         pictures: folder of a picture of each.
+        workers: that play the clips, or how many do; each reads ``GUBE_DATA`` of its own machine.
 
     Raises:
         InputError: no such clip, or its data are not in ``GUBE_DATA``.
@@ -334,13 +350,14 @@ def clip_rows(
     for name in names:
         if name not in CLIPS:
             raise InputError("no such clip", key="NAME", received=name, expected=", ".join(CLIPS))
-    rows = []
-    for name in names or CLIPS:
-        report(name)
-        simulation, motion = CLIPS[name]()
-        picture = None if pictures is None else pictures / f"{name}.png"
-        rows.append({"clip": name, **run_clip(simulation, motion, picture=picture)})
-    return rows
+    wanted = names or tuple(CLIPS)
+    jobs = [partial(_played, name, pictures is not None) for name in wanted]
+    found = run_jobs(jobs, workers, done=lambda count, played: report(f"{count} of {len(jobs)} clips"))
+    if pictures is not None:
+        for name, (_, images) in zip(wanted, found, strict=True):
+            for image in images:
+                save_png(pictures / f"{name}.png", image)
+    return [{"clip": name, **figures} for name, (figures, _) in zip(wanted, found, strict=True)]
 
 
 def write_clips(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:

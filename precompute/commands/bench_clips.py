@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from typing import TYPE_CHECKING
 
-from runtime.arguments import add_output_file
+from runtime.arguments import add_output_file, add_scheduler
 
 if TYPE_CHECKING:
     from runtime.report import Report
@@ -19,19 +20,22 @@ SUMMARY = "simulate real garments on real clips: contact with the body, layers, 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     parser.add_argument("names", nargs="*", metavar="NAME", help="names of clips in the table (default: all)")
+    add_scheduler(parser)
     add_output_file(parser, "OUT.csv", "a file for the table; the pictures come beside it", "out/bench/clips.csv")
 
 
 def run(options: argparse.Namespace) -> Report:
     """Simulate the clips, write the table and print it."""
     from precompute.benchmarks.clips import MAX_OVER_LIMBS, clip_rows, write_clips
+    from precompute.cluster import workers_of
     from runtime.outputs import check_file
     from runtime.report import Progress, Report
     from runtime.terminal import say
 
     check_file(options.output, ".csv")
-    with Progress(sys.stderr) as progress:
-        rows = clip_rows(options.names, progress, options.output.parent)
+    count = 1 if options.scheduler is None else os.cpu_count() or 1
+    with Progress(sys.stderr) as progress, workers_of(options.scheduler, count) as workers:
+        rows = clip_rows(options.names, progress, options.output.parent, workers)
     write_clips(options.output, rows)
     for row in rows:
         say(row["clip"])

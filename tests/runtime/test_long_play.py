@@ -117,6 +117,8 @@ def test_memory_stays_and_no_tick_is_catastrophic(seconds: float) -> None:
         loop.run(PERIOD, game.judge)
         game.change()
         held.append(memory())
+        if len(held) % 150 == 0:
+            say(f"{loop.tick_count * TICK:.0f} s played, {held[-1] >> 20} MiB")
     sizes = [size >> 20 for size in held[:: max(1, len(held) // 20)]]
     say(f"{game.counts}, {loop.tick_count * TICK:.0f} s; MiB: {sizes}")
     assert loop.tick_count == game.counts["ticks"] == round(seconds / TICK)

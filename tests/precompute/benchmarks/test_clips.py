@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from assets.garment import highest_loop
 from assets.motion import ClipMotion
@@ -47,6 +48,15 @@ def test_a_skirt_on_a_body_that_stands_is_outside_and_whole() -> None:
     assert found["inside_s"] <= 2 / 60 and found["crossings_layers"] == 0.0 and found["catastrophic_frames"] == 0.0
     assert found["speed_over_limb"] < MAX_OVER_LIMBS
     assert 0.0 < found["frame_ms_p50"] <= found["frame_ms_p99"]
+
+
+def test_a_clip_comes_with_its_picture(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setitem(CLIPS, "still", still)  # pyright: ignore[reportArgumentType]
+    told: list[str] = []
+    (row,) = clip_rows(["still"], told.append, tmp_path)
+    assert row["clip"] == "still" and row["frames"] == 60 and told == ["1 of 1 clips"]
+    width, height = Image.open(tmp_path / "still.png").size
+    assert width > 6 * 420 and height > 2 * 560
 
 
 def test_what_stays_inside_or_is_not_finite_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
