@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from pbd import Fabric
 from pbd.contact.colliders import Body
 from pbd.engine import ensure_initialized, ti
-from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, descend, vec3, vec4, xyz
+from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, vec3, vec4, xyz
 from pbd.mesh import vertex_rings
 from pbd.model import Model
 from pbd.taichi_internals import Launch
@@ -17,10 +17,11 @@ from pbd.xpbd.constraint_passes import solve_bending, solve_membrane, solve_stit
 from pbd.xpbd.views import BodySurface, ClothArrays, ConstraintArrays, MultigridArrays
 from wrinkles.charts import leading_vertices
 from wrinkles.clearance import clearances, facing
-from wrinkles.covered_body import MAX_HEIGHT, CoveredBody, edge_towards, has_more_edges, height_over
+from wrinkles.covered_body import CoveredBody
 from wrinkles.garment_separation import GarmentSeparation
 from wrinkles.levels import Levels
-from wrinkles.opposite_parts import PHASES, find_moved, find_opposite, opposed
+from wrinkles.opposite_parts import PHASES, find_moved, find_opposite
+from wrinkles.out_of_body import MAX_LIFT, MIN_LIFT, between_parts, lift_around, out_of_body
 
 __all__ = ["Relaxation", "full_passes"]
 
@@ -33,14 +34,6 @@ KEPT = 0.5
 # Where the coarse garment is further than this from the body, so is the fine one [m], ...
 LEVEL = 0.025
 PLEATED = 0.045  # ... unless the garment came with pleats, which go deeper
-MAX_COVERED = 0.04  # a part further away than this is not covered by the cloth if another part is right at it [m]
-GAP_SHARE = 0.3  # of the gap between two parts that the cloth keeps from each, if that is less than its clearance [-]
-MIN_KEPT = 0.0003  # kept from the part that the cloth covers where there is no gap [m]
-# Cloth that a small part of the body lifts stands over it like a tent: what lies around is lifted, too, less by this
-# share of the distance [-]. Where nothing is lifted further than the first height there is no tent, and none is higher
-# than the second [m].
-SLOPE = 0.15
-MIN_LIFT, MAX_LIFT = 0.001, 0.008
 
 
 def full_passes(subdivisions: int) -> int:
@@ -122,17 +115,17 @@ def _relax(
         for i in range(free.shape[0]):
             j = free[i]
             start = xyz(work[j]) + xyz(delta[j])
-            fine[j] = _out_of_body(i, start, covered)
+            fine[j] = out_of_body(i, start, covered)
             moved_by = fine[j] - start
             lifts[j] = ti.math.vec4(0.0)
-            if _between_parts(i, covered):
+            if between_parts(i, covered):
                 lifts[j][3] = MAX_LIFT  # nothing may lift it into the other part
             elif moved_by.dot(moved_by) > MIN_LIFT * MIN_LIFT:
                 height = moved_by.norm()
                 lifts[j] = vec4(moved_by / height, ti.min(height, MAX_LIFT))
                 queue[count] = j
                 count += 1
-        _lift_around(fine, fine_start, fine_ring, lifts, queue, count)
+        lift_around(fine, fine_start, fine_ring, lifts, queue, count)
 
 
 @ti.func
@@ -144,160 +137,6 @@ def _come_to_rest(cloth: ti.template(), constraints: ti.template(), no_levels: t
     for k in range(constraints.hinge_colors.shape[0] - 1):
         solve_bending(cloth, constraints, inverse_h2, constraints.hinge_colors[k], constraints.hinge_colors[k + 1])
     solve_stitches(cloth, constraints, 0.0)
-
-
-@ti.func
-def _lift_around(
-    fine: ti.template(), starts: ti.template(), ring: ti.template(), lifts: ti.template(), queue: ti.template(),
-    count: ti.i32,
-):  # fmt: skip
-    """Lift what lies around vertices that the body has lifted; see ``SLOPE``.
-
-    Args:
-        fine: where vertices are after they left the body [m].
-        starts, ring: neighbours of each vertex.
-        lifts: direction and height by which each vertex is lifted [m].
-        queue: vertices whose neighbours are looked at, in this order.
-        count: of them at first.
-    """
-    place, last = 0, count
-    while place < last:
-        i = queue[place]
-        place += 1
-        up, height = xyz(lifts[i]), lifts[i][3]
-        for r in range(starts[i], starts[i + 1]):
-            j = ring[r]
-            lift = height - SLOPE * (fine[j] - fine[i]).norm()
-            if lift > lifts[j][3] + SLOPE * MIN_LIFT and last < queue.shape[0]:
-                fine[j] += (lift - lifts[j][3]) * up
-                lifts[j] = vec4(up, lift)
-                queue[last] = j
-                last += 1
-
-
-@ti.func
-def _between_parts(i: ti.i32, covered: ti.template()) -> bool:
-    """Whether free vertex i lies between two parts of the body that face one another."""
-    across = ti.static(covered.across)
-    around = covered.leading[i]
-    return ti.max(across[around[0]], across[around[1]], across[around[2]]) >= 0
-
-
-@ti.func
-def _out_of_body(i: ti.i32, start: vec3, covered: ti.template()) -> vec3:
-    """Where free vertex i goes from ``start`` [m] so that it keeps its clearance from the body.
-
-    First from the part of the body that the cloth covers, then from a part opposite to it, where there is one.
-    """
-    p = start
-    around = covered.leading[i]
-    contact, moved = ti.static(covered.coarse_contact, covered.moved)
-    if ti.min(contact[around[0]], contact[around[1]], contact[around[2]]) < covered.level:
-        body, normals = ti.static(covered.surface.body_start, covered.surface.body_normals)
-        normal, other_normal, home, outwards = vec3(0.0), vec3(0.0), vec3(0.0), vec3(0.0)
-        gap, other_gap, kept, other_kept = MAX_HEIGHT, MAX_HEIGHT, 0.0, 0.0
-        parts = ti.select(_between_parts(i, covered), 2, 1)
-        # Between two parts a vertex that stayed with the one that it was at would end inside the other.
-        anew = parts == 2 or moved[around[0]] + moved[around[1]] + moved[around[2]] > 0
-        for part in range(parts):
-            slot = i + part * covered.leading.shape[0]
-            best = covered.nearest[slot]
-            search = best < 0 or anew
-            if search:
-                best = _seed(i, part, p, home, outwards, covered)
-            # A body vertex of the last pass is taken only where a walk would end at it: so a pass comes to the same
-            # bits, whatever came before it.
-            edge, finished = -1, best < 0
-            while not finished:
-                if search:
-                    best = descend(p, best, 0.0, covered.surface)
-                offset = p - body[best]
-                is_nearest, towards = edge_towards(offset, best, covered)
-                edge, finished = towards, search or (is_nearest and not has_more_edges(best, covered))
-                search = True
-            if part == 1 and best >= 0 and not opposed(home, outwards, body[best], normals[best]):
-                best = -1
-            covered.nearest[slot] = best
-            if best < 0:
-                break
-            n, h, c = height_over(p, best, edge, covered)
-            if part == 0:
-                home, outwards = body[best], normals[best]
-                normal, gap, kept = n, h, c
-            else:
-                other_normal, other_gap, other_kept = n, h, c
-        if other_gap < MAX_HEIGHT:
-            # Between two parts the cloth keeps a share of the gap from both, and MIN_KEPT from its own where they
-            # overlap. If it were pushed out of one after the other, it would zigzag and end inside one of them.
-            between = gap + other_gap
-            kept = ti.min(kept, ti.max(GAP_SHARE * ti.abs(between), MIN_KEPT))
-            other_kept = ti.min(other_kept, ti.max(GAP_SHARE * between, MIN_KEPT))
-            if other_gap < other_kept and gap > kept:
-                d = ti.min(other_kept - other_gap, gap - kept) * other_normal
-                p += d
-                gap += d.dot(normal)
-        if gap < kept:
-            p += (kept - gap) * normal
-    else:
-        covered.nearest[i] = -1
-        covered.nearest[i + covered.leading.shape[0]] = -1
-    return p
-
-
-@ti.func
-def _seed(i: ti.i32, part: ti.i32, p: vec3, home: vec3, outwards: vec3, covered: ti.template()) -> ti.i32:
-    """Body vertex from which the search for free vertex i at p [m] starts; -1 for none.
-
-    It lies on the part that the cloth covers (0) or on the opposite one (1). Another part does not
-    come near unseen: the coarse vertices around would have found it.
-
-    Args:
-        home, outwards: place of the body that it covers [m] and normal there, of use for the opposite part only.
-    """
-    frames = ti.static(covered.frames)
-    way = outwards
-    if part == 0:
-        coarse = covered.leading[i][0]
-        way = covered.facing * vec3(frames[coarse, 6], frames[coarse, 7], frames[coarse, 8])
-    return _start(i, part, covered.nearest[i + part * covered.leading.shape[0]], p, home, way, covered)
-
-
-@ti.func
-def _start(
-    i: ti.i32, part: ti.i32, last: ti.i32, p: vec3, home: vec3, outwards: vec3, covered: ti.template()
-) -> ti.i32:
-    """Body vertex from which the search for free vertex i at p [m] starts; -1 for none.
-
-    It is the nearest of those where the coarse vertices around this one are near the body, and where it was itself.
-
-    Args:
-        last: where it was near the body last, -1 for nowhere.
-        home, outwards: place of the body that it covers [m] and normal there; before they are known, the cloth's.
-    """
-    body, normals = ti.static(covered.surface.body_start, covered.surface.body_normals)
-    best = -1
-    distance = 1e30
-    for c in ti.static(range(6)):
-        seed = -1
-        if ti.static(c < 3):
-            seed = covered.coarse_nearest[covered.leading[i][c]]
-        elif part == 1:
-            seed = covered.across[covered.leading[i][c - 3]]
-        elif ti.static(c == 3):
-            seed = last
-        if seed >= 0 and seed != best:
-            offset = body[seed] - p
-            away = offset.dot(offset)
-            # The covered part looks the way the cloth does. Another part will do if there is no such part near: it
-            # strikes the cloth from its other side.
-            if part == 0 and normals[seed].dot(outwards) < 0.0:
-                away += MAX_COVERED * MAX_COVERED
-            if part == 1 and not opposed(home, outwards, body[seed], normals[seed]):
-                away = 1e30
-            if away < distance:
-                distance = away
-                best = seed
-    return best
 
 
 class Relaxation:

@@ -13,7 +13,8 @@ from tests.wrinkles.delivered import delivered_levels, delivered_panels
 from tests.wrinkles.meshes import icosphere
 from wrinkles.charts import leading_vertices
 from wrinkles.levels import Levels, build_levels
-from wrinkles.relaxation import GAP_SHARE, LEVEL, MAX_LIFT, PLEATED, SLOPE, Relaxation
+from wrinkles.out_of_body import GAP_SHARE, MAX_LIFT, SLOPE
+from wrinkles.relaxation import LEVEL, PLEATED, Relaxation
 
 NOBODY = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
 THICKNESS = 0.002
