@@ -29,6 +29,8 @@ from runtime.simulation import Motion, Simulation, body_source
 
 __all__ = ["CLIPS", "MAX_OVER_LIMBS", "clip_rows", "overlapping", "run_clip", "shrinking", "write_clips"]
 
+Picture = Callable[[np.ndarray], None]
+
 # Of coarse garments, half the default [s]: longer ones draw out light cloth between heavier cloth, such as
 # straps of 6 mg a vertex that carry a skirt of 96 g, or slivers of a tight sleeve.
 SUBSTEP = 1.0 / 1440.0
@@ -157,10 +159,7 @@ CLIPS: Mapping[str, Callable[[], tuple[Simulation, Motion]]] = {
 
 
 def run_clip(
-    simulation: Simulation,
-    motion: Motion,
-    seconds: float | None = None,
-    picture: Callable[[np.ndarray], None] | None = None,
+    simulation: Simulation, motion: Motion, seconds: float | None = None, picture: Picture | None = None
 ) -> dict[str, float]:
     """Play a clip to its end and judge it.
 
