@@ -87,6 +87,18 @@ def test_the_cheapest_setting_that_passes_is_found() -> None:
     assert figures["realtime_cost_ms"] == pytest.approx(4.8)
 
 
+@pytest.mark.parametrize(("lucky", "edges"), [(False, 10), (True, 20)])
+def test_a_coarser_mesh_is_taken_for_its_speed_unless_it_passes_by_chance(lucky: bool, edges: int) -> None:
+    def slower_if_fine(setting: TrialSetting, power: float) -> TrialResult:
+        found = falling(replace(setting, edges=20), power)
+        lost = lucky and setting.edges < 20 and setting.substeps != 48
+        return replace(found, error=1.0 if lost else found.error, cost_ms=found.cost_ms * setting.edges / 20)
+
+    result = validate(replace(FAKE, measure=slower_if_fine), {"power": 1.0})
+    assert result.realtime_setting == TrialSetting(substeps=48, edges=edges)
+    assert f"{edges} edges, 48 substeps" in validation_text([result])
+
+
 def test_what_never_passes_is_lost_with_its_reason() -> None:
     result = validate(replace(FAKE, gate_realtime=0.2), {"power": 0.0})
     assert not result.passed_best and result.realtime is None
