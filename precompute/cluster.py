@@ -158,7 +158,7 @@ class ClusterWorkers(Workers):
             self._client.cancel(list(running))
 
     def _submit(self, job: Job, known: Known, where: str | None = None) -> Any:
-        """A job's future. ``known`` are the arguments of other jobs."""
+        """A job's future. ``known`` are the arguments of other jobs; ``where`` ran the one that it follows."""
         function, arguments, named = (job.func, job.args, job.keywords) if isinstance(job, partial) else (job, (), {})
         for one in arguments:
             if id(one) not in known:
@@ -168,6 +168,7 @@ class ClusterWorkers(Workers):
             _call, pickle.dumps((function, named)), packed, _version(), (self._cache, self._token),
             key=f"{getattr(function, '__name__', 'job').strip('_')}-{uuid.uuid4().hex}",
             workers=where, allow_other_workers=where is not None, pure=False,
+            priority=0 if where is None else 1,  # what has begun goes on first, while its process knows it
         )  # fmt: skip
 
     def _packed(self, argument: Any) -> Any:

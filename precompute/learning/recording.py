@@ -36,7 +36,9 @@ CHUNK_ARRAYS = ("frames", "positions", "contact", "nearest", "coarse", "step_ms"
 
 CHUNK_SECONDS = 1.0  # what a cut-off run loses at most [s of motion]
 
-_going_on: dict[tuple[str, int], Simulation] = {}  # in a cluster's process: the last simulation, by the next chunk
+# Simulations that a cluster's process keeps: Dask gives it the next job before the client has followed the last one.
+GOING_ON = 3
+_going_on: dict[tuple[str, int], Simulation] = {}  # in such a process: the last simulations, by their next chunks
 
 
 @dataclass(frozen=True)
@@ -274,9 +276,10 @@ def _record_apart(todo: Sequence[tuple[Path, Run]], workers: ClusterWorkers, tol
 def _chunk_apart(run: Run, key: str, chunk: int, state: State | None) -> dict[str, np.ndarray]:
     """A chunk from the state before it; the simulation is kept for the next one."""
     simulation = _going_on.pop((key, chunk), None) or _simulation_at(run, chunk, state)
-    _going_on.clear()
     arrays = _chunk(run, simulation, chunk)
     _going_on[key, chunk + 1] = simulation
+    while len(_going_on) > GOING_ON:
+        _going_on.pop(next(iter(_going_on)))
     return arrays
 
 
