@@ -18,7 +18,7 @@ import numpy as np
 
 from pbd.engine import ensure_initialized, is_running, ti
 
-__all__ = ["Launch", "in_kernel", "local", "same", "signature", "subscript"]
+__all__ = ["Launch", "in_kernel", "local", "same", "signature", "subscript", "translations"]
 
 QUADRANTS = ti.__name__ == "quadrants"
 impl, kernel_impl = ti.lang.impl, ti.lang.kernel_impl
@@ -89,6 +89,11 @@ def signature(kernel: Callable[..., None]) -> dict[str, Any]:
 def _arguments(kernel: Any) -> list[Any]:
     """Descriptions of a kernel's arguments, each with a name and an annotation."""
     return kernel.arg_metas if QUADRANTS else kernel.arguments
+
+
+def translations(kernel: Any) -> dict[Any, Any]:
+    """What a kernel has been translated to, by its kinds of arguments."""
+    return kernel.materialized_kernels if QUADRANTS else kernel.compiled_kernels
 
 
 def _slot(position: int) -> Any:
@@ -184,8 +189,7 @@ class Launch:
         self._count = len(arguments)
         try:
             kernel = getattr(self._kernel, "_primal")  # noqa: B009
-            translated = kernel.materialized_kernels if QUADRANTS else kernel.compiled_kernels
-            translated = translated[kernel.ensure_compiled(*arguments)]
+            translated = translations(kernel)[kernel.ensure_compiled(*arguments)]
             self._context = translated.make_launch_context()
             for position, (argument, parameter) in enumerate(zip(arguments, _arguments(kernel), strict=True)):
                 wish = parameter.annotation
