@@ -94,7 +94,7 @@ class RecordedDecoder:
         frames = np.stack([e1, np.cross(e3, e1), e3], axis=1)
         offsets = np.delete(points - points[:, CENTRE : CENTRE + 1], CENTRE, axis=1)
         local = np.einsum("npx,nax->npa", offsets, frames) / np.float32(self._about["spacing"])
-        parts = [local.reshape(len(corners), -1), -frames[:, :, 1], distance[:, INNER] / np.float32(self._about["far"])]
+        parts = [local.reshape(len(corners), -1), distance[:, INNER] / np.float32(self._about["far"])]
         features = (np.concatenate(parts, axis=1) - a["network/center"]) * a["network/scale"]
         return frames, np.clip(features, -self._about["clip"], self._about["clip"]).astype(np.float32)
 

@@ -26,7 +26,7 @@ from pbd.fingerprint import source_fingerprint
 from pbd.mesh import edges_of
 from pbd.storage import replacing
 from wrinkles.binding import Binding
-from wrinkles.dictionary import Atoms, CoefficientNetwork, fabric_features
+from wrinkles.dictionary import Atoms, CoefficientNetwork
 from wrinkles.levels import Layers, Levels, levels_of
 from wrinkles.novelty import NoveltyScore
 from wrinkles.rest_shape import RestShapeCorrection
@@ -221,7 +221,6 @@ class WrinkleDatabase:
             options=other.options,
             other_fabrics=(),
             quality={name: value for name, value in self.quality.items() if name not in CHOICE},
-            mapping=self.mapping.for_fabric(fabric_features(other.fabric, self.fabric)),
         )
 
     def require_body(self, body: Any) -> None:

@@ -8,28 +8,23 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
 
-from pbd import Fabric
 from wrinkles.network import Network, Samples, in_threads
 from wrinkles.patches import Grid
 
 __all__ = [
-    "FABRIC_COUNT",
     "Atoms",
     "CoefficientNetwork",
-    "fabric_features",
     "fit_atoms",
     "fit_coefficient_network",
     "whitening",
 ]
 
 NOISE = 0.05  # of the features in training, in standard deviations
-FABRIC_COUNT = 2  # number of fabric_features
-MIN_GRAVITY_LENGTH = 1e-3  # shorter ones count as this [m]: no mesh shows their folds
 REGION_RATE = 0.03  # where a region goes on from what all places have learned
 BLOCK, KEPT_OUT = 20, 8  # every eighth block of twenty frames says when the fit may stop
 VALIDATED = 40_000  # samples of these that are asked: the mean loss of more is the same
@@ -94,15 +89,14 @@ class CoefficientNetwork:
     """The network that gives coefficients for features: two hidden layers of rectified units and a linear one.
 
     All places share the first layer; each region has its own second and third. The static features contribute to the
-    first layer a bias for every coarse vertex, and the fabric contributes one bias for all vertices; neither costs time
-    in playing. Regions with different layers cost a tenth of the network's time.
+    first layer a bias for every coarse vertex, which costs no time in playing. Regions with different layers cost a
+    tenth of the network's time.
 
     Attributes:
         center, scale: of the dynamic features, float32, shape (DYNAMIC_COUNT,).
         place: static features, float32, shape (n, s).
         region: of each coarse vertex, int32, shape (n,), 0 to r - 1.
         weights_1, place_weights, bias_1: of the first layer, float32, shapes (DYNAMIC_COUNT, h1), (s, h1), (h1,).
-        fabric_weights: of the first layer for :func:`fabric_features`, float32, shape (FABRIC_COUNT, h1).
         weights_2, bias_2, weights_3, bias_3: of the other layers in each region, float32, shapes (r, h1, h2), (r, h2),
             (r, h2, K), (r, K).
     """
@@ -114,7 +108,6 @@ class CoefficientNetwork:
     weights_1: np.ndarray
     place_weights: np.ndarray
     bias_1: np.ndarray
-    fabric_weights: np.ndarray
     weights_2: np.ndarray
     bias_2: np.ndarray
     weights_3: np.ndarray
@@ -124,11 +117,6 @@ class CoefficientNetwork:
     def place_bias(self) -> np.ndarray:
         """Bias of the first layer at each coarse vertex, float32, shape (n, h1)."""
         return self.place @ self.place_weights + self.bias_1
-
-    def for_fabric(self, features: np.ndarray) -> CoefficientNetwork:
-        """The mapping for a fabric with these :func:`fabric_features`, shape (FABRIC_COUNT,)."""
-        bias = np.asarray(features, np.float32) @ self.fabric_weights
-        return replace(self, bias_1=self.bias_1 + bias, fabric_weights=np.zeros_like(self.fabric_weights))
 
     def predict(self, features: np.ndarray) -> np.ndarray:
         """Coefficients for features, shape (..., n, DYNAMIC_COUNT) to (..., n, K).
@@ -156,17 +144,6 @@ class CoefficientNetwork:
         return {entry.name: getattr(self, entry.name) for entry in fields(self)}
 
 
-def fabric_features(fabric: Fabric, own: Fabric) -> np.ndarray:
-    """The mapping's features of a fabric: log of the gravity length and of the mass per area, shape (FABRIC_COUNT,).
-
-    Args:
-        fabric: the fabric.
-        own: the garment's own fabric; both values are divided by its own, so that its features are zero.
-    """
-    logarithms = lambda f: np.log([max(f.gravity_length, MIN_GRAVITY_LENGTH), f.areal_density])  # noqa: E731
-    return logarithms(fabric) - logarithms(own)
-
-
 def fit_coefficient_network(
     features: np.ndarray,
     static: np.ndarray,
@@ -176,7 +153,6 @@ def fit_coefficient_network(
     epochs: int = 8,
     seed: int = 0,
     report: Callable[[str], None] | None = None,
-    fabrics: np.ndarray | None = None,
     region: np.ndarray | None = None,
 ) -> CoefficientNetwork:
     """Fit the mapping on training frames: one for all places first, from which that of each region goes on.
@@ -195,22 +171,17 @@ def fit_coefficient_network(
         epochs: passes over the data by all places together, at most; half as many follow region by region.
         seed: of weights and shuffling.
         report: called with lines of progress.
-        fabrics: :func:`fabric_features` of each frame, shape (S, FABRIC_COUNT); None where all are the garment's own.
         region: of each place, int, shape (n,), 0 to r - 1; None is one for all.
-
-    Returns:
-        The mapping, for the garment's own fabric.
     """
-    fabric_inputs = np.zeros((len(features), FABRIC_COUNT)) if fabrics is None else np.asarray(fabrics, float)
-    scaling = _Scaling.of(features, static, fabric_inputs, seed)
+    scaling = _Scaling.of(features, static, seed)
     unit = float(np.sqrt((coefficients**2).mean()))
     samples = Samples(
-        scaling.inputs(features, fabric_inputs, seed).reshape(-1, scaling.width),
+        scaling.inputs(features, seed).reshape(-1, features.shape[2]),
         scaling.place(static),
         (coefficients / np.float32(unit)).reshape(-1, coefficients.shape[2]),
         _validation(len(features), features.shape[1], seed),
     )
-    network = Network((scaling.width + static.shape[1], *hidden, coefficients.shape[2]), seed)
+    network = Network((features.shape[2] + static.shape[1], *hidden, coefficients.shape[2]), seed)
     tell = report or (lambda line: None)
     began = time.monotonic()
 
@@ -222,7 +193,7 @@ def fit_coefficient_network(
     region = np.zeros(len(static), np.int32) if region is None else np.asarray(region, np.int32)
     heads = _fit_regions(network, samples, region, -(-epochs // 2), seed, tell)
     single = lambda a: np.ascontiguousarray(a, np.float32)  # noqa: E731
-    weights_1, place_weights, bias_1, fabric_weights = scaling.unscaled(network.weights[0], network.biases[0])
+    weights_1, place_weights, bias_1 = scaling.unscaled(network.weights[0], network.biases[0])
     return CoefficientNetwork(
         single(scaling.center),
         single(scaling.scale),
@@ -231,7 +202,6 @@ def fit_coefficient_network(
         single(weights_1),
         single(place_weights),
         single(bias_1),
-        single(fabric_weights),
         single([head.weights[0] for head in heads]),
         single([head.biases[0] for head in heads]),
         single([head.weights[1] * unit for head in heads]),
@@ -246,8 +216,6 @@ class _Scaling:
     Attributes:
         center, scale: of the dynamic features, float32, shape (d,).
         middle, axes: of the scaled features, which are whitened by them, float32, shapes (d,), (d, d).
-        differs: which fabric features do, bool, shape (FABRIC_COUNT,).
-        usual, spread: mean and standard deviation of those.
         middle_place, spread_place: of static features, shape (s,).
     """
 
@@ -255,34 +223,23 @@ class _Scaling:
     scale: np.ndarray
     middle: np.ndarray
     axes: np.ndarray
-    differs: np.ndarray
-    usual: np.ndarray
-    spread: np.ndarray
     middle_place: np.ndarray
     spread_place: np.ndarray
 
     @classmethod
-    def of(cls, features: np.ndarray, static: np.ndarray, fabric_inputs: np.ndarray, seed: int) -> _Scaling:
+    def of(cls, features: np.ndarray, static: np.ndarray, seed: int) -> _Scaling:
         flat = features.reshape(-1, features.shape[2])
         center, scale = flat.mean(axis=0), 1.0 / (flat.std(axis=0) + 1e-4)
         some = np.clip((flat[:: max(1, len(flat) // 200_000)] - center) * scale, -CLIP, CLIP)
         some += NOISE * np.random.default_rng(seed).standard_normal(some.shape, np.float32)
-        differs = np.ptp(fabric_inputs, axis=0) > 0.0
-        usual, spread = fabric_inputs[:, differs].mean(axis=0), fabric_inputs[:, differs].std(axis=0)
         middle, axes = whitening(some)
         middle_place, spread_place = static.mean(axis=0), static.std(axis=0) + 1e-2
-        return cls(center, scale, middle, axes, differs, usual, spread, middle_place, spread_place)
+        return cls(center, scale, middle, axes, middle_place, spread_place)
 
-    @property
-    def width(self) -> int:
-        """Of the network's input, without the place."""
-        return len(self.center) + len(self.usual)
-
-    def inputs(self, features: np.ndarray, fabric_inputs: np.ndarray, seed: int) -> np.ndarray:
-        """Dynamic and fabric features as the network sees them, with noise, float32, shape (S, n, width)."""
-        total, places, count = features.shape
-        found = np.zeros((total, places, self.width), np.float32)
-        found[..., count:] = ((fabric_inputs[:, self.differs] - self.usual) / self.spread)[:, None]
+    def inputs(self, features: np.ndarray, seed: int) -> np.ndarray:
+        """Dynamic features as the network sees them, with noise, float32, shape (S, n, d)."""
+        total, _, count = features.shape
+        found = np.zeros(features.shape, np.float32)
 
         def fill(first: int) -> None:
             some = slice(first, first + BLOCK)
@@ -290,7 +247,7 @@ class _Scaling:
             np.clip(z, -CLIP, CLIP, out=z)
             z += np.float32(NOISE) * np.random.default_rng((seed, first)).standard_normal(z.shape, np.float32)
             z -= self.middle
-            found[some, :, :count] = (z.reshape(-1, count) @ self.axes).reshape(z.shape)
+            found[some] = (z.reshape(-1, count) @ self.axes).reshape(z.shape)
 
         in_threads(fill, range(0, total, BLOCK))
         return found
@@ -300,14 +257,10 @@ class _Scaling:
         return ((static - self.middle_place) / self.spread_place).astype(np.float32)
 
     def unscaled(self, weights: np.ndarray, bias: np.ndarray) -> tuple[np.ndarray, ...]:
-        """The first layer for unscaled features: weights of dynamic and static ones, bias, weights of fabrics."""
+        """The first layer for unscaled features: weights of dynamic and static ones, bias."""
         count = len(self.center)
-        weights_1, by_place = self.axes @ weights[:count], weights[self.width :] / self.spread_place[:, None]
-        by_fabric = np.zeros((FABRIC_COUNT, weights.shape[1]))
-        by_fabric[self.differs] = weights[count : self.width] / self.spread[:, None]
-        own_fabric = self.usual @ by_fabric[self.differs]
-        bias_1 = bias - self.middle_place @ by_place - self.middle @ weights_1 - own_fabric
-        return weights_1, by_place, bias_1, by_fabric
+        weights_1, by_place = self.axes @ weights[:count], weights[count:] / self.spread_place[:, None]
+        return weights_1, by_place, bias - self.middle_place @ by_place - self.middle @ weights_1
 
 
 def _validation(frames: int, places: int, seed: int) -> np.ndarray:

@@ -1,7 +1,7 @@
-"""Features of the coarse garment, the input of the dictionary: local shape, gravity, distance from what it lies on.
+"""Features of the coarse garment, the input of the dictionary: local shape, distance from what it lies on.
 
 A stencil of 5 by 5 chart points around every coarse vertex is read in the vertex's own frame, so that the features do
-not change when the garment turns about the vertical or moves.
+not change when the garment turns or moves.
 """
 
 from dataclasses import dataclass, field
@@ -26,8 +26,8 @@ CENTRE = POINTS // 2
 OTHERS = [p for p in range(POINTS) if p != CENTRE]
 INNER = [CENTRE + SIDE * a + b for a in (-1, 0, 1) for b in (-1, 0, 1)]
 UP, DOWN, LEFT, RIGHT = CENTRE + SIDE, CENTRE - SIDE, CENTRE - 1, CENTRE + 1  # +-1 along warp, -+1 along weft
-# Features that change with the state: 72 components of offsets, 3 of gravity, 9 distances from what it lies on.
-DYNAMIC_COUNT = 3 * len(OTHERS) + 3 + len(INNER)
+# Features that change with the state: 72 components of offsets, 9 distances from what it lies on.
+DYNAMIC_COUNT = 3 * len(OTHERS) + len(INNER)
 # Numbers of the features that are offsets of the eight points around the centre.
 INNER_OFFSETS = [3 * OTHERS.index(p) + a for p in INNER if p != CENTRE for a in range(3)]
 MODE_COUNT = 8  # slow modes of the mesh among the static features
@@ -84,10 +84,6 @@ def _read_stencil(
                     features[i, f + 1] = d.dot(e2) / spacing
                     features[i, f + 2] = d.dot(e3) / spacing
                     f += 3
-            features[i, f] = -e1[1]
-            features[i, f + 1] = -e2[1]
-            features[i, f + 2] = -e3[1]
-            f += 3
             for q in ti.static(INNER):
                 near = 0.0
                 for c in ti.static(range(3)):

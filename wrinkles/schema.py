@@ -15,7 +15,6 @@ import numpy as np
 
 from pbd import Fabric, InputError, ModelOptions
 from pbd.mesh import edges_of
-from wrinkles.dictionary import FABRIC_COUNT
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.patches import Grid
 
@@ -36,7 +35,7 @@ __all__ = [
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 23
+SCHEMA_VERSION = 24
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE, STEPS = "text", "float32", "float64", "int32", "int64", "int8"
 
@@ -139,7 +138,6 @@ ENTRIES = (
     *_in_steps("mapping/weights_1", (DYNAMIC_COUNT, "h1")),
     *_in_steps("mapping/place_weights", ("d", "h1")),
     Entry("mapping/bias_1", SINGLE, ("h1",)),
-    Entry("mapping/fabric_weights", SINGLE, (FABRIC_COUNT, "h1")),
     *_in_steps("mapping/weights_2", ("r", "h1", "h2"), along=1),
     Entry("mapping/bias_2", SINGLE, ("r", "h2")),
     *_in_steps("mapping/weights_3", ("r", "h2", "K"), along=1),

@@ -85,12 +85,14 @@ def joined(runs: Sequence[Run], recordings: Sequence[Recording]) -> tuple[Run, R
 
 
 def blocks_of(runs: Sequence[Run], recordings: Sequence[Recording]) -> list[tuple[Run, Recording]]:
-    """Their recorded frames in blocks of BLOCK, whatever the number of workers that decode them."""
-    run, recording = joined(runs, recordings)
+    """Recorded frames in blocks of BLOCK in one fabric, whatever the number of workers that decode them."""
     result = []
-    for first in range(0, len(recording.frames), BLOCK):
-        some = recording.where(slice(first, first + BLOCK))
-        result.append((replace(run, poses=run.poses[some.frames]), replace(some, frames=np.arange(len(some.frames)))))
+    for _, group in groupby(zip(runs, recordings, strict=True), key=lambda pair: pair[0].fabric):
+        run, recording = joined(*zip(*group, strict=True))
+        for first in range(0, len(recording.frames), BLOCK):
+            some = recording.where(slice(first, first + BLOCK))
+            part = replace(some, frames=np.arange(len(some.frames)))
+            result.append((replace(run, poses=run.poses[some.frames]), part))
     return result
 
 
@@ -119,7 +121,7 @@ def decode_recording(
 
 def with_vertex_mean(
     layer: Layer,
-    mappings: Sequence[Predictor],
+    predict: Predictor,
     atoms: Atoms,
     runs: Sequence[Run],
     recordings: Sequence[Recording],
@@ -130,18 +132,15 @@ def with_vertex_mean(
 
     Args:
         layer: of the garment.
-        mappings: for the fabric of each run; shown ``frames`` spread over its recordings, in order.
-        atoms: that their coefficients count; a mean that they have is left out.
+        predict: the mapping, shown ``frames`` spread over the recordings, in order.
+        atoms: that its coefficients count; a mean that they have is left out.
         runs, recordings: what is learned from.
         workers: that decode; None decodes here, and needs no mapping that can be sent to another process.
         frames: that the means are fitted to, at most.
     """
     atoms = replace(atoms, vertex_mean=np.zeros_like(atoms.vertex_mean))
-    jobs = []
-    shown = zip(mappings, runs, spread_frames(recordings, frames), strict=True)
-    for _, group in groupby(shown, key=lambda one: id(one[0])):
-        (predict, *_), some_runs, some = zip(*group, strict=True)
-        jobs += [partial(_mean_sums, layer, predict, atoms, *block) for block in blocks_of(some_runs, some)]
+    blocks = blocks_of(runs, spread_frames(recordings, frames))
+    jobs = [partial(_mean_sums, layer, predict, atoms, *block) for block in blocks]
     sums = (workers or Workers(1)).run(jobs)
     return replace(atoms, vertex_mean=mean_from_sums(sums))
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import groupby
 
 import numpy as np
 
@@ -31,7 +30,7 @@ FAMILIAR = 99.5  # percentile of the score there
 
 def fit_novelty(
     layer: Layer,
-    mappings: Sequence[CoefficientNetwork],
+    mapping: CoefficientNetwork,
     atoms: Atoms,
     runs: Sequence[Run],
     recordings: Sequence[Recording],
@@ -46,15 +45,15 @@ def fit_novelty(
 
     Args:
         layer: of the garment.
-        mappings, atoms: the dictionary, for the fabric of each run.
+        mapping, atoms: the dictionary.
         runs: fine training runs.
         recordings: of these runs.
         seed: of noise, first weights and shuffling.
         workers: that decode.
         frames: of training motion that are decoded, at most.
     """
-    plain = _blocks(layer, mappings, atoms, runs, spread_frames(recordings, frames), None)
-    strange = _blocks(layer, mappings, atoms, runs, spread_frames(recordings, round(STRANGE_SHARE * frames)), seed)
+    plain = _blocks(layer, mapping, atoms, runs, spread_frames(recordings, frames), None)
+    strange = _blocks(layer, mapping, atoms, runs, spread_frames(recordings, round(STRANGE_SHARE * frames)), seed)
     errors = workers.run([partial(_patch_errors, block) for _, block in (*plain, *strange)])
     hidden, error = np.concatenate([h for h, _ in plain]), np.concatenate(errors[: len(plain)])
     kept_out = np.arange(len(hidden)) // BLOCK % KEPT_OUT == KEPT_OUT - 1
@@ -92,7 +91,7 @@ class _Block:
 
 def _blocks(
     layer: Layer,
-    mappings: Sequence[CoefficientNetwork],
+    mapping: CoefficientNetwork,
     atoms: Atoms,
     runs: Sequence[Run],
     recordings: Sequence[Recording],
@@ -103,19 +102,15 @@ def _blocks(
     Of the k coarse vertices that lead fine ones; a delivered fine mesh may leave some out.
 
     Args:
-        layer, mappings, atoms, runs, recordings: as above.
+        layer, mapping, atoms, runs, recordings: as above.
         noise_seed: of what makes the features strange; None leaves them.
     """
     leading = np.unique(leading_vertices(layer.levels.subdivision)[:, 0])
-    items = []
-    shown = zip(mappings, runs, recordings, strict=True)
-    for _, group in groupby(shown, key=lambda one: id(one[0])):
-        (mapping, *_), some_runs, some = zip(*group, strict=True)
-        items += [(mapping, run, recording) for run, recording in blocks_of(some_runs, some)]
-    features = [features_of(layer, recording)[0] for _, _, recording in items]
+    blocks = blocks_of(runs, recordings)
+    features = [features_of(layer, recording)[0] for _, recording in blocks]
 
     def block_of(number: int) -> tuple[np.ndarray, _Block]:
-        (mapping, run, recording), seen = items[number], features[number]
+        (run, recording), seen = blocks[number], features[number]
         if noise_seed is not None:
             rng = np.random.default_rng((noise_seed, number))
             sizes = rng.uniform(*NOISE, (len(seen), 1, 1))
@@ -123,7 +118,7 @@ def _blocks(
         hidden = mapping.hidden(seen).astype(np.float32)
         return hidden[:, leading], _Block(layer, atoms, run, recording, mapping.coefficients(hidden))
 
-    return in_threads(block_of, range(len(items)))
+    return in_threads(block_of, range(len(blocks)))
 
 
 def _patch_errors(block: _Block) -> np.ndarray:

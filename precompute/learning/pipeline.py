@@ -40,7 +40,7 @@ from runtime.garment_setup import GarmentSetup, colliders_of, fabrics_of, fine_o
 from runtime.simulation import Motion
 from wrinkles.charts import leading_vertices
 from wrinkles.database import LearnedFabric, WrinkleDatabase, as_stored, body_hash, code_version, write_database
-from wrinkles.dictionary import Atoms, CoefficientNetwork, fabric_features
+from wrinkles.dictionary import Atoms, CoefficientNetwork
 from wrinkles.metrics import given_coarse_figures
 from wrinkles.novelty import NoveltyScore
 from wrinkles.rest_shape import RestShapeCorrection
@@ -97,13 +97,11 @@ class _Example:
 
     Attributes:
         fabric: name of the fabric that is worn.
-        features: of that fabric, see :func:`wrinkles.dictionary.fabric_features`.
         run: the run.
         recording: of it, without what only leads to the motion.
     """
 
     fabric: str
-    features: np.ndarray
     run: Run
     recording: Recording
 
@@ -261,14 +259,13 @@ def _held_out(scene: Scene, stage: GarmentSetup) -> list[Motion]:
 
 def _simulated(work: _Work, motions: Sequence[Motion], judged: Sequence[Motion]) -> list[_Example]:
     """All fine runs, those that the database is judged by too: the more there are, the less do workers wait."""
-    own = work.fabrics[work.own_fabric]
     worn = [(name, motion) for name in work.fabrics for motion in motions]
     runs = [work.run(motion, name) for name, motion in worn]
     later = [one for motion in judged for one in truth_runs(work.run(motion), work.options)]
     later += [work.run(motion, name) for motion in judged for name in work.fabrics if name != work.own_fabric]
     record_runs([*runs, *later], work.cache, work.workers, work.clock)
     return [
-        _Example(name, fabric_features(work.fabrics[name], own), run, recording)
+        _Example(name, run, recording)
         for (name, _), run, recording in zip(
             worn, runs, training_recordings(runs, work.cache, work.workers), strict=True
         )
@@ -280,21 +277,17 @@ def _learned(work: _Work, examples: Sequence[_Example], kept: Kept) -> tuple[Coe
     clock, scene, layer, options = work.clock, work.scene, work.layer, work.options
 
     @cache
-    def training() -> tuple[list[Recording], TrainingSet]:
+    def training() -> TrainingSet:
         learned = spread_frames([example.recording for example in examples], options.training_frames)
-        return learned, training_set(layer, learned, scene.wrinkles.atoms, work.seed)
+        return training_set(layer, learned, scene.wrinkles.atoms, work.seed)
 
     def fitted() -> CoefficientNetwork:
-        learned, data = training()
-        width = scene.wrinkles.hidden_width
-        features = [example.features for example in examples]
-        told = np.repeat(features, [len(recording.frames) for recording in learned], axis=0)
-        epochs = options.epochs_for(len(data.features))
+        width, epochs = scene.wrinkles.hidden_width, options.epochs_for(len(training().features))
         hidden = (8 * width // 3, width)
-        return fit_layer(layer, data, hidden=hidden, epochs=epochs, seed=work.seed, report=clock, fabrics=told)
+        return fit_layer(layer, training(), hidden=hidden, epochs=epochs, seed=work.seed, report=clock)
 
     with clock.stage("fitting patches"):
-        patches = kept.instance(Atoms, "patches", lambda: training()[1].atoms)
+        patches = kept.instance(Atoms, "patches", lambda: training().atoms)
     with clock.stage("fitting"):
         mapping = kept.instance(CoefficientNetwork, "network", fitted)
     with clock.stage("means of vertices"):
@@ -302,21 +295,15 @@ def _learned(work: _Work, examples: Sequence[_Example], kept: Kept) -> tuple[Coe
 
 
 def _with_means(work: _Work, examples: Sequence[_Example], mapping: CoefficientNetwork, atoms: Atoms) -> Atoms:
-    said = {name: by_features(one) for name, one in _by_fabric(examples, mapping).items()}
     return with_vertex_mean(
         work.layer,
-        [said[example.fabric] for example in examples],
+        by_features(mapping),
         atoms,
         [example.run for example in examples],
         [example.recording for example in examples],
         work.workers,
         work.options.mean_frames,
     )
-
-
-def _by_fabric(examples: Sequence[_Example], mapping: CoefficientNetwork) -> dict[str, CoefficientNetwork]:
-    """The mapping for each fabric that is learned from."""
-    return {name: mapping.for_fabric(features) for name, features in {e.fabric: e.features for e in examples}.items()}
 
 
 def _coarse_model(work: _Work, examples: Sequence[_Example]) -> CoarseModel:
@@ -342,7 +329,7 @@ def _calibrated(
         mine = [example for example in examples if example.fabric == name]
         return calibrate(
             work.layer,
-            mapping.for_fabric(mine[0].features),
+            mapping,
             atoms,
             [example.run for example in mine],
             [example.recording for example in mine],
@@ -374,10 +361,9 @@ def _finished(
 ) -> WrinkleDatabase:
     """The database without what judging it gives."""
     with work.clock.stage("unfamiliarity"):
-        mappings = _by_fabric(examples, mapping)
         given = (
             work.layer,
-            [mappings[example.fabric] for example in examples],
+            mapping,
             atoms,
             [example.run for example in examples],
             [example.recording for example in examples],

@@ -185,7 +185,6 @@ def fit_layer(
     epochs: int,
     seed: int,
     report: Callable[[str], None] | None = None,
-    fabrics: np.ndarray | None = None,
     regions: int = REGIONS,
 ) -> CoefficientNetwork:
     """Fit the network to a training set, in ``regions``; see :func:`wrinkles.dictionary.fit_coefficient_network`."""
@@ -197,7 +196,6 @@ def fit_layer(
         epochs=epochs,
         seed=seed,
         report=report,
-        fabrics=fabrics,
         region=layer.stencil.regions(regions),
     )
 

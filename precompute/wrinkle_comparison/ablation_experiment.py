@@ -124,7 +124,7 @@ class Experiment:
     def mapped(self, predict: Predictor, layer: Layer | None = None, atoms: Atoms | None = None) -> Variant:
         """The same with any mapping; vertices have the mean of what it leaves."""
         layer, atoms = layer or self.layer, atoms or self.data.atoms
-        atoms = with_vertex_mean(layer, [predict] * len(self.runs), atoms, self.runs, self.learned)
+        atoms = with_vertex_mean(layer, predict, atoms, self.runs, self.learned)
         return Variant(layer, atoms, lambda: predict)
 
     def judge(self, variant: Variant) -> dict[str, float]:

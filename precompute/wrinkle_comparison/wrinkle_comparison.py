@@ -117,7 +117,7 @@ def compare_wrinkles(
 
     def with_own_mean(begin: Callable[[], Predictor]) -> Callable[[], FrameDecoder]:
         predict = begin()
-        own = with_vertex_mean(layer, [predict] * len(runs), atoms, runs, recordings)
+        own = with_vertex_mean(layer, predict, atoms, runs, recordings)
         return lambda: by_patches(layer, begin(), own)
 
     def judge(name: str, begin: Callable[[], FrameDecoder], megabytes: float, settings: str, free: Recording) -> None:

@@ -214,7 +214,6 @@ function gubeDecoder() {
             features[f] = (d * frames[a] + e * frames[a + 1] + g * frames[a + 2]) * perSpacing;
           }
         }
-        for (let a = v; a < v + 9; a += 3) features[f++] = -frames[a + 1];
         for (const q of INNER) features[f++] = distance[q] / far;
         for (let i = 0; i < inputs; i++) {
           const standard = (features[start + i] - center[i]) * scale[i];

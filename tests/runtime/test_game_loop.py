@@ -14,7 +14,7 @@ from pbd import Fabric, InputError, Limits, ModelOptions, SolverOptions
 from runtime.game_loop import GameLoop, LiveInput, ScriptedInput
 from runtime.player import Player
 from wrinkles.database import WrinkleDatabase, body_hash
-from wrinkles.dictionary import FABRIC_COUNT, Atoms, CoefficientNetwork
+from wrinkles.dictionary import Atoms, CoefficientNetwork
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.levels import build_levels
 from wrinkles.novelty import NoveltyScore
@@ -344,7 +344,6 @@ def database() -> WrinkleDatabase:
             region=np.zeros(count, np.int32),
             place_weights=zero(1, hidden),
             bias_1=zero(hidden),
-            fabric_weights=zero(FABRIC_COUNT, hidden),
             bias_2=zero(1, hidden),
             bias_3=zero(1, atoms),
         ),

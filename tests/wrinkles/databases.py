@@ -10,7 +10,7 @@ import numpy as np
 from pbd import Fabric, Limits, ModelOptions, SolverOptions
 from tests.wrinkles.meshes import flat_sheet
 from wrinkles.database import WrinkleDatabase
-from wrinkles.dictionary import FABRIC_COUNT, Atoms, CoefficientNetwork
+from wrinkles.dictionary import Atoms, CoefficientNetwork
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.novelty import NoveltyScore
 from wrinkles.patches import Grid
@@ -76,7 +76,6 @@ def small_database(side: int = 7, atoms: int = 5, hidden: tuple[int, int] = (8, 
             weights_3=weights(2, hidden[1], atoms),
             bias_2=weights(2, hidden[1]),
             bias_3=weights(2, atoms),
-            fabric_weights=weights(FABRIC_COUNT, hidden[0]),
         ),
         "novelty": NoveltyScore(weights(hidden[0], 3), weights(3), weights(3), 1.5, 12.0),
         "cutoff": 0.4,

@@ -10,7 +10,7 @@ from pbd.geometry import surface_normals
 from tests.wrinkles.meshes import flat_sheet, icosphere, tube
 from wrinkles.charts import Charts
 from wrinkles.decoder import Decoder, Upsampler
-from wrinkles.dictionary import FABRIC_COUNT, Atoms, CoefficientNetwork
+from wrinkles.dictionary import Atoms, CoefficientNetwork
 from wrinkles.features import DYNAMIC_COUNT, Stencil
 from wrinkles.fine_surface import FineSurface
 from wrinkles.novelty import NoveltyScore
@@ -64,7 +64,6 @@ class Layer:
             region=np.random.default_rng(16).integers(0, 3, count).astype(np.int32),
             place_weights=single(4, 9, seed=17),
             bias_1=single(9, seed=18),
-            fabric_weights=single(FABRIC_COUNT, 9, seed=10),
             weights_2=single(3, 9, 7, seed=5, size=0.4),
             weights_3=single(3, 7, atoms, seed=6, size=0.4),
             bias_2=single(3, 7, seed=8),

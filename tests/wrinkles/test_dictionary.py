@@ -5,8 +5,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from pbd import Fabric
-from wrinkles.dictionary import CLIP, CoefficientNetwork, fabric_features, fit_atoms, fit_coefficient_network, whitening
+from wrinkles.dictionary import CLIP, CoefficientNetwork, fit_atoms, fit_coefficient_network, whitening
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.patches import Grid
 
@@ -157,39 +156,3 @@ def test_faint_directions_weigh_as_much_as_strong_ones() -> None:
     mean, axes = whitening(samples.astype(np.float32))
     np.testing.assert_allclose(np.cov(((samples - mean) @ axes).T), np.eye(5), atol=5e-3)
     np.testing.assert_allclose(mean, samples.mean(axis=0), atol=1e-4)
-
-
-STIFF, HEAVY = Fabric(bend_warp=8e-5, bend_weft=8e-5), Fabric(areal_density=0.45, bend_warp=3e-5, bend_weft=3e-5)
-
-
-def test_a_fabric_is_told_by_the_logarithms_of_gravity_length_and_mass() -> None:
-    assert fabric_features(STIFF, STIFF).tolist() == [0.0, 0.0]
-    assert fabric_features(STIFF, Fabric()) == pytest.approx([np.log(2.0), 0.0])
-    assert fabric_features(HEAVY, Fabric()) == pytest.approx([0.0, np.log(3.0)])
-    limp = [Fabric(bend_warp=bend, bend_weft=bend) for bend in (0.0, 1e-12)]
-    assert fabric_features(*limp).tolist() == [0.0, 0.0]
-
-
-def test_the_mapping_learns_what_a_fabric_changes(examples: tuple) -> None:
-    features, static, coefficients = (part[:TRAINED] if len(part) == ALL else part for part in examples)
-    own = Fabric()
-    worn = np.array([fabric_features(f, own) for f in (own, STIFF, HEAVY)])[np.arange(TRAINED) % 3]
-    change = np.array([0.0, 0.01, -0.02], np.float32)[np.arange(TRAINED) % 3]
-    changed = coefficients + change[:, None, None]
-    fitted = fit_coefficient_network(features, static, changed, hidden=(32, 24), epochs=12, seed=3, fabrics=worn)
-    for k, fabric in enumerate((own, STIFF, HEAVY)):
-        mapping = fitted.for_fabric(fabric_features(fabric, own))
-        assert not mapping.fabric_weights.any()
-        error = mapping.predict(features[k::3]) - changed[k::3]
-        assert np.sqrt((error**2).mean()) < 0.3 * coefficients.std()
-        assert abs(error.mean()) < 1e-3
-    assert np.array_equal(fitted.for_fabric(np.zeros(2)).place_bias, fitted.place_bias)
-
-
-def test_one_fabric_alone_changes_nothing(examples: tuple) -> None:
-    features, static, coefficients = (part[:80] if len(part) == ALL else part for part in examples)
-    settings = {"hidden": (8, 6), "epochs": 2, "seed": 1}
-    plain = fit_coefficient_network(features, static, coefficients, **settings)
-    alone = fit_coefficient_network(features, static, coefficients, fabrics=np.zeros((80, 2)), **settings)
-    assert not plain.fabric_weights.any()
-    assert all(np.array_equal(plain.arrays()[name], array) for name, array in alone.arrays().items())

@@ -33,6 +33,6 @@ def test_the_mean_is_of_what_decoding_lacks() -> None:
     mean = 0.003 * rng.standard_normal((fine_count, 3))
     lacking = np.array([turned(layer.patches.turning, at, mean) for at in features_of(layer, recording)[1]])
     told = replace(recording, positions=(decoded + lacking).astype(np.float32))
-    found = with_vertex_mean(layer, [by_features(mapping)], replace(atoms, vertex_mean=nothing[0] + 1.0), [run], [told])
+    found = with_vertex_mean(layer, by_features(mapping), replace(atoms, vertex_mean=nothing[0] + 1.0), [run], [told])
     np.testing.assert_allclose(found.vertex_mean, mean, atol=MEAN_STEP)
     assert np.array_equal(found.shapes, atoms.shapes) and not atoms.vertex_mean.any()
