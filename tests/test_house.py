@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.data import ROOT
+from tests.docstrings import untrue_sections
 from tests.imports import circles, imports, modules_imported
 
 FLOORS = ("pbd", "assets", "wrinkles", "runtime", "precompute", "gube")  # ground floor first, the roof last
@@ -142,20 +143,9 @@ KNOWN_CIRCLES = [
         "assets.procedural.mannequin",
         "assets.roles",
     ),
-    (
-        "assets.garment",
-        "assets.io.sewn",
-        "assets.procedural.builtin",
-        "assets.sewing.garment",
-    ),
-    (
-        "runtime.pictures",
-        "runtime.studio",
-    ),
-    (
-        "wrinkles.binding",
-        "wrinkles.surface",
-    ),
+    ("assets.garment", "assets.io.sewn", "assets.procedural.builtin", "assets.sewing.garment"),
+    ("runtime.pictures", "runtime.studio"),
+    ("wrinkles.binding", "wrinkles.surface"),
 ]
 KNOWN_ARROWS_UP = [
     "assets.character -> assets.io.gltf_character",
@@ -206,18 +196,22 @@ def arrows_up(graph: Mapping[str, Collection[str]]) -> list[str]:
     )
 
 
-def test_files_import_one_another_in_no_circles() -> None:
-    assert circles(house(SOURCES)) == KNOWN_CIRCLES
+@pytest.fixture(scope="module")
+def graph() -> dict[str, set[str]]:
+    return house(SOURCES)
 
 
-def test_imports_of_sub_packages_run_one_way() -> None:
-    assert arrows_up(house(SOURCES)) == KNOWN_ARROWS_UP
+def test_files_import_one_another_in_no_circles(graph: dict[str, set[str]]) -> None:
+    assert circles(graph) == KNOWN_CIRCLES
 
 
-def test_each_sub_package_has_its_step() -> None:
-    modules = set(house(SOURCES))
+def test_imports_of_sub_packages_run_one_way(graph: dict[str, set[str]]) -> None:
+    assert arrows_up(graph) == KNOWN_ARROWS_UP
+
+
+def test_each_sub_package_has_its_step(graph: dict[str, set[str]]) -> None:
     folders = {path.parent.relative_to(ROOT).as_posix().replace("/", ".") for path in MODULES}
-    assert folders <= set(STAIRS) <= modules | folders
+    assert folders <= set(STAIRS) <= {*graph, *folders}
 
 
 def test_circles_and_arrows_up_are_found() -> None:
@@ -262,9 +256,9 @@ def test_no_test_module_is_imported() -> None:
     assert [path.name for path in files if pattern.search(path.read_text(encoding="utf-8"))] == []
 
 
-def test_playing_loads_nothing_that_only_learning_needs() -> None:
+def test_playing_loads_nothing_that_only_learning_needs(graph: dict[str, set[str]]) -> None:
     """Also through third parties, which the imports' text does not show."""
-    names = [name for name in house(SOURCES) if name.partition(".")[0] in PLAYING]
+    names = [name for name in graph if name.partition(".")[0] in PLAYING]
     script = (
         "import importlib, sys\n"
         f"for name in {names!r}:\n"
@@ -313,6 +307,56 @@ def test_what_threads_share_adds_without_atomics() -> None:
 
 def test_float_atomics_are_found() -> None:
     assert float_atomics("@ti.func\ndef f(x):\n    x[0] += 1.0\n    y = 0.0\n    y += 1.0") == [3]
+
+
+def test_docstrings_explain_what_there_is() -> None:
+    found = {name: list(untrue_sections(ast.parse(source))) for name, source in SOURCES.items()}
+    assert [f"{name} {one}" for name, some in found.items() for one in some] == []
+
+
+def test_untrue_docstrings_are_found() -> None:
+    code = """
+def f(self, a, b, *c, d=0):
+    '''Of ``d``.
+
+    Args:
+        a, e: of both, where
+            g: is none.
+        c: more.
+    '''
+class A:
+    '''Data.
+
+    Args:
+        g: given.
+        k: not given.
+    Attributes:
+        g, i, p, q: of it.
+        n: of nothing.
+    '''
+    g: int
+    h: float = 0
+    i, j = 1, 2
+    k: int = field(init=False)
+    m: ClassVar[int] = 3
+    def p(self): self.q = 1
+class B:
+    '''No data.
+
+    Args:
+        g: taken.
+    Attributes:
+        r: kept.
+    '''
+    h: int
+    def __init__(self, g, s): self.r = g
+"""
+    assert list(untrue_sections(ast.parse(code))) == [
+        *("f: e is not there", "f: b is not explained"),
+        *("A: k is not there", "A: h is not explained"),
+        *("A: n is not there", "A: h is not explained", "A: k is not explained"),
+        "B: s is not explained",
+    ]
 
 
 MAX_LINES, MAX_ARGUMENTS, MAX_EXCEPTIONS = 60, 12, 15
