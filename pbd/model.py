@@ -89,7 +89,7 @@ class Model:
         mass: [kg], float64, shape (n,); vertices that are sewn together share it.
         inverse_mass: [1/kg], 0 where a vertex is held, shape (n,).
         held: vertices that follow targets (pins and attachments), int32, shape (p,).
-        triangles: shape (m, 3); triangle_data: inverse flat, gram, unit, compliance, see
+        triangles: shape (m, 3); ``triangle_data``: inverse flat, gram, unit, compliance, see
             :func:`pbd.xpbd.constraints.membrane_multipliers`, and columns to fill the last block: (12, m + BLOCK).
             Where a fabric stiffens, four rows more: (a, b) of warp and weft, see :meth:`pbd.Fabric.stiffening`.
             With internal friction a last row: the shear at which it slips, see
@@ -99,15 +99,15 @@ class Model:
         triangle_colors, hinge_colors: offsets of the colours, shape (colours + 1,).
         triangle_blocks: first triangle and size of each block, all of one colour, shape (b, 2).
         block_colors: offsets of the colours of the blocks, shape (colours + 1,).
-        hinges: shape (h, 4); hinge_data: K row | sum of w K^2, compliance, bend at rest, and the bend by which the
+        hinges: shape (h, 4); ``hinge_data``: K row | sum of w K^2, compliance, bend at rest, and the bend by which the
             compliance alone would bear the force of internal friction [m], 0 without; shape (h, 2, 4). Where the fabric
             is stiff, hinges are stiffer at free borders, see :func:`pbd.bending.border_share`.
         hinge_numbers: place of each hinge in ``State.plastic_bends``, int32, shape (h,).
         plastic_count: how many of these there are: one for each hinge of the mesh, whatever is held, or 0 where no
             hinge has internal friction.
-        stitches: (v, a, b), shape (s, 3); stitch_weights: position of v between a (0) and b (1), shape (s,).
+        stitches: (v, a, b), shape (s, 3); ``stitch_weights``: position of v between a (0) and b (1), shape (s,).
         stitch_gaps: how far v may be from there [m], float32, shape (s,).
-        tethers: (vertex, held vertex), shape (t, 2); tether_lengths: [m], shape (t,).
+        tethers: (vertex, held vertex), shape (t, 2); ``tether_lengths``: [m], shape (t,).
         samples: where contact with a body is tested: the vertices (i, i), then the ends (i, j) of long edges, tested in
             their middle, int32, shape (s, 2).
         sample_colors: offsets of the samples that share no vertex, the vertices first, shape (colours + 1,).

@@ -55,7 +55,7 @@ class GarmentGroup:
         spent_ms: time that the last tick took [ms].
 
     Raises:
-        InputError: another number of players than of fronts.
+        InputError: another number of players than of cost tables.
     """
 
     def __init__(
@@ -85,11 +85,11 @@ class GarmentGroup:
         Args:
             poses: pose of each body at the end of the tick.
             dt: length of the tick [s].
-            sights: view of each garment.
+            views: view of each garment.
             wind: velocity of the air [m/s].
 
         Raises:
-            InputError: another number of sights than of garments, or as :meth:`runtime.player.Player.step`.
+            InputError: another number of views than of garments, or as :meth:`runtime.player.Player.step`.
         """
         began = self._clock()
         planner = self.planner

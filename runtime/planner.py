@@ -108,7 +108,7 @@ class Planner:
     and the last change was some time ago.
 
     Args:
-        fronts: front of each garment.
+        cost_tables: of each garment.
         target_px: largest error on screen [px].
         budget_ms: time for all garments in one tick [ms].
 
@@ -136,7 +136,7 @@ class Planner:
         """Choose a setting for each garment.
 
         Args:
-            sights: how each garment is seen now.
+            views: how each garment is seen now.
             elapsed: time since the last plan [s].
 
         Raises:
@@ -244,7 +244,7 @@ class Planner:
         """Step down to cheaper settings, first where the loss for each saved millisecond is smallest.
 
         Args:
-            sights: view of each garment.
+            views: view of each garment.
             errors: error of each setting of each garment [px].
             prices: cost of each setting of each garment that is to be saved [ms].
             chosen: settings to begin with; the steps change them.

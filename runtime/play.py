@@ -241,8 +241,8 @@ def play_motion(
 
     Args:
         database: the database to play.
-        cast: its inputs.
-        motion: one of the cast's motions.
+        inputs: with what it is played.
+        motion: one of those of the inputs.
         seconds: length of the motion that is played [s]; None plays all of it.
         folder: where the pictures are written.
 
@@ -280,8 +280,8 @@ def loop_figures(
 
     Args:
         database: the database to play.
-        cast: its inputs.
-        motion: one of the cast's motions.
+        inputs: with what it is played.
+        motion: one of those of the inputs.
         seconds: length of the play [s].
         rate_hz: rate of frames [Hz].
 
@@ -314,8 +314,8 @@ def baked_frames(
 
     Args:
         database: the database to play.
-        cast: its inputs.
-        motion: one of the cast's motions.
+        inputs: with what it is played.
+        motion: one of those of the inputs.
         rate_hz: rate of the kept frames [Hz].
         seconds: length of the motion that is played [s]; None plays all of it.
 

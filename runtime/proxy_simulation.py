@@ -58,7 +58,7 @@ class ProxySimulation:
     """Steps the mesh below the coarse mesh on the same body; the state of the coarse mesh follows.
 
     Args:
-        coarser: the mesh below, and the matrix by which it carries the coarse mesh.
+        proxy: the mesh below, and the matrix by which it carries the coarse mesh.
         above: simulation of the coarse mesh; its body and the options of its solver are shared.
         options: options of the coarse mesh's model; the model of the mesh below takes the same.
         body_vertices: the body in its bind pose [m], shape (b, 3).

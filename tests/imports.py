@@ -1,11 +1,11 @@
-"""What a module imports."""
+"""What a module imports, and which modules import one another in a circle."""
 
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
 
-__all__ = ["imports"]
+__all__ = ["circles", "imports", "modules_imported"]
 
 
 def imports(tree: ast.AST, inside_function: bool = False) -> Iterator[tuple[str, bool]]:
@@ -18,3 +18,28 @@ def imports(tree: ast.AST, inside_function: bool = False) -> Iterator[tuple[str,
         else:
             deeper = inside_function or isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
             yield from imports(node, deeper)
+
+
+def modules_imported(tree: ast.AST, modules: Collection[str]) -> set[str]:
+    """Which of ``modules`` (dotted names) are imported, inside functions and for types as well."""
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            inside = [f"{node.module}.{alias.name}" for alias in node.names]
+            found |= {name if name in modules else node.module for name in inside}
+    return found & set(modules)
+
+
+def circles(graph: Mapping[str, Collection[str]]) -> list[tuple[str, ...]]:
+    """Groups of nodes of which each leads to each other one, sorted."""
+    reached = {}
+    for start in graph:
+        seen, left = set(), [start]
+        while left:
+            new = set(graph[left.pop()]) - seen
+            seen |= new
+            left += new
+        reached[start] = seen
+    return sorted({tuple(sorted(b for b in reached[a] if a in reached[b])) for a in graph if a in reached[a]})

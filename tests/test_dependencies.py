@@ -74,10 +74,8 @@ def test_every_direct_dependency_is_imported_or_run() -> None:
     assert set(RUN) & found <= {"setuptools"}  # setup.py imports it
 
 
-@pytest.mark.parametrize("name", RUN)
-def test_what_is_run_is_run(name: str) -> None:
-    file, words = RUN[name]
-    assert words in (ROOT / file).read_text(encoding="utf-8")
+def test_what_is_run_is_run() -> None:
+    assert [words for file, words in RUN.values() if words not in (ROOT / file).read_text(encoding="utf-8")] == []
 
 
 def test_every_licence_is_known_and_every_package_wanted() -> None:

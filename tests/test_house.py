@@ -1,16 +1,17 @@
-"""The house stands: imports run one way, and playing loads nothing that only learning needs."""
+"""The house stands: imports run one way and in no circles, and playing loads nothing that only learning needs."""
 
 import ast
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 
 import pytest
 
 from tests.data import ROOT
-from tests.imports import imports
+from tests.docstrings import untrue_sections
+from tests.imports import circles, imports, modules_imported
 
 FLOORS = ("pbd", "assets", "wrinkles", "runtime", "precompute", "gube")  # ground floor first, the roof last
 PLAYING = FLOORS[:4]
@@ -22,6 +23,7 @@ FOR_BLENDER = sorted(EXTENSION.glob("*.py"))
 MODULES = [
     path for floor in FLOORS for path in sorted((ROOT / floor).rglob("*.py")) if not path.is_relative_to(EXTENSION)
 ]
+SOURCES = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in MODULES}
 
 
 def names_of_modules(tree: ast.AST) -> Iterator[str]:
@@ -51,9 +53,8 @@ def forbidden(relative: Path, source: str) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_imports_run_one_way(path: Path) -> None:
-    assert forbidden(path.relative_to(ROOT), path.read_text(encoding="utf-8")) == []
+def test_imports_run_one_way() -> None:
+    assert [f"{name} {one}" for name, source in SOURCES.items() for one in forbidden(Path(name), source)] == []
 
 
 @pytest.mark.parametrize(
@@ -95,16 +96,150 @@ def test_what_is_allowed_passes(module: str, source: str) -> None:
     assert forbidden(Path(module), source) == []
 
 
+# Sub-packages, ground first: a module belongs to the longest name that it starts with and imports only what stands
+# in its own sub-package or before it. The module that a floor is imported by as a whole (pbd) is its door and free.
+STAIRS = (
+    "pbd",
+    "pbd.contact",
+    "pbd.xpbd",
+    "pbd.models",
+    "assets",
+    "assets.io",
+    "assets.patterns",
+    "assets.patterns.drafts",
+    "assets.sewing",
+    "assets.procedural",
+    "wrinkles",
+    "runtime",
+    "runtime.viewer",
+    "runtime.commands",
+    "precompute",  # processes and computers that work together, mechanics
+    "precompute.reporting",
+    "precompute.learning",
+    "precompute.wardrobe",
+    "precompute.wrinkle_comparison",
+    "precompute.demo_page",
+    "precompute.demo",
+    "precompute.planning",
+    "precompute.benchmarks",
+    "precompute.method_comparison",
+    "precompute.failures",
+    "precompute.stability",
+    "precompute.validation",
+    "precompute.fabric_lab",
+    "precompute.fuzzing",
+    "precompute.commands",
+    "gube",
+)
+# Today's breaches: an entry goes with its breach, and none is added.
+KNOWN_CIRCLES = [
+    (
+        "assets.character",
+        "assets.io.gltf_character",
+        "assets.io.usd",
+        "assets.io.usd_character",
+        "assets.procedural.figure",
+        "assets.procedural.gait",
+        "assets.procedural.mannequin",
+        "assets.roles",
+    ),
+    ("assets.garment", "assets.io.sewn", "assets.procedural.builtin", "assets.sewing.garment"),
+    ("runtime.pictures", "runtime.studio"),
+    ("wrinkles.binding", "wrinkles.surface"),
+]
+KNOWN_ARROWS_UP = [
+    "assets.character -> assets.io.gltf_character",
+    "assets.character -> assets.io.usd_character",
+    "assets.character -> assets.procedural.mannequin",
+    "assets.garment -> assets.io.gltf",
+    "assets.garment -> assets.io.obj",
+    "assets.garment -> assets.io.sewn",
+    "assets.garment -> assets.procedural.builtin",
+    "assets.io.scene -> assets.procedural.builtin",
+    "assets.io.sewn -> assets.sewing.garment",
+    "assets.remesh -> assets.procedural.implicit",
+    "assets.retarget -> assets.io.bvh",
+    "assets.seams -> assets.io.obj",
+    "pbd.contact.blocks -> pbd.xpbd.constraints",
+    "pbd.contact.body_search -> pbd.xpbd.constraints",
+    "pbd.contact.body_search -> pbd.xpbd.views",
+    "pbd.contact.pairs -> pbd.xpbd.constraints",
+    "pbd.contact.response -> pbd.xpbd.constraints",
+    "pbd.contact.strain_limits -> pbd.xpbd.constraints",
+    "pbd.layers -> pbd.contact.strain_limits",
+    "precompute.benchmarks.clips -> precompute.method_comparison.error_classes",
+    "precompute.benchmarks.solver_bench -> precompute.method_comparison.engines",
+    "precompute.validation.friction_rows -> precompute.fabric_lab.laboratory",
+    "precompute.validation.friction_rows -> precompute.fabric_lab.loops",
+    "precompute.validation.laboratory_rows -> precompute.fabric_lab.laboratory",
+]
+
+
+def house(sources: Mapping[str, str]) -> dict[str, set[str]]:
+    """What each module imports of the modules of the house, by dotted names; ``sources`` by their files."""
+    names = {file.removesuffix(".py").removesuffix("/__init__").replace("/", "."): file for file in sources}
+    return {name: modules_imported(ast.parse(sources[file]), names) - {name} for name, file in names.items()}
+
+
+def step_of(module: str) -> str:
+    return max((one for one in STAIRS if f"{module}.".startswith(f"{one}.")), key=len)
+
+
+def arrows_up(graph: Mapping[str, Collection[str]]) -> list[str]:
+    """Imports of a sub-package that stands after the importing one on the same floor."""
+    return sorted(
+        f"{module} -> {other}"
+        for module, others in graph.items()
+        for other in others
+        if module not in FLOORS and module.partition(".")[0] == other.partition(".")[0]
+        if STAIRS.index(step_of(other)) > STAIRS.index(step_of(module))
+    )
+
+
+@pytest.fixture(scope="module")
+def graph() -> dict[str, set[str]]:
+    return house(SOURCES)
+
+
+def test_files_import_one_another_in_no_circles(graph: dict[str, set[str]]) -> None:
+    assert circles(graph) == KNOWN_CIRCLES
+
+
+def test_imports_of_sub_packages_run_one_way(graph: dict[str, set[str]]) -> None:
+    assert arrows_up(graph) == KNOWN_ARROWS_UP
+
+
+def test_each_sub_package_has_its_step(graph: dict[str, set[str]]) -> None:
+    folders = {path.parent.relative_to(ROOT).as_posix().replace("/", ".") for path in MODULES}
+    assert folders <= set(STAIRS) <= {*graph, *folders}
+
+
+def test_circles_and_arrows_up_are_found() -> None:
+    graph = house(
+        {
+            "pbd/__init__.py": "from pbd.xpbd.a import A",
+            "pbd/b.py": "import pbd.c",
+            "pbd/c.py": "def f():\n    from pbd import d",
+            "pbd/d.py": "if TYPE_CHECKING:\n    from pbd.b import B",
+            "pbd/contact/e.py": "from pbd.xpbd.a import A\nfrom pbd.b import B\nimport assets.f",
+            "pbd/xpbd/a.py": "import pbd.contact.e",
+            "assets/f.py": "B = 'pbd.b'",
+        }
+    )
+    assert circles(graph) == [("pbd.b", "pbd.c", "pbd.d"), ("pbd.contact.e", "pbd.xpbd.a")]
+    assert arrows_up(graph) == ["pbd.contact.e -> pbd.xpbd.a"]
+
+
 def not_in_blender(source: str) -> list[str]:
     """Imports of an extension that Blender does not bring; "." is the extension itself."""
     known = {*sys.stdlib_module_names, "bpy", "numpy", "."}
     return [name for name, _ in imports(ast.parse(source)) if name.partition(".")[0] not in known and name != "."]
 
 
-@pytest.mark.parametrize("path", FOR_BLENDER, ids=lambda path: path.name)
-def test_the_extension_imports_what_blender_has(path: Path) -> None:
-    assert not_in_blender(path.read_text(encoding="utf-8")) == []
-    assert long_functions(path.read_text(encoding="utf-8")) == []
+def test_the_extension_imports_what_blender_has() -> None:
+    sources = {path.name: path.read_text(encoding="utf-8") for path in FOR_BLENDER}
+    assert [f"{name} imports {one}" for name, text in sources.items() for one in not_in_blender(text)] == []
+    assert [f"{name} {one}" for name, text in sources.items() for one in long_functions(text)] == []
 
 
 def test_imports_that_blender_lacks_are_found() -> None:
@@ -121,13 +256,9 @@ def test_no_test_module_is_imported() -> None:
     assert [path.name for path in files if pattern.search(path.read_text(encoding="utf-8"))] == []
 
 
-def test_playing_loads_nothing_that_only_learning_needs() -> None:
+def test_playing_loads_nothing_that_only_learning_needs(graph: dict[str, set[str]]) -> None:
     """Also through third parties, which the imports' text does not show."""
-    names = [
-        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
-        for path in MODULES
-        if path.relative_to(ROOT).parts[0] in PLAYING
-    ]
+    names = [name for name in graph if name.partition(".")[0] in PLAYING]
     script = (
         "import importlib, sys\n"
         f"for name in {names!r}:\n"
@@ -170,13 +301,62 @@ def float_atomics(source: str) -> list[int]:
     ]
 
 
-@pytest.mark.parametrize("name", SHARED_BY_THREADS)
-def test_what_threads_share_adds_without_atomics(name: str) -> None:
-    assert float_atomics((ROOT / "pbd" / f"{name}.py").read_text(encoding="utf-8")) == []
+def test_what_threads_share_adds_without_atomics() -> None:
+    assert [f"{name}:{line}" for name in SHARED_BY_THREADS for line in float_atomics(SOURCES[f"pbd/{name}.py"])] == []
 
 
 def test_float_atomics_are_found() -> None:
     assert float_atomics("@ti.func\ndef f(x):\n    x[0] += 1.0\n    y = 0.0\n    y += 1.0") == [3]
+
+
+def test_docstrings_explain_what_there_is() -> None:
+    found = {name: list(untrue_sections(ast.parse(source))) for name, source in SOURCES.items()}
+    assert [f"{name} {one}" for name, some in found.items() for one in some] == []
+
+
+def test_untrue_docstrings_are_found() -> None:
+    code = """
+def f(self, a, b, *c, d=0):
+    '''Of ``d``.
+
+    Args:
+        a, e: of both, where
+            g: is none.
+        c: more.
+    '''
+class A:
+    '''Data.
+
+    Args:
+        g: given.
+        k: not given.
+    Attributes:
+        g, i, p, q: of it.
+        n: of nothing.
+    '''
+    g: int
+    h: float = 0
+    i, j = 1, 2
+    k: int = field(init=False)
+    m: ClassVar[int] = 3
+    def p(self): self.q = 1
+class B:
+    '''No data.
+
+    Args:
+        g: taken.
+    Attributes:
+        r: kept.
+    '''
+    h: int
+    def __init__(self, g, s): self.r = g
+"""
+    assert list(untrue_sections(ast.parse(code))) == [
+        *("f: e is not there", "f: b is not explained"),
+        *("A: k is not there", "A: h is not explained"),
+        *("A: n is not there", "A: h is not explained", "A: k is not explained"),
+        "B: s is not explained",
+    ]
 
 
 MAX_LINES, MAX_ARGUMENTS, MAX_EXCEPTIONS = 60, 12, 15
@@ -197,7 +377,7 @@ def long_functions(source: str) -> list[str]:
 
 
 def test_long_functions_are_exceptions() -> None:
-    found = [name for path in MODULES for name in long_functions(path.read_text(encoding="utf-8"))]
+    found = [f"{name} {one}" for name, source in SOURCES.items() for one in long_functions(source)]
     assert len(found) <= MAX_EXCEPTIONS, found
 
 

@@ -64,6 +64,8 @@ def edge_towards(offset: vec3, vertex: ti.i32, covered: ti.template()):
 
     Args:
         offset: from the body vertex to a place near it [m].
+        vertex: the body vertex.
+        covered: view of the covered body.
 
     Returns:
         whether no neighbour is nearer to the place than the vertex; the edge that comes nearest to the place, -1 if no
@@ -131,7 +133,7 @@ def weights_beside(offset: vec3, edge: vec3, side: vec3):
 
     Args:
         offset: from that corner to the place [m].
-        edge: to the second corner; it is nearer to the place than the side to the third corner [m].
+        edge: to the second corner; it is nearer to the place than the ``side`` to the third corner [m].
 
     Returns:
         barycentric weights; by how much the place is nearer to that point than to the first corner, squared [m2].

@@ -95,7 +95,7 @@ class WrinkleDatabase:
         garment_name: name of the garment, for messages.
         coarse_vertices: in the bind pose, already outside the body [m], float64, shape (n, 3).
         coarse_faces: int32, shape (m, 3).
-        gathers: corrections of the coarse garment's rest shape against its pattern.
+        rest_shape: corrections of the coarse garment's rest shape against its pattern.
         subdivisions: number of times that each coarse face is cut in four.
         held: coarse vertices attached to the body, ascending, int32, shape (p,).
         limits: how far coarse vertices may move from where the body carries them.
@@ -111,7 +111,7 @@ class WrinkleDatabase:
         solver: options of the coarse simulation.
         frame_rate: of the coarse simulation [Hz].
         atoms, mapping: the dictionary.
-        unfamiliarity: decides where the wrinkles fade.
+        novelty: decides where the wrinkles fade.
         cutoff: wavelength of the filter between coarse and fine [m].
         body_hash: hash of the body that the garment was trained on, see :func:`body_hash`.
         body_vertex_count: number of that body's vertices.

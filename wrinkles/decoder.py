@@ -70,7 +70,7 @@ class Decoder:
         stencil: reads features and frames from the coarse garment.
         mapping: gives coefficients for features.
         atoms: give grids for coefficients.
-        unfamiliarity: fades wrinkles where the coarse state is unlike the training data.
+        novelty: fades wrinkles where the coarse state is unlike the training data.
 
     Attributes:
         amplitude: share of the wrinkles that was drawn at each coarse vertex, float32, shape (n,).

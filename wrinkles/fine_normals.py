@@ -38,6 +38,7 @@ def _subdivided_normals(vertices: Vec3, fours: Int6, sums: Vec4, normals: Vec3):
     The four share six vertices, so that each vertex is read and written once for all of them.
 
     Args:
+        vertices, normals: of the mesh, shape (n, 3); the latter are written.
         fours: corners of the face that was cut, then the middles of its sides 0-1, 1-2, 2-0.
         sums: workspace.
     """

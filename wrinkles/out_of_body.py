@@ -117,12 +117,13 @@ def out_of_body(i: ti.i32, start: vec3, covered: ti.template()) -> vec3:
 
 @ti.func
 def _seed(i: ti.i32, part: ti.i32, p: vec3, home: vec3, outwards: vec3, covered: ti.template()) -> ti.i32:
-    """Body vertex from which the search for free vertex i at p [m] starts; -1 for none.
+    """Body vertex from which the search for free vertex ``i`` at ``p`` [m] starts; -1 for none.
 
     It lies on the part that the cloth covers (0) or on the opposite one (1). Another part does not
     come near unseen: the coarse vertices around would have found it.
 
     Args:
+        part: 0 or 1, see above; ``covered``: view of the body.
         home, outwards: place of the body that it covers [m] and normal there, of use for the opposite part only.
     """
     frames = ti.static(covered.frames)
@@ -137,11 +138,12 @@ def _seed(i: ti.i32, part: ti.i32, p: vec3, home: vec3, outwards: vec3, covered:
 def _start(
     i: ti.i32, part: ti.i32, last: ti.i32, p: vec3, home: vec3, outwards: vec3, covered: ti.template()
 ) -> ti.i32:
-    """Body vertex from which the search for free vertex i at p [m] starts; -1 for none.
+    """Body vertex from which the search for free vertex ``i`` at ``p`` [m] starts; -1 for none.
 
     It is the nearest of those where the coarse vertices around this one are near the body, and where it was itself.
 
     Args:
+        part, covered: as for :func:`_seed`.
         last: where it was near the body last, -1 for nowhere.
         home, outwards: place of the body that it covers [m] and normal there; before they are known, the cloth's.
     """

@@ -59,6 +59,7 @@ class FieldSettings:
     """A solid of any shape, given by signed distances on a grid.
 
     Attributes:
+        type: says that it is a field.
         mesh: path of a closed mesh.
         spacing: of the grid [m]; finer detail is smoothed away.
         centre: where the mesh's own origin stands [m].

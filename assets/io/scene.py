@@ -206,7 +206,8 @@ class SolverSettings:
     Attributes:
         frame_rate: frames per second [Hz].
 
-    All others are those of :class:`pbd.SolverOptions`, with its defaults.
+    All others are those of :class:`pbd.SolverOptions`, with its defaults: ``substep``, ``gravity``, ``coarse_sweeps``,
+    ``contact_refreshes``, ``self_collision``, ``local_damping``, ``linear_inertia``, ``angular_inertia``.
     """
 
     frame_rate: float = entry(number(above=0, unit="Hz"), 60.0)

@@ -302,6 +302,7 @@ def search_face(
         other: the other patch.
         neighbour: its index in ``neighbours`` if ``joined``, that is if both patches share a vertex.
         margin: by which boxes are larger than the faces' motion [m].
+        cloth, tree, buffers: views of the garment, of its faces and of the pairs found.
     """
     low, high = take(tree.face_blocks, patch, LOW, lane), take(tree.face_blocks, patch, HIGH, lane)
     seconds = overlapping(tree.face_blocks, other, low, high)

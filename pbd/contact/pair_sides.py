@@ -205,7 +205,8 @@ def end_gap(edges, normal: vec3, x1: vec3, x2: vec3, x3: vec3, c0: vec3, c1: vec
     Args:
         edges: whether the features are two edges, else a vertex and a face; the first vertex is the origin.
         normal: unit, from the second feature's closest point to the first's.
-        x1, x2, x3: the other vertices; c0, c1, c2, c3: the displacements [m].
+        x1, x2, x3: the other vertices [m].
+        c0, c1, c2, c3: the displacements of all four [m].
     """
     first, second = c0.dot(normal), (x1 + c1).dot(normal)
     other = ti.max((x2 + c2).dot(normal), (x3 + c3).dot(normal))
@@ -290,6 +291,7 @@ def first_side(
         same_garment: whether both features are of one garment.
         across, offset, size: direction across both features, offset of the first from the second and its length [m].
         thickness: at which its features repel [m].
+        cloth, buffers: views of the garment and of its pairs.
     """
     normal, gap, kept = offset / ti.max(size, 1e-20), size, thickness
     if across.dot(across) > 0.0:

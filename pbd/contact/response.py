@@ -181,11 +181,12 @@ def sample_point(i: ti.i32, j: ti.i32, cloth: ti.template(), smooth_surface: ti.
 def height_over(
     x: vec3, c: ti.i32, i: ti.i32, j: ti.i32, t: ti.f32, cloth: ti.template(), contact_points: ti.template()
 ) -> ti.f32:
-    """Height of sample c of vertices i and j over the point that it touches [m].
+    """Height of sample ``c`` of vertices ``i`` and ``j`` over the point that it touches [m].
 
     Args:
         x: where the sample is before the mean position delta of its vertices [m].
         t: in [0, 1] of the frame.
+        cloth, contact_points: view of the garment, and the points that it touches.
     """
     u = 0.5 * (xyz(cloth.position_delta[i]) + xyz(cloth.position_delta[j]))
     return ((x - (xyz(contact_points[c, 0]) + t * xyz(contact_points[c, 1]))) + u).dot(xyz(contact_points[c, 2]))

@@ -98,6 +98,7 @@ class QuadraticElements(ElementEnergy):
     """E = 1/2 sum over elements and axes of x^T M x: derivatives are linear and constant.
 
     Args:
+        elements, vertex_count: as of :class:`ElementEnergy`.
         matrices: M of each element [N/m], symmetric and positive semidefinite, shape (m, k, k).
     """
 

@@ -65,6 +65,7 @@ class ClothSolver(ABC):
     Args:
         model: the garment. Tethers, ``compression_compliance_scale`` and ``shear_scale`` belong to the default
             solver and are left out.
+        energy: the cloth's.
         options: see :class:`Options`.
         name: in messages.
 

@@ -67,7 +67,8 @@ def advance_garment(
 
     Args:
         workers: who shares the work, see :mod:`pbd.xpbd.workers`.
-        step: :class:`pbd.xpbd.views.StepView`; the others are views of :mod:`pbd.xpbd.views` as well.
+        step: :class:`pbd.xpbd.views.StepView`.
+        cloth, constraints, body, obstacles, contact, multigrid, pairs: views of :mod:`pbd.xpbd.views` as well.
     """
     # A sample nearer than this may touch the body before all are tested again.
     active_distance = ti.max(

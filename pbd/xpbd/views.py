@@ -77,6 +77,8 @@ class ConstraintArrays:
     """The constraints of a garment, see :class:`pbd.Model`.
 
     Attributes:
+        triangles, triangle_blocks, block_colors, triangle_data: of the model.
+        hinges, hinge_colors, hinge_data, stitches, tethers, tether_lengths: of the model.
         rubs: whether the shear of the triangles has internal friction, known while the kernel is compiled. Their data
             then have two more rows: the shear at which it slips, see :func:`pbd.xpbd.constraints.rubbing_shear`, and
             the one at which it is without force, which is written.
@@ -181,6 +183,8 @@ class MultigridArrays:
 
     Attributes:
         used: whether the kernel has coarser levels at all, known while it is compiled.
+        parent, mass_share, level_starts, children: of that class.
+        springs, spring_colors, color_starts, spring_data, spring_shares: of that class.
         displacement: of the centres of the patches over the substep [m], and inverse masses [1/kg], vec4. Corrections
             go here: small numbers keep their digits.
         patch_centers: at the start of the substep [m], vec4. Before that it is workspace of the bending of stiff cloth.
@@ -215,6 +219,7 @@ class PairArrays:
 
     Attributes:
         used: whether the kernel has pairs at all, known while it is compiled.
+        pairs, pair_data, ready_pairs: its ``pairs``, ``data`` and ``ready``.
     """
 
     used: bool = True

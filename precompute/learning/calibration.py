@@ -75,7 +75,7 @@ class CoarseModel:
     Attributes:
         solver: its solver.
         bend_factor: hinge factor of its mesh.
-        gathers: of its mesh.
+        rest_shape: corrections of the rest shape of its mesh.
     """
 
     solver: SolverOptions

@@ -56,7 +56,7 @@ class Run:
         lead_in: time at the start that only leads to the motion that is meant [s].
         every: frames from one recorded frame to the next.
         bend_factor: hinge factor if known; None measures it.
-        gathers: of the coarse mesh, see :mod:`wrinkles.rest_shape`; None where there are none.
+        rest_shape: corrections of the coarse mesh, see :mod:`wrinkles.rest_shape`; None where there are none.
     """
 
     name: str

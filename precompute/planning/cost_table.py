@@ -62,7 +62,7 @@ def measure_cost_table(
 
     Args:
         database: of the garment.
-        cast: with what it is played.
+        inputs: with what it is played.
         motion: that nothing was learned from; played at several tempos.
         report: called with lines of progress.
     """

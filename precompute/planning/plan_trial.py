@@ -95,7 +95,7 @@ def try_plan(
     state, in others of the state that full detail steps to from the last update.
 
     Args:
-        database, cast, table: of the garment.
+        database, inputs, table: of the garment.
         motion: played forth and back for as long as it takes.
         cameras: about the garment, see :data:`SCENES`.
         seconds: to play [s].

@@ -33,7 +33,7 @@ class Planned:
 
     Attributes:
         table: of the garment.
-        sights: how each is seen.
+        views: how each is seen.
         choices: one for each.
         figures: of the plan, by name.
         plain: what plain cloth that is as good as full detail costs, in a line.

@@ -20,6 +20,7 @@ class Sheet:
     Args:
         along, across: its edges.
         shift: of the ball [m].
+        with_body: whether the ball is there.
     """
 
     def __init__(self, along: int, across: int, shift: float, with_body: bool = True) -> None:
