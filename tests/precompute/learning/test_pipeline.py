@@ -187,8 +187,6 @@ def test_one_database_holds_several_speeds_and_fabrics(
     database = read_database(made.path)
     assert database.trained_on == ("sway", "sway x 1.75")
     assert database.fabric_names == ("own", "silk") and database.other_fabrics[0].fabric == PRESETS["silk"]
-    silk = database.in_fabric("silk")
-    assert np.abs(silk.mapping.place_bias - database.mapping.place_bias).max() > 1e-3
     assert 0.0 < database.quality["silk_normal_error_deg"] < database.quality["silk_normal_error_smooth_deg"]
     motion = stage.motion(several.training.held_out[0])
     player = Player(database, stage.body, motion.pose(0.0), fabric="silk")
