@@ -87,21 +87,10 @@ FIGURES = {
     "popping": Figure("popping", "-", "largest change of a patch's wrinkles in a frame, over the size of all wrinkles"),
     "jitter_px": Figure("jitter", "px", "jumps from frame to frame on a standard screen, 95th percentile"),
     "rest_jitter_px": Figure("jitter at rest", "px", "jumps of vertices while the body stands still after its motion"),
-    "step_response_frames": Figure(
-        "delay of wrinkles",
-        "frames",
-        "frames until nine tenths of the wrinkles have followed a jump of the coarse garment",
-    ),
     "reverse_gap_mm": Figure(
         "memory of a slow motion", "mm", "distance of vertices at equal poses of a slow motion there and back"
     ),
     "attached_off_mm": Figure("error of attachment", "mm", "largest distance of an attached vertex from its target"),
-    "chosen_s": Figure("motion learned from", "s", "length of the motion that was simulated finely, for each fabric"),
-    "offered_s": Figure("motion on offer", "s", "length of the motion from which it was chosen"),
-    "coverage": Figure(
-        "coverage", "-", "how well the chosen patches cover held-out ones: 1 as well as all that were offered"
-    ),
-    "coverage_even": Figure("coverage at even intervals", "-", "the same for as much motion chosen at even intervals"),
     "feature_shift_before": Figure(
         "shift of features, uncalibrated",
         "-",
@@ -112,7 +101,6 @@ FIGURES = {
         "mismatch of features, uncalibrated", "-", "distance between both distributions of features, before calibration"
     ),
     "feature_mismatch_after": Figure("mismatch of features, calibrated", "-", "the same after calibration"),
-    "budget_ms": Figure("budget of a frame", "ms", "time that the scene allows for a frame"),
     "frame_ms_p50": Figure("time of a frame", "ms", "a whole frame, median"),
     "frame_ms_p99": Figure("time of a slow frame", "ms", "a whole frame, slowest hundredth"),
     "frame_cpu_ms": Figure("processor time of a frame", "ms", "a whole frame, processor time"),

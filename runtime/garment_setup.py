@@ -19,8 +19,7 @@ from assets.io.collider_settings import FieldSettings
 from assets.io.scene import GarmentSettings, Scene, parse_scene
 from assets.io.sequence import Sequence, SequenceMotion
 from assets.limits import load_limits
-from assets.motion import ClipMotion, part_of
-from assets.procedural.exploration import exploration_clip, exploration_motion
+from assets.procedural.exploration import exploration_motion
 from pbd import Capsule, DistanceField, Fabric, InputError, Limits, Plane, SolverOptions, Sphere
 from runtime.fitting import fitted
 from runtime.garment_mesh import (
@@ -34,7 +33,7 @@ from runtime.garment_mesh import (
     with_subdivisions,
 )
 from runtime.layer_order import check_fastened, check_order
-from runtime.scene_body import body_of, clip_of, load_body, motion_of
+from runtime.scene_body import body_of, load_body, motion_of
 from runtime.simulation import Motion
 from wrinkles.binding import Binding
 from wrinkles.database import WrinkleDatabase
@@ -259,50 +258,17 @@ class GarmentSetup:
 
     def training_motions(self) -> list[Motion]:
         """Clips and procedural motion to learn from."""
-        motions: list[Motion] = [self.motion(m) for m in self.scene.training.clips]
-        return motions + [exploration_motion(body, seed, length) for body, seed, length in self._procedural()]
+        return [*(self.motion(m) for m in self.scene.training.clips), *self._procedural()]
 
-    def training_parts(self, seconds: float) -> list[Motion]:
-        """The same motions in parts of about so many seconds, each with a lead-in of its own."""
-        parts: list[Motion] = []
-        for whole in self.scene.training.clips:
-            self.motion(whole)  # refuses what does not exist
-            end = self._end(whole)
-            cuts = _cuts(whole.start, end, seconds * whole.speed)
-            pieces = [replace(whole, start=a, end=b) for a, b in cuts] if len(cuts) > 1 else [whole]
-            parts += [self.motion(piece) for piece in pieces]
-        for body, seed, length in self._procedural():
-            clip = exploration_clip(body, seed, length)
-            for a, b in _cuts(0.0, clip.duration, seconds):
-                part = ClipMotion(body, part_of(clip, a, b), blend=1.0 if a else 0.0)  # it begins in the bind pose
-                part.name = f"{clip.name} {a:g}-{b:g} s"
-                parts.append(part)
-        return parts
-
-    def _end(self, motion: MotionSettings) -> float:
-        """End of a clip or of its part, in the clip's own time [s]."""
-        if not isinstance(self.body, Character):
-            return self.motion(motion).duration * motion.speed
-        length = clip_of(self.body, motion).duration
-        return length if motion.end is None else min(motion.end, length)
-
-    def _procedural(self) -> Iterator[tuple[Character, int, float]]:
-        """Body, seed and length [s] of each piece of procedural motion."""
+    def _procedural(self) -> Iterator[Motion]:
         rest, seed = self.scene.training.procedural_seconds, self.scene.wrinkles.seed
         if rest and not isinstance(self.body, Character):
             raise InputError(
                 "procedural motion needs a skinned character", key="training.procedural_seconds", expected="0"
             )
         while rest >= 2.0 and isinstance(self.body, Character):
-            yield self.body, seed, min(rest, PROCEDURAL_PIECE)
+            yield exploration_motion(self.body, seed, min(rest, PROCEDURAL_PIECE))
             rest, seed = rest - PROCEDURAL_PIECE, seed + 1
-
-
-def _cuts(start: float, end: float, seconds: float) -> list[tuple[float, float]]:
-    """Equal parts of about so many seconds; their ends are whole hundredths."""
-    count = max(1, round((end - start) / seconds))
-    ends = [start, *(round(start + k * (end - start) / count, 2) for k in range(1, count)), end]
-    return list(zip(ends[:-1], ends[1:], strict=True))
 
 
 def colliders_of(scene: Scene) -> tuple[Plane | Sphere | Capsule | DistanceField, ...]:

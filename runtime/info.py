@@ -86,9 +86,7 @@ def _sections(database: WrinkleDatabase, figures: Mapping[str, float]) -> Iterat
     yield "Dictionary", _dictionary_rows(database, figures)
     training = [
         ("learned from", ", ".join(database.trained_on) or "nothing"),
-        *_choice(database.quality),
         ("judged on", ", ".join(database.held_out) or "nothing"),
-        *_budget(database.quality),
         ("took", f"{database.training_minutes:.1f} min, seed {database.seed}"),
     ]
     yield "Training", training
@@ -132,25 +130,6 @@ def _dictionary_rows(database: WrinkleDatabase, figures: Mapping[str, float]) ->
         ("regions", f"{figures['region_count']}, each with a second and third layer of its own"),
         ("cut-off", f"{database.cutoff:.4g} m: the dictionary makes the shorter folds"),
     ]
-
-
-def _choice(quality: Mapping[str, float]) -> list[tuple[str, str]]:
-    """A row about the motion that was chosen to learn from; none if there was no choice."""
-    if "chosen_s" not in quality:
-        return []
-    words = f"{quality['chosen_s']:.1f} s of {quality['offered_s']:.1f} s on offer"
-    if "coverage" in quality:
-        words += f"; held-out motion covered to {quality['coverage']:.3f}, taken evenly {quality['coverage_even']:.3f}"
-    return [("chosen", words)]
-
-
-def _budget(quality: Mapping[str, float]) -> list[tuple[str, str]]:
-    """A row about the budget that chose the simulated mesh; none without one."""
-    if "budget_ms" not in quality:
-        return []
-    spent, budget = quality["frame_ms_p50"], quality["budget_ms"]
-    kept = "the finest mesh that fits" if spent <= budget else "no mesh fits, and this is the coarsest"
-    return [("budget", f"{budget:g} ms a frame; it takes {spent:.1f} ms: {kept}")]
 
 
 def better_choice(quality: Mapping[str, float]) -> str:

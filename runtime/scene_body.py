@@ -17,7 +17,7 @@ from assets.retarget import load_joint_table, retargeted
 from pbd import InputError
 from runtime.simulation import Motion
 
-__all__ = ["body_of", "clip_of", "load_body", "motion_of"]
+__all__ = ["body_of", "load_body", "motion_of"]
 
 
 @cache

@@ -166,8 +166,6 @@ class TrainingSettings:
         clips: clips to learn from.
         held_out: clips that nothing is learned from.
         procedural_seconds: length of procedural motion to learn from as well [s].
-        choose_s: learn only from those parts of all this that add most, so many seconds in all [s]; None learns from
-            everything.
         fabrics: presets to learn the wrinkles in besides the garment's own fabric.
         substep: of the fine runs on the garment's own mesh [s]; each subdivision to the fine mesh halves it.
     """
@@ -175,7 +173,6 @@ class TrainingSettings:
     clips: tuple[MotionSettings, ...] = entry(tables(table(MotionSettings)), ())
     held_out: tuple[MotionSettings, ...] = entry(tables(table(MotionSettings)), ())
     procedural_seconds: float = entry(number(at_least=0, unit="s"), 0.0)
-    choose_s: float | None = entry(number(above=0, unit="s"), None)
     fabrics: tuple[str, ...] = entry(several(choice(*PRESETS)), ())
     substep: float = entry(number(above=0, unit="s"), SolverOptions.substep)
 
@@ -233,14 +230,11 @@ class WrinkleSettings:
         hidden_width: width of the network's second hidden layer; the first is eight thirds as wide.
         atoms: atoms of the dictionary.
         seed: seed of every random choice in learning.
-        budget_ms: of a frame on one core [ms]: the finest mesh that fits into it is simulated, see
-            :mod:`precompute.learning.within_budget`; None simulates the mesh that ``coarse_subdivisions`` names.
     """
 
     hidden_width: int = entry(whole(at_least=1), 36)
     atoms: int = entry(whole(at_least=1), 48)
     seed: int = entry(whole(at_least=0), 0)
-    budget_ms: float | None = entry(number(above=0, unit="ms"), None)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,7 @@ from pbd.crossings import crossings
 from pbd.distance import BodyDistance, penetration_figures
 from pbd.wind import CALM, Air
 from precompute.learning.decoding import bands_of, decode_recording
-from precompute.learning.in_time import Pause, popping, step_response_frames
+from precompute.learning.in_time import Pause, popping
 from precompute.learning.options import LearningOptions
 from precompute.learning.recording import Recording, Run, body_source, poses_of, record_runs
 from precompute.learning.stages import counted
@@ -417,8 +417,7 @@ def _pause_figures(database: WrinkleDatabase, pause: Pause) -> dict[str, float]:
     run = pause.run
     player = Player(database, run.body, run.poses[0], run.primitives)
     free = play(player, run.poses, run.dt, run.wind, every=1)
-    figures = pause.figures(free.frames) | pause.figures(free.smooth, "smooth_")
-    return figures | {"step_response_frames": float(step_response_frames(player, pause.onward, run.dt))}
+    return pause.figures(free.frames) | pause.figures(free.smooth, "smooth_")
 
 
 def _distance_jobs(truth: Truth, frames: np.ndarray) -> list[partial]:

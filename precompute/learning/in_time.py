@@ -1,4 +1,4 @@
-"""Wrinkles in time: jitter at rest, the answer to a step, memory of the way there, popping."""
+"""Wrinkles in time: jitter at rest, memory of the way there, popping."""
 
 from __future__ import annotations
 
@@ -8,14 +8,11 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from precompute.learning.recording import Run
-from runtime.player import Player
 from wrinkles.metrics import jitter_px, rmse_mm
 
-__all__ = ["Pause", "popping", "step_response_frames"]
+__all__ = ["Pause", "popping"]
 
 SLOWED = 3  # so many times slower does the body go on and back after it has stood still
-DECODED = 12  # times that a state is decoded while nothing else changes
-ARRIVED = 0.9  # share of the change that counts as the answer to a step
 
 
 @dataclass(frozen=True)
@@ -26,14 +23,12 @@ class Pause:
         run: the fine run of it; every frame is recorded, so that frame k is the one at pose k + 1.
         still: frames in which the body has stood still for a while.
         there, back: frames at the same poses, the further from the turn the earlier.
-        onward: poses from where the run ends, at full speed.
     """
 
     run: Run
     still: slice
     there: slice
     back: slice
-    onward: np.ndarray
 
     @classmethod
     def of(cls, run: Run, start: float, still: float = 1.0, piece: float = 0.5) -> Pause:
@@ -60,7 +55,6 @@ class Pause:
             slice(begin - stand // 2, begin),
             slice(begin, begin + half),
             slice(begin + 2 * count - 2, begin + 2 * count - 2 - half, -1),
-            run.poses[turn : turn + count // SLOWED + 1],
         )
 
     def figures(self, frames: np.ndarray, prefix: str = "") -> dict[str, float]:
@@ -91,30 +85,3 @@ def popping(displacements: np.ndarray, frames: np.ndarray, patches: np.ndarray) 
     size = np.bincount(patches, minlength=frames.shape[1])
     mean_of = csr_matrix((1.0 / size[patches], (patches, np.arange(len(patches)))), shape=(len(size), len(patches)))
     return float(np.sqrt((mean_of @ change.T).max() / (local**2).sum(axis=2).mean()))
-
-
-def step_response_frames(player: Player, poses: np.ndarray, dt: float) -> int:
-    """Decoded frames until the wrinkles have made nine tenths of their change after a jump of the coarse state.
-
-    The coarse garment is taken along the poses; then its state at the end follows on that at the start at once, and
-    each is decoded over and over.
-
-    Args:
-        player: stands at the first pose.
-        poses: shape (f, ...), one every ``dt`` [s].
-        dt: [s].
-    """
-    simulation, upsample = player.simulation, player.levels.subdivision.upsample
-    states = [simulation.state.copy()]
-    for pose in poses[1:]:
-        player.step(pose, dt)
-    states.append(simulation.state.copy())
-    wrinkles = []
-    for state, pose in zip(states, (poses[0], poses[-1]), strict=True):
-        simulation.state = state
-        simulation.place_body(pose)
-        for _ in range(DECODED):
-            player.decode()
-            wrinkles.append(player.vertices - upsample(state.position[:, :3]))
-    left = [np.linalg.norm(frame - wrinkles[-1]) for frame in wrinkles[DECODED - 1 :]]
-    return int(np.argmax(np.array(left) <= (1.0 - ARRIVED) * left[0]))

@@ -16,7 +16,6 @@ from assets.io.scene import Scene, scene_text
 from pbd import Fabric, InputError, ModelOptions, SolverOptions
 from pbd.bending import hinge_calibration
 from precompute.learning.calibration import Calibration, CoarseModel, calibrate
-from precompute.learning.coverage import PART, choose
 from precompute.learning.decoding import by_features, with_vertex_mean
 from precompute.learning.evaluation import (
     Evaluation,
@@ -34,7 +33,6 @@ from precompute.learning.options import LearningOptions
 from precompute.learning.recording import Recording, Run, body_source, record_runs
 from precompute.learning.stages import StageClock, StageTime
 from precompute.learning.training import Layer, TrainingSet, build_layer, fit_layer, spread_frames, training_set
-from precompute.learning.within_budget import choice_of, choices_within_budget
 from precompute.workers import Workers
 from runtime.garment_setup import GarmentSetup, colliders_of, fabrics_of, fine_options
 from runtime.simulation import Motion
@@ -51,9 +49,7 @@ __all__ = [
     "default_cache",
     "precompute",
     "scene_run",
-    "training_motions",
     "training_recordings",
-    "training_runs",
 ]
 
 DEFAULT = LearningOptions()
@@ -72,7 +68,7 @@ class Precomputed:
         calibration: of the coarse model in the garment's own fabric.
         truth: of the first held-out motion, None without one.
         evaluation: of the database on it.
-        stages: where the time went, for the mesh that was chosen.
+        stages: where the time went.
     """
 
     database: WrinkleDatabase
@@ -160,8 +156,7 @@ def precompute(
     """Simulate, learn, calibrate, judge and write.
 
     Fine runs are cached by content and go on where they were cut off, and so is what each stage after them gives: an
-    interrupted call gives the same database. It is the same for any number of workers, too. Where
-    the scene names a budget, the machine's speed decides which mesh is simulated.
+    interrupted call gives the same database. It is the same for any number of workers, too.
 
     Args:
         scene: one garment on one body, with training and held-out motion.
@@ -169,57 +164,31 @@ def precompute(
         workers: processes that simulate and decode, or how many of them there are to be.
         report: called with lines of progress.
         options: how much is done.
-        clock: of a longer work that STAGES are a part of, of a scene without a budget; None times STAGES alone.
+        clock: of a longer work that STAGES are a part of; None times STAGES alone.
 
     Raises:
         InputError: nothing to learn from, a held-out motion that is trained on too, or a file that cannot be loaded.
     """
     began, output = time.monotonic(), Path(output)
-    choices = choices_within_budget(scene)
-    stage = GarmentSetup.of(choices[0])
-    held_out = _held_out(choices[0], stage)
+    stage = GarmentSetup.of(scene)
+    held_out = _held_out(scene, stage)
     with Workers.of(workers) as pool:
-        for one in choices:
-            stage = stage if one is choices[0] else GarmentSetup.of(one)
-            own_clock = StageClock(STAGES if held_out else STAGES[:-1], pool, report)
-            fabrics, layer = fabrics_of(one, stage.settings), build_layer(stage.levels)
-            work = _Work(one, stage, layer, fabrics, cache or default_cache(output), pool, clock or own_clock, options)
-            last = one is choices[-1]
-            if not last and not _coarse_garment_fits(work, held_out[0]):
-                continue
-            made = _precomputed(work, held_out, output)
-            if _fits(work, made.database.quality.get("frame_ms_p50", 0.0), "a frame") or last:
-                break
+        clock = clock or StageClock(STAGES if held_out else STAGES[:-1], pool, report)
+        fabrics, layer = fabrics_of(scene, stage.settings), build_layer(stage.levels)
+        work = _Work(scene, stage, layer, fabrics, cache or default_cache(output), pool, clock, options)
+        made = _precomputed(work, held_out, output)
     database = replace(made.database, training_minutes=(time.monotonic() - began) / 60.0)
     write_database(output, database)
     return replace(made, database=database)
-
-
-def _fits(work: _Work, frame_ms: float, what: str) -> bool:
-    """Whether a time is within the scene's budget; always without one."""
-    budget = work.scene.wrinkles.budget_ms
-    if budget is None:
-        return True
-    said = choice_of(work.scene, len(work.stage.levels.coarse.vertices))
-    work.clock(f"{said}: {what} takes {frame_ms:.1f} ms of {budget:g}")
-    return frame_ms <= budget
-
-
-def _coarse_garment_fits(work: _Work, motion: Motion) -> bool:
-    """Whether the coarse garment alone is within the scene's budget: what is not need not be learned."""
-    if work.scene.wrinkles.budget_ms is None:
-        return True
-    run = work.run(motion)
-    coarse = replace(run, name=f"{run.name} (coarse)", fine=False, solver=work.scene.solver.options())
-    (recording,) = record_runs([coarse], work.cache, work.workers, work.clock)
-    return _fits(work, recording.step_ms, "the simulated garment alone")
 
 
 def _precomputed(work: _Work, held_out: Sequence[Motion], output: Path) -> Precomputed:
     """Learn, calibrate and judge; nothing is written."""
     clock, stage, scene = work.clock, work.stage, work.scene
     with clock.stage("simulating"):
-        motions, choice = training_motions(work.layer, stage, scene, work.cache, work.workers, clock)
+        motions = stage.training_motions()
+        if not motions:
+            raise InputError("nothing to learn from", key="training", expected="clips or procedural_seconds")
         examples = _simulated(work, motions, held_out[:1])
     kept = Kept(work.cache, scene, [example.run for example in examples], work.options)
     mapping, atoms = _learned(work, examples, kept)
@@ -228,7 +197,7 @@ def _precomputed(work: _Work, held_out: Sequence[Motion], output: Path) -> Preco
         calibrations = _calibrated(work, examples, mapping, atoms, coarse, kept)
     database = _finished(work, examples, mapping, atoms, coarse, calibrations, kept)
     database = as_stored(replace(database, trained_on=tuple(m.name for m in motions)))  # judged as it is played
-    truth, evaluation, quality = None, None, dict(choice)
+    truth, evaluation, quality = None, None, {}
     if held_out:  # the first held-out clip is the one that is reported
         with clock.stage("evaluating"):
             truth, evaluation, figures = _evaluated(work, database, held_out[0])
@@ -241,8 +210,6 @@ def _precomputed(work: _Work, held_out: Sequence[Motion], output: Path) -> Preco
         "feature_mismatch_after": calibration.mismatch_after,
         "atoms_kept": atoms.kept,
     }
-    if scene.wrinkles.budget_ms is not None:
-        quality["budget_ms"] = scene.wrinkles.budget_ms
     database = replace(database, quality=quality)
     return Precomputed(database, output, calibration, truth, evaluation, tuple(clock.times))
 
@@ -420,50 +387,6 @@ def _evaluated(work: _Work, database: WrinkleDatabase, motion: Motion) -> tuple[
         given = _given_figures(database.in_fabric(other.name), work.run(motion, other.name), cache, workers, clock)
         figures |= {f"{other.name}_{name}": value for name, value in given.items()}
     return truth, evaluation, figures
-
-
-def training_motions(
-    layer: Layer,
-    stage: GarmentSetup,
-    scene: Scene,
-    cache: Path,
-    workers: Workers | int,
-    report: Callable[[str], None] | None = None,
-) -> tuple[list[Motion], dict[str, float]]:
-    """The motions that a scene learns from: all that it names, or the parts of them that add most.
-
-    Returns:
-        the motions, and figures of the choice, none where all are taken.
-
-    Raises:
-        InputError: nothing to learn from, or more seconds to choose than there are, or fewer than a part has.
-    """
-    budget = scene.training.choose_s
-    motions = stage.training_motions() if budget is None else stage.training_parts(PART)
-    if not motions:
-        raise InputError("nothing to learn from", key="training", expected="clips or procedural_seconds")
-    if budget is None:
-        return motions, {}
-    offered = [motion.duration for motion in motions]
-    if not min(offered) <= budget < sum(offered):
-        expected = f"at least {min(offered):.3g} (a part), below {sum(offered):.3g} (all) [s]"
-        raise InputError("nothing to choose", key="training.choose_s", received=budget, expected=expected)
-    runs = [scene_run(stage, scene, motion) for motion in motions]
-    held_out = [scene_run(stage, scene, stage.motion(m)) for m in scene.training.held_out[:1]]
-    solver, seed = scene.solver.options(), scene.wrinkles.seed
-    found = choose(layer, runs, next(iter(held_out), None), budget, solver, seed, cache, workers, report)
-    if report is not None:
-        figures = found.figures
-        report(f"choosing motion: {figures['chosen_s']:.0f} s of {figures['offered_s']:.0f} s on offer")
-    return [motions[number] for number in found.numbers], found.figures
-
-
-def training_runs(
-    layer: Layer, stage: GarmentSetup, scene: Scene, cache: Path, report: Callable[[str], None] | None
-) -> list[Run]:
-    """The fine runs that a scene learns from, in the garment's own fabric."""
-    motions, _ = training_motions(layer, stage, scene, cache, 2, report)
-    return [scene_run(stage, scene, motion) for motion in motions]
 
 
 def training_recordings(

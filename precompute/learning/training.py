@@ -29,6 +29,7 @@ __all__ = [
 
 SAMPLED_PATCHES = 60_000  # that the atoms are fitted to
 BLOCK = 32  # frames whose smooth surface is computed at once
+DIRECTIONS = 40  # of the whitened features that statistics keep; the others are too faint
 
 
 @dataclass(frozen=True)
@@ -212,12 +213,12 @@ class FeatureStatistics:
     axes: np.ndarray
 
     @classmethod
-    def of(cls, features: np.ndarray, kept: int = 40) -> FeatureStatistics:
+    def of(cls, features: np.ndarray) -> FeatureStatistics:
         """Statistics of reference features, shape (f, n, d)."""
         flat = features.reshape(-1, features.shape[-1]).astype(float)
         mean, spread = flat.mean(axis=0), flat.std(axis=0) + 1e-4
         _, values, rows = np.linalg.svd(np.cov(((flat - mean) / spread).T), hermitian=True)
-        return cls(mean, (rows[:kept] / np.sqrt(values[:kept, None])).T / spread[:, None])
+        return cls(mean, (rows[:DIRECTIONS] / np.sqrt(values[:DIRECTIONS, None])).T / spread[:, None])
 
     def shift(self, features: np.ndarray) -> float:
         """Root mean squared Mahalanobis distance from the reference mean, per dimension; 1 for the reference."""

@@ -106,15 +106,6 @@ def test_other_fabrics_are_said_and_checked(write: Callable[..., Path]) -> None:
     assert all(check.passed for check in check_database(path))
 
 
-def test_the_choice_of_motion_is_said(write: Callable[..., Path]) -> None:
-    chosen = {"chosen_s": 19.5, "offered_s": 62.0, "coverage": 0.91, "coverage_even": 0.85}
-    text, figures = info_text(write(quality=chosen))
-    words = "19.5 s of 62.0 s on offer; held-out motion covered to 0.910, taken evenly 0.850"
-    assert row(text, "chosen").split(maxsplit=1) == ["chosen", words]
-    assert chosen.items() <= figures.items()
-    assert "held-out motion covered" not in info_text(write(quality={"chosen_s": 19.5, "offered_s": 62.0}))[0]
-
-
 def test_nothing_held_out_is_said(write: Callable[..., Path]) -> None:
     text, _ = info_text(write(quality={}, held_out=()))
     assert "unknown, nothing was held out" in text
@@ -247,10 +238,3 @@ def test_gube_check_has_a_row_for_every_check_and_its_status(
     assert command.main(["check", str(bad)]) == 2
     assert command.main(["info", str(tmp_path / "absent.h5")]) == 2
     assert "absent.h5: no such file" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(("spent", "words"), [(7.4, "the finest mesh that fits"), (9.0, "no mesh fits")])
-def test_the_budget_that_chose_the_mesh_is_told(write: Callable[..., Path], spent: float, words: str) -> None:
-    text, figures = info_text(write(quality=QUALITY | {"budget_ms": 8.0, "frame_ms_p50": spent}))
-    assert f"8 ms a frame; it takes {spent:.1f} ms: {words}" in text and figures["budget_ms"] == 8.0
-    assert "ms a frame; it takes" not in info_text(write())[0]

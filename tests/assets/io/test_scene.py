@@ -43,7 +43,6 @@ clips = [{ file = "builtin:mannequin", clip = "walk" }]
 held_out = [{ file = "builtin:mannequin", clip = "turn" }]
 procedural_seconds = 20
 substep = 0.001
-choose_s = 12
 fabrics = ["denim", "silk"]
 
 [[collider]]
@@ -84,7 +83,6 @@ angular_inertia = 0.25
 
 [wrinkles]
 hidden_width = 32
-budget_ms = 8.0
 atoms = 16
 seed = 3
 

@@ -103,7 +103,6 @@ def test_the_database_plays(learned: Precomputed) -> None:
 
 def test_how_the_wrinkles_behave_in_time_is_measured_beside_the_truth(learned: Precomputed) -> None:
     quality = learned.database.quality
-    assert quality["step_response_frames"] == 1.0  # what is decoded keeps nothing but where relaxation found the body
     for name in ("rest_jitter_px", "reverse_gap_mm"):
         values = [quality[prefix + name] for prefix in ("", "smooth_", "truth_")]
         assert min(values) > 0.0 and values[0] < 3.0 * max(values[1:])
