@@ -7,7 +7,7 @@ WEB_SOURCES := package.json package-lock.json $(WEB)/three.js $(WEB)/loops.ts
 export PYTHONHASHSEED := 0
 export GUBE_DATA ?= $(CURDIR)/../shared/data
 
-.PHONY: demo docs gallery fabrics garments scenes blender test browser-test lint format proofs proofs-long gpu-proofs licences lock clean
+.PHONY: demo docs gallery fabrics garments scenes blender test browser-test lint format proofs gpu-proofs licences lock clean
 
 demo: .venv/ready
 	$(BIN)/gube demo
@@ -70,20 +70,6 @@ format: .venv/ready
 proofs: .venv/ready
 	$(BIN)/python -m pytest -m "proof and not gpu"
 	$(BIN)/gube validate -o out/validate --json out/validate.json || test $$? = 1 # 1: a row of the table is lost, as it says
-
-# Rivals and ablations of the wrinkle layer on every garment of docs/scenes; hours. Goes on where it was cut off:
-# `rm -r out/proofs-long` begins anew.
-LONG := out/proofs-long
-LEARNED := $(filter-out %/sewn_layers.toml,$(wildcard docs/scenes/*.toml)) # that one is only simulated
-proofs-long: $(patsubst docs/scenes/%.toml,$(LONG)/%/ablations.md,$(LEARNED))
-
-.PRECIOUS: $(LONG)/%/wrinkles.html
-$(LONG)/%/wrinkles.html: docs/scenes/%.toml | .venv/ready scenes
-	$(BIN)/gube compare $< --wrinkles -o $(@D) --json $(@D)/wrinkles.json
-
-$(LONG)/%/ablations.md: $(LONG)/%/wrinkles.html
-	$(BIN)/gube bench wrinkles $(@D)/$*.h5 --json $(@D)/ablations.json > $@.part
-	mv $@.part $@
 
 gpu-proofs: .venv/ready
 	$(BIN)/python -m pytest -m gpu -rs

@@ -38,7 +38,6 @@ COMMANDS: Mapping[str, str] = {
     "stability": "precompute.commands.stability",
     "fuzz": "precompute.commands.fuzz",
     "bench frame": "precompute.commands.bench_frame",
-    "bench wrinkles": "precompute.commands.bench_wrinkles",
     "bench solver": "precompute.commands.bench_solver",
     "bench failures": "precompute.commands.bench_failures",
     "bench stress": "precompute.commands.bench_stress",

@@ -84,16 +84,14 @@ def middle_levels(database: WrinkleDatabase, source: BodySource, cuts: int = 1) 
     return levels_of(vertices, one.faces, held, *body, left, database.warp, database.binding, limits, sewn, layers)
 
 
-def plain_model(database: WrinkleDatabase, levels: Levels, options: ModelOptions | None = None) -> Model:
-    """The garment of the fabric itself on the coarse mesh of some levels.
+def plain_model(database: WrinkleDatabase, levels: Levels) -> Model:
+    """The garment of the fabric itself, uncalibrated, on the coarse mesh of some levels.
 
     Args:
         database: gives fabric and pressure.
         levels: of the database, or its middle levels.
-        options: None takes those of the fabric itself, uncalibrated.
     """
-    options = options or ModelOptions(pressure=database.options.pressure)
-    return levels.model(database.fabric, options)
+    return levels.model(database.fabric, ModelOptions(pressure=database.options.pressure))
 
 
 class PlainPlayer:

@@ -140,11 +140,6 @@ class Patches:
         crowded = binding.crowded(np.einsum("pc,pci->pi", binding.place, corners))
         return replace(read, smoothing=binding.smoothing_where(crowded))
 
-    def blended(self, blend: np.ndarray) -> Patches:
-        """The same patches of a subdivided mesh with other weights, float32, shape (N, 3)."""
-        turning = _turning(None, self.corners, blend, self.turning.shape[1])
-        return replace(self, blend=np.ascontiguousarray(blend, np.float32), turning=turning)
-
     def fits(self, coarse_count: int) -> list[tuple[np.ndarray, np.ndarray]]:
         """For each coarse vertex, the fine vertices of its patch and the matrix that fits a grid to values at them.
 

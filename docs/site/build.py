@@ -26,7 +26,7 @@ NAV: list[tuple[str, list[str]]] = [
         "Guides",
         ["viewer.md", "artists-guide.md", "interchange.md", "engine-guide.md", "patterns.md", "contributing.md"],
     ),
-    ("How it works", ["how-it-works.md", "solver.md", "ablations.md"]),
+    ("How it works", ["how-it-works.md", "solver.md"]),
     (
         "Reference",
         [

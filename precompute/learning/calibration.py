@@ -18,7 +18,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from pbd import ModelOptions, SolverOptions
-from precompute.learning.decoding import bands_of, by_features, decode_recording, joined
+from precompute.learning.decoding import bands_of, decode_recording, joined
 from precompute.learning.options import LearningOptions
 from precompute.learning.recording import Recording, Run, record_runs
 from precompute.learning.stages import counted
@@ -226,7 +226,7 @@ def _judge(bench: _Bench, number: int, model: ModelOptions) -> dict[str, float]:
         "apart_mm": 1e3 * _apart(mine, bench.recordings),
     }
     whole, some = joined(tries, [r.where(slice(None, None, bench.every)) for r in mine])
-    _, decoded = decode_recording(layer, by_features(bench.mapping), bench.atoms, whole, some)
+    _, decoded = decode_recording(layer, bench.mapping.predict, bench.atoms, whole, some)
     total = bands_of(layer.levels).energy(decoded).mean(axis=0)
     return {
         "model": number,

@@ -18,7 +18,7 @@ from precompute.learning.training import Layer, features_of, spread_frames
 from precompute.workers import Workers
 from runtime.simulation import BodySource
 from wrinkles.decoder import Upsampler
-from wrinkles.dictionary import Atoms, CoefficientNetwork
+from wrinkles.dictionary import Atoms
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.fine_surface import FineSurface
 from wrinkles.levels import Levels
@@ -33,7 +33,6 @@ __all__ = [
     "Predictor",
     "bands_of",
     "blocks_of",
-    "by_features",
     "by_patches",
     "decode_recording",
     "joined",
@@ -44,33 +43,20 @@ __all__ = [
 MEAN_FRAMES = 400  # that the means of vertices are fitted to
 BLOCK = 64  # frames that one worker decodes after each other
 
-Predictor = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Features of one frame, float32, shape (n, DYNAMIC_COUNT), and the body's pose to coefficients, shape (n, K)."""
+Predictor = Callable[[np.ndarray], np.ndarray]
+"""Features of one frame, float32, shape (n, DYNAMIC_COUNT), to coefficients, shape (n, K)."""
 
-FrameDecoder = Callable[[np.ndarray, Upsampler, np.ndarray, np.ndarray, np.ndarray], None]
-"""Puts wrinkles on smooth fine vertices [m], float32, shape (N, 3), in place; told the upsampler that made them, the
-features and frames of the coarse vertices, float32, shapes (n, DYNAMIC_COUNT) and (n, 9), and the body's pose."""
-
-
-@dataclass(frozen=True)
-class _ByFeatures:
-    mapping: CoefficientNetwork
-
-    def __call__(self, features: np.ndarray, pose: np.ndarray) -> np.ndarray:
-        return self.mapping.predict(features)
-
-
-def by_features(mapping: CoefficientNetwork) -> Predictor:
-    """The network's coefficients, whatever the pose."""
-    return _ByFeatures(mapping)
+FrameDecoder = Callable[[np.ndarray, Upsampler, np.ndarray, np.ndarray], None]
+"""Puts wrinkles on smooth fine vertices [m], float32, shape (N, 3), in place; told the upsampler that made them, and
+features and frames of the coarse vertices, float32, shapes (n, DYNAMIC_COUNT) and (n, 9)."""
 
 
 def by_patches(layer: Layer, predict: Predictor, atoms: Atoms) -> FrameDecoder:
     """Wrinkles from patches whose coefficients a mapping gives."""
     surface = FineSurface(layer.levels.subdivision, layer.patches, atoms.vertex_mean)
 
-    def lift(fine: np.ndarray, upsample: Upsampler, features: np.ndarray, frames: np.ndarray, pose: np.ndarray) -> None:
-        grids = (predict(features, pose) @ atoms.shapes + atoms.mean).astype(np.float32)
+    def lift(fine: np.ndarray, upsample: Upsampler, features: np.ndarray, frames: np.ndarray) -> None:
+        grids = (predict(features) @ atoms.shapes + atoms.mean).astype(np.float32)
         surface(upsample.middle, grids, frames, fine)
 
     return lift
@@ -155,7 +141,7 @@ def _mean_sums(
 
 
 def decoded_frames(
-    layer: Layer, lift: FrameDecoder, run: Run, recording: Recording, passes: int | None = None
+    layer: Layer, lift: FrameDecoder, run: Run, recording: Recording
 ) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
     """The same a frame at a time, by any way to make wrinkles.
 
@@ -163,7 +149,6 @@ def decoded_frames(
         layer: of the garment; its stencil reads the features.
         lift: adds the wrinkles, see :data:`FrameDecoder`; called once a frame, in order.
         run, recording: as for :func:`decode_recording`.
-        passes: of relaxation; None takes those of full detail.
 
     Yields:
         smooth and decoded garment [m], float32, shape (N, 3) each, and the processor time from the smooth surface to
@@ -173,7 +158,7 @@ def decoded_frames(
     upsample = Upsampler(levels.subdivision)
     source = body_source(run.body)
     relax = _relaxation(_Kept.of(levels, source, run.fabric)).fresh()
-    passes = full_passes(len(levels.subdivision.steps)) if passes is None else passes
+    passes = full_passes(len(levels.subdivision.steps))
     body = Body(source.faces, len(source.vertices))
     count = levels.subdivision.coarse_count
     position, frames = np.zeros((count, 4), np.float32), np.zeros((count, 9), np.float32)
@@ -190,7 +175,7 @@ def decoded_frames(
         nearest, targets = np.ascontiguousarray(recording.nearest[f]), levels.fine_attachment.targets(body.current)
         decoded, began = smooth.copy(), time.process_time()
         layer.stencil.read(position, contact, frames, features)
-        lift(decoded, upsample, features, frames, run.poses[frame])
+        lift(decoded, upsample, features, frames)
         relax(decoded, targets, frames, nearest, contact, body, body.current, passes)
         spent = 1e3 * (time.process_time() - began)
         offset = origin.astype(np.float32)

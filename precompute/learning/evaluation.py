@@ -235,7 +235,7 @@ def given_frames(
     layer = build_layer(run.levels)
     mapping, novelty, scores = database.mapping, database.novelty, []
 
-    def predict(features: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    def predict(features: np.ndarray) -> np.ndarray:
         hidden = mapping.hidden(features)
         scores.append(novelty.score(hidden))
         return mapping.coefficients(hidden) * novelty.amplitude(scores[-1])[:, None]

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from assets.io.scene import Scene
-from pbd import InputError, ModelOptions
+from pbd import InputError
 from precompute.learning.calibration import filtered
 from precompute.learning.decoding import FrameDecoder, decoded_frames
 from precompute.learning.evaluation import Truth, free_figures, settled, truth_of
@@ -22,7 +22,7 @@ from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase
 from wrinkles.metrics import given_coarse_figures
 
-__all__ = ["JUDGED", "HeldOut", "coarse_run", "held_out_truth"]
+__all__ = ["JUDGED", "HeldOut", "held_out_truth"]
 
 EVERY = 4  # recorded frames from one that is judged to the next: their figures change slowly
 JUDGED = slice(EVERY // 2, None, EVERY)
@@ -41,13 +41,13 @@ def held_out_truth(
     return truth_of(scene_run(stage, scene, stage.motion(scene.training.held_out[0])), cache, 2, report)
 
 
-def coarse_run(database: WrinkleDatabase, run: Run, options: ModelOptions | None = None) -> Run:
-    """The coarse garment running freely over a fine run's poses; ``options`` None takes the calibrated ones."""
+def _coarse_run(database: WrinkleDatabase, run: Run) -> Run:
+    """The calibrated coarse garment running freely over a fine run's poses."""
     return replace(
         run,
         name=f"{run.name} (coarse)",
         fine=False,
-        options=options or database.options,
+        options=database.options,
         solver=database.solver,
         bend_factor=database.bend_factor,
         rest_shape=database.rest_shape,
@@ -77,7 +77,6 @@ class HeldOut:
         database: WrinkleDatabase,
         truth: Truth,
         cache: Path,
-        options: ModelOptions | None = None,
         report: Callable[[str], None] | None = None,
     ) -> HeldOut:
         """Record the coarse garment, or read it.
@@ -86,22 +85,19 @@ class HeldOut:
             database: gives the coarse model.
             truth: of the motion.
             cache: folder of recorded runs.
-            options: of the coarse model; None takes the calibrated ones.
             report: called with lines of progress.
         """
-        (plain,) = record_runs([coarse_run(database, truth.run, options)], cache, 1, report)
+        (plain,) = record_runs([_coarse_run(database, truth.run)], cache, 1, report)
         plain = settled(plain, truth.run)
         recording, floor, energy = truth.recording.where(JUDGED), truth.floor[JUDGED], truth.energy[JUDGED]
         judged = replace(truth, recording=recording, floor=floor, energy=energy)
         return cls(truth, judged, plain, filtered(plain, CoarseFilter(truth.levels).matrix))
 
-    def show(
-        self, layer: Layer, lift: FrameDecoder, recording: Recording, passes: int | None = None
-    ) -> tuple[np.ndarray, np.ndarray, float]:
+    def show(self, layer: Layer, lift: FrameDecoder, recording: Recording) -> tuple[np.ndarray, np.ndarray, float]:
         """Show recorded coarse states to one way, from the first to the last.
 
         Args:
-            layer, lift, passes: as for :func:`precompute.learning.decoding.decoded_frames`.
+            layer, lift: as for :func:`precompute.learning.decoding.decoded_frames`.
             recording: the truth's own, ``plain`` or ``free``.
 
         Returns:
@@ -110,7 +106,7 @@ class HeldOut:
         """
         wanted = set(range(len(recording.frames))[JUDGED])
         smooth, decoded, times = [], [], []
-        for number, frame in enumerate(decoded_frames(layer, lift, self.truth.run, recording, passes)):
+        for number, frame in enumerate(decoded_frames(layer, lift, self.truth.run, recording)):
             times.append(frame[2])
             if number in wanted:
                 smooth.append(frame[0])

@@ -124,6 +124,6 @@ def _blocks(
 def _patch_errors(block: _Block) -> np.ndarray:
     """Normal error of each patch [deg], float32, shape (f, k)."""
     layer, given = block.layer, iter(block.coefficients)
-    _, decoded = decode_recording(layer, lambda features, pose: next(given), block.atoms, block.run, block.recording)
+    _, decoded = decode_recording(layer, lambda features: next(given), block.atoms, block.run, block.recording)
     faces, owner = layer.levels.fine.faces, leading_vertices(layer.levels.subdivision)[:, 0]
     return patch_normal_errors(decoded, block.recording.positions, faces, owner).astype(np.float32)

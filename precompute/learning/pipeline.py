@@ -16,7 +16,7 @@ from assets.io.scene import Scene, scene_text
 from pbd import Fabric, InputError, ModelOptions, SolverOptions
 from pbd.bending import hinge_calibration
 from precompute.learning.calibration import Calibration, CoarseModel, calibrate
-from precompute.learning.decoding import by_features, with_vertex_mean
+from precompute.learning.decoding import with_vertex_mean
 from precompute.learning.evaluation import (
     Evaluation,
     Truth,
@@ -264,7 +264,7 @@ def _learned(work: _Work, examples: Sequence[_Example], kept: Kept) -> tuple[Coe
 def _with_means(work: _Work, examples: Sequence[_Example], mapping: CoefficientNetwork, atoms: Atoms) -> Atoms:
     return with_vertex_mean(
         work.layer,
-        by_features(mapping),
+        mapping.predict,
         atoms,
         [example.run for example in examples],
         [example.recording for example in examples],

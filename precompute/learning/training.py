@@ -10,7 +10,7 @@ import numpy as np
 from precompute.learning.recording import Recording
 from wrinkles.charts import Charts
 from wrinkles.dictionary import Atoms, CoefficientNetwork, fit_atoms, fit_coefficient_network
-from wrinkles.features import DYNAMIC_COUNT, REGIONS, Stencil
+from wrinkles.features import DYNAMIC_COUNT, Stencil
 from wrinkles.levels import Levels
 from wrinkles.network import in_threads
 from wrinkles.patches import Patches
@@ -186,9 +186,8 @@ def fit_layer(
     epochs: int,
     seed: int,
     report: Callable[[str], None] | None = None,
-    regions: int = REGIONS,
 ) -> CoefficientNetwork:
-    """Fit the network to a training set, in ``regions``; see :func:`wrinkles.dictionary.fit_coefficient_network`."""
+    """Fit the network to a training set; see :func:`wrinkles.dictionary.fit_coefficient_network`."""
     return fit_coefficient_network(
         data.features,
         layer.stencil.static,
@@ -197,7 +196,7 @@ def fit_layer(
         epochs=epochs,
         seed=seed,
         report=report,
-        region=layer.stencil.regions(regions),
+        region=layer.stencil.regions(),
     )
 
 

@@ -17,7 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
-from pbd import InputError, Model, ModelOptions, SolverOptions
+from pbd import InputError, Model, SolverOptions
 from pbd.attachment import Attachment
 from pbd.geometry import surface_normals
 from pbd.taichi_internals import Launch
@@ -329,10 +329,10 @@ def coarse_cloth(database: WrinkleDatabase, run: Run) -> Cloth:
     return Cloth(model, levels.coarse_attachment, source, run, database.solver, levels.fine.faces, levels)
 
 
-def middle_cloth(database: WrinkleDatabase, run: Run, options: ModelOptions | None = None) -> Cloth | None:
+def middle_cloth(database: WrinkleDatabase, run: Run) -> Cloth | None:
     """The garment on the coarse mesh subdivided once, converged as far as a fine run is; None where that is fine."""
     levels = middle_levels(database, body_source(run.body))
-    return None if levels is None else _plain_cloth(database, run, levels, options, 1)
+    return None if levels is None else _plain_cloth(database, run, levels, 1)
 
 
 def plain_cloths(database: WrinkleDatabase, run: Run) -> dict[str, Cloth]:
@@ -340,19 +340,19 @@ def plain_cloths(database: WrinkleDatabase, run: Run) -> dict[str, Cloth]:
 
     A garment that is subdivided more than twice has several middle meshes, middle_1 the coarsest.
     """
-    found = {"coarse": _plain_cloth(database, run, run.levels, None, 0)}
+    found = {"coarse": _plain_cloth(database, run, run.levels, 0)}
     for cuts in range(1, database.subdivisions):
         levels = middle_levels(database, body_source(run.body), cuts)
         assert levels is not None
         name = "middle" if database.subdivisions == 2 else f"middle_{cuts}"
-        found[name] = _plain_cloth(database, run, levels, None, cuts)
+        found[name] = _plain_cloth(database, run, levels, cuts)
     return found | {"fine": fine_cloth(run)}
 
 
-def _plain_cloth(database: WrinkleDatabase, run: Run, levels: Levels, options: ModelOptions | None, cuts: int) -> Cloth:
+def _plain_cloth(database: WrinkleDatabase, run: Run, levels: Levels, cuts: int) -> Cloth:
     """The garment on the coarse mesh of some levels, which is the database's subdivided so many times."""
     # The stretch law of small steps asks for h N: one subdivision halves the edges, and so the substep.
     solver = replace(database.solver, substep=database.solver.substep / 2.0**cuts)
     source = body_source(run.body)
-    model = plain_model(database, levels, options)
+    model = plain_model(database, levels)
     return Cloth(model, levels.coarse_attachment, source, run, solver, levels.fine.faces, levels)

@@ -1,9 +1,8 @@
 """Other mappings from a coarse garment to fine wrinkles, learned from the same pairs, decoded by the same patches.
 
-All of them give the coefficients of the patches' atoms, so that the mapping alone differs: a linear operator,
-principal components with ridge regression, the nearest neighbour with delta (as game engines ship it), a pose-driven
-radial basis, k-means modes, kernel ridge regression and a wide network. Those that see the whole garment at once see
-the inner ring of every stencil. How strongly each is regularised is chosen on the training runs, each left out in turn.
+Both give the coefficients of the patches' atoms, so that the mapping alone differs: a linear operator, and the nearest
+neighbour with delta (as game engines ship it), which sees the whole garment at once by the inner ring of every stencil.
+How strongly each is regularised is chosen on pieces of the training motion, each left out in turn.
 """
 
 from __future__ import annotations
@@ -15,22 +14,16 @@ from typing import Any
 import numpy as np
 
 from precompute.learning.decoding import Predictor
-from precompute.learning.training import Layer, TrainingSet, fit_layer
+from precompute.learning.training import TrainingSet
 from wrinkles.features import INNER_OFFSETS
 
-__all__ = ["WrinkleBaseline", "fit_baselines", "k_means_modes"]
+__all__ = ["WrinkleBaseline", "fit_baselines"]
 
 COMPONENTS = 128  # of the whole garment's features and of its coefficients
-CENTRES = 400  # of the pose-driven basis
-MODES = 512  # of k-means
-WIDE = (640, 256)
 FOLDS = 5  # pieces of the training motion
 TRIED_PLACES = 12  # where the linear operator's softness is chosen
 SOFTNESS = (1.0, 10.0, 100.0, 1e3, 1e4)  # of ridge regressions that are tried, in variances of a feature
-SMOOTHING = (1e-3, 0.1, 10.0, 1e3)  # of the pose-driven basis
 SEEN_COMPONENTS = (8, 32, 128)  # that neighbours are compared by
-# Alpha and width over components, of kernel ridge regressions that are tried.
-KERNELS = tuple((alpha, width) for alpha in (1e-3, 0.01, 0.1, 1.0) for width in (0.1, 0.5, 2.0))
 
 
 @dataclass(frozen=True)
@@ -39,7 +32,7 @@ class WrinkleBaseline:
 
     Attributes:
         name: for people.
-        predict: features of one frame, float32, shape (n, DYNAMIC_COUNT), and the body's pose to coefficients, (n, K).
+        predict: features of one frame, float32, shape (n, DYNAMIC_COUNT), to coefficients, shape (n, K).
         arrays: the ones to store.
         settings: the ones chosen for it, in words.
     """
@@ -54,40 +47,19 @@ class WrinkleBaseline:
         return sum(array.size for array in self.arrays) * 4e-6  # as float32
 
 
-def fit_baselines(
-    layer: Layer,
-    data: TrainingSet,
-    poses: np.ndarray,
-    *,
-    epochs: int,
-    seed: int,
-    report: Callable[[str], None] | None = None,
-) -> list[WrinkleBaseline]:
+def fit_baselines(data: TrainingSet, seed: int, report: Callable[[str], None] | None = None) -> list[WrinkleBaseline]:
     """Fit every baseline to a training set.
 
     Args:
-        layer: of the garment.
         data: pairs, frames in the order of the motion.
-        poses: of the body in the same frames, shape (S, joints, 3, 4); those of a vertex sequence have no joints, and
-            nothing is driven by them.
-        epochs: of the wide network.
-        seed: of every random choice.
+        seed: of the principal components.
         report: called with lines of progress.
     """
     progress = report or (lambda line: None)
     progress("fitting baselines: linear operator")
-    baselines = [_linear_operator(data)]
-    progress("fitting baselines: whole garment")
-    whole = _Whole(data, seed)
-    baselines += [_principal(whole), _kernel(whole), _neighbour(whole, data)]
-    if poses.ndim == 4:
-        progress("fitting baselines: pose-driven")
-        baselines.append(_pose_driven(poses, whole, seed))
-    progress("fitting baselines: modes")
-    baselines.append(k_means_modes(data, seed))
-    progress("fitting baselines: wide network")
-    wide = fit_layer(layer, data, hidden=WIDE, epochs=epochs, seed=seed)
-    return [*baselines, WrinkleBaseline("wide network", lambda f, pose: wide.predict(f), tuple(wide.arrays().values()))]
+    linear = _linear_operator(data)
+    progress("fitting baselines: nearest neighbour")
+    return [linear, _neighbour(_Whole(data, seed), data)]
 
 
 def _chosen(settings: Sequence[Any], fit: Callable, inputs: np.ndarray, outputs: np.ndarray) -> Any:
@@ -129,7 +101,7 @@ def _linear_operator(data: TrainingSet) -> WrinkleBaseline:
     some = np.linspace(0, places - 1, min(TRIED_PLACES, places)).astype(int)
     softness = _chosen(SOFTNESS, fit, data.features[:, some], data.coefficients[:, some])
     weights, bias = solve(softness, data.features, data.coefficients)
-    predict = lambda f, pose: np.matmul(f[:, None], weights)[:, 0] + bias  # noqa: E731
+    predict = lambda f: np.matmul(f[:, None], weights)[:, 0] + bias  # noqa: E731
     return WrinkleBaseline("linear operator", predict, (weights, bias), f"softness {softness:g}")
 
 
@@ -174,28 +146,6 @@ def _ridge(softness: float, inputs: np.ndarray, outputs: np.ndarray) -> Callable
     return Ridge(softness).fit(inputs, outputs).predict
 
 
-def _principal(whole: _Whole) -> WrinkleBaseline:
-    softness = _chosen(SOFTNESS, _ridge, whole.inputs, whole.outputs)
-    fitted = _ridge(softness, whole.inputs, whole.outputs)
-    arrays = (*whole.bases, np.zeros((whole.inputs.shape[1], whole.outputs.shape[1])))
-    predict = lambda f, pose: whole.draw(fitted(whole.see(f)))  # noqa: E731
-    return WrinkleBaseline("PCA and ridge", predict, arrays, f"softness {softness:g}")
-
-
-def _kernel(whole: _Whole) -> WrinkleBaseline:
-    from sklearn.kernel_ridge import KernelRidge
-
-    def fit(setting: tuple[float, float], inputs: np.ndarray, outputs: np.ndarray) -> Callable:
-        alpha, width = setting
-        return KernelRidge(alpha=alpha, kernel="rbf", gamma=width / inputs.shape[1]).fit(inputs, outputs).predict
-
-    alpha, width = chosen = _chosen(KERNELS, fit, whole.inputs, whole.outputs)
-    fitted = fit(chosen, whole.inputs, whole.outputs)
-    predict = lambda f, pose: whole.draw(fitted(whole.see(f)))  # noqa: E731
-    arrays = (*whole.bases, whole.inputs, whole.outputs)  # as many weights as outputs
-    return WrinkleBaseline("kernel ridge", predict, arrays, f"alpha {alpha:g}, gamma {width:g} / components")
-
-
 def _neighbour(whole: _Whole, data: TrainingSet) -> WrinkleBaseline:
     """The neighbour's wrinkles, and the difference that a linear model makes between it and here."""
     from sklearn.neighbors import NearestNeighbors
@@ -226,49 +176,9 @@ def _neighbour(whole: _Whole, data: TrainingSet) -> WrinkleBaseline:
     count = _chosen(counts, whole_fit, whole.inputs, whole.outputs)
     find, origin = fit(count, whole.inputs, whole.outputs), whole.draw(np.zeros((1, whole.outputs.shape[1])))
 
-    def predict(features: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    def predict(features: np.ndarray) -> np.ndarray:
         nearest, delta = find(whole.see(features))
         return data.coefficients[nearest[0]] + whole.draw(delta) - origin
 
     arrays = (*whole.bases, whole.inputs, whole.outputs, data.coefficients)
     return WrinkleBaseline("nearest neighbour with delta", predict, arrays, f"by {count} components")
-
-
-def _pose_driven(poses: np.ndarray, whole: _Whole, seed: int) -> WrinkleBaseline:
-    """Radial basis (distance itself) over the joints' turns against the first joint, thinned to CENTRES poses."""
-    from scipy.interpolate import RBFInterpolator
-    from sklearn.decomposition import PCA
-
-    def turns(pose: np.ndarray) -> np.ndarray:
-        rotation = pose[..., :3]
-        return np.einsum("...jab,...ac->...jbc", rotation, rotation[..., 0, :, :]).reshape(*pose.shape[:-3], -1)
-
-    def fit(smoothing: float, inputs: np.ndarray, outputs: np.ndarray) -> Callable:
-        return RBFInterpolator(inputs, outputs, smoothing=smoothing, kernel="linear", degree=0)
-
-    some = np.sort(np.random.default_rng(seed).permutation(len(poses))[:CENTRES])
-    reduce = PCA(min(24, len(some) - 1), random_state=seed).fit(turns(poses))
-    places, outputs = reduce.transform(turns(poses[some])), whole.outputs[some]
-    smoothing = _chosen(SMOOTHING, fit, places, outputs)
-    spline = fit(smoothing, places, outputs)
-    predict = lambda f, pose: whole.draw(spline(reduce.transform(turns(pose)[None])))  # noqa: E731
-    arrays = (*whole.bases[2:], places, outputs, reduce.components_)
-    return WrinkleBaseline("pose-driven RBF", predict, arrays, f"smoothing {smoothing:g}")
-
-
-def k_means_modes(data: TrainingSet, seed: int) -> WrinkleBaseline:
-    """The mean wrinkles of each cluster of stencils."""
-    from sklearn.cluster import MiniBatchKMeans
-
-    atoms = data.coefficients.shape[2]
-    flat = data.features.reshape(-1, data.features.shape[2])
-    centre, scale = flat.mean(axis=0), 1.0 / (flat.std(axis=0) + 1e-4)
-    modes = MiniBatchKMeans(min(MODES, len(flat)), batch_size=4096, n_init=1, random_state=seed)
-    label = modes.fit_predict((flat - centre) * scale)
-    size = np.maximum(np.bincount(label, minlength=modes.n_clusters), 1)[:, None]
-    means = np.zeros((modes.n_clusters, atoms), np.float32)
-    np.add.at(means, label, data.coefficients.reshape(-1, atoms))
-    means /= size
-    predict = lambda f, pose: means[modes.predict((f - centre) * scale)]  # noqa: E731
-    arrays = (modes.cluster_centers_, means, centre, scale)
-    return WrinkleBaseline("k-means modes", predict, arrays, f"{modes.n_clusters} modes")

@@ -18,14 +18,13 @@ from precompute.learning.decoding import (
     MEAN_FRAMES,
     FrameDecoder,
     Predictor,
-    by_features,
     by_patches,
     decoded_frames,
     with_vertex_mean,
 )
 from precompute.learning.held_out import JUDGED, HeldOut, held_out_truth
 from precompute.learning.options import LearningOptions
-from precompute.learning.pipeline import default_cache, training_recordings, training_runs
+from precompute.learning.pipeline import default_cache, scene_run, training_recordings
 from precompute.learning.recording import Recording, Run
 from precompute.learning.training import Layer, build_layer, coefficients_of, spread_frames, training_set
 from precompute.wrinkle_comparison.baselines import player_times, typical_ms
@@ -107,7 +106,7 @@ def compare_wrinkles(
     progress("comparing wrinkles: ours")
     ours_ms, smooth_ms = player_times(database, truth)
     mapping, atoms = database.mapping, database.atoms
-    ours = WrinkleBaseline("ours", by_features(mapping), tuple(mapping.arrays().values()))
+    ours = WrinkleBaseline("ours", mapping.predict, tuple(mapping.arrays().values()))
     given, freely = (
         held_out.show(layer, by_patches(layer, ours.predict, atoms), r) for r in (truth.recording, held_out.free)
     )
@@ -115,10 +114,9 @@ def compare_wrinkles(
     drawn = 4e-6 * (atoms.shapes.size + atoms.mean.size + atoms.vertex_mean.size)
     methods = [WrinkleMethod("ours", typical_ms(ours_ms), ours.megabytes + drawn, *figures)]
 
-    def with_own_mean(begin: Callable[[], Predictor]) -> Callable[[], FrameDecoder]:
-        predict = begin()
+    def with_own_mean(predict: Predictor) -> FrameDecoder:
         own = with_vertex_mean(layer, predict, atoms, runs, recordings)
-        return lambda: by_patches(layer, begin(), own)
+        return by_patches(layer, predict, own)
 
     def judge(name: str, begin: Callable[[], FrameDecoder], megabytes: float, settings: str, free: Recording) -> None:
         progress(f"comparing wrinkles: {name}")
@@ -128,8 +126,8 @@ def compare_wrinkles(
         methods.append(WrinkleMethod(name, frame_ms, megabytes, held_out.given_figures(*shown), figures, settings))
 
     for baseline in baselines:
-        begin = with_own_mean(lambda baseline=baseline: baseline.predict)
-        judge(baseline.name, begin, baseline.megabytes + drawn, baseline.settings, held_out.free)
+        lift = with_own_mean(baseline.predict)
+        judge(baseline.name, lambda lift=lift: lift, baseline.megabytes + drawn, baseline.settings, held_out.free)
     # Methods that learn nothing come last: where a chart leaves them out, the others keep their marks.
     smooth = np.stack([levels.subdivision.upsample(frame) for frame in held_out.plain.coarse[JUDGED]])
     figures = held_out.given_figures(given[0], given[0]), held_out.free_figures(smooth.astype(np.float32))
@@ -140,10 +138,8 @@ def compare_wrinkles(
     methods += _plain(database, held_out, report)
     progress("comparing wrinkles: true patches")
     true = iter(coefficients_of(layer, [*spread_frames(recordings, MEAN_FRAMES), truth.recording], atoms))
-    limit = with_own_mean(
-        lambda: lambda f, pose: next(true)
-    )  # first the frames that are learned from, then the judged ones
-    *shown, _ = held_out.show(layer, limit(), truth.recording)
+    limit = with_own_mean(lambda features: next(true))  # first the frames that are learned from, then the judged ones
+    *shown, _ = held_out.show(layer, limit, truth.recording)
     floor = held_out.free_figures(held_out.judged.floor)
     return WrinkleComparison(
         database.garment_name, truth.run.name, tuple(methods), held_out.given_figures(*shown), floor
@@ -167,7 +163,7 @@ def _plain(database: WrinkleDatabase, held_out: HeldOut, report: Callable[[str],
 
 def _wrinkle_mesh(layer: Layer, options: WrinkleMeshOptions) -> FrameDecoder:
     mesh = WrinkleMesh(layer.levels, options)
-    return lambda fine, upsample, features, frames, pose: mesh(fine)
+    return lambda fine, upsample, features, frames: mesh(fine)
 
 
 def tuned_wrinkle_mesh(layer: Layer, run: Run, recording: Recording) -> WrinkleMeshOptions:
@@ -214,13 +210,11 @@ def compare_wrinkles_file(
     truth = held_out_truth(path, stage, scene, cache, report)
     held_out = HeldOut.of(database, truth, cache, report=report)
     layer = build_layer(stage.levels)
-    runs = training_runs(layer, stage, scene, cache, report)
+    runs = [scene_run(stage, scene, motion) for motion in stage.training_motions()]
     recordings = training_recordings(runs, cache, 2, report)
     progress("fitting baselines: wrinkle meshes")
     mesh_options = tuned_wrinkle_mesh(layer, runs[-1], recordings[-1].where(slice(-TUNED_FRAMES, None)))
     chosen = spread_frames(recordings, LearningOptions().training_frames)
     data = training_set(layer, chosen, len(database.atoms.shapes), database.seed)
-    poses = np.concatenate([run.poses[r.frames] for run, r in zip(runs, chosen, strict=True)])
-    epochs = LearningOptions().epochs_for(len(data.features))
-    baselines = fit_baselines(layer, data, poses, epochs=epochs, seed=database.seed, report=report)
+    baselines = fit_baselines(data, database.seed, report)
     return compare_wrinkles(layer, database, baselines, mesh_options, held_out, runs, chosen, report)

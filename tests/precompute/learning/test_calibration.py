@@ -8,7 +8,7 @@ import pytest
 
 from pbd import ModelOptions, SolverOptions
 from precompute.learning.calibration import CoarseModel, calibrate, filtered
-from precompute.learning.decoding import by_features, decode_recording
+from precompute.learning.decoding import decode_recording
 from precompute.learning.recording import Run, poses_of, record_runs
 from precompute.learning.training import build_layer
 from precompute.workers import Workers
@@ -43,7 +43,7 @@ def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(
     coarse = replace(fine, fine=False, options=ModelOptions(shear_scale=shear, bend_scale=stiff), bend_factor=0.3)
     run = filtered(record_runs([coarse], cache, 1)[0], CoarseFilter(stage.levels).matrix)
     # What this coarse garment looks like when it is decoded is given out as the fine run.
-    told = replace(run, positions=decode_recording(layer, by_features(mapping), atoms, coarse, run)[1])
+    told = replace(run, positions=decode_recording(layer, mapping.predict, atoms, coarse, run)[1])
     found = calibrate(layer, mapping, atoms, [fine], [told], CoarseModel(solver, 0.3), cache, Workers(1), OPTIONS)
     assert found.options == coarse.options
     told_of = lambda key: {(row["bend_scale"], row["shear_scale"]): row[key] for row in found.rows}  # noqa: E731

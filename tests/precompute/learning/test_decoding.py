@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from pbd import Fabric, ModelOptions, SolverOptions
-from precompute.learning.decoding import by_features, decode_recording, with_vertex_mean
+from precompute.learning.decoding import decode_recording, with_vertex_mean
 from precompute.learning.recording import Recording, Run, poses_of
 from precompute.learning.training import build_layer, features_of
 from runtime.garment_setup import GarmentSetup
@@ -29,10 +29,10 @@ def test_the_mean_is_of_what_decoding_lacks() -> None:
     nothing = np.zeros((FRAMES, fine_count, 3), np.float32)
     recording = Recording("sway", np.arange(FRAMES), nothing, swaying, contact, nearest, 1.0)
     atoms = replace(small.atoms, vertex_mean=nothing[0])
-    _, decoded = decode_recording(layer, by_features(mapping), atoms, run, recording)
+    _, decoded = decode_recording(layer, mapping.predict, atoms, run, recording)
     mean = 0.003 * rng.standard_normal((fine_count, 3))
     lacking = np.array([turned(layer.patches.turning, at, mean) for at in features_of(layer, recording)[1]])
     told = replace(recording, positions=(decoded + lacking).astype(np.float32))
-    found = with_vertex_mean(layer, by_features(mapping), replace(atoms, vertex_mean=nothing[0] + 1.0), [run], [told])
+    found = with_vertex_mean(layer, mapping.predict, replace(atoms, vertex_mean=nothing[0] + 1.0), [run], [told])
     np.testing.assert_allclose(found.vertex_mean, mean, atol=MEAN_STEP)
     assert np.array_equal(found.shapes, atoms.shapes) and not atoms.vertex_mean.any()

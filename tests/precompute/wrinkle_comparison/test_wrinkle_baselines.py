@@ -5,7 +5,6 @@ import pytest
 
 from precompute.learning.training import TrainingSet, build_layer
 from precompute.wrinkle_comparison.wrinkle_baselines import SOFTNESS, fit_baselines
-from tests.precompute.wrinkle_comparison.small import small_comparison
 from tests.runtime.players import skirt_stage
 from wrinkles.dictionary import fit_atoms
 from wrinkles.features import DYNAMIC_COUNT
@@ -15,7 +14,7 @@ FRAMES, ATOMS = 24, 5
 
 
 @pytest.fixture(scope="module")
-def baselines() -> tuple[list, TrainingSet, np.ndarray]:
+def baselines() -> tuple[list, TrainingSet]:
     """Baselines fitted to wrinkles that are a linear function of the features."""
     layer, rng = build_layer(skirt_stage().levels), np.random.default_rng(0)
     count = len(layer.levels.coarse.vertices)
@@ -24,37 +23,20 @@ def baselines() -> tuple[list, TrainingSet, np.ndarray]:
     coefficients = 0.01 * np.einsum("fnd,dk->fnk", features, rng.standard_normal((DYNAMIC_COUNT, ATOMS)))
     atoms = fit_atoms(rng.standard_normal((500, 3 * Grid.of(2).nodes)), ATOMS, 0)
     data = TrainingSet(features.astype(np.float32), coefficients.astype(np.float32), atoms)
-    poses = np.tile(np.eye(3, 4), (FRAMES, 6, 1, 1))
-    turn = 0.3 * sway[:, 0]
-    poses[:, 1, 0, 0] = poses[:, 1, 1, 1] = np.cos(turn)
-    poses[:, 1, 1, 0], poses[:, 1, 0, 1] = np.sin(turn), -np.sin(turn)
-    with small_comparison():
-        return fit_baselines(layer, data, poses, epochs=2, seed=0), data, poses
+    return fit_baselines(data, seed=0), data
 
 
 def test_every_rival_learns_what_it_can(baselines: tuple) -> None:
-    fitted, data, poses = baselines
+    fitted, data = baselines
     spread = np.sqrt((data.coefficients**2).mean())
     off = {}
     for baseline in fitted:
-        guesses = np.stack([baseline.predict(data.features[f], poses[f]) for f in range(0, FRAMES, 7)])
+        guesses = np.stack([baseline.predict(data.features[f]) for f in range(0, FRAMES, 7)])
         assert guesses.shape[1:] == data.coefficients.shape[1:] and baseline.megabytes > 0.0
         off[baseline.name] = np.sqrt(((guesses - data.coefficients[::7]) ** 2).mean()) / spread
-    assert list(off) == [
-        "linear operator", "PCA and ridge", "kernel ridge", "nearest neighbour with delta", "pose-driven RBF",
-        "k-means modes", "wide network",
-    ]  # fmt: skip
+    assert list(off) == ["linear operator", "nearest neighbour with delta"]
     assert off["nearest neighbour with delta"] < 1e-5  # a frame that it has seen
-    assert off["linear operator"] < 0.01 and off["PCA and ridge"] < 0.5 and off["kernel ridge"] < 0.2
-    assert off["k-means modes"] < 0.9  # one answer for each cluster
-    assert off["pose-driven RBF"] < 0.5  # poses that it has seen
-
-
-def test_a_sequence_has_no_joints_to_be_driven_by(baselines: tuple) -> None:
-    _, data, _ = baselines
-    with small_comparison():
-        fitted = fit_baselines(build_layer(skirt_stage().levels), data, np.zeros((FRAMES, 9, 3)), epochs=1, seed=0)
-    assert "pose-driven RBF" not in [baseline.name for baseline in fitted]
+    assert off["linear operator"] < 0.01
 
 
 def test_softness_is_chosen_by_motion_that_was_left_out() -> None:
@@ -63,6 +45,5 @@ def test_softness_is_chosen_by_motion_that_was_left_out() -> None:
     features = rng.standard_normal((60, count, DYNAMIC_COUNT)).astype(np.float32)
     atoms = fit_atoms(rng.standard_normal((500, 3 * Grid.of(2).nodes)), ATOMS, 0)
     noise = rng.standard_normal((60, count, ATOMS)).astype(np.float32)  # nothing to be learned: the softest is best
-    with small_comparison():
-        fitted = fit_baselines(layer, TrainingSet(features, noise, atoms), np.zeros((60, 9, 3)), epochs=1, seed=0)
+    fitted = fit_baselines(TrainingSet(features, noise, atoms), seed=0)
     assert fitted[0].settings == f"softness {SOFTNESS[-1]:g}"

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from html import unescape
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -9,22 +10,22 @@ import pytest
 from assets.io.scene import scene_text
 from pbd import InputError
 from precompute.learning.pipeline import Precomputed
+from precompute.wrinkle_comparison import wrinkle_comparison
 from precompute.wrinkle_comparison.wrinkle_comparison import compare_wrinkles_file
 from precompute.wrinkle_comparison.wrinkle_page import wrinkle_rows, wrinkle_verdict, write_wrinkles
 from runtime import command
 from tests.precompute.miniature import SCENE, scene
-from tests.precompute.wrinkle_comparison.small import small_comparison
 from tests.runtime.players import skirt_database
 from wrinkles.database import write_database
 
 
 def test_all_ways_are_judged_on_the_same_states(learned: Precomputed, tmp_path: Path) -> None:
-    with small_comparison():
+    with patch.object(wrinkle_comparison, "RADII", (0.25,)):
         found = compare_wrinkles_file(learned.path, tmp_path)
     methods = {method.name: method for method in found.methods}
     plain = [f"coarse mesh, {substeps} substeps{rest}" for substeps in (6, 14) for rest in ("", ", at rest")]
     assert list(methods)[0] == "ours" and list(methods)[-6:] == ["smooth", "wrinkle meshes", *plain]
-    assert len(methods) == 14
+    assert len(methods) == 9
     shown = [method for method in found.methods if method.given]
     assert len({method.given["normal_error_smooth_deg"] for method in shown}) == 1
     assert methods["smooth"].given["normal_skill"] == 0.0 and not any(methods[name].given for name in plain)
