@@ -9,14 +9,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from assets.fabrics import fitted_tension
 from pbd import Fabric
 from pbd.errors import InputError
 from pbd.fabric import stiffening_stress
-from pbd.storage import replacing
 from precompute.fabric_lab.laboratory import (
     DIRECTIONS,
     LoadCurve,
@@ -33,6 +31,7 @@ from precompute.fabric_lab.loops import (
     check_loop,
     shear_loop,
 )
+from precompute.reporting.charts import write_png
 from precompute.validation.trial import TrialSetting
 
 __all__ = ["FittedCurve", "draw_fit", "fit_fabric", "read_curves"]
@@ -282,5 +281,4 @@ def draw_fit(path: Path, found: Sequence[FittedCurve]) -> None:
             f"{curve.instrument.replace('_', ' ')}, {curve.direction}: {100.0 * curve.error:.2g} % off", fontsize=9
         )
         panel.legend(fontsize=8)
-    with replacing(path) as beside, open(beside, "wb") as file:
-        FigureCanvasAgg(figure).print_png(file)
+    write_png(path, figure)

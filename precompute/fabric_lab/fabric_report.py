@@ -8,12 +8,10 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from pbd import Fabric
 from pbd.models.newton import StepError
-from pbd.storage import replacing
 from precompute.fabric_lab.laboratory import (
     DIRECTIONS,
     LoadCurve,
@@ -24,6 +22,7 @@ from precompute.fabric_lab.laboratory import (
     tension_curve,
 )
 from precompute.fabric_lab.loops import LOOP_SOLVER, LOOPS, bending_loop, read_loop, shear_loop
+from precompute.reporting.charts import write_png
 from precompute.reporting.tables import write_table
 from precompute.validation.drape_rows import cusick_drape
 from precompute.validation.trial import TrialSetting
@@ -165,8 +164,7 @@ def draw_curves(path: Path, curves: Mapping[tuple[str, str], LoadCurve]) -> None
             panel.set_ylim(bottom=0.0)
         if panel.get_legend_handles_labels()[0]:
             panel.legend(fontsize=8)
-    with replacing(path) as beside, open(beside, "wb") as file:
-        FigureCanvasAgg(figure).print_png(file)
+    write_png(path, figure)
 
 
 def fabric_text(fabric: Fabric) -> str:

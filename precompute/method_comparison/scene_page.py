@@ -12,10 +12,10 @@ from precompute.mechanics import FRAME_RATE
 from precompute.method_comparison.compare_scenes import CompareScene
 from precompute.method_comparison.error_classes import ErrorClass
 from precompute.method_comparison.fabric_pictures import FABRICS, draw_fabrics, fabric_runs
-from precompute.method_comparison.scene_chart import draw_charts
 from precompute.method_comparison.scene_compare import ComparedRun, SceneComparison
 from precompute.method_comparison.scene_judging import screen_mm
-from precompute.reporting.page import Band, Chart, Heading, Line, Picture, Point, Section, Table, Text, write_page
+from precompute.reporting.charts import draw_charts, write_png
+from precompute.reporting.page import Chart, Heading, Picture, Point, Section, Table, Text, write_page
 from precompute.reporting.tables import write_table
 from precompute.wrinkle_comparison.compare import Comparison
 from precompute.wrinkle_comparison.comparison_page import comparison_sections
@@ -24,7 +24,12 @@ from runtime.report import machine_description, write_report
 
 __all__ = ["comparison_figures", "comparison_text", "fabric_sections", "wrinkle_sections", "write_comparison"]
 
-COLORS = {ErrorClass.IMPERCEPTIBLE: 2, ErrorClass.ACCEPTED: 0, ErrorClass.VISIBLE: 1, ErrorClass.CATASTROPHIC: 6}
+COLORS = {
+    ErrorClass.IMPERCEPTIBLE: "#00764f",
+    ErrorClass.ACCEPTED: "#0067a8",
+    ErrorClass.VISIBLE: "#c24a00",
+    ErrorClass.CATASTROPHIC: "#b81f3c",
+}
 PICTURE = (340, 400)
 SHOWN_METHODS = (  # columns of a strip, where they were run
     "default", "xpbd", "pbd", "projective-dynamics", "fem-stvk+isometric/verlet", "fem-stvk+isometric/bdf2",
@@ -98,7 +103,7 @@ def fabric_sections(folder: Path, report: Callable[[str], None] | None = None) -
 
 
 def write_comparison(folder: Path, found: Sequence[SceneComparison], more: Sequence[Section] = ()) -> None:
-    """Write ``compare.html``, ``.csv``, ``.json``, ``.png`` and ``.svg``, and a strip of each scene, into a folder.
+    """Write ``compare.html``, ``.csv``, ``.json`` and ``.png``, and a strip of each scene, into a folder.
 
     Args:
         folder: is made where it is missing.
@@ -110,12 +115,14 @@ def write_comparison(folder: Path, found: Sequence[SceneComparison], more: Seque
     figures = comparison_figures(found)
     write_report(folder / "compare.json", "compare", figures, rows)
     write_table(folder / "compare.csv", rows, digits=5)
-    draw_charts(folder, found)
+    charts = [_chart(one) for one in found]
+    titled = {one.scene.title: chart for one, chart in zip(found, charts, strict=True)}
+    write_png(folder / "compare.png", draw_charts(titled, 6.2, 4.2))
     sections: list[Section] = []
-    for one in found:
+    for one, chart in zip(found, charts, strict=True):
         image = draw_strip(one)
         save_png(folder / f"{one.scene.name}.png", image)
-        sections += [Heading(one.scene.title), Text(comparison_text(one)), _chart(one)]
+        sections += [Heading(one.scene.title), Text(comparison_text(one)), chart]
         sections.append(Picture(image, f"{one.scene.name} after {one.scene.moment:g} s, by methods"))
     sections += more
     machine = machine_description()
@@ -130,23 +137,24 @@ def write_comparison(folder: Path, found: Sequence[SceneComparison], more: Seque
 
 
 def _chart(one: SceneComparison) -> Chart:
-    floor = one.judge.floor
-    label = "position error, p95 [px]" if one.scene.unique else "error of statistics [octaves]"
-    points = [_point(one.scene, point) for point in one.points]
-    caption = "Click a method to see it alone, a point for its settings. Points at the upper border did not end."
-    colors = {COLORS[kind]: kind.name.lower() for kind in ErrorClass}
-    bands = [Band(0.0, floor, "floor: two right answers differ so much")]
-    lines = [] if one.scene.unique else [Line("y", one.judge.refined, "a finer reference")]
-    return Chart(points, "time of a frame, p50 [ms]", label, True, True, bands, lines, caption, colors)
+    return Chart(
+        [_point(one.scene, point) for point in one.points],
+        "time of a frame, p50 [ms]",
+        "position error, p95 [px]" if one.scene.unique else "error of statistics [octaves]",
+        log_y=True,
+        floor=one.judge.floor,
+        y_lines={} if one.scene.unique else {"a finer reference": one.judge.refined},
+        caption="Points at the upper border did not end.",
+        colors={COLORS[kind]: kind.name.lower() for kind in ErrorClass},
+    )
 
 
 def _point(scene: CompareScene, point: ComparedRun) -> Point:
     row = {name: value for name, value in point.row(scene.name).items() if name not in ("scene", "method", "error")}
-    ended = not np.isfinite(point.judgement.error)
-    x, y = max(point.frame_ms[0], 1e-3), 0.0 if ended else max(point.judgement.error, 1e-3)
-    setting = point.run.setting
     row["command"] = row.pop("command")  # last
-    return Point(x, y, setting.method, setting.numbers, row, color=COLORS[point.judgement.worst], off_scale=ended)
+    setting, error = point.run.setting, point.judgement.error
+    x, y = max(point.frame_ms[0], 1e-3), max(error, 1e-3) if np.isfinite(error) else np.inf
+    return Point(x, y, setting.method, setting.numbers, row, color=COLORS[point.judgement.worst])
 
 
 def _table(found: Sequence[SceneComparison]) -> Table:

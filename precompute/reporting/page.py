@@ -1,8 +1,7 @@
 """Self-contained HTML pages: text, pictures, tables and charts in one file that needs no network.
 
-A page reads well without its script, in light and dark, on a screen and on paper. The script only adds what a pointer
-can ask of a chart: a tooltip, and the settings of the point that is selected. HTML, SVG, style sheet and script are
-the Jinja2 templates in the folder ``templates``, which escape every text.
+A page reads well in light and dark, on a screen and on paper; its charts are dark on white in each. HTML and style
+sheet are the Jinja2 templates in the folder ``templates``, which escape every text but the SVG of a chart.
 """
 
 from __future__ import annotations
@@ -21,11 +20,11 @@ import numpy as np
 
 from pbd.errors import InputError
 from pbd.storage import replacing
-from precompute.reporting.scatter import COLOR_COUNT, Band, Chart, Line, Marker, Point, corners, pareto_front, plot_of
+from precompute.reporting.charts import Chart, Point, chart_svg, pareto_front
 from runtime.pictures import encode_image
 
 __all__ = [
-    "Band", "Chart", "Heading", "Line", "Picture", "Point", "Section", "Table", "Text",
+    "Chart", "Heading", "Picture", "Point", "Section", "Table", "Text",
     "render_page", "write_page",
 ]  # fmt: skip
 
@@ -88,13 +87,13 @@ def render_page(title: str, sections: Sequence[Section]) -> str:
             chart cannot be drawn.
     """
     prepared = [_prepared(section, f"chart{index}") for index, section in enumerate(sections)]
-    return _environment().get_template("page.html").render(title=title, sections=prepared, color_count=COLOR_COUNT)
+    return _environment().get_template("page.html").render(title=title, sections=prepared)
 
 
 @cache
 def _environment() -> jinja2.Environment:
     """The templates; none of them takes text for HTML, and a name that a template misspells is an error."""
-    environment = jinja2.Environment(
+    return jinja2.Environment(
         loader=jinja2.PackageLoader("precompute.reporting"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
@@ -102,9 +101,6 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters["px"] = lambda pixels: f"{pixels:.1f}"
-    environment.filters["corners"] = corners
-    return environment
 
 
 def _prepared(section: Section, name: str) -> dict[str, Any]:
@@ -166,37 +162,19 @@ def _cell(value: Any) -> str:
 
 
 def _prepared_chart(chart: Chart, name: str) -> dict[str, Any]:
-    plot, front, methods = plot_of(chart), set(pareto_front(chart.points)), chart.methods()
-    points = []
-    for k, (point, place) in enumerate(zip(chart.points, plot.places, strict=True)):
+    front, rows, titles = set(pareto_front(chart.points)), [], []
+    for k, point in enumerate(chart.points):
         notes = [text for text, holds in (("quoted", point.quoted), ("on the Pareto front", k in front)) if holds]
+        x, y = _cell(point.x), "none" if math.isinf(point.y) else _cell(point.y)
         title = f"{point.method}, {point.label}" if point.label not in ("", point.method) else point.method
-        reached = "none" if point.off_scale else _cell(point.y)
-        about = f"{title}: {chart.x_label} {_cell(point.x)}, {chart.y_label} {reached}"
-        points.append({
-            "id": f"{name}-p{k}",
+        about = f"{title}: {chart.x_label} {x}, {chart.y_label} {y}"
+        titles.append(f"{about} ({notes[0]})" if notes else about)
+        rows.append({
             "method": point.method,
             "label": point.label,
             "notes": ", ".join(notes),
-            "about": f"{about} ({notes[0]})" if notes else about,
-            "x": _cell(point.x),
-            "y": _cell(None if point.off_scale else point.y),
-            "data_x": repr(point.x),
-            "data_y": repr(point.y),
+            "x": x,
+            "y": y,
             "settings": [(key, _cell(value)) for key, value in point.settings.items()],
-            "marker": Marker(methods.index(point.method), *place, point.quoted, point.color),
         })  # fmt: skip
-    plain = COLOR_COUNT - 1 if chart.colors else None  # where colours mean something else, methods have none
-    quoted = {method: all(p.quoted for p in chart.points if p.method == method) for method in methods}
-    return {
-        "template": "chart.html",
-        "chart": chart,
-        "plot": plot,
-        "points": points,
-        "methods": [
-            {"name": method, "marker": Marker(k, hollow=quoted[method], color=plain)}
-            for k, method in enumerate(methods)
-        ],
-        "colors": [{"name": words, "marker": Marker(0, color=color)} for color, words in chart.colors.items()],
-        "quoted": any(point.quoted for point in chart.points),
-    }
+    return {"template": "chart.html", "chart": chart, "svg": chart_svg(chart, name, titles), "rows": rows}

@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.patheffects import Normal, Stroke
 
-from pbd.storage import replacing
 from precompute.method_comparison.error_classes import LIMITS, ErrorClass, classify
+from precompute.reporting.charts import write_png
 from precompute.reporting.page import Heading, Picture, Section, Table, Text, write_page
 from precompute.reporting.tables import write_table
 from precompute.stability.stability_cells import Cell
@@ -177,8 +176,7 @@ def _draw(path: Path, one: StabilityMap, method: str, found: StabilitySweep) -> 
     handles, labels = axes.get_legend_handles_labels()
     handles = [Patch(color=color) for color in COLORS] + handles
     figure.legend(handles, [*WORDS, *labels], loc="outside lower center", ncols=4, fontsize=8)
-    with replacing(path) as beside, open(beside, "wb") as file:
-        FigureCanvasAgg(figure).print_png(file)
+    write_png(path, figure)
 
 
 def _walls(axis: Axis) -> np.ndarray:

@@ -6,10 +6,9 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from pbd.storage import replacing
+from precompute.reporting.charts import write_png
 from precompute.validation.validation import ValidationResult, case_words
 from runtime.pictures import save_png
 
@@ -52,7 +51,6 @@ def draw_results(folder: Path, results: Sequence[ValidationResult]) -> list[Path
         figure.suptitle(drawn[0].row.words, fontsize=10)
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / f"{name}.png"
-        with replacing(path) as beside, open(beside, "wb") as file:
-            FigureCanvasAgg(figure).print_png(file)
+        write_png(path, figure)
         files.append(path)
     return files

@@ -11,7 +11,7 @@ import numpy as np
 
 from pbd.storage import replacing
 from precompute.learning.recording import body_source
-from precompute.reporting.page import Band, Chart, Line, Picture, Point, Section, Table, Text, write_page
+from precompute.reporting.page import Chart, Picture, Point, Section, Table, Text, write_page
 from precompute.wrinkle_comparison.compare import ERRORS, Comparison, Method
 from runtime.pictures import Drawn, frame_camera, render, save_png, strip
 
@@ -221,15 +221,13 @@ def _chart(comparison: Comparison, error: str) -> Chart:
         if np.isfinite(value):
             label = f"{method.settings['substeps a frame']:.0f}" if method.mesh else method.name
             points.append(Point(method.frame_ms, value, _group(method), label, method.settings))
-    ours = comparison.method("").frame_ms
     return Chart(
         points,
         "time of a frame [ms]",
         _LABELS[error],
-        log_x=True,
         log_y=error == "band" and min(point.y for point in points) > 0.0,
-        bands=[Band(0.0, floor, "floor")],
-        lines=[Line("x", ours, "our cost")],
+        floor=floor,
+        x_lines={"our cost": comparison.method("").frame_ms},
         caption="Numbers beside plain cloth are its substeps a frame.",
     )
 

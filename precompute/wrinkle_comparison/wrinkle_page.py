@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from precompute.reporting.page import Band, Chart, Line, Point, Section, Table, Text, write_page
+from precompute.reporting.page import Chart, Point, Section, Table, Text, write_page
 from precompute.wrinkle_comparison.wrinkle_comparison import WrinkleComparison, WrinkleMethod
 
 __all__ = ["wrinkle_rows", "wrinkle_verdict", "write_wrinkles"]
@@ -55,19 +55,13 @@ def _chart(comparison: WrinkleComparison, figure: str, cost: Callable[[WrinkleMe
         for method in comparison.methods
         if figures(method) and cost(method) > 0.0
     ]
-    floor = (comparison.limit if given else comparison.floor)[figure]
     return Chart(
         points,
         label,
         "given the coarse state: mean normal error [deg]" if given else "running freely: largest error of a band [-]",
-        log_x=True,
         log_y=not given,
-        bands=[Band(0.0, floor, "floor")],
-        lines=[
-            Line(
-                "y", next(figures(method)[figure] for method in comparison.methods if method.name == "smooth"), "smooth"
-            )
-        ],
+        floor=(comparison.limit if given else comparison.floor)[figure],
+        y_lines={"smooth": next(figures(method)[figure] for method in comparison.methods if method.name == "smooth")},
     )
 
 
