@@ -127,7 +127,8 @@ def draw_charts(charts: Mapping[str, Chart], width: float, height: float) -> Any
     methods = list(dict.fromkeys(point.method for chart in charts.values() for point in chart.points))
     across = min(2, len(charts))
     down = -(-len(charts) // across)
-    figure, keys = Figure(layout="constrained", dpi=110), {}
+    figure: Any = Figure(layout="constrained", dpi=110)
+    keys: dict[tuple[str, str], Any] = {}
     for k, (title, chart) in enumerate(charts.items()):
         axes = figure.add_subplot(down, across, k + 1, title=title)
         _draw(axes, chart, methods)
