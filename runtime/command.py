@@ -42,10 +42,7 @@ COMMANDS: Mapping[str, str] = {
     "bench failures": "precompute.commands.bench_failures",
     "bench stress": "precompute.commands.bench_stress",
     "bench clips": "precompute.commands.bench_clips",
-    "bench space": "precompute.commands.bench_space",
-    "bench cluster": "precompute.commands.bench_cluster",
     "bench plan": "precompute.commands.bench_plan",
-    "bench view": "precompute.commands.bench_view",
 }
 """The file of each command, in the order of the help. Of two words, the first names a group."""
 

@@ -206,7 +206,7 @@ def with_subdivisions(scene: Scene) -> Scene:
     """The scene with the subdivisions that the folds of its fabrics need, where a garment does not name them.
 
     Folds of a skirt change by less than 10 % with a finer mesh where the mean edge is at most ``EDGE_SHARE`` of the
-    fabric's gravity length; crumpled cloth needs more (``gube bench space``). The softest of the fabrics that the
+    fabric's gravity length; crumpled cloth needs more. The softest of the fabrics that the
     garment is learned in counts. A delivered fine mesh is as fine as it is.
 
     Raises:

@@ -12,7 +12,7 @@ it needs two sparse complex factorisations and no eigenvectors.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from scipy.sparse import csc_matrix, csr_matrix, diags
@@ -79,26 +79,21 @@ class BandedEnergy:
 
     Args:
         mesh: the cloth, whose flat faces set the metric.
-        cutoffs: wavelengths between the bands, ascending [m]. None takes octaves: the first cut-off is 5 mean edge
-            lengths, and the last is below the diagonal of the start shape's bounding box by an octave or less.
 
     Attributes:
-        cutoffs: wavelengths between the bands [m], shape (b - 1,).
+        cutoffs: wavelengths between the bands [m], shape (b - 1,), octaves: the first is 5 mean edge lengths, and the
+            last is below the diagonal of the start shape's bounding box by an octave or less.
         names: of the b bands, shortest wavelengths first, such as "72-144 mm".
 
     Raises:
-        InputError: cut-offs that do not ascend from above zero, a face without area or a vertex without a face.
+        InputError: a face without area or a vertex without a face.
     """
 
-    def __init__(self, mesh: ClothMesh, cutoffs: Sequence[float] | np.ndarray | None = None) -> None:
+    def __init__(self, mesh: ClothMesh) -> None:
         edges, side_edge = edges_of(mesh.faces)
-        if cutoffs is None:
-            shortest = 5.0 * mesh.edge_lengths()[1].mean()
-            octaves = np.log2(np.linalg.norm(np.ptp(mesh.vertices, axis=0)) / shortest)
-            cutoffs = shortest * 2.0 ** np.arange(max(int(np.ceil(octaves)), 1))
-        self.cutoffs = np.asarray(cutoffs, float)
-        if self.cutoffs.ndim != 1 or not self.cutoffs.size or np.any(np.diff(self.cutoffs, prepend=0.0) <= 0):
-            raise InputError("bad band limits", key="cutoffs", received=cutoffs, expected="ascending lengths [m]")
+        shortest = 5.0 * mesh.edge_lengths()[1].mean()
+        octaves = np.log2(np.linalg.norm(np.ptp(mesh.vertices, axis=0)) / shortest)
+        self.cutoffs = shortest * 2.0 ** np.arange(max(int(np.ceil(octaves)), 1))
         millimetres = [f"{1e3 * length:.3g}" for length in self.cutoffs]
         between = [f"{a}-{b} mm" for a, b in zip(millimetres[:-1], millimetres[1:], strict=True)]
         self.names = (f"under {millimetres[0]} mm", *between, f"over {millimetres[-1]} mm")
@@ -121,15 +116,6 @@ class BandedEnergy:
         frames = np.asarray(vertices, float).reshape(-1, len(self._mass), 3)
         parts = (frames[start : start + _CHUNK_FRAMES] for start in range(0, len(frames), _CHUNK_FRAMES))
         return np.concatenate([self._energy_of_part(part, counted) for part in parts])
-
-    def curvature(self, vertices: np.ndarray) -> np.ndarray:
-        """Length of the curvature vector at each vertex [1/m], shape (n,); vertices: [m], shape (n, 3)."""
-        return np.linalg.norm(self._curvature @ np.asarray(vertices, float), axis=1)
-
-    @property
-    def areas(self) -> np.ndarray:
-        """Area around each vertex [m2], shape (n,)."""
-        return self._mass
 
     def amplitude(self, energy: np.ndarray) -> np.ndarray:
         """Amplitude of a plane wave over the whole mesh that has the energy of the band [m], shape of the energies.

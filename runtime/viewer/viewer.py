@@ -64,7 +64,6 @@ class Viewer:
         choice: what is played.
         factors: on the fabric.
         frame_count: pictures since the start.
-        late_count: periods of :data:`RATE_HZ` that went by without a picture.
     """
 
     def __init__(self, opened: Opened, output: Path, port: int = PORT) -> None:
@@ -72,7 +71,7 @@ class Viewer:
         self._source, self._output = source, output
         self.choice = _choice_of(source, view)
         self.factors = FabricFactors(view.bending, view.stretch, view.weight)
-        self.frame_count = self.late_count = 0
+        self.frame_count = 0
         self._garment = self._make()
         if view.garments:
             self._garment = _wearing(source, self._garment, view.garments)
@@ -109,7 +108,6 @@ class Viewer:
             self._frame((due - turn) / RATE_HZ)
             turn = due
             due = max(turn + 1, math.ceil((time.perf_counter() - start) * RATE_HZ))
-            self.late_count += due - turn - 1
             time.sleep(max(0.0, start + turn / RATE_HZ - time.perf_counter()))
 
     def close(self) -> None:

@@ -9,13 +9,16 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
+import viser
+import zstandard
+from websockets.sync.client import ClientConnection, connect
 
 from assets.io.scene import load_scene
 from assets.io.view import ViewSettings
 from pbd import InputError
-from precompute.benchmarks.viewer import connected, pictures_in
 from runtime.viewer import opening
 from runtime.viewer.colors import CLOTH_COLORS
 from runtime.viewer.garments import DatabaseSource, FabricFactors
@@ -67,6 +70,32 @@ def more_frames(viewer: Viewer, count: int) -> None:
     """Wait until the loop has made so many more frames."""
     wanted = viewer.frame_count + count
     until(lambda: viewer.frame_count >= wanted)
+
+
+def connected(port: int) -> ClientConnection:
+    """A connection to a viewer, as its own page opens it."""
+    protocol: Any = f"viser-v{viser.__version__}"
+    origin: Any = f"http://127.0.0.1:{port}"
+    return connect(
+        f"ws://127.0.0.1:{port}",
+        origin=origin,
+        subprotocols=[protocol],
+        max_size=None,
+        compression=None,
+        close_timeout=0.5,  # one that has stalled would have to read all that waits for it first
+    )
+
+
+def pictures_in(message: bytes) -> bool:
+    """Whether a message from the server moves a garment."""
+    packed = int.from_bytes(message[8:16], "little")
+    content = msgspec.msgpack.decode(zstandard.ZstdDecompressor().decompress(message[16 : 16 + packed]))
+    return any(
+        part.get("type") == "SceneNodeUpdateMessage"
+        and "vertices" in part["updates"]
+        and not part["name"].endswith("/body")
+        for part in content["messages"]
+    )
 
 
 def receive(port: int, count: int) -> int:
