@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 # Each public name, with the module and the attribute that it stands for. The block below repeats them for type
 # checkers; a test holds the two equal.
 SOURCES = {
-    "BatchSolver": "pbd.xpbd.batch_solver:BatchSolver",
     "Body": "pbd.contact.colliders:Body",
     "Capsule": "pbd.contact.colliders:Capsule",
     "Character": "assets.character:Character",
@@ -85,7 +84,6 @@ if TYPE_CHECKING:
     from pbd.models.registry import SOLVERS as SOLVERS
     from pbd.models.registry import make_solver as make_solver
     from pbd.wind import Wind as Wind
-    from pbd.xpbd.batch_solver import BatchSolver as BatchSolver
     from pbd.xpbd.solver import Solver as Solver
     from pbd.xpbd.solver import SolverOptions as SolverOptions
     from precompute.learning.options import LearningOptions as LearningOptions

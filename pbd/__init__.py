@@ -7,11 +7,9 @@ from pbd.fabric import Fabric
 from pbd.limits import Limits
 from pbd.mesh import ClothMesh
 from pbd.model import Model, ModelOptions, State, build_model
-from pbd.xpbd.batch_solver import BatchSolver
 from pbd.xpbd.solver import Solver, SolverOptions
 
 __all__ = [
-    "BatchSolver",
     "Body",
     "Capsule",
     "ClothMesh",

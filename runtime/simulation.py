@@ -182,7 +182,7 @@ class Simulation:
     def step_cloth(self, dt: float, wind: Air = CALM) -> None:
         """Advance the garment while the body goes from its last pose to the current one."""
         self.solver.step(
-            self.state, self.colliders, dt, *self.carried(dt, wind), stitch_gaps=self._next_stitch_gaps(dt)
+            self.state, self.colliders, dt, *self._carried(dt, wind), stitch_gaps=self._next_stitch_gaps(dt)
         )
 
     def fasten(self, number: int, closed: bool) -> None:
@@ -217,11 +217,11 @@ class Simulation:
         self._stitch_gaps = after
         return np.where(self._opened, after, before), after
 
-    def carried(self, dt: float, wind: Air = CALM) -> tuple[np.ndarray | None, Any, LimitTargets | None]:
+    def _carried(self, dt: float, wind: Air = CALM) -> tuple[np.ndarray | None, Any, LimitTargets | None]:
         """What carries the garment in a step that ends at the body's current pose; the time goes on by it.
 
         Returns:
-            targets, wind and limit targets, as :meth:`pbd.Solver.step` and :meth:`pbd.BatchSolver.step` take them.
+            targets, wind and limit targets, as :meth:`pbd.Solver.step` takes them.
         """
         targets = None
         if self.attachment is not None:

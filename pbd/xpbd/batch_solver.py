@@ -4,7 +4,8 @@ A launch of a kernel runs on one thread, and no other can start beside it. Here 
 arrays lie end to end in a few long ones (:mod:`pbd.xpbd.array_pools`). The schedule is that of
 :mod:`pbd.xpbd.schedule`, and so are the bits of the result, whatever the number of threads.
 
-On CUDA a block of threads has a garment: every colour of constraints is one parallel loop.
+On CUDA a block of threads has a garment: every colour of constraints is one parallel loop. There is no other schedule
+for CUDA; players, whose garments collide with themselves and with one another, do not use this one.
 """
 
 from collections.abc import Callable, Mapping, Sequence

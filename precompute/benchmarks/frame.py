@@ -15,7 +15,6 @@ import numpy as np
 from pbd import Colliders, InputError, Solver
 from pbd.geometry import surface_normals
 from pbd.taichi_internals import Launch
-from precompute.benchmarks.crowd import crowd_figures
 from precompute.benchmarks.frame_limits import (
     MachineSpeed,
     cloth_bytes,
@@ -87,13 +86,11 @@ class FrameBench:
         speed: of this machine.
         growth: time of a frame of the fine mesh subdivided once more, over that of the fine mesh, with equal substeps;
             None for a delivered mesh, whose pleats are in no subdivided one.
-        crowd: see :func:`precompute.benchmarks.crowd.crowd_figures`; nothing of an outfit.
     """
 
     costs: Sequence[FrameCost]
     speed: MachineSpeed
     growth: float | None
-    crowd: Mapping[str, float]
 
     def figures(self) -> dict[str, float]:
         """Figures by name: ours without a prefix, plain cloth with its name before."""
@@ -113,7 +110,6 @@ class FrameBench:
             **ours.figures(),
             **{f"{cost.name}_{name}": value for cost in plain for name, value in cost.figures().items()},
             **({} if self.growth is None else {"growth_of_four_times_the_vertices": self.growth}),
-            **self.crowd,
             **self.speed.figures(),
         }
 
@@ -167,14 +163,10 @@ def bench_frame(path: Path, seconds: float, report: Callable[[str], None] = lamb
         if cloth is not None:
             report(name.replace("_", " "))
             costs.append(_plain(name, cloth, speed, round(PLAIN_S[name] * database.frame_rate)))
-    crowd: Mapping[str, float] = {}
-    if database.layers is None:  # a batch does not keep garments from one another
-        report("a crowd")
-        crowd = crowd_figures(coarse_cloth(database, run))
     if database.binding is not None:
-        return FrameBench(costs, speed, None, crowd)
+        return FrameBench(costs, speed, None)
     report("four times the vertices")
-    return FrameBench(costs, speed, _growth(database, run), crowd)
+    return FrameBench(costs, speed, _growth(database, run))
 
 
 def _ours(player: Player, run: Run, inputs: PlaybackInputs, speed: MachineSpeed, count: int) -> FrameCost:
@@ -304,7 +296,6 @@ def frame_text(bench: FrameBench) -> str:
         f"without the network: {figures['frame_without_network_ms']:.2f} ms, p99 over p50: "
         f"{figures['frame_p99_over_p50']:.2f}",
         *([] if bench.growth is None else [f"four times the vertices take {bench.growth:.2f} times as long"]),
-        *(f"{name.replace('_', ' ')}: {value:.2f}" for name, value in bench.crowd.items()),
         f"this machine copies {figures['memory_copy_gb_s']:.1f} GB/s (read and written) and multiplies at "
         f"{figures['blas_gflop_s']:.0f} GFLOP/s",
     ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,6 @@ from pbd import SolverOptions
 from precompute.benchmarks.constraint_cost import constraint_costs
 from precompute.benchmarks.contact_bench import self_collision_cost
 from precompute.benchmarks.solver_scenes import SolverMeasurement, hanging_square, measure
-from precompute.benchmarks.thread_speed import thread_speedups
 from precompute.mechanics import FRAME_RATE
 from precompute.method_comparison.engines import EngineRun, bench_engines
 from precompute.reporting.page import Chart, Point, Section, Table, Text, write_page
@@ -70,16 +69,11 @@ class SolverRun:
 
 @dataclass(frozen=True)
 class SolverBench:
-    """All runs, the amplitudes of the refined runs by vertices a side [m], and the cost of constraints [ns].
-
-    Beside them the gain of a second core
-    (:func:`precompute.benchmarks.thread_speed.thread_speedups`) and the engines measured.
-    """
+    """All runs, amplitudes of the refined runs by vertices a side [m], the cost of constraints [ns], other engines."""
 
     runs: Sequence[SolverRun]
     amplitudes: Mapping[int, float]
     costs: Mapping[str, float]
-    speedups: Mapping[str, float] = field(default_factory=dict)
     baselines: Sequence[EngineRun] = ()
 
     def cheapest(self, side: int) -> SolverRun | None:
@@ -88,7 +82,7 @@ class SolverBench:
         return min(passing, key=lambda run: run.measured.frame_ms, default=None)
 
     def figures(self) -> dict[str, float]:
-        """``time_to_accuracy_ms_SIDE``, ``TYPE_constraint_ns``, ``thread_speedup_CASE`` and ``rival_NAME_ms_SIDE``.
+        """``time_to_accuracy_ms_SIDE``, ``TYPE_constraint_ns`` and ``rival_NAME_ms_SIDE``.
 
         A baseline's is the cheapest that passed here, or else the quoted one.
         """
@@ -100,7 +94,7 @@ class SolverBench:
             for run in sorted(self.baselines, key=lambda run: -run.measured.frame_ms)
             if run.passed
         }
-        return {**found, **self.costs, **self.speedups, **quoted, **measured}
+        return {**found, **self.costs, **quoted, **measured}
 
 
 def _plain(name: str) -> str:
@@ -123,8 +117,6 @@ def bench_solver(
     baselines = bench_engines(report) if with_baselines else []
     report("cost of constraints")
     costs = {**constraint_costs(), **self_collision_cost()}
-    report("speed of two cores")
-    speedups = thread_speedups()
     runs, amplitudes = [], {}
     for side in SIDES if sides is None else sides:
         scene = hanging_square(side)
@@ -136,7 +128,7 @@ def bench_solver(
                 report(f"{scene.name}: {METHODS[sweeps]}, {substeps} substeps")
                 found = measure(scene, _options(substeps, sweeps))
                 runs.append(SolverRun(side, substeps, sweeps, found, found.passes(amplitudes[side])))
-    return SolverBench(runs, amplitudes, costs, speedups, baselines)
+    return SolverBench(runs, amplitudes, costs, baselines)
 
 
 def _options(substeps: int, sweeps: int) -> SolverOptions:
@@ -200,8 +192,7 @@ def bench_verdict(bench: SolverBench) -> str:
     costs = ", ".join(f"{name.removesuffix('_constraint_ns')} {ns:.1f}" for name, ns in constraints)
     contact = [(name, value) for name, value in bench.costs.items() if name.startswith("self_collision")]
     lines += [f"{name.replace('_', ' ')}: {value:.2f}" for name, value in contact]
-    speedups = ", ".join(f"{name} {ratio:.2f}" for name, ratio in bench.speedups.items()) or "not measured"
-    return "\n".join([*lines, f"One constraint [ns]: {costs}.", f"Two cores over one: {speedups}."])
+    return "\n".join([*lines, f"One constraint [ns]: {costs}."])
 
 
 def write_bench(folder: Path, bench: SolverBench) -> None:

@@ -8,11 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from pbd import BatchSolver, ClothMesh, Colliders, Fabric, InputError, Solver, State, build_model
+from pbd import ClothMesh, Colliders, Fabric, InputError, Solver, State, build_model
 from pbd.engine import running_threads
 from pbd.models.newton import StepError
 from pbd.models.registry import make_solver
 from pbd.models.stepping import ClothSolver, Options
+from pbd.xpbd.batch_solver import BatchSolver
 from precompute.failures.failure_play import MAX_RUN_S, Outcome
 from precompute.failures.failure_scenes import HUNG, square
 from precompute.mechanics import FRAME_RATE

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from pbd import BatchSolver, Body, Capsule, Colliders, Fabric, Solver, SolverOptions, State, build_model
+from pbd import Body, Capsule, Colliders, Fabric, Solver, SolverOptions, State, build_model
+from pbd.xpbd.batch_solver import BatchSolver
 from tests.pbd.meshes import body_of, cloth, grid, icosphere
 
 __all__ = ["OPTIONS", "Sheet", "sheets", "together"]

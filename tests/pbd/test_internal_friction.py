@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from pbd import (
-    BatchSolver,
     Colliders,
     Fabric,
     InputError,
@@ -22,6 +21,7 @@ from pbd import (
 from pbd.bending import bends_of, friction_share
 from pbd.layers import layered
 from pbd.mesh import ClothMesh
+from pbd.xpbd.batch_solver import BatchSolver
 from pbd.xpbd.constraints import FRICTION_STIFFNESS
 from precompute.validation.friction_rows import rolled, unordered
 from precompute.validation.trial import Specimen, level, strip

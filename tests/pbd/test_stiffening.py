@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from pbd import BatchSolver, Colliders, Fabric, Model, ModelOptions, Solver, SolverOptions, State, build_model
+from pbd import Colliders, Fabric, Model, ModelOptions, Solver, SolverOptions, State, build_model
 from pbd.fabric import stiffening_stress
 from pbd.layers import layered
 from pbd.mesh import ClothMesh
 from pbd.models.elements import Sum
 from pbd.models.membrane import continuum_membrane
+from pbd.xpbd.batch_solver import BatchSolver
 from precompute.validation.trial import Trial, TrialSetting, level, strip
 
 # At 20 % it bears six times the tension of a straight line.

@@ -5,12 +5,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pbd import BatchSolver, Colliders, DistanceField, Fabric, InputError, Solver, SolverOptions, Sphere, State
+from pbd import Colliders, DistanceField, Fabric, InputError, Solver, SolverOptions, Sphere, State
 from pbd.contact.distance_field import field_rows
 from pbd.contact.response import interpolated
 from pbd.engine import ti
 from pbd.geometry import Float1, Float2
 from pbd.models import make_solver
+from pbd.xpbd.batch_solver import BatchSolver
 from tests.pbd.meshes import RADIUS, THICKNESS, cloth, free_model, grid, level_sheet, run, turn
 
 SPACING = 0.01

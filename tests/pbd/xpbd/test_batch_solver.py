@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from pbd import (
-    BatchSolver,
     Colliders,
     InputError,
     Solver,
@@ -12,6 +11,7 @@ from pbd import (
     State,
 )
 from pbd.engine import running_threads
+from pbd.xpbd.batch_solver import BatchSolver
 from tests.pbd.batches import OPTIONS, Sheet, sheets, together
 
 

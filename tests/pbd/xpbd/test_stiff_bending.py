@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from assets.fabrics import PRESETS
-from pbd import BatchSolver, Colliders, Fabric, Model, Solver, SolverOptions, Sphere, State
+from pbd import Colliders, Fabric, Model, Solver, SolverOptions, Sphere, State
 from pbd.bending import border_share
 from pbd.mesh import hinges_of
+from pbd.xpbd.batch_solver import BatchSolver
 from pbd.xpbd.stiff_bending import HEADER, THETA, bending_factor, is_stiff, pass_ratio
 from tests.pbd.meshes import cloth, free_model, grid, momentum, run, turn
 

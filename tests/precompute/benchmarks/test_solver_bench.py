@@ -103,7 +103,6 @@ def test_the_command_measures_and_writes(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(solver_bench, "SIDES", (32,))
     monkeypatch.setattr(solver_bench, "constraint_costs", lambda: {"distance_constraint_ns": 5.0})
     monkeypatch.setattr(solver_bench, "self_collision_cost", lambda: {"self_collision_ms_64": 2.0})
-    monkeypatch.setattr(solver_bench, "thread_speedups", lambda: {})
     monkeypatch.setattr(solver_bench, "measure", lambda scene, options: GOOD)
     assert command.main(["bench", "solver", "-o", str(tmp_path / "new"), "--json", str(tmp_path / "out.json")]) == 0
     assert (tmp_path / "new" / "solver.html").exists() and (tmp_path / "new" / "solver.csv").exists()
@@ -116,8 +115,7 @@ def test_constraints_cost_something() -> None:
     assert all(0.1 < cost < 1e5 for cost in costs.values())
 
 
-def test_rows_are_the_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(solver_bench, "thread_speedups", lambda: {})
+def test_rows_are_the_runs() -> None:
     bench = bench_solver(())
     assert bench_rows(bench) == [] and bench.cheapest(32) is None
 
@@ -127,10 +125,8 @@ def test_a_measured_rival_takes_the_place_of_a_quoted_one(tmp_path: Path) -> Non
     failed = replace(GOOD, frame_ms=10.0, worst=0.06)
     baselines = [EngineRun("Newton XPBD", 64, words, run) for words, run in (("a", dear), ("b", cheap), ("c", failed))]
     runs = [SolverRun(64, 20, 0, GOOD, True)]
-    bench = SolverBench(runs, {64: 0.24}, {"distance_constraint_ns": 5.0}, {"thread_speedup_128": 1.7}, baselines)
-    figures = bench.figures()
-    assert figures["rival_newton_xpbd_ms_64"] == 20.0 and figures["thread_speedup_128"] == 1.7
-    assert "thread_speedup_128 1.70" in bench_verdict(bench)
+    bench = SolverBench(runs, {64: 0.24}, {"distance_constraint_ns": 5.0}, baselines)
+    assert bench.figures()["rival_newton_xpbd_ms_64"] == 20.0
     assert "cheapest measured: Newton XPBD, 20 ms with 100 % of the swing." in bench_verdict(bench)
     write_bench(tmp_path, bench)
     with open(tmp_path / "solver.csv", encoding="utf-8") as file:
