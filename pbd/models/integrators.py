@@ -11,7 +11,6 @@ from pbd.models.elements import Sum
 from pbd.models.linear import Cholesky, FreeOrder, NotPositiveDefinite
 from pbd.models.newton import StepError, minimise
 from pbd.models.obstacles import ContactForces, Cushion, Obstacles
-from pbd.models.springs import Springs
 from pbd.models.stepping import ClothSolver, Options
 
 __all__ = [
@@ -19,7 +18,7 @@ __all__ = [
     "ExplicitSolver",
     "ImplicitEuler",
     "Midpoint",
-    "PenaltyEuler",
+    "NewtonSolver",
     "QuasiStatic",
     "SymplecticEuler",
     "Verlet",
@@ -61,14 +60,12 @@ class ExplicitSolver(ClothSolver):
     Args:
         model, energy, options, name: see :class:`ClothSolver`. Without a substep of the user's the mesh's own limit
             gives it.
-        limit: greatest elongation of a spring (Provot 1995) [-]; None leaves springs alone.
     """
 
-    def __init__(self, model: Model, energy: Sum, options: Options, name: str, limit: float | None = None) -> None:
+    def __init__(self, model: Model, energy: Sum, options: Options, name: str) -> None:
         super().__init__(model, energy, options, name)
         if options.substep is None:
             self.substep = STABLE * 2.0 / highest(model, energy)
-        self.limit = limit
         self._accelerations: np.ndarray | None = None
 
     def forget(self) -> None:
@@ -84,12 +81,9 @@ class ExplicitSolver(ClothSolver):
     def finish(
         self, x: np.ndarray, v: np.ndarray, start: np.ndarray, h: float, target: np.ndarray, obstacles: Obstacles
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Held vertices, springs that are too long, and contact."""
+        """Held vertices and contact."""
         held = self.model.held
         x[held], v[held] = target, (target - start[held]) / h
-        if self.limit is not None:
-            limited = shortened(self.energy, x, self.model.inverse_mass, self.limit)
-            x, v = limited, v + (limited - x) / h
         return self.correct(x, v, start, h, obstacles)
 
 
@@ -103,21 +97,6 @@ class SymplecticEuler(ExplicitSolver):
         return self.finish(x + h * faster, faster, x, h, target, obstacles)
 
 
-class PenaltyEuler(SymplecticEuler):
-    """The same with contact by penalty forces, see :meth:`pbd.models.obstacles.Obstacles.penalty`."""
-
-    def advance(
-        self, x: np.ndarray, v: np.ndarray, h: float, target: np.ndarray, obstacles: Obstacles, wind: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        force = obstacles.penalty(x, v, self.mass, self.model.fabric.friction, h)
-        return super().advance(x, v + h * force / self.mass, h, target, obstacles, wind)
-
-    def correct(
-        self, x: np.ndarray, v: np.ndarray, start: np.ndarray, h: float, obstacles: Obstacles
-    ) -> tuple[np.ndarray, np.ndarray]:
-        return x, v
-
-
 class Verlet(ExplicitSolver):
     """Velocity Verlet: v and x by half a step each way, second order."""
 
@@ -129,36 +108,6 @@ class Verlet(ExplicitSolver):
         there, half = self.finish(x + h * half, half, x, h, target, obstacles)
         self._accelerations = self.acceleration(there, half, h, wind)
         return there, half + 0.5 * h * self._accelerations
-
-
-def shortened(energy: Sum, x: np.ndarray, inverse_mass: np.ndarray, limit: float, sweeps: int = 20) -> np.ndarray:
-    """Positions with springs longer than (1 + limit) l shortened to it, over and over (Provot 1995).
-
-    Args:
-        energy: its springs count, other parts do not.
-        x: [m], shape (n, 3).
-        inverse_mass: [1/kg], shape (n,).
-        limit: greatest elongation [-].
-        sweeps: passes at most; springs of a pass share what they ask of a vertex, its mean is taken.
-    """
-    x = x.copy()
-    for springs in (part for part in energy.parts if isinstance(part, Springs)):
-        i, j = springs.elements.T
-        give = inverse_mass[i] + inverse_mass[j]
-        longest = (1.0 + limit) * springs.lengths
-        for _ in range(sweeps):
-            offset = x[i] - x[j]
-            size = np.linalg.norm(offset, axis=1)
-            over = (size > longest * (1.0 + 1e-6)) & (give > 0.0)
-            if not over.any():
-                break
-            a, b, total = i[over], j[over], give[over]
-            back = offset[over] * ((size - longest)[over] / size[over] / total)[:, None]
-            ends = np.concatenate([a, b])
-            moves = np.concatenate([-inverse_mass[a, None] * back, inverse_mass[b, None] * back])
-            asked = np.maximum(np.bincount(ends, minlength=len(x)), 1)
-            x += np.stack([np.bincount(ends, moves[:, c], len(x)) for c in range(3)], axis=1) / asked[:, None]
-    return x
 
 
 class _Motion:

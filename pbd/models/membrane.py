@@ -1,4 +1,4 @@
-"""Membranes of constant-strain triangles: one element, four measures of strain.
+"""Membranes of constant-strain triangles: one element, three measures of strain.
 
 The element's energy is A/2 e^T D e with e = (e11, e22, 2 e12) a function of F = [w_u w_v], the images of the warp and
 weft axes. What tells the models apart is e(F). A fabric that stiffens adds an energy of e11 alone and one of e22 alone,
@@ -16,11 +16,9 @@ from pbd.mesh import ClothMesh
 from pbd.models.elements import ElementEnergy, clamped
 
 __all__ = [
-    "MEMBRANES",
     "ConditionStrain",
     "CorotationalStrain",
     "GreenStrain",
-    "LinearStrain",
     "Membrane",
     "Strain",
     "condition_membrane",
@@ -123,26 +121,6 @@ class CorotationalStrain:
         return _lyapunov(_stretch(f)[:, None, None], half + half.swapaxes(3, 4))
 
 
-class LinearStrain:
-    """e = sym(R^T F) - I with R kept from the rest pose: small displacements only, wrong under rotation.
-
-    Args:
-        frames: R of each triangle, shape (m, 3, 2).
-    """
-
-    def __init__(self, frames: np.ndarray) -> None:
-        self.frames = frames
-
-    def values(self, f: np.ndarray) -> np.ndarray:
-        return np.einsum("msia,mia->ms", self.slopes(f), f) - np.array([1.0, 1.0, 0.0])
-
-    def slopes(self, f: np.ndarray) -> np.ndarray:
-        return GreenStrain().slopes(self.frames)
-
-    def curvatures(self, f: np.ndarray, stress: np.ndarray) -> np.ndarray:
-        return np.zeros((len(f), 3, 2, 3, 2))
-
-
 class Membrane(ElementEnergy):
     """Sum of A/2 e^T D e over the triangles of a mesh, and of what stiffening adds along warp and weft.
 
@@ -153,7 +131,7 @@ class Membrane(ElementEnergy):
         fabric: for its stiffening; None for none.
     """
 
-    per_element = ("rows", "areas", "frames")
+    per_element = ("rows", "areas")
 
     def __init__(self, mesh: ClothMesh, strain: Strain, stiffness: np.ndarray, fabric: Fabric | None = None) -> None:
         super().__init__(mesh.faces, len(mesh.vertices))
@@ -164,14 +142,6 @@ class Membrane(ElementEnergy):
             self.stiffening = [(axis, young, law) for axis, (young, law) in enumerate(laws) if law.any()]
         self.strain, self.stiffness, self.areas = strain, stiffness, mesh.face_areas
         self.rows = deformation_rows(mesh)
-        self.frames = strain.frames if isinstance(strain, LinearStrain) else np.zeros(len(mesh.faces))
-
-    def subset(self, rows: np.ndarray) -> Membrane:
-        part = super().subset(rows)
-        assert isinstance(part, Membrane)
-        if isinstance(self.strain, LinearStrain):
-            part.strain = LinearStrain(part.frames)
-        return part
 
     def strains(self, x: np.ndarray) -> np.ndarray:
         """(e11, e22, 2 e12) of each triangle [-], shape (m, 3)."""
@@ -232,10 +202,7 @@ def rotations(f: np.ndarray) -> np.ndarray:
 
 
 def continuum_membrane(mesh: ClothMesh, fabric: Fabric, kind: str) -> Membrane:
-    """Orthotropic plane stress by name: ``linear``, ``corotational`` or ``stvk``."""
-    if kind == "linear":
-        frames = rotations(deformation(deformation_rows(mesh), mesh.vertices[mesh.faces]))
-        return Membrane(mesh, LinearStrain(frames), fabric.membrane_stiffness(), fabric)
+    """Orthotropic plane stress by name: ``corotational`` or ``stvk``."""
     strain = {"corotational": CorotationalStrain, "stvk": GreenStrain}[kind]()
     return Membrane(mesh, strain, fabric.membrane_stiffness(), fabric)
 
@@ -272,6 +239,3 @@ def _lyapunov(s: np.ndarray, m: np.ndarray) -> np.ndarray:
     adjugate = np.trace(s, axis1=-2, axis2=-1)[..., None, None] * np.eye(2) - s
     det = np.maximum(np.linalg.det(s), MIN_RATIO)[..., None, None]
     return (m + adjugate @ m @ adjugate / det) / (2.0 * np.trace(s, axis1=-2, axis2=-1)[..., None, None])
-
-
-MEMBRANES = ("linear", "corotational", "stvk")

@@ -1,4 +1,4 @@
-"""Contact with planes, spheres and capsules for the float64 solvers: by position, exact forces, penalty forces."""
+"""Contact with planes, spheres and capsules for the float64 solvers: by position and by exact forces."""
 
 from __future__ import annotations
 
@@ -8,15 +8,10 @@ from scipy.sparse import bsr_matrix, csr_matrix
 from pbd.contact.colliders import Colliders, DistanceField
 from pbd.errors import InputError
 
-__all__ = ["DAMPING", "PENALTY", "VISCOSITY", "ContactForces", "Cushion", "Obstacles"]
+__all__ = ["ContactForces", "Cushion", "Obstacles"]
 
 THINNEST = 0.05  # of the thickness; from there on the law goes on along its slope
 PUSH_OUT = 0.5  # what starts a step inside an obstacle comes out no faster than this against its surface [m/s]
-# Penalty forces, over what the mass and the substep would make of a whole step: of the cloth's own share, which is
-# 1.96 of the 4 that an explicit step bears, three contacts at once leave 0.4.
-PENALTY = 0.1  # stiffness k over m/h^2 [-]
-DAMPING = 0.35  # of the bounce, part of critical damping [-]
-VISCOSITY = 0.25  # slope of friction where it begins, over m/h [-]
 
 
 class Obstacles:
@@ -115,32 +110,6 @@ class Obstacles:
             pushed = depth[:, None] * normal - share[:, None] * tangential
             total[free] += np.where((gap < 0.0)[:, None], pushed, 0.0)[free]
         return total
-
-    def penalty(self, x: np.ndarray, v: np.ndarray, mass: np.ndarray, friction: float, h: float) -> np.ndarray:
-        """Penalty forces: a damped spring of the depth, and Coulomb friction regularised by viscosity.
-
-        k d - c v_n along the normal, never pulling, with k = 0.1 m/h^2 and c = 0.7 sqrt(k m); friction is the least of
-        mu times that and (m/4h) v_t (springs: Moore and Wilhelms 1988). So cloth lies g h^2/0.1 deep, dives in
-        where it hits, is thrown out where it starts inside, and creeps down any slope at 4 g h sin(angle).
-
-        Args:
-            x, v: at the substep's start [m], [m/s], shape (n, 3).
-            mass: [kg], shape (n, 1).
-            friction: Coulomb coefficient [-].
-            h: substep [s].
-
-        Returns:
-            [N], shape (n, 3).
-        """
-        gaps, normals = self.gaps(x, at_start=True)
-        slip = v[:, None] - self.carried(x) / h
-        along = np.einsum("nki,nki->nk", slip, normals)
-        tangential = slip - along[..., None] * normals
-        damping = 2.0 * DAMPING * np.sqrt(PENALTY)
-        pressed = np.where(gaps < 0.0, np.maximum(mass / h * (-PENALTY * gaps / h - damping * along), 0.0), 0.0)
-        size = np.linalg.norm(tangential, axis=2)
-        rubbed = np.minimum(VISCOSITY * mass / h, friction * pressed / np.maximum(size, 1e-300))
-        return (pressed[..., None] * normals - rubbed[..., None] * tangential).sum(axis=1)
 
 
 class Cushion:

@@ -13,11 +13,9 @@ from pbd.fabric import Fabric
 from pbd.mesh import ClothMesh, edges_of, hinges_of
 from pbd.models.elements import ElementEnergy
 
-__all__ = ["Springs", "prestressed_springs", "square_springs", "triangle_springs"]
+__all__ = ["Springs", "square_springs", "triangle_springs"]
 
-# Of a square's sides and diagonals, per square and over E h: stiffness, and rest length over the length itself.
-NATURAL = ((3 / 8, 1.0), (3 / 8, 1.0))
-PRESTRESSED = ((5 / 16, 6 / 5), (7 / 16, 6 / 7))
+SHARE = 3 / 8  # stiffness of a square's sides and diagonals, per square and over E h [-]
 SQUARE = 1e-3  # a cell is square if its sides and angles are, to this part [-]
 
 
@@ -80,22 +78,6 @@ def square_springs(mesh: ClothMesh, fabric: Fabric) -> Springs:
     Raises:
         InputError: triangles that do not pair up to squares.
     """
-    return _square_springs(mesh, fabric, NATURAL)
-
-
-def prestressed_springs(mesh: ClothMesh, fabric: Fabric) -> Springs:
-    """The square lattice in which long sides push against short diagonals.
-
-    Exact in the plane for any strain's direction, but without bending stiffness it always buckles: a wave (qx, qy) out
-    of the plane has the stiffness -(E h/4)(1 - cos qx)(1 - cos qy), which B >= E h d^2/64 must make up for.
-
-    Raises:
-        InputError: triangles that do not pair up to squares.
-    """
-    return _square_springs(mesh, fabric, PRESTRESSED)
-
-
-def _square_springs(mesh: ClothMesh, fabric: Fabric, kind: tuple) -> Springs:
     edges, side_edge = edges_of(mesh.faces)
     sides = mesh.side_lengths()
     long = np.argmax(sides, axis=1)
@@ -115,16 +97,12 @@ def _square_springs(mesh: ClothMesh, fabric: Fabric, kind: tuple) -> Springs:
     other = np.sqrt(2.0) * np.bincount(diagonal, legs.mean(axis=1), len(edges))  # twice, by both halves
     faces_at = np.bincount(side_edge.ravel(), minlength=len(edges)).astype(float)
     faces_at[diagonal] = 1.0  # one square
-    is_diagonal = np.isin(np.arange(len(edges)), diagonal)
-    (side_share, side_length), (diagonal_share, diagonal_length) = kind
-    stiffness = faces_at * np.where(is_diagonal, diagonal_share, side_share)
-    rest = lengths * np.where(is_diagonal, diagonal_length, side_length)
     order = np.searchsorted(edges @ [len(mesh.vertices), 1], np.sort(inner[:, :2], axis=1) @ [len(mesh.vertices), 1])
     return Springs(
         np.concatenate([edges, inner[:, 2:]]),
         len(mesh.vertices),
-        _modulus(fabric) * np.concatenate([stiffness, np.full(len(inner), diagonal_share)]),
-        np.concatenate([rest, 0.5 * diagonal_length * other[order]]),
+        _modulus(fabric) * SHARE * np.concatenate([faces_at, np.ones(len(inner))]),
+        np.concatenate([lengths, 0.5 * other[order]]),
     )
 
 

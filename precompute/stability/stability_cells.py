@@ -104,7 +104,7 @@ class Cell:
 
 def lattice_of(method: str) -> str:
     """The lattice that a method's maps are on: "squares" where its springs need them."""
-    return "squares" if method.startswith(("springs-square", "springs-prestressed")) else "triangles"
+    return "squares" if method.startswith("springs-square") else "triangles"
 
 
 def _solver(method: str, scene: CellScene, substep: float | None = None) -> AnySolver:

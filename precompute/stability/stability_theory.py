@@ -16,7 +16,7 @@ __all__ = ["Curve", "ExplicitLimit", "explicit_limit", "explicit_limits", "theor
 
 # dt = factor d sqrt(rho_A/(E h)) is 2/omega of a lattice of springs (`physics.md`).
 MEMBRANE = {"triangles": 0.816, "squares": 0.943}
-SPRINGS = {"triangles": "springs-triangle", "squares": "springs-square"}
+SPRINGS = {"triangles": "springs-triangle/symplectic-euler", "squares": "springs-square/symplectic-euler"}
 LAW_STRETCH = 0.1  # mean stretch at which the law is drawn [-]
 XPBD_PASSES = 10  # of XPBD in a step
 LIMIT_STEPS = 200  # of a run that looks for a limit
@@ -82,7 +82,7 @@ def explicit_limit(lattice: str) -> ExplicitLimit:
     start.velocity[model.held] = 0.0
 
     def stays(dt: float) -> bool:
-        solver = make_solver(f"{SPRINGS[lattice]}/symplectic-euler", model, Options(dt, (0.0, 0.0, 0.0)))
+        solver = make_solver(SPRINGS[lattice], model, Options(dt, (0.0, 0.0, 0.0)))
         state = start.copy()
         try:
             solver.step(state, Colliders(), LIMIT_STEPS * dt)
@@ -99,9 +99,9 @@ def explicit_limit(lattice: str) -> ExplicitLimit:
 
 def theory_of(one: StabilityMap, method: str) -> list[Curve]:
     """Lines over a map of a method; none where nothing is known."""
-    name, sign, integrator = method.partition("/")
-    if sign and integrator in ("symplectic-euler", "verlet") and name in SPRINGS.values():
-        return _explicit_curves(one, next(lattice for lattice, springs in SPRINGS.items() if springs == name))
+    for lattice, name in SPRINGS.items():
+        if method == name:
+            return _explicit_curves(one, lattice)
     if method in ("default", "xpbd"):
         return _stretch_curves(one, method)
     return []

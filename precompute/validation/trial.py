@@ -14,7 +14,7 @@ from scipy.spatial import Delaunay, cKDTree
 from pbd import ClothMesh, Colliders, Fabric, Model, ModelOptions, SolverOptions, State, build_model
 from pbd.bending import hinge_calibration
 from pbd.models import AnySolver, Options, make_solver
-from pbd.models.integrators import QuasiStatic
+from pbd.models.integrators import ExplicitSolver, NewtonSolver, QuasiStatic, SymplecticEuler
 from precompute.mechanics import FRAME_RATE, GRAVITY
 
 __all__ = [
@@ -280,9 +280,10 @@ class Trial:
         state = self.state.copy()
         state.position[:, 3] = model.inverse_mass
         state.velocity[:] = 0.0
-        name, sign, _ = self.setting.solver.partition("/")
-        explicit = f"{name}/symplectic-euler" if sign else name  # an integrator's own errors are no forces
-        make_solver(explicit, model, Options(RELEASE_S, (0.0, 0.0, 0.0))).step(state, Colliders(), RELEASE_S)
+        solver = make_solver(self.setting.solver, model, Options(RELEASE_S, (0.0, 0.0, 0.0)))
+        if isinstance(solver, (ExplicitSolver, NewtonSolver)):  # an integrator's own errors are no forces
+            solver = SymplecticEuler(model, solver.energy, solver.options, solver.name)
+        solver.step(state, Colliders(), RELEASE_S)
         gained = model.mass[:, None] * state.velocity.astype(float) / RELEASE_S
         gained[held] = 0.0
         return gained.sum(axis=0), np.cross(self.world(), gained).sum(axis=0)

@@ -12,12 +12,12 @@ from pbd.models.linear import FreeOrder
 from pbd.models.newton import minimise
 from pbd.models.stepping import ClothSolver
 from tests.pbd.meshes import body_of, cloth, free_model, grid, icosphere, turn
+from tests.pbd.models.sheets import INTEGRATORS, integrated
 
 SOFT = Fabric(
     stretch_warp=40.0, stretch_weft=20.0, poisson=0.2, shear=8.0, bend_warp=1e-4, bend_weft=1e-4, air_drag=0.0
 )
 FALL = (0.0, -9.81, 0.0)
-DYNAMIC = ["symplectic-euler", "verlet", "midpoint", "implicit-euler", "bdf2"]
 
 
 def solver_of(name: str, model: Model, options: Options | None = None) -> ClothSolver:
@@ -40,7 +40,7 @@ def swung(model: Model) -> State:
 
 def moved(name: str, substep: float, seconds: float) -> np.ndarray:
     model = flag()
-    solver, state = solver_of(name, model, Options(substep=substep, gravity=FALL)), swung(model)
+    solver, state = integrated(name, model, Options(substep=substep, gravity=FALL)), swung(model)
     solver.step(state, Colliders(), seconds)
     return solver.position
 
@@ -52,8 +52,8 @@ def moved(name: str, substep: float, seconds: float) -> np.ndarray:
 def test_order_of_convergence_in_time(name: str, order: int) -> None:
     """Slope of the error of positions against the substep, from 1.2 to 0.6 ms."""
     seconds = 0.024
-    exact = moved("fem-stvk/verlet", seconds / 240, seconds)
-    errors = [np.abs(moved(f"fem-stvk/{name}", seconds / n, seconds) - exact).max() for n in (20, 40)]
+    exact = moved("verlet", seconds / 240, seconds)
+    errors = [np.abs(moved(name, seconds / n, seconds) - exact).max() for n in (20, 40)]
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.25)
 
 
@@ -64,7 +64,7 @@ def test_free_fall(name: str, share: int) -> None:
     """First-order integrators fall g h t/2 too far, the others exactly; 100 m from the origin as at it."""
     vertices, faces = grid(4, 3, 0.05)
     model = free_model(cloth(vertices + [100.0, 0.0, 0.0], faces), SOFT)
-    solver, state = solver_of(f"fem-stvk/{name}", model, Options(substep=0.002)), State.at_rest(model)
+    solver, state = integrated(name, model, Options(substep=0.002)), State.at_rest(model)
     start = state.world()
     for _ in range(4):
         solver.step(state, Colliders(), 0.02)
@@ -74,7 +74,7 @@ def test_free_fall(name: str, share: int) -> None:
     assert state.world() == pytest.approx(solver.position, abs=1e-7)
 
 
-@pytest.mark.parametrize("name", DYNAMIC)
+@pytest.mark.parametrize("name", INTEGRATORS)
 def test_momentum(name: str) -> None:
     """A crumpled sheet without forces from outside: 1e-6, angular momentum where the integrator keeps it."""
     model = flag(held=False)
@@ -82,7 +82,7 @@ def test_momentum(name: str) -> None:
     state = State.at_rest(model, x)
     state.velocity[:] = [1.0, 2.0, -0.5] + np.cross([3.0, -2.0, 4.0], x)
     start = state.velocity.astype(float)
-    solver = solver_of(f"fem-stvk/{name}", model, Options(substep=0.001, gravity=(0.0, 0.0, 0.0)))
+    solver = integrated(name, model, Options(substep=0.001, gravity=(0.0, 0.0, 0.0)))
     solver.step(state, Colliders(), 0.01)
     mass = model.mass[:, None]
     before, after = (mass * start).sum(axis=0), (mass * solver.velocity).sum(axis=0)
@@ -151,7 +151,7 @@ def test_a_linear_system_without_a_solution_is_reported() -> None:
     """Nothing holds the sheet: it has no equilibrium."""
     model = flag(held=False)
     with pytest.raises(StepError, match="linear solve failed"):
-        solver_of("fem-linear/quasi-static", model).step(State.at_rest(model), Colliders(), 1 / 60)
+        solver_of("fem-stvk/quasi-static", model).step(State.at_rest(model), Colliders(), 1 / 60)
 
 
 class Odd:
@@ -203,7 +203,7 @@ def test_an_equilibrium_that_is_no_minimum_is_told() -> None:
 def test_it_goes_on_from_its_own_numbers_and_takes_over_what_was_changed() -> None:
     model = flag()
     whole, parts = swung(model), swung(model)
-    one, other = (solver_of("fem-stvk/bdf2", model, Options(substep=0.002)) for _ in range(2))
+    one, other = (integrated("bdf2", model, Options(substep=0.002)) for _ in range(2))
     one.step(whole, Colliders(), 0.04)
     for _ in range(2):
         other.step(parts, Colliders(), 0.02)
@@ -223,8 +223,8 @@ def test_it_goes_on_from_its_own_numbers_and_takes_over_what_was_changed() -> No
 
 def test_held_vertices_follow_their_targets() -> None:
     model = flag()
-    for name in DYNAMIC:
-        solver, state = solver_of(f"fem-stvk/{name}", model), State.at_rest(model)
+    for name in INTEGRATORS:
+        solver, state = integrated(name, model), State.at_rest(model)
         targets = state.world()[model.held] + [0.0, 0.0, 0.01]
         solver.step(state, Colliders(), 1 / 60, targets=targets)
         assert solver.position[model.held] == pytest.approx(targets)
@@ -255,12 +255,12 @@ def test_bad_arguments_are_refused(change: dict, problem: str) -> None:
     model = flag()
     arguments = {"state": State.at_rest(model), "colliders": Colliders(), "dt": 1 / 60, **change}
     with pytest.raises(InputError, match=problem):
-        solver_of("fem-stvk/bdf2", model).step(**arguments)
+        integrated("bdf2", model).step(**arguments)
 
 
 def test_other_states_and_bodies_are_refused() -> None:
     model = flag()
-    solver = solver_of("fem-stvk/bdf2", model)
+    solver = integrated("bdf2", model)
     other = State.at_rest(free_model(cloth(*grid(2, 2, 0.1)), SOFT))
     with pytest.raises(InputError, match="another model"):
         solver.step(other, Colliders(), 1 / 60)
