@@ -42,7 +42,6 @@ COMMANDS: Mapping[str, str] = {
     "bench failures": "precompute.commands.bench_failures",
     "bench stress": "precompute.commands.bench_stress",
     "bench clips": "precompute.commands.bench_clips",
-    "bench plan": "precompute.commands.bench_plan",
 }
 """The file of each command, in the order of the help. Of two words, the first names a group."""
 

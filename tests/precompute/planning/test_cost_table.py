@@ -12,10 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pbd import InputError
 from precompute.learning.pipeline import Precomputed, default_cache, precompute
 from precompute.planning import cost_table as measuring
-from precompute.planning.group_trial import group_figures
 from precompute.planning.planning import cost_table_of, plain_cloth
 from runtime import command
 from runtime.cost_table import CostTable, cost_table_path
@@ -171,16 +169,6 @@ def test_bad_plans_end_with_a_message(
         status = ended.code
     assert status == 2
     assert expected in capsys.readouterr().err
-
-
-def test_a_group_shares_its_budget(learned: Precomputed, measured: CostTable, tmp_path: Path) -> None:
-    """Three garments of which full detail alone would take three budgets, and one that is not short of time."""
-    short = group_figures(learned.path, 3, 1, measured.settings[0].cost_ms, 0.5)
-    assert short["catastrophic"] == 0 and short["tick_ms_p50"] < 2.0 * short["full_detail_ms"]
-    easy = group_figures(learned.path, 1, 1, 1000.0, 0.5)
-    assert easy["over_budget_percent"] == 0.0 and easy["error_px_p50"] <= short["error_px_p50"]
-    with pytest.raises(InputError, match="processes without garments"):
-        group_figures(learned.path, 1, 2, 10.0, 1.0)
 
 
 @pytest.mark.parametrize(
