@@ -19,7 +19,7 @@ from assets.io.scene import CameraSettings
 from pbd.errors import InputError
 from runtime.cost_table import CostTable
 
-__all__ = ["TARGETS", "Choice", "Planner", "ViewSize", "cheapest", "exhaustive", "sight_of"]
+__all__ = ["TARGETS", "Choice", "Planner", "ViewSize", "cheapest", "sight_of"]
 
 TARGETS = {"imperceptible": 1.0, "accepted": 10.0}
 """Largest error on screen [px] by the name of its class."""
@@ -348,12 +348,3 @@ def cheapest(costs: np.ndarray, errors: np.ndarray, target: float) -> int:
     """
     good = errors <= target
     return int(np.argmin(np.where(good, costs, np.inf))) if good.any() else int(np.argmin(errors))
-
-
-def exhaustive(cost_tables: Sequence[CostTable], views: Sequence[ViewSize], target_px: float) -> float:
-    """Cost of the cheapest settings whose errors meet the target, found by trying all of them [ms]."""
-    total = 0.0
-    for cost_table, view in zip(cost_tables, views, strict=True):
-        rows = zip(cost_table.settings, view.errors(cost_table), strict=True)
-        total += min((row.cost_ms for row, error in rows if error <= target_px), default=cost_table.settings[0].cost_ms)
-    return total

@@ -15,7 +15,7 @@ from precompute.planning.cost_table import cost_table_key, measure_cost_table
 from precompute.wrinkle_comparison.compare import database_of
 from runtime.cost_table import FOLD, CostTable, cost_table_path, read_cost_table, write_cost_table
 from runtime.garment_setup import scene_of
-from runtime.planner import Choice, Planner, ViewSize, cheapest, exhaustive, sight_of
+from runtime.planner import Choice, Planner, ViewSize, cheapest, sight_of
 from runtime.play import playback_inputs
 from runtime.report import machine_description
 from wrinkles.database import WrinkleDatabase, read_database
@@ -145,7 +145,7 @@ def seen_from(table: CostTable, distance: float, field_of_view_deg: float = 40.0
 def plan_figures(
     table: CostTable, views: Sequence[ViewSize], choices: Sequence[Choice], target_px: float
 ) -> dict[str, Any]:
-    """Figures of a plan: the choice, its cost and error, how much dearer than the cheapest, and what distance saves."""
+    """Figures of a plan: the choice, its cost and error, and what distance saves."""
     cost = sum(choice.cost_ms for choice in choices)
     near, far = (
         Planner([table], target_px, NO_BUDGET).plan([seen_from(table, distance)])[0].cost_ms
@@ -155,7 +155,6 @@ def plan_figures(
         "choice": str(table.settings[choices[0].index].detail),
         "cost_ms": cost,
         "screen_error_px": max(choice.error_px for choice in choices),
-        "regret_percent": 100.0 * max(0.0, cost / exhaustive([table] * len(views), views, target_px) - 1.0),
         "cost_ratio_2m_20m": near / far,
         "changed_by_l_g": changed_by_fineness(table, target_px),
     }

@@ -256,12 +256,6 @@ def test_what_cannot_be_compared_is_refused(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(("key", "value"), [("--budget-ms", "8"), ("--workers", "2")])
-def test_options_of_a_group_need_garments(key: str, value: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert command.main(["bench", "plan", "no.h5", key, value]) == 2
-    assert f"{key}: " in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("text, seconds", [("90s", 90.0), ("1.5m", 90.0), ("2h", 7200.0)])
 def test_a_budget_is_a_time(text: str, seconds: float) -> None:
     assert command.parser().parse_args(["compare", f"--budget={text}"]).budget == seconds
