@@ -15,12 +15,10 @@ from pbd.errors import InputError
 from pbd.storage import replacing
 from runtime.level_of_detail import LevelOfDetail
 
-__all__ = ["FOLD", "CostTable", "Setting", "cost_table_path", "read_cost_table", "write_cost_table"]
+__all__ = ["CostTable", "Setting", "cost_table_path", "read_cost_table", "write_cost_table"]
 
 FORMAT = "gube front"
-VERSION = 3
-FOLD = 6.0  # shortest fold under gravity, divided by l_g [-]
-FOLD_EDGES = 3.0  # edges along the shortest fold that a mesh can carry, as in wrinkles.levels [-]
+VERSION = 4
 
 
 @dataclass(frozen=True)
@@ -50,8 +48,6 @@ class CostTable:
         database: code version, time of creation and size of the database that was measured.
         machine: name of the processor.
         size: height of the garment [m].
-        edges: mean edge length of the simulated mesh at each level that the settings name [m].
-        gravity_length: length l_g of the fabric, at which bending and gravity balance [m].
         speeds: speeds at which errors were measured: root mean square of the cloth's speed [m/s], ascending.
         settings: the rows, full detail first.
     """
@@ -60,21 +56,8 @@ class CostTable:
     database: str
     machine: str
     size: float
-    edges: tuple[float, ...]
-    gravity_length: float
     speeds: tuple[float, ...]
     settings: tuple[Setting, ...]
-
-    @cached_property
-    def too_fine(self) -> np.ndarray:
-        """Settings whose mesh is finer than the fabric's folds need: bool, shape (settings,).
-
-        Folds under gravity are at least :data:`FOLD` times l_g long, and a mesh can carry a fold that has at least
-        :data:`FOLD_EDGES` edges. A mesh is too fine if a coarser one of the table can carry these folds.
-        """
-        useful = [edge <= FOLD * self.gravity_length / FOLD_EDGES for edge in self.edges]
-        enough = max((level for level, fits in enumerate(useful) if fits), default=0)
-        return np.array([setting.detail.level < enough for setting in self.settings])
 
     @cached_property
     def costs(self) -> np.ndarray:
@@ -139,16 +122,11 @@ def read_cost_table(path: str | Path) -> CostTable:
         if (content.pop("format"), content.pop("version")) != (FORMAT, VERSION):
             raise ValueError("another format")
         settings = tuple(_setting(row) for row in content.pop("settings"))
-        tuples = {"speeds": tuple(content["speeds"]), "edges": tuple(content["edges"]), "settings": settings}
-        cost_table = CostTable(**content | tuples)
+        cost_table = CostTable(**content | {"speeds": tuple(content["speeds"]), "settings": settings})
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"cannot be read: {error}", file=path, expected=expected) from error
     numbers = np.array([[s.cost_ms, s.peak_ms, *s.error_m] for s in settings], float)
-    levels = {setting.detail.level for setting in settings}
-    known = len(cost_table.edges) > max(levels, default=0) and min(cost_table.edges) > 0.0
-    shaped = (
-        known and numbers.ndim == 2 and numbers.shape[1] == 2 + len(cost_table.speeds) and len(cost_table.speeds) > 0
-    )
+    shaped = numbers.ndim == 2 and numbers.shape[1] == 2 + len(cost_table.speeds) and len(cost_table.speeds) > 0
     if (
         not shaped
         or not np.isfinite(numbers).all()

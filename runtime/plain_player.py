@@ -53,7 +53,7 @@ def plain_choice(database: WrinkleDatabase) -> PlainCloth | None:
     for cuts in range(database.subdivisions + 1):
         if _vertex_count(database, cuts) == quality["plain_vertex_count"]:
             return PlainCloth(cuts, int(quality["plain_substeps"]), int(quality["plain_passes"]))
-    return None  # the mesh below the coarse one, on which a player can carry the coarse one itself
+    return None  # of another mesh, as files of earlier versions may name it
 
 
 def _vertex_count(database: WrinkleDatabase, cuts: int) -> int:

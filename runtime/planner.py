@@ -19,7 +19,7 @@ from assets.io.scene import CameraSettings
 from pbd.errors import InputError
 from runtime.cost_table import CostTable
 
-__all__ = ["TARGETS", "Choice", "Planner", "ViewSize", "cheapest", "sight_of"]
+__all__ = ["TARGETS", "Choice", "Planner", "ViewSize", "sight_of"]
 
 TARGETS = {"imperceptible": 1.0, "accepted": 10.0}
 """Largest error on screen [px] by the name of its class."""
@@ -186,12 +186,12 @@ class Planner:
     def _wanted(self, i: int, errors: np.ndarray) -> int:
         """The setting that a garment should have if the budget were endless."""
         costs, current = self.cost_tables[i].costs, self._current[i]
-        best = cheapest(costs, errors, self.target_px)
+        best = _cheapest(costs, errors, self.target_px)
         if current is None or errors[current] > self.target_px:
             return best
         if self._since[i] < HOLD or costs[best] >= (1.0 - SAVING) * costs[current]:
             return current
-        calm = cheapest(costs, errors, RELIEF * self.target_px)
+        calm = _cheapest(costs, errors, RELIEF * self.target_px)
         return calm if costs[calm] < (1.0 - SAVING) * costs[current] else current
 
     def _within_budget(
@@ -224,7 +224,7 @@ class Planner:
             [cost_table.costs for cost_table in self.cost_tables],
             [cost_table.peaks for cost_table in self.cost_tables],
         ):
-            start = [cheapest(*pair, self.target_px) for pair in zip(prices, errors, strict=True)]
+            start = [_cheapest(*pair, self.target_px) for pair in zip(prices, errors, strict=True)]
             chosen = self._cut(views, errors, prices, start, budget)
             losses = [
                 self._losses(*seen)[index] for seen, index in zip(zip(views, errors, strict=True), chosen, strict=True)
@@ -338,7 +338,7 @@ def _fitting(cost_table: CostTable, view: ViewSize, budget: float) -> np.ndarray
     return np.where(cost_table.peaks <= max(budget, float(cost_table.peaks.min())), view.errors(cost_table), np.inf)
 
 
-def cheapest(costs: np.ndarray, errors: np.ndarray, target: float) -> int:
+def _cheapest(costs: np.ndarray, errors: np.ndarray, target: float) -> int:
     """Index of the cheapest setting whose error is at most the target, or of the least error if there is none.
 
     Args:

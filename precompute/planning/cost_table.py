@@ -101,14 +101,11 @@ def measure_cost_table(
         cost = (peak + (pair.every - 1) * float(costs["between"][p])) / pair.every
         detail = LevelOfDetail(pair.every, pair.substeps, *layer, pair.level)
         settings.append(Setting(detail, cost, peak, tuple(error.tolist())))
-    meshes = [player.levels.coarse] if below is None else [player.levels.coarse, below.mesh]
     return CostTable(
         database.garment_name,
         cost_table_key(database),
         machine_description()["cpu"],
         float(np.ptp(database.coarse_vertices[:, 1])),
-        tuple(float(mesh.edge_lengths()[1].mean()) for mesh in meshes),
-        database.fabric.gravity_length,
         speeds,
         tuple(settings),
     )

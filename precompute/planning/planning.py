@@ -13,9 +13,9 @@ from assets.io.scene import CameraSettings
 from pbd import InputError
 from precompute.planning.cost_table import cost_table_key, measure_cost_table
 from precompute.wrinkle_comparison.compare import database_of
-from runtime.cost_table import FOLD, CostTable, cost_table_path, read_cost_table, write_cost_table
+from runtime.cost_table import CostTable, cost_table_path, read_cost_table, write_cost_table
 from runtime.garment_setup import scene_of
-from runtime.planner import Choice, Planner, ViewSize, cheapest, sight_of
+from runtime.planner import Choice, Planner, ViewSize, sight_of
 from runtime.play import playback_inputs
 from runtime.report import machine_description
 from wrinkles.database import WrinkleDatabase, read_database
@@ -23,7 +23,6 @@ from wrinkles.database import WrinkleDatabase, read_database
 __all__ = ["Planned", "cost_table_of", "plain_cloth", "plan_file", "plan_rows", "plan_text"]
 
 NEAR_DISTANCE, FAR_DISTANCE = 2.0, 20.0  # from the camera, for the figure cost_ratio_2m_20m [m]
-DISTANCE_COUNT = 50  # distances at which choices are compared
 NO_BUDGET = 1e9  # a budget that bounds nothing [ms]
 
 
@@ -33,14 +32,14 @@ class Planned:
 
     Attributes:
         table: of the garment.
-        views: how each is seen.
+        view: how each is seen.
         choices: one for each.
         figures: of the plan, by name.
         plain: what plain cloth that is as good as full detail costs, in a line.
     """
 
     table: CostTable
-    views: tuple[ViewSize, ...]
+    view: ViewSize
     choices: tuple[Choice, ...]
     figures: dict[str, Any]
     plain: str
@@ -99,16 +98,16 @@ def plan_file(
     camera = scene_of(database).camera
     centre = database.coarse_vertices.mean(axis=0)
     away = float(np.linalg.norm(np.subtract(centre, camera.position))) if distance is None else distance
-    view = camera.field_of_view_deg if field_of_view_deg is None else field_of_view_deg
-    views = [seen_from(table, away, view)] * garments
+    angle = camera.field_of_view_deg if field_of_view_deg is None else field_of_view_deg
+    view = seen_from(table, away, angle)
     if distance is None and field_of_view_deg is None:
-        views = [sight_of([camera], centre.tolist(), table.size, table.speeds[0])] * garments
+        view = sight_of([camera], centre.tolist(), table.size, table.speeds[0])
     planner = Planner([table] * garments, target_px, budget_ms)
-    choices = planner.plan(views)
-    figures = plan_figures(table, views, choices, target_px)
+    choices = planner.plan([view] * garments)
+    figures = plan_figures(table, choices, target_px)
     figures |= {"distance_m": away, "frame_ms": planner.tick_ms(choices), "settings": float(len(table.settings))}
     plain, words = plain_cloth(database.quality, table, figures["cost_ms"] / garments)
-    return Planned(table, tuple(views), tuple(choices), figures | plain, words)
+    return Planned(table, view, tuple(choices), figures | plain, words)
 
 
 def plain_cloth(quality: Mapping[str, float], table: CostTable, chosen_ms: float) -> tuple[dict[str, float], str]:
@@ -142,9 +141,7 @@ def seen_from(table: CostTable, distance: float, field_of_view_deg: float = 40.0
     return sight_of([camera], (0.0, 0.0, 0.0), table.size, table.speeds[0])
 
 
-def plan_figures(
-    table: CostTable, views: Sequence[ViewSize], choices: Sequence[Choice], target_px: float
-) -> dict[str, Any]:
+def plan_figures(table: CostTable, choices: Sequence[Choice], target_px: float) -> dict[str, Any]:
     """Figures of a plan: the choice, its cost and error, and what distance saves."""
     cost = sum(choice.cost_ms for choice in choices)
     near, far = (
@@ -156,14 +153,7 @@ def plan_figures(
         "cost_ms": cost,
         "screen_error_px": max(choice.error_px for choice in choices),
         "cost_ratio_2m_20m": near / far,
-        "changed_by_l_g": changed_by_fineness(table, target_px),
     }
-
-
-def changed_by_fineness(table: CostTable, target_px: float) -> float:
-    """Of :data:`DISTANCE_COUNT` distances from 1 to 100 m, those whose cheapest good setting is too fine for l_g."""
-    looks = [seen_from(table, float(distance)).errors(table) for distance in np.geomspace(1.0, 100.0, DISTANCE_COUNT)]
-    return float(sum(table.too_fine[cheapest(table.costs, errors, target_px)] for errors in looks))
 
 
 def plan_text(planned: Planned) -> str:
@@ -181,27 +171,13 @@ def plan_text(planned: Planned) -> str:
             f"error on screen {figures['screen_error_px']:.2g} px",
             planned.plain,
             f"at 2 m {figures['cost_ratio_2m_20m']:.3g} times the cost at 20 m",
-            _fineness(table, figures),
         ]
-    )
-
-
-def _fineness(table: CostTable, figures: dict[str, Any]) -> str:
-    """Whether the simulated meshes are finer than folds of l_g need, in a line."""
-    meshes = " and ".join(f"{1e3 * edge:.0f}" for edge in table.edges)
-    line = f"meshes of {meshes} mm; l_g = {1e3 * table.gravity_length:.0f} mm makes folds of {FOLD:g} l_g and longer"
-    if not table.too_fine.any():
-        return f"{line}: none is finer than such a fold needs"
-    changed = float(figures["changed_by_l_g"])
-    return (
-        f"{line}: the finest is finer than such a fold needs; "
-        f"without it {changed:.0f} of {DISTANCE_COUNT} choices would change"
     )
 
 
 def plan_rows(planned: Planned) -> list[dict[str, float]]:
     """The table as it is seen: a row a setting."""
-    errors = planned.views[0].errors(planned.table)
+    errors = planned.view.errors(planned.table)
     return [
         {**asdict(row.detail), "cost_ms": row.cost_ms, "peak_ms": row.peak_ms, "screen_error_px": float(error)}
         for row, error in zip(planned.table.settings, errors, strict=True)

@@ -43,7 +43,6 @@ from runtime.play import playback_inputs
 from runtime.player import Player
 from wrinkles.database import WrinkleDatabase, code_version, read_database, write_database
 from wrinkles.metrics import edge_stretch
-from wrinkles.proxy_mesh import proxy_mesh_of
 from wrinkles.relaxation import full_passes
 from wrinkles.spectrum import LowPass
 
@@ -278,7 +277,7 @@ def _played(database: WrinkleDatabase, truth: Truth, brief: bool, folder: Path |
         full = player.full
         details["ours_half_substeps_"] = replace(full, substeps=max(1, full.substeps // 2))
         details["ours_half_atoms_"] = replace(full, atoms=max(1, full.atoms // 2))
-    plain = _plain_turns(database, truth, player, brief, folder)
+    plain = _plain_turns(database, truth, brief, folder)
     others = {
         prefix: PlayerTurn(database, run, keep, detail, folder=folder) for prefix, detail in details.items() if prefix
     }
@@ -294,7 +293,7 @@ def _played(database: WrinkleDatabase, truth: Truth, brief: bool, folder: Path |
         _method(Method(prefix, names[prefix], 0.0, {}, _player_settings(simulated, details[prefix], dt)), turn.played)
         for prefix, turn in ours.items()
     ]
-    methods += [_method(method, turn.smooth if isinstance(turn, PlayerTurn) else turn.played) for method, turn in plain]
+    methods += [_method(method, turn.played) for method, turn in plain]
     truth_ms = truth.recording.step_ms if brief else truth_cost.cost()
     methods.append(Method("truth_", "truth", truth_ms, {}, _settings(truth_cost), truth.frames))
     settings = _settings(truth_cost.with_substeps(math.ceil(1.5 * truth_cost.substeps)))
@@ -314,33 +313,18 @@ def plain_methods(
     """
     tell = report or (lambda line: None)
     tell("comparing: plain cloth")
-    player = Player(database, truth.run.body, truth.run.poses[0], truth.run.primitives)
-    plain = _plain_turns(database, truth, player, brief=True)
+    plain = _plain_turns(database, truth, brief=True)
     take_turns([turn for _, turn in plain], truth.run.frame_count)
-    played = [_method(method, turn.played) for method, turn in plain if isinstance(turn, ClothTurn)]
+    played = [_method(method, turn.played) for method, turn in plain]
     return _with_figures(truth, played, 1)
 
 
 def _plain_turns(
-    database: WrinkleDatabase, truth: Truth, player: Player, brief: bool, folder: Path | None = None
-) -> list[tuple[Method, ClothTurn | PlayerTurn]]:
+    database: WrinkleDatabase, truth: Truth, brief: bool, folder: Path | None = None
+) -> list[tuple[Method, ClothTurn]]:
     """Plain cloth on every mesh, ready to be played."""
     run, keep = truth.run, truth.recording.frames
-    found: list[tuple[Method, ClothTurn | PlayerTurn]] = []
-    proxy = None if brief else proxy_mesh_of(player.levels, database.warp)
-    if proxy is not None:
-        for substeps in SUBSTEPS:
-            # The player carries the coarse mesh on the mesh below it, and draws the smooth surface.
-            detail = LevelOfDetail(1, substeps, 0, 0, 1)
-            method = Method(
-                f"plain_below_{substeps}_",
-                f"mesh below, {substeps} substeps",
-                0.0,
-                {},
-                _player_settings(len(proxy.mesh.vertices), detail, 1.0 / database.frame_rate),
-                mesh="below",
-            )
-            found.append((method, PlayerTurn(database, run, keep, detail, folder=folder)))
+    found: list[tuple[Method, ClothTurn]] = []
     clothes = plain_cloths(database, run)
     *coarser, below, fine = clothes
     few = dict.fromkeys(coarser, BRIEF[:1]) | {below: BRIEF, fine: ()}  # the fine cloth is dearest and seldom decides

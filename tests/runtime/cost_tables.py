@@ -22,7 +22,7 @@ def made_front(count: int = 60, seed: int = 0) -> CostTable:
         error = 0.03 * (k / count) ** 2 * 10.0 ** rng.uniform(-0.3, 0.3)
         detail = LevelOfDetail(every, 1 + k % 12, 48 * (k % 2), k % 3)
         settings.append(Setting(detail, cost, (0.9 * every if every > 1 else 1.0) * cost, (error, 1.5 * error)))
-    return CostTable("cloak", "made up", "none", 0.8, (0.05,), 0.019, (0.5, 2.0), tuple(settings))
+    return CostTable("cloak", "made up", "none", 0.8, (0.5, 2.0), tuple(settings))
 
 
 def seen(distance: float, speed: float = 1.0, size: float = 0.8) -> ViewSize:

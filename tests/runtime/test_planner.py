@@ -145,7 +145,7 @@ def test_a_crowd_loses_no_more_than_the_least_that_nine_tenths_of_its_budget_wou
 
 def test_ticks_are_alike_where_garments_leave_some_out() -> None:
     row = Setting(LevelOfDetail(4, 4, 0, 0), 0.26, 1.0, (0.0,))
-    cost_table = CostTable("cloak", "made up", "none", 0.8, (0.05,), 0.019, (1.0,), (row,))
+    cost_table = CostTable("cloak", "made up", "none", 0.8, (1.0,), (row,))
     planner = Planner([cost_table] * 8, 1.0, ENDLESS)
     choices = planner.plan([seen(3.0)] * 8)
     assert sorted(choice.wait for choice in choices) == [0, 0, 1, 1, 2, 2, 3, 3]

@@ -48,7 +48,6 @@ def test_less_detail_costs_less_and_shows_more(measured: CostTable) -> None:
     full = measured.settings[0].detail
     below = [setting for setting in measured.settings if setting.detail.level]
     assert below and all(setting.detail.atoms == 0 < min(setting.error_m) for setting in below)
-    assert len(measured.edges) == 2 and 1.5 < measured.edges[1] / measured.edges[0] < 2.5
     bare, half = replace(full, atoms=0, passes=0), replace(full, substeps=full.substeps // 2)
     seldom = replace(full, every=2, substeps=2 * full.substeps)
     for detail in (bare, half, seldom):
@@ -149,7 +148,7 @@ def test_a_front_that_is_none_is_refused(
     path = cost_table_path(learned.path)
     kept = path.read_text(encoding="utf-8")
     try:
-        for content in ("{", kept.replace('"version": 3', '"version": 2'), kept.replace('"level": 1', '"level": 2')):
+        for content in ("{", kept.replace('"version": 4', '"version": 3'), kept.replace('"level": 1', '"level": 2')):
             path.write_text(content, encoding="utf-8")
             assert command.main(["plan", str(learned.path)]) == 2
             assert "remove it to measure anew" in capsys.readouterr().err

@@ -29,6 +29,6 @@ def test_the_front_is_wide_enough_to_choose_from(table: CostTable) -> None:
 
 @pytest.mark.proof
 def test_two_metres_cost_three_times_what_twenty_do(table: CostTable) -> None:
-    views = [seen_from(table, 3.0)]
-    figures = plan_figures(table, views, Planner([table], 1.0, 1e9).plan(views), 1.0)
+    choices = Planner([table], 1.0, 1e9).plan([seen_from(table, 3.0)])
+    figures = plan_figures(table, choices, 1.0)
     assert float(figures["cost_ratio_2m_20m"]) >= 3.0
