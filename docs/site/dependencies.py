@@ -112,11 +112,7 @@ def locked() -> list[Locked]:
 
 def _from_npm() -> Iterator[Locked]:
     packages = json.loads((ROOT / "package-lock.json").read_text(encoding="utf-8"))["packages"]
-    own = {
-        "assemblyscript": "compiles loops of exported pages",
-        "esbuild": "bundles three.js",
-        "three": "draws exported pages; the wheel holds it",
-    }
+    own = {"esbuild": "bundles three.js", "three": "draws exported pages; the wheel holds it"}
     for path, entry in sorted(packages.items()):
         name = path.removeprefix("node_modules/")
         parents = [

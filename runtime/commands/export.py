@@ -1,4 +1,4 @@
-"""`gube export`: a played wrinkle database as a page that decodes the wrinkles live in a browser."""
+"""`gube export`: a played wrinkle database as a page that shows it in a browser."""
 
 from __future__ import annotations
 
@@ -77,8 +77,7 @@ def export_page(options: argparse.Namespace, find_truth: FindTruth | None = None
     say(
         f"{motion.name}: {figures['frame_count']:.0f} frames of {figures['fine_vertex_count']:.0f} vertices, "
         f"{figures['page_mb']:.2f} MB\n"
-        f"decoded vertices are within {figures['decoded_off_mm']:.2f} mm of the player's "
-        f"({figures['uncorrected_off_mm']:.2f} mm without corrections)\n"
+        f"decoded vertices are within {figures['decoded_off_mm']:.2f} mm of the player's\n"
         f"open {options.output / 'index.html'} in a browser"
     )
     return Report(figures)

