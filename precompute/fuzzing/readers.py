@@ -28,7 +28,7 @@ from pbd.mesh import ClothMesh, lattice_faces
 from precompute.fabric_lab.fabric_fit import read_curves
 from runtime.bake import bake_glb, bake_mdd, bake_pc2, bake_usd
 from runtime.cost_table import read_cost_table
-from runtime.recording_file import Quantised, read_recording, recording_bytes
+from runtime.recording_file import links_of, quantised, read_recording, recording_bytes
 from wrinkles.database import read_database
 
 __all__ = ["READERS", "write_good_files"]
@@ -178,6 +178,6 @@ def write_good_files(folder: Path) -> list[Path]:
     bake_glb(folder / "body.glb", faces, frames, 30.0, body=body, poses=poses)
     bake_glb(folder / "cloth.glb", faces, frames[:1], 30.0)
     bake_usd(folder / "cloth.usdc", faces, frames, 30.0)
-    steps = Quantised(np.arange(12, dtype=np.int16).reshape(3, 4), np.array(0.01, np.float32))
-    (folder / "a.rec").write_bytes(recording_bytes({"name": "a"}, {"positions": steps}))
+    moving = quantised("positions", frames, 0.01, differences=1, links="links")
+    (folder / "a.rec").write_bytes(recording_bytes({"name": "a"}, {"links": links_of(frames[0]), "positions": moving}))
     return sorted(path for path in folder.iterdir() if path.suffix in READERS)
