@@ -20,6 +20,7 @@ MAGIC = b"gube rec"
 VERSION = 3
 LARGEST = 2**27  # number of steps: the sums of a reader then fit into 32 bits
 NEAR = 8  # earlier points among which a point's second one is chosen
+ROUND = 4  # earlier points to each of a round's
 
 
 @dataclass(frozen=True)
@@ -63,9 +64,9 @@ def quantised(key: str, values: np.ndarray, step: float, differences: int = 0, l
 def links_of(points: np.ndarray) -> Quantised:
     """An order of points, and two earlier ones on either side of each, whose mean predicts how it moves.
 
-    Points are taken in a random order, twice as many in each round as before, so that the points of a round lie between
-    those of the rounds before. The first of the two earlier points is the nearest, the second is that of the next ones
-    with which the middle is closest to the point.
+    Points are taken in a random order and in rounds, so that the points of a round lie between those of the rounds
+    before. The first of the two earlier points is the nearest, the second is the near one with which the middle is
+    closest to the point.
 
     Args:
         points: shape (N, 3).
@@ -76,14 +77,15 @@ def links_of(points: np.ndarray) -> Quantised:
     order = np.random.default_rng(0).permutation(len(points))
     links, done = np.repeat(order[:, None], 3, axis=1), 1
     while done < len(points):
-        batch, earlier = order[done : 2 * done], order[:done]
+        end = done + max(done // ROUND, 1)
+        batch, earlier = order[done:end], order[:done]
         _, found = cKDTree(points[earlier]).query(points[batch], k=np.arange(1, min(NEAR, done) + 1))
         near = earlier[found]
         off = points[near[:, :1]] + points[near] - 2.0 * points[batch][:, None]
         opposite = (off**2).sum(axis=2).argmin(axis=1)
-        links[done : 2 * done, 1] = near[:, 0]
-        links[done : 2 * done, 2] = near[np.arange(len(batch)), opposite]
-        done *= 2
+        links[done:end, 1] = near[:, 0]
+        links[done:end, 2] = near[np.arange(len(batch)), opposite]
+        done = end
     return Quantised(links.astype(np.int32))
 
 
