@@ -28,7 +28,7 @@ class Quantised:
     """Numbers that the file stores as whole ones: values = steps * scale.
 
     Attributes:
-        steps: int32; the first axis of an array of frames is time.
+        steps: of any integer type; the first axis of an array of frames is time.
         scale: size of a step; 1 for numbers that are whole anyway.
         differences: how often differences along the first axis are taken before the steps are compressed.
         links: name of the array of :func:`links_of` by which the points of each frame predict one another, shape

@@ -13,7 +13,8 @@
   // --- The recording ------------------------------------------------------------------------------------------------
 
   async function start() {
-    const bytes = Uint8Array.from(atob(gubeRecording), (letter) => letter.charCodeAt(0));
+    const letters = atob(gubeRecording), bytes = new Uint8Array(letters.length);
+    for (let i = 0; i < bytes.length; i++) bytes[i] = letters.charCodeAt(i);
     ({ about, arrays } = await readRecording(bytes));
     view = viewOf();
     describe();
