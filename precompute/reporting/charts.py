@@ -51,8 +51,12 @@ class Chart:
     """Cost along x, which is logarithmic, against error along y, lower is better on both.
 
     Attributes:
+        points: the results.
+        x_label, y_label: names of the axes with their units.
+        log_y: whether y is logarithmic, too.
         floor: below this y differences mean nothing; 0 for none.
         x_lines, y_lines: straight lines across the chart at one x or y, such as a time budget, by name.
+        caption: a sentence below the chart.
         colors: what the points' own colours mean: words by colour.
     """
 
