@@ -35,7 +35,7 @@ if _engine == "quadrants":
 else:
     import taichi as ti
 
-__all__ = ["cuda_is_here", "ensure_initialized", "is_running", "running_arch", "running_threads", "ti"]
+__all__ = ["cuda_is_here", "ensure_initialized", "is_running", "ti"]
 
 COMPILED_FOR = 64  # threads
 LOCKED_AT_MOST = 60.0  # far longer than a process reads or writes the compiled kernels [s]
@@ -155,22 +155,6 @@ def cuda_is_here() -> bool:
     return bool(getattr(ti.lang.impl, f"_{_prefix.lower()}_core").with_cuda())
 
 
-def running_arch() -> str:
-    """The processor that Taichi was started for: "cpu" or "cuda"."""
-    return str(_running()["arch"])
-
-
-def running_threads() -> int:
-    """CPU threads that Taichi was started with."""
-    return int(str(_running()["threads"]))
-
-
 def is_running() -> bool:
     """Whether :func:`ensure_initialized` was called in this process."""
     return _settings is not None
-
-
-def _running() -> dict[str, object]:
-    if _settings is None:
-        raise RuntimeError("Taichi does not run yet: call ensure_initialized() first")
-    return _settings

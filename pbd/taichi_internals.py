@@ -18,7 +18,7 @@ import numpy as np
 
 from pbd.engine import ensure_initialized, is_running, ti
 
-__all__ = ["Launch", "in_kernel", "local", "same", "signature", "subscript", "translations"]
+__all__ = ["Launch", "in_kernel", "local", "same", "subscript", "translations"]
 
 QUADRANTS = ti.__name__ == "quadrants"
 impl, kernel_impl = ti.lang.impl, ti.lang.kernel_impl
@@ -79,11 +79,6 @@ def subscript(array: Any, *index: Any) -> Any:
 def same(array: Any, other: Any) -> bool:
     """Whether two arguments of a function in a kernel are one: known while it is compiled."""
     return array is other
-
-
-def signature(kernel: Callable[..., None]) -> dict[str, Any]:
-    """Names and types of the arguments of a ``ti.kernel``."""
-    return {argument.name: argument.annotation for argument in _arguments(getattr(kernel, "_primal"))}  # noqa: B009
 
 
 def _arguments(kernel: Any) -> list[Any]:
@@ -152,7 +147,7 @@ class Launch:
     def by_name(self, arguments: Mapping[str, Any]) -> None:
         """Run the kernel with the arguments that have the names of its own; others may be there too."""
         if self._names is None:
-            self._names = tuple(signature(self._kernel))
+            self._names = tuple(argument.name for argument in _arguments(getattr(self._kernel, "_primal")))  # noqa: B009
         self(*(arguments[name] for name in self._names))
 
     def _prepare(self, arguments: tuple) -> bool:

@@ -270,45 +270,6 @@ def test_playing_loads_nothing_that_only_learning_needs(graph: dict[str, set[str
     assert result.returncode == 0, result.stderr
 
 
-# What one garment on one thread and many on several threads are stepped by alike, see pbd.xpbd.batch_solver.
-SHARED_BY_THREADS = (
-    "contact/body_search",
-    "contact/response",
-    "geometry",
-    "xpbd/constraint_passes",
-    "xpbd/constraints",
-    "xpbd/multigrid_cycle",
-    "xpbd/schedule",
-)
-
-
-def float_atomics(source: str) -> list[int]:
-    """Lines of Taichi functions that add to an element of an array in place: an atomic operation in a parallel loop.
-
-    Batches were half as fast as one garment after another for it.
-    """
-    functions = [
-        node
-        for node in ast.walk(ast.parse(source))
-        if isinstance(node, ast.FunctionDef)
-        and any(ast.unparse(mark).startswith("ti.") for mark in node.decorator_list)
-    ]
-    return [
-        node.lineno
-        for function in functions
-        for node in ast.walk(function)
-        if isinstance(node, ast.AugAssign) and isinstance(node.target, ast.Subscript)
-    ]
-
-
-def test_what_threads_share_adds_without_atomics() -> None:
-    assert [f"{name}:{line}" for name in SHARED_BY_THREADS for line in float_atomics(SOURCES[f"pbd/{name}.py"])] == []
-
-
-def test_float_atomics_are_found() -> None:
-    assert float_atomics("@ti.func\ndef f(x):\n    x[0] += 1.0\n    y = 0.0\n    y += 1.0") == [3]
-
-
 def test_docstrings_explain_what_there_is() -> None:
     found = {name: list(untrue_sections(ast.parse(source))) for name, source in SOURCES.items()}
     assert [f"{name} {one}" for name, some in found.items() for one in some] == []

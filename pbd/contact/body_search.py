@@ -10,7 +10,7 @@ from pbd.taichi_internals import in_kernel
 from pbd.xpbd.constraints import larger
 from pbd.xpbd.views import BodySurface
 
-__all__ = ["MAX_CELLS", "BodySearch", "find_nearest", "find_nearest_vertices"]
+__all__ = ["MAX_CELLS", "find_nearest"]
 
 GRID_SIDE = 48
 MAX_CELLS = GRID_SIDE**3
@@ -257,19 +257,17 @@ def find_nearest_vertices(search: ti.template(), body: ti.template(), dt: ti.f32
         dt: frame time [s].
         thickness: kept between cloth and body [m].
     """
-    search.max_approach[0] = 0.0
-    if search.surface.shape[0] > 0:  # in a batch, garments without a body come along
-        count, approach = reach_of(dt, body, search)
-        search.max_approach[0] = approach
-        # A vertex that moves further than the search reaches is searched for again on its way.
-        unseen = (approach + thickness - FAR) / (1.5 * FAR)
-        later = int(ti.ceil(ti.math.clamp(unseen, 0.0, MAX_SEARCHES - 1.0)))
-        for k in range(later + 1):
-            find_at(k / (later + 0.5), dt, count, body, search)
-        if later > 0:
-            spread_nearest(search.position.shape[0], search.triangles, search.nearest)
-        for c in range(search.position.shape[0], search.samples.shape[0]):
-            search.nearest[c] = nearest_between_ends(c, body, search)
+    count, approach = reach_of(dt, body, search)
+    search.max_approach[0] = approach
+    # A vertex that moves further than the search reaches is searched for again on its way.
+    unseen = (approach + thickness - FAR) / (1.5 * FAR)
+    later = int(ti.ceil(ti.math.clamp(unseen, 0.0, MAX_SEARCHES - 1.0)))
+    for k in range(later + 1):
+        find_at(k / (later + 0.5), dt, count, body, search)
+    if later > 0:
+        spread_nearest(search.position.shape[0], search.triangles, search.nearest)
+    for c in range(search.position.shape[0], search.samples.shape[0]):
+        search.nearest[c] = nearest_between_ends(c, body, search)
 
 
 @ti.func

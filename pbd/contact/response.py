@@ -262,10 +262,8 @@ def collide_primitives(p: vec3, u: vec3, slip: vec3, t: ti.f32, primitives: ti.t
 
 
 @ti.func
-def collide_fields(
-    workers: ti.template(), cloth: ti.template(), t: ti.f32, obstacles: ti.template(), step: ti.template()
-):
-    """Put a worker's vertices out of the fields (rows of :mod:`pbd.contact.distance_field`), one after the other."""
+def collide_fields(cloth: ti.template(), t: ti.f32, obstacles: ti.template(), step: ti.template()):
+    """Put vertices out of the fields (rows of :mod:`pbd.contact.distance_field`), one after the other."""
     first = 0
     for c in range(obstacles.fields.shape[0]):
         size = ti.Vector([int(obstacles.fields[c, 0]), int(obstacles.fields[c, 1]), int(obstacles.fields[c, 2])])
@@ -277,7 +275,7 @@ def collide_fields(
         x = turned(row3(obstacles.fields, c, 7), axis, (t - 1.0) * angle)
         y = turned(row3(obstacles.fields, c, 10), axis, (t - 1.0) * angle)
         z = turned(row3(obstacles.fields, c, 13), axis, (t - 1.0) * angle)
-        for i in range(workers.begin(0, cloth.position.shape[0]), workers.end(0, cloth.position.shape[0])):
+        for i in range(cloth.position.shape[0]):
             if cloth.position[i][3] > 0.0:
                 u = xyz(cloth.position_delta[i])
                 offset = (xyz(cloth.position[i]) - centre) + u

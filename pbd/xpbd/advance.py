@@ -1,4 +1,4 @@
-"""The kernel of one garment: the schedule on one worker, behind the one flat list of its arrays.
+"""The kernel of one garment: the schedule behind the one flat list of its arrays.
 
 Taichi takes at most 64 arguments, so that numbers come in two of them. The kernel makes the views of
 :mod:`pbd.xpbd.views` from its arguments and hands these on.
@@ -21,15 +21,12 @@ from pbd.xpbd.views import (
     ParameterVector,
     StepView,
 )
-from pbd.xpbd.workers import SerialWorker
 
 __all__ = ["advance_kernel"]
 
 
 @cache
-def advance_kernel(
-    with_multigrid: bool, with_pairs: bool = False, rubs: bool = False, stiff: bool = False
-) -> Callable[..., None]:
+def advance_kernel(with_multigrid: bool, with_pairs: bool, rubs: bool, stiff: bool) -> Callable[..., None]:
     """The kernel that advances a garment by a frame.
 
     Over 60 lines and over 12 arguments: it is the one place that lists all arrays of a step.
@@ -110,7 +107,6 @@ def advance_kernel(
         ti.loop_config(serialize=True)
         for _ in range(1):
             advance_garment(
-                SerialWorker(),
                 StepView(steps, parameters),
                 ClothArrays(
                     position, velocity, position_delta, velocity_delta, normals, air, pressure,

@@ -1,4 +1,4 @@
-"""One pass over the constraints of each kind, for the range that a worker has of them."""
+"""One pass over the constraints of each kind, or of one colour of them."""
 
 from pbd.engine import ti
 from pbd.geometry import vec3, vec4, xyz
@@ -186,7 +186,7 @@ def solve_bent_hinge(cloth: ti.template(), constraints: ti.template(), c: ti.i32
 
 @ti.func
 def solve_stitches(cloth: ti.template(), constraints: ti.template(), t: ti.f32):
-    """One pass over all stitches, in order: for one worker, because several stitches may meet in one vertex.
+    """One pass over all stitches, in order, because several stitches may meet in one vertex.
 
     A stitch that is still open holds its two points no further apart than that; t in [0, 1] of the frame.
     """
@@ -207,10 +207,9 @@ def solve_stitches(cloth: ti.template(), constraints: ti.template(), t: ti.f32):
 
 
 @ti.func
-def solve_tethers(workers: ti.template(), cloth: ti.template(), constraints: ti.template()):
+def solve_tethers(cloth: ti.template(), constraints: ti.template()):
     """Pull back the vertices that are further from their held vertex than their tether is long."""
-    count = constraints.tethers.shape[0]
-    for c in range(workers.begin(0, count), workers.end(0, count)):
+    for c in range(constraints.tethers.shape[0]):
         i, j = constraints.tethers[c][0], constraints.tethers[c][1]
         u = xyz(cloth.position_delta[i])
         offset = (xyz(cloth.position[i]) - xyz(cloth.position[j])) + (u - xyz(cloth.position_delta[j]))
@@ -218,9 +217,9 @@ def solve_tethers(workers: ti.template(), cloth: ti.template(), constraints: ti.
 
 
 @ti.func
-def solve_limits(workers: ti.template(), cloth: ti.template(), limits: ti.template(), t: ti.f32, inverse_h2: ti.f32):
+def solve_limits(cloth: ti.template(), limits: ti.template(), t: ti.f32, inverse_h2: ti.f32):
     """Keep limited vertices near the places to which the body carries them; t in [0, 1] of the frame."""
-    for c in range(workers.begin(0, limits.shape[0]), workers.end(0, limits.shape[0])):
+    for c in range(limits.shape[0]):
         i = int(limits[c, 0][3])
         u = xyz(cloth.position_delta[i])
         offset = (xyz(cloth.position[i]) - xyz(limits[c, 0])) + (u - t * xyz(limits[c, 1]))

@@ -20,7 +20,7 @@ LENGTH_TOLERANCE = 1e-6  # springs pull beyond their length and this: positions 
 
 
 @ti.func
-def restrict(workers: ti.template(), cloth: ti.template(), multigrid: ti.template(), step: ti.template()):
+def restrict(cloth: ti.template(), multigrid: ti.template(), step: ti.template()):
     """Centres of mass of the patches of all levels at the start of a substep, and their predicted displacements [m].
 
     The fourth column of ``displacement``, the inverse mass, stays.
@@ -28,7 +28,7 @@ def restrict(workers: ti.template(), cloth: ti.template(), multigrid: ti.templat
     count = cloth.position.shape[0]
     for level in range(step.levels):
         first, last = multigrid.level_starts[level], multigrid.level_starts[level + 1]
-        for a in range(workers.begin(first, last), workers.end(first, last)):
+        for a in range(first, last):
             center, displacement = vec3(0.0), vec3(0.0)
             for q in range(multigrid.children[a], multigrid.children[a + 1]):
                 i = multigrid.children[q]
@@ -41,7 +41,6 @@ def restrict(workers: ti.template(), cloth: ti.template(), multigrid: ti.templat
                     displacement += multigrid.mass_share[i] * xyz(multigrid.displacement[i - count])
             multigrid.patch_centers[a] = vec4(center)
             multigrid.displacement[a] = vec4(displacement, multigrid.displacement[a][3])
-        workers.barrier()
 
 
 @ti.func
@@ -90,51 +89,48 @@ def solve_springs(multigrid: ti.template(), begin: ti.i32, end: ti.i32):
 
 
 @ti.func
-def solve_levels(workers: ti.template(), vertex_count: ti.i32, multigrid: ti.template(), step: ti.template()):
+def solve_levels(vertex_count: ti.i32, multigrid: ti.template(), step: ti.template()):
     """Correct the displacements of patches, from coarse to fine, until no spring is longer than the fabric lets it be.
 
     Multipliers of springs are multipliers of the fabric. The mean stress that the coarser levels bear in a patch is a
     strain (``coarse_strain``) that the finer ones need not take out, so that the stiffness stays the fabric's own.
     """
     last = multigrid.level_starts[step.levels]
-    for a in range(workers.begin(0, last), workers.end(0, last)):
+    for a in range(last):
         multigrid.predicted_displacement[a] = multigrid.displacement[a]
         multigrid.coarse_strain[a] = ti.math.vec4(0.0)
-    workers.barrier()
     for down in range(step.levels):
         level = step.levels - 1 - down
         if down > 0:
-            prolong(workers, vertex_count, level, multigrid)
-        prepare_springs(workers, level, multigrid, step)
+            prolong(vertex_count, level, multigrid)
+        prepare_springs(level, multigrid, step)
         for _ in range(step.sweeps):
             for k in range(multigrid.color_starts[level], multigrid.color_starts[level + 1]):
                 begin, end = multigrid.spring_colors[k], multigrid.spring_colors[k + 1]
-                solve_springs(multigrid, workers.begin(begin, end), workers.end(begin, end))
-                workers.barrier()
-        add_strain(workers, level, multigrid, step)
+                solve_springs(multigrid, begin, end)
+        add_strain(level, multigrid, step)
 
 
 @ti.func
-def prolong(workers: ti.template(), vertex_count: ti.i32, level: ti.i32, multigrid: ti.template()):
+def prolong(vertex_count: ti.i32, level: ti.i32, multigrid: ti.template()):
     """Add the corrections of the next coarser level to a level of patches."""
     first, last = multigrid.level_starts[level], multigrid.level_starts[level + 1]
-    for a in range(workers.begin(first, last), workers.end(first, last)):
+    for a in range(first, last):
         above = multigrid.parent[vertex_count + a]
         p = multigrid.displacement[a]
         if p[3] > 0.0:
             correction = xyz(multigrid.displacement[above]) - xyz(multigrid.predicted_displacement[above])
             multigrid.displacement[a] = vec4(xyz(p) + correction, p[3])
         multigrid.coarse_strain[a] = multigrid.coarse_strain[above]
-    workers.barrier()
 
 
 @ti.func
-def prepare_springs(workers: ti.template(), level: ti.i32, multigrid: ti.template(), step: ti.template()):
+def prepare_springs(level: ti.i32, multigrid: ti.template(), step: ti.template()):
     """Fill the workspace of the springs of a level, see :class:`pbd.xpbd.views.MultigridArrays`."""
     inverse_h2 = 1.0 / (step.h * step.h)
     begin = multigrid.spring_colors[multigrid.color_starts[level]]
     end = multigrid.spring_colors[multigrid.color_starts[level + 1]]
-    for c in range(workers.begin(begin, end), workers.end(begin, end)):
+    for c in range(begin, end):
         i, j = multigrid.springs[c][0], multigrid.springs[c][1]
         e = 0.5 * (multigrid.coarse_strain[i] + multigrid.coarse_strain[j])
         offset = xyz(multigrid.patch_centers[i]) - xyz(multigrid.patch_centers[j])
@@ -152,19 +148,17 @@ def prepare_springs(workers: ti.template(), level: ti.i32, multigrid: ti.templat
         multigrid.spring_workspace[6, c] = total
         multigrid.spring_workspace[7, c] = 0.0
         multigrid.spring_workspace[8, c] = -MAX_SPEED_CHANGE * step.h / total
-    workers.barrier()
 
 
 @ti.func
-def add_strain(workers: ti.template(), level: ti.i32, multigrid: ti.template(), step: ti.template()):
+def add_strain(level: ti.i32, multigrid: ti.template(), step: ti.template()):
     """Add the strain that the springs of a level bear to the patches at their ends."""
     inverse_h2 = 1.0 / (step.h * step.h)
     for k in range(multigrid.color_starts[level], multigrid.color_starts[level + 1]):
         begin, end = multigrid.spring_colors[k], multigrid.spring_colors[k + 1]
-        for c in range(workers.begin(begin, end), workers.end(begin, end)):
+        for c in range(begin, end):
             i, j = multigrid.springs[c][0], multigrid.springs[c][1]
             strain = -multigrid.spring_workspace[7, c] * inverse_h2 * xyz(multigrid.spring_data[c, 2])
             share_i, share_j = multigrid.spring_shares[c, 0], multigrid.spring_shares[c, 1]
             multigrid.coarse_strain[i] = multigrid.coarse_strain[i] + vec4(share_i * strain)
             multigrid.coarse_strain[j] = multigrid.coarse_strain[j] + vec4(share_j * strain)
-        workers.barrier()

@@ -1,7 +1,6 @@
 """The schedule: one kernel a frame, all substeps inside, one colour of constraints after the other.
 
-An order that sweeps the mesh from one end to the other is unstable. Constraints of one colour share no vertex, so that
-several workers may share them (:mod:`pbd.xpbd.workers`). By default there is one worker, which never waits.
+An order that sweeps the mesh from one end to the other is unstable. Constraints of one colour share no vertex.
 """
 
 from pbd.contact.pairs import solve_pairs
@@ -41,7 +40,6 @@ GRID_STEPS = 2.0**20
 
 @ti.func
 def advance_garment(
-    workers: ti.template(),
     step: ti.template(),
     cloth: ti.template(),
     constraints: ti.template(),
@@ -62,11 +60,9 @@ def advance_garment(
     difference of world positions. The velocity that a vertex gains over the frame is summed apart, in
     ``velocity_delta``.
 
-    Constraints of one colour share no vertex, and every sum has one order, so that the result does not depend on the
-    number of workers. Over 60 lines: half of them are this description and the arguments.
+    Over 60 lines: half of them are this description and the arguments.
 
     Args:
-        workers: who shares the work, see :mod:`pbd.xpbd.workers`.
         step: :class:`pbd.xpbd.views.StepView`.
         cloth, constraints, body, obstacles, contact, multigrid, pairs: views of :mod:`pbd.xpbd.views` as well.
     """
@@ -74,70 +70,59 @@ def advance_garment(
     active_distance = ti.max(
         MIN_ACTIVE_DISTANCE, step.thickness + contact.max_approach[0] * ti.min(1.0, step.refresh * step.share)
     )
-    list_samples(workers, cloth, contact)
-    update_normals(workers, cloth, constraints)
-    begin_frame(workers, cloth, step)
-    workers.barrier()
+    list_samples(cloth, contact)
+    update_normals(cloth, constraints)
+    begin_frame(cloth, step)
     stretched = 0  # whether any edge is near its limit
     for substep in range(step.begin, step.end + 1):
         t = (substep + 1) * step.share
         if obstacles.primitives.shape[0] > 0 and substep > step.begin:
-            collide_with_primitives(workers, cloth, t - step.share, obstacles, step)
+            collide_with_primitives(cloth, t - step.share, obstacles, step)
         if obstacles.fields.shape[0] > 0 and substep > step.begin:
-            collide_fields(workers, cloth, t - step.share, obstacles, step)
-        predict(workers, cloth, substep, step)
-        workers.barrier()
+            collide_fields(cloth, t - step.share, obstacles, step)
+        predict(cloth, substep, step)
         if substep < step.end:
-            move_held(workers, cloth, t, step)
-            workers.barrier()
+            move_held(cloth, t, step)
             if ti.static(constraints.stiff):
-                if workers.first() and constraints.bending_factor.shape[0] > 0:
-                    solve_stiff_bending(cloth, constraints, constraints.bending_factor, multigrid.patch_centers, step.h)
-                workers.barrier()
+                solve_stiff_bending(cloth, constraints, constraints.bending_factor, multigrid.patch_centers, step.h)
             if ti.static(multigrid.used):
                 if step.levels > 0:
-                    restrict(workers, cloth, multigrid, step)
-                    solve_levels(workers, cloth.position.shape[0], multigrid, step)
-                    move_with_patches(workers, cloth, multigrid)
-                    workers.barrier()
-            solve_constraints(workers, cloth, constraints, multigrid, t, step)
+                    restrict(cloth, multigrid, step)
+                    solve_levels(cloth.position.shape[0], multigrid, step)
+                    move_with_patches(cloth, multigrid)
+            solve_constraints(cloth, constraints, multigrid, t, step)
             tests_all = substep % step.refresh == 0
             for k in range(contact.sample_colors.shape[0] - 1):
-                collide_with_body(workers, cloth, body, contact, k, t, tests_all, substep == 0, active_distance, step)
-                workers.barrier()
+                collide_with_body(cloth, body, contact, k, t, tests_all, substep == 0, active_distance, step)
             if ti.static(pairs.used):
-                stretched = collide_with_itself(
-                    workers, cloth, constraints, contact, pairs, t, tests_all, stretched, step
-                )
+                stretched = collide_with_itself(cloth, constraints, contact, pairs, t, tests_all, stretched, step)
             else:
-                hold_bands(workers, cloth, constraints, contact, t, step)
-    end_frame(workers, cloth, contact)
+                hold_bands(cloth, constraints, contact, t, step)
+    end_frame(cloth, contact)
 
 
 @ti.func
-def list_samples(workers: ti.template(), cloth: ti.template(), contact: ti.template()):
+def list_samples(cloth: ti.template(), contact: ti.template()):
     """List the samples of each colour that have a body vertex near them, see :class:`pbd.xpbd.views.ContactWork`."""
     for k in range(contact.sample_colors.shape[0] - 1):
-        begin = workers.begin(contact.sample_colors[k], contact.sample_colors[k + 1])
-        near_count = 0
-        for c in range(begin, workers.end(contact.sample_colors[k], contact.sample_colors[k + 1])):
+        begin, near_count = contact.sample_colors[k], 0
+        for c in range(begin, contact.sample_colors[k + 1]):
             i, j = contact.samples[c][0], contact.samples[c][1]
             if contact.nearest[c] >= 0 and cloth.position[i][3] + cloth.position[j][3] > 0.0:
                 contact.active_samples[begin + near_count] = c
                 near_count += 1
-        contact.active_counts[workers.row(k)] = ti.Vector([near_count, 0])
+        contact.active_counts[k] = ti.Vector([near_count, 0])
 
 
 @ti.func
-def update_normals(workers: ti.template(), cloth: ti.template(), constraints: ti.template()):
+def update_normals(cloth: ti.template(), constraints: ti.template()):
     """Unit vertex normals and areas [m2]; the area is below 0 where faces are squeezed to lines and have no normal."""
     count = cloth.position.shape[0]
-    for i in range(workers.begin(0, count), workers.end(0, count)):
+    for i in range(count):
         cloth.normals[i] = ti.math.vec4(0.0)
-    workers.barrier()
     for k in range(constraints.block_colors.shape[0] - 1):
         first, last = constraints.block_colors[k], constraints.block_colors[k + 1]
-        for b in range(workers.begin(first, last), workers.end(first, last)):
+        for b in range(first, last):
             begin, size = constraints.triangle_blocks[b][0], constraints.triangle_blocks[b][1]
             for c in range(begin, begin + size):
                 f = constraints.triangles[c]
@@ -146,8 +131,7 @@ def update_normals(workers: ti.template(), cloth: ti.template(), constraints: ti
                 n = vec4(side_1.cross(side_2), side_1.dot(side_1) + side_2.dot(side_2) + MIN_SIDES_SQUARED)
                 for a in ti.static(range(3)):
                     cloth.normals[f[a]] = cloth.normals[f[a]] + n
-        workers.barrier()
-    for i in range(workers.begin(0, count), workers.end(0, count)):
+    for i in range(count):
         n = xyz(cloth.normals[i])
         size = n.norm()
         has_normal = size >= MIN_AREA_SHARE * cloth.normals[i][3]
@@ -164,10 +148,10 @@ def own_direction(i: ti.i32) -> vec3:
 
 
 @ti.func
-def begin_frame(workers: ti.template(), cloth: ti.template(), step: ti.template()):
+def begin_frame(cloth: ti.template(), step: ti.template()):
     """Put vertices on the grid, their deltas to the start, the pressure into ``normals``, and move held vertices."""
     count, held_count = cloth.position.shape[0], cloth.held.shape[0]
-    for i in range(workers.begin(0, count), workers.end(0, count)):
+    for i in range(count):
         p = xyz(cloth.position[i])
         if cloth.normals[i][3] < 0.0 and cloth.position[i][3] > 0.0:
             p += 0.5 * step.thickness * own_direction(i)  # cloth squeezed to a line has no direction in which to open
@@ -179,18 +163,16 @@ def begin_frame(workers: ti.template(), cloth: ti.template(), step: ti.template(
         if cloth.pressure.shape[0] > 0:
             acceleration = cloth.pressure[i] * cloth.position[i][3] * ti.max(cloth.normals[i][3], 0.0)
         cloth.normals[i][3] = acceleration
-    for c in range(workers.begin(0, held_count), workers.end(0, held_count)):
+    for c in range(held_count):
         motion = cloth.target_end[c] - cloth.target_start[c]
         cloth.velocity[cloth.held[c]] = motion * (step.inverse_h * step.share)
 
 
 @ti.func
-def collide_with_primitives(
-    workers: ti.template(), cloth: ti.template(), t: ti.f32, obstacles: ti.template(), step: ti.template()
-):
-    """Put a worker's vertices out of planes, spheres and capsules; t in [0, 1] of the frame."""
+def collide_with_primitives(cloth: ti.template(), t: ti.f32, obstacles: ti.template(), step: ti.template()):
+    """Put vertices out of planes, spheres and capsules; t in [0, 1] of the frame."""
     count = cloth.position.shape[0]
-    for i in range(workers.begin(0, count), workers.end(0, count)):
+    for i in range(count):
         if cloth.position[i][3] > 0.0:
             u = xyz(cloth.position_delta[i])
             slip = u - substep_start(cloth, i, step.h)
@@ -199,10 +181,10 @@ def collide_with_primitives(
 
 
 @ti.func
-def predict(workers: ti.template(), cloth: ti.template(), substep: ti.i32, step: ti.template()):
+def predict(cloth: ti.template(), substep: ti.i32, step: ti.template()):
     """Take the velocity from the last substep's corrections, and predict where this one would bring the vertices."""
     count = cloth.position.shape[0]
-    for i in range(workers.begin(0, count), workers.end(0, count)):
+    for i in range(count):
         if cloth.position[i][3] > 0.0:
             u, gain = xyz(cloth.position_delta[i]), xyz(cloth.velocity_delta[i])
             if substep > step.begin:
@@ -225,9 +207,9 @@ def predict(workers: ti.template(), cloth: ti.template(), substep: ti.i32, step:
 
 
 @ti.func
-def move_held(workers: ti.template(), cloth: ti.template(), t: ti.f32, step: ti.template()):
+def move_held(cloth: ti.template(), t: ti.f32, step: ti.template()):
     """Put held vertices where their targets are at t in [0, 1] of the frame."""
-    for c in range(workers.begin(0, cloth.held.shape[0]), workers.end(0, cloth.held.shape[0])):
+    for c in range(cloth.held.shape[0]):
         i, start = cloth.held[c], cloth.target_start[c]
         u = (start - xyz(cloth.position[i])) + t * (cloth.target_end[c] - start)
         cloth.position_delta[i] = vec4(u)
@@ -235,10 +217,10 @@ def move_held(workers: ti.template(), cloth: ti.template(), t: ti.f32, step: ti.
 
 
 @ti.func
-def move_with_patches(workers: ti.template(), cloth: ti.template(), multigrid: ti.template()):
+def move_with_patches(cloth: ti.template(), multigrid: ti.template()):
     """Add the corrections of the finest level of patches to their vertices."""
     count = cloth.position.shape[0]
-    for i in range(workers.begin(0, count), workers.end(0, count)):
+    for i in range(count):
         if cloth.position[i][3] > 0.0:
             a = multigrid.parent[i]
             correction = xyz(multigrid.displacement[a]) - xyz(multigrid.predicted_displacement[a])
@@ -247,7 +229,6 @@ def move_with_patches(workers: ti.template(), cloth: ti.template(), multigrid: t
 
 @ti.func
 def solve_constraints(
-    workers: ti.template(),
     cloth: ti.template(),
     constraints: ti.template(),
     multigrid: ti.template(),
@@ -258,31 +239,20 @@ def solve_constraints(
     for k in range(constraints.block_colors.shape[0] - 1):
         first, last = constraints.block_colors[k], constraints.block_colors[k + 1]
         solve_membrane(
-            cloth, constraints, multigrid, step.levels, step.inverse_h2, step.compression_compliance_scale,
-            workers.begin(first, last), workers.end(first, last),
+            cloth, constraints, multigrid, step.levels, step.inverse_h2, step.compression_compliance_scale, first, last
         )  # fmt: skip
-        workers.barrier()
-    hinge_colors = constraints.hinge_colors.shape[0] - 1
-    if ti.static(constraints.stiff):
-        if constraints.bending_factor.shape[0] > 0:  # solved after the prediction
-            hinge_colors = 0
-    for k in range(hinge_colors):
-        first, last = constraints.hinge_colors[k], constraints.hinge_colors[k + 1]
-        solve_bending(cloth, constraints, step.inverse_h2, workers.begin(first, last), workers.end(first, last))
-        workers.barrier()
-    if workers.first():  # they are few
-        for _ in range(STITCH_PASSES):
-            solve_stitches(cloth, constraints, t)
-    workers.barrier()
-    solve_tethers(workers, cloth, constraints)
-    workers.barrier()
-    solve_limits(workers, cloth, constraints.limits, t, step.inverse_h2)
-    workers.barrier()
+    if ti.static(not constraints.stiff):  # else solved after the prediction
+        for k in range(constraints.hinge_colors.shape[0] - 1):
+            first, last = constraints.hinge_colors[k], constraints.hinge_colors[k + 1]
+            solve_bending(cloth, constraints, step.inverse_h2, first, last)
+    for _ in range(STITCH_PASSES):
+        solve_stitches(cloth, constraints, t)
+    solve_tethers(cloth, constraints)
+    solve_limits(cloth, constraints.limits, t, step.inverse_h2)
 
 
 @ti.func
 def collide_with_body(
-    workers: ti.template(),
     cloth: ti.template(),
     body: ti.template(),
     contact: ti.template(),
@@ -299,9 +269,8 @@ def collide_with_body(
     ``tests_all``, all samples are tested: those nearer than ``active_distance`` [m] are active until the next time, and
     find again where they touch if they have slid off it. In between, only the active samples are tested.
     """
-    half, row = contact.samples.shape[0], workers.row(k)
-    region = workers.begin(contact.sample_colors[k], contact.sample_colors[k + 1])
-    tested = contact.active_counts[row][0] if tests_all else contact.active_counts[row][1]
+    half, region = contact.samples.shape[0], contact.sample_colors[k]
+    tested = contact.active_counts[k][0] if tests_all else contact.active_counts[k][1]
     begin = region if tests_all else half + region
     active_count = 0
     for s in range(begin, begin + tested):
@@ -327,12 +296,11 @@ def collide_with_body(
             gap = cushioned(height - step.thickness, step.thickness, step.cushion * step.h * step.h)
             push_out(c, i, j, gap, step.friction, step, cloth, contact.contact_points)
     if tests_all:
-        contact.active_counts[row][1] = active_count
+        contact.active_counts[k][1] = active_count
 
 
 @ti.func
 def collide_with_itself(
-    workers: ti.template(),
     cloth: ti.template(),
     constraints: ti.template(),
     contact: ti.template(),
@@ -354,42 +322,30 @@ def collide_with_itself(
     limits = ti.static(constraints.strain_limits)
     work = ti.static(constraints.limit_work)
     near = stretched
-    if workers.first():
-        if tests_all:
-            near = near_limits(cloth, limits)
-        solve_strain_limits(cloth, contact, limits, work, near * LIMIT_PASSES, step.h, t)
-        solve_pairs(cloth, pairs, tests_all, step.refresh * step.share, step.friction, step.h)
-    workers.barrier()
+    if tests_all:
+        near = near_limits(cloth, limits)
+    solve_strain_limits(cloth, contact, limits, work, near * LIMIT_PASSES, step.h, t)
+    solve_pairs(cloth, pairs, tests_all, step.refresh * step.share, step.friction, step.h)
     for k in range(contact.sample_colors.shape[0] - 1):
-        return_to_surface(workers, cloth, contact, k, t, step)
-        workers.barrier()
-    if workers.first():
-        solve_strain_limits(cloth, contact, limits, work, near * LIMIT_PASSES, step.h, t)
-    workers.barrier()
+        return_to_surface(cloth, contact, k, t, step)
+    solve_strain_limits(cloth, contact, limits, work, near * LIMIT_PASSES, step.h, t)
     return near
 
 
 @ti.func
 def hold_bands(
-    workers: ti.template(), cloth: ti.template(), constraints: ti.template(), contact: ti.template(), t: ti.f32,
-    step: ti.template(),
-):  # fmt: skip
+    cloth: ti.template(), constraints: ti.template(), contact: ti.template(), t: ti.f32, step: ti.template()
+):
     """Let waistbands hold where the cloth does not collide with itself; t in [0, 1] of the frame."""
     if constraints.strain_limits.shape[0] > 0:
-        if workers.first():
-            solve_strain_limits(
-                cloth, contact, constraints.strain_limits, constraints.limit_work, LIMIT_PASSES, step.h, t
-            )
-        workers.barrier()
+        solve_strain_limits(cloth, contact, constraints.strain_limits, constraints.limit_work, LIMIT_PASSES, step.h, t)
 
 
 @ti.func
-def return_to_surface(
-    workers: ti.template(), cloth: ti.template(), contact: ti.template(), k: ti.i32, t: ti.f32, step: ti.template()
-):
+def return_to_surface(cloth: ti.template(), contact: ti.template(), k: ti.i32, t: ti.f32, step: ti.template()):
     """Put active samples of colour k that are under the body's surface back to it, without friction."""
-    begin = contact.samples.shape[0] + workers.begin(contact.sample_colors[k], contact.sample_colors[k + 1])
-    for s in range(begin, begin + contact.active_counts[workers.row(k)][1]):
+    begin = contact.samples.shape[0] + contact.sample_colors[k]
+    for s in range(begin, begin + contact.active_counts[k][1]):
         c = contact.active_samples[s]
         i, j = contact.samples[c][0], contact.samples[c][1]
         height = height_over(sample_point(i, j, cloth, step.smooth_surface), c, i, j, t, cloth, contact.contact_points)
@@ -398,9 +354,9 @@ def return_to_surface(
 
 
 @ti.func
-def end_frame(workers: ti.template(), cloth: ti.template(), contact: ti.template()):
+def end_frame(cloth: ti.template(), contact: ti.template()):
     """Put the deltas into positions and velocities, and write the distances to the body."""
-    for i in range(workers.begin(0, cloth.position.shape[0]), workers.end(0, cloth.position.shape[0])):
+    for i in range(cloth.position.shape[0]):
         cloth.position[i] = cloth.position[i] + vec4(xyz(cloth.position_delta[i]))
         contact.contact_distance[i] = FAR
         if cloth.position[i][3] > 0.0:

@@ -23,7 +23,6 @@ from pbd.xpbd.multigrid import Multigrid, build_multigrid
 from pbd.xpbd.rigid_motion import RigidTransform, detect_teleport, max_displacement
 from pbd.xpbd.stiff_bending import bending_factor, bounded_hinge_data, is_stiff, no_factor
 from pbd.xpbd.views import FrameSteps, StepParameters
-from pbd.xpbd.workers import MAX_WORKERS
 
 __all__ = ["Solver", "SolverOptions"]
 
@@ -117,12 +116,12 @@ class Solver:
         self._steps, self._max_approach = np.zeros(len(FrameSteps._fields), np.int32), np.zeros(1, np.float32)
         self._fixed = self._model_arrays() | self._multigrid_arrays() | self._workspace()
         # Substeps are never longer than this: levels that are of no use in it are of none in any.
-        self.with_multigrid = levels.useful(self.options.substep) > 0
-        self.in_contact = self.options.self_collision or bool(model.layer.any())
-        self._pairs = SelfCollision(model, self.options.self_collision) if self.in_contact else None
+        with_multigrid = levels.useful(self.options.substep) > 0
+        in_contact = self.options.self_collision or bool(model.layer.any())
+        self._pairs = SelfCollision(model, self.options.self_collision) if in_contact else None
         self._stride = max(MIN_STRIDE, STRIDE_SHARE * float(model.mesh.edge_lengths()[1].mean()))
         self._find_nearest = Launch(find_nearest)
-        kinds = self.with_multigrid, self._pairs is not None, model.plastic_shear_count > 0, self.stiff
+        kinds = with_multigrid, in_contact, model.plastic_shear_count > 0, self.stiff
         self._advance = Launch(advance_kernel(*kinds))
 
     def _model_arrays(self) -> dict[str, np.ndarray]:
@@ -178,7 +177,7 @@ class Solver:
             **{name: np.zeros((count, 4), np.float32) for name in ("position_delta", "velocity_delta", "normals")},
             "contact_points": np.zeros((samples, 3, 4), np.float32),
             "active_samples": np.zeros(2 * samples, np.int32),
-            "active_counts": np.zeros((MAX_WORKERS * (len(self.model.sample_colors) - 1), 2), np.int32),
+            "active_counts": np.zeros((len(self.model.sample_colors) - 1, 2), np.int32),
             "cell_start": np.zeros(MAX_CELLS + 2, np.int32),
             "max_approach": self._max_approach,
             "air": self._air,
@@ -222,7 +221,7 @@ class Solver:
             raise InputError("bad time step", key="dt", received=dt, expected="a finite number, at least 0 [s]")
         if dt < MIN_FRAME_TIME:
             return
-        arguments = self.prepare(state, colliders, dt, targets, wind, limit_targets)
+        arguments = self._prepare(state, colliders, dt, targets, wind, limit_targets)
         gaps = (self.model.stitch_gaps,) * 2 if stitch_gaps is None else stitch_gaps
         self._stitch_data[:, 1:3] = np.transpose(gaps)
         if colliders.body is not None:
@@ -253,7 +252,7 @@ class Solver:
             self._advance.by_name(arguments | self._pairs.arrays())
             self._pairs.remember(state)
 
-    def prepare(
+    def _prepare(
         self,
         state: State,
         colliders: Colliders,

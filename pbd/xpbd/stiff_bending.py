@@ -122,7 +122,7 @@ def place(factor: ti.template(), row: ti.i32) -> ti.i32:
 def solve_stiff_bending(
     cloth: ti.template(), constraints: ti.template(), factor: ti.template(), work: ti.template(), h: ti.f32
 ):
-    """Move all vertices by the bending of all hinges, right after the prediction: for one worker.
+    """Move all vertices by the bending of all hinges, right after the prediction.
 
     Args:
         cloth, constraints: views of the garment.

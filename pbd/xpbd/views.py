@@ -5,9 +5,9 @@ and hands it on as a ``ti.template()``: it costs nothing when the kernel runs. A
 be left out.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 from pbd.engine import ti
 from pbd.geometry import vec3
@@ -25,16 +25,7 @@ __all__ = [
     "ParameterVector",
     "StepParameters",
     "StepView",
-    "view_of",
 ]
-
-View = TypeVar("View")
-
-
-@in_kernel
-def view_of(kind: type[View], arrays: Mapping[str, Any]) -> View:
-    """A view of the arrays that have the names of its attributes."""
-    return kind(**{name: arrays[name] for name in getattr(kind, "__match_args__") if name in arrays})  # noqa: B009
 
 
 @in_kernel
@@ -156,9 +147,9 @@ class ContactWork:
         contact_faces, contact_weights: the face that each sample touched last, see :class:`pbd.State`.
         contact_points: of each sample the point that it touches at the frame's start, the motion of that point over
             the frame, the normal there; vec4, shape (s, 3).
-        active_samples: samples that have a body vertex near them, sorted by colour and worker; half the array further
-            on those of them that are near the body until all are tested again.
-        active_counts: of each colour and worker, how many there are of both kinds.
+        active_samples: samples that have a body vertex near them, sorted by colour; half the array further on
+            those of them that are near the body until all are tested again.
+        active_counts: of each colour, how many there are of both kinds.
         contact_distance: of each vertex at the end of the frame [m]; written only.
         max_approach: how far cloth and body can come nearer to one another in the frame [m], one number.
     """

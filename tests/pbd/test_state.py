@@ -135,6 +135,22 @@ def test_no_time_changes_nothing() -> None:
     assert state.hash() == before
 
 
+def test_one_solver_may_step_several_garments_whose_bodies_change() -> None:
+    """The first garment loses its body after two frames, the second gets one; each has a solver of its own as well."""
+    sphere, faces = icosphere(2, 0.1)
+    shared, ends = Solver(MODEL), []
+    for solvers in ((shared, shared), (Solver(MODEL), Solver(MODEL))):
+        states = [State.at_rest(MODEL) for _ in solvers]
+        bodies = [body_of(sphere + [0.15, -0.05, 0.05 * k], faces, state) for k, state in enumerate(states)]
+        for frame in range(4):
+            for k, (solver, state) in enumerate(zip(solvers, states, strict=True)):
+                colliders = Colliders(body=bodies[k] if (frame < 2) == (k == 0) else None)
+                solver.step(state, colliders, 1 / 60, wind=(0.0, 0.5 * frame * k, 2.0 * k))
+        assert all(state.velocity.any() for state in states)
+        ends.append([state.hash() for state in states])
+    assert ends[0] == ends[1] and ends[0][0] != ends[0][1]
+
+
 def test_what_the_kernels_could_not_take_is_refused() -> None:
     solver, colliders = Solver(MODEL), Colliders()
     other = State.at_rest(free_model(cloth(*grid(3, 3, 0.05)), Fabric()))

@@ -51,7 +51,7 @@ def test_local_damping_leaves_momenta_alone() -> None:
     state.velocity[:] = [1.0, 0.5, 0.0] + spin + rng.normal(0.0, 0.3, spin.shape)
     before, left = momentum(model, state), state.copy()
     solver = Solver(model, SolverOptions(gravity=NO_WEIGHT, local_damping=60.0))
-    solver.prepare(state, Colliders(), 1 / 60, None, (0.0, 0.0, 0.0))  # damps, and does nothing else
+    solver._prepare(state, Colliders(), 1 / 60, None, (0.0, 0.0, 0.0))  # damps, and does nothing else
     after = momentum(model, state)
     assert after[0] == pytest.approx(before[0], rel=1e-5)
     assert after[1] == pytest.approx(before[1], rel=1e-4)
@@ -59,7 +59,7 @@ def test_local_damping_leaves_momenta_alone() -> None:
     assert noise[1] < noise[0]
     change = np.linalg.norm(state.velocity - left.velocity)
     state.velocity[:] = left.velocity
-    solver.prepare(state, Colliders(), 1.0, None, (0.0, 0.0, 0.0))  # for good
+    solver._prepare(state, Colliders(), 1.0, None, (0.0, 0.0, 0.0))  # for good
     assert change == pytest.approx((1.0 - np.exp(-1.0)) * np.linalg.norm(state.velocity - left.velocity), rel=1e-4)
 
 

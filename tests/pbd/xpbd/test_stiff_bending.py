@@ -8,8 +8,8 @@ import pytest
 from assets.fabrics import PRESETS
 from pbd import Colliders, Fabric, Model, Solver, SolverOptions, Sphere, State
 from pbd.bending import border_share
+from pbd.layers import layered
 from pbd.mesh import hinges_of
-from pbd.xpbd.batch_solver import BatchSolver
 from pbd.xpbd.stiff_bending import HEADER, THETA, bending_factor, is_stiff, pass_ratio
 from tests.pbd.meshes import cloth, free_model, grid, momentum, run, turn
 
@@ -64,6 +64,7 @@ def test_only_stiff_cloth_that_a_pass_would_leave_too_soft_is_solved_at_once() -
     assert not is_stiff(strip(replace(FELT, bend_hysteresis_warp=1e-3)), STEP)
     bent = replace(fine.mesh, rest_bends=np.full(len(hinges_of(fine.mesh.faces)), 1e-3))
     assert not is_stiff(free_model(bent, FELT), STEP)
+    assert not is_stiff(layered([fine, strip(PRESETS["cotton"])]), STEP)
 
 
 def test_the_sag_of_a_stiff_strip_does_not_hang_on_the_step() -> None:
@@ -122,20 +123,6 @@ def test_a_stiff_sheet_comes_to_rest_on_a_ball() -> None:
     edges, lengths = model.mesh.edge_lengths()
     strain = np.abs(np.linalg.norm(x[edges[:, 1]] - x[edges[:, 0]], axis=1) / lengths - 1.0)
     assert np.percentile(strain, 95) < 0.1 and strain.max() < 0.2  # the membrane is solved by one pass
-
-
-@pytest.mark.proof  # the kernel takes over a minute to compile
-def test_stiff_and_soft_strips_together_have_the_bits_of_each_alone() -> None:
-    models = [strip(FELT), strip(PRESETS["cotton"])]
-    alone, together = ([State.at_rest(model) for model in models] for _ in range(2))
-    solvers = [Solver(model, SolverOptions()) for model in models]
-    assert [solver.stiff for solver in solvers] == [True, False]
-    batch = BatchSolver(solvers)
-    for _ in range(4):
-        batch.step(together, [Colliders(), Colliders()], 1 / 60)
-        for model, state in zip(models, alone, strict=True):
-            Solver(model, SolverOptions()).step(state, Colliders(), 1 / 60)
-    assert [state.hash() for state in together] == [state.hash() for state in alone]
 
 
 def test_hinges_at_a_free_side_make_up_for_the_missing_one() -> None:
