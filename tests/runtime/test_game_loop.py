@@ -8,18 +8,11 @@ import numpy as np
 import pytest
 
 from assets.motion import ClipMotion
-from assets.procedural.builtin import builtin_garment
 from assets.procedural.mannequin import builtin_mannequin
-from pbd import Fabric, InputError, Limits, ModelOptions, SolverOptions
+from pbd import InputError
 from runtime.game_loop import GameLoop, LiveInput, ScriptedInput
 from runtime.player import Player
-from wrinkles.database import WrinkleDatabase, body_hash
-from wrinkles.dictionary import Atoms, CoefficientNetwork
-from wrinkles.features import DYNAMIC_COUNT
-from wrinkles.levels import build_levels
-from wrinkles.novelty import NoveltyScore
-from wrinkles.patches import Grid
-from wrinkles.rest_shape import RestShapeCorrection
+from tests.runtime.players import skirt_database
 
 TICK = 1.0 / 60.0
 POSE = np.zeros((1, 3, 4))
@@ -302,76 +295,15 @@ def test_bad_lengths_are_refused(seconds: float) -> None:
 
 
 @pytest.fixture(scope="module")
-def database() -> WrinkleDatabase:
-    """The built-in skirt with wrinkles that mean nothing."""
-    character, garment = builtin_mannequin(), builtin_garment("skirt")
-    height = garment.vertices[:, 1]
-    held = np.flatnonzero(height > height.max() - 0.02).astype(np.int32)
-    levels = build_levels(garment.vertices, garment.faces, held, character.vertices, character.faces, 1)
-    count, atoms, hidden = len(garment.vertices), 4, 8
-    random = np.random.default_rng(0).standard_normal
-    small = lambda *shape: (0.1 * random(shape)).astype(np.float32)  # noqa: E731
-    zero = lambda *shape: np.zeros(shape, np.float32)  # noqa: E731
-    one = lambda *shape: np.ones(shape, np.float32)  # noqa: E731
-    size = 3 * Grid.of(len(levels.subdivision.steps)).nodes
-    return WrinkleDatabase(
-        garment_name="skirt",
-        coarse_vertices=levels.coarse.vertices,
-        coarse_faces=levels.coarse.faces,
-        rest_shape=RestShapeCorrection.none(levels.coarse.faces),
-        subdivisions=1,
-        held=held,
-        limits=Limits.none(),
-        warp=(0.0, 1.0, 0.0),
-        binding=None,
-        sewn=None,
-        layers=None,
-        fabric_name="own",
-        fabric=Fabric(),
-        options=ModelOptions(),
-        other_fabrics=(),
-        bend_factor=0.3,
-        solver=SolverOptions(substep=1.0 / 480.0),
-        frame_rate=60.0,
-        atoms=Atoms(0.01 * small(atoms, size), zero(size), 1.0, zero(levels.subdivision.fine_count, 3)),
-        mapping=CoefficientNetwork(
-            center=zero(DYNAMIC_COUNT),
-            scale=one(DYNAMIC_COUNT),
-            weights_1=small(DYNAMIC_COUNT, hidden),
-            weights_2=small(1, hidden, hidden),
-            weights_3=small(1, hidden, atoms),
-            place=zero(count, 1),
-            region=np.zeros(count, np.int32),
-            place_weights=zero(1, hidden),
-            bias_1=zero(hidden),
-            bias_2=zero(1, hidden),
-            bias_3=zero(1, atoms),
-        ),
-        novelty=NoveltyScore(zero(hidden, 1), zero(1), zero(1), 0.0, 1.0),
-        cutoff=levels.cutoff,
-        body_hash=body_hash(character),
-        body_vertex_count=len(character.vertices),
-        quality={},
-        held_out=(),
-        trained_on=(),
-        training_minutes=0.0,
-        seed=0,
-        scene="",
-        code_version="",
-        created="2000-01-01",
-    )
-
-
-@pytest.fixture(scope="module")
 def motion() -> ClipMotion:
     character = builtin_mannequin()
     return ClipMotion(character, character.clips["twirl"], blend=0.0)
 
 
-def scripted_run(database: WrinkleDatabase, motion: ClipMotion, rate_hz: float, slow: bool = False) -> tuple:
+def scripted_run(motion: ClipMotion, rate_hz: float, slow: bool = False) -> tuple:
     """The real player, by a clock that stands still while it works."""
     seconds = 0.7
-    player = Player(database, builtin_mannequin(), motion.pose(0.0))
+    player = Player(skirt_database(), builtin_mannequin(), motion.pose(0.0))
     clock, hashes = FakeClock(), {}
     loop = GameLoop(player, ScriptedInput(player.simulation, motion, seconds), rate_hz, clock=clock, sleep=clock.sleep)
 
@@ -385,19 +317,19 @@ def scripted_run(database: WrinkleDatabase, motion: ClipMotion, rate_hz: float, 
     return player, hashes
 
 
-def test_the_garment_is_the_same_at_30_and_60_hz(database: WrinkleDatabase, motion: ClipMotion) -> None:
+def test_the_garment_is_the_same_at_30_and_60_hz(motion: ClipMotion) -> None:
     """Also where pictures between two ticks are decoded, and where a frame is late."""
-    at_60, hashes = scripted_run(database, motion, 60.0)
+    at_60, hashes = scripted_run(motion, 60.0)
     assert len(set(hashes.values())) == 42
-    at_30, hashes_30 = scripted_run(database, motion, 30.0)
+    at_30, hashes_30 = scripted_run(motion, 30.0)
     assert len(hashes_30) == 21 and hashes_30.items() <= hashes.items()
     np.testing.assert_array_equal(at_30.vertices, at_60.vertices)
-    _, hashes_100 = scripted_run(database, motion, 100.0, slow=True)
+    _, hashes_100 = scripted_run(motion, 100.0, slow=True)
     assert 35 < len(hashes_100) < 42 and hashes_100.items() <= hashes.items()
 
 
-def test_the_scripted_gust_and_drag_move_the_garment(database: WrinkleDatabase, motion: ClipMotion) -> None:
-    player = Player(database, builtin_mannequin(), motion.pose(0.0))
+def test_the_scripted_gust_and_drag_move_the_garment(motion: ClipMotion) -> None:
+    player = Player(skirt_database(), builtin_mannequin(), motion.pose(0.0))
     simulation = player.simulation
     script = ScriptedInput(simulation, motion, 0.6)
     model, vertex = simulation.model, script.vertex

@@ -9,7 +9,7 @@ from runtime.viewer.garments import DatabaseSource
 from tests.data import ROOT
 from tests.runtime.players import outfit_database, skirt_database
 
-__all__ = ["FLAG", "HANGING", "outfit_source", "skirt_source"]
+__all__ = ["FLAG", "outfit_source", "skirt_source"]
 
 FLAG = """
 [[garment]]
@@ -17,8 +17,6 @@ name = "flag"
 mesh = "builtin:flag"
 pins = [0]
 """
-
-HANGING = "flag.toml"
 
 
 @cache
