@@ -41,16 +41,6 @@ def test_importing_it_loads_none_of_the_folders_and_no_library() -> None:
     assert result.stdout.strip() == "[]"
 
 
-def test_what_plays_a_database_loads_nothing_that_only_learning_needs() -> None:
-    script = (
-        "import sys, gube; gube.Player, gube.GameLoop, gube.read_database, gube.load_character, gube.ClipMotion\n"
-        "print([name for name in ('precompute', 'sklearn', 'matplotlib', 'pyvista') if name in sys.modules])"
-    )
-    result = run_python(script)
-    assert result.returncode == 0, result.stderr
-    assert result.stdout.strip() == "[]"
-
-
 def test_each_name_exists_and_is_the_same_each_time() -> None:
     assert [name for name in OBJECTS if not getattr(gube, name) is getattr(gube, name) is not None] == []
 

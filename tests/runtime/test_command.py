@@ -216,6 +216,7 @@ DATABASE = ["precompute", "no.toml", "-o"]
         (["bake", "no.h5", "-o", "new/skirt.fbx"], "-o", "a file ending in .glb or .usdc or .pc2 or .mdd or .obj"),
         (["bake", "no.h5", "-o", "file/skirt.glb"], "-o", "where files can be written"),
         (["compare", "no.h5", "-o", "file"], "-o", "a folder"),
+        (["export", "no.h5", "-o", "file"], "-o", "a folder"),
     ],
 )
 def test_what_cannot_be_written_is_refused_before_anything_is_read_or_made(

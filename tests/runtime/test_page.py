@@ -71,11 +71,6 @@ def test_an_empty_folder_is_taken_and_an_earlier_page_replaced(tmp_path: Path) -
     assert [entry.name for entry in tmp_path.iterdir()] == ["page"]
 
 
-def test_a_file_in_its_place_is_refused(database: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert command.main(["export", str(database), "-o", str(database)]) == 2
-    assert "-o: cannot be written" in capsys.readouterr().err
-
-
 def test_a_page_that_cannot_be_put_in_place_leaves_the_earlier_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

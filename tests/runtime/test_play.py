@@ -220,18 +220,6 @@ def test_a_cache_of_points_is_baked_at_its_own_rate(path: Path, tmp_path: Path) 
     np.testing.assert_allclose(first[-1], second[-1], atol=1e-6)
 
 
-@pytest.mark.parametrize("words", [["bake", "{path}"], ["simulate", "{scene}"]])
-def test_an_unknown_extension_is_refused_with_those_that_are_known(
-    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str]
-) -> None:
-    scene = tmp_path / "flag.toml"
-    scene.write_text(FLAG, encoding="utf-8")
-    words = [word.format(path=path, scene=scene) for word in words]
-    assert command.main([*words, "-o", str(tmp_path / "a.fbx")]) == 2
-    error = capsys.readouterr().err
-    assert all(known in error for known in (".glb", ".pc2", ".obj", "a.fbx"))
-
-
 @pytest.mark.parametrize("fine", [False, True])
 def test_a_flag_hangs_on_its_pins_and_flies_in_the_wind(fine: bool) -> None:
     still = parse_scene(FLAG, "flag.toml")
@@ -281,12 +269,14 @@ def test_a_scene_that_cannot_be_simulated_is_refused(
     assert all(word in error for word in words), error
 
 
-def test_simulate_bakes_the_garment_with_its_body(tmp_path: Path) -> None:
+def test_simulate_bakes_the_garment_with_its_body(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     import pygltflib
 
     scene = tmp_path / "skirt.toml"
     scene.write_text(SCENE, encoding="utf-8")
     out = tmp_path / "skirt.glb"
+    assert command.main(["simulate", str(scene), "-o", str(tmp_path / "a.fbx")]) == 2
+    assert "a.fbx" in (error := capsys.readouterr().err) and ".glb or .usdc or .pc2 or .mdd or .obj" in error
     assert command.main(["simulate", str(scene), "-o", str(out), "--seconds", "0.2"]) == 0
     document = pygltflib.GLTF2().load(str(out))
     assert document is not None
@@ -298,8 +288,6 @@ def test_precompute_refuses_what_it_cannot_do_before_it_begins(
 ) -> None:
     scene = tmp_path / "scene.toml"
     scene.write_text(SCENE, encoding="utf-8")
-    assert command.main(["precompute", str(scene), "-o", str(tmp_path)]) == 2
-    assert "-o: cannot be written" in capsys.readouterr().err
     assert command.main(["precompute", str(scene), "-o", str(tmp_path / "a.h5"), "--workers", "0"]) == 2
     assert "--workers" in capsys.readouterr().err
     assert command.main(["precompute", str(tmp_path / "absent.toml"), "-o", str(tmp_path / "a.h5")]) == 2

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,17 +24,8 @@ from precompute.learning.pipeline import (
 from precompute.learning.recording import Recording, Run
 from runtime.garment_setup import GarmentSetup, scene_of
 from runtime.player import Player
-from tests.data import ROOT
-from tests.precompute.miniature import OPTIONS, SCENE, scene
-from wrinkles.database import WrinkleDatabase, read_database
-
-
-def assert_same(first: WrinkleDatabase, second: WrinkleDatabase) -> None:
-    """What was learned is the same, bit by bit."""
-    for part in ("mapping", "atoms", "novelty"):
-        for name, array in vars(getattr(first, part)).items():
-            assert np.array_equal(array, getattr(getattr(second, part), name)), f"{part}.{name}"
-    assert first.options == second.options and first.bend_factor == second.bend_factor
+from tests.precompute.miniature import OPTIONS, SCENE, same, same_learned, scene
+from wrinkles.database import read_database
 
 
 def test_few_frames_are_learned_from_more_often() -> None:
@@ -47,7 +36,7 @@ def test_few_frames_are_learned_from_more_often() -> None:
 def test_what_is_written_is_what_was_made(learned: Precomputed, reports: list[str]) -> None:
     assert learned.path.name == "skirt.h5"
     database = read_database(learned.path)
-    assert_same(database, learned.database)
+    same(database, learned.database)
     assert database.garment_name == "skirt" and database.subdivisions == 1 and database.seed == 4
     assert database.trained_on == ("exploration_4",) and database.held_out == ("walk 0-1.2 s",)
     assert len(database.atoms.shapes) == 6 and database.mapping.weights_2.shape == (5, 21, 8)
@@ -149,7 +138,7 @@ def test_the_same_seed_gives_the_same_bits_whatever_is_held_out(learned: Precomp
     assert not lone.training.held_out
     cache = default_cache(learned.path)
     again = precompute(lone, tmp_path / "again.h5", cache=cache, workers=1, options=OPTIONS)
-    assert_same(again.database, learned.database)
+    same_learned(again.database, learned.database)
     assert again.truth is None and again.evaluation is None and "normal_error_deg" not in again.database.quality
     assert again.database.held_out == ()
 
@@ -235,37 +224,3 @@ def test_an_unknown_clip_is_refused_before_anything_is_simulated(tmp_path: Path)
     with pytest.raises(InputError, match="waltz"):
         precompute(replace(unknown, training=replace(unknown.training, held_out=held_out)), tmp_path / "db.h5")
     assert not list(tmp_path.iterdir())
-
-
-KILLED = """
-import os, signal, sys
-from pathlib import Path
-from precompute.learning.pipeline import precompute
-from runtime.simulation import Simulation
-from tests.precompute.miniature import OPTIONS, scene
-
-step, count = Simulation.step_cloth, 0
-
-def mortal(self, *args):
-    global count
-    count += 1
-    if count == 100:
-        os.kill(os.getpid(), signal.SIGKILL)
-    step(self, *args)
-
-Simulation.step_cloth = mortal
-precompute(scene(), Path(sys.argv[1]), workers=1, options=OPTIONS)
-"""
-
-
-@pytest.mark.proof
-def test_a_killed_precompute_gives_the_same_database(learned: Precomputed, tmp_path: Path) -> None:
-    output = tmp_path / "skirt.h5"
-    killed = subprocess.run([sys.executable, "-c", KILLED, str(output)], cwd=ROOT, capture_output=True, text=True)
-    assert killed.returncode == -9, killed.stderr
-    assert not output.exists() and list(default_cache(output).glob("*/chunk_*.npz"))
-    again = precompute(scene(), output, workers=2, options=OPTIONS)  # nor does it depend on the number of workers
-    assert_same(read_database(output), learned.database)
-    timed = ("_ms", "us_per_fine_vertex", "speedup_over_fine")
-    for name, value in learned.database.quality.items():
-        assert any(part in name for part in timed) or again.database.quality[name] == value, name
