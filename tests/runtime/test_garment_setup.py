@@ -23,10 +23,10 @@ from runtime.scene_body import motion_of
 from runtime.scene_simulation import simulation_of
 from runtime.simulation import body_source, poses_of
 from tests.assets.panels import two_panels
-from tests.wrinkles.databases import placed, small_database
+from tests.wrinkles.databases import small_database
+from tests.wrinkles.delivered import delivered_database
 from tests.wrinkles.meshes import icosphere
 from wrinkles.database import WrinkleDatabase, body_hash, read_database, write_database
-from wrinkles.rest_shape import RestShapeCorrection
 
 SCENE = """
 [[garment]]
@@ -130,17 +130,8 @@ def test_what_cannot_be_bound_is_refused(folder: Path, old: str, new: str, messa
 
 
 def database_of(stage: GarmentSetup) -> WrinkleDatabase:
-    coarse, small = stage.levels.coarse, small_database()
-    return small_database(
-        coarse_vertices=coarse.vertices,
-        coarse_faces=coarse.faces,
-        rest_shape=RestShapeCorrection.none(coarse.faces),
-        held=np.zeros(0, np.int32),
-        warp=(0.0, 1.0, 0.0),
-        binding=stage.levels.subdivision.binding,
-        mapping=placed(small.mapping, np.zeros((len(coarse.vertices), small.mapping.place_bias.shape[1]))),
-        body_hash=body_hash(stage.body),
-    )
+    known = {"warp": (0.0, 1.0, 0.0), "body_hash": body_hash(stage.body), "limits": small_database().limits}
+    return delivered_database(stage.levels.coarse.vertices, stage.levels.subdivision, **known)
 
 
 def test_a_delivered_mesh_has_a_middle_one(stage: GarmentSetup, monkeypatch: pytest.MonkeyPatch) -> None:

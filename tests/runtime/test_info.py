@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pbd import Fabric, InputError, Limits, ModelOptions
+from pbd import Fabric, InputError, ModelOptions
 from runtime import command
 from runtime.info import check_database, info_text
 from tests.wrinkles.databases import small_database
-from tests.wrinkles.delivered import delivered_panels
+from tests.wrinkles.delivered import delivered_database, delivered_panels
 from wrinkles import patches
 from wrinkles.database import LearnedFabric, WrinkleDatabase, code_version, write_database
 from wrinkles.features import DYNAMIC_COUNT
@@ -120,19 +120,8 @@ def test_a_delivered_mesh_may_have_another_area_than_its_coarse_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Decimation cuts its corners; the coarse mesh is given the area of the fine one."""
-    _, _, coarse, made = delivered_panels()
-    binding, path, small = made.binding, tmp_path / "panels.h5", small_database().mapping
-    assert binding is not None
-    place, region = np.resize(small.place, (len(coarse), small.place.shape[1])), np.resize(small.region, len(coarse))
-    database = small_database(
-        mapping=replace(small, place=place, region=region),
-        coarse_vertices=coarse,
-        coarse_faces=made.coarse_faces,
-        binding=binding,
-        held=np.zeros(0, np.int32),
-        limits=Limits.none(),
-    )
-    write_database(path, database)
+    path = tmp_path / "panels.h5"
+    write_database(path, delivered_database(*delivered_panels()[2:]))
     monkeypatch.setattr("runtime.info.MAX_AREA_CORRECTION", 0.001)
     areas = next(check for check in check_database(path) if check.check == "one rest metric")
     assert areas.passed and abs(float(areas.detail.split()[-1]) - 1.0) > 0.001

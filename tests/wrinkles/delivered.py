@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 
+from pbd import Limits
 from tests.assets.panels import two_panels
+from tests.wrinkles.databases import small_database
 from wrinkles.binding import bind
+from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels, build_levels
 from wrinkles.surface import Subdivision
 
-__all__ = ["NOBODY", "bent", "delivered_levels", "delivered_panels"]
+__all__ = ["NOBODY", "bent", "delivered_database", "delivered_levels", "delivered_panels"]
 
 NOBODY = (np.zeros((0, 3)), np.zeros((0, 3), np.int32))
 HEIGHT = 0.02
@@ -26,6 +32,24 @@ def delivered_levels(coarse: np.ndarray, subdivision: Subdivision) -> Levels:
     """Both meshes, held along one side."""
     held = np.flatnonzero(coarse[:, 0] < 0.02)
     return build_levels(coarse, subdivision.coarse_faces, held, *NOBODY, 2, binding=subdivision.binding)
+
+
+def delivered_database(coarse: np.ndarray, subdivision: Subdivision, **changes: Any) -> WrinkleDatabase:
+    """A delivered mesh with random weights, held nowhere, with fields replaced by ``changes``."""
+    mapping = small_database().mapping
+    place, region = (
+        np.resize(mapping.place, (len(coarse), mapping.place.shape[1])),
+        np.resize(mapping.region, len(coarse)),
+    )
+    fields = {
+        "mapping": replace(mapping, place=place, region=region),
+        "coarse_vertices": coarse,
+        "coarse_faces": subdivision.coarse_faces,
+        "binding": subdivision.binding,
+        "held": np.zeros(0, np.int32),
+        "limits": Limits.none(),
+    }
+    return small_database(**(fields | changes))
 
 
 def bent(flat: np.ndarray) -> np.ndarray:
