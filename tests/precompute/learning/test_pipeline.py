@@ -149,10 +149,12 @@ fabrics = ["silk"]
 [[training.clips]]
 file = "builtin:mannequin"
 clip = "sway"
+end = 1.5
 
 [[training.clips]]
 file = "builtin:mannequin"
 clip = "sway"
+end = 1.5
 speed = 1.75
 
 [[training.held_out]]
@@ -173,7 +175,7 @@ def test_one_database_holds_several_speeds_and_fabrics(
     # A second of blending, then 0.28 s of the clip in 0.16 s.
     assert np.allclose(slow[60:89:7], fast[60:77:4]) and not np.allclose(slow[60:77], fast[60:77])
     database = read_database(made.path)
-    assert database.trained_on == ("sway", "sway x 1.75")
+    assert database.trained_on == ("sway 0-1.5 s", "sway 0-1.5 s x 1.75")
     assert database.fabric_names == ("own", "silk") and database.other_fabrics[0].fabric == PRESETS["silk"]
     assert 0.0 < database.quality["silk_normal_error_deg"] < database.quality["silk_normal_error_smooth_deg"]
     motion = stage.motion(several.training.held_out[0])
