@@ -193,10 +193,8 @@ REFUSED: dict[str, tuple[Callable[[Glb], object], str]] = {
         lambda g: [g.json["meshes"][0]["primitives"][0]["attributes"].pop(n) for n in ("JOINTS_0", "WEIGHTS_0")],
         "mesh bar, primitive 0: a skin without weights",
     ),
-    "only joints": (
-        lambda g: g.json["meshes"][0]["primitives"][0]["attributes"].pop("WEIGHTS_0"),
-        "primitive 0, JOINTS_0 and WEIGHTS_0: a skin without WEIGHTS_0",
-    ),
+    "only joints": (lambda g: g.json["meshes"][0]["primitives"][0]["attributes"].pop("WEIGHTS_0"),
+                    "primitive 0, JOINTS_0 and WEIGHTS_0: a skin without WEIGHTS_0"),
     "zero weights": (attribute("WEIGHTS_0", numbers(put(7, 0.0), WEIGHTS)), "vertex 7: a skin without weights"),
     "negative weight": (attribute("WEIGHTS_0", numbers(put(3, -0.5), WEIGHTS)), "vertex 3: bad weights"),
     "NaN weight": (attribute("WEIGHTS_0", numbers(put(3, np.nan), WEIGHTS)), "vertex 3: bad weights"),
@@ -204,10 +202,8 @@ REFUSED: dict[str, tuple[Callable[[Glb], object], str]] = {
     "NaN position": (attribute("POSITION", numbers(put(4, np.nan), POSITIONS)), "primitive 0, vertex 4: positions"),
     "infinite": (attribute("POSITION", numbers(put(4, np.inf), POSITIONS)), "primitive 0, vertex 4: positions"),
     "centimetres": (attribute("POSITION", numbers(lambda v: v.__imul__(85), POSITIONS)), "looks like centimetres"),
-    "face": (
-        lambda g: g.json["meshes"][0]["primitives"][0].update(indices=g.accessor([0, 1, 2, 0, 1, 10], "uint16")),
-        "primitive 0, face 1: a face with a vertex that does not exist",
-    ),
+    "face": (lambda g: g.json["meshes"][0]["primitives"][0].update(indices=g.accessor([0, 1, 2, 0, 1, 10], "uint16")),
+             "primitive 0, face 1: a face with a vertex that does not exist"),
     "strip": (lambda g: g.json["meshes"][0]["primitives"][0].update(mode=5), "primitive 0: not a list of triangles"),
     "accessor": (lambda g: g.json["accessors"][0].update(count=10**6), "POSITION, accessor 0: numbers outside"),
     "no accessor": (lambda g: g.json["skins"][0].update(inverseBindMatrices=99), "skin 0, inverseBindMatrices"),
@@ -215,10 +211,8 @@ REFUSED: dict[str, tuple[Callable[[Glb], object], str]] = {
     "extension": (lambda g: g.json.update(extensionsRequired=["KHR_draco_mesh_compression"]), "KHR_draco"),
     "version": (lambda g: g.json["asset"].update(version="1.0"), "asset.version"),
     "kind": (lambda g: g.json["nodes"][1].update(children="tip"), "nodes[1].children: not glTF"),
-    "deep kind": (
-        lambda g: g.json["animations"][0]["channels"][0]["target"].update(node=1.5),
-        "animations[0].channels[0].target.node: not glTF",
-    ),
+    "deep kind": (lambda g: g.json["animations"][0]["channels"][0]["target"].update(node=1.5),
+                  "animations[0].channels[0].target.node: not glTF"),
     "no triangles": (lambda g: g.json["meshes"][0].update(primitives=[]), "mesh bar: a mesh without triangles"),
     "cycle": (lambda g: g.json["nodes"][1].update(children=[0]), "their own ancestors"),
     "two parents": (lambda g: g.json["nodes"][2].update(children=[1]), "node 1: a node with two parents"),
@@ -228,39 +222,23 @@ REFUSED: dict[str, tuple[Callable[[Glb], object], str]] = {
         lambda g: g.json["skins"][0].update(inverseBindMatrices=g.accessor(np.diag([0.0, 0, 0, 1])[None].repeat(2, 0))),
         "inverseBindMatrices, joint 0: a matrix that places no joint",
     ),
-    "same joint": (
-        lambda g: g.json["skins"][0].update(joints=[0, 0]),
-        "skin 0: joints that are missing or listed twice",
-    ),
-    "interpolation": (
-        lambda g: g.json["animations"][0]["samplers"][0].update(interpolation="WOBBLY"),
-        "clip bend, channel 0 (rotation of tip): an unknown interpolation",
-    ),
-    "times": (
-        lambda g: g.json["animations"][0]["samplers"][0].update(input=g.accessor([0.0, 0.5, 0.5])),
-        "clip bend, channel 0 (rotation of tip): times that do not grow",
-    ),
-    "clip values": (
-        lambda g: g.clip("broken", (0, "translation", [0, 1], [[0, 0, 0], [0, np.nan, 0]], "LINEAR")),
-        "clip broken, channel 0 (translation of root), key 1: values that are not finite",
-    ),
-    "value count": (
-        lambda g: g.clip("broken", (0, "translation", [0, 1, 2], [[0, 0, 0], [0, 1, 0]], "LINEAR")),
-        "not a value for each time",
-    ),
-    "no turn": (
-        lambda g: g.clip("broken", (0, "rotation", [0, 1], [[0, 0, 0, 1], [0, 0, 0, 0]], "LINEAR")),
-        "clip broken, channel 0 (rotation of root): a rotation that is no unit quaternion",
-    ),
-    "endless": (
-        lambda g: g.clip("long", (0, "translation", [0, 0.01, 1e8], np.zeros((3, 3)), "LINEAR")),
-        "clip long: a clip too long to sample",
-    ),
-    "same name": (
-        lambda g: g.clip("bend", (0, "translation", [0, 1], np.zeros((2, 3)), "LINEAR")),
-        "animation 1: two clips of one name",
-    ),
-}
+    "same joint": (lambda g: g.json["skins"][0].update(joints=[0, 0]),
+                   "skin 0: joints that are missing or listed twice"),
+    "interpolation": (lambda g: g.json["animations"][0]["samplers"][0].update(interpolation="WOBBLY"),
+                      "clip bend, channel 0 (rotation of tip): an unknown interpolation"),
+    "times": (lambda g: g.json["animations"][0]["samplers"][0].update(input=g.accessor([0.0, 0.5, 0.5])),
+              "clip bend, channel 0 (rotation of tip): times that do not grow"),
+    "clip values": (lambda g: g.clip("broken", (0, "translation", [0, 1], [[0, 0, 0], [0, np.nan, 0]], "LINEAR")),
+                    "clip broken, channel 0 (translation of root), key 1: values that are not finite"),
+    "value count": (lambda g: g.clip("broken", (0, "translation", [0, 1, 2], [[0, 0, 0], [0, 1, 0]], "LINEAR")),
+                    "not a value for each time"),
+    "no turn": (lambda g: g.clip("broken", (0, "rotation", [0, 1], [[0, 0, 0, 1], [0, 0, 0, 0]], "LINEAR")),
+                "clip broken, channel 0 (rotation of root): a rotation that is no unit quaternion"),
+    "endless": (lambda g: g.clip("long", (0, "translation", [0, 0.01, 1e8], np.zeros((3, 3)), "LINEAR")),
+                "clip long: a clip too long to sample"),
+    "same name": (lambda g: g.clip("bend", (0, "translation", [0, 1], np.zeros((2, 3)), "LINEAR")),
+                  "animation 1: two clips of one name"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", REFUSED)

@@ -268,17 +268,13 @@ def test_files_of_other_programs_are_read(load, tmp_path: Path) -> None:
         ('"dance.bvh"', '"woman.glb"', r"clips\[0\]\.clip: bad clip \(expected name of a clip"),
         ('"dance.bvh"', '"body.pc2"', r"clips\[0\]\.rate: bad rate \(expected frames a second"),
         ('"dance.bvh"', '"dance.bvh"\nrate = 25', r"clips\[0\]\.rate: bad rate \(received 25\.0, expected none"),
-        (
-            'clip = "run"',
-            'clip = "run"\njoints = "joints.csv"',
-            r"clips\[1\]\.joints: bad joints.*only a captured",
-        ),
+        ('clip = "run"', 'clip = "run"\njoints = "joints.csv"', r"clips\[1\]\.joints: bad joints.*only a captured"),
         ('"woman.usdc"\n\n', '"woman.usdc"\nclip = "run"\n\n', r"character\.clip: two motions \(received 'run'"),
         ('"woman.usdc"\n\n', '"walk.bvh"\n\n', r"character\.file: bad value.*\.glb or \.gltf or \.usd"),
         ('file = "woman.usdc"\n\n', 'sequence = "walk.bvh"\n\n', r"character\.sequence: bad value.*\.npz or \.mdd"),
         ('file = "woman.usdc"\n\n', 'sequence = "body.pc2"\n\n', r"character\.rate: bad rate"),
     ],
-)
+)  # fmt: skip
 def test_files_that_do_not_fit_are_refused(load, tmp_path: Path, old: str, new: str, message: str) -> None:
     for name in ("woman.usdc", "woman.glb", "walk.bvh", "dance.bvh", "joints.csv", "body.pc2"):
         (tmp_path / name).touch()

@@ -111,39 +111,27 @@ def copy_square(stage: Any) -> None:
 SPOILED: dict[str, tuple[Callable[[Any], Any], str]] = {
     "still": (lambda s: s.GetPrimAtPath("/set/square").GetAttribute("points").Clear(), "no mesh that moves"),
     "two": (copy_square, "several meshes that move (received ['/set/square', '/set/other'], expected one mesh"),
-    "not finite": (
-        lambda s: points_at(s, 2, square(np.nan)),
-        "/set/square, points at the time code 2[0]: values that are not finite",
-    ),
-    "count": (
-        lambda s: points_at(s, 4, square(0.0)[:3]),
-        "points at the time code 4: a number of points that changes (received 3, expected 4, as at the start)",
-    ),
+    "not finite": (lambda s: points_at(s, 2, square(np.nan)),
+                   "/set/square, points at the time code 2[0]: values that are not finite"),
+    "count": (lambda s: points_at(s, 4, square(0.0)[:3]),
+              "points at the time code 4: a number of points that changes (received 3, expected 4, as at the start)"),
     "endless": (lambda s: points_at(s, 1e12, square(0.0)), "/set/square: too long to sample (received '5000000000"),
     "corner": (
         lambda s: s.GetPrimAtPath("/set/square").GetAttribute("faceVertexIndices").Set([0, 1, 2, 4]),
         "/set/square, faces: a face with a point that does not exist (received 'indices 0 to 4', expected 0 to 3)",
     ),
-    "counts": (
-        lambda s: s.GetPrimAtPath("/set/square").GetAttribute("faceVertexCounts").Set([3]),
-        "faces and their corners disagree (received '1 faces with 3 corners and 4 indices')",
-    ),
-    "no faces": (
-        lambda s: s.GetPrimAtPath("/set/square").RemoveProperty("faceVertexCounts"),
-        "faces and their corners disagree",
-    ),
+    "counts": (lambda s: s.GetPrimAtPath("/set/square").GetAttribute("faceVertexCounts").Set([3]),
+               "faces and their corners disagree (received '1 faces with 3 corners and 4 indices')"),
+    "no faces": (lambda s: s.GetPrimAtPath("/set/square").RemoveProperty("faceVertexCounts"),
+                 "faces and their corners disagree"),
     "unit": (lambda s: UsdGeom.SetStageMetersPerUnit(s, -1.0), "metersPerUnit: bad unit (received -1.0"),
     "scale": (lambda s: UsdGeom.SetStageMetersPerUnit(s, 100.0), "not in metres: looks like centimetres"),
     "rate": (lambda s: s.SetTimeCodesPerSecond(0.0), "timeCodesPerSecond: bad rate (received 0.0"),
-    "flat": (
-        lambda s: UsdGeom.Xformable(s.GetPrimAtPath("/set")).AddScaleOp().Set(Gf.Vec3f(0, 1, 1)),
-        "/set/square: a transform that is not finite or flattens space",
-    ),
-    "reference": (
-        lambda s: s.GetPrimAtPath("/set").GetReferences().AddReference("./absent.usda"),
-        "a reference that cannot be opened",
-    ),
-}
+    "flat": (lambda s: UsdGeom.Xformable(s.GetPrimAtPath("/set")).AddScaleOp().Set(Gf.Vec3f(0, 1, 1)),
+             "/set/square: a transform that is not finite or flattens space"),
+    "reference": (lambda s: s.GetPrimAtPath("/set").GetReferences().AddReference("./absent.usda"),
+                  "a reference that cannot be opened"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", SPOILED)

@@ -154,62 +154,39 @@ WEIGHTS = [1.0, 0.0] * 10
 SPOILED: dict[str, tuple[Callable[[Any], Any], str]] = {
     "no skin": (lambda s: s.RemovePrim("/bar/mesh"), "no skin: no mesh is bound to a skeleton"),
     "two": (second_skeleton, "SkelRoot: several skeletons (received ['/bar/skeleton', '/other/skeleton']"),
-    "bind": (
-        lambda s: attribute(s, "skeleton", "bindTransforms").Set([Gf.Matrix4d(1)]),
-        "/bar/skeleton, bindTransforms: bad bind pose (received 1, expected 2, one for each joint)",
-    ),
-    "bind not finite": (
-        lambda s: attribute(s, "skeleton", "bindTransforms").Set([Gf.Matrix4d(np.nan), Gf.Matrix4d(1)]),
-        "/bar/skeleton, bindTransforms: a transform that is not finite",
-    ),
-    "joints": (
-        lambda s: attribute(s, "skeleton", "joints").Set(["root/tip", "root"]),
-        "/bar/skeleton, joints: bad joints",
-    ),
-    "points": (
-        lambda s: attribute(s, "mesh", "points").Set(Vt.Vec3fArray(10, Gf.Vec3f(np.inf))),
-        "/bar/mesh, points[0]: values that are not finite",
-    ),
+    "bind": (lambda s: attribute(s, "skeleton", "bindTransforms").Set([Gf.Matrix4d(1)]),
+             "/bar/skeleton, bindTransforms: bad bind pose (received 1, expected 2, one for each joint)"),
+    "bind not finite": (lambda s: attribute(s, "skeleton", "bindTransforms").Set([Gf.Matrix4d(np.nan), Gf.Matrix4d(1)]),
+                        "/bar/skeleton, bindTransforms: a transform that is not finite"),
+    "joints": (lambda s: attribute(s, "skeleton", "joints").Set(["root/tip", "root"]),
+               "/bar/skeleton, joints: bad joints"),
+    "points": (lambda s: attribute(s, "mesh", "points").Set(Vt.Vec3fArray(10, Gf.Vec3f(np.inf))),
+               "/bar/mesh, points[0]: values that are not finite"),
     "no points": (lambda s: attribute(s, "mesh", "points").Clear(), "/bar/mesh, points: missing or bad values"),
-    "weights": (
-        lambda s: attribute(s, "mesh", "primvars:skel:jointWeights").Set([1.0] * 7),
-        "/bar/mesh, jointIndices and jointWeights: bad influences",
-    ),
+    "weights": (lambda s: attribute(s, "mesh", "primvars:skel:jointWeights").Set([1.0] * 7),
+                "/bar/mesh, jointIndices and jointWeights: bad influences"),
     "negative": (
         lambda s: attribute(s, "mesh", "primvars:skel:jointWeights").Set([*WEIGHTS[:6], -1.0, 2.0, *WEIGHTS[8:]]),
         "point 3: bad influences (received [(0, -1.0), (1, 2.0)]",
     ),
-    "zero": (
-        lambda s: attribute(s, "mesh", "primvars:skel:jointWeights").Set([*WEIGHTS[:18], 0.0, 0.0]),
-        "point 9: bad influences (received [(0, 0.0), (1, 0.0)]",
-    ),
-    "joint": (
-        lambda s: attribute(s, "mesh", "primvars:skel:jointIndices").Set([2, 1] * 10),
-        "point 0: bad influences (received [(2, 1.0), (1, 0.0)], expected joints below 2",
-    ),
-    "other joints": (
-        lambda s: UsdSkel.BindingAPI(s.GetPrimAtPath("/bar/mesh")).CreateJointsAttr(["root", "tail"]),
-        "/bar/mesh, joints: joints that the skeleton lacks (received ['tail'])",
-    ),
+    "zero": (lambda s: attribute(s, "mesh", "primvars:skel:jointWeights").Set([*WEIGHTS[:18], 0.0, 0.0]),
+             "point 9: bad influences (received [(0, 0.0), (1, 0.0)]"),
+    "joint": (lambda s: attribute(s, "mesh", "primvars:skel:jointIndices").Set([2, 1] * 10),
+              "point 0: bad influences (received [(2, 1.0), (1, 0.0)], expected joints below 2"),
+    "other joints": (lambda s: UsdSkel.BindingAPI(s.GetPrimAtPath("/bar/mesh")).CreateJointsAttr(["root", "tail"]),
+                     "/bar/mesh, joints: joints that the skeleton lacks (received ['tail'])"),
     "quaternions": (
         lambda s: s.GetPrimAtPath("/bar/mesh").CreateAttribute(
             "primvars:skel:skinningMethod", Sdf.ValueTypeNames.Token
         ).Set("dualQuaternion"),
         "/bar/mesh: another kind of skinning (received 'dualQuaternion', expected classicLinear)",
     ),
-    "rotations": (
-        lambda s: attribute(s, "bend", "rotations").Set([Gf.Quatf(0)], 12),
-        "clip bend, rotations: a rotation that is no unit quaternion",
-    ),
+    "rotations": (lambda s: attribute(s, "bend", "rotations").Set([Gf.Quatf(0)], 12),
+                  "clip bend, rotations: a rotation that is no unit quaternion"),
     "translations": (lambda s: attribute(s, "bend", "translations").Clear(), "clip bend"),
-    "endless": (
-        lambda s: attribute(s, "bend", "rotations").Set([Gf.Quatf(1)], 1e12),
-        "clip bend: too long to sample",
-    ),
-    "shear": (
-        lambda s: UsdGeom.Xformable(s.GetPrimAtPath("/bar")).AddScaleOp().Set(Gf.Vec3f(1, 2, 1)),
-        "a root transform that shears or scales unevenly",
-    ),
+    "endless": (lambda s: attribute(s, "bend", "rotations").Set([Gf.Quatf(1)], 1e12), "clip bend: too long to sample"),
+    "shear": (lambda s: UsdGeom.Xformable(s.GetPrimAtPath("/bar")).AddScaleOp().Set(Gf.Vec3f(1, 2, 1)),
+              "a root transform that shears or scales unevenly"),
 }  # fmt: skip
 
 

@@ -81,11 +81,7 @@ def test_a_stitch_of_a_right_and_a_wrong_side_is_not_reversed(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("where", "value", "message"),
     [
-        (
-            ("pattern", "panels", "front", "edges", 2, "curvature", "type"),
-            "spiral",
-            "edge 2: .*cannot be read",
-        ),
+        (("pattern", "panels", "front", "edges", 2, "curvature", "type"), "spiral", "edge 2: .*cannot be read"),
         (("pattern", "panels", "front", "edges", 0, "curvature", "params"), [5.0, 0, 1], "edge 0: .*radius below half"),
         (("pattern", "panels", "front", "edges", 1, "endpoints"), [1, 7], "panel 'front': .*vertex 7, of 4"),
         (("pattern", "panels", "front", "edges", 1, "endpoints"), [1, 3], "between edges 1 and 2: an open outline"),
@@ -97,7 +93,7 @@ def test_a_stitch_of_a_right_and_a_wrong_side_is_not_reversed(tmp_path: Path) ->
         (("properties",), {}, "no GarmentCode specification .*units_in_meter"),
         (("pattern", "panels"), {}, "a pattern without panels"),
     ],
-)
+)  # fmt: skip
 def test_bad_specifications(tmp_path: Path, where: tuple[Any, ...], value: Any, message: str) -> None:
     document = specification()
     entry: Any = document
