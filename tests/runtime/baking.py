@@ -19,10 +19,7 @@ def waving_sheet(frame_count: int = 12, side: int = 9, turn_deg: float = 20.0) -
     u, v = (axis.ravel() for axis in np.meshgrid(np.linspace(-0.3, 0.3, side), np.linspace(0.4, 1.0, side)))
     corner = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).ravel()
     faces = np.concatenate(
-        [
-            np.stack([corner, corner + 1, corner + side], 1),
-            np.stack([corner + 1, corner + side + 1, corner + side], 1),
-        ]
+        [np.stack([corner, corner + 1, corner + side], 1), np.stack([corner + 1, corner + side + 1, corner + side], 1)]
     )
     frames = np.zeros((frame_count, side * side, 3), np.float32)
     for k in range(frame_count):

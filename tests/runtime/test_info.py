@@ -76,12 +76,7 @@ def test_the_text_says_what_the_database_holds(write: Callable[..., Path]) -> No
 def test_held_out_figures_stand_beside_their_rivals_with_words(write: Callable[..., Path]) -> None:
     text, figures = info_text(write(quality=QUALITY))
     header = next(line for line in text.splitlines() if "ours" in line)
-    assert re.split(r"\s{2,}", header.strip()) == [
-        "ours",
-        "smooth",
-        "floor",
-        "truth",
-    ]
+    assert re.split(r"\s{2,}", header.strip()) == ["ours", "smooth", "floor", "truth"]
     assert row(text, "normal_error_deg").split()[1:5] == ["5.51", "11.23", "-", "-"]
     assert row(text, "bending_energy_ratio").split()[1:5] == ["1.017", "0.131", "0.988", "-"]
     assert row(text, "inside_body_percent").split()[1:5] == ["0.02", "-", "-", "0.03"]

@@ -24,11 +24,7 @@ class Cloth:
     """A flat sheet above a body, to relax."""
 
     def __init__(
-        self,
-        held: tuple = (),
-        body: tuple[np.ndarray, np.ndarray] = NOBODY,
-        facing: float = 1.0,
-        level: float = LEVEL,
+        self, held: tuple = (), body: tuple[np.ndarray, np.ndarray] = NOBODY, facing: float = 1.0, level: float = LEVEL
     ) -> None:
         vertices, faces = grid(8, 8, 0.03, "equilateral")
         self.levels: Levels = build_levels(vertices, faces, np.array(held, int), *NOBODY, 2)

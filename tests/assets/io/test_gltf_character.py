@@ -107,10 +107,7 @@ def test_steps_hold_and_cubic_splines_curve(tmp_path: Path) -> None:
     still = [[0.0, 0.0, 0.0]]
     # Hermite with no slope at the ends: 3 s^2 - 2 s^3.
     glb.clip("curve", (0, "translation", [0, 1], [still, still, still, still, [[4, 0, 0]], still], "CUBICSPLINE"))
-    glb.clip(
-        "steps",
-        (0, "translation", [0.0, 0.25, 0.5, 1.0], [[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]], "STEP"),
-    )
+    glb.clip("steps", (0, "translation", [0.0, 0.25, 0.5, 1.0], [[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]], "STEP"))
     bar = load(glb, tmp_path)
     curve, steps = bar.clip("curve"), bar.clip("steps")
     assert curve.rate == pytest.approx(60.0)

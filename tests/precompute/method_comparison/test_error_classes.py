@@ -38,8 +38,7 @@ def test_the_reference_itself_cannot_be_told_apart() -> None:
 
 
 @pytest.mark.parametrize(
-    ("stretch", "expected"),
-    [(0.005, "IMPERCEPTIBLE"), (0.05, "ACCEPTED"), (0.3, "VISIBLE"), (1.5, "CATASTROPHIC")],
+    ("stretch", "expected"), [(0.005, "IMPERCEPTIBLE"), (0.05, "ACCEPTED"), (0.3, "VISIBLE"), (1.5, "CATASTROPHIC")]
 )
 def test_classes_of_a_stretched_edge(stretch: float, expected: str) -> None:
     reference = swinging()
