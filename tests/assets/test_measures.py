@@ -1,4 +1,3 @@
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -8,15 +7,9 @@ import trimesh
 from assets.character import load_character
 from assets.io.obj import read_obj
 from assets.measures import BodyMeasures, measure
+from assets.sewing.body import StandingBody
 from pbd.errors import InputError
 from tests.data import data_path
-
-
-@dataclass(frozen=True, eq=False)
-class Mesh:
-    name: str
-    vertices: np.ndarray
-    faces: np.ndarray
 
 
 @cache
@@ -27,7 +20,7 @@ def mannequin() -> BodyMeasures:
 def test_the_scanned_body_has_the_measures_of_its_tape() -> None:
     """mean_all.yaml has what its makers measured on the same surface [cm]."""
     mesh = read_obj(data_path("patterns/mean_all.obj"))
-    m = measure(Mesh("mean_all", mesh.vertices, mesh.faces))
+    m = measure(StandingBody("mean_all", mesh.vertices, mesh.faces))
     tape = {"bust": 99.84, "underbust": 86.25, "waist": 84.33, "hip": 103.48, "height": 171.99, "thigh": 60.20}
     for name, value in tape.items():
         assert m.values()[name] == pytest.approx(value / 100.0, rel=0.015), name
@@ -61,7 +54,7 @@ def test_places_agree_with_the_rig() -> None:
 
 def test_measures_scale_with_the_body() -> None:
     character = load_character("builtin:mannequin")
-    larger = measure(Mesh("larger", 1.1 * character.vertices, character.faces))
+    larger = measure(StandingBody("larger", 1.1 * character.vertices, character.faces))
     for name, value in mannequin().values().items():
         factor = 1.0 if name == "shoulder_slope" else 1.1
         # Heights are searched in steps of 5 mm.
@@ -75,7 +68,7 @@ def test_a_belly_is_measured_by_a_tape_not_by_its_hollows() -> None:
     spine = (np.abs(v[:, 0]) < 0.03) & (v[:, 2] < 0.0) & (np.abs(v[:, 1] - 0.87) < 0.05)
     assert spine.any()
     v[spine, 2] += 0.02
-    changed = measure(Mesh("furrow", v, character.faces))
+    changed = measure(StandingBody("furrow", v, character.faces))
     assert changed.hip == pytest.approx(mannequin().hip, abs=0.004)
 
 
@@ -88,7 +81,7 @@ def test_a_barrel_has_no_waist() -> None:
     offset = v[trunk][:, [0, 2]] - middle
     radius = 0.13 + 0.1 * (m.landmarks.armpit[1] - v[trunk, 1])  # a cone, wider below
     v[np.ix_(trunk, [0, 2])] = middle + offset / np.linalg.norm(offset, axis=1)[:, None] * radius[:, None]
-    barrel = measure(Mesh("barrel", v, character.faces))
+    barrel = measure(StandingBody("barrel", v, character.faces))
     assert np.isnan(barrel.waist)
     assert np.isnan(barrel.back_length)
     assert np.isfinite(barrel.hip)
@@ -97,11 +90,11 @@ def test_a_barrel_has_no_waist() -> None:
 def test_a_body_that_is_no_figure_is_refused() -> None:
     ball = trimesh.creation.icosphere(subdivisions=3)
     with pytest.raises(InputError, match="body ball"):
-        measure(Mesh("ball", np.asarray(ball.vertices), np.asarray(ball.faces)))
+        measure(StandingBody("ball", np.asarray(ball.vertices), np.asarray(ball.faces)))
 
 
 def test_arms_at_the_sides_are_refused() -> None:
     character = load_character("builtin:mannequin")
     lying = character.vertices[:, [1, 0, 2]] * (1.0, -1.0, 1.0)
     with pytest.raises(InputError):
-        measure(Mesh("lying", lying, character.faces))
+        measure(StandingBody("lying", lying, character.faces))

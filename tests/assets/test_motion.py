@@ -18,7 +18,8 @@ from tests.data import data_path
 HALF = float(np.sqrt(0.5))
 
 
-def walking_bar(folder: Path) -> Character:
+@pytest.fixture
+def bar(tmp_path: Path) -> Character:
     """The bar with a clip that starts at (5, 0.2, -3), turned by 90 degrees about Y, and walks along X at 2 m/s."""
     glb: Glb = bar_glb()
     places = [[5.0, 0.2, -3.0], [6.0, 0.2, -3.0], [7.0, 0.2, -3.0]]
@@ -28,19 +29,17 @@ def walking_bar(folder: Path) -> Character:
         (0, "rotation", [0.0, 0.5, 1.0], [[0, HALF, 0, HALF]] * 3, "LINEAR"),
         (1, "rotation", [0.0, 0.5, 1.0], [turn_z(60), turn_z(0), turn_z(60)], "LINEAR"),
     )
-    return load_character(glb.write(folder / "bar.glb"))
+    return load_character(glb.write(tmp_path / "bar.glb"))
 
 
-def test_it_starts_in_the_bind_pose_where_the_clip_starts(tmp_path: Path) -> None:
-    bar = walking_bar(tmp_path)
+def test_it_starts_in_the_bind_pose_where_the_clip_starts(bar: Character) -> None:
     start = skin_vertices(bar, ClipMotion(bar, bar.clip("walk")).pose(0.0))
     x, y, z = bar.vertices.T
     # Turned by 90 degrees about Y (x becomes -z) and moved level: the clip's own height comes with the blend.
     np.testing.assert_allclose(start, np.stack([z + 5.0, y, -x - 3.0], axis=1), atol=1e-6)
 
 
-def test_it_neither_travels_nor_spins_while_it_blends(tmp_path: Path) -> None:
-    bar = walking_bar(tmp_path)
+def test_it_neither_travels_nor_spins_while_it_blends(bar: Character) -> None:
     motion = ClipMotion(bar, bar.clip("walk"), blend=1.0)
     heights = []
     for t in np.linspace(0.0, 1.0, 11):
@@ -52,8 +51,7 @@ def test_it_neither_travels_nor_spins_while_it_blends(tmp_path: Path) -> None:
     np.testing.assert_allclose(heights, 0.2 * (3.0 * s**2 - 2.0 * s**3), atol=1e-6)
 
 
-def test_the_clip_plays_after_the_blend(tmp_path: Path) -> None:
-    bar = walking_bar(tmp_path)
+def test_the_clip_plays_after_the_blend(bar: Character) -> None:
     clip = bar.clip("walk")
     motion = ClipMotion(bar, clip, blend=0.5, speed=2.0)
     assert (motion.name, motion.duration) == ("walk", pytest.approx(1.0))
@@ -65,30 +63,26 @@ def test_the_clip_plays_after_the_blend(tmp_path: Path) -> None:
     np.testing.assert_allclose(motion.pose(0.625), half, atol=1e-12)
 
 
-def test_a_clip_may_be_given_by_its_name(tmp_path: Path) -> None:
-    bar = walking_bar(tmp_path)
+def test_a_clip_may_be_given_by_its_name(bar: Character) -> None:
     by_name, by_clip = ClipMotion(bar, "walk"), ClipMotion(bar, bar.clip("walk"))
     assert np.array_equal(by_name.pose(1.3), by_clip.pose(1.3))
     with pytest.raises(InputError, match="no such clip"):
         ClipMotion(bar, "run")
 
 
-def test_time_beyond_the_ends_is_clamped(tmp_path: Path) -> None:
-    bar = walking_bar(tmp_path)
+def test_time_beyond_the_ends_is_clamped(bar: Character) -> None:
     motion = ClipMotion(bar, bar.clip("walk"))
     assert np.array_equal(motion.pose(-3.0), motion.pose(0.0))
     assert np.array_equal(motion.pose(99.0), motion.pose(motion.duration))
 
 
-def test_without_a_blend_it_starts_in_the_clip(tmp_path: Path) -> None:
-    bar = walking_bar(tmp_path)
+def test_without_a_blend_it_starts_in_the_clip(bar: Character) -> None:
     clip = bar.clip("walk")
     expected = bar.pose_from_local(clip.translation[0], clip.rotation[0], clip.scale[0])
     np.testing.assert_allclose(ClipMotion(bar, clip, blend=0.0).pose(0.0), expected, atol=1e-12)
 
 
-def test_a_clip_of_one_frame_is_held(tmp_path: Path) -> None:
-    bar = walking_bar(tmp_path)
+def test_a_clip_of_one_frame_is_held(bar: Character) -> None:
     clip = bar.clip("walk")
     still = Clip("still", 30.0, clip.translation[:1], clip.rotation[:1], clip.scale[:1])
     motion = ClipMotion(bar, still, loop=True)
@@ -96,8 +90,8 @@ def test_a_clip_of_one_frame_is_held(tmp_path: Path) -> None:
     assert np.array_equal(motion.pose(1.0), motion.pose(7.3))
 
 
-def test_a_part_of_a_clip_has_its_frames(tmp_path: Path) -> None:
-    clip = walking_bar(tmp_path).clip("walk")
+def test_a_part_of_a_clip_has_its_frames(bar: Character) -> None:
+    clip = bar.clip("walk")
     last, rate = len(clip.translation) - 1, clip.rate
     assert np.array_equal(part_of(clip, 0.0, None).translation, clip.translation)
     part = part_of(clip, 1.0 / rate, last / rate)
@@ -106,8 +100,7 @@ def test_a_part_of_a_clip_has_its_frames(tmp_path: Path) -> None:
         part_of(clip, last / rate, None)
 
 
-def test_a_loop_goes_round_and_a_journey_is_refused(tmp_path: Path) -> None:
-    bar = walking_bar(tmp_path)
+def test_a_loop_goes_round_and_a_journey_is_refused(bar: Character) -> None:
     clip = bar.clip("walk")
     with pytest.raises(InputError, match=re.escape("clip walk, joint root: a clip that does not end as it starts")):
         ClipMotion(bar, clip, loop=True)
@@ -125,8 +118,7 @@ def test_a_loop_goes_round_and_a_journey_is_refused(tmp_path: Path) -> None:
         ({"speed": np.nan}, "bad speed"),
     ],
 )
-def test_bad_options_are_refused(options: dict[str, float], message: str, tmp_path: Path) -> None:
-    bar = walking_bar(tmp_path)
+def test_bad_options_are_refused(options: dict[str, float], message: str, bar: Character) -> None:
     with pytest.raises(InputError, match=message):
         ClipMotion(bar, bar.clip("walk"), **options)  # type: ignore[arg-type]
 

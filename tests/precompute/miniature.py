@@ -6,23 +6,14 @@ import numpy as np
 
 from assets.io.scene import Scene, parse_scene
 from precompute.learning.options import LearningOptions
+from tests.runtime.players import WORN
 from wrinkles.database import WrinkleDatabase
 
 __all__ = ["OPTIONS", "SCENE", "same", "same_learned", "scene"]
 
 TIMED = ("_ms", "us_per_fine_vertex", "speedup_over_fine")
 
-SCENE = """
-[[garment]]
-name = "skirt"
-mesh = "builtin:skirt"
-attach = "top"
-subdivisions = 1
-
-[character]
-file = "builtin:mannequin"
-clip = "walk"
-
+SCENE = f"""{WORN}
 [training]
 procedural_seconds = 2.0
 substep = 0.00416667

@@ -23,11 +23,11 @@ from distributed import Client, LocalCluster, Scheduler, Worker
 from pbd.errors import InputError
 from precompute import cluster
 from precompute.cluster import ClusterWorkers, cache_here, local_cluster, workers_of
-from precompute.learning.pipeline import Precomputed, precompute, scene_run
+from precompute.learning.pipeline import scene_run
 from precompute.learning.recording import Run, record_runs
 from precompute.workers import Workers, run_jobs
 from runtime.garment_setup import GarmentSetup
-from tests.precompute.miniature import OPTIONS, same, scene
+from tests.precompute.miniature import scene
 
 
 @pytest.fixture(scope="module")
@@ -178,13 +178,6 @@ def test_a_scheduler_that_ends_is_told() -> None:
                 workers.run(
                     [partial(_late, 0.0, 1), partial(_late, 60.0, 2)], done=lambda count, result: one.close(timeout=5)
                 )
-
-
-@pytest.mark.proof
-def test_a_database_is_the_same_on_a_cluster(tmp_path: Path, learned: Precomputed) -> None:
-    with workers_of("local", 2, tmp_path / "cache") as workers:
-        made = precompute(scene(), tmp_path / "skirt.h5", cache=tmp_path / "cache", workers=workers, options=OPTIONS)
-    same(made.database, learned.database)
 
 
 # A hundred workers in one process would otherwise spend it on watching themselves.

@@ -16,9 +16,9 @@ from wrinkles.database import WrinkleDatabase, body_hash
 from wrinkles.rest_shape import RestShapeCorrection
 from wrinkles.surface import Subdivision
 
-__all__ = ["OUTFIT", "SCENE", "outfit_database", "random_database", "skirt_database", "skirt_stage"]
+__all__ = ["OUTFIT", "SCENE", "TROUSERS", "outfit_database", "random_database", "skirt_database", "skirt_stage", "WORN"]
 
-SCENE = """
+WORN = """
 [[garment]]
 name = "skirt"
 mesh = "builtin:skirt"
@@ -28,7 +28,8 @@ subdivisions = 1
 [character]
 file = "builtin:mannequin"
 clip = "walk"
-
+"""
+SCENE = f"""{WORN}
 [[training.clips]]
 file = "builtin:mannequin"
 clip = "sway"
@@ -37,16 +38,14 @@ clip = "sway"
 file = "builtin:mannequin"
 clip = "walk"
 """
-OUTFIT = (
-    """
+TROUSERS = """
 [[garment]]
 name = "trousers"
 mesh = "builtin:trousers"
 fabric = "denim"
 subdivisions = 1
 """
-    + SCENE
-)
+OUTFIT = TROUSERS + SCENE
 
 
 @cache

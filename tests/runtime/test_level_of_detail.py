@@ -32,6 +32,11 @@ def world(player: Player) -> np.ndarray:
     return player.vertices + player.origin
 
 
+def play(player: Player, poses: np.ndarray) -> None:
+    for pose in poses:
+        player.update(pose, DT)
+
+
 @pytest.fixture(scope="module")
 def unchanged(poses: np.ndarray) -> list[tuple[str, np.ndarray]]:
     """State and world vertices in each tick of a player that is left alone, from the first on."""
@@ -65,14 +70,12 @@ def test_less_detail_and_back_leaves_the_coarse_garment_as_it_was(
         player.update(pose, DT)
     assert player.simulation.state.hash() == unchanged[58][0]
     player.change(player.full)
-    for pose in poses[60:90]:
-        player.update(pose, DT)
+    play(player, poses[60:90])
     assert np.abs(world(player) - unchanged[88][1]).max() < 1e-4  # how relaxation finds the body remembers a little
 
 
 def test_details_are_seen_in_what_is_shown(player: Player, poses: np.ndarray) -> None:
-    for pose in poses[1:40]:
-        player.update(pose, DT)
+    play(player, poses[1:40])
     shown = {
         name: player.decoded(replace(player.full, **{name: value})) for name, value in {"atoms": 0, "passes": 0}.items()
     }
@@ -87,8 +90,7 @@ def test_details_are_seen_in_what_is_shown(player: Player, poses: np.ndarray) ->
 def test_ticks_without_update_go_on_as_the_garment_went(
     player: Player, poses: np.ndarray, unchanged: list, every: int
 ) -> None:
-    for pose in poses[1:61]:
-        player.update(pose, DT)
+    play(player, poses[1:61])
     player.change(replace(player.full, every=every, substeps=12 * every))
     hashes, away = [], []
     for pose, (_, other) in zip(poses[61:101], unchanged[60:], strict=False):
@@ -132,20 +134,17 @@ def test_a_change_does_not_pop(player: Player, poses: np.ndarray, unchanged: lis
 
 
 def test_what_is_shown_stays_at_a_change_and_the_rest_fades_in_time(player: Player, poses: np.ndarray) -> None:
-    for pose in poses[1:40]:
-        player.update(pose, DT)
+    play(player, poses[1:40])
     before = player.vertices.copy()
     player.change(LevelOfDetail(1, 12, 0, 0))
     assert np.array_equal(player.vertices, before)
     ticks = int(FADE / DT) + 1
-    for pose in poses[40 : 40 + ticks]:
-        player.update(pose, DT)
+    play(player, poses[40 : 40 + ticks])
     assert np.abs(player.vertices - player.decoded(player.detail)).max() < 1e-6
 
 
 def test_the_mesh_below_goes_on_from_where_the_garment_was_and_back(player: Player, poses: np.ndarray) -> None:
-    for pose in poses[1:40]:
-        player.update(pose, DT)
+    play(player, poses[1:40])
     simulation = player.simulation
     mass, before = simulation.model.mass, simulation.state.copy()
     player.change(LevelOfDetail(1, 6, 0, 0, 1))
@@ -195,14 +194,12 @@ def test_a_drag_holds_on_the_mesh_below(player: Player, poses: np.ndarray) -> No
         player.update(pose, DT)
     assert np.linalg.norm(player.simulation.state.world()[vertex] - target) < 0.04  # half an edge
     player.drag(vertex, None)
-    for pose in poses[30:60]:
-        player.update(pose, DT)
+    play(player, poses[30:60])
     assert np.linalg.norm(player.simulation.state.world()[vertex] - target) > 0.06
 
 
 def test_a_change_at_a_cut_is_shown_at_once(player: Player, poses: np.ndarray) -> None:
-    for pose in poses[1:40]:
-        player.update(pose, DT)
+    play(player, poses[1:40])
     less = LevelOfDetail(1, 12, 0, 0)
     player.change(less, fade=False)
     assert np.abs(player.vertices - player.decoded(less)).max() < 1e-6

@@ -14,14 +14,8 @@ from runtime.garment_mesh import pattern_of
 from runtime.garment_setup import GarmentSetup, fabric_of
 from runtime.scene_simulation import simulation_of
 from tests.assets.panels import two_panels
+from tests.runtime.players import TROUSERS
 
-TROUSERS = """
-[[garment]]
-name = "trousers"
-mesh = "builtin:trousers"
-fabric = "denim"
-subdivisions = 1
-"""
 SKIRT = """
 [[garment]]
 name = "skirt"

@@ -34,8 +34,11 @@ Quality on motion
 prose that follows, with a path: out/x.h5"""
 
 
+Terminal = tuple[TextIO, Callable[[], str]]
+
+
 @pytest.fixture
-def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[TextIO, Callable[[], str]]]:
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Terminal]:
     """A stream on a pseudo-terminal, and a function that closes it and gives what it got."""
     for name in ("NO_COLOR", "CI", "COLUMNS"):
         monkeypatch.delenv(name, raising=False)
@@ -77,7 +80,7 @@ def test_a_file_gets_the_text_as_it_stands(monkeypatch: pytest.MonkeyPatch) -> N
 
 @pytest.mark.parametrize(("name", "value"), [("NO_COLOR", "1"), ("CI", "true"), ("TERM", "dumb")])
 def test_a_terminal_can_be_told_to_stay_plain(
-    name: str, value: str, terminal: tuple[TextIO, Callable[[], str]], monkeypatch: pytest.MonkeyPatch
+    name: str, value: str, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stream, written = terminal
     assert not is_plain(stream)
@@ -90,7 +93,7 @@ def test_a_terminal_can_be_told_to_stay_plain(
 
 
 def test_a_terminal_gets_titles_tables_and_wrapped_explanations(
-    terminal: tuple[TextIO, Callable[[], str]], monkeypatch: pytest.MonkeyPatch
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stream, written = terminal
     monkeypatch.setattr(sys, "stdout", stream)
@@ -106,9 +109,7 @@ def test_a_terminal_gets_titles_tables_and_wrapped_explanations(
     assert "prose that follows, with a path: out/x.h5" in without_colours(text)
 
 
-def test_marks_and_control_characters_of_names_do_nothing(
-    terminal: tuple[TextIO, Callable[[], str]], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_marks_and_control_characters_of_names_do_nothing(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     stream, written = terminal
     monkeypatch.setattr(sys, "stdout", stream)
     monkeypatch.setattr(sys, "stderr", stream)
@@ -119,18 +120,14 @@ def test_marks_and_control_characters_of_names_do_nothing(
     assert "\x1b[31m" not in text and "\x1b]0" not in text and "\x1b[2J" not in text and "\x07" not in text
 
 
-def test_the_content_of_a_file_stays_as_it_is(
-    terminal: tuple[TextIO, Callable[[], str]], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_content_of_a_file_stays_as_it_is(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     stream, written = terminal
     monkeypatch.setattr(sys, "stdout", stream)
     say(TABLE, verbatim=True)
     assert written() == TABLE + "\n"
 
 
-def test_an_error_is_red_and_its_cure_green(
-    terminal: tuple[TextIO, Callable[[], str]], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_error_is_red_and_its_cure_green(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     stream, written = terminal
     monkeypatch.setattr(sys, "stderr", stream)
     say_error("gube new", "a.obj: a mesh without faces (received '0 vertices', expected faces)\n    to mend it: export")
@@ -140,7 +137,7 @@ def test_an_error_is_red_and_its_cure_green(
     assert "\x1b[33mreceived '0 vertices'\x1b[0m" in text
 
 
-def test_progress_is_one_line_with_a_bar_where_it_counts(terminal: tuple[TextIO, Callable[[], str]]) -> None:
+def test_progress_is_one_line_with_a_bar_where_it_counts(terminal: Terminal) -> None:
     stream, written = terminal
     with Progress(stream) as progress:
         progress("stage 1 of 2: starting")
@@ -154,7 +151,7 @@ def test_progress_is_one_line_with_a_bar_where_it_counts(terminal: tuple[TextIO,
     assert text.count("\n") == 1  # both stood on one line
 
 
-def test_a_line_that_stays_is_followed_by_others(terminal: tuple[TextIO, Callable[[], str]]) -> None:
+def test_a_line_that_stays_is_followed_by_others(terminal: Terminal) -> None:
     stream, written = terminal
     with Progress(stream) as progress:
         progress.say("kept")
@@ -163,9 +160,7 @@ def test_a_line_that_stays_is_followed_by_others(terminal: tuple[TextIO, Callabl
     assert ["kept" in line for line in lines] == [True, False]
 
 
-def test_a_command_in_a_terminal_colours_its_error_and_in_a_pipe_does_not(
-    terminal: tuple[TextIO, Callable[[], str]], tmp_path: Path
-) -> None:
+def test_a_command_in_a_terminal_colours_its_error_and_in_a_pipe_does_not(terminal: Terminal, tmp_path: Path) -> None:
     stream, written = terminal
     words = [sys.executable, "-m", "gube", "check", str(tmp_path / "no.h5")]
     assert subprocess.run(words, cwd=ROOT, stdout=stream, stderr=stream).returncode == 2

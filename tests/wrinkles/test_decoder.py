@@ -7,6 +7,7 @@ import pytest
 
 from pbd import ClothMesh
 from pbd.geometry import surface_normals
+from tests.wrinkles.fine_surfaces import patch_sums
 from tests.wrinkles.meshes import flat_sheet, icosphere, tube
 from wrinkles.charts import Charts
 from wrinkles.decoder import Decoder, Upsampler
@@ -105,17 +106,9 @@ def test_the_decoder_adds_what_the_mapping_predicts(layer: Layer) -> None:
     layer.stencil.read(layer.position, layer.contact, frames, features)
     grids = layer.mapping.predict(features) @ layer.atoms.shapes + layer.atoms.mean
     assert np.median(grids.std(axis=0)) > 1e-3
-    # Turned into space first and read afterwards, vertex by vertex.
-    spatial = np.einsum("inx,ixy->iny", grids.reshape(count, -1, 3), frames.reshape(count, 3, 3))
-    p, expected = layer.patches, np.zeros((layer.subdivision.fine_count, 3))
-    for i in range(len(expected)):
-        for c in range(3):
-            u, v = p.within[i, 2 * c : 2 * c + 2]
-            node = p.cell[i, c]
-            near = spatial[p.corners[i, c]][[node, node + 1, node + p.grid.side, node + p.grid.side + 1]]
-            expected[i] += p.blend[i, c] * (np.array([(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v]) @ near)
+    expected = patch_sums(layer.patches, grids, frames)
     assert np.abs(expected).max() > 0.01
-    expected += turned(p.turning, frames, layer.atoms.vertex_mean)
+    expected += turned(layer.patches.turning, frames, layer.atoms.vertex_mean)
     np.testing.assert_allclose(layer.add(layer.decoder()), expected, atol=1e-5)
 
 

@@ -60,13 +60,13 @@ def test_a_run_that_is_not_finite_or_too_fast_is_catastrophic() -> None:
     assert allowed["speed_over_limit"] is ErrorClass.IMPERCEPTIBLE
 
 
-@pytest.mark.parametrize(("frames", "expected"), [(20, "ACCEPTED"), (29, "ACCEPTED")])
-def test_penetration_that_goes_in_time_is_accepted(frames: int, expected: str) -> None:
+@pytest.mark.parametrize("frames", [20, 29])
+def test_penetration_that_goes_in_time_is_accepted(frames: int) -> None:
     reference = swinging()
     depth = np.zeros(60)
     depth[30 : 30 + frames] = 0.0039
     found = classify(figures(replace(reference, depth=depth), reference))
-    assert found["penetration_thicknesses"].name == expected
+    assert found["penetration_thicknesses"] is ErrorClass.ACCEPTED
     assert found["penetration_s"] is ErrorClass.IMPERCEPTIBLE
 
 

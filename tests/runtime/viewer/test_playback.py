@@ -65,9 +65,13 @@ def playback() -> Playback:
     return Playback(Counting(), Walk(), TICK)
 
 
-def test_a_second_of_the_clock_is_a_second_of_the_garment(playback: Playback) -> None:
-    for _ in range(30):
+def advance(playback: Playback, pictures: int) -> None:
+    for _ in range(pictures):
         playback.advance(TICK)
+
+
+def test_a_second_of_the_clock_is_a_second_of_the_garment(playback: Playback) -> None:
+    advance(playback, 30)
     assert playback.player.ticks == playback.tick_count == 30
     assert playback.time == pytest.approx(0.5)
     assert playback.player.poses == list(range(1, 31))
@@ -96,24 +100,21 @@ def test_a_pause_stops_time_and_makes_up_for_nothing(playback: Playback) -> None
 
 
 def test_the_motion_starts_again_after_its_end(playback: Playback) -> None:
-    for _ in range(60):
-        playback.advance(TICK)
+    advance(playback, 60)
     assert playback.time == pytest.approx(playback.duration)
     playback.advance(TICK)
     assert playback.tick_count == playback.player.ticks == 1
 
 
 def test_a_late_picture_does_not_pass_the_end(playback: Playback) -> None:
-    for _ in range(58):
-        playback.advance(TICK)
+    advance(playback, 58)
     playback.advance(1.0)
     assert playback.tick_count == 60
     assert playback.player.poses[-1] == 60
 
 
 def test_steps_pause_and_go_a_tick_on_and_back(playback: Playback) -> None:
-    for _ in range(10):
-        playback.advance(TICK)
+    advance(playback, 10)
     playback.step(1)
     assert (playback.tick_count, playback.playing) == (11, False)
     playback.step(-1)
@@ -139,8 +140,7 @@ def test_no_step_leads_beyond_the_ends(playback: Playback) -> None:
 
 
 def test_scrubbing_shows_what_was_played_and_plays_on_from_there(playback: Playback) -> None:
-    for _ in range(40):
-        playback.advance(TICK)
+    advance(playback, 40)
     playback.scrub(0.25)
     assert (playback.tick_count, playback.player.ticks, playback.playing) == (15, 15, False)
     playback.playing = True
@@ -150,8 +150,7 @@ def test_scrubbing_shows_what_was_played_and_plays_on_from_there(playback: Playb
 
 
 def test_scrubbing_beyond_what_was_played_shows_the_last_kept_moment(playback: Playback) -> None:
-    for _ in range(20):
-        playback.advance(TICK)
+    advance(playback, 20)
     playback.scrub(0.9)
     assert playback.tick_count == 19
     playback.scrub(-3.0)
@@ -163,8 +162,7 @@ def test_scrubbing_beyond_what_was_played_shows_the_last_kept_moment(playback: P
 def test_film_takes_no_more_memory_than_it_may(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "FILM_BYTES", 20_000.0)
     playback = Playback(Counting(), Walk(), TICK)
-    for _ in range(200):
-        playback.advance(TICK)
+    advance(playback, 200)
     assert playback.stride == 4
     assert playback.kept_ticks == list(range(0, 60, 4))
     assert 1000 * len(playback.kept_ticks) <= 20_000
@@ -180,8 +178,7 @@ def test_what_is_dragged_is_held_in_every_tick_until_it_is_let_go(playback: Play
     playback.drag(1, np.array([3.0, 0.0, 0.0]))
     playback.advance(TICK)
     playback.release()
-    playback.advance(TICK)
-    playback.advance(TICK)
+    advance(playback, 2)
     assert [(vertex, None if target is None else target[0]) for vertex, target in player.drags] == [
         (1, 2.0),
         (1, 3.0),
@@ -225,8 +222,7 @@ def test_a_real_player_repeats_what_it_has_played() -> None:
     playback.scrub(8 * TICK)
     assert np.abs(player.vertices + player.origin - seen[8]).max() < 1e-4
     playback.playing = True
-    for _ in range(4):
-        playback.advance(TICK)
+    advance(playback, 4)
     assert playback.tick_count == 12
     assert np.abs(player.vertices + player.origin - seen[12]).max() < 1e-4
     assert np.abs(seen[12] - seen[8]).max() > 1e-3

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -14,6 +13,7 @@ from assets.measures import BodyMeasures, measure
 from assets.patterns.drafts import DRAFTS, draft, draft_parameters
 from assets.patterns.drafts.placing import Surroundings
 from assets.patterns.pattern import EdgeName, Pattern, edge_length
+from assets.sewing.body import StandingBody
 from pbd.errors import InputError
 from tests.data import data_path
 
@@ -21,17 +21,10 @@ WOMAN = "characters/mh_female_bandai_NC.glb"
 LENGTHS = {"tshirt": (0.45, 0.75), "shirt": (0.5, 0.8), "aline_skirt": (0.35, 0.9), "circle_skirt": (0.3, 0.9)}
 
 
-@dataclass(frozen=True, eq=False)
-class Scaled:
-    name: str
-    vertices: np.ndarray
-    faces: np.ndarray
-
-
 @cache
 def measured(body: str, size: float = 1.0) -> BodyMeasures:
     character = load_character("builtin:mannequin" if body == "mannequin" else data_path(WOMAN))
-    return measure(Scaled(body, size * character.vertices, character.faces))
+    return measure(StandingBody(body, size * character.vertices, character.faces))
 
 
 def variant(name: str, seed: int, body: str) -> tuple[BodyMeasures, Pattern]:
@@ -208,7 +201,7 @@ def test_a_body_without_a_waist_wears_no_skirt_of_ours() -> None:
     m = measured("mannequin")
     ball = trimesh.creation.icosphere()
     barrel = BodyMeasures(
-        **{**m.__dict__, "waist": float("nan"), "surface": Scaled("barrel", ball.vertices, ball.faces)}
+        **{**m.__dict__, "waist": float("nan"), "surface": StandingBody("barrel", ball.vertices, ball.faces)}
     )
     with pytest.raises(InputError, match="body without a waist"):
         draft("circle_skirt", barrel)
