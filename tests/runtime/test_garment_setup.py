@@ -285,11 +285,13 @@ def test_a_mesh_that_is_no_solid_is_refused(tmp_path: Path) -> None:
         colliders_of(solids(tmp_path / "fine", faces, "spacing = 0.0005\n"))
 
 
+FINER = '[[garment]]\nname = "s"\nmesh = "builtin:skirt"\nattach = "top"\nsubdivisions = {}\n{}\n'
+FINER += '[character]\nfile = "builtin:mannequin"\n'
+
+
 def test_a_mesh_is_subdivided_before_it_is_simulated() -> None:
-    garment = '[[garment]]\nname = "s"\nmesh = "builtin:skirt"\nattach = "top"\nsubdivisions = {}\n{}\n'
-    text = garment + '[character]\nfile = "builtin:mannequin"\n'
-    plain = GarmentSetup.of(parse_scene(text.format(2, ""), "plain")).levels
-    scene = parse_scene(text.format(1, "coarse_subdivisions = 1"), "finer")
+    plain = GarmentSetup.of(parse_scene(FINER.format(2, ""), "plain")).levels
+    scene = parse_scene(FINER.format(1, "coarse_subdivisions = 1"), "finer")
     finer = GarmentSetup.of(scene).levels
     assert len(finer.coarse.vertices) == plain.subdivision.middle.fine_count
     assert np.array_equal(finer.fine.faces, plain.fine.faces)
@@ -303,11 +305,9 @@ def test_a_mesh_is_subdivided_before_it_is_simulated() -> None:
 
 
 def test_the_fine_cloth_is_as_converged_whichever_mesh_is_simulated() -> None:
-    garment = '[[garment]]\nname = "s"\nmesh = "builtin:skirt"\nattach = "top"\nsubdivisions = {}\n{}\n'
-    text = garment + '[character]\nfile = "builtin:mannequin"\n'
     scenes = [
-        parse_scene(text.format(2, ""), "plain"),
-        parse_scene(text.format(1, "coarse_subdivisions = 1") + "[solver]\nsubstep = 0.01\n", "finer"),
+        parse_scene(FINER.format(2, ""), "plain"),
+        parse_scene(FINER.format(1, "coarse_subdivisions = 1") + "[solver]\nsubstep = 0.01\n", "finer"),
     ]
     plain, finer = (simulation_of(scene, fine=True)[0].solver.options for scene in scenes)
     assert plain == finer

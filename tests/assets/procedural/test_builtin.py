@@ -174,15 +174,10 @@ def test_garments_are_what_sewing_makes(name: str) -> None:
     assert np.linalg.norm(garment.vertices - made.vertices, axis=1).max() < 0.001
 
 
-def test_an_unknown_name_is_refused() -> None:
-    with pytest.raises(InputError, match="circle_skirt, flag, shirt, skirt, tablecloth, trousers, tshirt"):
-        builtin_garment("toga")
-
-
 @pytest.mark.parametrize("name", BUILTIN_GARMENTS)
 def test_they_are_loaded_by_their_names(name: str) -> None:
     loaded, made = load_garment(f"builtin:{name}"), builtin_garment(name)
     assert (loaded.name, loaded.source) == (name, f"builtin:{name}")
     assert np.array_equal(loaded.vertices, made.vertices) and np.array_equal(loaded.faces, made.faces)
-    with pytest.raises(InputError, match="toga"):
+    with pytest.raises(InputError, match="circle_skirt, flag, shirt, skirt, tablecloth, trousers, tshirt"):
         load_garment("builtin:toga")

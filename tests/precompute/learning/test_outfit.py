@@ -22,8 +22,7 @@ FEW_TRIES = replace(OPTIONS, shear_scales=(1.0,), bend_scales=(1.0,))
 @pytest.fixture(scope="module")
 def database(tmp_path_factory: pytest.TempPathFactory) -> WrinkleDatabase:
     path = tmp_path_factory.mktemp("outfit") / "outfit.h5"
-    text = TROUSERS + SCENE.replace("procedural_seconds = 2.0\n", "").replace("end = 1.2", "end = 0.6")
-    text += '[[training.clips]]\nfile = "builtin:mannequin"\nclip = "sway"\nend = 0.4\n'
+    text = TROUSERS + SCENE.replace("end = 1.2", "end = 0.6")
     precompute(scene(text), path, workers=1, options=FEW_TRIES)
     return read_database(path)
 

@@ -293,46 +293,44 @@ def test_a_method_that_broke_is_on_the_page(comparison: Comparison, tmp_path: Pa
     assert "broke: after 0.50 s" in page
 
 
-def test_a_clip_that_was_learned_from_is_refused(database: WrinkleDatabase, tmp_path: Path) -> None:
-    path = tmp_path / "skirt.h5"
-    write_database(path, database)
+@pytest.fixture
+def path(database: WrinkleDatabase, tmp_path: Path) -> Path:
+    write_database(tmp_path / "skirt.h5", database)
+    return tmp_path / "skirt.h5"
+
+
+def test_a_clip_that_was_learned_from_is_refused_and_so_is_its_part(database: WrinkleDatabase, path: Path) -> None:
     with pytest.raises(InputError, match="has learned from this clip.*sway.*expected walk"):
-        compare_file(path, tmp_path, clip="sway")
-
-
-def test_a_clip_is_refused_of_which_a_part_was_learned_from(database: WrinkleDatabase, tmp_path: Path) -> None:
-    path = tmp_path / "skirt.h5"
+        compare_file(path, path.parent, clip="sway")
     scene = database.scene.replace('clip = "sway", start = 0.0', 'clip = "sway", start = 1.0')
     assert scene != database.scene
     write_database(path, replace(database, scene=scene, trained_on=("sway 1- s",)))
     with pytest.raises(InputError, match="has learned from this clip.*sway"):
-        compare_file(path, tmp_path, clip="sway")
+        compare_file(path, path.parent, clip="sway")
 
 
-def test_only_the_whole_held_out_motion_decides(
-    database: WrinkleDatabase, truth: Truth, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "skirt.h5"
-    write_database(path, database)
+@pytest.fixture
+def at_once(truth: Truth, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A comparison takes no time, and finds an advantage of 2."""
     monkeypatch.setattr(comparing, "truth_of", lambda *_: truth)
     monkeypatch.setattr(comparing, "compare", lambda *_, **__: rigged(truth, 0.3, (8.0, 0.3)))
-    compare_file(path, tmp_path, seconds=2.0)
-    compare_file(path, tmp_path, clip=database.held_out[0])
+
+
+def test_only_the_whole_held_out_motion_decides(database: WrinkleDatabase, path: Path, at_once: None) -> None:
+    compare_file(path, path.parent, seconds=2.0)
+    compare_file(path, path.parent, clip=database.held_out[0])
     assert "cost_advantage_both" not in read_database(path).quality
-    compare_file(path, tmp_path)
+    compare_file(path, path.parent)
     assert read_database(path).quality["cost_advantage_both"] == 2.0
 
 
 def test_a_database_that_cannot_be_written_costs_no_comparison(
-    database: WrinkleDatabase, truth: Truth, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    path: Path, at_once: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    path, lines = tmp_path / "skirt.h5", []
-    write_database(path, database)
-    monkeypatch.setattr(comparing, "truth_of", lambda *_: truth)
-    monkeypatch.setattr(comparing, "compare", lambda *_, **__: rigged(truth, 0.3, (8.0, 0.3)))
+    lines: list[str] = []
     monkeypatch.setattr(comparing, "write_database", refuse)
-    assert compare_file(path, tmp_path, report=lines.append).cost_advantage() is not None
+    assert compare_file(path, path.parent, report=lines.append).cost_advantage() is not None
     assert any("cannot be written (Permission denied)" in line for line in lines)

@@ -10,6 +10,7 @@ import trimesh
 
 from assets.character import load_character
 from assets.measures import BodyMeasures, measure
+from assets.patterns.curves import crossings, signed_area
 from assets.patterns.drafts import DRAFTS, draft, draft_parameters
 from assets.patterns.drafts.placing import Surroundings
 from assets.patterns.pattern import EdgeName, Pattern, edge_length
@@ -49,23 +50,6 @@ def variant(name: str, seed: int, body: str) -> tuple[BodyMeasures, Pattern]:
     return m, draft(name, m, **parameters)
 
 
-def crosses_itself(loop: np.ndarray) -> bool:
-    """Whether two edges of a closed polyline that are not neighbours cross."""
-    a, b = loop[:, None], np.roll(loop, -1, axis=0)[:, None]
-    c, d = a[:, 0][None], b[:, 0][None]
-
-    def side(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> np.ndarray:
-        return np.sign((q - p)[..., 0] * (r - p)[..., 1] - (q - p)[..., 1] * (r - p)[..., 0])
-
-    crossing = (side(a, b, c) * side(a, b, d) < 0) & (side(c, d, a) * side(c, d, b) < 0)
-    return bool(crossing.any())
-
-
-def signed_area(loop: np.ndarray) -> float:
-    after = np.roll(loop, -1, axis=0)
-    return 0.5 * float((loop[:, 0] * after[:, 1] - loop[:, 1] * after[:, 0]).sum())
-
-
 def dense(outline: np.ndarray) -> np.ndarray:
     """Points every centimetre of a closed polyline."""
     ring = np.concatenate([outline, outline[:1]])
@@ -79,8 +63,8 @@ def check_sound(m: BodyMeasures, pattern: Pattern) -> None:
         for edge, after in zip(panel.edges, panel.edges[1:] + panel.edges[:1], strict=True):
             assert np.abs(edge[-1] - after[0]).max() < 1e-12, panel.name
             assert edge_length(edge) > 0.004, panel.name
-        assert not crosses_itself(panel.outline), panel.name
-        assert signed_area(panel.outline) > 0.01, panel.name
+        outline = panel.outline
+        assert not len(crossings(outline, outline)) and signed_area(outline) > 0.01, panel.name
     sewn = [edge for seam in pattern.seams for edge in seam[:2]]
     assert len(sewn) == len(set(sewn))
     for seam in pattern.seams:
