@@ -46,7 +46,7 @@ blender: .venv/ready
 
 # Files go whole, in the order of tests/conftest.py, to as many processes as there are processors.
 test: lint
-	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadgroup --no-loadscope-reorder --durations 15
+	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder --durations 15
 
 # Pages in Debian's Chromium, which is installed where it is missing.
 CHROMIUM := /usr/bin/chromium
