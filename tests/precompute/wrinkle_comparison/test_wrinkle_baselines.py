@@ -42,8 +42,8 @@ def test_every_rival_learns_what_it_can(baselines: tuple) -> None:
 def test_softness_is_chosen_by_motion_that_was_left_out() -> None:
     layer, rng = build_layer(skirt_stage().levels), np.random.default_rng(1)
     count = len(layer.levels.coarse.vertices)
-    features = rng.standard_normal((60, count, DYNAMIC_COUNT)).astype(np.float32)
+    features = rng.standard_normal((180, count, DYNAMIC_COUNT)).astype(np.float32)
     atoms = fit_atoms(rng.standard_normal((500, 3 * Grid.of(2).nodes)), ATOMS, 0)
-    noise = rng.standard_normal((60, count, ATOMS)).astype(np.float32)  # nothing to be learned: the softest is best
+    noise = rng.standard_normal((180, count, ATOMS)).astype(np.float32)  # nothing to be learned: the softest is best
     fitted = fit_baselines(TrainingSet(features, noise, atoms), seed=0)
     assert fitted[0].settings == f"softness {SOFTNESS[-1]:g}"
