@@ -1,67 +1,280 @@
-"""Self-intersections of a cloth: which edges go through which faces, tested in float64.
+"""Self-intersections of a cloth: which edges go through which faces, and which faces have boxes that overlap.
 
-This is a measuring tool; the solver has its own, faster search for contact.
+Boxes are put into the cells of a grid, which is hashed (Teschner et al. 2003, "Optimized spatial hashing for collision
+detection of deformable objects"). Tests of crossings are in float64 here. The solver's search for contact has a tree of
+its own and tests in float32.
 """
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from pbd.engine import ensure_initialized, ti
+from pbd.errors import InputError
+from pbd.geometry import Double3, Int1, Int2, Int3
 from pbd.mesh import edges_of
+from pbd.taichi_internals import Launch
 
-__all__ = ["cross", "crossings"]
+__all__ = ["FaceGrid", "crossings", "note_crossings", "owned_features"]
 
-_MAX_PAIRS = 50_000_000  # of an edge and a face that may be tested at once: bounds the memory
+CELL_EXTENTS = 1.5  # size of a cell over the mean of the boxes' longest sides [-]
+MAX_CELLS = 8  # that a box may reach along an axis: cells are larger where one is very large
 
 
-def cross(start: np.ndarray, end: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Whether segment k goes through triangle k: bool, shape (k,).
+@ti.func
+def goes_through(b, x1, x2, x3):
+    """Whether the segment from the origin to b goes through a triangle.
 
     It does if its ends lie on different sides of the triangle's plane and its line passes inside the three sides. A
-    segment that only touches a side, or lies in the plane, does not count.
+    segment that only touches a side, or lies in the plane, does not. For float32 and float64.
+    """
+    normal = (x2 - x1).cross(x3 - x1)
+    sides = -x1.dot(normal) * (b - x1).dot(normal) < 0.0
+    v1, v2, v3 = b.dot(x1.cross(x2)), b.dot(x2.cross(x3)), b.dot(x3.cross(x1))
+    return sides and ((v1 > 0.0 and v2 > 0.0 and v3 > 0.0) or (v1 < 0.0 and v2 < 0.0 and v3 < 0.0))
+
+
+@ti.func
+def point(position: ti.template(), i: ti.i32):
+    """Position of a vertex in the type that the array has [m]."""
+    p = position[i]
+    return ti.Vector([p[0], p[1], p[2]])
+
+
+@ti.func
+def note_crossings(
+    f: ti.i32,
+    g: ti.i32,
+    position: ti.template(),
+    faces: ti.template(),
+    edges: ti.template(),
+    owned: ti.template(),
+    crossed: ti.template(),
+):
+    """Add the own sides of either of two faces that go through the other, if there is room for crossings at all."""
+    if crossed.shape[0] > 1:
+        for n in range(6):
+            one, two, side = f, g, n
+            if n >= 3:
+                one, two, side = g, f, n - 3
+            e, t = edges[3 * one + side], faces[two]
+            shared = e[0] == t[0] or e[0] == t[1] or e[0] == t[2] or e[1] == t[0] or e[1] == t[1] or e[1] == t[2]
+            if (owned[one] >> (3 + side)) & 1 and not shared:
+                a = point(position, e[0])
+                if goes_through(
+                    point(position, e[1]) - a,
+                    point(position, t[0]) - a,
+                    point(position, t[1]) - a,
+                    point(position, t[2]) - a,
+                ):
+                    count = crossed[0][0] + 1
+                    crossed[0] = ti.Vector([count, 0, 0])
+                    if count < crossed.shape[0]:
+                        crossed[count] = ti.Vector([e[0], e[1], two])
+
+
+def owned_features(faces: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    """Bits of the corners and sides that belong to each face, shape (m,).
+
+    Each feature belongs to the first face that has it, so that no pair is found twice (Curtis, Tamstorf, Manocha 2008).
 
     Args:
-        start, end: of the segments [m], float64, shape (k, 3).
-        corners: of the triangles [m], float64, shape (k, 3, 3).
+        faces, sides: numbers of the corners and of the edges of each face, int, shapes (m, 3).
     """
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    volume = lambda p, q, r, s: np.einsum("ki,ki->k", np.cross(q - p, r - p), s - p)  # noqa: E731
-    sides = volume(a, b, c, start) * volume(a, b, c, end) < 0
-    around = np.stack([volume(start, end, p, q) for p, q in ((a, b), (b, c), (c, a))])
-    return sides & ((around > 0).all(axis=0) | (around < 0).all(axis=0))
+    owned = np.zeros(len(faces), np.int32)
+    for bit, features in ((0, faces), (3, sides)):
+        _, first = np.unique(features.ravel(), return_index=True)
+        np.bitwise_or.at(owned, first // 3, 1 << (bit + first % 3))
+    return owned
+
+
+@ti.kernel
+def list_pairs(
+    start: Double3,
+    end: Double3,
+    faces: Int3,
+    chosen: Int1,
+    margin: ti.f32,
+    low: Double3,
+    high: Double3,
+    heads: Int1,
+    entries: Int3,
+    pairs: Int2,
+    counts: Int1,
+):
+    """List the pairs of chosen faces whose boxes over a motion overlap.
+
+    Args:
+        start, end: of the motion of each vertex [m]; ``margin``: by which each box is larger [m].
+        faces, chosen: corners of all faces, and numbers of those that count.
+        low, high: workspace, a row for each face.
+        heads, entries: workspace: of each hash its first entry; the face, the cell and the next entry of each entry.
+        pairs: receives them; ``counts``: receives how many there are, and how many entries there would be.
+    """
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        longest, total = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
+        for c in range(chosen.shape[0]):
+            f = faces[chosen[c]]
+            least, most = ti.min(start[f[0]], end[f[0]]), ti.max(start[f[0]], end[f[0]])
+            for k in ti.static((1, 2)):
+                least = ti.min(least, ti.min(start[f[k]], end[f[k]]))
+                most = ti.max(most, ti.max(start[f[k]], end[f[k]]))
+            low[c], high[c] = least - margin, most + margin
+            extent = (most - least).max() + 2.0 * margin
+            longest = ti.max(longest, extent)
+            total += extent
+        cell = ti.max(CELL_EXTENTS * total / chosen.shape[0], longest / MAX_CELLS)
+        for r in range(heads.shape[0]):
+            heads[r] = -1
+        counts[0], counts[1] = 0, 0
+        for c in range(chosen.shape[0]):
+            first, last = cell_of(low[c], cell), cell_of(high[c], cell)
+            for x in range(first[0], last[0] + 1):
+                for y in range(first[1], last[1] + 1):
+                    for z in range(first[2], last[2] + 1):
+                        key = (x & 1023) | (y & 1023) << 10 | (z & 1023) << 20
+                        place = (x * 73856093 ^ y * 19349663 ^ z * 83492791) & (heads.shape[0] - 1)
+                        entry = heads[place]
+                        while entry >= 0:
+                            d = entries[entry][0]
+                            # Of the cells that both have in common, the pair is noted in the lowest.
+                            if (
+                                entries[entry][1] == key
+                                and (ti.max(first, cell_of(low[d], cell)) == ti.Vector([x, y, z])).all()
+                            ):
+                                if (low[c] <= high[d]).all() and (low[d] <= high[c]).all():
+                                    if counts[0] < pairs.shape[0]:
+                                        pairs[counts[0]] = ti.Vector([chosen[d], chosen[c]])
+                                    counts[0] += 1
+                            entry = entries[entry][2]
+                        if counts[1] < entries.shape[0]:
+                            entries[counts[1]] = ti.Vector([c, key, heads[place]])
+                            heads[place] = counts[1]
+                        counts[1] += 1
+
+
+@ti.func
+def cell_of(x, cell: ti.f64):
+    """The cell of a point, three numbers."""
+    return ti.cast(ti.floor(x / cell), ti.i32)
+
+
+@ti.kernel
+def find_crossings(position: Double3, faces: Int3, edges: Int2, owned: Int1, pairs: Int2, count: ti.i32, crossed: Int3):
+    """Find the edges that go through faces, of the first ``count`` pairs of faces; ``crossed``: as of Untangling."""
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        crossed[0] = ti.Vector([0, 0, 0])
+        for r in range(count):
+            f, g = pairs[r][0], pairs[r][1]
+            if not (aside(f, g, position, faces) or aside(g, f, position, faces)):
+                note_crossings(f, g, position, faces, edges, owned, crossed)
+
+
+@ti.func
+def aside(f: ti.i32, g: ti.i32, position: ti.template(), faces: ti.template()):
+    """Whether face g lies on one side of the plane of face f."""
+    origin = position[faces[f][0]]
+    normal = (position[faces[f][1]] - origin).cross(position[faces[f][2]] - origin)
+    a, b, c = (
+        (position[faces[g][0]] - origin).dot(normal),
+        (position[faces[g][1]] - origin).dot(normal),
+        (position[faces[g][2]] - origin).dot(normal),
+    )
+    return (a >= 0.0 and b >= 0.0 and c >= 0.0) or (a <= 0.0 and b <= 0.0 and c <= 0.0)
+
+
+class FaceGrid:
+    """Finds pairs of faces of one mesh that are near one another, and edges that go through faces.
+
+    Args:
+        faces: int, shape (m, 3).
+
+    Attributes:
+        faces, edges: corners of the faces, int32, shape (m, 3), and ends of their sides, int32, shape (3 m, 2).
+        owned: see :func:`owned_features`.
+        side_edge: number of the edge of each side, int, shape (m, 3).
+    """
+
+    def __init__(self, faces: np.ndarray) -> None:
+        ensure_initialized()
+        self.faces = np.ascontiguousarray(faces, np.int32)
+        unique, self.side_edge = edges_of(self.faces)
+        self.edges = np.ascontiguousarray(unique[self.side_edge.ravel()], np.int32)
+        self.owned = owned_features(self.faces, self.side_edge)
+        self._all = np.arange(len(faces), dtype=np.int32)
+        self._low, self._high = np.zeros((2, len(faces), 3))
+        self._heads = np.zeros(1 << max(len(faces), 1).bit_length(), np.int32)
+        self._entries = np.zeros((8 * len(faces), 3), np.int32)
+        self._pairs = np.zeros((16 * len(faces), 2), np.int32)
+        self._counts = np.zeros(2, np.int32)
+        self._crossed = np.zeros((256, 3), np.int32)
+        self._list, self._find = Launch(list_pairs), Launch(find_crossings)
+
+    def pairs(
+        self, start: np.ndarray, end: np.ndarray, margin: float = 0.0, chosen: np.ndarray | None = None
+    ) -> tuple[np.ndarray, int]:
+        """Pairs of faces whose boxes overlap over a straight motion of their corners, in a buffer, and how many.
+
+        Args:
+            start, end: of the vertices [m], float64, shape (n, 3).
+            margin: by which each box is larger [m].
+            chosen: numbers of the faces that count, int32; None for all.
+        """
+        chosen = self._all if chosen is None else chosen
+        if not len(chosen):
+            return self._pairs, 0
+        while True:
+            self._list(
+                start, end, self.faces, chosen, margin, self._low, self._high, self._heads, self._entries, self._pairs,
+                self._counts,
+            )  # fmt: skip
+            count, entries = self._counts.tolist()
+            if count <= len(self._pairs) and entries <= len(self._entries):
+                return self._pairs, count
+            if count > len(self._pairs):
+                self._pairs = np.zeros((count * 3 // 2, 2), np.int32)
+            if entries > len(self._entries):
+                self._entries = np.zeros((entries * 3 // 2, 3), np.int32)
+
+    def crossings(self, vertices: np.ndarray) -> np.ndarray:
+        """The edges that go through faces, see :func:`crossings`; ``vertices``: float64, shape (n, 3)."""
+        pairs, count = self.pairs(vertices, vertices)
+        while True:
+            self._find(vertices, self.faces, self.edges, self.owned, pairs, count, self._crossed)
+            found = int(self._crossed[0, 0])
+            if found < len(self._crossed):
+                rows = self._crossed[1 : found + 1].astype(np.int64)
+                rows[:, :2].sort(axis=1)
+                return rows[np.lexsort(rows.T[::-1])]
+            self._crossed = np.zeros((2 * found, 3), np.int32)
+
+    def crossing_faces(self, rows: np.ndarray) -> np.ndarray:
+        """Numbers of the faces that go through another: those crossed, and those beside the crossing edges.
+
+        Args:
+            rows: see :meth:`crossings`.
+        """
+        if not len(rows):
+            return np.zeros(0, np.int64)
+        keys = np.sort(self.edges, axis=1).astype(np.int64) @ [len(self.edges), 1]
+        beside = np.flatnonzero(np.isin(keys, rows[:, :2] @ [len(self.edges), 1])) // 3
+        return np.union1d(beside, rows[:, 2])
 
 
 def crossings(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Find the edges that go through faces with which they share no vertex.
 
     Args:
-        vertices: [m], float64, shape (n, 3).
+        vertices: [m], shape (n, 3).
         faces: int, shape (m, 3).
 
     Returns:
         Sorted rows of the two ends of an edge and the face that it goes through, int64, shape (k, 3).
+
+    Raises:
+        InputError: vertices that are not finite.
     """
-    edges, _ = edges_of(faces)
-    vertices = np.asarray(vertices, float)
-    ends, corners = vertices[edges], vertices[faces]
-    edge_low, edge_high = ends.min(axis=1), ends.max(axis=1)
-    face_low, face_high = corners.min(axis=1), corners.max(axis=1)
-    # Where an edge goes through a face, their boxes' middles are no further apart than both half diagonals.
-    face_reach = 0.5 * np.linalg.norm(face_high - face_low, axis=1).max(initial=0.0)
-    reach = 0.5 * np.linalg.norm(edge_high - edge_low, axis=1) + face_reach
-    tree, middles = cKDTree(0.5 * (face_low + face_high)), 0.5 * (edge_low + edge_high)
-    # Edges are taken in groups, which bounds the memory; pairs whose boxes do not overlap are dropped first.
-    found = [np.zeros((0, 3), np.int64)]
-    group = max(1, _MAX_PAIRS // max(len(faces), 1))
-    for begin in range(0, len(edges), group):
-        end = min(begin + group, len(edges))
-        near = tree.query_ball_point(middles[begin:end], reach[begin:end])
-        edge = np.repeat(np.arange(begin, end), [len(faces_near) for faces_near in near])
-        face = np.concatenate([np.asarray(faces_near, np.int64) for faces_near in near])
-        overlap = (face_low[face] <= edge_high[edge]).all(axis=1) & (face_high[face] >= edge_low[edge]).all(axis=1)
-        edge, face = edge[overlap], face[overlap]
-        apart = (faces[face][:, :, None] != edges[edge][:, None, :]).all(axis=(1, 2))
-        edge, face = edge[apart], face[apart]
-        through = cross(ends[edge, 0], ends[edge, 1], corners[face])
-        found.append(np.column_stack([edges[edge[through]], face[through]]).astype(np.int64))
-    rows = np.concatenate(found)
-    return rows[np.lexsort(rows.T[::-1])]
+    vertices = np.ascontiguousarray(vertices, float)
+    if not np.isfinite(vertices).all():
+        raise InputError("vertices are not finite", key="vertices", expected="finite numbers [m]")
+    return FaceGrid(faces).crossings(vertices)

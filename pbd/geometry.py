@@ -4,14 +4,18 @@ from pbd.engine import ti
 from pbd.taichi_internals import same
 
 __all__ = [
-    "FAR", "Byte2", "Float1", "Float2", "Int1", "Int2", "Int3", "Int4", "Vec2", "Vec3", "Vec4", "Vec4Rows", "between",
-    "closest_in_fan", "closest_on_triangle", "descend", "surface_normals", "vec3", "vec4", "xyz",
+    "FAR", "Byte2", "Double1", "Double3", "Double4", "Float1", "Float2", "Int1", "Int2",
+    "Int3", "Int4", "Vec2", "Vec3", "Vec4", "Vec4Rows", "between", "closest_in_fan", "closest_on_triangle",
+    "descend", "surface_normals", "vec3", "vec4", "xyz",
 ]  # fmt: skip
 
 vec3 = ti.math.vec3
 Vec4 = ti.types.ndarray(dtype=ti.math.vec4, ndim=1)
 Vec4Rows = ti.types.ndarray(dtype=ti.math.vec4, ndim=2)
 Vec3 = ti.types.ndarray(dtype=ti.math.vec3, ndim=1)
+Double3 = ti.types.ndarray(dtype=ti.types.vector(3, ti.f64), ndim=1)
+Double1 = ti.types.ndarray(dtype=ti.f64, ndim=1)
+Double4 = ti.types.ndarray(dtype=ti.types.vector(4, ti.f64), ndim=1)
 Vec2 = ti.types.ndarray(dtype=ti.math.vec2, ndim=1)
 Int4 = ti.types.ndarray(dtype=ti.types.vector(4, ti.i32), ndim=1)
 Int3 = ti.types.ndarray(dtype=ti.types.vector(3, ti.i32), ndim=1)

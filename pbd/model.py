@@ -452,6 +452,14 @@ class State:
         """A state of its own with the same bits."""
         return State(*(getattr(self, name).copy() for name in self._names))
 
+    def restore(self, other: State) -> None:
+        """Take the bits of another state of the same model, in the arrays that there are."""
+        for name in self._names:
+            if getattr(self, name).shape == getattr(other, name).shape:
+                getattr(self, name)[:] = getattr(other, name)
+            else:
+                setattr(self, name, getattr(other, name).copy())
+
     _names = (
         "origin", "position", "velocity", "nearest", "contact_faces", "contact_weights", "contact", "carrier", "pairs",
         "pair_sides", "plastic_bends", "plastic_curvatures", "plastic_shears",

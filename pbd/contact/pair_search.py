@@ -8,7 +8,7 @@ is missed where both features are nearer than that to where they were expected.
 from pbd.contact.blocks import HIGH, LANES, LOW, NORMAL, Blocks, facing, features, overlapping, sides, take
 from pbd.contact.box_tree import BoxTree, flat, list_near_groups, lowest, update_cone, update_nodes, update_patch
 from pbd.contact.pair_sides import EDGE_SHARE, SLACK, MovingCloth, PairBuffers, take_pair
-from pbd.contact.untangling import note_crossings
+from pbd.crossings import note_crossings
 from pbd.engine import ti
 from pbd.geometry import Byte2, Float1, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, vec3, xyz
 

@@ -5,7 +5,7 @@ from pbd.engine import ti
 from pbd.geometry import closest_on_triangle, vec3, vec4, xyz
 from pbd.xpbd.constraints import contact_correction
 
-__all__ = ["PULL", "closest_points", "corners_of", "solve_pairs"]
+__all__ = ["PULL", "closest_on_segments", "closest_points", "corners_of", "pulled", "solve_pairs"]
 
 PULL = 2.0  # kind of a pair whose vertex is to come back through the face
 # A pair that may come nearer than this beyond its thickness until the next test is solved in every substep [m].
@@ -18,8 +18,10 @@ MAX_LEVER = 4.0
 
 
 @ti.func
-def closest_on_segments(along_a: vec3, along_b: vec3, offset: vec3):
+def closest_on_segments(along_a, along_b, offset):
     """Places in [0, 1] of the closest points of two segments (Ericson 2005, "Real-Time Collision Detection", 5.1.9).
+
+    For float32 and float64.
 
     Args:
         along_a, along_b: from their starts to their ends [m].
@@ -28,7 +30,7 @@ def closest_on_segments(along_a: vec3, along_b: vec3, offset: vec3):
     a, e, f = along_a.dot(along_a), along_b.dot(along_b), along_b.dot(offset)
     b, c = along_a.dot(along_b), along_a.dot(offset)
     size = a * e - b * b
-    s = 0.5
+    s = 0.0 * a + 0.5  # of the arguments' own type
     if size > 1e-6 * a * e:
         s = ti.math.clamp((b * f - c * e) / size, 0.0, 1.0)
     t = (b * s + f) / ti.max(e, 1e-30)
@@ -107,8 +109,21 @@ def apart(q, x1: vec3, x2: vec3, x3: vec3, remembered: vec3, kind):
 
 
 @ti.func
+def pulled(pairs: ti.template()):
+    """Whether any vertex is pulled back through a face: pulls come last."""
+    count = pairs.ready_pairs[0]
+    return count > 0 and pairs.pair_data[ti.max(count - 1, 0), 1][1] == PULL
+
+
+@ti.func
 def solve_pairs(
-    cloth: ti.template(), pairs: ti.template(), tests_all: ti.i32, test_share: ti.f32, friction: ti.f32, h: ti.f32
+    cloth: ti.template(),
+    pairs: ti.template(),
+    tests_all: ti.i32,
+    test_share: ti.f32,
+    kept_share: ti.f32,
+    friction: ti.f32,
+    h: ti.f32,
 ):
     """Keep the features of pairs apart: of all pairs if ``tests_all``, else of those that were near at the last test.
 
@@ -120,6 +135,7 @@ def solve_pairs(
     Args:
         cloth: view of the garment; ``pairs``: its :class:`pbd.xpbd.views.PairArrays`.
         test_share: for how much of the frame a test is good [-].
+        kept_share: of their thickness that pairs keep [-]; what a pass with less than 1 finds is not remembered.
         friction: Coulomb coefficient [-].
         h: substep [s].
     """
@@ -149,14 +165,15 @@ def solve_pairs(
             pair_friction = 0.0
         else:
             shares, normal, gap = apart(q, x1, x2, x3, xyz(pairs.pair_data[c, 0]), pairs.pair_data[c, 1])
-            pairs.pair_data[c, 0] = vec4(normal, thickness)
-        if gap < FAR_GAP:
+            if kept_share == 1.0:
+                pairs.pair_data[c, 0] = vec4(normal, thickness)
+        if gap < FAR_GAP and kept_share == 1.0:
             pairs.pair_data[c, 1][0] = gap
         if tests_all and gap < thickness + READY_DISTANCE + test_share * pairs.pair_data[c, 1][2]:
             pairs.ready_pairs[2 + pairs.ready_pairs[1]] = c
             pairs.ready_pairs[1] += 1
-        if gap < thickness:
-            push_apart(k, shares, normal, gap, thickness, pair_friction, cloth, h)
+        if gap < kept_share * thickness:
+            push_apart(k, shares, normal, gap, kept_share * thickness, pair_friction, cloth, h)
 
 
 @ti.func

@@ -16,11 +16,13 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from pbd.contact.blocks import LANES, empty_blocks
+from pbd.contact.impacts import Impacts
 from pbd.contact.pair_search import find_pairs
 from pbd.contact.pair_sides import turning_kernel
 from pbd.contact.pairs import PULL
 from pbd.contact.strain_limits import strain_limits
 from pbd.contact.untangling import Untangling
+from pbd.crossings import owned_features
 from pbd.mesh import edges_of
 from pbd.model import Model, State
 from pbd.taichi_internals import Launch
@@ -28,7 +30,13 @@ from pbd.taichi_internals import Launch
 __all__ = ["SelfCollision"]
 
 MAX_RELATIVE_MOTION = 0.005  # of the features of a pair against each other between two searches [m]
+SEARCHED = ("position", "velocity", "pairs", "pair_sides")  # of a state: what a search depends on
 LANDMARKS = 6  # vertices from which distances along the cloth are measured
+
+
+def same_bits(kept: list[np.ndarray], state: State) -> bool:
+    """Whether a state is that of a search; ``kept``: its arrays then."""
+    return all(np.array_equal(one, getattr(state, name)) for one, name in zip(kept, SEARCHED, strict=True))
 
 
 def _landmark_distances(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -104,19 +112,6 @@ def _patches(
     return np.concatenate(order), offsets, group_offsets, np.array(nodes, np.int32)
 
 
-def _owned(faces: np.ndarray, sides: np.ndarray) -> np.ndarray:
-    """Bits of the corners and sides that belong to each face: a feature belongs to the first that has it, shape (m,).
-
-    Args:
-        faces, sides: numbers of the corners and of the edges of each face, int, shapes (m, 3).
-    """
-    owned = np.zeros(len(faces), np.int32)
-    for bit, features in ((0, faces), (3, sides)):
-        _, first = np.unique(features.ravel(), return_index=True)
-        np.bitwise_or.at(owned, first // 3, 1 << (bit + first % 3))
-    return owned
-
-
 def _neighbours(
     faces: np.ndarray, patch_start: np.ndarray, vertex_count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -177,6 +172,9 @@ class SelfCollision:
         pairs: (vertex, corners of a face), or (a, -b - 1, c, d) for the edges a-b and c-d, int32, shape (c, 4).
         data: see :func:`pbd.contact.pairs.solve_pairs`, float32, shape (c, 2, 4).
         ready: how many of them there are, how many are ready, and which, int32, shape (c + 2,).
+        impacts: what keeps faces from going through one another in a motion; None where crossings are not looked for.
+        crossings: at the start of the frame the edges that go through faces: their two ends, and the face as
+            :attr:`pbd.contact.impacts.Impacts.grid` counts them, int64, shape (k, 3).
         strain_limits, limit_work: see :func:`pbd.contact.strain_limits.limit_rows`.
     """
 
@@ -190,7 +188,7 @@ class SelfCollision:
         faces = np.ascontiguousarray(mesh.faces[order], np.int32)
         unique_edges, side_edge = edges_of(faces)
         edges = np.ascontiguousarray(unique_edges[side_edge.ravel()])
-        owned = _owned(faces, side_edge)
+        owned = owned_features(faces, side_edge)
         neighbour_start, neighbours, common = _neighbours(faces, patch_start, count)
         group = np.repeat(np.arange(len(group_start) - 1), np.diff(patch_start[group_start]))
         joined_start, joined = _joined_groups(faces, group, count)
@@ -233,8 +231,11 @@ class SelfCollision:
         }
         self._untangling, self._untangles = Untangling(faces, self._layer, mesh.vertex_areas), within
         self._no_crossings = np.zeros((1, 3), np.int32)
+        self.impacts = Impacts(faces, count) if within else None
+        self.crossings = np.zeros((0, 3), np.int64)
         self._find, self._turn_sides = Launch(find_pairs), Launch(turning_kernel())
         self._ahead = 1.0  # how far the last search looked [s]
+        self._looked: tuple[dict[str, Any], list[np.ndarray], float] | None = None
         self._pulls: tuple[np.ndarray, np.ndarray] | None = None
         self.strain_limits, self.limit_work = strain_limits(mesh, model.fabric.thickness)
         self._make_room(2 * count)
@@ -269,12 +270,16 @@ class SelfCollision:
         Returns:
             For how many substeps the pairs are good, at least 1.
         """
-        if len(self._chain) < len(self._layer) + len(state.pairs):
-            self._chain = np.zeros(len(self._layer) + 2 * len(state.pairs), np.int32)
         untangling, first = self._untangling, done == 0
         # Cloth that is through itself is looked for at the frame's start, and again while any was found.
         untangles = self._untangles and (first or self._pulls is not None)
-        arguments = self._search(state, first, done * h, steps * h, thickness, untangles)
+        if first and self._looked is not None and self._looked[2] == h * steps and same_bits(self._looked[1], state):
+            arguments = self._looked[0]
+        else:
+            arguments = self._search(state, first, done * h, h * steps, thickness, untangles)
+        self._looked = None
+        if first:
+            self.crossings = untangling.rows()
         if untangles:
             free = (state.contact > 2.0 * thickness) | (state.nearest[: len(state.contact)] < 0)
             self._pulls = untangling.pulls(state.position[:, :3], free)
@@ -284,6 +289,26 @@ class SelfCollision:
         if self._pulls is not None:
             self._append(*self._pulls)
         return self._good_for(steps)
+
+    def look_ahead(self, state: State, h: float, steps: int, thickness: float) -> np.ndarray:
+        """Make the search of the next frame, which takes it if neither the state nor the frame time changes until then.
+
+        Args:
+            state: of the garment at the end of a frame.
+            h: substep of the next frame [s].
+            steps: substeps that it has.
+            thickness: kept between features [m].
+
+        Returns:
+            the crossings that there are now: see :attr:`crossings`.
+        """
+        arguments = self._search(state, True, 0.0, h * steps, thickness, True)
+        self._looked = arguments, [getattr(state, name).copy() for name in SEARCHED], h * steps
+        return self._untangling.rows()
+
+    def around(self, rows: np.ndarray, times: int = 1) -> np.ndarray:
+        """Vertices near crossings (``rows``, see :attr:`crossings`): of :meth:`Untangling.around`."""
+        return self._untangling.around(rows, times)
 
     def _good_for(self, steps: int) -> int:
         return max(1, int(steps * min(1.0, MAX_RELATIVE_MOTION / max(float(self._max_displacement[0]), 1e-9))))
@@ -296,6 +321,8 @@ class SelfCollision:
         Returns:
             the arguments of the search.
         """
+        if len(self._chain) < len(self._layer) + len(state.pairs):
+            self._chain = np.zeros(len(self._layer) + 2 * len(state.pairs), np.int32)
         while True:
             arguments = self._fixed | {
                 "position": state.position,

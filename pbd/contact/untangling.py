@@ -19,11 +19,9 @@ from scipy.sparse.csgraph import connected_components
 
 from pbd.contact.pairs import PULL
 from pbd.contact.sheet_cuts import NEAR, Curve, SheetCuts
-from pbd.engine import ti
-from pbd.geometry import vec3, xyz
 from pbd.mesh import edges_of
 
-__all__ = ["Untangling", "note_crossings"]
+__all__ = ["Untangling"]
 
 PULL_BEYOND = 1e-4  # an end of an edge on the wrong side is pulled so far beyond the plane of the face [m]
 MAX_CURVES = 4  # along which sheets are brought back at once
@@ -32,47 +30,6 @@ MAX_JOINING_SHARE, MIN_JOINING = 0.5, 4
 MIN_CLOSED_EDGES = 8  # a curve through fewer edges is not closed by a cut, except near its ends
 KEPT_MOTION = 0.3  # share of their relative velocity that vertices on the wrong side keep at a search [-]
 MIN_CROSSINGS = 256  # that the buffer takes at first
-
-
-@ti.func
-def goes_through(b: vec3, x1: vec3, x2: vec3, x3: vec3):
-    """Whether the segment from the origin to b goes through a triangle (as :func:`pbd.crossings.cross`)."""
-    normal = (x2 - x1).cross(x3 - x1)
-    sides = -x1.dot(normal) * (b - x1).dot(normal) < 0.0
-    v1, v2, v3 = b.dot(x1.cross(x2)), b.dot(x2.cross(x3)), b.dot(x3.cross(x1))
-    return sides and ((v1 > 0.0 and v2 > 0.0 and v3 > 0.0) or (v1 < 0.0 and v2 < 0.0 and v3 < 0.0))
-
-
-@ti.func
-def note_crossings(
-    f: ti.i32,
-    g: ti.i32,
-    position: ti.template(),
-    faces: ti.template(),
-    edges: ti.template(),
-    owned: ti.template(),
-    crossed: ti.template(),
-):
-    """Add the own sides of either of two faces that go through the other, if there is room for crossings at all."""
-    if crossed.shape[0] > 1:
-        for n in range(6):
-            one, two, side = f, g, n
-            if n >= 3:
-                one, two, side = g, f, n - 3
-            e, t = edges[3 * one + side], faces[two]
-            shared = e[0] == t[0] or e[0] == t[1] or e[0] == t[2] or e[1] == t[0] or e[1] == t[1] or e[1] == t[2]
-            if (owned[one] >> (3 + side)) & 1 and not shared:
-                a = xyz(position[e[0]])
-                if goes_through(
-                    xyz(position[e[1]]) - a,
-                    xyz(position[t[0]]) - a,
-                    xyz(position[t[1]]) - a,
-                    xyz(position[t[2]]) - a,
-                ):
-                    count = crossed[0][0] + 1
-                    crossed[0] = ti.Vector([count, 0, 0])
-                    if count < crossed.shape[0]:
-                        crossed[count] = ti.Vector([e[0], e[1], two])
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
@@ -164,6 +121,24 @@ class Untangling:
         self.crossed = np.zeros((2 * count, 3), np.int32)
         return False
 
+    def rows(self) -> np.ndarray:
+        """The edges that go through faces: their ends, and the face, int64, shape (k, 3)."""
+        return self.crossed[1 : int(self.crossed[0, 0]) + 1].astype(np.int64)
+
+    def around(self, rows: np.ndarray, times: int = 1) -> np.ndarray:
+        """Vertices a few edges from crossings at most, as a mask.
+
+        Args:
+            rows: of :meth:`rows`.
+            times: as many times those few edges.
+        """
+        ends = np.concatenate([rows[:, :2].ravel(), self._faces[rows[:, 2]].ravel()])
+        everywhere = np.ones(len(self.wrong_side), bool)
+        near = self._cuts.around(ends, everywhere)
+        for _ in range(times - 1):
+            near = self._cuts.around(np.flatnonzero(near), everywhere)
+        return near
+
     def pulls(self, position: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Mark the vertices on the wrong side, and find the pairs that bring them back; None if there are none.
 
@@ -174,7 +149,7 @@ class Untangling:
         Returns:
             Pairs and their data as :func:`pbd.contact.pairs.solve_pairs` takes them.
         """
-        rows = self.crossed[1 : int(self.crossed[0, 0]) + 1].astype(np.int64)
+        rows = self.rows()
         rows = rows[self._layer[rows[:, 0]] == self._layer[self._faces[rows[:, 2], 0]]]  # layers know their sides
         rows = rows[free[rows[:, :2]].any(axis=1) & free[self._faces[rows[:, 2]]].any(axis=1)]
         if not len(rows):

@@ -3,9 +3,19 @@
 import numpy as np
 import pytest
 
-from pbd.crossings import cross, crossings
+from pbd.crossings import FaceGrid, crossings
 from pbd.mesh import edges_of
 from tests.pbd.meshes import grid, turn
+
+
+def cross(start: np.ndarray, end: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Whether segment k goes through triangle k: bool, shape (k,)."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    volume = lambda p, q, r, s: np.einsum("ki,ki->k", np.cross(q - p, r - p), s - p)  # noqa: E731
+    sides = volume(a, b, c, start) * volume(a, b, c, end) < 0
+    around = np.stack([volume(start, end, p, q) for p, q in ((a, b), (b, c), (c, a))])
+    return sides & ((around > 0).all(axis=0) | (around < 0).all(axis=0))
+
 
 TRIANGLE = np.array([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]])
 
@@ -23,6 +33,9 @@ TRIANGLE = np.array([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]])
 )
 def test_a_segment_goes_through_a_triangle_or_not(start: list, end: list, through: bool) -> None:
     assert cross(np.array([start]), np.array([end]), TRIANGLE).tolist() == [through]
+    aside = np.add(end, [3.0, 0.1, 0.2])  # the segment is a side of a face
+    rows = crossings(np.concatenate([TRIANGLE[0], [start, end, aside]]), np.array([[0, 1, 2], [3, 4, 5]]))
+    assert ([3, 4, 0] in rows.tolist()) == through
 
 
 def brute_force(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -43,6 +56,11 @@ def test_the_search_finds_what_brute_force_finds(seed: int) -> None:
     found = crossings(crumpled, faces)
     assert len(found) > 20
     assert np.array_equal(found, brute_force(crumpled, faces))
+    edges, side_edge = edges_of(faces)
+    number = {tuple(edge): n for n, edge in enumerate(edges.tolist())}
+    through = [number[tuple(row)] for row in found[:, :2].tolist()]
+    expected = set(found[:, 2]) | {face for face, sides in enumerate(side_edge) if set(sides) & set(through)}
+    assert set(FaceGrid(faces).crossing_faces(found)) == expected
 
 
 def test_a_flat_sheet_crosses_nothing_and_two_through_each_other_do() -> None:

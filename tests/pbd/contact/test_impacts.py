@@ -1,0 +1,114 @@
+"""Motions in which cloth would go through itself: none of its faces does, whatever the motion is."""
+
+import numpy as np
+import pytest
+
+from pbd import Colliders, Fabric, Solver, SolverOptions, State
+from pbd.contact import impacts
+from pbd.contact.impacts import Impacts
+from pbd.crossings import crossings
+from tests.pbd.meshes import cloth, free_model, grid
+
+STEP = 0.02
+
+
+def two_sheets(random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """A sheet that is nearly flat, and one about 12 mm above it; one mesh."""
+    vertices, faces = grid(10, 10, STEP)
+    other = vertices + random.normal(0.0, 0.002, vertices.shape) + [0.003, 0.004, 0.012]
+    below = vertices + random.normal(0.0, 0.002, vertices.shape)
+    return np.concatenate([below, other]), np.concatenate([faces, faces + len(vertices)])
+
+
+def crosses_on_the_way(start: np.ndarray, end: np.ndarray, faces: np.ndarray) -> int:
+    return sum(len(crossings(start + t * (end - start), faces)) for t in np.linspace(0.0, 1.0, 21))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_sheet_does_not_pass_another_in_one_motion(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    start, faces = two_sheets(random)
+    half = len(start) // 2
+    end = start + random.normal(0.0, 0.001, start.shape)
+    end[half:, 2] -= 0.03
+    assert not len(crossings(start, faces)) and not len(crossings(end, faces))
+    assert crosses_on_the_way(start, end, faces)  # it would be wholly on the other side
+    kept = end.copy()
+    collided, _ = Impacts(faces, len(start)).keep_apart(start, kept, np.ones(len(start)))
+    assert collided > 50
+    assert not crosses_on_the_way(start, kept, faces)
+    assert (kept[half:, 2] > kept[:half, 2]).all()
+    # Both have the same mass: what the one loses in speed the other gains, but for faces that move as three corners.
+    assert kept[:, 2].mean() == pytest.approx(end[:, 2].mean(), abs=0.003)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_crumpled_at_random_does_not_cross(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    start, faces = two_sheets(random)
+    end = start + random.normal(0.0, STEP, start.shape)
+    assert len(crossings(end, faces)) > 500
+    kept = end.copy()
+    Impacts(faces, len(start)).keep_apart(start, kept, np.ones(len(start)))
+    assert not crosses_on_the_way(start, kept, faces)
+
+
+def test_what_cannot_be_parted_moves_on_in_rigid_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(impacts, "PASSES", 1)
+    random = np.random.default_rng(0)
+    start, faces = two_sheets(random)
+    end = start + random.normal(0.0, STEP, start.shape) + [0.05, 0.0, 0.0]
+    kept = end.copy()
+    _, rigid = Impacts(faces, len(start)).keep_apart(start, kept, np.ones(len(start)))
+    assert rigid > 100
+    assert not crosses_on_the_way(start, kept, faces)
+    assert (kept - start).mean(axis=0) == pytest.approx((end - start).mean(axis=0), abs=0.003)
+
+
+def test_held_vertices_and_faces_that_do_not_count_stay_as_they_are() -> None:
+    start, faces = two_sheets(np.random.default_rng(1))
+    half = len(start) // 2
+    end = start.copy()
+    end[half:, 2] -= 0.02
+    inverse_mass = np.ones(len(start))
+    inverse_mass[:half] = 0.0
+    kept = end.copy()
+    Impacts(faces, len(start)).keep_apart(start, kept, inverse_mass)
+    assert np.array_equal(kept[:half], end[:half])
+    assert not crosses_on_the_way(start, kept, faces)
+    chosen = np.arange(len(faces) // 2, dtype=np.int32)  # the lower sheet alone
+    kept = end.copy()
+    assert Impacts(faces, len(start)).keep_apart(start, kept, inverse_mass, chosen) == (0, 0)
+    assert np.array_equal(kept, end)
+
+
+def test_motion_without_impacts_keeps_its_bits() -> None:
+    start, faces = two_sheets(np.random.default_rng(2))
+    end = start + [0.5, -0.3, 0.2]
+    kept = end.copy()
+    assert Impacts(faces, len(start)).keep_apart(start, kept, np.ones(len(start))) == (0, 0)
+    assert np.array_equal(kept, end)
+
+
+def thrown(guarded: bool) -> list[int]:
+    """Crossings in each frame of a sheet whose parts are thrown at one another."""
+    vertices, faces = grid(24, 24, STEP)
+    model = free_model(cloth(vertices, faces), Fabric(thickness=0.003, friction=0.3))
+    solver = Solver(model, SolverOptions(gravity=(0.0, 0.0, 0.0), self_collision=True))
+    assert solver._pairs is not None
+    if not guarded:
+        solver._pairs.impacts = None
+    state = State.at_rest(model)
+    waves = np.random.default_rng(5).normal(0.0, 1.0, (8, 6))
+    for wave in waves:
+        state.velocity[:] += 4.0 * np.sin(vertices @ (12.0 * wave[:3]) + wave[3])[:, None] * wave[3:]
+    found = []
+    for _ in range(20):
+        solver.step(state, Colliders(), 1.0 / 60.0)
+        found.append(len(crossings(state.world(), faces)))
+    return found
+
+
+def test_a_sheet_that_is_thrown_at_itself_stays_free_of_crossings() -> None:
+    assert max(thrown(guarded=False)) > 0  # contact alone does not keep it so
+    assert max(thrown(guarded=True)) == 0
