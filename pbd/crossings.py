@@ -9,13 +9,17 @@ import numpy as np
 
 from pbd.engine import ensure_initialized, ti
 from pbd.errors import InputError
-from pbd.geometry import Double3, Int1, Int2, Int3
-from pbd.mesh import edges_of
+from pbd.geometry import Double3, Int1, Int2, Int3, Vec3, vec3
+from pbd.mesh import ClothMesh, edges_of
 from pbd.taichi_internals import Launch
 
-__all__ = ["FaceGrid", "crossings", "note_crossings", "owned_features"]
+__all__ = ["FaceGrid", "SelfCrossings", "crossings", "note_crossings", "owned_features"]
 
 CELL_EXTENTS = 1.5  # size of a cell over the mean of the boxes' longest sides [-]
+SHORT = 2e-4  # edges shorter than this may cross faces: slivers of delivered meshes [m]
+FOLDED = 0.3  # cosine of the angle between the normals of two faces whose edge is folded sharply [-]
+FOLD_RINGS = 3  # faces that have a vertex so many edges, less one, from such a fold are near it
+ROUNDING = 1e-6  # boxes so little apart count as overlapping [m]
 MAX_CELLS = 8  # that a box may reach along an axis: cells are larger where one is very large
 
 
@@ -93,8 +97,9 @@ def list_pairs(
     faces: Int3,
     chosen: Int1,
     margin: ti.f32,
-    low: Double3,
-    high: Double3,
+    low: Vec3,
+    high: Vec3,
+    cells: Int3,
     heads: Int1,
     entries: Int3,
     pairs: Int2,
@@ -105,13 +110,13 @@ def list_pairs(
     Args:
         start, end: of the motion of each vertex [m]; ``margin``: by which each box is larger [m].
         faces, chosen: corners of all faces, and numbers of those that count.
-        low, high: workspace, a row for each face.
+        low, high, cells: workspace, a row for each face.
         heads, entries: workspace: of each hash its first entry; the face, the cell and the next entry of each entry.
         pairs: receives them; ``counts``: receives how many there are, and how many entries there would be.
     """
     ti.loop_config(serialize=True)
     for _ in range(1):
-        longest, total = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
+        longest, total = 0.0, 0.0
         for c in range(chosen.shape[0]):
             f = faces[chosen[c]]
             least, most = ti.min(start[f[0]], end[f[0]]), ti.max(start[f[0]], end[f[0]])
@@ -119,15 +124,17 @@ def list_pairs(
                 least = ti.min(least, ti.min(start[f[k]], end[f[k]]))
                 most = ti.max(most, ti.max(start[f[k]], end[f[k]]))
             low[c], high[c] = least - margin, most + margin
-            extent = (most - least).max() + 2.0 * margin
+            extent = (high[c] - low[c]).max()
             longest = ti.max(longest, extent)
             total += extent
-        cell = ti.max(CELL_EXTENTS * total / chosen.shape[0], longest / MAX_CELLS)
+        per_cell = 1.0 / ti.max(CELL_EXTENTS * total / chosen.shape[0], longest / MAX_CELLS)
         for r in range(heads.shape[0]):
             heads[r] = -1
         counts[0], counts[1] = 0, 0
         for c in range(chosen.shape[0]):
-            first, last = cell_of(low[c], cell), cell_of(high[c], cell)
+            first, last = ti.floor(low[c] * per_cell, ti.i32), ti.floor(high[c] * per_cell, ti.i32)
+            cells[c] = first
+            low_c, high_c = low[c], high[c]
             for x in range(first[0], last[0] + 1):
                 for y in range(first[1], last[1] + 1):
                     for z in range(first[2], last[2] + 1):
@@ -136,12 +143,10 @@ def list_pairs(
                         entry = heads[place]
                         while entry >= 0:
                             d = entries[entry][0]
-                            # Of the cells that both have in common, the pair is noted in the lowest.
-                            if (
-                                entries[entry][1] == key
-                                and (ti.max(first, cell_of(low[d], cell)) == ti.Vector([x, y, z])).all()
-                            ):
-                                if (low[c] <= high[d]).all() and (low[d] <= high[c]).all():
+                            if entries[entry][1] == key and near_boxes(low_c, high_c, low[d], high[d]):
+                                own = ti.max(first, cells[d])
+                                # Of the cells that both have in common, the pair is noted in the lowest.
+                                if own[0] == x and own[1] == y and own[2] == z:
                                     if counts[0] < pairs.shape[0]:
                                         pairs[counts[0]] = ti.Vector([chosen[d], chosen[c]])
                                     counts[0] += 1
@@ -153,9 +158,19 @@ def list_pairs(
 
 
 @ti.func
-def cell_of(x, cell: ti.f64):
-    """The cell of a point, three numbers."""
-    return ti.cast(ti.floor(x / cell), ti.i32)
+def near_boxes(low_a: vec3, high_a: vec3, low_b: vec3, high_b: vec3):
+    """Whether two boxes overlap. Their corners are rounded to float32, so that they overlap a little sooner."""
+    apart = ti.max(ti.max(low_a - high_b, low_b - high_a), vec3(0.0))
+    return apart.max() <= ROUNDING
+
+
+@ti.func
+def common(f, g):
+    """How many corners two faces have in common."""
+    count = 0
+    for k in ti.static(range(3)):
+        count += ti.select(f[k] == g[0] or f[k] == g[1] or f[k] == g[2], 1, 0)
+    return count
 
 
 @ti.kernel
@@ -166,7 +181,7 @@ def find_crossings(position: Double3, faces: Int3, edges: Int2, owned: Int1, pai
         crossed[0] = ti.Vector([0, 0, 0])
         for r in range(count):
             f, g = pairs[r][0], pairs[r][1]
-            if not (aside(f, g, position, faces) or aside(g, f, position, faces)):
+            if common(faces[f], faces[g]) < 2 and not (aside(f, g, position, faces) or aside(g, f, position, faces)):
                 note_crossings(f, g, position, faces, edges, owned, crossed)
 
 
@@ -181,6 +196,39 @@ def aside(f: ti.i32, g: ti.i32, position: ti.template(), faces: ti.template()):
         (position[faces[g][2]] - origin).dot(normal),
     )
     return (a >= 0.0 and b >= 0.0 and c >= 0.0) or (a <= 0.0 and b <= 0.0 and c <= 0.0)
+
+
+@ti.kernel
+def mark_folds(position: Double3, faces: Int3, beside: Int2, normals: Double3, marks: Int1, chosen: Int1, count: Int1):
+    """List the faces that are a few edges from an edge that is folded sharply; ``count`` receives how many."""
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        for i in range(marks.shape[0]):
+            marks[i] = 0
+        for f in range(faces.shape[0]):
+            c = faces[f]
+            a = position[c[0]]
+            n = (position[c[1]] - a).cross(position[c[2]] - a)
+            normals[f] = n / ti.max(n.norm(), 1e-30)
+        for e in range(beside.shape[0]):
+            f = beside[e][0]
+            if normals[f].dot(normals[beside[e][1]]) < FOLDED:
+                for k in ti.static(range(3)):
+                    marks[faces[f][k]] = 1
+        for ring in range(2, FOLD_RINGS + 1):
+            for f in range(faces.shape[0]):
+                c = faces[f]
+                if marks[c[0]] == ring - 1 or marks[c[1]] == ring - 1 or marks[c[2]] == ring - 1:
+                    for k in ti.static(range(3)):
+                        if marks[c[k]] == 0:
+                            marks[c[k]] = ring
+        found = 0
+        for f in range(faces.shape[0]):
+            c = faces[f]
+            if marks[c[0]] + marks[c[1]] + marks[c[2]] > 0:
+                chosen[found] = f
+                found += 1
+        count[0] = found
 
 
 class FaceGrid:
@@ -202,13 +250,19 @@ class FaceGrid:
         self.edges = np.ascontiguousarray(unique[self.side_edge.ravel()], np.int32)
         self.owned = owned_features(self.faces, self.side_edge)
         self._all = np.arange(len(faces), dtype=np.int32)
-        self._low, self._high = np.zeros((2, len(faces), 3))
+        self._low, self._high = np.zeros((2, len(faces), 3), np.float32)
+        self._cells = np.zeros((len(faces), 3), np.int32)
         self._heads = np.zeros(1 << max(len(faces), 1).bit_length(), np.int32)
         self._entries = np.zeros((8 * len(faces), 3), np.int32)
         self._pairs = np.zeros((16 * len(faces), 2), np.int32)
         self._counts = np.zeros(2, np.int32)
         self._crossed = np.zeros((256, 3), np.int32)
-        self._list, self._find = Launch(list_pairs), Launch(find_crossings)
+        self._list, self._find, self._mark = Launch(list_pairs), Launch(find_crossings), Launch(mark_folds)
+        order = np.argsort(self.side_edge.ravel(), kind="stable")
+        inner = np.flatnonzero(np.diff(self.side_edge.ravel()[order]) == 0)
+        self._beside = np.ascontiguousarray(np.stack([order[inner], order[inner + 1]], axis=1) // 3, np.int32)
+        self._normals: np.ndarray | None = None
+        self._marks, self._folds = np.zeros(0, np.int32), np.zeros(len(faces), np.int32)
 
     def pairs(
         self, start: np.ndarray, end: np.ndarray, margin: float = 0.0, chosen: np.ndarray | None = None
@@ -225,8 +279,8 @@ class FaceGrid:
             return self._pairs, 0
         while True:
             self._list(
-                start, end, self.faces, chosen, margin, self._low, self._high, self._heads, self._entries, self._pairs,
-                self._counts,
+                start, end, self.faces, chosen, margin, self._low, self._high, self._cells, self._heads,
+                self._entries, self._pairs, self._counts,
             )  # fmt: skip
             count, entries = self._counts.tolist()
             if count <= len(self._pairs) and entries <= len(self._entries):
@@ -236,9 +290,25 @@ class FaceGrid:
             if entries > len(self._entries):
                 self._entries = np.zeros((entries * 3 // 2, 3), np.int32)
 
-    def crossings(self, vertices: np.ndarray) -> np.ndarray:
-        """The edges that go through faces, see :func:`crossings`; ``vertices``: float64, shape (n, 3)."""
-        pairs, count = self.pairs(vertices, vertices)
+    def near_folds(self, vertices: np.ndarray) -> np.ndarray:
+        """Numbers of the faces near sharply folded edges, int32: where cloth may cross that is joined at a vertex.
+
+        Args:
+            vertices: [m], float64, shape (n, 3).
+        """
+        if self._normals is None:
+            self._normals, self._marks = np.zeros((len(self.faces), 3)), np.zeros(len(vertices), np.int32)
+        self._mark(vertices, self.faces, self._beside, self._normals, self._marks, self._folds, self._counts)
+        return self._folds[: int(self._counts[0])].copy()
+
+    def crossings(self, vertices: np.ndarray, chosen: np.ndarray | None = None) -> np.ndarray:
+        """The edges that go through faces, see :func:`crossings`.
+
+        Args:
+            vertices: [m], float64, shape (n, 3).
+            chosen: numbers of the faces that count, int32; None for all.
+        """
+        pairs, count = self.pairs(vertices, vertices, chosen=chosen)
         while True:
             self._find(vertices, self.faces, self.edges, self.owned, pairs, count, self._crossed)
             found = int(self._crossed[0, 0])
@@ -259,6 +329,41 @@ class FaceGrid:
         keys = np.sort(self.edges, axis=1).astype(np.int64) @ [len(self.edges), 1]
         beside = np.flatnonzero(np.isin(keys, rows[:, :2] @ [len(self.edges), 1])) // 3
         return np.union1d(beside, rows[:, 2])
+
+
+class SelfCrossings:
+    """Finds where the cloth of one mesh goes through itself.
+
+    Faces that are stitched to one another may cross, and so may edges that are shorter than :data:`SHORT` at rest.
+
+    Args:
+        mesh: the cloth.
+    """
+
+    def __init__(self, mesh: ClothMesh) -> None:
+        self._grid, self._count = FaceGrid(mesh.faces), len(mesh.vertices)
+        v, a, b = mesh.stitches.T.astype(np.int64)
+        self._stitched = np.unique(np.concatenate([self._keys(v, a), self._keys(v, b)]))
+        edges, lengths = mesh.edge_lengths()
+        self._short = np.sort(self._keys(*edges[lengths < SHORT].T.astype(np.int64)))
+
+    def _keys(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """One number for each pair of vertices, in either order."""
+        return np.minimum(one, other) * self._count + np.maximum(one, other)
+
+    def find(self, vertices: np.ndarray) -> np.ndarray:
+        """Rows of :func:`crossings` that count; ``vertices``: [m], float64, shape (n, 3)."""
+        rows = self._grid.crossings(vertices)
+        if len(rows) and len(self._stitched):
+            pairs = self._keys(rows[:, :2, None], self._grid.faces[rows[:, 2]][:, None, :].astype(np.int64))
+            rows = rows[~np.isin(pairs, self._stitched).any(axis=(1, 2))]
+        if len(rows) and len(self._short):
+            rows = rows[~np.isin(self._keys(rows[:, 0], rows[:, 1]), self._short)]
+        return rows
+
+    def faces_of(self, rows: np.ndarray) -> np.ndarray:
+        """Numbers of the faces that go through another, see :meth:`FaceGrid.crossing_faces`."""
+        return self._grid.crossing_faces(rows)
 
 
 def crossings(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -78,6 +78,8 @@ FIGURES = {
         "inside the body where there is room", "%", "vertices inside the body at places where there is room for cloth"
     ),
     "deepest_with_room_mm": Figure("deepest where there is room", "mm", "largest depth of a vertex at such a place"),
+    "self_crossed_percent": Figure("through itself", "%", "faces that go through another one, mean over the frames"),
+    "self_crossed_worst_percent": Figure("through itself at worst", "%", "the same in the worst frame"),
     "crossed_layers_percent": Figure(
         "garments through one another", "%", "vertices on edges that go through another garment of the outfit"
     ),
@@ -139,7 +141,14 @@ FIGURES = {
 BAND = "band_ratio_"  # how the name of the figure of one band of wavelengths begins
 # The figures that somebody reads first, by what they are about.
 FIRST = {
-    "Quality": ("normal_error_deg", "normal_skill", "bending_energy_ratio", "inside_body_percent", "jitter_px"),
+    "Quality": (
+        "normal_error_deg",
+        "normal_skill",
+        "bending_energy_ratio",
+        "inside_body_percent",
+        "self_crossed_percent",
+        "jitter_px",
+    ),
     "Cost": ("frame_ms_p50", "fine_simulation_ms", "speedup_over_fine", "cost_advantage_both"),
 }
 DIGITS = 3  # that the largest value of a row shows

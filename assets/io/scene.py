@@ -203,8 +203,9 @@ class SolverSettings:
     Attributes:
         frame_rate: frames per second [Hz].
 
-    All others are those of :class:`pbd.SolverOptions`, with its defaults: ``substep``, ``gravity``, ``coarse_sweeps``,
-    ``contact_refreshes``, ``self_collision``, ``local_damping``, ``linear_inertia``, ``angular_inertia``.
+    All others are those of :class:`pbd.SolverOptions`, with its defaults but for self-collision, which scenes have on:
+    ``substep``, ``gravity``, ``coarse_sweeps``, ``contact_refreshes``, ``self_collision``, ``local_damping``,
+    ``linear_inertia``, ``angular_inertia``.
     """
 
     frame_rate: float = entry(number(above=0, unit="Hz"), 60.0)
@@ -212,7 +213,7 @@ class SolverSettings:
     gravity: Vector = entry(vector(unit="m/s2"), SolverOptions.gravity)
     coarse_sweeps: int = entry(whole(at_least=0), SolverOptions.coarse_sweeps)
     contact_refreshes: float = entry(number(above=0, unit="Hz"), SolverOptions.contact_refreshes)
-    self_collision: bool = entry(truth(), SolverOptions.self_collision)
+    self_collision: bool = entry(truth(), True)
     local_damping: float = entry(number(at_least=0, unit="1/s"), SolverOptions.local_damping)
     linear_inertia: float = entry(number(at_least=0, at_most=1), SolverOptions.linear_inertia)
     angular_inertia: float = entry(number(at_least=0, at_most=1), SolverOptions.angular_inertia)

@@ -74,10 +74,10 @@ def overlapping(blocks: ti.template(), block: ti.i32, low: vec3, high: vec3) -> 
 
 @ti.func
 def facing(blocks: ti.template(), block: ti.i32, normal: vec3) -> ti.i32:
-    """Bits of the faces whose normals are less than a right angle from a given one."""
+    """Bits of the faces whose normals are less than 60 degrees from a given one."""
     bits = 0
     for a in range(LANES):
-        bits |= ti.select(normal.dot(take(blocks, block, NORMAL, a)) > 0.0, 1 << a, 0)
+        bits |= ti.select(normal.dot(take(blocks, block, NORMAL, a)) > 0.5, 1 << a, 0)
     return bits
 
 

@@ -310,7 +310,7 @@ def search_face(
         seconds &= -2 << lane
     if (tree.stale_faces[patch] >> lane) & 1 == 0:
         seconds &= tree.stale_faces[other]
-    # Faces with a common corner that face the same way cannot touch.
+    # Faces with a common corner that face nearly the same way do not touch. Up to a right angle they may cross.
     shared = 0
     if joined:
         shared = seconds & ti.cast(tree.common[neighbour, lane], ti.i32)

@@ -19,7 +19,9 @@ EDGE_SHARE = 0.5  # of the thickness, at which edges repel: vertices keep the sh
 # Places that are nearer along the cloth cannot touch in a fold that is round and keeps the thickness inside. If they
 # were kept apart, they would resist compression and bending: the more, the finer the mesh is [thickness].
 NEAR_ALONG_CLOTH = 0.5 * 3.14159265
-SLACK_ALONG_CLOTH = 0.001  # of places that are a little further along the cloth: they move alike [m]
+# Of places that are a little further along the cloth [m]: they move alike, and the cloth itself keeps them from coming
+# as near in a frame as their velocities say.
+SLACK_ALONG_CLOTH = 0.002
 NO_CONTACT = -1.0  # thickness of a pair that is never in contact [m]
 
 
@@ -104,6 +106,8 @@ def take_pair(q, owners, cloth: ti.template(), buffers: ti.template()):
     may_touch = overlap(low - reach, high + reach, other_low, other_high)
     if may_touch and same_garment and surely_along_cloth(k, edges, cloth):
         reach = kept + SLACK_ALONG_CLOTH
+        none = vec3(0.0)
+        low, high, other_low, other_high = boxes_of(edges, x1, x2, x3, none, none, none, none, 0)
         may_touch = overlap(low - reach, high + reach, other_low, other_high)
     shares, across, offset = ti.math.vec4(0.0), vec3(0.0), vec3(0.0)
     size, at_rest, displacement = 1e30, 1e30, 0.0
@@ -120,7 +124,7 @@ def take_pair(q, owners, cloth: ti.template(), buffers: ti.template()):
             rest_distance, along_cloth = distance_at_rest(q, k, cloth)
             at_rest = rest_distance
             if same_garment and along_cloth:
-                close = at_rest > NEAR_ALONG_CLOTH * cloth.thickness and nearest < kept + SLACK_ALONG_CLOTH
+                close = at_rest > NEAR_ALONG_CLOTH * cloth.thickness and size < kept + SLACK_ALONG_CLOTH
     outwards = vec3(0.0)
     if close and layers != 0:
         knows_sides, direction = layer_side(q, k, layers, shares, offset, size, cloth)

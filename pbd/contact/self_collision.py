@@ -29,7 +29,7 @@ from pbd.taichi_internals import Launch
 
 __all__ = ["SelfCollision"]
 
-MAX_RELATIVE_MOTION = 0.005  # of the features of a pair against each other between two searches [m]
+MAX_RELATIVE_MOTION = 0.01  # of the features of a pair against each other between two searches [m]
 SEARCHED = ("position", "velocity", "pairs", "pair_sides")  # of a state: what a search depends on
 LANDMARKS = 6  # vertices from which distances along the cloth are measured
 
@@ -302,9 +302,13 @@ class SelfCollision:
         Returns:
             the crossings that there are now: see :attr:`crossings`.
         """
+        assert self.impacts is not None
         arguments = self._search(state, True, 0.0, h * steps, thickness, True)
         self._looked = arguments, [getattr(state, name).copy() for name in SEARCHED], h * steps
-        return self._untangling.rows()
+        # The search leaves out faces beside one another that face one way; where the cloth is crumpled, they may cross.
+        grid, position = self.impacts.grid, state.position[:, :3].astype(float)
+        folded = grid.crossings(position, grid.near_folds(position))
+        return np.concatenate([self._untangling.rows(), folded])
 
     def around(self, rows: np.ndarray, times: int = 1) -> np.ndarray:
         """Vertices near crossings (``rows``, see :attr:`crossings`): of :meth:`Untangling.around`."""

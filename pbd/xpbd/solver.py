@@ -34,6 +34,7 @@ MAX_REFINEMENT = 8  # times as many substeps, at most
 # Of a state: their lengths.
 CHECKED = ("position", "velocity", "nearest", "contact", "plastic_bends", "plastic_shears")
 UNTANGLED = 4  # times the few edges around crossings, where curves of crossings may move while they are untangled
+MAX_MEND = 0.004  # correction of a vertex over a whole frame by which impacts are kept from happening [m]
 MAX_REPEATS = 3  # of a frame in which cloth went through itself
 MIN_FRAME_TIME = 1e-7  # shorter frames do nothing [s]: float32 does not hold the square of their inverse
 
@@ -257,10 +258,11 @@ class Solver:
             return
         before = state.copy()
         self._advance_with_pairs(state, arguments, dt, steps)
+        start = before.position[:, :3].astype(float)
         known = pairs.around(pairs.crossings, UNTANGLED)  # untangling brings these apart
         watched = np.zeros(len(known), bool)
         corners = pairs.impacts.grid.faces
-        for _ in range(MAX_REPEATS):
+        for repeat in range(MAX_REPEATS):
             if not np.isfinite(state.position).all():
                 break
             rows = pairs.look_ahead(state, dt / steps.count, steps.count, self.model.fabric.thickness)
@@ -270,8 +272,33 @@ class Solver:
                 break
             watched |= pairs.around(rows)
             faces = np.flatnonzero((watched & ~known)[corners].any(axis=1)).astype(np.int32)
+            if repeat == 0 and self._mend(state, start, faces, dt, len(pairs.crossings)):
+                break
             state.restore(before)
             self._advance_by_impacts(state, arguments, dt, steps, faces)
+
+    def _mend(self, state: State, start: np.ndarray, faces: np.ndarray, dt: float, left: int) -> bool:
+        """Keep impacts from happening over the whole frame at once, if that takes small corrections.
+
+        Args:
+            state: at the end of the frame.
+            start: positions at its start [m], float64, shape (n, 3).
+            faces: numbers of those that are kept from going through one another.
+            dt: frame time [s].
+            left: crossings that there may be elsewhere: as many as at the start.
+
+        Returns:
+            whether there are no more crossings now.
+        """
+        assert self._pairs is not None and self._pairs.impacts is not None
+        impacts, proposed = self._pairs.impacts, state.position[:, :3].astype(float)
+        end = proposed.copy()
+        _, rigid = impacts.keep_apart(start, end, state.position[:, 3].astype(float), faces)
+        if rigid or np.abs(end - proposed).max() > MAX_MEND or len(impacts.grid.crossings(end)) > left:
+            return False
+        state.position[:, :3] = end
+        state.velocity += ((end - proposed) / dt).astype(np.float32)
+        return True
 
     def _advance_by_impacts(
         self, state: State, arguments: dict[str, Any], dt: float, steps: FrameSteps, faces: np.ndarray

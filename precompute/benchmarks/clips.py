@@ -59,7 +59,6 @@ subdivisions = 1
 file = "${{GUBE_DATA}}/characters/{character}.glb"
 clip = "{clip}"
 [solver]
-self_collision = true
 substep = {substep}
 """
 _DRESS = """
@@ -72,8 +71,6 @@ coarse_vertices = 1000
 fabric = "cotton"
 [character]
 sequence = "${GUBE_DATA}/sequences/cipc_body_rumba_dancing.npz"
-[solver]
-self_collision = true
 """
 
 

@@ -16,9 +16,9 @@ from assets.character import Character
 from assets.io.sequence import Sequence as VertexSequence
 from pbd import InputError, ModelOptions
 from pbd.bending import hinge_calibration
-from pbd.crossings import crossings
 from pbd.distance import BodyDistance, penetration_figures
 from pbd.wind import CALM, Air
+from precompute.learning.crossed import crossed_figures, crossed_jobs, joined_crossed
 from precompute.learning.decoding import bands_of, decode_recording
 from precompute.learning.in_time import Pause, popping
 from precompute.learning.options import LearningOptions
@@ -60,7 +60,6 @@ __all__ = [
 
 SETTLE = 1.5  # the blend from the bind pose is not judged [s]
 BLOCK = 32  # frames whose distance to the body one worker measures
-CROSSED_FRAMES = 12  # of a run, in which garments that go through one another are counted
 DEFAULT = LearningOptions()
 
 
@@ -360,8 +359,14 @@ def evaluate(
         tell("evaluating: running freely, in time, given the coarse state")
         free, in_time, given, *of_truth = pool.run(jobs, done=counted(report, "evaluating: parts", len(jobs)))
         jobs = _distance_jobs(truth, free.frames)
-        tell("evaluating: contact with the body")
-        distances, room = _joined(pool.run(jobs, done=counted(report, "evaluating: parts", len(jobs))))
+        looked_at = {"": free.frames, "smooth_": free.smooth, "truth_": recording.positions}
+        mesh, layer = truth.levels.fine, truth.levels.fine_layer
+        cross = [crossed_jobs(mesh, layer, frames) for frames in looked_at.values()]
+        jobs += [job for some in cross for job in some]
+        tell("evaluating: contact with the body, and with itself")
+        measured = pool.run(jobs, done=counted(report, "evaluating: parts", len(jobs)))
+    distances, room = _joined(measured[: -sum(map(len, cross))])
+    crossed = measured[-sum(map(len, cross)) :]
     truth_distances, truth_room = _joined(of_truth)
     figures, smooth, decoded = given
     figures |= free_figures(truth, free.frames)
@@ -370,8 +375,9 @@ def evaluate(
     figures |= garment_figures(truth, free.frames) | garment_figures(truth, truth.floor, "floor_")
     figures |= penetration_figures(distances, room)
     figures |= {f"truth_{k}": v for k, v in penetration_figures(truth_distances, truth_room).items()}
-    figures |= _layer_figures(truth.levels, free.frames)
-    figures |= {f"truth_{name}": value for name, value in _layer_figures(truth.levels, recording.positions).items()}
+    for prefix, some in zip(looked_at, cross, strict=True):
+        shares, crossed = joined_crossed(crossed[: len(some)]), crossed[len(some) :]
+        figures |= {prefix + name: value for name, value in crossed_figures(shares, layer is not None).items()}
     figures["contact_bending_ratio"] = contact_bending_ratio(truth, free.frames, distances, truth_distances)
     figures["attached_off_mm"] = 1e3 * free.held_off
     subdivision = truth.levels.subdivision
@@ -380,19 +386,6 @@ def evaluate(
     figures["speedup_over_fine"] = recording.step_ms / figures["frame_ms_p50"]
     figures |= pause.figures(paused.positions, "truth_") | in_time
     return Evaluation(figures, free, smooth, decoded)
-
-
-def _layer_figures(levels: Levels, frames: np.ndarray) -> dict[str, float]:
-    """How much the garments of an outfit go through one another; nothing for one garment."""
-    layer, faces = levels.fine_layer, levels.fine.faces
-    if layer is None:
-        return {}
-    shares = []
-    for number in np.unique(np.linspace(0, len(frames) - 1, CROSSED_FRAMES).round().astype(int)):
-        found = crossings(np.asarray(frames[number], float), faces)
-        between = layer[found[:, 0]] != layer[faces[found[:, 2], 0]]
-        shares.append(100.0 * len(np.unique(found[between, :2])) / len(layer))
-    return {"crossed_layers_percent": float(np.mean(shares)), "crossed_layers_at_end_percent": float(shares[-1])}
 
 
 def _given_figures(

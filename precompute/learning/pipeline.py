@@ -16,6 +16,7 @@ from assets.io.scene import Scene, scene_text
 from pbd import Fabric, InputError, ModelOptions, SolverOptions
 from pbd.bending import hinge_calibration
 from precompute.learning.calibration import Calibration, CoarseModel, calibrate
+from precompute.learning.crossed import crossed_jobs, crossed_words, joined_crossed
 from precompute.learning.decoding import with_vertex_mean
 from precompute.learning.evaluation import (
     Evaluation,
@@ -231,12 +232,14 @@ def _simulated(work: _Work, motions: Sequence[Motion], judged: Sequence[Motion])
     later = [one for motion in judged for one in truth_runs(work.run(motion), work.options)]
     later += [work.run(motion, name) for motion in judged for name in work.fabrics if name != work.own_fabric]
     record_runs([*runs, *later], work.cache, work.workers, work.clock)
-    return [
-        _Example(name, run, recording)
-        for (name, _), run, recording in zip(
-            worn, runs, training_recordings(runs, work.cache, work.workers), strict=True
-        )
-    ]
+    recordings = training_recordings(runs, work.cache, work.workers)
+    levels = work.layer.levels
+    for run, recording in zip(runs, recordings, strict=True):
+        jobs = crossed_jobs(levels.fine, levels.fine_layer, recording.positions)
+        words = crossed_words(run.name, recording.frames * run.dt, joined_crossed(work.workers.run(jobs)))
+        if words:
+            work.clock(words)
+    return [_Example(name, run, recording) for (name, _), run, recording in zip(worn, runs, recordings, strict=True)]
 
 
 def _learned(work: _Work, examples: Sequence[_Example], kept: Kept) -> tuple[CoefficientNetwork, Atoms]:

@@ -75,7 +75,7 @@ frame_rate = 50
 substep = 0.002
 gravity = [0, -1.62, 0]
 coarse_sweeps = 2
-self_collision = true
+self_collision = false
 contact_refreshes = 100
 local_damping = 2
 linear_inertia = 0.5
@@ -154,7 +154,7 @@ def test_every_key_is_read(load, tmp_path: Path) -> None:
     assert scene.colliders[3] == field
     primitive = scene.colliders[2].primitive()
     assert primitive == Capsule(start=(0.0, 0.0, 0.0), end=(0.0, 1.0, 0.0), radius=0.1)
-    assert scene.solver.options() == SolverOptions(0.002, (0.0, -1.62, 0.0), 2, 100.0, True, 2.0, 0.5, 0.25)
+    assert scene.solver.options() == SolverOptions(0.002, (0.0, -1.62, 0.0), 2, 100.0, False, 2.0, 0.5, 0.25)
     # No section is left at its defaults: each default would show that its keys went unread.
     sections = (scene.training, scene.wind, scene.solver, scene.wrinkles, scene.camera)
     for section in sections:

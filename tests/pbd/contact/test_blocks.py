@@ -76,7 +76,7 @@ def test_eight_faces_at_once_are_told_as_one_by_one() -> None:
                 lowest, highest = box(heights, over)
                 beside |= bool(lowest.min() > REACH or highest.max() < -REACH)
                 uncut |= bool(heights.min() >= 0.0 or heights.max() <= 0.0)
-            assert told == [apart(*faces) <= 0.0, bool(normals[0, a] @ normals[1, b] > 0.0), beside, uncut]
+            assert told == [apart(*faces) <= 0.0, bool(normals[0, a] @ normals[1, b] > 0.5), beside, uncut]
             vertices = [[(lows[k, c, n], highs[k, c, n]) for n in range(3)] for k, c in ((0, a), (1, b))]
             edges = [[box(*vertices[k][n], *vertices[k][(n + 1) % 3]) for n in range(3)] for k in range(2)]
             wanted = [apart(vertex, faces[1]) <= REACH for vertex in vertices[0]]

@@ -87,7 +87,8 @@ def test_what_starts_far_over_its_limit_does_not_fly_off() -> None:
         heights.append(distance.signed_distance(state.world(), 0.1 * ball))
     assert worst_edge(state, model) < MAX_STRETCH + 0.02
     assert np.min(heights) > -5e-5
-    assert np.max(heights) < 0.35  # 0.31; unbounded 0.8 after five frames
+    # 0.36 to 0.40 in nine starts, 0.29 to 0.35 if its folds go through one another; unbounded 0.8 after five frames.
+    assert np.max(heights) < 0.45
 
 
 @ti.kernel
