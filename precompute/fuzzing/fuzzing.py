@@ -87,7 +87,7 @@ def fuzz(
     Args:
         files: good ones, of the endings in :data:`precompute.fuzzing.readers.READERS`.
         output: folder for the files that got through, one of each kind.
-        seconds: by the clock.
+        seconds: by the clock, from when its readers are loaded.
         workers: processes.
         seed: of all choices; with one process the same cases come again.
         report: called with lines of progress.
@@ -185,7 +185,7 @@ def _work(files: list[Path], folder: Path, seed: int, seconds: float, queue: Any
     from precompute.fuzzing.readers import READERS
 
     folder.mkdir(parents=True, exist_ok=True)
-    chance, end = random.Random(seed), time.monotonic() + seconds
+    chance = random.Random(seed)
     corpus: dict[str, list[bytes]] = {}
     for path in files:
         corpus.setdefault(path.suffix.lower(), []).append(path.read_bytes())
@@ -198,6 +198,7 @@ def _work(files: list[Path], folder: Path, seed: int, seconds: float, queue: Any
             for reader in readers:
                 _answer(reader, case)
             case.unlink()
+    end = time.monotonic() + seconds  # a slow machine takes many to load them
     # Only what a process may take from here on counts: Taichi alone reserves more.
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limit = pages * resource.getpagesize() + MEMORY

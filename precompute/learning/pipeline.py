@@ -16,7 +16,7 @@ from assets.io.scene import Scene, scene_text
 from pbd import Fabric, InputError, ModelOptions, SolverOptions
 from pbd.bending import hinge_calibration
 from precompute.learning.calibration import Calibration, CoarseModel, calibrate
-from precompute.learning.crossed import crossed_jobs, crossed_words, joined_crossed
+from precompute.learning.crossed import crossed_figures, crossed_jobs, crossed_words, joined_crossed
 from precompute.learning.decoding import with_vertex_mean
 from precompute.learning.evaluation import (
     Evaluation,
@@ -96,11 +96,13 @@ class _Example:
         fabric: name of the fabric that is worn.
         run: the run.
         recording: of it, without what only leads to the motion.
+        crossed: how much its cloth goes through itself, see :func:`joined_crossed`.
     """
 
     fabric: str
     run: Run
     recording: Recording
+    crossed: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -204,7 +206,8 @@ def _precomputed(work: _Work, held_out: Sequence[Motion], output: Path) -> Preco
             truth, evaluation, figures = _evaluated(work, database, held_out[0])
             quality |= figures
     calibration = calibrations[work.own_fabric]
-    quality |= {
+    crossed = crossed_figures(joined_crossed([example.crossed for example in examples]), outfit=False)
+    quality |= {f"training_{name}": value for name, value in crossed.items()} | {
         "feature_shift_before": calibration.shift_before,
         "feature_shift_after": calibration.shift_after,
         "feature_mismatch_before": calibration.mismatch_before,
@@ -233,13 +236,14 @@ def _simulated(work: _Work, motions: Sequence[Motion], judged: Sequence[Motion])
     later += [work.run(motion, name) for motion in judged for name in work.fabrics if name != work.own_fabric]
     record_runs([*runs, *later], work.cache, work.workers, work.clock)
     recordings = training_recordings(runs, work.cache, work.workers)
-    levels = work.layer.levels
-    for run, recording in zip(runs, recordings, strict=True):
+    levels, examples = work.layer.levels, []
+    for (name, _), run, recording in zip(worn, runs, recordings, strict=True):
         jobs = crossed_jobs(levels.fine, levels.fine_layer, recording.positions)
-        words = crossed_words(run.name, recording.frames * run.dt, joined_crossed(work.workers.run(jobs)))
+        examples.append(_Example(name, run, recording, joined_crossed(work.workers.run(jobs))))
+        words = crossed_words(run.name, recording.frames * run.dt, examples[-1].crossed)
         if words:
             work.clock(words)
-    return [_Example(name, run, recording) for (name, _), run, recording in zip(worn, runs, recordings, strict=True)]
+    return examples
 
 
 def _learned(work: _Work, examples: Sequence[_Example], kept: Kept) -> tuple[CoefficientNetwork, Atoms]:
