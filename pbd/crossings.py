@@ -116,18 +116,7 @@ def list_pairs(
     """
     ti.loop_config(serialize=True)
     for _ in range(1):
-        longest, total = 0.0, 0.0
-        for c in range(chosen.shape[0]):
-            f = faces[chosen[c]]
-            least, most = ti.min(start[f[0]], end[f[0]]), ti.max(start[f[0]], end[f[0]])
-            for k in ti.static((1, 2)):
-                least = ti.min(least, ti.min(start[f[k]], end[f[k]]))
-                most = ti.max(most, ti.max(start[f[k]], end[f[k]]))
-            low[c], high[c] = least - margin, most + margin
-            extent = (high[c] - low[c]).max()
-            longest = ti.max(longest, extent)
-            total += extent
-        per_cell = 1.0 / ti.max(CELL_EXTENTS * total / chosen.shape[0], longest / MAX_CELLS)
+        per_cell = fill_boxes(start, end, faces, chosen, margin, low, high)
         for r in range(heads.shape[0]):
             heads[r] = -1
         counts[0], counts[1] = 0, 0
@@ -155,6 +144,31 @@ def list_pairs(
                             entries[counts[1]] = ti.Vector([c, key, heads[place]])
                             heads[place] = counts[1]
                         counts[1] += 1
+
+
+@ti.func
+def fill_boxes(
+    start: ti.template(),
+    end: ti.template(),
+    faces: ti.template(),
+    chosen: ti.template(),
+    margin: ti.f32,
+    low: ti.template(),
+    high: ti.template(),
+) -> ti.f32:
+    """Fill the boxes of :func:`list_pairs`; returns one over the size of a cell [1/m]."""
+    longest, total = 0.0, 0.0
+    for c in range(chosen.shape[0]):
+        f = faces[chosen[c]]
+        least, most = ti.min(start[f[0]], end[f[0]]), ti.max(start[f[0]], end[f[0]])
+        for k in ti.static((1, 2)):
+            least = ti.min(least, ti.min(start[f[k]], end[f[k]]))
+            most = ti.max(most, ti.max(start[f[k]], end[f[k]]))
+        low[c], high[c] = least - margin, most + margin
+        extent = (high[c] - low[c]).max()
+        longest = ti.max(longest, extent)
+        total += extent
+    return 1.0 / ti.max(CELL_EXTENTS * total / chosen.shape[0], longest / MAX_CELLS)
 
 
 @ti.func
