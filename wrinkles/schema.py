@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 24
+SCHEMA_VERSION = 25
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE, STEPS = "text", "float32", "float64", "int32", "int64", "int8"
 
@@ -150,6 +150,9 @@ ENTRIES = (
     Entry("cutoff", DOUBLE, unit="m"),
     Entry("body_hash", TEXT),
     Entry("body_vertex_count", WHOLE),
+    Entry("body_face_count", WHOLE),
+    Entry("covered_faces", INDEX, ("c",)),
+    Entry("covered_by", INDEX, ("c",)),
     Entry("quality/names", TEXT, ("q",)),
     Entry("quality/values", DOUBLE, ("q",)),
     Entry("held_out", TEXT, ("h",)),
@@ -159,8 +162,9 @@ ENTRIES = (
 )
 MAX_STEP = 127  # of int8
 # Sizes that may be zero: every garment has vertices, but it may have no pins and no limits, only one fabric, a
-# subdivided fine mesh instead of a delivered one, or no pattern by which it was sewn.
-SIZES_THAT_MAY_BE_ZERO = ("b", "p", "l", "q", "h", "t", "N", "M", "s", "f", "w", "i", "o", "k", "e")
+# subdivided fine mesh instead of a delivered one, no pattern by which it was sewn, or nothing of the body that it always
+# covers.
+SIZES_THAT_MAY_BE_ZERO = ("b", "p", "l", "q", "h", "t", "N", "M", "s", "f", "w", "i", "o", "k", "e", "c")
 POSITIVE_ENTRIES = ("novelty/fade_from", "bend_factor", "frame_rate", "cutoff")
 
 
@@ -367,6 +371,8 @@ def _check_indices(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:
         ("binding/face", cut_count, "an index"),
         ("binding/panels", fine, "an index"),
         ("binding/stitches", fine, "an index"),
+        ("covered_faces", arrays["body_face_count"].item(), "a face"),
+        ("covered_by", max(1, len(arrays["layers/names"])), "a garment"),
     ):
         index = arrays[name]
         if index.size and not 0 <= index.min() <= index.max() < limit:

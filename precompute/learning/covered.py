@@ -23,7 +23,7 @@ OUTSIDE = 0.005  # by which the body may stand out of the garment, as fine cloth
 RIM = 0.03  # [m]
 
 
-def covered_faces(runs: Sequence[Run], recordings: Sequence[Recording]) -> np.ndarray:
+def covered_faces(runs: Sequence[Run], recordings: Sequence[Recording]) -> tuple[np.ndarray, np.ndarray]:
     """Faces of the body that lie under each garment in all frames that are looked at.
 
     Args:
@@ -31,7 +31,7 @@ def covered_faces(runs: Sequence[Run], recordings: Sequence[Recording]) -> np.nd
         recordings: of them.
 
     Returns:
-        rows (number of the garment, face of the body under it), ascending, int32, shape (c, 2).
+        faces of the body, and the number of the garment that covers each of them, int32, shape (c,) each.
     """
     levels, source = runs[0].levels, body_source(runs[0].body)
     faces, layer = levels.subdivision.faces, levels.fine_layer
@@ -45,8 +45,8 @@ def covered_faces(runs: Sequence[Run], recordings: Sequence[Recording]) -> np.nd
             source.skin(run.poses[frame], origin, posed)
             for cover in covers:
                 cover.look(vertices.astype(float) - origin, posed.astype(float))
-    rows = [np.stack([np.full(len(cover.left), k), cover.left], axis=1) for k, cover in enumerate(covers)]
-    return np.concatenate(rows).astype(np.int32)
+    number = np.repeat(np.arange(len(covers), dtype=np.int32), [len(cover.left) for cover in covers])
+    return np.concatenate([cover.left for cover in covers]), number
 
 
 class _Cover:
@@ -58,14 +58,14 @@ class _Cover:
         outwards: 1 if the garment's faces look away from the body, -1 if they look at it.
 
     Attributes:
-        left: faces of the body, int, shape (c,).
+        left: faces of the body, int32, shape (c,).
     """
 
     def __init__(self, garment_faces: np.ndarray, body_faces: np.ndarray, outwards: float) -> None:
         self._distance, self._body_faces, self._outwards = BodyDistance(garment_faces), body_faces, outwards
         edges, side_edge = edges_of(garment_faces)
         self._rim = np.unique(edges[np.bincount(side_edge.ravel()) == 1])
-        self.left = np.arange(len(body_faces))
+        self.left = np.arange(len(body_faces), dtype=np.int32)
 
     def look(self, garment: np.ndarray, body: np.ndarray) -> None:
         """Look at a frame: a face is covered if its corners and its centre are.
