@@ -14,7 +14,9 @@ from pathlib import Path
 import numpy as np
 
 import assets
+from assets.character import Character
 from assets.io.scene import Scene, load_scene
+from assets.io.sequence import Sequence as VertexSequence
 from precompute.demo_page import duration, newcomer_sections, words_of
 from precompute.learning.evaluation import Evaluation, Truth, settled, truth_runs
 from precompute.learning.options import LearningOptions
@@ -30,6 +32,7 @@ from runtime.glb import BYTES_A_VERTEX
 from runtime.info import better_choice
 from runtime.pictures import Drawn, frame_camera, render, save_png, strip
 from runtime.play import posed_bodies
+from runtime.shown_body import shown_body
 from wrinkles.metrics import normal_error_deg
 
 __all__ = ["FULL", "SHORT", "STAGES", "WORDS", "Demo", "DemoResult", "draw_moments", "introduction", "run_demo"]
@@ -199,9 +202,10 @@ def run_demo(
             comparison = compare(learned.database, truth, brief=demo.brief, workers=pool, report=clock)
             write_choice(database_path, learned.database, comparison)
         with clock.stage("drawing"):
-            picture = draw_moments(truth, evaluation, demo.moments)
+            body = shown_body(truth.run.body, learned.database.covered_faces)
+            picture = draw_moments(truth, evaluation, demo.moments, body.faces)
             save_png(picture_file, picture)
-            _bake(animation, truth, evaluation)
+            _bake(animation, truth, evaluation, body)
     figures = evaluation.figures
     better = better_choice(comparison.choice)
     frame_ms, spent = comparison.method("").frame_ms, time.monotonic() - began
@@ -231,11 +235,17 @@ def _first_picture(
     fine, rough = settled(found[0], run), settled(found[1], run)
     levels = run.levels
     columns = {"coarse": (rough.positions, levels.coarse.faces), "truth": (fine.positions, levels.subdivision.faces)}
-    return _draw(columns, run, fine, demo.moments)
+    return _draw(columns, run, fine, demo.moments, run.body.faces)
 
 
-def draw_moments(truth: Truth, evaluation: Evaluation, moments: int) -> np.ndarray:
+def draw_moments(truth: Truth, evaluation: Evaluation, moments: int, body_faces: np.ndarray) -> np.ndarray:
     """Coarse, truth and ours at several moments of a free run, and ours given the truth's coarse state.
+
+    Args:
+        truth: of the motion.
+        evaluation: of the database on it.
+        moments: number of rows.
+        body_faces: of the body that are drawn, int, shape (k, 3).
 
     Returns:
         uint8, shape (h, w, 3).
@@ -247,11 +257,15 @@ def draw_moments(truth: Truth, evaluation: Evaluation, moments: int) -> np.ndarr
         "ours": (evaluation.free.frames, fine),
         "ours on the truth's own coarse skirt": (evaluation.decoded, fine),
     }
-    return _draw(columns, truth.run, truth.recording, moments)
+    return _draw(columns, truth.run, truth.recording, moments, body_faces)
 
 
 def _draw(
-    columns: dict[str, tuple[np.ndarray, np.ndarray]], run: Run, recording: Recording, moments: int
+    columns: dict[str, tuple[np.ndarray, np.ndarray]],
+    run: Run,
+    recording: Recording,
+    moments: int,
+    body_faces: np.ndarray,
 ) -> np.ndarray:
     """Meshes by their names, each with its vertices [m], shape (f, n, 3), and faces, at some moments.
 
@@ -270,7 +284,7 @@ def _draw(
     pictures = [
         [
             render(
-                [Drawn.body(body, run.body.faces), Drawn(vertices[index], faces, pattern=patterns[len(faces)])],
+                [Drawn.body(body, body_faces), Drawn(vertices[index], faces, pattern=patterns[len(faces)])],
                 camera,
                 PICTURE,
             )
@@ -281,10 +295,10 @@ def _draw(
     return strip(pictures, list(columns), [f"{recording.frames[index] * run.dt:.1f} s" for index in picked])
 
 
-def _bake(path: Path, truth: Truth, evaluation: Evaluation) -> None:
-    """Write the animation of the free run, of as many frames a second as stay below GLB_BYTES."""
+def _bake(path: Path, truth: Truth, evaluation: Evaluation, body: Character | VertexSequence) -> None:
+    """Write the animation of the free run on a body, of as many frames a second as stay below GLB_BYTES."""
     run, frames = truth.run, evaluation.free.frames
     every = max(1, int(np.ceil(BYTES_A_VERTEX * frames.shape[0] * frames.shape[1] / GLB_BYTES)))
     poses = run.poses[truth.recording.frames[::every]]
     rate = 1.0 / (run.dt * run.every * every)
-    bake_glb(path, truth.levels.fine.faces, frames[::every], rate, body=run.body, poses=poses)
+    bake_glb(path, truth.levels.fine.faces, frames[::every], rate, body=body, poses=poses)

@@ -25,6 +25,7 @@ from runtime.plain_player import PlainPlayer, player_of
 from runtime.player import Player
 from runtime.report import process_age
 from runtime.scene_body import body_of, load_body, motion_of
+from runtime.shown_body import visible_faces
 from runtime.simulation import Motion, Simulation, body_source, poses_of
 from runtime.strips import draw_strips_apart
 from wrinkles.database import WrinkleDatabase, read_database
@@ -267,7 +268,8 @@ def play_motion(
     columns = {"smooth": free.smooth, "ours": free.frames}
     if isinstance(player, PlainPlayer):
         columns = {"plain cloth": free.frames}
-    draw_strips_apart(folder, motion.name, columns, *garment, bodies, inputs.body.faces, free.numbers, dt)
+    body_faces = visible_faces(inputs.body.faces, player.covered_faces)
+    draw_strips_apart(folder, motion.name, columns, *garment, bodies, body_faces, free.numbers, dt)
     figures: dict[str, float | str] = {"frame_count": len(poses) - 1, "first_frame_s": first}
     figures |= timing_figures(free, player.simulation.model.vertex_count, subdivision.fine_count)
     return figures | {"attached_off_mm": 1e3 * free.held_off, "state_hash": free.state_hash}

@@ -12,6 +12,7 @@ from assets.io.sequence import Sequence
 from runtime.play import PlaybackInputs
 from runtime.player import Player
 from runtime.recording_file import Quantised, links_of, quantised, recording_bytes
+from runtime.shown_body import shown_body
 from runtime.simulation import Motion, poses_of
 from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels
@@ -83,7 +84,7 @@ def record(
             coarse.append(player.simulation.state.world())
     moving = _moving("fine", np.array(fine), GARMENT_STEP)
     arrays = _meshes(player.levels) | moving | _moving("coarse", np.array(coarse), GARMENT_STEP)
-    arrays |= _body(inputs.body, poses[::every])
+    arrays |= _body(shown_body(inputs.body, player.covered_faces), poses[::every])
     header = {"rate_hz": database.frame_rate / every, "frame_count": len(fine), "floor": floor, **about}
     off = np.linalg.norm(moving["frames/fine"].steps * GARMENT_STEP - fine, axis=2).max()
     figures = {

@@ -162,8 +162,8 @@ ENTRIES = (
 )
 MAX_STEP = 127  # of int8
 # Sizes that may be zero: every garment has vertices, but it may have no pins and no limits, only one fabric, a
-# subdivided fine mesh instead of a delivered one, no pattern by which it was sewn, or nothing of the body that it always
-# covers.
+# subdivided fine mesh instead of a delivered one, no pattern by which it was sewn, or nothing of the body always under
+# it.
 SIZES_THAT_MAY_BE_ZERO = ("b", "p", "l", "q", "h", "t", "N", "M", "s", "f", "w", "i", "o", "k", "e", "c")
 POSITIVE_ENTRIES = ("novelty/fade_from", "bend_factor", "frame_rate", "cutoff")
 

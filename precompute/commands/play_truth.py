@@ -39,6 +39,7 @@ def _beside_truth(
     from precompute.wrinkle_comparison.baselines import player_times, typical_ms
     from runtime.play import posed_bodies
     from runtime.report import Progress
+    from runtime.shown_body import visible_faces
     from runtime.strips import draw_strips
 
     run = database_run(database, inputs, motion)
@@ -58,5 +59,6 @@ def _beside_truth(
         subdivision = run.levels.subdivision
         garment = (subdivision.faces, subdivision.flat_corners(inputs.pattern), run.levels.fine_layer)
         bodies = posed_bodies(inputs.body, run.poses[numbers[shown]])
-        draw_strips(options.output, motion.name, columns, *garment, bodies, inputs.body.faces, numbers[shown], run.dt)
+        body_faces = visible_faces(inputs.body.faces, database.covered_faces)
+        draw_strips(options.output, motion.name, columns, *garment, bodies, body_faces, numbers[shown], run.dt)
     return figures | {"state_hash": free.state_hash}

@@ -35,6 +35,7 @@ def run(options: argparse.Namespace) -> Report:
     from runtime.plain_player import PlainPlayer
     from runtime.play import BAKED, baked_frames, open_database, write_baked
     from runtime.report import Report
+    from runtime.shown_body import shown_body
     from runtime.terminal import say
     from wrinkles.levels import garment_vertices
 
@@ -49,9 +50,7 @@ def run(options: argparse.Namespace) -> Report:
     player, frames, normals, poses = baked_frames(database, inputs, inputs.motions[0], options.rate, options.seconds)
     if isinstance(player, PlainPlayer):
         say(f"plays {better_choice(database.quality)} (--wrinkles plays the wrinkles)")
-    faces = player.levels.subdivision.faces
-    write_baked(
-        options.output, faces, frames, options.rate, normals, inputs.body, poses, garment_vertices(player.levels)
-    )
+    faces, body = player.levels.subdivision.faces, shown_body(inputs.body, player.covered_faces)
+    write_baked(options.output, faces, frames, options.rate, normals, body, poses, garment_vertices(player.levels))
     say(f"{inputs.motions[0].name}: {len(frames)} frames of {frames.shape[1]} vertices baked to {options.output}")
     return Report({"frame_count": len(frames), "fine_vertex_count": frames.shape[1]})

@@ -25,6 +25,7 @@ from runtime.player import Player
 from runtime.scene_body import body_of
 from runtime.scene_player import SUBDIVISIONS, ScenePlayer
 from runtime.scene_simulation import simulation_of
+from runtime.shown_body import visible_faces
 from runtime.simulation import Motion
 from runtime.viewer.colors import CLOTH, FaceBending, FaceStrain, place
 from wrinkles.database import WrinkleDatabase
@@ -119,7 +120,7 @@ class ViewedGarment:
     Args:
         player: plays the garment, at the start of the motion.
         motion: of the body; None without one.
-        body_faces: of the body, int, shape (k, 3); no faces without one.
+        body_faces: of the body that are drawn, int, shape (k, 3); no faces without one.
         truth: a recorded fine simulation of the motion, if there is one.
 
     Attributes:
@@ -353,7 +354,7 @@ class DatabaseSource:
         inputs = self.inputs
         player = player_of(database, inputs.body, motion.pose(0.0), inputs.primitives, wrinkles)
         truth = self.truths.get(motion.name) if fabric == self.database.fabric_name else None
-        return ViewedGarment(player, motion, inputs.body.faces, truth)
+        return ViewedGarment(player, motion, visible_faces(inputs.body.faces, player.covered_faces), truth)
 
     def wearing(self, garment: ViewedGarment, names: tuple[str, ...]) -> ViewedGarment:
         """The same player and motion with some garments of the outfit, from its present moment on.
@@ -369,7 +370,7 @@ class DatabaseSource:
         assert isinstance(player, Player) and motion is not None
         player.wear(names)
         truth = self.truths.get(motion.name) if player.worn == self.garments else None
-        return ViewedGarment(player, motion, self.inputs.body.faces, truth)
+        return ViewedGarment(player, motion, visible_faces(self.inputs.body.faces, player.covered_faces), truth)
 
 
 @dataclass(frozen=True)

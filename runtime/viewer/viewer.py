@@ -195,6 +195,7 @@ class Viewer:
         """Write every moment that is kept; the loop waits only until they are shown once more."""
         frames, poses, rate_hz = clip_frames(self._garment, self.playback)
         faces, body = self._garment.meshes[self._garment.main].faces, self._source.body
+        body = None if body is None else replace(body, faces=self._garment.body_faces)
         garments = self._garment.vertices_of_garments
         self._controls.say("writing the clip ...")
 

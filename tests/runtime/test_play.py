@@ -20,6 +20,7 @@ from runtime.play import play, playback_inputs, simulated_frames
 from runtime.player import Player
 from runtime.scene_simulation import simulation_of
 from runtime.simulation import poses_of
+from runtime.strips import draw_strips_apart
 from tests.data import ROOT
 from tests.runtime.players import SCENE, skirt_database, skirt_stage
 from wrinkles.database import body_hash, read_database, write_database
@@ -93,10 +94,17 @@ def test_kept_frames_are_those_that_were_asked_for() -> None:
     assert free.state_hash == player.simulation.state.hash()
 
 
-def test_play_writes_pictures_and_figures(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_play_writes_pictures_and_figures(
+    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[tuple] = []
+    monkeypatch.setattr(
+        "runtime.play.draw_strips_apart", lambda *given: drawn.append(given) or draw_strips_apart(*given)
+    )
     pictures, out = tmp_path / "pictures", tmp_path / "play.json"
     assert command.main(["play", str(path), "--seconds", "0.4", "-o", str(pictures), "--json", str(out)]) == 0
     assert sorted(file.name for file in pictures.iterdir()) == ["walk_0010.png", "walk_0020.png"]
+    assert np.array_equal(drawn[0][7], np.delete(skirt_stage().body.faces, [3, 5, 9], axis=0))
     figures = json.loads(out.read_text(encoding="utf-8"))["figures"]
     parts = {f"{name}_ms_p50" for name in ("frame", "coarse", "skin", "decode", "relax", "normals")}
     wanted = parts | {"frame_ms_p99", "us_per_fine_vertex", "first_frame_s", "import_s", "state_hash"}
@@ -205,6 +213,8 @@ def test_baked_animations_hold_the_body_too(path: Path, tmp_path: Path) -> None:
     assert [mesh.name for mesh in document.meshes] == ["garment", "body"]
     assert [len(mesh.primitives[0].targets or ()) for mesh in document.meshes] == [7, 0]  # frames; joints move the body
     assert [node.skin is not None for node in document.nodes if node.mesh is not None] == [False, True]
+    drawn = document.accessors[document.meshes[1].primitives[0].indices].count
+    assert drawn == 3 * (len(skirt_stage().body.faces) - 3)  # without those that the skirt covers
 
 
 def test_a_cache_of_points_is_baked_at_its_own_rate(path: Path, tmp_path: Path) -> None:

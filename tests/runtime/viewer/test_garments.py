@@ -118,6 +118,7 @@ def test_plain_cloth_is_played_where_it_is_the_better_choice() -> None:
     assert source.wrinkles_notice.startswith("Plays the wrinkles. Better choice: plain cloth")
     garment = source.garment(source.motions[0], source.fabrics[0], False)
     assert isinstance(garment.player, PlainPlayer)
+    assert len(garment.body_faces) == len(source.inputs.body.faces) - 3  # without those that the skirt covers
     assert list(garment.meshes) == ["plain cloth"] and garment.main == "plain cloth"
     assert [name for name in SCALES if garment.colors_by(name)] == ["strain", "bending", "contact"]
     values = garment.values("plain cloth", "contact", garment.vertices("plain cloth", 0))
