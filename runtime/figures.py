@@ -78,6 +78,10 @@ FIGURES = {
         "inside the body where there is room", "%", "vertices inside the body at places where there is room for cloth"
     ),
     "deepest_with_room_mm": Figure("deepest where there is room", "mm", "largest depth of a vertex at such a place"),
+    "body_seen_px": Figure("body through the garment", "px", "pixels of a picture in which the body shows through"),
+    "body_seen_whole_px": Figure(
+        "body through the garment, drawn whole", "px", "the same if the faces that are always covered were drawn"
+    ),
     "self_crossed_percent": Figure("through itself", "%", "faces that go through another one, mean over the frames"),
     "self_crossed_worst_percent": Figure("through itself at worst", "%", "the same in the worst frame"),
     "crossed_layers_percent": Figure(

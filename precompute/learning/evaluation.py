@@ -18,6 +18,7 @@ from pbd import InputError, ModelOptions
 from pbd.bending import hinge_calibration
 from pbd.distance import BodyDistance, penetration_figures
 from pbd.wind import CALM, Air
+from precompute.learning.body_seen import body_seen_figures
 from precompute.learning.crossed import crossed_figures, crossed_jobs, joined_crossed
 from precompute.learning.decoding import bands_of, decode_recording
 from precompute.learning.in_time import Pause, popping
@@ -27,10 +28,11 @@ from precompute.learning.stages import counted
 from precompute.learning.training import build_layer, features_of
 from precompute.workers import Workers
 from runtime.garment_setup import fine_substep_of
-from runtime.play import Free, PlaybackInputs, play, timing_figures
+from runtime.play import Free, PlaybackInputs, play, posed_bodies, timing_figures
 from runtime.player import Player
 from runtime.simulation import Motion
 from wrinkles.charts import leading_vertices
+from wrinkles.clearance import facing
 from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels
 from wrinkles.metrics import (
@@ -60,6 +62,7 @@ __all__ = [
 
 SETTLE = 1.5  # the blend from the bind pose is not judged [s]
 BLOCK = 32  # frames whose distance to the body one worker measures
+SEEN_FRAMES = 20  # of a free run that are looked at for skin that shows through, at most
 DEFAULT = LearningOptions()
 
 
@@ -292,6 +295,17 @@ def garment_figures(truth: Truth, frames: np.ndarray, prefix: str = "") -> dict[
     return figures
 
 
+def seen_figures(database: WrinkleDatabase, truth: Truth, frames: np.ndarray) -> dict[str, float]:
+    """How much of the body shows through a free run, see :func:`precompute.learning.body_seen.body_seen_figures`."""
+    run, source = truth.run, body_source(truth.run.body)
+    some = slice(None, None, -(-len(frames) // SEEN_FRAMES))
+    bodies = posed_bodies(run.body, run.poses[truth.recording.frames[some]])
+    faces = truth.levels.subdivision.faces
+    if facing(truth.levels.coarse, source.vertices, source.faces) < 0.0:
+        faces = faces[:, ::-1]
+    return body_seen_figures(zip(frames[some], bodies, strict=True), faces, source.faces, database.covered_faces)
+
+
 def contact_bending_ratio(
     truth: Truth, frames: np.ndarray, distances: np.ndarray, truth_distances: np.ndarray
 ) -> float:
@@ -378,6 +392,7 @@ def evaluate(
     for prefix, some in zip(looked_at, cross, strict=True):
         shares, crossed = joined_crossed(crossed[: len(some)]), crossed[len(some) :]
         figures |= {prefix + name: value for name, value in crossed_figures(shares, layer is not None).items()}
+    figures |= seen_figures(database, truth, free.frames)
     figures["contact_bending_ratio"] = contact_bending_ratio(truth, free.frames, distances, truth_distances)
     figures["attached_off_mm"] = 1e3 * free.held_off
     subdivision = truth.levels.subdivision

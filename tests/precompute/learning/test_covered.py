@@ -37,7 +37,7 @@ def worn(*radii: float, inside_out: bool = False, layer: np.ndarray | None = Non
 
 @pytest.mark.parametrize("inside_out", [False, True])
 def test_faces_in_the_middle_are_covered_and_those_near_the_rims_are_not(inside_out: bool) -> None:
-    found, garment = worn(0.105, 0.11, inside_out=inside_out)
+    found, garment = worn(0.102, 0.105, inside_out=inside_out)
     height = BODY[BODY_FACES][..., 1]
     rims = 0.1 * LENGTH, 0.9 * LENGTH
     inside = (height.min(axis=1) > rims[0] + RIM) & (height.max(axis=1) < rims[1] - RIM)

@@ -1,0 +1,52 @@
+"""How much of the body shows through the garment, in pixels of a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from precompute.learning.nearest_faces import nearest_faces
+from runtime.pictures import frame_camera
+from runtime.shown_body import visible_faces
+from runtime.strips import PICTURE
+
+__all__ = ["body_seen_figures", "shows_through"]
+
+BEHIND = 0.015  # a garment that is further behind the body is not meant to cover it there: an arm before it [m]
+
+
+def body_seen_figures(
+    frames: Iterable[tuple[np.ndarray, np.ndarray]], faces: np.ndarray, body_faces: np.ndarray, covered: np.ndarray
+) -> dict[str, float]:
+    """Count pixels where the body lies before the front of the garment, which should cover it there.
+
+    Args:
+        frames: of each the vertices of garment and body [m], shapes (N, 3), (b, 3).
+        faces: of the garment, counter-clockwise seen from outside, int, shape (m, 3).
+        body_faces: likewise of the body, int, shape (k, 3).
+        covered: faces of the body that are not drawn, int, shape (c,).
+
+    Returns:
+        ``body_seen_px``: such pixels of a picture, mean over the frames; ``body_seen_whole_px``: if the whole body were
+        drawn.
+    """
+    rows, drawn = [], visible_faces(body_faces, covered)
+    for garment, body in frames:
+        (camera,) = frame_camera(garment[None], aspect=PICTURE[0] / PICTURE[1], margin=1.15)
+        cloth = nearest_faces(garment, faces, camera, PICTURE)
+        shown = [nearest_faces(body, some, camera, PICTURE)[0] for some in (drawn, body_faces)]
+        rows.append([np.count_nonzero(shows_through(depth, *cloth)) for depth in shown])
+    seen, whole = np.mean(rows, axis=0)
+    return {"body_seen_px": float(seen), "body_seen_whole_px": float(whole)}
+
+
+def shows_through(body_depth: np.ndarray, cloth_depth: np.ndarray, cloth_owner: np.ndarray) -> np.ndarray:
+    """Pixels where the body lies a little before the outer side of the garment; arguments of one shape.
+
+    Args:
+        body_depth: of :func:`precompute.learning.nearest_faces.nearest_faces` [m].
+        cloth_depth, cloth_owner: the same of the garment.
+    """
+    gap = cloth_depth - body_depth
+    return (cloth_owner > 0) & (0.0 < gap) & (gap < BEHIND)
