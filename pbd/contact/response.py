@@ -17,8 +17,9 @@ __all__ = [
 ]
 
 # A contact point is kept while the cloth slides along the surface less than this [m], ...
-MAX_SLIDE = 0.0015
-MAX_SLIDE_SHARE = 0.1  # ... or less than this share of its height over the point [-]
+# On ridges of the body the planes of two faces cross: cloth that may slide further past them goes to and fro for ever.
+MAX_SLIDE = 0.0002
+MAX_SLIDE_SHARE = 0.02  # ... or less than this share of its height over the point [-]
 
 MAX_TOUCH_DISTANCE = 1.5  # cloth that is nearer to the body than this touches it [thicknesses]
 FACING = -0.2  # cosine of their normals under which two sides of the body face one another, as those of an armpit do

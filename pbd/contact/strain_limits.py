@@ -18,6 +18,7 @@ __all__ = ["MAX_STRETCH", "limit_rows", "near_limits", "solve_strain_limits", "s
 
 MAX_STRETCH = 1.5  # greatest length of an edge over its rest length [-]
 MAX_RETURN_SPEED = 3.0  # of an edge that starts a substep too long: a correction is also a velocity [m/s]
+RETURN_RATE = 600.0  # of the same edge, over what it is too long by [1/s]: at once it would tremble for ever
 NEAR_SHARE = 0.8  # share of their greatest length from which edges are near it [-]
 EDGES = 16  # of a block
 
@@ -123,7 +124,9 @@ def solve_strain_limits(
                         offset = (xyz(q) - xyz(p)) + (v - u)
                         if offset.dot(offset) > limits[c][2] * limits[c][2]:
                             before = (xyz(q) - xyz(p)) + (substep_start(cloth, j, h) - substep_start(cloth, i, h))
-                            longest = ti.max(limits[c][2], before.norm() - h * MAX_RETURN_SPEED)
+                            excess = ti.max(before.norm() - limits[c][2], 0.0)
+                            excess -= h * ti.min(MAX_RETURN_SPEED, RETURN_RATE * excess)
+                            longest = limits[c][2] + ti.max(excess, 0.0)
                             move = tether_correction(offset, longest) / ti.max(p[3] + q[3], 1e-20)
                             free = p[3] * q[3] == 0.0
                             cloth.position_delta[i] = vec4(
