@@ -16,6 +16,7 @@ from pbd.attachment import Attachment
 from pbd.contact.colliders import Primitive
 from pbd.limits import LimitTargets, SkinnedTargets
 from pbd.wind import CALM, Air, Wind
+from runtime.redressing import Redressing
 
 __all__ = ["BodySource", "Motion", "Simulation", "body_source", "poses_of"]
 
@@ -83,6 +84,7 @@ class Simulation:
         state: state of the garment.
         body: the mesh that the garment collides with; without a body it has no faces.
         time: time since the start, at which turbulent wind is taken [s].
+        redressing: puts the garment back on its body where it is hooked through it; None without a body.
 
     Raises:
         InputError: a body without a pose.
@@ -111,6 +113,7 @@ class Simulation:
         self._stitch_gaps, self._opened = model.stitch_gaps.copy(), np.zeros(len(model.stitch_gaps), bool)
         self._before, self._alpha = self.state.world(), 1.0
         self._skinned_targets = self._bind(model)
+        self.redressing = Redressing(model, source.vertices, source.faces) if source else None
         if pose is not None:
             self.place_body(pose)
 
@@ -122,6 +125,8 @@ class Simulation:
         other._before, other._alpha = other.state.world(), 1.0
         other._stitch_gaps, other._opened = model.stitch_gaps.copy(), np.zeros(len(model.stitch_gaps), bool)
         other._skinned_targets = self._bind(model)
+        if self.source is not None:
+            other.redressing = Redressing(model, self.source.vertices, self.source.faces)
         return other
 
     def _bind(self, model: Model) -> SkinnedTargets | None:
@@ -181,6 +186,9 @@ class Simulation:
 
     def step_cloth(self, dt: float, wind: Air = CALM) -> None:
         """Advance the garment while the body goes from its last pose to the current one."""
+        if self.redressing is not None and self.redressing.step(self.state, self.body, dt):
+            self.time += dt
+            return
         self.solver.step(
             self.state, self.colliders, dt, *self._carried(dt, wind), stitch_gaps=self._next_stitch_gaps(dt)
         )
