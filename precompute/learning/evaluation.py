@@ -387,12 +387,11 @@ def evaluate(
     figures |= free_figures(truth, free.smooth, "smooth_")
     figures |= free_figures(truth, truth.floor, "floor_")
     figures |= garment_figures(truth, free.frames) | garment_figures(truth, truth.floor, "floor_")
-    figures |= penetration_figures(distances, room)
+    figures |= penetration_figures(distances, room) | seen_figures(database, truth, free.frames)
     figures |= {f"truth_{k}": v for k, v in penetration_figures(truth_distances, truth_room).items()}
     for prefix, some in zip(looked_at, cross, strict=True):
         shares, crossed = joined_crossed(crossed[: len(some)]), crossed[len(some) :]
         figures |= {prefix + name: value for name, value in crossed_figures(shares, layer is not None).items()}
-    figures |= seen_figures(database, truth, free.frames)
     figures["contact_bending_ratio"] = contact_bending_ratio(truth, free.frames, distances, truth_distances)
     figures["attached_off_mm"] = 1e3 * free.held_off
     subdivision = truth.levels.subdivision

@@ -335,21 +335,13 @@ def _finished(
     kept: Kept,
 ) -> WrinkleDatabase:
     """The database without what judging it gives."""
+    runs, recordings = [example.run for example in examples], [example.recording for example in examples]
     with work.clock.stage("unfamiliarity"):
-        given = (
-            work.layer,
-            mapping,
-            atoms,
-            [example.run for example in examples],
-            [example.recording for example in examples],
-            work.seed,
-            work.workers,
-            work.options.score_frames,
-        )
+        given = (work.layer, mapping, atoms, runs, recordings, work.seed, work.workers, work.options.score_frames)
         novelty = kept.instance(NoveltyScore, "unfamiliarity", lambda: fit_novelty(*given))
     scene, settings, levels, body = work.scene, work.stage.settings, work.stage.levels, work.stage.body
     own, *others = work.fabrics
-    covered, covered_by = covered_faces([one.run for one in examples], [one.recording for one in examples])
+    covered, covered_by = covered_faces(runs, recordings)
     return WrinkleDatabase(
         garment_name=work.stage.name,
         coarse_vertices=levels.coarse.vertices,
