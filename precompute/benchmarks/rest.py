@@ -18,7 +18,7 @@ OUTFITS = {
         for fabric in ("wool", "silk", "cotton", "denim")
     },
     "trousers and tshirt": (("trousers", "denim"), ("tshirt", "cotton")),
-    "tshirt and skirt": (("tshirt", "cotton"), ("skirt", "wool")),
+    "skirt and tshirt": (("skirt", "wool"), ("tshirt", "cotton")),
 }
 
 
@@ -39,6 +39,7 @@ def rest_speed(outfit: tuple[tuple[str, str], ...], moving: float = 1.0, still: 
     )
     scene = parse_scene(garments + '[character]\nfile = "builtin:mannequin"\nclip = "walk"\n')
     simulation, motion = simulation_of(scene)
+    assert motion is not None
     frames = []
     for frame in range(1, round((moving + still) * RATE) + 1):
         simulation.step(motion.pose(min(frame / RATE, moving)), 1.0 / RATE)
