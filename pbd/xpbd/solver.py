@@ -270,6 +270,11 @@ class Solver:
                 rows = rows[~known[rows[:, 0]]]
             if not len(rows):
                 break
+            if repeat == 0:  # the search leaves some out
+                known |= pairs.around(pairs.impacts.grid.crossings(start), UNTANGLED)
+                rows = rows[~known[rows[:, 0]]]
+                if not len(rows):
+                    break
             watched |= pairs.around(rows)
             faces = np.flatnonzero((watched & ~known)[corners].any(axis=1)).astype(np.int32)
             if repeat == 0 and self._mend(state, start, faces, dt, len(pairs.crossings)):
@@ -314,10 +319,8 @@ class Solver:
             start = state.position[:, :3].astype(float)
             self._advance.by_name(arguments | self._pairs.arrays())
             end = state.position[:, :3].astype(float)
-            proposed = end.copy()
             if self._pairs.impacts.keep_apart(start, end, state.position[:, 3].astype(float), faces)[0]:
                 state.position[:, :3] = end
-                state.velocity += ((end - proposed) / h).astype(np.float32)
             self._pairs.remember(state)
 
     def _advance_with_pairs(self, state: State, arguments: dict[str, Any], dt: float, steps: FrameSteps) -> None:

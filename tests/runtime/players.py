@@ -85,7 +85,7 @@ def random_database(stage: GarmentSetup, **changes: Any) -> WrinkleDatabase:
         "held": stage.levels.coarse_held.astype(np.int32),
         "warp": (0.0, 1.0, 0.0),
         "fabric": stage.settings.fabric,
-        "solver": SolverOptions(),
+        "solver": SolverOptions(self_collision=True),  # as scenes have it
         "atoms": replace(database.atoms, vertex_mean=vertex_mean.astype(np.float32)),
         "mapping": placed(database.mapping, place),
         "cutoff": stage.levels.cutoff,
