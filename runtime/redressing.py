@@ -70,7 +70,8 @@ class Redressing:
         x = state.position[:, :3]
         length = np.linalg.norm(x[self._edges[:, 0]] - x[self._edges[:, 1]], axis=1)
         pulled = bool((state.position[self._free, 3] == 0.0).any())
-        self._long = np.where((length > self._longest) & (not pulled), self._long + dt, 0.0)
+        self._long += dt
+        self._long[pulled | (length <= self._longest)] = 0.0
         hooked = bool(self._long.max(initial=0.0) > PATIENCE)
         if hooked:
             self._long[:] = 0.0

@@ -235,7 +235,9 @@ class SelfCollision:
         self.crossings = np.zeros((0, 3), np.int64)
         self._find, self._turn_sides = Launch(find_pairs), Launch(turning_kernel())
         self._ahead = 1.0  # how far the last search looked [s]
-        self._looked: tuple[dict[str, Any], list[np.ndarray], float] | None = None
+        self._looked: tuple[dict[str, Any], float] | None = None  # the search that look_ahead made, and its time
+        self._position = np.zeros((count, 3))  # workspace
+        self._seen = [np.zeros(0)] * len(SEARCHED)  # and what the state was then
         self._pulls: tuple[np.ndarray, np.ndarray] | None = None
         self.strain_limits, self.limit_work = strain_limits(mesh, model.fabric.thickness)
         self._make_room(2 * count)
@@ -273,7 +275,7 @@ class SelfCollision:
         untangling, first = self._untangling, done == 0
         # Cloth that is through itself is looked for at the frame's start, and again while any was found.
         untangles = self._untangles and (first or self._pulls is not None)
-        if first and self._looked is not None and self._looked[2] == h * steps and same_bits(self._looked[1], state):
+        if first and self._looked is not None and self._looked[1] == h * steps and same_bits(self._seen, state):
             arguments = self._looked[0]
         else:
             arguments = self._search(state, first, done * h, h * steps, thickness, untangles)
@@ -304,10 +306,15 @@ class SelfCollision:
         """
         assert self.impacts is not None
         arguments = self._search(state, True, 0.0, h * steps, thickness, True)
-        self._looked = arguments, [getattr(state, name).copy() for name in SEARCHED], h * steps
+        for number, name in enumerate(SEARCHED):
+            now = getattr(state, name)
+            if self._seen[number].shape != now.shape:
+                self._seen[number] = np.zeros_like(now)
+            self._seen[number][:] = now
+        self._looked = arguments, h * steps
         # The search leaves out faces beside one another that face one way; where the cloth is crumpled, they may cross.
-        grid, position = self.impacts.grid, state.position[:, :3].astype(float)
-        folded = grid.crossings(position, grid.near_folds(position))
+        grid, self._position[:] = self.impacts.grid, state.position[:, :3]
+        folded = grid.crossings(self._position, grid.near_folds(self._position))
         return np.concatenate([self._untangling.rows(), folded])
 
     def around(self, rows: np.ndarray, times: int = 1) -> np.ndarray:

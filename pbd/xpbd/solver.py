@@ -124,6 +124,7 @@ class Solver:
         with_multigrid = levels.useful(self.options.substep) > 0
         in_contact = self.options.self_collision or bool(model.layer.any())
         self._pairs = SelfCollision(model, self.options.self_collision) if in_contact else None
+        self._before: State | None = None  # workspace: the state at the start of a frame
         self._stride = max(MIN_STRIDE, STRIDE_SHARE * float(model.mesh.edge_lengths()[1].mean()))
         self._find_nearest = Launch(find_nearest)
         kinds = with_multigrid, in_contact, model.plastic_shear_count > 0, self.stiff
@@ -256,7 +257,8 @@ class Solver:
         if pairs.impacts is None:
             self._advance_with_pairs(state, arguments, dt, steps)
             return
-        before = state.copy()
+        self._before = before = self._before or state.copy()
+        before.restore(state)
         self._advance_with_pairs(state, arguments, dt, steps)
         start = before.position[:, :3].astype(float)
         known = pairs.around(pairs.crossings, UNTANGLED)  # untangling brings these apart
