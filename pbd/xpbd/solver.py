@@ -233,10 +233,7 @@ class Solver:
         if colliders.body is not None:
             self._find_nearest.by_name(arguments)
         model, count = self.model, len(self.model.triangles)
-        if model.plastic_count:
-            self._hinge_data[:, 2, 0] = state.plastic_bends[model.hinge_numbers]
-        if model.plastic_shear_count:
-            self._triangle_data[-1, :count] = state.plastic_shears[model.triangle_numbers]
+        self._load_friction(state)
         if self._pairs is None:
             self._advance.by_name(arguments)
         else:
@@ -245,6 +242,14 @@ class Solver:
             state.plastic_bends[model.hinge_numbers] = self._hinge_data[:, 2, 0]
         if model.plastic_shear_count:
             state.plastic_shears[model.triangle_numbers] = self._triangle_data[-1, :count]
+
+    def _load_friction(self, state: State) -> None:
+        """Hand the kernels what the state remembers of internal friction; they change it as they advance."""
+        model = self.model
+        if model.plastic_count:
+            self._hinge_data[:, 2, 0] = state.plastic_bends[model.hinge_numbers]
+        if model.plastic_shear_count:
+            self._triangle_data[-1, : len(model.triangles)] = state.plastic_shears[model.triangle_numbers]
 
     def _advance_in_contact(self, state: State, arguments: dict[str, Any], dt: float) -> None:
         """Advance the state so that cloth that was free of crossings is free of them.
@@ -282,6 +287,7 @@ class Solver:
             if repeat == 0 and self._mend(state, start, faces, dt, len(pairs.crossings)):
                 break
             state.restore(before)
+            self._load_friction(state)
             self._advance_by_impacts(state, arguments, dt, steps, faces)
 
     def _mend(self, state: State, start: np.ndarray, faces: np.ndarray, dt: float, left: int) -> bool:

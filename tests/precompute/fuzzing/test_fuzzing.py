@@ -91,23 +91,23 @@ def test_what_nothing_reads_is_refused(tmp_path: Path) -> None:
         fuzz([tmp_path / "a.txt"], tmp_path / "out", seconds=1.0)
 
 
-def run(good: list[Path], output: Path, seconds: float, workers: int, seed: int, least: int) -> None:
+def run(good: list[Path], output: Path, seconds: float, workers: int, seed: int) -> None:
     found = fuzz(good, output, seconds=seconds, workers=workers, seed=seed)
     assert found.escapes == {}
     assert set(found.cases) == {path.suffix for path in good}
-    assert found.cases.total() > least and len(found.lines) > 800
+    assert found.cases.total() > 20 * seconds and len(found.lines) > 800
     assert 0.5 < found.refused / found.cases.total() < 0.999
     assert not list(output.glob("worker_*"))
 
 
 def test_nothing_gets_through_in_some_seconds(good: list[Path], tmp_path: Path) -> None:
-    run(good, tmp_path, 10.0, 1, seed=0, least=50)
+    run(good, tmp_path, 10.0, 1, seed=0)
 
 
 @pytest.mark.proof
 def test_nothing_gets_through_in_half_an_hour(good: list[Path], tmp_path: Path) -> None:
     """Each run has a seed of its own: what gets through is in the folder that the message names."""
-    run(good, tmp_path, 1800.0, 2, seed=int(time.time()), least=36000)
+    run(good, tmp_path, 1800.0, 2, seed=int(time.time()))
 
 
 @pytest.mark.parametrize("box", ["0 0 -inf 60", "0 0 - 60", "e e e e"])
