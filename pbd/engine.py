@@ -44,28 +44,27 @@ _lock = threading.Lock()
 _settings: dict[str, object] | None = None
 
 
-def ensure_initialized(arch: str = "cpu", threads: int | None = None) -> None:
+def ensure_initialized(arch: str | None = None, threads: int | None = None) -> None:
     """Start Taichi once for this process; later calls with the same wishes do nothing.
 
     ``ti.init`` kills every array of an earlier ``ti.init`` with a bare error, so a call that asks for other settings
     than those that run is refused.
 
     Args:
-        arch: "cpu" or "cuda".
+        arch: "cpu" or "cuda"; None takes the one that runs, or "cpu".
         threads: CPU threads; None takes the number that runs, or ``GUBE_THREADS``, or all cores.
 
     Raises:
         InputError: unknown arch, a thread count below one, or a conflict with the running set-up.
     """
     global _settings
-    if arch not in ("cpu", "cuda"):
+    if arch not in (None, "cpu", "cuda"):
         raise InputError("unknown arch", key="arch", received=arch, expected="'cpu' or 'cuda'")
     if threads is not None and threads < 1:
         raise InputError("bad thread count", key="threads", received=threads, expected="at least 1")
     with _lock:
         if _settings is not None:
-            same_threads = threads is None or threads == _settings["threads"]
-            if arch == _settings["arch"] and same_threads:
+            if arch in (None, _settings["arch"]) and threads in (None, _settings["threads"]):
                 return
             raise InputError(
                 "Taichi already runs with other settings in this process",
@@ -79,7 +78,7 @@ def ensure_initialized(arch: str = "cpu", threads: int | None = None) -> None:
             raise InputError(
                 "bad thread count", key="GUBE_THREADS", received=wish, expected="a whole number, at least 0"
             )
-        count = threads or int(wish) or _cores()
+        arch, count = arch or "cpu", threads or int(wish) or _cores()
         _remove_left_lock()
         others = _threads()
         with redirect_stdout(io.StringIO()):  # Taichi prints the arch, whatever its log level

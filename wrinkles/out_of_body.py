@@ -86,8 +86,9 @@ def out_of_body(i: ti.i32, start: vec3, covered: ti.template()) -> vec3:
                 is_nearest, towards = edge_towards(offset, best, covered)
                 edge, finished = towards, search or (is_nearest and not has_more_edges(best, covered))
                 search = True
-            if part == 1 and best >= 0 and not opposed(home, outwards, body[best], normals[best]):
-                best = -1
+            if part == 1 and best >= 0:
+                if not opposed(home, outwards, body[best], normals[best]):
+                    best = -1
             covered.nearest[slot] = best
             if best < 0:
                 break

@@ -8,7 +8,17 @@ from pbd.engine import ti
 from pbd.geometry import vec3, vec4, xyz
 from pbd.taichi_internals import in_kernel
 
-__all__ = ["BoxTree", "flat", "list_near_groups", "lowest", "overlap", "update_cone", "update_nodes", "update_patch"]
+__all__ = [
+    "BoxTree",
+    "first_from",
+    "flat",
+    "list_near_groups",
+    "lowest",
+    "overlap",
+    "update_cone",
+    "update_nodes",
+    "update_patch",
+]
 
 
 @in_kernel
@@ -152,6 +162,16 @@ def update_nodes(tree: ti.template()):
 
 
 @ti.func
+def first_from(sorted_numbers: ti.template(), place: ti.i32, end: ti.i32, number: ti.i32) -> ti.i32:
+    """The first place from ``place`` on of a number that is not less, ``end`` for none."""
+    while place < end:
+        if sorted_numbers[place] >= number:
+            break
+        place += 1
+    return place
+
+
+@ti.func
 def list_near_groups(first: ti.i32, group: ti.i32, leaf: ti.i32, within: ti.i32, tree: ti.template()) -> ti.i32:
     """Put the groups near a group, from a first one on, into ``near_groups``; returns how many.
 
@@ -172,9 +192,10 @@ def list_near_groups(first: ti.i32, group: ti.i32, leaf: ti.i32, within: ti.i32,
         else:
             node += 1
             if entry[2] >= 0:
-                while joined < last_joined and tree.joined[joined] < entry[2]:
-                    joined += 1
-                beside = joined < last_joined and tree.joined[joined] == entry[2]
+                joined = first_from(tree.joined, joined, last_joined, entry[2])
+                beside = False
+                if joined < last_joined:
+                    beside = tree.joined[joined] == entry[2]
                 if not (beside and flat(tree.cones[patches + group], tree.cones[patches + entry[2]])):
                     tree.near_groups[near_count] = entry[2]
                     near_count += 1

@@ -63,7 +63,9 @@ def list_impacts(
                     own = (owned[f] >> (3 + side)) & (owned[g] >> (3 + other)) & 1
                     if e[0] != d[0] and e[0] != d[1] and e[1] != d[0] and e[1] != d[1]:
                         q = ti.Vector([e[0], -e[1] - 1, d[0], d[1]])
-                if own == 1 and q[0] >= 0 and may_meet(q, start, end):
+                if own == 0 or q[0] < 0:
+                    continue
+                if may_meet(q, start, end):
                     offset = distance(q, start)
                     size = offset.norm()
                     normal = offset / ti.max(size, 1e-30)

@@ -6,7 +6,16 @@ is missed where both features are nearer than that to where they were expected.
 """
 
 from pbd.contact.blocks import HIGH, LANES, LOW, NORMAL, Blocks, facing, features, overlapping, sides, take
-from pbd.contact.box_tree import BoxTree, flat, list_near_groups, lowest, update_cone, update_nodes, update_patch
+from pbd.contact.box_tree import (
+    BoxTree,
+    first_from,
+    flat,
+    list_near_groups,
+    lowest,
+    update_cone,
+    update_nodes,
+    update_patch,
+)
 from pbd.contact.pair_sides import EDGE_SHARE, SLACK, MovingCloth, PairBuffers, take_pair
 from pbd.crossings import note_crossings
 from pbd.engine import ti
@@ -269,9 +278,10 @@ def search_patch(
             other_lane = lowest(others)
             others &= others - 1
             other = tree.group_start[tree.near_groups[r]] + other_lane
-            while neighbour < last_neighbour and tree.neighbours[neighbour] < other:
-                neighbour += 1
-            joined = neighbour < last_neighbour and tree.neighbours[neighbour] == other
+            neighbour = first_from(tree.neighbours, neighbour, last_neighbour, other)
+            joined = False
+            if neighbour < last_neighbour:
+                joined = tree.neighbours[neighbour] == other
             if joined and flat(tree.cones[patch], tree.cones[other]):
                 continue
             other_low = take(tree.patch_boxes, tree.near_groups[r], LOW, other_lane)

@@ -246,12 +246,15 @@ def layer_side(q, k, layers: ti.i32, shares, offset: vec3, size: ti.f32, cloth: 
 def old_pair(q, k, cloth: ti.template(), buffers: ti.template()) -> ti.i32:
     """The same pair in the last frame, -1 for none."""
     old = buffers.chain[k[0]]
-    while old >= 0 and not (buffers.old_pairs[old] == q).all():
+    while old >= 0:  # `and` works out both of its sides: an index that may be -1 is not looked up beside it
+        if (buffers.old_pairs[old] == q).all():
+            break
         old = buffers.chain[cloth.position.shape[0] + old]
     # Edges that seem so far through one another have gone around each other: the search for crossings would have found
     # them and they would have been pulled back.
-    if old >= 0 and q[1] < 0 and buffers.old_normals[old][3] < -cloth.thickness:
-        old = -1
+    if old >= 0:
+        if q[1] < 0 and buffers.old_normals[old][3] < -cloth.thickness:
+            old = -1
     return old
 
 

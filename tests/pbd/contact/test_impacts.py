@@ -90,22 +90,28 @@ def test_motion_without_impacts_keeps_its_bits() -> None:
     assert np.array_equal(kept, end)
 
 
-def thrown(guarded: bool) -> list[int]:
-    """Crossings in each frame of a sheet whose parts are thrown at one another."""
+def thrown_sheet() -> tuple[Solver, State]:
+    """A sheet whose parts are thrown at one another."""
     vertices, faces = grid(24, 24, STEP)
     model = free_model(cloth(vertices, faces), Fabric(thickness=0.003, friction=0.3))
     solver = Solver(model, SolverOptions(gravity=(0.0, 0.0, 0.0), self_collision=True))
-    assert solver._pairs is not None
-    if not guarded:
-        solver._pairs.impacts = None
     state = State.at_rest(model)
     waves = np.random.default_rng(5).normal(0.0, 1.0, (8, 6))
     for wave in waves:
         state.velocity[:] += 4.0 * np.sin(vertices @ (12.0 * wave[:3]) + wave[3])[:, None] * wave[3:]
+    return solver, state
+
+
+def thrown(guarded: bool) -> list[int]:
+    """Crossings in each frame of the thrown sheet."""
+    solver, state = thrown_sheet()
+    assert solver._pairs is not None
+    if not guarded:
+        solver._pairs.impacts = None
     found = []
     for _ in range(20):
         solver.step(state, Colliders(), 1.0 / 60.0)
-        found.append(len(crossings(state.world(), faces)))
+        found.append(len(crossings(state.world(), solver.model.mesh.faces)))
     return found
 
 
