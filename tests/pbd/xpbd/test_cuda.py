@@ -58,7 +58,7 @@ np.save(sys.argv[2], np.stack(frames))
 def played(script: str, arch: str, folder: Path) -> np.ndarray:
     """What a script saves, run in a process of its own."""
     path = folder / f"{arch}.npy"
-    subprocess.run([sys.executable, "-c", script, arch, str(path)], cwd=ROOT, env=dict(os.environ), check=True)
+    subprocess.run([sys.executable, "-X", "faulthandler", "-c", script, arch, str(path)], cwd=ROOT, env=dict(os.environ), check=True)
     return np.load(path, allow_pickle=False)
 
 
