@@ -6,6 +6,8 @@ its own and tests in float32.
 """
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from pbd.engine import ensure_initialized, ti
 from pbd.errors import InputError
@@ -13,7 +15,7 @@ from pbd.geometry import Double3, Int1, Int2, Int3, Vec3, vec3
 from pbd.mesh import ClothMesh, edges_of
 from pbd.taichi_internals import Launch
 
-__all__ = ["FaceGrid", "SelfCrossings", "crossings", "note_crossings", "owned_features"]
+__all__ = ["FaceGrid", "SelfCrossings", "crossings", "note_crossings", "owned_features", "seams_of"]
 
 CELL_EXTENTS = 1.5  # size of a cell over the mean of the boxes' longest sides [-]
 SHORT = 2e-4  # edges shorter than this may cross faces: slivers of delivered meshes [m]
@@ -250,15 +252,19 @@ class FaceGrid:
 
     Args:
         faces: int, shape (m, 3).
+        seam: number of the seam of each vertex, int32, shape (n,); features of one seam may go through one another, and
+            vertices of none have numbers of their own. None where nothing is stitched.
 
     Attributes:
+        seam: the same, without rows where nothing is stitched.
         faces, edges: corners of the faces, int32, shape (m, 3), and ends of their sides, int32, shape (3 m, 2).
         owned: see :func:`owned_features`.
         side_edge: number of the edge of each side, int, shape (m, 3).
     """
 
-    def __init__(self, faces: np.ndarray) -> None:
+    def __init__(self, faces: np.ndarray, seam: np.ndarray | None = None) -> None:
         ensure_initialized()
+        self.seam = np.zeros(0, np.int32) if seam is None else seam
         self.faces = np.ascontiguousarray(faces, np.int32)
         unique, self.side_edge = edges_of(self.faces)
         self.edges = np.ascontiguousarray(unique[self.side_edge.ravel()], np.int32)
@@ -329,8 +335,15 @@ class FaceGrid:
             if found < len(self._crossed):
                 rows = self._crossed[1 : found + 1].astype(np.int64)
                 rows[:, :2].sort(axis=1)
-                return rows[np.lexsort(rows.T[::-1])]
+                return self.unjoined(rows[np.lexsort(rows.T[::-1])])
             self._crossed = np.zeros((2 * found, 3), np.int32)
+
+    def unjoined(self, rows: np.ndarray) -> np.ndarray:
+        """Those rows of :meth:`crossings` whose edge and face have no seam in common."""
+        if not len(rows) or not len(self.seam):
+            return rows
+        ends, corners = self.seam[rows[:, :2]], self.seam[self.faces[rows[:, 2]]]
+        return rows[(ends[:, :, None] != corners[:, None, :]).all(axis=(1, 2))]
 
     def crossing_faces(self, rows: np.ndarray) -> np.ndarray:
         """Numbers of the faces that go through another: those crossed, and those beside the crossing edges.
@@ -378,6 +391,20 @@ class SelfCrossings:
     def faces_of(self, rows: np.ndarray) -> np.ndarray:
         """Numbers of the faces that go through another, see :meth:`FaceGrid.crossing_faces`."""
         return self._grid.crossing_faces(rows)
+
+
+def seams_of(stitches: np.ndarray, count: int) -> np.ndarray | None:
+    """Number of the seam of each vertex, see :class:`FaceGrid`; None where nothing is stitched.
+
+    Args:
+        stitches: (v, a, b), int, shape (s, 3).
+        count: of vertices.
+    """
+    if not len(stitches):
+        return None
+    v, a, b = stitches.T
+    links = coo_matrix((np.ones(2 * len(v)), (np.tile(v, 2), np.concatenate([a, b]))), (count, count))
+    return connected_components(links, directed=False)[1].astype(np.int32)
 
 
 def crossings(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -33,12 +33,13 @@ from runtime.garment_mesh import (
     with_subdivisions,
 )
 from runtime.layer_order import check_fastened, check_order
+from runtime.opened_start import Opening, opened
 from runtime.scene_body import body_of, load_body, motion_of
 from runtime.simulation import Motion
 from wrinkles.binding import Binding
 from wrinkles.database import WrinkleDatabase
 from wrinkles.field import field_of_mesh
-from wrinkles.levels import Layers, Levels, build_levels
+from wrinkles.levels import Layers, Levels, build_levels, levels_of
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -192,6 +193,7 @@ class GarmentSetup:
         garment: the coarse mesh as it came, or as it was made from a fine one; all of an outfit in one.
         body: the character or vertex sequence.
         levels: coarse and fine mesh, outside the body and attached.
+        openings: what was done where they started through themselves.
     """
 
     scene: Scene
@@ -199,6 +201,7 @@ class GarmentSetup:
     garment: Garment
     body: Character | Sequence
     levels: Levels
+    openings: tuple[Opening, ...] = ()
 
     @classmethod
     def of(cls, scene: Scene) -> GarmentSetup:
@@ -214,22 +217,25 @@ class GarmentSetup:
         piece, layers = pieces[0], None
         if len(pieces) > 1:
             scene, piece, layers = _outfit(scene, pieces)
-        levels = build_levels(
-            piece.garment.vertices,
-            piece.garment.faces,
-            piece.held,
-            vertices,
-            body.faces,
-            scene.garments[0].subdivision_count,
-            binding=piece.binding,
-            limits=piece.limits,
-            sewn=sewn_rest(piece.garment),
-            layers=layers,
-        )
+        shape = {"binding": piece.binding, "limits": piece.limits, "sewn": sewn_rest(piece.garment), "layers": layers}
+        given = piece.garment.faces, piece.held, vertices, body.faces, scene.garments[0].subdivision_count
+        levels, openings = build_levels(piece.garment.vertices, *given, **shape), ()
+        if scene.solver.self_collision:
+            cuts = max(garment.subdivisions_of_mesh for garment in scene.garments)
+            solvers = scene.solver.options(), fine_options(scene, cuts)
+            levels, openings = opened(
+                levels,
+                fabric_of(scene.garments[0]),
+                *solvers,
+                vertices,
+                body.faces,
+                lambda x: levels_of(x, *given, **shape),
+            )
         if layers is not None:
             check_order(levels.coarse.vertices, levels.coarse.faces, layers)
             check_fastened(levels.coarse.vertices, levels.coarse.faces, layers)
-        return cls(scene, scene.garments[0], piece.garment, body, replace(levels, pattern=piece.garment.pattern))
+        levels = replace(levels, pattern=piece.garment.pattern)
+        return cls(scene, scene.garments[0], piece.garment, body, levels, openings)
 
     @property
     def name(self) -> str:

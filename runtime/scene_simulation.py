@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from assets.io.scene import Scene
@@ -14,12 +16,15 @@ from wrinkles.levels import build_levels
 __all__ = ["simulation_of"]
 
 
-def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion | None]:
+def simulation_of(
+    scene: Scene, fine: bool = False, report: Callable[[str], None] | None = None
+) -> tuple[Simulation, Motion | None]:
     """The simulation of a scene at its start: garments on a body, or one garment that hangs on its pins.
 
     Args:
         scene: with one garment, or on a body with several.
         fine: simulate the subdivided mesh.
+        report: called with a line where garments start through themselves; None for none.
 
     Returns:
         the simulation at its start, and the motion of the body, None without one.
@@ -31,6 +36,9 @@ def simulation_of(scene: Scene, fine: bool = False) -> tuple[Simulation, Motion 
     scene = with_subdivisions(scene)
     if scene.character is not None:
         stage = GarmentSetup.of(scene)
+        if report is not None:
+            for opening in stage.openings:
+                report(str(opening))
         scene, settings, levels, motion = stage.scene, stage.settings, stage.levels, stage.motion()
         source, pose = body_source(stage.body), motion.pose(0.0)
     else:

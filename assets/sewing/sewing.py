@@ -21,13 +21,13 @@ from assets.sewing.arrangement import arranged
 from assets.sewing.body import StandingBody
 from assets.sewing.garment import SewnGarment, body_crossings, drape_figures, faults_of
 from assets.sewing.pieces import Joined, Pieces, carried_over, join, pieces_of
-from assets.sewing.simulation import HELD, Clock, band_limits, close_stitches, drape, neighbour_means, substep_of
-from pbd.attachment import push_outside, smooth_normals
+from assets.sewing.simulation import HELD, Clock, band_limits, close_stitches, drape, substep_of
+from pbd.attachment import smooth_normals
 from pbd.bending import hinge_calibration
-from pbd.crossings import crossings
 from pbd.errors import InputError
 from pbd.fabric import Fabric
 from pbd.mesh import ClothMesh
+from pbd.opening import smoothed_apart
 
 __all__ = ["COARSE_EDGE", "SewingError", "arranged_pieces", "sew"]
 
@@ -47,10 +47,8 @@ HANG = (0.4, 2.0, 0.3, 1.0)
 # Shares of an elastic's shortening while it hangs: at once, a cuff snaps into the wrist.
 TIGHTENING = (1 / 3, 2 / 3, 1.0)
 SETTLE = ((0.6, 2.0, 0.3, 1.0), (1.2, 1.0, 1.0, 1.0))
-CLEARANCE = 0.003  # of smoothed cloth from the body [m]
 EXTRA, MAX_EXTRA = (0.4, 2.0, 1.0, 1.0), 3  # more of it while something is through cloth or body
 LIFT, MAX_LIFTS = 0.0005, 20  # of cloth off the body at a time [m], and how often
-SMOOTHED_RINGS, SMOOTHINGS = 6, 4  # around places where cloth is through itself, and how often
 
 
 class SewingError(Exception):
@@ -150,11 +148,11 @@ def _sewn(
     for _ in range(MAX_EXTRA):
         if not any(sewn.figures[name] for name in ("crossings", "inside_body", "body_crossings")):
             break
-        mesh = _drape(_untangled(mesh, body), body, cloth, bend_factor, EXTRA, clock)
+        mesh = _drape(_smoothed(mesh, body), body, cloth, bend_factor, EXTRA, clock)
         sewn = _judged(pattern, body, fabric, fine, surfaces[1], mesh, top)
     if sewn.figures["crossings"]:
         # Gathers in a cuff fold into themselves again and again: their smooth surface is kept as it is, and counted.
-        smooth = _untangled(mesh, body)
+        smooth = _smoothed(mesh, body)
         moved = int((smooth.vertices != mesh.vertices).any(axis=1).sum())
         sewn = _judged(pattern, body, fabric, fine, surfaces[1], smooth, top)
         sewn.figures["unsettled"] = moved
@@ -200,27 +198,10 @@ def _cleared(mesh: ClothMesh, body: StandingBody) -> ClothMesh:
     return replace(mesh, vertices=vertices)
 
 
-def _untangled(mesh: ClothMesh, body: StandingBody) -> ClothMesh:
-    """The mesh with cloth smoothed around places where it is through itself, outside the body.
-
-    Contact brings sheets back that are through one another. A crease that is folded into itself, as gathers are, has no
-    right side; the smooth surface over it has one. Patches of one ring of vertices are tried first, then larger ones.
-    It is no state of rest: the cloth has to settle afterwards.
-    """
-    (mean, around), vertices = neighbour_means(mesh.faces, len(mesh.vertices)), mesh.vertices.copy()
-    for rings in range(1, SMOOTHED_RINGS + 1):
-        found = crossings(vertices, mesh.faces)
-        if not len(found):
-            break
-        moved = np.zeros(len(vertices))
-        moved[np.unique(np.concatenate([found[:, :2].ravel(), mesh.faces[found[:, 2]].ravel()]))] = 1.0
-        for _ in range(rings):
-            moved = np.maximum(moved, (around @ moved > 0.0).astype(float))
-        patch = np.flatnonzero(moved)
-        for _ in range(SMOOTHINGS):
-            vertices[patch] = mean[patch] @ vertices
-        vertices[patch] = push_outside(vertices[patch], body.vertices, body.faces, CLEARANCE)
-    return replace(mesh, vertices=vertices)
+def _smoothed(mesh: ClothMesh, body: StandingBody) -> ClothMesh:
+    """The mesh with cloth smoothed around places where it is through itself; it has to settle afterwards."""
+    nothing = np.zeros(0, int)
+    return replace(mesh, vertices=smoothed_apart(mesh, nothing, None, body.vertices, body.faces))
 
 
 def _work(coarse: Pieces, fine: Pieces, seconds: float, coarse_edge: float, edge_length: float) -> float:

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix, diags
 
 from assets.sewing.body import StandingBody
 from assets.sewing.pieces import Pieces
@@ -17,9 +16,10 @@ from pbd.contact.strain_limits import MAX_STRETCH
 from pbd.fabric import Fabric
 from pbd.mesh import ClothMesh, vertex_rings
 from pbd.model import State, build_model
+from pbd.opening import neighbour_means
 from pbd.xpbd.solver import Solver, SolverOptions
 
-__all__ = ["HELD", "Clock", "band_limits", "close_stitches", "drape", "neighbour_means", "substep_of"]
+__all__ = ["HELD", "Clock", "band_limits", "close_stitches", "drape", "substep_of"]
 
 Floats = NDArray[np.float64]
 
@@ -148,14 +148,6 @@ def _smoothed(body: StandingBody, times: int) -> Floats:
     for _ in range(times):
         vertices = mean @ vertices
     return vertices
-
-
-def neighbour_means(faces: NDArray[np.int32], count: int) -> tuple[csr_matrix, csr_matrix]:
-    """Means over the neighbours of each vertex, itself where it has none, and 1 for each neighbour: shape (n, n)."""
-    starts, ring = vertex_rings(faces, count)
-    around = csr_matrix((np.ones(len(ring)), ring, starts), (count, count))
-    counts = np.diff(starts)
-    return diags(1.0 / np.maximum(counts, 1)) @ around + diags((counts == 0).astype(float)), around
 
 
 def drape(

@@ -32,6 +32,7 @@ def list_impacts(
     faces: Int3,
     edges: Int2,
     owned: Int1,
+    seam: Int1,
     near: Int2,
     count: ti.i32,
     pairs: Int4,
@@ -65,6 +66,9 @@ def list_impacts(
                         q = ti.Vector([e[0], -e[1] - 1, d[0], d[1]])
                 if own == 0 or q[0] < 0:
                     continue
+                if seam.shape[0] > 0:
+                    if joined(q, seam):
+                        continue
                 if may_meet(q, start, end):
                     offset = distance(q, start)
                     size = offset.norm()
@@ -76,6 +80,19 @@ def list_impacts(
                             pairs[found[0]] = q
                             directions[found[0]] = ti.Vector([normal[0], normal[1], normal[2], kept])
                         found[0] += 1
+
+
+@ti.func
+def joined(q, seam: ti.template()):
+    """Whether both features of a pair have a vertex of the same seam."""
+    k = corners_of(q)
+    a, b, c, d = seam[k[0]], seam[k[1]], seam[k[2]], seam[k[3]]
+    found = a == c or a == d
+    if q[1] < 0:
+        found = found or b == c or b == d
+    else:
+        found = found or a == b
+    return found
 
 
 @ti.func
@@ -265,13 +282,14 @@ class Impacts:
     Args:
         faces: int, shape (m, 3).
         count: of vertices.
+        seam: see :class:`pbd.crossings.FaceGrid`.
 
     Attributes:
         grid: finds the faces that are near one another.
     """
 
-    def __init__(self, faces: np.ndarray, count: int) -> None:
-        self.grid = FaceGrid(faces)
+    def __init__(self, faces: np.ndarray, count: int, seam: np.ndarray | None = None) -> None:
+        self.grid = FaceGrid(faces, seam)
         self._zone, self._motion = np.zeros(count, np.int32), np.zeros((count, 4))
         self._found, self._result = np.zeros((2, 2), np.int32)
         self._list, self._part = Launch(list_impacts), Launch(part_pairs)
@@ -297,7 +315,8 @@ class Impacts:
         near, count = grid.pairs(start, end, MARGIN, chosen)
         while True:
             self._list(
-                start, end, grid.faces, grid.edges, grid.owned, near, count, self._pairs, self._directions, self._found,
+                start, end, grid.faces, grid.edges, grid.owned, grid.seam, near, count, self._pairs, self._directions,
+                self._found,
             )  # fmt: skip
             found = int(self._found[0])
             if found <= len(self._pairs):

@@ -22,7 +22,7 @@ from pbd.contact.pair_sides import turning_kernel
 from pbd.contact.pairs import PULL
 from pbd.contact.strain_limits import strain_limits
 from pbd.contact.untangling import Untangling
-from pbd.crossings import owned_features
+from pbd.crossings import owned_features, seams_of
 from pbd.mesh import edges_of
 from pbd.model import Model, State
 from pbd.taichi_internals import Launch
@@ -231,7 +231,7 @@ class SelfCollision:
         }
         self._untangling, self._untangles = Untangling(faces, self._layer, mesh.vertex_areas), within
         self._no_crossings = np.zeros((1, 3), np.int32)
-        self.impacts = Impacts(faces, count) if within else None
+        self.impacts = Impacts(faces, count, seams_of(model.stitches, count)) if within else None
         self.crossings = np.zeros((0, 3), np.int64)
         self._find, self._turn_sides = Launch(find_pairs), Launch(turning_kernel())
         self._ahead = 1.0  # how far the last search looked [s]
@@ -281,7 +281,9 @@ class SelfCollision:
             arguments = self._search(state, first, done * h, h * steps, thickness, untangles)
         self._looked = None
         if first:
-            self.crossings = untangling.rows()
+            self.crossings = (
+                untangling.rows() if self.impacts is None else self.impacts.grid.unjoined(untangling.rows())
+            )
         if untangles:
             free = (state.contact > 2.0 * thickness) | (state.nearest[: len(state.contact)] < 0)
             self._pulls = untangling.pulls(state.position[:, :3], free)
@@ -315,7 +317,7 @@ class SelfCollision:
         # The search leaves out faces beside one another that face one way; where the cloth is crumpled, they may cross.
         grid, self._position[:] = self.impacts.grid, state.position[:, :3]
         folded = grid.crossings(self._position, grid.near_folds(self._position))
-        return np.concatenate([self._untangling.rows(), folded])
+        return np.concatenate([grid.unjoined(self._untangling.rows()), folded])
 
     def around(self, rows: np.ndarray, times: int = 1) -> np.ndarray:
         """Vertices near crossings (``rows``, see :attr:`crossings`): of :meth:`Untangling.around`."""

@@ -269,7 +269,7 @@ class Solver:
         known = pairs.around(pairs.crossings, UNTANGLED)  # untangling brings these apart
         watched = np.zeros(len(known), bool)
         corners = pairs.impacts.grid.faces
-        for repeat in range(MAX_REPEATS):
+        for repeat in range(1 if known.any() else MAX_REPEATS):  # cloth that is through itself brings forth new ones
             if not np.isfinite(state.position).all():
                 break
             rows = pairs.look_ahead(state, dt / steps.count, steps.count, self.model.fabric.thickness)

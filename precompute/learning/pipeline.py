@@ -190,6 +190,8 @@ def _precomputed(work: _Work, held_out: Sequence[Motion], output: Path) -> Preco
     """Learn, calibrate and judge; nothing is written."""
     clock, stage, scene = work.clock, work.stage, work.scene
     with clock.stage("simulating"):
+        for opening in stage.openings:
+            clock(str(opening))
         motions = stage.training_motions()
         if not motions:
             raise InputError("nothing to learn from", key="training", expected="clips or procedural_seconds")

@@ -62,7 +62,7 @@ def run(options: argparse.Namespace) -> Report:
 
     output = options.output or Path("out") / f"{options.scene.stem}.glb"
     check_file(output, *BAKED)
-    simulation, motion = simulation_of(scene, options.fine)
+    simulation, motion = simulation_of(scene, options.fine, say)
     longest = NO_BODY_SECONDS if motion is None else motion.duration
     seconds = longest if options.seconds is None else min(options.seconds, longest if motion else math.inf)
     frames, poses, rate, figures = simulated_frames(simulation, motion, scene, seconds)

@@ -9,7 +9,7 @@ from tests.wrinkles.meshes import icosphere
 
 __all__ = [
     "RADIUS", "THICKNESS", "bodies", "body_of", "cloth", "free_model", "grid", "icosphere", "level_sheet", "momentum",
-    "run", "to_triangles", "turn", "wavy",
+    "run", "thrown_sheet", "to_triangles", "turn", "wavy",
 ]  # fmt: skip
 
 THICKNESS = Fabric.thickness  # of cloth that is not told another [m]
@@ -146,3 +146,15 @@ def to_triangles(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) ->
     face = best_distance.argmin(axis=1)
     rows = np.arange(len(points))
     return best_distance[rows, face], best[rows, face]
+
+
+def thrown_sheet() -> tuple[Solver, State]:
+    """A sheet whose parts are thrown at one another."""
+    vertices, faces = grid(24, 24, 0.02)
+    model = free_model(cloth(vertices, faces), Fabric(thickness=0.003, friction=0.3))
+    solver = Solver(model, SolverOptions(gravity=(0.0, 0.0, 0.0), self_collision=True))
+    state = State.at_rest(model)
+    waves = np.random.default_rng(5).normal(0.0, 1.0, (8, 6))
+    for wave in waves:
+        state.velocity[:] += 4.0 * np.sin(vertices @ (12.0 * wave[:3]) + wave[3])[:, None] * wave[3:]
+    return solver, state

@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from assets.io.scene import parse_scene
+from assets.io.scene import load_scene, parse_scene
 from assets.procedural.exploration import exploration_motion
 from assets.procedural.mannequin import builtin_mannequin
 from pbd.crossings import SelfCrossings
+from runtime.garment_setup import GarmentSetup
 from runtime.scene_simulation import simulation_of
 from runtime.simulation import poses_of
+from tests.data import ROOT, data_path
 
 DT = 1.0 / 60.0
 GARMENTS = ("skirt", "circle_skirt", "trousers", "tshirt", "shirt")
@@ -72,3 +74,18 @@ def test_twenty_random_motions_of_all_built_in_garments() -> None:
         if free < 99.0 or longest > 1.0:
             missed.append(name)
     assert not missed
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize(
+    ("name", "open_fine"), [("mannequin_layers", True), ("cipc_dress", False)], ids=["layers", "pleats"]
+)
+def test_starts_that_cross_are_opened(name: str, open_fine: bool) -> None:
+    """Three layers that are put on at once; a dress in pleats, whose fine mesh stays through itself at its gathers."""
+    if name == "cipc_dress":
+        data_path("garments/cipc_dress_draped.obj")
+    openings = GarmentSetup.of(load_scene(ROOT / "docs" / "scenes" / f"{name}.toml")).openings
+    sys.stdout.write("\n".join(["", *map(str, openings), ""]))
+    assert [one.mesh for one in openings] == ["coarse", "fine"]
+    assert openings[0].after == 0 and openings[0].moved < 0.2
+    assert openings[1].after == 0 or not open_fine

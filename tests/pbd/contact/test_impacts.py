@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from pbd import Colliders, Fabric, Solver, SolverOptions, State
+from pbd import Colliders
 from pbd.contact import impacts
 from pbd.contact.impacts import Impacts
-from pbd.crossings import crossings
-from tests.pbd.meshes import cloth, free_model, grid
+from pbd.crossings import FaceGrid, crossings, seams_of
+from tests.pbd.meshes import grid, thrown_sheet
 
 STEP = 0.02
 
@@ -82,24 +82,30 @@ def test_held_vertices_and_faces_that_do_not_count_stay_as_they_are() -> None:
     assert np.array_equal(kept, end)
 
 
+def test_what_is_stitched_to_one_another_may_go_through_one_another() -> None:
+    vertices, faces = grid(3, 3, STEP)
+    count = len(vertices)
+    both = np.concatenate([faces, faces + count])
+    start = np.concatenate([vertices, vertices + [0.004, 0.003, 0.01]])
+    end = start.copy()
+    end[:count, 2] += 0.02
+    stitches = np.stack([np.arange(count), np.arange(count) + count, np.roll(np.arange(count), 1) + count], axis=1)
+    kept = end.copy()
+    seams = seams_of(stitches.astype(np.int32), 2 * count)
+    assert Impacts(both, 2 * count, seams).keep_apart(start, kept, np.ones(2 * count)) == (0, 0)
+    assert Impacts(both, 2 * count).keep_apart(start, kept, np.ones(2 * count))[0] > 0
+    middle = start.copy()
+    middle[:count, 2] = 0.01 + 0.003 * (-1.0) ** np.arange(count)
+    assert len(FaceGrid(both).crossings(middle)) > 0
+    assert not len(FaceGrid(both, seams).crossings(middle))
+
+
 def test_motion_without_impacts_keeps_its_bits() -> None:
     start, faces = two_sheets(np.random.default_rng(2))
     end = start + [0.5, -0.3, 0.2]
     kept = end.copy()
     assert Impacts(faces, len(start)).keep_apart(start, kept, np.ones(len(start))) == (0, 0)
     assert np.array_equal(kept, end)
-
-
-def thrown_sheet() -> tuple[Solver, State]:
-    """A sheet whose parts are thrown at one another."""
-    vertices, faces = grid(24, 24, STEP)
-    model = free_model(cloth(vertices, faces), Fabric(thickness=0.003, friction=0.3))
-    solver = Solver(model, SolverOptions(gravity=(0.0, 0.0, 0.0), self_collision=True))
-    state = State.at_rest(model)
-    waves = np.random.default_rng(5).normal(0.0, 1.0, (8, 6))
-    for wave in waves:
-        state.velocity[:] += 4.0 * np.sin(vertices @ (12.0 * wave[:3]) + wave[3])[:, None] * wave[3:]
-    return solver, state
 
 
 def thrown(guarded: bool) -> list[int]:

@@ -35,7 +35,7 @@ CROSSED = """
 import sys
 import numpy as np
 from pbd import Colliders, ensure_initialized
-from tests.pbd.contact.test_impacts import thrown_sheet
+from tests.pbd.meshes import thrown_sheet
 ensure_initialized(sys.argv[1])
 solver, state = thrown_sheet()
 frames = []
@@ -58,7 +58,12 @@ np.save(sys.argv[2], np.stack(frames))
 def played(script: str, arch: str, folder: Path) -> np.ndarray:
     """What a script saves, run in a process of its own."""
     path = folder / f"{arch}.npy"
-    subprocess.run([sys.executable, "-X", "faulthandler", "-c", script, arch, str(path)], cwd=ROOT, env=dict(os.environ), check=True)
+    subprocess.run(
+        [sys.executable, "-X", "faulthandler", "-c", script, arch, str(path)],
+        cwd=ROOT,
+        env=dict(os.environ),
+        check=True,
+    )
     return np.load(path, allow_pickle=False)
 
 
