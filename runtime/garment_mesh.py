@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from assets.bands import REACH, distances, taut_bands
 from assets.ease import eased
 from assets.fabrics import PRESETS
 from assets.garment import Garment, boundary_loops, highest_loop, load_garment
@@ -20,6 +21,7 @@ from wrinkles.surface import SewnRest, Subdivision, cut_corners
 
 __all__ = [
     "coarse_garment",
+    "carried_bands",
     "fastened_vertices",
     "garment_of",
     "held_vertices",
@@ -35,6 +37,30 @@ EDGE_SHARE = 0.6  # mean edge over the gravity length of the fabric, at which fo
 MOST_SUBDIVISIONS = 3  # that a scene gets without naming them
 MOST_COARSE_SUBDIVISIONS = 3  # of a mesh before it is simulated: 64 times its faces
 DELIVERED_SUBDIVISIONS = 2  # of the coarse mesh under a delivered fine mesh
+
+
+def carried_bands(
+    garment: Garment, settings: GarmentSettings, body: tuple[np.ndarray, np.ndarray], below: list[Garment]
+) -> GarmentSettings:
+    """The settings with the numbers of the boundary loops that "bands" stands for, as :func:`taut_bands` finds them.
+
+    What is fastened to a garment below is not carried by the body as well. A mesh that is decimated has no bands.
+
+    Args:
+        garment: as it lies on the body.
+        settings: its own.
+        body: vertices [m] and faces.
+        below: the garments between this one and the body.
+    """
+    if settings.attach != "bands":
+        return settings
+    rest, loops = sewn_rest(garment), []
+    if rest is not None and settings.fasten == "none" and not (settings.fasten_vertices or settings.coarse_vertices):
+        found = taut_bands(garment.vertices, garment.faces, rest.pattern, rest.max_stretch, body)
+        lower = [(one.vertices, one.faces) for one in below]
+        # An outer band that lies on a garment below is not on the body.
+        loops = [n for n, loop in found if all(distances(garment.vertices[loop], *one).min() > REACH for one in lower)]
+    return replace(settings, attach=tuple(loops) or "none")
 
 
 def held_vertices(garment: Garment, settings: GarmentSettings) -> np.ndarray:
@@ -61,7 +87,7 @@ def _chosen_vertices(garment: Garment, settings: GarmentSettings, key: str) -> n
     found: list[np.ndarray] = [np.asarray(getattr(settings, f"{key}_vertices"), np.int64)]
     if chosen == "top":
         found.append(highest_loop(garment.vertices, garment.faces))
-    elif chosen != "none":
+    elif chosen not in ("bands", "none"):
         for number in chosen:
             if not 0 <= int(number) < len(loops):
                 raise InputError(

@@ -23,6 +23,7 @@ from assets.procedural.exploration import exploration_motion
 from pbd import Capsule, DistanceField, Fabric, InputError, Limits, Plane, SolverOptions, Sphere
 from runtime.fitting import fitted
 from runtime.garment_mesh import (
+    carried_bands,
     coarse_garment,
     fastened_vertices,
     held_vertices,
@@ -103,8 +104,8 @@ class _Piece(NamedTuple):
     fastened: np.ndarray
 
 
-def _piece(number: int, settings: GarmentSettings, body: Character | Sequence) -> _Piece:
-    """The garment of that number in a scene."""
+def _piece(number: int, settings: GarmentSettings, body: Character | Sequence, below: list[Garment]) -> _Piece:
+    """The garment of that number in a scene, over others."""
     body_vertices, body_faces = _bind_vertices(body), body.faces
     if settings.pins:
         expected = "attach or attach_vertices: pins hold a garment without a body"
@@ -116,6 +117,7 @@ def _piece(number: int, settings: GarmentSettings, body: Character | Sequence) -
             key, expected = f"garment[{number}].made_for", "a skinned character, whose joints carry the garment"
             raise InputError("a garment of another body", key=key, received="a vertex sequence", expected=expected)
         garment = fitted(garment, load_body(settings.made_for), body, settings.fit)
+    settings = carried_bands(garment, settings, (body_vertices, body_faces), below)
     garment = in_size(garment, settings, body_vertices, body_faces)
     garment, binding = coarse_garment(garment, settings)
     held, fastened = held_vertices(garment, settings), fastened_vertices(garment, settings)
@@ -213,7 +215,9 @@ class GarmentSetup:
         scene = with_subdivisions(scene)
         body = body_of(scene)
         vertices = _bind_vertices(body)
-        pieces = [_piece(number, settings, body) for number, settings in enumerate(scene.garments)]
+        pieces: list[_Piece] = []
+        for number, settings in enumerate(scene.garments):
+            pieces.append(_piece(number, settings, body, [piece.garment for piece in pieces]))
         piece, layers = pieces[0], None
         if len(pieces) > 1:
             scene, piece, layers = _outfit(scene, pieces)

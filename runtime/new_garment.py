@@ -52,7 +52,7 @@ class GarmentGuess:
         fit: how it lies on the body.
         kind: a key of FABRICS.
         fabric: name of a preset.
-        attach: "top" or "none".
+        attach: "top", "bands" or "none".
         seams: its stitches; None without.
         coarse_subdivisions: see :class:`assets.io.scene.GarmentSettings`.
         notes: what is doubtful about it, a sentence each.
@@ -114,7 +114,7 @@ def guess_garment(path: str, body: BodyGuess, folder: Path) -> GarmentGuess:
         expected = "one piece, or a .csv file of stitches (columns v,a,b,w) beside it"
         raise InputError(f"{pieces} pieces that nothing holds together", file=path, key="pieces", expected=expected)
     on_shoulders = kind in ("shirt", "dress", "overall") and _highest(garment, body.vertices) > SHOULDER
-    held = garment.layers is None and pieces == 1 and not on_shoulders  # a sewn waistband holds by itself
+    held = pieces == 1 and not on_shoulders
     return GarmentGuess(
         garment=garment,
         file=file,
@@ -123,7 +123,7 @@ def guess_garment(path: str, body: BodyGuess, folder: Path) -> GarmentGuess:
         fit=fit,
         kind=kind,
         fabric=_fabric(garment.name, kind),
-        attach="top" if held else "none",
+        attach="bands" if garment.layers is not None else "top" if held else "none",
         seams=seams,
         coarse_subdivisions=0 if seams is not None or garment.layers is not None else _coarse_subdivisions(garment),
         notes=tuple(_notes(garment, fit, seams)),

@@ -179,10 +179,10 @@ def _weights(area: float) -> str:
 
 
 def _held_by(guess: GarmentGuess) -> str:
+    if guess.attach == "bands":
+        return "The body carries the rims of its taut bands, such as a waistband; its shoulders hold it by themselves."
     if guess.attach == "top":
         return "It hangs below the shoulders: the body carries its highest opening, the waistband."
-    if guess.garment.layers is not None:
-        return "Its waistband or its shoulders hold it, as it was sewn; nothing is attached."
     return 'The shoulders hold it; nothing is attached. "top" would tie the neckline to the body.'
 
 

@@ -43,7 +43,7 @@ def simulation_of(
         source, pose = body_source(stage.body), motion.pose(0.0)
     else:
         settings, garment = garment_of(scene)
-        if settings.attach != "none" or settings.attach_vertices:
+        if settings.attach not in ("bands", "none") or settings.attach_vertices:
             raise InputError("nothing to attach to", key="garment[0].attach", expected="pins, or a [character]")
         if settings.limits is not None:
             expected = "a [character]: limits are about where a body carries vertices"

@@ -63,9 +63,14 @@ Vector = tuple[float, float, float]
 _MESH = file_path(".obj", ".glb", ".gltf", ".npz", builtins=[f"builtin:{name}" for name in BUILTIN_GARMENTS])
 
 
-def _read_attach(reader: Reader, value: Any, key: str) -> str | tuple[int, ...]:
-    check = indices() if isinstance(value, list) else choice("top", "none")
-    return check.convert(reader, value, key)
+def _loops(*names: str) -> Check:
+    """Boundary loops: one of some names, or numbers."""
+
+    def read(reader: Reader, value: Any, key: str) -> str | tuple[int, ...]:
+        check = indices() if isinstance(value, list) else choice(*names)
+        return check.convert(reader, value, key)
+
+    return Check(f"{', '.join(map(repr, names))} or a list of boundary loop numbers", read)
 
 
 def _read_fabric(reader: Reader, value: Any, key: str) -> Fabric | None:
@@ -78,7 +83,6 @@ def _read_fabric(reader: Reader, value: Any, key: str) -> Fabric | None:
     raise Refused
 
 
-_ATTACH = Check("'top', 'none' or a list of boundary loop numbers", _read_attach)
 _FABRIC = Check(f"one of {', '.join(PRESETS)}, path of a .json file or a table of SI values", _read_fabric)
 
 
@@ -103,7 +107,9 @@ class GarmentSettings:
         coarse_subdivisions: how often the mesh is subdivided for the coarse one, which is simulated.
         subdivisions: how often the coarse mesh is subdivided for the fine one; None where the folds of the fabric
             decide, see :func:`runtime.garment_mesh.with_subdivisions`.
-        attach: boundary vertices that the body carries: "top" (the highest loop), "none", or numbers of loops.
+        attach: boundary vertices that the body carries: "bands" (rims of taut bands that do not give way, where they
+            lie on the body, see :func:`runtime.garment_mesh.carried_bands`), "top" (the highest loop), "none", or
+            numbers of loops.
         attach_vertices: more vertices that the body carries.
         fasten: boundary vertices that are fastened to the garments below: "top", "none", or numbers of loops.
         fasten_vertices: more vertices that are fastened to the garments below, like buttons.
@@ -125,9 +131,9 @@ class GarmentSettings:
     coarse_vertices: int | None = entry(whole(at_least=50), None)
     coarse_subdivisions: int = entry(whole(at_least=0), 0)
     subdivisions: int | None = entry(whole(at_least=1), None)
-    attach: str | tuple[int, ...] = entry(_ATTACH, "none")
+    attach: str | tuple[int, ...] = entry(_loops("bands", "top", "none"), "bands")
     attach_vertices: tuple[int, ...] = entry(indices(), ())
-    fasten: str | tuple[int, ...] = entry(_ATTACH, "none")
+    fasten: str | tuple[int, ...] = entry(_loops("top", "none"), "none")
     fasten_vertices: tuple[int, ...] = entry(indices(), ())
     pins: tuple[int, ...] = entry(indices(), ())
     limits: Path | None = entry(file_path(".csv"), None)

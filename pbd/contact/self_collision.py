@@ -239,7 +239,7 @@ class SelfCollision:
         self._position = np.zeros((count, 3))  # workspace
         self._seen = [np.zeros(0)] * len(SEARCHED)  # and what the state was then
         self._pulls: tuple[np.ndarray, np.ndarray] | None = None
-        self.strain_limits, self.limit_work = strain_limits(mesh, model.fabric.thickness)
+        self.strain_limits, self.limit_work = strain_limits(mesh, model.fabric.thickness, model.held)
         self._make_room(2 * count)
 
     def _make_room(self, count: int) -> None:

@@ -50,25 +50,27 @@ def limit_rows(
 
 
 def strain_limits(
-    mesh: ClothMesh, thickness: float, bands_without: np.ndarray | None = None
+    mesh: ClothMesh, thickness: float, held: np.ndarray, bands_only: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
     """The limits of a mesh's edges, see :func:`limit_rows`.
 
     Args:
         mesh: the garment.
         thickness: kept from the body [m]. Edges that are tight by themselves, like a waistband's, keep it as well.
-        bands_without: vertices that something else holds, int, shape (p,). With them, edges that have the usual limit
-            are left out, and so are bands with any of these vertices: what is carried stays without a limit.
+        held: vertices that something else holds, int, shape (p,). Bands with any of them are usual cloth: they cannot
+            slide, and where the held rim is longer than its limit, no pass could meet it.
+        bands_only: leave edges with the usual limit out.
     """
     edges, lengths = mesh.edge_lengths()
     stretch = mesh.edge_limits(MAX_STRETCH)
     tight = stretch < MAX_STRETCH
-    rows = np.ones(len(edges), bool)
-    if bands_without is not None:
+    if len(held) and tight.any():
         count = len(mesh.vertices)
         graph = csr_matrix((np.ones(tight.sum()), tuple(edges[tight].T)), (count, count))
         _, band = connected_components(graph, directed=False)
-        rows = tight & ~np.isin(band, band[bands_without])[edges[:, 0]]
+        tight &= ~np.isin(band, band[held])[edges[:, 0]]
+        stretch = np.where(tight, stretch, MAX_STRETCH)
+    rows = tight if bands_only else np.ones(len(edges), bool)
     clearances = np.where(tight, thickness, 0.0)
     return limit_rows(edges[rows], (stretch * lengths)[rows], len(mesh.vertices), clearances[rows])
 

@@ -178,7 +178,7 @@ class Solver:
     def _workspace(self) -> dict[str, np.ndarray]:
         """Arguments of the kernels that hold nothing between two frames."""
         count, samples = self.model.vertex_count, len(self.model.samples)
-        limits, limit_work = strain_limits(self.model.mesh, self.model.fabric.thickness, self.model.held)
+        limits, limit_work = strain_limits(self.model.mesh, self.model.fabric.thickness, self.model.held, True)
         return {
             **{name: np.zeros((count, 4), np.float32) for name in ("position_delta", "velocity_delta", "normals")},
             "contact_points": np.zeros((samples, 3, 4), np.float32),

@@ -71,7 +71,7 @@ def test_kind_fabric_and_hold_follow_from_the_shape(
 ) -> None:
     guess = guess_garment(str(stored(tmp_path, one_layer(name), f"{name}.obj")), mannequin, tmp_path)
     assert (guess.kind, guess.fabric, guess.attach) == (kind, fabric, attach)
-    assert guess_garment(f"builtin:{name}", mannequin, tmp_path).attach == "none"  # as it was sewn
+    assert guess_garment(f"builtin:{name}", mannequin, tmp_path).attach == "bands"  # as it was sewn
 
 
 def test_a_fabric_in_the_name_is_taken(mannequin: BodyGuess, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from assets.garment import highest_loop
+from assets.garment import boundary_loops, highest_loop
 from assets.io.scene import parse_scene
 from assets.io.sewn import read_sewn, write_sewn
 from assets.procedural.mannequin import DATA
@@ -57,7 +57,7 @@ def test_a_sewn_garment_stays_where_it_was_draped(folder: Path, fine: bool) -> N
 
 def slid(mesh: str | Path, clip: str = "walk", seconds: float = 2.5) -> float:
     """How far the waist of an unattached garment has gone down against the body's skin under it [m]."""
-    text = f'[[garment]]\nname = "skirt"\nmesh = "{mesh}"\nfabric = "wool"\nsubdivisions = 1\n'
+    text = f'[[garment]]\nname = "skirt"\nmesh = "{mesh}"\nfabric = "wool"\nsubdivisions = 1\nattach = "none"\n'
     text += f'[character]\nfile = "builtin:mannequin"\nclip = "{clip}"\n'
     simulation, motion = simulation_of(parse_scene(text, "scene.toml"))
     assert motion is not None and simulation.source is not None and not len(simulation.model.held)
@@ -78,6 +78,47 @@ def slid(mesh: str | Path, clip: str = "walk", seconds: float = 2.5) -> float:
 @pytest.mark.parametrize("clip", ["walk", "twirl"])
 def test_a_waistband_holds_without_being_attached(name: str, clip: str) -> None:
     assert -0.005 < slid(f"builtin:{name}", clip) < 0.015
+
+
+WORN = '[[garment]]\nname = "g"\nmesh = "builtin:{}"\nfabric = "cotton"\nsubdivisions = 1\n{}\n'
+MANNEQUIN = '[character]\nfile = "builtin:mannequin"\nclip = "walk"\n'
+
+
+def held_rims(*garments: tuple[str, str]) -> list[float]:
+    """Heights of the openings that the body carries, of garments worn over one another, each with its settings [m]."""
+    text = "".join(WORN.format(*one).replace('"g"', f'"{n}"') for n, one in enumerate(garments))
+    setup = GarmentSetup.of(parse_scene(text + MANNEQUIN, "scene.toml"))
+    rims = [
+        setup.garment.vertices[loop, 1].mean()
+        for loop in boundary_loops(setup.garment.faces)
+        if np.isin(loop, setup.levels.coarse_held).all()
+    ]
+    assert len(rims) or not len(setup.levels.coarse_held)
+    return rims
+
+
+@pytest.mark.parametrize("name", ["skirt", "trousers"])
+def test_the_body_carries_a_waistband(name: str) -> None:
+    assert held_rims((name, "")) == held_rims((name, 'attach = "top"')) == pytest.approx([1.09], abs=0.01)
+    assert not held_rims((name, 'attach = "none"'))
+
+
+def test_a_band_that_is_loose_or_lies_on_another_garment_is_not_carried() -> None:
+    assert not held_rims(("shirt", ""))  # its neckline and its cuffs have room
+    assert held_rims(("trousers", ""), ("skirt", "")) == held_rims(("trousers", ""))
+
+
+@pytest.mark.parametrize("attach", ["", 'attach = "none"'])
+def test_trousers_are_still_on_a_body_that_stands_still(attach: str) -> None:
+    simulation, motion = simulation_of(parse_scene(WORN.format("trousers", attach) + MANNEQUIN, "scene.toml"))
+    assert motion is not None
+    still, seen = motion.pose(0.0), []
+    for frame in range(240):
+        simulation.step(still, 1 / 60)
+        if frame >= 200:
+            seen.append(simulation.vertices.copy())
+    hop = np.linalg.norm(np.diff(seen, 2, axis=0), axis=2) / 4.0
+    assert hop.max() < 1e-4
 
 
 def test_without_its_limits_the_waistband_gives_way(tmp_path: Path) -> None:

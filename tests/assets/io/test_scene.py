@@ -126,7 +126,7 @@ def test_a_scene_without_a_file_of_its_own_is_read_in_the_working_folder(load, t
 def test_a_short_scene_has_the_defaults(load) -> None:
     scene = load(SKIRT)
     (skirt,) = scene.garments
-    assert (skirt.mesh, skirt.subdivisions, skirt.attach, skirt.fabric) == ("builtin:skirt", None, "none", Fabric())
+    assert (skirt.mesh, skirt.subdivisions, skirt.attach, skirt.fabric) == ("builtin:skirt", None, "bands", Fabric())
     assert scene.character is None
     assert scene.solver.gravity == (0.0, -9.81, 0.0)
 
@@ -336,6 +336,8 @@ def test_any_name_survives_printing(name: str, tmp_path_factory: pytest.TempPath
         (SKIRT + "thickness = 1" + "0" * 400, ["garment[0].thickness: bad value"]),
         (SKIRT + "thickness = inf", ["received inf"]),
         (SKIRT + 'attach = "topp"', ["received 'topp'", "did you mean 'top'?"]),
+        (SKIRT + 'attach = "band"', ["received 'band'", "did you mean 'bands'?"]),
+        (SKIRT + 'fasten = "bands"', ["garment[0].fasten", "received 'bands'", "one of 'top', 'none'"]),
         (SKIRT + "ease = [0.1]", ["garment[0].ease: bad value", "received [0.1]", "two finite numbers"]),
         (SKIRT + "ease = [0.1, nan]", ["garment[0].ease: bad value", "two finite numbers, each at least -0.5"]),
         (SKIRT + "ease = [3, 0]", ["garment[0].ease: bad value", "at most 2"]),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pbd import Colliders, Fabric, Model, Plane, Solver, SolverOptions, State
-from pbd.contact.strain_limits import MAX_STRETCH, limit_rows, near_limits, solve_strain_limits
+from pbd.contact.strain_limits import MAX_STRETCH, limit_rows, near_limits, solve_strain_limits, strain_limits
 from pbd.distance import BodyDistance
 from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Int1, Vec3, Vec4, Vec4Rows
@@ -55,6 +55,8 @@ def test_bands_hold_where_the_cloth_does_not_collide_with_itself() -> None:
     assert len(solver._fixed["strain_limits"]) == tight.sum()
     everywhere = free_model(replace(mesh, max_stretch=np.full(len(left), 1.01)), LIMP, model.held)
     assert len(Solver(everywhere, SolverOptions())._fixed["strain_limits"]) == 0
+    limits, _ = strain_limits(everywhere.mesh, LIMP.thickness, everywhere.held)
+    np.testing.assert_allclose(limits[:, 2], MAX_STRETCH * lengths, rtol=1e-6)
     assert tight.sum() > 30 and stretch[tight].max() < 1.03 and stretch[~tight].max() > 1.5
 
 
