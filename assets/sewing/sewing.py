@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from assets.bands import taut_bands
 from assets.fabrics import load_fabric
 from assets.garment import Garment, boundary_loops
 from assets.patterns.panel_mesh import cut
@@ -44,6 +45,8 @@ MAX_CLOSING_GAP = 0.02  # between two stitched vertices when they become one [m]
 SEAM_ALLOWANCE = 0.01  # of cloth on both sides of a seam that is folded back under it [m]
 # Stages of draping: seconds, damping [1/s], share of the fabric's friction, share of gravity.
 HANG = (0.4, 2.0, 0.3, 1.0)
+# Before the weight comes on, a taut band moves to where it is at home on the body; a little weight makes its rim level.
+RELAX = (0.4, 2.0, 0.3, 0.1)
 # Shares of an elastic's shortening while it hangs: at once, a cuff snaps into the wrist.
 TIGHTENING = (1 / 3, 2 / 3, 1.0)
 SETTLE = ((0.6, 2.0, 0.3, 1.0), (1.2, 1.0, 1.0, 1.0))
@@ -134,6 +137,9 @@ def _sewn(
     positions = close_stitches(coarse, start, body, cloth, bend_factor, seconds, clock, smoothings)
     _check_closed(pattern, coarse, positions)
     clock.stage = "draping"
+    mesh = _surface(pattern, coarse, surfaces[0], positions, TIGHTENING[0])
+    if len(_rims(mesh, body)):
+        positions = _drape(mesh, body, cloth, bend_factor, RELAX, clock, hold=False).vertices[surfaces[0].vertex]
     for tightness in TIGHTENING:
         mesh = _surface(pattern, coarse, surfaces[0], positions, tightness)
         mesh = _drape(mesh, body, cloth, bend_factor, HANG, clock)
@@ -169,11 +175,25 @@ def _drape(
     bend_factor: float,
     stage: tuple[float, float, float, float],
     clock: Clock,
+    hold: bool = True,
 ) -> ClothMesh:
+    """A stage of draping; the body holds the rims of taut bands unless ``hold`` is false."""
     seconds, damping, friction, weight = stage
-    return drape(
-        mesh, body, replace(cloth, friction=friction * cloth.friction), bend_factor, seconds, damping, clock, weight
-    )
+    held = _rims(mesh, body) if hold else np.zeros(0, np.int32)
+    cloth = replace(cloth, friction=friction * cloth.friction)
+    if len(held):
+        vertices = mesh.vertices.copy()
+        vertices[held] = push_outside(vertices[held], body.vertices, body.faces, CLEARANCE)
+        mesh = replace(mesh, vertices=vertices)
+    return drape(mesh, body, cloth, bend_factor, seconds, damping, clock, weight, held)
+
+
+def _rims(mesh: ClothMesh, body: StandingBody) -> NDArray[np.int32]:
+    """Vertices of the rims of bands that are drawn tight around the body, int32, shape (p,)."""
+    rest = np.concatenate([np.zeros((len(mesh.faces), 1, 2)), mesh.flat.swapaxes(1, 2)], axis=1)
+    assert mesh.max_stretch is not None
+    found = taut_bands(mesh.vertices, mesh.faces, rest, mesh.max_stretch, (body.vertices, body.faces))
+    return np.concatenate([np.zeros(0, np.int32), *(loop for _, loop in found)]).astype(np.int32)
 
 
 def _cleared(mesh: ClothMesh, body: StandingBody) -> ClothMesh:

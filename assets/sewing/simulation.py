@@ -79,9 +79,15 @@ class _ClothOnBody:
     """A cloth beside a body that stands still."""
 
     def __init__(
-        self, mesh: ClothMesh, fabric: Fabric, body: StandingBody, options: SolverOptions, bend_factor: float
+        self,
+        mesh: ClothMesh,
+        fabric: Fabric,
+        body: StandingBody,
+        options: SolverOptions,
+        bend_factor: float,
+        held: NDArray[np.int32] | None = None,
     ) -> None:
-        self.model = build_model(mesh, fabric, bend_factor=bend_factor)
+        self.model = build_model(mesh, fabric, held, bend_factor=bend_factor)
         self.solver, self.state = Solver(self.model, options), State.at_rest(self.model)
         self._body = Body(body.faces, len(body.vertices))
         self._body.origin = self.state.origin.copy()
@@ -158,7 +164,8 @@ def drape(
     seconds: float,
     damping: float,
     clock: Clock,
-    weight: float = 1.0,
+    weight: float,
+    held: NDArray[np.int32],
 ) -> ClothMesh:
     """Let a garment hang on a body for a time.
 
@@ -171,13 +178,14 @@ def drape(
         damping: rate at which velocities die away [1/s].
         clock: counts the work.
         weight: share of gravity [-].
+        held: vertices that stay where they are, int32, shape (p,).
 
     Returns:
         the mesh where it hangs.
     """
     substep = substep_of(float(mesh.edge_lengths()[1].mean()))
     options = SolverOptions(substep=substep, gravity=(0.0, weight * GRAVITY[1], 0.0), self_collision=True)
-    cloth = _ClothOnBody(mesh, fabric, body, options, bend_factor)
+    cloth = _ClothOnBody(mesh, fabric, body, options, bend_factor, held)
     for _ in range(round(seconds / FRAME)):
         cloth.step(damping)
         clock.add(len(mesh.vertices) * FRAME / substep)

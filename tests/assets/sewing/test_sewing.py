@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from assets.garment import boundary_loops, load_garment
+from assets.garment import boundary_loops, highest_loop, load_garment
 from assets.io.sewn import read_sewn, write_sewn
 from assets.measures import measure
 from assets.patterns.drafts import DRAFTS, draft
 from assets.patterns.load import load_pattern
 from assets.patterns.panel_mesh import cut
 from assets.sewing.arrangement import CLEARANCE, arranged
-from assets.sewing.body import load_standing_body
+from assets.sewing.body import StandingBody, load_standing_body
 from assets.sewing.garment import SewnGarment, drape_figures, faults_of
 from assets.sewing.pieces import pieces_of
 from assets.sewing.sewing import SewingError, arranged_pieces, sew
@@ -24,6 +24,7 @@ from pbd.distance import BodyDistance
 from pbd.errors import InputError
 from tests.assets.sewing.tubes import egg, tube_pattern
 from tests.data import data_path
+from tests.wrinkles.meshes import icosphere
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +76,19 @@ def test_a_tube_that_is_too_small_says_so() -> None:
     pole = replace(egg(), vertices=egg().vertices * [1.0, 6.0, 1.0])  # from which it cannot slide
     with pytest.raises(SewingError, match="stays open|too small"):
         sew(tube_pattern(girth=0.4), pole, "cotton", 0.025)
+
+
+def test_a_band_holds_where_it_is_tight_however_finely_it_is_cut() -> None:
+    """A heavy skirt on the waist of an hourglass."""
+    vertices, faces = icosphere(4)
+    vertices = vertices * [0.11, 0.6, 0.11]
+    vertices[:, [0, 2]] *= 1.0 - 0.3 * np.exp(-((vertices[:, 1:2] / 0.12) ** 2))
+    body = StandingBody("hourglass", vertices + [0.0, 0.4, 0.0], faces)
+    skirt, rims = tube_pattern(girth=0.49, height=0.4, layers=3.0, flare=0.6), []
+    for edge in (0.025, 0.012):
+        garment = sew(skirt, body, "denim", edge).garment
+        rims.append(garment.vertices[highest_loop(garment.vertices, garment.faces), 1].mean())
+    assert rims == pytest.approx([0.4, 0.4], abs=0.003) and abs(rims[1] - rims[0]) < 0.001
 
 
 def test_faults_name_what_is_wrong(tube: SewnGarment) -> None:

@@ -17,10 +17,15 @@ def egg() -> StandingBody:
     return StandingBody("egg", vertices * [0.1, 0.4, 0.1] - [0.0, 0.15, 0.0], faces)
 
 
-def tube_pattern(girth: float = 0.6, height: float = 0.1, placed: bool = True) -> Pattern:
-    """Front and back of a tube around the egg, the back without a place if not ``placed``; two layers at the top."""
-    half = girth / 4.0
-    corners = np.array([[-half, 0.0], [half, 0.0], [half, height], [-half, height]])
+def tube_pattern(
+    girth: float = 0.6, height: float = 0.1, placed: bool = True, layers: float = 2.0, flare: float = 0.0
+) -> Pattern:
+    """Front and back of a tube around the egg, the back without a place if not ``placed``; ``layers`` at the top.
+
+    Its girth at the hem is larger by ``flare`` [m].
+    """
+    half, hem = girth / 4.0, (girth + flare) / 4.0
+    corners = np.array([[-hem, 0.0], [hem, 0.0], [half, height], [-half, height]])
     edges = tuple(np.stack([a, b]) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True))
     turned = np.diag([-1.0, 1.0, -1.0])
     panels = [
@@ -28,5 +33,5 @@ def tube_pattern(girth: float = 0.6, height: float = 0.1, placed: bool = True) -
         Panel("back", edges, np.array([0.0, 1.0]), Placement(turned, np.array([0.0, 0.0, -0.15])) if placed else None),
     ]
     seams = [Seam(EdgeName("front", 1), EdgeName("back", 3)), Seam(EdgeName("front", 3), EdgeName("back", 1))]
-    bands = [Band(EdgeName(name, 2), 0.02, 2.0) for name in ("front", "back")]
+    bands = [Band(EdgeName(name, 2), 0.02, layers) for name in ("front", "back")]
     return Pattern("tube", tuple(panels), tuple(seams), tuple(bands), "test")
