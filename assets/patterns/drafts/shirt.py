@@ -1,4 +1,4 @@
-"""A shirt with long sleeves, darts at the bust and cuffs; it is pulled over the head."""
+"""A jumper with long sleeves, darts at the bust and cuffs: neither collar nor placket, pulled over the head."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LEAST_DART = 0.01  # [m] a smaller one is left out
 
 @dataclass(frozen=True)
 class Shirt:
-    """Parameters of a shirt [m]; None is derived from the body."""
+    """Parameters of a jumper [m]; None is derived from the body."""
 
     ease: float = number(0.12, "m", "added to the girth of the bust")
     length: float | None = number(None, "m", "from the neck's side to the hem; default: to the crotch's height")
@@ -33,7 +33,7 @@ class Shirt:
 
 
 def shirt(measures: BodyMeasures, parameters: Shirt) -> Pattern:
-    """Draft a shirt.
+    """Draft a jumper.
 
     Raises:
         InputError: the body lacks a measure, or a parameter makes the shirt smaller than the body.
