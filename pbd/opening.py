@@ -10,14 +10,14 @@ from pbd.attachment import push_outside
 from pbd.crossings import SelfCrossings
 from pbd.mesh import ClothMesh, vertex_rings
 
-__all__ = ["neighbour_means", "smoothed_apart"]
+__all__ = ["CLEARANCE", "neighbour_means", "smoothed_apart"]
 
 Floats = NDArray[np.float64]
 
 SMOOTHINGS = 4  # of the cloth around a crossing, one after the other
 MAX_RINGS = 6  # of vertices around it that are smoothed
 MAX_ROUNDS = 16
-CLEARANCE = 0.003  # of smoothed cloth from the body [m]
+CLEARANCE = 0.003  # of what is moved from the body [m]
 
 
 def neighbour_means(faces: NDArray[np.int32], count: int) -> tuple[csr_matrix, csr_matrix]:

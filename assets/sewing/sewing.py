@@ -23,12 +23,12 @@ from assets.sewing.body import StandingBody
 from assets.sewing.garment import SewnGarment, body_crossings, drape_figures, faults_of
 from assets.sewing.pieces import Joined, Pieces, carried_over, join, pieces_of
 from assets.sewing.simulation import HELD, Clock, band_limits, close_stitches, drape, substep_of
-from pbd.attachment import smooth_normals
+from pbd.attachment import push_outside, smooth_normals
 from pbd.bending import hinge_calibration
 from pbd.errors import InputError
 from pbd.fabric import Fabric
 from pbd.mesh import ClothMesh
-from pbd.opening import smoothed_apart
+from pbd.opening import CLEARANCE, smoothed_apart
 
 __all__ = ["COARSE_EDGE", "SewingError", "arranged_pieces", "sew"]
 
