@@ -47,6 +47,7 @@ from wrinkles.metrics import (
 from wrinkles.spectrum import BandedEnergy, LowPass, spectrum_band_error_max
 
 __all__ = [
+    "SETTLE",
     "Evaluation",
     "Free",
     "Truth",

@@ -20,6 +20,7 @@ from precompute.learning.covered import covered_faces
 from precompute.learning.crossed import crossed_figures, crossed_jobs, crossed_words, joined_crossed
 from precompute.learning.decoding import with_vertex_mean
 from precompute.learning.evaluation import (
+    SETTLE,
     Evaluation,
     Truth,
     evaluate,
@@ -55,6 +56,7 @@ __all__ = [
 ]
 
 DEFAULT = LearningOptions()
+SHORTEST = 0.1  # part of a held-out motion that is judged at least [s]
 STAGES = (
     "simulating", "fitting patches", "fitting", "means of vertices", "calibrating", "unfamiliarity", "evaluating",
 )  # fmt: skip
@@ -228,7 +230,14 @@ def _held_out(scene: Scene, stage: GarmentSetup) -> list[Motion]:
     if overlap:
         clips = sorted(f"{m.file}: {m.name}" for m in overlap)
         raise InputError("a held-out clip is trained on", key="training.held_out", received=clips, expected="another")
-    return [stage.motion(m) for m in training.held_out]
+    motions = [stage.motion(m) for m in training.held_out]
+    for number, motion in enumerate(motions):
+        settling = max(SETTLE, motion.lead_in)
+        if motion.duration - settling < SHORTEST:
+            key, received = f"training.held_out[{number}]", f"{motion.duration:.2f} s with the way from the bind pose"
+            expected = f"at least {settling + SHORTEST:.1f} s: the cloth settles in the first {settling:.1f} s"
+            raise InputError("too short to be judged by", key=key, received=received, expected=expected)
+    return motions
 
 
 def _simulated(work: _Work, motions: Sequence[Motion], judged: Sequence[Motion]) -> list[_Example]:

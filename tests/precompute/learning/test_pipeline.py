@@ -207,6 +207,7 @@ WALK, HELD_OUT = 'file = "builtin:mannequin"\nclip = "walk"\n', "[[training.held
         ("procedural_seconds = 2.0", "", "training: nothing to learn from.*clips or procedural_seconds"),
         ("= 2.0", "= 1.9", "nothing to learn from"),  # a blend takes longer than this
         ('clip = "walk"\nend', 'clip = "waltz"\nend', "waltz"),
+        ("end = 1.2", "end = 0.4", r"training\.held_out\[0\]: too short to be judged by.*1\.40 s.*at least 1\.6 s"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_learned_is_refused_before_anything_is_simulated(
