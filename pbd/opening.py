@@ -8,7 +8,7 @@ from scipy.sparse import csr_matrix, diags
 
 from pbd.attachment import push_outside
 from pbd.crossings import SelfCrossings
-from pbd.mesh import ClothMesh, vertex_rings
+from pbd.mesh import ClothMesh, edges_of, vertex_rings
 
 __all__ = ["CLEARANCE", "neighbour_means", "smoothed_apart"]
 
@@ -26,6 +26,19 @@ def neighbour_means(faces: NDArray[np.int32], count: int) -> tuple[csr_matrix, c
     around = csr_matrix((np.ones(len(ring)), ring, starts), (count, count))
     counts = np.diff(starts)
     return diags(1.0 / np.maximum(counts, 1)) @ around + diags((counts == 0).astype(float)), around
+
+
+def _means_along_borders(mesh: ClothMesh) -> tuple[csr_matrix, csr_matrix]:
+    """As :func:`neighbour_means`, but on a border that is no seam the mean along it: a hem stays a hem."""
+    count = len(mesh.vertices)
+    mean, around = neighbour_means(mesh.faces, count)
+    edges, side_edge = edges_of(mesh.faces)
+    a, b = edges[np.bincount(side_edge.ravel()) == 1].T
+    along = csr_matrix((np.ones(2 * len(a)), (np.concatenate([a, b]), np.concatenate([b, a]))), (count, count))
+    beside = np.bincount(np.concatenate([a, b]), minlength=count)
+    beside[mesh.stitches.ravel()] = 0
+    inner = diags((beside == 0).astype(float))
+    return (inner @ mean + diags((beside > 0) / np.maximum(beside, 1)) @ along).tocsr(), around
 
 
 def smoothed_apart(
@@ -47,7 +60,7 @@ def smoothed_apart(
         positions with the fewest crossing faces that were found [m], shape (n, 3).
     """
     crossings, vertices = SelfCrossings(mesh), np.array(mesh.vertices, float)
-    mean, around = neighbour_means(mesh.faces, len(vertices))
+    mean, around = _means_along_borders(mesh)
     (v, a, b), weight = mesh.stitches.T, 1.0 - mesh.stitch_weights[:, None]
     best, fewest, last, rings = vertices, len(mesh.faces) + 1, len(mesh.faces) + 1, 1
     for _ in range(MAX_ROUNDS):

@@ -6,9 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from pbd import ClothMesh, Fabric, SolverOptions
-from pbd.crossings import SelfCrossings
+from pbd.crossings import SelfCrossings, seams_of
 from pbd.opening import smoothed_apart
 from runtime.simulation import Simulation
 from wrinkles.levels import Levels
@@ -17,6 +18,7 @@ __all__ = ["Opening", "opened"]
 
 MAX_FRAMES = 30  # in which layers come apart
 FRAME = 1.0 / 60.0  # [s]
+COINCIDENT = 1e-7  # vertices so near one another are in one place [m]
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,8 @@ class Opening:
         faces: of the mesh.
         moved: farthest way of a vertex [m].
         left: middle of the crossings that are left [m], shape (3,); None where there are none.
+        coincident: faces that lie in another sheet: these have no right side, and are left as they are.
+        place: middle of those [m], shape (3,); None where there are none.
     """
 
     mesh: str
@@ -37,16 +41,28 @@ class Opening:
     faces: int
     moved: float
     left: np.ndarray | None
+    coincident: int
+    place: np.ndarray | None
 
     def __str__(self) -> str:
-        text = (
-            f"the {self.mesh} garment starts through itself in {self.before} of {self.faces} faces: opened by moving "
-            f"vertices up to {1e3 * self.moved:.0f} mm, {self.after} are left"
-        )
-        if self.left is None:
-            return text
-        place = ", ".join(f"{x:.2f}" for x in self.left)
-        return f"{text}, around ({place}) m; part the sheets there in the mesh, or wear the garment less tight"
+        parts = []
+        if self.before:
+            parts.append(
+                f"the {self.mesh} garment starts through itself in {self.before} of {self.faces} faces: opened by "
+                f"moving vertices up to {1e3 * self.moved:.0f} mm, {self.after} are left"
+            )
+        if self.left is not None:
+            parts.append(f"they are around {_metres(self.left)}: part the sheets there in the mesh, or give it ease")
+        if self.place is not None:
+            parts.append(
+                f"{self.coincident} of {self.faces} faces of the {self.mesh} garment lie in another sheet, around "
+                f"{_metres(self.place)}: move one sheet off the other by the thickness of the fabric"
+            )
+        return "; ".join(parts)
+
+
+def _metres(place: np.ndarray) -> str:
+    return f"({', '.join(f'{x:.2f}' for x in place)}) m"
 
 
 @dataclass
@@ -87,7 +103,11 @@ def opened(
         mesh, held = (levels.fine, levels.fine_held) if fine else (levels.coarse, levels.coarse_held)
         crossings = SelfCrossings(mesh)
         rows = crossings.find(mesh.vertices)
+        sheet = _coincident(mesh)
+        place = mesh.vertices[mesh.faces[sheet]].mean(axis=(0, 1)) if len(sheet) else None
         if not len(rows):
+            if len(sheet):
+                done.append(Opening(name, 0, 0, len(mesh.faces), 0.0, None, len(sheet), place))
             continue
         before, start = len(crossings.faces_of(rows)), mesh.vertices
         layer = None if levels.layers is None else (levels.fine_layer if fine else levels.layers.layer)
@@ -101,11 +121,21 @@ def opened(
             free, after = mesh, before
         moved = float(np.linalg.norm(free.vertices - start, axis=1).max())
         left = free.vertices[rows[:, 0]].mean(axis=0) if after else None
-        done.append(Opening(name, before, after, len(mesh.faces), moved, left))
+        done.append(Opening(name, before, after, len(mesh.faces), moved, left, len(sheet), place))
         levels = replace(levels, fine=free) if fine else rebuilt(free.vertices)
         if not fine and levels.subdivision.binding is not None:  # its folds are its own
             levels = replace(levels, fine=replace(levels.fine, vertices=delivered))
     return levels, tuple(done)
+
+
+def _coincident(mesh: ClothMesh) -> np.ndarray:
+    """Numbers of the faces all of whose corners lie on other vertices that they are not stitched to."""
+    pairs, seam = cKDTree(mesh.vertices).query_pairs(COINCIDENT, output_type="ndarray"), None
+    if len(pairs) and (seam := seams_of(mesh.stitches, len(mesh.vertices))) is not None:
+        pairs = pairs[seam[pairs[:, 0]] != seam[pairs[:, 1]]]
+    lies = np.zeros(len(mesh.vertices), bool)
+    lies[pairs] = True
+    return np.flatnonzero(lies[mesh.faces].all(axis=1))
 
 
 def _parted(
