@@ -139,11 +139,14 @@ class Run:
         return self.rest_shape.applied(self.levels.coarse)
 
     def simulation(self) -> Simulation:
-        """The simulation at the first pose."""
+        """The simulation at the first pose, in which nothing is moved without contact."""
         levels = self.levels
         attachment = levels.fine_attachment if self.fine else levels.coarse_attachment
         model = levels.model(self.fabric, self.options, self.bend_factor, fine=self.fine, mesh=self._mesh())
-        return Simulation(model, attachment, body_source(self.body), self.poses[0], self.solver, self.primitives)
+        source = body_source(self.body)
+        simulation = Simulation(model, attachment, source, self.poses[0], self.solver, self.primitives)
+        simulation.redressing = None
+        return simulation
 
 
 @lru_cache(maxsize=1)

@@ -66,6 +66,15 @@ def test_a_run_is_recorded_every_other_frame(tmp_path: Path) -> None:
     assert later.frames.tolist() == [32, 34, 36, 38, 40] and len(later.positions) == len(later.nearest) == 5
 
 
+def test_nothing_is_put_back_on_the_body_in_a_run() -> None:
+    """A hand that pinches a hem for long stretches a few edges: to put all of it back tangles what was whole."""
+    simulation = skirt_run().simulation()
+    assert simulation.redressing is None
+    for pose in skirt_run().poses[1:3]:
+        simulation.step(pose)
+    assert np.isfinite(simulation.state.position).all()
+
+
 def test_a_fine_run_is_filtered_down(tmp_path: Path) -> None:
     run = skirt_run(fine=True)
     run = replace(run, poses=run.poses[:11])
