@@ -224,6 +224,9 @@ class GarmentSetup:
         shape = {"binding": piece.binding, "limits": piece.limits, "sewn": sewn_rest(piece.garment), "layers": layers}
         given = piece.garment.faces, piece.held, vertices, body.faces, scene.garments[0].subdivision_count
         levels, openings = build_levels(piece.garment.vertices, *given, **shape), ()
+        if layers is not None:
+            check_order(levels.coarse.vertices, levels.coarse.faces, layers)
+            check_fastened(levels.coarse.vertices, levels.coarse.faces, layers)
         if scene.solver.self_collision:
             cuts = max(garment.subdivisions_of_mesh for garment in scene.garments)
             solvers = scene.solver.options(), fine_options(scene, cuts)
@@ -235,9 +238,6 @@ class GarmentSetup:
                 body.faces,
                 lambda x: levels_of(x, *given, **shape),
             )
-        if layers is not None:
-            check_order(levels.coarse.vertices, levels.coarse.faces, layers)
-            check_fastened(levels.coarse.vertices, levels.coarse.faces, layers)
         levels = replace(levels, pattern=piece.garment.pattern)
         return cls(scene, scene.garments[0], piece.garment, body, levels, openings)
 

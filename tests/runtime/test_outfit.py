@@ -61,7 +61,9 @@ def test_an_outfit_is_one_mesh_in_layers(setup: GarmentSetup, trousers: GarmentS
     assert levels.layers is not None and levels.layers.names == ("trousers", "skirt")
     assert levels.layers.fabrics == (PRESETS["silk"],)
     assert levels.layers.layer.tolist() == [0] * count + [1] * 624
-    np.testing.assert_allclose(levels.coarse.vertices[:count], alone.coarse.vertices, atol=1e-6)
+    opened = max(one.moved for one in setup.openings)  # trousers and skirt start through one another, and are parted
+    assert 0.0 < opened < 0.05 and not any(one.after for one in setup.openings)
+    np.testing.assert_allclose(levels.coarse.vertices[:count], alone.coarse.vertices, atol=opened)
     np.testing.assert_allclose(levels.coarse.flat[: len(alone.coarse.faces)], alone.coarse.flat)
     fine = levels.layers.subdivided(levels.subdivision).layer
     assert (fine[levels.fine.faces] == fine[levels.fine.faces[:, :1]]).all()
