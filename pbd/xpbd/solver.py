@@ -35,7 +35,7 @@ MAX_REFINEMENT = 8  # times as many substeps, at most
 CHECKED = ("position", "velocity", "nearest", "contact", "plastic_bends", "plastic_shears")
 UNTANGLED = 4  # times the few edges around crossings, where curves of crossings may move while they are untangled
 MAX_MEND = 0.004  # correction of a vertex over a whole frame by which impacts are kept from happening [m]
-MAX_REPEATS = 3  # of a frame in which cloth went through itself
+MAX_REPEATS = 6  # of a frame in which cloth went through itself
 MIN_FRAME_TIME = 1e-7  # shorter frames do nothing [s]: float32 does not hold the square of their inverse
 
 
@@ -269,7 +269,8 @@ class Solver:
         known = pairs.around(pairs.crossings, UNTANGLED)  # untangling brings these apart
         watched = np.zeros(len(known), bool)
         corners = pairs.impacts.grid.faces
-        for repeat in range(1 if known.any() else MAX_REPEATS):  # cloth that is through itself brings forth new ones
+        repeats = 1 if known.any() else MAX_REPEATS  # cloth that is through itself brings forth new crossings
+        for repeat in range(repeats):
             if not np.isfinite(state.position).all():
                 break
             rows = pairs.look_ahead(state, dt / steps.count, steps.count, self.model.fabric.thickness)
@@ -282,7 +283,7 @@ class Solver:
                 rows = rows[~known[rows[:, 0]]]
                 if not len(rows):
                     break
-            watched |= pairs.around(rows)
+            watched |= pairs.around(rows) | (0 < repeat == repeats - 1)  # the last time everywhere
             faces = np.flatnonzero((watched & ~known)[corners].any(axis=1)).astype(np.int32)
             if repeat == 0 and self._mend(state, start, faces, dt, len(pairs.crossings)):
                 break
