@@ -16,7 +16,7 @@ from pbd.contact.box_tree import (
     update_nodes,
     update_patch,
 )
-from pbd.contact.pair_sides import EDGE_SHARE, SLACK, MovingCloth, PairBuffers, take_pair
+from pbd.contact.pair_sides import EDGE_SHARE, MovingCloth, PairBuffers, take_pair
 from pbd.crossings import note_crossings
 from pbd.engine import ti
 from pbd.geometry import Byte2, Float1, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, vec3, xyz
@@ -99,6 +99,7 @@ def find_pairs(
     dt: ti.f32,
     share: ti.f32,
     thickness: ti.f32,
+    slack: ti.f32,
     longest: ti.f32,
     tangled: ti.i32,
     within: ti.i32,
@@ -120,7 +121,7 @@ def find_pairs(
             within,
             MovingCloth(
                 position, velocity, displacement, normals, rest, landmarks, layer, wrong_side, seen_position,
-                seen_velocity, stale, thickness, longest, tangled,
+                seen_velocity, stale, thickness, slack, longest, tangled,
             ),
             BoxTree(
                 faces, owned, edges, patch_start, group_start, nodes, neighbour_start, neighbours, common, boxes,
@@ -144,7 +145,7 @@ def search_pairs(
     buffers: ti.template(),
 ):
     """See :func:`find_pairs`."""
-    margin = 0.5 * (cloth.thickness + SLACK)
+    margin = 0.5 * (cloth.thickness + cloth.slack)
     layers = expect_motion(dt, cloth, buffers)
     find_stale(anew, elapsed, cloth, tree, buffers)
     for group in range(tree.group_start.shape[0] - 1):
@@ -217,7 +218,7 @@ def find_stale(anew: ti.i32, elapsed: ti.f32, cloth: ti.template(), tree: ti.tem
     for i in range(count):
         x, v = xyz(cloth.position[i]), cloth.velocity[i]
         left = x - cloth.seen_position[i] - elapsed * cloth.seen_velocity[i] - mean
-        stale = anew != 0 or left.dot(left) > 0.25 * SLACK * SLACK
+        stale = anew != 0 or left.dot(left) > 0.25 * cloth.slack * cloth.slack
         if buffers.crossed.shape[0] > 1:
             stale = stale or cloth.wrong_side[i] == 1
             cloth.wrong_side[i] = 0
@@ -335,7 +336,7 @@ def search_face(
         f = tree.patch_start[patch] + lane
         near = features(
             tree.face_blocks, patch, lane, other,
-            margin + ROUNDING, EDGE_SHARE * cloth.thickness + SLACK + ROUNDING,
+            margin + ROUNDING, EDGE_SHARE * cloth.thickness + cloth.slack + ROUNDING,
         )  # fmt: skip
         while seconds != 0:
             second = lowest(seconds)

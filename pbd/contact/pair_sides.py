@@ -11,17 +11,18 @@ from pbd.engine import ti
 from pbd.geometry import Float1, Int1, Int4, Vec3, Vec4, Vec4Rows, vec3, vec4, xyz
 from pbd.taichi_internals import in_kernel
 
-__all__ = ["EDGE_SHARE", "SLACK", "MovingCloth", "PairBuffers", "take_pair", "turning_kernel"]
+__all__ = ["EDGE_SHARE", "DEEP_SLACK", "SLACK", "MovingCloth", "PairBuffers", "take_pair", "turning_kernel"]
 
-SLACK = 0.003  # pairs are kept up to this distance beyond thickness and expected motion [m]
+SLACK = 0.002  # pairs of one garment are kept up to this distance beyond thickness and expected motion [m], ...
+DEEP_SLACK = 0.003  # ... and those of layers and of cloth that is through itself, which may be deeper in one another
 MIN_COSINE = 0.5  # of the angle between the normals of two layers that face the same way [-]
 EDGE_SHARE = 0.5  # of the thickness, at which edges repel: vertices keep the sheets apart, edges from crossing [-]
 # Places that are nearer along the cloth cannot touch in a fold that is round and keeps the thickness inside. If they
 # were kept apart, they would resist compression and bending: the more, the finer the mesh is [thickness].
 NEAR_ALONG_CLOTH = 0.5 * 3.14159265
-# Of places that are a little further along the cloth [m]: they move alike, and the cloth itself keeps them from coming
-# as near in a frame as their velocities say.
-SLACK_ALONG_CLOTH = 0.002
+# Places that are a little further along the cloth move alike, and the cloth itself keeps them from coming as near in a
+# frame as their velocities say. So they are pairs only if they are near now: within SLACK.
+ALONG_CLOTH = 0.006  # distance along the cloth, beyond two thicknesses, up to which that is so [m]
 NO_CONTACT = -1.0  # thickness of a pair that is never in contact [m]
 
 
@@ -42,6 +43,7 @@ class MovingCloth:
             back to at the frame's start [m], and velocity [m/s], vec3.
         stale: 1 for vertices that have left this motion.
         thickness, longest: of the fabric, and of the sides of the faces at rest [m].
+        slack: up to which pairs are kept beyond thickness and expected motion [m].
         tangled: 1 if cloth was on the wrong side at the last search: what is pulled back goes any way.
     """
 
@@ -57,6 +59,7 @@ class MovingCloth:
     seen_velocity: Any
     stale: Any
     thickness: Any
+    slack: Any
     longest: Any
     tangled: Any
     _data_oriented = True
@@ -102,10 +105,12 @@ def take_pair(q, owners, cloth: ti.template(), buffers: ti.template()):
     edges = q[1] < 0
     kept = cloth.thickness * ti.select(edges, EDGE_SHARE, 1.0)
     low, high, other_low, other_high = boxes_of(edges, x1, x2, x3, c0, c1, c2, c3, cloth.tangled)
-    reach = kept + SLACK
+    reach = kept + cloth.slack
     may_touch = overlap(low - reach, high + reach, other_low, other_high)
+    if may_touch and cloth.tangled == 0:
+        may_touch = not stay_apart(edges, reach, x1, x2, x3, c0, c1, c2, c3)
     if may_touch and same_garment and surely_along_cloth(k, edges, cloth):
-        reach = kept + SLACK_ALONG_CLOTH
+        reach = kept + SLACK
         none = vec3(0.0)
         low, high, other_low, other_high = boxes_of(edges, x1, x2, x3, none, none, none, none, 0)
         may_touch = overlap(low - reach, high + reach, other_low, other_high)
@@ -124,7 +129,7 @@ def take_pair(q, owners, cloth: ti.template(), buffers: ti.template()):
             rest_distance, along_cloth = distance_at_rest(q, k, cloth)
             at_rest = rest_distance
             if same_garment and along_cloth:
-                close = at_rest > NEAR_ALONG_CLOTH * cloth.thickness and size < kept + SLACK_ALONG_CLOTH
+                close = at_rest > NEAR_ALONG_CLOTH * cloth.thickness and size < kept + SLACK
     outwards = vec3(0.0)
     if close and layers != 0:
         knows_sides, direction = layer_side(q, k, layers, shares, offset, size, cloth)
@@ -185,18 +190,45 @@ def surely_along_cloth(k, edges, cloth: ti.template()):
         edges: whether its features are two edges, else a vertex and a face.
         cloth: :class:`MovingCloth`.
     """
-    along = (cloth.rest[k[2]] - cloth.rest[k[0]]).norm() < 2.0 * (cloth.thickness + SLACK) + 2.0 * cloth.longest
-    for row in ti.static(range(2)):
-        one, either = cloth.landmarks[k[0], row], cloth.landmarks[k[1], row]
-        two, three = cloth.landmarks[k[2], row], cloth.landmarks[k[3], row]
-        own, other = one, either
-        if edges:
-            own, other = either, two
-        furthest = ti.max(
-            ti.max(one, own) - ti.min(ti.min(two, three), other), ti.max(ti.max(two, three), other) - ti.min(one, own)
-        )
-        along = along and furthest.max() < 2.0 * (cloth.thickness + SLACK)
+    along = (cloth.rest[k[2]] - cloth.rest[k[0]]).norm() < 2.0 * (cloth.thickness + cloth.longest) + ALONG_CLOTH
+    if along:
+        for row in ti.static(range(2)):
+            one, either = cloth.landmarks[k[0], row], cloth.landmarks[k[1], row]
+            two, three = cloth.landmarks[k[2], row], cloth.landmarks[k[3], row]
+            own, other = one, either
+            if edges:
+                own, other = either, two
+            furthest = ti.max(
+                ti.max(one, own) - ti.min(ti.min(two, three), other),
+                ti.max(ti.max(two, three), other) - ti.min(one, own),
+            )
+            along = along and furthest.max() < 2.0 * cloth.thickness + ALONG_CLOTH
     return along
+
+
+@ti.func
+def stay_apart(edges, reach: ti.f32, x1: vec3, x2: vec3, x3: vec3, c0: vec3, c1: vec3, c2: vec3, c3: vec3):
+    """Whether two features surely stay further apart than a reach [m]: a look that is cheaper than the closest points.
+
+    It measures along the normal of the face, or across both edges; see :func:`end_gap`, which measures along the
+    direction of the closest points, and describes the other arguments.
+    """
+    one, other = x2 - x1, x3 - x1
+    if edges:
+        one, other = x1, x3 - x2
+    normal = one.cross(other)
+    size = normal.dot(normal)
+    height = -normal.dot(ti.select(edges, x2, x1))
+    if height < 0.0:
+        height, normal = -height, -normal
+    first, second, other_end = c0.dot(normal), c1.dot(normal), ti.max(c2.dot(normal), c3.dot(normal))
+    if edges:
+        first = ti.min(first, second)
+    else:
+        other_end = ti.max(other_end, second)
+    least = height + ti.min(first - other_end, 0.0)
+    # Edges that are nearly parallel have no direction across.
+    return least > 0.0 and least * least > reach * reach * size and size > 1e-6 * one.dot(one) * other.dot(other)
 
 
 @ti.func
@@ -266,7 +298,7 @@ def distance_at_rest(q, k, cloth: ti.template()):
     """
     distance, along_cloth = 1e30, 1e30
     y0 = cloth.rest[k[0]]
-    if (cloth.rest[k[2]] - y0).norm() < 2.0 * (cloth.thickness + SLACK) + 2.0 * cloth.longest:
+    if (cloth.rest[k[2]] - y0).norm() < 2.0 * (cloth.thickness + cloth.longest) + ALONG_CLOTH:
         shares, _across, offset = closest_points(q, cloth.rest[k[1]] - y0, cloth.rest[k[2]] - y0, cloth.rest[k[3]] - y0)
         distance, along_cloth = offset.norm(), 0.0
         for row in ti.static(range(2)):
@@ -274,7 +306,7 @@ def distance_at_rest(q, k, cloth: ti.template()):
             for corner in ti.static(range(4)):
                 difference += shares[corner] * cloth.landmarks[k[corner], row]
             along_cloth = ti.max(along_cloth, ti.abs(difference).max())
-    return distance, along_cloth < 2.0 * (cloth.thickness + SLACK)
+    return distance, along_cloth < 2.0 * cloth.thickness + ALONG_CLOTH
 
 
 @ti.func
@@ -358,8 +390,9 @@ def turning_kernel() -> Callable[..., None]:
         for _ in range(1):
             none = vec3(0.0)
             cloth = MovingCloth(
-                position, none, none, none, rest, landmarks, layer, wrong_side, none, none, none, thickness, longest, 0
-            )
+                position, none, none, none, rest, landmarks, layer, wrong_side, none, none, none, thickness, 0.0,
+                longest, 0,
+            )  # fmt: skip
             buffers = PairBuffers(old_pairs, old_normals, chain, pairs, pair_data, none, ready_pairs, none, none)
             furthest = 0.0
             for c in range(ready_pairs[0]):
