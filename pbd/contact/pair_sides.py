@@ -104,16 +104,12 @@ def take_pair(q, owners, cloth: ti.template(), buffers: ti.template()):
     same_garment = layers == 0
     edges = q[1] < 0
     kept = cloth.thickness * ti.select(edges, EDGE_SHARE, 1.0)
-    low, high, other_low, other_high = boxes_of(edges, x1, x2, x3, c0, c1, c2, c3, cloth.tangled)
     reach = kept + cloth.slack
-    may_touch = overlap(low - reach, high + reach, other_low, other_high)
-    if may_touch and cloth.tangled == 0:
-        may_touch = not stay_apart(edges, reach, x1, x2, x3, c0, c1, c2, c3)
+    may_touch = within_reach(edges, reach, x1, x2, x3, c0, c1, c2, c3, cloth.tangled)
     if may_touch and same_garment and surely_along_cloth(k, edges, cloth):
         reach = kept + SLACK
         none = vec3(0.0)
-        low, high, other_low, other_high = boxes_of(edges, x1, x2, x3, none, none, none, none, 0)
-        may_touch = overlap(low - reach, high + reach, other_low, other_high)
+        may_touch = within_reach(edges, reach, x1, x2, x3, none, none, none, none, 0)
     shares, across, offset = ti.math.vec4(0.0), vec3(0.0), vec3(0.0)
     size, at_rest, displacement = 1e30, 1e30, 0.0
     close = False
@@ -156,6 +152,18 @@ def take_pair(q, owners, cloth: ti.template(), buffers: ti.template()):
             buffers.pair_faces[c] = owners
             buffers.pair_data[c, 0] = vec4(normal, kept)
             buffers.pair_data[c, 1] = ti.math.vec4(gap, 1.0 if layers != 0 else 0.0, displacement, 0.0)
+
+
+@ti.func
+def within_reach(
+    edges, reach: ti.f32, x1: vec3, x2: vec3, x3: vec3, c0: vec3, c1: vec3, c2: vec3, c3: vec3, any_way: ti.i32
+):
+    """Whether two features may come as near as ``reach`` [m]; for the other arguments see :func:`boxes_of`."""
+    low, high, other_low, other_high = boxes_of(edges, x1, x2, x3, c0, c1, c2, c3, any_way)
+    near = overlap(low - reach, high + reach, other_low, other_high)
+    if near and any_way == 0:
+        near = not stay_apart(edges, reach, x1, x2, x3, c0, c1, c2, c3)
+    return near
 
 
 @ti.func
