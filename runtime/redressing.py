@@ -10,7 +10,6 @@ from pbd.attachment import Attachment
 __all__ = ["Redressing"]
 
 TOO_LONG = 2.0  # length of an edge over its rest length [-]: contact with a body that is outside draws none out so far
-TOO_FAR = 0.03  # by which it is longer as well [m]: a hand inside the trunk pinches the short edges of a hem for longer
 PATIENCE = 0.3  # time for which the same edge is too long before the garment is put back [s]: a limb pinches less long
 DURATION = 0.4  # of putting it back [s]
 
@@ -33,7 +32,7 @@ class Redressing:
     def __init__(self, model: Model, body_vertices: np.ndarray, body_faces: np.ndarray) -> None:
         self._free = model.inverse_mass > 0.0
         self._edges, lengths = model.mesh.edge_lengths()
-        self._longest = np.maximum(TOO_LONG * lengths, lengths + TOO_FAR)
+        self._longest = TOO_LONG * lengths
         self._long = np.zeros(len(lengths))  # for how long each edge has been too long [s]
         self._bind = model.mesh.vertices, body_vertices, body_faces
         self._carrier: Attachment | None = None
