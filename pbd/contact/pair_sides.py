@@ -11,7 +11,7 @@ from pbd.engine import ti
 from pbd.geometry import Float1, Int1, Int4, Vec3, Vec4, Vec4Rows, vec3, vec4, xyz
 from pbd.taichi_internals import in_kernel
 
-__all__ = ["EDGE_SHARE", "DEEP_SLACK", "SLACK", "MovingCloth", "PairBuffers", "take_pair", "turning_kernel"]
+__all__ = ["DEEP_SLACK", "EDGE_SHARE", "SLACK", "MovingCloth", "PairBuffers", "take_pair", "turning_kernel"]
 
 SLACK = 0.002  # pairs of one garment are kept up to this distance beyond thickness and expected motion [m], ...
 DEEP_SLACK = 0.003  # ... and those of layers and of cloth that is through itself, which may be deeper in one another
@@ -218,8 +218,7 @@ def surely_along_cloth(k, edges, cloth: ti.template()):
 def stay_apart(edges, reach: ti.f32, x1: vec3, x2: vec3, x3: vec3, c0: vec3, c1: vec3, c2: vec3, c3: vec3):
     """Whether two features surely stay further apart than a reach [m]: a look that is cheaper than the closest points.
 
-    It measures along the normal of the face, or across both edges; see :func:`end_gap`, which measures along the
-    direction of the closest points, and describes the other arguments.
+    It measures along the normal of the face, or across both edges. For the other arguments see :func:`end_gap`.
     """
     one, other = x2 - x1, x3 - x1
     if edges:
@@ -229,12 +228,7 @@ def stay_apart(edges, reach: ti.f32, x1: vec3, x2: vec3, x3: vec3, c0: vec3, c1:
     height = -normal.dot(ti.select(edges, x2, x1))
     if height < 0.0:
         height, normal = -height, -normal
-    first, second, other_end = c0.dot(normal), c1.dot(normal), ti.max(c2.dot(normal), c3.dot(normal))
-    if edges:
-        first = ti.min(first, second)
-    else:
-        other_end = ti.max(other_end, second)
-    least = height + ti.min(first - other_end, 0.0)
+    least = ti.min(height, end_gap(edges, normal, x1, x2, x3, c0, c1, c2, c3))
     # Edges that are nearly parallel have no direction across.
     return least > 0.0 and least * least > reach * reach * size and size > 1e-6 * one.dot(one) * other.dot(other)
 
@@ -248,7 +242,7 @@ def end_gap(edges, normal: vec3, x1: vec3, x2: vec3, x3: vec3, c0: vec3, c1: vec
 
     Args:
         edges: whether the features are two edges, else a vertex and a face; the first vertex is the origin.
-        normal: unit, from the second feature's closest point to the first's.
+        normal: from the second feature to the first; unit, or the gap is so many times as large as its length.
         x1, x2, x3: the other vertices [m].
         c0, c1, c2, c3: the displacements of all four [m].
     """

@@ -193,7 +193,7 @@ class SelfCollision:
         group = np.repeat(np.arange(len(group_start) - 1), np.diff(patch_start[group_start]))
         joined_start, joined = _joined_groups(faces, group, count)
         rest = np.ascontiguousarray(mesh.vertices - mesh.vertices.mean(axis=0), np.float32)
-        self._layer, self._one_layer = model.layer, not model.layer.any()
+        self._layer = model.layer
         patches, groups = len(patch_start) - 1, len(group_start) - 1
         self._chain = np.zeros(count, np.int32)
         self._max_displacement = np.zeros(1, np.float32)
@@ -355,7 +355,7 @@ class SelfCollision:
                 "share": dt / self._ahead,
                 "thickness": thickness,
                 "tangled": int(self._pulls is not None),
-                "slack": SLACK if self._pulls is None and self._one_layer else DEEP_SLACK,
+                "slack": SLACK if self._pulls is None and not self._layer.any() else DEEP_SLACK,
             }
             self._find.by_name(arguments)
             if self.ready[0] > len(self.pairs):  # what was found before is lost with the buffers
