@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 from pbd.engine import ensure_initialized, ti
 from pbd.errors import InputError
-from pbd.geometry import Double3, Int1, Int2, Int3, Vec3, vec3
+from pbd.geometry import Double3, Int1, Int2, Int3, Vec3, Vec4, vec3
 from pbd.mesh import ClothMesh, edges_of
 from pbd.taichi_internals import Launch
 
@@ -19,8 +19,7 @@ __all__ = ["FaceGrid", "SelfCrossings", "crossings", "note_crossings", "owned_fe
 
 CELL_EXTENTS = 1.5  # size of a cell over the mean of the boxes' longest sides [-]
 SHORT = 2e-4  # edges shorter than this may cross faces: slivers of delivered meshes [m]
-FOLDED = 0.3  # cosine of the angle between the normals of two faces whose edge is folded sharply [-]
-FOLD_RINGS = 3  # faces that have a vertex so many edges, less one, from such a fold are near it
+LEVEL = 0.5  # least cosine between the normals around a vertex and their mean with which no two faces cross [-]
 ROUNDING = 1e-6  # boxes so little apart count as overlapping [m]
 MAX_CELLS = 8  # that a box may reach along an axis: cells are larger where one is very large
 
@@ -215,36 +214,42 @@ def aside(f: ti.i32, g: ti.i32, position: ti.template(), faces: ti.template()):
 
 
 @ti.kernel
-def mark_folds(position: Double3, faces: Int3, beside: Int2, normals: Double3, marks: Int1, chosen: Int1, count: Int1):
-    """List the faces that are a few edges from an edge that is folded sharply; ``count`` receives how many."""
+def find_fan_crossings(
+    position: Vec4,
+    faces: Int3,
+    edges: Int2,
+    owned: Int1,
+    fan_start: Int1,
+    fan: Int1,
+    branching: Int1,
+    normals: Vec3,
+    crossed: Int3,
+):
+    """Find the edges that go through faces with which their own face has one vertex in common.
+
+    Faces around a vertex whose normals are all within 60 degrees of their mean do not cross: seen along the mean they
+    lie beside one another. ``branching`` says where that is not so, because more than one sheet has the vertex.
+    """
     ti.loop_config(serialize=True)
     for _ in range(1):
-        for i in range(marks.shape[0]):
-            marks[i] = 0
+        crossed[0] = ti.Vector([0, 0, 0])
         for f in range(faces.shape[0]):
             c = faces[f]
-            a = position[c[0]]
-            n = (position[c[1]] - a).cross(position[c[2]] - a)
-            normals[f] = n / ti.max(n.norm(), 1e-30)
-        for e in range(beside.shape[0]):
-            f = beside[e][0]
-            if normals[f].dot(normals[beside[e][1]]) < FOLDED:
-                for k in ti.static(range(3)):
-                    marks[faces[f][k]] = 1
-        for ring in range(2, FOLD_RINGS + 1):
-            for f in range(faces.shape[0]):
-                c = faces[f]
-                if marks[c[0]] == ring - 1 or marks[c[1]] == ring - 1 or marks[c[2]] == ring - 1:
-                    for k in ti.static(range(3)):
-                        if marks[c[k]] == 0:
-                            marks[c[k]] = ring
-        found = 0
-        for f in range(faces.shape[0]):
-            c = faces[f]
-            if marks[c[0]] + marks[c[1]] + marks[c[2]] > 0:
-                chosen[found] = f
-                found += 1
-        count[0] = found
+            a = point(position, c[0])
+            n = (point(position, c[1]) - a).cross(point(position, c[2]) - a)
+            normals[f] = n / ti.max(n.norm(), 1e-20)
+        for i in range(position.shape[0]):
+            mean = vec3(0.0)
+            for r in range(fan_start[i], fan_start[i + 1]):
+                mean += normals[fan[r]]
+            folded, size = branching[i] != 0, mean.norm()
+            for r in range(fan_start[i], fan_start[i + 1]):
+                folded = folded or normals[fan[r]].dot(mean) < LEVEL * size
+            if folded:
+                for r in range(fan_start[i], fan_start[i + 1]):
+                    for s in range(r + 1, fan_start[i + 1]):
+                        if common(faces[fan[r]], faces[fan[s]]) == 1:
+                            note_crossings(fan[r], fan[s], position, faces, edges, owned, crossed)
 
 
 class FaceGrid:
@@ -277,12 +282,9 @@ class FaceGrid:
         self._pairs = np.zeros((16 * len(faces), 2), np.int32)
         self._counts = np.zeros(2, np.int32)
         self._crossed = np.zeros((256, 3), np.int32)
-        self._list, self._find, self._mark = Launch(list_pairs), Launch(find_crossings), Launch(mark_folds)
-        order = np.argsort(self.side_edge.ravel(), kind="stable")
-        inner = np.flatnonzero(np.diff(self.side_edge.ravel()[order]) == 0)
-        self._beside = np.ascontiguousarray(np.stack([order[inner], order[inner + 1]], axis=1) // 3, np.int32)
-        self._normals: np.ndarray | None = None
-        self._marks, self._folds = np.zeros(0, np.int32), np.zeros(len(faces), np.int32)
+        self._list, self._find = Launch(list_pairs), Launch(find_crossings)
+        self._find_in_fans = Launch(find_fan_crossings)
+        self._fans: tuple[np.ndarray, ...] = ()
 
     def pairs(
         self, start: np.ndarray, end: np.ndarray, margin: float = 0.0, chosen: np.ndarray | None = None
@@ -310,16 +312,28 @@ class FaceGrid:
             if entries > len(self._entries):
                 self._entries = np.zeros((entries * 3 // 2, 3), np.int32)
 
-    def near_folds(self, vertices: np.ndarray) -> np.ndarray:
-        """Numbers of the faces near sharply folded edges, int32: where cloth may cross that is joined at a vertex.
+    def fan_crossings(self, position: np.ndarray) -> np.ndarray:
+        """The edges that go through faces with which their own face has one vertex in common, see :func:`crossings`.
 
         Args:
-            vertices: [m], float64, shape (n, 3).
+            position: of the vertices [m], float32, shape (n, 4).
         """
-        if self._normals is None:
-            self._normals, self._marks = np.zeros((len(self.faces), 3)), np.zeros(len(vertices), np.int32)
-        self._mark(vertices, self.faces, self._beside, self._normals, self._marks, self._folds, self._counts)
-        return self._folds[: int(self._counts[0])].copy()
+        if not self._fans:
+            self._fans = *fans(self.faces, self.side_edge, len(position)), np.zeros((len(self.faces), 3), np.float32)
+        while True:
+            self._find_in_fans(position, self.faces, self.edges, self.owned, *self._fans, self._crossed)
+            if (rows := self._found()) is not None:
+                return self.unjoined(rows)
+
+    def _found(self) -> np.ndarray | None:
+        """The crossings that a kernel found, sorted; None if they were more than there was room for, now there is."""
+        found = int(self._crossed[0, 0])
+        if found >= len(self._crossed):
+            self._crossed = np.zeros((2 * found, 3), np.int32)
+            return None
+        rows = self._crossed[1 : found + 1].astype(np.int64)
+        rows[:, :2].sort(axis=1)
+        return rows[np.lexsort(rows.T[::-1])]
 
     def crossings(self, vertices: np.ndarray, chosen: np.ndarray | None = None) -> np.ndarray:
         """The edges that go through faces, see :func:`crossings`.
@@ -331,12 +345,8 @@ class FaceGrid:
         pairs, count = self.pairs(vertices, vertices, chosen=chosen)
         while True:
             self._find(vertices, self.faces, self.edges, self.owned, pairs, count, self._crossed)
-            found = int(self._crossed[0, 0])
-            if found < len(self._crossed):
-                rows = self._crossed[1 : found + 1].astype(np.int64)
-                rows[:, :2].sort(axis=1)
-                return self.unjoined(rows[np.lexsort(rows.T[::-1])])
-            self._crossed = np.zeros((2 * found, 3), np.int32)
+            if (rows := self._found()) is not None:
+                return self.unjoined(rows)
 
     def unjoined(self, rows: np.ndarray) -> np.ndarray:
         """Those rows of :meth:`crossings` whose edge and face have no seam in common."""
@@ -391,6 +401,29 @@ class SelfCrossings:
     def faces_of(self, rows: np.ndarray) -> np.ndarray:
         """Numbers of the faces that go through another, see :meth:`FaceGrid.crossing_faces`."""
         return self._grid.crossing_faces(rows)
+
+
+def fans(faces: np.ndarray, side_edge: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Offsets of the vertices in the faces around them, these faces, and 1 for a vertex that is no plain fan, else 0.
+
+    The faces around a vertex are a plain fan if they hang together by their edges and no edge has more than two.
+
+    Args:
+        faces: int, shape (m, 3).
+        side_edge: number of the edge of each side, int, shape (m, 3).
+        count: of vertices.
+    """
+    corners = faces.ravel()
+    start = np.concatenate([[0], np.cumsum(np.bincount(corners, minlength=count))])
+    fan = np.argsort(corners, kind="stable") // 3
+    ends = np.zeros((int(side_edge.max(initial=-1)) + 1, 2), np.int64)
+    sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2)
+    ends[side_edge.ravel()] = sides.reshape(-1, 2)
+    uses = np.bincount(side_edge.ravel(), minlength=len(ends))
+    rim = np.bincount(ends.ravel(), np.repeat(uses == 1, 2), minlength=count)
+    branching = rim > 2  # sides at the rim: a vertex with more than two has several fans
+    branching[ends[uses > 2]] = True
+    return start.astype(np.int32), fan.astype(np.int32), branching.astype(np.int32)
 
 
 def seams_of(stitches: np.ndarray, count: int) -> np.ndarray | None:

@@ -91,7 +91,7 @@ def ensure_initialized(arch: str | None = None, threads: int | None = None) -> N
                 log_level=ti.ERROR,
                 # The analysis of control flow takes nine tenths of the time of compiling, and more than in proportion
                 # to a kernel's size. It gains nothing where indices are variables of one number: i = f[0], not f[0].
-                cfg_optimization=arch != "cpu",
+                cfg_optimization=False,
                 fast_math=False,  # the same function in two kernels must round alike; costs a tenth of a frame
             )
         # Taichi compiles a kernel for a number of threads and keeps it for that number alone. Its threads are started

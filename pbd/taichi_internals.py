@@ -107,8 +107,8 @@ class Launch:
     An ordinary call looks at every argument anew (10 us an array, 50 us a vector). Here Taichi's launch context is
     kept: an array is handed over when it is another than at the last call, numbers and vectors every time. Arrays that
     were handed over are kept alive and cannot be resized; one that was reshaped in place is handed over again.
-    Where this Taichi's insides are not those of 1.7, and for arguments other than numpy arrays, numbers and vectors,
-    every call is an ordinary one. Not for several threads at once.
+    On a GPU, where Taichi's insides are not those of 1.7, and for arguments other than numpy arrays, numbers and
+    vectors, every call is an ordinary one. Not for several threads at once.
 
     Args:
         kernel: a ``ti.kernel`` outside any class, without result.
@@ -182,6 +182,9 @@ class Launch:
         self._numbers: list[tuple[int, Any, Callable[[Any, Any], None]]] = []
         self._vectors: list[tuple[int, list[tuple[int, int]], Callable[[Any], Any], Callable[..., None]]] = []
         self._count = len(arguments)
+        if impl.current_cfg().arch == ti.cuda:  # a launch leaves addresses of the GPU's memory in the context
+            self._ordinary = True
+            return
         try:
             kernel = getattr(self._kernel, "_primal")  # noqa: B009
             translated = translations(kernel)[kernel.ensure_compiled(*arguments)]

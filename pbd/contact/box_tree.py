@@ -34,12 +34,13 @@ class BoxTree:
         patch_start, group_start: offsets of the patches in the faces, and of the groups in the patches.
         nodes: of the tree over the groups, in preorder: the next node that is not below this one, its last group, its
             group if it is a leaf, else -1, and the layer of all of its faces, -1 if they are of several.
-        neighbour_start, neighbours: of each patch those, itself too, that it has a vertex in common with, ascending.
+        neighbour_start, neighbours: of each patch those, itself too, that it has a vertex in common with, ascending:
+            each number doubled, and one added if both are in one piece and have an edge in common.
         common: for each neighbour and each face of the patch, bits of the neighbour's faces that share a vertex.
         boxes: low and high corner of each node [m], vec3.
         patch_boxes, face_blocks: see :mod:`pbd.contact.blocks`.
         cones: axis of the normals of each patch, and cosine of the greatest angle to it, vec4; then of each group.
-        joined_start, joined: of each group those, itself too, that it has a vertex in common with, ascending.
+        joined_start, joined: of each group those, itself too, that it has an edge in common with, ascending.
         near_groups: workspace.
         stale_patches, stale_faces: of each group and patch bits of its patches and faces that have a stale vertex.
     """
@@ -79,7 +80,7 @@ def lowest(bits: ti.i32) -> ti.i32:
 
 @ti.func
 def flat(one, two):
-    """Whether two patches that share a vertex cannot touch: all normals in their cones (axis, cosine) look one way."""
+    """Whether two groups that share an edge cannot touch: all normals in their cones (axis, cosine) look one way."""
     sine_1, sine_2 = ti.sqrt(ti.max(1.0 - one[3] * one[3], 0.0)), ti.sqrt(ti.max(1.0 - two[3] * two[3], 0.0))
     narrow = one[3] > 0.0 and two[3] > 0.0 and one[3] * two[3] > sine_1 * sine_2
     return narrow and xyz(one).dot(xyz(two)) > sine_1 * two[3] + one[3] * sine_2
@@ -175,7 +176,7 @@ def first_from(sorted_numbers: ti.template(), place: ti.i32, end: ti.i32, number
 def list_near_groups(first: ti.i32, group: ti.i32, leaf: ti.i32, within: ti.i32, tree: ti.template()) -> ti.i32:
     """Put the groups near a group, from a first one on, into ``near_groups``; returns how many.
 
-    Those that share a vertex with it and cannot touch it are left out, and, unless ``within`` layers is searched, those
+    Those that share an edge with it and cannot touch it are left out, and, unless ``within`` layers is searched, those
     of its layer. ``leaf``: its own node.
     """
     near_count = 0

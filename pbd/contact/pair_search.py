@@ -279,11 +279,11 @@ def search_patch(
             other_lane = lowest(others)
             others &= others - 1
             other = tree.group_start[tree.near_groups[r]] + other_lane
-            neighbour = first_from(tree.neighbours, neighbour, last_neighbour, other)
-            joined = False
+            neighbour = first_from(tree.neighbours, neighbour, last_neighbour, 2 * other)
+            joined, hinged = False, 0
             if neighbour < last_neighbour:
-                joined = tree.neighbours[neighbour] == other
-            if joined and flat(tree.cones[patch], tree.cones[other]):
+                joined, hinged = tree.neighbours[neighbour] >> 1 == other, tree.neighbours[neighbour] & 1
+            if joined and hinged != 0 and flat(tree.cones[patch], tree.cones[other]):
                 continue
             other_low = take(tree.patch_boxes, tree.near_groups[r], LOW, other_lane)
             other_high = take(tree.patch_boxes, tree.near_groups[r], HIGH, other_lane)

@@ -1,7 +1,7 @@
 """Cloth against itself, and one layer against another: pairs of features that may meet in a frame.
 
 A pair is a vertex and a face, or two edges. Pairs are found once a frame, by boxes around patches of faces in a tree
-that never changes. Patches that share a vertex and are flat enough cannot touch one another and are left out (Volino
+that never changes. Patches that share an edge and are flat enough cannot touch one another and are left out (Volino
 and Magnenat-Thalmann 1994). Each feature belongs to one face, so that no pair is found twice (Curtis, Tamstorf,
 Manocha 2008). Within the frame a pair remembers the direction from one feature to the other and turns it along with
 them. So a feature that has gone through the other differs from one that has gone around it.
@@ -112,51 +112,71 @@ def _patches(
     return np.concatenate(order), offsets, group_offsets, np.array(nodes, np.int32)
 
 
+def _in_one_piece(
+    faces: np.ndarray, side_edge: np.ndarray, part: np.ndarray, beside: tuple[np.ndarray, np.ndarray]
+) -> np.ndarray:
+    """Whether the faces of each part hang together by their edges, and no edge of theirs has more than two: bool.
+
+    Where sheets branch, the one faces the way of the other and touches it: a pocket that is sewn to cloth.
+
+    Args:
+        faces: shape (m, 3); ``side_edge``: number of the edge of each side, shape (m, 3).
+        part: of each face, ascending, shape (m,).
+        beside: pairs of faces with a common edge.
+    """
+    within = part[beside[0]] == part[beside[1]]
+    graph = csr_matrix((np.ones(within.sum()), (beside[0][within], beside[1][within])), (len(faces), len(faces)))
+    pieces = np.unique(np.stack([part, connected_components(graph, directed=False)[1]], axis=1), axis=0)
+    whole = np.bincount(pieces[:, 0], minlength=int(part[-1]) + 1) == 1
+    whole[part[(np.bincount(side_edge.ravel()) > 2)[side_edge].any(axis=1)]] = False
+    return whole
+
+
 def _neighbours(
-    faces: np.ndarray, patch_start: np.ndarray, vertex_count: int
+    faces: np.ndarray, side_edge: np.ndarray, patch_start: np.ndarray, vertex_count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Patches that share a vertex, itself too, and for each of their faces bits of the other's faces that share one.
 
     Returns:
-        offsets of the patches in the neighbours, the neighbours, the bits of each of both (uint8, shape (k, 8)).
+        offsets of the patches in the neighbours; the neighbours, each number doubled, and one added if both are in one
+        piece and have an edge in common; the bits of each of both (uint8, shape (k, 8)).
     """
     count = len(faces)
     patch = np.repeat(np.arange(len(patch_start) - 1), np.diff(patch_start))
     corners = np.repeat(np.arange(count), 3), faces.ravel()
     used = csr_matrix((np.ones(faces.size), corners), (count, vertex_count))
-    one, other = (used @ used.T).nonzero()
+    shared = (used @ used.T).tocoo()
+    one, other = shared.row, shared.col
     pairs, neighbour = np.unique(patch[one].astype(np.int64) * count + patch[other], return_inverse=True)
     starts = np.searchsorted(pairs // count, np.arange(patch[-1] + 2)).astype(np.int32)
     lane = np.arange(count) - patch_start[patch]
     common = np.zeros((len(pairs), LANES), np.uint8)
     np.bitwise_or.at(common, (neighbour, lane[one]), (1 << lane[other]).astype(np.uint8))
-    return starts, (pairs % count).astype(np.int32), common
+    by_edge = shared.data > 1
+    whole = _in_one_piece(faces, side_edge, patch, (one[by_edge], other[by_edge]))
+    hinged = np.zeros(len(pairs), bool)
+    hinged[neighbour[by_edge]] = True
+    hinged &= whole[pairs // count] & whole[pairs % count]
+    return starts, (2 * (pairs % count) + hinged).astype(np.int32), common
 
 
-def _joined_groups(faces: np.ndarray, group: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
-    """For each group those that share a vertex with it, itself too: offsets, and the groups, ascending.
-
-    Groups that do not hang together have none. Nor have those where sheets branch: a pocket faces the way of the cloth
-    that it is sewn to, and touches it.
+def _joined_groups(
+    faces: np.ndarray, side_edge: np.ndarray, group: np.ndarray, vertex_count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """For each group in one piece those that share an edge with it, itself too: offsets, and the groups, ascending.
 
     Args:
-        faces: shape (m, 3); ``group``: of each face, ascending.
+        faces: shape (m, 3); ``side_edge``: number of the edge of each side, shape (m, 3).
+        group: of each face, ascending.
         vertex_count: of the mesh.
     """
-    count = int(group[-1]) + 1
     corners = np.repeat(np.arange(len(faces)), 3), faces.ravel()
     used = csr_matrix((np.ones(faces.size), corners), (len(faces), vertex_count))
-    one, other = (used @ used.T).nonzero()
-    within = group[one] == group[other]
-    graph = csr_matrix((np.ones(within.sum()), (one[within], other[within])), (len(faces), len(faces)))
-    pieces = np.unique(np.stack([group, connected_components(graph, directed=False)[1]], axis=1), axis=0)
-    _, side_edge = edges_of(faces)
-    branching = group[(np.bincount(side_edge.ravel()) > 2)[side_edge].any(axis=1)]
-    whole = np.bincount(pieces[:, 0], minlength=count) == 1
-    whole[branching] = False
+    one, other = ((used @ used.T) > 1).nonzero()
+    whole = _in_one_piece(faces, side_edge, group, (one, other))
     joined = np.unique(np.stack([group[one], group[other]], axis=1), axis=0)
     joined = joined[whole[joined].all(axis=1)]
-    starts = np.searchsorted(joined[:, 0], np.arange(count + 1))
+    starts = np.searchsorted(joined[:, 0], np.arange(int(group[-1]) + 2))
     return starts.astype(np.int32), np.ascontiguousarray(joined[:, 1], np.int32)
 
 
@@ -189,9 +209,9 @@ class SelfCollision:
         unique_edges, side_edge = edges_of(faces)
         edges = np.ascontiguousarray(unique_edges[side_edge.ravel()])
         owned = owned_features(faces, side_edge)
-        neighbour_start, neighbours, common = _neighbours(faces, patch_start, count)
+        neighbour_start, neighbours, common = _neighbours(faces, side_edge, patch_start, count)
         group = np.repeat(np.arange(len(group_start) - 1), np.diff(patch_start[group_start]))
-        joined_start, joined = _joined_groups(faces, group, count)
+        joined_start, joined = _joined_groups(faces, side_edge, group, count)
         rest = np.ascontiguousarray(mesh.vertices - mesh.vertices.mean(axis=0), np.float32)
         self._layer = model.layer
         patches, groups = len(patch_start) - 1, len(group_start) - 1
@@ -236,7 +256,6 @@ class SelfCollision:
         self._find, self._turn_sides = Launch(find_pairs), Launch(turning_kernel())
         self._ahead = 1.0  # how far the last search looked [s]
         self._looked: tuple[dict[str, Any], float] | None = None  # the search that look_ahead made, and its time
-        self._position = np.zeros((count, 3))  # workspace
         self._seen = [np.zeros(0)] * len(SEARCHED)  # and what the state was then
         self._pulls: tuple[np.ndarray, np.ndarray] | None = None
         self.strain_limits, self.limit_work = strain_limits(mesh, model.fabric.thickness, model.held)
@@ -314,10 +333,9 @@ class SelfCollision:
                 self._seen[number] = np.zeros_like(now)
             self._seen[number][:] = now
         self._looked = arguments, h * steps
-        # The search leaves out faces beside one another that face one way; where the cloth is crumpled, they may cross.
-        grid, self._position[:] = self.impacts.grid, state.position[:, :3]
-        folded = grid.crossings(self._position, grid.near_folds(self._position))
-        return np.concatenate([grid.unjoined(self._untangling.rows()), folded])
+        # The search leaves out faces with a common vertex that face one way. Where cloth is crumpled, they may cross.
+        grid = self.impacts.grid
+        return np.concatenate([grid.unjoined(self._untangling.rows()), grid.fan_crossings(state.position)])
 
     def around(self, rows: np.ndarray, times: int = 1) -> np.ndarray:
         """Vertices near crossings (``rows``, see :attr:`crossings`): of :meth:`Untangling.around`."""

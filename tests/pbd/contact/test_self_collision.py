@@ -128,15 +128,34 @@ def test_groups_that_branch_or_do_not_hang_together_are_searched_whole() -> None
     """Three squares in a row, one group each: all join; those with a flap on an edge, or of two pieces, do not."""
     faces = np.array([[0, 1, 2], [1, 3, 2], [2, 3, 4], [3, 5, 4], [4, 5, 6], [5, 7, 6]])
     group = np.array([0, 0, 1, 1, 2, 2])
-    starts, joined = _joined_groups(faces, group, 8)
+    starts, joined = _joined_groups(faces, edges_of(faces)[1], group, 8)
     assert starts.tolist() == [0, 2, 5, 7] and joined.tolist() == [0, 1, 0, 1, 2, 1, 2]
     flap = np.insert(faces, 4, [2, 3, 8], axis=0)
-    starts, joined = _joined_groups(flap, np.array([0, 0, 1, 1, 1, 2, 2]), 9)
+    starts, joined = _joined_groups(flap, edges_of(flap)[1], np.array([0, 0, 1, 1, 1, 2, 2]), 9)
     assert starts.tolist() == [0, 0, 0, 1] and joined.tolist() == [2]
     apart = faces.copy()
     apart[3] = [5, 7, 6]
-    starts, joined = _joined_groups(apart, group, 8)
+    starts, joined = _joined_groups(apart, edges_of(apart)[1], group, 8)
     assert 1 not in joined and starts[1] == starts[2]
+
+
+@pytest.mark.parametrize("amplitude", [0.004, 0.006, 0.008, 0.012, 0.02])
+def test_crossings_that_the_search_leaves_out_are_found_around_the_vertices(amplitude: float) -> None:
+    """Sheets that are crumpled at random, from a few crossings to hundreds: what the grid of all faces finds."""
+    flat, faces = level(16, 16, 0.02)
+    model = free_model(cloth(flat, faces), Fabric(thickness=THICKNESS))
+    state, pairs = State.at_rest(model), SelfCollision(model)
+    assert pairs.impacts is not None
+    found_by_fans = 0
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        state.position[:, :3] = flat + amplitude * rng.normal(size=flat.shape)
+        wanted = {tuple(row) for row in pairs.impacts.grid.crossings(state.position[:, :3].astype(float))}
+        fans = {tuple(row) for row in pairs.impacts.grid.fan_crossings(state.position)}
+        found = {tuple(row) for row in pairs.look_ahead(state, 1 / 720, 12, THICKNESS)}
+        assert found == wanted
+        found_by_fans += len(fans)
+    assert (found_by_fans > 0) == (amplitude > 0.005)
 
 
 def test_cloth_that_meets_on_its_way_is_found_and_cloth_that_leaves_is_not() -> None:
