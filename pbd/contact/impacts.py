@@ -4,8 +4,8 @@ The closest points of two features that are apart give a direction. Along it, th
 greatest of the other is concave over a straight motion of their corners. So features that are apart along it at both
 ends of the substep are apart in all of it. (Chen et al. 2025, "Offset geometric contact", bound the displacement of
 each vertex instead, which also holds back cloth that moves as a whole.) Pairs that would not be apart at the end are
-brought apart along their direction. Where that does not end, because one pair pushes another, cloth that hangs together
-by such pairs moves on as one rigid piece (the zones of impact of Provot 1997).
+brought apart along their direction. Where that does not end, because one pair pushes another, the vertices of such
+pairs move on as rigid pieces (the zones of impact of Provot 1997).
 """
 
 import numpy as np
@@ -146,6 +146,7 @@ def part_pairs(
     directions: Double4,
     count: ti.i32,
     passes: ti.i32,
+    rigid: Int1,
     zone: Int1,
     motion: Double4,
     result: Int1,
@@ -156,7 +157,7 @@ def part_pairs(
         start, end: of the vertices; ``inverse_mass`` [1/kg].
         pairs, directions, count: see :func:`list_impacts`.
         passes: over the pairs at most.
-        zone, motion: workspace, a row for each vertex.
+        rigid: workspace, a number for each pair; ``zone``, ``motion``: a row for each vertex.
         result: receives how many pairs collided, and how many vertices moved on in rigid pieces.
     """
     ti.loop_config(serialize=True)
@@ -177,7 +178,7 @@ def part_pairs(
             made += 1
         result[0], result[1] = collided, 0
         if left > 0:
-            result[1] = move_zones(start, end, inverse_mass, pairs, directions, count, zone, motion)
+            result[1] = move_zones(start, end, inverse_mass, pairs, directions, count, rigid, zone, motion)
 
 
 @ti.func
@@ -232,36 +233,63 @@ def move_zones(
     pairs: ti.template(),
     directions: ti.template(),
     count: ti.i32,
+    rigid: ti.template(),
     zone: ti.template(),
     motion: ti.template(),
 ):
-    """Let the corners of pairs that still collide move on without turning, with all that they have pairs with.
+    """Let the corners of pairs that still collide move on without turning, joined where they have a vertex in common.
+
+    Pairs that collide with what moves so are joined to it, until none does.
 
     Returns:
         how many vertices.
     """
     for i in range(end.shape[0]):
         zone[i] = -1
-        motion[i] = ti.Vector([0.0, 0.0, 0.0, 0.0])
     for c in range(count):
-        q, n = pairs[c], ti.Vector([directions[c][0], directions[c][1], directions[c][2]])
-        k = corners_of(q)
-        a, b = extremes(q, k, n, end)
-        if a - b < directions[c][3]:
-            for corner in ti.static(range(4)):
-                zone[k[corner]] = k[corner]
+        rigid[c] = 0
+    moved, collided = 0, 1
+    while collided != 0:
+        collided = 0
+        for c in range(count):
+            if rigid[c] == 0:
+                q, n = pairs[c], ti.Vector([directions[c][0], directions[c][1], directions[c][2]])
+                k = corners_of(q)
+                a, b = extremes(q, k, n, end)
+                if a - b < directions[c][3]:
+                    rigid[c], collided = 1, 1
+                    for corner in ti.static(range(4)):
+                        zone[k[corner]] = ti.max(zone[k[corner]], k[corner])
+        if collided != 0:
+            join_zones(pairs, count, rigid, zone)
+            moved = move_rigidly(start, end, inverse_mass, zone, motion)
+    return moved
+
+
+@ti.func
+def join_zones(pairs: ti.template(), count: ti.i32, rigid: ti.template(), zone: ti.template()):
+    """Give the corners of each rigid pair the same zone."""
     changed = 1
     while changed != 0:
         changed = 0
         for c in range(count):
-            k = corners_of(pairs[c])
-            most = ti.max(ti.max(zone[k[0]], zone[k[1]]), ti.max(zone[k[2]], zone[k[3]]))
-            if most >= 0:
+            if rigid[c] != 0:
+                k = corners_of(pairs[c])
+                most = ti.max(ti.max(zone[k[0]], zone[k[1]]), ti.max(zone[k[2]], zone[k[3]]))
                 for corner in ti.static(range(4)):
                     if zone[k[corner]] != most:
                         zone[k[corner]] = most
                         changed = 1
+
+
+@ti.func
+def move_rigidly(
+    start: ti.template(), end: ti.template(), inverse_mass: ti.template(), zone: ti.template(), motion: ti.template()
+) -> ti.i32:
+    """Move the vertices of each zone by their mean motion; returns how many there are in all."""
     moved = 0
+    for i in range(end.shape[0]):
+        motion[i] = ti.Vector([0.0, 0.0, 0.0, 0.0])
     for i in range(end.shape[0]):
         if zone[i] >= 0:
             moved += 1
@@ -297,6 +325,7 @@ class Impacts:
 
     def _make_room(self, count: int) -> None:
         self._pairs, self._directions = np.zeros((count, 4), np.int32), np.zeros((count, 4))
+        self._rigid = np.zeros(count, np.int32)
 
     def keep_apart(
         self, start: np.ndarray, end: np.ndarray, inverse_mass: np.ndarray, chosen: np.ndarray | None = None
@@ -323,7 +352,7 @@ class Impacts:
                 break
             self._make_room(found * 3 // 2)
         self._part(
-            start, end, inverse_mass, self._pairs, self._directions, found, PASSES, self._zone, self._motion,
-            self._result,
+            start, end, inverse_mass, self._pairs, self._directions, found, PASSES, self._rigid, self._zone,
+            self._motion, self._result,
         )  # fmt: skip
         return int(self._result[0]), int(self._result[1])

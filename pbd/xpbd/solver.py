@@ -289,7 +289,7 @@ class Solver:
                 break
             state.restore(before)
             self._load_friction(state)
-            self._advance_by_impacts(state, arguments, dt, steps, faces)
+            self._advance_by_impacts(state, arguments, dt, steps, faces, steps.refresh if repeat == 0 else 1)
 
     def _mend(self, state: State, start: np.ndarray, faces: np.ndarray, dt: float, left: int) -> bool:
         """Keep impacts from happening over the whole frame at once, if that takes small corrections.
@@ -315,21 +315,24 @@ class Solver:
         return True
 
     def _advance_by_impacts(
-        self, state: State, arguments: dict[str, Any], dt: float, steps: FrameSteps, faces: np.ndarray
+        self, state: State, arguments: dict[str, Any], dt: float, steps: FrameSteps, faces: np.ndarray, stride: int
     ) -> None:
-        """Advance the state one substep after the other, in which no face goes through another of those given."""
+        """Advance the state by a few substeps at a time, over which none of the given faces goes through another."""
         assert self._pairs is not None and self._pairs.impacts is not None
-        h = dt / steps.count
-        until = 0
-        for substep in range(steps.count):
-            if substep == until:
-                until += self._pairs.find(state, h, steps.count - substep, self.model.fabric.thickness, substep)
-            self._steps[:4] = substep, substep + 1, steps.count, 1
-            start = state.position[:, :3].astype(float)
+        found = 0
+        for begin in range(0, steps.count, stride):
+            if begin >= found:
+                good = self._pairs.find(
+                    state, dt / steps.count, steps.count - begin, self.model.fabric.thickness, begin
+                )
+                found = begin + steps.refresh * max(1, good // steps.refresh)
+            end = min(begin + stride, steps.count)
+            self._steps[:4] = begin, end, steps.count, min(stride, steps.refresh)
+            before = state.position[:, :3].astype(float)
             self._advance.by_name(arguments | self._pairs.arrays())
-            end = state.position[:, :3].astype(float)
-            if self._pairs.impacts.keep_apart(start, end, state.position[:, 3].astype(float), faces)[0]:
-                state.position[:, :3] = end
+            after = state.position[:, :3].astype(float)
+            if self._pairs.impacts.keep_apart(before, after, state.position[:, 3].astype(float), faces)[0]:
+                state.position[:, :3] = after
             self._pairs.remember(state)
 
     def _advance_with_pairs(self, state: State, arguments: dict[str, Any], dt: float, steps: FrameSteps) -> None:
