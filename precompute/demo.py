@@ -202,7 +202,7 @@ def run_demo(
             comparison = compare(learned.database, truth, brief=demo.brief, workers=pool, report=clock)
             write_choice(database_path, learned.database, comparison)
         with clock.stage("drawing"):
-            body = shown_body(truth.run.body, learned.database.covered_faces)
+            body = shown_body(truth.run.body, truth.levels)
             picture = draw_moments(truth, evaluation, demo.moments, body.faces)
             save_png(picture_file, picture)
             _bake(animation, truth, evaluation, body)

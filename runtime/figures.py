@@ -79,8 +79,11 @@ FIGURES = {
     ),
     "deepest_with_room_mm": Figure("deepest where there is room", "mm", "largest depth of a vertex at such a place"),
     "body_seen_px": Figure("body through the garment", "px", "pixels of a picture in which the body shows through"),
+    "body_seen_frames_percent": Figure(
+        "frames with body through the garment", "%", "frames in which any pixel shows it"
+    ),
     "body_seen_whole_px": Figure(
-        "body through the garment, drawn whole", "px", "the same if the faces that are always covered were drawn"
+        "body through the garment, as it is", "px", "the same if the body were not drawn in under the garment"
     ),
     "self_crossed_percent": Figure("through itself", "%", "faces that go through another one, mean over the frames"),
     "self_crossed_worst_percent": Figure("through itself at worst", "%", "the same in the worst frame"),

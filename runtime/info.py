@@ -52,7 +52,6 @@ def _figures(database: WrinkleDatabase) -> dict[str, float]:
     mapping = database.mapping
     area_ratio, bend_deg = database.rest_shape.figures(database.coarse_vertices, database.coarse_faces)
     figures: dict[str, float] = {
-        "covered_percent": _covered_percent(database),
         "coarse_vertex_count": len(database.coarse_vertices),
         "coarse_face_count": len(database.coarse_faces),
         "fine_vertex_count": database.fine_vertex_count,
@@ -72,11 +71,6 @@ def _figures(database: WrinkleDatabase) -> dict[str, float]:
     for other in database.other_fabrics:
         values |= {f"{other.name}_{name}": value for name, value in vars(other.options).items()}
     return figures | {name: value for name, value in values.items() if isinstance(value, (int, float))}
-
-
-def _covered_percent(database: WrinkleDatabase) -> float:
-    """Share of the body's faces that always lie under a garment [%]."""
-    return 100.0 * len(np.unique(database.covered_faces)) / max(1, database.body_face_count)
 
 
 def _sections(database: WrinkleDatabase, figures: Mapping[str, float]) -> Iterator[tuple[str, list[tuple[str, str]]]]:
@@ -125,7 +119,6 @@ def _garment_rows(database: WrinkleDatabase, figures: Mapping[str, float]) -> li
         ("fine", f"{database.fine_vertex_count} vertices{made} {database.subdivisions} subdivisions"),
         ("coarse at rest", f"{area:.0f} % of the pattern's area, hinges bent by {bend:.1f} deg (RMS)"),
         ("body", f"{database.body_vertex_count} vertices, hash {database.body_hash[:12]}"),
-        ("covers", f"{figures['covered_percent']:.1f} % of the body's faces at all times: they are not drawn"),
     ]
 
 
@@ -199,7 +192,6 @@ def check_database(path: str | Path) -> list[Check]:
         Check("file", True, f"{figures['database_mb']:.2f} MB read in {figures['load_s']:.3f} s; hashes agree"),
         _check_build(database),
         _check_quality(database),
-        Check("covered body", True, f"{_covered_percent(database):.1f} % of its faces, which are not drawn"),
     ]
     try:
         subdivision = database.subdivision

@@ -173,11 +173,6 @@ class PlainPlayer:
         """The body about ``origin`` [m], float32, shape (b, 3)."""
         return self.simulation.body.current
 
-    @property
-    def covered_faces(self) -> np.ndarray:
-        """Faces of the body that always lie under the garment: see :func:`runtime.shown_body.visible_faces`."""
-        return np.unique(self.database.covered_faces)
-
     def smooth(self) -> np.ndarray:
         """The garment without wrinkles in the world, which here is all of it [m], float64, shape (N, 3)."""
         return self.vertices + self.origin

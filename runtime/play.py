@@ -25,7 +25,7 @@ from runtime.plain_player import PlainPlayer, player_of
 from runtime.player import Player
 from runtime.report import process_age
 from runtime.scene_body import body_of, load_body, motion_of
-from runtime.shown_body import visible_faces
+from runtime.shown_body import shown_body
 from runtime.simulation import Motion, Simulation, body_source, poses_of
 from runtime.strips import draw_strips_apart
 from wrinkles.database import WrinkleDatabase, read_database
@@ -264,12 +264,12 @@ def play_motion(
     free = play(player, poses, dt, inputs.wind, every=DRAWN)
     subdivision = player.levels.subdivision
     garment = (subdivision.faces, subdivision.flat_corners(inputs.pattern), player.levels.fine_layer)
-    bodies = posed_bodies(inputs.body, poses[free.numbers])
+    body = shown_body(inputs.body, player.levels)
+    bodies = posed_bodies(body, poses[free.numbers])
     columns = {"smooth": free.smooth, "ours": free.frames}
     if isinstance(player, PlainPlayer):
         columns = {"plain cloth": free.frames}
-    body_faces = visible_faces(inputs.body.faces, player.covered_faces)
-    draw_strips_apart(folder, motion.name, columns, *garment, bodies, body_faces, free.numbers, dt)
+    draw_strips_apart(folder, motion.name, columns, *garment, bodies, body.faces, free.numbers, dt)
     figures: dict[str, float | str] = {"frame_count": len(poses) - 1, "first_frame_s": first}
     figures |= timing_figures(free, player.simulation.model.vertex_count, subdivision.fine_count)
     return figures | {"attached_off_mm": 1e3 * free.held_off, "state_hash": free.state_hash}

@@ -169,15 +169,6 @@ class Player:
         return self.simulation.body.current
 
     @property
-    def covered_faces(self) -> np.ndarray:
-        """Faces of the body that always lie under what is worn: see :func:`runtime.shown_body.visible_faces`.
-
-        A garment that is open (:meth:`fasten`) may hang elsewhere than it was learned, and covers none.
-        """
-        opened = [self.worn.index(name) for name in self._unfastened.intersection(self.worn)]
-        return np.unique(self.database.covered_faces[~np.isin(self.database.covered_by, opened)])
-
-    @property
     def detail(self) -> LevelOfDetail:
         """How much is modelled; see :meth:`change`."""
         return self._detail

@@ -84,7 +84,7 @@ def record(
             coarse.append(player.simulation.state.world())
     moving = _moving("fine", np.array(fine), GARMENT_STEP)
     arrays = _meshes(player.levels) | moving | _moving("coarse", np.array(coarse), GARMENT_STEP)
-    arrays |= _body(shown_body(inputs.body, player.covered_faces), poses[::every])
+    arrays |= _body(shown_body(inputs.body, player.levels), poses[::every])
     header = {"rate_hz": database.frame_rate / every, "frame_count": len(fine), "floor": floor, **about}
     off = np.linalg.norm(moving["frames/fine"].steps * GARMENT_STEP - fine, axis=2).max()
     figures = {

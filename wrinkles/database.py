@@ -114,10 +114,7 @@ class WrinkleDatabase:
         novelty: decides where the wrinkles fade.
         cutoff: wavelength of the filter between coarse and fine [m].
         body_hash: hash of the body that the garment was trained on, see :func:`body_hash`.
-        body_vertex_count, body_face_count: numbers of that body's vertices and faces.
-        covered_faces: faces of that body that always lie under a garment and need not be drawn, int32, shape (c,).
-        covered_by: number of the garment that covers each of them, int32, shape (c,); a face that lies under several
-            garments is there for each.
+        body_vertex_count: number of that body's vertices.
         quality: held-out figures by name; figures that are not finite (nothing to measure) are not stored.
         held_out: clips that the figures were measured on.
         trained_on: clips that the wrinkles were learned from.
@@ -152,9 +149,6 @@ class WrinkleDatabase:
     cutoff: float
     body_hash: str
     body_vertex_count: int
-    body_face_count: int
-    covered_faces: np.ndarray
-    covered_by: np.ndarray
     quality: Dictionary[str, float]
     held_out: tuple[str, ...]
     trained_on: tuple[str, ...]

@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 25
+SCHEMA_VERSION = 26
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE, STEPS = "text", "float32", "float64", "int32", "int64", "int8"
 
@@ -150,9 +150,6 @@ ENTRIES = (
     Entry("cutoff", DOUBLE, unit="m"),
     Entry("body_hash", TEXT),
     Entry("body_vertex_count", WHOLE),
-    Entry("body_face_count", WHOLE),
-    Entry("covered_faces", INDEX, ("c",)),
-    Entry("covered_by", INDEX, ("c",)),
     Entry("quality/names", TEXT, ("q",)),
     Entry("quality/values", DOUBLE, ("q",)),
     Entry("held_out", TEXT, ("h",)),
@@ -371,8 +368,6 @@ def _check_indices(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:
         ("binding/face", cut_count, "an index"),
         ("binding/panels", fine, "an index"),
         ("binding/stitches", fine, "an index"),
-        ("covered_faces", arrays["body_face_count"].item(), "a face"),
-        ("covered_by", max(1, len(arrays["layers/names"])), "a garment"),
     ):
         index = arrays[name]
         if index.size and not 0 <= index.min() <= index.max() < limit:

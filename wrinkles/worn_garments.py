@@ -47,7 +47,6 @@ def with_garments(database: WrinkleDatabase, names: Iterable[str]) -> WrinkleDat
     faces = vertices[database.coarse_faces[:, 0]]
     own_number = np.cumsum(vertices, dtype=np.int32) - 1
     hinges = vertices[hinges_of(database.coarse_faces)[:, 0]]
-    covered = np.isin(database.covered_by, numbers)
     fine = np.isin(layers.subdivided(database.subdivision).layer, numbers)
     left = Layers(
         tuple(known[number] for number in numbers),
@@ -70,7 +69,5 @@ def with_garments(database: WrinkleDatabase, names: Iterable[str]) -> WrinkleDat
         fabric=fabrics[0],
         atoms=replace(database.atoms, vertex_mean=database.atoms.vertex_mean[fine]),
         mapping=replace(mapping, place=mapping.place[vertices], region=mapping.region[vertices]),
-        covered_faces=database.covered_faces[covered],
-        covered_by=np.searchsorted(numbers, database.covered_by[covered]).astype(np.int32),
         quality={},
     )

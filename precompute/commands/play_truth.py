@@ -39,7 +39,7 @@ def _beside_truth(
     from precompute.wrinkle_comparison.baselines import player_times, typical_ms
     from runtime.play import posed_bodies
     from runtime.report import Progress
-    from runtime.shown_body import visible_faces
+    from runtime.shown_body import shown_body
     from runtime.strips import draw_strips
 
     run = database_run(database, inputs, motion)
@@ -58,7 +58,7 @@ def _beside_truth(
         columns = {"smooth": free.smooth[shown], "truth": truth.frames[shown], "ours": free.frames[shown]}
         subdivision = run.levels.subdivision
         garment = (subdivision.faces, subdivision.flat_corners(inputs.pattern), run.levels.fine_layer)
-        bodies = posed_bodies(inputs.body, run.poses[numbers[shown]])
-        body_faces = visible_faces(inputs.body.faces, database.covered_faces)
-        draw_strips(options.output, motion.name, columns, *garment, bodies, body_faces, numbers[shown], run.dt)
+        body = shown_body(inputs.body, run.levels)
+        bodies = posed_bodies(body, run.poses[numbers[shown]])
+        draw_strips(options.output, motion.name, columns, *garment, bodies, body.faces, numbers[shown], run.dt)
     return figures | {"state_hash": free.state_hash}

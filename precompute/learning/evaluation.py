@@ -30,6 +30,7 @@ from precompute.workers import Workers
 from runtime.garment_setup import fine_substep_of
 from runtime.play import Free, PlaybackInputs, play, posed_bodies, timing_figures
 from runtime.player import Player
+from runtime.shown_body import depth_under_cloth, shown_body
 from runtime.simulation import Motion
 from wrinkles.charts import leading_vertices
 from wrinkles.clearance import facing
@@ -63,7 +64,7 @@ __all__ = [
 
 SETTLE = 1.5  # the blend from the bind pose is not judged [s]
 BLOCK = 32  # frames whose distance to the body one worker measures
-SEEN_FRAMES = 20  # of a free run that are looked at for skin that shows through, at most
+SEEN_FRAMES = 100  # of a free run that are looked at for skin that shows through, at most
 DEFAULT = LearningOptions()
 
 
@@ -300,11 +301,14 @@ def seen_figures(database: WrinkleDatabase, truth: Truth, frames: np.ndarray) ->
     """How much of the body shows through a free run, see :func:`precompute.learning.body_seen.body_seen_figures`."""
     run, source = truth.run, body_source(truth.run.body)
     some = slice(None, None, -(-len(frames) // SEEN_FRAMES))
-    bodies = posed_bodies(run.body, run.poses[truth.recording.frames[some]])
-    faces = truth.levels.subdivision.faces
-    if facing(truth.levels.coarse, source.vertices, source.faces) < 0.0:
+    poses, levels = run.poses[truth.recording.frames[some]], truth.levels
+    shown = shown_body(run.body, levels)
+    faces, layer = levels.subdivision.faces, None if levels.layers is None else levels.layers.layer
+    if facing(levels.coarse, source.vertices, source.faces) < 0.0:
         faces = faces[:, ::-1]
-    return body_seen_figures(zip(frames[some], bodies, strict=True), faces, source.faces, database.covered_faces)
+    dressed = depth_under_cloth(levels.coarse, layer, source.vertices, source.faces) > 0.0
+    bodies = posed_bodies(shown, poses), posed_bodies(run.body, poses)
+    return body_seen_figures(zip(frames[some], *bodies, strict=True), faces, source.faces, dressed)
 
 
 def contact_bending_ratio(

@@ -16,7 +16,6 @@ from assets.io.scene import Scene, scene_text
 from pbd import Fabric, InputError, ModelOptions, SolverOptions
 from pbd.bending import hinge_calibration
 from precompute.learning.calibration import Calibration, CoarseModel, calibrate
-from precompute.learning.covered import covered_faces
 from precompute.learning.crossed import crossed_figures, crossed_jobs, crossed_words, joined_crossed
 from precompute.learning.decoding import with_vertex_mean
 from precompute.learning.evaluation import (
@@ -352,7 +351,6 @@ def _finished(
         novelty = kept.instance(NoveltyScore, "unfamiliarity", lambda: fit_novelty(*given))
     scene, settings, levels, body = work.scene, work.stage.settings, work.stage.levels, work.stage.body
     own, *others = work.fabrics
-    covered, covered_by = covered_faces(runs, recordings)
     return WrinkleDatabase(
         garment_name=work.stage.name,
         coarse_vertices=levels.coarse.vertices,
@@ -378,9 +376,6 @@ def _finished(
         cutoff=levels.cutoff,
         body_hash=body_hash(body),
         body_vertex_count=len(body_source(body).vertices),
-        body_face_count=len(body.faces),
-        covered_faces=covered,
-        covered_by=covered_by,
         quality={},
         held_out=tuple(m.name for m in scene.training.held_out),
         trained_on=(),

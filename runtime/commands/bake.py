@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> Report:
     player, frames, normals, poses = baked_frames(database, inputs, inputs.motions[0], options.rate, options.seconds)
     if isinstance(player, PlainPlayer):
         say(f"plays {better_choice(database.quality)} (--wrinkles plays the wrinkles)")
-    faces, body = player.levels.subdivision.faces, shown_body(inputs.body, player.covered_faces)
+    faces, body = player.levels.subdivision.faces, shown_body(inputs.body, player.levels)
     write_baked(options.output, faces, frames, options.rate, normals, body, poses, garment_vertices(player.levels))
     say(f"{inputs.motions[0].name}: {len(frames)} frames of {frames.shape[1]} vertices baked to {options.output}")
     return Report({"frame_count": len(frames), "fine_vertex_count": frames.shape[1]})

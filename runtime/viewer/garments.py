@@ -25,7 +25,7 @@ from runtime.player import Player
 from runtime.scene_body import body_of
 from runtime.scene_player import SUBDIVISIONS, ScenePlayer
 from runtime.scene_simulation import simulation_of
-from runtime.shown_body import visible_faces
+from runtime.shown_body import insets, shown_body
 from runtime.simulation import Motion
 from runtime.viewer.colors import CLOTH, FaceBending, FaceStrain, place
 from wrinkles.database import WrinkleDatabase
@@ -120,11 +120,13 @@ class ViewedGarment:
     Args:
         player: plays the garment, at the start of the motion.
         motion: of the body; None without one.
-        body_faces: of the body that are drawn, int, shape (k, 3); no faces without one.
+        body: as it is drawn, see :mod:`runtime.shown_body`; None without one.
         truth: a recorded fine simulation of the motion, if there is one.
 
     Attributes:
         meshes: by name, from the coarsest on.
+        body, motion, player: the arguments.
+        body_faces: of the body that are drawn, int, shape (k, 3); no faces without one.
         details: levels of detail that it can be played at, the full one first; none where it has no such levels.
     """
 
@@ -132,10 +134,10 @@ class ViewedGarment:
         self,
         player: Player | PlainPlayer | ScenePlayer,
         motion: Motion | None,
-        body_faces: np.ndarray,
+        body: Character | Sequence | None,
         truth: Truth | None = None,
     ) -> None:
-        self.player, self.motion, self.body_faces, self._truth = player, motion, body_faces, truth
+        self.player, self.motion, self.body, self._truth = player, motion, body, truth
         self.details: dict[str, LevelOfDetail] = details_of(player) if isinstance(player, Player) else {}
         self.meshes = self._meshes()
         self._smooth: Upsampler | None = None
@@ -143,6 +145,11 @@ class ViewedGarment:
             self._smooth = Upsampler(player.levels.subdivision)
             self._smooth_vertices = np.zeros_like(player.vertices)
         self._fabric = player.simulation.model.fabric
+        self.body_faces = np.zeros((0, 3), np.int32) if body is None else body.faces
+        source, model = player.simulation.source, player.simulation.model
+        self._insets = (
+            None if source is None else insets(model.mesh, model.layer, source.vertices, source.faces)[:, None]
+        )
 
     def _meshes(self) -> dict[str, ViewedMesh]:
         player, simulated = self.player, ViewedMesh(self.player.simulation.model.mesh)
@@ -189,6 +196,13 @@ class ViewedGarment:
             self._smooth(player.interpolated()[0], self._smooth_vertices)
             return self._smooth_vertices
         return player.vertices
+
+    def body_vertices(self) -> np.ndarray:
+        """Vertices of the body as it is drawn, about the player's origin [m], float32, shape (b, 3)."""
+        vertices = self.player.interpolated()[1]
+        if self._insets is None:
+            return vertices
+        return vertices - self._insets * self.player.simulation.body.normals
 
     def values(self, name: str, coloring: str, vertices: np.ndarray) -> np.ndarray | None:
         """Values that colour the faces of a mesh, shape (m,); None where they are not known of it.
@@ -354,7 +368,7 @@ class DatabaseSource:
         inputs = self.inputs
         player = player_of(database, inputs.body, motion.pose(0.0), inputs.primitives, wrinkles)
         truth = self.truths.get(motion.name) if fabric == self.database.fabric_name else None
-        return ViewedGarment(player, motion, visible_faces(inputs.body.faces, player.covered_faces), truth)
+        return ViewedGarment(player, motion, shown_body(inputs.body, player.levels), truth)
 
     def wearing(self, garment: ViewedGarment, names: tuple[str, ...]) -> ViewedGarment:
         """The same player and motion with some garments of the outfit, from its present moment on.
@@ -370,7 +384,7 @@ class DatabaseSource:
         assert isinstance(player, Player) and motion is not None
         player.wear(names)
         truth = self.truths.get(motion.name) if player.worn == self.garments else None
-        return ViewedGarment(player, motion, visible_faces(self.inputs.body.faces, player.covered_faces), truth)
+        return ViewedGarment(player, motion, shown_body(self.inputs.body, player.levels), truth)
 
 
 @dataclass(frozen=True)
@@ -442,8 +456,7 @@ class SceneSource:
         simulation, motion = simulation_of(self.scene)
         pose = None if motion is None else motion.pose(0.0)
         player = ScenePlayer(simulation, pose, 1.0 / self.frame_rate)
-        faces = np.zeros((0, 3), np.int32) if self.body is None else self.body.faces
-        return ViewedGarment(player, motion, faces)
+        return ViewedGarment(player, motion, self.body)
 
 
 Source = DatabaseSource | SceneSource

@@ -106,7 +106,7 @@ class Stage:
         tick = playback.time / playback.tick
         # A slow browser takes over places and vertices at different times: what moves is in the vertices alone.
         shift = (player.origin - self.place).astype(np.float32)
-        body = player.interpolated()[1] + shift
+        body = garment.body_vertices() + shift
         with self._server.atomic():
             nodes["floor"].position = self._floor_place()
             for index, name in enumerate(look.meshes):
@@ -205,7 +205,7 @@ class Stage:
         )
         if len(garment.body_faces):
             nodes[f"{name}/body"] = scene.add_mesh_simple(
-                f"{place}/body", garment.player.interpolated()[1], garment.body_faces, color=SKIN_COLOR
+                f"{place}/body", garment.body_vertices(), garment.body_faces, color=SKIN_COLOR
             )
         nodes[f"{name}/garment"] = scene.add_mesh_simple(
             f"{place}/garment",

@@ -194,8 +194,7 @@ class Viewer:
     def save_clip(self) -> None:
         """Write every moment that is kept; the loop waits only until they are shown once more."""
         frames, poses, rate_hz = clip_frames(self._garment, self.playback)
-        faces, body = self._garment.meshes[self._garment.main].faces, self._source.body
-        body = None if body is None else replace(body, faces=self._garment.body_faces)
+        faces, body = self._garment.meshes[self._garment.main].faces, self._garment.body
         garments = self._garment.vertices_of_garments
         self._controls.say("writing the clip ...")
 

@@ -98,8 +98,6 @@ def panels() -> Recorded:
     coarse, subdivision = delivered_panels()[2:]
     body, held = rising_post(), np.flatnonzero(coarse[:, 0] < 0.02).astype(np.int32)
     known = {"body_hash": body_hash(body), "body_vertex_count": len(body.vertices[0])}
-    known |= {"body_face_count": len(body.faces), "covered_faces": np.array([2], np.int32)}
-    known |= {"covered_by": np.zeros(1, np.int32)}
     database = delivered_database(coarse, subdivision, held=held, **known)
     motion = SequenceMotion(body)
     return recorded(database, PlaybackInputs(body, (motion,)), motion, 0.2)
@@ -136,7 +134,7 @@ def test_a_body_of_vertices_is_recorded_as_it_moves() -> None:
     body = rising_post()
     poses = poses_of(SequenceMotion(body), 1.0 / 60.0, 0.2)[::2]
     assert np.abs(arrays["frames/body"].steps * BODY_STEP - poses).max() < 0.501 * BODY_STEP
-    assert np.array_equal(arrays["body/faces"].steps, np.delete(body.faces, 2, axis=0))  # a face that is covered
+    assert np.array_equal(arrays["body/faces"].steps, body.faces)
 
 
 def test_only_an_outfit_says_which_garment_a_vertex_belongs_to() -> None:

@@ -35,10 +35,6 @@ def test_what_is_written_is_what_was_made(learned: Precomputed, reports: list[st
     assert len(database.atoms.shapes) == 6 and database.mapping.weights_2.shape == (5, 21, 8)
     assert database.options == learned.calibration.options
     assert database.training_minutes > 0.0 and database.quality == learned.database.quality
-    # A skirt that swings covers little of the body: about the waistband, from which faces keep away.
-    assert (
-        len(database.covered_faces) < 0.2 * database.body_face_count == 0.2 * len(GarmentSetup.of(scene()).body.faces)
-    )
     # The garment is on the body as the scene has it.
     stage, levels = GarmentSetup.of(scene_of(database)), levels_from(database, GarmentSetup.of(scene()).body)
     assert np.array_equal(levels.fine.vertices, stage.levels.fine.vertices)

@@ -10,6 +10,7 @@ import pytest
 
 from assets.io.scene import load_scene
 from runtime.plain_player import PlainPlayer
+from runtime.shown_body import INSET
 from runtime.viewer.colors import SCALES
 from runtime.viewer.garments import DatabaseSource, FabricFactors, SceneSource, Truth, ViewedGarment
 from tests.runtime.viewer.views import FLAG, skirt_source
@@ -118,7 +119,9 @@ def test_plain_cloth_is_played_where_it_is_the_better_choice() -> None:
     assert source.wrinkles_notice.startswith("Plays the wrinkles. Better choice: plain cloth")
     garment = source.garment(source.motions[0], source.fabrics[0], False)
     assert isinstance(garment.player, PlainPlayer)
-    assert len(garment.body_faces) == len(source.inputs.body.faces) - 3  # without those that the skirt covers
+    assert np.array_equal(garment.body_faces, source.inputs.body.faces)
+    inwards = np.linalg.norm(garment.body_vertices() - garment.player.interpolated()[1], axis=1)
+    assert inwards.max() == pytest.approx(INSET, rel=1e-3) and (inwards == 0.0).any()  # under the skirt, and elsewhere
     assert list(garment.meshes) == ["plain cloth"] and garment.main == "plain cloth"
     assert [name for name in SCALES if garment.colors_by(name)] == ["strain", "bending", "contact"]
     values = garment.values("plain cloth", "contact", garment.vertices("plain cloth", 0))
