@@ -154,6 +154,7 @@ speed = 1.75
 """
 
 
+@pytest.mark.proof
 def test_one_database_holds_several_speeds_and_fabrics(
     learned: Precomputed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

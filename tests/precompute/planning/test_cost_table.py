@@ -94,6 +94,7 @@ def test_plan_takes_the_camera_of_the_scene(learned: Precomputed, measured: Cost
     assert figures["screen_error_px"] <= 10.0
 
 
+@pytest.mark.proof
 def test_plan_of_a_scene_makes_its_database_and_its_front_once(
     learned: Precomputed, small: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
