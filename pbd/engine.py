@@ -89,6 +89,7 @@ def ensure_initialized(arch: str | None = None, threads: int | None = None) -> N
                 default_ip=ti.i32,
                 offline_cache=True,
                 log_level=ti.ERROR,
+                make_thread_local=False,  # nothing is summed over threads; to look for it takes a fifth of compiling
                 # The analysis of control flow takes nine tenths of the time of compiling, and more than in proportion
                 # to a kernel's size. It gains nothing where indices are variables of one number: i = f[0], not f[0].
                 cfg_optimization=False,
