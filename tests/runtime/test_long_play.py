@@ -106,7 +106,7 @@ def memory() -> int:
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="no system that tells its memory")
-@pytest.mark.parametrize("seconds", [3.0, pytest.param(SECONDS, marks=pytest.mark.proof)])
+@pytest.mark.parametrize("seconds", [4.0, pytest.param(SECONDS, marks=pytest.mark.proof)])
 def test_memory_stays_and_no_tick_is_catastrophic(seconds: float) -> None:
     game, clock = Game(0), StoppedClock()
     for names in SETS:  # every set is made once
