@@ -191,12 +191,17 @@ def _work(files: list[Path], folder: Path, seed: int, seconds: float, queue: Any
         corpus.setdefault(path.suffix.lower(), []).append(path.read_bytes())
         shutil.copy(path, folder)  # one file may name another
     good = {ending: len(kept) for ending, kept in corpus.items()}
+    seen: set[tuple[str, int]] = set()
+    new: set[tuple[str, int]] = set()
     for ending, readers in READERS.items():  # libraries are loaded before memory is limited
         for data in corpus.get(ending, []):
             case = folder / f"case{ending}"
             case.write_bytes(data)
             for reader in readers:
                 _answer(reader, case)
+            with _lines(seen, new):  # a mutation leads somewhere new where no good file does
+                for reader in readers:
+                    _answer(reader, case)
             case.unlink()
     end = time.monotonic() + seconds  # a slow machine takes many to load them
     # Only what a process may take from here on counts: Taichi alone reserves more.
@@ -204,8 +209,7 @@ def _work(files: list[Path], folder: Path, seed: int, seconds: float, queue: Any
     limit = pages * resource.getpagesize() + MEMORY
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     signal.signal(signal.SIGALRM, _too_long)
-    seen: set[tuple[str, int]] = set()
-    cases, refused, new, count = Counter[str](), 0, set(), 0
+    cases, refused, count = Counter[str](), 0, 0
     endings = sorted(corpus)
     while time.monotonic() < end:
         ending = chance.choice(endings)

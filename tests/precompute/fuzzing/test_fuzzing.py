@@ -95,8 +95,7 @@ def run(good: list[Path], output: Path, seconds: float, workers: int, seed: int)
     found = fuzz(good, output, seconds=seconds, workers=workers, seed=seed)
     assert found.escapes == {}
     assert set(found.cases) == {path.suffix for path in good}
-    assert found.cases.total() > 20 * seconds
-    assert len(found.lines) > 400  # a slow machine reads 550 files in 10 s and reaches 520 lines
+    assert found.cases.total() > 20 * seconds and len(found.lines) > 1500
     assert 0.5 < found.refused / found.cases.total() < 0.999
     assert not list(output.glob("worker_*"))
 
