@@ -95,7 +95,8 @@ def run(good: list[Path], output: Path, seconds: float, workers: int, seed: int)
     found = fuzz(good, output, seconds=seconds, workers=workers, seed=seed)
     assert found.escapes == {}
     assert set(found.cases) == {path.suffix for path in good}
-    assert found.cases.total() > 20 * seconds and len(found.lines) > 1500
+    assert found.cases.total() > 20 * seconds
+    assert len(found.lines) > 1650  # the good files alone reach 1,620
     assert 0.5 < found.refused / found.cases.total() < 0.999
     assert not list(output.glob("worker_*"))
 
