@@ -87,7 +87,6 @@ SHORT = Demo(
         shear_scales=(1.0, 0.3),
         bend_scales=(1.0,),
         calibration_s=3.5,
-        still_s=0.5,
         piece_s=0.25,
     ),
     seconds=(39.0, 39.0, 3.0, 10.0, 1.0, 7.0, 3.0, 10.0, 51.0, 6.0),

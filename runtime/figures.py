@@ -96,6 +96,7 @@ FIGURES = {
     "popping": Figure("popping", "-", "largest change of a patch's wrinkles in a frame, over the size of all wrinkles"),
     "jitter_px": Figure("jitter", "px", "jumps from frame to frame on a standard screen, 95th percentile"),
     "rest_jitter_px": Figure("jitter at rest", "px", "jumps of vertices while the body stands still after its motion"),
+    "rest_speed_mm_s": Figure("speed at rest", "mm/s", "speed of the coarse garment in the third second of a pause"),
     "reverse_gap_mm": Figure(
         "memory of a slow motion", "mm", "distance of vertices at equal poses of a slow motion there and back"
     ),

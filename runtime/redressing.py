@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pbd import Body, Model, State
 from pbd.attachment import Attachment
+from pbd.distance import BodyDistance
+from pbd.opening import smoothed_apart
 
 __all__ = ["Redressing"]
 
-TOO_LONG = 2.0  # length of an edge over its rest length [-]: contact with a body that is outside draws none out so far
-PATIENCE = 0.3  # time for which the same edge is too long before the garment is put back [s]: a limb pinches less long
+LONG, TOO_LONG = 1.4, 2.0  # length of an edge over its rest length [-]: contact from outside draws none out twice
+THROUGH = 0.005  # depth of a long edge's middle in the body from which it goes through it [m]
+PATIENCE = 0.3  # time for which the same edge is long before the garment is put back [s]: a limb pinches less long
 DURATION = 0.4  # of putting it back [s]
 
 
 class Redressing:
-    """Puts a garment back on its body where an edge stays far too long.
+    """Puts a garment back on its body where an edge stays far too long, or long and through the body.
 
     Wind or a pull may hook cloth through a limb. Contact, which knows the nearest surface only, then holds it there for
-    ever. The garment is then moved, without contact, to where the body carries it from the bind pose.
+    ever. The garment is then moved, without contact, to where the body carries it from the bind pose. Cloth that limbs
+    pinch has long edges, too, but their ends are inside the body.
 
     Args:
         model: the garment, in the body's bind pose.
@@ -32,8 +38,10 @@ class Redressing:
     def __init__(self, model: Model, body_vertices: np.ndarray, body_faces: np.ndarray) -> None:
         self._free = model.inverse_mass > 0.0
         self._edges, lengths = model.mesh.edge_lengths()
-        self._longest = TOO_LONG * lengths
-        self._long = np.zeros(len(lengths))  # for how long each edge has been too long [s]
+        self._limits = np.array([[LONG], [TOO_LONG]]) * lengths
+        self._since = np.zeros(self._limits.shape)  # for how long each edge has been that long [s]
+        self._distance = BodyDistance(body_faces)
+        self._mesh, self._layer = model.mesh, model.layer if model.layer.any() else None
         self._bind = model.mesh.vertices, body_vertices, body_faces
         self._carrier: Attachment | None = None
         self._offsets = np.zeros((0, 3))  # from where the body carries the vertices, as it begins [m]
@@ -48,7 +56,7 @@ class Redressing:
             body: at the end of this frame, about the state's origin.
             dt: frame time [s].
         """
-        if dt <= 0.0 or (self._left <= 0.0 and not self._hooked(state, dt)):
+        if dt <= 0.0 or (self._left <= 0.0 and not self._hooked(state, body, dt)):
             return False
         if self._carrier is None:
             self._carrier = Attachment.bind(*self._bind)
@@ -60,19 +68,33 @@ class Redressing:
         self._left -= dt
         share = np.clip(self._left / DURATION, 0.0, 1.0)
         state.position[:, :3] = carried + share * share * (3.0 - 2.0 * share) * self._offsets
+        if self._left <= 0.0:  # the pose may have less room than the bind pose
+            put_back = replace(self._mesh, vertices=state.position[:, :3].astype(float))
+            held = np.flatnonzero(state.position[:, 3] == 0.0)
+            state.position[:, :3] = smoothed_apart(put_back, held, self._layer, body.current, self._distance.faces)
         state.velocity[:] = (state.position[:, :3] - before) / dt
         state.nearest[:], state.contact_faces[:] = -1, -1
         state.pairs, state.pair_sides = state.pairs[:0], state.pair_sides[:0]
         return True
 
-    def _hooked(self, state: State, dt: float) -> bool:
+    def _hooked(self, state: State, body: Body, dt: float) -> bool:
         """Whether an edge has been too long for too long, while nothing pulled at the garment."""
-        x = state.position[:, :3]
-        length = np.linalg.norm(x[self._edges[:, 0]] - x[self._edges[:, 1]], axis=1)
+        ends = state.position[self._edges, :3].astype(float)
+        length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
         pulled = bool((state.position[self._free, 3] == 0.0).any())
-        self._long += dt
-        self._long[pulled | (length <= self._longest)] = 0.0
-        hooked = bool(self._long.max(initial=0.0) > PATIENCE)
+        over = length > self._limits
+        rows = np.flatnonzero(over[0])
+        if len(rows):
+            over[0, rows] = self._go_through(ends[rows], body)
+        self._since += dt
+        self._since[pulled | ~over] = 0.0
+        hooked = bool(self._since.max(initial=0.0) > PATIENCE)
         if hooked:
-            self._long[:] = 0.0
+            self._since[:] = 0.0
         return hooked
+
+    def _go_through(self, ends: np.ndarray, body: Body) -> np.ndarray:
+        """Whether each edge, whose ends are given [m], shape (k, 2, 3), goes through the body and ends outside."""
+        points = np.concatenate([ends[:, 0], ends[:, 1], ends.mean(axis=1)])
+        first, last, middle = self._distance.signed_distance(points, body.current.astype(float)).reshape(3, -1)
+        return (first > 0.0) & (last > 0.0) & (middle < -THROUGH)

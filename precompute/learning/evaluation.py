@@ -404,6 +404,7 @@ def evaluate(
     figures["fine_simulation_ms"] = recording.step_ms
     figures["speedup_over_fine"] = recording.step_ms / figures["frame_ms_p50"]
     figures |= pause.figures(paused.positions, "truth_") | in_time
+    figures["truth_rest_speed_mm_s"] = pause.rest_speed(paused.coarse)
     return Evaluation(figures, free, smooth, decoded)
 
 
@@ -429,7 +430,8 @@ def _pause_figures(database: WrinkleDatabase, pause: Pause) -> dict[str, float]:
     run = pause.run
     player = Player(database, run.body, run.poses[0], run.primitives)
     free = play(player, run.poses, run.dt, run.wind, every=1)
-    return pause.figures(free.frames) | pause.figures(free.smooth, "smooth_")
+    speed = {"rest_speed_mm_s": pause.rest_speed(free.coarse)}
+    return pause.figures(free.frames) | pause.figures(free.smooth, "smooth_") | speed
 
 
 def _distance_jobs(truth: Truth, frames: np.ndarray) -> list[partial]:

@@ -31,13 +31,13 @@ class Pause:
     back: slice
 
     @classmethod
-    def of(cls, run: Run, start: float, still: float = 1.0, piece: float = 0.5) -> Pause:
+    def of(cls, run: Run, start: float, still: float = 3.0, piece: float = 0.5) -> Pause:
         """A pause ``start`` [s] after a run's beginning, or as late as the run is long.
 
         Args:
             run: the fine run of the motion.
             start: when the body stops [s].
-            still: for how long it stands; the second half is judged [s].
+            still: for how long it stands; the last third is judged [s].
             piece: how much of the motion it then goes on and back [s].
         """
         last = len(run.poses) - 1
@@ -52,7 +52,7 @@ class Pause:
         begin, half = turn + stand, count // 2
         return cls(
             replace(run, name=f"{run.name} (pause)", poses=poses.astype(run.poses.dtype), every=1),
-            slice(begin - stand // 2, begin),
+            slice(begin - stand // 3, begin),
             slice(begin, begin + half),
             slice(begin + 2 * count - 2, begin + 2 * count - 2 - half, -1),
         )
@@ -69,6 +69,15 @@ class Pause:
             f"{prefix}rest_jitter_px": jitter_px(frames[self.still]),
             f"{prefix}reverse_gap_mm": float(np.sqrt((gap**2).mean())),
         }
+
+    def rest_speed(self, coarse: np.ndarray) -> float:
+        """Mean speed of the coarse vertices while the body stands still [mm/s].
+
+        Args:
+            coarse: coarse vertices at each pose after the first [m], shape (f, n, 3).
+        """
+        moved = np.linalg.norm(np.diff(coarse[self.still].astype(float), axis=0), axis=2)
+        return 1e3 * float(moved.mean()) / self.run.dt
 
 
 def popping(displacements: np.ndarray, frames: np.ndarray, patches: np.ndarray) -> float:

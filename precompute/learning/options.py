@@ -34,7 +34,7 @@ class LearningOptions:
     bend_scales: tuple[float, ...] = (1.0, 3.0, 10.0)
     calibration_s: float = 6.0
     settle_s: float = 1.5
-    still_s: float = 1.0
+    still_s: float = 3.0
     piece_s: float = 0.5
 
     def epochs_for(self, frame_count: int) -> int:

@@ -30,7 +30,7 @@ def test_a_pause_stops_and_goes_there_and_back_through_the_same_poses(run: Run, 
     assert pause.run.every == 1 and pause.run.poses.dtype == run.poses.dtype
     assert np.array_equal(pause.run.poses[: turn + 1], given[: turn + 1])
     still = poses[pause.still]
-    assert len(still) == round(STILL / run.dt) // 2 and (still == given[turn]).all()
+    assert len(still) == round(STILL / run.dt) // 3 and (still == given[turn]).all()
     piece = min(round(PIECE / run.dt), len(given) - 1 - turn)
     there, back = poses[pause.there], poses[pause.back]
     assert len(there) == len(back) == SLOWED * piece // 2 and np.array_equal(there, back)
@@ -52,6 +52,17 @@ def test_jitter_counts_at_rest_only_and_the_gap_between_both_ways_only(run: Run)
     assert pause.figures(moved, "truth_") == {"truth_rest_jitter_px": 0.0, "truth_reverse_gap_mm": pytest.approx(5.0)}
     moved[pause.still][::2] += [1e-3, 0.0, 0.0]
     assert pause.figures(moved)["rest_jitter_px"] == pytest.approx(0.5, rel=0.05)  # a millimetre to and fro
+
+
+def test_the_speed_at_rest_is_that_of_the_last_third_of_the_pause(run: Run) -> None:
+    pause = Pause.of(run, START)
+    assert len(pause.run.poses[1:][pause.still]) == round(1.0 / run.dt)
+    steps = np.arange(pause.run.frame_count)[:, None, None] * run.dt * np.array([0.0, 3e-3, 4e-3])
+    coarse = np.random.default_rng(0).standard_normal((1, 9, 3)) + steps
+    assert pause.rest_speed(coarse) == pytest.approx(5.0)
+    coarse[: pause.still.start] *= 2.0
+    coarse[pause.still.stop :] *= 2.0
+    assert pause.rest_speed(coarse) == pytest.approx(5.0)
 
 
 def test_popping_is_seen_in_the_frame_of_each_patch() -> None:

@@ -88,6 +88,7 @@ def test_how_the_wrinkles_behave_in_time_is_measured_beside_the_truth(learned: P
     for name in ("rest_jitter_px", "reverse_gap_mm"):
         values = [quality[prefix + name] for prefix in ("", "smooth_", "truth_")]
         assert min(values) > 0.0 and values[0] < 3.0 * max(values[1:])
+    assert quality["rest_speed_mm_s"] > 0.0 and quality["truth_rest_speed_mm_s"] > 0.0
     assert 0.0 < quality["popping"] and 0.0 < quality["truth_popping"]
 
 
