@@ -73,7 +73,8 @@ def bake_glb(
         if isinstance(body, Character):
             file.add_character(body, poses, rate_hz, _BODY_COLOR)
         else:
-            file.add(_track("body", body.faces, poses, rate_hz, None, _BODY_COLOR, False))
+            drawn = np.stack([body.drawn(pose) for pose in poses])
+            file.add(_track("body", body.faces, drawn, rate_hz, None, _BODY_COLOR, False))
     _write(path, file.finish())
 
 
@@ -116,7 +117,8 @@ def bake_usd(
         if isinstance(body, Character):
             file.add_character(body, poses, _BODY_COLOR)
         else:
-            file.add(_track("body", body.faces, poses, rate_hz, None, _BODY_COLOR, False))
+            drawn = np.stack([body.drawn(pose) for pose in poses])
+            file.add(_track("body", body.faces, drawn, rate_hz, None, _BODY_COLOR, False))
     file.write(Path(path))
 
 

@@ -124,7 +124,7 @@ def _body(body: Character | Sequence, poses: np.ndarray) -> dict[str, Quantised]
     """The body and how it moves: matrices of a character's joints, or the vertices of a sequence."""
     arrays = {"body/faces": Quantised(body.faces, differences=1)}
     if not isinstance(body, Character):
-        return arrays | _moving("body", poses, BODY_STEP)
+        return arrays | _moving("body", np.stack([body.drawn(pose) for pose in poses]), BODY_STEP)
     return arrays | {
         "body/vertices": quantised("body", body.vertices, BIND_STEP, differences=1),
         "body/joints": Quantised(np.where(body.joint_weights > 0.0, body.joint_indices, 0), differences=1),

@@ -71,7 +71,9 @@ class Redressing:
         if self._left <= 0.0:  # the pose may have less room than the bind pose
             put_back = replace(self._mesh, vertices=state.position[:, :3].astype(float))
             held = np.flatnonzero(state.position[:, 3] == 0.0)
-            state.position[:, :3] = smoothed_apart(put_back, held, self._layer, body.current, self._distance.faces)
+            state.position[:, :3] = smoothed_apart(
+                put_back, held, self._layer, body.current.astype(float), self._distance.faces
+            )
         state.velocity[:] = (state.position[:, :3] - before) / dt
         state.nearest[:], state.contact_faces[:] = -1, -1
         state.pairs, state.pair_sides = state.pairs[:0], state.pair_sides[:0]

@@ -63,11 +63,11 @@ def shown_body(body: Character | Sequence, levels: Levels) -> Character | Sequen
     """The body as it is drawn; nothing collides with it.
 
     Args:
-        body: the body. The vertices of a sequence stay where they are.
+        body: the body. That of a sequence is drawn in as it is posed.
         levels: of the garments that it wears.
     """
-    if isinstance(body, Sequence):
-        return body
     layer = None if levels.layers is None else levels.layers.layer
+    if isinstance(body, Sequence):
+        return replace(body, inset=insets(levels.coarse, layer, body.vertices[0].astype(float), body.faces))
     inset = insets(levels.coarse, layer, body.vertices, body.faces)[:, None]
     return replace(body, vertices=body.vertices - inset * smooth_normals(body.vertices, body.faces))

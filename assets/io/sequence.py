@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from assets.character import SEQUENCE_SUFFIXES, USD_SUFFIXES
 from assets.io.point_cache import mesh_beside, read_mdd, read_pc2
 from assets.weld import check_unit
+from pbd.attachment import smooth_normals
 from pbd.engine import ensure_initialized, ti
 from pbd.errors import InputError
 from pbd.storage import BROKEN_NPZ
@@ -30,12 +31,20 @@ class Sequence:
         vertices: world positions [m], shape (frames, n, 3), float32.
         faces: shape (m, 3), int32.
         dt: time from frame to frame [s].
+        inset: how far each vertex is drawn in along its normal [m], float32, shape (n,); None for a body as it is.
     """
 
     name: str
     vertices: NDArray[np.float32]
     faces: NDArray[np.int32]
     dt: float
+    inset: NDArray[np.float32] | None = None
+
+    def drawn(self, vertices: np.ndarray) -> np.ndarray:
+        """The vertices of a frame [m], shape (n, 3), drawn in by the inset."""
+        if self.inset is None:
+            return vertices
+        return vertices - self.inset[:, None] * smooth_normals(vertices, self.faces)
 
 
 def is_sequence(path: str | PathLike[str]) -> bool:
@@ -125,18 +134,18 @@ class SequenceBody:
         ensure_initialized()
         self.vertices = sequence.vertices[0].astype(np.float64)
         self.faces = sequence.faces
-        self._local = np.zeros_like(sequence.vertices[0])
+        self._drawn, self._local = sequence.drawn, np.zeros_like(sequence.vertices[0])
         self._copy = Launch(_copy)
 
     def skin(self, pose: Floats, origin: Floats, out: Any) -> None:
-        """Write the vertices, world minus origin [m].
+        """Write the vertices as they are drawn, world minus origin [m].
 
         Args:
             pose: vertices in the world [m], shape (n, 3), float64.
             origin: [m], shape (3,), float64; taken off before rounding to float32.
             out: float32, shape (n, 3); a Taichi array of n three-vectors, or a numpy array.
         """
-        np.subtract(pose, origin, out=self._local, casting="same_kind")
+        np.subtract(self._drawn(pose), origin, out=self._local, casting="same_kind")
         self._copy(self._local, out)
 
 

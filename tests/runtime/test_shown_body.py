@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from assets.io.scene import parse_scene
+from assets.io.sequence import Sequence
 from assets.procedural.mannequin import builtin_mannequin
 from pbd import ClothMesh
 from runtime.garment_setup import GarmentSetup
+from runtime.play import posed_bodies
 from runtime.shown_body import FULL, INSET, RIM, depth_under_cloth, insets, shown_body
+from runtime.simulation import body_source
 from tests.wrinkles.meshes import tube
 
 SCENE = '[[garment]]\nname = "g"\nmesh = "builtin:tshirt"\n[character]\nfile = "builtin:mannequin"\nclip = "walk"\n'
@@ -48,3 +51,15 @@ def test_the_trunk_under_a_tshirt_is_drawn_in_and_hands_and_legs_are_not() -> No
     assert moved[(under < low[1]) | (under > high[1]) | (np.abs(body.vertices[:, 0]) > high[0])].max() == 0.0
     chest = (np.abs(body.vertices[:, 0]) < 0.1) & (under > low[1] + 2 * FULL) & (under < high[1] - 2.5 * FULL)
     assert chest.sum() > 20 and moved[chest] == pytest.approx(INSET, rel=1e-3)
+
+
+def test_a_sequence_is_drawn_in_as_it_is_posed() -> None:
+    levels, body = GarmentSetup.of(parse_scene(SCENE, "shown.toml")).levels, builtin_mannequin()
+    posed = body.vertices.astype(np.float32)
+    shown = shown_body(Sequence("still", posed[None], body.faces, 1.0 / 60.0), levels)
+    origin = np.array([0.0, 1.0, 0.0])
+    (drawn,) = posed_bodies(shown, [body.vertices])
+    assert drawn == pytest.approx(shown_body(body, levels).vertices, abs=1e-5)
+    moved = np.zeros_like(posed)
+    body_source(shown).skin(body.vertices + origin, origin, moved)
+    assert moved == pytest.approx(drawn, abs=1e-6)
