@@ -14,8 +14,10 @@ from pbd.opening import smoothed_apart
 __all__ = ["Redressing"]
 
 LONG, TOO_LONG = 1.4, 2.0  # length of an edge over its rest length [-]: contact from outside draws none out twice
-THROUGH = 0.005  # depth of a long edge's middle in the body from which it goes through it [m]
-PATIENCE = 0.3  # time for which the same edge is long before the garment is put back [s]: a limb pinches less long
+THROUGH, DEEP = 0.005, 0.012  # depth of a long edge's middle in the body, with its ends outside, and anyhow [m]
+# Time for which the same edge is too long, through the body, and deep in it before the garment is put back: a limb
+# pinches less long [s].
+PATIENCE = np.array([[0.3], [0.3], [2.5]])
 DURATION = 0.4  # of putting it back [s]
 
 
@@ -24,7 +26,7 @@ class Redressing:
 
     Wind or a pull may hook cloth through a limb. Contact, which knows the nearest surface only, then holds it there for
     ever. The garment is then moved, without contact, to where the body carries it from the bind pose. Cloth that limbs
-    pinch has long edges, too, but their ends are inside the body.
+    pinch has long edges in the body, too, but not for so long.
 
     Args:
         model: the garment, in the body's bind pose.
@@ -38,8 +40,8 @@ class Redressing:
     def __init__(self, model: Model, body_vertices: np.ndarray, body_faces: np.ndarray) -> None:
         self._free = model.inverse_mass > 0.0
         self._edges, lengths = model.mesh.edge_lengths()
-        self._limits = np.array([[LONG], [TOO_LONG]]) * lengths
-        self._since = np.zeros(self._limits.shape)  # for how long each edge has been that long [s]
+        self._lengths = lengths
+        self._since = np.zeros((len(PATIENCE), len(lengths)))  # for how long each edge has been so [s]
         self._distance = BodyDistance(body_faces)
         self._mesh, self._layer = model.mesh, model.layer if model.layer.any() else None
         self._bind = model.mesh.vertices, body_vertices, body_faces
@@ -82,21 +84,19 @@ class Redressing:
     def _hooked(self, state: State, body: Body, dt: float) -> bool:
         """Whether an edge has been too long for too long, while nothing pulled at the garment."""
         ends = state.position[self._edges, :3].astype(float)
-        length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        stretch = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / self._lengths
         pulled = bool((state.position[self._free, 3] == 0.0).any())
-        over = length > self._limits
-        rows = np.flatnonzero(over[0])
+        found = np.zeros(self._since.shape, bool)
+        found[0] = stretch > TOO_LONG
+        rows = np.flatnonzero(stretch > LONG)
         if len(rows):
-            over[0, rows] = self._go_through(ends[rows], body)
+            points = np.concatenate([ends[rows, 0], ends[rows, 1], ends[rows].mean(axis=1)])
+            first, last, middle = self._distance.signed_distance(points, body.current.astype(float)).reshape(3, -1)
+            found[1, rows] = (first > 0.0) & (last > 0.0) & (middle < -THROUGH)
+            found[2, rows] = middle < -DEEP
         self._since += dt
-        self._since[pulled | ~over] = 0.0
-        hooked = bool(self._since.max(initial=0.0) > PATIENCE)
+        self._since[pulled | ~found] = 0.0
+        hooked = bool((self._since > PATIENCE).any())
         if hooked:
             self._since[:] = 0.0
         return hooked
-
-    def _go_through(self, ends: np.ndarray, body: Body) -> np.ndarray:
-        """Whether each edge, whose ends are given [m], shape (k, 2, 3), goes through the body and ends outside."""
-        points = np.concatenate([ends[:, 0], ends[:, 1], ends.mean(axis=1)])
-        first, last, middle = self._distance.signed_distance(points, body.current.astype(float)).reshape(3, -1)
-        return (first > 0.0) & (last > 0.0) & (middle < -THROUGH)

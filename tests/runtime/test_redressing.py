@@ -28,14 +28,15 @@ def longest(simulation: Simulation) -> float:
     return float((np.linalg.norm(np.diff(simulation.vertices[edges], axis=1)[:, 0], axis=1) / rest).max())
 
 
-def hooked(simulation: Simulation) -> int:
-    """Edges that are drawn out and go through the body from one place outside to another."""
+def in_place(simulation: Simulation) -> bool:
+    """Whether no edge is twice its length, and none that is drawn out is deep in the body or goes through it."""
     edges, rest = simulation.model.mesh.edge_lengths()
     ends, body = simulation.vertices[edges], simulation.body
     ends = ends[np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > 1.4 * rest]
     points = np.concatenate([ends[:, 0], ends[:, 1], ends.mean(axis=1)])
-    depth = -BodyDistance(body.faces).signed_distance(points, body.current + body.origin).reshape(3, -1)
-    return int(((depth[0] < 0.0) & (depth[1] < 0.0) & (depth[2] > 0.005)).sum())
+    outside = BodyDistance(body.faces).signed_distance(points, body.current + body.origin).reshape(3, -1)
+    through = (outside[0] > 0.0) & (outside[1] > 0.0) & (outside[2] < -0.005)
+    return longest(simulation) < 2.0 and not (through | (outside[2] < -0.012)).any()
 
 
 def stand(simulation: Simulation, pose: np.ndarray, seconds: float, wind: tuple[float, ...] = (0.0, 0.0, 0.0)) -> None:
@@ -83,7 +84,7 @@ def test_what_is_pulled_is_not_put_back_while_it_is_pulled() -> None:
 @pytest.mark.parametrize("garment", ["skirt", "trousers", "tshirt", "shirt", "circle_skirt"])
 @pytest.mark.parametrize("seed", range(6))
 def test_garments_hold_whatever_is_done_to_them(garment: str, seed: int) -> None:
-    """Gusts of up to 40 m/s, dashes of up to 10 m/s and pulls of up to a metre; a second later all is in its place."""
+    """Gusts of up to 40 m/s, dashes of up to 10 m/s, pulls of up to a metre; 1 s later, or 3, all is in its place."""
     rng = np.random.default_rng(seed)
     simulation, motion = worn(garment, ("none", "top")[seed % 2])
     at, moment = np.zeros(3), 0.0
@@ -108,4 +109,6 @@ def test_garments_hold_whatever_is_done_to_them(garment: str, seed: int) -> None
             vertex = int(rng.choice(np.flatnonzero(simulation.model.inverse_mass > 0.0)))
             pull(simulation, vertex, pose(np.zeros(3)), rng.uniform(0.3, 1.0) * way, 0.3)
         stand(simulation, pose(np.zeros(3)), 1.0)
-        assert longest(simulation) < 2.0 and hooked(simulation) == 0
+        if not in_place(simulation):  # it is noticed after at most 2.5 s, and put back in 0.4 s
+            stand(simulation, pose(np.zeros(3)), 2.0)
+        assert in_place(simulation)
