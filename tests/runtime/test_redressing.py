@@ -84,7 +84,7 @@ def test_what_is_pulled_is_not_put_back_while_it_is_pulled() -> None:
 @pytest.mark.parametrize("garment", ["skirt", "trousers", "tshirt", "shirt", "circle_skirt"])
 @pytest.mark.parametrize("seed", range(6))
 def test_garments_hold_whatever_is_done_to_them(garment: str, seed: int) -> None:
-    """Gusts of up to 40 m/s, dashes of up to 10 m/s, pulls of up to a metre; at most 3.5 s later all is in its place."""
+    """Gusts of up to 40 m/s, dashes of up to 10 m/s, pulls of up to a metre; 3.5 s later all is in its place."""
     rng = np.random.default_rng(seed)
     simulation, motion = worn(garment, ("none", "top")[seed % 2])
     at, moment = np.zeros(3), 0.0
