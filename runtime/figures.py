@@ -59,6 +59,10 @@ FIGURES = {
     "spectrum_band_ratio_max": Figure(
         "strongest band", "-", "running freely: strongest band over the truth's, 1 is right"
     ),
+    "ridge_coherence_3_cm": Figure(
+        "run of folds within 3 cm", "-", "running freely: how far folds keep their direction, over the truth's"
+    ),
+    "ridge_coherence_6_cm": Figure("run of folds within 6 cm", "-", "the same within 6 cm; below 1 folds are lumps"),
     "low_frequency_ratio_to_floor": Figure(
         "error of the large motion",
         "-",

@@ -45,6 +45,7 @@ from wrinkles.metrics import (
     normal_error_deg,
     patch_normal_errors,
 )
+from wrinkles.ridges import RADII, RidgeCoherence
 from wrinkles.spectrum import BandedEnergy, LowPass, spectrum_band_error_max
 
 __all__ = [
@@ -178,6 +179,16 @@ class Truth:
         """
         return low_frequency_rmse_mm(self.floor, self.recording.positions, self.low_pass)
 
+    @cached_property
+    def ridges(self) -> RidgeCoherence:
+        """Measures how far folds run."""
+        return RidgeCoherence(self.levels.fine)
+
+    @cached_property
+    def ridge_coherence(self) -> np.ndarray:
+        """Of the truth, within each radius [-]."""
+        return self.ridges(self.frames)
+
     def until(self, seconds: float) -> Truth:
         """The start of it.
 
@@ -273,6 +284,8 @@ def free_figures(truth: Truth, frames: np.ndarray, prefix: str = "") -> dict[str
         "free_normal_error_deg": float(np.mean(normal_error_deg(frames, truth.frames, mesh.faces))),
         "jitter_px": jitter_px(frames),
     }
+    coherence = truth.ridges(frames) / truth.ridge_coherence
+    figures |= {f"ridge_coherence_{100 * r:.0f}_cm": value for r, value in zip(RADII, coherence, strict=True)}
     return {prefix + name: float(value) for name, value in figures.items()} | {
         f"{prefix}band_ratio_{name.replace(' ', '_')}": float(value) for name, value in ratios.items()
     }

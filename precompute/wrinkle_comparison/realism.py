@@ -29,6 +29,7 @@ from threadpoolctl import threadpool_limits
 from pbd import ClothMesh, InputError
 from pbd.mesh import edges_of
 from wrinkles.metrics import vertex_normals
+from wrinkles.ridges import spread_points
 
 __all__ = ["FEATURES", "RADII", "PatchStatistics", "Realism", "realism"]
 
@@ -115,7 +116,7 @@ class PatchStatistics:
         around = csr_matrix((np.ones(len(ends)), (ends, which)), (count, len(self._pairs)))
         self._around = diags(1.0 / np.maximum(np.asarray(around.sum(axis=1)).ravel(), 1.0)) @ around
         paths = csr_matrix((lengths, edges.T), (count, count))
-        self.centres = _spread(vertices, np.flatnonzero(self._inner), CENTRES)
+        self.centres = spread_points(vertices, np.flatnonzero(self._inner), CENTRES)
         away = dijkstra(paths, directed=False, indices=self.centres, limit=max(RADII))
         away[:, ~self._inner] = np.inf
         self._means, self._members = [], []
@@ -277,16 +278,6 @@ def _blocks(count: int) -> Iterator[np.ndarray]:
 
 def _chunks(numbers: np.ndarray) -> Iterator[np.ndarray]:
     return (numbers[first : first + _CHUNK_FRAMES] for first in range(0, len(numbers), _CHUNK_FRAMES))
-
-
-def _spread(points: np.ndarray, among: np.ndarray, count: int) -> np.ndarray:
-    """Numbers of points that are spread evenly: each is the furthest from those before (Gonzalez 1985)."""
-    chosen, some = [int(among[0])], points[among]
-    away = np.linalg.norm(some - points[chosen[0]], axis=1)
-    for _ in range(min(count, len(among)) - 1):
-        chosen.append(int(among[away.argmax()]))
-        away = np.minimum(away, np.linalg.norm(some - points[chosen[-1]], axis=1))
-    return np.array(chosen)
 
 
 def _evenly(numbers: np.ndarray, count: int) -> np.ndarray:
