@@ -54,8 +54,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--blind",
         action="store_true",
-        help="also draw ours, the truth and plain cloth at equal cost without names, in random order; the key goes to "
-        "a folder of its own (default: off)",
+        help="also draw 12 pairs of the truth and ours without names, in random order; the key goes to a folder of its "
+        "own (default: off)",
+    )
+    parser.add_argument(
+        "--answers",
+        type=Path,
+        metavar="FILE",
+        help="only count how often somebody told the truth in the pairs of --blind: a file with a letter, A or B, on a "
+        "line for each (default: no such file)",
     )
     parser.add_argument(
         "--clip",
@@ -90,9 +97,14 @@ def run(options: argparse.Namespace) -> Report:
         raise InputError("cannot be chosen here", key="--scheduler", received=options.sources, expected=expected)
     if options.blind and (options.wrinkles or not of_database):
         raise InputError("cannot be chosen here", key="--blind", received=options.sources, expected="a database (.h5)")
+    if options.answers is not None and not of_database:
+        expected = "a database (.h5)"
+        raise InputError("cannot be chosen here", key="--answers", received=options.sources, expected=expected)
     options.output = options.output or (Path(".") if of_database else Path("out/compare"))
     options.database = Path(databases[0]) if databases else None
     check_folder(options.output)
+    if options.answers is not None:
+        return _blind_answers(options)
     if not of_database:
         return _compare_scenes(options, scenes)
     return _compare_wrinkles(options) if options.wrinkles else _compare_database(options)
@@ -148,10 +160,24 @@ def _compare_wrinkles(options: argparse.Namespace) -> Report:
     return Report(numbers_of(rows[0]), rows)
 
 
+def _blind_answers(options: argparse.Namespace) -> Report:
+    from precompute.wrinkle_comparison.blind import blind_figures
+    from runtime.report import Report
+    from runtime.terminal import say
+
+    figures = blind_figures(options.output, options.answers)
+    say(
+        f"{figures['blind_right_percent']:.0f} % of the answers are right; "
+        f"by guessing so many or more are right in {figures['blind_chance_percent']:.2g} % of all trials"
+    )
+    return Report(figures)
+
+
 def _compare_database(options: argparse.Namespace) -> Report:
     from precompute.cluster import workers_of
+    from precompute.wrinkle_comparison.blind import write_blind
     from precompute.wrinkle_comparison.compare import compare_file
-    from precompute.wrinkle_comparison.comparison_page import verdict, write_blind, write_comparison
+    from precompute.wrinkle_comparison.comparison_page import verdict, write_comparison
     from runtime.report import Progress, Report
     from runtime.terminal import say
 
@@ -165,7 +191,10 @@ def _compare_database(options: argparse.Namespace) -> Report:
     say(verdict(found))
     say(f"\n{page}")
     if options.blind:
-        *_, key = write_blind(options.output, found)
-        say(f"{options.output / 'blind'}, key: {key}")
+        ours = found.method("").frames
+        assert ours is not None
+        *_, key = write_blind(options.output, found.truth, ours)
+        say(f"{options.output / 'blind'}: which row of each picture is the truth? Write A or B, a letter a line.")
+        say(f"then: gube compare {options.database} -o {options.output} --answers FILE (key: {key})")
     rows = [{"method": m.name, "frame_ms_p50": m.frame_ms, **m.settings, **m.figures} for m in found.methods]
     return Report(found.figures, rows)

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
-from pbd.storage import replacing
 from precompute.learning.recording import body_source
 from precompute.reporting.page import Chart, Picture, Point, Section, Table, Text, write_page
 from precompute.wrinkle_comparison.compare import ERRORS, Comparison, Method
-from runtime.pictures import Drawn, frame_camera, render, save_png, strip
+from runtime.pictures import Drawn, frame_camera, render, strip
 
-__all__ = ["comparison_sections", "draw_methods", "plain_table", "verdict", "write_blind", "write_comparison"]
+__all__ = ["comparison_sections", "draw_methods", "plain_table", "verdict", "write_comparison"]
 
 _PICTURE = (400, 460)
-_BLIND_MOMENTS = 6
 _WORDS = {
     "band": "worst band of the spectrum",
     "realism": "realism",
@@ -150,37 +146,6 @@ def draw_methods(
         for _, vertices in shown
     ]
     return strip(columns, titles or [name for name, _ in shown], [""])
-
-
-def write_blind(folder: Path, comparison: Comparison) -> list[Path]:
-    """Draw ours, the truth and plain cloth at equal cost side by side, without names and in random order.
-
-    The order of each picture is in ``key.json``, in a folder of its own, to be read afterwards.
-
-    Args:
-        folder: pictures go to ``folder / blind``, the key to ``folder / blind_key``.
-        comparison: what was found.
-
-    Returns:
-        the pictures and the key.
-    """
-    truth, plain = comparison.truth, comparison.equal_cost
-    methods = [comparison.method(""), comparison.method("truth_"), *([] if plain is None else [plain])]
-    moments = np.unique(np.linspace(0, len(truth.frames) - 1, _BLIND_MOMENTS).round().astype(int))
-    rng, key, files = np.random.default_rng(), {}, []
-    letters = [chr(ord("A") + k) for k in range(len(methods))]
-    (folder / "blind").mkdir(parents=True, exist_ok=True)
-    (folder / "blind_key").mkdir(parents=True, exist_ok=True)
-    for index in moments:
-        order = [methods[k] for k in rng.permutation(len(methods))]
-        file = folder / "blind" / f"{truth.recording.frames[index]:04d}.png"
-        save_png(file, draw_methods(comparison, order, int(index), letters))
-        key[file.name] = {letter: method.name for letter, method in zip(letters, order, strict=True)}
-        files.append(file)
-    files.append(folder / "blind_key" / "key.json")
-    with replacing(files[-1]) as beside:
-        beside.write_text(json.dumps(key, indent=1) + "\n", encoding="utf-8")
-    return files
 
 
 def _pictures(comparison: Comparison) -> list[Section]:

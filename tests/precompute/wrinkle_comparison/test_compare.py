@@ -15,6 +15,7 @@ from pbd import InputError, SolverOptions
 from precompute.learning.evaluation import Truth, fine_run, levels_from, play_freely, truth_of
 from precompute.wrinkle_comparison import compare as comparing
 from precompute.wrinkle_comparison.baselines import ClothTurn, fine_cloth, plain_cloths, take_turns
+from precompute.wrinkle_comparison.blind import PAIRS, blind_figures, write_blind
 from precompute.wrinkle_comparison.compare import (
     ERRORS,
     Comparison,
@@ -24,7 +25,7 @@ from precompute.wrinkle_comparison.compare import (
     plain_methods,
     write_choice,
 )
-from precompute.wrinkle_comparison.comparison_page import verdict, write_blind, write_comparison
+from precompute.wrinkle_comparison.comparison_page import verdict, write_comparison
 from runtime.info import better_choice, info_text
 from runtime.plain_player import PlainCloth, PlainPlayer, middle_levels
 from runtime.simulation import Simulation, body_source
@@ -272,15 +273,28 @@ def test_the_page_has_front_places_and_pictures(comparison: Comparison, tmp_path
     assert "Cost advantage" in page and "Realism by place" in page and "data:image/jpeg" in page
 
 
-def test_blind_pictures_hide_the_names(comparison: Comparison, tmp_path: Path) -> None:
-    *pictures, key = write_blind(tmp_path, comparison)
-    order = json.loads(key.read_text(encoding="utf-8"))
-    assert set(order) == {picture.name for picture in pictures} and key.parent != pictures[0].parent
-    plain = comparison.equal_cost
-    assert plain is not None
-    for names in order.values():
-        assert set(names) == {"A", "B", "C"}
-        assert set(names.values()) == {"ours", "truth", plain.name}
+def test_blind_pairs_hide_the_names_and_answers_are_counted(comparison: Comparison, tmp_path: Path) -> None:
+    ours = comparison.method("").frames
+    assert ours is not None
+    *pictures, file = write_blind(tmp_path, comparison.truth, ours)
+    key = json.loads(file.read_text(encoding="utf-8"))
+    assert list(key) == [picture.name for picture in pictures] and len(key) == PAIRS
+    assert file.parent != pictures[0].parent and set(key.values()) <= {"A", "B"}
+    answers = tmp_path / "answers.txt"
+    answers.write_text("\n".join(key.values()).lower() + "\n", encoding="utf-8")
+    assert blind_figures(tmp_path, answers) == {
+        "blind_right_percent": 100.0,
+        "blind_chance_percent": pytest.approx(100.0 * 0.5**PAIRS),
+    }
+    wrong = ["B" if letter == "A" else "A" for letter in key.values()]
+    answers.write_text("\n".join(wrong), encoding="utf-8")
+    assert blind_figures(tmp_path, answers) == {"blind_right_percent": 0.0, "blind_chance_percent": 100.0}
+    for text, message in (("A\n", "12 lines"), ("\n".join(["A"] * (PAIRS - 1) + ["C"]), "line 12")):
+        answers.write_text(text, encoding="utf-8")
+        with pytest.raises(InputError, match=message):
+            blind_figures(tmp_path, answers)
+    with pytest.raises(InputError, match="no blind pairs"):
+        blind_figures(tmp_path / "nowhere", answers)
 
 
 def test_a_method_that_broke_is_on_the_page(comparison: Comparison, tmp_path: Path) -> None:
