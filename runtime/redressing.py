@@ -83,14 +83,15 @@ class Redressing:
 
     def _hooked(self, state: State, body: Body, dt: float) -> bool:
         """Whether an edge has been too long for too long, while nothing pulled at the garment."""
-        ends = state.position[self._edges, :3].astype(float)
-        stretch = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / self._lengths
+        x = state.position[:, :3]
+        stretch = np.linalg.norm(x[self._edges[:, 0]] - x[self._edges[:, 1]], axis=1) / self._lengths
         pulled = bool((state.position[self._free, 3] == 0.0).any())
         found = np.zeros(self._since.shape, bool)
         found[0] = stretch > TOO_LONG
         rows = np.flatnonzero(stretch > LONG)
         if len(rows):
-            points = np.concatenate([ends[rows, 0], ends[rows, 1], ends[rows].mean(axis=1)])
+            first, last = x[self._edges[rows].T].astype(float)
+            points = np.concatenate([first, last, 0.5 * (first + last)])
             first, last, middle = self._distance.signed_distance(points, body.current.astype(float)).reshape(3, -1)
             found[1, rows] = (first > 0.0) & (last > 0.0) & (middle < -THROUGH)
             found[2, rows] = middle < -DEEP
