@@ -95,11 +95,10 @@ def run(options: argparse.Namespace) -> Report:
     if options.scheduler is not None and (options.wrinkles or not of_database):
         expected = "a database (.h5)"
         raise InputError("cannot be chosen here", key="--scheduler", received=options.sources, expected=expected)
-    if options.blind and (options.wrinkles or not of_database):
-        raise InputError("cannot be chosen here", key="--blind", received=options.sources, expected="a database (.h5)")
-    if options.answers is not None and not of_database:
-        expected = "a database (.h5)"
-        raise InputError("cannot be chosen here", key="--answers", received=options.sources, expected=expected)
+    for name in ("blind", "answers") if options.wrinkles or not of_database else ():
+        if getattr(options, name):
+            expected = "a database (.h5), without --wrinkles"
+            raise InputError("cannot be chosen here", key=f"--{name}", received=options.sources, expected=expected)
     options.output = options.output or (Path(".") if of_database else Path("out/compare"))
     options.database = Path(databases[0]) if databases else None
     check_folder(options.output)

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.sparse import csr_matrix, diags
 
 from pbd import ClothMesh
+from pbd.opening import neighbour_means
 from precompute.learning.decoding import by_patches, decoded_frames
 from precompute.learning.evaluation import play_freely, settled, truth_of
 from precompute.learning.pipeline import scene_run
@@ -26,9 +26,7 @@ AT_LEAST = {"smooth surface": 0.95}
 
 def smoothed(frames: np.ndarray, mesh: ClothMesh, times: int) -> np.ndarray:
     """Frames of which every vertex moved half-way to the mean of its neighbours so many times."""
-    (a, b), count = mesh.edge_lengths()[0].T, len(mesh.vertices)
-    near = csr_matrix((np.ones(2 * len(a)), (np.r_[a, b], np.r_[b, a])), (count, count))
-    mean = diags(1.0 / np.asarray(near.sum(axis=1)).ravel()) @ near
+    mean, _ = neighbour_means(mesh.faces, len(mesh.vertices))
     for _ in range(times):
         frames = 0.5 * frames + 0.5 * np.stack([mean @ frame for frame in frames]).astype(np.float32)
     return frames
