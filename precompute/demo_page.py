@@ -58,7 +58,7 @@ def newcomer_sections(
     slow, share = figures["fine_simulation_ms"], 100.0 * frame_ms * 60.0 / 1000.0
     made = f"""In {duration(seconds)}, from nothing: this machine simulated a {database.fabric_name} skirt of {fine}
 vertices on a mannequin that moves ({", ".join(database.trained_on)}), and learned how its folds depend on a coarse
-skirt of {coarse} vertices. The mannequin then did what nothing was learned from ({", ".join(database.held_out)}).
+skirt of {coarse} vertices. The mannequin then did what nothing was learned from ({database.held_out[0]}).
 
 Only the coarse skirt is simulated there. "Smooth" is that skirt with its facets rounded off, "ours" has the learned
 folds besides, and "truth" is the fine simulation of the same motion. skirt.glb, beside this page, is ours as an

@@ -86,7 +86,7 @@ def _sections(database: WrinkleDatabase, figures: Mapping[str, float]) -> Iterat
     yield "Dictionary", _dictionary_rows(database, figures)
     training = [
         ("learned from", ", ".join(database.trained_on) or "nothing"),
-        ("judged on", ", ".join(database.held_out) or "nothing"),
+        ("held out", ", ".join(database.held_out) or "nothing"),
         ("took", f"{database.training_minutes:.1f} min, seed {database.seed}"),
     ]
     yield "Training", training
@@ -134,7 +134,7 @@ def _dictionary_rows(database: WrinkleDatabase, figures: Mapping[str, float]) ->
 
 def better_choice(quality: Mapping[str, float]) -> str:
     """Whether plain cloth is the better choice by the figures that a comparison left in a database."""
-    ratio = quality.get("cost_advantage_both")
+    ratio = quality.get("cost_advantage")
     if ratio is None:
         return "unknown: `gube compare` with this database finds out"
     rest = ", at rest" if quality["plain_passes"] else ""
@@ -143,7 +143,7 @@ def better_choice(quality: Mapping[str, float]) -> str:
         f"{quality['plain_frame_ms']:.2f} ms a frame"
     )
     ours = f"the wrinkles, {quality['plain_frame_ms'] / ratio:.2f} ms a frame"
-    if quality["cost_advantage_both_is_at_least"]:
+    if quality["cost_advantage_is_at_least"]:
         return f"{ours}; no plain cloth that was tried is as good, the dearest of {cloth}"
     if ratio < 1.0:
         return f"plain cloth of {cloth}; {ours}, are no better"

@@ -110,7 +110,7 @@ def page_text(database: WrinkleDatabase, motion: str) -> dict[str, Any]:
         ("vertices", f"{len(database.coarse_vertices)} coarse, {database.fine_vertex_count} fine"),
         ("dictionary", f"{len(database.atoms.shapes)} wrinkle shapes for the patch around each coarse vertex"),
         ("learned from", ", ".join(database.trained_on) or "nothing"),
-        ("judged on", ", ".join(database.held_out) or "nothing"),
+        ("held out", ", ".join(database.held_out) or "nothing"),
         ("better choice", better_choice(database.quality)),
         ("made", f"{database.created} by gube {database.code_version}"),
     ]

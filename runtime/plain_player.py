@@ -48,7 +48,7 @@ class PlainCloth(NamedTuple):
 def plain_choice(database: WrinkleDatabase) -> PlainCloth | None:
     """The plain cloth that a comparison found cheaper than the wrinkles and as good; None if there is none."""
     quality = database.quality
-    if quality.get("cost_advantage_both", np.inf) >= 1.0 or quality["cost_advantage_both_is_at_least"]:
+    if quality.get("cost_advantage", np.inf) >= 1.0 or quality["cost_advantage_is_at_least"]:
         return None
     for cuts in range(database.subdivisions + 1):
         if _vertex_count(database, cuts) == quality["plain_vertex_count"]:

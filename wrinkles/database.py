@@ -61,8 +61,8 @@ __all__ = [
 MIN_COMPRESSED_SIZE = 4096  # arrays of this size or more are stored in compressed chunks [bytes]
 HDF5_VERSIONS = ("v110", "v110")  # lowest and highest; headers of 1.10 take a third of the space of older ones
 CHOICE = (
-    "cost_advantage_both",
-    "cost_advantage_both_is_at_least",
+    "cost_advantage",
+    "cost_advantage_is_at_least",
     "plain_frame_ms",
     "plain_substeps",
     "plain_vertex_count",

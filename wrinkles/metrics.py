@@ -26,7 +26,6 @@ __all__ = [
     "fold_count",
     "given_coarse_figures",
     "jitter_px",
-    "low_frequency_rmse_mm",
     "normal_correlation",
     "normal_error_deg",
     "patch_normal_errors",
@@ -376,23 +375,6 @@ def jitter_px(vertices: np.ndarray) -> float:
     if len(frames) < 3:
         raise InputError("too few frames for jitter", key="vertices", received=len(frames), expected="at least 3")
     return float(0.5 * np.percentile(pixel_distance(frames[2:] + frames[:-2], 2.0 * frames[1:-1]), 95))
-
-
-def low_frequency_rmse_mm(test: np.ndarray, truth: np.ndarray, low_pass: Callable[[np.ndarray], np.ndarray]) -> float:
-    """Root mean square distance of two sequences after a low-pass filter, over all frames [mm].
-
-    The filter is linear, so it is applied to the difference of the sequences.
-
-    Args:
-        test: positions [m], shape (f, n, 3).
-        truth: positions [m], shape (f, n, 3).
-        low_pass: linear filter on positions, such as :class:`wrinkles.spectrum.LowPass`.
-
-    Raises:
-        InputError: sequences of different shape.
-    """
-    test, truth = _same_frames(test=test, truth=truth)
-    return float(1e3 * np.sqrt(3.0 * (low_pass(test - truth) ** 2).mean()))
 
 
 def _parts(count: int) -> Iterator[slice]:

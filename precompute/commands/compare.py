@@ -67,13 +67,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--clip",
         metavar="NAME",
-        help="name of a clip to compare in, from which the database has not learned (default: its first held-out clip)",
+        help="name of a clip to compare in, from which nothing was learned (default: the first two that are held out)",
     )
     parser.add_argument(
         "--seconds",
         type=positive,
         metavar="S",
-        help="compare in only so much of the motion [s] (default: all of it)",
+        help="compare in only so much of each motion [s] (default: all of it)",
     )
     add_scheduler(parser)
 
@@ -190,10 +190,15 @@ def _compare_database(options: argparse.Namespace) -> Report:
     say(verdict(found))
     say(f"\n{page}")
     if options.blind:
-        ours = found.method("").frames
+        first = found.motions[0]
+        ours = first.method("").frames
         assert ours is not None
-        *_, key = write_blind(options.output, found.truth, ours)
+        *_, key = write_blind(options.output, first.truth, ours)
         say(f"{options.output / 'blind'}: which row of each picture is the truth? Write A or B, a letter a line.")
         say(f"then: gube compare {options.database} -o {options.output} --answers FILE (key: {key})")
-    rows = [{"method": m.name, "frame_ms_p50": m.frame_ms, **m.settings, **m.figures} for m in found.methods]
+    rows = [
+        {"motion": one.motion, "method": m.name, "frame_ms_p50": m.frame_ms, **m.settings, **m.figures}
+        for one in found.motions
+        for m in one.methods
+    ]
     return Report(found.figures, rows)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.stats import spearmanr
@@ -23,7 +24,7 @@ from precompute.learning.crossed import crossed_figures, crossed_jobs, joined_cr
 from precompute.learning.decoding import bands_of, decode_recording
 from precompute.learning.in_time import Pause, popping
 from precompute.learning.options import LearningOptions
-from precompute.learning.recording import Recording, Run, body_source, poses_of, record_runs
+from precompute.learning.recording import Recording, Run, body_source, move_start, poses_of, record_runs
 from precompute.learning.stages import counted
 from precompute.learning.training import build_layer, features_of
 from precompute.workers import Workers
@@ -36,12 +37,12 @@ from wrinkles.charts import leading_vertices
 from wrinkles.clearance import facing
 from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels
+from wrinkles.low_frequency import LowFrequency
 from wrinkles.metrics import (
     bending_energy,
     bending_energy_ratio,
     given_coarse_figures,
     jitter_px,
-    low_frequency_rmse_mm,
     normal_error_deg,
     patch_normal_errors,
 )
@@ -49,15 +50,18 @@ from wrinkles.ridges import RADII, RidgeCoherence
 from wrinkles.spectrum import BandedEnergy, LowPass, spectrum_band_error_max
 
 __all__ = [
+    "CHANCE",
     "SETTLE",
     "Evaluation",
     "Free",
     "Truth",
     "evaluate",
     "fine_run",
+    "floor_figures",
     "free_figures",
     "given_frames",
     "levels_from",
+    "mean_figures",
     "play_freely",
     "truth_of",
     "truth_runs",
@@ -65,6 +69,7 @@ __all__ = [
 
 SETTLE = 1.5  # the blend from the bind pose is not judged [s]
 BLOCK = 32  # frames whose distance to the body one worker measures
+CHANCE = "chance_"  # with which the name of a figure's chance begins
 SEEN_FRAMES = 100  # of a free run that are looked at for skin that shows through, at most
 DEFAULT = LearningOptions()
 
@@ -146,38 +151,46 @@ def _fine_bend(levels: Levels) -> float:
 
 @dataclass(frozen=True)
 class Truth:
-    """Two converged fine runs of one motion and what they are judged by.
+    """Converged fine runs of one motion and what they are judged by.
 
     Attributes:
         run: the first.
         levels: of the garment.
         recording: the first run, settled frames only.
-        floor: positions of the second [m], float32, shape (f, N, 3).
-        bands: octave bands of the fine mesh.
-        energy: of the truth by frame and band.
-        low_pass: what coarse and fine have in common.
+        floor: positions of one in finer steps [m], float32, shape (f, N, 3).
+        energy: of the truth by frame and octave band.
+        others: positions of more runs that differ from the first by their starts alone, as ``floor``.
     """
 
     run: Run
     levels: Levels
     recording: Recording
     floor: np.ndarray
-    bands: BandedEnergy
     energy: np.ndarray
-    low_pass: LowPass
+    others: tuple[np.ndarray, ...] = ()
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Filters of a mesh are larger than all else: another process makes its own.
+        return {one.name: getattr(self, one.name) for one in fields(self)}
+
+    @property
+    def bands(self) -> BandedEnergy:
+        """Octave bands of the fine mesh."""
+        return bands_of(self.levels)
+
+    @cached_property
+    def low_pass(self) -> LowPass:
+        """What coarse and fine have in common."""
+        return LowPass(self.levels.fine, self.levels.cutoff)
 
     @property
     def frames(self) -> np.ndarray:
         return self.recording.positions
 
     @cached_property
-    def low_frequency_floor_mm(self) -> float:
-        """Low-frequency mismatch of both runs [mm].
-
-        Free folding is chaotic: two converged simulations of one scene part company, and a mismatch below theirs
-        means nothing.
-        """
-        return low_frequency_rmse_mm(self.floor, self.recording.positions, self.low_pass)
+    def low_frequency(self) -> LowFrequency:
+        """Measures the large motion of free runs against all true ones."""
+        return LowFrequency(self.low_pass, (self.frames, *self.others), self.floor)
 
     @cached_property
     def ridges(self) -> RidgeCoherence:
@@ -207,6 +220,7 @@ class Truth:
             recording=self.recording.where(keep),
             floor=self.floor[keep],
             energy=self.energy[keep],
+            others=tuple(frames[keep] for frames in self.others),
         )
 
 
@@ -215,14 +229,16 @@ def _floor_run(run: Run) -> Run:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def truth_of(run: Run, cache: Path, workers: Workers | int, report: Callable[[str], None] | None = None) -> Truth:
-    """Record (or read) the fine run and one with substeps two thirds as long."""
-    first, second = record_runs([run, _floor_run(run)], cache, workers, report)
-    first, second = settled(first, run), settled(second, run)
-    levels = run.levels
-    bands = bands_of(levels)
-    low_pass = LowPass(levels.fine, levels.cutoff)
-    return Truth(run, levels, first, second.positions, bands, bands.energy(first.positions), low_pass)
+def truth_of(
+    run: Run, cache: Path, workers: Workers | int, report: Callable[[str], None] | None = None, *, count: int = 1
+) -> Truth:
+    """Record (or read) the fine run, others from ``count`` starts in all, and one with substeps two thirds as long."""
+    moved = [replace(run, name=f"{run.name} (start {start})", start=start) for start in range(1, count)]
+    first, *others, finer = (
+        settled(one, run) for one in record_runs([run, *moved, _floor_run(run)], cache, workers, report)
+    )
+    energy = bands_of(run.levels).energy(first.positions)
+    return Truth(run, run.levels, first, finer.positions, energy, tuple(one.positions for one in others))
 
 
 def judged_from(run: Run) -> float:
@@ -259,9 +275,10 @@ def given_frames(
     return smooth, decoded, np.array(scores)
 
 
-def play_freely(database: WrinkleDatabase, body: Character | VertexSequence, run: Run) -> Free:
-    """Play a run's poses with the player, and keep what the run records of settled frames."""
+def play_freely(database: WrinkleDatabase, body: Character | VertexSequence, run: Run, start: int = 0) -> Free:
+    """Play a run's poses with the player from one of its starts, and keep what the run records of settled frames."""
     player = Player(database, body, run.poses[0], run.primitives)
+    move_start(player.simulation.state, start)
     return play(player, run.poses, run.dt, run.wind, every=run.every, after=judged_from(run))
 
 
@@ -273,14 +290,11 @@ def body_distances(truth: Truth, frames: np.ndarray) -> tuple[np.ndarray, np.nda
 def free_figures(truth: Truth, frames: np.ndarray, prefix: str = "") -> dict[str, float]:
     """Statistics of a free run against the truth; names as in the design, with a prefix."""
     mesh = truth.levels.fine
-    ratios = truth.bands.band_ratios(truth.bands.energy(frames), truth.energy)
+    ratios, shortest = truth.bands.band_ratios(truth.bands.energy(frames), truth.energy), truth.bands.names[0]
     figures = {
         "bending_energy_ratio": bending_energy_ratio(frames, truth.frames, mesh),
         "spectrum_band_error_max": spectrum_band_error_max(ratios),
-        "spectrum_band_ratio_min": min(ratios.values()),
-        "spectrum_band_ratio_max": max(ratios.values()),
-        "low_frequency_ratio_to_floor": low_frequency_rmse_mm(frames, truth.frames, truth.low_pass)
-        / truth.low_frequency_floor_mm,
+        "octave_error_max": spectrum_band_error_max({name: ratios[name] for name in ratios if name != shortest}),
         "free_normal_error_deg": float(np.mean(normal_error_deg(frames, truth.frames, mesh.faces))),
         "jitter_px": jitter_px(frames),
     }
@@ -289,6 +303,47 @@ def free_figures(truth: Truth, frames: np.ndarray, prefix: str = "") -> dict[str
     return {prefix + name: float(value) for name, value in figures.items()} | {
         f"{prefix}band_ratio_{name.replace(' ', '_')}": float(value) for name, value in ratios.items()
     }
+
+
+def mean_figures(truth: Truth, runs: Sequence[np.ndarray], of_runs: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Figures of free runs that differ by their starts: means, large motion, and with ``chance_`` before them chance.
+
+    Args:
+        truth: of the motion.
+        runs: vertices of each run [m], float32, shape (f, N, 3).
+        of_runs: figures of each run by itself.
+
+    Returns:
+        by name; the chance of a mean is the standard deviation over runs, that of large motion the standard error of
+        both figures. One run has neither chance nor a spread of large motion.
+    """
+    values = {name: [figures[name] for figures in of_runs] for name in of_runs[0]}
+    found = {name: float(np.mean(some)) for name, some in values.items()}
+    low = truth.low_frequency(runs)
+    if len(runs) == 1:
+        return found | {"low_frequency_bias": low.bias}
+    found |= {f"{CHANCE}{name}": float(np.std(some, ddof=1)) for name, some in values.items()}
+    return found | {
+        "low_frequency_bias": low.bias,
+        "low_frequency_spread": low.spread,
+        f"{CHANCE}low_frequency_bias": low.bias_error,
+        f"{CHANCE}low_frequency_spread": low.spread_error,
+    }
+
+
+def floor_figures(truth: Truth, of_runs: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Of each figure the worst that the other true runs have against the first; the spread of large motion is right.
+
+    Args:
+        truth: of the motion.
+        of_runs: figures of each of the other true runs, the one in finer steps too.
+    """
+    worst = {}
+    for name in of_runs[0]:
+        values = [figures[name] for figures in of_runs]
+        off = abs(np.array(values) - 1.0) if "ratio" in name or "coherence" in name else np.array(values)
+        worst[name] = values[int(off.argmax())]
+    return worst | {"low_frequency_bias": truth.low_frequency.floor, "low_frequency_spread": 1.0}
 
 
 def garment_figures(truth: Truth, frames: np.ndarray, prefix: str = "") -> dict[str, float]:
@@ -383,13 +438,15 @@ def evaluate(
     with Workers.of(workers) as pool:
         (paused,) = record_runs([pause.run], cache, pool, report)
         jobs: list[partial] = [
-            partial(play_freely, database, run.body, run),
+            *(partial(play_freely, database, run.body, run, start) for start in range(options.free_runs)),
             partial(_pause_figures, database, pause),
             partial(_given_figures, database, run, recording),
             *_distance_jobs(truth, truth.frames),
         ]
         tell("evaluating: running freely, in time, given the coarse state")
-        free, in_time, given, *of_truth = pool.run(jobs, done=counted(report, "evaluating: parts", len(jobs)))
+        found = pool.run(jobs, done=counted(report, "evaluating: parts", len(jobs)))
+        free, *again = found[: options.free_runs]
+        in_time, given, *of_truth = found[options.free_runs :]
         jobs = _distance_jobs(truth, free.frames)
         looked_at = {"": free.frames, "smooth_": free.smooth, "truth_": recording.positions}
         mesh, layer = truth.levels.fine, truth.levels.fine_layer
@@ -401,9 +458,7 @@ def evaluate(
     crossed = measured[-sum(map(len, cross)) :]
     truth_distances, truth_room = _joined(of_truth)
     figures, smooth, decoded = given
-    figures |= free_figures(truth, free.frames)
-    figures |= free_figures(truth, free.smooth, "smooth_")
-    figures |= free_figures(truth, truth.floor, "floor_")
+    figures |= _all_free_figures(truth, [free, *again])
     figures |= garment_figures(truth, free.frames) | garment_figures(truth, truth.floor, "floor_")
     figures |= penetration_figures(distances, room) | seen_figures(database, truth, free.frames)
     figures |= {f"truth_{k}": v for k, v in penetration_figures(truth_distances, truth_room).items()}
@@ -419,6 +474,15 @@ def evaluate(
     figures |= pause.figures(paused.positions, "truth_") | in_time
     figures["truth_rest_speed_mm_s"] = pause.rest_speed(paused.coarse)
     return Evaluation(figures, free, smooth, decoded)
+
+
+def _all_free_figures(truth: Truth, runs: Sequence[Free]) -> dict[str, float]:
+    """Figures of free runs of ours, of the smooth garment in the first, and of the floor."""
+    ours = [one.frames for one in runs]
+    figures = mean_figures(truth, ours, [free_figures(truth, frames) for frames in ours])
+    floor = [free_figures(truth, frames) for frames in (*truth.others, truth.floor)]
+    floored = {f"floor_{name}": value for name, value in floor_figures(truth, floor).items()}
+    return figures | free_figures(truth, runs[0].smooth, "smooth_") | floored
 
 
 def _given_figures(

@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -40,7 +40,8 @@ class Kept:
 
     def __init__(self, cache: Path, scene: Scene, runs: Sequence[Run], options: LearningOptions) -> None:
         code = source_fingerprint(pbd, assets, wrinkles, runtime, precompute.learning)
-        content = [code, scene_text(scene), repr(options), *(run.key() for run in runs)]
+        learned = replace(scene, training=replace(scene.training, held_out=()))  # nothing is learned from these
+        content = [code, scene_text(learned), repr(options), *(run.key() for run in runs)]
         self._folder = cache / "learned" / hashlib.sha256("\n".join(content).encode()).hexdigest()[:24]
 
     def instance(self, kind: type[Kind], name: str, compute: Callable[[], Kind]) -> Kind:

@@ -30,10 +30,11 @@ from runtime.simulation import Simulation, body_source, poses_of
 from wrinkles.levels import Levels
 from wrinkles.rest_shape import RestShapeCorrection
 
-__all__ = ["Recording", "Run", "body_source", "poses_of", "record_runs"]
+__all__ = ["Recording", "Run", "body_source", "move_start", "poses_of", "record_runs"]
 
 CHUNK_ARRAYS = ("frames", "positions", "contact", "nearest", "coarse", "step_ms")
 
+START_OFF = 1e-5  # standard deviation of each coordinate of a start that is moved [m]
 CHUNK_SECONDS = 1.0  # what a cut-off run loses at most [s of motion]
 
 # Simulations that a cluster's process keeps: Dask gives it the next job before the client has followed the last one.
@@ -57,6 +58,7 @@ class Run:
         every: frames from one recorded frame to the next.
         bend_factor: hinge factor if known; None measures it.
         rest_shape: corrections of the coarse mesh, see :mod:`wrinkles.rest_shape`; None where there are none.
+        start: number of its start, see :func:`move_start`.
     """
 
     name: str
@@ -74,6 +76,7 @@ class Run:
     primitives: tuple = ()
     lead_in: float = 0.0
     rest_shape: RestShapeCorrection | None = None
+    start: int = 0
 
     @property
     def frame_count(self) -> int:
@@ -130,6 +133,7 @@ class Run:
             asdict(self.wind if isinstance(self.wind, Wind) else Wind(tuple(self.wind))),
             [primitive.row().tolist() for primitive in self.primitives],
         ]
+        settings += [self.start] * (self.start > 0)  # runs that start where they are put keep their names
         digest.update(json.dumps(settings, sort_keys=True).encode())
         return digest.hexdigest()[:24]
 
@@ -146,7 +150,19 @@ class Run:
         source = body_source(self.body)
         simulation = Simulation(model, attachment, source, self.poses[0], self.solver, self.primitives)
         simulation.redressing = None
+        move_start(simulation.state, self.start)
         return simulation
+
+
+def move_start(state: State, start: int) -> None:
+    """Move the free vertices of a garment that starts by less than anybody can set, drawn by a number; 0 moves none.
+
+    Free folding is chaotic: from there on such runs part company, so that several show what is chance.
+    """
+    if start:
+        free = state.position[:, 3] > 0.0
+        off = START_OFF * np.random.default_rng(start).standard_normal((int(free.sum()), 3))
+        state.position[free, :3] += off.astype(state.position.dtype)
 
 
 @lru_cache(maxsize=1)

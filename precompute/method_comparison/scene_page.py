@@ -87,12 +87,12 @@ def comparison_text(one: SceneComparison) -> str:
 
 
 def wrinkle_sections(comparison: Comparison | None) -> list[Section]:
-    """With and without the wrinkle layer on the held-out motion of a database; without one, the reason."""
+    """With and without the wrinkle layer on the held-out motions of a database; without one, the reason."""
     heading = Heading("With and without the wrinkle layer")
     if comparison is None:
         why = "Not compared: no database was named. `gube demo` makes out/demo/skirt.h5; name it beside the scenes."
         return [heading, Text(why)]
-    return [heading, Text(f"{comparison.garment}, {comparison.motion}."), *comparison_sections(comparison)]
+    return [heading, Text(f"{comparison.garment}."), *comparison_sections(comparison)]
 
 
 def fabric_sections(folder: Path, report: Callable[[str], None] | None = None) -> list[Section]:

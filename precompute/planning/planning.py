@@ -122,10 +122,10 @@ def plain_cloth(quality: Mapping[str, float], table: CostTable, chosen_ms: float
         ``plain_cost_ms``, that of the cheapest plain cloth that is as good as full detail [ms], if there is one that is
         known; and what follows from it, in a line.
     """
-    ratio = quality.get("cost_advantage_both")
+    ratio = quality.get("cost_advantage")
     if ratio is None:
         return {}, "plain cloth was not compared: `gube compare` with this database does it"
-    if quality["cost_advantage_both_is_at_least"]:
+    if quality["cost_advantage_is_at_least"]:
         return {}, "no plain cloth that was tried is as good as full detail"
     cost = ratio * table.settings[0].cost_ms
     rest = ", brought to rest on the fine mesh," if quality["plain_passes"] else ""

@@ -22,7 +22,7 @@ from pbd.attachment import Attachment
 from pbd.geometry import surface_normals
 from pbd.taichi_internals import Launch
 from precompute.learning.evaluation import Truth
-from precompute.learning.recording import Run, body_source
+from precompute.learning.recording import Run, body_source, move_start
 from runtime.level_of_detail import LevelOfDetail
 from runtime.plain_player import middle_levels, plain_model
 from runtime.plain_surface import PlainSurface
@@ -142,10 +142,12 @@ class ClothTurn:
         cloth: what is simulated.
         keep: numbers of the frames that are kept, int, shape (f,).
         folder: where they are kept; None keeps them in memory.
+        start: number of its start, see :func:`precompute.learning.recording.move_start`.
     """
 
-    def __init__(self, cloth: Cloth, keep: np.ndarray, folder: Path | None = None) -> None:
+    def __init__(self, cloth: Cloth, keep: np.ndarray, folder: Path | None = None, start: int = 0) -> None:
         self._cloth, self._simulation = cloth, cloth.simulation(cloth.options)
+        move_start(self._simulation.state, start)
         run = cloth.run
         self._surface: PlainSurface | None = None
         count = cloth.model.vertex_count
@@ -194,6 +196,7 @@ class PlayerTurn:
         detail: of the player; None takes all that there is.
         player: at the first pose; None makes one.
         folder: where frames are kept; None keeps them in memory.
+        start: number of its start, see :func:`precompute.learning.recording.move_start`.
     """
 
     def __init__(
@@ -204,9 +207,11 @@ class PlayerTurn:
         detail: LevelOfDetail | None = None,
         player: Player | None = None,
         folder: Path | None = None,
+        start: int = 0,
     ) -> None:
         self._run = run
         self._player = player or Player(database, run.body, run.poses[0], run.primitives)
+        move_start(self._player.simulation.state, start)
         if detail is not None:
             self._player.change(detail, fade=False)
         levels = self._player.levels

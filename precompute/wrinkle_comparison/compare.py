@@ -1,9 +1,9 @@
-"""`gube compare`: what every method costs against how right it is, on one held-out motion that all run freely."""
+"""`gube compare`: what every method costs against how right it is, on held-out motions that all run freely."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -16,16 +16,17 @@ from threadpoolctl import threadpool_limits
 from assets.io.scene import load_scene, scene_text
 from pbd import InputError
 from pbd.distance import penetration_figures
-from precompute.learning.decoding import bands_of
 from precompute.learning.evaluation import (
+    CHANCE,
     Truth,
     body_distances,
     database_run,
+    floor_figures,
     free_figures,
+    mean_figures,
     truth_of,
 )
 from precompute.learning.pipeline import default_cache, precompute
-from precompute.learning.recording import Recording, Run
 from precompute.workers import Workers
 from precompute.wrinkle_comparison.baselines import (
     Cloth,
@@ -44,13 +45,14 @@ from runtime.player import Player
 from wrinkles.database import WrinkleDatabase, code_version, read_database, write_database
 from wrinkles.metrics import edge_stretch
 from wrinkles.relaxation import full_passes
-from wrinkles.spectrum import LowPass
 
 __all__ = [
     "ERRORS",
+    "RUNS",
     "Advantage",
     "Comparison",
     "Method",
+    "MotionComparison",
     "compare",
     "compare_file",
     "database_of",
@@ -58,16 +60,20 @@ __all__ = [
     "write_choice",
 ]
 
-SUBSTEPS = (4, 6, 9, 14, 24, 36)  # of plain cloth on each mesh
+SUBSTEPS = (3, 6, 9, 14, 24, 36)  # of plain cloth on each mesh
 BRIEF = (6, 14)  # the same where little time is spent: of the mesh below the fine one; the first of coarser meshes
+RUNS, BRIEF_RUNS = 4, 2  # free runs of what decides
+MOTIONS = 2  # held-out motions of a database that are compared on, at most
 ERRORS = {
-    "band": "spectrum_band_error_max",
+    "octaves": "octave_error_max",
     "realism": "realism",
-    "low_frequency": "low_frequency_ratio_to_floor",
     "normals": "free_normal_error_deg",
+    "bias": "low_frequency_bias",
+    "spread": "low_frequency_spread",
 }
-"""What plain cloth must reach, by the name of its cost advantage; the first two decide."""
-DECIDING = ("band", "realism")
+"""By what plain cloth must be as good as ours, all at once: names of figures."""
+OF_ONE_RUN = ("octaves", "realism", "normals")  # those that one run has: what fails by them is not run again
+BEYOND = 2.0  # standard errors that a difference must exceed to be one
 
 
 @dataclass(frozen=True)
@@ -79,13 +85,14 @@ class Method:
         name: for people.
         frame_ms: median processor time of a frame, body included [ms]; nan for the floor, which is no method. Of the
             truth in a brief comparison it is the time by the clock that its simulation took.
-        figures: by name, without the prefix; none where it broke.
+        figures: by name, without the prefix, see :func:`precompute.learning.evaluation.mean_figures`; none where it
+            broke.
         settings: everything needed to repeat it.
-        frames: fine vertices [m], float32, shape (f, N, 3); None where it broke. Where they are mapped from a file,
-            another process gets the file's name and not the frames.
+        runs: fine vertices of each run [m], float32, shape (f, N, 3); none where it broke. Where they are mapped from
+            files, another process gets the files' names and not the frames.
         broke_at: when it burst, see :class:`precompute.wrinkle_comparison.baselines.Played` [s].
         mesh: that plain cloth is simulated on; empty for what is no plain cloth.
-        realism: how it is told from the truth; None for the truth and where it broke.
+        realism: how its first run is told from the truth; None for the truth and where it broke.
     """
 
     prefix: str
@@ -93,57 +100,74 @@ class Method:
     frame_ms: float
     figures: Mapping[str, float]
     settings: Mapping[str, float]
-    frames: np.ndarray | None = field(default=None, repr=False)
+    runs: tuple[np.ndarray, ...] = field(default=(), repr=False)
     broke_at: float | None = None
     mesh: str = ""
     realism: Realism | None = field(default=None, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        if not isinstance(self.frames, np.memmap):
-            return self.__dict__
-        return self.__dict__ | {"frames": (self.frames.filename, self.frames.shape)}
+        named = tuple((one.filename, one.shape) if isinstance(one, np.memmap) else one for one in self.runs)
+        return self.__dict__ | {"runs": named}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        frames = state["frames"]
-        if isinstance(frames, tuple):
-            file, shape = frames
-            frames = np.memmap(file, np.float32, "r", shape=shape)
-        self.__dict__.update(state | {"frames": frames})
+        mapped = tuple(
+            np.memmap(one[0], np.float32, "r", shape=one[1]) if isinstance(one, tuple) else one for one in state["runs"]
+        )
+        self.__dict__.update(state | {"runs": mapped})
 
     @property
     def ours(self) -> bool:
         """Whether it is a setting of the player with wrinkles."""
         return self.prefix == "" or self.prefix.startswith("ours_")
 
+    @property
+    def frames(self) -> np.ndarray | None:
+        """Of its first run."""
+        return self.runs[0] if self.runs else None
+
+    def error(self, name: str) -> float:
+        """By one of ERRORS, 0 at best; nan where it is unknown."""
+        value = self.figures.get(ERRORS[name], math.nan)
+        return abs(math.log(max(value, 1e-9))) if name == "spread" and math.isfinite(value) else value
+
+    def standard_error(self, name: str, alike: Method) -> float:
+        """Of that error; of one run, which does not know its own chance, from that of another method."""
+        known = CHANCE + ERRORS[name] in self.figures
+        chance = (self if known else alike).figures.get(CHANCE + ERRORS[name], 0.0)
+        if name == "spread":  # its error is a logarithm
+            return chance / max(self.figures.get(ERRORS[name], 1.0), 1e-9)
+        return chance if name == "bias" else chance / math.sqrt(len(self.runs) if known else 1)
+
 
 class Advantage(NamedTuple):
     """What the cheapest plain cloth that is as good as ours costs, over ours.
 
     Attributes:
-        ratio: of both times [-]; below 1 plain cloth is the better choice.
+        ratio: of both times [-], means over the motions; below 1 plain cloth is the better choice.
         at_least: no plain cloth that was tried is as good: the ratio is that of the dearest, a lower bound.
-        cloth: the plain cloth.
+        cloth: the plain cloth, on the first motion.
+        frame_ms: its time [ms].
     """
 
     ratio: float
     at_least: bool
     cloth: Method
+    frame_ms: float
 
     def __str__(self) -> str:
         return f"{'at least ' if self.at_least else ''}{self.ratio:.2f}"
 
 
 @dataclass(frozen=True)
-class Comparison:
+class MotionComparison:
     """All methods on one motion.
 
     Attributes:
-        garment, motion: names.
+        motion: its name.
         truth: what is right.
         methods: in the order of the page.
     """
 
-    garment: str
     motion: str
     truth: Truth = field(repr=False)
     methods: tuple[Method, ...]
@@ -164,50 +188,82 @@ class Comparison:
         whole = [method for method in self.plain if method.figures]
         return min(whole, key=lambda method: abs(math.log(method.frame_ms / ours)), default=None)
 
-    def advantage(self, error: str, ours: str = "") -> Advantage | None:
-        """How much dearer plain cloth is that is as good as ours by an error; None where no plain cloth held.
-
-        Plain cloth is as good if its error is at most ours, or at most the floor: below the floor nothing is better.
+    def as_good(self, prefix: str, errors: Sequence[str]) -> bool:
+        """Whether a method is as good as ours by each of some errors: no worse than ours or the floor, beyond chance.
 
         Args:
-            error: a name of ERRORS.
-            ours: prefix of a setting of the player.
+            prefix: of the method.
+            errors: names of ERRORS. One that is unknown of the method is not as good.
         """
-        return self._over_plain((error,), ours)
+        rival, ours, floor = self.method(prefix), self.method(""), self.method("floor_")
+        return all(
+            rival.error(name)
+            <= max(ours.error(name), floor.error(name))
+            + BEYOND * math.hypot(rival.standard_error(name, ours), ours.standard_error(name, ours))
+            for name in errors
+        )
 
-    def _over_plain(self, errors: Sequence[str], ours: str) -> Advantage | None:
-        """How much dearer plain cloth is that is as good as ours by each of some errors; see :meth:`advantage`."""
-        mine, floor = self.method(ours), self.method("floor_")
-        whole = [method for method in self.plain if method.figures]
-        if not mine.figures or not whole:
+    def with_method(self, method: Method) -> MotionComparison:
+        """The same where a method is another."""
+        return replace(self, methods=tuple(method if one.prefix == method.prefix else one for one in self.methods))
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All methods on all motions.
+
+    Attributes:
+        garment: its name.
+        motions: the first is the one that figures without a prefix are of.
+    """
+
+    garment: str
+    motions: tuple[MotionComparison, ...]
+
+    def frame_ms(self, prefix: str = "") -> float:
+        """Time of a frame of a method, mean over the motions [ms]."""
+        return float(np.mean([motion.method(prefix).frame_ms for motion in self.motions]))
+
+    @property
+    def _plain(self) -> list[str]:
+        """Prefixes of the plain cloths that held in every motion, the cheapest first."""
+        found = [method.prefix for method in self.motions[0].plain]
+        held = [one for one in found if all(motion.method(one).figures for motion in self.motions)]
+        return sorted(held, key=self.frame_ms)
+
+    @property
+    def candidates(self) -> list[str]:
+        """Prefixes of the plain cloths that may be as good as ours by what one run tells, the cheapest first."""
+        if not all(motion.method("").figures for motion in self.motions):
+            return []
+        return [one for one in self._plain if all(motion.as_good(one, OF_ONE_RUN) for motion in self.motions)]
+
+    @property
+    def as_good(self) -> list[str]:
+        """Prefixes of the plain cloths that are as good as ours by all of ERRORS in every motion, cheapest first."""
+        several = [one for one in self.candidates if len(self.motions[0].method(one).runs) != 1]
+        return [one for one in several if all(motion.as_good(one, list(ERRORS)) for motion in self.motions)]
+
+    @property
+    def cost_advantage(self) -> Advantage | None:
+        """How much dearer plain cloth is that is as good as ours; None where no plain cloth, or not ours, held."""
+        whole, good = self._plain, self.as_good
+        if not whole or not all(motion.method("").figures for motion in self.motions):
             return None
-        limits = {ERRORS[error]: max(mine.figures[ERRORS[error]], floor.figures[ERRORS[error]]) for error in errors}
-        good = [one for one in whole if all(one.figures[figure] <= limit for figure, limit in limits.items())]
-        if good:
-            cloth = min(good, key=lambda method: method.frame_ms)
-        else:
-            cloth = max(whole, key=lambda method: method.frame_ms)
-        return Advantage(cloth.frame_ms / mine.frame_ms, not good, cloth)
-
-    def cost_advantage(self, ours: str = "") -> Advantage | None:
-        """The least advantage by the errors that decide."""
-        found = [one for name in DECIDING if (one := self.advantage(name, ours)) is not None]
-        return min(found, key=lambda one: one.ratio, default=None)
-
-    def cost_advantage_both(self, ours: str = "") -> Advantage | None:
-        """The advantage over plain cloth that is as good by all errors that decide: what is played hangs on it."""
-        return self._over_plain(DECIDING, ours)
+        prefix = good[0] if good else whole[-1]
+        frame_ms = self.frame_ms(prefix)
+        return Advantage(frame_ms / self.frame_ms(), not good, self.motions[0].method(prefix), frame_ms)
 
     @property
     def choice(self) -> dict[str, float]:
         """The figures that say whether plain cloth is the better choice, as a database keeps them; none if unknown."""
-        found = self.cost_advantage_both()
+        found = self.cost_advantage
         if found is None:
             return {}
         return {
-            "cost_advantage_both": found.ratio,
-            "cost_advantage_both_is_at_least": float(found.at_least),
-            "plain_frame_ms": found.cloth.frame_ms,
+            "cost_advantage": found.ratio,
+            "cost_advantage_is_at_least": float(found.at_least),
+            "plain_frame_ms": found.frame_ms,
             "plain_substeps": found.cloth.settings["substeps a frame"],
             "plain_vertex_count": found.cloth.settings["simulated vertices"],
             "plain_passes": found.cloth.settings.get("relaxation passes", 0),
@@ -215,61 +271,67 @@ class Comparison:
 
     @property
     def figures(self) -> dict[str, float]:
-        """Every figure by its full name."""
-        found = {method.prefix + name: value for method in self.methods for name, value in method.figures.items()}
-        for method in self.methods:
-            if np.isfinite(method.frame_ms):
-                found[f"{method.prefix}frame_ms_p50"] = method.frame_ms
-            if method.realism is not None:
-                places = method.realism.by_place.items()
-                found |= {f"{method.prefix}realism_{name.replace(' ', '_')}": value for name, value in places}
-        for prefix in [method.prefix for method in self.methods if method.ours]:
-            named = {f"_{name}": self.advantage(name, prefix) for name in ERRORS} | {
-                "_both": self.cost_advantage_both(prefix),
-                "": self.cost_advantage(prefix),
-            }
-            for name, one in named.items():
-                if one is not None:
-                    found[f"{prefix}cost_advantage{name}"] = one.ratio
-                    found[f"{prefix}cost_advantage{name}_is_at_least"] = float(one.at_least)
+        """Every figure by its full name; those of the second motion begin with the motion's."""
+        found = dict(self.choice)
+        for number, one in enumerate(self.motions):
+            motion = f"{one.motion.replace(' ', '_')}_" if number else ""
+            for method in one.methods:
+                start = motion + method.prefix
+                found |= {start + name: value for name, value in method.figures.items()}
+                if np.isfinite(method.frame_ms):
+                    found[f"{start}frame_ms_p50"] = method.frame_ms
+                if method.realism is not None:
+                    places = method.realism.by_place.items()
+                    found |= {f"{start}realism_{name.replace(' ', '_')}": value for name, value in places}
         return found
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def compare(
     database: WrinkleDatabase,
-    truth: Truth,
+    truths: Sequence[Truth],
     *,
     brief: bool = False,
     workers: Workers | int = 1,
     report: Callable[[str], None] | None = None,
 ) -> Comparison:
-    """Run every method freely over the truth's motion and measure it.
+    """Run every method freely over the truths' motions and measure it; run again what decides.
 
     Args:
         database: what was learned.
-        truth: two converged fine runs, as :func:`precompute.learning.evaluation.truth_of` gives.
-        brief: few plain cloths, and of ours only the full detail.
+        truths: converged fine runs of each motion, as :func:`precompute.learning.evaluation.truth_of` gives.
+        brief: few plain cloths, few runs, and of ours only the full detail.
         workers: that measure what was played, or how many do.
         report: called with lines of progress.
 
     Raises:
         InputError: too short a motion to judge realism in.
     """
-    tell = report or (lambda line: None)
+    tell, motions = report or (lambda line: None), []
     # Forty methods of a fine garment do not fit into memory together. Frames stay mapped when their files are removed.
-    with Workers.of(workers) as pool, TemporaryDirectory(prefix="gube-") as folder:
-        # In a process of its own where there are some: it finds the kernels that earlier ones have left on the disk.
-        play = partial(_played, database, truth, brief, Path(folder) if pool.sees_files else None)
-        tell("comparing: all methods in turn")
-        methods = play() if pool.count == 1 else pool.run([play])[0]
-        tell("comparing: figures")
-        methods = _with_figures(truth, methods, pool)
-    return Comparison(database.garment_name, truth.run.name, truth, tuple(methods))
+    with Workers.of(workers) as pool, TemporaryDirectory(prefix="gube-") as directory:
+        folder = Path(directory) if pool.sees_files else None
+        for truth in truths:
+            # In a process of its own where there are some: it finds the kernels that earlier ones left on the disk.
+            play = partial(_played, database, truth, brief, folder)
+            tell(f"comparing: all methods in turn, {truth.run.name}")
+            methods = play() if pool.count == 1 else pool.run([play])[0]
+            tell(f"comparing: figures, {truth.run.name}")
+            methods = _with_figures(truth, methods, pool)
+            motions.append(MotionComparison(truth.run.name, truth, tuple(methods)))
+        found = Comparison(database.garment_name, tuple(motions))
+        for prefix in found.candidates:
+            tell(f"comparing: again, {found.motions[0].method(prefix).name}")
+            jobs = [partial(_again, database, one.truth, one.method(prefix), brief, folder) for one in found.motions]
+            again = zip(found.motions, pool.run(jobs), strict=True)
+            found = replace(found, motions=tuple(motion.with_method(method) for motion, method in again))
+            if prefix in found.as_good:
+                break
+    return found
 
 
 def _played(database: WrinkleDatabase, truth: Truth, brief: bool, folder: Path | None) -> list[Method]:
-    """All methods with their times and frames, without figures of the frames."""
+    """All methods with their times and frames, ours in several runs, without figures of the frames."""
     run, keep = truth.run, truth.recording.frames
     player = Player(database, run.body, run.poses[0], run.primitives)
     details = {"": player.full}
@@ -277,7 +339,7 @@ def _played(database: WrinkleDatabase, truth: Truth, brief: bool, folder: Path |
         full = player.full
         details["ours_half_substeps_"] = replace(full, substeps=max(1, full.substeps // 2))
         details["ours_half_atoms_"] = replace(full, atoms=max(1, full.atoms // 2))
-    plain = _plain_turns(database, truth, brief, folder)
+    plain = [(method, ClothTurn(cloth, keep, folder)) for method, cloth in _plain_methods(database, truth, brief)]
     others = {
         prefix: PlayerTurn(database, run, keep, detail, folder=folder) for prefix, detail in details.items() if prefix
     }
@@ -293,12 +355,29 @@ def _played(database: WrinkleDatabase, truth: Truth, brief: bool, folder: Path |
         _method(Method(prefix, names[prefix], 0.0, {}, _player_settings(simulated, details[prefix], dt)), turn.played)
         for prefix, turn in ours.items()
     ]
+    again = [PlayerTurn(database, run, keep, folder=folder, start=start) for start in _starts(brief)]
+    take_turns(again, run.frame_count)
+    methods[1] = _with_runs(methods[1], [turn.played for turn in again])
     methods += [_method(method, turn.played) for method, turn in plain]
     truth_ms = truth.recording.step_ms if brief else truth_cost.cost()
-    methods.append(Method("truth_", "truth", truth_ms, {}, _settings(truth_cost), truth.frames))
+    methods.append(Method("truth_", "truth", truth_ms, {}, _settings(truth_cost), (truth.frames,)))
     settings = _settings(truth_cost.with_substeps(math.ceil(1.5 * truth_cost.substeps)))
-    methods.append(Method("floor_", "floor", math.nan, {}, settings, truth.floor))
+    methods.append(Method("floor_", "floor", math.nan, {}, settings, (truth.floor, *truth.others)))
     return methods
+
+
+def _starts(brief: bool) -> range:
+    """Numbers of the starts of the runs after the first."""
+    return range(1, BRIEF_RUNS if brief else RUNS)
+
+
+def _again(database: WrinkleDatabase, truth: Truth, method: Method, brief: bool, folder: Path | None) -> Method:
+    """A plain cloth in several runs, with its figures."""
+    cloth = next(cloth for one, cloth in _plain_methods(database, truth, brief) if one.prefix == method.prefix)
+    again = [ClothTurn(cloth, truth.recording.frames, folder, start) for start in _starts(brief)]
+    take_turns(again, truth.run.frame_count)
+    (found,) = _figures_of(truth, [_with_runs(method, [turn.played for turn in again])])
+    return found
 
 
 def plain_methods(
@@ -313,19 +392,15 @@ def plain_methods(
     """
     tell = report or (lambda line: None)
     tell("comparing: plain cloth")
-    plain = _plain_turns(database, truth, brief=True)
+    keep = truth.recording.frames
+    plain = [(method, ClothTurn(cloth, keep)) for method, cloth in _plain_methods(database, truth, brief=True)]
     take_turns([turn for _, turn in plain], truth.run.frame_count)
-    played = [_method(method, turn.played) for method, turn in plain]
-    return _with_figures(truth, played, 1)
+    return _figures_of(truth, [_method(method, turn.played) for method, turn in plain])
 
 
-def _plain_turns(
-    database: WrinkleDatabase, truth: Truth, brief: bool, folder: Path | None = None
-) -> list[tuple[Method, ClothTurn]]:
-    """Plain cloth on every mesh, ready to be played."""
-    run, keep = truth.run, truth.recording.frames
-    found: list[tuple[Method, ClothTurn]] = []
-    clothes = plain_cloths(database, run)
+def _plain_methods(database: WrinkleDatabase, truth: Truth, brief: bool) -> Iterator[tuple[Method, Cloth]]:
+    """Plain cloth on every mesh, before it is played."""
+    clothes = plain_cloths(database, truth.run)
     *coarser, below, fine = clothes
     few = dict.fromkeys(coarser, BRIEF[:1]) | {below: BRIEF, fine: ()}  # the fine cloth is dearest and seldom decides
     for mesh, cloth in clothes.items():
@@ -333,51 +408,61 @@ def _plain_turns(
             tried = cloth.with_substeps(substeps)
             kind = "mesh" if mesh != "fine" else "cloth"
             name = f"{mesh.replace('_', ' ')} {kind}, {substeps} substeps"
-            method = Method(f"plain_{mesh}_{substeps}_", name, 0.0, {}, _settings(tried), mesh=mesh)
-            found.append((method, ClothTurn(tried, keep, folder)))
+            yield Method(f"plain_{mesh}_{substeps}_", name, 0.0, {}, _settings(tried), mesh=mesh), tried
             if cloth.levels is not None and cloth.levels.subdivision.binding is None:  # others do not come to rest
                 rested = replace(tried, passes=full_passes(len(cloth.levels.subdivision.steps)))
                 settings, called = _settings(rested), f"{name}, at rest"
-                method = Method(f"plain_{mesh}_{substeps}_at_rest_", called, 0.0, {}, settings, mesh=mesh)
-                found.append((method, ClothTurn(rested, keep, folder)))
-    return found
+                yield Method(f"plain_{mesh}_{substeps}_at_rest_", called, 0.0, {}, settings, mesh=mesh), rested
 
 
 def _method(method: Method, played: Played) -> Method:
-    """A method with what it played."""
-    frames = played.frames if played.broke_at is None else None
-    return replace(method, frame_ms=played.frame_ms, frames=frames, broke_at=played.broke_at)
+    """A method with what it played first."""
+    runs = (played.frames,) if played.broke_at is None else ()
+    return replace(method, frame_ms=played.frame_ms, runs=runs, broke_at=played.broke_at)
+
+
+def _with_runs(method: Method, again: Sequence[Played]) -> Method:
+    """A method with what it played from other starts, too; it broke where one of them did."""
+    broke = [one.broke_at for one in again if one.broke_at is not None]
+    if broke or not method.runs:
+        return replace(method, runs=(), figures={}, realism=None, broke_at=min(broke, default=method.broke_at))
+    return replace(method, runs=(*method.runs, *(one.frames for one in again)))
 
 
 def _with_figures(truth: Truth, methods: Sequence[Method], workers: Workers | int) -> list[Method]:
     """Methods with figures of what they played; the truth itself is only asked what any run can be."""
-    shown = [method for method in methods if method.frames is not None]
+    shown = [method for method in methods if method.runs]
     with Workers.of(workers) as pool:
-        # Filters of a mesh are larger than all else and are not sent: each process makes them once for its share.
+        # Each process makes the filters of the mesh once for its share.
         shares = [shown[first :: pool.count] for first in range(min(pool.count, len(shown)))]
-        jobs = [partial(_figures_of, truth.run, truth.recording, truth.floor, truth.energy, share) for share in shares]
+        jobs = [partial(_figures_of, truth, share) for share in shares]
         found = {method.prefix: method for share in pool.run(jobs) for method in share}
     return [found.get(method.prefix, method) for method in methods]
 
 
-def _figures_of(
-    run: Run, recording: Recording, floor: np.ndarray, energy: np.ndarray, methods: Sequence[Method]
-) -> list[Method]:
-    """Methods with their figures beside a truth, whose filters are made anew."""
-    levels = run.levels
-    low_pass = LowPass(levels.fine, levels.cutoff)
-    truth = Truth(run, levels, recording, floor, bands_of(levels), energy, low_pass)
-    statistics = PatchStatistics(levels.fine)
+def _figures_of(truth: Truth, methods: Sequence[Method]) -> list[Method]:
+    """Methods with their figures beside a truth; one that broke has none."""
+    statistics = PatchStatistics(truth.levels.fine)
     of_truth = statistics(truth.frames)
     measured = []
     for method in methods:
-        assert method.frames is not None
-        figures, told = dict(method.figures), None
+        if not method.runs:
+            measured.append(method)
+            continue
+        figures, told = {}, None
         if method.prefix != "truth_":
-            told = realism(statistics, of_truth, statistics(method.frames))
-            figures |= free_figures(truth, method.frames) | {"realism": told.auc}
+            every = [realism(statistics, of_truth, statistics(frames)) for frames in method.runs]
+            of_runs = [
+                free_figures(truth, frames) | {"realism": one.auc}
+                for frames, one in zip(method.runs, every, strict=True)
+            ]
+            floor = method.prefix == "floor_"
+            figures, told = (
+                floor_figures(truth, of_runs) if floor else mean_figures(truth, method.runs, of_runs),
+                every[0],
+            )
         if not method.mesh:
-            figures |= _shared_figures(truth, method.frames)
+            figures |= _shared_figures(truth, method.runs[0])
         measured.append(replace(method, figures=figures, realism=told))
     return measured
 
@@ -419,13 +504,13 @@ def compare_file(
     workers: Workers | int = 2,
     report: Callable[[str], None] | None = None,
 ) -> Comparison:
-    """Compare on the held-out motion of a database or a scene.
+    """Compare on the held-out motions of a database or a scene, the first two.
 
     Args:
         path: a database, or a scene (``.toml``), whose database is made first where ``output`` does not have it yet.
         output: folder of that database.
-        clip: name of a clip that nothing was learned from; None takes the first that is held out.
-        seconds: cut the motion there.
+        clip: name of one clip that nothing was learned from; None takes those that are held out.
+        seconds: cut the motions there.
         workers: that simulate, play and measure; one of them plays all methods in turn.
         report: called with lines of progress.
 
@@ -435,17 +520,22 @@ def compare_file(
     path = database_of(path, output, report)
     database = read_database(path)
     inputs = playback_inputs(database, clip=clip)
-    motion = inputs.motions[0]
+    motions = inputs.motions[:MOTIONS]
     taught = [part.clip for part in scene_of(database).training.clips]  # a part of the whole clip is enough
-    if motion.name in (*database.trained_on, *taught):
-        held_out = ", ".join(database.held_out) or "a clip that nothing was learned from"
-        raise InputError(
-            "the database has learned from this clip", key="--clip", received=motion.name, expected=held_out
-        )
-    run = database_run(database, inputs, motion)
+    for motion in motions:
+        if motion.name in (*database.trained_on, *taught):
+            held_out = ", ".join(database.held_out) or "a clip that nothing was learned from"
+            raise InputError(
+                "the database has learned from this clip", key="--clip", received=motion.name, expected=held_out
+            )
     with Workers.of(workers) as pool:
-        truth = truth_of(run, default_cache(path), pool, report)
-        found = compare(database, truth if seconds is None else truth.until(seconds), workers=pool, report=report)
+        truths = [
+            truth_of(database_run(database, inputs, motion), default_cache(path), pool, report, count=RUNS)
+            for motion in motions
+        ]
+        if seconds is not None:
+            truths = [truth.until(seconds) for truth in truths]
+        found = compare(database, truths, workers=pool, report=report)
     if clip is None and seconds is None:
         try:
             write_choice(path, database, found)
@@ -461,7 +551,7 @@ def write_choice(path: Path, database: WrinkleDatabase, comparison: Comparison) 
     Args:
         path: the database's file.
         database: what it holds.
-        comparison: on its first held-out motion.
+        comparison: on its held-out motions.
     """
     write_database(path, replace(database, quality={**database.quality, **comparison.choice}))
 

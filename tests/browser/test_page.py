@@ -134,7 +134,7 @@ def test_the_picture_is_not_empty_and_moves(page: Page) -> None:
 def test_names_of_a_file_are_text_and_nothing_else(page: Page) -> None:
     assert page.title() == f"{HOSTILE}: walk {HOSTILE}"
     assert page.inner_text("#title") == f"{HOSTILE}, walk {HOSTILE}"
-    assert page.inner_text("#facts").count(HOSTILE) == 4  # motion, fabric, learned from, judged on
+    assert page.inner_text("#facts").count(HOSTILE) == 4  # motion, fabric, learned from, held out
     assert page.locator("img, b").count() == 0
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,9 +23,8 @@ def truth() -> Truth:
     numbers = np.arange(92, 121, 2)
     zeros = np.zeros((len(numbers), 1, 3), np.float32)
     recording = Recording("walk", numbers, zeros, zeros, zeros, zeros, 1.0)
-    unused: Any = None
     energy = numbers[:, None].astype(float)
-    return Truth(run, stage.levels, recording, zeros, unused, energy, unused)
+    return Truth(run, stage.levels, recording, zeros, energy, (zeros, zeros))
 
 
 def test_the_fine_cloth_takes_its_own_substep(truth: Truth) -> None:
@@ -38,7 +36,7 @@ def test_the_start_of_a_truth_is_cut_alike_everywhere(truth: Truth) -> None:
     start = truth.until(1.7)
     assert start.recording.frames.tolist() == [92, 94, 96, 98, 100, 102]
     assert start.run.frame_count == 102
-    assert len(start.frames) == len(start.floor) == 6
+    assert len(start.frames) == len(start.floor) == 6 and [len(other) for other in start.others] == [6, 6]
     assert start.energy[:, 0].tolist() == start.recording.frames.tolist()
 
 

@@ -58,7 +58,7 @@ def test_the_figures_are_of_the_held_out_motion(learned: Precomputed) -> None:
     assert all(np.isfinite(value) for value in quality.values())
     assert {"normal_error_deg", "bending_energy_ratio", "inside_body_percent", "frame_ms_p50"} <= set(quality)
     assert quality["attached_off_mm"] < 0.01 and 0.0 < quality["atoms_kept"] <= 1.0
-    assert quality["floor_low_frequency_ratio_to_floor"] == pytest.approx(1.0)
+    assert quality["low_frequency_spread"] > 0.0 and quality["chance_bending_energy_ratio"] > 0.0
     # Four coarse models, and two of them on everything, beside the fabric itself.
     rungs = [row["rung"] for row in learned.calibration.rows]
     assert rungs.count(0.0) == 4 and 2 <= rungs.count(1.0) <= 3

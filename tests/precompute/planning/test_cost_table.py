@@ -176,9 +176,9 @@ def test_bad_plans_end_with_a_message(
     ("quality", "cost", "words"),
     [
         ({}, None, "plain cloth was not compared"),
-        ({"cost_advantage_both": 2.0, "cost_advantage_both_is_at_least": 1.0}, None, "no plain cloth .* is as good"),
-        ({"cost_advantage_both": 0.5, "cost_advantage_both_is_at_least": 0.0}, 0.5, "costs 0.5 ms: play that instead"),
-        ({"cost_advantage_both": 0.9, "cost_advantage_both_is_at_least": 0.0}, 0.9, "costs 0.9 ms: no better choice"),
+        ({"cost_advantage": 2.0, "cost_advantage_is_at_least": 1.0}, None, "no plain cloth .* is as good"),
+        ({"cost_advantage": 0.5, "cost_advantage_is_at_least": 0.0}, 0.5, "costs 0.5 ms: play that instead"),
+        ({"cost_advantage": 0.9, "cost_advantage_is_at_least": 0.0}, 0.9, "costs 0.9 ms: no better choice"),
     ],
 )
 def test_plain_cloth_that_is_as_good_stands_beside_the_settings(

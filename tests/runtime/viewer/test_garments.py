@@ -103,8 +103,8 @@ def plain_source() -> DatabaseSource:
     """The skirt, of which a comparison has found that plain cloth is the better choice."""
     source = skirt_source()
     quality = {
-        "cost_advantage_both": 0.5,
-        "cost_advantage_both_is_at_least": 0.0,
+        "cost_advantage": 0.5,
+        "cost_advantage_is_at_least": 0.0,
         "plain_frame_ms": 1.0,
         "plain_substeps": 4.0,
         "plain_passes": 1.0,
