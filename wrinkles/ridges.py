@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags
-from scipy.sparse.csgraph import dijkstra
 
 from pbd.mesh import ClothMesh
+from wrinkles.discs import along_cloth, disc_means, spread_points
 from wrinkles.metrics import vertex_normals
 
-__all__ = ["RADII", "RidgeCoherence", "spread_points"]
+__all__ = ["RADII", "RidgeCoherence"]
 
 RADII = (0.03, 0.06)  # of discs, along the cloth [m]
 CENTRES = 192  # discs, spread evenly over the garment
@@ -32,15 +32,8 @@ class RidgeCoherence:
         weights = (np.repeat(areas, 3), (mesh.faces.ravel(), np.repeat(np.arange(len(areas)), 3)))
         around = csr_matrix(weights, (count, len(areas)))
         self._around = (diags(1.0 / np.maximum(np.asarray(around.sum(axis=1)).ravel(), 1e-12)) @ around).tocsr()
-        edges, lengths = mesh.edge_lengths()
-        paths = csr_matrix((lengths, edges.T), (count, count))
-        centres = spread_points(mesh.vertices, np.arange(count), CENTRES)
-        away = dijkstra(paths, directed=False, indices=centres, limit=max(RADII))
-        self._means = []
-        for radius in RADII:
-            disc, vertex = np.nonzero(away <= radius)
-            sums = csr_matrix((mesh.vertex_areas[vertex], (disc, vertex)), (len(centres), count))
-            self._means.append((diags(1.0 / np.asarray(sums.sum(axis=1)).ravel()) @ sums).tocsr())
+        away = along_cloth(mesh, spread_points(mesh.vertices, np.arange(count), CENTRES), max(RADII))
+        self._means = [disc_means(away, radius, mesh.vertex_areas) for radius in RADII]
 
     def __call__(self, frames: np.ndarray) -> np.ndarray:
         """Coherence within each of :data:`RADII` [-], means over discs and frames in which sharp folds count for more.
@@ -62,13 +55,3 @@ class RidgeCoherence:
                 of_ridges[number] += np.sqrt((a - b) ** 2 + 4.0 * c**2).sum()
                 of_all[number] += (a + b).sum()
         return of_ridges / np.maximum(of_all, 1e-30)
-
-
-def spread_points(points: np.ndarray, among: np.ndarray, count: int) -> np.ndarray:
-    """Numbers of points that are spread evenly: each is the furthest from those before (Gonzalez 1985)."""
-    chosen, some = [int(among[0])], points[among]
-    away = np.linalg.norm(some - points[chosen[0]], axis=1)
-    for _ in range(min(count, len(among)) - 1):
-        chosen.append(int(among[away.argmax()]))
-        away = np.minimum(away, np.linalg.norm(some - points[chosen[-1]], axis=1))
-    return np.array(chosen)

@@ -22,14 +22,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags, identity, triu
-from scipy.sparse.csgraph import dijkstra
 from scipy.stats import rankdata
 from threadpoolctl import threadpool_limits
 
 from pbd import ClothMesh, InputError
 from pbd.mesh import edges_of
+from wrinkles.discs import along_cloth, disc_means, spread_points
 from wrinkles.metrics import vertex_normals
-from wrinkles.ridges import spread_points
 
 __all__ = ["FEATURES", "RADII", "PatchStatistics", "Realism", "realism"]
 
@@ -104,7 +103,6 @@ class PatchStatistics:
     def __init__(self, mesh: ClothMesh) -> None:
         vertices, self._faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
         count = len(vertices)
-        mass = mesh.vertex_areas
         edges, lengths = mesh.edge_lengths()
         _, side_edge = edges_of(self._faces)
         border = np.unique(edges[np.bincount(side_edge.ravel()) == 1])
@@ -115,21 +113,17 @@ class PatchStatistics:
         ends, which = self._pairs.T.ravel(), np.tile(np.arange(len(self._pairs)), 2)
         around = csr_matrix((np.ones(len(ends)), (ends, which)), (count, len(self._pairs)))
         self._around = diags(1.0 / np.maximum(np.asarray(around.sum(axis=1)).ravel(), 1.0)) @ around
-        paths = csr_matrix((lengths, edges.T), (count, count))
         self.centres = spread_points(vertices, np.flatnonzero(self._inner), CENTRES)
-        away = dijkstra(paths, directed=False, indices=self.centres, limit=max(RADII))
+        away = along_cloth(mesh, self.centres, max(RADII))
+        to_border = away[:, border].min(axis=1, initial=np.inf)
         away[:, ~self._inner] = np.inf
         self._means, self._members = [], []
         for radius in RADII:
-            row, column = np.nonzero(away <= radius)
-            sums = csr_matrix((mass[column], (row, column)), (len(self.centres), count))
-            self._means.append(diags(1.0 / np.asarray(sums.sum(axis=1)).ravel()) @ sums)
+            self._means.append(disc_means(away, radius, mesh.vertex_areas))
             self._members.append(np.array([_evenly(np.flatnonzero(one <= radius), MEMBERS) for one in away]))
-        to_border = dijkstra(paths, directed=False, indices=border, limit=EDGE, min_only=True) if len(border) else None
         self.places, self.place = _places(vertices[self.centres])
         self.aside = vertices[self.centres, 0] - np.median(vertices[self.centres, 0])
-        if to_border is not None:
-            self.place[to_border[self.centres] <= EDGE] = len(self.places) - 1
+        self.place[to_border <= EDGE] = len(self.places) - 1
 
     def __call__(self, frames: np.ndarray) -> np.ndarray:
         """Statistics of every patch, in frames that are spread evenly.

@@ -12,7 +12,7 @@ from pbd.opening import neighbour_means
 from precompute.learning.decoding import by_patches, decoded_frames
 from precompute.learning.evaluation import play_freely, truth_of
 from precompute.learning.pipeline import scene_run
-from precompute.learning.training import _Residuals, build_layer
+from precompute.learning.training import build_layer, coefficients_of
 from precompute.wrinkle_comparison.realism import PatchStatistics, realism
 from runtime.garment_setup import GarmentSetup, scene_of
 from tests.data import ROOT
@@ -43,7 +43,7 @@ def test_realism_tells_what_is_seen(name: str) -> None:
     run, layer = scene_run(stage, scene, stage.motion(scene.training.held_out[0])), build_layer(stage.levels)
     truth, mesh = truth_of(run, cache, 2, count=2), stage.levels.fine
     frames, recording = truth.frames, truth.recording
-    coefficients = iter(_Residuals.of(layer, [recording]).coefficients(database.atoms))
+    coefficients = iter(coefficients_of(layer, [recording], database.atoms))
     given = by_patches(layer, lambda features: next(coefficients), database.atoms)
     both = [(smooth.copy(), drawn.copy()) for smooth, drawn, _ in decoded_frames(layer, given, run, recording)]
     free = play_freely(database, run.body, run)
