@@ -7,7 +7,7 @@ WEB_SOURCES := package.json package-lock.json $(WEB)/three.js
 export PYTHONHASHSEED := 0
 export GUBE_DATA ?= $(CURDIR)/../shared/data
 
-.PHONY: demo docs gallery fabrics garments scenes blender test browser-test lint format proofs gpu-proofs licences lock clean
+.PHONY: demo docs gallery fabrics garments scenes blender test browser-test lint kernels format proofs gpu-proofs licences lock clean
 
 demo: .venv/ready
 	$(BIN)/gube demo
@@ -45,7 +45,8 @@ blender: .venv/ready
 	cd runtime/blender && ../../$(BIN)/python -m zipfile -c ../../dist/gube_blender.zip blender_manifest.toml *.py
 
 # Files go whole, in the order of tests/conftest.py, to as many processes as there are processors.
-test: lint
+test: .venv/ready
+	$(MAKE) --no-print-directory -j 2 lint kernels
 	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder --durations 15
 
 # Pages in Debian's Chromium, which is installed where it is missing.
@@ -62,6 +63,9 @@ lint: .venv/ready
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright --pythonpath $(BIN)/python
+
+kernels: .venv/ready
+	$(BIN)/python -m tests.compile_kernels
 
 format: .venv/ready
 	$(BIN)/ruff check --fix .

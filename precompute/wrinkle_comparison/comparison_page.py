@@ -75,11 +75,8 @@ def verdict(comparison: Comparison) -> str:
 
 def _motion_words(one: MotionComparison, prefix: str | None) -> list[str]:
     """What was found on one motion, in paragraphs."""
-    shown = [one.method(""), *([] if prefix is None else [one.method(prefix)]), one.method("floor_")]
-    by = [
-        f"{words}: " + ", ".join(f"{method.name} {_with_chance(method, ERRORS[name])}" for method in shown)
-        for name, words in _WORDS.items()
-    ]
+    header, rows = _errors(one, prefix)
+    lines = [f"{row[0]:<36}" + "".join(f"{cell:>34}" for cell in row[1:]) for row in ([one.motion, *header[1:]], *rows)]
     told = [
         f"{m.name.capitalize()} is told from the truth by: {m.realism.told_by()}."
         for m in one.methods
@@ -90,7 +87,14 @@ def _motion_words(one: MotionComparison, prefix: str | None) -> list[str]:
         for m in one.methods
         if m.broke_at is not None
     ]
-    return [f"{one.motion}. " + "; ".join(by) + ".", plain_table(one), *told, *broke]
+    return ["\n".join(lines), plain_table(one), *told, *broke]
+
+
+def _errors(one: MotionComparison, prefix: str | None) -> tuple[list[str], list[list[str]]]:
+    """What ours, the plain cloth of the cost advantage and the floor are judged by: a header, and rows."""
+    shown = [one.method(""), *([] if prefix is None else [one.method(prefix)]), one.method("floor_")]
+    rows = [[words, *(_with_chance(m, ERRORS[name]) for m in shown)] for name, words in _WORDS.items()]
+    return ["", *(method.name for method in shown)], rows
 
 
 def _with_chance(method: Method, name: str) -> str:
@@ -105,14 +109,14 @@ def plain_table(one: MotionComparison) -> str:
     """Time and errors of every method, a line each."""
     heads = ("worst octave", "energy", "bias", "spread", "normals", "realism")
     names = (ERRORS["octaves"], "bending_energy_ratio", *(ERRORS[n] for n in ("bias", "spread", "normals", "realism")))
-    lines = [f"{'':<30}{'ms':>8}" + "".join(f"{head:>14}" for head in heads)]
+    lines = [f"{'':<36}{'ms':>8}" + "".join(f"{head:>14}" for head in heads)]
     for method in one.methods:
         if method.prefix == "truth_":
             continue
         shown = "" if np.isnan(method.frame_ms) else f"{method.frame_ms:.2f}"
         missing = "-" if method.figures else "broke"
         cells = [f"{method.figures[name]:.2f}" if name in method.figures else missing for name in names]
-        lines.append(f"{method.name:<30}{shown:>8}" + "".join(f"{cell:>14}" for cell in cells))
+        lines.append(f"{method.name:<36}{shown:>8}" + "".join(f"{cell:>14}" for cell in cells))
     return "\n".join(lines)
 
 
@@ -130,13 +134,15 @@ def write_comparison(path: str | os.PathLike[str], comparison: Comparison) -> No
 def comparison_sections(comparison: Comparison) -> list[Section]:
     """The cost advantage; of each motion charts of error against time, one moment by some methods, and all figures."""
     found = comparison.cost_advantage
+    prefix = None if found is None else found.cloth.prefix
     words = [part for part in verdict(comparison).split("\n\n") if "\n" not in part]
     sections: list[Section] = [Text("\n\n".join(words))]
     for one in comparison.motions:
         sections += [
             Heading(one.motion),
+            Table(*_errors(one, prefix), "What decides; +- is chance"),
             *(_chart(one, name) for name in _LABELS),
-            *_pictures(one, None if found is None else found.cloth.prefix),
+            *_pictures(one, prefix),
             _place_table(one),
             _figure_table(one),
             _band_table(one),
