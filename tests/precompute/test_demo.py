@@ -109,9 +109,9 @@ def test_durations_are_said_as_people_say_them() -> None:
 
 
 @pytest.mark.parametrize("way", [SHORT, FULL])
-def test_both_demos_name_a_scene_with_a_held_out_walk(way: Demo, tmp_path: Path) -> None:
+def test_both_demos_name_a_scene_with_a_held_out_walk_and_twirl(way: Demo, tmp_path: Path) -> None:
     scene = load_scene(way.scene)
-    assert [motion.clip for motion in scene.training.held_out] == ["walk"]
+    assert [motion.clip for motion in scene.training.held_out] == ["walk", "twirl"]
     assert len(way.seconds) == len(STAGES)
     text = introduction(way, tmp_path)
     assert f"{sum(way.seconds) / 60.0:.0f} minutes" in text and str(tmp_path) in text
