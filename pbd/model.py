@@ -394,6 +394,8 @@ class State:
             float64, shape (3, 4); for :func:`pbd.xpbd.inertia.scale_inertial_forces`.
         pair_sides: direction in which the first feature of each lies from the second and how far [m], negative once it
             has gone through, float32, shape (c, 4).
+        colliding: vertices that collided with other cloth in the last frame and were kept from going through it, and
+            those around them: 1, else 0, uint8, shape (n,); they are watched from the start of the next frame.
         plastic_bends: bend of each hinge at which its internal friction is without force [m], see
             :func:`pbd.xpbd.constraints.rubbing_hinge`, float32, shape (h,); no number where nothing rubs.
         plastic_curvatures: curvatures (11, 22, 12 twice) of each face at which the internal friction of its plate
@@ -413,6 +415,7 @@ class State:
     carrier: np.ndarray = field(repr=False)
     pairs: np.ndarray = field(repr=False)
     pair_sides: np.ndarray = field(repr=False)
+    colliding: np.ndarray = field(repr=False)
     plastic_bends: np.ndarray = field(repr=False)
     plastic_curvatures: np.ndarray = field(repr=False)
     plastic_shears: np.ndarray = field(repr=False)
@@ -432,6 +435,7 @@ class State:
         carrier, sides = np.zeros((3, 4)), np.zeros((0, 4), np.float32)
         return cls(
             origin, position, velocity, nearest, faces, weights, contact, carrier, pairs, sides,
+            np.zeros(count, np.uint8),
             np.zeros(model.plastic_count, np.float32),
             np.zeros((len(model.mesh.faces) if model.plastic_count else 0, 3), np.float32),
             np.zeros(model.plastic_shear_count, np.float32),
@@ -448,6 +452,11 @@ class State:
             self.carrier[:, 3] += self.carrier[:, :3] @ (origin - self.origin)
             self.origin = np.array(origin, float)
 
+    def forget_self_contact(self) -> None:
+        """Drop what is known of where the cloth touches itself, once something else has moved it."""
+        self.pairs, self.pair_sides = self.pairs[:0], self.pair_sides[:0]
+        self.colliding[:] = 0
+
     def copy(self) -> State:
         """A state of its own with the same bits."""
         return State(*(getattr(self, name).copy() for name in self._names))
@@ -462,7 +471,7 @@ class State:
 
     _names = (
         "origin", "position", "velocity", "nearest", "contact_faces", "contact_weights", "contact", "carrier", "pairs",
-        "pair_sides", "plastic_bends", "plastic_curvatures", "plastic_shears",
+        "pair_sides", "colliding", "plastic_bends", "plastic_curvatures", "plastic_shears",
     )  # fmt: skip
 
     def hash(self) -> str:
@@ -495,12 +504,12 @@ class State:
         )
         shapes = (
             (3,), (count, 4), (count, 3), (samples,), (samples, 4), (samples, 2), (count,), (3, 4), (pairs, 4),
-            (pairs, 4), state.plastic_bends.shape[:1], (*state.plastic_curvatures.shape[:1], 3),
-            state.plastic_shears.shape[:1],
+            (pairs, 4), (count,), state.plastic_bends.shape[:1],
+            (*state.plastic_curvatures.shape[:1], 3), state.plastic_shears.shape[:1],
         )  # fmt: skip
         kinds = (
             "float64", "float32", "float32", "int32", "int32", "float32", "float32", "float64", "int32", "float32",
-            "float32", "float32", "float32",
+            "uint8", "float32", "float32", "float32",
         )  # fmt: skip
         expected = list(zip(kinds, shapes, strict=True))
         if received != expected:

@@ -61,7 +61,7 @@ def take_over(before: Simulation, now: Simulation, stay: Stay) -> None:
     state, old = now.state, before.state
     now.body, now.colliders, now.time = before.body, before.colliders, before.time
     state.origin, state.carrier = old.origin.copy(), old.carrier.copy()
-    state.pairs, state.pair_sides = state.pairs[:0], state.pair_sides[:0]
+    state.forget_self_contact()
     state.position[:, 3] = now.model.inverse_mass
     state.position[stay.coarse, :3] = old.position[stay.before, :3]
     for name in ("velocity", "contact"):

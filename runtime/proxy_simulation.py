@@ -99,7 +99,7 @@ class ProxySimulation:
         self.simulation.body.surface = self._surfaces[1]
         # Contacts of the coarse mesh's edges and with itself end here: the mesh below has no such samples.
         above.nearest[len(above.position) :] = -1
-        above.pairs, above.pair_sides = above.pairs[:0], above.pair_sides[:0]
+        above.forget_self_contact()
         self.hold()
         self.lead()
 

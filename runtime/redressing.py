@@ -8,6 +8,7 @@ import numpy as np
 
 from pbd import Body, Model, State
 from pbd.attachment import Attachment
+from pbd.crossings import SelfCrossings
 from pbd.distance import BodyDistance
 from pbd.opening import smoothed_apart
 
@@ -18,7 +19,8 @@ THROUGH, DEEP = 0.005, 0.012  # depth of a long edge's middle in the body, with 
 # Time for which the same edge is too long, through the body, and deep in it before the garment is put back: a limb
 # pinches less long [s].
 PATIENCE = np.array([[0.3], [0.3], [2.5]])
-DURATION = 0.4  # of putting it back [s]
+DURATION, PAUSE = 0.4, 0.1  # of putting it back, and between looks for a pose with room for it [s]
+MAX_PAUSES = 10  # while it is carried on in poses without room
 
 
 class Redressing:
@@ -47,7 +49,8 @@ class Redressing:
         self._bind = model.mesh.vertices, body_vertices, body_faces
         self._carrier: Attachment | None = None
         self._offsets = np.zeros((0, 3))  # from where the body carries the vertices, as it begins [m]
-        self._left = 0.0  # of the duration [s]
+        self._left, self._pauses = 0.0, 0  # of the duration, or of a pause [s], and pauses that there may be yet
+        self._crossings = SelfCrossings(model.mesh)
         self.count = 0
 
     def step(self, state: State, body: Body, dt: float) -> bool:
@@ -67,18 +70,21 @@ class Redressing:
         if self._left <= 0.0:
             self._left, self._offsets = DURATION, before - carried
             self.count += 1
+            self._pauses = MAX_PAUSES
         self._left -= dt
         share = np.clip(self._left / DURATION, 0.0, 1.0)
         state.position[:, :3] = carried + share * share * (3.0 - 2.0 * share) * self._offsets
         if self._left <= 0.0:  # the pose may have less room than the bind pose
             put_back = replace(self._mesh, vertices=state.position[:, :3].astype(float))
             held = np.flatnonzero(state.position[:, 3] == 0.0)
-            state.position[:, :3] = smoothed_apart(
-                put_back, held, self._layer, body.current.astype(float), self._distance.faces
-            )
+            opened = smoothed_apart(put_back, held, self._layer, body.current.astype(float), self._distance.faces)
+            if self._pauses > 0 and len(self._crossings.find(opened)):
+                self._left, self._offsets, self._pauses = PAUSE, np.zeros_like(carried), self._pauses - 1
+            else:
+                state.position[:, :3] = opened
         state.velocity[:] = (state.position[:, :3] - before) / dt
         state.nearest[:], state.contact_faces[:] = -1, -1
-        state.pairs, state.pair_sides = state.pairs[:0], state.pair_sides[:0]
+        state.forget_self_contact()
         return True
 
     def _hooked(self, state: State, body: Body, dt: float) -> bool:

@@ -18,7 +18,8 @@ from pbd.taichi_internals import Launch
 
 __all__ = ["Impacts"]
 
-MARGIN = 1e-3  # by which boxes over the motion are larger: pairs are good while corrections are smaller [m]
+MARGIN = 1e-3  # by which boxes over the motion are larger: pairs are good while corrections are smaller [m], ...
+MAX_LISTS = 6  # ... and are listed anew, so often at most, where one is larger
 KEPT_GAP = 0.2  # share of their distance at the start that features keep at least [-], ...
 LEAST_GAP = 4e-6  # ... and a gap that they keep if they have it: far above the rounding of positions [m]
 HALVINGS = 24  # of the range in which the level between two features is looked for
@@ -340,6 +341,21 @@ class Impacts:
         Returns:
             how many pairs collided, and how many vertices moved on in rigid pieces.
         """
+        collided, rigid, proposed = 0, 0, np.zeros_like(end)
+        for _ in range(MAX_LISTS):
+            proposed[:] = end
+            found = self._list_pairs(start, end, chosen)
+            self._part(
+                start, end, inverse_mass, self._pairs, self._directions, found, PASSES, self._rigid, self._zone,
+                self._motion, self._result,
+            )  # fmt: skip
+            collided, rigid = max(collided, int(self._result[0])), max(rigid, int(self._result[1]))
+            if np.abs(end - proposed).max() < MARGIN:
+                break
+        return collided, rigid
+
+    def _list_pairs(self, start: np.ndarray, end: np.ndarray, chosen: np.ndarray | None) -> int:
+        """List the pairs of features that might collide; returns how many there are."""
         grid = self.grid
         near, count = grid.pairs(start, end, MARGIN, chosen)
         while True:
@@ -349,10 +365,5 @@ class Impacts:
             )  # fmt: skip
             found = int(self._found[0])
             if found <= len(self._pairs):
-                break
+                return found
             self._make_room(found * 3 // 2)
-        self._part(
-            start, end, inverse_mass, self._pairs, self._directions, found, PASSES, self._rigid, self._zone,
-            self._motion, self._result,
-        )  # fmt: skip
-        return int(self._result[0]), int(self._result[1])

@@ -341,6 +341,10 @@ class SelfCollision:
         """Vertices near crossings (``rows``, see :attr:`crossings`): of :meth:`Untangling.around`."""
         return self._untangling.around(rows, times)
 
+    def spread(self, vertices: np.ndarray) -> np.ndarray:
+        """Vertices a few edges from some at most (their numbers), as a mask."""
+        return self._untangling.spread(vertices)
+
     def _good_for(self, steps: int) -> int:
         return max(1, int(steps * min(1.0, MAX_RELATIVE_MOTION / max(float(self._max_displacement[0]), 1e-9))))
 

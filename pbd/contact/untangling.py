@@ -132,12 +132,14 @@ class Untangling:
             rows: of :meth:`rows`.
             times: as many times those few edges.
         """
-        ends = np.concatenate([rows[:, :2].ravel(), self._faces[rows[:, 2]].ravel()])
-        everywhere = np.ones(len(self.wrong_side), bool)
-        near = self._cuts.around(ends, everywhere)
+        near = self.spread(np.concatenate([rows[:, :2].ravel(), self._faces[rows[:, 2]].ravel()]))
         for _ in range(times - 1):
-            near = self._cuts.around(np.flatnonzero(near), everywhere)
+            near = self.spread(np.flatnonzero(near))
         return near
+
+    def spread(self, vertices: np.ndarray) -> np.ndarray:
+        """Vertices a few edges from some at most (their numbers), as a mask."""
+        return self._cuts.around(vertices, np.ones(len(self.wrong_side), bool))
 
     def pulls(self, position: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Mark the vertices on the wrong side, and find the pairs that bring them back; None if there are none.

@@ -35,6 +35,9 @@ MAX_REFINEMENT = 8  # times as many substeps, at most
 CHECKED = ("position", "velocity", "nearest", "contact", "plastic_bends", "plastic_shears")
 UNTANGLED = 4  # times the few edges around crossings, where curves of crossings may move while they are untangled
 MAX_MEND = 0.004  # correction of a vertex over a whole frame by which impacts are kept from happening [m]
+MAX_STRETCH = (
+    1.6  # of edges where colliding cloth is watched from a frame's start: cloth that is pinched needs room [-]
+)
 MAX_REPEATS = 6  # of a frame in which cloth went through itself
 MIN_FRAME_TIME = 1e-7  # shorter frames do nothing [s]: float32 does not hold the square of their inverse
 
@@ -125,7 +128,8 @@ class Solver:
         in_contact = self.options.self_collision or bool(model.layer.any())
         self._pairs = SelfCollision(model, self.options.self_collision) if in_contact else None
         self._before: State | None = None  # workspace: the state at the start of a frame
-        self._stride = max(MIN_STRIDE, STRIDE_SHARE * float(model.mesh.edge_lengths()[1].mean()))
+        self._edges = model.mesh.edge_lengths()
+        self._stride = max(MIN_STRIDE, STRIDE_SHARE * float(self._edges[1].mean()))
         self._find_nearest = Launch(find_nearest)
         kinds = with_multigrid, in_contact, model.plastic_shear_count > 0, self.stiff
         self._advance = Launch(advance_kernel(*kinds))
@@ -254,7 +258,8 @@ class Solver:
     def _advance_in_contact(self, state: State, arguments: dict[str, Any], dt: float) -> None:
         """Advance the state so that cloth that was free of crossings is free of them.
 
-        Where it would not be, the frame is done again, and impacts are kept from happening there in each substep.
+        Where it would not be, the frame is done again, and impacts are kept from happening there in each substep. They
+        are from the start where cloth collided in the last frame.
         """
         assert self._pairs is not None
         pairs = self._pairs
@@ -264,11 +269,18 @@ class Solver:
             return
         self._before = before = self._before or state.copy()
         before.restore(state)
-        self._advance_with_pairs(state, arguments, dt, steps)
-        start = before.position[:, :3].astype(float)
+        start, corners = before.position[:, :3].astype(float), pairs.impacts.grid.faces
+        watched = before.colliding > 0  # what collided in the last frame is likely to collide in this one
+        moved = np.zeros_like(watched)
+        if watched.any():
+            faces = np.flatnonzero(watched[corners].any(axis=1)).astype(np.int32)
+            moved = self._advance_by_impacts(state, arguments, dt, steps, faces, steps.refresh)
+        if not watched.any() or len(pairs.crossings):  # something else has moved it since
+            state.restore(before)
+            self._load_friction(state)
+            self._advance_with_pairs(state, arguments, dt, steps)
+            watched[:] = moved[:] = False
         known = pairs.around(pairs.crossings, UNTANGLED)  # untangling brings these apart
-        watched = np.zeros(len(known), bool)
-        corners = pairs.impacts.grid.faces
         repeats = 1 if known.any() else MAX_REPEATS  # cloth that is through itself brings forth new crossings
         for repeat in range(repeats):
             if not np.isfinite(state.position).all():
@@ -283,13 +295,27 @@ class Solver:
                 rows = rows[~known[rows[:, 0]]]
                 if not len(rows):
                     break
-            watched |= pairs.around(rows) | (0 < repeat == repeats - 1)  # the last time everywhere
+            added = pairs.around(rows) & ~watched
+            everywhere = 0 < repeat == repeats - 1 or (repeat > 1 and not added.any())
+            if everywhere and watched.all():  # it would come out the same
+                break
+            watched |= added | everywhere
             faces = np.flatnonzero((watched & ~known)[corners].any(axis=1)).astype(np.int32)
             if repeat == 0 and self._mend(state, start, faces, dt, len(pairs.crossings)):
                 break
             state.restore(before)
             self._load_friction(state)
-            self._advance_by_impacts(state, arguments, dt, steps, faces, steps.refresh if repeat == 0 else 1)
+            moved = self._advance_by_impacts(state, arguments, dt, steps, faces, steps.refresh if repeat == 0 else 1)
+        state.colliding[:] = 0
+        if moved.any() and not known.any() and self._stretch(state, moved) < MAX_STRETCH:
+            state.colliding[:] = pairs.spread(np.flatnonzero(moved))
+
+    def _stretch(self, state: State, chosen: np.ndarray) -> float:
+        """Length of the edge that is drawn out most, over its rest length, of those between chosen vertices."""
+        edges, lengths = self._edges
+        rows = np.flatnonzero(chosen[edges].all(axis=1))
+        ends = state.position[edges[rows], :3]
+        return float((np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) / lengths[rows]).max(initial=0.0))
 
     def _mend(self, state: State, start: np.ndarray, faces: np.ndarray, dt: float, left: int) -> bool:
         """Keep impacts from happening over the whole frame at once, if that takes small corrections.
@@ -316,10 +342,14 @@ class Solver:
 
     def _advance_by_impacts(
         self, state: State, arguments: dict[str, Any], dt: float, steps: FrameSteps, faces: np.ndarray, stride: int
-    ) -> None:
-        """Advance the state by a few substeps at a time, over which none of the given faces goes through another."""
+    ) -> np.ndarray:
+        """Advance the state by a few substeps at a time, over which none of the given faces goes through another.
+
+        Returns:
+            the vertices that were kept from it, as a mask.
+        """
         assert self._pairs is not None and self._pairs.impacts is not None
-        found = 0
+        found, moved = 0, np.zeros(len(state.position), bool)
         for begin in range(0, steps.count, stride):
             if begin >= found:
                 good = self._pairs.find(
@@ -332,8 +362,10 @@ class Solver:
             self._advance.by_name(arguments | self._pairs.arrays())
             after = state.position[:, :3].astype(float)
             if self._pairs.impacts.keep_apart(before, after, state.position[:, 3].astype(float), faces)[0]:
+                moved |= (after != state.position[:, :3]).any(axis=1)
                 state.position[:, :3] = after
             self._pairs.remember(state)
+        return moved
 
     def _advance_with_pairs(self, state: State, arguments: dict[str, Any], dt: float, steps: FrameSteps) -> None:
         """Advance the state with the cloth's own pairs, which are found anew as often as it moves far."""

@@ -80,6 +80,24 @@ def test_what_is_pulled_is_not_put_back_while_it_is_pulled() -> None:
     assert put_back.count == 0
 
 
+def test_a_garment_is_carried_on_where_the_pose_has_no_room_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulation, motion = worn("skirt", "top")
+    pose, put_back = motion.pose(0.0), simulation.redressing
+    assert put_back is not None
+    looks = iter([[0]] * 4)
+    monkeypatch.setattr(put_back._crossings, "find", lambda vertices: next(looks, []))
+    stand(simulation, pose, 0.5, (0.0, 0.0, 40.0))
+    frames = 0
+    while not put_back.count:
+        simulation.step(pose, 1.0 / RATE)
+    while put_back.step(simulation.state, simulation.body, 1.0 / RATE):
+        frames += 1
+    assert frames > 0.7 * RATE
+    stand(simulation, pose, 0.5)
+    assert longest(simulation) < 1.2
+    assert len(SelfCrossings(simulation.model.mesh).find(simulation.vertices)) == 0
+
+
 @pytest.mark.proof
 @pytest.mark.parametrize("garment", ["skirt", "trousers", "tshirt", "shirt", "circle_skirt"])
 @pytest.mark.parametrize("seed", range(6))

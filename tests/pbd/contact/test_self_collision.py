@@ -225,7 +225,7 @@ def test_states_with_contacts_come_back_bit_by_bit(dropped: tuple, tmp_path: Pat
     run(model, back, 2, colliders)
     run(model, other, 2, colliders)
     assert back.hash() == other.hash()
-    for name in ("pairs", "pair_sides"):
+    for name in ("pairs", "pair_sides", "colliding"):
         changed = state.copy()
         getattr(changed, name).flat[-1] += 1
         assert changed.hash() != state.hash()
