@@ -17,7 +17,7 @@ from precompute.method_comparison.scene_judging import screen_mm
 from precompute.reporting.charts import draw_charts, write_png
 from precompute.reporting.page import Chart, Heading, Picture, Point, Section, Table, Text, write_page
 from precompute.reporting.tables import write_table
-from precompute.wrinkle_comparison.compare import Comparison
+from precompute.wrinkle_comparison.comparison import Comparison
 from precompute.wrinkle_comparison.comparison_page import comparison_sections
 from runtime.pictures import Drawn, frame_camera, render, save_png, strip
 from runtime.report import machine_description, write_report

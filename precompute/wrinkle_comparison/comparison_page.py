@@ -10,7 +10,7 @@ import numpy as np
 from precompute.learning.evaluation import CHANCE
 from precompute.learning.recording import body_source
 from precompute.reporting.page import Chart, Heading, Picture, Point, Section, Table, Text, write_page
-from precompute.wrinkle_comparison.compare import ERRORS, Comparison, Method, MotionComparison
+from precompute.wrinkle_comparison.comparison import ERRORS, Comparison, Method, MotionComparison
 from runtime.pictures import Drawn, frame_camera, render, strip
 
 __all__ = ["comparison_sections", "draw_methods", "plain_table", "verdict", "write_comparison"]

@@ -17,16 +17,13 @@ from precompute.wrinkle_comparison import compare as comparing
 from precompute.wrinkle_comparison.baselines import ClothTurn, fine_cloth, plain_cloths, take_turns
 from precompute.wrinkle_comparison.blind import PAIRS, blind_figures, write_blind
 from precompute.wrinkle_comparison.compare import (
-    ERRORS,
     RUNS,
-    Comparison,
-    Method,
-    MotionComparison,
     compare,
     compare_file,
     plain_methods,
     write_choice,
 )
+from precompute.wrinkle_comparison.comparison import ERRORS, Comparison, Method, MotionComparison
 from precompute.wrinkle_comparison.comparison_page import verdict, write_comparison
 from runtime.info import better_choice, info_text
 from runtime.plain_player import PlainCloth, PlainPlayer, middle_levels
