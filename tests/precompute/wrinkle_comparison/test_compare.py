@@ -336,7 +336,10 @@ def test_the_page_has_front_places_and_pictures(comparison: Comparison, tmp_path
     assert "Cost advantage" in page and "Realism by place" in page and "data:image/jpeg" in page
 
 
-def test_blind_pairs_hide_the_names_and_answers_are_counted(comparison: Comparison, tmp_path: Path) -> None:
+def test_blind_pairs_hide_the_names_and_answers_are_counted(
+    comparison: Comparison, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("precompute.wrinkle_comparison.blind.PICTURE", (60, 70))
     (motion,) = comparison.motions
     ours = motion.method("").frames
     assert ours is not None
