@@ -15,7 +15,7 @@ from pbd import InputError, SolverOptions
 from precompute.learning.evaluation import Truth, fine_run, levels_from, play_freely, truth_of
 from precompute.wrinkle_comparison import compare as comparing
 from precompute.wrinkle_comparison.baselines import ClothTurn, fine_cloth, plain_cloths, take_turns
-from precompute.wrinkle_comparison.blind import PAIRS, blind_figures, write_blind
+from precompute.wrinkle_comparison.blind import blind_figures, write_blind
 from precompute.wrinkle_comparison.compare import (
     RUNS,
     compare,
@@ -339,24 +339,25 @@ def test_the_page_has_front_places_and_pictures(comparison: Comparison, tmp_path
 def test_blind_pairs_hide_the_names_and_answers_are_counted(
     comparison: Comparison, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("precompute.wrinkle_comparison.blind.PICTURE", (60, 70))
+    pairs = 3  # pictures take a third of a second for each moment, whatever their size
+    monkeypatch.setattr("precompute.wrinkle_comparison.blind.PAIRS", pairs)
     (motion,) = comparison.motions
     ours = motion.method("").frames
     assert ours is not None
     *pictures, file = write_blind(tmp_path, motion.truth, ours)
     key = json.loads(file.read_text(encoding="utf-8"))
-    assert list(key) == [picture.name for picture in pictures] and len(key) == PAIRS
+    assert list(key) == [picture.name for picture in pictures] and len(key) == pairs
     assert file.parent != pictures[0].parent and set(key.values()) <= {"A", "B"}
     answers = tmp_path / "answers.txt"
     answers.write_text("\n".join(key.values()).lower() + "\n", encoding="utf-8")
     assert blind_figures(tmp_path, answers) == {
         "blind_right_percent": 100.0,
-        "blind_chance_percent": pytest.approx(100.0 * 0.5**PAIRS),
+        "blind_chance_percent": pytest.approx(100.0 * 0.5**pairs),
     }
     wrong = ["B" if letter == "A" else "A" for letter in key.values()]
     answers.write_text("\n".join(wrong), encoding="utf-8")
     assert blind_figures(tmp_path, answers) == {"blind_right_percent": 0.0, "blind_chance_percent": 100.0}
-    for text, message in (("A\n", "12 lines"), ("\n".join(["A"] * (PAIRS - 1) + ["C"]), "line 12")):
+    for text, message in (("A\n", "3 lines"), ("\n".join(["A"] * (pairs - 1) + ["C"]), "line 3")):
         answers.write_text(text, encoding="utf-8")
         with pytest.raises(InputError, match=message):
             blind_figures(tmp_path, answers)
