@@ -287,7 +287,12 @@ class FaceGrid:
         self._fans: tuple[np.ndarray, ...] = ()
 
     def pairs(
-        self, start: np.ndarray, end: np.ndarray, margin: float = 0.0, chosen: np.ndarray | None = None
+        self,
+        start: np.ndarray,
+        end: np.ndarray,
+        margin: float = 0.0,
+        chosen: np.ndarray | None = None,
+        most: float = np.inf,
     ) -> tuple[np.ndarray, int]:
         """Pairs of faces whose boxes overlap over a straight motion of their corners, in a buffer, and how many.
 
@@ -295,6 +300,7 @@ class FaceGrid:
             start, end: of the vertices [m], float64, shape (n, 3).
             margin: by which each box is larger [m].
             chosen: numbers of the faces that count, int32; None for all.
+            most: pairs, and cells of boxes, for which there is to be memory; of more none is given.
         """
         chosen = self._all if chosen is None else chosen
         if not len(chosen):
@@ -307,6 +313,8 @@ class FaceGrid:
             count, entries = self._counts.tolist()
             if count <= len(self._pairs) and entries <= len(self._entries):
                 return self._pairs, count
+            if max(count, entries) > most:
+                return self._pairs, 0
             if count > len(self._pairs):
                 self._pairs = np.zeros((count * 3 // 2, 2), np.int32)
             if entries > len(self._entries):

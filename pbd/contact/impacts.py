@@ -20,6 +20,8 @@ __all__ = ["Impacts"]
 
 MARGIN = 1e-3  # by which boxes over the motion are larger: pairs are good while corrections are smaller [m], ...
 MAX_LISTS = 6  # ... and are listed anew, so often at most, where one is larger
+MOST_PAIRS = 20  # of faces, for each that counts: cloth that has more goes to and fro by its own size, and is left so
+LEAST_PAIRS = 100_000  # for which there is always room
 KEPT_GAP = 0.2  # share of their distance at the start that features keep at least [-], ...
 LEAST_GAP = 4e-6  # ... and a gap that they keep if they have it: far above the rounding of positions [m]
 HALVINGS = 24  # of the range in which the level between two features is looked for
@@ -341,7 +343,7 @@ class Impacts:
         Returns:
             how many pairs collided, and how many vertices moved on in rigid pieces.
         """
-        collided, rigid, proposed = 0, 0, np.zeros_like(end)
+        collided, rigid, proposed, largest = 0, 0, np.zeros_like(end), np.inf
         for _ in range(MAX_LISTS):
             proposed[:] = end
             found = self._list_pairs(start, end, chosen)
@@ -349,15 +351,21 @@ class Impacts:
                 start, end, inverse_mass, self._pairs, self._directions, found, PASSES, self._rigid, self._zone,
                 self._motion, self._result,
             )  # fmt: skip
-            collided, rigid = max(collided, int(self._result[0])), max(rigid, int(self._result[1]))
-            if np.abs(end - proposed).max() < MARGIN:
+            correction = float(np.abs(end - proposed).max())
+            if correction > largest:  # boxes and corrections make one another larger: the last ones lead nowhere
+                end[:] = proposed
                 break
+            collided, rigid = max(collided, int(self._result[0])), max(rigid, int(self._result[1]))
+            if correction < MARGIN:
+                break
+            largest = correction
         return collided, rigid
 
     def _list_pairs(self, start: np.ndarray, end: np.ndarray, chosen: np.ndarray | None) -> int:
         """List the pairs of features that might collide; returns how many there are."""
         grid = self.grid
-        near, count = grid.pairs(start, end, MARGIN, chosen)
+        counting = len(grid.faces if chosen is None else chosen)
+        near, count = grid.pairs(start, end, MARGIN, chosen, max(MOST_PAIRS * counting, LEAST_PAIRS))
         while True:
             self._list(
                 start, end, grid.faces, grid.edges, grid.owned, grid.seam, near, count, self._pairs, self._directions,

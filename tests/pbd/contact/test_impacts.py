@@ -81,6 +81,18 @@ def test_what_is_pushed_far_does_not_go_through_a_third_sheet() -> None:
     assert (end[count : 2 * count, 2] > end[:count, 2]).all()
 
 
+def test_cloth_that_goes_to_and_fro_by_its_own_size_takes_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Too few substeps make it so; all of its faces might collide with one another then."""
+    random = np.random.default_rng(0)
+    start, faces = two_sheets(random)
+    end = start + random.normal(0.0, 10.0 * STEP, start.shape)
+    monkeypatch.setattr(impacts, "LEAST_PAIRS", 1000)
+    kept, guard = end.copy(), Impacts(faces, len(start))
+    assert guard.keep_apart(start, kept, np.ones(len(start))) == (0, 0)
+    assert np.array_equal(kept, end)
+    assert len(guard._pairs) == len(start)
+
+
 def test_held_vertices_and_faces_that_do_not_count_stay_as_they_are() -> None:
     start, faces = two_sheets(np.random.default_rng(1))
     half = len(start) // 2
