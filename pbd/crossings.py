@@ -311,10 +311,10 @@ class FaceGrid:
                 self._entries, self._pairs, self._counts,
             )  # fmt: skip
             count, entries = self._counts.tolist()
+            if max(count, entries) > most:  # asked first: the answer must not depend on what there was room for before
+                return self._pairs, 0
             if count <= len(self._pairs) and entries <= len(self._entries):
                 return self._pairs, count
-            if max(count, entries) > most:
-                return self._pairs, 0
             if count > len(self._pairs):
                 self._pairs = np.zeros((count * 3 // 2, 2), np.int32)
             if entries > len(self._entries):

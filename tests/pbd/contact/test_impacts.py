@@ -91,6 +91,8 @@ def test_cloth_that_goes_to_and_fro_by_its_own_size_takes_no_memory(monkeypatch:
     assert guard.keep_apart(start, kept, np.ones(len(start))) == (0, 0)
     assert np.array_equal(kept, end)
     assert len(guard._pairs) == len(start)
+    guard.grid.pairs(start, end)  # has room for all of them now: the answer stays
+    assert guard.keep_apart(start, kept, np.ones(len(start))) == (0, 0)
 
 
 def test_held_vertices_and_faces_that_do_not_count_stay_as_they_are() -> None:
