@@ -103,8 +103,11 @@ def find_pairs(
     longest: ti.f32,
     tangled: ti.i32,
     within: ti.i32,
+    most: ti.i32,
 ):
     """Find the pairs that may touch in the next ``dt`` [s]; ``ready_pairs[0]`` receives how many there are.
+
+    The search ends where it has found more than ``most``.
 
     All are found if ``anew``. Else those found before are kept, except those of stale faces, which are found again;
     ``elapsed`` [s] is the time since the frame's start, ``share`` the part left of what the last search looked ahead
@@ -119,6 +122,7 @@ def find_pairs(
             dt,
             share,
             within,
+            most,
             MovingCloth(
                 position, velocity, displacement, normals, rest, landmarks, layer, wrong_side, seen_position,
                 seen_velocity, stale, thickness, slack, longest, tangled,
@@ -140,6 +144,7 @@ def search_pairs(
     dt: ti.f32,
     share: ti.f32,
     within: ti.i32,
+    most: ti.i32,
     cloth: ti.template(),
     tree: ti.template(),
     buffers: ti.template(),
@@ -168,7 +173,7 @@ def search_pairs(
         if stale != 0:
             near_count = list_near_groups(ti.select(anew != 0, group, 0), group, leaf, within, tree)
         leaf += 1
-        while stale != 0:
+        while stale != 0 and buffers.ready_pairs[0] <= most:
             patch = tree.group_start[group] + lowest(stale)
             stale &= stale - 1
             search_patch(group, patch, near_count, margin, cloth, tree, buffers)

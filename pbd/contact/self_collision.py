@@ -31,6 +31,8 @@ __all__ = ["SelfCollision"]
 
 MAX_RELATIVE_MOTION = 0.01  # of the features of a pair against each other between two searches [m]
 SEARCHED = ("position", "velocity", "pairs", "pair_sides")  # of a state: what a search depends on
+# Pairs for each vertex at most, and of the garment in any case: cloth that has more goes to and fro by its own size.
+MOST_PAIRS, LEAST_PAIRS = 200, 100_000
 LANDMARKS = 6  # vertices from which distances along the cloth are measured
 
 
@@ -195,6 +197,7 @@ class SelfCollision:
         impacts: what keeps faces from going through one another in a motion; None where crossings are not looked for.
         crossings: at the start of the frame the edges that go through faces: their two ends, and the face as
             :attr:`pbd.contact.impacts.Impacts.grid` counts them, int64, shape (k, 3).
+        overfull: whether the last search found far too many pairs, and so kept none.
         strain_limits, limit_work: see :func:`pbd.contact.strain_limits.limit_rows`.
     """
 
@@ -247,6 +250,7 @@ class SelfCollision:
             "stale": np.zeros(count, np.int32),
             "max_displacement": self._max_displacement,
             "within": int(within),
+            "most": max(MOST_PAIRS * count, LEAST_PAIRS),
             "longest": float(np.linalg.norm(np.diff(rest[edges], axis=1), axis=2).max()),
         }
         self._untangling, self._untangles = Untangling(faces, self._layer, mesh.vertex_areas), within
@@ -254,6 +258,7 @@ class SelfCollision:
         self.impacts = Impacts(faces, count, seams_of(model.stitches, count)) if within else None
         self.crossings = np.zeros((0, 3), np.int64)
         self._find, self._turn_sides = Launch(find_pairs), Launch(turning_kernel())
+        self.overfull = False
         self._ahead = 1.0  # how far the last search looked [s]
         self._looked: tuple[dict[str, Any], float] | None = None  # the search that look_ahead made, and its time
         self._seen = [np.zeros(0)] * len(SEARCHED)  # and what the state was then
@@ -353,6 +358,8 @@ class SelfCollision:
     ) -> dict[str, Any]:
         """Find the pairs of the next dt [s], and crossings or not, with larger buffers until they take all.
 
+        Where there are far too many pairs, none are found, and no crossings.
+
         Returns:
             the arguments of the search.
         """
@@ -380,6 +387,10 @@ class SelfCollision:
                 "slack": SLACK if self._pulls is None and not self._layer.any() else DEEP_SLACK,
             }
             self._find.by_name(arguments)
+            self.overfull = int(self.ready[0]) > self._fixed["most"]
+            if self.overfull:
+                self.ready[0] = self._untangling.crossed[0, 0] = 0
+                return arguments
             if self.ready[0] > len(self.pairs):  # what was found before is lost with the buffers
                 anew = True
                 self._make_room(int(self.ready[0]) * 3 // 2)

@@ -288,7 +288,7 @@ class Solver:
             rows = pairs.look_ahead(state, dt / steps.count, steps.count, self.model.fabric.thickness)
             if len(rows):
                 rows = rows[~known[rows[:, 0]]]
-            if not len(rows):
+            if pairs.overfull or not len(rows):
                 break
             if repeat == 0:  # the search leaves some out
                 known |= pairs.around(pairs.impacts.grid.crossings(start), UNTANGLED)

@@ -48,7 +48,7 @@ __all__ = [
 ]
 
 PROBE_FRAMES = 90  # frames of a run that only a cost is measured on
-BURST_EXTENTS = 10.0  # cloth that is further away than so many extents of the garment has burst
+BURST_STRETCH = 10.0  # length of an edge over its rest length from which cloth has burst [-]
 TURN = 8  # frames that a method plays before it is the next one's turn
 
 
@@ -59,7 +59,7 @@ class Played:
     Attributes:
         frames: fine vertices [m], float32, shape (f, N, 3), at the truth's recorded frames; fewer where it broke.
         frame_ms: median processor time of a frame: skinning, simulation, upsampling, normals [ms].
-        broke_at: when it burst [s]: a vertex was no longer finite or all over the place; None if that never was.
+        broke_at: when it burst [s]: a vertex was no longer finite, or an edge far too long; None if that never was.
     """
 
     frames: np.ndarray
@@ -157,7 +157,8 @@ class ClothTurn:
         self._vertices, self._normals = np.zeros((2, count, 3), np.float32)
         self._shade = Launch(surface_normals)  # as the player calls it, so that baselines do not pay for calls
         self._keeping = _Keeping(keep, count, folder)
-        self._burst = BURST_EXTENTS * np.ptp(cloth.model.mesh.vertices, axis=0).max()
+        self._edges, lengths = cloth.model.mesh.edge_lengths()
+        self._burst = BURST_STRETCH * lengths
         self._frame = 0
 
     def advance(self, count: int) -> None:
@@ -177,7 +178,8 @@ class ClothTurn:
                 self._surface(state.position, state, body, body.current, self._vertices)
             self._shade(self._vertices, self._cloth.fine_faces, self._normals)
             spent = 1e3 * (time.process_time() - began)
-            whole = np.isfinite(state.velocity).all() and np.ptp(state.position[:, :3], axis=0).max() < self._burst
+            one, other = state.position[self._edges.T, :3]
+            whole = np.isfinite(state.velocity).all() and (np.linalg.norm(one - other, axis=1) < self._burst).all()
             keeping.frame(frame, spent, self._vertices + state.origin, None if whole else frame * run.dt)
 
     @property

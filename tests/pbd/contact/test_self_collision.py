@@ -170,6 +170,25 @@ def test_cloth_that_meets_on_its_way_is_found_and_cloth_that_leaves_is_not() -> 
         assert (pairs.ready[0] > 300) == found and (pairs.ready[0] == 0) != found
 
 
+def test_of_cloth_that_goes_to_and_fro_by_its_own_size_no_pairs_are_kept() -> None:
+    """Too few substeps make it so; all of its features might meet. Once it is calm, they are found again."""
+    flat, faces = level(20, 20, 0.02)
+    vertices, faces = sheets(flat, flat + [0.004, 0.01, 0.0025], faces=faces)
+    model = free_model(cloth(vertices, faces), Fabric(thickness=THICKNESS))
+    state, pairs = State.at_rest(model), SelfCollision(model)
+    state.velocity[len(flat) :, 1] = -0.9
+    found, crossed = [], []
+    for speed in (0.0, 30.0, 0.0):
+        moving = state.copy()
+        moving.velocity += np.random.default_rng(0).normal(0.0, 1.0, state.velocity.shape).astype(np.float32) * speed
+        crossed.append(len(pairs.look_ahead(moving, 1 / 600, 10, THICKNESS)))
+        assert pairs.overfull == (speed > 0.0)
+        pairs.find(moving, 1 / 600, 10, THICKNESS)
+        found.append(int(pairs.ready[0]))
+    assert found[0] > 1000 and found == [found[0], 0, found[0]] and crossed == [0, 0, 0]
+    assert len(pairs.pairs) < 3 * found[0]
+
+
 def test_meshes_in_columns_cost_no_copies() -> None:
     """The kernel takes arrays in rows; others it would copy at every search, and be launched the slow way."""
     vertices, faces = level(3, 3, 0.02)
