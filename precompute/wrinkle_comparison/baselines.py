@@ -59,7 +59,7 @@ class Played:
     Attributes:
         frames: fine vertices [m], float32, shape (f, N, 3), at the truth's recorded frames; fewer where it broke.
         frame_ms: median processor time of a frame: skinning, simulation, upsampling, normals [ms].
-        broke_at: when it burst [s]: a vertex was no longer finite, or many edges were far too long; None if that never was.
+        broke_at: when it burst [s]: a vertex was not finite, or many edges were far too long; None if that never was.
     """
 
     frames: np.ndarray
