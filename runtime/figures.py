@@ -115,6 +115,14 @@ FIGURES = {
         "mismatch of features, uncalibrated", "-", "distance between both distributions of features, before calibration"
     ),
     "feature_mismatch_after": Figure("mismatch of features, calibrated", "-", "the same after calibration"),
+    "apart_before_mm": Figure(
+        "distance of the coarse garment, uncorrected",
+        "mm",
+        "mean of free coarse runs from the filtered fine garment, on training motion that was kept out",
+    ),
+    "apart_after_mm": Figure(
+        "distance of the coarse garment, corrected", "mm", "the same with the learned correction of its motion"
+    ),
     "frame_ms_p50": Figure("time of a frame", "ms", "a whole frame, median"),
     "frame_ms_p99": Figure("time of a slow frame", "ms", "a whole frame, slowest hundredth"),
     "frame_cpu_ms": Figure("processor time of a frame", "ms", "a whole frame, processor time"),

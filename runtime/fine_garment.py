@@ -17,6 +17,7 @@ from wrinkles.features import Stencil
 from wrinkles.fine_normals import FineNormals
 from wrinkles.fine_surface import FineSurface
 from wrinkles.levels import Levels
+from wrinkles.motion_correction import MotionCorrector
 from wrinkles.patches import Patches
 from wrinkles.relaxation import Relaxation
 
@@ -44,11 +45,26 @@ class FineGarment:
         layer = None if levels.layers is None else levels.layers.layer
         stencil, atoms = Stencil.of(charts, database.held, layer), database.atoms
         self._decoder = Decoder(stencil, database.mapping, atoms, database.novelty)
+        self._corrector: MotionCorrector | None = None
+        if database.correction is not None:
+            self._corrector = MotionCorrector(database.correction, database.mapping.place, stencil, self._filter)
         self._surface = FineSurface(subdivision, Patches.of(subdivision, charts), atoms.vertex_mean)
         self._relax = Relaxation.of(levels, source.vertices, source.faces, database.fabric, database.bend_factor)
         self._write_normals = FineNormals(subdivision)
         self.vertices = np.zeros((subdivision.fine_count, 3), np.float32)
         self.normals = np.zeros((subdivision.fine_count, 3), np.float32)
+
+    def correct(self, state: State, dt: float) -> None:
+        """Add to the velocity of the coarse garment what it lacks, as far as that was learned.
+
+        Args:
+            state: of the coarse garment, at the end of a step.
+            dt: length of the step [s].
+        """
+        if self._corrector is not None:
+            decoder = self._decoder
+            decoder.read(self._filter(state.position), state.contact)
+            self._corrector(state, decoder.frames, decoder.features, dt)
 
     def make(
         self, position: np.ndarray, state: State, body: Body, body_vertices: np.ndarray, detail: LevelOfDetail

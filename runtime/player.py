@@ -286,7 +286,10 @@ class Player:
         moved.time = simulation.time
         moved.step_cloth(dt, wind)
         simulation.time = moved.time
-        if self._coarser is not None and self._detail.level:
+        if moved is simulation:
+            self._fine.correct(simulation.state, dt)
+        else:
+            assert self._coarser is not None
             self._coarser.lead()
         self.timings["skin"] = 1e3 * (skinned - began)
         self.timings["coarse"] = 1e3 * (time.perf_counter() - skinned)

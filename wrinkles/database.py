@@ -28,6 +28,7 @@ from pbd.storage import replacing
 from wrinkles.binding import Binding
 from wrinkles.dictionary import Atoms, CoefficientNetwork
 from wrinkles.levels import Layers, Levels, levels_of
+from wrinkles.motion_correction import MotionCorrection
 from wrinkles.novelty import NoveltyScore
 from wrinkles.rest_shape import RestShapeCorrection
 from wrinkles.schema import (
@@ -112,6 +113,7 @@ class WrinkleDatabase:
         frame_rate: of the coarse simulation [Hz].
         atoms, mapping: the dictionary.
         novelty: decides where the wrinkles fade.
+        correction: of the coarse garment's motion; None where none helps.
         cutoff: wavelength of the filter between coarse and fine [m].
         body_hash: hash of the body that the garment was trained on, see :func:`body_hash`.
         body_vertex_count: number of that body's vertices.
@@ -146,6 +148,7 @@ class WrinkleDatabase:
     atoms: Atoms
     mapping: CoefficientNetwork
     novelty: NoveltyScore
+    correction: MotionCorrection | None
     cutoff: float
     body_hash: str
     body_vertex_count: int
@@ -385,6 +388,7 @@ def _arrays(database: WrinkleDatabase) -> dict[str, np.ndarray]:
         **_binding_values(database.binding),
         **_sewn_values(database.sewn),
         **_layers_values(database.layers),
+        **_correction_values(database.correction, database.mapping.place.shape[1]),
         **_other_fabrics_values(database.other_fabrics),
     }
     for entry in ENTRIES:
@@ -444,6 +448,12 @@ def _layers_of(
     return Layers(names, tuple(Fabric(**row) for row in rows), layer, fastened)
 
 
+def _correction_values(correction: MotionCorrection | None, place_features: int) -> dict[str, Any]:
+    """Entries of a correction of the coarse motion; without one it has no units."""
+    correction = correction or MotionCorrection.none(place_features)
+    return {f"correction/{field.name}": getattr(correction, field.name) for field in fields(MotionCorrection)}
+
+
 def _other_fabrics_values(others: tuple[LearnedFabric, ...]) -> dict[str, Any]:
     """Entries of the other fabrics: a column for each of their fields."""
     columns: dict[str, Any] = {"other_fabrics/name": tuple(other.name for other in others)}
@@ -497,6 +507,7 @@ def _unpacked(arrays: dict[str, np.ndarray]) -> WrinkleDatabase:
         atoms=Atoms(**groups["atoms"]),
         mapping=CoefficientNetwork(**groups["mapping"]),
         novelty=NoveltyScore(**groups["novelty"]),
+        correction=MotionCorrection(**groups["correction"]) if len(groups["correction"]["bias_1"]) else None,
         quality=dict(zip(groups["quality"]["names"], groups["quality"]["values"].tolist(), strict=True)),
     )
 

@@ -16,6 +16,7 @@ import numpy as np
 from pbd import Fabric, InputError, ModelOptions
 from pbd.mesh import edges_of
 from wrinkles.features import DYNAMIC_COUNT
+from wrinkles.motion_correction import VELOCITY_COUNT
 from wrinkles.patches import Grid
 
 __all__ = [
@@ -35,7 +36,7 @@ __all__ = [
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 26
+SCHEMA_VERSION = 27
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE, STEPS = "text", "float32", "float64", "int32", "int64", "int8"
 
@@ -147,6 +148,16 @@ ENTRIES = (
     Entry("novelty/weights_2", SINGLE, ("u",)),
     Entry("novelty/bias_2", DOUBLE),
     Entry("novelty/fade_from", DOUBLE, unit="deg"),
+    Entry("correction/velocity_scale", SINGLE, (VELOCITY_COUNT,), "s/m"),
+    Entry("correction/weights_1", SINGLE, (DYNAMIC_COUNT, "c1")),
+    Entry("correction/velocity_weights", SINGLE, (VELOCITY_COUNT, "c1")),
+    Entry("correction/place_weights", SINGLE, ("d", "c1")),
+    Entry("correction/bias_1", SINGLE, ("c1",)),
+    Entry("correction/weights_2", SINGLE, ("c1", "c2")),
+    Entry("correction/bias_2", SINGLE, ("c2",)),
+    Entry("correction/weights_3", SINGLE, ("c2", 3), "m/s2"),
+    Entry("correction/bias_3", SINGLE, (3,), "m/s2"),
+    Entry("correction/most", DOUBLE, unit="m/s2"),
     Entry("cutoff", DOUBLE, unit="m"),
     Entry("body_hash", TEXT),
     Entry("body_vertex_count", WHOLE),
@@ -159,9 +170,9 @@ ENTRIES = (
 )
 MAX_STEP = 127  # of int8
 # Sizes that may be zero: every garment has vertices, but it may have no pins and no limits, only one fabric, a
-# subdivided fine mesh instead of a delivered one, no pattern by which it was sewn, or nothing of the body always under
-# it.
-SIZES_THAT_MAY_BE_ZERO = ("b", "p", "l", "q", "h", "t", "N", "M", "s", "f", "w", "i", "o", "k", "e", "c")
+# subdivided fine mesh instead of a delivered one, no pattern by which it was sewn, no correction of its motion, or
+# nothing of the body always under it.
+SIZES_THAT_MAY_BE_ZERO = ("b", "p", "l", "q", "h", "t", "N", "M", "s", "f", "w", "i", "o", "k", "e", "c", "c1", "c2")
 POSITIVE_ENTRIES = ("novelty/fade_from", "bend_factor", "frame_rate", "cutoff")
 
 
@@ -242,7 +253,7 @@ def unpack(entry: Entry, array: np.ndarray) -> Any:
         return array.item().decode() if array.ndim == 0 else tuple(text.decode() for text in array.tolist())
     if entry.shape == ():
         return array.item()
-    return tuple(array.tolist()) if entry.shape == (3,) else array
+    return tuple(array.tolist()) if (entry.shape, entry.dtype) == ((3,), DOUBLE) else array
 
 
 def check_layout(layout: Mapping[str, tuple[np.dtype, tuple[int, ...] | None]], path: str | Path) -> None:

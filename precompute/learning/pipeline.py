@@ -31,6 +31,7 @@ from precompute.learning.evaluation import (
 )
 from precompute.learning.kept import Kept
 from precompute.learning.novelty import fit_novelty
+from precompute.learning.nudging import Corrected, Nudging, learn_correction
 from precompute.learning.options import LearningOptions
 from precompute.learning.recording import Recording, Run, body_source, record_runs
 from precompute.learning.stages import StageClock, StageTime
@@ -42,6 +43,7 @@ from wrinkles.charts import leading_vertices
 from wrinkles.database import LearnedFabric, WrinkleDatabase, as_stored, body_hash, code_version, write_database
 from wrinkles.dictionary import Atoms, CoefficientNetwork
 from wrinkles.metrics import given_coarse_figures
+from wrinkles.motion_correction import MotionCorrection
 from wrinkles.novelty import NoveltyScore
 from wrinkles.rest_shape import RestShapeCorrection
 
@@ -57,7 +59,8 @@ __all__ = [
 DEFAULT = LearningOptions()
 SHORTEST = 0.1  # part of a held-out motion that is judged at least [s]
 STAGES = (
-    "simulating", "fitting patches", "fitting", "means of vertices", "calibrating", "unfamiliarity", "evaluating",
+    "simulating", "fitting patches", "fitting", "means of vertices", "calibrating", "unfamiliarity", "correcting",
+    "evaluating",
 )  # fmt: skip
 
 
@@ -204,6 +207,9 @@ def _precomputed(work: _Work, held_out: Sequence[Motion], output: Path) -> Preco
         calibrations = _calibrated(work, examples, mapping, atoms, coarse, kept)
     database = _finished(work, examples, mapping, atoms, coarse, calibrations, kept)
     database = as_stored(replace(database, trained_on=tuple(m.name for m in motions)))  # judged as it is played
+    with clock.stage("correcting"):
+        corrected = _corrected(work, examples, database, coarse, calibrations, kept)
+    database = replace(database, correction=corrected.correction)
     truth, evaluation, quality = None, None, {}
     if held_out:  # the first held-out clip is the one that is reported
         with clock.stage("evaluating"):
@@ -217,6 +223,8 @@ def _precomputed(work: _Work, held_out: Sequence[Motion], output: Path) -> Preco
         "feature_mismatch_before": calibration.mismatch_before,
         "feature_mismatch_after": calibration.mismatch_after,
         "atoms_kept": atoms.kept,
+        "apart_before_mm": corrected.without_mm,
+        "apart_after_mm": corrected.with_mm,
     }
     database = replace(database, quality=quality)
     return Precomputed(database, output, calibration, truth, evaluation, tuple(clock.times))
@@ -335,6 +343,30 @@ def _calibrated(
     }
 
 
+def _corrected(
+    work: _Work,
+    examples: Sequence[_Example],
+    database: WrinkleDatabase,
+    coarse: CoarseModel,
+    calibrations: dict[str, Calibration],
+    kept: Kept,
+) -> Corrected:
+    """The correction of the coarse motion: one for all fabrics."""
+
+    @cache
+    def found() -> Corrected:
+        nudgings = [
+            Nudging.of(coarse.run(one.run, calibrations[one.fabric].options), one.recording) for one in examples
+        ]
+        strengths = work.options.nudging_strengths
+        return learn_correction(work.layer, database.mapping, nudgings, strengths, work.workers, work.seed, work.clock)
+
+    none = MotionCorrection.none(database.mapping.place.shape[1])
+    correction = kept.instance(MotionCorrection, "correction", lambda: found().correction or none)
+    distances = kept.values("correction", lambda: {n: getattr(found(), n) for n in ("without_mm", "with_mm")})
+    return Corrected(correction if len(correction.bias_1) else None, **distances)
+
+
 def _finished(
     work: _Work,
     examples: Sequence[_Example],
@@ -373,6 +405,7 @@ def _finished(
         atoms=atoms,
         mapping=mapping,
         novelty=novelty,
+        correction=None,
         cutoff=levels.cutoff,
         body_hash=body_hash(body),
         body_vertex_count=len(body_source(body).vertices),

@@ -41,6 +41,7 @@ OPTIONS = LearningOptions(
     settle_s=0.3,
     still_s=0.2,
     piece_s=0.1,
+    nudging_strengths=(0.3,),
 )
 
 

@@ -16,6 +16,7 @@ import pytest
 from assets.character import Character
 from assets.fabrics import PRESETS
 from pbd import InputError, ModelOptions, Plane, build_model
+from runtime.level_of_detail import LevelOfDetail
 from runtime.player import Player
 from runtime.simulation import Simulation, body_source, poses_of
 from tests.data import ROOT
@@ -107,9 +108,10 @@ def test_a_garment_is_played_in_any_fabric_that_it_was_learned_in(poses: np.ndar
         Player(database, body, poses[0], fabric="silk")
 
 
-def test_warming_up_leaves_no_trace(player: Player, poses: np.ndarray) -> None:
+def test_warming_up_leaves_no_trace(poses: np.ndarray) -> None:
     """The same garment, stepped by hand from its start."""
-    database, stage = player.database, skirt_stage()
+    database, stage = skirt_database(correction=None), skirt_stage()
+    player = Player(database, stage.body, poses[0])
     mesh = player.levels.coarse
     model = build_model(mesh, database.fabric, database.held, database.options, database.bend_factor)
     assert isinstance(stage.body, Character)
@@ -129,6 +131,22 @@ def test_the_garment_meets_the_colliders_of_the_scene(poses: np.ndarray) -> None
     for _ in range(60):
         player.step(poses[0], DT)
     assert player.simulation.state.world()[:, 1].min() > floor - 1e-3
+
+
+def test_the_correction_changes_the_velocity_after_each_step(poses: np.ndarray) -> None:
+    stage = skirt_stage()
+    plain, corrected = (Player(skirt_database(**some), stage.body, poses[0]) for some in ({"correction": None}, {}))
+    for player in (plain, corrected):
+        player.update(poses[1], DT)
+    one, other = plain.simulation.state, corrected.simulation.state
+    assert np.array_equal(one.position, other.position)
+    change = np.linalg.norm(other.velocity - one.velocity, axis=1)
+    assert (change[other.position[:, 3] > 0.0] > 0.0).all() and change.max() < 5.0 * DT
+    for player in (plain, corrected):
+        player.change(LevelOfDetail(1, 6, 0, 0, 1), fade=False)  # the mesh below was not learned for
+        player.go_back(plain.start, poses[0])
+        player.update(poses[1], DT)
+    assert np.array_equal(plain.simulation.state.velocity, corrected.simulation.state.velocity)
 
 
 def test_a_frame_allocates_little(poses: np.ndarray) -> None:
@@ -157,6 +175,7 @@ SCRIPT = """
 import hashlib
 from pbd.engine import ti
 from pbd.taichi_internals import translations
+from runtime.level_of_detail import LevelOfDetail
 from runtime.player import Player
 from runtime.simulation import poses_of
 from tests.runtime.players import skirt_database, skirt_stage
