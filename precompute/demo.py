@@ -1,6 +1,6 @@
 """`gube demo`: the whole road on the built-in scene, from nothing to a page with pictures.
 
-The short demo learns from nothing in about three minutes of two cores. The full one learns from more motion with a
+The short demo learns from nothing in about six minutes of two cores. The full one learns from more motion with a
 wider network and compares with more plain cloths; it takes a quarter of an hour.
 """
 
@@ -92,14 +92,14 @@ SHORT = Demo(
         nudging_strengths=(),  # none helps this skirt: docs/lab-notes/data-method-pays.md
         free_runs=2,
     ),
-    seconds=(39.0, 39.0, 3.0, 10.0, 1.0, 7.0, 1.0, 3.0, 12.0, 56.0, 6.0),
+    seconds=(58.0, 96.0, 4.0, 8.0, 2.0, 12.0, 4.0, 1.0, 26.0, 122.0, 12.0),
     moments=2,
     brief=True,
 )
 FULL = Demo(
     DATA / "demo_full.toml",
     LearningOptions(),
-    seconds=(60.0, 80.0, 20.0, 120.0, 20.0, 240.0, 240.0, 30.0, 60.0, 180.0, 20.0),
+    seconds=(60.0, 80.0, 20.0, 120.0, 20.0, 240.0, 30.0, 240.0, 60.0, 180.0, 20.0),
     moments=4,
     brief=False,
 )
