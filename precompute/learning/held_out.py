@@ -14,9 +14,10 @@ from precompute.learning.calibration import filtered
 from precompute.learning.decoding import FrameDecoder, decoded_frames
 from precompute.learning.evaluation import Truth, free_figures, settled, truth_of
 from precompute.learning.pipeline import scene_run
-from precompute.learning.recording import Recording, Run, record_runs
+from precompute.learning.recording import Recording, Run
 from precompute.learning.training import Layer
 from runtime.garment_setup import GarmentSetup
+from runtime.player import Player
 from wrinkles.charts import leading_vertices
 from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase
@@ -41,17 +42,21 @@ def held_out_truth(
     return truth_of(scene_run(stage, scene, stage.motion(scene.training.held_out[0])), cache, 2, report)
 
 
-def _coarse_run(database: WrinkleDatabase, run: Run) -> Run:
-    """The calibrated coarse garment running freely over a fine run's poses."""
-    return replace(
-        run,
-        name=f"{run.name} (coarse)",
-        fine=False,
-        options=database.options,
-        solver=database.solver,
-        bend_factor=database.bend_factor,
-        rest_shape=database.rest_shape,
-    )
+def _coarse_recording(database: WrinkleDatabase, run: Run) -> Recording:
+    """The coarse garment running freely over a fine run's poses, corrected as the player corrects it."""
+    player = Player(database, run.body, run.poses[0], run.primitives)
+    frames, times = np.arange(run.every, run.frame_count + 1, run.every), []
+    positions, contact, nearest = [], [], []
+    for frame in range(1, run.frame_count + 1):
+        player.step(run.poses[frame], run.dt, run.wind)
+        times.append(player.timings["coarse"])
+        if frame % run.every == 0:
+            state = player.simulation.state
+            positions.append(state.world().astype(np.float32))
+            contact.append(state.contact.copy())
+            nearest.append(state.nearest.copy())
+    where, name = np.array(positions), f"{run.name} (coarse)"
+    return Recording(name, frames, where, where, np.array(contact), np.array(nearest), float(np.median(times)))
 
 
 @dataclass(frozen=True)
@@ -76,19 +81,14 @@ class HeldOut:
         cls,
         database: WrinkleDatabase,
         truth: Truth,
-        cache: Path,
-        report: Callable[[str], None] | None = None,
     ) -> HeldOut:
-        """Record the coarse garment, or read it.
+        """Play the coarse garment.
 
         Args:
             database: gives the coarse model.
             truth: of the motion.
-            cache: folder of recorded runs.
-            report: called with lines of progress.
         """
-        (plain,) = record_runs([_coarse_run(database, truth.run)], cache, 1, report)
-        plain = settled(plain, truth.run)
+        plain = settled(_coarse_recording(database, truth.run), truth.run)
         recording, floor, energy = truth.recording.where(JUDGED), truth.floor[JUDGED], truth.energy[JUDGED]
         judged = replace(truth, recording=recording, floor=floor, energy=energy)
         return cls(truth, judged, plain, filtered(plain, CoarseFilter(truth.levels).matrix))

@@ -208,7 +208,7 @@ def compare_wrinkles_file(
     scene = scene_of(database)
     stage, cache = GarmentSetup.of(scene), default_cache(path)
     truth = held_out_truth(path, stage, scene, cache, report)
-    held_out = HeldOut.of(database, truth, cache, report=report)
+    held_out = HeldOut.of(database, truth)
     layer = build_layer(stage.levels)
     runs = [scene_run(stage, scene, motion) for motion in stage.training_motions()]
     recordings = training_recordings(runs, cache, 2, report)
