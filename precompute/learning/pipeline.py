@@ -223,9 +223,9 @@ def _precomputed(work: _Work, held_out: Sequence[Motion], output: Path) -> Preco
         "feature_mismatch_before": calibration.mismatch_before,
         "feature_mismatch_after": calibration.mismatch_after,
         "atoms_kept": atoms.kept,
-        "apart_before_mm": corrected.without_mm,
-        "apart_after_mm": corrected.with_mm,
     }
+    if work.options.nudging_strengths:
+        quality |= {"apart_before_mm": corrected.without_mm, "apart_after_mm": corrected.with_mm}
     database = replace(database, quality=quality)
     return Precomputed(database, output, calibration, truth, evaluation, tuple(clock.times))
 
