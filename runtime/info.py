@@ -258,7 +258,8 @@ def _check_decoding(
         np.zeros((database.subdivision.middle.fine_count, 4), np.float32),
     )
     with np.errstate(over="ignore", invalid="ignore"):  # an overflow fails the check below
-        decoder.predict(state.position, state.contact)
+        decoder.read(state.position, state.contact)
+        decoder.predict()
         surface(flat, decoder.grids, decoder.frames, vertices)
         height = float(np.linalg.norm(vertices, axis=1).max())
     detail = f"wrinkles up to {1e3 * height:.1f} mm, cut-off {1e3 * database.cutoff:.0f} mm"

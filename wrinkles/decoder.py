@@ -130,14 +130,12 @@ class Decoder(StateReader):
         self._mean = atoms.mean
         self._blas = ThreadpoolController()
 
-    def predict(self, position: np.ndarray, contact: np.ndarray, atoms: int | None = None) -> None:
-        """Set ``grids`` to those of a coarse state, and all that :meth:`read` sets.
+    def predict(self, atoms: int | None = None) -> None:
+        """Set ``grids``, ``score`` and ``amplitude`` to those of the state that was read last.
 
         Args:
-            position, contact: as for :meth:`read`.
             atoms: number of atoms used, the most important ones first; None takes all.
         """
-        self.read(position, contact)
         # Matrices this small are slower on several threads, much slower beside other work, and their bits would depend
         # on the number of threads.
         with self._blas.limit(limits=1, user_api="blas"):

@@ -22,6 +22,7 @@ from runtime.simulation import Simulation, body_source, poses_of
 from tests.data import ROOT
 from tests.runtime.players import skirt_database, skirt_stage
 from wrinkles.database import LearnedFabric
+from wrinkles.decoder import StateReader
 
 DT = 1.0 / 60.0
 
@@ -147,6 +148,27 @@ def test_the_correction_changes_the_velocity_after_each_step(poses: np.ndarray) 
         player.go_back(plain.start, poses[0])
         player.update(poses[1], DT)
     assert np.array_equal(plain.simulation.state.velocity, corrected.simulation.state.velocity)
+
+
+def test_correction_and_wrinkles_read_a_state_once(poses: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    read, times = StateReader.read, []
+
+    def counted(reader: StateReader, position: np.ndarray, contact: np.ndarray) -> None:
+        times.append(position.copy())
+        read(reader, position, contact)
+
+    player = Player(skirt_database(), skirt_stage().body, poses[0])
+    monkeypatch.setattr(StateReader, "read", counted)
+    player.update(poses[1], DT)
+    shown = player.vertices.copy()
+    player.decode()
+    assert len(times) == 1 and np.array_equal(player.vertices, shown)
+    player.decode(0.5)
+    player.decode()
+    assert len(times) == 3 and not np.array_equal(times[0], times[1]) and np.array_equal(times[0], times[2])
+    player.simulation.state.contact += 0.01
+    player.decode()
+    assert len(times) == 4
 
 
 def test_a_frame_allocates_little(poses: np.ndarray) -> None:
