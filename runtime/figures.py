@@ -123,6 +123,12 @@ FIGURES = {
     "apart_after_mm": Figure(
         "distance of the coarse garment, corrected", "mm", "the same with the learned correction of its motion"
     ),
+    "correction_force_percent": Figure(
+        "force of the correction", "%", "momentum that the correction adds in a second, over the garment's weight"
+    ),
+    "correction_power_w_kg": Figure(
+        "power of the correction", "W/kg", "kinetic energy that the correction adds; below 0 it takes some away"
+    ),
     "frame_ms_p50": Figure("time of a frame", "ms", "a whole frame, median"),
     "frame_ms_p99": Figure("time of a slow frame", "ms", "a whole frame, slowest hundredth"),
     "frame_cpu_ms": Figure("processor time of a frame", "ms", "a whole frame, processor time"),

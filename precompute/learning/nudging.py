@@ -35,6 +35,7 @@ LEAST_GAIN = 0.1  # a correction that brings the garment nearer to the fine one 
 SAMPLES = 300_000  # that are learned from
 HIDDEN, EPOCHS = (96, 48), 6
 FAINT = np.float32(1e-2)  # added to the spread of features: some are constant
+G = 9.81  # with which a force is compared to the weight [m/s2]
 OUTLIERS = 99.9  # percentile of the accelerations of training above which none is
 
 
@@ -85,11 +86,15 @@ class Corrected:
     Attributes:
         correction: what helps most; None where nothing helps beyond chance.
         without_mm, with_mm: root mean square distance of the mean of free runs without and with it [mm]; equal without.
+        force_percent: momentum that it adds in a second, mean size over the ticks, in percent of the weight [%].
+        power_w_kg: kinetic energy that it adds, on average [W/kg]; below 0 it takes some away.
     """
 
     correction: MotionCorrection | None
     without_mm: float
     with_mm: float
+    force_percent: float = 0.0
+    power_w_kg: float = 0.0
 
 
 def learn_correction(
@@ -116,16 +121,18 @@ def learn_correction(
     if not strengths or not nudgings:
         return Corrected(None, 0.0, 0.0)
 
-    def judged(correction: MotionCorrection | None) -> float:
-        """Mean distance over the motions [mm]: a mean square would be that of the wildest one."""
+    def judged(correction: MotionCorrection | None) -> list[float]:
+        """Mean distance over the motions [mm], force [%], power [W/kg]: a mean square would be that of the wildest."""
         stages = [_Stage(layer, mapping, one, correction) for one in nudgings]
         free = workers.run([partial(_follow_freely, stage, start) for stage in stages for start in range(STARTS)])
-        means = [np.mean(free[first : first + STARTS], axis=0) for first in range(0, len(free), STARTS)]
+        places = [run for run, _ in free]
+        means = [np.mean(places[first : first + STARTS], axis=0) for first in range(0, len(free), STARTS)]
         off = [mean - one.target[one.judged] for mean, one in zip(means, nudgings, strict=True)]
-        return 1e3 * float(np.mean([np.sqrt((part**2).sum(axis=2).mean()) for part in off]))
+        mean_mm = 1e3 * float(np.mean([np.sqrt((part**2).sum(axis=2).mean()) for part in off]))
+        return [mean_mm, *np.mean([added for _, added in free], axis=0).tolist()]
 
-    without, ticks = judged(None), sum(one.learned_ticks for one in nudgings)
-    best = Corrected(None, without, (1.0 - LEAST_GAIN) * without)
+    without, ticks = judged(None)[0], sum(one.learned_ticks for one in nudgings)
+    best = Corrected(None, without, without)
     for strength in strengths:
         jobs = [
             partial(
@@ -135,11 +142,11 @@ def learn_correction(
         ]
         seen, added = (np.concatenate(parts) for parts in zip(*workers.run(jobs), strict=True))
         correction = _fitted(seen, added, seed)
-        off = judged(correction)
-        report(f"correcting, strength {strength}: {off:.1f} mm from the fine garment, {without:.1f} without")
-        if off < best.with_mm:
-            best = Corrected(correction, without, off)
-    return best if best.correction is not None else replace(best, with_mm=without)
+        found = judged(correction)
+        report(f"correcting, strength {strength}: {found[0]:.1f} mm from the fine garment, {without:.1f} without")
+        if found[0] < min(best.with_mm, (1.0 - LEAST_GAIN) * without):
+            best = Corrected(correction, without, *found)
+    return best
 
 
 @dataclass(frozen=True)
@@ -200,11 +207,17 @@ def _nudged(stage: _Stage, strength: float, samples: int, seed: tuple[int, ...])
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def _follow_freely(stage: _Stage, start: int) -> np.ndarray:
-    """Where the coarse garment goes by itself, filtered, in the recorded frames that were kept out [m], (f, n, 3)."""
+def _follow_freely(stage: _Stage, start: int) -> tuple[np.ndarray, tuple[float, float]]:
+    """Let the coarse garment go by itself.
+
+    Returns:
+        where it is, filtered, in the recorded frames that were kept out [m], shape (f, n, 3); means over the ticks of
+        the force that the correction adds, in percent of the weight, and of its power [W/kg].
+    """
     run, wanted = stage.nudging.run, set(stage.nudging.frames[stage.nudging.judged].tolist())
     simulation, coarse_filter, reader, corrector = stage.played(start)
-    found = []
+    mass = simulation.model.mass
+    found, force, power = [], 0.0, 0.0
     for tick in range(1, max(wanted) + 1):
         simulation.pose_body(run.poses[tick])
         simulation.step_cloth(run.dt, run.wind)
@@ -213,9 +226,14 @@ def _follow_freely(stage: _Stage, start: int) -> np.ndarray:
         if tick in wanted:
             found.append(position[:, :3] + state.origin)
         if corrector is not None:
+            before = state.velocity.astype(float)
             reader.read(position, state.contact)
             corrector(state, reader.frames, reader.features, run.dt)
-    return np.array(found)
+            after = state.velocity.astype(float)
+            force += float(np.linalg.norm(mass @ (after - before))) / run.dt
+            power += 0.5 * float(mass @ (after**2 - before**2).sum(axis=1)) / run.dt
+    total = max(wanted) * mass.sum()
+    return np.array(found), (100.0 * force / (G * total), power / total)
 
 
 def _fitted(inputs: np.ndarray, targets: np.ndarray, seed: int) -> MotionCorrection:

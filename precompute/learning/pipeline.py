@@ -226,6 +226,11 @@ def _precomputed(work: _Work, held_out: Sequence[Motion], output: Path) -> Preco
     }
     if work.options.nudging_strengths:
         quality |= {"apart_before_mm": corrected.without_mm, "apart_after_mm": corrected.with_mm}
+    if corrected.correction is not None:
+        quality |= {
+            "correction_force_percent": corrected.force_percent,
+            "correction_power_w_kg": corrected.power_w_kg,
+        }
     database = replace(database, quality=quality)
     return Precomputed(database, output, calibration, truth, evaluation, tuple(clock.times))
 
@@ -363,8 +368,8 @@ def _corrected(
 
     none = MotionCorrection.none(database.mapping.place.shape[1])
     correction = kept.instance(MotionCorrection, "correction", lambda: found().correction or none)
-    distances = kept.values("correction", lambda: {n: getattr(found(), n) for n in ("without_mm", "with_mm")})
-    return Corrected(correction if len(correction.bias_1) else None, **distances)
+    figures = kept.values("correction", lambda: {k: v for k, v in vars(found()).items() if k != "correction"})
+    return Corrected(correction if len(correction.bias_1) else None, **figures)
 
 
 def _finished(

@@ -9,14 +9,16 @@ import pytest
 from runtime.figures import FIGURES, FIRST, figure_lines, figure_of, value_texts
 
 # What the end of a figure's name says about its unit.
-UNITS = {"deg": "deg", "percent": "%", "mm": "mm", "mm/s": "mm/s", "px": "px", "ms": "ms", "s": "s", "frames": "frames"}
+UNITS = {
+    unit if unit != "%" else "percent": unit for unit in ("deg", "%", "mm", "mm/s", "px", "ms", "s", "frames", "W/kg")
+}
 
 
 def test_a_figure_has_a_plain_name_and_the_unit_of_its_name() -> None:
     wrong = []
     for name, figure in FIGURES.items():
         plain = figure.label and figure.meaning and "_" not in figure.label + figure.meaning
-        end = re.sub("_p[0-9]+$", "", name.replace("_mm_s", "_mm/s")).rpartition("_")[2]
+        end = re.sub("_p[0-9]+$", "", name.replace("_mm_s", "_mm/s").replace("w_kg", "W/kg")).rpartition("_")[2]
         if not plain or figure.unit != ("us" if name.startswith("us_") else UNITS.get(end, "-")):
             wrong.append(name)
     assert wrong == []

@@ -52,6 +52,7 @@ def test_what_pushes_the_fine_garment_outwards_is_learned(truth: Recording) -> N
     assert found.with_mm < 0.6 * found.without_mm
     assert len(lines) == 1 and f"{found.with_mm:.1f} mm" in lines[0]
     assert 1.0 < found.correction.most < 30.0
+    assert 0.1 < found.force_percent < 50.0 and 0.0 < abs(found.power_w_kg) < 5.0
     again, _ = learned(motion, workers=2)
     for name, value in vars(found.correction).items():
         assert np.array_equal(value, getattr(again.correction, name)), name
@@ -61,6 +62,7 @@ def test_a_garment_that_goes_right_is_left_alone(truth: Recording) -> None:
     motion = Nudging.of(skirt_run(PRESSURE), truth)
     found, _ = learned(motion)
     assert found.correction is None and found.with_mm == found.without_mm < 2.0
+    assert found.force_percent == found.power_w_kg == 0.0
 
 
 def test_targets_lie_between_recorded_frames() -> None:
