@@ -1,14 +1,9 @@
 """Calibration: compression, shear and bending of the coarse model, chosen so that the coarse garment goes where the
 fine one does and the decoded one folds as it does.
-
-All models are tried on a few seconds of a few motions, the better third of them on more, and the last few on everything
-(successive halving: Jamieson and Talwalkar 2016, "Non-stochastic Best Arm Identification and Hyperparameter
-Optimization"). Most models are much worse than the best, and little motion shows that.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -31,8 +26,7 @@ from wrinkles.rest_shape import RestShapeCorrection
 
 __all__ = ["Calibration", "CoarseModel", "calibrate", "filtered"]
 
-KEPT = 3  # one in so many models goes on to the next rung, and no fewer than so many are tried on everything
-NEIGHBOUR = 0.5  # weight of a model's neighbours in judging it
+LEAST_GAIN = 0.1  # a model whose error is smaller than the fabric's by a smaller share is so by chance
 DECODED = 40  # frames that a model is decoded at, about: energy and error change slowly
 FEATURES = 4  # recorded frames from one whose features are compared to the next
 CHAOS = 1.0  # how far apart two runs of one garment may be for no reason [mm, deg]
@@ -57,7 +51,7 @@ class Calibration:
         shift_before, shift_after: root mean squared Mahalanobis distance of the coarse run's features from the mean of
             the filtered fine run's, per dimension [-]; the fine run's own is one.
         mismatch_before, mismatch_after: Frechet distance of their distributions, per dimension [-].
-        rows: every setting tried; ``rung`` counts from zero.
+        rows: every model tried.
     """
 
     options: ModelOptions
@@ -113,8 +107,7 @@ def calibrate(
     the filtered coarse garment is from the filtered fine one, and how far the normals of the decoded garment are turned
     from the true ones, both over the least that any model comes to. The spectrum alone takes false folds of a coarse
     model that is too stiff under compression for wrinkles. Cloth is chaotic, and one run of a model may come out better
-    or worse by a fifth for no reason: a model is judged together with its neighbours, as far as they are tried as long
-    as it is.
+    or worse for no reason: another model than the fabric itself must be better by more than chance.
 
     Args:
         layer: of the garment.
@@ -127,39 +120,27 @@ def calibrate(
         options: models and times.
         report: called with lines of progress.
     """
-    models = _models(runs[0].options, options)
-    neighbours = _neighbours(options)
-    sizes = [len(models)]
-    while sizes[-1] > KEPT:
-        sizes.append(-(-sizes[-1] // KEPT))
-    alive, rows = list(range(len(models))), []
-    for rung in range(len(sizes)):
-        share = (rung + 1) / len(sizes)
-        bench = _Bench.of(layer, mapping, atoms, runs, recordings, coarse, cache, options, share)
-        tried = alive if 0 in alive else [0, *alive]  # the fabric itself is compared with to the end
-        tell = counted(report, f"calibrating, round {rung + 1} of {len(sizes)}: models", len(tried))
-        jobs = [partial(_judge, bench, number, models[number]) for number in tried]
-        found = workers.run(jobs, done=tell)
-        here = [row | {"rung": float(rung)} for row in found]
-        _rate(here)
-        rows += here
-        # The fabric itself is a neighbour only as long as it may be chosen: it would count against some models alone.
-        together = _together([row for row in here if row["model"] in alive], neighbours)
-        alive = sorted(alive, key=lambda number: together[number])[: sizes[rung + 1] if rung + 1 < len(sizes) else 1]
-        alive.sort()
-    (first,) = alive
-    plain, kept = here[0], next(row for row in here if row["model"] == first)
-    shifts, mismatches = ((plain[name], kept[name]) for name in ("shift", "mismatch"))
-    return Calibration(models[first], *shifts, *mismatches, tuple(rows))
+    models = [
+        replace(runs[0].options, compression_compliance_scale=squeeze, shear_scale=shear, bend_scale=bend)
+        for squeeze, shear, bend in options.coarse_models
+    ]
+    bench = _Bench.of(layer, mapping, atoms, runs, recordings, coarse, cache, options)
+    tell = counted(report, "calibrating: models", len(models))
+    rows = workers.run([partial(_judge, bench, model) for model in models], done=tell)
+    _rate(rows)
+    best = int(np.argmin([row["error"] for row in rows]))
+    chosen = best if rows[best]["error"] < (1.0 - LEAST_GAIN) * rows[0]["error"] else 0
+    shifts, mismatches = ((rows[0][name], rows[chosen][name]) for name in ("shift", "mismatch"))
+    return Calibration(models[chosen], *shifts, *mismatches, tuple(rows))
 
 
 @dataclass(frozen=True)
 class _Bench:
-    """What models are tried on in one rung.
+    """What models are tried on.
 
     Attributes:
         layer, mapping, atoms, coarse, cache, settle_s: as for :func:`calibrate`.
-        runs: of the motions that are played, as far as they are.
+        runs: of the motions, as far as they are played.
         recordings: settled frames of the fine garment.
         fine: some of them [m], float32, shape (f, N, 3).
         every: recorded frames from one of these to the next.
@@ -191,15 +172,10 @@ class _Bench:
         coarse: CoarseModel,
         cache: Path,
         options: LearningOptions,
-        share: float,
     ) -> _Bench:
-        """Some of the motions, as far as a share of all of them and of their time goes."""
-        seconds = options.settle_s + share * (options.calibration_s - options.settle_s)
-        numbers = np.unique(np.linspace(0, len(runs) - 1, max(1, round(share * len(runs)))).round().astype(int))
-        cut = [replace(runs[k], poses=runs[k].poses[: round(seconds / runs[k].dt) + 1]) for k in numbers]
-        parts = [
-            recordings[k].where(recordings[k].frames <= run.frame_count) for k, run in zip(numbers, cut, strict=True)
-        ]
+        """The beginnings of all motions."""
+        cut = [replace(run, poses=run.poses[: round(options.calibration_s / run.dt) + 1]) for run in runs]
+        parts = [r.where(r.frames <= run.frame_count) for r, run in zip(recordings, cut, strict=True)]
         parts = [settled(r, run, options.settle_s) for r, run in zip(parts, cut, strict=True)]
         every = max(1, sum(len(r.frames) for r in parts) // DECODED)
         fine = np.concatenate([r.positions[::every] for r in parts])
@@ -213,7 +189,7 @@ class _Bench:
         )  # fmt: skip
 
 
-def _judge(bench: _Bench, number: int, model: ModelOptions) -> dict[str, float]:
+def _judge(bench: _Bench, model: ModelOptions) -> dict[str, float]:
     """Simulate a coarse model and decode it."""
     layer, tries = bench.layer, [bench.coarse.run(run, model) for run in bench.runs]
     matrix = CoarseFilter(layer.levels).matrix
@@ -229,7 +205,6 @@ def _judge(bench: _Bench, number: int, model: ModelOptions) -> dict[str, float]:
     _, decoded = decode_recording(layer, bench.mapping.predict, bench.atoms, whole, some)
     total = bands_of(layer.levels).energy(decoded).mean(axis=0)
     return {
-        "model": number,
         "squeeze": model.compression_compliance_scale,
         "shear_scale": model.shear_scale,
         "bend_scale": model.bend_scale,
@@ -245,31 +220,6 @@ def _rate(rows: list[dict[str, float]]) -> None:
     for row in rows:
         logs = [np.log((row[name] + CHAOS) / (value + CHAOS)) for name, value in least.items()]
         row["error"] = float(np.linalg.norm([row["spectrum_error"], *logs]))
-
-
-def _models(own: ModelOptions, options: LearningOptions) -> list[ModelOptions]:
-    """The coarse models that are tried; the first is the fabric itself, with which calibration is compared."""
-    grid = itertools.product(options.compression_scales, options.shear_scales, options.bend_scales)
-    return [
-        replace(own, compression_compliance_scale=squeeze, shear_scale=shear, bend_scale=bend)
-        for squeeze, shear, bend in grid
-    ]
-
-
-def _neighbours(options: LearningOptions) -> np.ndarray:
-    """How much each model counts in judging each other one, shape (models, models)."""
-    scales = options.compression_scales, options.shear_scales, options.bend_scales
-    places = np.array(list(np.ndindex(*(len(some) for some in scales))))
-    steps = np.abs(places[:, None] - places).sum(axis=2)
-    return (steps == 0) + NEIGHBOUR * (steps == 1)
-
-
-def _together(rows: list[dict[str, float]], neighbours: np.ndarray) -> dict[int, float]:
-    """The error that each model and its neighbours have together."""
-    numbers = [int(row["model"]) for row in rows]
-    weights = neighbours[np.ix_(numbers, numbers)]
-    errors = (weights / weights.sum(axis=1, keepdims=True)) @ [row["error"] for row in rows]
-    return dict(zip(numbers, errors.tolist(), strict=True))
 
 
 def _apart(some: Sequence[Recording], others: Sequence[Recording]) -> float:

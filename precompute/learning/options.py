@@ -17,7 +17,8 @@ class LearningOptions:
         most_epochs: passes at most where there are few frames.
         mean_frames: recorded frames that the means of vertices are fitted to, at most.
         score_frames: recorded frames that the score for unfamiliar states is fitted to, at most.
-        compression_scales, shear_scales, bend_scales: of the coarse models that calibration tries, each with each.
+        coarse_models: compression compliance, shear and bending scale of the coarse models that calibration tries; the
+            first is the fabric itself.
         calibration_s: of each motion, to calibrate on: enough to see it move, short enough to try many models [s].
         settle_s: start of a motion that calibration leaves out, while the garment blends from the bind pose [s].
         still_s: for which the body stands still after the held-out motion, to judge what moves at rest [s].
@@ -32,9 +33,7 @@ class LearningOptions:
     most_epochs: int = 24
     mean_frames: int = 400
     score_frames: int = 800
-    compression_scales: tuple[float, ...] = (1.0, 3.0, 10.0)
-    shear_scales: tuple[float, ...] = (1.0, 0.3, 0.1)
-    bend_scales: tuple[float, ...] = (1.0, 3.0, 10.0)
+    coarse_models: tuple[tuple[float, float, float], ...] = ((1, 1, 1), (1, 0.3, 1), (10, 1, 1), (10, 0.3, 1))
     calibration_s: float = 6.0
     settle_s: float = 1.5
     still_s: float = 3.0

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pbd import ModelOptions, SolverOptions
+from precompute.learning import calibration
 from precompute.learning.calibration import CoarseModel, calibrate, filtered
 from precompute.learning.decoding import decode_recording
 from precompute.learning.recording import Run, poses_of, record_runs
@@ -54,3 +55,29 @@ def test_the_model_whose_decoded_garment_folds_as_the_fine_one_is_chosen(
     assert apart[1.0, 0.1 if shear == 1.0 else 1.0] > 0.1
     assert all(row["error"] >= row["spectrum_error"] for row in found.rows)
     assert found.mismatch_after == pytest.approx(0.0, abs=1e-3)  # its own statistics, but for rounding
+
+
+def test_another_model_than_the_fabric_itself_must_be_better_by_more_than_chance(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def judged(_: object, model: ModelOptions) -> dict[str, float]:
+        error = told[model.bend_scale, model.shear_scale]
+        return {"apart_mm": 0.0, "normal_error_deg": 0.0, "spectrum_error": error, "shift": error, "mismatch": 0.0}
+
+    monkeypatch.setattr(calibration, "_judge", judged)
+    monkeypatch.setattr(calibration._Bench, "of", lambda *_: None)
+    solver = SolverOptions(substep=1.0 / 240.0)
+    stage = GarmentSetup.of(scene())
+    poses = poses_of(stage.motion(scene().training.held_out[0]), 1.0 / 60.0, 1.0)
+    fine = Run(
+        "walk", stage.levels, True, stage.body, poses, 1.0 / 60.0, fabric_of(stage.settings), ModelOptions(), solver
+    )
+    for least, chosen in ((0.95, 1.0), (0.85, 0.1)):
+        told = {(1.0, 1.0): 1.0, (30.0, 1.0): 2.0, (1.0, 0.1): least, (30.0, 0.1): 1.5}
+        small = small_database()
+        found = calibrate(
+            build_layer(stage.levels), small.mapping, small.atoms, [fine], [], CoarseModel(solver, 0.3), cache,
+            Workers(1), OPTIONS,
+        )  # fmt: skip
+        assert (found.options.bend_scale, found.options.shear_scale) == (1.0, chosen)
+        assert (found.shift_before, found.shift_after) == (1.0, least if chosen < 1.0 else 1.0)

@@ -18,7 +18,7 @@ from wrinkles.database import WrinkleDatabase, read_database
 
 pytestmark = pytest.mark.proof  # a minute and a half: the fine layers are simulated
 LAYERS_ALONE = "[solver]\nself_collision = false"  # of one another: what is learned is the same, in half the time
-FEW_TRIES = replace(OPTIONS, shear_scales=(1.0,), bend_scales=(1.0,))
+FEW_TRIES = replace(OPTIONS, coarse_models=((1.0, 1.0, 1.0),))
 
 
 @pytest.fixture(scope="module")

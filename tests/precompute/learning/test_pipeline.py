@@ -59,9 +59,7 @@ def test_the_figures_are_of_the_held_out_motion(learned: Precomputed) -> None:
     assert {"normal_error_deg", "bending_energy_ratio", "inside_body_percent", "frame_ms_p50"} <= set(quality)
     assert quality["attached_off_mm"] < 0.01 and 0.0 < quality["atoms_kept"] <= 1.0
     assert quality["low_frequency_spread"] > 0.0 and quality["chance_bending_energy_ratio"] > 0.0
-    # Four coarse models, and two of them on everything, beside the fabric itself.
-    rungs = [row["rung"] for row in learned.calibration.rows]
-    assert rungs.count(0.0) == 4 and 2 <= rungs.count(1.0) <= 3
+    assert len(learned.calibration.rows) == 4
     # Six atoms from a second of motion are not much, but they are no worse than nothing.
     assert quality["normal_error_deg"] < quality["normal_error_smooth_deg"]
 
