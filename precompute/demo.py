@@ -79,17 +79,17 @@ class Demo:
 SHORT = Demo(
     DATA / "demo.toml",
     LearningOptions(
-        training_frames=800,
+        training_frames=400,
         epochs=8,
         most_epochs=8,
-        mean_frames=120,
-        score_frames=240,
+        mean_frames=60,
+        score_frames=120,
         calibration_s=3.5,
         piece_s=0.25,
         nudging_strengths=(),  # none helps this skirt: docs/lab-notes/data-method-pays.md
         free_runs=2,
     ),
-    seconds=(58.0, 96.0, 4.0, 8.0, 2.0, 12.0, 4.0, 1.0, 26.0, 122.0, 12.0),
+    seconds=(58.0, 78.0, 4.0, 20.0, 2.0, 21.0, 7.0, 1.0, 32.0, 105.0, 10.0),
     moments=2,
     brief=True,
 )

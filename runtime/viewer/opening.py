@@ -66,7 +66,7 @@ def open_source(file: Path | None, truths: Truths | None = None) -> Opened:
         raise InputError("no wrinkles to compare with the truth", key="--truth", received=file, expected=expected)
     if file is None:
         notice = (
-            "The built-in skirt, simulated without wrinkles. `gube demo` learns its wrinkles in three minutes; "
+            "The built-in skirt, simulated without wrinkles. `gube demo` learns its wrinkles in six minutes; "
             "`gube view` in the same folder then shows them."
         )
         return Opened(SceneSource(DEMO_SCENE, scene, notice))
