@@ -26,7 +26,7 @@ from wrinkles.rest_shape import RestShapeCorrection
 
 __all__ = ["Calibration", "CoarseModel", "calibrate", "filtered"]
 
-LEAST_GAIN = 0.1  # a model whose error is smaller than the fabric's by a smaller share is so by chance
+LEAST_GAIN = 0.2  # a model whose error is smaller than the fabric's by a smaller share is so by chance
 DECODED = 40  # frames that a model is decoded at, about: energy and error change slowly
 FEATURES = 4  # recorded frames from one whose features are compared to the next
 CHAOS = 1.0  # how far apart two runs of one garment may be for no reason [mm, deg]
@@ -107,7 +107,7 @@ def calibrate(
     the filtered coarse garment is from the filtered fine one, and how far the normals of the decoded garment are turned
     from the true ones, both over the least that any model comes to. The spectrum alone takes false folds of a coarse
     model that is too stiff under compression for wrinkles. Cloth is chaotic, and one run of a model may come out better
-    or worse for no reason: another model than the fabric itself must be better by more than chance.
+    or worse by a fifth for no reason: another model than the fabric itself must be better by more.
 
     Args:
         layer: of the garment.

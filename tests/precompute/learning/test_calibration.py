@@ -72,7 +72,7 @@ def test_another_model_than_the_fabric_itself_must_be_better_by_more_than_chance
     fine = Run(
         "walk", stage.levels, True, stage.body, poses, 1.0 / 60.0, fabric_of(stage.settings), ModelOptions(), solver
     )
-    for least, chosen in ((0.95, 1.0), (0.85, 0.1)):
+    for least, chosen in ((0.85, 1.0), (0.75, 0.1)):
         told = {(1.0, 1.0): 1.0, (30.0, 1.0): 2.0, (1.0, 0.1): least, (30.0, 0.1): 1.5}
         small = small_database()
         found = calibrate(
