@@ -3,7 +3,7 @@
 The vertices of a level fall into patches, each a vertex and what surrounds it; a patch is a vertex of the next level.
 It stands at its centre of mass, and centres of patches that touch are linked by a spring that only pulls. Moving whole
 patches along such lines keeps linear and angular momentum, like any central force. Rest lengths of the lines come from
-unrolling the surface: vectors along it are carried from normal to normal, which unrolls a tube exactly.
+the flat shapes of the faces, turned into one map around each vertex: it does not count how the cloth lies at the start.
 
 After unsmoothed aggregation in algebraic multigrid (Vanek, Mandel, Brezina 1996) and hierarchical position-based
 dynamics (Mueller 2008), whose levels are chosen vertices instead.
@@ -27,7 +27,7 @@ MIN_VERTICES = 12  # a level of fewer vertices is not made coarser
 # Patches much heavier than their neighbours do not move. A held vertex weighs this many times all the cloth.
 HELD_MASS = 1e9
 # A level is worth a pass where stiffness of its springs times h^2 over the mass of their ends is above this [-].
-MIN_USEFUL_STIFFNESS = 2.0
+MIN_USEFUL_STIFFNESS = 0.5
 
 
 @dataclass(frozen=True)
@@ -94,28 +94,21 @@ class Multigrid:
 
 @dataclass
 class _Level:
-    """Vertices of one level while the levels are made.
+    """Vertices of one level while the levels are made. Each has a flat map of the cloth around it at rest.
 
     Attributes:
         mass: [kg], shape (n,).
         area: [m2], shape (n,).
-        position: at the start [m], shape (n, 3).
-        stretch: how many times longer than at rest the cloth starts there, along whatever it is stretched most, at
-            least 1 [-], shape (n,).
-        normal: unit, shape (n, 3).
-        warp: unit, at right angles to the normal, shape (n, 3).
         edges: in both directions, sorted by their first end, shape (e, 2).
-        rest: vector along each edge at rest, in the tangent plane of its first end [m], shape (e, 3).
+        rest: vector along each edge in the map of its first end, warp + 1j weft [m], shape (e,).
+        turn: turns vectors in the map of each edge's second end into that of its first, of size 1, shape (e,).
     """
 
     mass: np.ndarray
     area: np.ndarray
-    position: np.ndarray
-    stretch: np.ndarray
-    normal: np.ndarray
-    warp: np.ndarray
     edges: np.ndarray
     rest: np.ndarray
+    turn: np.ndarray
 
 
 def build_multigrid(mesh: ClothMesh, mass: np.ndarray, inverse_mass: np.ndarray, fabric: Fabric) -> Multigrid:
@@ -168,52 +161,52 @@ def build_multigrid(mesh: ClothMesh, mass: np.ndarray, inverse_mass: np.ndarray,
     )
 
 
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-30)
-
-
-def _tangent(vectors: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """The part of vectors at right angles to normals."""
-    return vectors - normals * (vectors * normals).sum(axis=1, keepdims=True)
-
-
-def _carried(vectors: np.ndarray, normals: np.ndarray, to: np.ndarray) -> np.ndarray:
-    """Vectors turned by the smallest turn that takes each normal to another (Rodrigues)."""
-    axis, cosine = np.cross(normals, to), (normals * to).sum(axis=1, keepdims=True)
-    along = (axis * vectors).sum(axis=1, keepdims=True) / np.maximum(1.0 + cosine, 1e-3)
-    return cosine * vectors + np.cross(axis, vectors) + axis * along
+def _unit(numbers: np.ndarray) -> np.ndarray:
+    return numbers / np.maximum(np.abs(numbers), 1e-30)
 
 
 def _finest(mesh: ClothMesh, mass: np.ndarray) -> _Level:
-    faces, count = mesh.faces, len(mesh.vertices)
-    corners = mesh.vertices[faces]
-    sides = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
-    face_normals = np.cross(sides[:, :, 0], sides[:, :, 1])
-    slopes = sides @ np.linalg.inv(mesh.flat)
-    face_warps = slopes[:, :, 0] * mesh.face_areas[:, None]
-    sums = np.zeros((2, count, 3))
-    stretch = np.zeros(count)
-    # Along the cloth as it would lie there at rest: faces turned into place, but not stretched (polar decomposition).
-    left, face_stretch, right = np.linalg.svd(slopes, full_matrices=False)
-    side_1, side_2 = np.moveaxis(left @ right @ mesh.flat, 2, 0)
+    """The cloth itself. The map of a vertex is the flat shape of a face at it, unrolled over the faces around it."""
+    faces, flat = mesh.faces, mesh.flat[:, 0] + 1j * mesh.flat[:, 1]
+    sides = np.stack([flat[:, 0], flat[:, 1] - flat[:, 0], -flat[:, 1]], axis=1)  # from each corner to the next
     edges, side_edge = edges_of(faces)
-    forwards = np.where(faces < np.roll(faces, -1, axis=1), 1.0, -1.0)
-    at_rest = np.zeros((len(edges), 3))
-    for side, vector in enumerate((side_1, side_2 - side_1, -side_2)):
-        np.add.at(at_rest, side_edge[:, side], forwards[:, side, None] * vector)
-    for corner in range(3):
-        np.maximum.at(stretch, faces[:, corner], face_stretch[:, 0])
-        np.add.at(sums[0], faces[:, corner], face_normals)
-        np.add.at(sums[1], faces[:, corner], face_warps)
-    normal = _unit(sums[0])
-    warp = _unit(_tangent(sums[1], normal))
-    lengths = np.tile(mesh.edge_lengths()[1], 2)
-    both, at_rest = np.concatenate([edges, edges[:, ::-1]]), np.concatenate([at_rest, -at_rest])
+    turns = _corner_turns(faces, side_edge, sides)
+    edge, first = np.unique(side_edge, return_index=True)
+    face, side = np.divmod(first, 3)
+    one, other = faces[face, side], faces[face, (side + 1) % 3]
+    lengths = mesh.edge_lengths()[1][edge]
+    along = lengths * _unit(sides[face, side])
+    here, there = turns[face, side], turns[face, (side + 1) % 3]
+    both = np.concatenate([np.stack([one, other], axis=1), np.stack([other, one], axis=1)])
+    rest = np.concatenate([here * along, -there * along])
+    turn = np.concatenate([here * there.conj(), there * here.conj()])
     order = np.lexsort((both[:, 1], both[:, 0]))
-    both, lengths = both[order], lengths[order]
-    directions = _unit(_tangent(at_rest[order], normal[both[:, 0]]))
-    areas, stretch = mesh.vertex_areas, np.maximum(stretch, 1.0)
-    return _Level(mass, areas, mesh.vertices, stretch, normal, warp, both, directions * lengths[:, None])
+    return _Level(mass, mesh.vertex_areas, both[order], rest[order], turn[order])
+
+
+def _corner_turns(faces: np.ndarray, side_edge: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    """What turns the flat shape of each face into the map of each of its corners, complex of size 1, shape (m, 3)."""
+    count = len(faces)
+    own, before = np.arange(3 * count), np.arange(3 * count).reshape(-1, 3)[:, [2, 0, 1]].ravel()
+    vertex, edge, side = faces.ravel(), side_edge.ravel(), _unit(sides.ravel())
+    # At a vertex two faces share an edge: each corner has one that starts with it and one that ends with it.
+    ends = np.concatenate([np.stack([vertex, edge, own], axis=1), np.stack([vertex, edge[before], own], axis=1)])
+    away = np.concatenate([side, -side[before]])
+    order = np.lexsort(ends.T[::-1])
+    ends, away = ends[order], away[order]
+    same = np.flatnonzero((ends[1:, :2] == ends[:-1, :2]).all(axis=1))
+    pairs, turn = np.stack([ends[same, 2], ends[same + 1, 2]], axis=1), away[same] / away[same + 1]
+    pairs, turn = np.concatenate([pairs, pairs[:, ::-1]]), np.concatenate([turn, turn.conj()])
+    turns, known = np.ones(3 * count, complex), np.zeros(3 * count, bool)
+    while not known.all():
+        step = np.flatnonzero(known[pairs[:, 0]] & ~known[pairs[:, 1]])
+        if len(step):
+            start, end = pairs[step].T
+            turns[end], known[end] = turns[start] * turn[step], True
+        else:  # the first corner of each vertex, and of each further fan that meets others in it alone
+            left = np.flatnonzero(~known)
+            known[left[np.unique(vertex[left], return_index=True)[1]]] = True
+    return turns.reshape(-1, 3)
 
 
 def _patches(level: _Level) -> tuple[np.ndarray, np.ndarray]:
@@ -246,42 +239,37 @@ def _patches(level: _Level) -> tuple[np.ndarray, np.ndarray]:
 
 def _coarser(level: _Level, patch: np.ndarray, roots: np.ndarray) -> tuple[_Level, np.ndarray]:
     """The level whose vertices are the patches, and the share of each vertex in the mass of its patch."""
-    count, middle = len(roots), roots[patch]
-    edges, rest, normal = level.edges, level.rest, level.normal
+    count = len(roots)
+    edges, rest, turn = level.edges, level.rest, level.turn
     mass = np.bincount(patch, level.mass, count)
     share = level.mass / mass[patch]
-    # Where each vertex lies about the middle of its patch, in the middle's tangent plane: its neighbours, then theirs.
-    offset, known = np.zeros((len(patch), 3)), np.zeros(len(patch), bool)
+    # Where each vertex lies about the middle of its patch, in the middle's map: its neighbours, then theirs.
+    offset, turned, known = np.zeros(len(patch), complex), np.ones(len(patch), complex), np.zeros(len(patch), bool)
     known[roots] = True
     inside = patch[edges[:, 0]] == patch[edges[:, 1]]
     while not known.all():
         step = np.flatnonzero(inside & known[edges[:, 0]] & ~known[edges[:, 1]])
         step = step[np.unique(edges[step, 1], return_index=True)[1]]
         start, end = edges[step].T
-        offset[end] = offset[start] + _carried(rest[step], normal[start], normal[middle[start]])
+        offset[end], turned[end] = offset[start] + turned[start] * rest[step], turned[start] * turn[step]
         known[end] = True
-    centre = np.stack([np.bincount(patch, share * offset[:, axis], count) for axis in range(3)], axis=1)
-    # Vectors from centre to centre over every edge that joins two patches; on a flat surface they all agree.
+    centre = np.zeros(count, complex)
+    np.add.at(centre, patch, share * offset)
+    # Vectors from centre to centre over every edge that joins two patches; on cloth that unrolls they all agree.
     start, end = edges[~inside].T
     here, there = patch[start], patch[end]
-    from_here = offset[start] + _carried(rest[~inside], normal[start], normal[middle[start]]) - centre[here]
-    beyond = _carried(offset[end] - centre[there], normal[middle[end]], normal[middle[start]])
-    vectors = from_here - beyond
-    key, which, times = np.unique(here.astype(np.int64) * count + there, return_inverse=True, return_counts=True)
+    between = turned[start] * turn[~inside] * turned[end].conj()
+    vectors = offset[start] + turned[start] * rest[~inside] - centre[here] - between * (offset[end] - centre[there])
+    key, which = np.unique(here.astype(np.int64) * count + there, return_inverse=True)
     pairs = np.stack(np.divmod(key, count), axis=1)
-    mean = lambda values: np.bincount(which, values, len(pairs)) / times  # noqa: E731
-    # The longest of them counts, and none is shorter than the straight distance: a spring that is too short would add a
-    # stiffness that no cloth has; one that is too long only helps less. Where the cloth starts stretched, the straight
-    # distance is divided by the stretch.
-    direction = _unit(np.stack([mean(vectors[:, axis]) for axis in range(3)], axis=1))
-    straight = np.stack([np.bincount(patch, share * level.position[:, axis], count) for axis in range(3)], axis=1)
-    stretch = np.bincount(patch, share * level.stretch, count)
-    lengths = np.linalg.norm(straight[pairs[:, 0]] - straight[pairs[:, 1]], axis=1) / stretch[pairs].max(axis=1)
-    np.maximum.at(lengths, which, np.linalg.norm(vectors, axis=1))
+    sums, lengths = np.zeros((2, len(pairs)), complex), np.zeros(len(pairs))
+    np.add.at(sums[0], which, vectors)
+    np.add.at(sums[1], which, between)
+    # The longest of them counts: a spring that is too short would add a stiffness that no cloth has; one that is too
+    # long only helps less.
+    np.maximum.at(lengths, which, np.abs(vectors))
     area = np.bincount(patch, level.area, count)
-    springs = direction * lengths[:, None]
-    coarse = _Level(mass, area, straight, stretch, normal[roots], level.warp[roots], pairs, springs)
-    return coarse, share
+    return _Level(mass, area, pairs, _unit(sums[0]) * lengths, _unit(sums[1])), share
 
 
 def _springs(level: _Level, softness: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -293,13 +281,10 @@ def _springs(level: _Level, softness: np.ndarray) -> tuple[np.ndarray, np.ndarra
     degree = np.bincount(level.edges[:, 0], minlength=len(level.mass))
     once = level.edges[:, 0] < level.edges[:, 1]
     rows = level.edges[once]
-    lengths = np.linalg.norm(level.rest[once], axis=1)
-    back = csr_matrix((np.linalg.norm(level.rest, axis=1), level.edges.T))
-    lengths = np.maximum(lengths, np.asarray(back[rows[:, 1], rows[:, 0]]).ravel())
-    first = rows[:, 0]
+    back = csr_matrix((np.abs(level.rest), level.edges.T))
+    lengths = np.maximum(np.abs(level.rest[once]), np.asarray(back[rows[:, 1], rows[:, 0]]).ravel())
     direction = _unit(level.rest[once])
-    u = (direction * level.warp[first]).sum(axis=1)
-    v = (direction * np.cross(level.normal[first], level.warp[first])).sum(axis=1)
+    u, v = direction.real, direction.imag
     parts = np.stack([u * u, v * v, u * v], axis=1)
     compliance = np.einsum("ma,ab,mb->m", parts, softness, parts)
     area = (level.area / np.maximum(degree, 1))[rows].sum(axis=1)

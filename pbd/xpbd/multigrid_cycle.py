@@ -13,8 +13,8 @@ from pbd.xpbd.constraints import larger, spring_multiplier
 __all__ = ["prolong", "restrict", "solve_levels", "solve_springs"]
 
 
-# No spring changes the speed of its ends against each other by more than this in a substep [m/s]: otherwise patches
-# would throw cloth far away that held vertices pull.
+# Springs of all levels together change the speed of their ends against each other by no more than this in a substep
+# [m/s]: otherwise patches would throw cloth far away that held vertices pull.
 MAX_SPEED_CHANGE = 30.0
 LENGTH_TOLERANCE = 1e-6  # springs pull beyond their length and this: positions in float32 are no more exact [m]
 
@@ -147,7 +147,7 @@ def prepare_springs(level: ti.i32, multigrid: ti.template(), step: ti.template()
         multigrid.spring_workspace[5, c] = compliance * inverse_h2
         multigrid.spring_workspace[6, c] = total
         multigrid.spring_workspace[7, c] = 0.0
-        multigrid.spring_workspace[8, c] = -MAX_SPEED_CHANGE * step.h / total
+        multigrid.spring_workspace[8, c] = -MAX_SPEED_CHANGE * step.h / (step.levels * total)
 
 
 @ti.func
