@@ -31,7 +31,7 @@ hidden_width = 8
 
 def main() -> None:
     """Learn, read, play. With more workers, learning starts processes that import this file: hence the function."""
-    little = gube.LearningOptions(coarse_models=((1.0, 1.0, 1.0), (1.0, 1.0, 3.0)), epochs=4)
+    little = gube.LearningOptions(epochs=4)
     gube.precompute(gube.parse_scene(SCENE), "skirt.h5", workers=1, options=little, report=print)
 
     database = gube.read_database("skirt.h5")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -44,16 +44,11 @@ class ModelOptions:
     Attributes:
         compression_compliance_scale: factor on the in-plane compliance under compression [-]. A coarse mesh cannot
             buckle where cloth does, so its triangles may shorten instead.
-        shear_scale: factor on the shear stiffness and on the friction of shear [-]. Cloth that is sheared buckles along
-            the bias; a coarse mesh cannot do that either.
-        bend_scale: factor on the bending stiffness [-].
         tether_slack: length of a tether over the geodesic distance [-]; 0 leaves tethers out.
         pressure: of the air behind the cloth over that before it, where its normals point [Pa].
     """
 
     compression_compliance_scale: float = 1.0
-    shear_scale: float = 1.0
-    bend_scale: float = 1.0
     tether_slack: float = 1.03
     pressure: float = 0.0
 
@@ -63,19 +58,12 @@ class ModelOptions:
             raise InputError("bad model option", key="pressure", received=self.pressure, expected=expected)
         allowed = {
             "compression_compliance_scale": (self.compression_compliance_scale >= 1.0, "at least 1"),
-            "shear_scale": (self.shear_scale > 0.0, "above 0"),
-            "bend_scale": (self.bend_scale >= 0.0, "at least 0"),
             "tether_slack": (self.tether_slack >= 0.0, "at least 0"),
         }
         for name, (fits, expected) in allowed.items():
             value = getattr(self, name)
             if not np.isfinite(value) or not fits:
                 raise InputError("bad model option", key=name, received=value, expected=f"a finite number, {expected}")
-
-    def membrane(self, fabric: Fabric) -> Fabric:
-        """The fabric as the model has it in its plane."""
-        scale = self.shear_scale
-        return replace(fabric, shear=scale * fabric.shear, shear_hysteresis=scale * fabric.shear_hysteresis)
 
 
 @dataclass(frozen=True)
@@ -188,11 +176,9 @@ def build_model(
     if bend_factor is None:
         bend_factor = hinge_calibration(mesh)
     triangles, triangle_data, triangle_numbers, triangle_colors = _membrane(
-        mesh, options.membrane(fabric), inverse_mass, options.compression_compliance_scale
+        mesh, fabric, inverse_mass, options.compression_compliance_scale
     )
-    hinges, hinge_data, hinge_numbers, plastic_count, hinge_colors = _bending(
-        mesh, fabric, inverse_mass, options.bend_scale * bend_factor
-    )
+    hinges, hinge_data, hinge_numbers, plastic_count, hinge_colors = _bending(mesh, fabric, inverse_mass, bend_factor)
     tethers, lengths = _tethers(mesh, held, options.tether_slack)
     return Model(
         mesh,

@@ -1,6 +1,6 @@
 """`gube demo`: the whole road on the built-in scene, from nothing to a page with pictures.
 
-The short demo learns from nothing in about six minutes of two cores. The full one learns from more motion with a
+The short demo learns from nothing in about five minutes of two cores. The full one learns from more motion with a
 wider network and compares with more plain cloths; it takes a quarter of an hour.
 """
 
@@ -44,9 +44,7 @@ WORDS = {
     "fitting patches": "finding the shapes that folds are made of",
     "fitting": "learning which folds belong to which coarse skirt",
     "means of vertices": "learning what all folds have in common",
-    "calibrating": "choosing the coarse skirt that moves like the fine one",
     "unfamiliarity": "learning where not to trust what was learned",
-    "correcting": "learning what the coarse skirt's motion lacks",
     "evaluating": "playing the walk and judging it",
     "comparing": "comparing with plain cloth",
     "drawing": "drawing, baking the animation and writing the page",
@@ -84,19 +82,17 @@ SHORT = Demo(
         most_epochs=8,
         mean_frames=60,
         score_frames=120,
-        calibration_s=3.5,
         piece_s=0.25,
-        nudging_strengths=(),  # none helps this skirt: docs/lab-notes/data-method-pays.md
         free_runs=2,
     ),
-    seconds=(58.0, 78.0, 4.0, 20.0, 2.0, 21.0, 7.0, 1.0, 32.0, 105.0, 10.0),
+    seconds=(58.0, 68.0, 3.0, 15.0, 2.0, 9.0, 30.0, 92.0, 10.0),
     moments=2,
     brief=True,
 )
 FULL = Demo(
     DATA / "demo_full.toml",
     LearningOptions(),
-    seconds=(60.0, 80.0, 20.0, 120.0, 20.0, 240.0, 30.0, 240.0, 60.0, 180.0, 20.0),
+    seconds=(60.0, 80.0, 20.0, 120.0, 20.0, 30.0, 60.0, 180.0, 20.0),
     moments=4,
     brief=False,
 )

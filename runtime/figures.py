@@ -105,30 +105,6 @@ FIGURES = {
         "memory of a slow motion", "mm", "distance of vertices at equal poses of a slow motion there and back"
     ),
     "attached_off_mm": Figure("error of attachment", "mm", "largest distance of an attached vertex from its target"),
-    "feature_shift_before": Figure(
-        "shift of features, uncalibrated",
-        "-",
-        "distance of the coarse garment's features from the training's, uncalibrated; 1 is its own",
-    ),
-    "feature_shift_after": Figure("shift of features, calibrated", "-", "the same after calibration"),
-    "feature_mismatch_before": Figure(
-        "mismatch of features, uncalibrated", "-", "distance between both distributions of features, before calibration"
-    ),
-    "feature_mismatch_after": Figure("mismatch of features, calibrated", "-", "the same after calibration"),
-    "apart_before_mm": Figure(
-        "distance of the coarse garment, uncorrected",
-        "mm",
-        "mean of free coarse runs from the filtered fine garment, on training motion that was kept out",
-    ),
-    "apart_after_mm": Figure(
-        "distance of the coarse garment, corrected", "mm", "the same with the learned correction of its motion"
-    ),
-    "correction_force_percent": Figure(
-        "force of the correction", "%", "momentum that the correction adds in a second, over the garment's weight"
-    ),
-    "correction_power_w_kg": Figure(
-        "power of the correction", "W/kg", "kinetic energy that the correction adds; below 0 it takes some away"
-    ),
     "frame_ms_p50": Figure("time of a frame", "ms", "a whole frame, median"),
     "frame_ms_p99": Figure("time of a slow frame", "ms", "a whole frame, slowest hundredth"),
     "frame_cpu_ms": Figure("processor time of a frame", "ms", "a whole frame, processor time"),

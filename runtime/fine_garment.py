@@ -17,7 +17,6 @@ from wrinkles.features import Stencil
 from wrinkles.fine_normals import FineNormals
 from wrinkles.fine_surface import FineSurface
 from wrinkles.levels import Levels
-from wrinkles.motion_correction import MotionCorrector
 from wrinkles.patches import Patches
 from wrinkles.relaxation import Relaxation
 
@@ -45,35 +44,11 @@ class FineGarment:
         layer = None if levels.layers is None else levels.layers.layer
         stencil, atoms = Stencil.of(charts, database.held, layer), database.atoms
         self._decoder = Decoder(stencil, database.mapping, atoms, database.novelty)
-        count = subdivision.coarse_count
-        self._seen, self._seen_contact = np.full((count, 4), np.nan, np.float32), np.zeros(count, np.float32)
-        self._smooth = np.zeros((count, 4), np.float32)
-        self._corrector: MotionCorrector | None = None
-        if database.correction is not None:
-            self._corrector = MotionCorrector(database.correction, database.mapping.place, stencil, self._filter)
         self._surface = FineSurface(subdivision, Patches.of(subdivision, charts), atoms.vertex_mean)
         self._relax = Relaxation.of(levels, source.vertices, source.faces, database.fabric, database.bend_factor)
         self._write_normals = FineNormals(subdivision)
         self.vertices = np.zeros((subdivision.fine_count, 3), np.float32)
         self.normals = np.zeros((subdivision.fine_count, 3), np.float32)
-
-    def correct(self, state: State, dt: float) -> None:
-        """Add to the velocity of the coarse garment what it lacks, as far as that was learned.
-
-        Args:
-            state: of the coarse garment, at the end of a step.
-            dt: length of the step [s].
-        """
-        if self._corrector is not None:
-            self._read(state.position, state.contact)
-            self._corrector(state, self._decoder.frames, self._decoder.features, dt)
-
-    def _read(self, position: np.ndarray, contact: np.ndarray) -> None:
-        """Filter coarse positions and read their features, unless they are those of the last call."""
-        if np.array_equal(position, self._seen) and np.array_equal(contact, self._seen_contact):
-            return
-        self._decoder.read(self._filter(position), contact)
-        self._seen[:], self._seen_contact[:] = position, contact
 
     def make(
         self, position: np.ndarray, state: State, body: Body, body_vertices: np.ndarray, detail: LevelOfDetail
@@ -91,14 +66,13 @@ class FineGarment:
             time of decoding and of relaxation [ms].
         """
         began = time.perf_counter()
+        position = self._filter(position)
         decoder, drawn = self._decoder, detail.atoms > 0
-        if drawn or detail.passes:
-            self._read(position, state.contact)
-            self._upsample.to_middle(self._filter.position)
-        else:
-            self._upsample.to_middle(self._filter(position, self._smooth))
+        self._upsample.to_middle(position)
         if drawn:
-            decoder.predict(detail.atoms)
+            decoder.predict(position, state.contact, detail.atoms)
+        elif detail.passes:
+            decoder.read(position, state.contact)
         grids = decoder.grids if drawn else None
         self._surface(self._upsample.middle, grids, decoder.frames, self.vertices)
         decoded = time.perf_counter()
@@ -142,7 +116,7 @@ class FineGarment:
             velocity: of the coarse vertices, float32, shape (n, 4); the first three columns are used [m/s].
             out: gets those of the fine ones [m/s], float32, shape (N, 3).
         """
-        self._upsample_velocity(self._filter(velocity, self._smooth), out)
+        self._upsample_velocity(self._filter(velocity), out)
 
     def update_normals(self) -> None:
         """Write :attr:`normals`; vertices along a cut in the mesh have the normal of the vertex that they stand for."""

@@ -12,7 +12,7 @@ from pbd import InputError, State
 from pbd.geometry import FAR
 from runtime.figures import figure_lines
 from wrinkles.charts import Charts
-from wrinkles.database import LearnedFabric, WrinkleDatabase, code_version, database_figures, read_database
+from wrinkles.database import WrinkleDatabase, code_version, database_figures, read_database
 from wrinkles.decoder import Decoder
 from wrinkles.features import Stencil
 from wrinkles.fine_surface import FineSurface
@@ -65,11 +65,9 @@ def _figures(database: WrinkleDatabase) -> dict[str, float]:
         "atom_count": len(database.atoms.shapes),
     }
     values = dict(vars(database))
-    for group in ("fabric", "options", "solver", "atoms"):
+    for group in ("fabric", "solver", "atoms"):
         values |= {f"{group}_{name}": value for name, value in vars(values[group]).items()}
     values |= {f"solver_gravity_{axis}": g for axis, g in zip("xyz", database.solver.gravity, strict=True)}
-    for other in database.other_fabrics:
-        values |= {f"{other.name}_{name}": value for name, value in vars(other.options).items()}
     return figures | {name: value for name, value in values.items() if isinstance(value, (int, float))}
 
 
@@ -77,10 +75,10 @@ def _sections(database: WrinkleDatabase, figures: Mapping[str, float]) -> Iterat
     """Titles, each with its rows of label and value."""
     yield "Garment", _garment_rows(database, figures)
     yield "Fabric", [("name", database.fabric_name), *_scalar_rows(database, "fabric")]
-    bend_factor = ("bend factor", f"{database.bend_factor:.6g}")
-    yield "Coarse model, calibrated", [*_scalar_rows(database, "options"), bend_factor]
+    pressure = ("pressure", f"{database.pressure:g} Pa")
+    yield "Coarse model", [pressure, ("bend factor", f"{database.bend_factor:.6g}")]
     if database.other_fabrics:
-        others = [(other.name, _other_fabric(other, database.quality)) for other in database.other_fabrics]
+        others = [(name, _other_fabric(name, database.quality)) for name in database.other_fabrics]
         yield "Other fabrics", others
     yield "Solver", [*_scalar_rows(database, "solver"), ("frame rate", f"{database.frame_rate:g} Hz")]
     yield "Dictionary", _dictionary_rows(database, figures)
@@ -150,14 +148,9 @@ def better_choice(quality: Mapping[str, float]) -> str:
     return f"{ours}; plain cloth that is as good takes {cloth}"
 
 
-def _other_fabric(other: LearnedFabric, quality: Mapping[str, float]) -> str:
-    options = other.options
-    words = (
-        f"compression compliance scale {options.compression_compliance_scale:g}, "
-        f"shear scale {options.shear_scale:g}, bend scale {options.bend_scale:g}"
-    )
-    error, skill = (quality.get(f"{other.name}_{name}") for name in ("normal_error_deg", "normal_skill"))
-    return words if error is None else f"{words}; held out: normal error {error:.2f} deg, skill {skill:.3f}"
+def _other_fabric(name: str, quality: Mapping[str, float]) -> str:
+    error, skill = (quality.get(f"{name}_{figure}") for figure in ("normal_error_deg", "normal_skill"))
+    return "" if error is None else f"held out: normal error {error:.2f} deg, skill {skill:.3f}"
 
 
 def _quality_lines(database: WrinkleDatabase) -> list[str]:
@@ -258,8 +251,7 @@ def _check_decoding(
         np.zeros((database.subdivision.middle.fine_count, 4), np.float32),
     )
     with np.errstate(over="ignore", invalid="ignore"):  # an overflow fails the check below
-        decoder.read(state.position, state.contact)
-        decoder.predict()
+        decoder.predict(state.position, state.contact)
         surface(flat, decoder.grids, decoder.frames, vertices)
         height = float(np.linalg.norm(vertices, axis=1).max())
     detail = f"wrinkles up to {1e3 * height:.1f} mm, cut-off {1e3 * database.cutoff:.0f} mm"

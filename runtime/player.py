@@ -286,10 +286,7 @@ class Player:
         moved.time = simulation.time
         moved.step_cloth(dt, wind)
         simulation.time = moved.time
-        if moved is simulation:
-            self._fine.correct(simulation.state, dt)
-        else:
-            assert self._coarser is not None
+        if self._coarser is not None and self._detail.level:
             self._coarser.lead()
         self.timings["skin"] = 1e3 * (skinned - began)
         self.timings["coarse"] = 1e3 * (time.perf_counter() - skinned)

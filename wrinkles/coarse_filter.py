@@ -80,16 +80,11 @@ class CoarseFilter:
         self.position = np.zeros((count, 4), np.float32)
         self._filter = Launch(_filter)
 
-    def __call__(self, position: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
-        """Filter positions [m], float32, shape (n, 4), or what else belongs to vertices.
-
-        Args:
-            position: what is filtered; the fourth column is copied.
-            out: where to; None takes :attr:`position`, which the next such call overwrites.
+    def __call__(self, position: np.ndarray) -> np.ndarray:
+        """Filter positions [m], float32, shape (n, 4).
 
         Returns:
-            what was written.
+            :attr:`position`, which the next call overwrites. The fourth column is copied.
         """
-        out = self.position if out is None else out
-        self._filter(self._start, self._index, self._value, position, out)
-        return out
+        self._filter(self._start, self._index, self._value, position, self.position)
+        return self.position

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 import time
-from collections.abc import Mapping as Dictionary
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from importlib import metadata
@@ -28,7 +28,6 @@ from pbd.storage import replacing
 from wrinkles.binding import Binding
 from wrinkles.dictionary import Atoms, CoefficientNetwork
 from wrinkles.levels import Layers, Levels, levels_of
-from wrinkles.motion_correction import MotionCorrection
 from wrinkles.novelty import NoveltyScore
 from wrinkles.rest_shape import RestShapeCorrection
 from wrinkles.schema import (
@@ -49,7 +48,6 @@ from wrinkles.surface import SewnRest, Subdivision
 
 __all__ = [
     "CHOICE",
-    "LearnedFabric",
     "WrinkleDatabase",
     "as_stored",
     "body_hash",
@@ -74,21 +72,6 @@ COMPRESSION = {"chunks": True, "shuffle": True, "compression": "gzip"}
 
 
 @dataclass(frozen=True)
-class LearnedFabric:
-    """Another fabric than the garment's own in which its wrinkles were learned.
-
-    Attributes:
-        name: by which :meth:`WrinkleDatabase.in_fabric` chooses it.
-        fabric: the fabric.
-        options: options of the coarse model, calibrated for this fabric.
-    """
-
-    name: str
-    fabric: Fabric
-    options: ModelOptions
-
-
-@dataclass(frozen=True)
 class WrinkleDatabase:
     """A garment's wrinkles and the coarse garment that they were learned for.
 
@@ -106,14 +89,13 @@ class WrinkleDatabase:
         layers: garments of an outfit; None for one garment.
         fabric_name: name of the garment's own fabric, of an outfit that of the innermost one; so are the next two.
         fabric: the garment's own fabric.
-        options: options of the coarse model, calibrated for that fabric.
-        other_fabrics: other fabrics that the garment can be played in, see :meth:`in_fabric`.
+        pressure: that inflates it [Pa].
+        other_fabrics: other fabrics that the garment can be played in by their names, see :meth:`in_fabric`.
         bend_factor: hinge factor measured on the coarse mesh [-].
         solver: options of the coarse simulation.
         frame_rate: of the coarse simulation [Hz].
         atoms, mapping: the dictionary.
         novelty: decides where the wrinkles fade.
-        correction: of the coarse garment's motion; None where none helps.
         cutoff: wavelength of the filter between coarse and fine [m].
         body_hash: hash of the body that the garment was trained on, see :func:`body_hash`.
         body_vertex_count: number of that body's vertices.
@@ -140,19 +122,18 @@ class WrinkleDatabase:
     layers: Layers | None
     fabric_name: str
     fabric: Fabric
-    options: ModelOptions
-    other_fabrics: tuple[LearnedFabric, ...]
+    pressure: float
+    other_fabrics: Mapping[str, Fabric]
     bend_factor: float
     solver: SolverOptions
     frame_rate: float
     atoms: Atoms
     mapping: CoefficientNetwork
     novelty: NoveltyScore
-    correction: MotionCorrection | None
     cutoff: float
     body_hash: str
     body_vertex_count: int
-    quality: Dictionary[str, float]
+    quality: Mapping[str, float]
     held_out: tuple[str, ...]
     trained_on: tuple[str, ...]
     training_minutes: float
@@ -160,6 +141,11 @@ class WrinkleDatabase:
     scene: str
     code_version: str
     created: str
+
+    @property
+    def options(self) -> ModelOptions:
+        """Options of the model of either mesh."""
+        return ModelOptions(pressure=self.pressure)
 
     @property
     def fine_vertex_count(self) -> int:
@@ -200,7 +186,7 @@ class WrinkleDatabase:
     @property
     def fabric_names(self) -> tuple[str, ...]:
         """Names of all fabrics that the garment can be played in, its own first."""
-        return (self.fabric_name, *(other.name for other in self.other_fabrics))
+        return (self.fabric_name, *self.other_fabrics)
 
     def in_fabric(self, name: str) -> WrinkleDatabase:
         """The same garment with one fabric, which becomes its own and its only one.
@@ -215,14 +201,12 @@ class WrinkleDatabase:
             expected = "one of " + ", ".join(self.fabric_names)
             raise InputError("a fabric that was not learned", key="fabric", received=name, expected=expected)
         if name == self.fabric_name:
-            return replace(self, other_fabrics=())
-        other = self.other_fabrics[self.fabric_names.index(name) - 1]
+            return replace(self, other_fabrics={})
         return replace(
             self,
             fabric_name=name,
-            fabric=other.fabric,
-            options=other.options,
-            other_fabrics=(),
+            fabric=self.other_fabrics[name],
+            other_fabrics={},
             quality={name: value for name, value in self.quality.items() if name not in CHOICE},
         )
 
@@ -339,7 +323,7 @@ def read_database(path: str | Path) -> WrinkleDatabase:
     check_values(arrays, path)
     try:
         return _unpacked(arrays)
-    except InputError as error:  # Fabric and options refuse a value without naming the file
+    except InputError as error:  # Fabric and solver options refuse a value without naming the file
         raise InputError(
             error.problem, file=path, key=error.key, received=error.received, expected=error.expected
         ) from error
@@ -388,7 +372,6 @@ def _arrays(database: WrinkleDatabase) -> dict[str, np.ndarray]:
         **_binding_values(database.binding),
         **_sewn_values(database.sewn),
         **_layers_values(database.layers),
-        **_correction_values(database.correction, database.mapping.place.shape[1]),
         **_other_fabrics_values(database.other_fabrics),
     }
     for entry in ENTRIES:
@@ -448,32 +431,19 @@ def _layers_of(
     return Layers(names, tuple(Fabric(**row) for row in rows), layer, fastened)
 
 
-def _correction_values(correction: MotionCorrection | None, place_features: int) -> dict[str, Any]:
-    """Entries of a correction of the coarse motion; without one it has no units."""
-    correction = correction or MotionCorrection.none(place_features)
-    return {f"correction/{field.name}": getattr(correction, field.name) for field in fields(MotionCorrection)}
-
-
-def _other_fabrics_values(others: tuple[LearnedFabric, ...]) -> dict[str, Any]:
+def _other_fabrics_values(others: Mapping[str, Fabric]) -> dict[str, Any]:
     """Entries of the other fabrics: a column for each of their fields."""
-    columns: dict[str, Any] = {"other_fabrics/name": tuple(other.name for other in others)}
-    for part, kind in (("fabric", Fabric), ("options", ModelOptions)):
-        for field in fields(kind):
-            values = [getattr(getattr(other, part), field.name) for other in others]
-            columns[f"other_fabrics/{part}/{field.name}"] = np.array(values, float)
+    columns: dict[str, Any] = {"other_fabrics/name": tuple(others)}
+    for field in fields(Fabric):
+        values = [getattr(fabric, field.name) for fabric in others.values()]
+        columns[f"other_fabrics/fabric/{field.name}"] = np.array(values, float)
     return columns
 
 
-def _other_fabrics_of(names: tuple[str, ...], *columns: dict[str, np.ndarray]) -> tuple[LearnedFabric, ...]:
+def _other_fabrics_of(names: tuple[str, ...], columns: Mapping[str, np.ndarray]) -> dict[str, Fabric]:
     """The fabrics that :func:`_other_fabrics_values` stored."""
-
-    def row(values: dict[str, np.ndarray], number: int) -> dict[str, float]:
-        return {name: column[number].item() for name, column in values.items()}
-
-    fabric, options = columns
-    return tuple(
-        LearnedFabric(name, Fabric(**row(fabric, k)), ModelOptions(**row(options, k))) for k, name in enumerate(names)
-    )
+    rows = ({name: column[k].item() for name, column in columns.items()} for k in range(len(names)))
+    return {name: Fabric(**row) for name, row in zip(names, rows, strict=True)}
 
 
 def _unpacked(arrays: dict[str, np.ndarray]) -> WrinkleDatabase:
@@ -499,15 +469,11 @@ def _unpacked(arrays: dict[str, np.ndarray]) -> WrinkleDatabase:
         rest_shape=RestShapeCorrection(**groups["rest_shape"]),
         limits=Limits(**groups["limits"]),
         fabric=Fabric(**groups["fabric"]),
-        options=ModelOptions(**groups["options"]),
-        other_fabrics=_other_fabrics_of(
-            groups["other_fabrics"]["name"], groups["other_fabrics/fabric"], groups["other_fabrics/options"]
-        ),
+        other_fabrics=_other_fabrics_of(groups["other_fabrics"]["name"], groups["other_fabrics/fabric"]),
         solver=SolverOptions(**groups["solver"]),
         atoms=Atoms(**groups["atoms"]),
         mapping=CoefficientNetwork(**groups["mapping"]),
         novelty=NoveltyScore(**groups["novelty"]),
-        correction=MotionCorrection(**groups["correction"]) if len(groups["correction"]["bias_1"]) else None,
         quality=dict(zip(groups["quality"]["names"], groups["quality"]["values"].tolist(), strict=True)),
     )
 

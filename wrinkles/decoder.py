@@ -15,7 +15,7 @@ from wrinkles.fine_surface import sparse_row
 from wrinkles.novelty import NoveltyScore
 from wrinkles.surface import Subdivision, csr_arrays
 
-__all__ = ["Decoder", "StateReader", "Upsampler"]
+__all__ = ["Decoder", "Upsampler"]
 
 
 @ti.kernel
@@ -63,33 +63,7 @@ class Upsampler:
         self._to_middle(*self._first, position, self.middle)
 
 
-class StateReader:
-    """Reads a coarse state as the dictionary's network sees it.
-
-    Args:
-        stencil: reads features and frames from the coarse garment.
-        mapping: whose scaling of the features is used.
-
-    Attributes:
-        frames, features: of the last state, see :meth:`Stencil.read`.
-    """
-
-    def __init__(self, stencil: Stencil, mapping: CoefficientNetwork) -> None:
-        self.stencil, self.mapping = stencil, mapping
-        self.frames = np.zeros((len(stencil.corners), 9), np.float32)
-        self.features = np.zeros((len(stencil.corners), DYNAMIC_COUNT), np.float32)
-
-    def read(self, position: np.ndarray, contact: np.ndarray) -> None:
-        """Set ``frames`` and ``features`` to those of a coarse state.
-
-        Args:
-            position, contact: of the coarse garment, as in :class:`pbd.State`.
-        """
-        m = self.mapping
-        self.stencil.read(position, contact, self.frames, self.features, m.center, m.scale, CLIP)
-
-
-class Decoder(StateReader):
+class Decoder:
     """Predicts the dictionary's displacements: a grid of them around each coarse vertex.
 
     Args:
@@ -101,6 +75,7 @@ class Decoder(StateReader):
     Attributes:
         amplitude: share of the wrinkles that was drawn at each coarse vertex, float32, shape (n,).
         score: log of the error that is expected there, see :meth:`NoveltyScore.score` [log deg], float32, shape (n,).
+        frames, features: of the last state, see :meth:`Stencil.read`.
         grids: displacements in the patches' frames [m], float32, shape (n, 3 nodes).
     """
 
@@ -111,11 +86,12 @@ class Decoder(StateReader):
         atoms: Atoms,
         novelty: NoveltyScore,
     ) -> None:
-        super().__init__(stencil, mapping)
-        self.novelty = novelty
+        self.stencil, self.mapping, self.novelty = stencil, mapping, novelty
         self.amplitude = np.ones(len(stencil.corners), np.float32)
         self.score = np.zeros(len(stencil.corners), np.float32)
         count, (regions, width_1, width_2) = len(stencil.corners), mapping.weights_2.shape
+        self.frames = np.zeros((count, 9), np.float32)
+        self.features = np.zeros((count, DYNAMIC_COUNT), np.float32)
         # The network runs region by region, over rows that lie together.
         self._order = np.argsort(mapping.region, kind="stable")
         ends = np.searchsorted(mapping.region[self._order], np.arange(regions + 1))
@@ -130,12 +106,23 @@ class Decoder(StateReader):
         self._mean = atoms.mean
         self._blas = ThreadpoolController()
 
-    def predict(self, atoms: int | None = None) -> None:
-        """Set ``grids``, ``score`` and ``amplitude`` to those of the state that was read last.
+    def read(self, position: np.ndarray, contact: np.ndarray) -> None:
+        """Set ``frames`` and ``features`` to those of a coarse state.
 
         Args:
+            position, contact: of the coarse garment, as in :class:`pbd.State`.
+        """
+        m = self.mapping
+        self.stencil.read(position, contact, self.frames, self.features, m.center, m.scale, CLIP)
+
+    def predict(self, position: np.ndarray, contact: np.ndarray, atoms: int | None = None) -> None:
+        """Set ``grids`` to those of a coarse state, and all that :meth:`read` sets.
+
+        Args:
+            position, contact: as for :meth:`read`.
             atoms: number of atoms used, the most important ones first; None takes all.
         """
+        self.read(position, contact)
         # Matrices this small are slower on several threads, much slower beside other work, and their bits would depend
         # on the number of threads.
         with self._blas.limit(limits=1, user_api="blas"):

@@ -18,19 +18,18 @@ from pbd.taichi_internals import Launch
 from wrinkles.charts import Charts
 from wrinkles.layer_distance import LayerDistance
 
-__all__ = ["AROUND", "DYNAMIC_COUNT", "INNER_OFFSETS", "REGIONS", "Stencil"]
+__all__ = ["DYNAMIC_COUNT", "INNER_OFFSETS", "REGIONS", "Stencil"]
 
 SIDE = 5  # points along each side of the stencil
 POINTS = SIDE * SIDE
 CENTRE = POINTS // 2
 OTHERS = [p for p in range(POINTS) if p != CENTRE]
 INNER = [CENTRE + SIDE * a + b for a in (-1, 0, 1) for b in (-1, 0, 1)]
-AROUND = [p for p in INNER if p != CENTRE]  # stencil points next to the middle one
 UP, DOWN, LEFT, RIGHT = CENTRE + SIDE, CENTRE - SIDE, CENTRE - 1, CENTRE + 1  # +-1 along warp, -+1 along weft
 # Features that change with the state: 72 components of offsets, 9 distances from what it lies on.
 DYNAMIC_COUNT = 3 * len(OTHERS) + len(INNER)
 # Numbers of the features that are offsets of the eight points around the centre.
-INNER_OFFSETS = [3 * OTHERS.index(p) + a for p in AROUND for a in range(3)]
+INNER_OFFSETS = [3 * OTHERS.index(p) + a for p in INNER if p != CENTRE for a in range(3)]
 MODE_COUNT = 8  # slow modes of the mesh among the static features
 REGIONS = 5  # parts of a garment with network layers of their own
 MIN_REGION_SIZE = 40  # coarse vertices in a region, on average

@@ -13,10 +13,9 @@ from typing import Any, NoReturn, Protocol
 
 import numpy as np
 
-from pbd import Fabric, InputError, ModelOptions
+from pbd import Fabric, InputError
 from pbd.mesh import edges_of
 from wrinkles.features import DYNAMIC_COUNT
-from wrinkles.motion_correction import VELOCITY_COUNT
 from wrinkles.patches import Grid
 
 __all__ = [
@@ -36,7 +35,7 @@ __all__ = [
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 27
+SCHEMA_VERSION = 28
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE, STEPS = "text", "float32", "float64", "int32", "int64", "int8"
 
@@ -69,12 +68,12 @@ def _in_steps(name: str, shape: tuple[int | str, ...], unit: str = "-", along: i
     return steps, Entry(f"{name}_scale", SINGLE, (*shape[:along], *shape[along + 1 :]), unit)
 
 
-def _columns(group: str, kind: type[Fabric] | type[ModelOptions], shape: tuple[str, ...]) -> Iterator[Entry]:
-    """An entry for each field of a fabric or of options; ``shape`` ("f",) for f of them."""
+def _columns(group: str, shape: tuple[str, ...]) -> Iterator[Entry]:
+    """An entry for each field of a fabric; ``shape`` ("f",) for f of them."""
     units = {"areal_density": "kg/m2", "stretch_warp": "N/m", "stretch_weft": "N/m", "shear": "N/m"}
-    units |= {"bend_warp": "N m", "bend_weft": "N m", "thickness": "m", "pressure": "Pa"}
+    units |= {"bend_warp": "N m", "bend_weft": "N m", "thickness": "m"}
     units |= {"bend_hysteresis_warp": "N", "bend_hysteresis_weft": "N", "shear_hysteresis": "N/m"}
-    for field in fields(kind):
+    for field in fields(Fabric):
         yield Entry(f"{group}/{field.name}", DOUBLE, shape, units.get(field.name, "-"))
 
 
@@ -111,13 +110,12 @@ ENTRIES = (
     Entry("layers/names", TEXT, ("i",)),
     Entry("layers/layer", INDEX, ("o",)),
     Entry("layers/fastened", INDEX, ("k",)),
-    *_columns("layers/fabrics", Fabric, ("e",)),
+    *_columns("layers/fabrics", ("e",)),
     Entry("fabric_name", TEXT),
-    *_columns("fabric", Fabric, ()),
-    *_columns("options", ModelOptions, ()),
+    *_columns("fabric", ()),
+    Entry("pressure", DOUBLE, unit="Pa"),
     Entry("other_fabrics/name", TEXT, ("f",)),
-    *_columns("other_fabrics/fabric", Fabric, ("f",)),
-    *_columns("other_fabrics/options", ModelOptions, ("f",)),
+    *_columns("other_fabrics/fabric", ("f",)),
     Entry("bend_factor", DOUBLE),
     Entry("solver/substep", DOUBLE, unit="s"),
     Entry("solver/gravity", DOUBLE, (3,), "m/s2"),
@@ -148,16 +146,6 @@ ENTRIES = (
     Entry("novelty/weights_2", SINGLE, ("u",)),
     Entry("novelty/bias_2", DOUBLE),
     Entry("novelty/fade_from", DOUBLE, unit="deg"),
-    Entry("correction/velocity_scale", SINGLE, (VELOCITY_COUNT,), "s/m"),
-    Entry("correction/weights_1", SINGLE, (DYNAMIC_COUNT, "c1")),
-    Entry("correction/velocity_weights", SINGLE, (VELOCITY_COUNT, "c1")),
-    Entry("correction/place_weights", SINGLE, ("d", "c1")),
-    Entry("correction/bias_1", SINGLE, ("c1",)),
-    Entry("correction/weights_2", SINGLE, ("c1", "c2")),
-    Entry("correction/bias_2", SINGLE, ("c2",)),
-    Entry("correction/weights_3", SINGLE, ("c2", 3), "m/s2"),
-    Entry("correction/bias_3", SINGLE, (3,), "m/s2"),
-    Entry("correction/most", DOUBLE, unit="m/s2"),
     Entry("cutoff", DOUBLE, unit="m"),
     Entry("body_hash", TEXT),
     Entry("body_vertex_count", WHOLE),
@@ -170,9 +158,9 @@ ENTRIES = (
 )
 MAX_STEP = 127  # of int8
 # Sizes that may be zero: every garment has vertices, but it may have no pins and no limits, only one fabric, a
-# subdivided fine mesh instead of a delivered one, no pattern by which it was sewn, no correction of its motion, or
-# nothing of the body always under it.
-SIZES_THAT_MAY_BE_ZERO = ("b", "p", "l", "q", "h", "t", "N", "M", "s", "f", "w", "i", "o", "k", "e", "c", "c1", "c2")
+# subdivided fine mesh instead of a delivered one, no pattern by which it was sewn, or nothing of
+# the body always under it.
+SIZES_THAT_MAY_BE_ZERO = ("b", "p", "l", "q", "h", "t", "N", "M", "s", "f", "w", "i", "o", "k", "e", "c")
 POSITIVE_ENTRIES = ("novelty/fade_from", "bend_factor", "frame_rate", "cutoff")
 
 

@@ -155,7 +155,7 @@ def morley_bending(model: Model, poisson: float) -> list[ElementEnergy]:
         poisson: ratio of the bending [-].
     """
     mesh, fabric = model.mesh, model.fabric
-    stiffness = model.options.bend_scale * bending_matrix(fabric, poisson)
+    stiffness = bending_matrix(fabric, poisson)
     parts: list[ElementEnergy] = []
     if fabric.bend_warp * fabric.bend_weft > 0.0:
         rigid = np.asarray(np.isin(mesh.faces, model.held).all(axis=1))
@@ -177,7 +177,7 @@ def _hinges(model: Model) -> Hinges:
 def _stiffness(model: Model, hinges: Hinges) -> np.ndarray:
     """3 c B/(A0 + A1) [N/m], shape (h,), with B of :func:`pbd.bending.hinge_stiffness`."""
     bend = hinge_stiffness(model.fabric, hinges.angle)
-    stiffness = 3.0 * model.options.bend_scale * model.bend_factor * bend / hinges.areas
+    stiffness = 3.0 * model.bend_factor * bend / hinges.areas
     stiffness[np.isin(hinges.vertices, model.held).all(axis=1)] = 0.0
     return stiffness
 

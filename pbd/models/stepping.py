@@ -63,8 +63,8 @@ class ClothSolver(ABC):
     next step goes on from those; what was changed, or another state, is taken over.
 
     Args:
-        model: the garment. Tethers, ``compression_compliance_scale`` and ``shear_scale`` belong to the default
-            solver and are left out.
+        model: the garment. Tethers and ``compression_compliance_scale`` belong to the default solver and are
+            left out.
         energy: the cloth's.
         options: see :class:`Options`.
         name: in messages.

@@ -284,7 +284,7 @@ def _springs(level: _Level, softness: np.ndarray) -> tuple[np.ndarray, np.ndarra
     back = csr_matrix((np.abs(level.rest), level.edges.T))
     lengths = np.maximum(np.abs(level.rest[once]), np.asarray(back[rows[:, 1], rows[:, 0]]).ravel())
     direction = _unit(level.rest[once])
-    u, v = direction.real, direction.imag
+    u, v = np.real(direction), np.imag(direction)
     parts = np.stack([u * u, v * v, u * v], axis=1)
     compliance = np.einsum("ma,ab,mb->m", parts, softness, parts)
     area = (level.area / np.maximum(degree, 1))[rows].sum(axis=1)

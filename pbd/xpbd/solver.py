@@ -118,7 +118,7 @@ class Solver:
         self._reached, self._items, self._item_cells = np.zeros((3, 1), np.int32)
         levels = Multigrid.none(count)
         if self.options.coarse_sweeps and not model.layer.any():  # levels know one fabric
-            levels = build_multigrid(model.mesh, model.mass, model.inverse_mass, model.options.membrane(model.fabric))
+            levels = build_multigrid(model.mesh, model.mass, model.inverse_mass, model.fabric)
         self._multigrid = levels
         self.stiff = is_stiff(model, self.options.substep)
         self._steps, self._max_approach = np.zeros(len(FrameSteps._fields), np.int32), np.zeros(1, np.float32)

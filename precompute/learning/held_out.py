@@ -10,7 +10,6 @@ import numpy as np
 
 from assets.io.scene import Scene
 from pbd import InputError
-from precompute.learning.calibration import filtered
 from precompute.learning.decoding import FrameDecoder, decoded_frames
 from precompute.learning.evaluation import Truth, free_figures, settled, truth_of
 from precompute.learning.pipeline import scene_run
@@ -43,7 +42,7 @@ def held_out_truth(
 
 
 def _coarse_recording(database: WrinkleDatabase, run: Run) -> Recording:
-    """The coarse garment running freely over a fine run's poses, corrected as the player corrects it."""
+    """The coarse garment running freely over a fine run's poses."""
     player = Player(database, run.body, run.poses[0], run.primitives)
     frames, times = np.arange(run.every, run.frame_count + 1, run.every), []
     positions, contact, nearest = [], [], []
@@ -91,7 +90,9 @@ class HeldOut:
         plain = settled(_coarse_recording(database, truth.run), truth.run)
         recording, floor, energy = truth.recording.where(JUDGED), truth.floor[JUDGED], truth.energy[JUDGED]
         judged = replace(truth, recording=recording, floor=floor, energy=energy)
-        return cls(truth, judged, plain, filtered(plain, CoarseFilter(truth.levels).matrix))
+        matrix = CoarseFilter(truth.levels).matrix
+        seen = np.stack([matrix @ frame for frame in plain.coarse]).astype(np.float32)
+        return cls(truth, judged, plain, replace(plain, coarse=seen))
 
     def show(self, layer: Layer, lift: FrameDecoder, recording: Recording) -> tuple[np.ndarray, np.ndarray, float]:
         """Show recorded coarse states to one way, from the first to the last.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from datetime import date
 from functools import cache
 from pathlib import Path
@@ -15,7 +15,6 @@ from threadpoolctl import threadpool_limits
 from assets.io.scene import Scene, scene_text
 from pbd import Fabric, InputError, ModelOptions, SolverOptions
 from pbd.bending import hinge_calibration
-from precompute.learning.calibration import Calibration, CoarseModel, calibrate
 from precompute.learning.crossed import crossed_figures, crossed_jobs, crossed_words, joined_crossed
 from precompute.learning.decoding import with_vertex_mean
 from precompute.learning.evaluation import (
@@ -31,7 +30,6 @@ from precompute.learning.evaluation import (
 )
 from precompute.learning.kept import Kept
 from precompute.learning.novelty import fit_novelty
-from precompute.learning.nudging import Corrected, Nudging, learn_correction
 from precompute.learning.options import LearningOptions
 from precompute.learning.recording import Recording, Run, body_source, record_runs
 from precompute.learning.stages import StageClock, StageTime
@@ -40,10 +38,9 @@ from precompute.workers import Workers
 from runtime.garment_setup import GarmentSetup, colliders_of, fabrics_of, fine_options
 from runtime.simulation import Motion
 from wrinkles.charts import leading_vertices
-from wrinkles.database import LearnedFabric, WrinkleDatabase, as_stored, body_hash, code_version, write_database
+from wrinkles.database import WrinkleDatabase, as_stored, body_hash, code_version, write_database
 from wrinkles.dictionary import Atoms, CoefficientNetwork
 from wrinkles.metrics import given_coarse_figures
-from wrinkles.motion_correction import MotionCorrection
 from wrinkles.novelty import NoveltyScore
 from wrinkles.rest_shape import RestShapeCorrection
 
@@ -59,8 +56,7 @@ __all__ = [
 DEFAULT = LearningOptions()
 SHORTEST = 0.1  # part of a held-out motion that is judged at least [s]
 STAGES = (
-    "simulating", "fitting patches", "fitting", "means of vertices", "calibrating", "unfamiliarity", "correcting",
-    "evaluating",
+    "simulating", "fitting patches", "fitting", "means of vertices", "unfamiliarity", "evaluating",
 )  # fmt: skip
 
 
@@ -71,7 +67,6 @@ class Precomputed:
     Attributes:
         database: as written.
         path: where.
-        calibration: of the coarse model in the garment's own fabric.
         truth: of the first held-out motion, None without one.
         evaluation: of the database on it.
         stages: where the time went.
@@ -79,7 +74,6 @@ class Precomputed:
 
     database: WrinkleDatabase
     path: Path
-    calibration: Calibration
     truth: Truth | None
     evaluation: Evaluation | None
     stages: tuple[StageTime, ...] = ()
@@ -161,7 +155,7 @@ def precompute(
     options: LearningOptions = DEFAULT,
     clock: StageClock | None = None,
 ) -> Precomputed:
-    """Simulate, learn, calibrate, judge and write.
+    """Simulate, learn, judge and write.
 
     Fine runs are cached by content and go on where they were cut off, and so is what each stage after them gives: an
     interrupted call gives the same database. It is the same for any number of workers, too.
@@ -191,7 +185,7 @@ def precompute(
 
 
 def _precomputed(work: _Work, held_out: Sequence[Motion], output: Path) -> Precomputed:
-    """Learn, calibrate and judge; nothing is written."""
+    """Learn and judge; nothing is written."""
     clock, stage, scene = work.clock, work.stage, work.scene
     with clock.stage("simulating"):
         for opening in stage.openings:
@@ -202,37 +196,19 @@ def _precomputed(work: _Work, held_out: Sequence[Motion], output: Path) -> Preco
         examples = _simulated(work, motions, held_out[:1])
     kept = Kept(work.cache, scene, [example.run for example in examples], work.options)
     mapping, atoms = _learned(work, examples, kept)
-    with clock.stage("calibrating"):
-        coarse = _coarse_model(work, examples)
-        calibrations = _calibrated(work, examples, mapping, atoms, coarse, kept)
-    database = _finished(work, examples, mapping, atoms, coarse, calibrations, kept)
+    database = _finished(work, examples, mapping, atoms, kept)
     database = as_stored(replace(database, trained_on=tuple(m.name for m in motions)))  # judged as it is played
-    with clock.stage("correcting"):
-        corrected = _corrected(work, examples, database, coarse, calibrations, kept)
-    database = replace(database, correction=corrected.correction)
     truth, evaluation, quality = None, None, {}
     if held_out:  # the first held-out clip is the one that is reported
         with clock.stage("evaluating"):
             truth, evaluation, figures = _evaluated(work, database, held_out[0])
             quality |= figures
-    calibration = calibrations[work.own_fabric]
     crossed = crossed_figures(joined_crossed([example.crossed for example in examples]), outfit=False)
     quality |= {f"training_{name}": value for name, value in crossed.items()} | {
-        "feature_shift_before": calibration.shift_before,
-        "feature_shift_after": calibration.shift_after,
-        "feature_mismatch_before": calibration.mismatch_before,
-        "feature_mismatch_after": calibration.mismatch_after,
         "atoms_kept": atoms.kept,
     }
-    if work.options.nudging_strengths:
-        quality |= {"apart_before_mm": corrected.without_mm, "apart_after_mm": corrected.with_mm}
-    if corrected.correction is not None:
-        quality |= {
-            "correction_force_percent": corrected.force_percent,
-            "correction_power_w_kg": corrected.power_w_kg,
-        }
     database = replace(database, quality=quality)
-    return Precomputed(database, output, calibration, truth, evaluation, tuple(clock.times))
+    return Precomputed(database, output, truth, evaluation, tuple(clock.times))
 
 
 def _held_out(scene: Scene, stage: GarmentSetup) -> list[Motion]:
@@ -304,72 +280,13 @@ def _with_means(work: _Work, examples: Sequence[_Example], mapping: CoefficientN
     )
 
 
-def _coarse_model(work: _Work, examples: Sequence[_Example]) -> CoarseModel:
+def _rest_shape(work: _Work, examples: Sequence[_Example]) -> RestShapeCorrection:
     levels = work.layer.levels
-    rest_shape = RestShapeCorrection.none(levels.coarse.faces)
-    if levels.subdivision.binding is not None:  # sewn as it came, perhaps in pleats
-        learned = spread_frames([example.recording for example in examples], work.options.training_frames)
-        rest_shape = RestShapeCorrection.of(levels.coarse, np.concatenate([recording.coarse for recording in learned]))
-    return CoarseModel(work.scene.solver.options(), hinge_calibration(levels.coarse), rest_shape)
-
-
-def _calibrated(
-    work: _Work,
-    examples: Sequence[_Example],
-    mapping: CoefficientNetwork,
-    atoms: Atoms,
-    coarse: CoarseModel,
-    kept: Kept,
-) -> dict[str, Calibration]:
-    """Coarse models by fabric."""
-
-    def found(name: str) -> Calibration:
-        mine = [example for example in examples if example.fabric == name]
-        return calibrate(
-            work.layer,
-            mapping,
-            atoms,
-            [example.run for example in mine],
-            [example.recording for example in mine],
-            coarse,
-            work.cache,
-            work.workers,
-            work.options,
-            work.clock,
-        )
-
-    values = {
-        name: kept.values(f"calibration {number}", lambda name=name: asdict(found(name)))
-        for number, name in enumerate(work.fabrics)
-    }
-    return {
-        name: Calibration(**(value | {"options": ModelOptions(**value["options"]), "rows": tuple(value["rows"])}))
-        for name, value in values.items()
-    }
-
-
-def _corrected(
-    work: _Work,
-    examples: Sequence[_Example],
-    database: WrinkleDatabase,
-    coarse: CoarseModel,
-    calibrations: dict[str, Calibration],
-    kept: Kept,
-) -> Corrected:
-    """The correction of the coarse motion: one for all fabrics."""
-
-    @cache
-    def found() -> Corrected:
-        nudgings = [
-            Nudging.of(coarse.run(one.run, calibrations[one.fabric].options), one.recording) for one in examples
-        ]
-        strengths = work.options.nudging_strengths
-        return learn_correction(work.layer, database.mapping, nudgings, strengths, work.workers, work.seed, work.clock)
-
-    none = MotionCorrection.none(database.mapping.place.shape[1])
-    correction = kept.instance(MotionCorrection, "correction", lambda: found().correction or none)
-    figures = kept.values("correction", lambda: {k: v for k, v in vars(found()).items() if k != "correction"})
-    return Corrected(correction if len(correction.bias_1) else None, **figures)
+    if levels.subdivision.binding is None:
+        return RestShapeCorrection.none(levels.coarse.faces)
+    # Sewn as it came, perhaps in pleats.
+    learned = spread_frames([example.recording for example in examples], work.options.training_frames)
+    return RestShapeCorrection.of(levels.coarse, np.concatenate([recording.coarse for recording in learned]))
 
 
 def _finished(
@@ -377,8 +294,6 @@ def _finished(
     examples: Sequence[_Example],
     mapping: CoefficientNetwork,
     atoms: Atoms,
-    coarse: CoarseModel,
-    calibrations: dict[str, Calibration],
     kept: Kept,
 ) -> WrinkleDatabase:
     """The database without what judging it gives."""
@@ -392,7 +307,7 @@ def _finished(
         garment_name=work.stage.name,
         coarse_vertices=levels.coarse.vertices,
         coarse_faces=levels.coarse.faces,
-        rest_shape=coarse.rest_shape or RestShapeCorrection.none(levels.coarse.faces),
+        rest_shape=_rest_shape(work, examples),
         subdivisions=settings.subdivision_count,
         held=levels.coarse_held.astype(np.int32),
         limits=levels.coarse_limits,
@@ -402,15 +317,14 @@ def _finished(
         layers=levels.layers,
         fabric_name=own,
         fabric=work.fabrics[own],
-        options=calibrations[own].options,
-        other_fabrics=tuple(LearnedFabric(name, work.fabrics[name], calibrations[name].options) for name in others),
-        bend_factor=coarse.bend_factor,
-        solver=coarse.solver,
+        pressure=settings.pressure,
+        other_fabrics={name: work.fabrics[name] for name in others},
+        bend_factor=hinge_calibration(levels.coarse),
+        solver=scene.solver.options(),
         frame_rate=scene.solver.frame_rate,
         atoms=atoms,
         mapping=mapping,
         novelty=novelty,
-        correction=None,
         cutoff=levels.cutoff,
         body_hash=body_hash(body),
         body_vertex_count=len(body_source(body).vertices),
@@ -432,8 +346,8 @@ def _evaluated(work: _Work, database: WrinkleDatabase, motion: Motion) -> tuple[
     evaluation = evaluate(database, truth, cache, clock, workers, work.options)
     figures = dict(evaluation.figures)
     for other in database.other_fabrics:
-        given = _given_figures(database.in_fabric(other.name), work.run(motion, other.name), cache, workers, clock)
-        figures |= {f"{other.name}_{name}": value for name, value in given.items()}
+        given = _given_figures(database.in_fabric(other), work.run(motion, other), cache, workers, clock)
+        figures |= {f"{other}_{name}": value for name, value in given.items()}
     return truth, evaluation, figures
 
 

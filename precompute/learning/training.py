@@ -1,4 +1,4 @@
-"""From recorded runs to a fitted dictionary, and the calibration of the coarse model."""
+"""From recorded runs to a fitted dictionary."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from wrinkles.network import in_threads
 from wrinkles.patches import Patches
 
 __all__ = [
-    "FeatureStatistics",
     "Layer",
     "TrainingSet",
     "build_layer",
@@ -29,7 +28,6 @@ __all__ = [
 
 SAMPLED_PATCHES = 60_000  # that the atoms are fitted to
 BLOCK = 32  # frames whose smooth surface is computed at once
-DIRECTIONS = 40  # of the whitened features that statistics keep; the others are too faint
 
 
 @dataclass(frozen=True)
@@ -198,33 +196,3 @@ def fit_layer(
         report=report,
         region=layer.stencil.regions(),
     )
-
-
-@dataclass(frozen=True)
-class FeatureStatistics:
-    """Whitened statistics of features, to measure how far one set is from another.
-
-    Attributes:
-        mean, axes: of the reference; (features - mean) @ axes has unit variance, shapes (d,), (d, k).
-    """
-
-    mean: np.ndarray
-    axes: np.ndarray
-
-    @classmethod
-    def of(cls, features: np.ndarray) -> FeatureStatistics:
-        """Statistics of reference features, shape (f, n, d)."""
-        flat = features.reshape(-1, features.shape[-1]).astype(float)
-        mean, spread = flat.mean(axis=0), flat.std(axis=0) + 1e-4
-        _, values, rows = np.linalg.svd(np.cov(((flat - mean) / spread).T), hermitian=True)
-        return cls(mean, (rows[:DIRECTIONS] / np.sqrt(values[:DIRECTIONS, None])).T / spread[:, None])
-
-    def shift(self, features: np.ndarray) -> float:
-        """Root mean squared Mahalanobis distance from the reference mean, per dimension; 1 for the reference."""
-        z = (features.reshape(-1, features.shape[-1]) - self.mean) @ self.axes
-        return float(np.sqrt((z**2).mean()))
-
-    def mismatch(self, features: np.ndarray) -> float:
-        """Frechet distance to the reference with diagonal covariances, per dimension; 0 for the reference."""
-        z = (features.reshape(-1, features.shape[-1]) - self.mean) @ self.axes
-        return float(np.sqrt((z.mean(axis=0) ** 2 + (z.std(axis=0) - 1.0) ** 2).mean()))

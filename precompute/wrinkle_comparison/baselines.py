@@ -329,12 +329,8 @@ def fine_cloth(run: Run) -> Cloth:
 
 
 def coarse_cloth(database: WrinkleDatabase, run: Run) -> Cloth:
-    """The coarse garment of a fine run with its calibrated model."""
-    levels = run.levels
-    rest = database.rest_shape.applied(levels.coarse)
-    model = levels.model(database.fabric, database.options, database.bend_factor, mesh=rest)
-    source = body_source(run.body)
-    return Cloth(model, levels.coarse_attachment, source, run, database.solver, levels.fine.faces, levels)
+    """The garment on the coarse mesh."""
+    return _plain_cloth(database, run, run.levels, 0)
 
 
 def middle_cloth(database: WrinkleDatabase, run: Run) -> Cloth | None:
@@ -348,7 +344,7 @@ def plain_cloths(database: WrinkleDatabase, run: Run) -> dict[str, Cloth]:
 
     A garment that is subdivided more than twice has several middle meshes, middle_1 the coarsest.
     """
-    found = {"coarse": _plain_cloth(database, run, run.levels, 0)}
+    found = {"coarse": coarse_cloth(database, run)}
     for cuts in range(1, database.subdivisions):
         levels = middle_levels(database, body_source(run.body), cuts)
         assert levels is not None

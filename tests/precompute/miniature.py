@@ -34,12 +34,8 @@ seed = 4
 OPTIONS = LearningOptions(
     epochs=6,
     most_epochs=6,
-    coarse_models=tuple((1.0, shear, stiff) for shear in (1.0, 0.1) for stiff in (1.0, 30.0)),
-    calibration_s=1.0,
-    settle_s=0.3,
     still_s=0.2,
     piece_s=0.1,
-    nudging_strengths=(0.3,),
 )
 
 

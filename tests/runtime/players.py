@@ -11,7 +11,7 @@ import numpy as np
 from assets.io.scene import parse_scene, scene_text
 from pbd import SolverOptions
 from runtime.garment_setup import GarmentSetup
-from tests.wrinkles.databases import placed, small_correction, small_database
+from tests.wrinkles.databases import placed, small_database
 from wrinkles.database import WrinkleDatabase, body_hash
 from wrinkles.rest_shape import RestShapeCorrection
 from wrinkles.surface import Subdivision
@@ -88,7 +88,6 @@ def random_database(stage: GarmentSetup, **changes: Any) -> WrinkleDatabase:
         "solver": SolverOptions(self_collision=True),  # as scenes have it
         "atoms": replace(database.atoms, vertex_mean=vertex_mean.astype(np.float32)),
         "mapping": placed(database.mapping, place),
-        "correction": small_correction(place.shape[1]),
         "cutoff": stage.levels.cutoff,
         "body_hash": body_hash(stage.body),
         "body_vertex_count": len(stage.body.vertices),

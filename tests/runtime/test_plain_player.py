@@ -14,7 +14,7 @@ from runtime.plain_player import PlainCloth, PlainPlayer, middle_levels, plain_c
 from runtime.player import Player
 from runtime.simulation import body_source, poses_of
 from tests.runtime.players import skirt_database, skirt_stage
-from wrinkles.database import CHOICE, LearnedFabric, WrinkleDatabase, write_database
+from wrinkles.database import CHOICE, WrinkleDatabase, write_database
 from wrinkles.surface import Subdivision
 
 TWICE = skirt_database(subdivisions=2)
@@ -46,8 +46,8 @@ def test_plain_cloth_is_chosen_where_it_is_cheaper_and_as_good() -> None:
 
 def test_the_choice_is_not_that_of_another_fabric() -> None:
     database = judged(1)
-    other = LearnedFabric("denim", database.fabric, database.options)
-    both = skirt_database(subdivisions=2, quality={**database.quality, "normal_skill": 0.5}, other_fabrics=(other,))
+    quality = {**database.quality, "normal_skill": 0.5}
+    both = skirt_database(subdivisions=2, quality=quality, other_fabrics={"denim": database.fabric})
     assert plain_choice(both.in_fabric("denim")) is None
     assert both.in_fabric("denim").quality == {"normal_skill": 0.5}
     assert plain_choice(both.in_fabric(both.fabric_name)) == PlainCloth(1, 5)

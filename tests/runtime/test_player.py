@@ -15,14 +15,11 @@ import pytest
 
 from assets.character import Character
 from assets.fabrics import PRESETS
-from pbd import InputError, ModelOptions, Plane, build_model
-from runtime.level_of_detail import LevelOfDetail
+from pbd import InputError, Plane, build_model
 from runtime.player import Player
 from runtime.simulation import Simulation, body_source, poses_of
 from tests.data import ROOT
 from tests.runtime.players import skirt_database, skirt_stage
-from wrinkles.database import LearnedFabric
-from wrinkles.decoder import StateReader
 
 DT = 1.0 / 60.0
 
@@ -88,8 +85,7 @@ def test_it_starts_in_the_bind_pose_unless_told_another() -> None:
 
 
 def test_a_garment_is_played_in_any_fabric_that_it_was_learned_in(poses: np.ndarray) -> None:
-    denim = LearnedFabric("denim", PRESETS["denim"], ModelOptions(compression_compliance_scale=3.0))
-    database, body = skirt_database(other_fabrics=(denim,)), skirt_stage().body
+    database, body = skirt_database(other_fabrics={"denim": PRESETS["denim"]}), skirt_stage().body
     own, plain, other, alone = (
         Player(one, body, poses[0], fabric=fabric)
         for one, fabric in (
@@ -111,7 +107,7 @@ def test_a_garment_is_played_in_any_fabric_that_it_was_learned_in(poses: np.ndar
 
 def test_warming_up_leaves_no_trace(poses: np.ndarray) -> None:
     """The same garment, stepped by hand from its start."""
-    database, stage = skirt_database(correction=None), skirt_stage()
+    database, stage = skirt_database(), skirt_stage()
     player = Player(database, stage.body, poses[0])
     mesh = player.levels.coarse
     model = build_model(mesh, database.fabric, database.held, database.options, database.bend_factor)
@@ -132,43 +128,6 @@ def test_the_garment_meets_the_colliders_of_the_scene(poses: np.ndarray) -> None
     for _ in range(60):
         player.step(poses[0], DT)
     assert player.simulation.state.world()[:, 1].min() > floor - 1e-3
-
-
-def test_the_correction_changes_the_velocity_after_each_step(poses: np.ndarray) -> None:
-    stage = skirt_stage()
-    plain, corrected = (Player(skirt_database(**some), stage.body, poses[0]) for some in ({"correction": None}, {}))
-    for player in (plain, corrected):
-        player.update(poses[1], DT)
-    one, other = plain.simulation.state, corrected.simulation.state
-    assert np.array_equal(one.position, other.position)
-    change = np.linalg.norm(other.velocity - one.velocity, axis=1)
-    assert (change[other.position[:, 3] > 0.0] > 0.0).all() and change.max() < 5.0 * DT
-    for player in (plain, corrected):
-        player.change(LevelOfDetail(1, 6, 0, 0, 1), fade=False)  # the mesh below was not learned for
-        player.go_back(plain.start, poses[0])
-        player.update(poses[1], DT)
-    assert np.array_equal(plain.simulation.state.velocity, corrected.simulation.state.velocity)
-
-
-def test_correction_and_wrinkles_read_a_state_once(poses: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
-    read, times = StateReader.read, []
-
-    def counted(reader: StateReader, position: np.ndarray, contact: np.ndarray) -> None:
-        times.append(position.copy())
-        read(reader, position, contact)
-
-    player = Player(skirt_database(), skirt_stage().body, poses[0])
-    monkeypatch.setattr(StateReader, "read", counted)
-    player.update(poses[1], DT)
-    shown = player.vertices.copy()
-    player.decode()
-    assert len(times) == 1 and np.array_equal(player.vertices, shown)
-    player.decode(0.5)
-    player.decode()
-    assert len(times) == 3 and not np.array_equal(times[0], times[1]) and np.array_equal(times[0], times[2])
-    player.simulation.state.contact += 0.01
-    player.decode()
-    assert len(times) == 4
 
 
 def test_a_frame_allocates_little(poses: np.ndarray) -> None:

@@ -7,18 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from pbd import Fabric, Limits, ModelOptions, SolverOptions
+from pbd import Fabric, Limits, SolverOptions
 from tests.wrinkles.meshes import flat_sheet
 from wrinkles.database import WrinkleDatabase
 from wrinkles.dictionary import Atoms, CoefficientNetwork
 from wrinkles.features import DYNAMIC_COUNT
-from wrinkles.motion_correction import VELOCITY_COUNT, MotionCorrection
 from wrinkles.novelty import NoveltyScore
 from wrinkles.patches import Grid
 from wrinkles.rest_shape import RestShapeCorrection
 from wrinkles.surface import Subdivision
 
-__all__ = ["placed", "small_correction", "small_database"]
+__all__ = ["placed", "small_database"]
 
 
 def placed(mapping: CoefficientNetwork, bias: np.ndarray) -> CoefficientNetwork:
@@ -30,27 +29,6 @@ def placed(mapping: CoefficientNetwork, bias: np.ndarray) -> CoefficientNetwork:
         place_weights=np.eye(width, dtype=np.float32),
         bias_1=np.zeros(width, np.float32),
         region=(np.arange(count) % 2).astype(np.int32),
-    )
-
-
-def small_correction(place_features: int, size: float = 0.03, hidden: tuple[int, int] = (6, 4)) -> MotionCorrection:
-    """A correction of random weights that adds accelerations of about the size [m/s2]."""
-    rng = np.random.default_rng(7)
-
-    def weights(*shape: int) -> np.ndarray:
-        return (size * rng.standard_normal(shape)).astype(np.float32)
-
-    return MotionCorrection(
-        velocity_scale=1.0 + np.abs(weights(VELOCITY_COUNT)),
-        weights_1=weights(DYNAMIC_COUNT, hidden[0]),
-        velocity_weights=weights(VELOCITY_COUNT, hidden[0]),
-        place_weights=weights(place_features, hidden[0]),
-        bias_1=weights(hidden[0]),
-        weights_2=weights(*hidden),
-        bias_2=weights(hidden[1]),
-        weights_3=weights(hidden[1], 3),
-        bias_3=weights(3),
-        most=5.0,
     )
 
 
@@ -80,8 +58,8 @@ def small_database(side: int = 7, atoms: int = 5, hidden: tuple[int, int] = (8, 
         "layers": None,
         "fabric_name": "muslin",
         "fabric": Fabric(areal_density=0.1 + 1e-9, bend_weft=2.3e-6),
-        "options": ModelOptions(compression_compliance_scale=100.0, bend_scale=30.0),
-        "other_fabrics": (),
+        "pressure": 0.0,
+        "other_fabrics": {},
         "bend_factor": 1.0 / 3.0,
         "solver": SolverOptions(1.0 / 900.0, (0.0, -9.81, 0.1), local_damping=1.5, linear_inertia=0.5),
         "frame_rate": 60.0,
@@ -100,7 +78,6 @@ def small_database(side: int = 7, atoms: int = 5, hidden: tuple[int, int] = (8, 
             bias_3=weights(2, atoms),
         ),
         "novelty": NoveltyScore(weights(hidden[0], 3), weights(3), weights(3), 1.5, 12.0),
-        "correction": small_correction(5),
         "cutoff": 0.4,
         "body_hash": "a1" * 32,
         "body_vertex_count": 1234,

@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 
 from assets.fabrics import PRESETS
-from pbd import Fabric, InputError, ModelOptions
+from pbd import Fabric, InputError
 from tests.wrinkles.databases import small_database
 from tests.wrinkles.meshes import flat_sheet
 from wrinkles import database as module
 from wrinkles.binding import FLAT_STEP, PLACE_STEP, Binding
 from wrinkles.database import (
-    LearnedFabric,
     WrinkleDatabase,
     as_stored,
     body_hash,
@@ -36,10 +35,10 @@ QUANTISED = {"atoms.shapes", "novelty.weights_1"} | {
 DERIVED = {"format", "schema_version", "units", "topology_hash", "content_hash"}
 
 
-DENIM = LearnedFabric(
-    "denim", Fabric(areal_density=0.4, bend_warp=6e-5), ModelOptions(compression_compliance_scale=3.0)
-)
-SILK = LearnedFabric("шёлк", Fabric(areal_density=0.06, friction=0.1 + 1e-9), ModelOptions(bend_scale=10.0))
+OTHERS = {
+    "denim": Fabric(areal_density=0.4, bend_warp=6e-5),
+    "шёлк": Fabric(areal_density=0.06, friction=0.1 + 1e-9),
+}
 GATHERS = small_database().rest_shape
 
 
@@ -91,7 +90,7 @@ def arrays_of(value: Any) -> list[np.ndarray]:
         {"held": np.zeros(0, np.int32), "quality": {}, "held_out": (), "trained_on": (), "scene": ""},
         {"binding": small_binding()},
         {"sewn": small_sewn()},
-        {"other_fabrics": (DENIM, SILK)},
+        {"other_fabrics": OTHERS, "pressure": 12.5},
         {"seed": 2**40, "scene": "x" * 200_000, "garment_name": " 裙子\n"},
     ],
 )
@@ -119,16 +118,16 @@ def test_numbers_in_steps_are_right_to_half_a_step(tmp_path: Path) -> None:
 
 
 def test_a_garment_is_put_in_any_fabric_that_it_was_learned_in(tmp_path: Path) -> None:
-    write_database(tmp_path / "a.h5", small_database(other_fabrics=(DENIM, SILK)))
+    write_database(tmp_path / "a.h5", small_database(other_fabrics=OTHERS))
     database = read_database(tmp_path / "a.h5")
     assert database.fabric_names == ("muslin", "denim", "шёлк")
     own = database.in_fabric("muslin")
-    assert leaves(own) == leaves(replace(database, other_fabrics=()))
-    for other in (DENIM, SILK):
-        worn = database.in_fabric(other.name)
-        assert (worn.fabric_names, worn.fabric, worn.options) == ((other.name,), other.fabric, other.options)
+    assert leaves(own) == leaves(replace(database, other_fabrics={}))
+    for name, fabric in OTHERS.items():
+        worn = database.in_fabric(name)
+        assert (worn.fabric_names, worn.fabric) == ((name,), fabric)
         assert worn.mapping is database.mapping  # the coarse state shows the fabric
-        assert leaves(worn.in_fabric(other.name)) == leaves(worn)
+        assert leaves(worn.in_fabric(name)) == leaves(worn)
     with pytest.raises(InputError, match="fabric: a fabric that was not learned.*'wool'.*one of muslin, denim, шёлк"):
         database.in_fabric("wool")
 
@@ -155,7 +154,7 @@ def test_every_field_has_its_entry() -> None:
     assert len(set(names)) == len(names)
     scales = {f"{name}_scale" for name in QUANTISED}
     stored = {name.replace("/", ".") for name in names} - DERIVED - scales - {"quality.names", "quality.values"}
-    others = {f"other_fabrics.{name}" for name in leaves(SILK)}
+    others = {"other_fabrics.name"} | {f"other_fabrics.fabric.{field.name}" for field in fields(Fabric)}
     whole = small_database(binding=small_binding(), sewn=small_sewn())
     layers = {f"layers.fabrics.{field.name}" for field in fields(Fabric)}
     layers |= {f"layers.{name}" for name in ("names", "layer", "fastened")}
@@ -247,8 +246,8 @@ REFUSED: dict[str, tuple[Callable[[h5py.File], Any], str, str]] = {
     "unknown group": (lambda f: f.create_group("later"), "later", "unknown key"),
     "unknown header": (lambda f: f.attrs.__setitem__("author", 1), "author", "unknown key"),
     "linked elsewhere": (link("scene"), "scene", "missing"),
-    "array for a group": (lambda f: (f.__delitem__("options"), f.create_dataset("options", data=1.0)),
-                          "options/compression_compliance_scale", "missing"),
+    "array for a group": (lambda f: (f.__delitem__("rest_shape"), f.create_dataset("rest_shape", data=1.0)),
+                          "rest_shape/stretch", "missing"),
     "single for double": (lambda f: put("coarse_vertices", f["coarse_vertices"][()].astype(np.float32))(f),
                           "coarse_vertices: wrong type", "received 'float32', expected float64"),
     "number for text": (put("scene", 1.0), "scene: wrong type", "expected text"),
@@ -382,7 +381,7 @@ def test_a_flipped_bit_is_refused_or_does_not_matter(path: Path) -> None:
         ({"held": np.array([0.5, 1.0])}, "held: wrong type"),
         ({"coarse_vertices": np.zeros((50, 3))}, "mapping/place: wrong shape"),
         ({"warp": (0.0, 1.0)}, "warp: wrong shape"),
-        ({"other_fabrics": (DENIM, replace(SILK, name="muslin"))}, "other_fabrics/name: the same name twice"),
+        ({"other_fabrics": {"muslin": OTHERS["denim"]}}, "other_fabrics/name: the same name twice"),
         ({"subdivisions": 0}, "subdivisions: out of range"),
     ],
 )

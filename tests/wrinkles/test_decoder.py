@@ -90,8 +90,7 @@ class Layer:
             np.zeros((self.subdivision.fine_count, 3), np.float32),
             np.zeros((self.subdivision.middle.fine_count, 4), np.float32),
         )
-        decoder.read(self.position, self.contact)
-        decoder.predict()
+        decoder.predict(self.position, self.contact)
         surface(flat, decoder.grids, decoder.frames, fine)
         return fine
 
@@ -116,8 +115,7 @@ def test_the_decoder_adds_what_the_mapping_predicts(layer: Layer) -> None:
 def test_the_decoder_keeps_nothing(layer: Layer) -> None:
     decoder = layer.decoder()
     first = layer.add(decoder)
-    decoder.read(2.0 * layer.position, layer.contact)  # another state in between
-    decoder.predict()
+    decoder.predict(2.0 * layer.position, layer.contact)  # another state in between
     assert np.array_equal(layer.add(decoder), first)
 
 

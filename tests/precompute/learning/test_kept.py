@@ -61,7 +61,7 @@ def test_a_precompute_goes_on_after_its_last_stage(
     def never(*given: object, **named: object) -> None:
         raise AssertionError("computed again")
 
-    for name in ("fit_layer", "training_set", "calibrate", "fit_novelty"):
+    for name in ("fit_layer", "training_set", "fit_novelty"):
         monkeypatch.setattr(f"precompute.learning.pipeline.{name}", never)
     cache = learned.path.parent / ".gube-cache"
     again = precompute(scene(), tmp_path / "skirt.h5", cache=cache, workers=1, options=OPTIONS)

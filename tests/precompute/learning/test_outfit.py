@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -18,14 +16,13 @@ from wrinkles.database import WrinkleDatabase, read_database
 
 pytestmark = pytest.mark.proof  # a minute and a half: the fine layers are simulated
 LAYERS_ALONE = "[solver]\nself_collision = false"  # of one another: what is learned is the same, in half the time
-FEW_TRIES = replace(OPTIONS, coarse_models=((1.0, 1.0, 1.0),))
 
 
 @pytest.fixture(scope="module")
 def database(tmp_path_factory: pytest.TempPathFactory) -> WrinkleDatabase:
     path = tmp_path_factory.mktemp("outfit") / "outfit.h5"
     text = TROUSERS + SCENE.replace("end = 1.2", "end = 0.6").replace("[solver]", LAYERS_ALONE)
-    precompute(scene(text), path, workers=1, options=FEW_TRIES)
+    precompute(scene(text), path, workers=1, options=OPTIONS)
     return read_database(path)
 
 

@@ -188,7 +188,7 @@ def test_the_key_tells_what_the_result_depends_on() -> None:
         replace(run, fabric=Fabric(areal_density=0.2)),
         replace(run, poses=poses),
         replace(run, poses=run.poses[:-1]),
-        replace(run, options=ModelOptions(bend_scale=2.0)),
+        replace(run, options=ModelOptions(pressure=2.0)),
         replace(run, solver=SolverOptions(substep=1 / 240, gravity=(0.0, -9.0, 0.0))),
         replace(run, fine=True),
         replace(run, dt=1 / 50),

@@ -8,7 +8,6 @@ import pytest
 from pbd.geometry import surface_normals
 from precompute.learning.recording import Recording
 from precompute.learning.training import (
-    FeatureStatistics,
     Layer,
     build_layer,
     coefficients_of,
@@ -102,19 +101,3 @@ def test_the_mapping_is_fitted_to_features_and_places(layer: Layer, recording: R
     )
     assert all(np.array_equal(mapping.arrays()[name], array) for name, array in expected.arrays().items())
     assert mapping.place_bias.std(axis=0).min() > 0.0 and "fitting: 3.0 of at most 3 passes, loss " in " ".join(told)
-
-
-def test_shift_and_mismatch_measure_how_far_features_are() -> None:
-    rng = np.random.default_rng(0)
-    mixing = rng.standard_normal((6, 6)) * [1e-3, 1.0, 50.0, 1.0, 1.0, 1.0]
-    reference = rng.standard_normal((400, 10, 6)) @ mixing + 3.0
-    statistics = FeatureStatistics.of(reference)
-    assert statistics.shift(reference) == pytest.approx(1.0, abs=0.01)
-    assert statistics.mismatch(reference) == pytest.approx(0.0, abs=0.01)
-    middle = reference.mean(axis=(0, 1))
-    wide = middle + 2.0 * (reference - middle)
-    assert statistics.shift(wide) == pytest.approx(2.0, rel=0.02)
-    assert statistics.mismatch(wide) == pytest.approx(1.0, rel=0.02)
-    moved = reference + 3.0 * mixing[2]  # three standard deviations along one of six axes
-    assert statistics.shift(moved) == pytest.approx(np.sqrt(1.0 + 9.0 / 6.0), rel=0.02)
-    assert statistics.mismatch(moved) == pytest.approx(np.sqrt(9.0 / 6.0), rel=0.02)
