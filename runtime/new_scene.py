@@ -133,6 +133,12 @@ def _lines(body: BodyGuess, motions: MotionGuess, garments: Sequence[GarmentGues
     for guess in garments:
         yield from ("", "[[garment]]", *_garment_lines(guess, folder))
     yield from ("", "[character]", *_body_lines(body, motions, folder))
+    yield from (
+        "",
+        "[solver]",
+        "# 24 substeps a frame. With 12 it takes less time, hangs too low and comes after the body.",
+    )
+    yield "substep = 0.00069445"
     yield from ("", *_training_lines(motions, folder))
 
 
