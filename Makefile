@@ -28,15 +28,14 @@ garments: .venv/ready
 	$(BIN)/python -m assets.procedural.builtin_sewing
 
 # Sews the garments of docs/scenes/sewn_*.toml for the MakeHuman woman.
-SEWN := tshirt fine_tshirt shirt trousers circle_skirt
+SEWN := tshirt shirt trousers circle_skirt
 scenes: $(SEWN:%=out/garments/%.npz)
 
-out/garments/tshirt.npz: SEWING := --edge 0.02 --fabric jersey --ease 0.10
-out/garments/fine_tshirt.npz: SEWING := --edge 0.01 --fabric jersey --ease 0.10
-out/garments/shirt.npz out/garments/trousers.npz: SEWING := --edge 0.02 --fabric cotton
-out/garments/circle_skirt.npz: SEWING := --edge 0.02 --fabric silk
+out/garments/tshirt.npz: SEWING := --fabric jersey --ease 0.10
+out/garments/shirt.npz out/garments/trousers.npz: SEWING := --fabric cotton
+out/garments/circle_skirt.npz: SEWING := --fabric silk
 out/garments/%.npz: | .venv/ready
-	$(BIN)/gube sew draft:$(*:fine_%=%) -b $(GUBE_DATA)/characters/mh_female_bandai_NC.glb $(SEWING) -o $@ \
+	$(BIN)/gube sew draft:$* -b $(GUBE_DATA)/characters/mh_female_bandai_NC.glb --edge 0.02 $(SEWING) -o $@ \
 		--picture out/garments/$*.png
 
 # The extension for Blender, to install from disk: dist/gube_blender.zip.
