@@ -27,7 +27,7 @@ MIN_VERTICES = 12  # a level of fewer vertices is not made coarser
 # Patches much heavier than their neighbours do not move. A held vertex weighs this many times all the cloth.
 HELD_MASS = 1e9
 # A level is worth a pass where stiffness of its springs times h^2 over the mass of their ends is above this [-].
-MIN_USEFUL_STIFFNESS = 0.5
+MIN_USEFUL_STIFFNESS = 2.0
 
 
 @dataclass(frozen=True)
