@@ -24,7 +24,7 @@ from runtime.transitions import FADE, Extrapolation, Fade, Interpolation
 from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels
 from wrinkles.proxy_mesh import proxy_mesh_of
-from wrinkles.relaxation import full_passes
+from wrinkles.relaxation import PASSES
 from wrinkles.worn_garments import garment_names, with_garments
 
 __all__ = ["FADE", "PARTS", "Player", "check_drag", "check_step"]
@@ -100,7 +100,7 @@ class Player:
         self._extrapolation = Extrapolation(self.simulation, self._fine)
         self._fade = Fade(self.vertices)
         substeps = max(1, int(np.ceil(1.0 / (database.frame_rate * database.solver.substep) - 1e-6)))
-        self.full = LevelOfDetail(1, substeps, len(database.atoms.shapes), full_passes(database.subdivisions))
+        self.full = LevelOfDetail(1, substeps, len(database.atoms.shapes), PASSES)
         self._detail = self.full
         self._coarser: ProxySimulation | None = None  # made when it is first asked for
         self._warm_up(start)

@@ -23,8 +23,9 @@ from wrinkles.levels import Levels
 from wrinkles.opposite_parts import PHASES, find_moved, find_opposite
 from wrinkles.out_of_body import MAX_LIFT, MIN_LIFT, between_parts, lift_around, out_of_body
 
-__all__ = ["Relaxation", "full_passes"]
+__all__ = ["PASSES", "Relaxation"]
 
+PASSES = 1  # of full detail: a second one takes folds away and mends nothing that is seen
 # The substep of a pass is the time in which this speed [m/s] passes a mean fine edge: 1/2880 s for 5 mm. The shortest
 # folds come to rest in a few passes then, and longer ones hardly move.
 SPEED = 14.4
@@ -34,11 +35,6 @@ KEPT = 0.5
 # Where the coarse garment is further than this from the body, so is the fine one [m], ...
 LEVEL = 0.025
 PLEATED = 0.045  # ... unless the garment came with pleats, which go deeper
-
-
-def full_passes(subdivisions: int) -> int:
-    """Passes of full detail: one for each octave between the coarse mesh and the fine one."""
-    return subdivisions
 
 
 @ti.kernel

@@ -15,7 +15,7 @@ from pbd import Body, Model
 from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels
 from wrinkles.patches import Grid
-from wrinkles.relaxation import full_passes
+from wrinkles.relaxation import PASSES
 
 __all__ = ["MachineSpeed", "cloth_bytes", "layer_bytes", "machine_speed", "network_products", "normal_bytes"]
 
@@ -100,7 +100,7 @@ def layer_bytes(levels: Levels, body: Body) -> dict[str, float]:
     each_pass = TRIANGLE * faces + HINGE * hinges + 2 * POSITION * fine
     return {
         "surface": (POSITION + 4 * 3 * Grid.of(subdivisions).nodes) * coarse + (2 * POINT + PLACE) * fine,
-        "relaxation": full_passes(subdivisions) * each_pass + 2 * POINT * (fine + len(body.current)),
+        "relaxation": PASSES * each_pass + 2 * POINT * (fine + len(body.current)),
         "normals": normal_bytes(fine, faces),
     }
 

@@ -22,7 +22,7 @@ from wrinkles.dictionary import Atoms
 from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.fine_surface import FineSurface
 from wrinkles.levels import Levels
-from wrinkles.relaxation import Relaxation, full_passes
+from wrinkles.relaxation import PASSES, Relaxation
 from wrinkles.spectrum import BandedEnergy
 from wrinkles.vertex_mean import mean_from_sums, vertex_mean_sums
 
@@ -158,7 +158,6 @@ def decoded_frames(
     upsample = Upsampler(levels.subdivision)
     source = body_source(run.body)
     relax = _relaxation(_Kept.of(levels, source, run.fabric)).fresh()
-    passes = full_passes(len(levels.subdivision.steps))
     body = Body(source.faces, len(source.vertices))
     count = levels.subdivision.coarse_count
     position, frames = np.zeros((count, 4), np.float32), np.zeros((count, 9), np.float32)
@@ -176,7 +175,7 @@ def decoded_frames(
         decoded, began = smooth.copy(), time.process_time()
         layer.stencil.read(position, contact, frames, features)
         lift(decoded, upsample, features, frames)
-        relax(decoded, targets, frames, nearest, contact, body, body.current, passes)
+        relax(decoded, targets, frames, nearest, contact, body, body.current, PASSES)
         spent = 1e3 * (time.process_time() - began)
         offset = origin.astype(np.float32)
         yield smooth + offset, decoded + offset, spent

@@ -43,7 +43,7 @@ from runtime.play import playback_inputs
 from runtime.player import Player
 from wrinkles.database import WrinkleDatabase, code_version, read_database, write_database
 from wrinkles.metrics import edge_stretch
-from wrinkles.relaxation import full_passes
+from wrinkles.relaxation import PASSES
 
 __all__ = [
     "RUNS",
@@ -192,7 +192,7 @@ def _plain_methods(database: WrinkleDatabase, truth: Truth, brief: bool) -> Iter
             name = f"{mesh.replace('_', ' ')} {kind}, {substeps} substeps"
             yield Method(f"plain_{mesh}_{substeps}_", name, 0.0, {}, _settings(tried), mesh=mesh), tried
             if cloth.levels is not None and cloth.levels.subdivision.binding is None:  # others do not come to rest
-                rested = replace(tried, passes=full_passes(len(cloth.levels.subdivision.steps)))
+                rested = replace(tried, passes=PASSES)
                 settings, called = _settings(rested), f"{name}, at rest"
                 yield Method(f"plain_{mesh}_{substeps}_at_rest_", called, 0.0, {}, settings, mesh=mesh), rested
 
