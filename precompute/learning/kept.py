@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import fields, replace
@@ -53,18 +52,6 @@ class Kept:
         with replacing(path) as beside, open(beside, "wb") as file:
             np.savez(file, allow_pickle=False, **{one.name: getattr(found, one.name) for one in fields(kind)})
         return _read(kind, path)
-
-    def values(self, name: str, compute: Callable[[], Any]) -> Any:
-        """Numbers, texts, lists and dictionaries, likewise; the hash of the file's content is its first line."""
-        path = self._folder / f"{name}.json"
-        with suppress(OSError, ValueError):
-            digest, _, text = path.read_text(encoding="utf-8").partition("\n")
-            if hashlib.sha256(text.encode()).hexdigest() == digest:
-                return json.loads(text)
-        text = json.dumps(compute())
-        with replacing(path) as beside:
-            beside.write_text(f"{hashlib.sha256(text.encode()).hexdigest()}\n{text}", encoding="utf-8")
-        return json.loads(text)
 
 
 def _read(kind: type[Kind], path: Path) -> Kind:

@@ -20,7 +20,7 @@ import wrinkles.levels
 import wrinkles.surface
 from assets.character import Character
 from assets.io.sequence import Sequence as VertexSequence
-from pbd import ClothMesh, DistanceField, Fabric, ModelOptions, SolverOptions, State
+from pbd import DistanceField, Fabric, ModelOptions, SolverOptions, State
 from pbd.fingerprint import source_fingerprint
 from pbd.storage import replacing
 from pbd.wind import CALM, Air, Wind
@@ -28,7 +28,6 @@ from precompute.cluster import ClusterWorkers, cache_here
 from precompute.workers import Workers
 from runtime.simulation import Simulation, body_source, poses_of
 from wrinkles.levels import Levels
-from wrinkles.rest_shape import RestShapeCorrection
 
 __all__ = ["Recording", "Run", "body_source", "move_start", "poses_of", "record_runs"]
 
@@ -57,7 +56,6 @@ class Run:
         lead_in: time at the start that only leads to the motion that is meant [s].
         every: frames from one recorded frame to the next.
         bend_factor: hinge factor if known; None measures it.
-        rest_shape: corrections of the coarse mesh, see :mod:`wrinkles.rest_shape`; None where there are none.
         start: number of its start, see :func:`move_start`.
     """
 
@@ -75,7 +73,6 @@ class Run:
     wind: Air = CALM
     primitives: tuple = ()
     lead_in: float = 0.0
-    rest_shape: RestShapeCorrection | None = None
     start: int = 0
 
     @property
@@ -95,7 +92,7 @@ class Run:
         """Hash of everything that the result depends on, the solver's source included."""
         digest = hashlib.sha256(_solver_version().encode())
         levels = self.levels
-        mesh = self._mesh()
+        mesh = levels.fine if self.fine else levels.coarse
         attachment = levels.fine_attachment if self.fine else levels.coarse_attachment
         arrays = [
             mesh.vertices,
@@ -137,16 +134,11 @@ class Run:
         digest.update(json.dumps(settings, sort_keys=True).encode())
         return digest.hexdigest()[:24]
 
-    def _mesh(self) -> ClothMesh:
-        if self.fine or self.rest_shape is None:
-            return self.levels.fine if self.fine else self.levels.coarse
-        return self.rest_shape.applied(self.levels.coarse)
-
     def simulation(self) -> Simulation:
         """The simulation at the first pose, in which nothing is moved without contact."""
         levels = self.levels
         attachment = levels.fine_attachment if self.fine else levels.coarse_attachment
-        model = levels.model(self.fabric, self.options, self.bend_factor, fine=self.fine, mesh=self._mesh())
+        model = levels.model(self.fabric, self.options, self.bend_factor, fine=self.fine)
         source = body_source(self.body)
         simulation = Simulation(model, attachment, source, self.poses[0], self.solver, self.primitives)
         simulation.redressing = None
