@@ -39,7 +39,7 @@ class FineGarment:
     def __init__(self, database: WrinkleDatabase, levels: Levels, source: BodySource) -> None:
         subdivision, charts = levels.subdivision, Charts.of(levels.coarse)
         self._levels = levels
-        self._filter = CoarseFilter(levels)
+        self._filter = CoarseFilter(levels, database.sharpness)
         self._upsample, self._upsample_velocity = Upsampler(subdivision), Upsampler(subdivision)
         layer = None if levels.layers is None else levels.layers.layer
         stencil, atoms = Stencil.of(charts, database.held, layer), database.atoms

@@ -22,7 +22,7 @@ from pbd.errors import InputError
 from pbd.mesh import edges_of
 from wrinkles.nested_dissection import BlockSolver, Dissection
 
-__all__ = ["BandedEnergy", "LowPass", "cotangent_laplacian", "spectrum_band_error_max"]
+__all__ = ["BandedEnergy", "LowPass", "cotangent_laplacian", "curvature_matrix", "spectrum_band_error_max"]
 
 _ORDER = 4  # poles of G in q^2; with four, 88 % of a wave at the middle of an octave falls in that octave
 _MIN_ENERGY_SHARE = 1e-3  # of the truth's whole energy; a ratio to a band with less is not meaningful
@@ -75,7 +75,7 @@ class BandedEnergy:
     L is that of the flat faces. With the metric of a start shape in space that is not isometric to them, L x has a part
     in the cloth's plane, where nothing is bent.
 
-    At an open border L x is a boundary force and no curvature; border vertices take the mean of their inner neighbours.
+    Curvature is that of :func:`curvature_matrix`.
 
     Args:
         mesh: the cloth, whose flat faces set the metric.
@@ -90,7 +90,6 @@ class BandedEnergy:
     """
 
     def __init__(self, mesh: ClothMesh) -> None:
-        edges, side_edge = edges_of(mesh.faces)
         shortest = 5.0 * mesh.edge_lengths()[1].mean()
         octaves = np.log2(np.linalg.norm(np.ptp(mesh.vertices, axis=0)) / shortest)
         self.cutoffs = shortest * 2.0 ** np.arange(max(int(np.ceil(octaves)), 1))
@@ -99,8 +98,7 @@ class BandedEnergy:
         self.names = (f"under {millimetres[0]} mm", *between, f"over {millimetres[-1]} mm")
 
         stiffness, self._mass = cotangent_laplacian(mesh)
-        border = np.unique(edges[np.bincount(side_edge.ravel()) == 1])
-        self._curvature = _extrapolation(edges, border, len(self._mass)) @ diags(1.0 / self._mass) @ stiffness
+        self._curvature = curvature_matrix(mesh)
         # Single precision halves the time and costs 1e-5 of a band's energy.
         order = Dissection(stiffness)
         self._filters = [_Butterworth(stiffness, self._mass, length, order, np.complex64) for length in self.cutoffs]
@@ -227,6 +225,20 @@ def cotangent_laplacian(mesh: ClothMesh) -> tuple[csc_matrix, np.ndarray]:
         raise InputError("vertex without a face", key=f"vertex {int(np.argmin(mass))}")
     entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
     return csc_matrix(entries, shape=(count, count)), mass
+
+
+def curvature_matrix(mesh: ClothMesh) -> csr_matrix:
+    """Matrix that gives the curvature vectors L x of positions x [1/m2], shape (n, n).
+
+    At an open border L x is a boundary force and no curvature; border vertices take the mean of their inner neighbours.
+
+    Raises:
+        InputError: as for :func:`cotangent_laplacian`.
+    """
+    stiffness, mass = cotangent_laplacian(mesh)
+    edges, side_edge = edges_of(mesh.faces)
+    border = np.unique(edges[np.bincount(side_edge.ravel()) == 1])
+    return _extrapolation(edges, border, len(mass)) @ diags(1.0 / mass) @ stiffness
 
 
 def _extrapolation(edges: np.ndarray, border: np.ndarray, count: int) -> csr_matrix:

@@ -13,12 +13,11 @@ from pbd import InputError
 from precompute.learning.decoding import FrameDecoder, decoded_frames
 from precompute.learning.evaluation import Truth, free_figures, settled, truth_of
 from precompute.learning.pipeline import scene_run
-from precompute.learning.recording import Recording, Run
+from precompute.learning.recording import Recording
+from precompute.learning.sharpening import filtered, record_coarse
 from precompute.learning.training import Layer
 from runtime.garment_setup import GarmentSetup
-from runtime.player import Player
 from wrinkles.charts import leading_vertices
-from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase
 from wrinkles.metrics import given_coarse_figures
 
@@ -39,23 +38,6 @@ def held_out_truth(
     if not scene.training.held_out:
         raise InputError("nothing is held out", file=path, key="training.held_out", expected="a clip to compare on")
     return truth_of(scene_run(stage, scene, stage.motion(scene.training.held_out[0])), cache, 2, report)
-
-
-def _coarse_recording(database: WrinkleDatabase, run: Run) -> Recording:
-    """The coarse garment running freely over a fine run's poses."""
-    player = Player(database, run.body, run.poses[0], run.primitives)
-    frames, times = np.arange(run.every, run.frame_count + 1, run.every), []
-    positions, contact, nearest = [], [], []
-    for frame in range(1, run.frame_count + 1):
-        player.step(run.poses[frame], run.dt, run.wind)
-        times.append(player.timings["coarse"])
-        if frame % run.every == 0:
-            state = player.simulation.state
-            positions.append(state.world().astype(np.float32))
-            contact.append(state.contact.copy())
-            nearest.append(state.nearest.copy())
-    where, name = np.array(positions), f"{run.name} (coarse)"
-    return Recording(name, frames, where, where, np.array(contact), np.array(nearest), float(np.median(times)))
 
 
 @dataclass(frozen=True)
@@ -87,12 +69,10 @@ class HeldOut:
             database: gives the coarse model.
             truth: of the motion.
         """
-        plain = settled(_coarse_recording(database, truth.run), truth.run)
+        plain = settled(record_coarse(database, truth.run), truth.run)
         recording, floor, energy = truth.recording.where(JUDGED), truth.floor[JUDGED], truth.energy[JUDGED]
         judged = replace(truth, recording=recording, floor=floor, energy=energy)
-        matrix = CoarseFilter(truth.levels).matrix
-        seen = np.stack([matrix @ frame for frame in plain.coarse]).astype(np.float32)
-        return cls(truth, judged, plain, replace(plain, coarse=seen))
+        return cls(truth, judged, plain, filtered(truth.levels, database.sharpness, plain))
 
     def show(self, layer: Layer, lift: FrameDecoder, recording: Recording) -> tuple[np.ndarray, np.ndarray, float]:
         """Show recorded coarse states to one way, from the first to the last.
