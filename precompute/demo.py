@@ -45,7 +45,6 @@ WORDS = {
     "fitting": "learning which folds belong to which coarse skirt",
     "means of vertices": "learning what all folds have in common",
     "unfamiliarity": "learning where not to trust what was learned",
-    "sharpening": "measuring how much the coarse skirt folds by itself",
     "evaluating": "playing the walk and judging it",
     "comparing": "comparing with plain cloth",
     "drawing": "drawing, baking the animation and writing the page",
@@ -86,14 +85,14 @@ SHORT = Demo(
         piece_s=0.25,
         free_runs=2,
     ),
-    seconds=(58.0, 68.0, 3.0, 15.0, 2.0, 9.0, 10.0, 30.0, 92.0, 10.0),
+    seconds=(58.0, 68.0, 3.0, 15.0, 2.0, 9.0, 30.0, 92.0, 10.0),
     moments=2,
     brief=True,
 )
 FULL = Demo(
     DATA / "demo_full.toml",
     LearningOptions(),
-    seconds=(60.0, 80.0, 20.0, 120.0, 20.0, 30.0, 20.0, 60.0, 180.0, 20.0),
+    seconds=(60.0, 80.0, 20.0, 120.0, 20.0, 30.0, 60.0, 180.0, 20.0),
     moments=4,
     brief=False,
 )

@@ -19,6 +19,7 @@ from wrinkles.fine_surface import FineSurface
 from wrinkles.levels import Levels
 from wrinkles.patches import Patches
 from wrinkles.relaxation import Relaxation
+from wrinkles.temporal_sharpening import TemporalSharpening
 
 __all__ = ["FineGarment"]
 
@@ -39,7 +40,8 @@ class FineGarment:
     def __init__(self, database: WrinkleDatabase, levels: Levels, source: BodySource) -> None:
         subdivision, charts = levels.subdivision, Charts.of(levels.coarse)
         self._levels = levels
-        self._filter = CoarseFilter(levels, database.sharpness)
+        self._filter = CoarseFilter(levels)
+        self._sharpen = TemporalSharpening(levels)
         self._upsample, self._upsample_velocity = Upsampler(subdivision), Upsampler(subdivision)
         layer = None if levels.layers is None else levels.layers.layer
         stencil, atoms = Stencil.of(charts, database.held, layer), database.atoms
@@ -50,13 +52,28 @@ class FineGarment:
         self.vertices = np.zeros((subdivision.fine_count, 3), np.float32)
         self.normals = np.zeros((subdivision.fine_count, 3), np.float32)
 
+    def begin(self, position: np.ndarray) -> None:
+        """Take a state of the coarse garment as one in which it has been for long: [m], float32, shape (n, 4)."""
+        self._sharpen.begin(position)
+
+    def follow(self, position: np.ndarray, dt: float) -> None:
+        """Follow a step of the coarse garment: see :meth:`wrinkles.temporal_sharpening.TemporalSharpening.follow`."""
+        self._sharpen.follow(position, dt)
+
     def make(
-        self, position: np.ndarray, state: State, body: Body, body_vertices: np.ndarray, detail: LevelOfDetail
+        self,
+        position: np.ndarray,
+        alpha: float,
+        state: State,
+        body: Body,
+        body_vertices: np.ndarray,
+        detail: LevelOfDetail,
     ) -> tuple[float, float]:
         """Write :attr:`vertices`.
 
         Args:
             position: of the coarse vertices, float32, shape (n, 4); the first three columns are used [m].
+            alpha: where they are between the last two states: 1 at the last one.
             state: of the coarse garment; gives contacts with the body.
             body: that the garment lies on.
             body_vertices: where the body is shown [m], float32, shape (b, 3).
@@ -66,7 +83,7 @@ class FineGarment:
             time of decoding and of relaxation [ms].
         """
         began = time.perf_counter()
-        position = self._filter(position)
+        position = self._filter(self._sharpen(position, alpha))
         decoder, drawn = self._decoder, detail.atoms > 0
         self._upsample.to_middle(position)
         if drawn:
@@ -92,19 +109,20 @@ class FineGarment:
 
     @property
     def memory(self) -> tuple[np.ndarray | int, ...]:
-        """What the relaxation remembers; see :attr:`wrinkles.relaxation.Relaxation.memory`."""
-        return self._relax.memory
+        """What sharpening and relaxation remember, a copy; may be set again."""
+        return *self._sharpen.memory, *self._relax.memory
 
     @memory.setter
     def memory(self, memory: tuple[np.ndarray | int, ...]) -> None:
-        self._relax.memory = memory
+        count = len(self._sharpen.memory)
+        self._sharpen.memory, self._relax.memory = memory[:count], memory[count:]
 
     def sample(
         self, position: np.ndarray, state: State, body: Body, body_vertices: np.ndarray, detail: LevelOfDetail
     ) -> np.ndarray:
         """Vertices as :meth:`make` makes them, float32, shape (N, 3); the garment itself stays as it is."""
         kept, memory = self.vertices.copy(), self._relax.memory
-        self.make(position, state, body, body_vertices, detail)
+        self.make(position, 1.0, state, body, body_vertices, detail)
         made = self.vertices.copy()
         self.vertices[:], self._relax.memory = kept, memory
         return made

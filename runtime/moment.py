@@ -18,7 +18,7 @@ class Moment(NamedTuple):
     Attributes:
         state: a copy of the garment's state.
         time: time since the start, at which turbulent wind is taken [s].
-        memory: of the relaxation of the fine mesh; empty without one.
+        memory: of what makes the fine mesh; empty without one.
     """
 
     state: State

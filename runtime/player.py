@@ -150,6 +150,7 @@ class Player:
         self._between.remember()
         self._between.before[stay.coarse, :3] = old_between[stay.before, :3]
         simulation.solver.options = old_simulation.solver.options
+        self._fine.begin(simulation.state.position)
         self._detail, self._extrapolation.started = detail, False
         self._idle, self._dt, self._wait = times
         self._fade.prepare()
@@ -288,6 +289,7 @@ class Player:
         simulation.time = moved.time
         if self._coarser is not None and self._detail.level:
             self._coarser.lead()
+        self._fine.follow(simulation.state.position, dt)
         self.timings["skin"] = 1e3 * (skinned - began)
         self.timings["coarse"] = 1e3 * (time.perf_counter() - skinned)
 
@@ -363,7 +365,9 @@ class Player:
         position, body_vertices = self._between.at(alpha)
         between_ms = 1e3 * (time.perf_counter() - began)
         simulation = self.simulation
-        decode_ms, relax_ms = self._fine.make(position, simulation.state, simulation.body, body_vertices, self._detail)
+        decode_ms, relax_ms = self._fine.make(
+            position, alpha, simulation.state, simulation.body, body_vertices, self._detail
+        )
         self.timings["decode"], self.timings["relax"] = between_ms + decode_ms, relax_ms
 
     def _carry_on(self, alpha: float) -> None:
@@ -399,6 +403,7 @@ class Player:
         self.step(pose, 1.0 / self.database.frame_rate)
         simulation.state = start
         simulation.place_body(pose)
+        self._fine.begin(start.position)
         self._between.remember()
         self.timings = dict.fromkeys(self.timings, 0.0)
 

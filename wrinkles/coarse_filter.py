@@ -1,18 +1,16 @@
-"""The filter of a coarse garment that is simulated on its own, before its wrinkles are predicted.
+"""A low-pass filter for a coarse garment that is simulated on its own, before its wrinkles are predicted.
 
-The dictionary was trained on filtered coarse states, which have no folds of the shortest wavelengths. A coarse garment
-also folds less than a fine one in the octaves that it can represent; the filter raises what is left of them.
+The dictionary was trained on filtered coarse states, which have no folds of the shortest wavelengths.
 """
 
 import numpy as np
-from scipy.sparse import csc_matrix, csr_matrix, diags, hstack, identity
+from scipy.sparse import csc_matrix, csr_matrix, diags, hstack
 from scipy.sparse.linalg import splu
 
 from pbd.bending import hinge_rows
 from pbd.engine import ensure_initialized, ti
 from pbd.taichi_internals import Launch
 from wrinkles.levels import Levels
-from wrinkles.spectrum import curvature_matrix
 
 __all__ = ["CoarseFilter"]
 
@@ -43,20 +41,15 @@ class CoarseFilter:
     simulated on its own also has folds at the limit of its mesh. Without the filter the dictionary would take such a
     fold for the faint remainder of a fine fold, and amplify it.
 
-    Before that, positions are sharpened: s (cutoff / 2 pi)^2 times their curvature vector is added to them. Both
-    together keep the share (1 + s (cutoff / L)^2) / (1 + (cutoff / L)^4) of a fold: with a sharpness s of 0.4 it is
-    1.17 at 1.5 times the cut-off, and 1.09 at 2.3 times.
-
     Args:
         levels: of the garment.
-        sharpness: s [-]; 0 sharpens nothing.
 
     Attributes:
         matrix: filters coarse positions; rows sum to one, held vertices stay; shape (n, n).
         position: filtered positions of the last call [m], float32, shape (n, 4).
     """
 
-    def __init__(self, levels: Levels, sharpness: float = 0.0) -> None:
+    def __init__(self, levels: Levels) -> None:
         ensure_initialized()
         mesh, count = levels.coarse, levels.subdivision.coarse_count
         hinges, rows, areas, _ = hinge_rows(mesh)
@@ -79,11 +72,7 @@ class CoarseFilter:
         matrix[levels.coarse_held] = 0.0
         matrix[levels.coarse_held, levels.coarse_held] = 1.0
         matrix = matrix.tocsr()
-        smooth = diags(1.0 / np.asarray(matrix.sum(axis=1)).ravel()) @ matrix
-        raised = curvature_matrix(mesh).tolil()
-        raised[levels.coarse_held] = 0.0
-        self.matrix = (smooth @ (identity(count) + sharpness * np.sqrt(stiffness) * raised.tocsr())).tocsr()
-        self.matrix.eliminate_zeros()
+        self.matrix = (diags(1.0 / np.asarray(matrix.sum(axis=1)).ravel()) @ matrix).tocsr()
         self.matrix.sort_indices()
         self._start = self.matrix.indptr.astype(np.int32)
         self._index = self.matrix.indices.astype(np.int32)

@@ -97,7 +97,6 @@ class WrinkleDatabase:
         atoms, mapping: the dictionary.
         novelty: decides where the wrinkles fade.
         cutoff: wavelength of the filter between coarse and fine [m].
-        sharpness: of the filter of the coarse garment, see :class:`wrinkles.coarse_filter.CoarseFilter` [-].
         body_hash: hash of the body that the garment was trained on, see :func:`body_hash`.
         body_vertex_count: number of that body's vertices.
         quality: held-out figures by name; figures that are not finite (nothing to measure) are not stored.
@@ -132,7 +131,6 @@ class WrinkleDatabase:
     mapping: CoefficientNetwork
     novelty: NoveltyScore
     cutoff: float
-    sharpness: float
     body_hash: str
     body_vertex_count: int
     quality: Mapping[str, float]

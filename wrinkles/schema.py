@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 29
+SCHEMA_VERSION = 28
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE, STEPS = "text", "float32", "float64", "int32", "int64", "int8"
 
@@ -147,7 +147,6 @@ ENTRIES = (
     Entry("novelty/bias_2", DOUBLE),
     Entry("novelty/fade_from", DOUBLE, unit="deg"),
     Entry("cutoff", DOUBLE, unit="m"),
-    Entry("sharpness", DOUBLE),
     Entry("body_hash", TEXT),
     Entry("body_vertex_count", WHOLE),
     Entry("quality/names", TEXT, ("q",)),
@@ -349,8 +348,6 @@ def _check_numbers(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:
     for name in ("maximum_distance", "backstop", "stiffness"):
         if (lowest := arrays[f"limits/{name}"].min(initial=0.0)) < 0:
             refuse("out of range", f"limits/{name}", lowest.item(), "at least 0")
-    if (sharpness := arrays["sharpness"].item()) < 0:
-        refuse("out of range", "sharpness", sharpness, "at least 0")
     levels = arrays["subdivisions"].item()
     if not 1 <= levels <= 4:
         refuse("out of range", "subdivisions", levels, "1 to 4")

@@ -13,13 +13,15 @@ from pbd import InputError
 from precompute.learning.decoding import FrameDecoder, decoded_frames
 from precompute.learning.evaluation import Truth, free_figures, settled, truth_of
 from precompute.learning.pipeline import scene_run
-from precompute.learning.recording import Recording
-from precompute.learning.sharpening import filtered, record_coarse
+from precompute.learning.recording import Recording, Run
 from precompute.learning.training import Layer
 from runtime.garment_setup import GarmentSetup
+from runtime.player import Player
 from wrinkles.charts import leading_vertices
+from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase
 from wrinkles.metrics import given_coarse_figures
+from wrinkles.temporal_sharpening import TemporalSharpening
 
 __all__ = ["JUDGED", "HeldOut", "held_out_truth"]
 
@@ -40,6 +42,27 @@ def held_out_truth(
     return truth_of(scene_run(stage, scene, stage.motion(scene.training.held_out[0])), cache, 2, report)
 
 
+def _coarse_recording(database: WrinkleDatabase, run: Run) -> Recording:
+    """The coarse garment running freely over a fine run's poses: ``positions`` as it is, ``coarse`` sharpened."""
+    player = Player(database, run.body, run.poses[0], run.primitives)
+    sharpen = TemporalSharpening(player.levels)
+    sharpen.begin(player.simulation.state.position)
+    frames, times = np.arange(run.every, run.frame_count + 1, run.every), []
+    positions, sharp, contact, nearest = [], [], [], []
+    for frame in range(1, run.frame_count + 1):
+        player.step(run.poses[frame], run.dt, run.wind)
+        times.append(player.timings["coarse"])
+        state = player.simulation.state
+        sharpen.follow(state.position, run.dt)
+        if frame % run.every == 0:
+            positions.append(state.world().astype(np.float32))
+            sharp.append((sharpen(state.position)[:, :3] + state.origin).astype(np.float32))
+            contact.append(state.contact.copy())
+            nearest.append(state.nearest.copy())
+    found = [np.array(rows) for rows in (positions, sharp, contact, nearest)]
+    return Recording(f"{run.name} (coarse)", frames, *found, step_ms=float(np.median(times)))
+
+
 @dataclass(frozen=True)
 class HeldOut:
     """A held-out motion, and the coarse garment running freely over it, recorded once for every way that decodes it.
@@ -49,7 +72,7 @@ class HeldOut:
     Attributes:
         truth: all settled frames.
         judged: the frames that are judged.
-        plain, free: the free run of the coarse garment, as it is and filtered as the player filters it.
+        plain, free: the free run of the coarse garment, as it is, and sharpened and filtered as by the player.
     """
 
     truth: Truth
@@ -69,10 +92,12 @@ class HeldOut:
             database: gives the coarse model.
             truth: of the motion.
         """
-        plain = settled(record_coarse(database, truth.run), truth.run)
+        free = settled(_coarse_recording(database, truth.run), truth.run)
         recording, floor, energy = truth.recording.where(JUDGED), truth.floor[JUDGED], truth.energy[JUDGED]
         judged = replace(truth, recording=recording, floor=floor, energy=energy)
-        return cls(truth, judged, plain, filtered(truth.levels, database.sharpness, plain))
+        matrix = CoarseFilter(truth.levels).matrix
+        seen = np.stack([matrix @ frame for frame in free.coarse]).astype(np.float32)
+        return cls(truth, judged, replace(free, coarse=free.positions), replace(free, coarse=seen))
 
     def show(self, layer: Layer, lift: FrameDecoder, recording: Recording) -> tuple[np.ndarray, np.ndarray, float]:
         """Show recorded coarse states to one way, from the first to the last.

@@ -32,7 +32,6 @@ from precompute.learning.kept import Kept
 from precompute.learning.novelty import fit_novelty
 from precompute.learning.options import LearningOptions
 from precompute.learning.recording import Recording, Run, body_source, record_runs
-from precompute.learning.sharpening import Sharpness, fit_sharpness
 from precompute.learning.stages import StageClock, StageTime
 from precompute.learning.training import Layer, TrainingSet, build_layer, fit_layer, spread_frames, training_set
 from precompute.workers import Workers
@@ -57,7 +56,7 @@ __all__ = [
 DEFAULT = LearningOptions()
 SHORTEST = 0.1  # part of a held-out motion that is judged at least [s]
 STAGES = (
-    "simulating", "fitting patches", "fitting", "means of vertices", "unfamiliarity", "sharpening", "evaluating",
+    "simulating", "fitting patches", "fitting", "means of vertices", "unfamiliarity", "evaluating",
 )  # fmt: skip
 
 
@@ -304,7 +303,7 @@ def _finished(
         novelty = kept.instance(NoveltyScore, "unfamiliarity", lambda: fit_novelty(*given))
     scene, settings, levels, body = work.scene, work.stage.settings, work.stage.levels, work.stage.body
     own, *others = work.fabrics
-    database = WrinkleDatabase(
+    return WrinkleDatabase(
         garment_name=work.stage.name,
         coarse_vertices=levels.coarse.vertices,
         coarse_faces=levels.coarse.faces,
@@ -327,7 +326,6 @@ def _finished(
         mapping=mapping,
         novelty=novelty,
         cutoff=levels.cutoff,
-        sharpness=0.0,
         body_hash=body_hash(body),
         body_vertex_count=len(body_source(body).vertices),
         quality={},
@@ -339,11 +337,6 @@ def _finished(
         code_version=code_version(),
         created=date.today().isoformat(),
     )
-    with work.clock.stage("sharpening"):
-        worn = [database.in_fabric(example.fabric) for example in examples]
-        played = (work.layer, worn, runs, recordings, work.workers, work.options.mean_frames)
-        found = kept.instance(Sharpness, "sharpness", lambda: fit_sharpness(*played))
-    return replace(database, sharpness=found.sharpness)
 
 
 def _evaluated(work: _Work, database: WrinkleDatabase, motion: Motion) -> tuple[Truth, Evaluation, dict[str, float]]:

@@ -5,11 +5,8 @@ import pytest
 
 from assets.procedural.builtin import builtin_garment
 from assets.procedural.mannequin import builtin_mannequin
-from tests.pbd.meshes import grid
 from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.levels import Levels, build_levels
-
-NO_FACES = np.zeros((0, 3), np.int32)
 
 
 @pytest.fixture(scope="module")
@@ -42,28 +39,8 @@ def test_folds_at_the_mesh_limit_go_and_long_ones_stay(levels: Levels) -> None:
     assert np.corrcoef((matrix @ wave)[free], wave[free])[0, 1] > 0.98
 
 
-@pytest.mark.parametrize("axis", [0, 1])
-@pytest.mark.parametrize("waves", [1.5, 2.0, 3.0])
-def test_sharpness_raises_folds_near_the_cutoff_more_than_long_ones(waves: float, axis: int) -> None:
-    """A fold of so many cut-offs keeps (1 + s (cutoff / L)^2) / (1 + (cutoff / L)^4) of its height."""
-    sheet = build_levels(*grid(40, 40, 0.05, "equilateral"), np.array([], int), np.zeros((0, 3)), NO_FACES, 1)
-    place = sheet.coarse.vertices
-    fold = np.sin(2.0 * np.pi / (waves * sheet.cutoff) * place[:, axis] + 0.3)
-    middle = np.exp(-(((place - place.mean(axis=0)) / 0.25) ** 2).sum(axis=1))  # away from the rim
-    for sharpness in (0.0, 0.4):
-        height = CoarseFilter(sheet, sharpness).matrix @ fold
-        kept = (middle * height * fold).sum() / (middle * fold**2).sum()
-        assert kept == pytest.approx((1.0 + sharpness * waves**-2.0) / (1.0 + waves**-4.0), abs=0.04)
-
-
-def test_sharpness_leaves_held_vertices_and_moved_garments(levels: Levels) -> None:
-    matrix, vertices = CoarseFilter(levels, 0.4).matrix, levels.coarse.vertices
-    assert np.allclose(matrix @ np.ones(len(vertices)), 1.0)
-    assert np.array_equal((matrix @ vertices)[levels.coarse_held], vertices[levels.coarse_held])
-
-
 def test_the_kernel_agrees_with_the_matrix(levels: Levels) -> None:
-    coarse_filter = CoarseFilter(levels, 0.3)
+    coarse_filter = CoarseFilter(levels)
     rng = np.random.default_rng(1)
     position = rng.standard_normal((len(levels.coarse.vertices), 4)).astype(np.float32)
     filtered = coarse_filter(position)

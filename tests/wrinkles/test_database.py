@@ -278,7 +278,6 @@ REFUSED: dict[str, tuple[Callable[[h5py.File], Any], str, str]] = {
     ),
     "too few scales": (put("atoms/shapes_scale", np.ones(4, np.float32)), "atoms/shapes_scale: wrong shape", "K = 5"),
     "no scale": (edit("mapping/weights_3_scale", (1, 2), 0.0), "mapping/weights_3_scale: out of range", "above 0"),
-    "dull": (edit("sharpness", (), -0.1), "sharpness: out of range", "received -0.1, expected at least 0"),
     "NaN alone": (edit("cutoff", (), np.nan), "cutoff: not finite", "expected finite numbers"),
     "frame rate": (edit("frame_rate", (), 0.0), "frame_rate: out of range", "received 0.0, expected above 0"),
     "subdivisions": (edit("subdivisions", (), 9), "subdivisions: out of range", "received 9, expected 1 to 4"),

@@ -66,7 +66,6 @@ def database() -> WrinkleDatabase:
         held=levels.coarse_held.astype(np.int32),
         subdivisions=2,
         cutoff=levels.cutoff,
-        sharpness=0.0,
         atoms=replace(plain.atoms, vertex_mean=np.zeros((levels.subdivision.fine_count, 3), np.float32)),
         mapping=placed(plain.mapping, bias),
         solver=SolverOptions(substep=1.0 / 240.0),
