@@ -15,6 +15,7 @@ from wrinkles.surface import csr_arrays
 
 __all__ = ["ProxySimulation"]
 
+YIELDING = 2.0  # a mesh of edges twice as long cannot fold as short: it gives way so many times as easily instead
 STAND_OFF = 0.035  # distance from the body besides the thickness, over the mean edge: the coarse mesh dips that far [-]
 THINNED = 0.6 * FAR  # spacing of the body vertices that are searched: one is nearer than FAR to any contact [m]
 
@@ -60,7 +61,7 @@ class ProxySimulation:
     Args:
         proxy: the mesh below, and the matrix by which it carries the coarse mesh.
         above: simulation of the coarse mesh; its body and the options of its solver are shared.
-        options: options of the coarse mesh's model; the model of the mesh below takes the same.
+        options: options of the coarse mesh's model; the mesh below gives way to compression YIELDING times as easily.
         body_vertices: the body in its bind pose [m], shape (b, 3).
         attachment: holds the coarse mesh's held vertices to the body.
 
@@ -79,6 +80,7 @@ class ProxySimulation:
         fabric, edge = above.model.fabric, float(proxy.mesh.edge_lengths()[1].mean())
         thicker = replace(fabric, thickness=fabric.thickness + STAND_OFF * edge)
         limits = above.model.limits.taken(proxy.nearest)
+        options = replace(options, compression_compliance_scale=YIELDING * options.compression_compliance_scale)
         model = replace(build_model(proxy.mesh, thicker, proxy.held, options, limits=limits), smooth=True)
         own = Attachment.bind(proxy.mesh.vertices[proxy.held], body_vertices, above.body.faces)
         self.simulation = above.beside(model, own)
