@@ -18,9 +18,8 @@ from wrinkles.surface import csr_arrays
 
 __all__ = ["LIMIT", "SHARPNESS", "TIME", "TemporalSharpening"]
 
-# Share by which changes of a fold at the cut-off are raised. With 1 the folds of a skirt and of a T-shirt have the energy
-# of fine ones.
-# of fine ones.
+# Share by which changes of a fold at the cut-off are raised. With 1 the folds of a skirt and of a T-shirt have the
+# energy of fine ones.
 SHARPNESS = 1.0
 TIME = 0.05  # in which the running mean follows [s]
 LIMIT = 0.05  # of the difference from it, in cut-offs: a garment that is put elsewhere at once does not grow spikes
