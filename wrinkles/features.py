@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from pbd import ClothMesh
 from pbd.engine import ensure_initialized, ti
-from pbd.geometry import FAR
+from pbd.geometry import FAR, Float1, Int1, Vec4, vec3, vec4, xyz
 from pbd.taichi_internals import Launch
 from wrinkles.charts import Charts
 from wrinkles.layer_distance import LayerDistance
@@ -27,71 +27,88 @@ OTHERS = [p for p in range(POINTS) if p != CENTRE]
 INNER = [CENTRE + SIDE * a + b for a in (-1, 0, 1) for b in (-1, 0, 1)]
 UP, DOWN, LEFT, RIGHT = CENTRE + SIDE, CENTRE - SIDE, CENTRE - 1, CENTRE + 1  # +-1 along warp, -+1 along weft
 # Features that change with the state: 72 components of offsets, 9 distances from what it lies on.
-DYNAMIC_COUNT = 3 * len(OTHERS) + len(INNER)
+OFFSET_COUNT = 3 * len(OTHERS)
+DYNAMIC_COUNT = OFFSET_COUNT + len(INNER)
 # Numbers of the features that are offsets of the eight points around the centre.
 INNER_OFFSETS = [3 * OTHERS.index(p) + a for p in INNER if p != CENTRE for a in range(3)]
 MODE_COUNT = 8  # slow modes of the mesh among the static features
 REGIONS = 5  # parts of a garment with network layers of their own
 MIN_REGION_SIZE = 40  # coarse vertices in a region, on average
 
-vec3 = ti.math.vec3
-Vec4 = ti.types.ndarray(dtype=ti.math.vec4, ndim=1)
-Float2 = ti.types.ndarray(dtype=ti.f32, ndim=2)
-Float1 = ti.types.ndarray(dtype=ti.f32, ndim=1)
-Int2 = ti.types.ndarray(dtype=ti.i32, ndim=2)
+Corners = ti.types.ndarray(dtype=ti.types.vector(3 * POINTS, ti.i32), ndim=1)
+Weights = ti.types.ndarray(dtype=ti.types.vector(3 * POINTS, ti.f32), ndim=1)
+Frames = ti.types.ndarray(dtype=ti.types.vector(9, ti.f32), ndim=1)
+Features = ti.types.ndarray(dtype=ti.types.vector(DYNAMIC_COUNT, ti.f32), ndim=1)
+
+
+@ti.func
+def _frame(warp: vec3, weft: vec3):
+    """Unit vectors along the warp, about along the weft and along the normal."""
+    e1 = warp / ti.max(warp.norm(), 1e-12)
+    normal = e1.cross(weft)
+    e3 = normal / ti.max(normal.norm(), 1e-12)
+    return e1, e3.cross(e1), e3
 
 
 @ti.kernel
 def _read_stencil(
     position: Vec4,
     contact: Float1,
-    corners: Int2,
-    weights: Float2,
+    corners: Corners,
+    weights: Weights,
     spacing: ti.f32,
     center: Float1,
     scale: Float1,
     limit: ti.f32,
-    frames: Float2,
-    features: Float2,
+    placed: Vec4,
+    frames: Frames,
+    row: Int1,
+    features: Features,
 ):
-    """The kernel of :meth:`Stencil.read`, with its arguments and attributes."""
+    """The kernel of :meth:`Stencil.read`, with its arguments and attributes; ``placed`` gets positions with distances.
+
+    The compiler makes use of vector instructions only where what is written is an array of the kernel's own.
+    """
     ti.loop_config(serialize=True)
     for _ in range(1):
         for i in range(position.shape[0]):
-            x = ti.Matrix.zero(ti.f32, POINTS, 4)
-            for p in range(POINTS):
-                total = ti.math.vec4(0.0)
-                for c in ti.static(range(3)):
-                    total += weights[i, 3 * p + c] * position[corners[i, 3 * p + c]]
+            placed[i] = vec4(xyz(position[i]), contact[i] / FAR)
+        for i in range(position.shape[0]):
+            here = placed[i]
+            offset = ti.Matrix.zero(ti.f32, POINTS, 4)
+            for p in ti.static(OTHERS):
+                total = -here
+                for c in ti.static(range(3 * p, 3 * p + 3)):
+                    total += weights[i][c] * placed[corners[i][c]]
                 for a in ti.static(range(4)):
-                    x[p, a] = total[a]
-            x0 = vec3(x[CENTRE, 0], x[CENTRE, 1], x[CENTRE, 2])
-            warp = vec3(x[UP, 0] - x[DOWN, 0], x[UP, 1] - x[DOWN, 1], x[UP, 2] - x[DOWN, 2])
-            weft = vec3(x[RIGHT, 0] - x[LEFT, 0], x[RIGHT, 1] - x[LEFT, 1], x[RIGHT, 2] - x[LEFT, 2])
-            e1 = warp / ti.max(warp.norm(), 1e-12)
-            normal = e1.cross(weft)
-            e3 = normal / ti.max(normal.norm(), 1e-12)
-            e2 = e3.cross(e1)
+                    offset[p, a] = total[a]
+            warp, weft = vec3(0.0), vec3(0.0)
             for a in ti.static(range(3)):
-                frames[i, a] = e1[a]
-                frames[i, 3 + a] = e2[a]
-                frames[i, 6 + a] = e3[a]
-            f = 0
-            for p in range(POINTS):
-                if p != CENTRE:
-                    d = vec3(x[p, 0], x[p, 1], x[p, 2]) - x0
-                    features[i, f] = d.dot(e1) / spacing
-                    features[i, f + 1] = d.dot(e2) / spacing
-                    features[i, f + 2] = d.dot(e3) / spacing
-                    f += 3
-            for q in ti.static(INNER):
-                near = 0.0
-                for c in ti.static(range(3)):
-                    near += weights[i, 3 * q + c] * contact[corners[i, 3 * q + c]]
-                features[i, f] = near / FAR
-                f += 1
-            for c in range(features.shape[1]):
-                features[i, c] = ti.math.clamp((features[i, c] - center[c]) * scale[c], -limit, limit)
+                warp[a] = offset[UP, a] - offset[DOWN, a]
+                weft[a] = offset[RIGHT, a] - offset[LEFT, a]
+            e1, e2, e3 = _frame(warp, weft)
+            for a in ti.static(range(3)):
+                frames[i][a] = e1[a]
+                frames[i][3 + a] = e2[a]
+                frames[i][6 + a] = e3[a]
+            e1, e2, e3 = e1 / spacing, e2 / spacing, e3 / spacing
+            found = ti.Matrix.zero(ti.f32, DYNAMIC_COUNT, 1)
+            for q in range(POINTS - 1):
+                p = q + int(q >= CENTRE)
+                local = vec4(vec3(0.0))
+                for a in ti.static(range(3)):
+                    local += offset[p, a] * vec4(vec3(e1[a], e2[a], e3[a]))
+                for a in ti.static(range(4)):  # the fourth is written over
+                    found[3 * q + a, 0] = local[a]
+            for k in ti.static(range(DYNAMIC_COUNT - OFFSET_COUNT)):
+                found[OFFSET_COUNT + k, 0] = here[3] + offset[INNER[k], 3]
+            for c in range(DYNAMIC_COUNT):
+                scaled = (found[c, 0] - center[c]) * scale[c]
+                below = ti.select(scaled < limit, scaled, limit)  # ti.math.clamp would ask for more than this
+                found[c, 0] = ti.select(below > -limit, below, -limit)
+            to = row[i]
+            for c in range(DYNAMIC_COUNT):
+                features[to][c] = found[c, 0]
 
 
 @dataclass(frozen=True)
@@ -113,6 +130,10 @@ class Stencil:
     static: np.ndarray
     below: LayerDistance | None = None
     _launch: Launch = field(default_factory=lambda: Launch(_read_stencil), init=False, repr=False, compare=False)
+    _placed: np.ndarray = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_placed", np.zeros((len(self.corners), 4), np.float32))
 
     @classmethod
     def of(cls, charts: Charts, held: np.ndarray, layer: np.ndarray | None = None) -> "Stencil":
@@ -169,6 +190,7 @@ class Stencil:
         center: np.ndarray | None = None,
         scale: np.ndarray | None = None,
         limit: float = 1e30,
+        row: np.ndarray | None = None,
     ) -> None:
         """Read frames and features from a state of the garment; both are written to the given arrays.
 
@@ -179,6 +201,7 @@ class Stencil:
             features: receives clip((features - center) * scale, -limit, limit) [-], float32, shape (n, DYNAMIC_COUNT).
             center, scale: float32, shape (DYNAMIC_COUNT,); None is 0 and 1.
             limit: of the scaled features [-]; without it they are not clipped.
+            row: of ``features`` that each vertex gets, int32, shape (n,); None is its own.
         """
         center = np.zeros(DYNAMIC_COUNT, np.float32) if center is None else center
         scale = np.ones(DYNAMIC_COUNT, np.float32) if scale is None else scale
@@ -191,7 +214,9 @@ class Stencil:
             center,
             scale,
             limit,
+            self._placed,
             frames,
+            np.arange(len(frames), dtype=np.int32) if row is None else row,
             features,
         )
 
