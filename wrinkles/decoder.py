@@ -3,6 +3,8 @@
 All arrays are allocated once, so that a frame allocates none.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
@@ -66,6 +68,9 @@ class Upsampler:
 class Decoder:
     """Predicts the dictionary's displacements: a grid of them around each coarse vertex.
 
+    A layer max(W x + b, 0) is computed as max(W x, -b), the sum with b being left to the biases of the next layer: of
+    arrays as large as one another NumPy takes the larger in one fast pass.
+
     Args:
         stencil: reads features and frames from the coarse garment.
         mapping: gives coefficients for features.
@@ -75,7 +80,7 @@ class Decoder:
     Attributes:
         amplitude: share of the wrinkles that was drawn at each coarse vertex, float32, shape (n,).
         score: log of the error that is expected there, see :meth:`NoveltyScore.score` [log deg], float32, shape (n,).
-        frames, features: of the last state, see :meth:`Stencil.read`.
+        frames: of the last state, see :meth:`Stencil.read`.
         grids: displacements in the patches' frames [m], float32, shape (n, 3 nodes).
     """
 
@@ -87,64 +92,81 @@ class Decoder:
         novelty: NoveltyScore,
     ) -> None:
         self.stencil, self.mapping, self.novelty = stencil, mapping, novelty
-        self.amplitude = np.ones(len(stencil.corners), np.float32)
-        self.score = np.zeros(len(stencil.corners), np.float32)
-        count, (regions, width_1, width_2) = len(stencil.corners), mapping.weights_2.shape
+        count, width = len(stencil.corners), mapping.weights_2.shape[2]
+        self.amplitude = np.ones(count, np.float32)
+        self.score = np.zeros(count, np.float32)
         self.frames = np.zeros((count, 9), np.float32)
-        self.features = np.zeros((count, DYNAMIC_COUNT), np.float32)
-        # The network runs region by region, over rows that lie together.
-        self._order = np.argsort(mapping.region, kind="stable")
-        ends = np.searchsorted(mapping.region[self._order], np.arange(regions + 1))
-        self._spans = [slice(*ends[r : r + 2]) for r in range(regions)]
-        self._place_bias = np.ascontiguousarray(mapping.place_bias[self._order])
-        self._features = np.zeros_like(self.features)
-        self._hidden_1 = np.zeros((count, width_1), np.float32)
-        self._hidden_2 = np.zeros((count, width_2), np.float32)
-        self._output, self._coefficients = (np.zeros((count, len(atoms.shapes)), np.float32) for _ in range(2))
-        self.grids = np.zeros((count, len(atoms.mean)), np.float32)
-        self._shapes = np.ascontiguousarray(atoms.shapes)
-        self._mean = atoms.mean
+        # The network runs region by region, over rows that lie together and stay in the processor's cache.
+        order = np.argsort(mapping.region, kind="stable")
+        self._row, region = np.argsort(order).astype(np.int32), mapping.region[order]
+        ends = np.searchsorted(region, np.arange(len(mapping.weights_2) + 1))
+        self._spans = [slice(*ends[r : r + 2]) for r in range(len(mapping.weights_2))]
+        # Beside the second layer of each region, the units of the novelty score.
+        heads = np.broadcast_to(novelty.weights_1, (len(mapping.weights_2), *novelty.weights_1.shape))
+        self._weights_2 = np.concatenate([mapping.weights_2, heads], axis=2)
         self._blas = ThreadpoolController()
+        with self._blas.limit(limits=1, user_api="blas"):
+            bias_1 = mapping.place_bias[order].astype(float)
+            bias_2 = _through(bias_1, self._spans, self._weights_2)
+            bias_2[:, :width] += mapping.bias_2[region]
+            bias_2[:, width:] += novelty.bias_1
+            bias_3 = np.zeros((count, 1 + len(atoms.shapes)))
+            bias_3[:, 1:] = _through(bias_2[:, :width], self._spans, mapping.weights_3) + mapping.bias_3[region]
+            bias_score = bias_2[:, width:] @ novelty.weights_2 + novelty.bias_2
+        self._floor_1, self._floor_2, self._bias_3, self._bias_score = (
+            np.ascontiguousarray(bias, np.float32) for bias in (-bias_1, -bias_2, bias_3, bias_score)
+        )
+        self._features = np.zeros((count, DYNAMIC_COUNT), np.float32)
+        self._hidden_1, self._hidden_2 = np.zeros_like(self._floor_1), np.zeros_like(self._floor_2)
+        self._output, self._coefficients = np.zeros_like(self._bias_3), np.zeros_like(self._bias_3)
+        self._shapes = np.concatenate([atoms.mean[None], atoms.shapes])  # the mean patch is one more atom
+        self.grids = np.zeros((count, len(atoms.mean)), np.float32)
 
     def read(self, position: np.ndarray, contact: np.ndarray) -> None:
-        """Set ``frames`` and ``features`` to those of a coarse state.
+        """Set ``frames`` to those of a coarse state.
 
         Args:
             position, contact: of the coarse garment, as in :class:`pbd.State`.
         """
         m = self.mapping
-        self.stencil.read(position, contact, self.frames, self.features, m.center, m.scale, CLIP)
+        self.stencil.read(position, contact, self.frames, self._features, m.center, m.scale, CLIP, self._row)
 
     def predict(self, position: np.ndarray, contact: np.ndarray, atoms: int | None = None) -> None:
-        """Set ``grids`` to those of a coarse state, and all that :meth:`read` sets.
+        """Set ``grids`` to those of a coarse state, and all other attributes.
 
         Args:
             position, contact: as for :meth:`read`.
             atoms: number of atoms used, the most important ones first; None takes all.
         """
         self.read(position, contact)
+        count = len(self._shapes) - 1
         # Matrices this small are slower on several threads, much slower beside other work, and their bits would depend
         # on the number of threads.
         with self._blas.limit(limits=1, user_api="blas"):
-            self._mix(len(self._shapes) if atoms is None else min(atoms, len(self._shapes)))
+            self._mix(count if atoms is None else min(atoms, count))
 
     def _mix(self, atoms: int) -> None:
         """Run the network: features to grids, with the first ``atoms`` atoms."""
-        m, output, coefficients = self.mapping, self._output[:, :atoms], self._coefficients[:, :atoms]
-        np.take(self.features, self._order, axis=0, out=self._features, mode="clip")  # the default mode makes a copy
-        np.matmul(self._features, m.weights_1, out=self._hidden_1)
-        self._hidden_1 += self._place_bias
-        np.maximum(self._hidden_1, 0.0, out=self._hidden_1)
+        width = self.mapping.weights_2.shape[2]
         for r, rows in enumerate(self._spans):
-            second = self._hidden_2[rows]
-            np.matmul(self._hidden_1[rows], m.weights_2[r], out=second)
-            second += m.bias_2[r]
-            np.maximum(second, 0.0, out=second)
-            np.matmul(second, m.weights_3[r, :, :atoms], out=output[rows])
-            output[rows] += m.bias_3[r, :atoms]
-        score = self.novelty.score(self._hidden_1)
+            first, second = self._hidden_1[rows], self._hidden_2[rows]
+            np.matmul(self._features[rows], self.mapping.weights_1, out=first)
+            np.maximum(first, self._floor_1[rows], out=first)
+            np.matmul(first, self._weights_2[r], out=second)
+            np.maximum(second, self._floor_2[rows], out=second)
+            weights_3 = self.mapping.weights_3[r, :, :atoms]
+            np.matmul(second[:, :width], weights_3, out=self._output[rows, 1 : 1 + atoms])
+        score = self._hidden_2[:, width:] @ self.novelty.weights_2 + self._bias_score
         amplitude = self.novelty.amplitude(score)
+        output = self._output[:, : 1 + atoms]
+        output += self._bias_3[:, : 1 + atoms]
         output *= amplitude[:, None]
-        self.score[self._order], self.amplitude[self._order], coefficients[self._order] = score, amplitude, output
-        np.matmul(coefficients, self._shapes[:atoms], out=self.grids)
-        self.grids += self._mean
+        for found, placed in ((score, self.score), (amplitude, self.amplitude), (self._output, self._coefficients)):
+            np.take(found, self._row, axis=0, out=placed, mode="clip")  # the default mode makes a copy
+        self._coefficients[:, 0] = 1.0
+        np.matmul(self._coefficients[:, : 1 + atoms], self._shapes[: 1 + atoms], out=self.grids)
+
+
+def _through(rows: np.ndarray, spans: Sequence[slice], weights: np.ndarray) -> np.ndarray:
+    """Rows, shape (n, p), times the weights of their regions, shape (r, p, q): shape (n, q)."""
+    return np.concatenate([rows[span] @ w for span, w in zip(spans, weights, strict=True)])
