@@ -117,7 +117,9 @@ class Decoder:
             np.ascontiguousarray(bias, np.float32) for bias in (-bias_1, -bias_2, bias_3, bias_score)
         )
         self._features = np.zeros((count, DYNAMIC_COUNT), np.float32)
-        self._hidden_1, self._hidden_2 = np.zeros_like(self._floor_1), np.zeros_like(self._floor_2)
+        largest = int(np.bincount(region).max())
+        self._hidden_1, self._hidden_2 = (np.zeros_like(floor[:largest]) for floor in (self._floor_1, self._floor_2))
+        self._score = np.zeros(count, np.float32)
         self._output, self._coefficients = np.zeros_like(self._bias_3), np.zeros_like(self._bias_3)
         self._shapes = np.concatenate([atoms.mean[None], atoms.shapes])  # the mean patch is one more atom
         self.grids = np.zeros((count, len(atoms.mean)), np.float32)
@@ -149,20 +151,22 @@ class Decoder:
         """Run the network: features to grids, with the first ``atoms`` atoms."""
         width = self.mapping.weights_2.shape[2]
         for r, rows in enumerate(self._spans):
-            first, second = self._hidden_1[rows], self._hidden_2[rows]
+            first, second = (hidden[: rows.stop - rows.start] for hidden in (self._hidden_1, self._hidden_2))
             np.matmul(self._features[rows], self.mapping.weights_1, out=first)
             np.maximum(first, self._floor_1[rows], out=first)
             np.matmul(first, self._weights_2[r], out=second)
             np.maximum(second, self._floor_2[rows], out=second)
             weights_3 = self.mapping.weights_3[r, :, :atoms]
             np.matmul(second[:, :width], weights_3, out=self._output[rows, 1 : 1 + atoms])
-        score = self._hidden_2[:, width:] @ self.novelty.weights_2 + self._bias_score
-        amplitude = self.novelty.amplitude(score)
+            np.matmul(second[:, width:], self.novelty.weights_2, out=self._score[rows])
+        self._score += self._bias_score
+        amplitude = self.novelty.amplitude(self._score)
         output = self._output[:, : 1 + atoms]
         output += self._bias_3[:, : 1 + atoms]
         output *= amplitude[:, None]
-        for found, placed in ((score, self.score), (amplitude, self.amplitude), (self._output, self._coefficients)):
-            np.take(found, self._row, axis=0, out=placed, mode="clip")  # the default mode makes a copy
+        np.take(self._score, self._row, out=self.score, mode="clip")  # the default mode makes a copy
+        np.take(amplitude, self._row, out=self.amplitude, mode="clip")
+        np.take(self._output, self._row, axis=0, out=self._coefficients, mode="clip")
         self._coefficients[:, 0] = 1.0
         np.matmul(self._coefficients[:, : 1 + atoms], self._shapes[: 1 + atoms], out=self.grids)
 
