@@ -5,7 +5,7 @@ from typing import Any
 
 from pbd.contact.blocks import greater, smaller
 from pbd.engine import ti
-from pbd.geometry import FAR, Float1, Int1, Int2, Int3, Vec3, Vec4, between, vec3, xyz
+from pbd.geometry import FAR, Float1, Int1, Int2, Int3, Vec3, Vec4, between, vec3, vec4, xyz
 from pbd.taichi_internals import in_kernel
 from pbd.xpbd.constraints import larger
 from pbd.xpbd.views import BodySurface
@@ -33,7 +33,8 @@ class BodySearch:
         surface: body vertices that lie in a face.
         probes, probe_weights: points spread over large faces of the body, see :class:`pbd.Body`.
         reached: workspace, the items that the cloth can reach in the frame.
-        cell_start, cell_items, item_cell: workspace of the uniform grid.
+        cell_start, cell_items, cell_points, item_cell: workspace of the uniform grid; of the items in the order of
+            its cells their numbers and where they are, vec4.
     """
 
     position: Any = None
@@ -48,6 +49,7 @@ class BodySearch:
     reached: Any = None
     cell_start: Any = None
     cell_items: Any = None
+    cell_points: Any = None
     item_cell: Any = None
     _data_oriented = True
 
@@ -78,15 +80,6 @@ def item_point(b: ti.i32, t: ti.f32, body: ti.template(), search: ti.template())
 
 
 @ti.func
-def item(s: ti.i32, body: ti.template(), search: ti.template()) -> ti.i32:
-    """The s-th item of the search: first the vertices of the surface, then the probes, as :func:`item_point` counts."""
-    b = body.body_start.shape[0] + s - search.surface.shape[0]
-    if s < search.surface.shape[0]:
-        b = search.surface[s]
-    return b
-
-
-@ti.func
 def searches(i: ti.i32, t: ti.f32, nearest: ti.template()):
     """Whether vertex i searches: at the frame's start all do, later only those that have found nothing yet."""
     return t == 0.0 or nearest[i] < 0
@@ -104,8 +97,7 @@ def find_at(t: ti.f32, dt: ti.f32, reached_count: ti.i32, body: ti.template(), s
     for i in range(search.position.shape[0]):
         if searches(i, t, search.nearest):
             p = xyz(search.position[i]) + t * dt * search.velocity[i]
-            low = ti.min(low, p)
-            high = ti.max(high, p)
+            low, high = smaller(low, p), greater(high, p)
     count = reached_count
     if low[0] > high[0]:  # no vertex searches
         low, high = vec3(0.0), vec3(0.0)
@@ -130,7 +122,7 @@ def find_at(t: ti.f32, dt: ti.f32, reached_count: ti.i32, body: ti.template(), s
 def fill_cells(t: ti.f32, count: ti.i32, low: vec3, inverse: ti.f32, cells, body: ti.template(), search: ti.template()):
     """Sort ``count`` reached items into cells of the grid that starts at ``low`` [m]; ``inverse``: 1/cell [1/m]."""
     nx, ny, nz = cells[0], cells[1], cells[2]
-    for c in range(nx * ny * nz + 1):
+    for c in range(nx * ny * nz + 2):
         search.cell_start[c] = 0
     for s in range(count):
         q = (item_point(search.reached[s], t, body, search) - low) * inverse
@@ -139,17 +131,19 @@ def fill_cells(t: ti.f32, count: ti.i32, low: vec3, inverse: ti.f32, cells, body
             c = (int(q[0]) * ny + int(q[1])) * nz + int(q[2]) + 1
             search.item_cell[s] = c
             search.cell_start[c] = search.cell_start[c] + 1
-    for c in range(nx * ny * nz):
-        search.cell_start[c + 1] = search.cell_start[c + 1] + search.cell_start[c]
-    total = search.cell_start[nx * ny * nz]
+    total = 0
+    for c in range(1, nx * ny * nz + 2):
+        total += search.cell_start[c]
+        search.cell_start[c] = total
     # Filled from the back: in the end cell c starts at cell_start[c + 1].
     for r in range(count):
         s = count - 1 - r
         c = search.item_cell[s]
         if c >= 0:
-            search.cell_start[c] = search.cell_start[c] - 1
-            search.cell_items[search.cell_start[c]] = search.reached[s]
-    search.cell_start[nx * ny * nz + 1] = total
+            place = search.cell_start[c] - 1
+            search.cell_start[c] = place
+            search.cell_items[place] = search.reached[s]
+            search.cell_points[place] = vec4(item_point(search.reached[s], t, body, search))
 
 
 @ti.func
@@ -168,6 +162,7 @@ def nearest_item(
     distance = reach * reach
     q = (p - low) * inverse
     r = reach * inverse
+    found = -1
     for ix in range(ti.max(int(q[0] - r), 0), ti.min(int(q[0] + r) + 1, nx)):
         for iy in range(ti.max(int(q[1] - r), 0), ti.min(int(q[1] + r) + 1, ny)):
             # Cells along z lie next to one another: their items are one range.
@@ -175,12 +170,13 @@ def nearest_item(
             begin = search.cell_start[row + ti.max(int(q[2] - r), 0)]
             end = search.cell_start[row + ti.min(int(q[2] + r) + 1, nz)]
             for s in range(begin, end):
-                b = search.cell_items[s]
-                offset = item_point(b, t, body, search) - p
+                offset = xyz(search.cell_points[s]) - p
                 candidate = offset.dot(offset)
                 if candidate < distance:
                     distance = candidate
-                    best = b
+                    found = s
+    if found >= 0:
+        best = search.cell_items[found]
     if best >= body.body_start.shape[0]:
         probe = best - body.body_start.shape[0]
         best = heaviest(search.probes[probe], search.probe_weights[probe])
@@ -210,16 +206,28 @@ def reach_of(dt: ti.f32, body: ti.template(), search: ti.template()):
     low -= FAR + REACH_MARGIN
     high += FAR + REACH_MARGIN
     count = 0
-    for s in range(search.surface.shape[0] + search.probes.shape[0]):
-        b = item(s, body, search)
-        x, y = item_point(b, 0.0, body, search), item_point(b, 1.0, body, search)
-        above, below = greater(x, y) - low, high - smaller(x, y)
-        if ti.min(above.min(), below.min()) >= 0.0:
-            search.reached[count] = b
-            count += 1
-            displacement = y - x - mean
-            of_body = larger(of_body, displacement.dot(displacement))
+    for s in range(search.surface.shape[0]):
+        b = search.surface[s]
+        search.reached[count] = b
+        count += meets(body.body_start[b], between(b, 1.0, body), low, high)
+    for s in range(search.probes.shape[0]):
+        b = body.body_start.shape[0] + s
+        search.reached[count] = b
+        count += meets(item_point(b, 0.0, body, search), item_point(b, 1.0, body, search), low, high)
+    for s in range(count):
+        b = search.reached[s]
+        displacement = item_point(b, 1.0, body, search) - item_point(b, 0.0, body, search) - mean
+        of_body = larger(of_body, displacement.dot(displacement))
     return count, ti.sqrt(of_cloth) + ti.sqrt(of_body)
+
+
+@ti.func
+def meets(x: vec3, y: vec3, low: vec3, high: vec3) -> ti.i32:
+    """1 if the box of two points meets another, else 0; without branches, for nobody can foresee it."""
+    inside = smaller(greater(x, y) - low, high - smaller(x, y))
+    least = ti.select(inside[0] < inside[1], inside[0], inside[1])
+    least = ti.select(inside[2] < least, inside[2], least)
+    return ti.select(least >= 0.0, 1, 0)
 
 
 @ti.func
@@ -309,6 +317,7 @@ def find_nearest(
     reached: Int1,
     cell_start: Int1,
     cell_items: Int1,
+    cell_points: Vec4,
     item_cell: Int1,
     body_start: Vec3,
     body_end: Vec3,
@@ -323,7 +332,7 @@ def find_nearest(
         find_nearest_vertices(
             BodySearch(
                 position, velocity, samples, triangles, nearest, max_approach, surface, probes,
-                probe_weights, reached, cell_start, cell_items, item_cell,
+                probe_weights, reached, cell_start, cell_items, cell_points, item_cell,
             ),
             BodySurface(body_start, body_end, ring_start, ring),
             dt,

@@ -116,6 +116,7 @@ class Solver:
         self._unlimited = self._limits[:0]
         self._no_body = Body(np.zeros((0, 3), np.int32), 1)
         self._reached, self._items, self._item_cells = np.zeros((3, 1), np.int32)
+        self._item_points = np.zeros((1, 4), np.float32)
         levels = Multigrid.none(count)
         if self.options.coarse_sweeps and not model.layer.any():  # levels know one fabric
             levels = build_multigrid(model.mesh, model.mass, model.inverse_mass, model.fabric)
@@ -442,6 +443,7 @@ class Solver:
             "probe_weights": body.probe_weights,
             "reached": self._reached,
             "cell_items": self._items,
+            "cell_points": self._item_points,
             "item_cell": self._item_cells,
             "parameters": self._parameters(dt / substeps),
             "dt": dt,
@@ -487,6 +489,7 @@ class Solver:
             if len(self._items) < len(body.current) + len(body.probes):
                 size = (3, len(body.current) + len(body.probes))
                 self._reached, self._items, self._item_cells = np.zeros(size, np.int32)
+                self._item_points = np.zeros((size[1], 4), np.float32)
         return body
 
     def _follow_carrier(

@@ -134,7 +134,8 @@ def test_the_nearest_vertex_against_all_vertices(seed: int) -> None:
         find_nearest(
             state.position, state.velocity, model.samples, model.triangles, state.nearest, np.zeros(1, np.float32),
             body.surface, body.probes, body.probe_weights, items.copy(), cells, items,
-            items.copy(), body.current, body.current, body.ring_start, body.ring, 0.0, THICKNESS,
+            np.zeros((len(items), 4), np.float32), items.copy(), body.current, body.current, body.ring_start, body.ring,
+            0.0, THICKNESS,
         )  # fmt: skip
         distance = np.linalg.norm(points[:, None] - body.current[None], axis=2)
         near = distance.min(axis=1) < FAR - 1e-6
