@@ -239,7 +239,9 @@ class Simulation:
             previous = self.body.previous if dt > 0.0 else self.body.current
             limit_targets = self._skinned_targets.targets(previous, self.body.current, self.state.origin)
         self.time += dt
-        return targets, wind.at(self.state.world(), self.time) if isinstance(wind, Wind) else wind, limit_targets
+        if isinstance(wind, Wind):  # without turbulence it is the same everywhere
+            wind = wind.at(self.state.world() if wind.turbulence else np.zeros((1, 3)), self.time)
+        return targets, wind, limit_targets
 
     def drag(self, vertex: int, target: np.ndarray | None) -> None:
         """Hold a vertex at a point in the world [m], shape (3,); None lets it go."""

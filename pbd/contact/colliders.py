@@ -193,7 +193,7 @@ class Body:
 
     def move_origin(self, origin: np.ndarray) -> None:
         """Count from another origin; see :meth:`pbd.State.move_origin`."""
-        if np.any(origin != self.origin):
+        if origin.tolist() != self.origin.tolist():
             shift = (origin - self.origin).astype(np.float32)
             self.previous -= shift
             self.current -= shift

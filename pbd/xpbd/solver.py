@@ -21,6 +21,7 @@ from pbd.xpbd.advance import advance_kernel
 from pbd.xpbd.inertia import damp_locally, scale_inertial_forces
 from pbd.xpbd.multigrid import Multigrid, build_multigrid
 from pbd.xpbd.rigid_motion import RigidTransform, detect_teleport, max_displacement
+from pbd.xpbd.state_summary import SUMMARY, summarize
 from pbd.xpbd.stiff_bending import bending_factor, bounded_hinge_data, is_stiff, no_factor
 from pbd.xpbd.views import FrameSteps, StepParameters
 
@@ -123,7 +124,7 @@ class Solver:
         self._multigrid = levels
         self.stiff = is_stiff(model, self.options.substep)
         self._steps, self._max_approach = np.zeros(len(FrameSteps._fields), np.int32), np.zeros(1, np.float32)
-        self._fixed = self._model_arrays() | self._multigrid_arrays() | self._workspace()
+        self._arguments: dict[str, Any] = self._model_arrays() | self._multigrid_arrays() | self._workspace()
         # Substeps are never longer than this: levels that are of no use in it are of none in any.
         with_multigrid = levels.useful(self.options.substep) > 0
         in_contact = self.options.self_collision or bool(model.layer.any())
@@ -131,7 +132,8 @@ class Solver:
         self._before: State | None = None  # workspace: the state at the start of a frame
         self._edges = model.mesh.edge_lengths()
         self._stride = max(MIN_STRIDE, STRIDE_SHARE * float(self._edges[1].mean()))
-        self._find_nearest = Launch(find_nearest)
+        self._summary = np.zeros(SUMMARY, np.float32)
+        self._summarize, self._find_nearest = Launch(summarize), Launch(find_nearest)
         kinds = with_multigrid, in_contact, model.plastic_shear_count > 0, self.stiff
         self._advance = Launch(advance_kernel(*kinds))
 
@@ -234,7 +236,7 @@ class Solver:
             return
         arguments = self._prepare(state, colliders, dt, targets, wind, limit_targets)
         gaps = (self.model.stitch_gaps,) * 2 if stitch_gaps is None else stitch_gaps
-        self._stitch_data[:, 1:3] = np.transpose(gaps)
+        self._stitch_data[:, 1], self._stitch_data[:, 2] = gaps
         if colliders.body is not None:
             self._find_nearest.by_name(arguments)
         model, count = self.model, len(self.model.triangles)
@@ -401,6 +403,7 @@ class Solver:
         primitives, fields, field_values, previous, transform = self._follow_carrier(state, colliders, dt, targets)
         if options.local_damping > 0.0:
             damp_locally(state, model.mass, options.local_damping, dt)
+            self._summarize(state.position, state.velocity, self._summary)
         if np.ndim(wind) > 1 or self._wind != tuple(wind):
             self._air[:, :3] = wind
             self._wind = tuple(wind) if np.ndim(wind) == 1 else None
@@ -410,7 +413,7 @@ class Solver:
             target_end = np.ascontiguousarray(targets - state.origin, np.float32)
         substeps = max(1, int(np.ceil(dt / options.substep - 1e-6)))
         if len(primitives) or len(fields) or targets is not None:
-            drift = np.float32(dt) * state.velocity.mean(axis=0)
+            drift = np.float32(dt) * self._summary[3:6]
             furthest = max_displacement(primitives, fields, target_start, target_end, drift)
             substeps = max(substeps, min(int(np.ceil(furthest / self._stride)), MAX_REFINEMENT * substeps))
         refresh = max(1, round(substeps / max(1.0, dt * options.contact_refreshes)))
@@ -418,7 +421,7 @@ class Solver:
         self._steps[:] = tuple(FrameSteps(0, substeps, substeps, refresh, levels, options.coarse_sweeps))
         self._max_approach[0] = 0.0
         body = self._body_of(state, colliders)
-        return self._fixed | {
+        self._arguments |= {
             "position": state.position,
             "velocity": state.velocity,
             "nearest": state.nearest,
@@ -449,6 +452,7 @@ class Solver:
             "dt": dt,
             "thickness": model.fabric.thickness,
         }
+        return self._arguments
 
     def _parameters(self, h: float) -> StepParameters:
         """Numbers of a step with substeps of h [s]."""
@@ -484,7 +488,7 @@ class Solver:
         if state.contact_faces.max(initial=-1) >= known:
             state.contact_faces[:] = -1
         if colliders.body is not None:
-            if np.any(body.origin != state.origin):
+            if body.origin.tolist() != state.origin.tolist():
                 raise InputError("body and state have other origins", received=body.origin, expected=str(state.origin))
             if len(self._items) < len(body.current) + len(body.probes):
                 size = (3, len(body.current) + len(body.probes))
@@ -510,13 +514,15 @@ class Solver:
             before, after = body.previous, body.current
         else:
             return primitives, fields, field_values, body.previous, None
-        transform = detect_teleport(before, after, state.velocity.mean(axis=0), dt)
+        transform = detect_teleport(before, after, self._summary[3:6], dt)
         if transform is None:
             if min(options.linear_inertia, options.angular_inertia) < 1.0:
                 scale_inertial_forces(state, before, after, options.linear_inertia, options.angular_inertia, dt)
+                self._summarize(state.position, state.velocity, self._summary)
             return primitives, fields, field_values, body.previous, None
         state.position[:, :3] = transform.points(state.position[:, :3])
         state.velocity[:] = state.velocity @ transform.rotation.T
+        self._summarize(state.position, state.velocity, self._summary)
         state.pair_sides[:, :3] = state.pair_sides[:, :3] @ transform.rotation.T
         primitives[:, 2:8] = primitives[:, 8:14]
         fields[:, MOTION] = 0.0
@@ -536,7 +542,8 @@ class Solver:
         expected = (count, count, samples, count, model.plastic_count, model.plastic_shear_count)
         if received != expected:
             raise InputError("state of another model", key="state", received=received, expected=f"lengths {expected}")
-        if not (np.isfinite(state.position).all() and np.isfinite(state.velocity).all()):
+        self._summarize(state.position, state.velocity, self._summary)
+        if self._summary[6] != 0.0:
             raise InputError("state is not finite", key="state", expected="finite positions and velocities")
         if targets is not None and (np.shape(targets) != (len(model.held), 3) or not np.isfinite(targets).all()):
             raise InputError(
@@ -555,9 +562,10 @@ class Solver:
 
     def follow(self, state: State, colliders: Colliders) -> np.ndarray:
         """Move the origin of state and body to the grid point nearest to the garment, and return it [m], shape (3,)."""
-        centre = state.position[:, :3].mean(axis=0)
+        self._summarize(state.position, state.velocity, self._summary)
+        centre = self._summary[:3]
         # Half a cell of slack keeps the origin from flickering between two grid points.
-        if np.abs(centre).max() > GRID and np.isfinite(centre).all():
+        if max(map(abs, centre.tolist())) > GRID and np.isfinite(centre).all():
             state.move_origin(state.origin + GRID * np.round(centre / GRID))
         if colliders.body is not None:
             colliders.body.move_origin(state.origin)

@@ -52,9 +52,9 @@ def test_bands_hold_where_the_cloth_does_not_collide_with_itself() -> None:
     edges, lengths = banded.edge_lengths()
     stretch = np.linalg.norm(np.diff(state.world()[edges], axis=1)[:, 0], axis=1) / lengths
     tight = banded.edge_limits(MAX_STRETCH) < MAX_STRETCH
-    assert len(solver._fixed["strain_limits"]) == tight.sum()
+    assert len(solver._arguments["strain_limits"]) == tight.sum()
     everywhere = free_model(replace(mesh, max_stretch=np.full(len(left), 1.01)), LIMP, model.held)
-    assert len(Solver(everywhere, SolverOptions())._fixed["strain_limits"]) == 0
+    assert len(Solver(everywhere, SolverOptions())._arguments["strain_limits"]) == 0
     limits, _ = strain_limits(everywhere.mesh, LIMP.thickness, everywhere.held)
     np.testing.assert_allclose(limits[:, 2], MAX_STRETCH * lengths, rtol=1e-6)
     assert tight.sum() > 30 and stretch[tight].max() < 1.03 and stretch[~tight].max() > 1.5
