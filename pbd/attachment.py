@@ -1,6 +1,7 @@
 """Vertices attached to a body: each rides on a point of a body face at a fixed distance along its normal."""
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -164,6 +165,12 @@ class Attachment:
     def targets(self, vertices: np.ndarray) -> np.ndarray:
         """Where the points are for a pose of the body [m], shape (n, 3): float64, shape (p, 3)."""
         ensure_initialized()
-        out = np.zeros(self.offset.shape)
-        self._launch(vertices[self.corners].astype(float), self.weights, self.offset, out)
-        return out
+        corners, out = self._workspace
+        corners[:] = np.take(vertices, self.corners, axis=0)
+        self._launch(corners, self.weights, self.offset, out)
+        return out.copy()
+
+    @cached_property
+    def _workspace(self) -> tuple[np.ndarray, np.ndarray]:
+        """Corners and points of the last call: the same arrays need not be handed to the kernel again."""
+        return np.zeros((len(self.corners), 3, 3)), np.zeros(self.offset.shape)

@@ -180,7 +180,7 @@ class Simulation:
         if pose is None:
             raise InputError("a body without a pose", key="pose", expected="where the body is at the end of the frame")
         body = self.body
-        body.previous, body.current = body.current, body.previous
+        body.begin_pose()
         self.source.skin(pose, origin, body.current)
         body.finish_pose()
 

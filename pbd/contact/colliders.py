@@ -155,9 +155,16 @@ class Body:
 
     def advance(self, vertices: np.ndarray) -> None:
         """Make ``vertices`` [m], float32, shape (n, 3), the current pose; the last becomes the previous."""
-        self.previous, self.current = self.current, self.previous
+        self.begin_pose()
         self.current[:] = vertices
         self.finish_pose()
+
+    def begin_pose(self) -> None:
+        """Make the current pose the previous one, before ``current`` is written in place.
+
+        It is copied: the same arrays need not be handed to the kernels again.
+        """
+        self.previous[:] = self.current
 
     def finish_pose(self) -> None:
         """Bring normals up to date after ``current`` was written in place."""

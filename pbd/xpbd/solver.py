@@ -129,6 +129,7 @@ class Solver:
         with_multigrid = levels.useful(self.options.substep) > 0
         in_contact = self.options.self_collision or bool(model.layer.any())
         self._pairs = SelfCollision(model, self.options.self_collision) if in_contact else None
+        self._held_start, self._held_end = (np.zeros((len(model.held), 3), np.float32) for _ in range(2))
         self._before: State | None = None  # workspace: the state at the start of a frame
         self._edges = model.mesh.edge_lengths()
         self._stride = max(MIN_STRIDE, STRIDE_SHARE * float(self._edges[1].mean()))
@@ -407,10 +408,10 @@ class Solver:
         if np.ndim(wind) > 1 or self._wind != tuple(wind):
             self._air[:, :3] = wind
             self._wind = tuple(wind) if np.ndim(wind) == 1 else None
-        target_start = np.ascontiguousarray(state.position[model.held, :3])
-        target_end = target_start
+        target_start, target_end = self._held_start, self._held_end
+        target_start[:] = target_end[:] = state.position[model.held, :3]
         if targets is not None:
-            target_end = np.ascontiguousarray(targets - state.origin, np.float32)
+            np.subtract(targets, state.origin, out=target_end, casting="same_kind")
         substeps = max(1, int(np.ceil(dt / options.substep - 1e-6)))
         if len(primitives) or len(fields) or targets is not None:
             drift = np.float32(dt) * self._summary[3:6]
