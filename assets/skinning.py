@@ -58,8 +58,8 @@ class SkinnedBody:
     """A character's surface, skinned by one serial kernel.
 
     A vertex is the sum over its influences of the columns of the joint's matrix, each times a coordinate of the
-    weighted bind position, which never changes and is stored. Vertices are visited by their number of influences, so
-    that the processor foresees the inner loop's end; most have only one.
+    weighted bind position, which never changes and is stored. The first influences of all vertices come before their
+    second ones: no sum waits for the one before it, and no loop's end has to be foreseen.
 
     Attributes:
         vertices: bind pose [m], shape (n, 3), float64.
@@ -69,20 +69,17 @@ class SkinnedBody:
     def __init__(self, character: Character) -> None:
         ensure_initialized()
         self.vertices, self.faces = character.vertices, character.faces
-        used = character.joint_weights > 0.0
-        counts = used.sum(axis=1)
-        order = np.argsort(counts, kind="stable")
         weights = character.joint_weights.astype(np.float64)
         weights /= weights.sum(axis=1, keepdims=True)
         points = (
             np.concatenate([self.vertices, np.ones((len(self.vertices), 1))], axis=1)[:, None] * weights[:, :, None]
         )
-        chosen = used[order]
-        starts = np.concatenate([[0], np.cumsum(counts[order])[:-1]])
-        self._columns = np.zeros((character.joint_count, 4, 4), dtype=np.float32)  # by joint and column; row 3 unused
-        self._points = points[order][chosen].astype(np.float32)
-        self._joints = character.joint_indices[order][chosen].astype(np.int32)
-        self._spans = np.stack([starts, starts + counts[order], order], axis=1).astype(np.int32)
+        used = character.joint_weights.T > 0.0
+        self._columns = np.zeros((4 * character.joint_count, 4), dtype=np.float32)  # by joint; row 3 unused
+        self._points = np.swapaxes(points, 0, 1)[used].astype(np.float32)
+        self._joints = character.joint_indices.T[used].astype(np.int32)
+        self._bound = np.nonzero(used)[1].astype(np.int32)  # the vertex of each influence
+        self._sums = np.zeros((len(self.vertices), 4), np.float32)
         self._blend = Launch(_blend)
 
     def skin(self, pose: Floats, origin: Floats, out: Any) -> None:
@@ -93,30 +90,33 @@ class SkinnedBody:
             origin: [m], shape (3,), float64; taken off before rounding to float32.
             out: float32, shape (n, 3).
         """
-        self._columns[:, :3, :3] = np.swapaxes(pose[:, :, :3], 1, 2)
-        self._columns[:, 3, :3] = pose[:, :, 3] - origin
-        self._blend(self._columns, self._points, self._joints, self._spans, out)
+        columns = self._columns.reshape(-1, 4, 4)
+        columns[:, :3, :3] = np.swapaxes(pose[:, :, :3], 1, 2)
+        columns[:, 3, :3] = pose[:, :, 3] - origin
+        self._blend(self._columns, self._points, self._joints, self._bound, self._sums, out)
 
 
 @ti.kernel
 def _blend(
-    columns: ti.types.ndarray(dtype=vec4, ndim=2),
+    columns: ti.types.ndarray(dtype=vec4, ndim=1),
     points: ti.types.ndarray(dtype=vec4, ndim=1),
     joints: ti.types.ndarray(dtype=ti.i32, ndim=1),
-    spans: ti.types.ndarray(dtype=ti.math.ivec3, ndim=1),
+    bound: ti.types.ndarray(dtype=ti.i32, ndim=1),
+    sums: ti.types.ndarray(dtype=vec4, ndim=1),
     out: ti.types.ndarray(dtype=vec3, ndim=1),
 ):
     ti.loop_config(serialize=True)
-    for visit in range(spans.shape[0]):
-        span = spans[visit]
-        moved = vec4(0.0)
-        for entry in range(span.x, span.y):
-            joint, point = joints[entry], points[entry]
-            moved = (
-                moved
-                + columns[joint, 0] * point.x
-                + columns[joint, 1] * point.y
-                + columns[joint, 2] * point.z
-                + columns[joint, 3] * point.w
+    for _ in range(1):
+        for vertex in range(sums.shape[0]):
+            sums[vertex] = vec4(0.0)
+        for entry in range(joints.shape[0]):
+            column, point, vertex = 4 * joints[entry], points[entry], bound[entry]
+            sums[vertex] = (
+                sums[vertex]
+                + columns[column] * point.x
+                + columns[column + 1] * point.y
+                + columns[column + 2] * point.z
+                + columns[column + 3] * point.w
             )
-        out[span.z] = moved.xyz
+        for vertex in range(sums.shape[0]):
+            out[vertex] = sums[vertex].xyz
