@@ -304,11 +304,12 @@ class SelfCollision:
         else:
             arguments = self._search(state, first, done * h, h * steps, thickness, untangles)
         self._looked = None
+        rows = untangling.rows()
         if first:
-            self.crossings = (
-                untangling.rows() if self.impacts is None else self.impacts.grid.unjoined(untangling.rows())
-            )
+            self.crossings = rows if self.impacts is None else self.impacts.grid.unjoined(rows)
         if untangles:
+            self._pulls = None
+        if untangles and len(rows):
             free = (state.contact > 2.0 * thickness) | (state.nearest[: len(state.contact)] < 0)
             self._pulls = untangling.pulls(state.position[:, :3], free)
             if self._pulls is not None:
@@ -344,6 +345,8 @@ class SelfCollision:
 
     def around(self, rows: np.ndarray, times: int = 1) -> np.ndarray:
         """Vertices near crossings (``rows``, see :attr:`crossings`): of :meth:`Untangling.around`."""
+        if not len(rows):
+            return np.zeros(len(self._layer), bool)
         return self._untangling.around(rows, times)
 
     def spread(self, vertices: np.ndarray) -> np.ndarray:

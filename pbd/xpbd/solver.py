@@ -273,7 +273,7 @@ class Solver:
             return
         self._before = before = self._before or state.copy()
         before.restore(state)
-        start, corners = before.position[:, :3].astype(float), pairs.impacts.grid.faces
+        corners = pairs.impacts.grid.faces
         watched = before.colliding > 0  # what collided in the last frame is likely to collide in this one
         moved = np.zeros_like(watched)
         if watched.any():
@@ -295,7 +295,8 @@ class Solver:
             if pairs.overfull or not len(rows):
                 break
             if repeat == 0:  # the search leaves some out
-                known |= pairs.around(pairs.impacts.grid.crossings(start), UNTANGLED)
+                left_out = pairs.impacts.grid.crossings(before.position[:, :3].astype(float))
+                known |= pairs.around(left_out, UNTANGLED)
                 rows = rows[~known[rows[:, 0]]]
                 if not len(rows):
                     break
@@ -305,7 +306,7 @@ class Solver:
                 break
             watched |= added | everywhere
             faces = np.flatnonzero((watched & ~known)[corners].any(axis=1)).astype(np.int32)
-            if repeat == 0 and self._mend(state, start, faces, dt, len(pairs.crossings)):
+            if repeat == 0 and self._mend(state, before.position[:, :3].astype(float), faces, dt, len(pairs.crossings)):
                 break
             state.restore(before)
             self._load_friction(state)
