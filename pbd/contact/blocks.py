@@ -64,21 +64,24 @@ def gap(low_a: vec3, high_a: vec3, low_b: vec3, high_b: vec3) -> ti.f32:
 
 @ti.func
 def overlapping(blocks: ti.template(), block: ti.i32, low: vec3, high: vec3) -> ti.i32:
-    """Bits of the lanes whose boxes overlap a given one."""
+    """Bits of the lanes whose boxes overlap a given one.
+
+    Shifted by one until the end: the compiler treats a bit of 1 in its own way, and then not all eight lanes at once.
+    """
     bits = 0
     for a in range(LANES):
         near = gap(take(blocks, block, LOW, a), take(blocks, block, HIGH, a), low, high) <= 0.0
-        bits |= ti.select(near, 1 << a, 0)
-    return bits
+        bits |= ti.select(near, 2 << a, 0)
+    return bits >> 1
 
 
 @ti.func
 def facing(blocks: ti.template(), block: ti.i32, normal: vec3) -> ti.i32:
-    """Bits of the faces whose normals are less than 60 degrees from a given one."""
+    """Bits of the faces whose normals are less than 60 degrees from a given one; shifted as in :func:`overlapping`."""
     bits = 0
     for a in range(LANES):
-        bits |= ti.select(normal.dot(take(blocks, block, NORMAL, a)) > 0.5, 1 << a, 0)
-    return bits
+        bits |= ti.select(normal.dot(take(blocks, block, NORMAL, a)) > 0.5, 2 << a, 0)
+    return bits >> 1
 
 
 @ti.func
