@@ -11,6 +11,8 @@ from pbd.attachment import Attachment
 from pbd.crossings import SelfCrossings
 from pbd.distance import BodyDistance
 from pbd.opening import smoothed_apart
+from pbd.taichi_internals import Launch
+from runtime.long_edges import find_longer
 
 __all__ = ["Redressing"]
 
@@ -43,6 +45,9 @@ class Redressing:
         self._free = model.inverse_mass > 0.0
         self._edges, lengths = model.mesh.edge_lengths()
         self._lengths = lengths
+        # Edges a little shorter than long ones count as well, for rounding.
+        self._long = np.asarray((0.999 * LONG * lengths) ** 2, np.float32)
+        self._found, self._find_longer = np.zeros(1, np.int32), Launch(find_longer)
         self._since = np.zeros((len(PATIENCE), len(lengths)))  # for how long each edge has been so [s]
         self._distance = BodyDistance(body_faces)
         self._mesh, self._layer = model.mesh, model.layer if model.layer.any() else None
@@ -89,6 +94,10 @@ class Redressing:
 
     def _hooked(self, state: State, body: Body, dt: float) -> bool:
         """Whether an edge has been too long for too long, while nothing pulled at the garment."""
+        self._find_longer(state.position, self._edges, self._long, self._found)
+        if not self._found[0]:
+            self._since[:] = 0.0
+            return False
         x = state.position[:, :3]
         stretch = np.linalg.norm(x[self._edges[:, 0]] - x[self._edges[:, 1]], axis=1) / self._lengths
         pulled = bool((state.position[self._free, 3] == 0.0).any())
