@@ -27,15 +27,10 @@ class CoveredBody:
         nearest: body vertices where the last passes found each free vertex near the body, -1 for none: first on the
             part that it covers, for all of them, then on an opposite one.
         edge_ends, edge_sides: see :attr:`pbd.contact.colliders.Body.first_edges`.
-        coarse_nearest, coarse_contact: body vertex near each coarse vertex, -1 for none, and distance to the body [m].
-        coarse_before: ``coarse_nearest`` of the last pass.
-        moved: 1 for the coarse vertices that have gone over to another part of the body, else 0.
-        across: of each coarse vertex a body vertex opposite to the one that it is near to, -1 for none.
-        cell_start, cell_items, item_cell: workspace of :func:`wrinkles.opposite_parts.sort_touched`.
+        coarse_nearest, across, state: of the coarse vertices, see :class:`wrinkles.opposite_parts.TouchedBody`.
         leading: three coarse vertices around each free vertex.
         frames: of the coarse vertices, their normals from column 6 on.
         facing: 1 where the garment's faces look away from the body, -1 where they look at it.
-        level: coarse vertices further than this from the body are not near it [m].
     """
 
     surface: Any
@@ -44,17 +39,11 @@ class CoveredBody:
     edge_ends: Any
     edge_sides: Any
     coarse_nearest: Any
-    coarse_contact: Any
-    coarse_before: Any
-    moved: Any
     across: Any
-    cell_start: Any
-    cell_items: Any
-    item_cell: Any
+    state: Any
     leading: Any
     frames: Any
     facing: Any
-    level: Any
     _data_oriented = True
 
 

@@ -3,12 +3,15 @@
 from pbd.engine import ti
 from pbd.geometry import descend, vec3, vec4, xyz
 from wrinkles.covered_body import MAX_HEIGHT, edge_towards, has_more_edges, height_over
-from wrinkles.opposite_parts import opposed
+from wrinkles.opposite_parts import BETWEEN, NEAR, opposed
 
-__all__ = ["GAP_SHARE", "MAX_LIFT", "MIN_LIFT", "SLOPE", "between_parts", "lift_around", "out_of_body"]
+__all__ = ["GAP_SHARE", "MAX_LIFT", "MIN_LIFT", "SLOPE", "lift_around", "out_of_body", "state_around"]
 
 MAX_COVERED = 0.04  # a part further away than this is not covered by the cloth if another part is right at it [m]
 GAP_SHARE = 0.3  # of the gap between two parts that the cloth keeps from each, if that is less than its clearance [-]
+# So high over the tangent plane of a body vertex, and no further aside, cloth is clear of the body unless it is hollow
+# with a radius below 3 cm [m].
+CLEAR_HEIGHT, CLEAR_WIDTH = 0.012, 0.015
 MIN_KEPT = 0.0003  # kept from the part that the cloth covers where there is no gap [m]
 # Cloth that a small part of the body lifts stands over it like a tent: what lies around is lifted, too, less by this
 # share of the distance [-]. Where nothing is lifted further than the first height there is no tent, and none is higher
@@ -47,45 +50,37 @@ def lift_around(
 
 
 @ti.func
-def between_parts(i: ti.i32, covered: ti.template()) -> bool:
-    """Whether free vertex i lies between two parts of the body that face one another."""
-    across = ti.static(covered.across)
+def state_around(i: ti.i32, covered: ti.template()) -> ti.i32:
+    """What the coarse vertices around free vertex i say of it together, see ``covered.state``."""
     around = covered.leading[i]
-    return ti.max(across[around[0]], across[around[1]], across[around[2]]) >= 0
+    return covered.state[around[0]] | covered.state[around[1]] | covered.state[around[2]]
 
 
 @ti.func
-def out_of_body(i: ti.i32, start: vec3, covered: ti.template()) -> vec3:
+def out_of_body(i: ti.i32, start: vec3, state: ti.i32, covered: ti.template()) -> vec3:
     """Where free vertex i goes from ``start`` [m] so that it keeps its clearance from the body.
 
     First from the part of the body that the cloth covers, then from a part opposite to it, where there is one.
+
+    Args:
+        state: see :func:`state_around`.
     """
     p = start
-    around = covered.leading[i]
-    contact, moved = ti.static(covered.coarse_contact, covered.moved)
-    if ti.min(contact[around[0]], contact[around[1]], contact[around[2]]) < covered.level:
+    if state & NEAR == 0:
+        covered.nearest[i] = -1
+        covered.nearest[i + covered.leading.shape[0]] = -1
+    elif state > NEAR or not is_clear(p, covered.nearest[i], covered):
         body, normals = ti.static(covered.surface.body_start, covered.surface.body_normals)
         normal, other_normal, home, outwards = vec3(0.0), vec3(0.0), vec3(0.0), vec3(0.0)
         gap, other_gap, kept, other_kept = MAX_HEIGHT, MAX_HEIGHT, 0.0, 0.0
-        parts = ti.select(between_parts(i, covered), 2, 1)
-        # Between two parts a vertex that stayed with the one that it was at would end inside the other.
-        anew = parts == 2 or moved[around[0]] + moved[around[1]] + moved[around[2]] > 0
-        for part in range(parts):
+        for part in range(ti.select(state >= BETWEEN, 2, 1)):
             slot = i + part * covered.leading.shape[0]
-            best = covered.nearest[slot]
-            search = best < 0 or anew
-            if search:
+            best, edge = covered.nearest[slot], -1
+            # Between two parts a vertex that stayed with the one that it was at would end inside the other.
+            if best < 0 or state > NEAR:
                 best = _seed(i, part, p, home, outwards, covered)
-            # A body vertex of the last pass is taken only where a walk would end at it: so a pass comes to the same
-            # bits, whatever came before it.
-            edge, finished = -1, best < 0
-            while not finished:
-                if search:
-                    best = descend(p, best, 0.0, covered.surface)
-                offset = p - body[best]
-                is_nearest, towards = edge_towards(offset, best, covered)
-                edge, finished = towards, search or (is_nearest and not has_more_edges(best, covered))
-                search = True
+            if best >= 0:
+                best, edge = _walk(p, best, covered)
             if part == 1 and best >= 0:
                 if not opposed(home, outwards, body[best], normals[best]):
                     best = -1
@@ -110,10 +105,32 @@ def out_of_body(i: ti.i32, start: vec3, covered: ti.template()) -> vec3:
                 gap += d.dot(normal)
         if gap < kept:
             p += (kept - gap) * normal
-    else:
-        covered.nearest[i] = -1
-        covered.nearest[i + covered.leading.shape[0]] = -1
     return p
+
+
+@ti.func
+def is_clear(p: vec3, vertex: ti.i32, covered: ti.template()) -> bool:
+    """Whether p [m] is so high over a body vertex that nothing around that reaches it; -1 stands for no vertex."""
+    clear = False
+    if vertex >= 0:
+        offset = p - covered.surface.body_start[vertex]
+        height = offset.dot(covered.surface.body_normals[vertex])
+        clear = height > CLEAR_HEIGHT and offset.dot(offset) - height * height < CLEAR_WIDTH * CLEAR_WIDTH
+    return clear
+
+
+@ti.func
+def _walk(p: vec3, start: ti.i32, covered: ti.template()):
+    """Body vertex to which a walk from ``start`` to ever nearer ones leads, and the edge there that is nearest to p.
+
+    What is reached does not depend on where other passes ended, except for the start.
+    """
+    best = start
+    is_nearest, edge = edge_towards(p - covered.surface.body_start[best], best, covered)
+    if not is_nearest or has_more_edges(best, covered):
+        best = descend(p, best, 0.0, covered.surface)
+        is_nearest, edge = edge_towards(p - covered.surface.body_start[best], best, covered)
+    return best, edge
 
 
 @ti.func
@@ -151,14 +168,14 @@ def _start(
     body, normals = ti.static(covered.surface.body_start, covered.surface.body_normals)
     best = -1
     distance = 1e30
-    for c in ti.static(range(6)):
-        seed = -1
+    for c in ti.static(range(7)):
+        seed = last
         if ti.static(c < 3):
             seed = covered.coarse_nearest[covered.leading[i][c]]
-        elif part == 1:
-            seed = covered.across[covered.leading[i][c - 3]]
-        elif ti.static(c == 3):
-            seed = last
+        elif ti.static(c < 6):
+            seed = -1
+            if part == 1:
+                seed = covered.across[covered.leading[i][c - 3]]
         if seed >= 0 and seed != best:
             offset = body[seed] - p
             away = offset.dot(offset)

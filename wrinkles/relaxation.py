@@ -4,24 +4,27 @@ from collections.abc import Sequence
 from copy import copy
 
 import numpy as np
+from scipy.sparse import csr_matrix, diags, identity
 from scipy.spatial import cKDTree
 
 from pbd import Fabric
 from pbd.contact.colliders import Body
 from pbd.engine import ensure_initialized, ti
-from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, vec3, vec4, xyz
+from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Vec3, Vec4, vec3, vec4, xyz
 from pbd.mesh import vertex_rings
 from pbd.model import Model
 from pbd.taichi_internals import Launch
-from pbd.xpbd.constraint_passes import solve_bending, solve_membrane, solve_stitches
+from pbd.xpbd.constraint_passes import solve_membrane, solve_stitches
 from pbd.xpbd.views import BodySurface, ClothArrays, ConstraintArrays, MultigridArrays
 from wrinkles.charts import leading_vertices
 from wrinkles.clearance import clearances, facing
 from wrinkles.covered_body import CoveredBody
+from wrinkles.fine_surface import sparse_row
 from wrinkles.garment_separation import GarmentSeparation
 from wrinkles.levels import Levels
-from wrinkles.opposite_parts import PHASES, find_moved, find_opposite
-from wrinkles.out_of_body import MAX_LIFT, MIN_LIFT, between_parts, lift_around, out_of_body
+from wrinkles.opposite_parts import BETWEEN, PHASES, TouchedBody, find_parts
+from wrinkles.out_of_body import MAX_LIFT, MIN_LIFT, lift_around, out_of_body, state_around
+from wrinkles.surface import csr_arrays
 
 __all__ = ["PASSES", "Relaxation"]
 
@@ -38,83 +41,129 @@ PLEATED = 0.045  # ... unless the garment came with pleats, which go deeper
 
 
 @ti.kernel
-def _relax(
+def _rest(
     fine: Vec3,
     work: Vec4,
-    delta: Vec4,
     triangles: Int3,
     triangle_blocks: Int2,
     block_colors: Int1,
     triangle_data: Float2,
-    hinges: Int4,
-    hinge_colors: Int1,
-    hinge_data: Vec4Rows,
     stitches: Int3,
     stitch_data: Vec4,
+    bending_start: Int1,
+    bending_index: Int1,
+    bending_value: Float1,
     inverse_h2: ti.f32,
     free: Int1,
     held: Int1,
     targets: Vec3,
+    passes: ti.i32,
+):
+    """Held vertices go to their targets, and the others move by the garment's own forces, from ``fine`` to ``work``.
+
+    A pass goes over membrane, bending and stitches, each from rest: velocities would only carry away what is not
+    solved. Over 12 arguments: a kernel takes arrays one by one.
+    """
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        for c in range(held.shape[0]):
+            fine[held[c]] = targets[c]
+        for i in range(fine.shape[0]):
+            work[i] = vec4(fine[i], work[i][3])
+        cloth = ClothArrays(position=work, position_delta=work)
+        constraints = ConstraintArrays(
+            triangles, triangle_blocks, block_colors, triangle_data, stitches=stitches, stitch_data=stitch_data,
+        )  # fmt: skip
+        for _pass in range(passes):
+            for k in range(block_colors.shape[0] - 1):
+                first, last = block_colors[k], block_colors[k + 1]
+                no_levels = MultigridArrays(False, parent=free, coarse_strain=work)
+                solve_membrane(cloth, constraints, no_levels, 0, inverse_h2, 1.0, first, last)
+            for i in range(work.shape[0]):
+                x = sparse_row(bending_start, bending_index, bending_value, work, i)
+                work[i] = ti.math.vec4(x[0], x[1], x[2], work[i][3])
+            solve_stitches(cloth, constraints, 0.0)
+
+
+@ti.kernel
+def _find_parts(
+    body: Vec3,
+    body_normals: Vec3,
+    coarse_nearest: Int1,
+    coarse_contact: Float1,
+    coarse_before: Int1,
+    across: Int1,
+    state: Int1,
+    cell_start: Int1,
+    cell_items: Int1,
+    item_cell: Int1,
+    item_places: Vec4,
+    item_normals: Vec4,
+    level: ti.f32,
+    phase: ti.i32,
+):
+    """See :func:`find_parts` and :class:`TouchedBody`. Over 12 arguments: a kernel takes arrays one by one."""
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        find_parts(
+            phase,
+            TouchedBody(
+                body, body_normals, coarse_nearest, coarse_contact, coarse_before, across, state, cell_start,
+                cell_items, item_cell, item_places, item_normals, level,
+            ),
+        )  # fmt: skip
+
+
+@ti.kernel
+def _leave_body(
+    fine: Vec3,
+    work: Vec4,
+    free: Int1,
+    held: Int1,
     leading: Int3,
     frames: Float2,
     facing: ti.f32,
     coarse_nearest: Int1,
-    coarse_contact: Float1,
-    coarse_before: Int1,
-    moved: Int1,
-    nearest: Int1,
-    edge_ends: Int1,
-    edge_sides: Int2,
-    phase: ti.i32,
     across: Int1,
-    cell_start: Int1,
-    cell_items: Int1,
-    item_cell: Int1,
-    level: ti.f32,
+    state: Int1,
+    nearest: Int1,
     body: Vec3,
     body_normals: Vec3,
     ring_start: Int1,
     ring: Int1,
     fan_start: Int1,
     fan: Int2,
+    edge_ends: Int1,
+    edge_sides: Int2,
     clearance: Float1,
     fine_start: Int1,
     fine_ring: Int1,
     lifts: Vec4,
     queue: Int1,
-    passes: ti.i32,
 ):
-    """See :meth:`Relaxation.__call__` and :class:`CoveredBody`. Over 12 arguments: a kernel takes arrays one by one."""
+    """Free vertices leave the body, from ``work`` to ``fine``, and lift what is around them; see :class:`CoveredBody`.
+
+    Over 12 arguments: a kernel takes arrays one by one.
+    """
     ti.loop_config(serialize=True)
     for _ in range(1):
         covered = CoveredBody(
-            BodySurface(body, body, ring_start, ring, fan_start, fan, body_normals), clearance, nearest, edge_ends,
-            edge_sides, coarse_nearest, coarse_contact, coarse_before, moved, across, cell_start, cell_items, item_cell,
-            leading, frames, facing, level,
+            BodySurface(body, body, ring_start, ring, fan_start, fan, body_normals), clearance, nearest,
+            edge_ends, edge_sides, coarse_nearest, across, state, leading, frames, facing,
         )  # fmt: skip
+        for i in range(lifts.shape[0]):
+            lifts[i] = ti.math.vec4(0.0)
         for c in range(held.shape[0]):
-            fine[held[c]] = targets[c]
             lifts[held[c]] = vec4(vec3(0.0), MAX_LIFT)
-        for i in range(fine.shape[0]):
-            work[i] = vec4(fine[i], work[i][3])
-            delta[i] = ti.math.vec4(0.0)
-        cloth = ClothArrays(position=work, position_delta=delta)
-        constraints = ConstraintArrays(
-            triangles, triangle_blocks, block_colors, triangle_data, hinges, hinge_colors, hinge_data, stitches,
-            stitch_data,
-        )  # fmt: skip
-        for _pass in range(passes):
-            _come_to_rest(cloth, constraints, MultigridArrays(False, parent=free, coarse_strain=work), inverse_h2)
-        find_moved(covered)
-        find_opposite(phase, covered)
         count = 0
         for i in range(free.shape[0]):
             j = free[i]
-            start = xyz(work[j]) + xyz(delta[j])
-            fine[j] = out_of_body(i, start, covered)
-            moved_by = fine[j] - start
-            lifts[j] = ti.math.vec4(0.0)
-            if between_parts(i, covered):
+            start = xyz(work[j])
+            around = state_around(i, covered)
+            end = out_of_body(i, start, around, covered)
+            fine[j] = end
+            moved_by = end - start
+            if around >= BETWEEN:
                 lifts[j][3] = MAX_LIFT  # nothing may lift it into the other part
             elif moved_by.dot(moved_by) > MIN_LIFT * MIN_LIFT:
                 height = moved_by.norm()
@@ -122,17 +171,6 @@ def _relax(
                 queue[count] = j
                 count += 1
         lift_around(fine, fine_start, fine_ring, lifts, queue, count)
-
-
-@ti.func
-def _come_to_rest(cloth: ti.template(), constraints: ti.template(), no_levels: ti.template(), inverse_h2: ti.f32):
-    """One pass over membrane, bending and stitches, from rest: velocities would only carry away what is not solved."""
-    for k in range(constraints.block_colors.shape[0] - 1):
-        first, last = constraints.block_colors[k], constraints.block_colors[k + 1]
-        solve_membrane(cloth, constraints, no_levels, 0, inverse_h2, 1.0, first, last)
-    for k in range(constraints.hinge_colors.shape[0] - 1):
-        solve_bending(cloth, constraints, inverse_h2, constraints.hinge_colors[k], constraints.hinge_colors[k + 1])
-    solve_stitches(cloth, constraints, 0.0)
 
 
 class Relaxation:
@@ -175,13 +213,11 @@ class Relaxation:
         stitch_data = np.zeros((len(model.stitches), 4), np.float32)
         stitch_data[:, 0], stitch_data[:, 1] = model.stitch_weights, model.stitch_gaps
         stitch_data[:, 2] = model.stitch_gaps
-        hinge_data = model.hinge_data.copy()
-        hinge_data[:, 1, 3] = 0.0  # a pass starts from rest: nothing rubs
-        self._constraints = (
-            model.triangles, model.triangle_blocks, model.block_colors, model.triangle_data, model.hinges,
-            model.hinge_colors, hinge_data, model.stitches, stitch_data,
-        )  # fmt: skip
         self._inverse_h2 = (SPEED / float(model.mesh.edge_lengths()[1].mean())) ** 2
+        self._constraints = (
+            model.triangles, model.triangle_blocks, model.block_colors, model.triangle_data, model.stitches,
+            stitch_data, *csr_arrays(_bending_sweep(model, self._inverse_h2)),
+        )  # fmt: skip
         self._inverse_mass = model.inverse_mass
         self._rings = vertex_rings(model.mesh.faces, len(model.mesh.vertices))
         self._held = np.asarray(held, np.int32)
@@ -194,16 +230,20 @@ class Relaxation:
         count = len(self._free)
         self._nearest = np.full(2 * count, -1, np.int32)
         self._across, self._before = (np.full(coarse_count, -1, np.int32) for _ in range(2))
-        self._moved = np.zeros(coarse_count, np.int32)
-        self._work, self._delta = np.zeros((2, count + len(self._held), 4), np.float32)
+        self._state = np.zeros(coarse_count, np.int32)
+        self._work = np.zeros((count + len(self._held), 4), np.float32)
         self._work[:, 3] = self._inverse_mass
         lifts, queue = np.zeros((len(self._work), 4), np.float32), np.zeros(4 * len(self._work), np.int32)
         self._lifting = *self._rings, lifts, queue
         cells = 1 << (2 * coarse_count).bit_length()
-        self._cells = np.zeros(cells + 1, np.int32), *(np.zeros(2 * coarse_count, np.int32) for _ in range(2))
+        self._cells = (
+            np.zeros(cells + 1, np.int32),
+            *(np.zeros(2 * coarse_count, np.int32) for _ in range(2)),
+            *np.zeros((2, 2 * coarse_count, 4), np.float32),
+        )
         self._targets = np.zeros((len(self._held), 3), np.float32)
         self._phase = -1  # every vertex searches
-        self._relax = Launch(_relax)
+        self._rest, self._find_parts, self._leave_body = Launch(_rest), Launch(_find_parts), Launch(_leave_body)
 
     @classmethod
     def of(
@@ -287,41 +327,67 @@ class Relaxation:
             passes: number of passes over the garment's own forces; none for a delivered mesh.
         """
         self._targets[:] = targets
-        self._relax(
+        self._rest(
             fine,
             self._work,
-            self._delta,
             *self._constraints,
             self._inverse_h2,
             self._free,
             self._held,
             self._targets,
+            passes if self._comes_to_rest else 0,
+        )
+        self._find_parts(
+            current,
+            body.normals,
+            coarse_nearest,
+            coarse_contact,
+            self._before,
+            self._across,
+            self._state,
+            *self._cells,
+            self._level,
+            self._phase,
+        )
+        self._leave_body(
+            fine,
+            self._work,
+            self._free,
+            self._held,
             self._leading,
             frames,
             self._facing,
             coarse_nearest,
-            coarse_contact,
-            self._before,
-            self._moved,
-            self._nearest,
-            *body.first_edges,
-            self._phase,
             self._across,
-            *self._cells,
-            self._level,
+            self._state,
+            self._nearest,
             current,
             body.normals,
             body.ring_start,
             body.ring,
             body.fan_start,
             body.fan,
+            *body.first_edges,
             self._clearance,
             *self._lifting,
-            passes if self._comes_to_rest else 0,
         )
         for separation in self._separations:
             separation(fine)
         self._phase = (self._phase + 1) % PHASES
+
+
+def _bending_sweep(model: Model, inverse_h2: float) -> csr_matrix:
+    """Rows of a sweep of Gauss and Seidel over an implicit step of the bending forces alone, shape (N, N).
+
+    Hinges that are flat at rest have the energy |K x|^2 / (2 alpha): their force is -B x with one matrix B. Vertex i
+    moves by -(B x)_i / (B_ii + m_i/h^2). Each row sums to one, and that of a held vertex leaves it where it is.
+    """
+    rows, laws = model.hinge_data[:, 0].astype(float), model.hinge_data[:, 1].astype(float)
+    number = np.repeat(np.arange(len(rows)), 4)
+    curl = csr_matrix((rows.ravel(), (number, model.hinges.ravel())), (len(rows), len(model.inverse_mass)))
+    bending = (curl.T @ diags(1.0 / laws[:, 1]) @ curl).tocsr()
+    mobility = model.inverse_mass / (model.inverse_mass * bending.diagonal() + inverse_h2)
+    return (identity(len(mobility)) - diags(mobility) @ bending).tocsr()
 
 
 def _separations(levels: Levels, leading: np.ndarray, outwards: float, kept: float) -> list[GarmentSeparation]:

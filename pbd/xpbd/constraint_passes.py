@@ -3,6 +3,7 @@
 from pbd.engine import ti
 from pbd.geometry import vec3, vec4, xyz
 from pbd.model import BLOCK
+from pbd.taichi_internals import same
 from pbd.xpbd.constraints import (
     bent_hinge,
     hinge_multiplier,
@@ -18,6 +19,18 @@ from pbd.xpbd.constraints import (
 __all__ = ["solve_bending", "solve_limits", "solve_membrane", "solve_stitches", "solve_tethers"]
 
 STIFFENING_ROWS = 16  # of the data of triangles that stiffen, at least; others have 12, and both two more for friction
+
+
+@ti.func
+def offset(cloth: ti.template(), i: ti.i32, j: ti.i32):
+    """From vertex i to vertex j [m], with a fourth component that means nothing.
+
+    Where positions take the corrections themselves, ``position_delta`` is the same array.
+    """
+    between = cloth.position[j] - cloth.position[i]
+    if ti.static(not same(cloth.position, cloth.position_delta)):
+        between += cloth.position_delta[j] - cloth.position_delta[i]
+    return between
 
 
 @ti.func
@@ -56,9 +69,7 @@ def solve_membrane(
             i, j, k = f[0], f[1], f[2]
             if i < 0:  # never; see above
                 break
-            x0, u0 = cloth.position[i], cloth.position_delta[i]
-            side_1 = (cloth.position[j] - x0) + (cloth.position_delta[j] - u0)
-            side_2 = (cloth.position[k] - x0) + (cloth.position_delta[k] - u0)
+            side_1, side_2 = offset(cloth, i, j), offset(cloth, i, k)
             x1[a], y1[a], z1[a] = side_1[0], side_1[1], side_1[2]
             x2[a], y2[a], z2[a] = side_2[0], side_2[1], side_2[2]
             if levels > 0:
@@ -143,7 +154,7 @@ def solve_bending(cloth: ti.template(), constraints: ti.template(), inverse_h2: 
             u2, u3 = cloth.position_delta[k], cloth.position_delta[m]
             rows = constraints.hinge_data[c, 0]
             inverse_sum = 1.0 / (law[0] + law[1] * inverse_h2)
-            d1, d2, d3 = (p1 - p0) + (u1 - u0), (p2 - p0) + (u2 - u0), (p3 - p0) + (u3 - u0)
+            d1, d2, d3 = offset(cloth, i, j), offset(cloth, i, k), offset(cloth, i, m)
             multiplier = hinge_multiplier(d1, d2, d3, rows, inverse_sum)
             cloth.position_delta[i] = u0 + p0[3] * rows[0] * multiplier
             cloth.position_delta[j] = u1 + p1[3] * rows[1] * multiplier
@@ -168,7 +179,7 @@ def solve_bent_hinge(cloth: ti.template(), constraints: ti.template(), c: ti.i32
     u2, u3 = cloth.position_delta[k], cloth.position_delta[m]
     rows, law = constraints.hinge_data[c, 0], constraints.hinge_data[c, 1]
     inverse_sum = 1.0 / (law[0] + law[1] * inverse_h2)
-    d1, d2, d3 = (p1 - p0) + (u1 - u0), (p2 - p0) + (u2 - u0), (p3 - p0) + (u3 - u0)
+    d1, d2, d3 = offset(cloth, i, j), offset(cloth, i, k), offset(cloth, i, m)
     bent = xyz(rows[1] * d1 + rows[2] * d2 + rows[3] * d3)
     normal, length, least = hinge_normal(xyz(d1), xyz(d2 - d3))
     rest = law[2]
@@ -195,15 +206,14 @@ def solve_stitches(cloth: ti.template(), constraints: ti.template(), t: ti.f32):
         w, gap = data[0], data[1] + t * (data[2] - data[1])
         i, j, k = s[0], s[1], s[2]
         v, a, b = cloth.position[i], cloth.position[j], cloth.position[k]
-        uv, ua, ub = xyz(cloth.position_delta[i]), xyz(cloth.position_delta[j]), xyz(cloth.position_delta[k])
-        to_a, to_b = (xyz(a) - xyz(v)) + (ua - uv), (xyz(b) - xyz(v)) + (ub - uv)
+        to_a, to_b = xyz(offset(cloth, i, j)), xyz(offset(cloth, i, k))
         multiplier = stitch_multiplier(to_a, to_b, w, v[3], a[3], b[3])
         if gap > 0.0:
             distance = ((1.0 - w) * to_a + w * to_b).norm()
             multiplier *= ti.max(0.0, 1.0 - gap / ti.max(distance, 1e-20))
-        cloth.position_delta[i] = vec4(uv + v[3] * multiplier)
-        cloth.position_delta[j] = vec4(ua - a[3] * (1.0 - w) * multiplier)
-        cloth.position_delta[k] = vec4(ub - b[3] * w * multiplier)
+        cloth.position_delta[i] = cloth.position_delta[i] + vec4(v[3] * multiplier)
+        cloth.position_delta[j] = cloth.position_delta[j] - vec4(a[3] * (1.0 - w) * multiplier)
+        cloth.position_delta[k] = cloth.position_delta[k] - vec4(b[3] * w * multiplier)
 
 
 @ti.func
@@ -211,9 +221,9 @@ def solve_tethers(cloth: ti.template(), constraints: ti.template()):
     """Pull back the vertices that are further from their held vertex than their tether is long."""
     for c in range(constraints.tethers.shape[0]):
         i, j = constraints.tethers[c][0], constraints.tethers[c][1]
-        u = xyz(cloth.position_delta[i])
-        offset = (xyz(cloth.position[i]) - xyz(cloth.position[j])) + (u - xyz(cloth.position_delta[j]))
-        cloth.position_delta[i] = vec4(u + tether_correction(offset, constraints.tether_lengths[c]))
+        away, length = xyz(offset(cloth, j, i)), constraints.tether_lengths[c]
+        if away.dot(away) > length * length:
+            cloth.position_delta[i] = cloth.position_delta[i] + vec4(tether_correction(away, length))
 
 
 @ti.func
