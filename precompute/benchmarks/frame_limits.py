@@ -25,7 +25,8 @@ WIDTH = 512  # of the matrix product that is measured
 # Bytes of a vertex: position and normal in float32, the state's position and velocity.
 POINT, POSITION, VELOCITY = 12, 16, 12
 FACE = 12  # three corners
-TRIANGLE, HINGE = FACE + 48, 16 + 32  # vertices and twelve numbers; vertices and eight numbers
+TRIANGLE = FACE + 48  # vertices and twelve numbers
+ENTRY = 8  # of a sparse matrix: column and value
 PLACE = 24  # of a fine vertex on the coarse mesh: three coarse vertices and their weights
 
 
@@ -92,12 +93,14 @@ def layer_bytes(levels: Levels, body: Body) -> dict[str, float]:
     """Bytes that the parts of the wrinkle layer must at least read and write, by part.
 
     The surface reads coarse vertices, grids, means and the place of each fine vertex, and writes the fine vertices;
-    relaxation reads the body, and in each pass the triangles, the hinges and the fine vertices, which it writes again.
+    relaxation reads the body, and in each pass the triangles, the bending sweep, which has a row for each vertex with its
+    neighbours and those across from them, and the fine vertices, which it writes again.
     """
     coarse, fine = levels.subdivision.coarse_count, len(levels.fine.vertices)
     subdivisions, faces = len(levels.subdivision.steps), len(levels.fine.faces)
-    hinges = 3 * faces - len(levels.fine.edge_lengths()[1])  # edges with a face on both sides
-    each_pass = TRIANGLE * faces + HINGE * hinges + 2 * POSITION * fine
+    edges = len(levels.fine.edge_lengths()[1])
+    hinges = 3 * faces - edges  # edges with a face on both sides
+    each_pass = TRIANGLE * faces + ENTRY * (fine + 2 * edges + 2 * hinges) + 2 * POSITION * fine
     return {
         "surface": (POSITION + 4 * 3 * Grid.of(subdivisions).nodes) * coarse + (2 * POINT + PLACE) * fine,
         "relaxation": PASSES * each_pass + 2 * POINT * (fine + len(body.current)),
