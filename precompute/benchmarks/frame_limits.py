@@ -93,8 +93,8 @@ def layer_bytes(levels: Levels, body: Body) -> dict[str, float]:
     """Bytes that the parts of the wrinkle layer must at least read and write, by part.
 
     The surface reads coarse vertices, grids, means and the place of each fine vertex, and writes the fine vertices;
-    relaxation reads the body, and in each pass the triangles, the bending sweep, which has a row for each vertex with its
-    neighbours and those across from them, and the fine vertices, which it writes again.
+    relaxation reads the body, and in each pass the triangles, the bending sweep and the fine vertices, which it writes
+    again. The sweep has for each vertex a row of itself, its neighbours and those across from these.
     """
     coarse, fine = levels.subdivision.coarse_count, len(levels.fine.vertices)
     subdivisions, faces = len(levels.subdivision.steps), len(levels.fine.faces)
