@@ -1,4 +1,4 @@
-"""A frame of this checkout against a frame of another one: both play a database in turns on one core."""
+"""A frame of this checkout against a frame of another one: both play in turns on one core."""
 
 from __future__ import annotations
 
@@ -64,7 +64,11 @@ class FrameComparison:
 
 
 def compare_frames(
-    path: Path, checkout: Path, seconds: float, report: Callable[[str], None] = lambda line: None
+    path: Path,
+    checkout: Path,
+    seconds: float,
+    report: Callable[[str], None] = lambda line: None,
+    other_path: Path | None = None,
 ) -> FrameComparison:
     """Play a database with this checkout and with another one, in two processes on one core.
 
@@ -73,6 +77,7 @@ def compare_frames(
         checkout: folder of the other checkout.
         seconds: of motion that each plays.
         report: called with a line of progress.
+        other_path: the database that the other checkout plays instead: one of its own, which may have another schema.
 
     Raises:
         InputError: as :func:`wrinkles.database.read_database`, or a checkout does not play the database.
@@ -83,7 +88,7 @@ def compare_frames(
         raise InputError("no checkout", key="--against", received=str(checkout), expected="a folder with runtime/")
     report("both start")
     folders = (checkout.resolve(), HERE)
-    workers = [_start(folder, path) for folder in folders]
+    workers = [_start(folder, own) for folder, own in zip(folders, (other_path or path, path), strict=True)]
     try:
         for folder, worker in zip(folders, workers, strict=True):
             _answer(worker, folder)

@@ -29,6 +29,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="CHECKOUT",
         help="also play it in turns with the code in another folder and print only the times of both (default: none)",
     )
+    parser.add_argument(
+        "--against-database",
+        type=Path,
+        metavar="DB.h5",
+        help="the database that the code in the other folder plays: one of its own (default: the same)",
+    )
 
 
 def run(options: argparse.Namespace) -> Report:
@@ -40,7 +46,9 @@ def run(options: argparse.Namespace) -> Report:
 
     if options.against is not None:
         with Progress(sys.stderr) as progress:
-            comparison = compare_frames(options.database, options.against, options.seconds, progress)
+            comparison = compare_frames(
+                options.database, options.against, options.seconds, progress, options.against_database
+            )
         say(comparison.text())
         return Report(comparison.figures())
     with Progress(sys.stderr) as progress:

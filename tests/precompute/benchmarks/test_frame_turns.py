@@ -55,3 +55,9 @@ def test_a_folder_that_plays_nothing_is_refused(path: Path, tmp_path: Path) -> N
     (tmp_path / "runtime" / "player.py").write_text("")
     with pytest.raises(InputError, match="does not play the database"):
         compare_frames(path, tmp_path, 0.5)
+
+
+def test_the_other_checkout_plays_a_database_of_its_own(path: Path, tmp_path: Path) -> None:
+    """Here the one that it is given is none, while that of this checkout is good."""
+    with pytest.raises(InputError, match="does not play the database"):
+        compare_frames(path, ROOT, 0.5, other_path=tmp_path / "none.h5")
