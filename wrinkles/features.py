@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from pbd import ClothMesh
 from pbd.engine import ensure_initialized, ti
-from pbd.geometry import FAR, Float1, Int1, Vec4, vec3, vec4, xyz
+from pbd.geometry import FAR, Float1, Int1, Vec4, vec3, vec4
 from pbd.taichi_internals import Launch
 from wrinkles.charts import Charts
 from wrinkles.layer_distance import LayerDistance
@@ -52,28 +52,24 @@ def _frame(warp: vec3, weft: vec3):
 
 @ti.kernel
 def _read_stencil(
-    position: Vec4,
-    contact: Float1,
+    placed: Vec4,
     corners: Corners,
     weights: Weights,
     spacing: ti.f32,
     center: Float1,
     scale: Float1,
     limit: ti.f32,
-    placed: Vec4,
     frames: Frames,
     row: Int1,
     features: Features,
 ):
-    """The kernel of :meth:`Stencil.read`, with its arguments and attributes; ``placed`` gets positions with distances.
+    """The kernel of :meth:`Stencil.read`, with its arguments and attributes; ``placed``: positions, distances over FAR.
 
     The compiler makes use of vector instructions only where what is written is an array of the kernel's own.
     """
     ti.loop_config(serialize=True)
     for _ in range(1):
-        for i in range(position.shape[0]):
-            placed[i] = vec4(xyz(position[i]), contact[i] / FAR)
-        for i in range(position.shape[0]):
+        for i in range(placed.shape[0]):
             here = placed[i]
             offset = ti.Matrix.zero(ti.f32, POINTS, 4)
             for p in ti.static(OTHERS):
@@ -205,16 +201,16 @@ class Stencil:
         """
         center = np.zeros(DYNAMIC_COUNT, np.float32) if center is None else center
         scale = np.ones(DYNAMIC_COUNT, np.float32) if scale is None else scale
+        self._placed[:, :3] = position[:, :3]
+        np.divide(contact if self.below is None else self.below(position, contact), FAR, out=self._placed[:, 3])
         self._launch(
-            position,
-            contact if self.below is None else self.below(position, contact),
+            self._placed,
             self.corners,
             self.weights,
             self.spacing,
             center,
             scale,
             limit,
-            self._placed,
             frames,
             np.arange(len(frames), dtype=np.int32) if row is None else row,
             features,

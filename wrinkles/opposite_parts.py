@@ -31,7 +31,8 @@ class TouchedBody:
         before: ``nearest`` of the last pass.
         across: of each coarse vertex a body vertex opposite to the one that it is near to, -1 for none.
         state: of each coarse vertex the sum of :data:`NEAR`, :data:`MOVED` and :data:`BETWEEN`, so far as they apply.
-        cell_start, cell_items, item_cell, item_places, item_normals: workspace of :func:`sort_touched`.
+        cell_start, items, item_places: workspace of :func:`sort_touched`: where cells start; in their order body
+            vertices, and beside them the cells before they are sorted; positions and normals of these vertices.
         level: coarse vertices further than this from the body are not near it [m].
     """
 
@@ -43,10 +44,8 @@ class TouchedBody:
     across: Any
     state: Any
     cell_start: Any
-    cell_items: Any
-    item_cell: Any
+    items: Any
     item_places: Any
-    item_normals: Any
     level: Any
     _data_oriented = True
 
@@ -101,48 +100,48 @@ def find_parts(phase: ti.i32, touched: ti.template()):
 @ti.func
 def nearest_opposite(own: ti.i32, touched: ti.template()) -> ti.i32:
     """The nearest body vertex within MAX_ACROSS of body vertex ``own`` that is opposite to it and touched; or -1."""
-    start, places, looks = ti.static(touched.cell_start, touched.item_places, touched.item_normals)
+    start, places = ti.static(touched.cell_start, touched.item_places)
     p, normal = touched.body[own], touched.normals[own]
     best, distance = -1, MAX_ACROSS * MAX_ACROSS
     at = ti.cast(ti.floor(p / MAX_ACROSS), ti.i32)
     for neighbour in range(27):
         cell = hashed(at[0] + neighbour // 9 - 1, at[1] + neighbour // 3 % 3 - 1, at[2] + neighbour % 3 - 1, touched)
         for k in range(start[cell], start[cell + 1]):
-            other = xyz(looks[k])
+            other = xyz(places[k, 1])
             if normal.dot(other) < 0.0:  # most of what is near belongs to the same part
-                q = xyz(places[k])
+                q = xyz(places[k, 0])
                 away = (q - p).dot(q - p)
                 if away < distance and opposed(p, normal, q, other):
                     distance = away
-                    best = touched.cell_items[k]
+                    best = touched.items[k][0]
     return best
 
 
 @ti.func
 def sort_touched(touched: ti.template()):
     """Sort the body vertices that the garment touches into cells, by counting."""
-    start, items = ti.static(touched.cell_start, touched.cell_items)
-    count = touched.item_cell.shape[0]
+    start, items = ti.static(touched.cell_start, touched.items)
+    count = items.shape[0]
     for c in range(start.shape[0]):
         start[c] = 0
     for k in range(count):
         b = item(k, touched)
-        touched.item_cell[k] = -1
+        items[k][1] = -1
         if b >= 0:
             cell = cell_of(touched.body[b], touched)
-            touched.item_cell[k] = cell
+            items[k][1] = cell
             start[cell] = start[cell] + 1
     for c in range(start.shape[0] - 1):
         start[c + 1] = start[c + 1] + start[c]
     # Filled from the back: in the end cell c starts at start[c].
     for k in range(count):
-        cell = touched.item_cell[k]
+        cell = items[k][1]
         if cell >= 0:
             start[cell] = start[cell] - 1
             place, b = start[cell], item(k, touched)
-            items[place] = b
-            touched.item_places[place] = vec4(touched.body[b])
-            touched.item_normals[place] = vec4(touched.normals[b])
+            items[place][0] = b
+            touched.item_places[place, 0] = vec4(touched.body[b])
+            touched.item_places[place, 1] = vec4(touched.normals[b])
 
 
 @ti.func

@@ -63,6 +63,7 @@ def out_of_body(i: ti.i32, start: vec3, state: ti.i32, covered: ti.template()) -
     First from the part of the body that the cloth covers, then from a part opposite to it, where there is one.
 
     Args:
+        i, start, covered: see above; ``covered``: view of the body.
         state: see :func:`state_around`.
     """
     p = start

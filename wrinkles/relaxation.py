@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from pbd import Fabric
 from pbd.contact.colliders import Body
 from pbd.engine import ensure_initialized, ti
-from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Vec3, Vec4, vec3, vec4, xyz
+from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Vec3, Vec4, Vec4Rows, vec3, vec4, xyz
 from pbd.mesh import vertex_rings
 from pbd.model import Model
 from pbd.taichi_internals import Launch
@@ -54,35 +54,29 @@ def _rest(
     bending_index: Int1,
     bending_value: Float1,
     inverse_h2: ti.f32,
-    free: Int1,
-    held: Int1,
-    targets: Vec3,
-    passes: ti.i32,
 ):
-    """Held vertices go to their targets, and the others move by the garment's own forces, from ``fine`` to ``work``.
+    """A pass over membrane, bending and stitches; ``work`` has the inverse masses.
 
-    A pass goes over membrane, bending and stitches, each from rest: velocities would only carry away what is not
-    solved. Over 12 arguments: a kernel takes arrays one by one.
+    From rest: velocities would only carry away what is not solved.
     """
     ti.loop_config(serialize=True)
     for _ in range(1):
-        for c in range(held.shape[0]):
-            fine[held[c]] = targets[c]
         for i in range(fine.shape[0]):
             work[i] = vec4(fine[i], work[i][3])
         cloth = ClothArrays(position=work, position_delta=work)
         constraints = ConstraintArrays(
             triangles, triangle_blocks, block_colors, triangle_data, stitches=stitches, stitch_data=stitch_data,
         )  # fmt: skip
-        for _pass in range(passes):
-            for k in range(block_colors.shape[0] - 1):
-                first, last = block_colors[k], block_colors[k + 1]
-                no_levels = MultigridArrays(False, parent=free, coarse_strain=work)
-                solve_membrane(cloth, constraints, no_levels, 0, inverse_h2, 1.0, first, last)
-            for i in range(work.shape[0]):
-                x = sparse_row(bending_start, bending_index, bending_value, work, i)
-                work[i] = ti.math.vec4(x[0], x[1], x[2], work[i][3])
-            solve_stitches(cloth, constraints, 0.0)
+        no_levels = MultigridArrays(False, parent=block_colors, coarse_strain=work)
+        for k in range(block_colors.shape[0] - 1):
+            first, last = block_colors[k], block_colors[k + 1]
+            solve_membrane(cloth, constraints, no_levels, 0, inverse_h2, 1.0, first, last)
+        for i in range(work.shape[0]):
+            x = sparse_row(bending_start, bending_index, bending_value, work, i)
+            work[i] = vec4(xyz(x), work[i][3])
+        solve_stitches(cloth, constraints, 0.0)
+        for i in range(fine.shape[0]):
+            fine[i] = xyz(work[i])
 
 
 @ti.kernel
@@ -95,21 +89,19 @@ def _find_parts(
     across: Int1,
     state: Int1,
     cell_start: Int1,
-    cell_items: Int1,
-    item_cell: Int1,
-    item_places: Vec4,
-    item_normals: Vec4,
+    items: Int2,
+    item_places: Vec4Rows,
     level: ti.f32,
     phase: ti.i32,
 ):
-    """See :func:`find_parts` and :class:`TouchedBody`. Over 12 arguments: a kernel takes arrays one by one."""
+    """See :func:`find_parts` and :class:`TouchedBody`."""
     ti.loop_config(serialize=True)
     for _ in range(1):
         find_parts(
             phase,
             TouchedBody(
                 body, body_normals, coarse_nearest, coarse_contact, coarse_before, across, state, cell_start,
-                cell_items, item_cell, item_places, item_normals, level,
+                items, item_places, level,
             ),
         )  # fmt: skip
 
@@ -117,7 +109,6 @@ def _find_parts(
 @ti.kernel
 def _leave_body(
     fine: Vec3,
-    work: Vec4,
     free: Int1,
     held: Int1,
     leading: Int3,
@@ -141,7 +132,7 @@ def _leave_body(
     lifts: Vec4,
     queue: Int1,
 ):
-    """Free vertices leave the body, from ``work`` to ``fine``, and lift what is around them; see :class:`CoveredBody`.
+    """Free vertices leave the body and lift what is around them; see :class:`CoveredBody`.
 
     Over 12 arguments: a kernel takes arrays one by one.
     """
@@ -158,7 +149,7 @@ def _leave_body(
         count = 0
         for i in range(free.shape[0]):
             j = free[i]
-            start = xyz(work[j])
+            start = fine[j]
             around = state_around(i, covered)
             end = out_of_body(i, start, around, covered)
             fine[j] = end
@@ -238,10 +229,9 @@ class Relaxation:
         cells = 1 << (2 * coarse_count).bit_length()
         self._cells = (
             np.zeros(cells + 1, np.int32),
-            *(np.zeros(2 * coarse_count, np.int32) for _ in range(2)),
-            *np.zeros((2, 2 * coarse_count, 4), np.float32),
+            np.zeros((2 * coarse_count, 2), np.int32),
+            np.zeros((2 * coarse_count, 2, 4), np.float32),
         )
-        self._targets = np.zeros((len(self._held), 3), np.float32)
         self._phase = -1  # every vertex searches
         self._rest, self._find_parts, self._leave_body = Launch(_rest), Launch(_find_parts), Launch(_leave_body)
 
@@ -326,51 +316,18 @@ class Relaxation:
             current: where its vertices are [m], float32, shape (b, 3).
             passes: number of passes over the garment's own forces; none for a delivered mesh.
         """
-        self._targets[:] = targets
-        self._rest(
-            fine,
-            self._work,
-            *self._constraints,
-            self._inverse_h2,
-            self._free,
-            self._held,
-            self._targets,
-            passes if self._comes_to_rest else 0,
-        )
+        fine[self._held] = targets
+        for _ in range(passes if self._comes_to_rest else 0):
+            self._rest(fine, self._work, *self._constraints, self._inverse_h2)
         self._find_parts(
-            current,
-            body.normals,
-            coarse_nearest,
-            coarse_contact,
-            self._before,
-            self._across,
-            self._state,
-            *self._cells,
-            self._level,
-            self._phase,
-        )
+            current, body.normals, coarse_nearest, coarse_contact, self._before, self._across, self._state,
+            *self._cells, self._level, self._phase,
+        )  # fmt: skip
         self._leave_body(
-            fine,
-            self._work,
-            self._free,
-            self._held,
-            self._leading,
-            frames,
-            self._facing,
-            coarse_nearest,
-            self._across,
-            self._state,
-            self._nearest,
-            current,
-            body.normals,
-            body.ring_start,
-            body.ring,
-            body.fan_start,
-            body.fan,
-            *body.first_edges,
-            self._clearance,
-            *self._lifting,
-        )
+            fine, self._free, self._held, self._leading, frames, self._facing, coarse_nearest, self._across,
+            self._state, self._nearest, current, body.normals, body.ring_start, body.ring, body.fan_start, body.fan,
+            *body.first_edges, self._clearance, *self._lifting,
+        )  # fmt: skip
         for separation in self._separations:
             separation(fine)
         self._phase = (self._phase + 1) % PHASES

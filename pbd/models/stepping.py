@@ -16,6 +16,7 @@ from pbd.models.friction import FrictionElements
 from pbd.models.newton import StepError
 from pbd.models.obstacles import Obstacles
 from pbd.xpbd.solver import AIR_DENSITY, Solver
+from pbd.xpbd.state_summary import StateSummary
 
 __all__ = ["ClothSolver", "Options"]
 
@@ -87,6 +88,7 @@ class ClothSolver(ABC):
         self._drag = 0.5 * AIR_DENSITY * model.fabric.air_drag * model.mesh.vertex_areas / model.mass
         self._written: tuple[np.ndarray, np.ndarray] | None = None
         self._last_h = 0.0
+        self._summary = StateSummary()
         if options.substep is not None:
             self.substep = options.substep
 

@@ -21,7 +21,7 @@ from pbd.xpbd.advance import advance_kernel
 from pbd.xpbd.inertia import damp_locally, scale_inertial_forces
 from pbd.xpbd.multigrid import Multigrid, build_multigrid
 from pbd.xpbd.rigid_motion import RigidTransform, detect_teleport, max_displacement
-from pbd.xpbd.state_summary import SUMMARY, summarize
+from pbd.xpbd.state_summary import StateSummary
 from pbd.xpbd.stiff_bending import bending_factor, bounded_hinge_data, is_stiff, no_factor
 from pbd.xpbd.views import FrameSteps, StepParameters
 
@@ -133,8 +133,8 @@ class Solver:
         self._before: State | None = None  # workspace: the state at the start of a frame
         self._edges = model.mesh.edge_lengths()
         self._stride = max(MIN_STRIDE, STRIDE_SHARE * float(self._edges[1].mean()))
-        self._summary = np.zeros(SUMMARY, np.float32)
-        self._summarize, self._find_nearest = Launch(summarize), Launch(find_nearest)
+        self._summary = StateSummary()
+        self._find_nearest = Launch(find_nearest)
         kinds = with_multigrid, in_contact, model.plastic_shear_count > 0, self.stiff
         self._advance = Launch(advance_kernel(*kinds))
 
@@ -405,7 +405,7 @@ class Solver:
         primitives, fields, field_values, previous, transform = self._follow_carrier(state, colliders, dt, targets)
         if options.local_damping > 0.0:
             damp_locally(state, model.mass, options.local_damping, dt)
-            self._summarize(state.position, state.velocity, self._summary)
+            self._summary.read(state)
         if np.ndim(wind) > 1 or self._wind != tuple(wind):
             self._air[:, :3] = wind
             self._wind = tuple(wind) if np.ndim(wind) == 1 else None
@@ -415,7 +415,7 @@ class Solver:
             np.subtract(targets, state.origin, out=target_end, casting="same_kind")
         substeps = max(1, int(np.ceil(dt / options.substep - 1e-6)))
         if len(primitives) or len(fields) or targets is not None:
-            drift = np.float32(dt) * self._summary[3:6]
+            drift = np.float32(dt) * self._summary.drift
             furthest = max_displacement(primitives, fields, target_start, target_end, drift)
             substeps = max(substeps, min(int(np.ceil(furthest / self._stride)), MAX_REFINEMENT * substeps))
         refresh = max(1, round(substeps / max(1.0, dt * options.contact_refreshes)))
@@ -516,15 +516,15 @@ class Solver:
             before, after = body.previous, body.current
         else:
             return primitives, fields, field_values, body.previous, None
-        transform = detect_teleport(before, after, self._summary[3:6], dt)
+        transform = detect_teleport(before, after, self._summary.drift, dt)
         if transform is None:
             if min(options.linear_inertia, options.angular_inertia) < 1.0:
                 scale_inertial_forces(state, before, after, options.linear_inertia, options.angular_inertia, dt)
-                self._summarize(state.position, state.velocity, self._summary)
+                self._summary.read(state)
             return primitives, fields, field_values, body.previous, None
         state.position[:, :3] = transform.points(state.position[:, :3])
         state.velocity[:] = state.velocity @ transform.rotation.T
-        self._summarize(state.position, state.velocity, self._summary)
+        self._summary.read(state)
         state.pair_sides[:, :3] = state.pair_sides[:, :3] @ transform.rotation.T
         primitives[:, 2:8] = primitives[:, 8:14]
         fields[:, MOTION] = 0.0
@@ -544,8 +544,8 @@ class Solver:
         expected = (count, count, samples, count, model.plastic_count, model.plastic_shear_count)
         if received != expected:
             raise InputError("state of another model", key="state", received=received, expected=f"lengths {expected}")
-        self._summarize(state.position, state.velocity, self._summary)
-        if self._summary[6] != 0.0:
+        self._summary.read(state)
+        if not self._summary.is_finite:
             raise InputError("state is not finite", key="state", expected="finite positions and velocities")
         if targets is not None and (np.shape(targets) != (len(model.held), 3) or not np.isfinite(targets).all()):
             raise InputError(
@@ -564,8 +564,8 @@ class Solver:
 
     def follow(self, state: State, colliders: Colliders) -> np.ndarray:
         """Move the origin of state and body to the grid point nearest to the garment, and return it [m], shape (3,)."""
-        self._summarize(state.position, state.velocity, self._summary)
-        centre = self._summary[:3]
+        self._summary.read(state)
+        centre = self._summary.centre
         # Half a cell of slack keeps the origin from flickering between two grid points.
         if max(map(abs, centre.tolist())) > GRID and np.isfinite(centre).all():
             state.move_origin(state.origin + GRID * np.round(centre / GRID))

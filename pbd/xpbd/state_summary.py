@@ -1,15 +1,17 @@
 """What a solver has to know of all vertices of a state at once."""
 
-from pbd.engine import ti
+import numpy as np
+
+from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Float1, Vec3, Vec4, vec3, xyz
+from pbd.model import State
+from pbd.taichi_internals import Launch
 
-__all__ = ["SUMMARY", "summarize"]
-
-SUMMARY = 7  # numbers
+__all__ = ["StateSummary"]
 
 
 @ti.kernel
-def summarize(position: Vec4, velocity: Vec3, out: Float1):
+def _summarize(position: Vec4, velocity: Vec3, out: Float1):
     """Mean position [m] and mean velocity [m/s]; 0 if all numbers are finite, else none."""
     ti.loop_config(serialize=True)
     for _ in range(1):
@@ -23,3 +25,27 @@ def summarize(position: Vec4, velocity: Vec3, out: Float1):
             out[a] = centre[a] / position.shape[0]
             out[3 + a] = drift[a] / position.shape[0]
         out[6] = zero
+
+
+class StateSummary:
+    """Means over the vertices of a state, and whether its numbers are finite, as of the last :meth:`read`.
+
+    Attributes:
+        centre: mean position [m], float32, shape (3,).
+        drift: mean velocity [m/s], float32, shape (3,).
+    """
+
+    def __init__(self) -> None:
+        ensure_initialized()
+        self._numbers = np.zeros(7, np.float32)
+        self.centre, self.drift = self._numbers[:3], self._numbers[3:6]
+        self._launch = Launch(_summarize)
+
+    def read(self, state: State) -> None:
+        """Look at a state."""
+        self._launch(state.position, state.velocity, self._numbers)
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether all positions and velocities are finite."""
+        return bool(self._numbers[6] == 0.0)
