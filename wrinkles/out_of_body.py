@@ -70,7 +70,7 @@ def out_of_body(i: ti.i32, start: vec3, state: ti.i32, covered: ti.template()) -
     if state & NEAR == 0:
         covered.nearest[i] = -1
         covered.nearest[i + covered.leading.shape[0]] = -1
-    elif state > NEAR or not is_clear(p, covered.nearest[i], covered):
+    elif state > NEAR or not _is_clear(p, covered.nearest[i], covered):
         body, normals = ti.static(covered.surface.body_start, covered.surface.body_normals)
         normal, other_normal, home, outwards = vec3(0.0), vec3(0.0), vec3(0.0), vec3(0.0)
         gap, other_gap, kept, other_kept = MAX_HEIGHT, MAX_HEIGHT, 0.0, 0.0
@@ -110,7 +110,7 @@ def out_of_body(i: ti.i32, start: vec3, state: ti.i32, covered: ti.template()) -
 
 
 @ti.func
-def is_clear(p: vec3, vertex: ti.i32, covered: ti.template()) -> bool:
+def _is_clear(p: vec3, vertex: ti.i32, covered: ti.template()) -> bool:
     """Whether p [m] is so high over a body vertex that nothing around that reaches it; -1 stands for no vertex."""
     clear = False
     if vertex >= 0:

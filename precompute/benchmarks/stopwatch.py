@@ -31,6 +31,7 @@ METHODS = (
 # Where a kernel is launched while a part runs, and its module begins so, its time is another part's. The first that
 # fits counts.
 KERNELS = (
+    ("preparation", "pbd.xpbd.state_summary", "preparation"),
     ("preparation", "pbd.contact", "search"),
     ("preparation", "pbd.xpbd", "coarse_step"),
     ("network", "wrinkles.dictionary", "network"),

@@ -39,11 +39,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Report:
     """Play the database and plain cloth, and print the tables."""
+    from pbd import InputError
     from precompute.benchmarks.frame import bench_frame, frame_text
     from precompute.benchmarks.frame_turns import compare_frames
     from runtime.report import Progress, Report
     from runtime.terminal import say
 
+    if options.against_database is not None and options.against is None:
+        received = str(options.against_database)
+        raise InputError("nothing plays it", key="--against-database", received=received, expected="--against as well")
     if options.against is not None:
         with Progress(sys.stderr) as progress:
             comparison = compare_frames(

@@ -9,6 +9,7 @@ import pytest
 
 from pbd import InputError
 from precompute.benchmarks.frame_turns import FRAMES, FrameComparison, compare_frames
+from runtime.command import main
 from tests.data import ROOT
 from tests.runtime.players import skirt_database
 from wrinkles.database import write_database
@@ -61,3 +62,8 @@ def test_the_other_checkout_plays_a_database_of_its_own(path: Path, tmp_path: Pa
     """Here the one that it is given is none, while that of this checkout is good."""
     with pytest.raises(InputError, match="does not play the database"):
         compare_frames(path, ROOT, 0.5, other_path=tmp_path / "none.h5")
+
+
+def test_a_database_for_no_other_checkout_is_refused(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "frame", str(path), "--against-database", str(path)]) == 2
+    assert "--against-database" in capsys.readouterr().err
