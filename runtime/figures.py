@@ -105,8 +105,8 @@ FIGURES = {
         "memory of a slow motion", "mm", "distance of vertices at equal poses of a slow motion there and back"
     ),
     "attached_off_mm": Figure("error of attachment", "mm", "largest distance of an attached vertex from its target"),
-    "frame_ms_p50": Figure("time of a frame", "ms", "a whole frame, median"),
-    "frame_ms_p99": Figure("time of a slow frame", "ms", "a whole frame, slowest hundredth"),
+    "frame_ms_p50": Figure("time of a frame", "ms", "processor time of a whole frame, median"),
+    "frame_ms_p99": Figure("time of a slow frame", "ms", "processor time of a whole frame, slowest hundredth"),
     "frame_cpu_ms": Figure("processor time of a frame", "ms", "a whole frame, processor time"),
     "skin_ms_p50": Figure("time for the body", "ms", "part of a frame: the body"),
     "coarse_ms_p50": Figure("time for the coarse garment", "ms", "part of a frame: the coarse garment"),

@@ -85,7 +85,7 @@ def _sections(database: WrinkleDatabase, figures: Mapping[str, float]) -> Iterat
     training = [
         ("learned from", ", ".join(database.trained_on) or "nothing"),
         ("held out", ", ".join(database.held_out) or "nothing"),
-        ("took", f"{database.training_minutes:.1f} min, seed {database.seed}"),
+        ("took", f"{database.training_minutes:.1f} min on {database.machine}, seed {database.seed}"),
     ]
     yield "Training", training
     yield "Plain cloth", [("better choice", better_choice(database.quality))]

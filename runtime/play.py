@@ -161,7 +161,7 @@ class Free:
         numbers: numbers of the kept frames, counted from 1, int, shape (f,).
         frames, smooth: fine vertices of the kept frames with and without wrinkles [m], float32, shape (f, N, 3).
         coarse: coarse vertices of the kept frames [m], float32, shape (f, n, 3).
-        timings: times of every frame by part [ms].
+        timings: processor times of every frame by part [ms].
         held_off: largest distance of an attached vertex from its target [m].
         state_hash: hash of the coarse state after 120 frames, or at the end of a shorter run.
     """

@@ -26,6 +26,7 @@ __all__ = [
     "numbers_of",
     "package_version",
     "process_age",
+    "processor_name",
     "write_report",
 ]
 
@@ -121,7 +122,7 @@ def write_report(
 def machine_description() -> dict[str, Any]:
     """Description of this machine: processor, cores, memory [GiB], platform, versions, and the date in UTC."""
     return {
-        "cpu": _cpu_model(),
+        "cpu": processor_name(),
         "cores": os.cpu_count(),
         "memory_gib": round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1),
         "platform": platform.platform(),
@@ -147,7 +148,8 @@ def _blas_kernels() -> str:
     return ", ".join(sorted({pool["architecture"] for pool in threadpool_info() if "architecture" in pool}))
 
 
-def _cpu_model() -> str:
+def processor_name() -> str:
+    """Name of this machine's processor."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:

@@ -106,6 +106,7 @@ class WrinkleDatabase:
         held_out: clips that the figures were measured on.
         trained_on: clips that the wrinkles were learned from.
         training_minutes: duration of the training [min].
+        machine: name of the processor that learned and measured it.
         seed: seed of every random choice in learning.
         scene: the resolved scene (TOML).
         code_version: see :func:`code_version`.
@@ -140,6 +141,7 @@ class WrinkleDatabase:
     held_out: tuple[str, ...]
     trained_on: tuple[str, ...]
     training_minutes: float
+    machine: str
     seed: int
     scene: str
     code_version: str

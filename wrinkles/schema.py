@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 FORMAT = "gube wrinkle database"
-SCHEMA_VERSION = 28
+SCHEMA_VERSION = 29
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE, STEPS = "text", "float32", "float64", "int32", "int64", "int8"
 
@@ -154,6 +154,7 @@ ENTRIES = (
     Entry("held_out", TEXT, ("h",)),
     Entry("trained_on", TEXT, ("t",)),
     Entry("training_minutes", DOUBLE, unit="min"),
+    Entry("machine", TEXT),
     Entry("scene", TEXT),
 )
 MAX_STEP = 127  # of int8

@@ -36,6 +36,7 @@ from precompute.learning.stages import StageClock, StageTime
 from precompute.learning.training import Layer, TrainingSet, build_layer, fit_layer, spread_frames, training_set
 from precompute.workers import Workers
 from runtime.garment_setup import GarmentSetup, colliders_of, fabrics_of, fine_options
+from runtime.report import processor_name
 from runtime.simulation import Motion
 from wrinkles.charts import leading_vertices
 from wrinkles.database import WrinkleDatabase, as_stored, body_hash, code_version, write_database
@@ -332,6 +333,7 @@ def _finished(
         held_out=tuple(m.name for m in scene.training.held_out),
         trained_on=(),
         training_minutes=0.0,
+        machine=processor_name(),
         seed=work.seed,
         scene=scene_text(scene),
         code_version=code_version(),

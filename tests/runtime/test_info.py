@@ -64,7 +64,7 @@ def test_the_text_says_what_the_database_holds(write: Callable[..., Path]) -> No
         f"{DYNAMIC_COUNT} - 8 - 6 - 5",
         "walk, exploration 0",
         "run, dance",
-        "12.5 min, seed 3",
+        "12.5 min on a processor, seed 3",
         f"{path.stat().st_size / 1e6:.2f} MB",
     ):
         assert words in text
