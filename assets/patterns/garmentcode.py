@@ -36,7 +36,9 @@ def read_garmentcode(path: Path) -> Pattern:
         InputError: the file cannot be read, or is no specification; the message names the panel and the edge.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_unique)
+    except InputError as error:
+        raise error.in_file(path) from error
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise InputError(f"cannot be read: {error}", file=path, expected="a GarmentCode specification") from error
     try:
@@ -72,6 +74,16 @@ def read_garmentcode(path: Path) -> Pattern:
     if errors:
         raise InputError.join(errors)
     return Pattern(path.stem.removesuffix("_specification"), tuple(read), tuple(seams), (), str(path))
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of the file, of which no key stands twice: the first panel of that name would be lost."""
+    names = [name for name, _ in pairs]
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        name = next(name for name in found if names.count(name) > 1)
+        raise InputError("the same name twice", key=repr(name), expected="a name of its own")
+    return found
 
 
 def _panel(name: str, entry: dict[str, Any], unit: float) -> Panel:

@@ -105,6 +105,14 @@ def test_bad_specifications(tmp_path: Path, where: tuple[Any, ...], value: Any, 
     assert "vest_specification.json" in str(caught.value)
 
 
+def test_two_panels_of_one_name_are_refused(tmp_path: Path) -> None:
+    """JSON keeps the last value of a key that stands twice: the first panel would be lost."""
+    file = write(tmp_path, specification())
+    file.write_text(file.read_text(encoding="utf-8").replace('"back": {', '"front": {'), encoding="utf-8")
+    with pytest.raises(InputError, match=r"vest_specification.json: 'front': the same name twice"):
+        load_pattern(file)
+
+
 def test_a_file_that_is_no_json(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text("{", encoding="utf-8")
     with pytest.raises(InputError, match="a.json: cannot be read"):
