@@ -45,7 +45,7 @@ def read_garmentcode(path: Path) -> Pattern:
         panels, stitches = document["pattern"]["panels"], document["pattern"]["stitches"]
         unit = 1.0 / float(document["properties"]["units_in_meter"])
         coordinates = document["properties"].get("curvature_coords", "relative")
-        entries = list(panels.items())
+        entries, stitches = list(panels.items()), list(stitches)
     except (KeyError, TypeError, ValueError, AttributeError, ZeroDivisionError) as error:
         expected = "pattern.panels, pattern.stitches, properties.units_in_meter"
         raise InputError("no GarmentCode specification", file=path, received=str(error), expected=expected) from error
@@ -65,7 +65,7 @@ def read_garmentcode(path: Path) -> Pattern:
     for number, stitch in enumerate(stitches):
         try:
             one, two = (EdgeName(str(side["panel"]), int(side["edge"])) for side in stitch[:2])
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             key = f"stitch {number}"
             expected = "two edges, each with panel and edge"
             errors.append(InputError("no stitch", file=path, key=key, received=str(error), expected=expected))

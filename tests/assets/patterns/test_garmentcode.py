@@ -87,6 +87,8 @@ def test_a_stitch_of_a_right_and_a_wrong_side_is_not_reversed(tmp_path: Path) ->
         (("pattern", "panels", "front", "edges", 1, "endpoints"), [1, 3], "between edges 1 and 2: an open outline"),
         (("pattern", "panels", "front", "vertices", 0), [0.0, None], "panel 'front'"),
         (("pattern", "stitches", 0), [{"panel": "front"}], "stitch 0: no stitch"),
+        (("pattern", "stitches", 0, 0, "edge"), float("inf"), "stitch 0: no stitch"),
+        (("pattern", "stitches"), 5, "no GarmentCode specification"),
         (("pattern", "stitches", 0, 0, "panel"), "frnot", "seam 0: no such panel .*did you mean 'front'"),
         (("properties", "units_in_meter"), 1, "a size that no garment has"),
         (("properties", "curvature_coords"), "absolute", "unknown coordinates"),
