@@ -34,7 +34,8 @@ def fitted(garment: Garment, made_for: Character, body: Character, fit: str) -> 
             cloth is the old one, and sits tighter or looser.
 
     Raises:
-        InputError: joints that the body lacks, or a garment that would be torn or squeezed out of its shape.
+        InputError: joints that the body lacks or whose names are not their own, or a garment that would be torn or
+            squeezed out of its shape.
     """
     own_place, own_weights, own_height = _on_body(garment.vertices, made_for)
     vertices, size = _carried(garment.vertices, own_weights, made_for, body)
@@ -96,7 +97,12 @@ def _carried(points: np.ndarray, weights: np.ndarray, made_for: Character, body:
     if missing:
         expected = f"a body with the joints that carry the garment; {body.name} lacks " + ", ".join(missing[:5])
         raise InputError("a body of another rig", key="made_for", received=made_for.name, expected=expected)
-    mine = [place[made_for.joint_names[joint]] for joint in used]
+    names = [made_for.joint_names[joint] for joint in used]
+    twice = [name for name in dict.fromkeys(names) if max(names.count(name), body.joint_names.count(name)) > 1]
+    if twice:
+        expected = "a name of its own for each joint that carries the garment"
+        raise InputError("joints of one name", key="made_for", received=twice[:5], expected=expected)
+    mine = [place[name] for name in names]
     # From the old joint's bind pose to the new one's, each with the joint's place in the world.
     old, new = np.linalg.inv(made_for.inverse_bind[used]), np.linalg.inv(body.inverse_bind[mine])
     away = [np.linalg.norm(places[:, None, :3, 3] - places[None, :, :3, 3], axis=2) for places in (old, new)]

@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from difflib import get_close_matches
 
 import numpy as np
 
 from assets.patterns.curves import contains, crossings, signed_area
 from assets.patterns.pattern import EdgeName, Panel, Pattern, edge_length
+from assets.patterns.short_edges import MIN_EDGE
 from pbd.errors import InputError
 
 __all__ = ["MAX_GATHER", "check_pattern"]
 
 MAX_GATHER = 3.0  # length of an edge over that of the edge it is sewn to [-]; a full ruffle has 2 to 3
 _MAX_GAP = 1e-6  # [m] between the end of an edge and the start of the next one
-_MIN_EDGE = 1e-3  # [m]
 _MAX_PANEL, _MIN_PANEL = 5.0, 0.03  # [m] of the longer side of a panel; the second of the largest panel
 
 
-def check_pattern(pattern: Pattern, *, on_one_sheet: bool = False) -> None:
+def check_pattern(pattern: Pattern, *, joined: Collection[EdgeName] = (), on_one_sheet: bool = False) -> None:
     """Refuse a pattern that cannot be sewn.
 
     Args:
         pattern: from a file or a draft.
+        joined: edges that may be below 1 mm, since they are joined to others afterwards
+            (:func:`assets.patterns.short_edges.joinable_edges`).
         on_one_sheet: whether the panels lie side by side in one drawing, so that they must not overlap.
 
     Raises:
@@ -37,18 +40,18 @@ def check_pattern(pattern: Pattern, *, on_one_sheet: bool = False) -> None:
         errors.append(InputError("a pattern without panels", expected="closed outlines"))
     for name in sorted({name for name in names if names.count(name) > 1}):
         errors.append(InputError("the same name twice", key=f"panel {name!r}", expected="a name of its own"))
-    sound = [panel for panel in pattern.panels if not (found := _panel_errors(panel)) or errors.extend(found)]
+    sound = [panel for panel in pattern.panels if not (found := _panel_errors(panel, joined)) or errors.extend(found)]
     if len(sound) == len(names) and not errors:
         errors += _size_errors(pattern)
         errors += _overlaps(sound) if on_one_sheet else []
-    errors += _seam_errors(pattern, {panel.name for panel in sound})
+    errors += _seam_errors(pattern, {panel.name for panel in sound}, joined)
     errors += _band_errors(pattern)
     if errors:
         raise InputError.join([error.in_file(pattern.source) for error in errors])
 
 
-def _panel_errors(panel: Panel) -> list[InputError]:
-    """Faults of one outline."""
+def _panel_errors(panel: Panel, joined: Collection[EdgeName]) -> list[InputError]:
+    """Faults of one outline, of which some edges may be short."""
     key = f"panel {panel.name!r}"
     numbers = [*panel.edges, panel.grain]
     if panel.placement is not None:
@@ -64,17 +67,20 @@ def _panel_errors(panel: Panel) -> list[InputError]:
         if gap > _MAX_GAP:
             place = f"{key}, between edges {k} and {following}"
             errors.append(InputError("an open outline", key=place, received=f"a gap of {1e3 * gap:.3g} mm"))
-        if edge_length(edge) < _MIN_EDGE:
-            length = f"{1e3 * edge_length(edge):.3g} mm"
-            errors.append(
-                InputError("an edge that is too short", key=f"{key}, edge {k}", received=length, expected="1 mm")
+        if edge_length(edge) < MIN_EDGE and EdgeName(panel.name, k) not in joined:
+            length, expected = (
+                f"{1e3 * edge_length(edge):.3g} mm",
+                "1 mm: lengthen it, or join it to the edge beside it",
             )
+            problem = "an edge that is too short"
+            errors.append(InputError(problem, key=f"{key}, edge {k}", received=length, expected=expected))
     if errors:
         return errors
-    outline = panel.outline
+    apart = (np.roll(panel.outline, -1, axis=0) != panel.outline).any(axis=1)  # an edge may have no length at all
+    outline = panel.outline[apart]
     crossed = crossings(outline, outline)
     if len(crossed):
-        owner = np.repeat(np.arange(len(panel.edges)), [len(edge) - 1 for edge in panel.edges])
+        owner = np.repeat(np.arange(len(panel.edges)), [len(edge) - 1 for edge in panel.edges])[apart]
         one, two = (int(owner[k]) for k in crossed[0])
         x, y = 1e2 * outline[crossed[0, 0]]
         place = f"{key}, edge {one}" if one == two else f"{key}, edges {one} and {two}"
@@ -128,8 +134,8 @@ def _edge_error(pattern: Pattern, name: EdgeName, key: str) -> InputError | None
     return None
 
 
-def _seam_errors(pattern: Pattern, sound: set[str]) -> list[InputError]:
-    """Faults of the seams; lengths are compared between panels without faults."""
+def _seam_errors(pattern: Pattern, sound: set[str], joined: Collection[EdgeName]) -> list[InputError]:
+    """Faults of the seams; lengths are compared between panels without faults, where no short edge is joined."""
     errors: list[InputError] = []
     owner: dict[EdgeName, int] = {}
     for number, seam in enumerate(pattern.seams):
@@ -146,7 +152,7 @@ def _seam_errors(pattern: Pattern, sound: set[str]) -> list[InputError]:
                 received = f"{_words(name)}, also in seam {owner[name]}"
                 errors.append(InputError("an edge in two seams", key=key, received=received))
             owner[name] = number
-        if not {seam.first.panel, seam.second.panel} <= sound:
+        if not {seam.first.panel, seam.second.panel} <= sound or {seam.first, seam.second} & set(joined):
             continue
         lengths = [edge_length(pattern.edge(name)) for name in (seam.first, seam.second)]
         ratio = max(lengths) / min(lengths)

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from assets.patterns.fold import unfolded
 from assets.patterns.pattern import Panel
-from assets.patterns.sheet import edges_of_pieces, panel_of_outline
+from assets.patterns.sheet import MAX_GAP, edges_of_pieces, panel_of_outline
 from pbd.errors import InputError
 
 __all__ = ["read_dxf"]
@@ -22,7 +23,11 @@ __all__ = ["read_dxf"]
 Floats = NDArray[np.float64]
 
 # Layers of ASTM D6673, "Standard practice for sewn products pattern data interchange".
-_CUT_LINE, _TURN_POINTS, _GRAIN_LINE = "1", "2", "7"
+_CUT_LINE, _TURN_POINTS, _MIRROR_LINE, _GRAIN_LINE, _CUTOUTS, _SEW_LINE = "1", "2", "6", "7", "11", "14"
+_OUTLINES = {_CUT_LINE, _SEW_LINE, _CUTOUTS, _MIRROR_LINE}
+# They change no outline: points, notches, grade lines, lines to draw, stripes, drill holes, text, curves of validation.
+_MARKS = {"2", "3", "4", "5", "8", "9", "10", "12", "13", "15", *map(str, range(80, 88))}
+_MAX_ALLOWANCE = 0.1  # [m] between cut line and sew line
 _CURVES = ("LINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE", "LWPOLYLINE", "POLYLINE")
 _FLATTENING = 1e-5  # [m] between a curve and its chords
 _METRIC, _ENGLISH = 1e-3, 0.0254  # [m]
@@ -31,12 +36,14 @@ _METRIC, _ENGLISH = 1e-3, 0.0254  # [m]
 def read_dxf(path: Path) -> tuple[Panel, ...]:
     """Read closed outlines as panels.
 
-    A drawing with inserted blocks has a panel for each of them, named by the block: the cut line on layer 1, its
-    corners as points on layer 2, the grain line on layer 7. Any other drawing has a panel on each layer, named by the
-    layer. For their edges see :func:`assets.patterns.sheet.edges_of_pieces`.
+    A drawing with inserted blocks has a panel for each of them, named by the block: the sew line on layer 14, or the
+    cut line on layer 1 where there is none, its corners as points on layer 2, the grain line on layer 7. A half piece
+    is unfolded along the mirror line on layer 6. Any other drawing has a panel on each layer, named by the layer. For
+    their edges see :func:`assets.patterns.sheet.edges_of_pieces`. Layers that are off or frozen are left out.
 
     Raises:
-        InputError: the file cannot be read, says no unit, has no panels, or an open outline.
+        InputError: the file cannot be read, says no unit, has no panels, an open outline, curves beside its blocks,
+            blocks in blocks, or a block that has a cutout, no outline, or a sew line that is none of its cut line.
     """
     try:
         return _panels(path)
@@ -51,18 +58,24 @@ def _panels(path: Path) -> tuple[Panel, ...]:
     from ezdxf.filemanagement import readfile
 
     document = readfile(path)
-    space: Any = document.modelspace()
+    space = document.modelspace()
     unit = _unit(document, space, path)
-    inserts = space.query("INSERT")
+    shown = [entity for entity in space if _is_shown(document, entity)]
+    inserts: list[Any] = [entity for entity in shown if entity.dxftype() == "INSERT"]
     groups: dict[str, dict[str, list[Any]]] = {}
-    if inserts:
-        for insert in inserts:
-            name = insert.dxf.name
-            while name in groups:
-                name += "_2"
-            groups[name] = _by_layer(insert.virtual_entities())
-    else:
-        groups = {layer: {_CUT_LINE: entities} for layer, entities in _by_layer(space).items()}
+    for insert in inserts:
+        name = insert.dxf.name
+        while name in groups:
+            name += "_2"
+        _check_insert(document, insert, path)
+        groups[name] = _by_layer(entity for entity in insert.virtual_entities() if _is_shown(document, entity))
+    beside = _by_layer(entity for entity in shown if entity.dxftype() in _CURVES)
+    if inserts and beside.keys() - _MARKS:
+        received, expected = sorted(beside.keys() - _MARKS), "all outlines in blocks, or none"
+        problem = "outlines beside the blocks"
+        raise InputError(problem, file=path, key="layers", received=received, expected=expected)
+    if not inserts:
+        groups = {layer: {_CUT_LINE: entities} for layer, entities in beside.items()}
     panels, errors = [], []
     for name, layers in groups.items():
         try:
@@ -84,27 +97,88 @@ def _by_layer(entities: Iterable[Any]) -> dict[str, list[Any]]:
     return layers
 
 
+def _is_shown(document: Any, entity: Any) -> bool:
+    name = entity.dxf.layer
+    layer = document.layers.get(name) if document.layers.has_entry(name) else None
+    return layer is None or not (layer.is_off() or layer.is_frozen())
+
+
+def _check_insert(document: Any, insert: Any, path: Path) -> None:
+    """Refuse what would be lost of a block: copies in rows and columns, and outlines in a block inside it."""
+    key = f"block {insert.dxf.name!r}"
+    if insert.mcount > 1:
+        raise InputError("a block in rows and columns", file=path, key=key, expected="one insert for each piece")
+    for inner in document.blocks.get(insert.dxf.name, ()):
+        if inner.dxftype() == "INSERT" and _is_shown(document, inner):
+            layers = {inner.dxf.layer, *(entity.dxf.layer for entity in document.blocks.get(inner.dxf.name, ()))}
+            if layers & _OUTLINES:
+                received, expected = inner.dxf.name, "pieces that are drawn in their own block"
+                raise InputError("a block inside a block", file=path, key=key, received=received, expected=expected)
+
+
 def _panel(name: str, layers: dict[str, list[Any]], unit: float) -> Panel | None:
-    """The panel of a block or layer; None if nothing is drawn on its cut line."""
+    """The panel of a block or layer; None if nothing is drawn there but marks and text."""
+    key = f"panel {name!r}"
+    curves = {layer: found for layer, entities in layers.items() if (found := _polylines(entities, unit))}
+    if not curves.keys() - _MARKS:
+        return None
+    if not curves.keys() & {_CUT_LINE, _SEW_LINE}:
+        received, expected = sorted(curves), "a cut line on layer 1 or a sew line on layer 14"
+        raise InputError("a block without an outline", key=key, received=received, expected=expected)
+    if _CUTOUTS in curves:
+        expected = "nothing on layer 11: a panel has no holes; divide the piece, or delete the cutout"
+        raise InputError("a cutout inside a piece", key=key, received="curves on layer 11", expected=expected)
+    turns = [entity.dxf.location for entity in layers.get(_TURN_POINTS, []) if entity.dxftype() == "POINT"]
+    points = np.array([(point.x, point.y) for point in turns]).reshape(-1, 2) * unit
+    outlines = {}
+    for layer, word in ((_CUT_LINE, "cut line"), (_SEW_LINE, "sew line")):
+        if layer in curves:
+            line = f"{key}, {word}" if _SEW_LINE in curves else key
+            pieces, ends = curves[layer], points
+            if _MIRROR_LINE in curves:
+                pieces, ends = unfolded(pieces, points, _axis(curves[_MIRROR_LINE], key), line)
+            outlines[layer] = edges_of_pieces(pieces, line, ends)
+    if len(outlines) == 2:
+        _check_allowance(outlines[_CUT_LINE], outlines[_SEW_LINE], key)
+    edges = outlines.get(_SEW_LINE) or outlines[_CUT_LINE]
+    grains = [line[-1] - line[0] for line in curves.get(_GRAIN_LINE, [])]
+    grain = max(grains, key=lambda along: float(np.linalg.norm(along)), default=None)  # others are its arrow heads
+    if grain is not None and not np.linalg.norm(grain) > 0.0:
+        raise InputError("a grain line that ends where it starts", key=key, expected="a straight line on layer 7")
+    return panel_of_outline(name, edges, grain)
+
+
+def _polylines(entities: Iterable[Any], unit: float) -> list[Floats]:
+    """The curves among entities as polylines [m]."""
     from ezdxf.path import make_path
 
-    pieces = []
-    for entity in layers.get(_CUT_LINE, []):
+    found = []
+    for entity in entities:
         if entity.dxftype() in _CURVES:
             curve = make_path(entity)
             points = np.array([(point.x, point.y) for point in curve.flattening(_FLATTENING / unit)]) * unit
             apart = np.append(True, np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-9)
-            pieces.append(points[apart])
-    if not pieces:
-        return None
-    turns = [entity.dxf.location for entity in layers.get(_TURN_POINTS, []) if entity.dxftype() == "POINT"]
-    ends = np.array([(point.x, point.y) for point in turns]).reshape(-1, 2) * unit
-    edges = edges_of_pieces(pieces, f"panel {name!r}", ends)
-    grain = next((entity for entity in layers.get(_GRAIN_LINE, []) if entity.dxftype() == "LINE"), None)
-    if grain is None:
-        return panel_of_outline(name, edges)
-    along = grain.dxf.end - grain.dxf.start
-    return panel_of_outline(name, edges, np.array([along.x, along.y]))
+            found.append(points[apart])
+    return found
+
+
+def _axis(lines: list[Floats], key: str) -> Floats:
+    """Both ends of the mirror line [m], shape (2, 2)."""
+    if len(lines) > 1:
+        expected = "one: unfold the piece along the others"
+        raise InputError("several mirror lines", key=key, received=len(lines), expected=expected)
+    return lines[0][[0, -1]]
+
+
+def _check_allowance(cut: list[Floats], sewn: list[Floats], key: str) -> None:
+    """Refuse a sew line that does not go around inside the cut line."""
+    outer, inner = np.concatenate(cut), np.concatenate(sewn)
+    left, right = inner.min(axis=0) - outer.min(axis=0), outer.max(axis=0) - inner.max(axis=0)
+    sides = np.concatenate([left, right])
+    if sides.min() < -MAX_GAP or sides.max() > _MAX_ALLOWANCE:
+        received = "allowances of " + ", ".join(f"{1e3 * side:.0f}" for side in sides) + " mm"
+        expected = f"0 to {1e3 * _MAX_ALLOWANCE:.0f} mm left, below, right and above"
+        raise InputError("a sew line that does not follow its cut line", key=key, received=received, expected=expected)
 
 
 def _unit(document: Any, space: Any, path: Path) -> float:

@@ -36,14 +36,16 @@ def read_garmentcode(path: Path) -> Pattern:
         InputError: the file cannot be read, or is no specification; the message names the panel and the edge.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_unique)
+    except InputError as error:
+        raise error.in_file(path) from error
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise InputError(f"cannot be read: {error}", file=path, expected="a GarmentCode specification") from error
     try:
         panels, stitches = document["pattern"]["panels"], document["pattern"]["stitches"]
         unit = 1.0 / float(document["properties"]["units_in_meter"])
         coordinates = document["properties"].get("curvature_coords", "relative")
-        entries = list(panels.items())
+        entries, stitches = list(panels.items()), list(stitches)
     except (KeyError, TypeError, ValueError, AttributeError, ZeroDivisionError) as error:
         expected = "pattern.panels, pattern.stitches, properties.units_in_meter"
         raise InputError("no GarmentCode specification", file=path, received=str(error), expected=expected) from error
@@ -63,7 +65,7 @@ def read_garmentcode(path: Path) -> Pattern:
     for number, stitch in enumerate(stitches):
         try:
             one, two = (EdgeName(str(side["panel"]), int(side["edge"])) for side in stitch[:2])
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             key = f"stitch {number}"
             expected = "two edges, each with panel and edge"
             errors.append(InputError("no stitch", file=path, key=key, received=str(error), expected=expected))
@@ -72,6 +74,16 @@ def read_garmentcode(path: Path) -> Pattern:
     if errors:
         raise InputError.join(errors)
     return Pattern(path.stem.removesuffix("_specification"), tuple(read), tuple(seams), (), str(path))
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of the file, of which no key stands twice: the first panel of that name would be lost."""
+    names = [name for name, _ in pairs]
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        name = next(name for name in found if names.count(name) > 1)
+        raise InputError("the same name twice", key=repr(name), expected="a name of its own")
+    return found
 
 
 def _panel(name: str, entry: dict[str, Any], unit: float) -> Panel:

@@ -27,11 +27,11 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["edges_of_pieces", "panel_of_outline", "with_side_file"]
+__all__ = ["MAX_GAP", "closed_loop", "edges_of_pieces", "panel_of_outline", "turns", "with_side_file"]
 
 Floats = NDArray[np.float64]
 
-_MAX_GAP = 1e-4  # [m] that the ends of drawn pieces may lie apart
+MAX_GAP = 1e-4  # [m] that the ends of drawn pieces may lie apart
 _CORNER = math.cos(math.radians(20.0))  # an outline of straight pieces has a corner where it turns further
 _FACINGS = {"front": 0.0, "left": 90.0, "back": 180.0, "right": 270.0}  # [deg] around the vertical axis
 
@@ -64,44 +64,64 @@ def edges_of_pieces(pieces: Sequence[Floats], key: str, ends: Floats | None = No
         ends: [m], shape (k, 2); those off the outline do not count.
 
     Raises:
-        InputError: the pieces do not close.
+        InputError: as :func:`closed_loop`.
     """
-    loop = _closed_loop(pieces, key)
-    given = ends is not None and len(ends) > 0
-    if len(loop) > 1 and any(len(piece) > 2 for piece in loop) and not given:
-        return loop
+    loop = closed_loop(pieces, key)
     outline = np.concatenate([piece[:-1] for piece in loop])
-    return _edges_between_corners(outline, ends if given else None)
+    corners = np.zeros(0, int)
+    if ends is not None and len(ends):
+        away, nearest = cKDTree(outline).query(ends)
+        corners = np.unique(nearest[away < MAX_GAP])
+    if len(loop) > 1 and any(len(piece) > 2 for piece in loop) and not len(corners):
+        return loop
+    return _edges_between_corners(outline, corners)
 
 
-def _closed_loop(pieces: Sequence[Floats], key: str) -> list[Floats]:
-    """Pieces of an outline one after another, each from exactly where the last one ends, some of them turned round."""
+def closed_loop(pieces: Sequence[Floats], key: str) -> list[Floats]:
+    """Pieces of an outline one after another, each from exactly where the last one ends, some of them turned round.
+
+    Args:
+        pieces: polylines [m] in any order and direction, shape (k, 2).
+        key: names the outline in messages.
+
+    Raises:
+        InputError: the pieces do not close, or are several outlines.
+    """
     loop, left = [pieces[0]], list(pieces[1:])
     while left:
         end = loop[-1][-1]
         gaps = [[float(np.linalg.norm(piece[k] - end)) for k in (0, -1)] for piece in left]
         best = int(np.argmin(np.min(gaps, axis=1)))
-        if min(gaps[best]) > _MAX_GAP:
+        if min(gaps[best]) > MAX_GAP:
             break
         piece = left.pop(best)
         loop.append(piece if gaps[best][0] <= gaps[best][1] else piece[::-1])
     gap = float(np.linalg.norm(loop[-1][-1] - loop[0][0]))
-    if left or gap > _MAX_GAP:
+    if left and gap <= MAX_GAP:  # a second outline, or a line beside the first
+        loop = left[:1]
+        gap = float(np.linalg.norm(loop[0][-1] - loop[0][0]))
+        if gap <= MAX_GAP:
+            raise InputError("a panel of several outlines", key=key, expected="one outline for each panel")
+    if gap > MAX_GAP:
         x, y = 1e2 * loop[-1][-1]
         received = f"an end at {x:.2f}, {y:.2f} cm, {1e3 * gap:.3g} mm from the start"
-        raise InputError("an open outline", key=key, received=received, expected="a closed one")
+        expected = "a closed one; hide what is no outline"
+        raise InputError("an open outline", key=key, received=received, expected=expected)
     starts = [piece[0] for piece in loop]
     return [np.concatenate([piece[:-1], end[None]]) for piece, end in zip(loop, starts[1:] + starts[:1], strict=True)]
 
 
-def _edges_between_corners(outline: Floats, ends: Floats | None) -> list[Floats]:
-    """A closed outline [m], shape (n, 2), cut at its corners or at given points."""
-    ahead = np.roll(outline, -1, axis=0) - outline
-    ahead /= np.maximum(np.linalg.norm(ahead, axis=1), 1e-300)[:, None]
-    corners = np.flatnonzero((ahead * np.roll(ahead, 1, axis=0)).sum(axis=1) < _CORNER)
-    if ends is not None:
-        away, nearest = cKDTree(outline).query(ends)
-        corners = np.unique(nearest[away < _MAX_GAP])
+def turns(before: Floats, after: Floats) -> NDArray[np.bool_]:
+    """Where an outline has a corner, shape (k,): at turns from one direction to another one, shape (k, 2)."""
+    lengths = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
+    return (before * after).sum(axis=1) / np.maximum(lengths, 1e-300) < _CORNER
+
+
+def _edges_between_corners(outline: Floats, corners: NDArray[np.int64]) -> list[Floats]:
+    """A closed outline [m], shape (n, 2), cut at the points of these numbers; at its corners if there are none."""
+    if not len(corners):
+        ahead = np.roll(outline, -1, axis=0) - outline
+        corners = np.flatnonzero(turns(np.roll(ahead, 1, axis=0), ahead))
     if len(corners) < 2:
         corners = np.array([0, len(outline) // 2])  # a round piece: two halves
     last = np.append(corners[1:], corners[0] + len(outline))

@@ -93,6 +93,10 @@ def test_what_cannot_fit_is_refused() -> None:
     names = tuple(f"other_{name}" for name in body.joint_names)
     with pytest.raises(InputError, match="made_for: a body of another rig.*lacks"):
         fitted(garment, body, replace(body, joint_names=names), "body")
+    twin = replace(body, joint_names=tuple(name.replace("Left", "Right") for name in body.joint_names))
+    for other in (body, twin):
+        with pytest.raises(InputError, match="made_for: joints of one name .*'RightUpLeg'"):
+            fitted(garment, twin, other, "body")
     flat = replace(body, name="pancake", vertices=body.vertices * [6.0, 1.0, 1.0])
     with pytest.raises(InputError, match="does not fit pancake.*the worst at"):
         fitted(garment, body, flat, "body")

@@ -87,6 +87,8 @@ def test_a_stitch_of_a_right_and_a_wrong_side_is_not_reversed(tmp_path: Path) ->
         (("pattern", "panels", "front", "edges", 1, "endpoints"), [1, 3], "between edges 1 and 2: an open outline"),
         (("pattern", "panels", "front", "vertices", 0), [0.0, None], "panel 'front'"),
         (("pattern", "stitches", 0), [{"panel": "front"}], "stitch 0: no stitch"),
+        (("pattern", "stitches", 0, 0, "edge"), float("inf"), "stitch 0: no stitch"),
+        (("pattern", "stitches"), 5, "no GarmentCode specification"),
         (("pattern", "stitches", 0, 0, "panel"), "frnot", "seam 0: no such panel .*did you mean 'front'"),
         (("properties", "units_in_meter"), 1, "a size that no garment has"),
         (("properties", "curvature_coords"), "absolute", "unknown coordinates"),
@@ -103,6 +105,14 @@ def test_bad_specifications(tmp_path: Path, where: tuple[Any, ...], value: Any, 
     with pytest.raises(InputError, match=message) as caught:
         load_pattern(write(tmp_path, document))
     assert "vest_specification.json" in str(caught.value)
+
+
+def test_two_panels_of_one_name_are_refused(tmp_path: Path) -> None:
+    """JSON keeps the last value of a key that stands twice: the first panel would be lost."""
+    file = write(tmp_path, specification())
+    file.write_text(file.read_text(encoding="utf-8").replace('"back": {', '"front": {'), encoding="utf-8")
+    with pytest.raises(InputError, match=r"vest_specification.json: 'front': the same name twice"):
+        load_pattern(file)
 
 
 def test_a_file_that_is_no_json(tmp_path: Path) -> None:

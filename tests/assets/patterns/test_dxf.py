@@ -1,0 +1,291 @@
+"""Blocks of pattern systems (ASTM D6673): sew lines, half pieces, cutouts, and what else is on their layers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ezdxf.document import Drawing
+
+from assets.patterns.curves import signed_area
+from assets.patterns.dxf import read_dxf
+from assets.patterns.pattern import Panel
+from pbd.errors import InputError
+
+Points = list[tuple[float, float]]
+CUT: Points = [(-10, -10), (510, -10), (510, 710), (-10, 710)]
+SEW: Points = [(0, 0), (500, 0), (500, 700), (0, 700)]
+HALF: Points = [(0, 0), (250, 0), (250, 600), (100, 700), (0, 650)]  # the fold is x = 0
+
+
+def on(layer: str) -> dict[str, str]:
+    return {"layer": layer}
+
+
+def read(folder: Path, draw: Callable[[Any], object], more: Callable[[Drawing], object] | None = None) -> Panel:
+    """The panel of a block that ``draw`` fills."""
+    document = Drawing.new("R2010")
+    document.header["$INSUNITS"] = 4
+    draw(document.blocks.new("front"))
+    document.modelspace().add_blockref("front", (0, 0))
+    if more is not None:
+        more(document)
+    document.saveas(folder / "top.dxf")
+    (panel,) = read_dxf(folder / "top.dxf")
+    return panel
+
+
+def refused(folder: Path, draw: Callable[[Any], object], more: Callable[[Drawing], object] | None = None) -> str:
+    with pytest.raises(InputError) as caught:
+        read(folder, draw, more)
+    return str(caught.value)
+
+
+def closed(block: Any, points: Points, layer: str) -> None:
+    block.add_polyline2d(points, close=True, dxfattribs=on(layer))
+
+
+def dots(block: Any, points: Points) -> None:
+    for point in points:
+        block.add_point(point, dxfattribs=on("2"))
+
+
+def millimetres(panel: Panel) -> list[list[float]]:
+    return (np.round(1e3 * panel.outline, 6) + 0.0).tolist()
+
+
+@pytest.mark.parametrize("turns", [[], CUT, SEW, CUT + SEW])
+def test_the_sew_line_is_the_outline_where_there_is_one(tmp_path: Path, turns: Points) -> None:
+    def draw(block: Any) -> None:
+        closed(block, CUT, "1")
+        closed(block, SEW, "14")
+        dots(block, turns)
+
+    panel = read(tmp_path, draw)
+    assert millimetres(panel) == [list(point) for point in SEW]
+    assert [len(edge) for edge in panel.edges] == [2, 2, 2, 2]
+
+
+def test_the_cut_line_is_the_outline_without_a_sew_line(tmp_path: Path) -> None:
+    panel = read(tmp_path, lambda block: closed(block, CUT, "1"))
+    assert millimetres(panel) == [list(point) for point in CUT]
+
+
+def test_a_sew_line_alone_is_an_outline(tmp_path: Path) -> None:
+    assert millimetres(read(tmp_path, lambda block: closed(block, SEW, "14"))) == [list(point) for point in SEW]
+
+
+def test_a_sew_line_that_does_not_go_around_is_refused(tmp_path: Path) -> None:
+    def pocket(block: Any) -> None:
+        closed(block, CUT, "1")
+        closed(block, [(100, 100), (250, 100), (250, 300), (100, 300)], "14")
+
+    message = refused(tmp_path, pocket)
+    assert "panel 'front': a sew line that does not follow its cut line" in message
+    assert "allowances of 110, 110, 260, 410 mm" in message
+
+    def stitching(block: Any) -> None:
+        closed(block, CUT, "1")
+        block.add_line((0, 0), (500, 0), dxfattribs=on("14"))
+
+    assert "panel 'front', sew line: an open outline" in refused(tmp_path, stitching)
+
+    def outside(block: Any) -> None:
+        closed(block, SEW, "1")
+        closed(block, CUT, "14")
+
+    assert "a sew line that does not follow its cut line" in refused(tmp_path, outside)
+
+
+def mirrored(points: Points) -> list[list[float]]:
+    return [[-x, y] for x, y in points]
+
+
+def as_set(points: Any) -> set[tuple[float, ...]]:
+    return {tuple(float(value) for value in point) for point in points}
+
+
+@pytest.mark.parametrize("start", range(5))
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_half_piece_is_unfolded_along_its_mirror_line(tmp_path: Path, start: int, turned: bool) -> None:
+    points = HALF[start:] + HALF[:start]
+
+    def draw(block: Any) -> None:
+        closed(block, points[::-1] if turned else points, "1")
+        block.add_line((0, 0), (0, 650), dxfattribs=on("6"))
+
+    panel = read(tmp_path, draw)
+    # Neither end of the fold is a corner of the hem; at the neck the whole turns by 53 degrees.
+    corners = as_set([*HALF[1:], *mirrored(HALF[1:4])])
+    assert as_set(np.round(1e3 * np.array([edge[0] for edge in panel.edges]), 6)) == corners
+    assert signed_area(panel.outline) == pytest.approx(2.0 * signed_area(1e-3 * np.array(HALF)))
+
+
+def test_turn_points_on_the_fold_count_where_the_whole_has_a_corner(tmp_path: Path) -> None:
+    def draw(block: Any) -> None:
+        closed(block, HALF, "1")
+        block.add_line((0, -20), (0, 700), dxfattribs=on("6"))
+        dots(block, [(0, 0), (250, 0), (100, 700), (0, 650)])  # none at (250, 600)
+
+    panel = read(tmp_path, draw)
+    corners = as_set([(250, 0), (100, 700), (0, 650), (-250, 0), (-100, 700)])
+    assert as_set(np.round(1e3 * np.array([edge[0] for edge in panel.edges]), 6)) == corners
+
+
+def test_a_half_piece_of_lines_and_arcs_is_unfolded_and_its_fold_may_be_open(tmp_path: Path) -> None:
+    def draw(block: Any) -> None:
+        block.add_line((0, 0), (250, 0), dxfattribs=on("1"))
+        block.add_arc((0, 0), 250, 0, 90, dxfattribs=on("1"))
+        block.add_line((0, 0), (0, 250), dxfattribs=on("6"))
+
+    panel = read(tmp_path, draw)
+    assert len(panel.edges) == 4
+    assert signed_area(panel.outline) == pytest.approx(0.5 * np.pi * 0.25**2, rel=1e-3)
+
+    def open_polyline(block: Any) -> None:
+        block.add_polyline2d(HALF, dxfattribs=on("1"))
+        block.add_line((0, 0), (0, 650), dxfattribs=on("6"))
+
+    assert signed_area(read(tmp_path, open_polyline).outline) == pytest.approx(2.0 * signed_area(1e-3 * np.array(HALF)))
+
+
+def test_the_sew_line_of_a_half_piece_is_unfolded(tmp_path: Path) -> None:
+    def draw(block: Any) -> None:
+        closed(block, [(0, -10), (260, -10), (260, 710), (0, 710)], "1")
+        closed(block, [(0, 0), (250, 0), (250, 700), (0, 700)], "14")
+        block.add_line((0, -10), (0, 710), dxfattribs=on("6"))
+
+    panel = read(tmp_path, draw)
+    np.testing.assert_allclose(np.ptp(panel.outline, axis=0), [0.5, 0.7])
+    assert [len(edge) for edge in panel.edges] == [2, 3, 2, 3]  # the hem and the waist go on over the fold
+
+
+def test_a_mirror_line_through_a_whole_piece_changes_nothing(tmp_path: Path) -> None:
+    def draw(block: Any) -> None:
+        closed(block, SEW, "1")
+        block.add_line((250, 0), (250, 700), dxfattribs=on("6"))
+
+    assert millimetres(read(tmp_path, draw)) == [list(point) for point in SEW]
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ([((-50, 0), (-50, 700))], "panel 'front': a half piece that cannot be unfolded"),
+        ([((0, 0), (0, 700)), ((0, 0), (500, 0))], "panel 'front': several mirror lines (received 2"),
+        ([((0, 100), (0, 100.01))], "panel 'front': a mirror line without length"),
+    ],
+)
+def test_mirror_lines_that_unfold_nothing(tmp_path: Path, lines: list[Points], message: str) -> None:
+    def draw(block: Any) -> None:
+        closed(block, SEW, "1")
+        for start, end in lines:
+            block.add_line(start, end, dxfattribs=on("6"))
+
+    assert message in refused(tmp_path, draw)
+
+
+def test_a_half_piece_with_a_slit_in_its_fold_is_refused(tmp_path: Path) -> None:
+    slit: Points = [(0, 0), (250, 0), (250, 700), (0, 700), (0, 500), (20, 400), (0, 300)]
+
+    def draw(block: Any) -> None:
+        closed(block, slit, "1")
+        block.add_line((0, 0), (0, 700), dxfattribs=on("6"))
+
+    assert "a half piece that cannot be unfolded" in refused(tmp_path, draw)
+
+
+@pytest.mark.parametrize("layer", ["3", "4", "5", "8", "9", "10", "13", "15", "80", "84", "87"])
+def test_layers_that_change_no_outline(tmp_path: Path, layer: str) -> None:
+    def draw(block: Any) -> None:
+        closed(block, SEW, "1")
+        block.add_line((0, 350), (8, 350), dxfattribs=on(layer))
+        closed(block, [(100, 100), (200, 100), (200, 200)], layer)
+
+    assert millimetres(read(tmp_path, draw)) == [list(point) for point in SEW]
+
+
+def test_a_cutout_is_refused(tmp_path: Path) -> None:
+    def draw(block: Any) -> None:
+        closed(block, SEW, "1")
+        block.add_circle((250, 350), 50, dxfattribs=on("11"))
+
+    assert "panel 'front': a cutout inside a piece (received 'curves on layer 11'" in refused(tmp_path, draw)
+
+
+def test_the_grain_is_the_longest_line_whatever_its_kind(tmp_path: Path) -> None:
+    def draw(block: Any) -> None:
+        closed(block, SEW, "1")
+        block.add_line((400, 100), (390, 110), dxfattribs=on("7"))  # an arrow head
+        block.add_polyline2d([(100, 100), (400, 100)], dxfattribs=on("7"))
+
+    assert read(tmp_path, draw).grain.tolist() == [1.0, 0.0]
+
+    def ring(block: Any) -> None:
+        closed(block, SEW, "1")
+        block.add_circle((250, 350), 50, dxfattribs=on("7"))
+
+    assert "panel 'front': a grain line that ends where it starts" in refused(tmp_path, ring)
+
+
+def test_pieces_that_would_be_lost_are_refused(tmp_path: Path) -> None:
+    def draw(block: Any) -> None:
+        closed(block, SEW, "1")
+
+    def named_layer(document: Drawing) -> None:
+        closed(document.blocks.new("back"), SEW, "CUT")
+        document.modelspace().add_blockref("back", (600, 0))
+
+    assert "panel 'back': a block without an outline (received ['CUT']" in refused(tmp_path, draw, named_layer)
+
+    def beside(document: Drawing) -> None:
+        closed(document.modelspace(), [(x + 600, y) for x, y in SEW], "back")
+
+    assert "outlines beside the blocks (received ['back']" in refused(tmp_path, draw, beside)
+
+    def nested(document: Drawing) -> None:
+        closed(document.blocks.new("pair"), SEW, "1")
+        document.blocks["pair"].add_blockref("front", (600, 0))
+        document.modelspace().add_blockref("pair", (600, 0))
+
+    assert "block 'pair': a block inside a block (received 'front'" in refused(tmp_path, draw, nested)
+
+    def rows(document: Drawing) -> None:
+        document.modelspace().add_blockref("front", (600, 0), {"column_count": 2, "column_spacing": 600})
+
+    assert "block 'front': a block in rows and columns" in refused(tmp_path, draw, rows)
+
+
+def test_text_and_marks_beside_pieces_are_no_panels(tmp_path: Path) -> None:
+    def more(document: Drawing) -> None:
+        document.blocks.new("style").add_text("STYLE NAME: A", dxfattribs=on("1"))
+        document.modelspace().add_blockref("style", (0, 0))
+        document.modelspace().add_line((0, 0), (9, 9), dxfattribs=on("15"))
+        closed(document.blocks.new("notch"), [(0, 0), (3, 0), (3, 3)], "4")
+        document.blocks["front"].add_blockref("notch", (0, 350), on("4"))
+
+    assert millimetres(read(tmp_path, lambda block: closed(block, SEW, "1"), more)) == [list(point) for point in SEW]
+
+
+@pytest.mark.parametrize("hide", ["off", "freeze"])
+def test_layers_that_are_hidden_are_left_out(tmp_path: Path, hide: str) -> None:
+    document = Drawing.new("R2010")
+    document.header["$INSUNITS"] = 4
+    space = document.modelspace()
+    closed(space, SEW, "front")
+    closed(space, [(-50, -50), (2000, -50), (2000, 900), (-50, 900)], "frame")
+    getattr(document.layers.add("frame"), hide)()
+    document.saveas(tmp_path / "top.dxf")
+    (panel,) = read_dxf(tmp_path / "top.dxf")
+    assert panel.name == "front"
+
+
+def test_two_outlines_on_one_layer_are_refused(tmp_path: Path) -> None:
+    def draw(block: Any) -> None:
+        closed(block, SEW, "1")
+        closed(block, [(x + 600, y) for x, y in SEW], "1")
+
+    assert "panel 'front': a panel of several outlines" in refused(tmp_path, draw)
