@@ -110,6 +110,8 @@ class Character:
         inverse_bind: world of the bind pose to joint, shape (joints, 4, 4).
         root_transform: constant transform above the root joints, shape (4, 4).
         clips: clips by name.
+        texture: texture coordinates of each face corner, v upwards, shape (faces, 3, 2), float64, NaN at faces without;
+            None without any.
     """
 
     name: str
@@ -123,6 +125,7 @@ class Character:
     inverse_bind: Floats
     root_transform: Floats
     clips: dict[str, Clip] = field(default_factory=dict)
+    texture: Floats | None = None
 
     def __post_init__(self) -> None:
         _check_shapes(self)
@@ -281,6 +284,9 @@ def _check_shapes(character: Character) -> None:
         if not np.isfinite(array).all():
             row = int(np.argwhere(~np.isfinite(array))[0, 0])
             raise InputError("values that are not finite", key=f"{key}, row {row}")
+    if character.texture is not None and character.texture.shape != (*character.faces.shape, 2):
+        key, expected = f"character {character.name}, texture", str((*character.faces.shape, 2))
+        raise InputError("bad shape", key=key, received=character.texture.shape, expected=expected)
     linear = character.root_transform[:3, :3]
     square = linear @ linear.T
     if np.abs(square - np.eye(3) * square.trace() / 3.0).max() > 1e-4 * square.trace():

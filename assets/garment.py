@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from assets.io.gltf import read_document
 from assets.io.obj import read_obj
+from assets.texture import joined
 from assets.weld import check_unit, group_rows, weld
 from pbd.errors import InputError
 from pbd.mesh import edges_of
@@ -50,6 +51,8 @@ class Garment:
             them, and its pattern is in the order (warp, weft).
         max_stretch: greatest length of the edges of each face over their rest length [-], shape (m,), float64; None
             where nothing limits it but the fabric. The waistband of a sewn garment hardly gives way.
+        texture: texture coordinates of each face corner, v upwards, shape (m, 3, 2), float64, NaN at faces without;
+            None without any. Those of a sewn garment are (weft, warp) in its pattern [m], seen from outside.
     """
 
     name: str
@@ -59,6 +62,7 @@ class Garment:
     source: str
     layers: Floats | None = None
     max_stretch: Floats | None = None
+    texture: Floats | None = None
 
 
 def load_garment(path: str | PathLike[str], *, pattern: bool = False) -> Garment:
@@ -100,7 +104,8 @@ class StoredSurface:
         path: the file.
         vertices: shape (n, 3), float64.
         faces: shape (m, 3), int32.
-        texture: texture coordinates of each face corner, shape (m, 3, 2), float64; None unless every face has them.
+        texture: texture coordinates of each face corner, v upwards, shape (m, 3, 2), float64, NaN at faces without;
+            None without any.
         label: name of a face in messages.
     """
 
@@ -144,10 +149,11 @@ def checked_garment(surface: StoredSurface, *, pattern: bool = False) -> Garment
     check_faces(vertices, faces, path, label)
     flipped = _winding(faces, path)
     faces[flipped] = faces[flipped][:, [0, 2, 1]]
-    flat = None
-    if pattern:
-        flat = _check_pattern(vertices, faces, surface.texture, flipped, path, label)
-    return Garment(path.stem, vertices, faces, flat, str(path))
+    texture = None if surface.texture is None else surface.texture.copy()
+    if texture is not None:
+        texture[flipped] = texture[flipped][:, [0, 2, 1]]
+    flat = _check_pattern(vertices, faces, texture, path, label) if pattern else None
+    return Garment(path.stem, vertices, faces, flat, str(path), texture=texture)
 
 
 def boundary_loops(faces: Faces) -> list[NDArray[np.int32]]:
@@ -202,7 +208,7 @@ def highest_loop(vertices: Floats, faces: Faces) -> NDArray[np.int32]:
 
 
 def _read_gltf(path: Path) -> tuple[Floats, Faces, Floats | None]:
-    """All triangles of the scene in world space, with texture coordinates by corner if every primitive has them."""
+    """All triangles of the scene in world space, with their texture coordinates; see :class:`StoredSurface`."""
     document = read_document(path)
     vertices, faces, texture = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int32)], []
     for node in document.mesh_nodes():
@@ -210,12 +216,8 @@ def _read_gltf(path: Path) -> tuple[Floats, Faces, Floats | None]:
         for primitive in document.primitives(node):
             faces.append(primitive.faces + sum(map(len, vertices)))
             vertices.append(primitive.vertices @ matrix[:3, :3].T + matrix[:3, 3])
-            # glTF counts texture coordinates downwards, patterns upwards.
-            texture.append(
-                None if primitive.texture is None else (primitive.texture * [1, -1] + [0, 1])[primitive.faces]
-            )
-    complete = texture and all(part is not None for part in texture)
-    return np.concatenate(vertices), np.concatenate(faces), np.concatenate(texture) if complete else None
+            texture.append((primitive.corner_texture, len(primitive.faces)))
+    return np.concatenate(vertices), np.concatenate(faces), joined(texture)
 
 
 def _drop_unused(vertices: Floats, faces: Faces) -> tuple[Floats, Faces]:
@@ -305,16 +307,13 @@ def _winding(faces: Faces, path: Path) -> NDArray[np.bool_]:
 def _check_pattern(
     vertices: Floats,
     faces: Faces,
-    texture: Floats | None,
-    flipped: NDArray[np.bool_],
+    flat: Floats | None,
     path: Path,
     label: Callable[[int], str],
 ) -> Floats:
-    """The pattern by face corner, turned like the faces; refused where it cannot be one."""
-    if texture is None:
+    """Texture coordinates as a pattern; refused where they cannot be one."""
+    if flat is None or np.isnan(flat).any():
         raise InputError("no texture coordinates to take a pattern from", file=path, key="pattern")
-    flat = texture.copy()
-    flat[flipped] = flat[flipped][:, [0, 2, 1]]
     height, longest = _heights(flat)
     bad = np.flatnonzero(height <= _MIN_HEIGHT_RATIO * longest)
     if bad.size:

@@ -36,6 +36,7 @@ gube.bake_glb(
     RATE / 2.0,
     body=mannequin,
     poses=np.array(poses[::2]),
+    texture=gube.load_garment("builtin:skirt").texture,
 )
 
 path = np.array([frame[waist].mean(axis=0) for frame in frames])

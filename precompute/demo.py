@@ -200,7 +200,7 @@ def run_demo(
             body = shown_body(truth.run.body, truth.levels)
             picture = draw_moments(truth, evaluation, demo.moments, body.faces)
             save_png(picture_file, picture)
-            _bake(animation, truth, evaluation, body)
+            _bake(animation, truth, evaluation, body, learned.database.fine_texture)
     figures = evaluation.figures
     better = better_choice(comparison.choice)
     frame_ms, spent = comparison.frame_ms(), time.monotonic() - began
@@ -290,10 +290,13 @@ def _draw(
     return strip(pictures, list(columns), [f"{recording.frames[index] * run.dt:.1f} s" for index in picked])
 
 
-def _bake(path: Path, truth: Truth, evaluation: Evaluation, body: Character | VertexSequence) -> None:
+def _bake(
+    path: Path, truth: Truth, evaluation: Evaluation, body: Character | VertexSequence, texture: np.ndarray | None
+) -> None:
     """Write the animation of the free run on a body, of as many frames a second as stay below GLB_BYTES."""
     run, frames = truth.run, evaluation.free.frames
     every = max(1, int(np.ceil(BYTES_A_VERTEX * frames.shape[0] * frames.shape[1] / GLB_BYTES)))
     poses = run.poses[truth.recording.frames[::every]]
     rate = 1.0 / (run.dt * run.every * every)
-    bake_glb(path, truth.levels.fine.faces, frames[::every], rate, body=body, poses=poses)
+    faces = truth.levels.subdivision.faces
+    bake_glb(path, faces, frames[::every], rate, body=body, poses=poses, texture=texture)

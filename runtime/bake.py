@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from assets.character import Character
+from assets.io.obj import face_lines
 from assets.io.sequence import Sequence
 from pbd.errors import InputError
 from pbd.storage import replacing
@@ -36,6 +37,7 @@ def bake_glb(
     body: Character | Sequence | None = None,
     poses: np.ndarray | None = None,
     garments: Mapping[str, np.ndarray] | None = None,
+    texture: np.ndarray | None = None,
 ) -> None:
     """Write an animated glTF 2.0 binary: the garment as a mesh with a morph target a frame, and its body.
 
@@ -60,11 +62,13 @@ def bake_glb(
             vertices (f, b, 3) of a vertex sequence.
         garments: vertices of each garment of an outfit by its name, int, shapes (k,): each is a mesh with a material of
             its own. None writes one mesh, "garment".
+        texture: texture coordinates of each corner of the garment's faces, v upwards, shape (m, 3, 2), NaN at faces
+            without; a vertex with several is written as several. None writes none.
 
     Raises:
         InputError: shapes do not match, a value is not finite, a joint shears, or a rate is not positive.
     """
-    tracks = _garment_tracks(garment_faces, garment_frames, rate_hz, normals, garments)
+    tracks = _garment_tracks(garment_faces, garment_frames, rate_hz, normals, garments, texture)
     _check_poses(body, poses, len(tracks[0].frames))
     file = GlbFile()
     for track in tracks:
@@ -74,7 +78,7 @@ def bake_glb(
             file.add_character(body, poses, rate_hz, _BODY_COLOR)
         else:
             drawn = np.stack([body.drawn(pose) for pose in poses])
-            file.add(_track("body", body.faces, drawn, rate_hz, None, _BODY_COLOR, False))
+            file.add(_track("body", body.faces, drawn, rate_hz, None, _BODY_COLOR, False, body.texture))
     _write(path, file.finish())
 
 
@@ -88,6 +92,7 @@ def bake_usd(
     body: Character | Sequence | None = None,
     poses: np.ndarray | None = None,
     garments: Mapping[str, np.ndarray] | None = None,
+    texture: np.ndarray | None = None,
 ) -> None:
     """Write a binary USD file (.usdc): the garment as a mesh with time samples, and its body.
 
@@ -103,12 +108,12 @@ def bake_usd(
         normals: unit normals, shape (f, n, 3); area-weighted ones are made where absent.
         body: what wears the garment.
         poses: of the body, one for each frame of the garment, as :func:`bake_glb` takes them.
-        garments: as :func:`bake_glb` takes them.
+        garments, texture: as :func:`bake_glb` takes them. Texture coordinates are the primvar ``st``.
 
     Raises:
         InputError: shapes do not match, a value is not finite, a joint shears, or a rate is not positive.
     """
-    tracks = _garment_tracks(garment_faces, garment_frames, rate_hz, normals, garments)
+    tracks = _garment_tracks(garment_faces, garment_frames, rate_hz, normals, garments, texture)
     _check_poses(body, poses, len(tracks[0].frames))
     file = UsdFile(rate_hz, len(tracks[0].frames))
     for track in tracks:
@@ -118,11 +123,13 @@ def bake_usd(
             file.add_character(body, poses, _BODY_COLOR)
         else:
             drawn = np.stack([body.drawn(pose) for pose in poses])
-            file.add(_track("body", body.faces, drawn, rate_hz, None, _BODY_COLOR, False))
+            file.add(_track("body", body.faces, drawn, rate_hz, None, _BODY_COLOR, False, body.texture))
     file.write(Path(path))
 
 
-def bake_pc2(path: str | os.PathLike[str], faces: np.ndarray, frames: np.ndarray) -> None:
+def bake_pc2(
+    path: str | os.PathLike[str], faces: np.ndarray, frames: np.ndarray, texture: np.ndarray | None = None
+) -> None:
     """Write a point cache (PC2, float32) and, beside it with the ending ``.obj``, the mesh that it moves.
 
     The cache holds one sample for each frame of the scene that plays it; it has no rate of its own.
@@ -131,6 +138,7 @@ def bake_pc2(path: str | os.PathLike[str], faces: np.ndarray, frames: np.ndarray
         path: the ``.pc2`` file.
         faces: vertex indices, shape (m, 3).
         frames: [m], shape (f, n, 3).
+        texture: as :func:`bake_glb` takes it, for the mesh.
 
     Raises:
         InputError: shapes do not match or a vertex is not finite.
@@ -141,11 +149,17 @@ def bake_pc2(path: str | os.PathLike[str], faces: np.ndarray, frames: np.ndarray
                                  ("rate", "<f4"), ("samples", "<i4")])  # fmt: skip
     header["sign"], header["version"], header["rate"] = b"POINTCACHE2", 1, 1.0
     header["points"], header["samples"] = frames.shape[1], len(frames)
-    _write(path.with_suffix(".obj"), _obj(faces, frames[0]))
+    _write(path.with_suffix(".obj"), _obj(_face_lines(faces, texture), frames[0]))
     _write(path, header.tobytes() + frames.astype("<f4").tobytes())
 
 
-def bake_mdd(path: str | os.PathLike[str], faces: np.ndarray, frames: np.ndarray, rate_hz: float) -> None:
+def bake_mdd(
+    path: str | os.PathLike[str],
+    faces: np.ndarray,
+    frames: np.ndarray,
+    rate_hz: float,
+    texture: np.ndarray | None = None,
+) -> None:
     """Write a point cache (MDD, float32) and, beside it with the ending ``.obj``, the mesh that it moves.
 
     The file is big-endian: number of frames and of points (int32), the time of each frame [s], then the points frame
@@ -156,6 +170,7 @@ def bake_mdd(path: str | os.PathLike[str], faces: np.ndarray, frames: np.ndarray
         faces: vertex indices, shape (m, 3).
         frames: [m], shape (f, n, 3).
         rate_hz: frames a second.
+        texture: as :func:`bake_glb` takes it, for the mesh.
 
     Raises:
         InputError: shapes do not match, a vertex is not finite, or a rate is not positive.
@@ -164,17 +179,20 @@ def bake_mdd(path: str | os.PathLike[str], faces: np.ndarray, frames: np.ndarray
     faces, frames = _checked(faces, frames, "frames")
     _check_rate(rate_hz)
     header = np.array(frames.shape[:2], ">i4").tobytes() + (np.arange(len(frames)) / rate_hz).astype(">f4").tobytes()
-    _write(path.with_suffix(".obj"), _obj(faces, frames[0]))
+    _write(path.with_suffix(".obj"), _obj(_face_lines(faces, texture), frames[0]))
     _write(path, header + frames.astype(">f4").tobytes())
 
 
-def bake_obj(path: str | os.PathLike[str], faces: np.ndarray, frames: np.ndarray) -> list[Path]:
+def bake_obj(
+    path: str | os.PathLike[str], faces: np.ndarray, frames: np.ndarray, texture: np.ndarray | None = None
+) -> list[Path]:
     """Write one OBJ a frame: ``dress.obj`` gives ``dress_0000.obj``, ``dress_0001.obj`` and so on.
 
     Args:
         path: name that the files' names are made from.
         faces: vertex indices, shape (m, 3).
         frames: [m], shape (f, n, 3).
+        texture: as :func:`bake_glb` takes it.
 
     Returns:
         the files written, in order.
@@ -185,8 +203,9 @@ def bake_obj(path: str | os.PathLike[str], faces: np.ndarray, frames: np.ndarray
     path = Path(path)
     faces, frames = _checked(faces, frames, "frames")
     files = [path.with_name(f"{path.stem}_{index:04d}.obj") for index in range(len(frames))]
+    lines = _face_lines(faces, texture)
     for file, vertices in zip(files, frames, strict=True):
-        _write(file, _obj(faces, vertices))
+        _write(file, _obj(lines, vertices))
     return files
 
 
@@ -195,10 +214,25 @@ def _write(path: str | os.PathLike[str], content: bytes) -> None:
         beside.write_bytes(content)
 
 
-def _obj(faces: np.ndarray, vertices: np.ndarray) -> bytes:
-    lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in vertices.tolist()]
-    lines += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
-    return ("\n".join(lines) + "\n").encode()
+def _obj(faces: bytes, vertices: np.ndarray) -> bytes:
+    return b"".join(b"v %.6f %.6f %.6f\n" % tuple(vertex) for vertex in vertices.tolist()) + faces
+
+
+def _face_lines(faces: np.ndarray, texture: np.ndarray | None) -> bytes:
+    return ("\n".join(face_lines(faces, _checked_texture(texture, faces))) + "\n").encode()
+
+
+def _checked_texture(texture: np.ndarray | None, faces: np.ndarray) -> np.ndarray | None:
+    """Texture coordinates as they are written: None where no face has any."""
+    if texture is None or np.isnan(texture).all():
+        return None
+    if texture.shape != (*faces.shape, 2):
+        expected = str((*faces.shape, 2))
+        raise InputError("texture coordinates do not match the faces", key="texture", received=texture.shape,
+                         expected=expected)  # fmt: skip
+    if np.isinf(texture).any():
+        raise InputError("texture coordinates that are not finite", key="texture")
+    return texture
 
 
 def _check_poses(body: Character | Sequence | None, poses: np.ndarray | None, frame_count: int) -> None:
@@ -241,9 +275,10 @@ def _garment_tracks(
     rate_hz: float,
     normals: np.ndarray | None,
     garments: Mapping[str, np.ndarray] | None,
+    texture: np.ndarray | None,
 ) -> list[Track]:
     """One mesh, or that of each garment of an outfit; arguments as for :func:`bake_glb`."""
-    whole = _track("garment", faces, frames, rate_hz, normals, _GARMENT_COLORS[0], True)
+    whole = _track("garment", faces, frames, rate_hz, normals, _GARMENT_COLORS[0], True, texture)
     if garments is None:
         return [whole]
     tracks = []
@@ -251,14 +286,16 @@ def _garment_tracks(
         own_number = np.full(whole.frames.shape[1], -1, np.int32)
         own_number[vertices] = np.arange(len(vertices))
         mine = own_number[whole.faces]
+        own = (mine >= 0).all(axis=1)
         tracks.append(
             replace(
                 whole,
                 name=name if name != "body" else "body_garment",
-                faces=mine[(mine >= 0).all(axis=1)],
+                faces=mine[own],
                 frames=whole.frames[:, vertices],
                 normals=whole.normals[:, vertices],
                 color=_GARMENT_COLORS[number % len(_GARMENT_COLORS)],
+                texture=None if whole.texture is None else _checked_texture(whole.texture[own], mine[own]),
             )
         )
     return tracks
@@ -272,6 +309,7 @@ def _track(
     normals: np.ndarray | None,
     color: Color,
     double_sided: bool,
+    texture: np.ndarray | None,
 ) -> Track:
     faces, frames = _checked(faces, frames, f"{name}_frames")
     _check_rate(rate_hz)
@@ -282,4 +320,5 @@ def _track(
         raise InputError(
             "normals do not match the frames", key="normals", received=normals.shape, expected=str(frames.shape)
         )
-    return Track(name, faces, frames, rate_hz, unit_normals(normals), color, double_sided)
+    texture = _checked_texture(texture, faces)
+    return Track(name, faces, frames, rate_hz, unit_normals(normals), color, double_sided, texture)

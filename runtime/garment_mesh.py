@@ -13,6 +13,7 @@ from assets.fabrics import PRESETS
 from assets.garment import Garment, boundary_loops, highest_loop, load_garment
 from assets.io.scene import GarmentSettings, Scene
 from assets.seams import load_seams
+from assets.texture import joined
 from pbd import ClothMesh, InputError, Limits
 from pbd.contact.strain_limits import MAX_STRETCH
 from wrinkles.binding import Binding, bind
@@ -30,6 +31,7 @@ __all__ = [
     "rest_of",
     "sewn_rest",
     "subdivided",
+    "texture_of",
     "with_subdivisions",
 ]
 
@@ -139,7 +141,9 @@ def coarse_garment(garment: Garment, settings: GarmentSettings) -> tuple[Garment
     vertices, subdivision = bind(
         garment.vertices, garment.faces, flat, seams, settings.coarse_vertices, settings.subdivision_count
     )
-    return replace(garment, vertices=vertices, faces=subdivision.coarse_faces, pattern=None), subdivision.binding
+    return replace(
+        garment, vertices=vertices, faces=subdivision.coarse_faces, pattern=None, texture=None
+    ), subdivision.binding
 
 
 def subdivided(
@@ -166,8 +170,9 @@ def subdivided(
         expected = f"0..{MOST_COARSE_SUBDIVISIONS}"
         raise InputError("too fine a mesh to simulate", key="coarse_subdivisions", received=times, expected=expected)
     finer, sewn = Subdivision.of(garment.faces, len(garment.vertices), times), sewn_rest(garment)
-    vertices, pattern = finer.upsample(garment.vertices), finer.flat_corners(garment.pattern)
-    cut = replace(garment, vertices=vertices, faces=finer.faces, pattern=pattern)
+    vertices = finer.upsample(garment.vertices)
+    pattern, texture = finer.flat_corners(garment.pattern), finer.flat_corners(garment.texture)
+    cut = replace(garment, vertices=vertices, faces=finer.faces, pattern=pattern, texture=texture)
     if sewn is not None:
         sewn = sewn.subdivided(times)
         cut = replace(cut, layers=sewn.layers, max_stretch=sewn.max_stretch)
@@ -226,6 +231,36 @@ def pattern_of(scene: Scene) -> np.ndarray | None:
             pattern = cut_corners(pattern)
         found.append(pattern)
     return np.concatenate(found)
+
+
+def texture_of(scene: Scene, fine: bool = False) -> np.ndarray | None:
+    """Texture coordinates of each corner of each face that is simulated.
+
+    Args:
+        scene: names the garments.
+        fine: of the fine meshes instead of the coarse ones.
+
+    Returns:
+        shape (m, 3, 2), NaN at faces of a garment without; None without any, and for the coarse mesh under a delivered
+        fine one.
+
+    Raises:
+        InputError: a garment that cannot be loaded.
+    """
+    more = max(garment.subdivision_count for garment in with_subdivisions(scene).garments) if fine else 0
+    found = []
+    for settings in scene.garments:
+        garment = load_garment(settings.mesh, pattern=settings.pattern)
+        cuts = settings.coarse_subdivisions + more
+        if settings.coarse_vertices is not None:
+            if not fine:
+                return None
+            cuts = 0
+        texture = garment.texture
+        for _ in range(cuts):
+            texture = None if texture is None else cut_corners(texture)
+        found.append((texture, len(garment.faces) * 4**cuts))
+    return joined(found)
 
 
 def with_subdivisions(scene: Scene) -> Scene:

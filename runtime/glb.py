@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from assets.character import Character
+from assets.texture import split
 from assets.transform import decompose, quaternions
 from pbd.errors import InputError
 from wrinkles.metrics import vertex_normals
@@ -28,7 +29,7 @@ _COMPONENTS = {
     np.dtype(np.uint32): _UNSIGNED_INT,
     np.dtype(np.float32): _FLOAT,
 }
-_WIDTHS = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+_WIDTHS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 # A base normal is stored a little shorter than 1 (glTF's validator allows 0.67 %), so that even the opposite normal
 # can be reached by a delta within -1..1: see _normal_deltas.
 _BASE_NORMAL_LENGTH = 0.995
@@ -36,7 +37,11 @@ _BASE_NORMAL_LENGTH = 0.995
 
 @dataclass(frozen=True)
 class Track:
-    """One animated mesh: positions float32 [m] (f, n, 3), unit normals float32 (f, n, 3)."""
+    """One animated mesh: positions float32 [m] (f, n, 3), unit normals float32 (f, n, 3).
+
+    Its texture coordinates are those of each face corner, v upwards, shape (m, 3, 2), NaN at faces without; None
+    without any.
+    """
 
     name: str
     faces: np.ndarray
@@ -45,6 +50,7 @@ class Track:
     normals: np.ndarray
     color: Color
     double_sided: bool
+    texture: np.ndarray | None = None
 
 
 class GlbFile:
@@ -69,6 +75,8 @@ class GlbFile:
         """One node with one mesh, moved by a translation and by morph weights."""
         gl, document = self._gl, self._document
         middle, rotation, local, normals = _without_rigid_motion(track.frames, track.normals)
+        source, faces, texture = self._corners(track.faces, track.texture, local.shape[1])
+        local, normals = local[:, source], normals[:, source]
         delta = local - local[0]
         scale = max(1.0, float(np.abs(delta).max(initial=0.0)))
         base_normals = _BASE_NORMAL_LENGTH * _mean_normals(normals)
@@ -77,12 +85,13 @@ class GlbFile:
         attributes = gl.Attributes(
             POSITION=self._vertices((local[0] / scale).astype(np.float32), bounds=True),
             NORMAL=self._vertices(base_normals),
+            TEXCOORD_0=texture,
         )
         targets = [
             {"POSITION": self._vertices(positions[k], bounds=True), "NORMAL": self._vertices(normals[k])}
             for k in range(len(positions))
         ]
-        mesh = self._mesh(track.name, track.faces, attributes, track.color, track.double_sided, targets)
+        mesh = self._mesh(track.name, faces, attributes, track.color, track.double_sided, targets)
         weights = np.eye(len(targets), dtype=np.float32)
         mesh.weights = weights[0].tolist()
         mesh.extras = {"targetNames": [f"frame {k}" for k in range(len(targets))]}
@@ -135,13 +144,15 @@ class GlbFile:
         kind = np.uint8 if len(joints) <= 256 else np.uint16
         vertices = body.vertices.astype(np.float32)
         used = np.where(body.joint_weights > 0.0, body.joint_indices, 0)  # as the format asks
+        source, faces, texture = self._corners(body.faces, body.texture, len(vertices))
         attributes = gl.Attributes(
-            POSITION=self._vertices(vertices, bounds=True),
-            NORMAL=self._vertices(unit_normals(vertex_normals(vertices[None], body.faces))[0]),
-            JOINTS_0=self._vertices(used.astype(kind), normalized=False),
-            WEIGHTS_0=self._vertices(body.joint_weights.astype(np.float32)),
+            POSITION=self._vertices(vertices[source], bounds=True),
+            NORMAL=self._vertices(unit_normals(vertex_normals(vertices[None], body.faces))[0][source]),
+            TEXCOORD_0=texture,
+            JOINTS_0=self._vertices(used.astype(kind)[source], normalized=False),
+            WEIGHTS_0=self._vertices(body.joint_weights.astype(np.float32)[source]),
         )
-        self._mesh("body", body.faces, attributes, color, False)
+        self._mesh("body", faces, attributes, color, False)
         node = self._node(gl.Node(name="body", mesh=len(document.meshes) - 1, skin=len(document.skins) - 1))
         document.scenes[0].nodes += [node, skeleton]
         if len(poses) < 2:
@@ -152,6 +163,18 @@ class GlbFile:
             self._channel(first + j, "rotation", times, rotation[:, j].astype(np.float32))
             if np.abs(scale[:, j] - scale[0, j]).max() > 1e-6:
                 self._channel(first + j, "scale", times, scale[:, j].astype(np.float32))
+
+    def _corners(
+        self, faces: np.ndarray, texture: np.ndarray | None, vertex_count: int
+    ) -> tuple[np.ndarray | slice, np.ndarray, int | None]:
+        """Vertices to write, which a seam of the texture splits, faces, and an accessor for texture coordinates.
+
+        The format counts v downwards.
+        """
+        if texture is None:
+            return slice(None), faces, None
+        source, faces, places = split(faces, texture, vertex_count)
+        return source, faces, self._vertices((places * [1.0, -1.0] + [0.0, 1.0]).astype(np.float32))
 
     def _node(self, node: Any) -> int:
         self._document.nodes.append(node)

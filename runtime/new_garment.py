@@ -182,10 +182,10 @@ def _worn(fit: Fit, path: str, body: BodyGuess) -> Fit:
 def _written(garment: Garment, turned: bool, target: Path, note: str) -> tuple[Garment, Path]:
     """The garment with its faces turned, if they are to be, written to a file of its own."""
     if turned:
-        flat = None if garment.pattern is None else garment.pattern[:, [0, 2, 1]]
-        garment = replace(garment, faces=np.ascontiguousarray(garment.faces[:, [0, 2, 1]]), pattern=flat)
+        texture = None if garment.texture is None else garment.texture[:, [0, 2, 1]]
+        garment = replace(garment, faces=np.ascontiguousarray(garment.faces[:, [0, 2, 1]]), texture=texture)
     write_garment(
-        target, garment.vertices, garment.faces, garment.pattern, f"{note}; here metres, Y up, faces outwards"
+        target, garment.vertices, garment.faces, garment.texture, f"{note}; here metres, Y up, faces outwards"
     )
     return load_garment(target, pattern=garment.pattern is not None), target
 

@@ -392,8 +392,9 @@ def write_baked(
     body: Character | Sequence | None = None,
     poses: np.ndarray | None = None,
     garments: Mapping[str, np.ndarray] | None = None,
+    texture: np.ndarray | None = None,
 ) -> None:
-    """Bake to the kind of file that the extension names; only .glb and .usdc take more along than faces and frames.
+    """Bake to the kind of file that the extension names; only .glb and .usdc take more along than the mesh and frames.
 
     Args:
         path: .glb, .usdc, .pc2, .mdd or .obj.
@@ -404,6 +405,7 @@ def write_baked(
         body: what wears the garment.
         poses: of the body, one for each frame, shape (f, ...).
         garments: vertices of each garment of an outfit by its name, int, shapes (k,); None for one garment.
+        texture: texture coordinates of each face corner, as :func:`runtime.bake.bake_glb` takes them.
 
     Raises:
         InputError: the extension is unknown, or the file cannot be written.
@@ -412,10 +414,11 @@ def write_baked(
     ending = path.suffix.lower()
     if ending in (".glb", ".usdc"):
         bake = bake_glb if ending == ".glb" else bake_usd
-        bake(path, faces, frames, rate_hz, normals=normals, body=body, poses=poses, garments=garments)
+        more = {"normals": normals, "body": body, "poses": poses, "garments": garments, "texture": texture}
+        bake(path, faces, frames, rate_hz, **more)
     elif ending == ".pc2":
-        bake_pc2(path, faces, frames)
+        bake_pc2(path, faces, frames, texture)
     elif ending == ".mdd":
-        bake_mdd(path, faces, frames, rate_hz)
+        bake_mdd(path, faces, frames, rate_hz, texture)
     else:
-        bake_obj(path, faces, frames)
+        bake_obj(path, faces, frames, texture)

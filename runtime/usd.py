@@ -50,7 +50,7 @@ class UsdFile:
         name = Tf.MakeValidIdentifier(track.name)
         while self._stage.GetPrimAtPath(f"{_ROOT}/{name}"):  # other names may have become the same identifier
             name += "_"
-        mesh = self._mesh(f"{_ROOT}/{name}", name, track.faces, track.color, track.double_sided)
+        mesh = self._mesh(f"{_ROOT}/{name}", name, track.faces, track.texture, track.color, track.double_sided)
         points, normals = mesh.CreatePointsAttr(), mesh.CreateNormalsAttr()
         frames = track.frames.astype(np.float32)
         for code, (vertices, directions) in enumerate(zip(frames, track.normals, strict=True)):
@@ -86,7 +86,7 @@ class UsdFile:
         _animate(animation, names, decompose(_against_parents(placed, body.joint_parents), "poses"))
         UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([animation.GetPath()])
 
-        mesh = self._mesh(f"{_ROOT}/body/mesh", "body", body.faces, color, False)
+        mesh = self._mesh(f"{_ROOT}/body/mesh", "body", body.faces, body.texture, color, False)
         vertices = body.vertices.astype(np.float32)
         mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(vertices))
         mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(unit_normals(vertex_normals(vertices[None], body.faces))[0]))
@@ -117,7 +117,9 @@ class UsdFile:
             finally:
                 Path(named).unlink(missing_ok=True)
 
-    def _mesh(self, path: str, name: str, faces: np.ndarray, color: Color, double_sided: bool) -> Any:
+    def _mesh(
+        self, path: str, name: str, faces: np.ndarray, texture: np.ndarray | None, color: Color, double_sided: bool
+    ) -> Any:
         """A mesh without points, with its own material: metalness 0, the colour in linear light."""
         from pxr import Gf, Sdf, UsdGeom, UsdShade, Vt
 
@@ -127,6 +129,10 @@ class UsdFile:
         mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, np.int32)))
         mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(faces, np.int32).ravel()))
         mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+        if texture is not None:
+            kind, at = Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying
+            places = np.nan_to_num(texture).reshape(-1, 2).astype(np.float32)
+            UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", kind, at).Set(Vt.Vec2fArray.FromNumpy(places))
         material = UsdShade.Material.Define(self._stage, f"{_ROOT}/materials/{name}")
         surface = UsdShade.Shader.Define(self._stage, f"{_ROOT}/materials/{name}/surface")
         surface.CreateIdAttr("UsdPreviewSurface")

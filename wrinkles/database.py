@@ -31,11 +31,13 @@ from wrinkles.levels import Layers, Levels, levels_of
 from wrinkles.novelty import NoveltyScore
 from wrinkles.rest_shape import RestShapeCorrection
 from wrinkles.schema import (
+    ADDED,
     ENTRIES,
     FORMAT,
     SCHEMA_VERSION,
     TEXT,
     UNITS,
+    VERSION_BEFORE,
     check_layout,
     check_values,
     content_hash,
@@ -111,6 +113,8 @@ class WrinkleDatabase:
         scene: the resolved scene (TOML).
         code_version: see :func:`code_version`.
         created: ISO date.
+        texture: texture coordinates of each corner of the coarse faces, v upwards, float32, shape (m, 3, 2), NaN at
+            faces without; None without any. A delivered fine mesh has those of its pattern, see :attr:`fine_texture`.
     """
 
     garment_name: str
@@ -146,6 +150,7 @@ class WrinkleDatabase:
     scene: str
     code_version: str
     created: str
+    texture: np.ndarray | None = None
 
     @property
     def options(self) -> ModelOptions:
@@ -166,6 +171,11 @@ class WrinkleDatabase:
     def subdivision(self) -> Subdivision:
         """The subdivision from the coarse to the fine mesh."""
         return Subdivision.of(self.coarse_faces, len(self.coarse_vertices), self.subdivisions, self.binding)
+
+    @property
+    def fine_texture(self) -> np.ndarray | None:
+        """Texture coordinates of each corner of the faces of :attr:`subdivision`, shape (M, 3, 2), as ``texture``."""
+        return self.subdivision.flat_corners(self.texture)
 
     def levels(self, body_vertices: np.ndarray, body_faces: np.ndarray) -> Levels:
         """Coarse and fine mesh of the garment on its body.
@@ -349,7 +359,9 @@ def database_figures(path: str | Path) -> dict[str, float]:
     size = Path(path).stat().st_size
     with h5py.File(path) as file:
         mesh = sum(
-            file[e.name].id.get_storage_size() for e in ENTRIES if e.name.startswith(("binding/", "coarse_", "sewn/"))
+            file[e.name].id.get_storage_size()
+            for e in ENTRIES
+            if e.name in file and e.name.startswith(("binding/", "coarse_", "sewn/", "texture"))
         )
     arrays = _arrays(database)
     scales = {f"{entry.name}_scale" for entry in ENTRIES if entry.scaled_along is not None}
@@ -374,6 +386,7 @@ def _arrays(database: WrinkleDatabase) -> dict[str, np.ndarray]:
         "content_hash": "",
         "quality/names": tuple(quality),
         "quality/values": np.array(list(quality.values()), float),
+        "texture": np.zeros((0, 3, 2)) if database.texture is None else database.texture,
         **_binding_values(database.binding),
         **_sewn_values(database.sewn),
         **_layers_values(database.layers),
@@ -465,6 +478,7 @@ def _unpacked(arrays: dict[str, np.ndarray]) -> WrinkleDatabase:
     root = groups[""]
     for derived in ("format", "schema_version", "units", "topology_hash", "content_hash"):
         del root[derived]
+    root["texture"] = root["texture"] if len(root["texture"]) else None
     groups["solver"]["self_collision"] = bool(groups["solver"]["self_collision"])
     return WrinkleDatabase(
         **root,
@@ -489,7 +503,8 @@ def _read_arrays(file: h5py.File, path: Path) -> dict[str, np.ndarray]:
     groups = {entry.name.rpartition("/")[0] for entry in ENTRIES}
     found: dict[str, Any] = {name: file.attrs.get_id(name) for name in file.attrs}
     file.visititems(lambda name, item: found.__setitem__(name, item if isinstance(item, h5py.Dataset) else None))
-    known = {entry.name: entry for entry in ENTRIES}
+    absent = ADDED if _plain(file.attrs["schema_version"]) == VERSION_BEFORE else {}
+    known = {entry.name: entry for entry in ENTRIES if entry.name not in absent}
     errors = [InputError("missing", file=path, key=name) for name in known if found.get(name) is None]
     errors += [
         InputError("unknown key", file=path, key=name, expected="only what this version writes")
@@ -498,11 +513,14 @@ def _read_arrays(file: h5py.File, path: Path) -> dict[str, np.ndarray]:
     ]
     if errors:
         raise InputError.join(errors)
-    check_layout({name: (found[name].dtype, found[name].shape) for name in known}, path)
-    for entry in ENTRIES:
+    check_layout(
+        {name: (item.dtype, item.shape) for name, item in ({n: found[n] for n in known} | absent).items()}, path
+    )
+    for entry in known.values():
         if not entry.in_header and (unit := _plain(file[entry.name].attrs.get("unit"))) != entry.unit:
             raise InputError("wrong unit", file=path, key=entry.name, received=unit, expected=repr(entry.unit))
-    return {e.name: np.asarray(file.attrs[e.name] if e.in_header else file[e.name][()]) for e in ENTRIES}
+    arrays = {e.name: np.asarray(file.attrs[e.name] if e.in_header else file[e.name][()]) for e in known.values()}
+    return arrays | absent
 
 
 def _check_kind(file: h5py.File, path: Path) -> None:
@@ -510,7 +528,7 @@ def _check_kind(file: h5py.File, path: Path) -> None:
     kind, version = _plain(file.attrs.get("format")), _plain(file.attrs.get("schema_version"))
     if kind != FORMAT:
         raise InputError("not a wrinkle database", file=path, key="format", received=kind, expected=repr(FORMAT))
-    if version != SCHEMA_VERSION:
+    if version not in (SCHEMA_VERSION, VERSION_BEFORE):
         newer = isinstance(version, int) and version > SCHEMA_VERSION
         raise InputError(
             "written by a newer version of gube" if newer else "written in a layout that is no longer read",

@@ -19,11 +19,13 @@ from wrinkles.features import DYNAMIC_COUNT
 from wrinkles.patches import Grid
 
 __all__ = [
+    "ADDED",
     "ENTRIES",
     "FORMAT",
     "SCHEMA_VERSION",
     "TEXT",
     "UNITS",
+    "VERSION_BEFORE",
     "Entry",
     "check_layout",
     "check_values",
@@ -36,6 +38,7 @@ __all__ = [
 
 FORMAT = "gube wrinkle database"
 SCHEMA_VERSION = 29
+VERSION_BEFORE = 28  # files of which are read too, without ADDED
 UNITS = "SI: m, kg, s"
 TEXT, SINGLE, DOUBLE, INDEX, WHOLE, STEPS = "text", "float32", "float64", "int32", "int64", "int8"
 
@@ -156,12 +159,15 @@ ENTRIES = (
     Entry("training_minutes", DOUBLE, unit="min"),
     Entry("machine", TEXT),
     Entry("scene", TEXT),
+    Entry("texture", SINGLE, ("T", 3, 2)),
 )
+# What the version before did not write, and what stands for it.
+ADDED = {"texture": np.zeros((0, 3, 2), np.float32), "machine": np.array(b"an unknown processor")}
 MAX_STEP = 127  # of int8
 # Sizes that may be zero: every garment has vertices, but it may have no pins and no limits, only one fabric, a
-# subdivided fine mesh instead of a delivered one, no pattern by which it was sewn, or nothing of
-# the body always under it.
-SIZES_THAT_MAY_BE_ZERO = ("b", "p", "l", "q", "h", "t", "N", "M", "s", "f", "w", "i", "o", "k", "e", "c")
+# subdivided fine mesh instead of a delivered one, no pattern by which it was sewn, no texture coordinates, or nothing
+# of the body always under it.
+SIZES_THAT_MAY_BE_ZERO = ("b", "p", "l", "q", "h", "t", "N", "M", "s", "f", "w", "i", "o", "k", "e", "c", "T")
 POSITIVE_ENTRIES = ("novelty/fade_from", "bend_factor", "frame_rate", "cutoff")
 
 
@@ -179,14 +185,15 @@ def topology_hash(faces: np.ndarray, subdivisions: int, vertex_count: int) -> st
 
 
 def content_hash(arrays: Mapping[str, np.ndarray]) -> str:
-    """SHA-256 of all entries except the hash itself.
+    """SHA-256 of all entries except the hash itself and those that the file's version lacks.
 
     Args:
         arrays: by the names of :data:`ENTRIES`.
     """
     digest = hashlib.sha256()
+    left_out = {"content_hash"} | (set(ADDED) if arrays["schema_version"] == VERSION_BEFORE else set())
     for entry in ENTRIES:
-        if entry.name != "content_hash":
+        if entry.name not in left_out:
             array = arrays[entry.name]
             digest.update(f"{entry.name} {array.dtype} {array.shape} ".encode())
             digest.update(array.tobytes())
@@ -340,6 +347,8 @@ def _check_numbers(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:
                 np.char.decode(array, "utf-8")
             except UnicodeDecodeError as error:
                 refuse("not UTF-8", name, error.object, "text")
+        if name == "texture":
+            array = np.nan_to_num(array, posinf=np.inf, neginf=-np.inf)  # NaN: a garment of an outfit without any
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
             refuse("not finite", f"{name}{list(place) if place else ''}", float(array[place]), "finite numbers")
@@ -406,6 +415,8 @@ def _check_fine_mesh(arrays: Mapping[str, np.ndarray], refuse: _Refuse) -> None:
     if stored != computed:
         refuse("does not belong to these faces and subdivisions", "topology_hash", stored, computed)
     _check_sewn(arrays, refuse)
+    if len(arrays["texture"]) not in (0, len(faces)):
+        refuse("another number of faces", "texture", len(arrays["texture"]), f"0 or {len(faces)}")
     vertices, means = fine or _subdivided_count(count, faces, levels), len(arrays["atoms/vertex_mean"])
     if means != vertices:
         refuse("another number of fine vertices", "atoms/vertex_mean", means, str(vertices))

@@ -300,7 +300,8 @@ class Subdivision:
         """Place of each corner of ``faces`` in the flat pattern [m], shape (M, 3, 2); None without a pattern.
 
         Args:
-            pattern: the same of the coarse faces, shape (m, 3, 2); a delivered mesh has its own.
+            pattern: the same of the coarse faces, or their texture coordinates, shape (m, 3, 2); a delivered mesh has
+                its pattern for both.
         """
         if self.binding is not None:
             return self.binding.sewn.flat

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from assets.texture import joined
 from pbd import InputError
 from pbd.mesh import hinges_of
 from wrinkles.database import WrinkleDatabase
@@ -70,4 +71,5 @@ def with_garments(database: WrinkleDatabase, names: Iterable[str]) -> WrinkleDat
         atoms=replace(database.atoms, vertex_mean=database.atoms.vertex_mean[fine]),
         mapping=replace(mapping, place=mapping.place[vertices], region=mapping.region[vertices]),
         quality={},
+        texture=None if database.texture is None else joined([(database.texture[faces], int(faces.sum()))]),
     )

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from assets.io.gltf import read_document
+from assets.io.obj import face_lines
 from pbd.storage import replacing
 
 __all__ = ["write_character", "write_garment"]
@@ -62,19 +63,12 @@ def write_garment(target: Path, vertices: Floats, faces: NDArray[np.int32], text
         target: the file to write.
         vertices: [m], shape (n, 3).
         faces: int, shape (m, 3).
-        texture: texture coordinates of each face corner, shape (m, 3, 2); None without.
+        texture: as :func:`assets.io.obj.face_lines` takes it.
         note: for the file's first line.
 
     Raises:
         OSError: the file cannot be written.
     """
-    lines = [f"# {note}", *(f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices)]
-    if texture is None:
-        lines += [f"f {a} {b} {c}" for a, b, c in faces + 1]
-    else:
-        places, which = np.unique(texture.reshape(-1, 2), axis=0, return_inverse=True)
-        lines += [f"vt {u:.9g} {v:.9g}" for u, v in places]
-        corners = np.stack([faces + 1, which.reshape(-1, 3) + 1], axis=2)
-        lines += [" ".join(["f", *(f"{v}/{t}" for v, t in face)]) for face in corners]
+    lines = [f"# {note}", *(f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices), *face_lines(faces, texture)]
     with replacing(target) as beside:
         beside.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -73,6 +73,11 @@ class Primitive:
     texture: Floats | None
     attributes: dict[str, Any]
 
+    @property
+    def corner_texture(self) -> Floats | None:
+        """Texture coordinates of each face corner, v upwards, shape (m, 3, 2); None if there are none."""
+        return None if self.texture is None else (self.texture * [1.0, -1.0] + [0.0, 1.0])[self.faces]
+
 
 @dataclass(frozen=True)
 class Document:

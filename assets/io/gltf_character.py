@@ -34,7 +34,7 @@ def read_character(path: Path, name: str | None) -> Character:
         InputError: as :func:`assets.character.load_character`.
     """
     document = read_document(path)
-    vertices, faces, weights, kept, parents, root, bind = _skinned_mesh(document)
+    (vertices, faces, weights, texture), kept, parents, root, bind = _skinned_mesh(document)
     check_unit(vertices, path)
     joint_indices, joint_weights = best_influences(weights)
     to_parent = np.linalg.inv(np.where((parents < 0)[:, None, None], root, bind[parents]))
@@ -50,6 +50,7 @@ def read_character(path: Path, name: str | None) -> Character:
         inverse_bind=np.linalg.inv(bind).astype(np.float64),
         root_transform=root,
         clips=_clips(document, kept),
+        texture=texture,
     )
 
 
@@ -62,11 +63,11 @@ def bind_vertices(path: Path) -> Floats:
     Raises:
         InputError: the file cannot be read, or has no skin or no weights.
     """
-    return _skinned_mesh(read_document(path))[0]
+    return _skinned_mesh(read_document(path))[0][0]
 
 
-def _skinned_mesh(document: Document) -> tuple[Floats, Any, Any, list[int], NDArray[np.int32], Floats, Floats]:
-    """All skinned meshes as one, and the skeleton: vertices, faces, weights, joints (nodes), parents, root, bind."""
+def _skinned_mesh(document: Document) -> tuple[Any, list[int], NDArray[np.int32], Floats, Floats]:
+    """All skinned meshes as one, see :func:`merge_pieces`, and the skeleton: joints (nodes), parents, root, bind."""
     shown = document.mesh_nodes()
     skinned = [node for node in shown if "skin" in document.json["nodes"][node]]
     if not skinned:
@@ -81,8 +82,9 @@ def _skinned_mesh(document: Document) -> tuple[Floats, Any, Any, list[int], NDAr
         matrix = mesh_to_world[node]
         for primitive in document.primitives(node):
             weights = _weights(document, primitive, columns, len(kept))
-            pieces.append((primitive.vertices @ matrix[:3, :3].T + matrix[:3, 3], primitive.faces, weights))
-    return *merge_pieces(pieces), kept, parents, root, bind
+            vertices = primitive.vertices @ matrix[:3, :3].T + matrix[:3, 3]
+            pieces.append((vertices, primitive.faces, weights, primitive.corner_texture))
+    return merge_pieces(pieces), kept, parents, root, bind
 
 
 def _skin_joints(document: Document, node: int) -> list[int]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pbd.errors import InputError
 
-__all__ = ["ObjMesh", "read_obj", "triangulate"]
+__all__ = ["ObjMesh", "face_lines", "read_obj", "triangulate"]
 
 Floats = NDArray[np.float64]
 
@@ -27,7 +27,8 @@ class ObjMesh:
     Attributes:
         vertices: [m], shape (n, 3), float64.
         faces: shape (m, 3), int32.
-        texture: texture coordinates of each face corner, shape (m, 3, 2), float64; None unless every face has them.
+        texture: texture coordinates of each face corner, shape (m, 3, 2), float64, NaN at faces without; None without
+            any.
         lines: line of the file that each face stands on, shape (m,), int32.
     """
 
@@ -82,6 +83,25 @@ def read_obj(path: Path) -> ObjMesh:
     return _triangles(positions, coordinates, polygons)
 
 
+def face_lines(faces: NDArray[np.int32], texture: Floats | None = None) -> list[str]:
+    """Lines of an OBJ file with texture coordinates, to nine digits, and faces.
+
+    Args:
+        faces: shape (m, 3).
+        texture: texture coordinates of each face corner, shape (m, 3, 2), NaN at faces without; None without any.
+    """
+    if texture is None:
+        return [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
+    has = np.isfinite(texture).all(axis=(1, 2))
+    places, which = np.unique(texture[has].reshape(-1, 2), axis=0, return_inverse=True)
+    index = np.zeros(faces.shape, np.int64)
+    index[has] = which.reshape(-1, 3) + 1
+    lines = [f"vt {u:.9g} {v:.9g}" for u, v in places.tolist()]
+    for a, b, c, i, j, k in np.concatenate([faces + 1, index], axis=1).tolist():
+        lines.append(f"f {a}/{i} {b}/{j} {c}/{k}" if i else f"f {a} {b} {c}")
+    return lines
+
+
 def triangulate(corners: Floats) -> list[tuple[int, int, int]]:
     """Cut a simple polygon, also one that is not convex, into triangles; the shortest cuts come first.
 
@@ -130,11 +150,13 @@ def _triangles(positions: Floats, coordinates: Floats, polygons: list[tuple[int,
             where.append([texture[k] for k in cut])
             lines.append(line)
     indices = np.array(where, dtype=np.int64).reshape(-1, 3)
-    complete = indices.size > 0 and indices.min() >= 0
+    has = (indices >= 0).all(axis=1)
+    of_corners = np.full((len(indices), 3, 2), np.nan)
+    of_corners[has] = coordinates[indices[has]]
     return ObjMesh(
         positions,
         np.array(faces, dtype=np.int32).reshape(-1, 3),
-        coordinates[indices] if complete else None,
+        of_corners if has.any() else None,
         np.array(lines, dtype=np.int32),
     )
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from assets.io.obj import read_obj
+from assets.io.obj import ObjMesh, read_obj
 from pbd.errors import InputError
 from pbd.mesh import edges_of
 
@@ -82,8 +82,8 @@ def read_mdd(path: Path) -> tuple[NDArray[np.float32], float]:
     return vertices.astype(np.float32), step
 
 
-def mesh_beside(path: Path, first: NDArray[np.float32]) -> NDArray[np.int32]:
-    """Faces of the .obj file beside a point cache, shape (m, 3).
+def mesh_beside(path: Path, first: NDArray[np.float32]) -> ObjMesh:
+    """The .obj file beside a point cache.
 
     Args:
         path: the point cache.
@@ -119,7 +119,7 @@ def mesh_beside(path: Path, first: NDArray[np.float32]) -> NDArray[np.int32]:
             received=f"{ratio:.3g}",
             expected=f"{_EDGE_RATIOS[0]} to {_EDGE_RATIOS[1]}",
         )
-    return mesh.faces
+    return mesh
 
 
 def _bytes(path: Path, expected: str) -> bytes:

@@ -32,6 +32,8 @@ class Sequence:
         faces: shape (m, 3), int32.
         dt: time from frame to frame [s].
         inset: how far each vertex is drawn in along its normal [m], float32, shape (n,); None for a body as it is.
+        texture: texture coordinates of each face corner, v upwards, shape (m, 3, 2), float64, NaN at faces without;
+            None without any.
     """
 
     name: str
@@ -39,6 +41,7 @@ class Sequence:
     faces: NDArray[np.int32]
     dt: float
     inset: NDArray[np.float32] | None = None
+    texture: Floats | None = None
 
     def drawn(self, vertices: np.ndarray) -> np.ndarray:
         """The vertices of a frame [m], shape (n, 3), drawn in by the inset."""
@@ -77,17 +80,18 @@ def load_sequence(path: str | PathLike[str], rate_hz: float | None = None) -> Se
             or not asked for.
     """
     path = Path(path)
-    suffix = path.suffix.lower()
+    suffix, texture = path.suffix.lower(), None
     if (rate_hz is not None) != (suffix == ".pc2"):
         expected = "none: the file knows it" if rate_hz else "frames a second: a .pc2 file does not know them"
         raise InputError("bad rate", file=path, key="rate", received=rate_hz, expected=expected)
     if suffix in USD_SUFFIXES:
         from assets.io.usd import read_point_cache  # needs usd-core, which other files do not
 
-        vertices, faces, dt = read_point_cache(path)
+        vertices, faces, texture, dt = read_point_cache(path)
     elif suffix in (".mdd", ".pc2"):
         vertices, dt = read_mdd(path) if rate_hz is None else read_pc2(path, rate_hz)
-        faces = mesh_beside(path, vertices[0])
+        mesh = mesh_beside(path, vertices[0])
+        faces, texture = mesh.faces, mesh.texture
     else:
         arrays = _read_arrays(path)
         vertices, faces, dt = arrays["vertices"], arrays["faces"], arrays["dt"]
@@ -96,7 +100,8 @@ def load_sequence(path: str | PathLike[str], rate_hz: float | None = None) -> Se
         _check(path, "dt", dt, "fiu", dt.ndim == 0 and dt.dtype.kind in "fiu" and 0.0 < float(dt) < np.inf)
     _check_values(path, vertices, faces)
     check_unit(vertices[0], path)
-    return Sequence(path.stem, vertices.astype(np.float32, copy=False), faces.astype(np.int32), float(dt))
+    vertices, faces = vertices.astype(np.float32, copy=False), faces.astype(np.int32)
+    return Sequence(path.stem, vertices, faces, float(dt), texture=texture)
 
 
 def _check_values(path: Path, vertices: NDArray[Any], faces: NDArray[Any]) -> None:

@@ -94,7 +94,10 @@ def read_sewn(path: Path) -> SewnGarment:
         raise InputError(
             "a face without area", file=path, key=f"pattern, face {bad[0]}", received=received, expected=expected
         )
-    garment = Garment(path.stem, vertices, faces, pattern, str(path), found["layers"].astype(float), max_stretch)
+    texture = np.stack([-pattern[..., 1], pattern[..., 0]], axis=2)  # the weft runs to the left of the warp
+    garment = Garment(
+        path.stem, vertices, faces, pattern, str(path), found["layers"].astype(float), max_stretch, texture
+    )
     names = tuple(str(name) for name in found["panel_names"])
     return SewnGarment(
         garment, names, found["panel_of_face"].astype(np.int32), found["seams"].astype(np.int32), str(found["fabric"])

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from assets.texture import joined
 from assets.weld import group_rows
 
 __all__ = ["MAX_SAMPLES", "best_influences", "merge_pieces"]
@@ -18,12 +19,17 @@ _INFLUENCE_COUNT = 4
 _TOLERANCE = 1e-3  # differences of weights below this are rounding [-]
 
 
-def merge_pieces(pieces: list[tuple[Floats, Any, Any]]) -> tuple[Floats, NDArray[np.int32], NDArray[np.float32]]:
+def merge_pieces(
+    pieces: list[tuple[Floats, Any, Any, Floats | None]],
+) -> tuple[Floats, NDArray[np.int32], NDArray[np.float32], Floats | None]:
     """One mesh of all pieces, one vertex for each position unless the weights there differ; unused vertices go.
 
     Args:
-        pieces: of each the vertices in the world [m], shape (n, 3), faces, shape (m, 3), and weights of all joints [-],
-            shape (n, joints).
+        pieces: of each the vertices in the world [m], shape (n, 3), faces, shape (m, 3), weights of all joints [-],
+            shape (n, joints), and texture coordinates of each face corner, shape (m, 3, 2), or None.
+
+    Returns:
+        the same four of the mesh; texture coordinates as :func:`assets.texture.joined` gives them.
     """
     offsets = np.cumsum([0, *(len(piece[0]) for piece in pieces)])
     vertices = np.concatenate([piece[0] for piece in pieces])
@@ -37,10 +43,12 @@ def merge_pieces(pieces: list[tuple[Floats, Any, Any]]) -> tuple[Floats, NDArray
     first, same = group_rows(np.concatenate([vertices.astype(np.float32), compared], axis=1))
     faces = same[faces]
     a, b, c = faces.T
-    faces = faces[(a != b) & (b != c) & (c != a)]
-    used, faces = np.unique(faces, return_inverse=True)
+    whole = (a != b) & (b != c) & (c != a)
+    texture = joined((piece[3], len(piece[1])) for piece in pieces)
+    used, faces = np.unique(faces[whole], return_inverse=True)
     keep = first[used]
-    return vertices[keep], faces.reshape(-1, 3).astype(np.int32), weights[keep]
+    faces = faces.reshape(-1, 3).astype(np.int32)
+    return vertices[keep], faces, weights[keep], None if texture is None else texture[whole]
 
 
 def best_influences(weights: NDArray[np.float32]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:

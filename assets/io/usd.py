@@ -158,8 +158,8 @@ def numbers(value: Any, width: int, path: Path, key: str) -> Floats:
     return array
 
 
-def mesh_faces(mesh: Any, points: Floats, path: Path, mirrored: bool) -> NDArray[np.int32]:
-    """Faces of a mesh, cut into triangles and wound counter-clockwise outside, shape (m, 3).
+def mesh_faces(mesh: Any, points: Floats, path: Path, mirrored: bool) -> tuple[NDArray[np.int32], Floats | None]:
+    """Faces of a mesh, cut into triangles and wound counter-clockwise outside, and their texture coordinates.
 
     Args:
         mesh: a UsdGeom.Mesh.
@@ -167,8 +167,13 @@ def mesh_faces(mesh: Any, points: Floats, path: Path, mirrored: bool) -> NDArray
         path: the file, for messages.
         mirrored: whether its transform to the world mirrors it.
 
+    Returns:
+        faces, shape (m, 3), and the primvar ``st``, or else the first texture coordinates, shape (m, 3, 2); None
+        without any.
+
     Raises:
-        InputError: faces that are missing, have fewer than three corners, or name points that do not exist.
+        InputError: faces that are missing, have fewer than three corners, or name points that do not exist; texture
+            coordinates that are not one for each corner or point.
     """
     from pxr import UsdGeom
 
@@ -182,9 +187,38 @@ def mesh_faces(mesh: Any, points: Floats, path: Path, mirrored: bool) -> NDArray
         received, expected = f"indices {corners.min()} to {corners.max()}", f"0 to {len(points) - 1}"
         raise InputError("a face with a point that does not exist", file=path, key=key, received=received,
                          expected=expected)  # fmt: skip
-    faces = _triangles(counts, corners, points)
+    cut = _triangles(counts, np.arange(corners.size), points[corners])
     left_handed = mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded
-    return faces[:, ::-1].copy() if left_handed != mirrored else faces
+    cut = cut[:, ::-1] if left_handed != mirrored else cut
+    texture = _texture(mesh, corners, len(points), path)
+    return corners[cut].astype(np.int32), None if texture is None else texture[cut]
+
+
+def _texture(mesh: Any, corners: NDArray[np.int64], point_count: int, path: Path) -> Floats | None:
+    """Texture coordinates at each corner of the polygons of a mesh, shape (corners, 2)."""
+    from pxr import Sdf, Usd, UsdGeom
+
+    names, at = Sdf.ValueTypeNames, Usd.TimeCode.EarliestTime()
+    kinds = [names.TexCoord2fArray, names.TexCoord2dArray, names.TexCoord2hArray]
+    old = [names.Float2Array, names.Double2Array, names.Half2Array]  # of files older than texCoord2f
+    wanted = {"faceVarying": corners.size, "vertex": point_count, "varying": point_count}
+    found = [
+        one
+        for one in UsdGeom.PrimvarsAPI(mesh).GetPrimvars()
+        if one.GetTypeName() in (kinds + old if one.GetPrimvarName() == "st" else kinds)
+        and one.GetInterpolation() in wanted
+        and one.Get(at)
+    ]
+    if not found:
+        return None
+    primvar = min(found, key=lambda one: one.GetPrimvarName() != "st")
+    key, kind = f"{mesh.GetPath()}, {primvar.GetName()}", primvar.GetInterpolation()
+    values = numbers(primvar.Get(at), 2, path, key)
+    index = _whole(primvar.GetIndices(at)) if primvar.IsIndexed() else np.arange(len(values))
+    if len(index) != wanted[kind] or index.min() < 0 or index.max() >= len(values):
+        received, expected = f"{len(index)}, {kind}", "one of the values for each corner or point"
+        raise InputError("bad texture coordinates", file=path, key=key, received=received, expected=expected)
+    return values[index if kind == "faceVarying" else index[corners]]
 
 
 def _whole(value: Any) -> NDArray[np.int64]:
@@ -252,11 +286,12 @@ def sample_times(codes: list[float], rate: float, most: int, path: Path, key: st
     return np.linspace(keys[0], keys[-1], count), rate * (count - 1) / (keys[-1] - keys[0])
 
 
-def read_point_cache(path: Path) -> tuple[NDArray[np.float32], NDArray[np.int32], float]:
+def read_point_cache(path: Path) -> tuple[NDArray[np.float32], NDArray[np.int32], Floats | None, float]:
     """The one mesh of a file that moves by its points or by its transform.
 
     Returns:
-        vertices in the world [m], shape (f, n, 3); faces, shape (m, 3); time from frame to frame [s].
+        vertices in the world [m], shape (f, n, 3); faces and their texture coordinates, as :func:`mesh_faces` gives
+        them; time from frame to frame [s].
 
     Raises:
         InputError: the file cannot be read, a mesh is skinned, no mesh moves or several do, the number of points
@@ -266,7 +301,7 @@ def read_point_cache(path: Path) -> tuple[NDArray[np.float32], NDArray[np.int32]
         return _point_cache(stage, path)
 
 
-def _point_cache(stage: Any, path: Path) -> tuple[NDArray[np.float32], NDArray[np.int32], float]:
+def _point_cache(stage: Any, path: Path) -> tuple[NDArray[np.float32], NDArray[np.int32], Floats | None, float]:
     from pxr import UsdGeom, UsdSkel
 
     moving = {}
@@ -297,4 +332,4 @@ def _point_cache(stage: Any, path: Path) -> tuple[NDArray[np.float32], NDArray[n
             )
         world = place @ matrix(UsdGeom.XformCache(time).GetLocalToWorldTransform(prim), path, key)
         frames[frame] = points @ world[:3, :3].T + world[:3, 3]
-    return frames, mesh_faces(mesh, first, path, np.linalg.det(world[:3, :3]) < 0.0), 1.0 / rate
+    return frames, *mesh_faces(mesh, first, path, np.linalg.det(world[:3, :3]) < 0.0), 1.0 / rate

@@ -51,7 +51,7 @@ def character_of(stage: Any, path: Path, name: str) -> Character:
         )
     root = to_metres(stage, path) @ _to_world(skeleton.GetPrim(), None, path)
     pieces = [_piece(target, joints, root, path) for target in targets]
-    vertices, faces, weights = merge_pieces(pieces)
+    vertices, faces, weights, texture = merge_pieces(pieces)
     check_unit(vertices, path)
     joint_indices, joint_weights = best_influences(weights)
     to_parent = np.linalg.inv(np.where((parents < 0)[:, None, None], np.eye(4), bind[parents]))
@@ -68,6 +68,7 @@ def character_of(stage: Any, path: Path, name: str) -> Character:
         inverse_bind=np.linalg.inv(root @ bind).astype(np.float64),
         root_transform=root,
         clips=_clips(stage, cache, skeleton, joints, rest_local, path),
+        texture=texture,
     )
 
 
@@ -116,8 +117,8 @@ def _to_world(prim: Any, time: float | None, path: Path) -> Floats:
     return matrix(UsdGeom.XformCache(at).GetLocalToWorldTransform(prim), path, str(prim.GetPath()))
 
 
-def _piece(target: Any, joints: list[str], root: Floats, path: Path) -> tuple[Floats, Any, Any]:
-    """Vertices of a bound mesh in the world [m], its faces, and its weights, shape (n, joints)."""
+def _piece(target: Any, joints: list[str], root: Floats, path: Path) -> tuple[Floats, Any, Any, Floats | None]:
+    """A bound mesh in the world as :func:`merge_pieces` takes it."""
     from pxr import Usd, UsdGeom
 
     mesh = UsdGeom.Mesh(target.GetPrim())
@@ -134,8 +135,8 @@ def _piece(target: Any, joints: list[str], root: Floats, path: Path) -> tuple[Fl
         raise InputError("joints that the skeleton lacks", file=path, key=f"{key}, joints", received=unknown[:5])
     columns = np.array([joints.index(joint) for joint in own])
     weights = _weights(target, len(points), columns, len(joints), path, key)
-    faces = mesh_faces(mesh, points, path, np.linalg.det(place[:3, :3]) < 0.0)
-    return points @ place[:3, :3].T + place[:3, 3], faces, weights
+    faces, texture = mesh_faces(mesh, points, path, np.linalg.det(place[:3, :3]) < 0.0)
+    return points @ place[:3, :3].T + place[:3, 3], faces, weights, texture
 
 
 def _weights(

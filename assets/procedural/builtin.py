@@ -50,4 +50,4 @@ def _sheet(name: str, size: tuple[float, float], corner: NDArray[np.float64], up
     vertices = corner + flat[:, :1] * [1.0, 0.0, 0.0] + flat[:, 1:] * up
     # Faces stand in the order of the vertices, row after row.
     faces = lattice_faces(index.T).reshape(columns, rows, 2, 3).swapaxes(0, 1).reshape(-1, 3)
-    return Garment(name, vertices, faces, flat[faces], f"builtin:{name}")
+    return Garment(name, vertices, faces, flat[faces], f"builtin:{name}", texture=flat[faces])

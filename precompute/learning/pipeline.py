@@ -35,6 +35,7 @@ from precompute.learning.recording import Recording, Run, body_source, record_ru
 from precompute.learning.stages import StageClock, StageTime
 from precompute.learning.training import Layer, TrainingSet, build_layer, fit_layer, spread_frames, training_set
 from precompute.workers import Workers
+from runtime.garment_mesh import texture_of
 from runtime.garment_setup import GarmentSetup, colliders_of, fabrics_of, fine_options
 from runtime.report import processor_name
 from runtime.simulation import Motion
@@ -338,6 +339,7 @@ def _finished(
         scene=scene_text(scene),
         code_version=code_version(),
         created=date.today().isoformat(),
+        texture=texture_of(scene),
     )
 
 

@@ -116,7 +116,7 @@ def frame_rate() -> float:
 
 
 def _write_obj(path: Path, garment: Any) -> None:
-    """The garment's own polygons, in the world, Y up."""
+    """The garment's own polygons with their active texture coordinates, in the world, Y up."""
     evaluated = garment.evaluated_get(bpy.context.evaluated_depsgraph_get())
     mesh = evaluated.to_mesh()
     matrix = np.array(evaluated.matrix_world)
@@ -124,7 +124,13 @@ def _write_obj(path: Path, garment: Any) -> None:
     for vertex in mesh.vertices:
         x, y, z = matrix[:3, :3] @ np.array(vertex.co) + matrix[:3, 3]
         lines.append(f"v {x:.6f} {z:.6f} {-y:.6f}")
-    lines += ["f " + " ".join(str(corner + 1) for corner in face.vertices) for face in mesh.polygons]
+    layer = mesh.uv_layers.active
+    lines += [] if layer is None else ["vt {:.9g} {:.9g}".format(*corner.uv) for corner in layer.data]
+    for face in mesh.polygons:
+        corners = [f"{vertex + 1}" for vertex in face.vertices]
+        if layer is not None:
+            corners = [f"{corner}/{loop + 1}" for corner, loop in zip(corners, face.loop_indices, strict=True)]
+        lines.append("f " + " ".join(corners))
     evaluated.to_mesh_clear()
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 

@@ -51,6 +51,7 @@ def run(options: argparse.Namespace) -> Report:
     if isinstance(player, PlainPlayer):
         say(f"plays {better_choice(database.quality)} (--wrinkles plays the wrinkles)")
     faces, body = player.levels.subdivision.faces, shown_body(inputs.body, player.levels)
-    write_baked(options.output, faces, frames, options.rate, normals, body, poses, garment_vertices(player.levels))
+    garments, texture = garment_vertices(player.levels), database.fine_texture
+    write_baked(options.output, faces, frames, options.rate, normals, body, poses, garments, texture)
     say(f"{inputs.motions[0].name}: {len(frames)} frames of {frames.shape[1]} vertices baked to {options.output}")
     return Report({"frame_count": len(frames), "fine_vertex_count": frames.shape[1]})

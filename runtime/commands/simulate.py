@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> Report:
     from runtime.terminal import say
 
     scene = load_scene(options.scene)
-    from runtime.garment_mesh import with_subdivisions
+    from runtime.garment_mesh import texture_of, with_subdivisions
     from runtime.scene_body import body_of
     from runtime.scene_simulation import simulation_of
 
@@ -67,6 +67,7 @@ def run(options: argparse.Namespace) -> Report:
     seconds = longest if options.seconds is None else min(options.seconds, longest if motion else math.inf)
     frames, poses, rate, figures = simulated_frames(simulation, motion, scene, seconds)
     body = None if poses is None else body_of(scene)
-    write_baked(output, simulation.model.mesh.faces, frames, rate, body=body, poses=poses)
+    texture = texture_of(scene, options.fine)
+    write_baked(output, simulation.model.mesh.faces, frames, rate, body=body, poses=poses, texture=texture)
     say("\n".join([*figure_lines(figures), f"baked to {output}"]))
     return Report(figures)

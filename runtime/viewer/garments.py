@@ -16,6 +16,7 @@ from assets.io.scene import Scene
 from assets.io.sequence import Sequence
 from pbd import ClothMesh, Fabric, Solver, build_model
 from pbd.wind import Wind
+from runtime.garment_mesh import texture_of
 from runtime.garment_setup import scene_of
 from runtime.info import better_choice
 from runtime.level_of_detail import LevelOfDetail
@@ -121,11 +122,12 @@ class ViewedGarment:
         player: plays the garment, at the start of the motion.
         motion: of the body; None without one.
         body: as it is drawn, see :mod:`runtime.shown_body`; None without one.
+        texture: texture coordinates of each face corner of the main mesh, shape (m, 3, 2); None without any.
         truth: a recorded fine simulation of the motion, if there is one.
 
     Attributes:
         meshes: by name, from the coarsest on.
-        body, motion, player: the arguments.
+        body, motion, player, texture: the arguments.
         body_faces: of the body that are drawn, int, shape (k, 3); no faces without one.
         details: levels of detail that it can be played at, the full one first; none where it has no such levels.
     """
@@ -135,9 +137,10 @@ class ViewedGarment:
         player: Player | PlainPlayer | ScenePlayer,
         motion: Motion | None,
         body: Character | Sequence | None,
+        texture: np.ndarray | None,
         truth: Truth | None = None,
     ) -> None:
-        self.player, self.motion, self.body, self._truth = player, motion, body, truth
+        self.player, self.motion, self.body, self.texture, self._truth = player, motion, body, texture, truth
         self.details: dict[str, LevelOfDetail] = details_of(player) if isinstance(player, Player) else {}
         self.meshes = self._meshes()
         self._smooth: Upsampler | None = None
@@ -368,7 +371,8 @@ class DatabaseSource:
         inputs = self.inputs
         player = player_of(database, inputs.body, motion.pose(0.0), inputs.primitives, wrinkles)
         truth = self.truths.get(motion.name) if fabric == self.database.fabric_name else None
-        return ViewedGarment(player, motion, shown_body(inputs.body, player.levels), truth)
+        body = shown_body(inputs.body, player.levels)
+        return ViewedGarment(player, motion, body, database.fine_texture, truth)
 
     def wearing(self, garment: ViewedGarment, names: tuple[str, ...]) -> ViewedGarment:
         """The same player and motion with some garments of the outfit, from its present moment on.
@@ -384,7 +388,8 @@ class DatabaseSource:
         assert isinstance(player, Player) and motion is not None
         player.wear(names)
         truth = self.truths.get(motion.name) if player.worn == self.garments else None
-        return ViewedGarment(player, motion, shown_body(self.inputs.body, player.levels), truth)
+        body = shown_body(self.inputs.body, player.levels)
+        return ViewedGarment(player, motion, body, player.database.fine_texture, truth)
 
 
 @dataclass(frozen=True)
@@ -456,7 +461,7 @@ class SceneSource:
         simulation, motion = simulation_of(self.scene)
         pose = None if motion is None else motion.pose(0.0)
         player = ScenePlayer(simulation, pose, 1.0 / self.frame_rate)
-        return ViewedGarment(player, motion, self.body)
+        return ViewedGarment(player, motion, self.body, player.subdivision.flat_corners(texture_of(self.scene)))
 
 
 Source = DatabaseSource | SceneSource

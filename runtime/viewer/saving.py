@@ -82,10 +82,12 @@ def bake_clip(
     rate_hz: float,
     body: Character | Sequence | None,
     garments: Mapping[str, np.ndarray] | None,
+    texture: np.ndarray | None,
 ) -> Path:
     """Write frames as an animation; arguments as for :func:`runtime.bake.bake_glb`."""
     path = free_file(folder, "clip", ".glb")
-    bake_glb(path, faces, frames, rate_hz, body=None if poses is None else body, poses=poses, garments=garments)
+    worn_by = {"body": None if poses is None else body, "poses": poses}
+    bake_glb(path, faces, frames, rate_hz, **worn_by, garments=garments, texture=texture)
     return path
 
 

@@ -195,12 +195,12 @@ class Viewer:
         """Write every moment that is kept; the loop waits only until they are shown once more."""
         frames, poses, rate_hz = clip_frames(self._garment, self.playback)
         faces, body = self._garment.meshes[self._garment.main].faces, self._garment.body
-        garments = self._garment.vertices_of_garments
+        shown = frames, poses, rate_hz, body, self._garment.vertices_of_garments, self._garment.texture
         self._controls.say("writing the clip ...")
 
         def bake() -> None:
             try:
-                self._controls.say(f"clip: {bake_clip(self._output, faces, frames, poses, rate_hz, body, garments)}")
+                self._controls.say(f"clip: {bake_clip(self._output, faces, *shown)}")
             except (OSError, InputError) as error:
                 self._controls.say(f"no clip: {error}")
 

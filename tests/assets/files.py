@@ -63,12 +63,13 @@ class Glb:
         return path
 
 
-def bar_glb(scale: float = 1.0) -> Glb:
+def bar_glb(scale: float = 1.0, texture: np.ndarray | None = None) -> Glb:
     """A flat bar of 2 x 5 vertices, 2 m high, on two joints: "root" at the floor and "tip" 1 m above it.
 
     Vertices below 1 m hang on the root, those above on the tip, the middle row on both by halves. Node 0 is the root,
     node 1 the tip, node 2 shows the mesh; clip "bend" turns the tip by 90 degrees about Z within 1 s. ``scale`` shrinks
-    everything, as a file in other units would.
+    everything, as a file in other units would. With ``texture``, coordinates of each face corner, v upwards,
+    shape (8, 3, 2), each corner is a vertex of its own.
     """
     glb = Glb()
     heights = np.repeat(np.linspace(0.0, 2.0, 5), 2)
@@ -79,11 +80,16 @@ def bar_glb(scale: float = 1.0) -> Glb:
     joints = np.tile([0, 1, 0, 0], (10, 1))
     inverse = np.tile(np.eye(4), (2, 1, 1))
     inverse[1, 1, 3] = -scale
+    if texture is not None:
+        vertices, joints, weights = (values[np.ravel(faces)] for values in (vertices, joints, weights))
+        faces = np.arange(24)
     attributes = {
         "POSITION": glb.accessor(vertices),
         "JOINTS_0": glb.accessor(joints, "uint8"),
         "WEIGHTS_0": glb.accessor(weights),
     }
+    if texture is not None:
+        attributes["TEXCOORD_0"] = glb.accessor(texture.reshape(-1, 2) * [1.0, -1.0] + [0.0, 1.0])
     primitive = {"attributes": attributes, "indices": glb.accessor(np.ravel(faces), "uint16")}
     glb.json |= {
         "scene": 0,

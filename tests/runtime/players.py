@@ -10,6 +10,7 @@ import numpy as np
 
 from assets.io.scene import parse_scene, scene_text
 from pbd import SolverOptions
+from runtime.garment_mesh import texture_of
 from runtime.garment_setup import GarmentSetup
 from tests.wrinkles.databases import placed, small_database
 from wrinkles.database import WrinkleDatabase, body_hash
@@ -94,5 +95,6 @@ def random_database(stage: GarmentSetup, **changes: Any) -> WrinkleDatabase:
         "held_out": ("walk",),
         "trained_on": ("sway",),
         "scene": scene_text(stage.scene),
+        "texture": texture_of(stage.scene),
     }
     return replace(database, **(fields | changes))

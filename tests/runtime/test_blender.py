@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import subprocess
 import sys
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -130,6 +132,35 @@ def test_commands_learn_and_bake_the_whole_clip(tmp_path: Path) -> None:
     from runtime.command import COMMANDS
 
     assert {learn[1], bake[1]} <= set(COMMANDS)
+
+
+def test_the_garment_is_written_with_its_texture_coordinates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A triangle and a square with a seam between them, as Blender's objects give them; Z is up there."""
+    uv = [(0.0, 0.25), (1.0, 0.25), (0.0, 0.75), (3.0, 3.0), (4.0, 3.0), (4.0, 4.0), (3.0, 4.0)]
+    mesh = SimpleNamespace(
+        vertices=[SimpleNamespace(co=place) for place in ((0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1), (0.5, 0, -1))],
+        polygons=[
+            SimpleNamespace(vertices=[1, 0, 4], loop_indices=range(3)),
+            SimpleNamespace(vertices=[0, 1, 2, 3], loop_indices=range(3, 7)),
+        ],
+        uv_layers=SimpleNamespace(active=SimpleNamespace(data=[SimpleNamespace(uv=place) for place in uv])),
+    )
+    shown = SimpleNamespace(to_mesh=lambda: mesh, to_mesh_clear=lambda: None, matrix_world=np.eye(4))
+    context = SimpleNamespace(evaluated_depsgraph_get=lambda: None)
+    monkeypatch.setitem(sys.modules, "bpy", SimpleNamespace(context=context))
+    monkeypatch.setitem(sys.modules, "runtime.blender.files", None)
+    monkeypatch.delitem(sys.modules, "runtime.blender.files")
+    files = importlib.import_module("runtime.blender.files")
+    files._write_obj(tmp_path / "a.obj", SimpleNamespace(evaluated_get=lambda graph: shown))
+    garment = load_garment(tmp_path / "a.obj")
+    np.testing.assert_array_equal(garment.vertices[2], [1, 1, 0])
+    assert garment.texture is not None
+    assert garment.texture[0].tolist() == [list(place) for place in uv[:3]]
+    square = garment.vertices[garment.faces[1:]][..., :2] + 3.0
+    np.testing.assert_array_equal(garment.texture[1:], square)
+    mesh.uv_layers.active = None
+    files._write_obj(tmp_path / "b.obj", SimpleNamespace(evaluated_get=lambda graph: shown))
+    assert load_garment(tmp_path / "b.obj").texture is None
 
 
 def test_the_manifest_is_that_of_this_version() -> None:

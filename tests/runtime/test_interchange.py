@@ -6,8 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pxr import Usd, UsdGeom
 
 from assets.character import Character, load_character
+from assets.garment import load_garment
+from assets.io.obj import read_obj
 from assets.io.scene import parse_scene
 from assets.io.sequence import Sequence
 from assets.procedural.mannequin import builtin_mannequin
@@ -97,6 +100,12 @@ def test_a_garment_on_a_captured_motion_is_simulated_and_baked(
     assert command.main(["simulate", str(scene), "-o", str(out), "--seconds", "0.2"]) == 0
     assert load_character(out).clip("animation").frame_count == 7
     assert command.main(["simulate", str(scene), "-o", str(tmp_path / "skirt.mdd"), "--seconds", "0.2"]) == 0
+    stage = Usd.Stage.Open(str(out))
+    places = np.reshape(UsdGeom.PrimvarsAPI.Get(stage, "/World/garment").GetPrimvar("st").Get(), (-1, 3, 2))
+    texture, beside = load_garment("builtin:skirt").texture, read_obj(tmp_path / "skirt.obj").texture
+    assert texture is not None and beside is not None
+    np.testing.assert_allclose(places, texture, atol=1e-6)
+    np.testing.assert_allclose(beside, texture, atol=1e-6)
     (folder / "walk.bvh").rename(folder / "gone.bvh")
     try:
         assert command.main(["simulate", str(scene), "-o", str(out)]) == 2

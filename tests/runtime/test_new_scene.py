@@ -81,14 +81,25 @@ def test_a_fabric_in_the_name_is_taken(mannequin: BodyGuess, tmp_path: Path) -> 
 
 def test_a_garment_that_is_inside_out_is_turned(mannequin: BodyGuess, tmp_path: Path) -> None:
     skirt = one_layer("skirt")
-    file = stored(tmp_path, replace(skirt, faces=skirt.faces[:, ::-1]), "skirt.obj")
+    assert skirt.texture is not None
+    atlas = skirt.texture * [0.3, 0.7]  # no pattern
+    file = tmp_path / "skirt.obj"
+    write_garment(file, skirt.vertices, skirt.faces[:, ::-1], atlas[:, ::-1], "a test")
     guess = guess_garment(str(file), mannequin, tmp_path)
-    assert guess.turned
+    assert guess.turned and guess.garment.pattern is None
     turned = load_garment(tmp_path / "skirt_metres.obj")
+    np.testing.assert_allclose(_by_face(turned.faces, turned.texture), _by_face(skirt.faces, atlas), atol=1e-7)
     corner = turned.vertices[turned.faces]
     normals = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     outwards = (corner.mean(axis=1) - turned.vertices.mean(axis=0)) * [1.0, 0.0, 1.0]
     assert (normals * outwards).sum() > 0.0
+
+
+def _by_face(faces: np.ndarray, texture: np.ndarray | None) -> np.ndarray:
+    """Texture coordinates with the lowest vertex of each face first."""
+    assert texture is not None
+    first = faces.argmin(axis=1)[:, None]
+    return np.take_along_axis(texture, ((first + np.arange(3)) % 3)[..., None], axis=1)
 
 
 def test_flat_texture_coordinates_are_taken_for_the_pattern(mannequin: BodyGuess, tmp_path: Path) -> None:

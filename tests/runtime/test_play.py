@@ -215,6 +215,10 @@ def test_baked_animations_hold_the_body_too(path: Path, tmp_path: Path) -> None:
     assert [node.skin is not None for node in document.nodes if node.mesh is not None] == [False, True]
     drawn = document.accessors[document.meshes[1].primitives[0].indices].count
     assert drawn == 3 * len(skirt_stage().body.faces)
+    garment, fine = document.meshes[0].primitives[0], skirt_stage().levels.subdivision.faces
+    assert document.accessors[garment.indices].count == 3 * len(fine)
+    place = document.accessors[garment.attributes.TEXCOORD_0]
+    assert place.count == document.accessors[garment.attributes.POSITION].count > fine.max() + 1  # seams are split
 
 
 def test_a_cache_of_points_is_baked_at_its_own_rate(path: Path, tmp_path: Path) -> None:

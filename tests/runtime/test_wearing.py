@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
@@ -164,7 +165,14 @@ def test_garments_that_an_outfit_lacks_are_refused() -> None:
 
 def test_what_is_left_of_an_outfit_is_a_database(tmp_path: Path) -> None:
     database = outfit_database()
+    assert database.layers is not None
+    of_skirt = database.layers.layer[database.coarse_faces[:, 0]] == 1
+    texture = np.zeros((len(of_skirt), 3, 2), np.float32)
+    texture[~of_skirt] = np.nan
+    database = replace(database, texture=texture)
     skirt = with_garments(database, ["skirt"])
+    assert skirt.texture is not None and skirt.texture.shape == (of_skirt.sum(), 3, 2) and not skirt.texture.any()
+    assert with_garments(database, ["trousers"]).texture is None
     assert skirt.layers is None and skirt.garment_name == "skirt" and len(skirt.coarse_vertices) == 624
     write_database(tmp_path / "skirt.h5", skirt)
     read = read_database(tmp_path / "skirt.h5")

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
@@ -26,7 +27,7 @@ from wrinkles.database import (
     write_database,
 )
 from wrinkles.levels import Layers
-from wrinkles.schema import ENTRIES, SCHEMA_VERSION
+from wrinkles.schema import ENTRIES, SCHEMA_VERSION, VERSION_BEFORE
 from wrinkles.surface import SewnRest, Subdivision
 
 QUANTISED = {"atoms.shapes", "novelty.weights_1"} | {
@@ -66,6 +67,11 @@ def small_sewn() -> SewnRest:
     return SewnRest(vertices[faces][:, :, [2, 0]], np.full(72, 1.5), np.where(np.arange(72) < 9, 1.01, 1.5))
 
 
+# Texture coordinates of the sheet; the last face has none.
+TEXTURE = np.arange(72 * 6, dtype=np.float32).reshape(72, 3, 2) / 7.0
+TEXTURE[-1] = np.nan
+
+
 def leaves(value: Any, name: str = "") -> dict[str, Any]:
     """Every value inside nested dataclasses by its dotted path, arrays with their type and all their bits."""
     if is_dataclass(value):
@@ -91,6 +97,7 @@ def arrays_of(value: Any) -> list[np.ndarray]:
         {"binding": small_binding()},
         {"sewn": small_sewn()},
         {"other_fabrics": OTHERS, "pressure": 12.5},
+        {"texture": TEXTURE},
         {"seed": 2**40, "scene": "x" * 200_000, "garment_name": " 裙子\n"},
     ],
 )
@@ -155,7 +162,7 @@ def test_every_field_has_its_entry() -> None:
     scales = {f"{name}_scale" for name in QUANTISED}
     stored = {name.replace("/", ".") for name in names} - DERIVED - scales - {"quality.names", "quality.values"}
     others = {"other_fabrics.name"} | {f"other_fabrics.fabric.{field.name}" for field in fields(Fabric)}
-    whole = small_database(binding=small_binding(), sewn=small_sewn())
+    whole = small_database(binding=small_binding(), sewn=small_sewn(), texture=TEXTURE)
     layers = {f"layers.fabrics.{field.name}" for field in fields(Fabric)}
     layers |= {f"layers.{name}" for name in ("names", "layer", "fastened")}
     assert stored == set(leaves(whole)) - {"quality", "other_fabrics", "layers"} | others | layers
@@ -180,6 +187,49 @@ def test_the_garments_of_an_outfit_are_stored(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=problem):
             write_database(tmp_path / "b.h5", small_database(layers=wrong))
+
+
+def test_texture_coordinates_are_cut_with_the_faces_and_must_be_theirs(tmp_path: Path) -> None:
+    database = small_database(texture=TEXTURE)
+    fine = database.fine_texture
+    assert fine is not None and fine.shape == (16 * 72, 3, 2)
+    np.testing.assert_allclose(fine[:16].mean(axis=(0, 1)), TEXTURE[0].mean(axis=0), rtol=1e-6)
+    assert np.isnan(fine[-16:]).all() and np.isfinite(fine[:-16]).all()
+    assert small_database().fine_texture is None
+    delivered = small_database(binding=small_binding())
+    assert delivered.binding is not None and delivered.fine_texture is delivered.binding.sewn.flat
+    bad = TEXTURE.copy()
+    bad[3, 1, 0] = np.inf
+    for wrong, problem in ((TEXTURE[1:], "texture: another number of faces"), (bad, r"texture\[3, 1, 0\]: not finite")):
+        with pytest.raises(InputError, match=problem):
+            write_database(tmp_path / "b.h5", small_database(texture=wrong))
+
+
+def test_files_of_the_version_before_are_read(path: Path) -> None:
+    before = leaves(read_database(path))
+    with h5py.File(path, "r+") as file:
+        del file["texture"]
+        del file["machine"]
+        file.attrs["schema_version"] = np.int64(VERSION_BEFORE)
+    with pytest.raises(InputError, match="content_hash"):
+        read_database(path)
+    with h5py.File(path, "r+") as file:
+        arrays = {
+            e.name: np.asarray(file.attrs[e.name] if e.in_header else file[e.name][()])
+            for e in ENTRIES
+            if e.name not in ("texture", "machine")
+        }
+        digest = hashlib.sha256()
+        for name, array in arrays.items():
+            if name != "content_hash":
+                digest.update(f"{name} {array.dtype} {array.shape} ".encode() + array.tobytes())
+        file.attrs["content_hash"] = np.bytes_(digest.hexdigest())
+    assert leaves(read_database(path)) == before | {"machine": (str, "an unknown processor")}
+    assert database_figures(path)["database_mb"] > 0.0
+    with h5py.File(path, "r+") as file:
+        file.create_dataset("texture", data=np.zeros((0, 3, 2), np.float32))
+    with pytest.raises(InputError, match="texture: unknown key"):
+        read_database(path)
 
 
 def test_figures_that_are_not_finite_are_not_stored(tmp_path: Path) -> None:

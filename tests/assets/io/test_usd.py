@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pxr import Gf, Usd, UsdGeom, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from assets.io.sequence import is_sequence, load_sequence
 from assets.io.usd import mesh_faces
@@ -89,13 +89,75 @@ def test_polygons_are_cut_inside() -> None:
     points = np.concatenate([points, [[5.5, 1.5, 0.0]]])
     mesh.CreateFaceVertexCountsAttr([4, 3, 5])
     mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3, 4, 5, 6, 4, 5, 6, 8, 7])
-    faces = mesh_faces(mesh, points, Path("a.usd"), mirrored=False)
+    faces, texture = mesh_faces(mesh, points, Path("a.usd"), mirrored=False)
+    assert texture is None
     assert faces[:3].tolist() == [[0, 1, 2], [0, 2, 3], [4, 5, 6]]
     a, b, c = points[faces[:, 0]], points[faces[:, 1]], points[faces[:, 2]]
     areas = np.cross(b - a, c - a)[:, 2] / 2
     assert (areas > 0).all() and areas[3:].sum() == pytest.approx(1.25)
     mesh.CreateOrientationAttr("leftHanded")
-    assert np.array_equal(mesh_faces(mesh, points, Path("a.usd"), mirrored=False), faces[:, ::-1])
+    assert np.array_equal(mesh_faces(mesh, points, Path("a.usd"), mirrored=False)[0], faces[:, ::-1])
+
+
+def quads() -> tuple[Any, np.ndarray]:
+    """Two squares beside one another, and points."""
+    stage: Any = Usd.Stage.CreateInMemory()
+    mesh = UsdGeom.Mesh.Define(stage, "/mesh")
+    mesh.CreateFaceVertexCountsAttr([4, 4])
+    mesh.CreateFaceVertexIndicesAttr([0, 1, 4, 3, 1, 2, 5, 4])
+    return (stage, mesh), np.array([[x, y, 0.0] for y in (0, 1) for x in (0, 1, 2)])
+
+
+def put_texture(mesh: Any, values: Any, interpolation: str, name: str = "st", kind: Any = None) -> Any:
+    kind = kind or Sdf.ValueTypeNames.TexCoord2fArray
+    primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(name, kind, interpolation)
+    primvar.Set([Gf.Vec2f(*map(float, value)) for value in values])
+    return primvar
+
+
+@pytest.mark.parametrize("orientation", ["rightHanded", "leftHanded"])
+@pytest.mark.parametrize("interpolation", ["vertex", "varying", "faceVarying", "indexed"])
+def test_texture_coordinates_go_with_their_corners(interpolation: str, orientation: str) -> None:
+    """u = x and v = y + 2, of every way to store them."""
+    (_stage, mesh), points = quads()
+    mesh.CreateOrientationAttr(orientation)
+    values = points[:, :2] + [0, 2]
+    corners = [0, 1, 4, 3, 1, 2, 5, 4]
+    if interpolation == "indexed":
+        put_texture(mesh, values[::-1], "faceVarying").SetIndices(Vt.IntArray([5 - corner for corner in corners]))
+    else:
+        put_texture(mesh, values[corners] if interpolation == "faceVarying" else values, interpolation)
+    faces, texture = mesh_faces(mesh, points, Path("a.usd"), mirrored=False)
+    np.testing.assert_array_equal(texture, points[faces][..., :2] + [0, 2])
+
+
+def test_the_set_named_st_counts_or_else_the_first_one() -> None:
+    names = Sdf.ValueTypeNames
+    (_stage, mesh), points = quads()
+    put_texture(mesh, points[:, :2] + 7, "vertex", "weights", names.Float2Array)  # no texture coordinates
+    put_texture(mesh, points[:1, :2], "constant", "flat")  # the same for all of the mesh
+    assert mesh_faces(mesh, points, Path("a.usd"), mirrored=False)[1] is None
+    put_texture(mesh, points[:, :2] + 1, "vertex", "UVMap")
+    put_texture(mesh, points[:, :2] + 2, "vertex", "a_later")
+    first = UsdGeom.PrimvarsAPI(mesh).GetPrimvars()[0].GetPrimvarName()
+    faces, texture = mesh_faces(mesh, points, Path("a.usd"), mirrored=False)
+    np.testing.assert_array_equal(texture, points[faces][..., :2] + {"UVMap": 1, "a_later": 2}[first])
+    put_texture(mesh, points[:, :2] + 3, "vertex", "st", names.Float2Array)  # as older files have it
+    _, texture = mesh_faces(mesh, points, Path("a.usd"), mirrored=False)
+    np.testing.assert_array_equal(texture, points[faces][..., :2] + 3)
+
+
+@pytest.mark.parametrize(
+    ("count", "interpolation", "index"),
+    [(5, "vertex", None), (6, "faceVarying", None), (6, "vertex", 6), (6, "vertex", -1)],
+)
+def test_texture_coordinates_that_fit_no_corner_are_refused(count: int, interpolation: str, index: int | None) -> None:
+    (_stage, mesh), points = quads()
+    primvar = put_texture(mesh, points[:count, :2], interpolation)
+    if index is not None:
+        primvar.SetIndices(Vt.IntArray([0, 1, 2, 3, 4, index]))
+    with pytest.raises(InputError, match=r"a\.usd: /mesh, primvars:st: bad texture coordinates"):
+        mesh_faces(mesh, points, Path("a.usd"), mirrored=False)
 
 
 def points_at(stage: Any, code: float, values: np.ndarray) -> None:

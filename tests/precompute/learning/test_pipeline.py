@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from assets.fabrics import PRESETS
+from assets.garment import load_garment
 from pbd import InputError
 from precompute.learning import pipeline
 from precompute.learning.evaluation import judged_from, levels_from, settled
@@ -34,6 +35,8 @@ def test_what_is_written_is_what_was_made(learned: Precomputed, reports: list[st
     assert database.trained_on == ("exploration_4",) and database.held_out == ("walk 0-1.2 s",)
     assert len(database.atoms.shapes) == 6 and database.mapping.weights_2.shape == (5, 21, 8)
     assert database.training_minutes > 0.0 and database.quality == learned.database.quality
+    texture = load_garment("builtin:skirt").texture
+    assert texture is not None and np.array_equal(database.texture, texture.astype(np.float32))
     # The garment is on the body as the scene has it.
     stage, levels = GarmentSetup.of(scene_of(database)), levels_from(database, GarmentSetup.of(scene()).body)
     assert np.array_equal(levels.fine.vertices, stage.levels.fine.vertices)
