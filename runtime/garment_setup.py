@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +15,7 @@ from assets.fabrics import PRESETS
 from assets.garment import Garment, load_garment
 from assets.io.body_settings import MotionSettings
 from assets.io.collider_settings import FieldSettings
+from assets.io.file_cache import kept_while_unchanged
 from assets.io.scene import GarmentSettings, Scene, parse_scene
 from assets.io.sequence import Sequence, SequenceMotion
 from assets.limits import load_limits
@@ -304,7 +304,7 @@ def colliders_of(scene: Scene) -> tuple[Plane | Sphere | Capsule | DistanceField
     return tuple(found)
 
 
-@cache
+@kept_while_unchanged
 def _field(mesh: Path, spacing: float) -> DistanceField:
     solid = load_garment(mesh)
     return field_of_mesh(solid.vertices, solid.faces, spacing)
