@@ -208,12 +208,11 @@ def _read_gltf(path: Path) -> tuple[Floats, Faces, Floats | None]:
     for node in document.mesh_nodes():
         matrix = document.world_matrix(node)
         for primitive in document.primitives(node):
-            faces.append(primitive.faces + sum(map(len, vertices)))
-            vertices.append(primitive.vertices @ matrix[:3, :3].T + matrix[:3, 3])
+            placed, corners = primitive.placed(matrix)
+            faces.append(corners + sum(map(len, vertices)))
+            vertices.append(placed)
             # glTF counts texture coordinates downwards, patterns upwards.
-            texture.append(
-                None if primitive.texture is None else (primitive.texture * [1, -1] + [0, 1])[primitive.faces]
-            )
+            texture.append(None if primitive.texture is None else (primitive.texture * [1, -1] + [0, 1])[corners])
     complete = texture and all(part is not None for part in texture)
     return np.concatenate(vertices), np.concatenate(faces), np.concatenate(texture) if complete else None
 

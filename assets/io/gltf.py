@@ -73,6 +73,12 @@ class Primitive:
     texture: Floats | None
     attributes: dict[str, Any]
 
+    def placed(self, matrix: Floats) -> tuple[Floats, NDArray[np.int32]]:
+        """Vertices moved by a transform, shape (4, 4), and the faces, turned where it mirrors them: glTF 2.0, 3.7.4."""
+        mirrored = np.linalg.det(matrix[:3, :3]) < 0.0
+        faces = self.faces[:, ::-1] if mirrored else self.faces
+        return self.vertices @ matrix[:3, :3].T + matrix[:3, 3], faces
+
 
 @dataclass(frozen=True)
 class Document:

@@ -78,10 +78,9 @@ def _skinned_mesh(document: Document) -> tuple[Floats, Any, Any, list[int], NDAr
     pieces = []
     for node in skinned:
         columns = np.array([place[joint] for joint in joints[node]])
-        matrix = mesh_to_world[node]
         for primitive in document.primitives(node):
             weights = _weights(document, primitive, columns, len(kept))
-            pieces.append((primitive.vertices @ matrix[:3, :3].T + matrix[:3, 3], primitive.faces, weights))
+            pieces.append((*primitive.placed(mesh_to_world[node]), weights))
     return *merge_pieces(pieces), kept, parents, root, bind
 
 
