@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from assets.body_checks import check_right_side_out
 from assets.transform import local_matrices
 from pbd.errors import InputError
 
@@ -213,7 +214,8 @@ def load_character(path: str | PathLike[str], name: str | None = None) -> Charac
 
     Raises:
         InputError: the file cannot be read, has no skin or no weights, holds values that are not finite, looks like
-            centimetres, or asks for something that is not supported; the message names the element.
+            centimetres, does not say its unit, is inside out, or asks for something that is not supported; the message
+            names the element.
     """
     if str(path).startswith("builtin:"):
         from assets.procedural.mannequin import builtin_mannequin  # is made of this module's parts
@@ -227,7 +229,9 @@ def load_character(path: str | PathLike[str], name: str | None = None) -> Charac
         from assets.io.usd_character import read_character  # needs usd-core, which building a character does not
     else:
         from assets.io.gltf_character import read_character  # is made of this module's parts
-    return read_character(path, name)
+    character = read_character(path, name)
+    check_right_side_out(character.vertices, character.faces, path)
+    return character
 
 
 def with_clips(character: Character, other: Character) -> Character:

@@ -214,9 +214,10 @@ def _read_gltf(path: Path) -> tuple[Floats, Faces, Floats | None]:
     for node in document.mesh_nodes():
         matrix = document.world_matrix(node)
         for primitive in document.primitives(node):
-            faces.append(primitive.faces + sum(map(len, vertices)))
-            vertices.append(primitive.vertices @ matrix[:3, :3].T + matrix[:3, 3])
-            texture.append((primitive.corner_texture, len(primitive.faces)))
+            placed, corners, coordinates = primitive.placed(matrix)
+            faces.append(corners + sum(map(len, vertices)))
+            vertices.append(placed)
+            texture.append((coordinates, len(corners)))
     return np.concatenate(vertices), np.concatenate(faces), joined(texture)
 
 

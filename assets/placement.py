@@ -8,27 +8,38 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from assets.garment import boundary_loops
+from assets.bands import distances
+from assets.body_checks import HEIGHTS, UNITS
+from assets.garment import Garment, boundary_loops
 from pbd.distance import BodyDistance
+from pbd.errors import InputError
 from pbd.mesh import edges_of
 
-__all__ = ["AS_STORED", "Fit", "Placement", "best_placement", "body_placement", "fit_of"]
+__all__ = [
+    "AS_STORED",
+    "Fit",
+    "Placement",
+    "best_placement",
+    "body_placement",
+    "check_worn",
+    "fit_of",
+]
 
 Floats = NDArray[np.float64]
 Faces = NDArray[np.int32]
 
-UNITS = {"metres": 1.0, "centimetres": 0.01, "inches": 0.0254, "decimetres": 0.1, "millimetres": 0.001}
+_UNIT_RATIOS = sorted({ratio for unit in UNITS.values() for ratio in (unit, 1.0 / unit)} - {1.0})
 _AXES = {
     "Y up": np.eye(3),
     "Z up": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),  # what faces -Y faces +Z then
 }
-_HEIGHTS = (0.7, 2.6)  # of bodies [m]
 _USUAL_HEIGHT = 1.7  # [m]
 _SIZES = (0.12, 1.4)  # of a garment's longest side, over the body's height [-]
 _SAMPLES = 3000  # points of a garment that are looked at
 _DEEP = 0.01  # a point deeper in the body is more than the loader's push mends [m]
 _MAX_DEEP_SHARE = 0.01  # of a garment's points that may be that deep [-]
 _MAX_MEDIAN_GAP = 0.25  # of a worn garment, a wide dress included [m]
+_MAX_CARRIED_GAP = 0.5  # from the nearest vertex that the body carries to the body [m]
 _MAX_OPENING_GAP = 0.03  # from the middle of some opening of a worn garment to the body [m]
 
 
@@ -96,7 +107,7 @@ def body_placement(vertices: Floats) -> Placement | None:
     size = np.ptp(vertices, axis=0)
     axes = "Z up" if size[2] > 1.2 * size[1] else "Y up"
     height = float(max(size[1], size[2]))
-    fitting = [unit for unit, scale in UNITS.items() if _HEIGHTS[0] <= scale * height <= _HEIGHTS[1]]
+    fitting = [unit for unit, scale in UNITS.items() if HEIGHTS[0] <= scale * height <= HEIGHTS[1]]
     if not fitting:
         return None
     if fitting[0] == "metres":
@@ -114,6 +125,66 @@ def fit_of(vertices: Floats, faces: Faces, body_vertices: Floats, body_faces: Fa
         body_faces: counter-clockwise seen from outside, int, shape (k, 3).
     """
     return _fit(BodyDistance(body_faces), vertices, faces, body_vertices)
+
+
+def check_worn(
+    garment: Garment, carried: NDArray[np.int64], body_vertices: Floats, body_faces: Faces, key: str
+) -> None:
+    """Refuse a garment that its body cannot wear where the unit or the place of one of them must be wrong.
+
+    A body that is no person's height, a ball or a post, passes unless it would wear the garment as a person: were it
+    larger or smaller by the ratio of two units. So does a garment of another size than clothes have for the body.
+
+    Args:
+        garment: as the scene has it.
+        carried: its vertices that the body carries.
+        body_vertices: in the pose that the garment was made for [m], shape (b, 3).
+        body_faces: int, shape (k, 3).
+        key: of the garment in the scene, for the message.
+
+    Raises:
+        InputError: all that the body carries is over 0.5 m away from it, or another unit is what makes the two fit.
+    """
+    height, size = float(np.ptp(body_vertices[:, 1])), float(np.ptp(garment.vertices, axis=0).max())
+    found = _other_unit(garment, body_vertices, body_faces, height, size)
+    if found is not None:
+        whose, ratio = found
+        raise InputError(
+            f"a {whose} of another unit",
+            file=garment.source,
+            key=key,
+            received=f"a garment of {size:.3g} m and a body {height:.3g} m tall",
+            expected=f"a {whose} {ratio:.4g} times as large: then the garment is worn",
+        )
+    gap = distances(garment.vertices[carried], body_vertices, body_faces).min() if len(carried) else 0.0
+    if gap > _MAX_CARRIED_GAP:
+        raise InputError(
+            "a garment that is nowhere near the body that carries it",
+            file=garment.source,
+            key=key,
+            received=f"{gap:.2f} m from a body {height:.3g} m tall",
+            expected=f"at most {_MAX_CARRIED_GAP:g} m: both in one unit and one place",
+        )
+
+
+def _other_unit(
+    garment: Garment, body_vertices: Floats, body_faces: Faces, height: float, size: float
+) -> tuple[str, float] | None:
+    """Which of the two is of another unit, and how many times as large it fits; None where no unit is known to fit."""
+    low, high = (limit * height for limit in _SIZES)
+    if not HEIGHTS[0] <= height <= HEIGHTS[1]:
+        whose, length, low, high = "body", height, *HEIGHTS
+    elif not low <= size <= high:
+        whose, length = "garment", size
+    else:
+        return None
+    distance = BodyDistance(body_faces)
+    for ratio in _UNIT_RATIOS:
+        if low <= ratio * length <= high:
+            scales = (1.0, ratio) if whose == "body" else (ratio, 1.0)
+            if _fit(distance, scales[0] * garment.vertices, garment.faces, scales[1] * body_vertices).is_worn:
+                return whose, ratio
+    return None
 
 
 def _fit(distance: BodyDistance, vertices: Floats, faces: Faces, body_vertices: Floats) -> Fit:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,9 +15,11 @@ from assets.fabrics import PRESETS
 from assets.garment import Garment, load_garment
 from assets.io.body_settings import MotionSettings
 from assets.io.collider_settings import FieldSettings
+from assets.io.file_cache import kept_while_unchanged
 from assets.io.scene import GarmentSettings, Scene, parse_scene
 from assets.io.sequence import Sequence, SequenceMotion
 from assets.limits import load_limits
+from assets.placement import check_worn
 from assets.procedural.exploration import exploration_motion
 from pbd import Capsule, DistanceField, Fabric, InputError, Limits, Plane, SolverOptions, Sphere
 from runtime.fitting import fitted
@@ -121,6 +122,7 @@ def _piece(number: int, settings: GarmentSettings, body: Character | Sequence, b
     garment = in_size(garment, settings, body_vertices, body_faces)
     garment, binding = coarse_garment(garment, settings)
     held, fastened = held_vertices(garment, settings), fastened_vertices(garment, settings)
+    check_worn(garment, held, body_vertices, body_faces, f"garment[{number}].mesh")
     if number == 0 and len(fastened):
         expected = "none: it is the innermost garment, and the body holds by attach"
         key = "garment[0].fasten" if settings.fasten != "none" else "garment[0].fasten_vertices"
@@ -304,7 +306,7 @@ def colliders_of(scene: Scene) -> tuple[Plane | Sphere | Capsule | DistanceField
     return tuple(found)
 
 
-@cache
+@kept_while_unchanged
 def _field(mesh: Path, spacing: float) -> DistanceField:
     solid = load_garment(mesh)
     return field_of_mesh(solid.vertices, solid.faces, spacing)

@@ -98,7 +98,7 @@ def guess_body(path: str, folder: Path) -> BodyGuess:
 
 
 def _right_side_out(guess: BodyGuess) -> BodyGuess:
-    """The guess, refused if the body's faces point inwards: contact would draw cloth into it."""
+    """The guess, refused if the body's faces point inwards, also those of an open body, which the loaders let pass."""
     corners = guess.vertices[guess.body.faces] - guess.vertices.mean(axis=0)
     if np.einsum("mi,mi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) < 0.0:
         raise InputError("a body that is inside out", file=guess.file, key="faces", expected="normals that point out")

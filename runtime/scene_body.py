@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from assets.character import Character, Clip, load_character, with_clips
 from assets.io.body_settings import MotionSettings
 from assets.io.bvh import read_bvh
+from assets.io.file_cache import kept_while_unchanged
 from assets.io.scene import Scene
 from assets.io.sequence import Sequence, SequenceMotion, load_sequence
 from assets.motion import ClipMotion, part_of
@@ -20,9 +21,9 @@ from runtime.simulation import Motion
 __all__ = ["body_of", "load_body", "motion_of"]
 
 
-@cache
+@kept_while_unchanged
 def load_body(file: Path | str) -> Character:
-    """A character, loaded once: every call with the same path returns the same object.
+    """A character, loaded once: calls with the same path return the same object until the file changes.
 
     Raises:
         InputError: as :func:`assets.character.load_character`.
@@ -30,9 +31,9 @@ def load_body(file: Path | str) -> Character:
     return load_character(file)
 
 
-@cache
+@kept_while_unchanged
 def captured_clip(body: Character, file: Path, joints: Path | None) -> Clip:
-    """A captured motion on a character, made once.
+    """A captured motion on a character, made once until a file changes.
 
     Args:
         body: the character.
@@ -58,7 +59,10 @@ def clip_of(body: Character, motion: MotionSettings) -> Clip:
     if motion.clip not in other.clips:
         known = "one of " + ", ".join(sorted(other.clips)) if other.clips else "a file with clips"
         raise InputError("no such clip", key="clip", received=motion.clip, expected=known)
-    return (with_clips(body, other) if other is not body else body).clip(motion.clip)
+    if other is body:
+        return body.clip(motion.clip)
+    # Without its own clips, which have the same names where it was loaded before its file changed.
+    return with_clips(replace(body, clips={}), other).clip(motion.clip)
 
 
 def motion_of(body: Character | Sequence, motion: MotionSettings) -> Motion:

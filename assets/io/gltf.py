@@ -73,10 +73,14 @@ class Primitive:
     texture: Floats | None
     attributes: dict[str, Any]
 
-    @property
-    def corner_texture(self) -> Floats | None:
-        """Texture coordinates of each face corner, v upwards, shape (m, 3, 2); None if there are none."""
-        return None if self.texture is None else (self.texture * [1.0, -1.0] + [0.0, 1.0])[self.faces]
+    def placed(self, matrix: Floats) -> tuple[Floats, NDArray[np.int32], Floats | None]:
+        """Vertices moved by a transform, shape (4, 4), faces, turned where it mirrors them (glTF 2.0, 3.7.4), and the
+        texture coordinates of their corners, v upwards, shape (m, 3, 2), None if there are none.
+        """
+        mirrored = np.linalg.det(matrix[:3, :3]) < 0.0
+        faces = self.faces[:, ::-1] if mirrored else self.faces
+        texture = None if self.texture is None else (self.texture * [1.0, -1.0] + [0.0, 1.0])[faces]
+        return self.vertices @ matrix[:3, :3].T + matrix[:3, 3], faces, texture
 
 
 @dataclass(frozen=True)

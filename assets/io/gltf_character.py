@@ -79,11 +79,10 @@ def _skinned_mesh(document: Document) -> tuple[Any, list[int], NDArray[np.int32]
     pieces = []
     for node in skinned:
         columns = np.array([place[joint] for joint in joints[node]])
-        matrix = mesh_to_world[node]
         for primitive in document.primitives(node):
             weights = _weights(document, primitive, columns, len(kept))
-            vertices = primitive.vertices @ matrix[:3, :3].T + matrix[:3, 3]
-            pieces.append((vertices, primitive.faces, weights, primitive.corner_texture))
+            vertices, faces, texture = primitive.placed(mesh_to_world[node])
+            pieces.append((vertices, faces, weights, texture))
     return merge_pieces(pieces), kept, parents, root, bind
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from assets.body_checks import check_right_side_out
 from assets.character import SEQUENCE_SUFFIXES, USD_SUFFIXES
 from assets.io.point_cache import mesh_beside, read_mdd, read_pc2
 from assets.weld import check_unit
@@ -76,8 +77,8 @@ def load_sequence(path: str | PathLike[str], rate_hz: float | None = None) -> Se
 
     Raises:
         InputError: the file cannot be read or is truncated; a key is missing, holds objects, or has another shape;
-            positions that are not finite; a face with a bad index; a size that cannot be metres; a rate that is missing
-            or not asked for.
+            positions that are not finite; a face with a bad index; a size that cannot be metres, or a unit that the
+            file does not say; faces of a closed body that point inwards; a rate that is missing or not asked for.
     """
     path = Path(path)
     suffix, texture = path.suffix.lower(), None
@@ -100,6 +101,7 @@ def load_sequence(path: str | PathLike[str], rate_hz: float | None = None) -> Se
         _check(path, "dt", dt, "fiu", dt.ndim == 0 and dt.dtype.kind in "fiu" and 0.0 < float(dt) < np.inf)
     _check_values(path, vertices, faces)
     check_unit(vertices[0], path)
+    check_right_side_out(vertices[0].astype(float), faces, path)
     vertices, faces = vertices.astype(np.float32, copy=False), faces.astype(np.int32)
     return Sequence(path.stem, vertices, faces, float(dt), texture=texture)
 

@@ -15,11 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from assets.body_checks import HEIGHTS, UNITS
 from assets.io.obj import triangulate
 from assets.io.usd_guard import require_sound
 from pbd.errors import InputError
 
 __all__ = [
+    "check_unit_said",
     "has_skeleton",
     "matrix",
     "mesh_faces",
@@ -124,6 +126,30 @@ def to_metres(stage: Any, path: Path) -> Floats:
     if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z:
         turned[1:3, 1:3] = [[0.0, 1.0], [-1.0, 0.0]]  # Z becomes Y, Y becomes -Z
     return turned @ np.diag([unit, unit, unit, 1.0])
+
+
+def check_unit_said(stage: Any, vertices: NDArray[Any], path: Path) -> None:
+    """Refuse a body of a stage that does not say its unit, unless it has a body's height in USD's own, the centimetre.
+
+    Args:
+        stage: of the file.
+        vertices: of the body [m], with the unit that the file has or USD takes, shape (n, 3).
+        path: the file, for the message.
+
+    Raises:
+        InputError: no unit, and in centimetres no body; the message names units that would make it one.
+    """
+    from pxr import UsdGeom
+
+    height = float(np.ptp(vertices[:, 1]))
+    if UsdGeom.StageHasAuthoredMetersPerUnit(stage) or HEIGHTS[0] <= height <= HEIGHTS[1]:
+        return
+    unit = UsdGeom.GetStageMetersPerUnit(stage)
+    likely = [f"{x:g} ({name})" for name, x in UNITS.items() if HEIGHTS[0] <= height * x / unit <= HEIGHTS[1]]
+    received = f"none, and with USD's own, {unit:g}, a body {height:.3g} m tall"
+    expected = f"{' or '.join(likely) or 'the unit of the file in metres'}, written in the file"
+    raise InputError("a file that does not say its unit", file=path, key="metersPerUnit", received=received,
+                     expected=expected)  # fmt: skip
 
 
 def matrix(value: Any, path: Path, key: str) -> Floats:
@@ -332,4 +358,5 @@ def _point_cache(stage: Any, path: Path) -> tuple[NDArray[np.float32], NDArray[n
             )
         world = place @ matrix(UsdGeom.XformCache(time).GetLocalToWorldTransform(prim), path, key)
         frames[frame] = points @ world[:3, :3].T + world[:3, 3]
+    check_unit_said(stage, frames[0], path)
     return frames, *mesh_faces(mesh, first, path, np.linalg.det(world[:3, :3]) < 0.0), 1.0 / rate

@@ -10,7 +10,17 @@ from numpy.typing import NDArray
 
 from assets.character import Character, Clip
 from assets.io.skin import MAX_SAMPLES, best_influences, merge_pieces
-from assets.io.usd import matrix, mesh_faces, numbers, open_stage, prims, sample_times, to_metres, transform_times
+from assets.io.usd import (
+    check_unit_said,
+    matrix,
+    mesh_faces,
+    numbers,
+    open_stage,
+    prims,
+    sample_times,
+    to_metres,
+    transform_times,
+)
 from assets.transform import decompose
 from assets.weld import check_unit
 from pbd.errors import InputError
@@ -52,6 +62,7 @@ def character_of(stage: Any, path: Path, name: str) -> Character:
     root = to_metres(stage, path) @ _to_world(skeleton.GetPrim(), None, path)
     pieces = [_piece(target, joints, root, path) for target in targets]
     vertices, faces, weights, texture = merge_pieces(pieces)
+    check_unit_said(stage, vertices, path)
     check_unit(vertices, path)
     joint_indices, joint_weights = best_influences(weights)
     to_parent = np.linalg.inv(np.where((parents < 0)[:, None, None], np.eye(4), bind[parents]))

@@ -12,6 +12,7 @@ import sys
 from functools import lru_cache
 from pathlib import Path
 
+from assets.io.file_cache import file_state
 from pbd.errors import InputError
 
 __all__ = ["require_sound"]
@@ -37,14 +38,14 @@ def require_sound(path: Path) -> None:
     Raises:
         InputError: reading it ends that process, takes too long or too much memory.
     """
-    status = path.stat()
-    problem = _problem(path.absolute(), status.st_size, status.st_mtime_ns)
+    problem = _problem(path.absolute(), file_state(path))
     if problem is not None:
         raise InputError(f"no USD, truncated or damaged: {problem}", file=path, expected="a USD file")
 
 
 @lru_cache(maxsize=64)
-def _problem(path: Path, size: int, changed: int) -> str | None:
+def _problem(path: Path, state: tuple[int, int] | None) -> str | None:
+    size = 0 if state is None else state[0]
     command = [sys.executable, "-c", _SCRIPT, str(path), str(_BYTES + _TIMES_SIZE * size)]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     seconds = _SECONDS + _SECONDS_A_MEGABYTE * size / 2**20

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from assets.body_checks import check_right_side_out
 from assets.character import CHARACTER_SUFFIXES, SEQUENCE_SUFFIXES, load_character
 from assets.io.obj import read_obj
 from assets.io.sequence import is_sequence, load_sequence
@@ -43,7 +44,7 @@ def load_standing_body(path: str | Path) -> StandingBody:
             (.npz, .mdd, USD), or a closed surface (.obj).
 
     Raises:
-        InputError: the file cannot be read, or its surface is not closed.
+        InputError: the file cannot be read, or its surface is not closed or inside out.
     """
     suffix = Path(path).suffix.lower()
     sequence = suffix in SEQUENCE_SUFFIXES and is_sequence(path)
@@ -60,6 +61,7 @@ def load_standing_body(path: str | Path) -> StandingBody:
         check_unit(mesh.vertices, Path(path))
         vertices, faces, _ = weld(mesh.vertices, mesh.faces)
         faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+        check_right_side_out(vertices, faces, Path(path))
         name = Path(path).stem
     else:
         expected = f"{', '.join(dict.fromkeys([*CHARACTER_SUFFIXES, *SEQUENCE_SUFFIXES]))}, .obj or builtin:mannequin"

@@ -62,11 +62,11 @@ def run(options: argparse.Namespace) -> Report:
 
     output = options.output or Path("out") / f"{options.scene.stem}.glb"
     check_file(output, *BAKED)
+    body = None if scene.character is None else body_of(scene)  # as it is before its file changes
     simulation, motion = simulation_of(scene, options.fine, say)
     longest = NO_BODY_SECONDS if motion is None else motion.duration
     seconds = longest if options.seconds is None else min(options.seconds, longest if motion else math.inf)
     frames, poses, rate, figures = simulated_frames(simulation, motion, scene, seconds)
-    body = None if poses is None else body_of(scene)
     texture = texture_of(scene, options.fine)
     write_baked(output, simulation.model.mesh.faces, frames, rate, body=body, poses=poses, texture=texture)
     say("\n".join([*figure_lines(figures), f"baked to {output}"]))

@@ -458,10 +458,11 @@ class SceneSource:
 
     def garment(self, motion: Motion | None, fabric: str, wrinkles: bool) -> ViewedGarment:
         """The garments at the start of the motion; a scene has no other fabric and no wrinkles."""
+        body = self.body  # as it is before its file changes
         simulation, motion = simulation_of(self.scene)
         pose = None if motion is None else motion.pose(0.0)
         player = ScenePlayer(simulation, pose, 1.0 / self.frame_rate)
-        return ViewedGarment(player, motion, self.body, player.subdivision.flat_corners(texture_of(self.scene)))
+        return ViewedGarment(player, motion, body, player.subdivision.flat_corners(texture_of(self.scene)))
 
 
 Source = DatabaseSource | SceneSource

@@ -1,6 +1,7 @@
 """Garments from files: welding, triangles, boundaries, and every refusal with the element named."""
 
 import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +50,33 @@ def test_weld_keeps_the_order_and_says_what_became_of_each_vertex() -> None:
     assert index_map.tolist() == [0, 1, 0, 2, 1, 0]
     assert faces.tolist() == [[0, 1, 2], [0, 1, 2]]
     assert np.array_equal(welded[index_map], vertices)
+
+
+@pytest.mark.parametrize("spikes", [0.0, 0.3, 0.9])
+def test_a_face_of_many_corners_is_cut_inside_at_once(spikes: float) -> None:
+    """When the cost grew with the cube of the corners, these 600 took minutes."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 600, endpoint=False)
+    radius = 1.0 + spikes * np.random.default_rng(1).uniform(-1.0, 1.0, 600)
+    corners = np.stack([radius * np.cos(angle), 0.0 * angle, radius * np.sin(angle)], axis=1)
+    began = time.process_time()
+    triangles = np.array(triangulate(corners))
+    assert time.process_time() - began < 2.0
+    assert triangles.shape == (598, 3) and len(np.unique(triangles)) == 600
+    sides = corners[triangles[:, 1:]] - corners[triangles[:, :1]]
+    areas = -np.cross(sides[:, 0], sides[:, 1])[:, 1] / 2.0  # seen from above the polygon runs clockwise
+    following = np.roll(corners, -1, axis=0)
+    outline = (corners[:, 0] * following[:, 2] - corners[:, 2] * following[:, 0]).sum() / 2.0
+    assert (areas > 0.0).all() and areas.sum() == pytest.approx(outline)
+
+
+def test_corners_along_straight_sides_make_no_face_without_area(tmp_path: Path) -> None:
+    """A triangle traced from a drawing, to a micrometre: corners of a side turn a little by rounding alone."""
+    share = np.arange(100)[:, None] / 100.0
+    ends = np.array([[0.0, 0.0], [0.5, 0.0], [0.3, 0.7]])
+    corners = np.concatenate([(1.0 - share) * a + share * b for a, b in zip(ends, np.roll(ends, -1, 0), strict=True)])
+    face = " ".join(map(str, range(1, len(corners) + 1)))
+    traced = load(tmp_path, "".join(f"v {x:.6f} {y:.6f} 0\n" for x, y in corners) + f"f {face}\n")
+    assert len(traced.faces) == 298
 
 
 def test_texture_seams_of_an_obj_file_close(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import pytest
 from assets.fabrics import PRESETS
 from assets.io.scene import Scene, parse_scene, scene_text
 from assets.procedural.builtin import builtin_garment
+from assets.procedural.mannequin import builtin_mannequin
 from pbd import DistanceField, InputError, Plane
 from pbd.attachment import Attachment
 from runtime.garment_mesh import pattern_of, with_subdivisions
@@ -98,6 +99,16 @@ def test_a_sequence_is_learned_from_and_judged_by_parts(stage: GarmentSetup) -> 
     assert (learned.name, learned.lead_in, learned.duration) == ("ball 0-0.5 s x 0.5", 0.0, pytest.approx(1.0))
     assert (held_out.name, held_out.lead_in, held_out.duration) == ("ball 0.5- s", 0.5, pytest.approx(1.0))
     assert stage.motion().duration == pytest.approx(1.0)
+
+
+def test_a_body_of_another_unit_is_refused_where_the_scene_is_loaded(tmp_path: Path) -> None:
+    """Exported at a hundredth of its size it stood in the shirt, which fell to the floor without a word."""
+    mannequin = builtin_mannequin()
+    small = (0.01 * mannequin.vertices[None]).astype(np.float32)
+    np.savez(tmp_path / "small.npz", vertices=small, faces=mannequin.faces, dt=0.1)
+    text = '[[garment]]\nname = "shirt"\nmesh = "builtin:tshirt"\n[character]\nsequence = "small.npz"\n'
+    with pytest.raises(InputError, match=r"garment\[0\]\.mesh: a body of another unit .*a body 100 times as large"):
+        GarmentSetup.of(parse_scene(text, tmp_path / "scene.toml"))
 
 
 def test_motions_of_another_body_are_refused(stage: GarmentSetup, folder: Path) -> None:

@@ -52,6 +52,24 @@ def test_centimetres_and_an_up_axis_are_turned(tmp_path: Path) -> None:
     np.testing.assert_allclose(load_sequence(tmp_path / "a.usda").vertices, expected, atol=1e-6)
 
 
+def test_without_a_unit_a_body_is_read_in_centimetres_or_refused(tmp_path: Path) -> None:
+    stage = rising(tmp_path / "a.usda", unit=0.01)
+    stage.ClearMetadata("metersPerUnit")
+    stage.Save()
+    np.testing.assert_allclose(load_sequence(tmp_path / "a.usda").vertices[0], square(0.0), atol=1e-6)
+    received = "none, and with USD's own, 0.01, a body 0.01 m tall"
+    for unit, message in (
+        (1.0, f'metersPerUnit: a file that does not say its unit (received "{received}", expected 1 (metres), written'),
+        (0.001, "expected 0.001 (millimetres), written in the file)"),
+        (1e-5, "expected the unit of the file in metres, written in the file)"),
+    ):
+        stage = rising(tmp_path / f"{unit}.usda", unit=unit)
+        stage.ClearMetadata("metersPerUnit")
+        stage.Save()
+        with pytest.raises(InputError, match=re.escape(message)):
+            load_sequence(tmp_path / f"{unit}.usda")
+
+
 def test_a_transform_over_time_moves_a_mesh(tmp_path: Path) -> None:
     stage = rising(tmp_path / "a.usda")
     mesh = stage.GetPrimAtPath("/set/square")

@@ -92,6 +92,16 @@ def test_a_bar_bends_at_its_joint(tmp_path: Path) -> None:
     np.testing.assert_allclose(posed(character, 1), by_pixar(stage, 12), atol=1e-6)
 
 
+def test_a_character_without_a_unit_is_read_in_centimetres_or_refused(tmp_path: Path) -> None:
+    for scale in (100.0, 1.0):
+        stage = bar(tmp_path / f"{scale}.usda", scale)
+        stage.ClearMetadata("metersPerUnit")
+        stage.Save()
+    np.testing.assert_allclose(load_character(tmp_path / "100.0.usda").vertices, POINTS, atol=1e-6)
+    with pytest.raises(InputError, match=r"does not say its unit .*0\.02 m tall.*expected 1 \(metres\)"):
+        load_character(tmp_path / "1.0.usda")
+
+
 def test_centimetres_z_up_and_a_skeleton_that_travels(tmp_path: Path) -> None:
     path = tmp_path / "bar.usda"
     stage = bar(path, scale=100.0)

@@ -1,0 +1,93 @@
+"""What was read of a file is read again where the file has changed."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from assets.io import file_cache
+from assets.io.body_settings import MotionSettings
+from assets.io.converted import write_garment
+from assets.io.file_cache import kept_while_unchanged
+from assets.io.scene import parse_scene
+from assets.procedural.mannequin import builtin_mannequin
+from pbd import DistanceField
+from runtime.garment_setup import colliders_of
+from runtime.scene_body import clip_of, load_body
+from tests.assets.captures import write_bvh
+from tests.assets.files import bar_glb, turn_z
+from tests.wrinkles.meshes import icosphere
+
+
+def test_a_file_is_read_once_until_its_size_or_its_time_changes(tmp_path: Path) -> None:
+    path, reads = tmp_path / "a.txt", []
+
+    @kept_while_unchanged
+    def read(file: Path | str, word: int) -> str:
+        reads.append(word)
+        return Path(file).read_text()
+
+    path.write_text("one")
+    assert (read(path, 1), read(str(path), 1), reads) == ("one", "one", [1])
+    path.write_text("three")  # another size
+    assert (read(path, 1), read(path, 1), reads) == ("three", "three", [1, 1])
+    path.write_text("seven")
+    os.utime(path, ns=(0, path.stat().st_mtime_ns + 10**6))  # the same size a millisecond later
+    assert (read(path, 1), read(path, 2), reads) == ("seven", "seven", [1, 1, 1, 2])
+    path.unlink()
+    with pytest.raises(OSError):
+        read(path, 1)
+
+
+def test_the_oldest_results_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(file_cache, "_MOST_KEPT", 2)
+    reads = []
+    read = kept_while_unchanged(lambda number: reads.append(number) or number)
+    for number in (1, 2, 3, 3, 2, 1):
+        assert read(number) == number
+    assert reads == [1, 2, 3, 1]
+
+
+def test_a_character_that_is_exported_again_is_the_new_one(tmp_path: Path) -> None:
+    path = bar_glb(1.0).write(tmp_path / "bar.glb")
+    assert load_body(path) is load_body(path)
+    assert np.ptp(load_body(path).vertices[:, 1]) == pytest.approx(2.0)
+    bar_glb(0.75).write(path)
+    assert np.ptp(load_body(path).vertices[:, 1]) == pytest.approx(1.5)
+
+
+def test_a_clip_that_is_exported_again_plays_on_the_body_that_is_there(tmp_path: Path) -> None:
+    path = bar_glb().write(tmp_path / "bar.glb")
+    body, motion = load_body(path), MotionSettings(file=path, clip="bend")
+    glb = bar_glb()
+    glb.json["animations"] = []
+    glb.clip("bend", (1, "rotation", [0.0, 2.0], [turn_z(0), turn_z(30)], "LINEAR"))
+    glb.write(path)
+    assert body.clip("bend").duration == 1.0
+    assert clip_of(body, motion).duration == 2.0
+
+
+def test_a_captured_motion_that_is_written_again_is_the_new_one(tmp_path: Path) -> None:
+    mannequin, path = builtin_mannequin(), tmp_path / "still.bvh"
+    parents = [int(parent) for parent in mannequin.joint_parents]
+    standing = np.tile(mannequin.joint_transforms(*mannequin.rest_local)[:, :3, 3], (9, 1, 1))
+    motion = MotionSettings(file=path)
+    for frames in (5, 9):
+        write_bvh(path, mannequin.joint_names, parents, standing[:frames], 30.0)
+        clip = clip_of(mannequin, motion)
+        assert clip is clip_of(mannequin, motion)
+        assert clip.frame_count == frames
+
+
+def test_the_mesh_of_a_collider_that_is_written_again_is_the_new_one(tmp_path: Path) -> None:
+    text = '[[garment]]\nname = "cloth"\nmesh = "builtin:skirt"\n[[collider]]\ntype = "field"\nmesh = "ball.obj"\n'
+    depths = []
+    for radius in (0.1, 0.25):
+        write_garment(tmp_path / "ball.obj", *icosphere(1, radius), None, "ball")
+        (field,) = colliders_of(parse_scene(text + "spacing = 0.05\n", tmp_path / "scene.toml"))
+        assert isinstance(field, DistanceField)
+        depths.append(float(field.values.min()))
+    assert depths == pytest.approx([-0.1, -0.25], abs=0.06)  # grid points lie up to 43 mm off the middle
