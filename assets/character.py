@@ -202,7 +202,8 @@ def load_character(path: str | PathLike[str], name: str | None = None) -> Charac
     A glTF file (.glb or .gltf) is in metres and Y up; a USD file (.usd, .usda, .usdc, .usdz) names its unit and its up
     axis and is turned. All skinned meshes are merged. Vertices at one position with the same weights become one, so
     that texture seams close; parts that touch but move apart stay apart. Of more than four influences the best four
-    stay. Morph targets and meshes without a skin are left out.
+    stay. Morph targets (blend shapes) are part of the bind pose at the weights that the file gives; their animation and
+    meshes without a skin are left out.
 
     Args:
         path: the file, or "builtin:mannequin" for the built-in character.

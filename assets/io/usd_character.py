@@ -24,7 +24,8 @@ def read_character(path: Path, name: str | None) -> Character:
     """Read the character of a file: all meshes that are bound to its one skeleton.
 
     Every animation (SkelAnimation) that moves a joint of the skeleton becomes a clip of the animation's name. Blend
-    shapes and meshes without a skeleton are left out.
+    shapes whose weights in the skeleton's animation never change are part of the bind pose; others and meshes without a
+    skeleton are left out.
 
     Args:
         path: a .usd, .usda, .usdc or .usdz file.
@@ -50,10 +51,11 @@ def character_of(stage: Any, path: Path, name: str) -> Character:
             "bad bind pose", file=path, key=f"{key}, bindTransforms", received=len(bind), expected=expected
         )
     root = to_metres(stage, path) @ _to_world(skeleton.GetPrim(), None, path)
-    pieces = [_piece(target, joints, root, path) for target in targets]
-    vertices, faces, weights = merge_pieces(pieces)
+    weights = _still_weights(query.GetAnimQuery(), path)
+    pieces = [_piece(target, joints, root, weights, path) for target in targets]
+    vertices, faces, influences = merge_pieces(pieces)
     check_unit(vertices, path)
-    joint_indices, joint_weights = best_influences(weights)
+    joint_indices, joint_weights = best_influences(influences)
     to_parent = np.linalg.inv(np.where((parents < 0)[:, None, None], np.eye(4), bind[parents]))
     rest_local = decompose(to_parent @ bind, f"{path}, {key}, bind pose")
     return Character(
@@ -116,8 +118,66 @@ def _to_world(prim: Any, time: float | None, path: Path) -> Floats:
     return matrix(UsdGeom.XformCache(at).GetLocalToWorldTransform(prim), path, str(prim.GetPath()))
 
 
-def _piece(target: Any, joints: list[str], root: Floats, path: Path) -> tuple[Floats, Any, Any]:
-    """Vertices of a bound mesh in the world [m], its faces, and its weights, shape (n, joints)."""
+def _still_weights(animation: Any, path: Path) -> dict[str, float]:
+    """Weights of blend shapes that never change in an animation, by name; the animation may be none."""
+    from pxr import Usd
+
+    names = [str(name) for name in animation.GetBlendShapeOrder() or []] if animation else []
+    if not names:
+        return {}
+    key = f"{animation.GetPrim().GetPath()}, blendShapeWeights"
+    codes = animation.GetBlendShapeWeightTimeSamples() or [Usd.TimeCode.Default()]
+    given = [list(animation.ComputeBlendShapeWeights(code) or []) for code in codes]
+    if not any(given):
+        return {}
+    if {len(weights) for weights in given} != {len(names)}:
+        expected = f"{len(names)}, one for each blend shape"
+        raise InputError("bad values", file=path, key=key, received=len(given[0]), expected=expected)
+    weights = numbers(given, len(names), path, key)
+    still = np.ptp(weights, axis=0) < 1e-6
+    return {name: float(weights[0, index]) for index, name in enumerate(names) if still[index]}
+
+
+def _shaped(points: Floats, target: Any, weights: dict[str, float], path: Path, key: str) -> Floats:
+    """Points of a bound mesh, moved by its blend shapes at given weights, shape (n, 3)."""
+    from pxr import UsdSkel, Vt
+
+    names = [str(name) for name in target.GetBlendShapeOrder() or []] if target.HasBlendShapes() else []
+    own = [weights.get(name, 0.0) for name in names]
+    if not any(own):
+        return points
+    query = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(target.GetPrim()))
+    found = sum(bool(query.GetBlendShape(index)) for index in range(query.GetNumBlendShapes()))
+    if found != len(names) or query.GetNumBlendShapes() != len(names):
+        where, expected = f"{key}, blendShapeTargets", f"{len(names)}, one for each of skel:blendShapes"
+        raise InputError("missing blend shapes", file=path, key=where, received=found, expected=expected)
+    offsets, indices = query.ComputeSubShapePointOffsets(), query.ComputeBlendShapePointIndices()
+    points = points.copy()
+    for weight, shape, part in zip(*query.ComputeSubShapeWeights(Vt.FloatArray(own)), strict=True):
+        if not len(offsets[part]):  # the shape without any offsets, between which and another in-between shapes lie
+            continue
+        where = f"{key}, blend shape {names[shape]}"
+        moves = numbers(offsets[part], 3, path, where)
+        rows = np.array(indices[shape], np.int64) if len(indices[shape]) else np.arange(len(points))
+        if len(rows) != len(moves) or rows.min() < 0 or rows.max() >= len(points):
+            received, expected = f"{len(moves)} offsets for {len(rows)} points", f"points below {len(points)}"
+            raise InputError("bad offsets", file=path, key=where, received=received, expected=expected)
+        np.add.at(points, rows, weight * moves)
+    return points
+
+
+def _piece(
+    target: Any, joints: list[str], root: Floats, weights: dict[str, float], path: Path
+) -> tuple[Floats, Any, Any]:
+    """Vertices of a bound mesh in the world [m], its faces, and its influences, shape (n, joints).
+
+    Args:
+        target: the mesh's binding.
+        joints: paths of the skeleton's joints.
+        root: from the skeleton's space to the world, shape (4, 4).
+        weights: of blend shapes, by name [-].
+        path: the file, for messages.
+    """
     from pxr import Usd, UsdGeom
 
     mesh = UsdGeom.Mesh(target.GetPrim())
@@ -126,6 +186,7 @@ def _piece(target: Any, joints: list[str], root: Floats, path: Path) -> tuple[Fl
     if method != "classicLinear":
         raise InputError("another kind of skinning", file=path, key=key, received=method, expected="classicLinear")
     points = numbers(mesh.GetPointsAttr().Get(Usd.TimeCode.EarliestTime()), 3, path, f"{key}, points")
+    points = _shaped(points, target, weights, path, key)
     place = root @ matrix(target.GetGeomBindTransform(), path, f"{key}, geomBindTransform")
     own = target.GetJointOrder()
     own = joints if own is None else [str(joint) for joint in own]
@@ -133,9 +194,9 @@ def _piece(target: Any, joints: list[str], root: Floats, path: Path) -> tuple[Fl
     if unknown:
         raise InputError("joints that the skeleton lacks", file=path, key=f"{key}, joints", received=unknown[:5])
     columns = np.array([joints.index(joint) for joint in own])
-    weights = _weights(target, len(points), columns, len(joints), path, key)
+    influences = _weights(target, len(points), columns, len(joints), path, key)
     faces = mesh_faces(mesh, points, path, np.linalg.det(place[:3, :3]) < 0.0)
-    return points @ place[:3, :3].T + place[:3, 3], faces, weights
+    return points @ place[:3, :3].T + place[:3, 3], faces, influences
 
 
 def _weights(

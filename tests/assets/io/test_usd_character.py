@@ -111,6 +111,50 @@ def test_centimetres_z_up_and_a_skeleton_that_travels(tmp_path: Path) -> None:
     np.testing.assert_allclose(posed(character, 2)[0], [-0.25 + 3.0, 0.0, 0.0], atol=1e-5)
 
 
+def add_shape(stage: Any, name: str, offsets: list[Any], points: list[int]) -> Any:
+    """Give the bar's mesh one more blend shape."""
+    shape = UsdSkel.BlendShape.Define(stage, f"/bar/mesh/{name}")
+    shape.CreateOffsetsAttr(offsets)
+    shape.CreatePointIndicesAttr(points)
+    binding = UsdSkel.BindingAPI(stage.GetPrimAtPath("/bar/mesh"))
+    binding.CreateBlendShapesAttr([*(binding.GetBlendShapesAttr().Get() or []), name])
+    binding.CreateBlendShapeTargetsRel().AddTarget(shape.GetPath())
+    return shape
+
+
+def weigh(stage: Any, names: list[str], *samples: list[float]) -> None:
+    """Give blend shapes their weights: one sample for all times, or one for each second."""
+    bend = UsdSkel.Animation(stage.GetPrimAtPath("/bar/bend"))
+    bend.CreateBlendShapesAttr(names)
+    for second, weights in enumerate(samples):
+        code = 24.0 * second if len(samples) > 1 else Usd.TimeCode.Default()
+        bend.CreateBlendShapeWeightsAttr().Set(weights, code)
+
+
+@pytest.mark.parametrize("samples", [[[0.3, 0.25]], [[0.1, 0.25], [0.9, 0.25]]])
+def test_blend_shapes_with_a_still_weight_shape_the_bind_pose(tmp_path: Path, samples: list[list[float]]) -> None:
+    path = tmp_path / "bar.usda"
+    stage = bar(path)
+    shape = add_shape(stage, "wide", [(1, 0, 0), (2, 0, 0)], [8, 9])
+    shape.CreateInbetween("half").SetWeight(0.5)
+    shape.GetInbetween("half").SetOffsets([(0, 0, 1), (0, 0, 1)])
+    weigh(stage, ["absent", "wide"], *samples)
+    character = load(stage, path)
+    expected = POINTS.copy()
+    expected[8:, 2] += 0.5  # half way to the shape in between
+    np.testing.assert_allclose(character.vertices, expected, atol=1e-6)
+    np.testing.assert_allclose(posed(character, -1), by_pixar(Usd.Stage.Open(str(path)), 24), atol=1e-6)
+
+
+def test_blend_shapes_with_a_weight_that_changes_are_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "bar.usda"
+    stage = bar(path)
+    add_shape(stage, "smile", [(1, 0, 0)] * 10, [])
+    add_shape(stage, "tall", [(0, 1, 0)] * 10, [])
+    weigh(stage, ["smile", "tall"], [0.0, 0.5], [1.0, 0.5])
+    np.testing.assert_allclose(load(stage, path).vertices, POINTS + [0, 0.5, 0], atol=1e-6)
+
+
 def test_a_mesh_of_its_own_place_and_order_of_joints(tmp_path: Path) -> None:
     path = tmp_path / "bar.usda"
     stage = bar(path)
@@ -150,6 +194,11 @@ def second_skeleton(stage: Any) -> None:
     stage.GetPrimAtPath("/other").SetTypeName("SkelRoot")
 
 
+def shaped(stage: Any, offsets: int, points: list[int], weights: list[float]) -> None:
+    add_shape(stage, "wide", [(1, 0, 0)] * offsets, points)
+    weigh(stage, ["wide"], weights)
+
+
 WEIGHTS = [1.0, 0.0] * 10
 SPOILED: dict[str, tuple[Callable[[Any], Any], str]] = {
     "no skin": (lambda s: s.RemovePrim("/bar/mesh"), "no skin: no mesh is bound to a skeleton"),
@@ -181,6 +230,15 @@ SPOILED: dict[str, tuple[Callable[[Any], Any], str]] = {
         ).Set("dualQuaternion"),
         "/bar/mesh: another kind of skinning (received 'dualQuaternion', expected classicLinear)",
     ),
+    "shape's point": (lambda s: shaped(s, 2, [3, 10], [1.0]),
+                      "/bar/mesh, blend shape wide: bad offsets (received '2 offsets for 2 points', expected points"),
+    "shape's offsets": (lambda s: shaped(s, 9, [], [1.0]),
+                        "/bar/mesh, blend shape wide: bad offsets (received '9 offsets for 10 points'"),
+    "shape's weight": (lambda s: shaped(s, 2, [3, 4], [np.nan]), "/bar/bend, blendShapeWeights[0]: values that are"),
+    "shapes' weights": (lambda s: shaped(s, 2, [3, 4], [1.0, 1.0]),
+                        "/bar/bend, blendShapeWeights: bad values (received 2, expected 1, one for each blend shape)"),
+    "no shape": (lambda s: (shaped(s, 2, [3, 4], [1.0]), s.RemovePrim("/bar/mesh/wide")),
+                 "/bar/mesh, blendShapeTargets: missing blend shapes (received 0, expected 1, one for each of"),
     "rotations": (lambda s: attribute(s, "bend", "rotations").Set([Gf.Quatf(0)], 12),
                   "clip bend, rotations: a rotation that is no unit quaternion"),
     "translations": (lambda s: attribute(s, "bend", "translations").Clear(), "clip bend"),
