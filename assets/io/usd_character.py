@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from assets.character import Character, Clip
+from assets.character import Animation, Character, Clip
 from assets.io.skin import MAX_SAMPLES, best_influences, merge_pieces
 from assets.io.usd import matrix, mesh_faces, numbers, open_stage, prims, sample_times, to_metres, transform_times
 from assets.transform import decompose
 from assets.weld import check_unit
 from pbd.errors import InputError
 
-__all__ = ["character_of", "read_character"]
+__all__ = ["animation_of", "character_of", "read_animation", "read_character"]
 
 Floats = NDArray[np.float64]
 
@@ -44,20 +44,13 @@ def character_of(stage: Any, path: Path, name: str) -> Character:
     query = cache.GetSkelQuery(skeleton)
     key = str(skeleton.GetPath())
     joints, parents = _joints(query, path, key)
-    bind = matrix(skeleton.GetBindTransformsAttr().Get() or [], path, f"{key}, bindTransforms")
-    if bind.shape != (len(joints), 4, 4):
-        expected = f"{len(joints)}, one for each joint"
-        raise InputError(
-            "bad bind pose", file=path, key=f"{key}, bindTransforms", received=len(bind), expected=expected
-        )
+    bind, rest_local = _bind_pose(skeleton, parents, path, key)
     root = to_metres(stage, path) @ _to_world(skeleton.GetPrim(), None, path)
     weights = _still_weights(query.GetAnimQuery(), path)
     pieces = [_piece(target, joints, root, weights, path) for target in targets]
     vertices, faces, influences = merge_pieces(pieces)
     check_unit(vertices, path)
     joint_indices, joint_weights = best_influences(influences)
-    to_parent = np.linalg.inv(np.where((parents < 0)[:, None, None], np.eye(4), bind[parents]))
-    rest_local = decompose(to_parent @ bind, f"{path}, {key}, bind pose")
     return Character(
         name=name,
         vertices=vertices,
@@ -73,8 +66,68 @@ def character_of(stage: Any, path: Path, name: str) -> Character:
     )
 
 
+def read_animation(path: Path) -> Animation | None:
+    """The animation of a file with one skeleton to which no mesh is bound; None if there is such a mesh or no clip.
+
+    Raises:
+        InputError: the file cannot be read or is damaged, or has not one skeleton.
+    """
+    with open_stage(path) as stage:
+        return animation_of(stage, path)
+
+
+def animation_of(stage: Any, path: Path) -> Animation | None:
+    """The animation of an open stage; see :func:`read_animation`."""
+    from pxr import UsdSkel
+
+    bound, cache = _bound(stage)
+    if bound or not prims(stage, UsdSkel.Animation):
+        return None
+    skeletons = prims(stage, UsdSkel.Skeleton)
+    if len(skeletons) != 1:
+        received = [str(prim.GetPath()) for prim in skeletons]
+        raise InputError("not one skeleton", file=path, key="Skeleton", received=received, expected="one that moves")
+    skeleton: Any = UsdSkel.Skeleton(skeletons[0])
+    key = str(skeleton.GetPath())
+    joints, parents = _joints(cache.GetSkelQuery(skeleton), path, key)
+    _, rest_local = _bind_pose(skeleton, parents, path, key)
+    root = to_metres(stage, path) @ _to_world(skeleton.GetPrim(), None, path)
+    clips = _clips(stage, cache, skeleton, joints, rest_local, path)
+    return Animation(path, tuple(_short_names(joints)), parents, root, clips)
+
+
+def _bind_pose(
+    skeleton: Any, parents: NDArray[np.int32], path: Path, key: str
+) -> tuple[Floats, tuple[Floats, Floats, Floats]]:
+    """Joints of the bind pose in the skeleton's space, shape (joints, 4, 4), and their local parts."""
+    bind = matrix(skeleton.GetBindTransformsAttr().Get() or [], path, f"{key}, bindTransforms")
+    if bind.shape != (len(parents), 4, 4):
+        expected = f"{len(parents)}, one for each joint"
+        raise InputError(
+            "bad bind pose", file=path, key=f"{key}, bindTransforms", received=len(bind), expected=expected
+        )
+    to_parent = np.linalg.inv(np.where((parents < 0)[:, None, None], np.eye(4), bind[parents]))
+    return bind, decompose(to_parent @ bind, f"{path}, {key}, bind pose")
+
+
 def _skinned(stage: Any, path: Path) -> tuple[Any, Any, list[Any]]:
     """The skeleton, USD's cache of what belongs to it, and the meshes that are bound to it."""
+    from pxr import UsdGeom, UsdSkel
+
+    found, cache = _bound(stage)
+    if not found and prims(stage, UsdSkel.Animation) and not prims(stage, UsdGeom.Mesh):
+        problem = "no skin: no mesh is bound to a skeleton, there is only an animation"
+        raise InputError(problem, file=path, expected="a character: a mesh that is bound to a skeleton")
+    if not found:
+        raise InputError("no skin: no mesh is bound to a skeleton", file=path, expected="a SkelRoot with both")
+    if len(found) > 1:
+        raise InputError("several skeletons", file=path, key="SkelRoot", received=list(found), expected="one")
+    ((skeleton, meshes),) = found.values()
+    return skeleton, cache, meshes
+
+
+def _bound(stage: Any) -> tuple[dict[str, tuple[Any, list[Any]]], Any]:
+    """Skeletons by their paths with the meshes that are bound to them, and USD's cache of what belongs to them."""
     from pxr import Usd, UsdGeom, UsdSkel
 
     cache: Any = UsdSkel.Cache()
@@ -86,13 +139,7 @@ def _skinned(stage: Any, path: Path) -> tuple[Any, Any, list[Any]]:
             skeleton = binding.GetSkeleton()
             meshes = [target for target in binding.GetSkinningTargets() if target.GetPrim().IsA(UsdGeom.Mesh)]
             found.setdefault(str(skeleton.GetPath()), (skeleton, []))[1].extend(meshes)
-    found = {key: bound for key, bound in found.items() if bound[1]}
-    if not found:
-        raise InputError("no skin: no mesh is bound to a skeleton", file=path, expected="a SkelRoot with both")
-    if len(found) > 1:
-        raise InputError("several skeletons", file=path, key="SkelRoot", received=list(found), expected="one")
-    ((skeleton, meshes),) = found.values()
-    return skeleton, cache, meshes
+    return {key: bound for key, bound in found.items() if bound[1]}, cache
 
 
 def _joints(query: Any, path: Path, key: str) -> tuple[list[str], NDArray[np.int32]]:

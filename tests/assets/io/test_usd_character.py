@@ -3,6 +3,7 @@
 import random
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,12 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
-from assets.character import Character, load_character
+from assets.animation import clip_on
+from assets.character import Character, load_animation, load_character
 from assets.io.sequence import is_sequence
 from assets.skinning import skin_vertices
 from pbd.errors import InputError
+from tests.assets.files import bar_glb
 
 HEIGHTS = np.repeat(np.linspace(0.0, 2.0, 5), 2)
 POINTS = np.stack([np.tile([-0.25, 0.25], 5), HEIGHTS, np.zeros(10)], axis=1)
@@ -183,6 +186,40 @@ def test_a_rigid_mesh_and_meshes_without_a_skin(tmp_path: Path) -> None:
     character = load(stage, path)
     assert len(character.vertices) == 13 and len(character.faces) == 9
     np.testing.assert_allclose(posed(character, 2)[-3:], [[-1, 1, 1], [-1, 2, 1], [-2, 2, 1]], atol=1e-6)
+
+
+def test_a_clip_without_a_mesh_is_put_on_characters_of_both_formats(tmp_path: Path) -> None:
+    path = tmp_path / "bend.usda"
+    stage = bar(path, scale=100.0)
+    stage.RemovePrim("/bar/mesh")
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.Xformable(stage.GetPrimAtPath("/bar")).AddRotateXOp().Set(90.0)
+    stage.Save()
+    with pytest.raises(InputError, match="no mesh is bound to a skeleton, there is only an animation"):
+        load_character(path)
+    found = load_animation(path, ())
+    assert found is not None
+    inner = load(bar(tmp_path / "inner.usda", scale=100.0), tmp_path / "inner.usda")
+    for character in (inner, load_character(bar_glb().write(tmp_path / "bar.glb"))):
+        expected = posed(character, 2)
+        np.testing.assert_allclose(expected[-2:], [[-1.0, 0.75, 0.0], [-1.0, 1.25, 0.0]], atol=1e-6)
+        put_on = replace(character, clips={"bend": clip_on(character, found, "bend")})
+        np.testing.assert_allclose(posed(put_on, 2), expected, atol=1e-5)
+
+
+def test_other_files_of_usd_are_no_animation(tmp_path: Path) -> None:
+    path = tmp_path / "bar.usda"
+    stage = bar(path)
+    stage.Save()
+    assert load_animation(path, ()) is None
+    stage.RemovePrim("/bar/mesh")
+    stage.RemovePrim("/bar/skeleton")
+    stage.Save()
+    with pytest.raises(InputError, match=r"Skeleton: not one skeleton \(received \[\], expected one that moves"):
+        load_animation(path, ())
+    stage.RemovePrim("/bar/bend")
+    stage.Save()
+    assert load_animation(path, ()) is None
 
 
 def attribute(stage: Any, prim: str, name: str) -> Any:
