@@ -8,6 +8,7 @@ skinning.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
@@ -24,8 +25,10 @@ __all__ = [
     "CHARACTER_SUFFIXES",
     "SEQUENCE_SUFFIXES",
     "USD_SUFFIXES",
+    "Animation",
     "Character",
     "Clip",
+    "load_animation",
     "load_character",
     "with_clips",
 ]
@@ -200,13 +203,33 @@ class Character:
         return self.clips[name]
 
 
+@dataclass(frozen=True, eq=False)
+class Animation:
+    """A skeleton with clips and without a mesh.
+
+    Attributes:
+        file: the file that it comes from.
+        joint_names: one name per joint, not always different.
+        joint_parents: index of the parent, -1 at a root, parents first, shape (joints,), int32.
+        root_transform: constant transform above the root joints, to metres, Y up, shape (4, 4).
+        clips: clips of these joints, by name.
+    """
+
+    file: Path
+    joint_names: tuple[str, ...]
+    joint_parents: NDArray[np.int32]
+    root_transform: Floats
+    clips: dict[str, Clip]
+
+
 def load_character(path: str | PathLike[str], name: str | None = None) -> Character:
     """A skinned character with all its clips from a glTF 2.0 or USD file, in metres, Y up.
 
     A glTF file (.glb or .gltf) is in metres and Y up; a USD file (.usd, .usda, .usdc, .usdz) names its unit and its up
     axis and is turned. All skinned meshes are merged. Vertices at one position with the same weights become one, so
     that texture seams close; parts that touch but move apart stay apart. Of more than four influences the best four
-    stay. Morph targets and meshes without a skin are left out.
+    stay. Morph targets (blend shapes) are part of the bind pose at the weights that the file gives; their animation and
+    meshes without a skin are left out.
 
     Args:
         path: the file, or "builtin:mannequin" for the built-in character.
@@ -232,6 +255,26 @@ def load_character(path: str | PathLike[str], name: str | None = None) -> Charac
     character = read_character(path, name)
     check_right_side_out(character.vertices, character.faces, path)
     return character
+
+
+def load_animation(path: str | PathLike[str], joint_names: Sequence[str]) -> Animation | None:
+    """The animation in a glTF or USD file without a skinned mesh; None if it has such a mesh or no clip.
+
+    Args:
+        path: the file.
+        joint_names: joints of the character that it is meant for.
+
+    Raises:
+        InputError: the file cannot be read or is damaged, or a USD file has not one skeleton.
+    """
+    path = Path(path)
+    if path.suffix.lower() in USD_SUFFIXES:
+        from assets.io.usd_character import read_animation as read_usd
+
+        return read_usd(path)
+    from assets.io.gltf_character import read_animation
+
+    return read_animation(path, joint_names)
 
 
 def with_clips(character: Character, other: Character) -> Character:

@@ -12,7 +12,7 @@ from assets.character import Character, Clip
 from assets.transform import decompose, slerp
 from pbd.errors import InputError
 
-__all__ = ["ClipMotion", "Motion", "part_of"]
+__all__ = ["ClipMotion", "Motion", "part_of", "uppermost_joints"]
 
 Floats = NDArray[np.float64]
 
@@ -123,7 +123,7 @@ class ClipMotion:
         """
         character, first = self._character, self._frames[0]
         bind, target = character.joint_transforms(*character.rest_local), self._joint_transforms(first)
-        tops = _hips(character)
+        tops = uppermost_joints(character)
         parents = character.joint_parents.copy()
         parents[tops] = -1
         roots = parents < 0
@@ -164,7 +164,7 @@ def _between(character: Character, start: Floats, end: Floats, share: float) -> 
     return character.pose_from_local(mixed[:, :3], slerp(start[:, 3:7], end[:, 3:7], share), mixed[:, 7:])
 
 
-def _hips(character: Character) -> NDArray[np.intp]:
+def uppermost_joints(character: Character) -> NDArray[np.intp]:
     """The uppermost joints that carry skin, the one with the most first.
 
     A joint carries skin from a thousandth of it: the roots of some skeletons stand on the floor with a few stray

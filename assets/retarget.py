@@ -10,6 +10,7 @@ chest.
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,9 @@ Floats = NDArray[np.float64]
 # A first frame is a pose that was put before the motion where a joint leaves it faster than this [m/s], and faster than
 # ever after by this factor.
 _MAX_SPEED, _SPEED_RATIO = 20.0, 3.0
+# A trunk or a leg points along an axis where the cosine between them is more than this [-]. An axis is up if this share
+# of them points along it; if the zero pose stands along it, too, the smaller share is enough [-].
+_ALONG, _NEARLY_ALL, _MANY = 0.8, 0.9, 0.4
 _TRUNK_ENDS = ("left upper arm", "right upper arm", "left upper leg", "right upper leg")
 # The skin's lowest point stands on the floor at this percentile of about so many frames [%].
 _FLOOR_SHARE, _FLOOR_FRAMES = 5.0, 60
@@ -69,20 +73,21 @@ def load_joint_table(path: Path) -> dict[str, tuple[str, str]]:
 def retargeted(character: Character, motion: Bvh, table: dict[str, tuple[str, str]] | None = None) -> Clip:
     """A clip that moves a character as a captured motion goes.
 
-    The motion is scaled by the length of the legs, begins above the origin, and is lifted or lowered so that the skin
-    stands as high as in the bind pose. A first frame that only holds a pose of another kind, from which a joint
-    would jump, is left out.
+    The motion is turned if it stands along another axis than Y, scaled by the length of the legs, begins above the
+    origin, and is lifted or lowered so that the skin stands as high as in the bind pose. A first frame that only holds
+    a pose of another kind, from which a joint would jump, is left out.
 
     Args:
         character: the character, Y up.
-        motion: the captured motion, Y up, in any unit.
+        motion: the captured motion, in any unit.
         table: joints of the parts of the body that their names do not say, as :func:`load_joint_table` returns it.
 
     Raises:
         InputError: an arm or a leg that is found in one of both skeletons only or in none, a joint that does not exist,
-            or bones without length.
+            bones without length, or a motion that lies, although its zero pose stands along Y.
     """
     ours, theirs = _matched(character, motion, table or {})
+    motion = _upright(motion, theirs)
     bind = character.joint_transforms(*character.rest_local)
     ours["trunk"] = common_ancestor(character.joint_parents, [ours[part] for part in _TRUNK_ENDS])
     theirs["trunk"] = common_ancestor(motion.joint_parents, [theirs[part] for part in _TRUNK_ENDS])
@@ -150,6 +155,47 @@ def _check_chains(owner: str, parts: dict[str, int], parents: NDArray[np.int32])
                 if joint < 0:
                     expected = f"a {lower} that hangs on the {upper}"
                     raise InputError("joints that are no limb", file=owner, key=lower, expected=expected)
+
+
+def _upright(motion: Bvh, theirs: dict[str, int]) -> Bvh:
+    """The motion with Y up: turned where the body stands along another axis, else as it is.
+
+    Raises:
+        InputError: the body stands along another axis in nearly all frames, but along Y in the zero pose.
+    """
+    shares, zero_pose = _standing(motion.positions, theirs), _standing(motion.zero_pose[None], theirs)
+    axis = int(shares.argmax())
+    if axis == 1 or shares[axis] < (_MANY if zero_pose[axis] == 1.0 else _NEARLY_ALL):
+        return motion
+    name = ("X", "Y", "Z", "-X", "-Y", "-Z")[axis]
+    if zero_pose[1] == 1.0:
+        raise InputError(
+            f"a body that lies, or a motion with {name} up whose zero pose has Y up",
+            file=motion.file,
+            key="up axis",
+            received=f"{name} in {100.0 * shares[axis]:.0f} % of the frames, Y in the zero pose",
+            expected="Y up in both: export it again with Y up",
+        )
+    up = np.eye(3)[axis % 3] * (1.0 if axis < 3 else -1.0)
+    turn = _shortest_turn(up[None], np.eye(3)[None, 1])[0]
+    return replace(motion, positions=motion.positions @ turn.T, zero_pose=motion.zero_pose @ turn.T)
+
+
+def _standing(positions: Floats, parts: dict[str, int]) -> Floats:
+    """Share of trunks and straight legs that point up along X, Y, Z, -X, -Y and -Z, shape (6,).
+
+    Both point along one axis if the body stands or lies, the trunk alone if it sits or crawls.
+
+    Args:
+        positions: of the joints, shape (f, joints, 3).
+        parts: joint of each part of the body.
+    """
+    middle = {
+        part: (positions[:, parts[f"left {part}"]] + positions[:, parts[f"right {part}"]]) / 2.0
+        for part in ("upper arm", "upper leg", "foot")
+    }
+    lines = _unit(np.concatenate([middle["upper arm"] - middle["upper leg"], middle["upper leg"] - middle["foot"]]))
+    return (np.concatenate([lines, -lines], axis=1) > _ALONG).mean(axis=0)
 
 
 def _leg_length(places: dict[str, Floats]) -> float:

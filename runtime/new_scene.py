@@ -32,6 +32,7 @@ MENDS = {
     "cannot be read": "check the path",
     "not glTF": "export again as glTF 2.0 (.glb)",
     "not a binary glTF": "export again as glTF 2.0 (.glb)",
+    "only an animation": "give the file of the body; this one's clips can stand under [[training.clips]] in its scene",
     "no skin": "bind the mesh to an armature (Blender: Parent, With Automatic Weights) and export with Skinning",
     "skin without weights": "give every vertex a weight (Blender: Weights, Assign Automatic From Bones)",
     "no clip that moves": "export with Animation, each action on a track of the armature",

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.character import Character, Clip, load_character, with_clips
+from assets.animation import clip_on
+from assets.character import Animation, Character, Clip, load_animation, load_character, with_clips
 from assets.io.body_settings import MotionSettings
 from assets.io.bvh import read_bvh
 from assets.io.file_cache import kept_while_unchanged
@@ -46,6 +47,16 @@ def captured_clip(body: Character, file: Path, joints: Path | None) -> Clip:
     return retargeted(body, read_bvh(file), None if joints is None else load_joint_table(joints))
 
 
+@kept_while_unchanged
+def separate_animation(file: Path | str, joint_names: tuple[str, ...]) -> Animation | None:
+    """The animation of a file without a skinned mesh, loaded once; None for every other file.
+
+    Raises:
+        InputError: as :func:`assets.character.load_animation`.
+    """
+    return None if str(file).startswith("builtin:") else load_animation(file, joint_names)
+
+
 def clip_of(body: Character, motion: MotionSettings) -> Clip:
     """The whole clip that a motion is a part of, on this body.
 
@@ -55,6 +66,9 @@ def clip_of(body: Character, motion: MotionSettings) -> Clip:
     """
     if motion.clip is None:
         return captured_clip(body, Path(motion.file), motion.joints)
+    animation = separate_animation(motion.file, body.joint_names)
+    if animation is not None:
+        return clip_on(body, animation, motion.clip)
     other = load_body(motion.file)
     if motion.clip not in other.clips:
         known = "one of " + ", ".join(sorted(other.clips)) if other.clips else "a file with clips"

@@ -1,7 +1,7 @@
 """BVH motion capture: a skeleton's joints over time, as positions.
 
 The format names neither units nor an up axis nor a pose to start from; the rotations of a file mean nothing without its
-own zero pose. What is read are therefore positions, in the file's own units, Y up.
+own zero pose. What is read are therefore positions, in the file's own units and axes.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ __all__ = ["Bvh", "read_bvh"]
 Floats = NDArray[np.float64]
 
 _MAX_NUMBERS = 2**28  # in a file: more is a damaged one
+_SPARE_LINES = 5  # after the announced frames: some programs write a frame more than they announce, or a remark
 _CHANNEL = re.compile(r"([XYZ])(position|rotation)", re.IGNORECASE)
 
 
@@ -33,6 +34,7 @@ class Bvh:
         joint_names: one name per joint, all different.
         joint_parents: index of the parent, -1 at a root, parents first, shape (joints,), int32.
         positions: of the joints in the file's units, shape (frames, joints, 3), float64.
+        zero_pose: the same without any rotation, by the joints' offsets alone, shape (joints, 3), float64.
         rate: frames a second [Hz].
     """
 
@@ -40,6 +42,7 @@ class Bvh:
     joint_names: tuple[str, ...]
     joint_parents: NDArray[np.int32]
     positions: Floats
+    zero_pose: Floats
     rate: float
 
 
@@ -55,11 +58,12 @@ def read_bvh(path: Path) -> Bvh:
     """Read a BVH file.
 
     A position channel replaces the joint's offset along its axis. Rotations are applied in the order of the channels,
-    the first one outermost.
+    the first one outermost. The announced frames are read; a few lines after them are passed over.
 
     Raises:
-        InputError: the file cannot be read, a line cannot be understood, two joints share a name, the numbers of a
-            frame are not as many as the channels or not finite; the message names the line.
+        InputError: the file cannot be read, a line cannot be understood, two joints share a name, there are fewer
+            frames than announced or many more, the numbers of a frame are not as many as the channels or not finite;
+            the message names the line.
     """
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
@@ -73,7 +77,10 @@ def read_bvh(path: Path) -> Bvh:
     joints, end = _hierarchy(path, lines)
     values, rate = _motion(path, lines[end:], sum(len(joint.channels) for joint in joints))
     parents = np.array([joint.parent for joint in joints], np.int32)
-    return Bvh(path, tuple(joint.name for joint in joints), parents, _positions(joints, values), rate)
+    zero_pose = np.array([joint.offset for joint in joints])
+    for joint, parent in enumerate(parents):
+        zero_pose[joint] += zero_pose[parent] if parent >= 0 else 0.0
+    return Bvh(path, tuple(joint.name for joint in joints), parents, _positions(joints, values), zero_pose, rate)
 
 
 def _hierarchy(path: Path, lines: list[tuple[int, str]]) -> tuple[list[_Joint], int]:
@@ -148,7 +155,7 @@ def _motion(path: Path, lines: list[tuple[int, str]], width: int) -> tuple[Float
         expected = f"'Frames:' and 'Frame Time:', at most {_MAX_NUMBERS // max(width, 1)} frames"
         raise InputError("bad head of the motion", file=path, key="MOTION", received=heads, expected=expected)
     count, rows = int(heads[0]), lines[2:]
-    if len(rows) != count:
+    if not count <= len(rows) <= count + _SPARE_LINES:
         raise InputError(
             "a truncated file, or one with more frames than it says",
             file=path,
@@ -157,7 +164,7 @@ def _motion(path: Path, lines: list[tuple[int, str]], width: int) -> tuple[Float
             expected=f"{count}",
         )
     values = np.zeros((count, width))
-    for frame, (number, line) in enumerate(rows):
+    for frame, (number, line) in enumerate(rows[:count]):
         words = line.split()
         try:
             if len(words) != width:

@@ -28,14 +28,16 @@ def kept_while_unchanged(read: Callable[P, T]) -> Callable[P, T]:
     """A function that reads files, called again with the same arguments only where one of the files has changed.
 
     Args:
-        read: takes positional arguments that can be keys of a dictionary; those that are strings or paths name files,
-            or built-in things, which never change.
+        read: takes arguments, in one order, that can be keys of a dictionary; those that are strings or paths name
+            files, or built-in things, which never change.
     """
     kept: dict[tuple[Any, ...], tuple[list[tuple[int, int] | None], T]] = {}
 
     @wraps(read)
     def found(*args: P.args, **kwargs: P.kwargs) -> T:
-        key = tuple(Path(value).absolute() if isinstance(value, (str, Path)) else value for value in args)
+        key = tuple(
+            Path(value).absolute() if isinstance(value, (str, Path)) else value for value in (*args, *kwargs.values())
+        )
         states = [file_state(value) for value in key if isinstance(value, Path)]
         before = kept.get(key)
         if before is not None and before[0] == states:

@@ -28,6 +28,9 @@ Floats = NDArray[np.float64]
 Parts = tuple[Floats, Floats, Floats]
 
 _COMPONENTS = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
+_INDICES = (5121, 5123, 5125)  # the unsigned ones
+_MAX_COUNT = 2**26  # of sparse numbers: more is a damaged file
+_MAX_WEIGHT = 1e6  # of a morph target [-]
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _TRIANGLE_LIST = 4
 # Kinds of the parts of the JSON that are read, where a file has them; a list of one stands for any number.
@@ -37,8 +40,14 @@ _OUTLINE: dict[str, Any] = {
     "extensionsRequired": [str],
     "scene": int,
     "scenes": [{"nodes": [int]}],
-    "nodes": [_ENTRY | {"children": [int], "mesh": int, "skin": int}],
-    "meshes": [_ENTRY | {"primitives": [{"attributes": {}, "indices": int, "mode": int}]}],
+    "nodes": [_ENTRY | {"children": [int], "mesh": int, "skin": int, "weights": [(int, float)]}],
+    "meshes": [
+        _ENTRY
+        | {
+            "primitives": [{"attributes": {}, "indices": int, "mode": int, "targets": [{"POSITION": int}]}],
+            "weights": [(int, float)],
+        }
+    ],
     "skins": [{"joints": [int], "inverseBindMatrices": int}],
     "animations": [
         _ENTRY
@@ -47,7 +56,20 @@ _OUTLINE: dict[str, Any] = {
             "samplers": [{"input": int, "output": int, "interpolation": str}],
         }
     ],
-    "accessors": [_ENTRY | {"bufferView": int, "componentType": int, "count": int, "type": str}],
+    "accessors": [
+        _ENTRY
+        | {
+            "bufferView": int,
+            "componentType": int,
+            "count": int,
+            "type": str,
+            "sparse": {
+                "count": int,
+                "indices": _ENTRY | {"bufferView": int, "componentType": int},
+                "values": _ENTRY | {"bufferView": int},
+            },
+        }
+    ],
     "bufferViews": [_ENTRY | {"buffer": int, "byteStride": int}],
     "buffers": [_ENTRY | {"uri": str}],
 }
@@ -195,17 +217,29 @@ class Document:
         """Numbers of an accessor, shape (count, width); normalised integers as float64.
 
         Raises:
-            InputError: it does not exist, lies outside its buffer, or is sparse; ``key`` names its use.
+            InputError: it does not exist or lies outside its buffer; ``key`` names its use.
         """
         entry = self.entry("accessors", index, key)
         key = f"{key}, accessor {index}"
         if entry.get("componentType") not in _COMPONENTS or entry.get("type") not in _WIDTHS:
             raise self.error("numbers of an unknown kind", key=key, received=entry.get("type"))
-        if "sparse" in entry or "bufferView" not in entry:
-            raise self.error("sparse numbers are not supported", key=key)
-        view = self.entry("bufferViews", entry["bufferView"], key)
         kind, width = np.dtype(_COMPONENTS[entry["componentType"]]), _WIDTHS[entry["type"]]
-        count = self.whole(entry, "count", key)
+        count, sparse = self.whole(entry, "count", key), entry.get("sparse")
+        if sparse is None or "bufferView" in entry:
+            data = self._numbers(entry, kind, width, count, key)
+        elif 0 < count <= _MAX_COUNT:
+            data = np.zeros((count, width), kind)
+        else:
+            raise self.error("sparse numbers that are too many or none", key, count, f"at most {_MAX_COUNT}")
+        if sparse is not None:
+            self._replace(data, sparse, key)
+        if entry.get("normalized") and kind.kind in "iu":
+            return np.maximum(data.astype(np.float64) / np.iinfo(kind).max, -1.0)
+        return data
+
+    def _numbers(self, entry: dict[str, Any], kind: np.dtype[Any], width: int, count: int, key: str) -> NDArray[Any]:
+        """Numbers in the part of a buffer that an element names, shape (count, width)."""
+        view = self.entry("bufferViews", entry.get("bufferView"), key)
         begin, start = self.whole(view, "byteOffset", key, 0), self.whole(entry, "byteOffset", key, 0)
         stride = self.whole(view, "byteStride", key, kind.itemsize * width)
         needed = start + (count - 1) * stride + kind.itemsize * width
@@ -215,10 +249,19 @@ class Document:
             raise self.error(
                 "numbers outside their buffer: the file is truncated or damaged", key=key, received=f"{count} elements"
             )
-        data = np.ndarray((count, width), kind, self.buffers[buffer], begin + start, (stride, kind.itemsize))
-        if entry.get("normalized") and kind.kind in "iu":
-            return np.maximum(data.astype(np.float64) / np.iinfo(kind).max, -1.0)
-        return data.copy()
+        return np.ndarray((count, width), kind, self.buffers[buffer], begin + start, (stride, kind.itemsize)).copy()
+
+    def _replace(self, data: NDArray[Any], sparse: dict[str, Any], key: str) -> None:
+        """Put the numbers of a sparse accessor in their rows of ``data``, shape (count, width)."""
+        places = sparse.get("indices", {})
+        kind = places.get("componentType")
+        if kind not in _INDICES:
+            raise self.error("sparse numbers without indices", key, kind, f"one of the types {_INDICES}")
+        count = self.whole(sparse, "count", key)
+        rows = self._numbers(places, np.dtype(_COMPONENTS[kind]), 1, count, f"{key}, indices")[:, 0]
+        if rows.max() >= len(data):
+            raise self.error("sparse numbers at an index that does not exist", key, int(rows.max()))
+        data[rows] = self._numbers(sparse.get("values", {}), data.dtype, data.shape[1], count, f"{key}, values")
 
     def integers(self, index: Any, key: str) -> NDArray[np.int64]:
         """Numbers of an accessor that count or index something, shape (count, width).
@@ -232,25 +275,29 @@ class Document:
         return values.astype(np.int64)
 
     def primitives(self, node: int) -> list[Primitive]:
-        """Triangles of the mesh that a node shows, in the mesh's own space.
+        """Triangles of the mesh that a node shows, in the mesh's own space, with its morph targets' default weights.
 
         Raises:
-            InputError: anything else than triangles, positions that are not finite, or a face with a bad index.
+            InputError: anything else than triangles, positions that are not finite, a face with a bad index, or weights
+                that do not fit the morph targets.
         """
         number = self.entry("nodes", node, f"node {node}").get("mesh")
         mesh = self.entry("meshes", number, f"node {self.node_name(node)}")
-        found = []
+        found, weights = [], self.json["nodes"][node].get("weights", mesh.get("weights", []))
         if not mesh.get("primitives"):
             raise self.error("a mesh without triangles", key=f"mesh {mesh.get('name') or number}")
         for index, entry in enumerate(mesh["primitives"]):
             key = f"mesh {mesh.get('name') or number}, primitive {index}"
             if entry.get("mode", _TRIANGLE_LIST) != _TRIANGLE_LIST:
                 raise self.error("not a list of triangles", key=key, received=entry["mode"], expected="mode 4")
-            found.append(self._primitive(key, entry.get("indices"), entry.get("attributes", {})))
+            found.append(self._primitive(key, entry, weights))
         return found
 
-    def _primitive(self, key: str, indices: Any, attributes: dict[str, Any]) -> Primitive:
+    def _primitive(self, key: str, entry: dict[str, Any], weights: list[float]) -> Primitive:
+        indices, attributes, targets = entry.get("indices"), entry.get("attributes", {}), entry.get("targets", [])
         vertices = self.accessor(attributes.get("POSITION"), f"{key}, POSITION").astype(np.float64)
+        if any(weights):
+            vertices += self._morph(vertices.shape, targets, weights, key)
         bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
         if vertices.shape[1] != 3 or bad.size:
             where = f"{key}, vertex {bad[0]}" if bad.size else key
@@ -276,6 +323,21 @@ class Document:
             if texture.shape != (len(vertices), 2) or not np.isfinite(texture).all():
                 raise self.error("texture coordinates that are not two finite numbers a vertex", key=key)
         return Primitive(key, vertices, faces.astype(np.int32), texture, attributes)
+
+    def _morph(self, shape: tuple[int, ...], targets: list[dict[str, Any]], weights: list[float], key: str) -> Floats:
+        """How far morph targets move the vertices at given weights, of a given shape."""
+        if len(weights) != len(targets) or not all(abs(weight) <= _MAX_WEIGHT for weight in weights):
+            expected = f"{len(targets)} numbers up to {_MAX_WEIGHT:g}, one for each morph target"
+            raise self.error("bad weights", f"{key}, targets", weights, expected)
+        moved = np.zeros(shape)
+        for number, (target, weight) in enumerate(zip(targets, weights, strict=True)):
+            if weight and "POSITION" in target:
+                where = f"{key}, target {number}, POSITION"
+                moves = self.accessor(target["POSITION"], where).astype(np.float64)
+                if moves.shape != shape or not np.isfinite(moves).all():
+                    raise self.error("not three finite numbers for each vertex", where, moves.shape, str(shape))
+                moved += weight * moves
+        return moved
 
 
 def read_document(path: Path) -> Document:

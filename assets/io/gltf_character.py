@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from assets.character import Character, Clip
+from assets.character import Animation, Character, Clip
 from assets.io.gltf import Document, Primitive, read_document
 from assets.io.skin import MAX_SAMPLES, best_influences, merge_pieces
 from assets.transform import decompose, slerp
 from assets.weld import check_unit
 
-__all__ = ["bind_vertices", "read_character"]
+__all__ = ["bind_vertices", "read_animation", "read_character"]
 
 Floats = NDArray[np.float64]
 
@@ -66,10 +67,35 @@ def bind_vertices(path: Path) -> Floats:
     return _skinned_mesh(read_document(path))[0][0]
 
 
+def read_animation(path: Path, joint_names: Collection[str]) -> Animation | None:
+    """The animation of a file without a skinned mesh; None if it has such a mesh or nothing moves.
+
+    Args:
+        path: a .glb or .gltf file.
+        joint_names: of nodes that are joints even if they do not move.
+
+    Raises:
+        InputError: the file cannot be read or is damaged.
+    """
+    document = read_document(path)
+    moving = _animated(document)
+    if not moving or any("skin" in document.json["nodes"][node] for node in document.mesh_nodes()):
+        return None
+    nodes = range(len(document.parents))
+    joints = [node for node in nodes if node in moving or document.json["nodes"][node].get("name") in joint_names]
+    kept = list(dict.fromkeys(node for joint in joints for node in document.chain(joint)))
+    place = {node: index for index, node in enumerate(kept)}
+    parents = np.array([place.get(document.parents[node], -1) for node in kept], np.int32)
+    names = tuple(document.node_name(node) for node in kept)
+    return Animation(path, names, parents, np.eye(4), _clips(document, kept))
+
+
 def _skinned_mesh(document: Document) -> tuple[Any, list[int], NDArray[np.int32], Floats, Floats]:
     """All skinned meshes as one, see :func:`merge_pieces`, and the skeleton: joints (nodes), parents, root, bind."""
     shown = document.mesh_nodes()
     skinned = [node for node in shown if "skin" in document.json["nodes"][node]]
+    if not shown and _animated(document):
+        raise document.error("only an animation, without a mesh", "meshes", expected="a character: a mesh with a skin")
     if not skinned:
         raise document.error("no skin: nothing ties the mesh to joints", "nodes", f"{len(shown)} meshes without a skin")
     joints = {node: _skin_joints(document, node) for node in skinned}
@@ -104,14 +130,8 @@ def _skeleton(document: Document, joints: list[int]) -> tuple[list[int], NDArray
     Nodes between two joints become joints that carry no weight, and so do animated nodes above the joints; what stands
     above all of them and never moves is the root transform.
     """
-    animated = {
-        channel.get("target", {}).get("node")
-        for animation in document.json.get("animations", [])
-        for channel in animation.get("channels", [])
-        if channel.get("target", {}).get("path") in _ANIMATED_WIDTHS
-    }
     chains = [document.chain(joint) for joint in dict.fromkeys(joints)]
-    moving = set(joints) | animated
+    moving = set(joints) | _animated(document)
     above = 0
     while all(len(c) > above and c[above] == chains[0][above] and c[above] not in moving for c in chains):
         above += 1
@@ -122,6 +142,17 @@ def _skeleton(document: Document, joints: list[int]) -> tuple[list[int], NDArray
     place = {node: index for index, node in enumerate(kept)}
     parents = np.array([place.get(document.parents[node], -1) for node in kept], dtype=np.int32)
     return kept, parents, root
+
+
+def _animated(document: Document) -> set[int]:
+    """Nodes that an animation moves."""
+    targets = [
+        channel.get("target", {})
+        for animation in document.json.get("animations", [])
+        for channel in animation.get("channels", [])
+    ]
+    nodes = range(len(document.parents))
+    return {one["node"] for one in targets if one.get("node") in nodes and one.get("path") in _ANIMATED_WIDTHS}
 
 
 def _bind_pose(

@@ -78,9 +78,13 @@ def open_stage(path: Path, guarded: bool = True) -> Iterator[Any]:
 
 def read_all(path: Path) -> None:
     """Read all that this project reads of a file, whatever it holds, in this very process."""
-    from assets.io.usd_character import character_of  # is made of this module's parts
+    from assets.io.usd_character import animation_of, character_of  # are made of this module's parts
 
-    for read in (lambda stage: character_of(stage, path, "probe"), lambda stage: _point_cache(stage, path)):
+    for read in (
+        lambda stage: character_of(stage, path, "probe"),
+        lambda stage: animation_of(stage, path),
+        lambda stage: _point_cache(stage, path),
+    ):
         with suppress(InputError), open_stage(path, guarded=False) as stage:
             read(stage)
 

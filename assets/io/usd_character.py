@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from assets.character import Character, Clip
+from assets.character import Animation, Character, Clip
 from assets.io.skin import MAX_SAMPLES, best_influences, merge_pieces
 from assets.io.usd import (
     check_unit_said,
@@ -25,7 +25,7 @@ from assets.transform import decompose
 from assets.weld import check_unit
 from pbd.errors import InputError
 
-__all__ = ["character_of", "read_character"]
+__all__ = ["animation_of", "character_of", "read_animation", "read_character"]
 
 Floats = NDArray[np.float64]
 
@@ -34,7 +34,8 @@ def read_character(path: Path, name: str | None) -> Character:
     """Read the character of a file: all meshes that are bound to its one skeleton.
 
     Every animation (SkelAnimation) that moves a joint of the skeleton becomes a clip of the animation's name. Blend
-    shapes and meshes without a skeleton are left out.
+    shapes whose weights in the skeleton's animation never change are part of the bind pose; others and meshes without a
+    skeleton are left out.
 
     Args:
         path: a .usd, .usda, .usdc or .usdz file.
@@ -53,20 +54,14 @@ def character_of(stage: Any, path: Path, name: str) -> Character:
     query = cache.GetSkelQuery(skeleton)
     key = str(skeleton.GetPath())
     joints, parents = _joints(query, path, key)
-    bind = matrix(skeleton.GetBindTransformsAttr().Get() or [], path, f"{key}, bindTransforms")
-    if bind.shape != (len(joints), 4, 4):
-        expected = f"{len(joints)}, one for each joint"
-        raise InputError(
-            "bad bind pose", file=path, key=f"{key}, bindTransforms", received=len(bind), expected=expected
-        )
+    bind, rest_local = _bind_pose(skeleton, parents, path, key)
     root = to_metres(stage, path) @ _to_world(skeleton.GetPrim(), None, path)
-    pieces = [_piece(target, joints, root, path) for target in targets]
-    vertices, faces, weights, texture = merge_pieces(pieces)
+    weights = _still_weights(query.GetAnimQuery(), path)
+    pieces = [_piece(target, joints, root, weights, path) for target in targets]
+    vertices, faces, influences, texture = merge_pieces(pieces)
     check_unit_said(stage, vertices, path)
     check_unit(vertices, path)
-    joint_indices, joint_weights = best_influences(weights)
-    to_parent = np.linalg.inv(np.where((parents < 0)[:, None, None], np.eye(4), bind[parents]))
-    rest_local = decompose(to_parent @ bind, f"{path}, {key}, bind pose")
+    joint_indices, joint_weights = best_influences(influences)
     return Character(
         name=name,
         vertices=vertices,
@@ -83,8 +78,68 @@ def character_of(stage: Any, path: Path, name: str) -> Character:
     )
 
 
+def read_animation(path: Path) -> Animation | None:
+    """The animation of a file with one skeleton to which no mesh is bound; None if there is such a mesh or no clip.
+
+    Raises:
+        InputError: the file cannot be read or is damaged, or has not one skeleton.
+    """
+    with open_stage(path) as stage:
+        return animation_of(stage, path)
+
+
+def animation_of(stage: Any, path: Path) -> Animation | None:
+    """The animation of an open stage; see :func:`read_animation`."""
+    from pxr import UsdSkel
+
+    bound, cache = _bound(stage)
+    if bound or not prims(stage, UsdSkel.Animation):
+        return None
+    skeletons = prims(stage, UsdSkel.Skeleton)
+    if len(skeletons) != 1:
+        received = [str(prim.GetPath()) for prim in skeletons]
+        raise InputError("not one skeleton", file=path, key="Skeleton", received=received, expected="one that moves")
+    skeleton: Any = UsdSkel.Skeleton(skeletons[0])
+    key = str(skeleton.GetPath())
+    joints, parents = _joints(cache.GetSkelQuery(skeleton), path, key)
+    _, rest_local = _bind_pose(skeleton, parents, path, key)
+    root = to_metres(stage, path) @ _to_world(skeleton.GetPrim(), None, path)
+    clips = _clips(stage, cache, skeleton, joints, rest_local, path)
+    return Animation(path, tuple(_short_names(joints)), parents, root, clips)
+
+
+def _bind_pose(
+    skeleton: Any, parents: NDArray[np.int32], path: Path, key: str
+) -> tuple[Floats, tuple[Floats, Floats, Floats]]:
+    """Joints of the bind pose in the skeleton's space, shape (joints, 4, 4), and their local parts."""
+    bind = matrix(skeleton.GetBindTransformsAttr().Get() or [], path, f"{key}, bindTransforms")
+    if bind.shape != (len(parents), 4, 4):
+        expected = f"{len(parents)}, one for each joint"
+        raise InputError(
+            "bad bind pose", file=path, key=f"{key}, bindTransforms", received=len(bind), expected=expected
+        )
+    to_parent = np.linalg.inv(np.where((parents < 0)[:, None, None], np.eye(4), bind[parents]))
+    return bind, decompose(to_parent @ bind, f"{path}, {key}, bind pose")
+
+
 def _skinned(stage: Any, path: Path) -> tuple[Any, Any, list[Any]]:
     """The skeleton, USD's cache of what belongs to it, and the meshes that are bound to it."""
+    from pxr import UsdGeom, UsdSkel
+
+    found, cache = _bound(stage)
+    if not found and prims(stage, UsdSkel.Animation) and not prims(stage, UsdGeom.Mesh):
+        problem = "no skin: no mesh is bound to a skeleton, there is only an animation"
+        raise InputError(problem, file=path, expected="a character: a mesh that is bound to a skeleton")
+    if not found:
+        raise InputError("no skin: no mesh is bound to a skeleton", file=path, expected="a SkelRoot with both")
+    if len(found) > 1:
+        raise InputError("several skeletons", file=path, key="SkelRoot", received=list(found), expected="one")
+    ((skeleton, meshes),) = found.values()
+    return skeleton, cache, meshes
+
+
+def _bound(stage: Any) -> tuple[dict[str, tuple[Any, list[Any]]], Any]:
+    """Skeletons by their paths with the meshes that are bound to them, and USD's cache of what belongs to them."""
     from pxr import Usd, UsdGeom, UsdSkel
 
     cache: Any = UsdSkel.Cache()
@@ -96,13 +151,7 @@ def _skinned(stage: Any, path: Path) -> tuple[Any, Any, list[Any]]:
             skeleton = binding.GetSkeleton()
             meshes = [target for target in binding.GetSkinningTargets() if target.GetPrim().IsA(UsdGeom.Mesh)]
             found.setdefault(str(skeleton.GetPath()), (skeleton, []))[1].extend(meshes)
-    found = {key: bound for key, bound in found.items() if bound[1]}
-    if not found:
-        raise InputError("no skin: no mesh is bound to a skeleton", file=path, expected="a SkelRoot with both")
-    if len(found) > 1:
-        raise InputError("several skeletons", file=path, key="SkelRoot", received=list(found), expected="one")
-    ((skeleton, meshes),) = found.values()
-    return skeleton, cache, meshes
+    return {key: bound for key, bound in found.items() if bound[1]}, cache
 
 
 def _joints(query: Any, path: Path, key: str) -> tuple[list[str], NDArray[np.int32]]:
@@ -128,8 +177,66 @@ def _to_world(prim: Any, time: float | None, path: Path) -> Floats:
     return matrix(UsdGeom.XformCache(at).GetLocalToWorldTransform(prim), path, str(prim.GetPath()))
 
 
-def _piece(target: Any, joints: list[str], root: Floats, path: Path) -> tuple[Floats, Any, Any, Floats | None]:
-    """A bound mesh in the world as :func:`merge_pieces` takes it."""
+def _still_weights(animation: Any, path: Path) -> dict[str, float]:
+    """Weights of blend shapes that never change in an animation, by name; the animation may be none."""
+    from pxr import Usd
+
+    names = [str(name) for name in animation.GetBlendShapeOrder() or []] if animation else []
+    if not names:
+        return {}
+    key = f"{animation.GetPrim().GetPath()}, blendShapeWeights"
+    codes = animation.GetBlendShapeWeightTimeSamples() or [Usd.TimeCode.Default()]
+    given = [list(animation.ComputeBlendShapeWeights(code) or []) for code in codes]
+    if not any(given):
+        return {}
+    if {len(weights) for weights in given} != {len(names)}:
+        expected = f"{len(names)}, one for each blend shape"
+        raise InputError("bad values", file=path, key=key, received=len(given[0]), expected=expected)
+    weights = numbers(given, len(names), path, key)
+    still = np.ptp(weights, axis=0) < 1e-6
+    return {name: float(weights[0, index]) for index, name in enumerate(names) if still[index]}
+
+
+def _shaped(points: Floats, target: Any, weights: dict[str, float], path: Path, key: str) -> Floats:
+    """Points of a bound mesh, moved by its blend shapes at given weights, shape (n, 3)."""
+    from pxr import UsdSkel, Vt
+
+    names = [str(name) for name in target.GetBlendShapeOrder() or []] if target.HasBlendShapes() else []
+    own = [weights.get(name, 0.0) for name in names]
+    if not any(own):
+        return points
+    query = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(target.GetPrim()))
+    found = sum(bool(query.GetBlendShape(index)) for index in range(query.GetNumBlendShapes()))
+    if found != len(names) or query.GetNumBlendShapes() != len(names):
+        where, expected = f"{key}, blendShapeTargets", f"{len(names)}, one for each of skel:blendShapes"
+        raise InputError("missing blend shapes", file=path, key=where, received=found, expected=expected)
+    offsets, indices = query.ComputeSubShapePointOffsets(), query.ComputeBlendShapePointIndices()
+    points = points.copy()
+    for weight, shape, part in zip(*query.ComputeSubShapeWeights(Vt.FloatArray(own)), strict=True):
+        if not len(offsets[part]):  # the shape without any offsets, between which and another in-between shapes lie
+            continue
+        where = f"{key}, blend shape {names[shape]}"
+        moves = numbers(offsets[part], 3, path, where)
+        rows = np.array(indices[shape], np.int64) if len(indices[shape]) else np.arange(len(points))
+        if len(rows) != len(moves) or rows.min() < 0 or rows.max() >= len(points):
+            received, expected = f"{len(moves)} offsets for {len(rows)} points", f"points below {len(points)}"
+            raise InputError("bad offsets", file=path, key=where, received=received, expected=expected)
+        np.add.at(points, rows, weight * moves)
+    return points
+
+
+def _piece(
+    target: Any, joints: list[str], root: Floats, weights: dict[str, float], path: Path
+) -> tuple[Floats, Any, Any, Floats | None]:
+    """A bound mesh in the world as :func:`merge_pieces` takes it.
+
+    Args:
+        target: the mesh's binding.
+        joints: paths of the skeleton's joints.
+        root: from the skeleton's space to the world, shape (4, 4).
+        weights: of blend shapes, by name [-].
+        path: the file, for messages.
+    """
     from pxr import Usd, UsdGeom
 
     mesh = UsdGeom.Mesh(target.GetPrim())
@@ -138,6 +245,7 @@ def _piece(target: Any, joints: list[str], root: Floats, path: Path) -> tuple[Fl
     if method != "classicLinear":
         raise InputError("another kind of skinning", file=path, key=key, received=method, expected="classicLinear")
     points = numbers(mesh.GetPointsAttr().Get(Usd.TimeCode.EarliestTime()), 3, path, f"{key}, points")
+    points = _shaped(points, target, weights, path, key)
     place = root @ matrix(target.GetGeomBindTransform(), path, f"{key}, geomBindTransform")
     own = target.GetJointOrder()
     own = joints if own is None else [str(joint) for joint in own]
@@ -145,9 +253,9 @@ def _piece(target: Any, joints: list[str], root: Floats, path: Path) -> tuple[Fl
     if unknown:
         raise InputError("joints that the skeleton lacks", file=path, key=f"{key}, joints", received=unknown[:5])
     columns = np.array([joints.index(joint) for joint in own])
-    weights = _weights(target, len(points), columns, len(joints), path, key)
+    influences = _weights(target, len(points), columns, len(joints), path, key)
     faces, texture = mesh_faces(mesh, points, path, np.linalg.det(place[:3, :3]) < 0.0)
-    return points @ place[:3, :3].T + place[:3, 3], faces, weights, texture
+    return points @ place[:3, :3].T + place[:3, 3], faces, influences, texture
 
 
 def _weights(

@@ -12,7 +12,7 @@ import numpy as np
 from ezdxf.document import Drawing
 from ezdxf.enums import InsertUnits
 
-from assets.character import load_character
+from assets.character import load_animation, load_character
 from assets.fabrics import PRESETS, load_fabric
 from assets.garment import load_garment
 from assets.io.bvh import read_bvh
@@ -49,8 +49,8 @@ def _with_seams(path: Path) -> Path:
 
 
 READERS: Mapping[str, tuple[Callable[[Path], Any], ...]] = {
-    ".glb": (load_character, load_garment),
-    ".gltf": (load_character, load_garment),
+    ".glb": (load_character, load_garment, lambda path: load_animation(path, ())),
+    ".gltf": (load_character, load_garment, lambda path: load_animation(path, ())),
     ".obj": (load_garment, lambda path: load_garment(path, pattern=True)),
     ".toml": (load_scene,),
     ".h5": (read_database,),
@@ -62,8 +62,8 @@ READERS: Mapping[str, tuple[Callable[[Path], Any], ...]] = {
     ".pc2": (lambda path: load_sequence(_with_mesh(path), 30.0),),
     ".mdd": (lambda path: load_sequence(_with_mesh(path)),),
     ".bvh": (read_bvh,),
-    ".usdc": (load_character, load_sequence),
-    ".usda": (load_character, load_sequence),
+    ".usdc": (load_character, load_sequence, lambda path: load_animation(path, ())),
+    ".usda": (load_character, load_sequence, lambda path: load_animation(path, ())),
     ".json": (load_fabric, load_pattern, read_cost_table),
     ".svg": (lambda path: load_pattern(_with_seams(path)),),
     ".dxf": (lambda path: load_pattern(_with_seams(path)),),

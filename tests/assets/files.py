@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["Glb", "bar_glb", "turn_z"]
+__all__ = ["Glb", "bar_glb", "bend_glb", "turn_z"]
 
 _COMPONENTS = {"int8": 5120, "uint8": 5121, "int16": 5122, "uint16": 5123, "uint32": 5125, "float32": 5126}
 _TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
@@ -104,6 +104,13 @@ def bar_glb(scale: float = 1.0, texture: np.ndarray | None = None) -> Glb:
     }
     half = np.sqrt(0.5)
     glb.clip("bend", (1, "rotation", [0.0, 0.5, 1.0], [[0, 0, 0, 1], turn_z(45), [0, 0, half, half]], "LINEAR"))
+    return glb
+
+
+def bend_glb(scale: float = 1.0) -> Glb:
+    """The nodes of :func:`bar_glb` and its clip, without mesh and skin."""
+    glb = bar_glb(scale)
+    del glb.json["meshes"], glb.json["skins"], glb.json["nodes"][2]["mesh"], glb.json["nodes"][2]["skin"]
     return glb
 
 

@@ -290,6 +290,14 @@ def test_a_gltf_garment_is_welded_and_placed(tmp_path: Path) -> None:
     np.testing.assert_allclose(flat, [[[0, 0], [1, 0], [1, 1]], [[0, 0], [1, 1], [0, 1]]], atol=1e-7)
 
 
+def test_a_gltf_garment_has_the_shape_of_its_morph_weights(tmp_path: Path) -> None:
+    glb = square_glb(weights=[0.5])
+    wide = glb.accessor(np.array([[0, 0, 0], [1, 0, 0], [1, 0, 0], [0, 0, 0], [1, 0, 0], [0, 0, 0]]))
+    glb.json["meshes"][0]["primitives"][0]["targets"] = [{"POSITION": wide}]
+    square = load_garment(glb.write(tmp_path / "square.glb"))
+    assert square.vertices.tolist() == [[0, 0, 0], [1.5, 0, 0], [1.5, 1, 0], [0, 1, 0]]
+
+
 def test_bad_gltf_garments_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "square.glb"
     data = square_glb().bytes()

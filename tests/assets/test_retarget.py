@@ -1,6 +1,7 @@
 """Captured motion on a character: what the joints do, whatever units, names and zero pose the capture has."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,56 @@ def test_a_pose_before_the_motion_is_left_out(tmp_path: Path, truth: np.ndarray)
     cut = retargeted(mannequin, capture(tmp_path, np.concatenate([inserted, truth])))
     assert cut.frame_count == plain.frame_count
     np.testing.assert_allclose(cut.rotation, plain.rotation, atol=1e-5)
+
+
+# Where X, Y and Z of the mannequin point in a file with another axis up.
+TURNS = {
+    "Z": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+    "X": [[0, 1, 0], [1, 0, 0], [0, 0, -1]],
+    "-Z": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+    "-Y": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
+}
+
+
+@pytest.mark.parametrize("up", TURNS)
+def test_a_motion_with_another_axis_up_is_turned(tmp_path: Path, truth: np.ndarray, up: str) -> None:
+    mannequin, some = builtin_mannequin(), truth[::12]
+    plain, turned = (
+        places(mannequin, retargeted(mannequin, capture(tmp_path, joints))) for joints in (some, some @ TURNS[up])
+    )
+    np.testing.assert_allclose(turned[..., 1], plain[..., 1], atol=1e-5)
+    steps = [np.linalg.norm(joints[1:] - joints[:-1], axis=2) for joints in (turned, plain)]
+    np.testing.assert_allclose(steps[0], steps[1], atol=1e-5)
+
+
+def seated(truth: np.ndarray) -> np.ndarray:
+    """The mannequin's joints with thighs that point forward from the pelvis."""
+    parts, seat = find_parts(builtin_mannequin().joint_names), truth[:5].copy()
+    for side in ("left", "right"):
+        thigh, shin, foot = (parts[f"{side} {part}"] for part in ("upper leg", "lower leg", "foot"))
+        seat[:, shin] = seat[:, thigh] + [0.0, 0.0, 0.43]
+        seat[:, foot] = seat[:, shin] - [0.0, 0.4, 0.0]
+    return seat
+
+
+def test_the_zero_pose_says_which_axis_is_up_of_a_seated_body(tmp_path: Path, truth: np.ndarray) -> None:
+    mannequin, seat, turn = builtin_mannequin(), seated(truth), np.array(TURNS["Z"])
+    plain, lying = (retargeted(mannequin, capture(tmp_path, joints)) for joints in (seat, seat @ turn))
+    # Its legs are bent: without a zero pose, Y is up.
+    assert np.ptp(places(mannequin, plain)[0, :, 1]) > np.ptp(places(mannequin, lying)[0, :, 1]) + 0.2
+    zero_pose = capture(tmp_path, truth @ turn).positions[0]
+    standing = retargeted(mannequin, replace(capture(tmp_path, seat @ turn), zero_pose=zero_pose))
+    np.testing.assert_allclose(standing.rotation, plain.rotation, atol=1e-5)
+
+
+def test_a_body_that_lies_although_its_zero_pose_stands_is_refused(tmp_path: Path, truth: np.ndarray) -> None:
+    standing = capture(tmp_path, truth).positions[0]
+    lying = replace(capture(tmp_path, truth @ TURNS["Z"]), zero_pose=standing)
+    message = (
+        "turned.bvh: up axis: a body that lies, or a motion with Z up whose zero pose has Y up (received 'Z in 100 %"
+    )
+    with pytest.raises(InputError, match=re.escape(message)):
+        retargeted(builtin_mannequin(), lying)
 
 
 RENAMED = {"LeftArm": "bone_7", "LeftUpLeg": "bone_8"}

@@ -10,9 +10,11 @@ from pxr import Usd, UsdGeom
 
 from assets.character import Character, load_character
 from assets.garment import load_garment
+from assets.io.body_settings import MotionSettings
 from assets.io.obj import read_obj
 from assets.io.scene import parse_scene
 from assets.io.sequence import Sequence
+from assets.motion import ClipMotion
 from assets.procedural.mannequin import builtin_mannequin
 from pbd import InputError
 from runtime import command
@@ -21,6 +23,7 @@ from runtime.garment_setup import GarmentSetup
 from runtime.play import open_database
 from runtime.scene_body import body_of, motion_of
 from tests.assets.captures import write_bvh
+from tests.assets.files import bar_glb, bend_glb
 from tests.runtime.baking import sheet_sequence, walking_mannequin
 from tests.runtime.players import SCENE, skirt_database
 from wrinkles.database import write_database
@@ -64,6 +67,16 @@ def test_a_captured_motion_on_a_vertex_sequence_is_refused(folder: Path) -> None
     with pytest.raises(InputError, match=r"body\.usdc: /World/body/mesh: a skinned mesh.*read as a character"):
         body_of(parse_scene(wrong, folder / "scene.toml"))
     assert isinstance(body_of(scene), Character)
+
+
+def test_a_clip_in_a_file_of_its_own_is_played(tmp_path: Path) -> None:
+    body = load_character(bar_glb().write(tmp_path / "bar.glb"))
+    settings = MotionSettings(file=bend_glb().write(tmp_path / "bend.glb"), clip="bend", start=0.5)
+    motion, own = motion_of(body, settings), ClipMotion(body, "bend")
+    assert motion.duration == pytest.approx(1.5)  # a second leads into it
+    np.testing.assert_allclose(motion.pose(1.5), own.pose(2.0), atol=1e-6)
+    with pytest.raises(InputError, match=r"bend\.glb: clip: no such clip \(received 'jump', expected one of bend\)"):
+        motion_of(body, MotionSettings(file=settings.file, clip="jump"))
 
 
 def test_point_caches_are_bodies(folder: Path) -> None:

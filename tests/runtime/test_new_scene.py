@@ -19,7 +19,7 @@ from runtime.new_body import BodyGuess, guess_body, guess_motions
 from runtime.new_garment import guess_garment
 from runtime.new_scene import write_new_scene
 from runtime.scene_simulation import simulation_of
-from tests.assets.files import bar_glb
+from tests.assets.files import bar_glb, bend_glb
 from tests.data import data_path
 
 MANNEQUIN = "builtin:mannequin"
@@ -161,6 +161,8 @@ def broken(folder: Path, kind: str) -> list[str]:
     if kind == "empty":
         (folder / "shirt.obj").write_text("", encoding="utf-8")
         return [character, str(folder / "shirt.obj")]
+    if kind == "only an animation":
+        character = str(bend_glb().write(folder / "bend.glb"))
     if kind in ("no clip", "no skin", "a tiny body"):
         if kind == "no clip":
             bar.json.pop("animations")
@@ -203,6 +205,7 @@ def broken(folder: Path, kind: str) -> list[str]:
     [
         ("empty", "a mesh without faces", "export the mesh"),
         ("no skin", "no skin", "armature"),
+        ("only an animation", "only an animation, without a mesh", "give the file of the body"),
         ("no clip", "no clip that moves", "export with Animation"),
         ("a tiny body", "not the size of a body", "scale it"),
         ("a tiny garment", "not the size of a garment", "scale it"),

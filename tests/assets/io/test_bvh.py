@@ -67,6 +67,16 @@ def test_windows_line_ends_and_small_letters_are_read(tmp_path: Path) -> None:
     assert read_bvh(write(tmp_path, text)).positions.shape == (2, 3, 3)
 
 
+@pytest.mark.parametrize("rest", ["9 9 9 0 0 0 0 0 0\n", "9 9 9 0 0 0 0 0 0\n9 9\n", "# exported\n" * 5])
+def test_lines_after_the_announced_frames_are_passed_over(tmp_path: Path, rest: str) -> None:
+    announced, more = (read_bvh(write(tmp_path, text)) for text in (ARM, ARM + rest))
+    np.testing.assert_array_equal(more.positions, announced.positions)
+
+
+def test_the_zero_pose_is_that_of_the_offsets(tmp_path: Path) -> None:
+    np.testing.assert_array_equal(read_bvh(write(tmp_path, ARM)).zero_pose, [[0, 1, 0], [2, 1, 0], [3, 1, 0]])
+
+
 REFUSED = {
     "empty": ("HIERARCHY", None, "line 1: not a BVH file (received 'an empty file'"),
     "another file": ("HIERARCHY", "FBX", "line 1: not a BVH file (received 'FBX'"),
@@ -87,10 +97,14 @@ REFUSED = {
     "gigantic": ("Frames: 2", "Frames: 99999999999999", "MOTION: bad head of the motion"),
     "no time": ("Frame Time: 0.05", "Frame Time: nan", "line 22: bad line"),
     "truncated": ("5 6 7 90 0 0 0 0 90\n", "", "Frames: a truncated file, or one with more frames than it says"),
+    "many more frames": (
+        "5 6 7 90", "0 1 0 0 0 0 0 0 0\n" * 6 + "5 6 7 90",
+        "Frames: a truncated file, or one with more frames than it says (received '8 lines of numbers', expected 2)",
+    ),
     "a short line": ("5 6 7 90", "5 6 7", "line 24: a frame that has not a number for each channel (received '5 6 7 0"),
     "a word": ("5 6 7 90", "5 6 7 x", "line 24: could not convert string to float: 'x'"),
     "not a number": ("5 6 7 90", "5 6 7 nan", "line 24: a number that is not finite"),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", REFUSED)

@@ -159,6 +159,58 @@ def test_data_in_the_json_and_beside_it(tmp_path: Path) -> None:
         assert len(load_character(tmp_path / "bar.gltf").vertices) == 10
 
 
+def morph(glb: Glb, weights: object, rows: int = 10) -> None:
+    """Give the bar two morph targets, one that moves its top by 1 m in x and another that moves nothing."""
+    moves = np.zeros((rows, 3))
+    moves[8:, 0] = 1.0
+    target = glb.accessor(moves)
+    glb.json["meshes"][0]["primitives"][0]["targets"] = [{"POSITION": target}, {"NORMAL": target}]
+    glb.json["meshes"][0]["weights"] = weights
+
+
+def test_default_weights_of_morph_targets_shape_the_bind_pose(tmp_path: Path) -> None:
+    plain, glb = load(bar_glb(), tmp_path), bar_glb()
+    expected = plain.vertices.copy()
+    morph(glb, [0.25, 1.0])
+    expected[8:, 0] += 0.25
+    np.testing.assert_allclose(load(glb, tmp_path).vertices, expected, atol=1e-6)
+    glb.json["nodes"][2]["weights"] = [-0.5, 0]  # of the node, instead of the mesh's
+    expected[8:, 0] -= 0.75
+    np.testing.assert_allclose(load(glb, tmp_path).vertices, expected, atol=1e-6)
+    np.testing.assert_allclose(bent(load(glb, tmp_path), 2)[-1], [-1.0, 0.75, 0.0], atol=1e-6)
+    glb.json["nodes"][2]["weights"] = [0, 0]
+    np.testing.assert_array_equal(load(glb, tmp_path).vertices, plain.vertices)
+
+
+def test_animated_weights_of_morph_targets_are_left_out(tmp_path: Path) -> None:
+    plain, glb = load(bar_glb(), tmp_path), bar_glb()
+    morph(glb, [0.0, 0.0])
+    glb.clip("smile", (2, "weights", [0.0, 1.0], [0.0, 0.0, 1.0, 0.0], "LINEAR"))
+    shown = load(glb, tmp_path)
+    assert list(shown.clips) == ["bend"]
+    np.testing.assert_array_equal(shown.vertices, plain.vertices)
+
+
+@pytest.mark.parametrize("base", [False, True])
+def test_sparse_numbers_are_put_in_their_places(tmp_path: Path, base: bool) -> None:
+    plain, glb = load(bar_glb(), tmp_path), bar_glb()
+    morph(glb, [1.0, 0.0])
+    entry = glb.json["accessors"][glb.json["meshes"][0]["primitives"][0]["targets"][0]["POSITION"]]
+    indices, values = (glb.json["accessors"][k] for k in (glb.accessor([3, 9], "uint16"), glb.accessor(np.eye(3)[:2])))
+    entry["sparse"] = {
+        "count": 2,
+        "indices": {name: indices[name] for name in ("bufferView", "componentType")},
+        "values": {"bufferView": values["bufferView"]},
+    }
+    if not base:
+        del entry["bufferView"]  # all others are 0
+    expected = plain.vertices.copy()
+    expected[8, 0] += base
+    expected[3, 0] += 1.0
+    expected[9, 1] += 1.0  # instead of 1 in x
+    np.testing.assert_allclose(load(glb, tmp_path).vertices, expected, atol=1e-6)
+
+
 def node(glb: Glb, **entries: object) -> None:
     glb.json["nodes"][2] |= entries
 
@@ -205,6 +257,21 @@ REFUSED: dict[str, tuple[Callable[[Glb], object], str]] = {
     "accessor": (lambda g: g.json["accessors"][0].update(count=10**6), "POSITION, accessor 0: numbers outside"),
     "no accessor": (lambda g: g.json["skins"][0].update(inverseBindMatrices=99), "skin 0, inverseBindMatrices"),
     "sparse": (lambda g: g.json["accessors"][0].update(sparse={}), "accessor 0: sparse"),
+    "sparse index": (
+        lambda g: g.json["accessors"][0].update(sparse={
+            "count": 1, "indices": {"bufferView": g.json["accessors"][g.accessor([10], "uint8")]["bufferView"],
+                                    "componentType": 5121}, "values": {"bufferView": 0}}),
+        "accessor 0: sparse numbers at an index that does not exist (received 10)",
+    ),
+    "sparse and endless": (
+        lambda g: (g.json["accessors"][0].update(sparse={}, count=10**12), g.json["accessors"][0].pop("bufferView")),
+        "accessor 0: sparse numbers that are too many or none",
+    ),
+    "weights": (lambda g: morph(g, [1.0]), "primitive 0, targets: bad weights (received [1.0], expected 2 numbers"),
+    "NaN weights": (lambda g: morph(g, [1.0, float("nan")]), "primitive 0, targets: bad weights"),
+    "gigantic weights": (lambda g: morph(g, [1, 10**400]), "primitive 0, targets: bad weights"),
+    "words as weights": (lambda g: morph(g, ["1"]), "meshes[0].weights[0]: not glTF"),
+    "short target": (lambda g: morph(g, [1, 0], 9), "primitive 0, target 0, POSITION: not three finite numbers"),
     "extension": (lambda g: g.json.update(extensionsRequired=["KHR_draco_mesh_compression"]), "KHR_draco"),
     "version": (lambda g: g.json["asset"].update(version="1.0"), "asset.version"),
     "kind": (lambda g: g.json["nodes"][1].update(children="tip"), "nodes[1].children: not glTF"),

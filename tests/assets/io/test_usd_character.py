@@ -3,6 +3,7 @@
 import random
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,12 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
-from assets.character import Character, load_character
+from assets.animation import clip_on
+from assets.character import Character, load_animation, load_character
 from assets.io.sequence import is_sequence
 from assets.skinning import skin_vertices
 from pbd.errors import InputError
+from tests.assets.files import bar_glb
 
 HEIGHTS = np.repeat(np.linspace(0.0, 2.0, 5), 2)
 POINTS = np.stack([np.tile([-0.25, 0.25], 5), HEIGHTS, np.zeros(10)], axis=1)
@@ -121,6 +124,50 @@ def test_centimetres_z_up_and_a_skeleton_that_travels(tmp_path: Path) -> None:
     np.testing.assert_allclose(posed(character, 2)[0], [-0.25 + 3.0, 0.0, 0.0], atol=1e-5)
 
 
+def add_shape(stage: Any, name: str, offsets: list[Any], points: list[int]) -> Any:
+    """Give the bar's mesh one more blend shape."""
+    shape = UsdSkel.BlendShape.Define(stage, f"/bar/mesh/{name}")
+    shape.CreateOffsetsAttr(offsets)
+    shape.CreatePointIndicesAttr(points)
+    binding = UsdSkel.BindingAPI(stage.GetPrimAtPath("/bar/mesh"))
+    binding.CreateBlendShapesAttr([*(binding.GetBlendShapesAttr().Get() or []), name])
+    binding.CreateBlendShapeTargetsRel().AddTarget(shape.GetPath())
+    return shape
+
+
+def weigh(stage: Any, names: list[str], *samples: list[float]) -> None:
+    """Give blend shapes their weights: one sample for all times, or one for each second."""
+    bend = UsdSkel.Animation(stage.GetPrimAtPath("/bar/bend"))
+    bend.CreateBlendShapesAttr(names)
+    for second, weights in enumerate(samples):
+        code = 24.0 * second if len(samples) > 1 else Usd.TimeCode.Default()
+        bend.CreateBlendShapeWeightsAttr().Set(weights, code)
+
+
+@pytest.mark.parametrize("samples", [[[0.3, 0.25]], [[0.1, 0.25], [0.9, 0.25]]])
+def test_blend_shapes_with_a_still_weight_shape_the_bind_pose(tmp_path: Path, samples: list[list[float]]) -> None:
+    path = tmp_path / "bar.usda"
+    stage = bar(path)
+    shape = add_shape(stage, "wide", [(1, 0, 0), (2, 0, 0)], [8, 9])
+    shape.CreateInbetween("half").SetWeight(0.5)
+    shape.GetInbetween("half").SetOffsets([(0, 0, 1), (0, 0, 1)])
+    weigh(stage, ["absent", "wide"], *samples)
+    character = load(stage, path)
+    expected = POINTS.copy()
+    expected[8:, 2] += 0.5  # half way to the shape in between
+    np.testing.assert_allclose(character.vertices, expected, atol=1e-6)
+    np.testing.assert_allclose(posed(character, -1), by_pixar(Usd.Stage.Open(str(path)), 24), atol=1e-6)
+
+
+def test_blend_shapes_with_a_weight_that_changes_are_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "bar.usda"
+    stage = bar(path)
+    add_shape(stage, "smile", [(1, 0, 0)] * 10, [])
+    add_shape(stage, "tall", [(0, 1, 0)] * 10, [])
+    weigh(stage, ["smile", "tall"], [0.0, 0.5], [1.0, 0.5])
+    np.testing.assert_allclose(load(stage, path).vertices, POINTS + [0, 0.5, 0], atol=1e-6)
+
+
 def test_a_mesh_of_its_own_place_and_order_of_joints(tmp_path: Path) -> None:
     path = tmp_path / "bar.usda"
     stage = bar(path)
@@ -151,6 +198,40 @@ def test_a_rigid_mesh_and_meshes_without_a_skin(tmp_path: Path) -> None:
     np.testing.assert_allclose(posed(character, 2)[-3:], [[-1, 1, 1], [-1, 2, 1], [-2, 2, 1]], atol=1e-6)
 
 
+def test_a_clip_without_a_mesh_is_put_on_characters_of_both_formats(tmp_path: Path) -> None:
+    path = tmp_path / "bend.usda"
+    stage = bar(path, scale=100.0)
+    stage.RemovePrim("/bar/mesh")
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.Xformable(stage.GetPrimAtPath("/bar")).AddRotateXOp().Set(90.0)
+    stage.Save()
+    with pytest.raises(InputError, match="no mesh is bound to a skeleton, there is only an animation"):
+        load_character(path)
+    found = load_animation(path, ())
+    assert found is not None
+    inner = load(bar(tmp_path / "inner.usda", scale=100.0), tmp_path / "inner.usda")
+    for character in (inner, load_character(bar_glb().write(tmp_path / "bar.glb"))):
+        expected = posed(character, 2)
+        np.testing.assert_allclose(expected[-2:], [[-1.0, 0.75, 0.0], [-1.0, 1.25, 0.0]], atol=1e-6)
+        put_on = replace(character, clips={"bend": clip_on(character, found, "bend")})
+        np.testing.assert_allclose(posed(put_on, 2), expected, atol=1e-5)
+
+
+def test_other_files_of_usd_are_no_animation(tmp_path: Path) -> None:
+    path = tmp_path / "bar.usda"
+    stage = bar(path)
+    stage.Save()
+    assert load_animation(path, ()) is None
+    stage.RemovePrim("/bar/mesh")
+    stage.RemovePrim("/bar/skeleton")
+    stage.Save()
+    with pytest.raises(InputError, match=r"Skeleton: not one skeleton \(received \[\], expected one that moves"):
+        load_animation(path, ())
+    stage.RemovePrim("/bar/bend")
+    stage.Save()
+    assert load_animation(path, ()) is None
+
+
 def attribute(stage: Any, prim: str, name: str) -> Any:
     return stage.GetPrimAtPath(f"/bar/{prim}").GetAttribute(name)
 
@@ -158,6 +239,11 @@ def attribute(stage: Any, prim: str, name: str) -> Any:
 def second_skeleton(stage: Any) -> None:
     stage.DefinePrim("/other").GetReferences().AddInternalReference("/bar")
     stage.GetPrimAtPath("/other").SetTypeName("SkelRoot")
+
+
+def shaped(stage: Any, offsets: int, points: list[int], weights: list[float]) -> None:
+    add_shape(stage, "wide", [(1, 0, 0)] * offsets, points)
+    weigh(stage, ["wide"], weights)
 
 
 WEIGHTS = [1.0, 0.0] * 10
@@ -191,6 +277,15 @@ SPOILED: dict[str, tuple[Callable[[Any], Any], str]] = {
         ).Set("dualQuaternion"),
         "/bar/mesh: another kind of skinning (received 'dualQuaternion', expected classicLinear)",
     ),
+    "shape's point": (lambda s: shaped(s, 2, [3, 10], [1.0]),
+                      "/bar/mesh, blend shape wide: bad offsets (received '2 offsets for 2 points', expected points"),
+    "shape's offsets": (lambda s: shaped(s, 9, [], [1.0]),
+                        "/bar/mesh, blend shape wide: bad offsets (received '9 offsets for 10 points'"),
+    "shape's weight": (lambda s: shaped(s, 2, [3, 4], [np.nan]), "/bar/bend, blendShapeWeights[0]: values that are"),
+    "shapes' weights": (lambda s: shaped(s, 2, [3, 4], [1.0, 1.0]),
+                        "/bar/bend, blendShapeWeights: bad values (received 2, expected 1, one for each blend shape)"),
+    "no shape": (lambda s: (shaped(s, 2, [3, 4], [1.0]), s.RemovePrim("/bar/mesh/wide")),
+                 "/bar/mesh, blendShapeTargets: missing blend shapes (received 0, expected 1, one for each of"),
     "rotations": (lambda s: attribute(s, "bend", "rotations").Set([Gf.Quatf(0)], 12),
                   "clip bend, rotations: a rotation that is no unit quaternion"),
     "translations": (lambda s: attribute(s, "bend", "translations").Clear(), "clip bend"),
