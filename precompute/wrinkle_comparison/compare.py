@@ -356,12 +356,13 @@ def compare_file(
     return found
 
 
-def described(path: Path) -> tuple[Scene, tuple[str, ...]]:
-    """The scene of a database or of a scene file, and the names of the motions that were learned from."""
+def described(path: Path) -> tuple[Scene, tuple[str, ...], float]:
+    """Scene, names of the motions that were learned from, and frame rate [Hz], of a database or a scene file."""
     if path.suffix == ".toml":
-        return load_scene(path), ()
+        scene = load_scene(path)
+        return scene, (), scene.solver.frame_rate
     database = read_database(path)
-    return scene_of(database), database.trained_on
+    return scene_of(database), database.trained_on, database.frame_rate
 
 
 def check_motions(path: Path, clip: str | None = None, seconds: float | None = None) -> None:
@@ -373,7 +374,7 @@ def check_motions(path: Path, clip: str | None = None, seconds: float | None = N
     Raises:
         InputError: a clip that does not exist or was learned from, or a motion too short to judge realism in.
     """
-    scene, trained = described(path)
+    scene, trained, frame_rate = described(path)
     names = tuple(part.name for part in scene.training.held_out)
     taught = [part.clip for part in scene.training.clips]  # a part of the whole clip is enough
     for motion in motions_of(body_of(scene), clip, names, scene)[:MOTIONS]:
@@ -382,7 +383,7 @@ def check_motions(path: Path, clip: str | None = None, seconds: float | None = N
             raise InputError(
                 "the database has learned from this clip", key="--clip", received=motion.name, expected=expected
             )
-        check_length(motion, 1.0 / scene.solver.frame_rate, seconds)
+        check_length(motion, 1.0 / frame_rate, seconds)
 
 
 def check_length(motion: Motion, dt: float, seconds: float | None) -> None:

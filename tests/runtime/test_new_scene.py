@@ -190,6 +190,7 @@ def test_a_scene_that_is_moved_with_its_files_loads(tmp_path: Path, monkeypatch:
     for one in (folder / "meshes", folder / "scenes", data):
         one.mkdir(parents=True)
     monkeypatch.setenv("GUBE_DATA", str(data))
+    monkeypatch.setattr("runtime.new_scene.simulation_of", lambda scene: None)  # takes time and changes no name
     skirt = stored(folder / "meshes", one_layer("skirt"), "skirt.obj")
     shirt = stored(data, one_layer("tshirt"), "shirt.obj")
     write_new_scene(MANNEQUIN, [str(skirt), str(shirt)], folder / "scenes" / "scene.toml")
