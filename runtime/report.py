@@ -32,7 +32,7 @@ __all__ = [
 ]
 
 PLAIN_WAIT, LIVE_WAIT = 4.8, 1.0  # until a line of progress is shown again, in a file and on a terminal [s]
-FIRST_WAIT = 0.8  # until the first one is shown of a command that may end at once [s]
+FIRST_WAIT = 0.4  # until the first one is shown of a command that may end at once [s]
 
 
 @dataclass(frozen=True)
