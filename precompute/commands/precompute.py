@@ -69,6 +69,7 @@ def run(options: argparse.Namespace) -> Report:
         from runtime.terminal import say
 
         scene = load_scene(options.scene)
+        progress("setting up the garment and its body")
         cache = options.cache or default_cache(options.output)
         with workers_of(options.scheduler, options.workers, cache) as workers:
             made = precompute(scene, options.output, cache=cache, workers=workers, report=progress)

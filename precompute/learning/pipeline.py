@@ -172,8 +172,6 @@ def precompute(
         InputError: nothing to learn from, a held-out motion that is trained on too, or a file that cannot be loaded.
     """
     began, output = time.monotonic(), Path(output)
-    if report is not None:
-        report("setting up the garment and its body")
     stage = GarmentSetup.of(scene)
     held_out = _held_out(scene, stage)
     with Workers.of(workers) as pool:
