@@ -62,6 +62,7 @@ class ClipMotion:
         name: the clip's name.
         duration: blend and one pass of the clip [s].
         lead_in: 0; the blend can be learned from.
+        blend: as given [s].
 
     Raises:
         InputError: no clip of that name, a negative blend, a speed that is not positive, or ``loop`` for a clip that
@@ -82,7 +83,7 @@ class ClipMotion:
         self.duration = blend + clip.duration / speed
         self.lead_in = 0.0
         self._character, self._rate = character, clip.rate
-        self._blend, self._speed, self._loop = blend, speed, loop
+        self.blend, self._speed, self._loop = blend, speed, loop
         # One array for all three, so that a frame is one row: columns 0-2, 3-6 and 7-9.
         self._frames = np.concatenate([clip.translation, clip.rotation, clip.scale], axis=2)
         if loop:
@@ -91,11 +92,11 @@ class ClipMotion:
 
     def pose(self, t: float) -> Floats:
         """Skinning matrices at a time [s], shape (joints, 3, 4); held before 0 and, without ``loop``, after the end."""
-        if t < self._blend:
-            s = max(t, 0.0) / self._blend
+        if t < self.blend:
+            s = max(t, 0.0) / self.blend
             return _between(self._loose, self._start, self._end, s * s * (3.0 - 2.0 * s))
         last = len(self._frames) - 1
-        place = (t - self._blend) * self._speed * self._rate
+        place = (t - self.blend) * self._speed * self._rate
         place = place % last if self._loop and last else min(place, last)
         frame = min(int(place), max(last - 1, 0))
         return _between(self._character, self._frames[frame], self._frames[min(frame + 1, last)], place - frame)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -18,6 +17,7 @@ from precompute.learning.options import LearningOptions
 from precompute.learning.pipeline import DEFAULT, precompute
 from precompute.learning.stages import counted
 from precompute.reporting.page import Section, Table, Text, write_page
+from precompute.scratch import scratch_folder
 from precompute.workers import Workers
 from wrinkles.database import code_version, read_database
 
@@ -121,8 +121,8 @@ def _learned(
 ) -> tuple[Outcome, bytes]:
     """The outcome, and the database as the bytes of its file, since a worker may be on another machine."""
     began = time.monotonic()
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"{name}.h5"
+    with scratch_folder() as folder:
+        path = folder / f"{name}.h5"
         try:
             made = precompute(scene, path, cache=cache, workers=workers, report=report, options=options)
         except InputError as error:

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
-from multiprocessing import get_context, parent_process
+from multiprocessing import active_children, get_context, parent_process
 from typing import Any, TypeVar
 
 from threadpoolctl import threadpool_limits
@@ -18,7 +18,7 @@ __all__ = ["Workers", "limit_threads", "run_jobs", "timed", "worker_pool"]
 Result = TypeVar("Result")
 
 BLAS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
-GLANCE = 5.0  # between two looks at what jobs have come to [s]
+GLANCE = 4.0  # between two looks at what jobs have come to [s]
 
 
 class Workers:
@@ -72,14 +72,15 @@ class Workers:
             self._pool = self._open.enter_context(worker_pool(self.count))
         futures = [self._pool.submit(timed, job) for job in jobs]
         pending = set(futures)
-        while pending:
-            ended, pending = wait(pending, timeout=GLANCE, return_when=FIRST_COMPLETED)
-            for count, future in enumerate(ended, len(futures) - len(pending) - len(ended) + 1):
-                result, process, spent = future.result()
-                self._spent[process] = max(spent, self._spent.get(process, 0.0))
-                tell(count, result)
-            if meanwhile is not None:
-                meanwhile()
+        with _ending_children():
+            while pending:
+                ended, pending = wait(pending, timeout=GLANCE, return_when=FIRST_COMPLETED)
+                for count, future in enumerate(ended, len(futures) - len(pending) - len(ended) + 1):
+                    result, process, spent = future.result()
+                    self._spent[process] = max(spent, self._spent.get(process, 0.0))
+                    tell(count, result)
+                if meanwhile is not None:
+                    meanwhile()
         return [future.result()[0] for future in futures]
 
     def __enter__(self) -> Workers:
@@ -128,6 +129,20 @@ def limit_threads() -> None:
 
 
 @contextmanager
+def _ending_children() -> Iterator[None]:
+    """Where somebody ends this process in the block, the processes that it started end at once and write no more."""
+    try:
+        yield
+    except (KeyboardInterrupt, SystemExit):
+        started = active_children()
+        for process in started:
+            process.terminate()
+        for process in started:
+            process.join(GLANCE)
+        raise
+
+
+@contextmanager
 def worker_pool(workers: int, prepare: Callable[[], None] | None = None) -> Iterator[ProcessPoolExecutor]:
     """A pool of new processes; an exception in the block gives up what still waits for its turn.
 
@@ -137,7 +152,8 @@ def worker_pool(workers: int, prepare: Callable[[], None] | None = None) -> Iter
     """
     with ProcessPoolExecutor(workers, get_context("spawn"), _begin, (prepare,)) as pool:
         try:
-            yield pool
+            with _ending_children():
+                yield pool
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise

@@ -10,8 +10,11 @@ This table is the only place below ``precompute`` that names a module of it.
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
+import threading
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -76,11 +79,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from runtime.terminal import say_error
 
     try:
-        if options.json:
-            check_file(options.json, key="--json")
-        report = _command_module(options).run(options)
-        if options.json:
-            write_report(options.json, options.command, report.figures, report.rows)
+        with _ended_by_signals():
+            if options.json:
+                check_file(options.json, key="--json")
+            report = _command_module(options).run(options)
+            if options.json:
+                write_report(options.json, options.command, report.figures, report.rows)
     except InputError as error:
         say_error(f"gube {options.command}", error)
         return 2
@@ -130,6 +134,22 @@ def parser(words: Sequence[str] = ()) -> argparse.ArgumentParser:
         )
         one.set_defaults(module=module)
     return whole
+
+
+@contextmanager
+def _ended_by_signals() -> Iterator[None]:
+    """In the block the signals that end a process do what Ctrl-C does, so that nothing is left half-done."""
+    if threading.current_thread() is not threading.main_thread():  # only that one may set them
+        yield
+        return
+    ending = [one for one in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(one) is signal.SIG_DFL]
+    for one in ending:
+        signal.signal(one, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        for one in ending:
+            signal.signal(one, signal.SIG_DFL)
 
 
 def _asked_for(words: Sequence[str]) -> Iterator[tuple[str, str]]:

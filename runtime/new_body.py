@@ -28,6 +28,7 @@ PART_SECONDS = 15.0  # of one clip that are learned from, at most [s]
 PROCEDURAL_SECONDS = 40.0  # that are learned from as well [s]
 HELD_OUT_SHARE = 0.3  # of the only clip [-]
 MIN_CUT = 3.0  # a shorter clip is not cut in two [s]
+MIN_HELD_OUT = 1.1  # of a clip that `gube compare` can judge by: most of its frames after the cloth has settled [s]
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,8 @@ def guess_motions(guess: BodyGuess) -> MotionGuess:
 
 
 def _shown(clips: Items[Clip]) -> Clip:
-    """The clip to hold out: a walk, else the shortest of at least 3 s, else the longest."""
+    """The clip to hold out, of those that last long enough: a walk, the shortest of at least 3 s, or the longest."""
+    clips = [clip for clip in clips if clip.duration >= MIN_HELD_OUT] or clips
     walks = [clip for clip in clips if "walk" in clip.name.lower()]
     if walks:
         return max(walks, key=lambda clip: clip.duration)
@@ -157,7 +159,8 @@ def _shown(clips: Items[Clip]) -> Clip:
 
 def _cut(motion: MotionSettings, length: float) -> tuple[MotionSettings, MotionSettings]:
     """The beginning of a motion, to learn from, and its end, to hold out."""
-    place = round((1.0 - HELD_OUT_SHARE) * length, 2)
+    share = HELD_OUT_SHARE if length < MIN_CUT else max(HELD_OUT_SHARE, MIN_HELD_OUT / length)
+    place = round((1.0 - share) * length, 2)
     return replace(motion, end=place), replace(motion, start=place)
 
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import wrap
@@ -15,6 +14,7 @@ from assets.fabrics import PRESETS
 from assets.garment import load_garment
 from assets.io.body_settings import MotionSettings
 from assets.io.scene import Scene, parse_scene
+from assets.io.settings import portable_path
 from assets.placement import AS_STORED
 from pbd import InputError
 from pbd.storage import replacing
@@ -68,13 +68,16 @@ class NewScene:
     garments: tuple[GarmentGuess, ...]
 
 
-def write_new_scene(character: str, garments: Sequence[str], path: Path) -> NewScene:
+def write_new_scene(
+    character: str, garments: Sequence[str], path: Path, report: Callable[[str], None] = lambda line: None
+) -> NewScene:
     """Look at a character and garments, write a scene file that works, and load it once.
 
     Args:
         character: a character (.glb, .gltf), "builtin:mannequin", or a vertex sequence (.npz).
         garments: .obj, .glb or .gltf files, sewn garments (.npz), or built-in ones.
         path: the scene file; files that are converted are written beside it.
+        report: called with lines of progress.
 
     Raises:
         InputError: all that is wrong with the files, each with what mends it.
@@ -93,6 +96,7 @@ def write_new_scene(character: str, garments: Sequence[str], path: Path) -> NewS
     except InputError as error:
         errors.append(_with_mend(error))
     for garment in dict.fromkeys(garments):
+        report(f"looking at {garment}")
         try:
             if body is None:
                 _check_alone(garment)
@@ -106,6 +110,7 @@ def write_new_scene(character: str, garments: Sequence[str], path: Path) -> NewS
     found = [found[k] for k in in_order([(guess.garment.vertices, guess.garment.faces) for guess in found])]
     text = "\n".join(_lines(body, motions, found, folder)) + "\n"
     scene = parse_scene(text, path.absolute())
+    report("loading the scene")
     simulation_of(scene)  # what cannot be simulated is refused here, not later
     with replacing(path) as beside:
         beside.write_text(text, encoding="utf-8")
@@ -236,10 +241,8 @@ def _motion_lines(motion: MotionSettings, folder: Path) -> Iterator[str]:
 
 
 def _path(file: Path | str, folder: Path) -> str:
-    """A file as the scene names it: relative where it lies in the scene's folder or below."""
-    if isinstance(file, Path) and file.is_relative_to(folder):
-        file = os.path.relpath(file, folder)
-    return _quoted(str(file))
+    """A file as the scene names it, so that both can be moved together: see :func:`portable_path`."""
+    return _quoted(portable_path(file, folder) if isinstance(file, Path) else file)
 
 
 def _quoted(text: str) -> str:

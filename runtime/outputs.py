@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
 from pathlib import Path
+from typing import Any
 
 from pbd.errors import InputError
 
-__all__ = ["check_file", "check_folder"]
+__all__ = ["check_file", "check_folder", "check_is_no_source"]
 
 
 def check_file(path: Path, *endings: str, key: str = "-o") -> None:
@@ -28,6 +31,36 @@ def check_file(path: Path, *endings: str, key: str = "-o") -> None:
     if endings and path.suffix.lower() not in endings:
         raise InputError("cannot be written", key=key, received=str(path), expected=kind)
     _check_place(path.absolute().parent, path, key, f"{kind} where files can be written")
+
+
+def check_is_no_source(path: Path, settings: Any, key: str = "-o") -> None:
+    """Refuse to write over a file that something was made of, such as the character of a scene.
+
+    Args:
+        path: the file to write; of a point cache also the mesh beside it.
+        settings: a path, or a dataclass or a tuple of such, whose paths are the files.
+        key: name of the argument for the message.
+
+    Raises:
+        InputError: the file is one of those.
+    """
+    beside = [path.with_suffix(".obj")] if path.suffix.lower() in (".pc2", ".mdd") else []
+    written = {one.resolve() for one in (path, *beside)}
+    for source in _paths(settings):
+        if source.resolve() in written:
+            problem = "would be written over: the scene is made of it"
+            raise InputError(problem, file=source, key=key, received=str(path), expected="a file of another name")
+
+
+def _paths(settings: Any) -> Iterator[Path]:
+    if isinstance(settings, Path):
+        yield settings
+    elif isinstance(settings, tuple):
+        for one in settings:
+            yield from _paths(one)
+    elif is_dataclass(settings):
+        for one in fields(settings):
+            yield from _paths(getattr(settings, one.name))
 
 
 def check_folder(path: Path, key: str = "-o") -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Sequence as Items
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -35,14 +36,17 @@ __all__ = [
     "PlaybackInputs",
     "Free",
     "baked_frames",
+    "clip_begin",
     "playback_inputs",
     "loop_figures",
+    "motions_of",
     "open_database",
     "play",
     "play_motion",
     "posed_bodies",
     "simulated_frames",
     "timing_figures",
+    "whole_steps",
     "write_baked",
 ]
 
@@ -50,6 +54,7 @@ TIMINGS = ("frame", "coarse", "skin", "decode", "relax", "normals")
 BAKED = (".glb", ".usdc", ".pc2", ".mdd", ".obj")
 BAKED_HZ = 30.0  # of a simulated animation [Hz]
 DRAWN = 10  # frames from one picture to the next
+TOLD = 30  # frames from one line of progress to the next
 HASH_FRAME = 120  # the coarse state is hashed after this many frames
 
 
@@ -92,11 +97,11 @@ def playback_inputs(
         scene = scene_of(database)
         body = body_of(scene)
         database.require_body(body)
-        motions = _motions(body, clip, database, scene)
+        motions = motions_of(body, clip, database.held_out, scene)
         return PlaybackInputs(body, motions, scene.wind.air(), colliders_of(scene), pattern_of(scene))
     body = load_sequence(character) if is_sequence(character) else load_body(character)
     database.require_body(body)
-    return PlaybackInputs(body, _motions(body, clip, database, None))
+    return PlaybackInputs(body, motions_of(body, clip, database.held_out, None))
 
 
 def open_database(
@@ -124,9 +129,20 @@ def open_database(
     return database, replace(playback_inputs(database, character, clip), wrinkles=wrinkles)
 
 
-def _motions(
-    body: Character | Sequence, clip: str | None, database: WrinkleDatabase, scene: Scene | None
+def motions_of(
+    body: Character | Sequence, clip: str | None, held_out: Items[str], scene: Scene | None
 ) -> tuple[Motion, ...]:
+    """The motions that are played: those held out, or one of another name.
+
+    Args:
+        body: that moves.
+        clip: name of a clip; None takes the held-out clips, or the first one if none is held out.
+        held_out: names of the clips that nothing is learned from.
+        scene: that names clips of other files; None knows those of the body alone.
+
+    Raises:
+        InputError: the clip does not exist, or a file cannot be loaded.
+    """
     character = scene.character if scene is not None else None
     own = (character.motion,) if character is not None and character.motion is not None else ()
     if isinstance(body, Sequence):
@@ -142,7 +158,7 @@ def _motions(
         names = [clip]
     else:
         first = character.clip if character is not None else None
-        names = [name for name in database.held_out if name in known] or [first or next(iter(known), "")]
+        names = [name for name in held_out if name in known] or [first or next(iter(known), "")]
     for name in names:
         if name not in known:
             expected = "one of " + ", ".join(sorted(known)) if known else "a character with clips"
@@ -309,17 +325,35 @@ def posed_bodies(body: Character | Sequence, poses: Iterable[np.ndarray]) -> np.
     return np.array(frames)
 
 
+def clip_begin(motion: Motion) -> float:
+    """Time at which a motion itself begins [s]: before that the body comes from the pose that its clothes lie on."""
+    return motion.blend if isinstance(motion, ClipMotion) else motion.lead_in
+
+
+def whole_steps(frames: float, every: int) -> int:
+    """The first of every so many frames that is not before a place between frames."""
+    return every * int(np.ceil(frames / every - 1e-6))
+
+
 def baked_frames(
-    database: WrinkleDatabase, inputs: PlaybackInputs, motion: Motion, rate_hz: float, seconds: float | None = None
+    database: WrinkleDatabase,
+    inputs: PlaybackInputs,
+    motion: Motion,
+    rate_hz: float,
+    seconds: float | None = None,
+    report: Callable[[str], None] = lambda line: None,
 ) -> tuple[Player | PlainPlayer, np.ndarray, np.ndarray, np.ndarray]:
-    """Play a motion and keep the garment at a rate of its own, from the start on.
+    """Play a motion and keep the garment at a rate of its own, from the motion's own first frame on.
+
+    What leads to that frame is played and not kept, so that the frames fit the clip that somebody animated.
 
     Args:
         database: the database to play.
         inputs: with what it is played.
         motion: one of those of the inputs.
         rate_hz: rate of the kept frames [Hz].
-        seconds: length of the motion that is played [s]; None plays all of it.
+        seconds: length of what is kept [s]; None keeps all of the motion.
+        report: called with lines of progress.
 
     Returns:
         the player, and of each frame vertices in the world [m] and unit normals, float32, shape (f, N, 3), and the
@@ -329,30 +363,43 @@ def baked_frames(
         InputError: a rate that is not positive.
     """
     tick = 1.0 / database.frame_rate
+    report("baking: setting up the garment")
     player = player_of(database, inputs.body, motion.pose(0.0), inputs.primitives, inputs.wrinkles)
     ticks = int(np.ceil(database.frame_rate / rate_hz)) + 1 if rate_hz > 0.0 else 1
     loop = GameLoop(player, lambda t: LiveInput(motion.pose(t), inputs.wind), rate_hz, tick, ticks)
-    duration = motion.duration if seconds is None else min(seconds, motion.duration)
-    times = np.arange(int(duration * rate_hz + 1e-6) + 1) / rate_hz
+    begin = clip_begin(motion)
+    duration = motion.duration - begin if seconds is None else min(seconds, motion.duration - begin)
+    times = begin + np.arange(int(duration * rate_hz + 1e-6) + 1) / rate_hz
+    report("baking: what leads to the first frame")
+    steps = int(np.ceil(begin * rate_hz - 1e-6))
+    for _ in range(steps):
+        loop.advance(begin / steps)
     frames, normals = [], []
     for number in range(len(times)):
         if number:
             loop.advance(1.0 / rate_hz)
+        if number % TOLD == 0:
+            report(f"baking: {number} of {len(times)} frames")
         frames.append((player.vertices + player.origin).astype(np.float32))
         normals.append(player.normals.copy())
     return player, np.array(frames), np.array(normals), np.array([motion.pose(t) for t in times])
 
 
 def simulated_frames(
-    simulation: Simulation, motion: Motion | None, scene: Scene, seconds: float
+    simulation: Simulation,
+    motion: Motion | None,
+    scene: Scene,
+    seconds: float,
+    report: Callable[[str], None] = lambda line: None,
 ) -> tuple[np.ndarray, np.ndarray | None, float, dict[str, float]]:
-    """Simulate a scene and keep about 30 frames a second.
+    """Simulate a scene and keep about 30 frames a second, from the motion's own first frame on.
 
     Args:
         simulation: simulation of the scene, at its start.
         motion: motion of its body, None without one.
         scene: gives wind and frame rate.
-        seconds: length of the simulation [s].
+        seconds: length of what is kept [s].
+        report: called with lines of progress.
 
     Returns:
         vertices in the world [m], float32, shape (f, n, 3); poses of the body, shape (f, ...), None without one; their
@@ -363,15 +410,19 @@ def simulated_frames(
     """
     dt = 1.0 / scene.solver.frame_rate
     count = int(seconds / dt + 1e-6)
-    if count < 1:
+    begin = 0.0 if motion is None else clip_begin(motion)
+    if count < 1 and (motion is None or seconds < motion.duration - begin):  # the clip itself may be a pose
         raise InputError("nothing to simulate", key="--seconds", received=seconds, expected=f"at least {dt:.3g} [s]")
     every = max(1, round(scene.solver.frame_rate / BAKED_HZ))
-    spent, frames = [], [simulation.state.world()]
-    for number in range(1, count + 1):
+    first = whole_steps(begin / dt, every)
+    spent, frames = [], [] if first else [simulation.state.world()]
+    for number in range(1, first + count + 1):
+        if number % TOLD == 0:
+            report(f"simulating: {number} of {first + count} frames")
         began = time.perf_counter()
         simulation.step(None if motion is None else motion.pose(number * dt), dt, scene.wind.air())
         spent.append(1e3 * (time.perf_counter() - began))
-        if number % every == 0:
+        if number >= first and (number - first) % every == 0:
             frames.append(simulation.state.world())
     figures = {
         "frame_count": float(count),
@@ -379,7 +430,7 @@ def simulated_frames(
         "frame_ms_p99": float(np.percentile(spent, 99)),
         "vertex_count": float(simulation.model.vertex_count),
     }
-    poses = None if motion is None else np.array([motion.pose(i * every * dt) for i in range(len(frames))])
+    poses = None if motion is None else np.array([motion.pose((first + i * every) * dt) for i in range(len(frames))])
     return np.array(frames, np.float32), poses, 1.0 / (every * dt), figures
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from assets.character import Character
 from assets.io.sequence import Sequence
-from runtime.play import PlaybackInputs
+from runtime.play import PlaybackInputs, clip_begin, whole_steps
 from runtime.player import Player
 from runtime.recording_file import Quantised, links_of, quantised, recording_bytes
 from runtime.shown_body import shown_body
@@ -52,13 +52,13 @@ def record(
     progress: Callable[[str], None] = lambda line: None,
     truth: RecordedTruth | None = None,
 ) -> tuple[bytes, dict[str, float]]:
-    """Play a motion with the learned wrinkles and record it.
+    """Play a motion with the learned wrinkles and record it from its own first frame on.
 
     Args:
         database: the database to play.
         inputs: its inputs.
         motion: one of their motions.
-        seconds: length of the motion that is played [s]; None plays all of it.
+        seconds: length of what is recorded [s]; None records all of the motion.
         about: what the file's header says besides what a reader needs.
         progress: gets a line now and then.
         truth: left out where the file would be larger than :data:`MAX_SIZE` for each ten seconds.
@@ -70,7 +70,9 @@ def record(
         InputError: vertices that cannot be recorded, see :func:`runtime.recording_file.quantised`.
     """
     dt = 1.0 / database.frame_rate
-    poses, every = poses_of(motion, dt, seconds), max(1, round(database.frame_rate / RECORDED_HZ))
+    begin, every = clip_begin(motion), max(1, round(database.frame_rate / RECORDED_HZ))
+    poses = poses_of(motion, dt, None if seconds is None else begin + seconds)
+    first = min(whole_steps(begin / dt, every), len(poses) - 1)
     player = Player(database, inputs.body, poses[0], inputs.primitives)
     floor = float(player.body_vertices[:, 1].min() + player.origin[1])
     fine, coarse = [], []
@@ -79,12 +81,12 @@ def record(
             player.update(pose, dt, inputs.wind)
         if number % 60 == 0:
             progress(f"recording frame {number} of {len(poses) - 1}")
-        if number % every == 0:
+        if number >= first and (number - first) % every == 0:
             fine.append(player.vertices + player.origin)
             coarse.append(player.simulation.state.world())
     moving = _moving("fine", np.array(fine), GARMENT_STEP)
     arrays = _meshes(player.levels) | moving | _moving("coarse", np.array(coarse), GARMENT_STEP)
-    arrays |= _body(shown_body(inputs.body, player.levels), poses[::every])
+    arrays |= _body(shown_body(inputs.body, player.levels), poses[first::every])
     header = {"rate_hz": database.frame_rate / every, "frame_count": len(fine), "floor": floor, **about}
     off = np.linalg.norm(moving["frames/fine"].steps * GARMENT_STEP - fine, axis=2).max()
     figures = {
@@ -94,14 +96,22 @@ def record(
     }
     data = recording_bytes(header, arrays)
     if truth is not None:
-        kept = (truth.numbers % every == 0) & (truth.numbers < every * len(fine))
-        vertices = quantised("truth", truth.vertices[kept], TRUTH_STEP, differences=1, links="links/fine")
-        numbers = Quantised(truth.numbers[kept] // every)
-        with_truth = recording_bytes(header, arrays | {"truth/numbers": numbers, "frames/truth": vertices})
-        fits = len(with_truth) <= MAX_SIZE * max(1.0, (len(poses) - 1) * dt / 10.0)
+        shown = _truth(truth, first, every, len(fine))
+        with_truth = recording_bytes(header, arrays | shown)
+        fits = len(with_truth) <= MAX_SIZE * max(1.0, (len(poses) - 1 - first) * dt / 10.0)
         data = with_truth if fits else data
-        figures["truth_frame_count"] = float(kept.sum() if fits else 0)
+        figures["truth_frame_count"] = float(len(shown["truth/numbers"].steps) if fits else 0)
     return data, figures
+
+
+def _truth(truth: RecordedTruth, first: int, every: int, count: int) -> dict[str, Quantised]:
+    """What is recorded of the truth: every so many frames of the player from the first on are so many in all."""
+    places = truth.numbers - first
+    kept = (places >= 0) & (places % every == 0) & (places < every * count)
+    return {
+        "truth/numbers": Quantised(places[kept] // every),
+        "frames/truth": quantised("truth", truth.vertices[kept], TRUTH_STEP, differences=1, links="links/fine"),
+    }
 
 
 def _meshes(levels: Levels) -> dict[str, Quantised]:

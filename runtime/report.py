@@ -6,8 +6,10 @@ import json
 import math
 import os
 import platform
+import threading
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from importlib import metadata
@@ -29,6 +31,9 @@ __all__ = [
     "processor_name",
     "write_report",
 ]
+
+PLAIN_WAIT, LIVE_WAIT = 4.8, 1.0  # until a line of progress is shown again, in a file and on a terminal [s]
+FIRST_WAIT = 0.4  # until the first one is shown of a command that may end at once [s]
 
 
 @dataclass(frozen=True)
@@ -55,6 +60,9 @@ def numbers_of(row: Mapping[str, Any]) -> dict[str, Any]:
 class Progress:
     """Lines of progress: one that is written over on a terminal, else a line each. Closed by ``with``.
 
+    Work that cannot say how far it is does not look dead: until the next line comes, a thread shows the last one again
+    with the time that has gone by.
+
     Args:
         stream: where they go.
     """
@@ -62,13 +70,47 @@ class Progress:
     def __init__(self, stream: TextIO) -> None:
         self._stream, self._began = stream, time.monotonic()
         self._live = None if is_plain(stream) else LiveLine(stream)
+        self._wait = PLAIN_WAIT if self._live is None else LIVE_WAIT
+        self._lock, self._line, self._shown, self._any = threading.Lock(), "", self._began, False
+        self._closed = threading.Event()
+        self._thread: threading.Thread | None = None
 
     def __call__(self, line: str) -> None:
-        if self._live is not None:
-            self._live.show(line)
+        with self._lock:
+            self._line = line
+            self._show()
+        self._watch()
+
+    def later(self, line: str) -> None:
+        """Show a line, the first one after a moment alone: a command that ends at once, as with an error, has none."""
+        if self._any:
+            self(line)
             return
-        self._stream.write(f"[{time.monotonic() - self._began:5.0f} s] {line}\n")
+        with self._lock:
+            self._line, self._shown = line, self._began + FIRST_WAIT - self._wait
+        self._watch()
+
+    def _watch(self) -> None:
+        if self._thread is None:
+            self._closed.clear()
+            self._thread = threading.Thread(target=self._show_again, daemon=True)
+            self._thread.start()
+
+    def _show(self) -> None:
+        self._any, self._shown = True, time.monotonic()
+        if self._live is not None:
+            self._live.show(self._line)
+            return
+        self._stream.write(f"[{self._shown - self._began:5.0f} s] {self._line}\n")
         self._stream.flush()
+
+    def _show_again(self) -> None:
+        """Show the last line whenever it has stood for long, until this is closed or nobody reads any more."""
+        with suppress(OSError, ValueError):
+            while not self._closed.wait(max(0.0, self._shown + self._wait - time.monotonic())):
+                with self._lock:
+                    if not self._closed.is_set() and time.monotonic() - self._shown >= self._wait:
+                        self._show()
 
     def say(self, line: str) -> None:
         """Write a line that stays."""
@@ -79,6 +121,10 @@ class Progress:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._closed.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
         if self._live is not None:
             self._live.close()
 

@@ -13,7 +13,15 @@ from runtime.garment_setup import GarmentSetup, colliders_of, fabric_of, fine_op
 from runtime.simulation import Motion, Simulation, body_source
 from wrinkles.levels import build_levels
 
-__all__ = ["simulation_of"]
+__all__ = ["garments_of", "simulation_of"]
+
+
+def garments_of(scene: Scene, simulation: Simulation) -> dict[str, np.ndarray] | None:
+    """Simulated vertices of each garment of an outfit by its name, int, shapes (k,); None for one garment."""
+    if len(scene.garments) < 2:
+        return None
+    layer = simulation.model.layer
+    return {garment.name: np.flatnonzero(layer == number) for number, garment in enumerate(scene.garments)}
 
 
 def simulation_of(

@@ -10,9 +10,11 @@ import pytest
 from xdist.scheduler import LoadFileScheduling
 
 from pbd import ensure_initialized
+from runtime import report
 
 ROOT = Path(__file__).parent.parent
 
+report.FIRST_WAIT = 60.0  # a busy machine shows no line of progress that an idle one does not
 ensure_initialized()  # here rather than in a fixture: test modules may make arrays while they are collected
 
 

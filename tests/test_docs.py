@@ -18,29 +18,11 @@ from docs.site.fabrics import BEGIN, END, PAGE, numbers_table
 from docs.site.pages import GENERATED, TABLES, attribute_texts, options_page, scene_keys
 from runtime.command import COMMANDS, parser
 from tests.data import ROOT
+from tests.documents import commands, prose_and_code
 
 FILES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 PAGES = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in FILES}
 MADE = {*GENERATED, "index.md"}  # pages that only the site has
-
-
-def prose_and_code(text: str) -> tuple[str, list[tuple[str, str]]]:
-    """A page without its code blocks, and the blocks with their language."""
-    blocks, prose, lines = [], [], text.split("\n")
-    while lines:
-        line = lines.pop(0)
-        if line.startswith("```"):
-            end = next((place for place, other in enumerate(lines) if other.startswith("```")), len(lines))
-            blocks.append((line.strip("`"), "\n".join(lines[:end])))
-            lines = lines[end + 1 :]
-        elif line.startswith("    ") and not line.lstrip().startswith(("-", "|", "*")):
-            block = [line[4:]]
-            while lines and (lines[0].startswith("    ") or not lines[0].strip()):
-                block.append(lines.pop(0)[4:])
-            blocks.append(("", "\n".join(block).strip("\n")))
-        else:
-            prose.append(line)
-    return "\n".join(prose), blocks
 
 
 def anchors(text: str) -> set[str]:
@@ -65,14 +47,6 @@ def broken(path: Path, text: str) -> list[str]:
             if anchor not in anchors(file.read_text(encoding="utf-8")):
                 found.append(target)
     return found
-
-
-def commands(code: str) -> Iterator[str]:
-    """Lines of a block that run `gube`, joined where they go on in the next line."""
-    for line in code.replace("\\\n", " ").split("\n"):
-        words = line.partition("  #")[0].strip()
-        if words.startswith("gube ") and "COMMAND" not in words:
-            yield words
 
 
 def refused(line: str) -> bool:

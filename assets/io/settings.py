@@ -28,6 +28,7 @@ __all__ = [
     "indices",
     "number",
     "pair",
+    "portable_path",
     "settings_text",
     "several",
     "table",
@@ -37,6 +38,8 @@ __all__ = [
     "vector",
     "whole",
 ]
+
+_DATA = "${GUBE_DATA}"  # in a path: the data folder
 
 
 class Refused(Exception):
@@ -251,7 +254,7 @@ def file_path(*suffixes: str, builtins: Sequence[str] = ()) -> Check:
                 raise InputError("nothing of that name is built in", received=value, expected=_one_of(value, builtins))
             return value
         data = Path(os.environ.get("GUBE_DATA") or "../shared/data").absolute()
-        expanded = value.replace("${GUBE_DATA}", str(data))
+        expanded = value.replace(_DATA, str(data))
         if "${" in expanded:
             raise InputError("unknown variable", received=value, expected="no other variable than ${GUBE_DATA}")
         path = (reader.file.parent / expanded).resolve()
@@ -263,6 +266,30 @@ def file_path(*suffixes: str, builtins: Sequence[str] = ()) -> Check:
 
     words = " ".join(["path of a", " or ".join(suffixes), "file"]) if suffixes else "path of a file"
     return Check(" or ".join([words, *map(repr, builtins)]), convert)
+
+
+def portable_path(file: Path, folder: Path) -> str:
+    """What a settings file names another file by, so that it is still found where both are moved.
+
+    Args:
+        file: that is named.
+        folder: of the settings file.
+
+    Returns:
+        a path relative to the folder for what lies in it, below it, or beside it in the folder above; one that begins
+        with ``${GUBE_DATA}`` for what lies in the data folder, where that variable is set and the settings file lies
+        elsewhere; else the absolute path.
+    """
+    file = file.resolve() if ".." in file.parts else file.absolute()
+    if file.is_relative_to(folder):
+        return os.path.relpath(file, folder)
+    real, here, named = file.resolve(), folder.resolve(), os.environ.get("GUBE_DATA")
+    data = Path(named).resolve() if named else None
+    if data is not None and real.is_relative_to(data) and not here.is_relative_to(data):
+        return f"{_DATA}/{real.relative_to(data).as_posix()}"
+    above = here.parent
+    beside = real.is_relative_to(above) and above != above.parent  # everything lies beside a folder of the root
+    return os.path.relpath(real, here) if beside else str(file)
 
 
 def table(kind: type, *, one_of: Sequence[str] = ()) -> Check:

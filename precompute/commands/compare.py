@@ -118,12 +118,14 @@ def _compare_scenes(options: argparse.Namespace, scenes: Sequence[str]) -> Repor
         wrinkle_sections,
         write_comparison,
     )
-    from precompute.wrinkle_comparison.compare import compare_file
+    from precompute.wrinkle_comparison.compare import check_motions, compare_file
     from runtime.report import Progress, Report
     from runtime.terminal import say
 
     methods, output = [] if options.methods is None else options.methods.split(","), options.output
     with Progress(sys.stderr) as progress:
+        if options.database is not None:
+            check_motions(options.database, options.clip, options.seconds)
         budget = options.budget or BUDGET
         found = compare_scenes(
             scenes, output, methods=methods, budget_s=budget, seconds=options.seconds, report=progress
@@ -150,9 +152,11 @@ def _compare_wrinkles(options: argparse.Namespace) -> Report:
         if getattr(options, name) is not None:
             raise InputError("cannot be chosen with --wrinkles", key=f"--{name}", expected="the held-out motion")
     with Progress(sys.stderr) as progress:
+        progress.later(f"reading {options.database}")
         found = compare_wrinkles_file(options.database, options.output, report=progress)
-    page = options.output / "wrinkles.html"
-    write_wrinkles(page, found)
+        page = options.output / "wrinkles.html"
+        progress("drawing")
+        write_wrinkles(page, found)
     say(wrinkle_verdict(found))
     say(f"\n{page}")
     rows = wrinkle_rows(found)
@@ -182,11 +186,13 @@ def _compare_database(options: argparse.Namespace) -> Report:
 
     clip, seconds = options.clip, options.seconds
     with Progress(sys.stderr) as progress, workers_of(options.scheduler, 2) as workers:
+        progress.later(f"reading {options.database}")
         found = compare_file(
             options.database, options.output, clip=clip, seconds=seconds, workers=workers, report=progress
         )
-    page = options.output / "compare.html"
-    write_comparison(page, found)
+        page = options.output / "compare.html"
+        progress("drawing")
+        write_comparison(page, found)
     say(verdict(found))
     say(f"\n{page}")
     if options.blind:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,13 +38,14 @@ def run(options: argparse.Namespace) -> Report:
     """Break files, read them, and list what got through."""
     from precompute.fuzzing.fuzzing import fuzz
     from precompute.fuzzing.readers import write_good_files
+    from precompute.scratch import scratch_folder
     from runtime.outputs import check_folder
     from runtime.report import Progress, Report
     from runtime.terminal import say
 
     check_folder(options.output)
-    with tempfile.TemporaryDirectory() as folder, Progress(sys.stderr) as progress:
-        files = [path.absolute() for path in options.files] + write_good_files(Path(folder))
+    with scratch_folder() as folder, Progress(sys.stderr) as progress:
+        files = [path.absolute() for path in options.files] + write_good_files(folder)
         result = fuzz(
             files, options.output, seconds=options.seconds, workers=options.workers, seed=options.seed, report=progress
         )

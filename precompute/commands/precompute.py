@@ -46,15 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Report:
     """Simulate, learn, and print what the new database holds."""
-    from assets.io.scene import load_scene
     from pbd.errors import InputError
-    from precompute.cluster import workers_of
-    from precompute.learning.pipeline import default_cache, precompute
-    from precompute.learning.stages import stage_figures, stage_table
-    from runtime.info import info_text
     from runtime.outputs import check_file, check_folder
     from runtime.report import Progress, Report
-    from runtime.terminal import say
 
     if options.workers < 1:
         raise InputError("too few processes", key="--workers", received=options.workers, expected="at least 1")
@@ -65,10 +59,20 @@ def run(options: argparse.Namespace) -> Report:
     if options.all is not None:
         return _run_all(options)
     check_file(options.output, ".h5")
-    scene = load_scene(options.scene)
-    cache = options.cache or default_cache(options.output)
-    with Progress(sys.stderr) as progress, workers_of(options.scheduler, options.workers, cache) as workers:
-        made = precompute(scene, options.output, cache=cache, workers=workers, report=progress)
+    with Progress(sys.stderr) as progress:
+        progress.later(f"reading {options.scene}")
+        from assets.io.scene import load_scene
+        from precompute.cluster import workers_of
+        from precompute.learning.pipeline import default_cache, precompute
+        from precompute.learning.stages import stage_figures, stage_table
+        from runtime.info import info_text
+        from runtime.terminal import say
+
+        scene = load_scene(options.scene)
+        progress("setting up the garment and its body")
+        cache = options.cache or default_cache(options.output)
+        with workers_of(options.scheduler, options.workers, cache) as workers:
+            made = precompute(scene, options.output, cache=cache, workers=workers, report=progress)
     text, figures = info_text(options.output)
     say(text)
     say(f"where the time went:\n{stage_table(made.stages)}")

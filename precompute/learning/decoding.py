@@ -14,6 +14,7 @@ import numpy as np
 from pbd import Body, Fabric
 from pbd.bending import hinge_calibration
 from precompute.learning.recording import Recording, Run, body_source
+from precompute.learning.stages import counted
 from precompute.learning.training import Layer, features_of, spread_frames
 from precompute.workers import Workers
 from runtime.simulation import BodySource
@@ -113,6 +114,7 @@ def with_vertex_mean(
     recordings: Sequence[Recording],
     workers: Workers | None = None,
     frames: int = MEAN_FRAMES,
+    report: Callable[[str], None] | None = None,
 ) -> Atoms:
     """Atoms with the mean of what decoding recorded coarse states lacks at each vertex, relaxation included.
 
@@ -123,11 +125,12 @@ def with_vertex_mean(
         runs, recordings: what is learned from.
         workers: that decode; None decodes here, and needs no mapping that can be sent to another process.
         frames: that the means are fitted to, at most.
+        report: called with lines of progress.
     """
     atoms = replace(atoms, vertex_mean=np.zeros_like(atoms.vertex_mean))
     blocks = blocks_of(runs, spread_frames(recordings, frames))
     jobs = [partial(_mean_sums, layer, predict, atoms, *block) for block in blocks]
-    sums = (workers or Workers(1)).run(jobs)
+    sums = (workers or Workers(1)).run(jobs, done=counted(report, "means of vertices: parts", len(jobs)))
     return replace(atoms, vertex_mean=mean_from_sums(sums))
 
 

@@ -23,7 +23,7 @@ from wrinkles.database import WrinkleDatabase
 from wrinkles.metrics import given_coarse_figures
 from wrinkles.temporal_sharpening import TemporalSharpening
 
-__all__ = ["JUDGED", "HeldOut", "held_out_truth"]
+__all__ = ["JUDGED", "HeldOut", "held_out_truth", "require_held_out"]
 
 EVERY = 4  # recorded frames from one that is judged to the next: their figures change slowly
 JUDGED = slice(EVERY // 2, None, EVERY)
@@ -35,11 +35,20 @@ def held_out_truth(
     """The converged fine runs of a scene's first held-out motion.
 
     Raises:
-        InputError: nothing is held out; ``path`` is the database that is told.
+        InputError: as :func:`require_held_out`.
+    """
+    require_held_out(path, scene)
+    return truth_of(scene_run(stage, scene, stage.motion(scene.training.held_out[0])), cache, 2, report)
+
+
+def require_held_out(path: Path, scene: Scene) -> None:
+    """Refuse a scene without a held-out motion.
+
+    Raises:
+        InputError: nothing is held out; ``path`` is the file that is told.
     """
     if not scene.training.held_out:
         raise InputError("nothing is held out", file=path, key="training.held_out", expected="a clip to compare on")
-    return truth_of(scene_run(stage, scene, stage.motion(scene.training.held_out[0])), cache, 2, report)
 
 
 def _coarse_recording(database: WrinkleDatabase, run: Run) -> Recording:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from precompute.learning.decoding import blocks_of, decode_recording
 from precompute.learning.recording import Recording, Run
+from precompute.learning.stages import counted
 from precompute.learning.training import Layer, features_of, spread_frames
 from precompute.workers import Workers
 from wrinkles.charts import leading_vertices
@@ -37,6 +38,7 @@ def fit_novelty(
     seed: int,
     workers: Workers,
     frames: int,
+    report: Callable[[str], None] | None = None,
 ) -> NoveltyScore:
     """Fit the score to the true errors of decoded training motion.
 
@@ -51,10 +53,12 @@ def fit_novelty(
         seed: of noise, first weights and shuffling.
         workers: that decode.
         frames: of training motion that are decoded, at most.
+        report: called with lines of progress.
     """
     plain = _blocks(layer, mapping, atoms, runs, spread_frames(recordings, frames), None)
     strange = _blocks(layer, mapping, atoms, runs, spread_frames(recordings, round(STRANGE_SHARE * frames)), seed)
-    errors = workers.run([partial(_patch_errors, block) for _, block in (*plain, *strange)])
+    jobs = [partial(_patch_errors, block) for _, block in (*plain, *strange)]
+    errors = workers.run(jobs, done=counted(report, "unfamiliarity: parts", len(jobs)))
     hidden, error = np.concatenate([h for h, _ in plain]), np.concatenate(errors[: len(plain)])
     kept_out = np.arange(len(hidden)) // BLOCK % KEPT_OUT == KEPT_OUT - 1
     seen = np.concatenate([hidden[~kept_out], *(h for h, _ in strange)]).reshape(-1, hidden.shape[2])
@@ -65,7 +69,9 @@ def fit_novelty(
     nowhere = np.zeros((1, 0), np.float32)  # places have told the first layer already
     seen -= middle
     seen /= spread
-    network.fit(Samples(seen, nowhere, ((target - level) / unit).astype(np.float32)), epochs=EPOCHS)
+    samples = Samples(seen, nowhere, ((target - level) / unit).astype(np.float32))
+    tell = report or (lambda line: None)
+    network.fit(samples, epochs=EPOCHS, on_check=lambda done, _: tell(f"unfamiliarity: {done:.1f} of {EPOCHS} passes"))
     weights = network.weights[0] / spread[:, None]
     found = NoveltyScore(
         weights.astype(np.float32),

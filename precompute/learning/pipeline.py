@@ -32,7 +32,7 @@ from precompute.learning.kept import Kept
 from precompute.learning.novelty import fit_novelty
 from precompute.learning.options import LearningOptions
 from precompute.learning.recording import Recording, Run, body_source, record_runs
-from precompute.learning.stages import StageClock, StageTime
+from precompute.learning.stages import StageClock, StageTime, counted
 from precompute.learning.training import Layer, TrainingSet, build_layer, fit_layer, spread_frames, training_set
 from precompute.workers import Workers
 from runtime.garment_mesh import texture_of
@@ -241,7 +241,8 @@ def _simulated(work: _Work, motions: Sequence[Motion], judged: Sequence[Motion])
     levels, examples = work.layer.levels, []
     for (name, _), run, recording in zip(worn, runs, recordings, strict=True):
         jobs = crossed_jobs(levels.fine, levels.fine_layer, recording.positions)
-        examples.append(_Example(name, run, recording, joined_crossed(work.workers.run(jobs))))
+        told = counted(work.clock, f"looking for crossings: {run.name}: parts", len(jobs))
+        examples.append(_Example(name, run, recording, joined_crossed(work.workers.run(jobs, done=told))))
         words = crossed_words(run.name, recording.frames * run.dt, examples[-1].crossed)
         if words:
             work.clock(words)
@@ -255,7 +256,7 @@ def _learned(work: _Work, examples: Sequence[_Example], kept: Kept) -> tuple[Coe
     @cache
     def training() -> TrainingSet:
         learned = spread_frames([example.recording for example in examples], options.training_frames)
-        return training_set(layer, learned, scene.wrinkles.atoms, work.seed)
+        return training_set(layer, learned, scene.wrinkles.atoms, work.seed, clock)
 
     def fitted() -> CoefficientNetwork:
         width, epochs = scene.wrinkles.hidden_width, options.epochs_for(len(training().features))
@@ -279,6 +280,7 @@ def _with_means(work: _Work, examples: Sequence[_Example], mapping: CoefficientN
         [example.recording for example in examples],
         work.workers,
         work.options.mean_frames,
+        work.clock,
     )
 
 
@@ -302,7 +304,7 @@ def _finished(
     runs, recordings = [example.run for example in examples], [example.recording for example in examples]
     with work.clock.stage("unfamiliarity"):
         given = (work.layer, mapping, atoms, runs, recordings, work.seed, work.workers, work.options.score_frames)
-        novelty = kept.instance(NoveltyScore, "unfamiliarity", lambda: fit_novelty(*given))
+        novelty = kept.instance(NoveltyScore, "unfamiliarity", lambda: fit_novelty(*given, work.clock))
     scene, settings, levels, body = work.scene, work.stage.settings, work.stage.levels, work.stage.body
     own, *others = work.fabrics
     return WrinkleDatabase(

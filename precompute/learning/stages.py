@@ -11,6 +11,8 @@ from precompute.workers import Workers
 
 __all__ = ["StageClock", "StageTime", "counted", "remaining", "stage_figures", "stage_table"]
 
+LEAST = 1.0  # from one line about parts that are done to the next [s]
+
 
 @dataclass(frozen=True)
 class StageTime:
@@ -74,11 +76,17 @@ def remaining(began: float, share: float) -> str:
 
 
 def counted(report: Callable[[str], None] | None, what: str, total: int) -> Callable[[int, object], None]:
-    """A function that reports how many of ``total`` parts are done, and the time left; called after each part."""
-    began = time.monotonic()
+    """A function that reports how many of ``total`` parts are done, and the time left; called after each part.
+
+    Of parts that end soon after each other it reports some, the first and the last among them.
+    """
+    began, told = time.monotonic(), -LEAST
 
     def tell(done: int, result: object = None) -> None:
-        if report is not None and done:
+        nonlocal told
+        now = time.monotonic() - began
+        if report is not None and done and (done >= total or now - told >= LEAST):
+            told = now
             report(f"{what}: {done} of {total}{remaining(began, done / total)}")
 
     return tell

@@ -80,7 +80,13 @@ def spread_frames(recordings: Sequence[Recording], frames: int) -> list[Recordin
     return [r.where(slice(step // 2, None, step)) for r in recordings]
 
 
-def training_set(layer: Layer, recordings: Sequence[Recording], atom_count: int, seed: int) -> TrainingSet:
+def training_set(
+    layer: Layer,
+    recordings: Sequence[Recording],
+    atom_count: int,
+    seed: int,
+    report: Callable[[str], None] | None = None,
+) -> TrainingSet:
     """Residual patches of recorded frames, fitted and reduced to atoms.
 
     Args:
@@ -88,13 +94,18 @@ def training_set(layer: Layer, recordings: Sequence[Recording], atom_count: int,
         recordings: fine runs, filtered down (pairs A); see :func:`spread_frames`.
         atom_count: number of atoms.
         seed: of the choice of patches that the atoms are fitted to.
+        report: called with lines of progress.
     """
+    tell = report or (lambda line: None)
+    tell("fitting patches: reading frames")
     around = _Residuals.of(layer, recordings)
+    tell("fitting patches: choosing atoms")
     count, frame_count = len(around.fits), len(around.features)
     rng = np.random.default_rng(seed)
     some = rng.choice(frame_count, min(frame_count, max(1, SAMPLED_PATCHES // count)), replace=False)
     sample = np.stack(in_threads(lambda i: around.grids(i, some), range(count)), axis=1)
     atoms = fit_atoms(sample.reshape(-1, sample.shape[-1]), atom_count, layer.levels.subdivision.fine_count)
+    tell("fitting patches: reading coefficients")
     return TrainingSet(around.features, around.coefficients(atoms), atoms)
 
 

@@ -7,10 +7,8 @@ worst stretches of 1 % and 5 % elsewhere.
 
 import importlib.util
 import os
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -19,6 +17,7 @@ import numpy as np
 from pbd import InputError
 from precompute.benchmarks.solver_scenes import SolverMeasurement, SolverScene, hanging_square, measure_steps
 from precompute.mechanics import FRAME_RATE, GRAVITY
+from precompute.scratch import scratch_folder
 
 __all__ = ["ENGINES", "EngineRun", "bench_engines"]
 
@@ -123,8 +122,8 @@ def _pybullet(scene: SolverScene, substeps: int, stiffness: float) -> Steps:
     pybullet.resetSimulation(pybullet.RESET_USE_DEFORMABLE_WORLD, physicsClientId=client)
     pybullet.setGravity(0.0, -GRAVITY, 0.0, physicsClientId=client)
     pybullet.setTimeStep(1.0 / (FRAME_RATE * substeps), physicsClientId=client)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "cloth.obj"
+    with scratch_folder() as folder:
+        path = folder / "cloth.obj"
         lines = [f"v {x:.9f} {y:.9f} {z:.9f}" for x, y, z in mesh.vertices]
         path.write_text("\n".join([*lines, *(f"f {a} {b} {c}" for a, b, c in mesh.faces + 1)]), encoding="utf-8")
         cloth = pybullet.loadSoftBody(

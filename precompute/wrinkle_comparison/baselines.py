@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
@@ -128,11 +128,19 @@ class Turn(Protocol):
         """Play so many frames more, or those that are left."""
 
 
-def take_turns(turns: Sequence[Turn], frame_count: int) -> None:
-    """Let methods play a motion of so many frames, :data:`TURN` frames each in turn."""
+def take_turns(turns: Sequence[Turn], frame_count: int, played: Callable[[int], None] = lambda count: None) -> None:
+    """Let methods play a motion of so many frames, :data:`TURN` frames each in turn.
+
+    Args:
+        turns: the methods.
+        frame_count: of the motion.
+        played: called with the number of frames that all have played since the last time.
+    """
     for first in range(0, frame_count, TURN):
+        count = min(TURN, frame_count - first)
         for turn in turns:
-            turn.advance(min(TURN, frame_count - first))
+            turn.advance(count)
+        played(count)
 
 
 class ClothTurn:

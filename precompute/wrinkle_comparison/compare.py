@@ -7,15 +7,15 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from assets.io.scene import load_scene, scene_text
+from assets.io.scene import Scene, load_scene, scene_text
 from pbd import InputError
 from pbd.distance import penetration_figures
 from precompute.learning.evaluation import (
+    SETTLE,
     Truth,
     body_distances,
     database_run,
@@ -25,6 +25,9 @@ from precompute.learning.evaluation import (
     truth_of,
 )
 from precompute.learning.pipeline import default_cache, precompute
+from precompute.learning.recording import Run
+from precompute.learning.stages import counted
+from precompute.scratch import Tally, scratch_folder
 from precompute.workers import Workers
 from precompute.wrinkle_comparison.baselines import (
     Cloth,
@@ -36,20 +39,25 @@ from precompute.wrinkle_comparison.baselines import (
     take_turns,
 )
 from precompute.wrinkle_comparison.comparison import Comparison, Method, MotionComparison
-from precompute.wrinkle_comparison.realism import PatchStatistics, realism
+from precompute.wrinkle_comparison.realism import FEWEST_FRAMES, PatchStatistics, realism
 from runtime.garment_setup import scene_of
 from runtime.level_of_detail import LevelOfDetail
-from runtime.play import playback_inputs
+from runtime.play import clip_begin, motions_of, playback_inputs
 from runtime.player import Player
+from runtime.scene_body import body_of
+from runtime.simulation import Motion
 from wrinkles.database import WrinkleDatabase, code_version, read_database, write_database
 from wrinkles.metrics import edge_stretch
 from wrinkles.relaxation import PASSES
 
 __all__ = [
     "RUNS",
+    "check_length",
+    "check_motions",
     "compare",
     "compare_file",
     "database_of",
+    "described",
     "plain_methods",
     "write_choice",
 ]
@@ -59,6 +67,7 @@ BRIEF = (6, 14)  # the same where little time is spent: of the mesh below the fi
 RUNS, BRIEF_RUNS = 4, 2  # free runs of what decides
 AT_A_TIME = 2  # plain cloths that are run again, the cheapest first, until one is as good
 MOTIONS = 2  # held-out motions of a database that are compared on, at most
+_UNCOUNTED = Tally(None)
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -84,27 +93,34 @@ def compare(
     """
     tell, motions = report or (lambda line: None), []
     # Forty methods of a fine garment do not fit into memory together. Frames stay mapped when their files are removed.
-    with Workers.of(workers) as pool, TemporaryDirectory(prefix="gube-") as directory:
-        folder = Path(directory) if pool.sees_files else None
-        for truth in truths:
+    with Workers.of(workers) as pool, scratch_folder() as directory:
+        folder = directory if pool.sees_files else None
+        for number, truth in enumerate(truths):
+            name, tally = truth.run.name, Tally(folder and folder / f"played_{number}")
             # In a process of its own where there are some: it finds the kernels that earlier ones left on the disk.
-            play = partial(_played, database, truth, brief, folder)
-            tell(f"comparing: all methods in turn, {truth.run.name}")
-            methods = play() if pool.count == 1 else pool.run([play])[0]
-            tell(f"comparing: figures, {truth.run.name}")
-            methods = _with_figures(truth, methods, pool)
+            play = partial(_played, database, truth, brief, folder, tally)
+            tell(f"comparing: all methods in turn, {name}")
+            told = _told(tally, report, f"comparing: all methods in turn, {name}: frames", truth.run.frame_count)
+            methods = play() if pool.count == 1 else pool.run([play], meanwhile=told)[0]
+            tell(f"comparing: figures, {name}")
+            tally = Tally(folder and folder / f"figures_{number}")
+            told = _told(tally, report, f"comparing: figures, {name}: methods", sum(bool(one.runs) for one in methods))
+            methods = _with_figures(truth, methods, pool, tally, told)
             motions.append(MotionComparison(truth.run.name, truth, tuple(methods)))
         found = Comparison(database.garment_name, tuple(motions))
         candidates = found.candidates
         for first in range(0, len(candidates), AT_A_TIME):
             some = candidates[first : first + AT_A_TIME]
-            tell(f"comparing: again, {', '.join(found.motions[0].method(prefix).name for prefix in some)}")
+            line = f"comparing: again, {', '.join(found.motions[0].method(prefix).name for prefix in some)}"
+            tally = Tally(folder and folder / f"again_{first}")
+            frames = len(some) * sum(one.truth.run.frame_count for one in found.motions)
+            tell(line)
             jobs = [
-                partial(_again, database, one.truth, one.method(prefix), brief, folder)
+                partial(_again, database, one.truth, one.method(prefix), brief, folder, tally)
                 for prefix in some
                 for one in found.motions
             ]
-            again = iter(pool.run(jobs))
+            again = iter(pool.run(jobs, meanwhile=_told(tally, report, f"{line}: frames", frames)))
             for _ in some:
                 found = replace(found, motions=tuple(motion.with_method(next(again)) for motion in found.motions))
             if found.as_good:
@@ -112,7 +128,13 @@ def compare(
     return found
 
 
-def _played(database: WrinkleDatabase, truth: Truth, brief: bool, folder: Path | None) -> list[Method]:
+def _told(tally: Tally, report: Callable[[str], None] | None, what: str, total: int) -> Callable[[], None]:
+    """A function that reports what was counted, out of so many."""
+    tell = counted(report, what, total)
+    return lambda: tell(min(tally.count, total), None)
+
+
+def _played(database: WrinkleDatabase, truth: Truth, brief: bool, folder: Path | None, tally: Tally) -> list[Method]:
     """All methods with their times and frames, ours in several runs, without figures of the frames."""
     run, keep = truth.run, truth.recording.frames
     player = Player(database, run.body, run.poses[0], run.primitives)
@@ -127,7 +149,7 @@ def _played(database: WrinkleDatabase, truth: Truth, brief: bool, folder: Path |
     }
     ours = {"": PlayerTurn(database, run, keep, player=player, folder=folder)} | others
     truth_cost = fine_cloth(run)
-    take_turns([*ours.values(), *(turn for _, turn in plain)], run.frame_count)
+    take_turns([*ours.values(), *(turn for _, turn in plain)], run.frame_count, tally.add)
     names = {"": "ours", "ours_half_substeps_": "ours, half the substeps", "ours_half_atoms_": "ours, half the atoms"}
     simulated, dt = len(database.coarse_vertices), 1.0 / database.frame_rate
     methods = [
@@ -153,11 +175,13 @@ def _starts(brief: bool) -> range:
     return range(1, BRIEF_RUNS if brief else RUNS)
 
 
-def _again(database: WrinkleDatabase, truth: Truth, method: Method, brief: bool, folder: Path | None) -> Method:
+def _again(
+    database: WrinkleDatabase, truth: Truth, method: Method, brief: bool, folder: Path | None, tally: Tally
+) -> Method:
     """A plain cloth in several runs, with its figures."""
     cloth = next(cloth for one, cloth in _plain_methods(database, truth, brief) if one.prefix == method.prefix)
     again = [ClothTurn(cloth, truth.recording.frames, folder, start) for start in _starts(brief)]
-    take_turns(again, truth.run.frame_count)
+    take_turns(again, truth.run.frame_count, tally.add)
     (found,) = _figures_of(truth, [_with_runs(method, [turn.played for turn in again])])
     return found
 
@@ -211,18 +235,28 @@ def _with_runs(method: Method, again: Sequence[Played]) -> Method:
     return replace(method, runs=(*method.runs, *(one.frames for one in again)))
 
 
-def _with_figures(truth: Truth, methods: Sequence[Method], workers: Workers | int) -> list[Method]:
-    """Methods with figures of what they played; the truth itself is only asked what any run can be."""
+def _with_figures(
+    truth: Truth, methods: Sequence[Method], workers: Workers | int, tally: Tally, told: Callable[[], None]
+) -> list[Method]:
+    """Methods with figures of what they played; the truth itself is only asked what any run can be.
+
+    Args:
+        truth: of the motion.
+        methods: all of them.
+        workers: that measure, or how many do.
+        tally: counts the methods that are measured.
+        told: called every few seconds.
+    """
     shown = [method for method in methods if method.runs]
     with Workers.of(workers) as pool:
         # Each process makes the filters of the mesh once for its share.
         shares = [shown[first :: pool.count] for first in range(min(pool.count, len(shown)))]
-        jobs = [partial(_figures_of, truth, share) for share in shares]
-        found = {method.prefix: method for share in pool.run(jobs) for method in share}
+        jobs = [partial(_figures_of, truth, share, tally) for share in shares]
+        found = {method.prefix: method for share in pool.run(jobs, meanwhile=told) for method in share}
     return [found.get(method.prefix, method) for method in methods]
 
 
-def _figures_of(truth: Truth, methods: Sequence[Method]) -> list[Method]:
+def _figures_of(truth: Truth, methods: Sequence[Method], tally: Tally = _UNCOUNTED) -> list[Method]:
     """Methods with their figures beside a truth; one that broke has none."""
     statistics = PatchStatistics(truth.levels.fine)
     of_truth = statistics(truth.frames)
@@ -246,6 +280,7 @@ def _figures_of(truth: Truth, methods: Sequence[Method]) -> list[Method]:
         if not method.mesh:
             figures |= _shared_figures(truth, method.runs[0])
         measured.append(replace(method, figures=figures, realism=told))
+        tally.add()
     return measured
 
 
@@ -297,19 +332,13 @@ def compare_file(
         report: called with lines of progress.
 
     Raises:
-        InputError: what cannot be read, a clip that does not exist or was learned from, or too short a motion.
+        InputError: as :func:`check_motions`, or what cannot be read.
     """
+    check_motions(path, clip, seconds)
     path = database_of(path, output, report)
     database = read_database(path)
     inputs = playback_inputs(database, clip=clip)
     motions = inputs.motions[:MOTIONS]
-    taught = [part.clip for part in scene_of(database).training.clips]  # a part of the whole clip is enough
-    for motion in motions:
-        if motion.name in (*database.trained_on, *taught):
-            held_out = ", ".join(database.held_out) or "a clip that nothing was learned from"
-            raise InputError(
-                "the database has learned from this clip", key="--clip", received=motion.name, expected=held_out
-            )
     with Workers.of(workers) as pool:
         truths = [
             truth_of(database_run(database, inputs, motion), default_cache(path), pool, report, count=RUNS)
@@ -325,6 +354,63 @@ def compare_file(
             if report is not None:
                 report(f"the database does not keep the cost advantage: {path} cannot be written ({error.strerror})")
     return found
+
+
+def described(path: Path) -> tuple[Scene, tuple[str, ...], float]:
+    """Scene, names of the motions that were learned from, and frame rate [Hz], of a database or a scene file."""
+    if path.suffix == ".toml":
+        scene = load_scene(path)
+        return scene, (), scene.solver.frame_rate
+    database = read_database(path)
+    return scene_of(database), database.trained_on, database.frame_rate
+
+
+def check_motions(path: Path, clip: str | None = None, seconds: float | None = None) -> None:
+    """Refuse what cannot be compared on, before anything is simulated or learned.
+
+    Args:
+        path, clip, seconds: as for :func:`compare_file`.
+
+    Raises:
+        InputError: a clip that does not exist or was learned from, or a motion too short to judge realism in.
+    """
+    scene, trained, frame_rate = described(path)
+    names = tuple(part.name for part in scene.training.held_out)
+    taught = [part.clip for part in scene.training.clips]  # a part of the whole clip is enough
+    for motion in motions_of(body_of(scene), clip, names, scene)[:MOTIONS]:
+        if motion.name in (*trained, *taught):
+            expected = ", ".join(names) or "a clip that nothing was learned from"
+            raise InputError(
+                "the database has learned from this clip", key="--clip", received=motion.name, expected=expected
+            )
+        check_length(motion, 1.0 / frame_rate, seconds)
+
+
+def check_length(motion: Motion, dt: float, seconds: float | None) -> None:
+    """Refuse a motion of which too few frames are recorded after the cloth has settled.
+
+    Args:
+        motion: to compare on.
+        dt: length of a frame [s].
+        seconds: where it is cut; None takes all of it.
+
+    Raises:
+        InputError: it is too short.
+    """
+    begin, every = clip_begin(motion), Run.every
+    settled = max(SETTLE, motion.lead_in)
+    first = every * (int(settled / dt / every + 1e-6) + 1)  # the first recorded frame that is judged
+    needed = (first + every * (FEWEST_FRAMES - 1)) * dt
+    if motion.duration < needed - 1e-6 * dt:
+        raise InputError(
+            "too short to compare on",
+            key=motion.name,
+            received=f"{motion.duration - begin:.2f} s",
+            expected=f"at least {needed - begin:.2f} s: {FEWEST_FRAMES} recorded frames after the cloth has settled",
+        )
+    if seconds is not None and round(seconds / dt) * dt < needed - 1e-6 * dt:
+        expected = f"at least {needed:.2f} [s]: {FEWEST_FRAMES} recorded frames after the cloth has settled"
+        raise InputError("too short to compare on", key="--seconds", received=seconds, expected=expected)
 
 
 def write_choice(path: Path, database: WrinkleDatabase, comparison: Comparison) -> None:

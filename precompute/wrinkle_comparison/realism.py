@@ -30,12 +30,13 @@ from pbd.mesh import edges_of
 from wrinkles.discs import along_cloth, disc_means, spread_points
 from wrinkles.metrics import vertex_normals
 
-__all__ = ["FEATURES", "RADII", "PatchStatistics", "Realism", "realism"]
+__all__ = ["FEATURES", "FEWEST_FRAMES", "RADII", "PatchStatistics", "Realism", "realism"]
 
 RADII = (0.03, 0.06, 0.12)  # of patches, along the cloth [m]
 CENTRES = 192  # patches of each radius, spread evenly over the garment
 FRAMES = 72  # of a motion that are measured, spread evenly
 BLOCKS = 4  # parts of the motion: each is asked by what was learned from every second one
+FEWEST_FRAMES = 4 * BLOCKS  # of a motion that can be parted
 GAP = 0.1  # share of a part that is left out at each end that meets another part
 SIDE_GAP = 0.06  # patches nearer to the plane between left and right are not learned from [m]
 MEMBERS = 96  # vertices of a patch that its quantiles are taken of
@@ -137,8 +138,9 @@ class PatchStatistics:
         Raises:
             InputError: too few frames to part the motion.
         """
-        if len(frames) < 4 * BLOCKS:
-            raise InputError("too few frames to judge", key="frames", received=len(frames), expected=f">= {4 * BLOCKS}")
+        if len(frames) < FEWEST_FRAMES:
+            expected = f">= {FEWEST_FRAMES}"
+            raise InputError("too few frames to judge", key="frames", received=len(frames), expected=expected)
         picked = np.unique(np.linspace(1, len(frames) - 1, min(FRAMES, len(frames) - 1)).round().astype(int))
         rng = np.random.default_rng(zlib.crc32(frames[picked[0]].tobytes()))
         rows = [self._rows(frames[some], frames[some - 1], rng) for some in _chunks(picked)]

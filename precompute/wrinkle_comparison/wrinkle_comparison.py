@@ -22,13 +22,13 @@ from precompute.learning.decoding import (
     decoded_frames,
     with_vertex_mean,
 )
-from precompute.learning.held_out import JUDGED, HeldOut, held_out_truth
+from precompute.learning.held_out import JUDGED, HeldOut, held_out_truth, require_held_out
 from precompute.learning.options import LearningOptions
 from precompute.learning.pipeline import default_cache, scene_run, training_recordings
 from precompute.learning.recording import Recording, Run
 from precompute.learning.training import Layer, build_layer, coefficients_of, spread_frames, training_set
 from precompute.wrinkle_comparison.baselines import player_times, typical_ms
-from precompute.wrinkle_comparison.compare import database_of, plain_methods
+from precompute.wrinkle_comparison.compare import check_motions, database_of, described, plain_methods
 from precompute.wrinkle_comparison.wrinkle_baselines import WrinkleBaseline, fit_baselines
 from precompute.wrinkle_comparison.wrinkle_meshes import WrinkleMesh, WrinkleMeshOptions
 from runtime.garment_setup import GarmentSetup, scene_of
@@ -203,6 +203,8 @@ def compare_wrinkles_file(
         InputError: what cannot be read, or a scene without held-out motion.
     """
     progress = report or (lambda line: None)
+    require_held_out(path, described(path)[0])
+    check_motions(path)
     path = database_of(path, output, report)
     database = read_database(path)
     scene = scene_of(database)

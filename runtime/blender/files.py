@@ -13,7 +13,6 @@ from typing import Any
 import bpy
 import numpy as np
 
-LEAD_IN = 1.0  # that gube takes from the rest pose to the first frame of a clip [s]
 CLIP = "Animation"  # name that Blender's exporter gives to the armature's own action
 LEARNED_SHARE = 0.7  # of the action that is learned from; the rest is held out
 
@@ -166,7 +165,7 @@ def show_result(folder: Path, armature: Any, garment: Any) -> Any:
         face.use_smooth = True
     modifier = shown.modifiers.new("gube", "MESH_CACHE")
     modifier.cache_format, modifier.filepath = "PC2", str(folder / "result.pc2")
-    modifier.frame_start = armature.animation_data.action.frame_range[0] - LEAD_IN * frame_rate()
+    modifier.frame_start = armature.animation_data.action.frame_range[0]
     garment.hide_set(True)
     garment.hide_render = True
     return shown

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from typing import TYPE_CHECKING
 
 from runtime.arguments import add_output_file, add_playback, positive
@@ -30,11 +31,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Report:
     """Play the first motion that is asked for and write it."""
+    from runtime.garment_setup import scene_of
     from runtime.info import better_choice
-    from runtime.outputs import check_file
+    from runtime.outputs import check_file, check_is_no_source
     from runtime.plain_player import PlainPlayer
     from runtime.play import BAKED, baked_frames, open_database, write_baked
-    from runtime.report import Report
+    from runtime.report import Progress, Report
     from runtime.shown_body import shown_body
     from runtime.terminal import say
     from wrinkles.levels import garment_vertices
@@ -47,11 +49,16 @@ def run(options: argparse.Namespace) -> Report:
         fabric=options.fabric,
         wrinkles=options.wrinkles,
     )
-    player, frames, normals, poses = baked_frames(database, inputs, inputs.motions[0], options.rate, options.seconds)
+    check_is_no_source(options.output, options.character or scene_of(database))
+    motion = inputs.motions[0]
+    with Progress(sys.stderr) as progress:
+        given = database, inputs, motion, options.rate, options.seconds
+        player, frames, normals, poses = baked_frames(*given, progress.later)
+        progress.later(f"writing {options.output}")
+        faces, body = player.levels.subdivision.faces, shown_body(inputs.body, player.levels)
+        garments, texture = garment_vertices(player.levels), database.fine_texture
+        write_baked(options.output, faces, frames, options.rate, normals, body, poses, garments, texture)
     if isinstance(player, PlainPlayer):
         say(f"plays {better_choice(database.quality)} (--wrinkles plays the wrinkles)")
-    faces, body = player.levels.subdivision.faces, shown_body(inputs.body, player.levels)
-    garments, texture = garment_vertices(player.levels), database.fine_texture
-    write_baked(options.output, faces, frames, options.rate, normals, body, poses, garments, texture)
-    say(f"{inputs.motions[0].name}: {len(frames)} frames of {frames.shape[1]} vertices baked to {options.output}")
+    say(f"{motion.name}: {len(frames)} frames of {frames.shape[1]} vertices baked to {options.output}")
     return Report({"frame_count": len(frames), "fine_vertex_count": frames.shape[1]})

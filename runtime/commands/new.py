@@ -29,17 +29,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Report:
     """Write a scene file and print what was guessed."""
-    from pbd import InputError
-    from runtime.new_scene import write_new_scene
+    import sys
+
+    from pbd.errors import InputError
     from runtime.outputs import check_file
-    from runtime.report import Report
+    from runtime.report import Progress, Report
     from runtime.terminal import say
 
     check_file(options.output, ".toml")
     if options.output.exists():
         expected = "a new file: a scene that somebody has changed is not written over"
         raise InputError("exists already", key="-o", received=str(options.output), expected=expected)
-    made = write_new_scene(options.character, options.garments, options.output)
+    with Progress(sys.stderr) as progress:
+        progress.later(f"looking at {options.character}")
+        from runtime.new_scene import write_new_scene
+
+        made = write_new_scene(options.character, options.garments, options.output, progress.later)
     say(made.text, verbatim=True)
     for guess in made.garments:
         for note in guess.notes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -44,11 +45,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Report:
     """Play every motion that is asked for and draw it, or play it by the clock."""
     from runtime.play import loop_figures, play_motion
+    from runtime.report import Progress
 
     def figures_of(database: WrinkleDatabase, inputs: PlaybackInputs, motion: Motion) -> dict[str, Any]:
         if options.loop is not None:
             return dict(loop_figures(database, inputs, motion, options.loop, options.hz))
-        return dict(play_motion(database, inputs, motion, options.seconds, options.output))
+        with Progress(sys.stderr) as progress:
+            progress.later(f"playing {motion.name}")
+            return dict(play_motion(database, inputs, motion, options.seconds, options.output))
 
     return play_motions(options, figures_of)
 

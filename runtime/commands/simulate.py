@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--seconds",
         type=positive,
         metavar="S",
-        help=f"length of the simulation [s] (default: all of the motion; {NO_BODY_SECONDS:g} without a body)",
+        help=f"length of the animation [s] (default: all of the motion; {NO_BODY_SECONDS:g} without a body)",
     )
     parser.add_argument(
         "--fine", action="store_true", help="simulate the subdivided mesh (default: off, simulate the coarse mesh)"
@@ -46,28 +47,36 @@ def run(options: argparse.Namespace) -> Report:
     """Simulate a scene and write the animation, or only print the scene."""
     from assets.io.scene import load_scene, scene_text
     from runtime.figures import figure_lines
-    from runtime.outputs import check_file
-    from runtime.report import Report
+    from runtime.outputs import check_file, check_is_no_source
+    from runtime.report import Progress, Report
     from runtime.terminal import say
 
     scene = load_scene(options.scene)
     from runtime.garment_mesh import texture_of, with_subdivisions
     from runtime.scene_body import body_of
-    from runtime.scene_simulation import simulation_of
+    from runtime.scene_simulation import garments_of, simulation_of
 
     if options.explain:
         say(scene_text(with_subdivisions(scene)).removesuffix("\n"), verbatim=True)
         return Report()
-    from runtime.play import BAKED, simulated_frames, write_baked
+    from runtime.play import BAKED, clip_begin, simulated_frames, write_baked
 
     output = options.output or Path("out") / f"{options.scene.stem}.glb"
     check_file(output, *BAKED)
+    check_is_no_source(output, scene)
     body = None if scene.character is None else body_of(scene)  # as it is before its file changes
-    simulation, motion = simulation_of(scene, options.fine, say)
-    longest = NO_BODY_SECONDS if motion is None else motion.duration
-    seconds = longest if options.seconds is None else min(options.seconds, longest if motion else math.inf)
-    frames, poses, rate, figures = simulated_frames(simulation, motion, scene, seconds)
-    texture = texture_of(scene, options.fine)
-    write_baked(output, simulation.model.mesh.faces, frames, rate, body=body, poses=poses, texture=texture)
-    say("\n".join([*figure_lines(figures), f"baked to {output}"]))
+    openings: list[str] = []
+    with Progress(sys.stderr) as progress:
+        progress.later(f"setting up {options.scene}")
+        simulation, motion = simulation_of(scene, options.fine, openings.append)
+        longest = NO_BODY_SECONDS if motion is None else motion.duration - clip_begin(motion)
+        seconds = longest if options.seconds is None else min(options.seconds, longest if motion else math.inf)
+        frames, poses, rate, figures = simulated_frames(simulation, motion, scene, seconds, progress.later)
+        faces, garments, texture = (
+            simulation.model.mesh.faces,
+            garments_of(scene, simulation),
+            texture_of(scene, options.fine),
+        )
+        write_baked(output, faces, frames, rate, body=body, poses=poses, garments=garments, texture=texture)
+    say("\n".join([*openings, *figure_lines(figures), f"baked to {output}"]))
     return Report(figures)

@@ -7,10 +7,12 @@ import subprocess
 import sys
 import time
 from functools import partial
+from multiprocessing import active_children
 from pathlib import Path
 
 import pytest
 
+import precompute.workers
 from pbd.errors import InputError
 from precompute.workers import Workers, run_jobs
 from tests.data import ROOT
@@ -103,3 +105,18 @@ def test_a_worker_does_not_outlive_a_killed_parent(tmp_path: Path) -> None:
         time.sleep(0.05)
     os.kill(worker, 9)
     pytest.fail("the worker lives on")
+
+
+def test_who_is_ended_ends_its_processes_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(precompute.workers, "GLANCE", 0.1)
+    before, began = set(active_children()), []
+
+    def interrupted() -> None:
+        if set(active_children()) - before:
+            began.append(time.monotonic())
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_jobs([partial(_late, 300.0, 0), partial(_late, 300.0, 1)], 2, meanwhile=interrupted)
+    assert time.monotonic() - began[0] < 60.0
+    assert set(active_children()) == before

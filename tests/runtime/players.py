@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from assets.io.scene import parse_scene, scene_text
+from assets.procedural.builtin import builtin_garment
 from pbd import SolverOptions
 from runtime.garment_mesh import texture_of
 from runtime.garment_setup import GarmentSetup
@@ -17,7 +18,17 @@ from wrinkles.database import WrinkleDatabase, body_hash
 from wrinkles.rest_shape import RestShapeCorrection
 from wrinkles.surface import Subdivision
 
-__all__ = ["OUTFIT", "SCENE", "TROUSERS", "outfit_database", "random_database", "skirt_database", "skirt_stage", "WORN"]
+__all__ = [
+    "OUTFIT",
+    "SCENE",
+    "TROUSERS",
+    "WORN",
+    "outfit_database",
+    "random_database",
+    "skirt_database",
+    "skirt_stage",
+    "tube",
+]
 
 WORN = """
 [[garment]]
@@ -98,3 +109,18 @@ def random_database(stage: GarmentSetup, **changes: Any) -> WrinkleDatabase:
         "texture": texture_of(stage.scene),
     }
     return replace(database, **(fields | changes))
+
+
+def tube() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A short wide skirt of few vertices: vertices, faces and its upper ring."""
+    skirt = builtin_garment("skirt").vertices
+    top, around, rows = skirt[skirt[:, 1] > skirt[:, 1].max() - 0.01], 16, 4
+    centre, radius = top.mean(axis=0), np.linalg.norm((top - top.mean(axis=0))[:, [0, 2]], axis=1).max()
+    row, column = np.divmod(np.arange(rows * around), around)
+    angle = 2.0 * np.pi * column / around
+    wide = radius + 0.03 + 0.05 * row
+    vertices = centre + np.stack([wide * np.sin(angle), -0.09 * row, wide * np.cos(angle)], axis=1)
+    a = np.arange((rows - 1) * around)
+    b = a - a % around + (a + 1) % around
+    faces = np.concatenate([np.stack([a, a + around, b], axis=1), np.stack([b, a + around, b + around], axis=1)])
+    return vertices, faces.astype(np.int32), np.arange(around)

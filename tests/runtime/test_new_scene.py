@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from assets.character import Character, Clip
 from assets.garment import Garment, boundary_loops, load_garment
 from assets.io.converted import write_garment
 from assets.io.scene import load_scene
+from assets.io.settings import portable_path
 from assets.placement import fit_of
 from pbd import InputError
 from runtime import command
@@ -152,6 +154,62 @@ def test_a_walk_is_held_out_and_others_are_learned_from(mannequin: BodyGuess) ->
     assert motions.held_out.clip == "walk"
     assert "walk" not in {part.clip for part in motions.clips}
     assert motions.procedural_seconds > 0.0
+
+
+def of_lengths(guess: BodyGuess, **seconds: float) -> BodyGuess:
+    """The body with its walk cut or repeated to some lengths, by name."""
+    assert isinstance(guess.body, Character)
+    walk = guess.body.clip("walk")
+
+    def lasting(name: str, length: float) -> Clip:
+        frames = np.arange(round(length * walk.rate) + 1) % walk.frame_count
+        parts = {part: getattr(walk, part)[frames] for part in ("translation", "rotation", "scale")}
+        return replace(walk, name=name, **parts)
+
+    clips = {name: lasting(name, length) for name, length in seconds.items()}
+    return replace(guess, body=replace(guess.body, clips=clips))
+
+
+def test_a_clip_is_held_out_that_can_be_judged_by(mannequin: BodyGuess) -> None:
+    assert guess_motions(of_lengths(mannequin, walk_loop=0.8, dance=2.0)).held_out.clip == "dance"
+    assert guess_motions(of_lengths(mannequin, walk_loop=1.2, dance=2.0)).held_out.clip == "walk_loop"
+    assert guess_motions(of_lengths(mannequin, walk_loop=0.8, dance=0.9)).held_out.clip == "walk_loop"  # none can
+    cut = guess_motions(of_lengths(mannequin, dance=3.0))
+    assert (cut.clips[0].end, cut.held_out.start) == pytest.approx((1.9, 1.9))
+
+
+def test_files_are_named_so_that_all_can_be_moved_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    work, data = tmp_path / "home" / "work", tmp_path / "data"
+    scenes, elsewhere = work / "scenes", tmp_path / "elsewhere"
+    for folder in (scenes, work / "meshes", data / "meshes", elsewhere):
+        folder.mkdir(parents=True)
+    monkeypatch.delenv("GUBE_DATA", raising=False)
+    assert portable_path(scenes / "a.obj", scenes) == "a.obj"
+    assert portable_path(scenes / "below" / "a.obj", scenes) == "below/a.obj"
+    assert portable_path(work / "meshes" / "a.obj", scenes) == "../meshes/a.obj"
+    assert portable_path(scenes / ".." / "meshes" / "a.obj", scenes) == "../meshes/a.obj"
+    assert portable_path(elsewhere / "a.obj", scenes) == str(elsewhere / "a.obj")
+    assert portable_path(data / "meshes" / "a.obj", scenes) == str(data / "meshes" / "a.obj")
+    monkeypatch.setenv("GUBE_DATA", str(data))
+    assert portable_path(data / "meshes" / "a.obj", scenes) == "${GUBE_DATA}/meshes/a.obj"
+    assert portable_path(data / "meshes" / "a.obj", data / "scenes") == "../meshes/a.obj"  # they move together
+    assert portable_path(elsewhere / "a.obj", scenes) == str(elsewhere / "a.obj")
+
+
+def test_a_scene_that_is_moved_with_its_files_loads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, data = tmp_path / "here", tmp_path / "data"
+    for one in (folder / "meshes", folder / "scenes", data):
+        one.mkdir(parents=True)
+    monkeypatch.setenv("GUBE_DATA", str(data))
+    monkeypatch.setattr("runtime.new_scene.simulation_of", lambda scene: None)  # takes time and changes no name
+    skirt = stored(folder / "meshes", one_layer("skirt"), "skirt.obj")
+    shirt = stored(data, one_layer("tshirt"), "shirt.obj")
+    write_new_scene(MANNEQUIN, [str(skirt), str(shirt)], folder / "scenes" / "scene.toml")
+    folder.rename(tmp_path / "there")
+    data.rename(tmp_path / "other data")
+    monkeypatch.setenv("GUBE_DATA", str(tmp_path / "other data"))
+    meshes = {garment.mesh for garment in load_scene(tmp_path / "there" / "scenes" / "scene.toml").garments}
+    assert meshes == {tmp_path / "there" / "meshes" / "skirt.obj", tmp_path / "other data" / "shirt.obj"}
 
 
 def broken(folder: Path, kind: str) -> list[str]:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
+import pygltflib
 import pytest
 
 from assets.fabrics import PRESETS
 from assets.io.scene import parse_scene
 from pbd import InputError
+from runtime import command
 from runtime.garment_mesh import pattern_of
 from runtime.garment_setup import GarmentSetup, fabric_of
-from runtime.scene_simulation import simulation_of
+from runtime.scene_simulation import garments_of, simulation_of
 from tests.assets.panels import two_panels
 from tests.runtime.players import TROUSERS
 
@@ -191,3 +194,27 @@ def test_a_decimated_garment_is_refused(tmp_path: Path) -> None:
     cloth = SKIRT.replace('"builtin:skirt"', mesh).replace('attach = "top"', "")
     with pytest.raises(InputError, match=r"garment\[1\].coarse_vertices: a decimated mesh in an outfit"):
         setup_of(TROUSERS + cloth + REST)
+
+
+@pytest.mark.parametrize("fine", [False, True])
+def test_each_garment_of_a_simulated_outfit_is_a_mesh_of_its_own(fine: bool, setup: GarmentSetup) -> None:
+    scene = parse_scene(OUTFIT, "outfit.toml")
+    levels = setup.levels
+    model = levels.model(fabric_of(setup.settings), fine=fine)
+    found = garments_of(scene, SimpleNamespace(model=model))  # pyright: ignore[reportArgumentType]
+    assert found is not None and list(found) == ["trousers", "skirt"]
+    layer = levels.fine_layer if fine else levels.layers and levels.layers.layer
+    for number, vertices in enumerate(found.values()):
+        np.testing.assert_array_equal(vertices, np.flatnonzero(layer == number))
+    assert garments_of(parse_scene(SKIRT + REST, "skirt.toml"), SimpleNamespace(model=model)) is None  # pyright: ignore[reportArgumentType]
+
+
+def test_a_simulated_outfit_is_written_by_garments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, out = tmp_path / "outfit.toml", tmp_path / "outfit.glb"
+    path.write_text(OUTFIT, encoding="utf-8")
+    monkeypatch.setattr("runtime.play.clip_begin", lambda motion: 0.0)
+    assert command.main(["simulate", str(path), "-o", str(out), "--seconds", "0.02"]) == 0
+    document = pygltflib.GLTF2().load(str(out))
+    assert document is not None
+    assert [mesh.name for mesh in document.meshes] == ["trousers", "skirt", "body"]
+    assert [node.name for node in document.nodes[:2]] == ["trousers", "skirt"]

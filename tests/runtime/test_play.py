@@ -11,12 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from assets.character import Character
+from assets.garment import load_garment
+from assets.io.converted import write_garment
 from assets.io.scene import parse_scene
 from assets.io.sequence import Sequence
+from assets.motion import ClipMotion
 from pbd import InputError
 from pbd.wind import Wind
 from runtime import command
-from runtime.play import play, playback_inputs, simulated_frames
+from runtime.play import PlaybackInputs, baked_frames, play, playback_inputs, simulated_frames
 from runtime.player import Player
 from runtime.scene_simulation import simulation_of
 from runtime.simulation import poses_of
@@ -219,6 +223,52 @@ def test_baked_animations_hold_the_body_too(path: Path, tmp_path: Path) -> None:
     assert document.accessors[garment.indices].count == 3 * len(fine)
     place = document.accessors[garment.attributes.TEXCOORD_0]
     assert place.count == document.accessors[garment.attributes.POSITION].count > fine.max() + 1  # seams are split
+
+
+@pytest.mark.parametrize("rate_hz", [60.0, 24.0])
+def test_a_baked_animation_begins_in_the_first_frame_of_the_clip(rate_hz: float) -> None:
+    stage, database = skirt_stage(), skirt_database()
+    assert isinstance(stage.body, Character)
+    motion, own = ClipMotion(stage.body, "walk", blend=0.1), ClipMotion(stage.body, "walk", blend=0.0)
+    inputs = PlaybackInputs(stage.body, (motion,))
+    _, frames, normals, poses = baked_frames(database, inputs, motion, rate_hz, 0.125)
+    times = np.arange(int(0.125 * rate_hz + 1e-6) + 1) / rate_hz
+    np.testing.assert_allclose(poses, np.stack([own.pose(t) for t in times]), atol=1e-9)
+    assert len(frames) == len(normals) == len(times)
+    player = Player(database, stage.body, motion.pose(0.0))
+    for tick in range(1, 7):
+        player.update(motion.pose(tick / 60.0), 1.0 / 60.0)
+    np.testing.assert_allclose(frames[0], player.vertices + player.origin, atol=1e-6)
+
+
+def test_a_simulated_animation_begins_in_the_first_frame_of_the_clip(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = parse_scene(SCENE, "skirt.toml")
+    simulation, motion = simulation_of(scene)
+    assert isinstance(motion, ClipMotion)
+    own = ClipMotion(skirt_stage().body, "walk", blend=0.0)  # pyright: ignore[reportArgumentType]
+    stepped: list[int] = []
+    monkeypatch.setattr(type(simulation), "step", lambda *_: stepped.append(1))
+    frames, poses, rate, figures = simulated_frames(simulation, motion, scene, 0.1)
+    assert (len(frames), rate, figures["frame_count"], len(stepped)) == (4, 30.0, 6, 66)
+    assert poses is not None
+    np.testing.assert_allclose(poses, np.stack([own.pose(frame / 30.0) for frame in range(4)]), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["tshirt.glb", "tshirt.pc2"])
+def test_nothing_is_written_over_what_a_scene_is_made_of(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A point cache comes with an .obj beside it, which may be the garment."""
+    mesh = load_garment("builtin:skirt")
+    write_garment(tmp_path / "tshirt.obj", mesh.vertices, mesh.faces, None, "a test")
+    (tmp_path / "tshirt.glb").write_bytes(b"the artist's")
+    scene = tmp_path / "scene.toml"
+    words = '[[garment]]\nname = "skirt"\nmesh = "tshirt.obj"\n[character]\nfile = "tshirt.glb"\n'
+    scene.write_text(words, encoding="utf-8")
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    assert command.main(["simulate", str(scene), "-o", str(tmp_path / name)]) == 2
+    assert "would be written over" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 def test_a_cache_of_points_is_baked_at_its_own_rate(path: Path, tmp_path: Path) -> None:

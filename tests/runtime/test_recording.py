@@ -13,15 +13,24 @@ import numpy as np
 import pytest
 import trimesh
 
+from assets.character import Character
 from assets.io.sequence import Sequence, SequenceMotion
 from assets.motion import ClipMotion
 from assets.procedural.mannequin import builtin_mannequin
 from pbd import InputError
 from runtime import recording
 from runtime.page import WEB
-from runtime.play import PlaybackInputs
+from runtime.play import PlaybackInputs, clip_begin
 from runtime.player import Player
-from runtime.recording import BODY_STEP, GARMENT_STEP, TRUTH_STEP, RecordedTruth, record
+from runtime.recording import (
+    BODY_STEP,
+    GARMENT_STEP,
+    MATRIX_STEP,
+    PLACE_STEP,
+    TRUTH_STEP,
+    RecordedTruth,
+    record,
+)
 from runtime.recording_file import LARGEST, Quantised, links_of, quantised, read_recording, recording_bytes
 from runtime.simulation import Motion, poses_of
 from tests.runtime.players import outfit_database, skirt_database, skirt_stage
@@ -35,6 +44,9 @@ const [path, web, names] = process.argv.slice(1), bytes = new Uint8Array(require
 require(`${web}/reader.js`).readRecording(bytes).then(({ arrays }) => process.stdout.write(
     Buffer.concat(names.split(" ").map((name) => new Uint8Array(arrays[name].buffer)))));
 """
+
+
+LEAD = 0.1  # that leads to a clip: six frames of the player [s]
 
 
 class Recorded(NamedTuple):
@@ -52,24 +64,31 @@ class Recorded(NamedTuple):
 def recorded(database: WrinkleDatabase, inputs: PlaybackInputs, motion: Motion, seconds: float) -> Recorded:
     data, figures = record(database, inputs, motion, seconds, {})
     dt = 1.0 / database.frame_rate
-    poses = poses_of(motion, dt, seconds)
+    first = round(clip_begin(motion) / dt)
+    poses = poses_of(motion, dt, first * dt + seconds)
     player = Player(database, inputs.body, poses[0])
     fine, coarse = [], []
     for number, pose in enumerate(poses):
         if number:
             player.update(pose, dt)
-        if number % 2:  # half of the player's frames are recorded
+        if number < first or number % 2:  # half of the player's frames are recorded, from the clip's first one on
             continue
         fine.append(player.vertices + player.origin)
         coarse.append(player.simulation.state.world())
     return Recorded(data, figures, np.array(fine), np.array(coarse))
 
 
+def skirt_body() -> Character:
+    body = skirt_stage().body
+    assert isinstance(body, Character)
+    return body
+
+
 @cache
 def skirt() -> Recorded:
     """A subdivided mesh on a character."""
     stage = skirt_stage()
-    motion = stage.motion()
+    motion = ClipMotion(skirt_body(), "walk", blend=LEAD)
     return recorded(skirt_database(subdivisions=2), PlaybackInputs(stage.body, (motion,)), motion, 0.2)
 
 
@@ -77,7 +96,7 @@ def skirt() -> Recorded:
 def outfit() -> Recorded:
     """A skirt over trousers: the dictionary reads how far they are from one another."""
     body = builtin_mannequin()
-    motion = ClipMotion(body, "walk")
+    motion = ClipMotion(body, "walk", blend=LEAD)
     return recorded(outfit_database(), PlaybackInputs(body, (motion,)), motion, 0.2)
 
 
@@ -137,6 +156,16 @@ def test_a_body_of_vertices_is_recorded_as_it_moves() -> None:
     assert np.array_equal(arrays["body/faces"].steps, body.faces)
 
 
+def test_it_begins_in_the_first_frame_of_the_clip() -> None:
+    about, arrays = read_recording(skirt().data)
+    own = ClipMotion(skirt_body(), "walk", blend=0.0)
+    poses = np.stack([own.pose(frame / 30.0) for frame in range(7)])
+    assert about["frame_count"] == len(poses)
+    matrices, places = arrays["frames/matrices"].steps * MATRIX_STEP, arrays["frames/places"].steps * PLACE_STEP
+    assert np.abs(matrices - poses[..., :3]).max() < 0.51 * MATRIX_STEP
+    assert np.abs(places - poses[..., 3]).max() < 0.51 * PLACE_STEP
+
+
 def test_only_an_outfit_says_which_garment_a_vertex_belongs_to() -> None:
     _, arrays = read_recording(outfit().data)
     garments = arrays["garments"].steps
@@ -146,16 +175,16 @@ def test_only_an_outfit_says_which_garment_a_vertex_belongs_to() -> None:
 
 def test_the_truth_is_left_out_where_the_page_would_be_too_large(monkeypatch: pytest.MonkeyPatch) -> None:
     stage = skirt_stage()
-    motion = stage.motion()
+    motion = ClipMotion(skirt_body(), "walk", blend=LEAD)
     inputs, database = PlaybackInputs(stage.body, (motion,)), skirt_database()
     count = database.fine_vertex_count
-    truth = RecordedTruth(np.array([0, 1, 2, 40]), np.random.default_rng(0).standard_normal((4, count, 3)))
+    truth = RecordedTruth(np.array([2, 6, 7, 8, 40]), np.random.default_rng(0).standard_normal((5, count, 3)))
     data, figures = record(database, inputs, motion, 0.05, {}, truth=truth)
     _, arrays = read_recording(data)
-    assert figures["truth_frame_count"] == 2  # one stands between recorded frames, one after the end
+    assert figures["truth_frame_count"] == 2  # others are before the clip, between recorded frames, after the end
     assert arrays["truth/numbers"].steps.tolist() == [0, 1]
     world = arrays["frames/truth"].steps * TRUTH_STEP
-    assert np.abs(world - truth.vertices[::2][:2]).max() < 0.501 * TRUTH_STEP
+    assert np.abs(world - truth.vertices[1::2][:2]).max() < 0.501 * TRUTH_STEP
     monkeypatch.setattr(recording, "MAX_SIZE", len(data) - 1)
     data, figures = record(database, inputs, motion, 0.05, {}, truth=truth)
     assert figures["truth_frame_count"] == 0 and "frames/truth" not in read_recording(data)[1]

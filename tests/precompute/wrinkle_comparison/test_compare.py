@@ -5,19 +5,23 @@ from __future__ import annotations
 import json
 import pickle
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from assets.procedural.builtin import builtin_garment
 from pbd import InputError, SolverOptions
-from precompute.learning.evaluation import Truth, fine_run, levels_from, play_freely, truth_of
+from precompute.learning.evaluation import SETTLE, Truth, fine_run, levels_from, play_freely, truth_of
+from precompute.learning.recording import Run
+from precompute.scratch import Tally
 from precompute.wrinkle_comparison import compare as comparing
+from precompute.wrinkle_comparison import wrinkle_comparison
 from precompute.wrinkle_comparison.baselines import ClothTurn, fine_cloth, plain_cloths, take_turns
 from precompute.wrinkle_comparison.blind import blind_figures, write_blind
 from precompute.wrinkle_comparison.compare import (
     RUNS,
+    check_length,
     compare,
     compare_file,
     plain_methods,
@@ -25,29 +29,16 @@ from precompute.wrinkle_comparison.compare import (
 )
 from precompute.wrinkle_comparison.comparison import ERRORS, Comparison, Method, MotionComparison
 from precompute.wrinkle_comparison.comparison_page import verdict, write_comparison
+from precompute.wrinkle_comparison.realism import FEWEST_FRAMES
+from runtime import command
 from runtime.info import better_choice, info_text
 from runtime.plain_player import PlainCloth, PlainPlayer, middle_levels
-from runtime.simulation import Simulation, body_source
-from tests.runtime.players import skirt_database, skirt_stage
+from runtime.simulation import Simulation, body_source, poses_of
+from tests.runtime.players import SCENE, skirt_database, skirt_stage, tube
 from tests.wrinkles.databases import placed
 from wrinkles.database import WrinkleDatabase, read_database, write_database
 from wrinkles.levels import build_levels
 from wrinkles.rest_shape import RestShapeCorrection
-
-
-def tube() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A short wide skirt of few vertices: vertices, faces and its upper ring."""
-    skirt = builtin_garment("skirt").vertices
-    top, around, rows = skirt[skirt[:, 1] > skirt[:, 1].max() - 0.01], 16, 4
-    centre, radius = top.mean(axis=0), np.linalg.norm((top - top.mean(axis=0))[:, [0, 2]], axis=1).max()
-    row, column = np.divmod(np.arange(rows * around), around)
-    angle = 2.0 * np.pi * column / around
-    wide = radius + 0.03 + 0.05 * row
-    vertices = centre + np.stack([wide * np.sin(angle), -0.09 * row, wide * np.cos(angle)], axis=1)
-    a = np.arange((rows - 1) * around)
-    b = a - a % around + (a + 1) % around
-    faces = np.concatenate([np.stack([a, a + around, b], axis=1), np.stack([b, a + around, b + around], axis=1)])
-    return vertices, faces.astype(np.int32), np.arange(around)
 
 
 @pytest.fixture(scope="module")
@@ -201,7 +192,7 @@ def test_what_may_be_as_good_is_run_again_the_cheapest_first(
         return replace(method, runs=method.runs * 4, figures=figures)
 
     monkeypatch.setattr(comparing, "_played", lambda *_: methods)
-    monkeypatch.setattr(comparing, "_with_figures", lambda _, methods, __: methods)
+    monkeypatch.setattr(comparing, "_with_figures", lambda _, methods, *__: methods)
     monkeypatch.setattr(comparing, "_again", again)
     found = compare(database, [truth])
     assert asked == ["plain_2_", "plain_0_"]  # two at a time
@@ -397,7 +388,7 @@ def at_once(truth: Truth, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_only_the_whole_held_out_motion_decides(database: WrinkleDatabase, path: Path, at_once: None) -> None:
-    compare_file(path, path.parent, seconds=2.0)
+    compare_file(path, path.parent, seconds=2.7)
     compare_file(path, path.parent, clip=database.held_out[0])
     assert "cost_advantage" not in read_database(path).quality
     compare_file(path, path.parent)
@@ -414,3 +405,86 @@ def test_a_database_that_cannot_be_written_costs_no_comparison(
     monkeypatch.setattr(comparing, "write_database", refuse)
     assert compare_file(path, path.parent, report=lines.append).cost_advantage is not None
     assert any("cannot be written (Permission denied)" in line for line in lines)
+
+
+class Lasting:
+    """A motion that lasts so long, led into for some of it."""
+
+    name = "lasting"
+
+    def __init__(self, duration: float, lead_in: float) -> None:
+        self.duration, self.lead_in = duration, lead_in
+
+    def pose(self, t: float) -> np.ndarray:
+        return np.zeros((1, 3))
+
+
+def held_out_for(seconds: float, folder: Path) -> Path:
+    """A scene whose held-out clip lasts so long."""
+    path = folder / "scene.toml"
+    path.write_text(SCENE.rstrip() + f"\nend = {seconds}\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("frame_rate", [30.0, 50.0, 60.0])
+def test_a_motion_is_refused_exactly_where_too_few_frames_would_be_recorded(frame_rate: float) -> None:
+    dt, outcomes = 1.0 / frame_rate, set()
+    for blend, frames in product((0.0, 1.0), range(20, 130)):
+        motion = Lasting(blend + frames * dt, blend)
+        count = len(poses_of(motion, dt)) - 1
+        recorded = np.arange(Run.every, count + 1, Run.every)
+        enough = int((recorded * dt > SETTLE).sum()) >= FEWEST_FRAMES
+        for cut in (None, motion.duration):
+            try:
+                check_length(motion, dt, cut)
+            except InputError:
+                assert not enough, (blend, frames)
+            else:
+                assert enough, (blend, frames)
+        outcomes.add(enough)
+    assert outcomes == {True, False}
+
+
+def test_what_cannot_be_compared_on_is_refused_before_anything_is_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def made(*_: object, **__: object) -> None:
+        raise AssertionError("nothing may be simulated or learned")
+
+    for name in ("precompute", "truth_of", "database_of"):
+        monkeypatch.setattr(comparing, name, made)
+    monkeypatch.setattr(wrinkle_comparison, "database_of", made)
+    short, long = held_out_for(0.8, tmp_path), tmp_path / "long.toml"
+    for refuse in (compare_file, wrinkle_comparison.compare_wrinkles_file):
+        with pytest.raises(InputError, match=r"too short to compare on.*received '0.80 s', expected at least 1.03 s"):
+            refuse(short, tmp_path)
+    long.write_text(SCENE, encoding="utf-8")
+    with pytest.raises(InputError, match=r"--seconds.*received 1.5, expected at least 2.03"):
+        compare_file(long, tmp_path, seconds=1.5)
+    with pytest.raises(InputError, match="no such clip"):
+        compare_file(long, tmp_path, clip="flying")
+    with pytest.raises(InputError, match="learned from this clip"):
+        compare_file(long, tmp_path, clip="sway")
+    long.write_text(SCENE.partition("[[training.held_out]]")[0], encoding="utf-8")
+    with pytest.raises(InputError, match="nothing is held out"):
+        wrinkle_comparison.compare_wrinkles_file(long, tmp_path)
+
+
+def test_built_in_scenes_wait_until_the_database_is_looked_at(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ran: list[object] = []
+    monkeypatch.setattr(
+        "precompute.method_comparison.scene_compare.compare_scenes", lambda *given, **_: ran.append(given)
+    )
+    assert command.main(["compare", "swing", str(held_out_for(0.8, tmp_path)), "-o", str(tmp_path)]) == 2
+    assert "too short to compare on" in capsys.readouterr().err and not ran
+
+
+def test_what_is_measured_is_counted(truth: Truth, comparison: Comparison, tmp_path: Path) -> None:
+    told: list[str] = []
+    tally = Tally(tmp_path / "figures")
+    methods = [comparison.motions[0].method(prefix) for prefix in ("", "smooth_")]
+    found = comparing._with_figures(truth, methods, 1, tally, lambda: told.append(""))
+    assert [one.figures for one in found] == [one.figures for one in methods]
+    assert tally.count == 2
