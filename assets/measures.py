@@ -1,7 +1,8 @@
 """Girths and lengths of a body, as a tape measures them, found by the body's geometry alone.
 
-The body stands upright: Y up, face towards +Z, arms held away from the trunk (A-pose or T-pose), legs apart. No rig is
-needed, so that a skinned character in its bind pose and a scanned surface are measured alike.
+The body stands upright: Y up, arms held away from the trunk (A-pose or T-pose), legs apart. Where it stands and which
+way it looks does not matter: it is measured in its own frame. No rig is needed, so that a skinned character in its bind
+pose and a scanned surface are measured alike.
 
 Armpits and crotch are saddles: going along a direction, the first point where arm and leg, or both legs, hang together.
 All girths are those of convex hulls, for a tape bridges hollows. Names and places follow ISO 8559-1 where the shape of
@@ -10,7 +11,9 @@ the surface shows the place; bones that a tailor feels with the finger are found
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from functools import partial
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -20,10 +23,12 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from assets.cross_sections import cross_section, hull_length, hull_loop, tape_length
+from assets.facing import StandingFrame, standing_frame
+from assets.plausible import check_given, doubtful
 from pbd.errors import InputError
 from pbd.mesh import edges_of
 
-__all__ = ["BodyMeasures", "Landmarks", "Surface", "measure"]
+__all__ = ["MEASURES", "BodyMeasures", "Landmarks", "Surface", "measure"]
 
 Floats = NDArray[np.float64]
 Faces = NDArray[np.int32]
@@ -35,6 +40,9 @@ _NECK_SLOPE = 0.8  # of the outline seen from the front, where shoulder becomes 
 _NECK_TILT = np.radians(20.0)  # of the plane of the neck's base, down to the front
 _UPRIGHT = 5.0  # weight of the upright direction in the plane where arms begin [-]
 _WAIST_LESS = 0.97  # girth of a waist over those below and above it, at most [-]
+_WAIST_HEIGHT = (
+    0.64  # of the stature, where a waist of given girth is, if none shows [-]; five bodies have 0.63 to 0.66
+)
 _UP = np.array([0.0, 1.0, 0.0])
 
 
@@ -57,7 +65,9 @@ class Surface(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """Places on a body [m], shape (3,) each; of pairs the left one (+X), mirrored for the right.
+    """Places on a body, in its own frame [m], shape (3,) each; of pairs the left one (+X), mirrored for the right.
+
+    Places of a part that could not be measured are not numbers.
 
     Attributes:
         floor: height of the soles [m].
@@ -119,9 +129,11 @@ class BodyMeasures:
         waist_to_floor: height of the waist over the soles.
         thigh, knee, ankle: girths of the leg.
         front_share: shares of bust, waist and hip girth that lie in front of the sides [-], shape (3,).
-        landmarks: places on the body.
-        surface: the body that was measured.
+        landmarks: places on the body, in its frame.
+        surface: the body that was measured, in the world.
+        frame: of the body in the world.
         arm_vertices: whether a vertex belongs to an arm, shape (n,).
+        doubts: why a measure is not a number, by its name.
     """
 
     height: float
@@ -154,39 +166,66 @@ class BodyMeasures:
     front_share: Floats
     landmarks: Landmarks
     surface: Surface
+    frame: StandingFrame
     arm_vertices: NDArray[np.bool_]
+    doubts: Mapping[str, str] = field(default_factory=dict)
 
     def values(self) -> dict[str, float]:
         """All girths and lengths by name [m], and the slope of the shoulder [rad]."""
         return {field.name: getattr(self, field.name) for field in fields(self) if field.type == "float"}
 
 
-def measure(body: Surface) -> BodyMeasures:
+MEASURES = tuple(field.name for field in fields(BodyMeasures) if field.type == "float")
+"""Names of all measures."""
+
+
+def measure(body: Surface, given: Mapping[str, float] | None = None) -> BodyMeasures:
     """Measure a body that stands upright with its arms away from its trunk.
 
-    A measure that the body does not show is not a number; a draft that needs it says so.
+    A measure that the body does not show, or that no body of its height has, is not a number, and ``doubts`` says why;
+    a draft that needs it says so.
+
+    Args:
+        body: anywhere, turned about the vertical in any way.
+        given: measures that were taken by hand, which count instead of those of the surface [m]. A waist of given girth
+            lies where the body shows one, else at a usual height; with ``waist_to_floor`` it lies there.
 
     Raises:
-        InputError: the surface is no figure with two arms and two legs that are apart.
+        InputError: the surface is no figure with two arms and two legs that are apart, or a given measure is unknown or
+            of no body.
     """
+    given = dict(given or {})
+    unknown = sorted(set(given) - set(MEASURES))
+    if unknown:
+        raise InputError("no such measure", received=unknown[0], expected="one of " + ", ".join(MEASURES))
     figure = _Figure(body)
-    trunk, neck, arm, leg = _trunk(figure), _neck_and_shoulder(figure), _arm(figure), _leg(figure)
-    places = {**trunk.places, **neck.places, **arm.places, **leg.places}
+    for name, value in given.items():
+        check_given(name, value, figure.height)
+    doubts: dict[str, str] = {}
+    values, places = _trunk(figure, given)
+    for part, names in ((_neck_and_shoulder, _NECK), (_arm, _ARM), (_leg, _LEG)):
+        found = _taken(figure, part, given, doubts, names)
+        values |= found.values
+        places |= found.places
     landmarks = Landmarks(floor=figure.floor, crotch=figure.crotch, armpit=figure.armpit, **places)
-    lengths = _trunk_lengths(figure, landmarks) | {
-        "height": figure.height,
-        "waist_to_hip": landmarks.waist[1] - landmarks.hip[1],
-        "rise": landmarks.waist[1] - figure.crotch[1],
-        "inseam": figure.crotch[1] - figure.floor,
-        "waist_to_floor": landmarks.waist[1] - figure.floor,
-    }
-    values = {**trunk.values, **neck.values, **arm.values, **leg.values, **lengths}
+    values |= _taken(figure, partial(_trunk_lengths, places=landmarks), given, doubts, _TRUNK_LENGTHS).values
+    waist, hip, crotch = landmarks.waist[1], landmarks.hip[1], figure.crotch[1]
+    values |= {"height": figure.height, "inseam": crotch - figure.floor}
+    values |= {"waist_to_floor": waist - figure.floor, "rise": waist - crotch, "waist_to_hip": waist - hip}
+    values = {name: float(value) for name, value in values.items()} | given
+    doubts |= {name: _NO_WAIST for name, value in values.items() if np.isnan(value) and name not in doubts}
+    impossible = doubtful({name: value for name, value in values.items() if not np.isnan(value)}, set(given))
+    for name, reason in impossible.items():
+        place = getattr(landmarks, name, None)
+        doubts[name] = reason if place is None else f"{place[1] - figure.floor:.2f} m above the floor, {reason}"
     return BodyMeasures(
-        **{name: float(value) for name, value in values.items()},
+        **{name: np.nan if name in impossible else value for name, value in values.items()},
         front_share=_front_share(figure, landmarks),
         landmarks=landmarks,
         surface=body,
+        frame=figure.frame,
         arm_vertices=figure.is_arm,
+        doubts=doubts,
     )
 
 
@@ -197,11 +236,52 @@ class _Part(NamedTuple):
     places: dict[str, Floats]
 
 
+class _Missing(Exception):
+    """A part of the body that a measure needs is not there; the message names the place."""
+
+
+_NO_WAIST = f"no girth between hips and bust is {100.0 * (1.0 - _WAIST_LESS):.0f} % less than those below and above it"
+_Names = tuple[tuple[str, ...], tuple[str, ...]]  # of the measures of a part, and of its places
+_NECK: _Names = (
+    ("neck", "shoulder_width", "shoulder_length", "shoulder_slope", "armscye_depth", "back_width", "chest_width"),
+    ("shoulder", "neck_side", "neck_back", "neck_front"),
+)
+_ARM: _Names = (("arm_length", "upper_arm", "wrist"), ("arm_start", "elbow", "wrist"))
+_LEG: _Names = (("thigh", "knee", "ankle"), ("knee", "ankle"))
+_TRUNK_LENGTHS: _Names = (("back_length", "back_waist_length", "front_waist_length", "bust_depth"), ())
+
+
+def _taken(
+    figure: _Figure, part: Callable[[_Figure], _Part], given: Mapping[str, float], doubts: dict[str, str], names: _Names
+) -> _Part:
+    """Measures of a part; not numbers, with the reason in ``doubts``, where the body does not have it.
+
+    Args:
+        figure: to measure.
+        part: takes the measures.
+        given: measures by hand.
+        doubts: reasons by measure; the missing ones are added.
+        names: of the part's measures and of its places.
+
+    Raises:
+        InputError: a measure of a missing part was given: there is no place for it.
+    """
+    try:
+        return part(figure)
+    except _Missing as missing:
+        by_hand = sorted(set(given) & set(names[0]))
+        if by_hand:
+            raise figure.problem(f"{by_hand[0].replace('_', ' ')} by hand has no place: {missing}") from None
+        doubts |= {name: str(missing) for name in names[0]}
+        return _Part(dict.fromkeys(names[0], np.nan), {name: np.full(3, np.nan) for name in names[1]})
+
+
 class _Figure:
     """The parts of a body.
 
     Attributes:
-        vertices, faces: of the body.
+        frame: of the body in the world.
+        vertices, faces: of the body, in its frame.
         floor, height: [m].
         crotch, armpit: saddles of the surface [m]; the left armpit.
         is_arm: whether a vertex belongs to an arm that the armpit's saddle cuts off.
@@ -212,31 +292,32 @@ class _Figure:
     """
 
     def __init__(self, body: Surface) -> None:
-        self.name, self.vertices = body.name, np.asarray(body.vertices, float)
-        self.faces = np.asarray(body.faces, np.int32)
-        v = self.vertices
+        self.name, self.faces = body.name, np.asarray(body.faces, np.int32)
+        self.frame = standing_frame(np.asarray(body.vertices, float), self.faces)
+        self.vertices = v = self.frame.local(np.asarray(body.vertices, float))
         self.floor = float(v[:, 1].min())
         self.height = float(v[:, 1].max() - self.floor)
         links = _links(v, self.faces)
         feet = [int(np.where(side * v[:, 0] > 0.0, v[:, 1], np.inf).argmin()) for side in (1, -1)]
-        crotch, is_leg = self._saddle(links, -v[:, 1], feet[0], feet[1], "crotch: both feet")
+        crotch, is_leg = self._saddle(links, -v[:, 1], feet[0], feet[1], "the left and the right foot")
         self.crotch = v[crotch] * (0.0, 1.0, 1.0)
         self.is_arm = np.zeros(len(v), bool)
-        for side in (1, -1):
+        for side, word in ((1, "left"), (-1, "right")):
             hand = int((side * v[:, 0]).argmax())
             shoulder = np.array([side * 0.1 * self.height, self.floor + 0.81 * self.height, v[hand, 2]])
             direction = _unit(v[hand] - shoulder)
             armpit, is_arm = self._saddle(
-                links, v @ _unit(direction + (0.0, -1.0, 0.0)), hand, feet[0], f"armpit: the hand of side {side:+d}"
+                links, v @ _unit(direction + (0.0, -1.0, 0.0)), hand, feet[0], f"the {word} hand and the foot"
             )
             self.is_arm |= is_arm
             if np.linalg.norm(v[hand] - v[armpit]) < 0.15 * self.height:
-                raise self._problem("no arms that stand away from the trunk")
+                raise self.problem(f"the {word} arm does not stand away from the trunk", self._place(v[hand]))
             if side == 1:
                 self.armpit, arm = v[armpit], is_arm
                 self.arm_direction = _unit((direction[0], direction[1], 0.0))
         if not self.armpit[1] > self.crotch[1] + 0.1 * self.height:
-            raise self._problem("no trunk between the crotch and the armpits", self.armpit.round(3).tolist())
+            problem = "the armpits are no higher than the crotch: there is no trunk between them"
+            raise self.problem(problem, self._place(self.armpit))
         # The arm begins at a plane between the one across the arm and an upright one.
         across = np.array([-self.arm_direction[1], self.arm_direction[0], 0.0])
         along = _unit(across + (0.0, _UPRIGHT, 0.0))
@@ -247,27 +328,57 @@ class _Figure:
         self.arm = self.faces[(arm | outside)[self.faces].any(axis=1) & (v[self.faces, 0] > 0.0).all(axis=1)]
 
     def level(self, height: float) -> Floats:
-        """Points of the trunk without arms at a height [m], shape (k, 3)."""
-        points = cross_section(self.vertices, self.trunk, np.array([0.0, height, 0.0]), _UP)
+        """Points of the trunk without arms at a height [m], shape (k, 3).
+
+        Raises:
+            _Missing: there is nothing of it.
+        """
+        points = self.cut(self.trunk, np.array([0.0, height, 0.0]), _UP, "trunk")
         if height < self.armpit[1]:
             return points
-        return points[(np.abs(points) * (1, 0, 0) + points * (0, 1, 1) - self.armpit) @ self.shoulder_normal < 0.0]
+        points = points[(np.abs(points) * (1, 0, 0) + points * (0, 1, 1) - self.armpit) @ self.shoulder_normal < 0.0]
+        if len(points) < 3:
+            raise _Missing(f"nothing of the trunk is {height - self.floor:.2f} m above the floor")
+        return points
 
-    def _saddle(
-        self, links: NDArray[np.int32], field: Floats, first: int, second: int, key: str
-    ) -> tuple[int, NDArray[np.bool_]]:
-        try:
-            return _saddle(links, field, first, second)
-        except ValueError:
-            raise self._problem(f"no {key} and the feet do not hang together") from None
+    def cut(self, faces: Faces, point: Floats, normal: Floats, part: str) -> Floats:
+        """Points where a plane cuts faces of the body [m], shape (k, 3).
 
-    def _problem(self, problem: str, received: object = None) -> InputError:
+        Args:
+            faces: shape (m, 3).
+            point, normal: of the plane, shape (3,).
+            part: name of the part of the body, for the message.
+
+        Raises:
+            _Missing: the plane does not cut them.
+        """
+        points = cross_section(self.vertices, faces, point, normal)
+        if len(points) < 3:
+            raise _Missing(f"nothing of the {part} is {point[1] - self.floor:.2f} m above the floor")
+        return points
+
+    def problem(self, problem: str, received: object = None) -> InputError:
+        """The error of a body that cannot be measured."""
         return InputError(
             problem,
             key=f"body {self.name}",
             received=received,
-            expected="a figure that stands upright (Y up) and looks along +Z, arms away from the trunk, legs apart",
+            expected="a figure that stands upright (Y up), its arms away from the trunk (A-pose or T-pose) and its "
+            "legs apart: pose it so, or leave out clothes that join them",
         )
+
+    def _place(self, point: Floats) -> str:
+        x, y, z = self.frame.world(point[None])[0]
+        return f"at ({x:.2f}, {y:.2f}, {z:.2f}) m"
+
+    def _saddle(
+        self, links: NDArray[np.int32], field: Floats, first: int, second: int, words: str
+    ) -> tuple[int, NDArray[np.bool_]]:
+        try:
+            return _saddle(links, field, first, second)
+        except ValueError:
+            gap = f"parts that are over {100.0 * _JOINT_GAP:.0f} cm apart"
+            raise self.problem(f"{words} do not hang together", gap) from None
 
 
 def _links(vertices: Floats, faces: Faces) -> NDArray[np.int32]:
@@ -313,15 +424,28 @@ def _parts(links: NDArray[np.int32], begins: NDArray[np.int64], last: int, count
     return connected_components(coo_matrix((np.ones(len(used)), used.T), shape=(count, count)), directed=False)[1]
 
 
-def _trunk(figure: _Figure) -> _Part:
-    """Girths of the trunk."""
+def _trunk(figure: _Figure, given: Mapping[str, float]) -> _Part:
+    """Girths of the trunk; a waist that does not show lies where measures by hand want it.
+
+    Raises:
+        InputError: there is no trunk at some height between crotch and armpits, or a waist by hand is not there.
+    """
     low, high = figure.crotch[1], figure.armpit[1]
     heights = np.arange(low, high, _STEP)
-    girths = np.array([hull_length(figure.level(y), _UP) for y in heights])
+    try:
+        girths = np.array([hull_length(figure.level(y), _UP) for y in heights])
+    except _Missing as missing:
+        raise figure.problem(str(missing)) from None
     hip = int(girths[heights < low + 0.12 * figure.height].argmax())
     waist = hip + int(girths[hip:].argmin())
     around = [girths[hip : waist + 1].max(), girths[waist:].max()]  # below the waist, and above it
     has_waist = girths[waist] < _WAIST_LESS * min(around)
+    if "waist_to_floor" in given or "waist" in given and not has_waist:
+        above_floor = given.get("waist_to_floor", _WAIST_HEIGHT * figure.height)
+        if not heights[hip] < figure.floor + above_floor < high:
+            expected = f"{heights[hip] - figure.floor:.3f} to {high - figure.floor:.3f} m, between hips and armpits"
+            raise InputError("no height of a waist", key="waist_to_floor", received=above_floor, expected=expected)
+        waist, has_waist = int(np.abs(heights - figure.floor - above_floor).argmin()), True
     # The foremost point of the upper half between waist and armpits; where there is no waist, of the upper third.
     middle = 0.5 * (heights[waist] + high) if has_waist else (low + 2.0 * high) / 3.0
     upper = np.flatnonzero(heights > middle)
@@ -347,7 +471,8 @@ def _trunk(figure: _Figure) -> _Part:
 def _breast(points: Floats) -> Floats:
     """The foremost point of the left half of a level, not at its very middle nor at its side."""
     half = points[:, 0].max()
-    points = points[(points[:, 0] > 0.25 * half) & (points[:, 0] < 0.75 * half)]
+    between = points[(points[:, 0] > 0.25 * half) & (points[:, 0] < 0.75 * half)]
+    points = between if len(between) else points
     return points[points[:, 2].argmax()]
 
 
@@ -358,22 +483,23 @@ def _middle(points: Floats) -> Floats:
 
 def _neck_and_shoulder(figure: _Figure) -> _Part:
     """The shoulder line and the neck's base."""
-    v = figure.vertices
-    cut = cross_section(v, figure.faces, figure.armpit, figure.shoulder_normal)
+    cut = figure.cut(figure.faces, figure.armpit, figure.shoulder_normal, "shoulder")
     shoulder = cut[cut[:, 1].argmax()]
     limit = shoulder[1] + 0.07 * figure.height  # on the neck, below the head
     tops = np.array([_top(figure, x, limit) for x in np.arange(0.02, shoulder[0], _STEP)])
     outside = np.flatnonzero(tops[:-1, 1] < limit - 0.02)  # of the neck's column
     slopes = -np.diff(tops[:, 1]) / _STEP
     flat = outside[slopes[outside] < _NECK_SLOPE]
-    if not len(flat):
-        raise InputError("no neck above the shoulders", key=f"body {figure.name}")
+    if tops[0, 1] < limit - 0.02 or not len(flat):
+        raise _Missing(f"no neck rises above the shoulders, {shoulder[1] - figure.floor:.2f} m above the floor")
     side = tops[flat[0]]
     line = shoulder - side
     normal = np.array([0.0, np.cos(_NECK_TILT), np.sin(_NECK_TILT)])
-    base = cross_section(v, figure.trunk, side, normal)
+    base = figure.cut(figure.trunk, side, normal, "neck")
     base = base[np.abs(base[:, 0]) < 1.2 * side[0]]
     spine = base[np.abs(base[:, 0]) < 0.3 * side[0]]
+    if not len(spine):
+        raise _Missing(f"nothing of the neck is {side[1] - figure.floor:.2f} m above the floor")
     back, front = (spine[spine[:, 2].argmin()] * (0, 1, 1), spine[spine[:, 2].argmax()] * (0, 1, 1))
     half = figure.level(0.5 * (shoulder[1] + figure.armpit[1]))
     values = {
@@ -392,6 +518,8 @@ def _top(figure: _Figure, x: float, limit: float) -> Floats:
     """The highest point of the trunk below a limit, at a certain x [m], shape (3,)."""
     points = cross_section(figure.vertices, figure.trunk, np.array([x, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
     points = points[points[:, 1] < limit]
+    if not len(points):
+        raise _Missing(f"nothing of the trunk is {100.0 * x:.0f} cm beside its middle")
     return points[points[:, 1].argmax()]
 
 
@@ -404,29 +532,30 @@ def _width(points: Floats, side: float) -> float:
 
 def _arm(figure: _Figure) -> _Part:
     """Girths and length of the left arm."""
-    v, used = figure.vertices, np.unique(figure.arm)
+    used = np.unique(figure.arm)
+
+    def cut(point: Floats, direction: Floats) -> Floats:
+        return figure.cut(figure.arm, point, direction, "arm")
+
     start = figure.armpit
     direction = figure.arm_direction
     for _ in range(2):
         # The hand's end along the arm, the wrist as the thinnest place before the hand, and again along that line.
-        reach = float(((v[used] - start) @ direction).max())
+        reach = float(((figure.vertices[used] - start) @ direction).max())
         places = np.arange(0.45, 0.82, 0.01) * reach
-        cuts = [cross_section(v, figure.arm, start + t * direction, direction) for t in places]
-        wrist = _middle(cuts[int(np.argmin([hull_length(cut, direction) for cut in cuts]))])
-        start = _middle(cross_section(v, figure.arm, figure.armpit + 0.005 * direction, direction))
+        cuts = [cut(start + t * direction, direction) for t in places]
+        wrist = _middle(cuts[int(np.argmin([hull_length(points, direction) for points in cuts]))])
+        start = _middle(cut(figure.armpit + 0.005 * direction, direction))
         direction = _unit(wrist - start)
-    elbow = _middle(cross_section(v, figure.arm, 0.5 * (start + wrist), direction))
+    elbow = _middle(cut(0.5 * (start + wrist), direction))
     upper, lower = _unit(elbow - start), _unit(wrist - elbow)
     length = np.linalg.norm(elbow - start)
-    girths = [
-        hull_length(cross_section(v, figure.arm, start + t * length * upper, upper), upper)
-        for t in np.arange(0.1, 0.5, 0.05)
-    ]
-    shoulder = cross_section(v, figure.faces, figure.armpit, figure.shoulder_normal)
+    girths = [hull_length(cut(start + t * length * upper, upper), upper) for t in np.arange(0.1, 0.5, 0.05)]
+    shoulder = figure.cut(figure.faces, figure.armpit, figure.shoulder_normal, "shoulder")
     shoulder = shoulder[shoulder[:, 1].argmax()]
     over_elbow = np.linalg.norm(elbow - shoulder) + np.linalg.norm(wrist - elbow)
-    near = [cross_section(v, figure.arm, wrist + t * lower, lower) for t in np.arange(-0.02, 0.021, 0.005)]
-    thinnest = min(hull_length(cut, lower) for cut in near)
+    near = [cut(wrist + t * lower, lower) for t in np.arange(-0.02, 0.021, 0.005)]
+    thinnest = min(hull_length(points, lower) for points in near)
     values = {"arm_length": over_elbow, "upper_arm": max(girths), "wrist": thinnest}
     return _Part(values, {"arm_start": start, "elbow": elbow, "wrist": wrist})
 
@@ -436,7 +565,7 @@ def _leg(figure: _Figure) -> _Part:
     v, low, height = figure.vertices, figure.floor, figure.height
 
     def cut(y: float) -> Floats:
-        return cross_section(v, figure.leg, np.array([0.0, y, 0.0]), _UP)
+        return figure.cut(figure.leg, np.array([0.0, y, 0.0]), _UP, "leg")
 
     ankles = [cut(y) for y in np.arange(low + 0.03 * height, low + 0.12 * height, _STEP)]
     ankle = _middle(min(ankles, key=lambda points: hull_length(points, _UP)))
@@ -445,27 +574,28 @@ def _leg(figure: _Figure) -> _Part:
     thigh, shin = _unit(top - knee), _unit(knee - ankle)
     side = v[:, 0] > -0.005
     faces = figure.trunk[side[figure.trunk].all(axis=1)]
-    around = cross_section(v, faces, figure.crotch - (0.0, 2.0 * _STEP, 0.0), thigh)
-    near = [cross_section(v, figure.leg, ankle + t * shin, shin) for t in np.arange(-0.02, 0.021, 0.005)]
+    around = figure.cut(faces, figure.crotch - (0.0, 2.0 * _STEP, 0.0), thigh, "leg")
+    near = [figure.cut(figure.leg, ankle + t * shin, shin, "leg") for t in np.arange(-0.02, 0.021, 0.005)]
     values = {
         "thigh": hull_length(around, thigh),
-        "knee": hull_length(cross_section(v, figure.leg, knee, _unit(thigh + shin)), _unit(thigh + shin)),
+        "knee": hull_length(figure.cut(figure.leg, knee, _unit(thigh + shin), "leg"), _unit(thigh + shin)),
         "ankle": min(hull_length(points, shin) for points in near),
     }
     return _Part(values, {"knee": knee, "ankle": ankle})
 
 
-def _trunk_lengths(figure: _Figure, places: Landmarks) -> dict[str, float]:
+def _trunk_lengths(figure: _Figure, places: Landmarks) -> _Part:
     """Lengths along back and front, as a tape runs over hollows."""
-    v, waist = figure.vertices, places.waist[1]
+    waist = places.waist[1]
     if np.isnan(waist):
-        names = ("back_length", "back_waist_length", "front_waist_length", "bust_depth")
-        return dict.fromkeys(names, np.nan)
+        raise _Missing(_NO_WAIST)
+    if np.isnan(places.neck_side).any():
+        raise _Missing("the neck's side, where the tape begins, was not found")
 
     def tape(start: Floats, end: Floats, outward: Floats) -> float:
         """Length along the surface between two points of it, in the plane that holds the outward direction."""
         along = _unit(end - start)
-        cut = cross_section(v, figure.trunk, start, np.cross(along, outward))
+        cut = cross_section(figure.vertices, figure.trunk, start, np.cross(along, outward))
         cut = cut[(cut[:, 1] < start[1]) & (cut[:, 1] > end[1])]  # without the face
         plane = np.stack([along, _unit(outward - (outward @ along) * along)], axis=1)
         return tape_length((cut - start) @ plane, np.zeros(2), (end - start) @ plane)
@@ -474,16 +604,19 @@ def _trunk_lengths(figure: _Figure, places: Landmarks) -> dict[str, float]:
         """The point of the surface at the waist, at a certain x, on the front (side 1) or the back (side -1)."""
         points = figure.level(waist)
         points = points[side * (points[:, 2] - places.waist[2]) > 0.0]
+        if not len(points):
+            raise _Missing(f"nothing of the trunk is {waist - figure.floor:.2f} m above the floor")
         return points[np.abs(points[:, 0] - x).argmin()]
 
     front = np.array([0.0, 0.0, 1.0])
     depth = tape(places.neck_side, places.bust_point, front)
-    return {
+    lengths = {
         "back_length": tape(places.neck_back, surface(0.0, -1.0), -front),
         "back_waist_length": tape(places.neck_side, surface(places.neck_side[0], -1.0), -front),
         "front_waist_length": depth + tape(places.bust_point, surface(places.bust_point[0], 1.0), front),
         "bust_depth": depth,
     }
+    return _Part(lengths, {})
 
 
 def _front_share(figure: _Figure, places: Landmarks) -> Floats:

@@ -19,6 +19,7 @@ __all__ = [
     "angle",
     "duration",
     "edge_count",
+    "not_negative",
     "positive",
 ]
 
@@ -108,6 +109,21 @@ def positive(text: str) -> float:
         value = math.nan
     if not 0.0 < value < math.inf:
         raise argparse.ArgumentTypeError(f"received {text!r}, expected a number above 0")
+    return value
+
+
+def not_negative(text: str) -> float:
+    """A number of 0 or above.
+
+    Raises:
+        argparse.ArgumentTypeError: anything else.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"received {text!r}, expected a number of 0 or above")
     return value
 
 

@@ -213,6 +213,7 @@ def _triangulated(panel: Panel, points: Floats, fixed: int) -> tuple[Floats, Fac
             raise InputError(
                 "an edge length so coarse that the outline crosses itself, or an outline that does so in the pattern",
                 key=f"panel {panel.name!r}",
+                expected="a shorter edge length (--edge), or measures and parameters that go together",
             ) from error
         used = np.bincount(faces.ravel(), minlength=len(points)) > 0
         if used.all():

@@ -52,6 +52,11 @@ class Placement:
             return np.zeros((len(y), 3))
         return np.stack([np.interp(y, self.bow[:, 0], self.bow[:, k]) for k in (1, 2, 3)], axis=1)
 
+    def moved(self, rotation: Floats, translation: Floats) -> Placement:
+        """The placement in a space that was turned, shape (3, 3), and then moved [m], shape (3,)."""
+        bow = None if self.bow is None else np.column_stack([self.bow[:, 0], self.bow[:, 1:] @ rotation.T])
+        return Placement(rotation @ self.rotation, rotation @ self.translation + translation, self.bend_radius, bow)
+
     def apply(self, flat: Floats) -> Floats:
         """Points of the panel [m], shape (n, 2), in space [m], shape (n, 3)."""
         x, y = np.asarray(flat, float).T

@@ -12,7 +12,7 @@ from assets.sewing.body import StandingBody
 from pbd.crossings import crossings
 from pbd.distance import TOLERANCE, BodyDistance
 
-__all__ = ["SewnGarment", "body_crossings", "drape_figures", "faults_of"]
+__all__ = ["SewnGarment", "body_crossings", "drape_figures", "faults_of", "faulty_panels"]
 
 MAX_SEAM_GAP = 0.0005  # between stitched points [m]
 MAX_SLIDE = 0.08  # of the garment's uppermost opening, up or down from where it was arranged [m]
@@ -86,6 +86,21 @@ def drape_figures(garment: Garment, body: StandingBody) -> dict[str, float]:
         "strain_p99": float(np.percentile(np.abs(strain), 99)),
         "tension_p99": float(np.percentile(strain, 99)),
     }
+
+
+def faulty_panels(sewn: SewnGarment, body: StandingBody) -> list[str]:
+    """Names of the panels that go through cloth or body, lie in the body or are stretched too far, in their order."""
+    garment = sewn.garment
+    assert garment.pattern is not None
+    faces, bad = garment.faces, np.zeros(len(garment.faces), bool)
+    vertex = BodyDistance(body.faces).signed_distance(garment.vertices, body.vertices) < -TOLERANCE
+    for found in (crossings(garment.vertices, faces), body_crossings(garment.vertices, faces, body)):
+        ends, through = found[:, :2].ravel(), found[:, 2]
+        vertex[ends[ends < len(vertex)]] = True
+        bad[through[through < len(bad)]] = True
+    sides = [np.linalg.norm(np.roll(x, -1, axis=1) - x, axis=2) for x in (garment.vertices[faces], garment.pattern)]
+    bad |= vertex[faces].any(axis=1) | (sides[0] > (1.0 + MAX_STRAIN) * sides[1]).any(axis=1)
+    return [sewn.panel_names[k] for k in np.unique(sewn.panel_of_face[bad])]
 
 
 def faults_of(figures: dict[str, float]) -> list[str]:

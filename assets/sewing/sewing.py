@@ -18,9 +18,10 @@ from assets.fabrics import load_fabric
 from assets.garment import Garment, boundary_loops
 from assets.patterns.panel_mesh import cut
 from assets.patterns.pattern import Pattern
+from assets.sewing import DEFAULT_EDGE
 from assets.sewing.arrangement import arranged
 from assets.sewing.body import StandingBody
-from assets.sewing.garment import SewnGarment, body_crossings, drape_figures, faults_of
+from assets.sewing.garment import SewnGarment, body_crossings, drape_figures, faults_of, faulty_panels
 from assets.sewing.pieces import Joined, Pieces, carried_over, join, pieces_of
 from assets.sewing.simulation import HELD, Clock, band_limits, close_stitches, drape, substep_of
 from pbd.attachment import push_outside, smooth_normals
@@ -50,6 +51,7 @@ RELAX = (0.4, 2.0, 0.3, 0.1)
 # Shares of an elastic's shortening while it hangs: at once, a cuff snaps into the wrist.
 TIGHTENING = (1 / 3, 2 / 3, 1.0)
 SETTLE = ((0.6, 2.0, 0.3, 1.0), (1.2, 1.0, 1.0, 1.0))
+REMEDY = "other ease or lengths, another edge length, or arms and legs further apart may mend it"
 EXTRA, MAX_EXTRA = (0.4, 2.0, 1.0, 1.0), 3  # more of it while something is through cloth or body
 LIFT, MAX_LIFTS = 0.0005, 20  # of cloth off the body at a time [m], and how often
 
@@ -71,7 +73,7 @@ def sew(
     pattern: Pattern,
     body: StandingBody,
     fabric: str = "cotton",
-    edge_length: float = 0.01,
+    edge_length: float = DEFAULT_EDGE,
     report: Callable[[str], None] | None = None,
 ) -> SewnGarment:
     """Sew a pattern on a body and drape it.
@@ -164,7 +166,8 @@ def _sewn(
         sewn.figures["unsettled"] = moved
     faults = faults_of(sewn.figures)
     if faults:
-        raise SewingError(faults, sewn)
+        panels = ", ".join(faulty_panels(sewn, body))
+        raise SewingError([*faults, f"at {panels}: {REMEDY}" if panels else REMEDY], sewn)
     return sewn
 
 
@@ -248,11 +251,11 @@ def _check_closed(pattern: Pattern, pieces: Pieces, positions: Floats) -> None:
     """
     gaps = np.linalg.norm(positions[pieces.stitches[:, 0]] - positions[pieces.stitches[:, 1]], axis=1)
     if not np.isfinite(positions).all():
-        raise SewingError(["the simulation that closes the seams burst"])
+        raise SewingError([f"the simulation that closes the seams burst: {REMEDY}"])
     if gaps.max(initial=0.0) > MAX_CLOSING_GAP:
         ends = pieces.piece_of_vertex[pieces.stitches[gaps.argmax()]]
         names = " and ".join(repr(pieces.names[end]) for end in np.unique(ends))
-        raise SewingError([f"a seam at {names} stays open by {1e3 * gaps.max():.0f} mm"])
+        raise SewingError([f"a seam at {names} stays open by {1e3 * gaps.max():.0f} mm: {REMEDY}"])
 
 
 def _surface(pattern: Pattern, pieces: Pieces, surface: Joined, positions: Floats, tightness: float = 1.0) -> ClothMesh:
@@ -306,7 +309,7 @@ def _judged(
 ) -> SewnGarment:
     """A draped mesh as a garment with its figures; its upper opening was arranged at a height ``top`` [m]."""
     if not np.isfinite(mesh.vertices).all():
-        raise SewingError(["the simulation that drapes the garment burst"])
+        raise SewingError([f"the simulation that drapes the garment burst: {REMEDY}"])
     mesh = _cleared(mesh, body)
     garment = Garment(
         pattern.name,

@@ -26,22 +26,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Report:
     """Measure a body and print every measure."""
-    from assets.character import CHARACTER_SUFFIXES, load_character
-    from assets.io.sequence import is_sequence
     from assets.measures import measure
     from assets.sewing.body import load_standing_body
     from runtime.report import Report
     from runtime.terminal import say
 
-    # A character need not be closed to be measured: jointed figures have gaps.
-    skinned = options.body.lower().endswith(CHARACTER_SUFFIXES) and not is_sequence(options.body)
-    rigged = options.body.startswith("builtin:") or skinned
-    measures = measure(load_character(options.body) if rigged else load_standing_body(options.body))
+    measures = measure(load_standing_body(options.body))
     figures = {}
     for name, value in measures.values().items():
         unit, words = ("deg", math.degrees(value)) if name == "shoulder_slope" else ("m", value)
         shown = (
-            "could not be measured"
+            f"could not be measured: {measures.doubts.get(name, '')}"
             if math.isnan(value)
             else f"{words:8.1f} deg"
             if unit == "deg"

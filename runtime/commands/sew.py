@@ -8,7 +8,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from runtime.arguments import add_output_file, positive
+from assets.sewing import DEFAULT_EDGE
+from runtime.arguments import add_output_file, not_negative, positive
 
 if TYPE_CHECKING:
     from assets.patterns.pattern import Pattern
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 __all__ = ["SUMMARY", "add_arguments", "run"]
 
 SUMMARY = "sew a pattern on a body, drape it and write the garment"
-EDGE = 0.01  # of the garment's triangles [m]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,16 +38,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--edge",
         type=positive,
-        default=EDGE,
+        default=DEFAULT_EDGE,
         metavar="METRES",
-        help="length of the garment's edges [m] (default: %(default)s)",
+        help="length of the garment's edges [m]; finer ones take a scene's subdivisions or a smaller value "
+        "(default: %(default)s, which a game simulates)",
     )
     parser.add_argument(
         "--fabric", default="cotton", metavar="NAME", help="a fabric, or a file of one (default: %(default)s)"
     )
     parser.add_argument(
         "--ease",
-        type=positive,
+        type=not_negative,
         metavar="METRES",
         help="of a draft: how much wider than the body it is, around [m] (default: the draft's own)",
     )
@@ -56,7 +57,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="another parameter of a draft, may be repeated (default: the draft's own)",
+        help="another parameter of a draft, or a measure of the body that was taken by hand, such as waist=0.72 [m]; "
+        "may be repeated (default: the draft's own, and what is measured)",
     )
     parser.add_argument(
         "--picture",
@@ -68,6 +70,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Report:
     """Sew a pattern and write the garment."""
+    import numpy as np
+
     from assets.io.sewn import write_sewn
     from assets.sewing.body import load_standing_body
     from assets.sewing.sewing import SewingError, sew
@@ -100,7 +104,9 @@ def run(options: argparse.Namespace) -> Report:
         say_error("", f"{pattern.name} did not come out whole on {body.name}: {fault}")
         return Report(figures, passed=False)
     write_sewn(options.output, sewn)
-    say(f"garment in {options.output}")
+    sides = sewn.garment.vertices[sewn.garment.faces]
+    edge = 1e3 * float(np.median(np.linalg.norm(np.roll(sides, -1, axis=1) - sides, axis=2)))
+    say(f"garment of {len(sewn.garment.vertices):,} vertices, edges of {edge:.0f} mm, in {options.output}")
     return Report(figures)
 
 
@@ -113,10 +119,16 @@ def _pattern_of(options: argparse.Namespace, body: StandingBody) -> Pattern:
     if options.ease is not None:
         parameters["ease"] = options.ease
     if options.pattern.startswith("draft:"):
-        from assets.measures import measure
-        from assets.patterns.drafts import draft
+        from assets.measures import MEASURES, measure
+        from assets.patterns.drafts import draft, draft_parameters
 
-        return draft(options.pattern.removeprefix("draft:"), measure(body), **parameters)
+        name = options.pattern.removeprefix("draft:")
+        known = [parameter.name for parameter in draft_parameters(name)]
+        given = {key: value for key, value in parameters.items() if key in MEASURES and key not in known}
+        if unknown := sorted(parameters.keys() - given.keys() - set(known)):
+            expected = f"one of {', '.join(known)}, or a measure: {', '.join(MEASURES)}"
+            raise InputError("no such parameter", key=f"--param, draft {name}", received=unknown[0], expected=expected)
+        return draft(name, measure(body, given), **{key: parameters[key] for key in parameters.keys() - given.keys()})
     if parameters:
         expected = "none: only a draft (draft:NAME) has parameters"
         raise InputError("a parameter of a file", key="--param", received=sorted(parameters), expected=expected)

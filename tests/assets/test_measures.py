@@ -1,3 +1,4 @@
+import re
 from functools import cache
 
 import numpy as np
@@ -6,10 +7,14 @@ import trimesh
 
 from assets.character import load_character
 from assets.io.obj import read_obj
-from assets.measures import BodyMeasures, measure
-from assets.sewing.body import StandingBody
+from assets.measures import MEASURES, BodyMeasures, measure
+from assets.sewing.body import StandingBody, closed_body
 from pbd.errors import InputError
+from tests.assets.real_bodies import BODIES, raw
+from tests.assets.shell_figure import WAIST, WAIST_AT, ellipse_girth, moved, shell_figure
 from tests.data import data_path
+
+PLACES = {"beside": ((1.0, 0.0, 0.0), 0.0), "turned": ((0.0, 0.0, 0.0), 30.0), "behind": ((-0.4, 0.1, 2.0), 200.0)}
 
 
 @cache
@@ -46,10 +51,10 @@ def test_places_agree_with_the_rig() -> None:
     """The mannequin's joints lie in the middle of the limbs that were measured without them."""
     character = load_character("builtin:mannequin")
     joint = {name: np.linalg.inv(character.inverse_bind[k])[:3, 3] for k, name in enumerate(character.joint_names)}
-    p = mannequin().landmarks
-    assert np.linalg.norm(p.elbow - joint["LeftForeArm"]) < 0.02
-    assert np.linalg.norm(p.wrist - joint["LeftHand"]) < 0.03
-    assert np.linalg.norm(p.knee - joint["LeftLeg"]) < 0.02
+    p, frame = mannequin().landmarks, mannequin().frame
+    assert np.linalg.norm(frame.world(p.elbow) - joint["LeftForeArm"]) < 0.02
+    assert np.linalg.norm(frame.world(p.wrist) - joint["LeftHand"]) < 0.03
+    assert np.linalg.norm(frame.world(p.knee) - joint["LeftLeg"]) < 0.02
 
 
 def test_measures_scale_with_the_body() -> None:
@@ -81,10 +86,21 @@ def test_a_barrel_has_no_waist() -> None:
     offset = v[trunk][:, [0, 2]] - middle
     radius = 0.13 + 0.1 * (m.landmarks.armpit[1] - v[trunk, 1])  # a cone, wider below
     v[np.ix_(trunk, [0, 2])] = middle + offset / np.linalg.norm(offset, axis=1)[:, None] * radius[:, None]
-    barrel = measure(StandingBody("barrel", v, character.faces))
+    body = StandingBody("barrel", v, character.faces)
+    barrel = measure(body)
     assert np.isnan(barrel.waist)
     assert np.isnan(barrel.back_length)
     assert np.isfinite(barrel.hip)
+    assert "no girth between hips and bust" in barrel.doubts["waist"]
+    given = measure(body, {"waist": 0.9})  # where waists are
+    assert given.waist == 0.9 and given.waist_to_floor == pytest.approx(0.64 * given.height, abs=0.005)
+    assert given.rise + given.inseam == pytest.approx(given.waist_to_floor)
+    assert given.doubts == {}
+    placed = measure(body, {"waist_to_floor": 1.0})  # measured there: a polygon around a circle
+    radius = 0.13 + 0.1 * (m.landmarks.armpit[1] - 1.0)
+    assert placed.waist == pytest.approx(2.0 * np.pi * radius, rel=0.02)
+    with pytest.raises(InputError, match=r"waist_to_floor: no height of a waist .*between hips and armpits"):
+        measure(body, {"waist_to_floor": 1.5})
 
 
 def test_a_body_that_is_no_figure_is_refused() -> None:
@@ -98,3 +114,84 @@ def test_arms_at_the_sides_are_refused() -> None:
     lying = character.vertices[:, [1, 0, 2]] * (1.0, -1.0, 1.0)
     with pytest.raises(InputError):
         measure(StandingBody("lying", lying, character.faces))
+
+
+def measured(body: StandingBody) -> BodyMeasures:
+    return measure(closed_body(body.name, body.vertices, body.faces))
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_neither_place_nor_turn_changes_a_measure(name: str) -> None:
+    body = raw(BODIES[name])
+    here = measured(body).values()
+    assert all(np.isfinite(value) for value in here.values())
+    for place, (by, degrees) in PLACES.items():
+        there = measured(moved(body, by, degrees)).values()
+        for measure_name, value in here.items():
+            assert there[measure_name] == pytest.approx(value, rel=0.01), (place, measure_name)
+
+
+@pytest.mark.parametrize("arms", [0.0, 20.0, 45.0])
+def test_a_figure_of_shells_has_the_girths_that_it_was_made_with(arms: float) -> None:
+    m = measured(moved(shell_figure(arms), (1.0, 0.0, 0.5), 37.0))
+    assert m.waist == pytest.approx(ellipse_girth(*WAIST), rel=0.01)
+    assert m.waist_to_floor == pytest.approx(WAIST_AT, abs=0.006)
+    assert m.hip == pytest.approx(ellipse_girth(0.172, 0.125), rel=0.015)
+    assert m.bust == pytest.approx(ellipse_girth(0.155, 0.125), rel=0.015)
+    assert m.inseam == pytest.approx(0.77, abs=0.01)  # where the trunk ends
+    assert m.height == pytest.approx(1.72, abs=0.005)
+    assert m.doubts == {}
+
+
+def test_arms_and_legs_are_measured_alike_in_both_poses() -> None:
+    spread, hanging = (measured(shell_figure(arms)).values() for arms in (0.0, 45.0))
+    for name in ("thigh", "knee", "ankle", "wrist", "waist", "hip", "underbust"):
+        assert spread[name] == pytest.approx(hanging[name], rel=0.01), name
+    assert spread["arm_length"] == pytest.approx(hanging["arm_length"], rel=0.03)
+
+
+def test_a_body_without_head_and_neck_is_measured_below() -> None:
+    body = shell_figure()
+    corners = np.abs(body.vertices[body.faces])
+    low = body.faces[~((corners[:, :, 0] < 0.12) & (corners[:, :, 1] > 1.37)).any(axis=1)]
+    m = measured(StandingBody("headless", body.vertices, low))
+    assert m.waist == pytest.approx(ellipse_girth(*WAIST), rel=0.01)
+    assert np.isnan(m.neck) and np.isnan(m.back_length)
+    assert "no neck rises above the shoulders" in m.doubts["neck"]
+    with pytest.raises(InputError, match="neck by hand has no place: no neck rises"):
+        measure(closed_body("headless", body.vertices, low), {"neck": 0.35})
+
+
+def test_a_measure_that_no_body_has_is_not_a_number() -> None:
+    """A trunk like a stick between hips and bust."""
+    body = shell_figure()
+    v = body.vertices.copy()
+    near = np.abs(v[:, 1] - WAIST_AT) < 0.06
+    v[near] *= [0.25, 1.0, 0.25]
+    m = measured(StandingBody("stick", v, body.faces))
+    assert np.isnan(m.waist)
+    assert re.fullmatch(r"1\.\d\d m above the floor, 0\.1\d\d m would be 0\.1\d\d of the height: .*", m.doubts["waist"])
+    by_hand = measure(closed_body("stick", v, body.faces), {"waist": 0.69})
+    assert by_hand.waist == 0.69
+    assert "waist" not in by_hand.doubts
+
+
+def test_measures_by_hand_count() -> None:
+    m = measure(load_character("builtin:mannequin"), {"waist": 0.72, "hip": 1.0})
+    assert (m.waist, m.hip) == (0.72, 1.0)
+    assert m.bust == mannequin().bust
+    for given, words in (({"waist": 72.0}, "waist: a measure that no body has"), ({"belly": 1.0}, "no such measure")):
+        with pytest.raises(InputError, match=words):
+            measure(load_character("builtin:mannequin"), given)
+    assert set(MEASURES) == set(m.values())
+
+
+def test_what_is_wrong_with_a_pose_is_said_with_the_place() -> None:
+    body = shell_figure()
+    v = body.vertices.copy()
+    arm = np.abs(v[:, 0]) > 0.2  # no forearms
+    v[arm, 0] = np.sign(v[arm, 0]) * 0.2
+    with pytest.raises(
+        InputError, match=r"the left arm does not stand away from the trunk .*at \(.*\) m.*T-pose.*pose it so"
+    ):
+        measured(StandingBody("stumps", v, body.faces))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -139,4 +140,29 @@ def test_the_command_writes_a_garment_or_says_why_not(tmp_path: Path, capsys: py
     assert command.main(["sew", "pattern.json", "-b", "builtin:mannequin", "--ease", "0.1", *output]) == 2
     assert "only a draft" in capsys.readouterr().err
     assert command.main(["sew", "draft:tshirt", "-b", "nobody.obj", *output]) == 2
+    for given, words in (("waist=72", "a measure that no body has"), ("belly=0.7", "or a measure: height, bust")):
+        assert command.main(["sew", "draft:circle_skirt", "-b", "builtin:mannequin", "--param", given, *output]) == 2
+        assert words in capsys.readouterr().err
     assert not (tmp_path / "garment.npz").exists()
+
+
+def test_the_command_takes_measures_by_hand_and_says_how_fine_the_garment_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The built-in skirt stands for what is sewn."""
+    drafted, sewn = [], read_sewn(DATA / "circle_skirt.npz")
+    made = lambda name, measures, **parameters: drafted.append((measures, parameters))  # noqa: E731
+    edges: list[float] = []
+    monkeypatch.setattr("assets.patterns.drafts.draft", made)
+    monkeypatch.setattr("assets.sewing.sewing.sew", lambda *parts: (edges.append(parts[3]), sewn)[1])
+    arguments = ["sew", "draft:circle_skirt", "-b", "builtin:mannequin", "-o", str(tmp_path / "garment.npz")]
+    assert command.main([*arguments, "--ease", "0", "--param", "waist=0.7", "--param", "circle=0.5"]) == 0
+    measures, parameters = drafted[0]
+    assert measures.waist == 0.7
+    assert parameters == {"ease": 0.0, "circle": 0.5}
+    assert edges == [0.02]
+    said = capsys.readouterr().out
+    assert re.search(rf"garment of {len(sewn.garment.vertices):,} vertices, edges of \d\d mm, in", said)
+    for ease in ("-0.1", "nan", "inf"):
+        with pytest.raises(SystemExit):
+            command.main([*arguments, f"--ease={ease}"])

@@ -49,7 +49,7 @@ def aline_skirt(measures: BodyMeasures, parameters: AlineSkirt) -> Pattern:
         InputError: the body lacks a measure, or a parameter cannot be.
     """
     m, p, name = measures, parameters, "aline_skirt"
-    require(m, name, "waist", "hip", "waist_to_hip")
+    require(m, name, "waist", "hip", "waist_to_hip", "knee")
     check_at_least(name, "ease", p.ease, 0.0, "so that the skirt is not smaller than the hip")
     check_at_least(name, "flare", p.flare, 0.0, "so that the skirt does not become narrower")
     length = p.length if p.length is not None else float(m.landmarks.waist[1] - m.landmarks.knee[1])

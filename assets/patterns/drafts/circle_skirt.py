@@ -43,7 +43,7 @@ def circle_skirt(measures: BodyMeasures, parameters: CircleSkirt) -> Pattern:
         InputError: the body lacks a measure, or a parameter cannot be.
     """
     m, p, name = measures, parameters, "circle_skirt"
-    require(m, name, "waist")
+    require(m, name, "waist", "hip", "waist_to_hip", "knee")
     check_at_least(name, "ease", p.ease, 0.0, "so that the skirt is not smaller than the waist")
     if p.ease > _MOST_EASE * (m.hip - m.waist):
         raise InputError(

@@ -56,7 +56,13 @@ def require(measures: BodyMeasures, draft: str, *names: str) -> None:
     missing = [name for name in names if not math.isfinite(values[name])]
     if missing:
         words = ", ".join(name.replace("_", " ") for name in missing)
-        raise InputError(f"a body without a {words}", key=f"draft {draft}, body {measures.surface.name}")
+        reasons = dict.fromkeys(measures.doubts[name] for name in missing if name in measures.doubts)
+        raise InputError(
+            f"a body without a {words}",
+            key=f"draft {draft}, body {measures.surface.name}",
+            received="; ".join(reasons) or None,
+            expected=f"a body that shows it, or the measure by hand [m]: --param {missing[0]}=METRES",
+        )
 
 
 def check_at_least(draft: str, name: str, value: float, least: float, reason: str) -> None:

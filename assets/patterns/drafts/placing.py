@@ -30,14 +30,14 @@ _REACH = 0.45  # [m] from the first place to the last
 
 
 class Surroundings:
-    """The body, and the panels that stand already.
+    """The body, and the panels that stand already, in the body's frame.
 
     Args:
         measures: of the body.
     """
 
     def __init__(self, measures: BodyMeasures) -> None:
-        vertices = np.asarray(measures.surface.vertices, float)
+        vertices = measures.frame.local(np.asarray(measures.surface.vertices, float))
         a, b, c = (vertices[measures.surface.faces[:, k]] for k in range(3))
         normals = np.zeros_like(vertices)
         for k in range(3):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
 from assets.measures import BodyMeasures
@@ -68,7 +68,7 @@ def draft(name: str, measures: BodyMeasures, **parameters: float | None) -> Patt
 
     Args:
         name: one of DRAFTS.
-        measures: of the body; see :func:`assets.measures.measure`.
+        measures: of the body; see :func:`assets.measures.measure`. The panels stand around it where it is.
         parameters: those of :func:`draft_parameters`; others keep their defaults.
 
     Raises:
@@ -81,7 +81,12 @@ def draft(name: str, measures: BodyMeasures, **parameters: float | None) -> Patt
         raise InputError(
             "no such parameter", key=f"draft {name}", received=unknown[0], expected="one of " + ", ".join(known)
         )
-    return found.make(measures, found.parameters(**parameters))
+    pattern, frame = found.make(measures, found.parameters(**parameters)), measures.frame
+    panels = [
+        replace(panel, placement=panel.placement and panel.placement.moved(frame.rotation, frame.origin))
+        for panel in pattern.panels
+    ]
+    return replace(pattern, panels=tuple(panels))
 
 
 def _find(name: str) -> _Draft:

@@ -40,7 +40,7 @@ def shirt(measures: BodyMeasures, parameters: Shirt) -> Pattern:
     """
     m, p, name = measures, parameters, "shirt"
     require(m, name, "bust", "waist", "hip", "upper_arm", "wrist", "shoulder_width", "arm_length", "armscye_depth")
-    require(m, name, "front_waist_length", "back_waist_length")
+    require(m, name, "front_waist_length", "back_waist_length", "chest_width", "back_width", "bust_point_distance")
     places = m.landmarks
     length = p.length if p.length is not None else float(places.neck_side[1] - places.crotch[1])
     sleeve_length = p.sleeve_length if p.sleeve_length is not None else m.arm_length

@@ -37,6 +37,7 @@ def tshirt(measures: BodyMeasures, parameters: Tshirt) -> Pattern:
     """
     m, p, name = measures, parameters, "tshirt"
     require(m, name, "bust", "hip", "upper_arm", "shoulder_width", "arm_length", "armscye_depth", "shoulder_length")
+    require(m, name, "chest_width", "back_width", "bust_point_distance", "wrist")
     neck_side, crotch = m.landmarks.neck_side, m.landmarks.crotch
     length = p.length if p.length is not None else float(neck_side[1] - crotch[1]) - 0.05
     sleeve_length = p.sleeve_length if p.sleeve_length is not None else 0.4 * m.arm_length

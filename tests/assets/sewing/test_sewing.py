@@ -16,7 +16,7 @@ from assets.patterns.load import load_pattern
 from assets.patterns.panel_mesh import cut
 from assets.sewing.arrangement import CLEARANCE, arranged
 from assets.sewing.body import StandingBody, load_standing_body
-from assets.sewing.garment import SewnGarment, drape_figures, faults_of
+from assets.sewing.garment import SewnGarment, drape_figures, faults_of, faulty_panels
 from assets.sewing.pieces import pieces_of
 from assets.sewing.sewing import SewingError, arranged_pieces, sew
 from pbd.contact.colliders import Body
@@ -74,7 +74,7 @@ def test_a_body_that_is_thin_while_the_seams_close_has_its_own_shape_afterwards(
 
 def test_a_tube_that_is_too_small_says_so() -> None:
     pole = replace(egg(), vertices=egg().vertices * [1.0, 6.0, 1.0])  # from which it cannot slide
-    with pytest.raises(SewingError, match="stays open|too small"):
+    with pytest.raises(SewingError, match="(stays open|too small).*may mend it"):
         sew(tube_pattern(girth=0.4), pole, "cotton", 0.025)
 
 
@@ -100,6 +100,17 @@ def test_faults_name_what_is_wrong(tube: SewnGarment) -> None:
     assert "a seam stays open by 3.0 mm" in faults
     assert "it slid down by 80 cm: nothing holds it" in faults
     assert any("inside the body" in fault for fault in faults)
+
+
+def test_a_fault_is_at_its_panel(tube: SewnGarment) -> None:
+    assert faulty_panels(tube, egg()) == []
+    garment, number = tube.garment, len(tube.panel_names) - 1
+    of_panel = np.bincount(garment.faces.ravel(), weights=np.repeat(tube.panel_of_face == number, 3))
+    inner = np.flatnonzero(of_panel == np.bincount(garment.faces.ravel()))[0]
+    vertices = garment.vertices.copy()
+    vertices[inner] += 0.1 * vertices[inner] * [1.0, 0.0, 1.0] / np.linalg.norm(vertices[inner, [0, 2]])
+    stretched = replace(tube, garment=replace(garment, vertices=vertices))
+    assert faulty_panels(stretched, egg()) == [tube.panel_names[number]]
 
 
 def test_pieces_without_a_place_lie_beside_what_they_are_sewn_to() -> None:

@@ -13,9 +13,10 @@ from assets.measures import BodyMeasures, measure
 from assets.patterns.curves import crossings, signed_area
 from assets.patterns.drafts import DRAFTS, draft, draft_parameters
 from assets.patterns.drafts.placing import Surroundings
-from assets.patterns.pattern import EdgeName, Pattern, edge_length
+from assets.patterns.pattern import EdgeName, Pattern, Placement, edge_length
 from assets.sewing.body import StandingBody
 from pbd.errors import InputError
+from tests.assets.shell_figure import moved
 from tests.data import data_path
 
 WOMAN = "characters/mh_female_bandai_NC.glb"
@@ -73,7 +74,7 @@ def check_sound(m: BodyMeasures, pattern: Pattern) -> None:
     around = Surroundings(m)
     for panel in pattern.panels:
         assert panel.placement is not None
-        assert around.room(panel.placement.apply(dense(panel.outline))) > 0.01, panel.name
+        assert around.room(m.frame.local(panel.placement.apply(dense(panel.outline)))) > 0.01, panel.name
 
 
 def in_space(pattern: Pattern, name: EdgeName) -> np.ndarray:
@@ -189,6 +190,38 @@ def test_a_body_without_a_waist_wears_no_skirt_of_ours() -> None:
     )
     with pytest.raises(InputError, match="body without a waist"):
         draft("circle_skirt", barrel)
+
+
+def test_panels_stand_around_a_body_that_stands_elsewhere() -> None:
+    """Where they stand around the body at the origin, moved and turned as the body is."""
+    body = measured("mannequin").surface
+    by, degrees = (1.0, 0.0, -0.5), 30.0
+    here = draft("circle_skirt", measured("mannequin"))
+    there = draft("circle_skirt", measure(moved(StandingBody("there", body.vertices, body.faces), by, degrees)))
+    for panel, other in zip(here.panels, there.panels, strict=True):
+        assert panel.placement is not None and other.placement is not None
+        placed = StandingBody("panel", panel.placement.apply(panel.outline), body.faces)
+        np.testing.assert_allclose(other.placement.apply(other.outline), moved(placed, by, degrees).vertices, atol=1e-4)
+
+
+def test_a_bow_turns_with_its_panel() -> None:
+    bow = np.array([[0.0, 0.1, 0.0, 0.0], [1.0, 0.0, 0.2, 0.3]])
+    placement = Placement(np.eye(3), np.array([0.1, 0.2, 0.3]), 0.5, bow)
+    turn, move = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]), np.array([1.0, 2.0, 3.0])
+    flat = np.random.default_rng(0).uniform(0.0, 1.0, (20, 2))
+    np.testing.assert_allclose(
+        placement.moved(turn, move).apply(flat), placement.apply(flat) @ turn.T + move, atol=1e-12
+    )
+
+
+def test_a_waist_by_hand_makes_a_skirt_for_a_body_without_one() -> None:
+    m = measured("mannequin")
+    lacking = BodyMeasures(**{**m.__dict__, "waist": float("nan"), "doubts": {"waist": "it is too thin"}})
+    with pytest.raises(InputError, match=r"without a waist \(received 'it is too thin', .*--param waist=METRES"):
+        draft("circle_skirt", lacking)
+    pattern = draft("circle_skirt", measure(m.surface, {"waist": 0.7}))
+    waist = [band.edge for band in pattern.bands if band.layers > 2.0]
+    assert free_girth(pattern, waist) == pytest.approx(0.7, rel=1e-3)
 
 
 def test_parameters_are_listed_with_units() -> None:
