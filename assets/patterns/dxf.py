@@ -5,6 +5,8 @@ ezdxf (MIT, kept) reads the file, its blocks and its curves.
 
 from __future__ import annotations
 
+import codecs
+import io
 from collections import defaultdict
 from collections.abc import Iterable
 from pathlib import Path
@@ -15,6 +17,7 @@ from numpy.typing import NDArray
 
 from assets.patterns.pattern import Panel
 from assets.patterns.sheet import edges_of_pieces, panel_of_outline
+from assets.text import decoded
 from pbd.errors import InputError
 
 __all__ = ["read_dxf"]
@@ -48,9 +51,7 @@ def read_dxf(path: Path) -> tuple[Panel, ...]:
 
 
 def _panels(path: Path) -> tuple[Panel, ...]:
-    from ezdxf.filemanagement import readfile
-
-    document = readfile(path)
+    document = _document(path)
     space: Any = document.modelspace()
     unit = _unit(document, space, path)
     inserts = space.query("INSERT")
@@ -105,6 +106,20 @@ def _panel(name: str, layers: dict[str, list[Any]], unit: float) -> Panel | None
         return panel_of_outline(name, edges)
     along = grain.dxf.end - grain.dxf.start
     return panel_of_outline(name, edges, np.array([along.x, along.y]))
+
+
+def _document(path: Path) -> Any:
+    """The drawing, without a byte order mark, which ezdxf would take for a part of the first line."""
+    from ezdxf.filemanagement import read, readfile
+
+    data = path.read_bytes()
+    if data.startswith((codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return read(io.StringIO(decoded(data, path)))
+    document = readfile(path)
+    names = [entity.dxf.layer for entity in document.modelspace()] + [block.name for block in document.blocks]
+    if not all(map(str.isprintable, names)):  # bytes that are not of the encoding that the file names
+        decoded(data, path)
+    return document
 
 
 def _unit(document: Any, space: Any, path: Path) -> float:
