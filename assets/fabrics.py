@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from assets.text import read_text
 from pbd.errors import InputError
 from pbd.fabric import MAX_STIFFENING_STRAIN, Fabric
 
@@ -243,10 +244,9 @@ def fitted_tension(strain: np.ndarray, tension: np.ndarray, stretch: float | Non
 
 def _content(path: Path) -> dict[str, Any]:
     """The object in a fabric's file."""
+    text = read_text(path, "a fabric's .json")
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError("cannot be read", file=path, received=error.strerror, expected="a fabric's .json") from error
+        content = json.loads(text)
     except ValueError as error:
         raise InputError(f"not JSON: {error}", file=path) from error
     if not isinstance(content, dict):

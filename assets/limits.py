@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
 
+from assets.text import read_words
 from pbd import InputError, Limits
 from pbd.limits import NONE
 
@@ -28,20 +28,8 @@ def load_limits(path: Path, vertex_count: int) -> Limits:
         InputError: the file cannot be read, has other titles, or a row that is no limit; the message names line and
             column.
     """
-    try:
-        with open(path, newline="", encoding="utf-8") as file:
-            lines = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"cannot be read: {error}", file=path, expected="a .csv file") from error
-    titles = tuple(word.strip() for word in lines[0]) if lines else ()
-    if titles != COLUMNS:
-        raise InputError(
-            "other columns", file=path, key="line 1", received=",".join(titles), expected=",".join(COLUMNS)
-        )
     rows: dict[int, list[float]] = {}
-    for number, words in enumerate(lines[1:], start=2):
-        if not any(word.strip() for word in words):
-            continue
+    for number, words in read_words(path, COLUMNS):
         if len(words) != len(COLUMNS):
             expected = f"{len(COLUMNS)} columns"
             raise InputError("no limit", file=path, key=f"line {number}", received=",".join(words), expected=expected)

@@ -9,7 +9,6 @@ chest.
 
 from __future__ import annotations
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from assets.body_parts import LIMBS, PARTS, common_ancestor, find_parts
 from assets.character import Character, Clip
 from assets.io.bvh import Bvh
 from assets.skinning import skin_vertices
+from assets.text import read_words
 from assets.transform import decompose
 from pbd.errors import InputError
 
@@ -49,20 +49,9 @@ def load_joint_table(path: Path) -> dict[str, tuple[str, str]]:
     Raises:
         InputError: the file cannot be read, or has other columns, an unknown part or one twice.
     """
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"cannot be read: {error}", file=path, expected="a .csv file") from error
-    columns = ["part", "joint", "bvh"]
-    if not rows or [name.strip() for name in rows[0]] != columns:
-        received = rows[0] if rows else None
-        raise InputError("other columns", file=path, key="line 1", received=received, expected=",".join(columns))
     table: dict[str, tuple[str, str]] = {}
-    for number, row in enumerate(rows[1:], start=2):
+    for number, row in read_words(path, ("part", "joint", "bvh")):
         values = [value.strip() for value in row]
-        if not any(values):
-            continue
         if len(values) != 3 or values[0] not in PARTS or values[0] in table:
             expected = "one of " + ", ".join(part for part in PARTS if part not in table) + ", and two names"
             raise InputError("bad row", file=path, key=f"line {number}", received=values, expected=expected)

@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from assets.garment import boundary_loops
 from assets.io.obj import triangulate
+from assets.text import read_words
 from pbd.errors import InputError
 from pbd.mesh import edges_of
 
@@ -68,20 +69,11 @@ def load_seams(path: Path, vertex_count: int) -> Seams:
         InputError: the file cannot be read, has other titles, or a row that is no stitch; the message names row and
             column.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read: {error}", file=path, expected="a .csv file") from error
-    title = lines[0].replace(" ", "") if lines else ""
-    if title != "v,a,b,w":
-        raise InputError("other columns", file=path, key="line 1", received=title[:60], expected="v,a,b,w")
     rows, weights = [], []
-    for number, line in enumerate(lines[1:], start=2):
-        if not line.strip():
-            continue
-        words = line.split(",")
+    for number, words in read_words(path, ("v", "a", "b", "w")):
         if len(words) != 4:
-            raise InputError("no stitch", file=path, key=f"line {number}", received=line[:60], expected="v,a,b,w")
+            received = ",".join(words)[:60]
+            raise InputError("no stitch", file=path, key=f"line {number}", received=received, expected="v,a,b,w")
         for column, word in zip("vab", words, strict=False):
             if not word.strip().isdigit() or int(word) >= vertex_count:
                 expected = f"a vertex, 0 to {vertex_count - 1}"

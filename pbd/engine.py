@@ -15,6 +15,7 @@ import time
 import warnings
 from contextlib import redirect_stdout, suppress
 from pathlib import Path
+from typing import Any
 
 from pbd.errors import InputError
 
@@ -35,20 +36,32 @@ if _engine == "quadrants":
 else:
     import taichi as ti
 
-__all__ = ["cuda_is_here", "ensure_initialized", "is_running", "ti"]
+__all__ = ["cuda_is_here", "ensure_initialized", "running_program", "ti"]
 
 COMPILED_FOR = 64  # threads
 LOCKED_AT_MOST = 60.0  # far longer than a process reads or writes the compiled kernels [s]
 
+# With other settings kernels round otherwise, or the first frame takes minutes.
+NEEDED = {
+    "default_fp": ti.f32,
+    "default_ip": ti.i32,
+    "fast_math": False,  # the same function in two kernels must round alike; costs a tenth of a frame
+    # The analysis of control flow takes nine tenths of the time of compiling, and more than in proportion to a kernel's
+    # size. It gains nothing where indices are variables of one number: i = f[0], not f[0].
+    "cfg_optimization": False,
+}
+
 _lock = threading.Lock()
-_settings: dict[str, object] | None = None
+_settings: dict[str, object] = {}
+_program: Any = None  # that these are the settings of
 
 
 def ensure_initialized(arch: str | None = None, threads: int | None = None) -> None:
     """Start Taichi once for this process; later calls with the same wishes do nothing.
 
     ``ti.init`` kills every array of an earlier ``ti.init`` with a bare error, so a call that asks for other settings
-    than those that run is refused.
+    than those that run is refused. A program that calls ``ti.init`` itself, before or later, is joined if its settings
+    do (:data:`NEEDED`); else this call and all that need Taichi are refused.
 
     Args:
         arch: "cpu" or "cuda"; None takes the one that runs, or "cpu".
@@ -57,13 +70,16 @@ def ensure_initialized(arch: str | None = None, threads: int | None = None) -> N
     Raises:
         InputError: unknown arch, a thread count below one, or a conflict with the running set-up.
     """
-    global _settings
+    global _settings, _program
     if arch not in (None, "cpu", "cuda"):
         raise InputError("unknown arch", key="arch", received=arch, expected="'cpu' or 'cuda'")
     if threads is not None and threads < 1:
         raise InputError("bad thread count", key="threads", received=threads, expected="at least 1")
     with _lock:
-        if _settings is not None:
+        running = running_program()
+        if running is not None:
+            if running is not _program:
+                _settings, _program = _settings_of(running, anew=_program is not None), running
             if arch in (None, _settings["arch"]) and threads in (None, _settings["threads"]):
                 return
             raise InputError(
@@ -85,21 +101,50 @@ def ensure_initialized(arch: str | None = None, threads: int | None = None) -> N
             ti.init(
                 arch=ti.cpu if arch == "cpu" else ti.cuda,
                 cpu_max_num_threads=count,
-                default_fp=ti.f32,
-                default_ip=ti.i32,
                 offline_cache=True,
                 log_level=ti.ERROR,
                 make_thread_local=False,  # nothing is summed over threads; to look for it takes a fifth of compiling
-                # The analysis of control flow takes nine tenths of the time of compiling, and more than in proportion
-                # to a kernel's size. It gains nothing where indices are variables of one number: i = f[0], not f[0].
-                cfg_optimization=False,
-                fast_math=False,  # the same function in two kernels must round alike; costs a tenth of a frame
+                **NEEDED,
             )
+        _program = running_program()
         # Taichi compiles a kernel for a number of threads and keeps it for that number alone. Its threads are started
         # by now, and a kernel for more runs on those that there are: processes of one thread and of several share.
-        ti.lang.impl.get_runtime().prog.config().cpu_max_num_threads = max(count, COMPILED_FOR)
+        _program.config().cpu_max_num_threads = max(count, COMPILED_FOR)
         _spread(sorted(_threads() - others), count)
         _settings = {"arch": arch, "threads": count}
+
+
+def running_program() -> Any:
+    """The program of Taichi that runs in this process, whoever started it; None where none does."""
+    runtime = ti.lang.impl.get_runtime()
+    return runtime._prog if _engine == "quadrants" else runtime.prog
+
+
+def _settings_of(program: Any, anew: bool) -> dict[str, object]:
+    """Settings of a program of Taichi that was started by ``ti.init`` elsewhere.
+
+    Args:
+        program: the running one.
+        anew: whether another one ran before, and ended by this.
+
+    Raises:
+        InputError: settings with which kernels would round otherwise, or take minutes to compile.
+    """
+    config = program.config()
+    archs = {arch: name for name, arch in (("cpu", ti.cpu), ("cuda", ti.cuda))}
+    other = {name: getattr(config, name) for name, value in NEEDED.items() if getattr(config, name) != value}
+    other = {name: value if isinstance(value, bool) else value.to_string() for name, value in other.items()}
+    if config.arch not in archs:
+        other["arch"] = config.arch.name
+    if other:
+        raise InputError(
+            f"Taichi {'was started anew' if anew else 'already runs'} with settings that gube cannot use",
+            key=f"{ti.__name__}.init",
+            received=other,
+            expected="gube.ensure_initialized() instead, or fast_math=False, cfg_optimization=False, "
+            "numbers of 32 bits, and a CPU or CUDA",
+        )
+    return {"arch": archs[config.arch], "threads": config.cpu_max_num_threads}
 
 
 def _cores() -> int:
@@ -153,8 +198,3 @@ def _remove_left_lock() -> None:
 def cuda_is_here() -> bool:
     """Whether there is an NVIDIA GPU with its driver."""
     return bool(getattr(ti.lang.impl, f"_{_prefix.lower()}_core").with_cuda())
-
-
-def is_running() -> bool:
-    """Whether :func:`ensure_initialized` was called in this process."""
-    return _settings is not None

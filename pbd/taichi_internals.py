@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from pbd.engine import ensure_initialized, is_running, ti
+from pbd.engine import ensure_initialized, running_program, ti
 
 __all__ = ["Launch", "in_kernel", "local", "same", "subscript", "translations"]
 
@@ -131,8 +131,7 @@ class Launch:
     def __call__(self, *arguments: Any) -> None:
         """Run the kernel; arguments and errors are its own."""
         if not self._prepare(arguments):
-            if not is_running():  # Taichi's own message says nothing to the user
-                ensure_initialized()
+            ensure_initialized()  # Taichi's own message says nothing to the user
             self._kernel(*arguments)  # compiles it, and reports a wrong argument
             if not self._ordinary:
                 self._bind(arguments)
@@ -152,7 +151,7 @@ class Launch:
 
     def _prepare(self, arguments: tuple) -> bool:
         """Hand over the arrays that are new; False if that takes an ordinary call."""
-        if self._program is None or self._program is not impl.get_runtime().prog or len(arguments) != self._count:
+        if self._program is None or self._program is not running_program() or len(arguments) != self._count:
             return False
         for entry in self._arrays:
             position, kept, shape, inner = entry
@@ -210,7 +209,7 @@ class Launch:
                 else:
                     self._ordinary = True
                     return
-            program = impl.get_runtime().prog
+            program = running_program()
             compiled = program.compile_kernel(program.config(), program.get_device_caps(), translated)
             self._compiled = compiled.compiled_kernel_data if QUADRANTS else compiled
         except (AttributeError, KeyError, TypeError):  # another Taichi

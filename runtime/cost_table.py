@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from assets.text import read_text
 from pbd.errors import InputError
 from pbd.storage import replacing
 from runtime.level_of_detail import LevelOfDetail
@@ -117,13 +118,14 @@ def read_cost_table(path: str | Path) -> CostTable:
             negative or out of order.
     """
     path, expected = Path(path), "a cost table of `gube plan`; remove it to measure anew"
+    text = read_text(path, expected)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(text)
         if (content.pop("format"), content.pop("version")) != (FORMAT, VERSION):
             raise ValueError("another format")
         settings = tuple(_setting(row) for row in content.pop("settings"))
         cost_table = CostTable(**content | {"speeds": tuple(content["speeds"]), "settings": settings})
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"cannot be read: {error}", file=path, expected=expected) from error
     numbers = np.array([[s.cost_ms, s.peak_ms, *s.error_m] for s in settings], float)
     shaped = numbers.ndim == 2 and numbers.shape[1] == 2 + len(cost_table.speeds) and len(cost_table.speeds) > 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -223,13 +222,10 @@ def _seams_of(garment: Garment, path: Path) -> Path | None:
     if garment.pattern is None:
         return None
     for file in sorted(path.parent.glob("*.csv")):
-        with file.open(encoding="utf-8", errors="replace", newline="") as lines:
-            if next(csv.reader(lines), []) != ["v", "a", "b", "w"]:
-                continue
         try:
             seams = load_seams(file, len(garment.vertices))
         except InputError:
-            continue  # of another garment
+            continue  # of another garment, or no stitches
         v, a, b = (garment.vertices[seams.vertices[:, k]] for k in range(3))
         w = seams.weights[:, None]
         if np.linalg.norm(v - (1.0 - w) * a - w * b, axis=1).max() <= MAX_SEAM_GAP:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from assets.text import read_text
 from pbd.errors import InputError
 
 __all__ = ["Bvh", "read_bvh"]
@@ -65,11 +66,7 @@ def read_bvh(path: Path) -> Bvh:
             frames than announced or many more, the numbers of a frame are not as many as the channels or not finite;
             the message names the line.
     """
-    try:
-        text = path.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        problem = f"cannot be read: {(error.strerror or str(error)).lower()}"
-        raise InputError(problem, file=path, expected="a .bvh file") from error
+    text = read_text(path, "a .bvh file", strict=False)
     lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
     if not lines or lines[0][1].upper() != "HIERARCHY":
         received = lines[0][1][:40] if lines else "an empty file"

@@ -19,6 +19,7 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
+from assets.text import decoded
 from assets.transform import local_matrices
 from pbd.errors import InputError
 
@@ -355,9 +356,10 @@ def read_document(path: Path) -> Document:
     binary = None
     if data[:4] == b"glTF" or path.suffix.lower() == ".glb":
         data, binary = _split_binary(path, data)
+    text = decoded(data, path)
     try:
-        content = json.loads(data.decode("utf-8"))
-    except ValueError as error:  # UnicodeDecodeError is one too
+        content = json.loads(text)
+    except ValueError as error:
         raise InputError(f"not glTF: {error}", file=path) from error
     _check_outline(path, content)
     buffers = tuple(_load_buffer(path, i, buffer, binary) for i, buffer in enumerate(content.get("buffers", [])))

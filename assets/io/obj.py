@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from assets.text import read_text
 from pbd.errors import InputError
 
 __all__ = ["ObjMesh", "face_lines", "read_obj", "triangulate"]
@@ -48,11 +49,7 @@ def read_obj(path: Path) -> ObjMesh:
         InputError: the file cannot be read, a line cannot be parsed, a vertex is not finite, or an index is out of
             range; the message names the line.
     """
-    try:
-        text = path.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        problem = f"cannot be read: {(error.strerror or str(error)).lower()}"
-        raise InputError(problem, file=path, expected="an .obj file") from error
+    text = read_text(path, "an .obj file", strict=False)
     vertices: list[list[float]] = []
     texture: list[list[float]] = []
     polygons: list[tuple[int, list[int], list[int]]] = []

@@ -35,6 +35,7 @@ from assets.io.settings import (
 )
 from assets.io.view import ViewSettings
 from assets.procedural.builtin import BUILTIN_GARMENTS
+from assets.text import read_text
 from pbd import Fabric, InputError, SolverOptions
 from pbd.wind import Wind
 
@@ -300,19 +301,12 @@ def toml_file(path: str | Path) -> dict[str, Any]:
         InputError: the file cannot be read or is not TOML.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        problem = f"cannot be read: {(error.strerror or str(error)).lower()}"
-        raise InputError(problem, file=path, expected="a scene file (TOML)") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"not TOML: {error}", file=path) from error
-    return _toml(text, path)
+    return _toml(read_text(path, "a scene file (TOML)"), path)
 
 
 def _toml(text: str, path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(text)
+        return tomllib.loads(text.removeprefix("\ufeff"))  # a byte order mark
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"not TOML: {error}", file=path) from error
 

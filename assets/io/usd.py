@@ -6,6 +6,7 @@ length or not finite in a file that the library opens. Lengths are turned into m
 
 from __future__ import annotations
 
+import codecs
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from assets.body_checks import HEIGHTS, UNITS
 from assets.io.obj import triangulate
 from assets.io.usd_guard import require_sound
+from assets.text import read_text
 from pbd.errors import InputError
 
 __all__ = [
@@ -64,7 +66,7 @@ def open_stage(path: Path, guarded: bool = True) -> Iterator[Any]:
     if guarded:
         require_sound(path)
     try:
-        stage: Any = Usd.Stage.Open(str(path))
+        stage: Any = Usd.Stage.Open(_layer(path))
         broken = stage.GetCompositionErrors()
         if broken:
             raise InputError(f"a reference that cannot be opened: {_said(broken[0])}", file=path)
@@ -74,6 +76,24 @@ def open_stage(path: Path, guarded: bool = True) -> Iterator[Any]:
         yield stage
     except (Tf.ErrorException, RuntimeError, UnicodeDecodeError) as error:
         raise InputError(f"no USD, truncated or damaged: {_said(error)}", file=path, expected="a USD file") from error
+
+
+def _layer(path: Path) -> Any:
+    """What a stage is opened from: the file's path, or its text as a layer, if a byte order mark stands before it.
+
+    Raises:
+        InputError: text in another encoding than UTF-8.
+    """
+    from pxr import Sdf
+
+    with path.open("rb") as file:
+        start = file.read(len(codecs.BOM_UTF8))
+    if not start.startswith((codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return str(path)
+    text = read_text(path, "a USD file")  # USD itself would not know the kind of file
+    layer: Any = Sdf.Layer.Find(str(path)) or Sdf.Layer.New(Sdf.FileFormat.FindByExtension("usda"), str(path))
+    layer.ImportFromString(text)
+    return layer
 
 
 def read_all(path: Path) -> None:

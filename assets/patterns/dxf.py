@@ -5,6 +5,8 @@ ezdxf (MIT, kept) reads the file, its blocks and its curves.
 
 from __future__ import annotations
 
+import codecs
+import io
 from collections import defaultdict
 from collections.abc import Iterable
 from pathlib import Path
@@ -16,6 +18,7 @@ from numpy.typing import NDArray
 from assets.patterns.fold import unfolded
 from assets.patterns.pattern import Panel
 from assets.patterns.sheet import MAX_GAP, edges_of_pieces, panel_of_outline
+from assets.text import decoded
 from pbd.errors import InputError
 
 __all__ = ["read_dxf"]
@@ -55,10 +58,8 @@ def read_dxf(path: Path) -> tuple[Panel, ...]:
 
 
 def _panels(path: Path) -> tuple[Panel, ...]:
-    from ezdxf.filemanagement import readfile
-
-    document = readfile(path)
-    space = document.modelspace()
+    document = _document(path)
+    space: Any = document.modelspace()
     unit = _unit(document, space, path)
     shown = [entity for entity in space if _is_shown(document, entity)]
     inserts: list[Any] = [entity for entity in shown if entity.dxftype() == "INSERT"]
@@ -179,6 +180,20 @@ def _check_allowance(cut: list[Floats], sewn: list[Floats], key: str) -> None:
         received = "allowances of " + ", ".join(f"{1e3 * side:.0f}" for side in sides) + " mm"
         expected = f"0 to {1e3 * _MAX_ALLOWANCE:.0f} mm left, below, right and above"
         raise InputError("a sew line that does not follow its cut line", key=key, received=received, expected=expected)
+
+
+def _document(path: Path) -> Any:
+    """The drawing, without a byte order mark, which ezdxf would take for a part of the first line."""
+    from ezdxf.filemanagement import read, readfile
+
+    data = path.read_bytes()
+    if data.startswith((codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return read(io.StringIO(decoded(data, path)))
+    document = readfile(path)
+    names = [entity.dxf.layer for entity in document.modelspace()] + [block.name for block in document.blocks]
+    if not all(map(str.isprintable, names)):  # bytes that are not of the encoding that the file names
+        decoded(data, path)
+    return document
 
 
 def _unit(document: Any, space: Any, path: Path) -> float:

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from assets.patterns.curves import arc, bezier, signed_area
 from assets.patterns.pattern import EdgeName, Panel, Pattern, Placement, Seam
+from assets.text import read_text
 from pbd.errors import InputError
 
 __all__ = ["read_garmentcode"]
@@ -35,11 +36,12 @@ def read_garmentcode(path: Path) -> Pattern:
     Raises:
         InputError: the file cannot be read, or is no specification; the message names the panel and the edge.
     """
+    text = read_text(path, "a GarmentCode specification")
     try:
-        document = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_unique)
+        document = json.loads(text, object_pairs_hook=_unique)
     except InputError as error:
         raise error.in_file(path) from error
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+    except ValueError as error:
         raise InputError(f"cannot be read: {error}", file=path, expected="a GarmentCode specification") from error
     try:
         panels, stitches = document["pattern"]["panels"], document["pattern"]["stitches"]

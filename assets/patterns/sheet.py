@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 from assets.io.settings import Check, Reader, Refused, choice, entry, number, table, tables, text, truth, vector
 from assets.patterns.curves import signed_area
 from assets.patterns.pattern import Band, EdgeName, Panel, Pattern, Placement, Seam
+from assets.text import read_text
 from pbd.errors import InputError
 
 if sys.version_info >= (3, 11):
@@ -210,12 +211,13 @@ def with_side_file(path: Path, panels: Sequence[Panel]) -> Pattern:
         InputError: the side file is missing, is no TOML, or has entries that cannot be; all of them are named.
     """
     file = path.with_suffix(".seams.toml")
-    try:
-        values = tomllib.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
+    if not file.exists():
         expected = 'seams = [["front", 1, "back", 3], ...]'
-        raise InputError("a drawing without its file of seams", file=file, expected=expected) from error
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError("a drawing without its file of seams", file=file, expected=expected)
+    content = read_text(file, "a TOML file")
+    try:
+        values = tomllib.loads(content)
+    except tomllib.TOMLDecodeError as error:
         raise InputError(f"cannot be read: {error}", file=file, expected="a TOML file") from error
     reader = Reader(file)
     side: _SideFile | None = reader.table(_SideFile, values)

@@ -18,6 +18,7 @@ from assets.patterns.curves import bezier
 from assets.patterns.pattern import Panel
 from assets.patterns.sheet import edges_of_pieces, panel_of_outline
 from assets.patterns.svg_display import declared, drawn_shapes
+from assets.text import read_text
 from pbd.errors import InputError
 
 __all__ = ["read_svg"]
@@ -50,6 +51,7 @@ def read_svg(path: Path) -> tuple[Panel, ...]:
     except InputError:
         raise
     except Exception as error:  # of damaged files svgpathtools raises AttributeError, IndexError and others
+        read_text(path, "an SVG drawing")  # refuses an encoding that the file does not declare
         raise InputError(f"cannot be read: {error}", file=path, expected="an SVG drawing") from error
 
 

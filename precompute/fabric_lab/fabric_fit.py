@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from assets.fabrics import fitted_tension
+from assets.text import read_words
 from pbd import Fabric
 from pbd.errors import InputError
 from pbd.fabric import stiffening_stress
@@ -74,17 +75,11 @@ def read_curves(path: Path) -> dict[tuple[str, str], LoadCurve]:
         InputError: no such file, another header, an unknown word, a number that is not finite or, but for a loop, not
             above 0, or a loop that is none (:func:`precompute.fabric_lab.loops.check_loop`).
     """
-    try:
-        with open(path, newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(file)
-            if tuple(reader.fieldnames or ()) != COLUMNS:
-                raise InputError("bad header", file=path, received=reader.fieldnames, expected=", ".join(COLUMNS))
-            rows = list(reader)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"cannot be read: {error}", file=path, expected="a CSV file") from error
+    rows = read_words(path, COLUMNS)
     points: dict[tuple[str, str], list[tuple[float, float]]] = {}
     errors = []
-    for number, row in enumerate(rows, 2):
+    for number, words in rows:
+        row = dict(zip_longest(COLUMNS, words))
         pressed, looped = (row["instrument"], row["direction"]) == PRESSED, row["instrument"] in LOOP_INSTRUMENTS
         for name, allowed in (("instrument", INSTRUMENTS | LOOP_INSTRUMENTS), ("direction", DIRECTIONS)):
             if row[name] not in allowed and not pressed:

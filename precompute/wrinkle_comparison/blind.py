@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from assets.text import read_text
 from pbd import InputError
 from pbd.storage import replacing
 from precompute.learning.evaluation import Truth
@@ -83,11 +84,8 @@ def blind_figures(folder: Path, answers: Path) -> dict[str, float]:
 
     if not (folder / KEY).exists():
         raise InputError("no blind pairs", file=folder / KEY, expected="those of gube compare --blind with the same -o")
-    key = list(json.loads((folder / KEY).read_text(encoding="utf-8")).values())
-    try:
-        said = answers.read_text(encoding="utf-8-sig").split()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read: {error}", file=answers, expected="a letter, A or B, on each line") from None
+    key = list(json.loads((folder / KEY).read_text(encoding="utf-8")).values())  # our own file
+    said = read_text(answers, "a letter, A or B, on each line").split()
     if len(said) != len(key):
         raise InputError("answers missing or too many", file=answers, received=len(said), expected=f"{len(key)} lines")
     for number, letter in enumerate(said, 1):

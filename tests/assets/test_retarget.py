@@ -172,7 +172,7 @@ def test_wrong_tables_are_refused(
     ("text", "message"),
     [
         ("", "line 1: other columns"),
-        ("part,joint\nleft hand,a", "line 1: other columns (received ['part', 'joint'], expected part,joint,bvh)"),
+        ("part,joint\nleft hand,a", "line 1: other columns (received 'part,joint', expected part,joint,bvh)"),
         (
             "part,joint,bvh\nleft ear,a,b",
             "line 2: bad row (received ['left ear', 'a', 'b'], expected one of left upper",

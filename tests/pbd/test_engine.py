@@ -62,6 +62,73 @@ def test_an_engine_that_there_is_not_is_refused() -> None:
     assert "GUBE_ENGINE" in result.stdout and "taichi or quadrants" in result.stdout
 
 
+# A program that uses Taichi itself: `fits` and `other` are settings that gube can and cannot use.
+OWN_PROGRAM = """
+import numpy as np
+from pbd import InputError, ensure_initialized
+from pbd.engine import ti
+from pbd.geometry import surface_normals
+from pbd.taichi_internals import Launch
+
+launch = Launch(surface_normals)
+def use():
+    out = np.zeros((3, 3), np.float32)
+    try: launch(np.diag(np.arange(1, 4, dtype=np.float32)), np.array([[0, 1, 2]], np.int32), out)
+    except InputError as error: return str(error)
+    return out.tobytes().hex()
+def start(**settings): ti.init(**{"arch": ti.cpu, "log_level": ti.ERROR, "offline_cache": False} | settings)
+fits = {"fast_math": False, "cfg_optimization": False}
+others = [
+    {"fast_math": True}, {"cfg_optimization": True}, {"default_fp": ti.f64}, {"default_ip": ti.i64}
+]
+def field():
+    mine = ti.field(ti.f32, shape=4)
+    mine.fill(3.0)
+    return mine
+"""
+
+
+def own_program(script: str) -> list[str]:
+    """What such a program prints, without Taichi's own words."""
+    command = [sys.executable, "-c", OWN_PROGRAM + script]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    return [line for line in result.stdout.splitlines() if not line.startswith(f"[{NAME}]")]
+
+
+def test_a_program_that_runs_taichi_itself_is_joined() -> None:
+    """And goes on with its own arrays; gube's results are those that it has alone, also after a further start."""
+    script = """
+start(**fits)
+mine = field()
+print(use(), mine[2])
+for wish in ({"arch": "cuda"}, {"threads": 10_000}):
+    try: ensure_initialized(**wish)
+    except InputError as error: print(error)
+start(**fits)
+mine = field()
+print(use(), mine[2])
+ti.reset()
+print(use())
+"""
+    first, arch, threads, second, alone = own_program(script)
+    assert first == second == f"{alone} 3.0"
+    assert "already runs" in arch and "cuda" in arch and "already runs" in threads and "10000" in threads
+
+
+@pytest.mark.parametrize("earlier", ["", "use()\n"], ids=["before", "after"])
+def test_a_program_that_runs_taichi_with_other_settings_is_refused(earlier: str) -> None:
+    script = (
+        earlier + "for other in others:\n    start(**fits | other)\n    mine = field()\n    print(use(), mine[2])\n"
+    )
+    lines = own_program(script)
+    names = ("'fast_math': True", "'cfg_optimization': True", "'default_fp': 'f64'", "'default_ip': 'i64'")
+    assert len(lines) == len(names)
+    for line, name in zip(lines, names, strict=True):
+        assert f"init: Taichi {'was started anew' if earlier else 'already runs'} with settings" in line
+        assert name in line and "gube.ensure_initialized()" in line and line.endswith(" 3.0")
+
+
 def _compiled(folder: Path, threads: str = "1") -> tuple[list[str], str]:
     """Kernels that are kept in a folder after a process has used one, and its result."""
     script = (

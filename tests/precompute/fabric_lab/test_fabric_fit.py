@@ -33,7 +33,7 @@ def test_stiffness_comes_from_the_curves_and_the_solver_gives_them_back(tmp_path
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("a,b\n1,2\n", "bad header"),
+        ("a,b\n1,2\n", "line 1: other columns"),
         (CURVES.replace("weft", "up"), "line 4: unknown word"),
         (CURVES.replace("0.4\n", "much\n"), "line 2: bad point"),
         (CURVES.splitlines()[0] + "\n", "no curve"),
