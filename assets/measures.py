@@ -43,6 +43,7 @@ _WAIST_LESS = 0.97  # girth of a waist over those below and above it, at most [-
 _WAIST_HEIGHT = (
     0.64  # of the stature, where a waist of given girth is, if none shows [-]; five bodies have 0.63 to 0.66
 )
+_WAIST_BELOW_ARMPIT = 0.05  # of the stature, at least, where a waist is given by hand [-]
 _UP = np.array([0.0, 1.0, 0.0])
 
 
@@ -442,8 +443,9 @@ def _trunk(figure: _Figure, given: Mapping[str, float]) -> _Part:
     has_waist = girths[waist] < _WAIST_LESS * min(around)
     if "waist_to_floor" in given or "waist" in given and not has_waist:
         above_floor = given.get("waist_to_floor", _WAIST_HEIGHT * figure.height)
-        if not heights[hip] < figure.floor + above_floor < high:
-            expected = f"{heights[hip] - figure.floor:.3f} to {high - figure.floor:.3f} m, between hips and armpits"
+        least, most = heights[hip] - figure.floor, high - figure.floor - _WAIST_BELOW_ARMPIT * figure.height
+        if not least < above_floor < most:
+            expected = f"{least:.3f} to {most:.3f} m, between hips and armpits"
             raise InputError("no height of a waist", key="waist_to_floor", received=above_floor, expected=expected)
         waist, has_waist = int(np.abs(heights - figure.floor - above_floor).argmin()), True
     # The foremost point of the upper half between waist and armpits; where there is no waist, of the upper third.
@@ -487,11 +489,14 @@ def _neck_and_shoulder(figure: _Figure) -> _Part:
     shoulder = cut[cut[:, 1].argmax()]
     limit = shoulder[1] + 0.07 * figure.height  # on the neck, below the head
     tops = np.array([_top(figure, x, limit) for x in np.arange(0.02, shoulder[0], _STEP)])
+    neckless = _Missing(f"no neck rises above the shoulders, {shoulder[1] - figure.floor:.2f} m above the floor")
+    if not len(tops) or tops[0, 1] < limit - 0.02:
+        raise neckless
     outside = np.flatnonzero(tops[:-1, 1] < limit - 0.02)  # of the neck's column
     slopes = -np.diff(tops[:, 1]) / _STEP
     flat = outside[slopes[outside] < _NECK_SLOPE]
-    if tops[0, 1] < limit - 0.02 or not len(flat):
-        raise _Missing(f"no neck rises above the shoulders, {shoulder[1] - figure.floor:.2f} m above the floor")
+    if not len(flat):
+        raise neckless
     side = tops[flat[0]]
     line = shoulder - side
     normal = np.array([0.0, np.cos(_NECK_TILT), np.sin(_NECK_TILT)])
@@ -525,7 +530,7 @@ def _top(figure: _Figure, x: float, limit: float) -> Floats:
 
 def _width(points: Floats, side: float) -> float:
     """Length of a tape over the front (side 1) or the back (side -1) of a level, from side to side [m]."""
-    loop = points[side * (points[:, 2] - _middle(points)[2]) > 0.0][:, [0, 2]] * (1.0, side)
+    loop = points[side * (points[:, 2] - _middle(points)[2]) >= 0.0][:, [0, 2]] * (1.0, side)
     ends = loop[[loop[:, 0].argmin(), loop[:, 0].argmax()]]
     return tape_length(loop, ends[0], ends[1])
 
@@ -533,6 +538,8 @@ def _width(points: Floats, side: float) -> float:
 def _arm(figure: _Figure) -> _Part:
     """Girths and length of the left arm."""
     used = np.unique(figure.arm)
+    if not len(used):
+        raise _Missing("no arm begins at the left armpit")
 
     def cut(point: Floats, direction: Floats) -> Floats:
         return figure.cut(figure.arm, point, direction, "arm")

@@ -186,6 +186,16 @@ def test_measures_by_hand_count() -> None:
     assert set(MEASURES) == set(m.values())
 
 
+def test_a_figure_that_lies_askew_is_not_measured_in_silence() -> None:
+    """On its back, and turned about the line of sight: what is taken for a shoulder is right of the middle."""
+    body, half = shell_figure(45.0), np.sqrt(0.5)
+    lying = body.vertices[:, [0, 2, 1]] * (1.0, -1.0, 1.0)
+    askew = lying @ np.array([[-half, -half, 0.0], [half, -half, 0.0], [0.0, 0.0, 1.0]]).T
+    m = measured(StandingBody("askew", askew, body.faces))
+    assert np.isnan(m.shoulder_width) and "no neck rises above the shoulders" in m.doubts["shoulder_width"]
+    assert len(m.doubts) > 15
+
+
 def test_what_is_wrong_with_a_pose_is_said_with_the_place() -> None:
     body = shell_figure()
     v = body.vertices.copy()
