@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from assets.body_checks import check_right_side_out
 from assets.transform import local_matrices
+from pbd.arrays import floats, integers, numbers
 from pbd.errors import InputError
 
 __all__ = [
@@ -63,7 +64,10 @@ class Clip:
     scale: Floats
 
     def __post_init__(self) -> None:
-        frames, joints = self.translation.shape[:2] if self.translation.ndim == 3 else (0, 0)
+        for key in ("translation", "rotation", "scale"):
+            array = numbers(getattr(self, key), f"clip {self.name}, {key}", ("frames", "joints", "width"))
+            object.__setattr__(self, key, array)
+        frames, joints = self.translation.shape[:2]
         for key, width in (("translation", 3), ("rotation", 4), ("scale", 3)):
             array = getattr(self, key)
             if frames < 1 or array.shape != (frames, joints, width):
@@ -75,7 +79,8 @@ class Clip:
                 )
             if not np.isfinite(array).all():
                 frame = int(np.argwhere(~np.isfinite(array))[0, 0])
-                raise InputError("values that are not finite", key=f"clip {self.name}, {key}, frame {frame}")
+                key, received = f"clip {self.name}, {key}, frame {frame}", float(array[~np.isfinite(array)][0])
+                raise InputError("values that are not finite", key=key, received=received, expected="finite numbers")
         if not self.rate > 0:
             raise InputError("bad rate", key=f"clip {self.name}", received=self.rate, expected="more than 0 Hz")
         lengths = np.linalg.norm(self.rotation, axis=2)
@@ -132,6 +137,7 @@ class Character:
     texture: Floats | None = None
 
     def __post_init__(self) -> None:
+        _keep_arrays(self)
         _check_shapes(self)
         _check_weights(self)
         for clip in self.clips.values():
@@ -175,7 +181,13 @@ class Character:
             translation: offset from the parent [m], shape (joints, 3).
             rotation: unit quaternions x, y, z, w, shape (joints, 4).
             scale: scale along the joint's axes [-], shape (joints, 3).
+
+        Raises:
+            InputError: arrays of another shape, or values that are not finite.
         """
+        count = self.joint_count
+        translation = floats(translation, "translation", (count, 3), unit=" [m]")
+        rotation, scale = floats(rotation, "rotation", (count, 4)), floats(scale, "scale", (count, 3))
         world = local_matrices(translation, rotation, scale)
         roots = self.joint_parents < 0
         world[roots] = self.root_transform @ world[roots]
@@ -310,6 +322,25 @@ def with_clips(character: Character, other: Character) -> Character:
     return replace(character, clips={**character.clips, **other.clips})
 
 
+def _keep_arrays(character: Character) -> None:
+    """Make arrays of what is none yet, and refuse what does not hold numbers."""
+    about = f"character {character.name}, "
+    for name, axes in (
+        ("vertices", 2), ("faces", 2), ("joint_parents", 1), ("joint_indices", 2), ("joint_weights", 2),
+        ("inverse_bind", 3), ("root_transform", 2),
+    ):  # fmt: skip
+        array = numbers(getattr(character, name), about + name, tuple("klm"[:axes]))
+        if name in ("faces", "joint_parents", "joint_indices") and array.dtype.kind == "f":
+            least = -1 if name == "joint_parents" else 0
+            array = least + integers(array - least, about + name, array.shape)
+        object.__setattr__(character, name, array)
+    rest, names = character.rest_local, ("translation", "rotation", "scale")
+    if not isinstance(rest, (tuple, list)) or len(rest) != len(names):
+        raise InputError("bad shape", key=f"{about}rest_local", received=type(rest).__name__, expected=", ".join(names))
+    rest = tuple(numbers(x, f"{about}rest_local {name}", ("k", "l")) for name, x in zip(names, rest, strict=True))
+    object.__setattr__(character, "rest_local", rest)
+
+
 def _check_shapes(character: Character) -> None:
     vertices, joints = len(character.vertices), len(character.joint_names)
     expected = {
@@ -330,7 +361,9 @@ def _check_shapes(character: Character) -> None:
             raise InputError("bad shape", key=key, received=array.shape, expected=str(shape))
         if not np.isfinite(array).all():
             row = int(np.argwhere(~np.isfinite(array))[0, 0])
-            raise InputError("values that are not finite", key=f"{key}, row {row}")
+            received = float(array[~np.isfinite(array)][0])
+            key = f"{key}, row {row}"
+            raise InputError("values that are not finite", key=key, received=received, expected="finite numbers")
     if character.texture is not None and character.texture.shape != (*character.faces.shape, 2):
         key, expected = f"character {character.name}, texture", str((*character.faces.shape, 2))
         raise InputError("bad shape", key=key, received=character.texture.shape, expected=expected)

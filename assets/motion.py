@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from assets.character import Character, Clip
 from assets.transform import decompose, slerp
+from pbd.arrays import floats
 from pbd.errors import InputError
 
 __all__ = ["ClipMotion", "Motion", "part_of", "uppermost_joints"]
@@ -92,6 +93,7 @@ class ClipMotion:
 
     def pose(self, t: float) -> Floats:
         """Skinning matrices at a time [s], shape (joints, 3, 4); held before 0 and, without ``loop``, after the end."""
+        floats(t, "t", (), unit=" [s]")
         if t < self.blend:
             s = max(t, 0.0) / self.blend
             return _between(self._loose, self._start, self._end, s * s * (3.0 - 2.0 * s))

@@ -64,11 +64,13 @@ class SkinnedBody:
     Attributes:
         vertices: bind pose [m], shape (n, 3), float64.
         faces: shape (m, 3), int32.
+        pose_shape: shape of a pose: (joints, 3, 4).
     """
 
     def __init__(self, character: Character) -> None:
         ensure_initialized()
         self.vertices, self.faces = character.vertices, character.faces
+        self.pose_shape = (character.joint_count, 3, 4)
         weights = character.joint_weights.astype(np.float64)
         weights /= weights.sum(axis=1, keepdims=True)
         points = (

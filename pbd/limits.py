@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from pbd.arrays import floats, integers
 from pbd.attachment import Attachment, smooth_normals
 from pbd.errors import InputError
 
@@ -38,19 +39,15 @@ class Limits:
     stiffness: np.ndarray
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "vertices", np.asarray(self.vertices, np.int32))
-        if (np.diff(self.vertices) <= 0).any() or self.vertices.min(initial=0) < 0:
+        object.__setattr__(self, "vertices", integers(self.vertices, "limits.vertices", ("l",)))
+        if (np.diff(self.vertices) <= 0).any():
             expected = "each vertex once, ascending"
             raise InputError("bad limits", key="vertices", received=self.vertices.tolist()[:8], expected=expected)
         for name in ("maximum_distance", "backstop", "stiffness"):
-            values = np.asarray(getattr(self, name), np.float32)
-            if values.shape != self.vertices.shape:
-                expected = str(self.vertices.shape)
-                raise InputError("one value for each vertex", key=name, received=values.shape, expected=expected)
-            bad = ~(np.isfinite(values) & (values >= 0))
-            if bad.any():
-                expected = "finite numbers, at least 0"
-                raise InputError("bad limits", key=name, received=float(values[bad][0]), expected=expected)
+            values = np.asarray(floats(getattr(self, name), f"limits.{name}", self.vertices.shape), np.float32)
+            if (values < 0).any():
+                received, expected = float(values.min()), "finite numbers, at least 0"
+                raise InputError("bad limits", key=name, received=received, expected=expected)
             object.__setattr__(self, name, values)
 
     @classmethod

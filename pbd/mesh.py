@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pbd.arrays import floats, integers
 from pbd.errors import InputError
 
 __all__ = [
@@ -227,10 +228,17 @@ class ClothMesh:
 
     @classmethod
     def from_surface(cls, vertices: np.ndarray, faces: np.ndarray, warp: tuple = (0.0, 1.0, 0.0)) -> ClothMesh:
-        """The mesh in space is the rest shape; the warp is a direction in space laid into each face."""
-        vertices, faces = np.asarray(vertices, float), np.asarray(faces, np.int32)
-        _check_faces(faces, len(vertices))
-        return cls(vertices, faces, flatten_by_surface(vertices, faces, np.asarray(warp)))
+        """The mesh in space is the rest shape; the warp is a direction in space laid into each face.
+
+        Raises:
+            InputError: arrays of another shape, values that are not finite, faces that are none, or a warp without
+                direction.
+        """
+        vertices, faces = np.asarray(floats(vertices, "vertices", ("n", 3)), float), _checked_faces(faces, vertices)
+        direction = floats(warp, "warp", (3,))
+        if not direction.any():
+            raise InputError("no direction", key="warp", received=warp, expected="a direction in space")
+        return cls(vertices, faces, flatten_by_surface(vertices, faces, direction))
 
     @classmethod
     def from_pattern(
@@ -239,11 +247,16 @@ class ClothMesh:
         """The flat pattern is the rest shape: corner coordinates (warp, weft) [m], shape (m, 3, 2).
 
         Mirrored panels keep their lengths; only the sign of the second axis changes.
+
+        Raises:
+            InputError: arrays of another shape, values that are not finite, or faces that are none.
         """
+        faces = _checked_faces(faces, vertices)
+        pattern = floats(pattern, "pattern", (len(faces), 3, 2))
         sides = np.stack([pattern[:, 1] - pattern[:, 0], pattern[:, 2] - pattern[:, 0]], axis=2)
         flipped = np.linalg.det(sides) < 0
         sides[flipped, 1] *= -1.0
-        return cls(np.asarray(vertices, float), np.asarray(faces, np.int32), sides, layers=layers)
+        return cls(np.asarray(vertices, float), faces, sides, layers=layers)
 
     @classmethod
     def grid(
@@ -268,7 +281,7 @@ class ClothMesh:
                 tablecloth, its height along -z and its normals along y.
 
         Raises:
-            InputError: a size that is not positive, or no whole number of columns or rows.
+            InputError: a size that is not positive, no whole number of columns or rows, or a bad centre.
         """
         for key, value in (("width", width), ("height", height)):
             if not (np.isfinite(value) and value > 0):
@@ -280,35 +293,33 @@ class ClothMesh:
             width * (np.arange(columns + 1) / columns - 0.5), height * (np.arange(rows + 1) / rows - 0.5), indexing="ij"
         )
         up = (0.0, 0.0, -1.0) if level else (0.0, 1.0, 0.0)
-        vertices = np.asarray(centre, float) + x.reshape(-1, 1) * [1.0, 0.0, 0.0] + y.reshape(-1, 1) * up
+        vertices = (
+            floats(centre, "centre", (3,), unit=" [m]") + x.reshape(-1, 1) * [1.0, 0.0, 0.0] + y.reshape(-1, 1) * up
+        )
         faces = lattice_faces(np.arange(x.size).reshape(x.shape))
         return cls.from_surface(vertices, faces, warp=up)
 
     def __post_init__(self) -> None:
-        _check_faces(self.faces, len(self.vertices))
-        sewn = np.asarray(self.stitches)
-        if sewn.size and not 0 <= sewn.min() <= sewn.max() < len(self.vertices):
-            bad = int(sewn.min() if sewn.min() < 0 else sewn.max())
-            expected = f"0..{len(self.vertices) - 1}"
-            raise InputError("stitch of a vertex that does not exist", key="stitches", received=bad, expected=expected)
-        for name in ("vertices", "flat"):
-            bad = np.flatnonzero(~np.isfinite(getattr(self, name)).reshape(len(getattr(self, name)), -1).all(axis=1))
-            if bad.size:
-                raise InputError("value that is not finite", key=f"{name}[{bad[0]}]", expected="finite numbers")
+        keep = lambda name, array: object.__setattr__(self, name, array)  # noqa: E731
+        keep("vertices", floats(self.vertices, "vertices", ("n", 3), unit=" [m]"))
+        keep("faces", _checked_faces(self.faces, self.vertices))
+        keep("flat", floats(self.flat, "flat", (len(self.faces), 2, 2), unit=" [m]"))
+        missing = "stitch of a vertex that does not exist"
+        keep("stitches", integers(self.stitches, "stitches", ("s", 3), len(self.vertices), missing))
+        keep("stitch_weights", floats(self.stitch_weights, "stitch_weights", (len(self.stitches),)))
         if self.rest_bends is not None:
-            bends, count = np.asarray(self.rest_bends), len(hinges_of(self.faces))
-            if bends.shape != (count,) or not np.isfinite(bends).all():
-                expected = f"({count},), finite"
-                raise InputError("bad bends at rest", key="rest_bends", received=bends.shape, expected=expected)
+            count = len(hinges_of(self.faces))
+            keep("rest_bends", floats(self.rest_bends, "rest_bends", (count,), "bad bends at rest", " [m]"))
         for name, problem in (
             ("cloth_areas", "bad areas of cloth"),
             ("layers", "bad numbers of layers"),
             ("max_stretch", "bad limits of stretch"),
         ):
             if getattr(self, name) is not None:
-                values, expected = np.asarray(getattr(self, name)), f"({len(self.faces)},), above 0"
-                if values.shape != (len(self.faces),) or not (np.isfinite(values) & (values > 0.0)).all():
-                    raise InputError(problem, key=name, received=values.shape, expected=expected)
+                keep(name, floats(getattr(self, name), name, (len(self.faces),), problem))
+                lowest = getattr(self, name).min()
+                if lowest <= 0.0:
+                    raise InputError(problem, key=name, received=float(lowest), expected="numbers above 0")
         area = self.face_areas
         if np.any(area <= 1e-12):
             face = int(np.argmin(area))
@@ -367,15 +378,10 @@ class ClothMesh:
         return edges, total / np.bincount(side_edge.ravel(), minlength=len(edges))
 
 
-def _check_faces(faces: np.ndarray, vertex_count: int) -> None:
-    if not len(faces):
+def _checked_faces(faces: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+    """Faces of a mesh of these vertices, int32, shape (m, 3)."""
+    count = len(floats(vertices, "vertices", ("n", 3), unit=" [m]"))
+    checked = integers(faces, "faces", ("m", 3), count, "face points outside the mesh")
+    if not len(checked):
         raise InputError("empty cloth mesh", key="faces", received=0, expected="at least one face")
-    outside = ((faces < 0) | (faces >= vertex_count)).any(axis=1)
-    if outside.any():
-        face = int(np.argmax(outside))
-        raise InputError(
-            "face points outside the mesh",
-            key=f"face {face}",
-            received=faces[face].tolist(),
-            expected=f"0..{vertex_count - 1}",
-        )
+    return checked

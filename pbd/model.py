@@ -9,6 +9,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
+from pbd.arrays import floats, integers
 from pbd.bending import (
     border_share,
     friction_share,
@@ -170,8 +171,10 @@ def build_model(
     """
     options, limits = options or ModelOptions(), limits or Limits.none()
     count = len(mesh.vertices)
-    held = np.unique(np.asarray([] if held is None else held, np.int32))
-    _check_vertices(held, limits, count)
+    held = np.unique(integers([] if held is None else held, "held", ("p",), count, "held vertex outside the mesh"))
+    if limits.vertices.max(initial=0) >= count:
+        received, expected = int(limits.vertices.max()), f"0..{count - 1}"
+        raise InputError("limited vertex outside the mesh", key="limits", received=received, expected=expected)
     mass, inverse_mass = _masses(mesh, fabric, held)
     if bend_factor is None:
         bend_factor = hinge_calibration(mesh)
@@ -226,15 +229,6 @@ def _stitches(mesh: ClothMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     order, _ = _by_color(mesh.stitches, len(mesh.vertices))
     stitches = np.ascontiguousarray(mesh.stitches[order], np.int32)
     return stitches, mesh.stitch_weights[order].astype(np.float32), np.zeros(len(order), np.float32)
-
-
-def _check_vertices(held: np.ndarray, limits: Limits, count: int) -> None:
-    """Refuse held (ascending) and limited vertices outside a mesh of so many vertices."""
-    if held.size and (held[0] < 0 or held[-1] >= count):
-        raise InputError("held vertex outside the mesh", key="held", received=int(held[-1]), expected=f"0..{count - 1}")
-    if limits.vertices.max(initial=0) >= count:
-        received, expected = int(limits.vertices.max()), f"0..{count - 1}"
-        raise InputError("limited vertex outside the mesh", key="limits", received=received, expected=expected)
 
 
 def _shared(mass: np.ndarray, mesh: ClothMesh) -> np.ndarray:
@@ -409,10 +403,9 @@ class State:
     @classmethod
     def at_rest(cls, model: Model, vertices: np.ndarray | None = None) -> State:
         """State without motion at given world positions [m], shape (n, 3); None takes the mesh's own."""
-        vertices = np.asarray(model.mesh.vertices if vertices is None else vertices, float)
         count = model.vertex_count
-        if vertices.shape != (count, 3) or not np.isfinite(vertices).all():
-            raise InputError("bad start positions", key="vertices", received=vertices.shape, expected=f"({count}, 3)")
+        vertices = model.mesh.vertices if vertices is None else vertices
+        vertices = np.asarray(floats(vertices, "vertices", (count, 3), "bad start positions", " [m]"), float)
         origin = GRID * np.round(vertices.mean(axis=0) / GRID)
         position = np.concatenate([vertices - origin, model.inverse_mass[:, None]], axis=1).astype(np.float32)
         velocity, contact = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
@@ -433,6 +426,7 @@ class State:
 
     def move_origin(self, origin: np.ndarray) -> None:
         """Count positions from another origin; both are whole multiples of a power of two."""
+        origin = floats(origin, "origin", (3,), unit=" [m]")
         if np.any(origin != self.origin):
             self.position[:, :3] -= (origin - self.origin).astype(np.float32)
             self.carrier[:, 3] += self.carrier[:, :3] @ (origin - self.origin)

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pbd.arrays import floats
 from pbd.errors import InputError
 
 __all__ = ["CALM", "Air", "Wind"]
@@ -44,9 +45,7 @@ class Wind:
 
     def __post_init__(self) -> None:
         for name in ("velocity", "gust"):
-            value = getattr(self, name)
-            if np.shape(value) != (3,) or not np.isfinite(value).all():
-                raise InputError("bad wind", key=name, received=value, expected="three finite numbers [m/s]")
+            floats(getattr(self, name), name, (3,), "bad wind", " [m/s]")
         if not (np.isfinite(self.turbulence) and self.turbulence >= 0):
             expected = "a finite number, at least 0"
             raise InputError("bad wind", key="turbulence", received=self.turbulence, expected=expected)
@@ -75,7 +74,7 @@ class Wind:
         if not self.turbulence:
             return mean
         waves, across, rates, phase = self._waves
-        carried = np.asarray(points, float) - t * np.array(self.velocity)
+        carried = floats(points, "points", ("n", 3), unit=" [m]") - t * np.array(self.velocity)
         return mean + np.cos(carried @ waves.T + (phase + t * rates)) @ across
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from assets.character import Character
 from assets.io.obj import face_lines
 from assets.io.sequence import Sequence
+from pbd.arrays import floats, integers, numbers
 from pbd.errors import InputError
 from pbd.storage import replacing
 from runtime.glb import Color, GlbFile, Track, unit_normals
@@ -239,33 +240,27 @@ def _check_poses(body: Character | Sequence | None, poses: np.ndarray | None, fr
     """Body and poses come together, one pose for each frame."""
     if (body is None) != (poses is None):
         raise InputError("a body needs poses, and poses a body", key="body" if body is None else "poses")
-    if poses is not None and len(poses) != frame_count:
-        expected = f"{frame_count}, one for each frame of the garment"
-        raise InputError("poses do not match the frames", key="poses", received=len(poses), expected=expected)
+    if body is not None and poses is not None:
+        one = (body.joint_count, 3, 4) if isinstance(body, Character) else body.vertices.shape[1:]
+        poses = numbers(poses, "poses", ("f", *one), "not poses of this body")
+        if len(poses) != frame_count:
+            expected = f"{frame_count}, one for each frame of the garment"
+            raise InputError("poses do not match the frames", key="poses", received=len(poses), expected=expected)
 
 
 def _check_rate(rate_hz: float) -> None:
-    if not (np.isfinite(rate_hz) and rate_hz > 0.0):
+    if floats(rate_hz, "rate_hz", (), "a rate must be positive") <= 0.0:
         raise InputError("a rate must be positive", key="rate_hz", received=rate_hz, expected="frames a second")
 
 
 def _checked(faces: np.ndarray, frames: np.ndarray, key: str) -> tuple[np.ndarray, np.ndarray]:
     """Faces and frames as arrays that can be written."""
-    faces, frames = np.asarray(faces), np.asarray(frames)
     faces_key = key.replace("frames", "faces")
-    if frames.ndim != 3 or frames.shape[2] != 3 or frames.size == 0:
-        raise InputError("not a sequence of vertices", key=key, received=frames.shape, expected="shape (f, n, 3)")
-    if not np.isfinite(frames).all():
-        raise InputError("a vertex is not finite", key=key)
-    if faces.ndim != 2 or faces.shape[1] != 3 or faces.size == 0:
-        raise InputError("not faces", key=faces_key, received=faces.shape, expected="shape (m, 3)")
-    if faces.min() < 0 or faces.max() >= frames.shape[1]:
-        raise InputError(
-            "faces do not fit the vertices",
-            key=faces_key,
-            received=f"indices {faces.min()} to {faces.max()}",
-            expected=f"indices 0 to {frames.shape[1] - 1}",
-        )
+    frames = floats(frames, key, ("f", "n", 3), unit=" [m]")
+    faces = integers(faces, faces_key, ("m", 3), frames.shape[1], "faces do not fit the vertices")
+    for name, array in ((key, frames), (faces_key, faces)):
+        if array.size == 0:
+            raise InputError("an empty array", key=name, received=array.shape, expected="at least one row")
     return faces, frames
 
 
@@ -283,6 +278,8 @@ def _garment_tracks(
         return [whole]
     tracks = []
     for number, (name, vertices) in enumerate(garments.items()):
+        key, outside = f"garments, {name}", "a vertex that the frames do not have"
+        vertices = integers(vertices, key, ("k",), whole.frames.shape[1], outside)
         own_number = np.full(whole.frames.shape[1], -1, np.int32)
         own_number[vertices] = np.arange(len(vertices))
         mine = own_number[whole.faces]
@@ -315,10 +312,6 @@ def _track(
     _check_rate(rate_hz)
     if normals is None:
         normals = vertex_normals(frames, faces)
-    normals = np.asarray(normals, dtype=np.float32)
-    if normals.shape != frames.shape:
-        raise InputError(
-            "normals do not match the frames", key="normals", received=normals.shape, expected=str(frames.shape)
-        )
+    normals = floats(normals, "normals", frames.shape, "normals do not match the frames").astype(np.float32)
     texture = _checked_texture(texture, faces)
     return Track(name, faces, frames, rate_hz, unit_normals(normals), color, double_sided, texture)

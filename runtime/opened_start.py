@@ -72,6 +72,10 @@ class _Still:
     vertices: np.ndarray
     faces: np.ndarray
 
+    @property
+    def pose_shape(self) -> tuple[int, ...]:
+        return self.vertices.shape
+
     def skin(self, pose: np.ndarray, origin: np.ndarray, out: np.ndarray) -> None:
         out[:] = pose - origin
 

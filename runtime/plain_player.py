@@ -17,9 +17,10 @@ from assets.io.sequence import Sequence
 from pbd import InputError, Model, ModelOptions
 from pbd.contact.colliders import Primitive
 from pbd.wind import CALM, Air
+from runtime.checks import check_drag, check_step
 from runtime.moment import Moment
 from runtime.plain_surface import PlainSurface
-from runtime.player import PARTS, Player, check_drag, check_step
+from runtime.player import PARTS, Player
 from runtime.simulation import BodySource, Simulation, body_source
 from runtime.transitions import Interpolation
 from wrinkles.database import WrinkleDatabase

@@ -13,7 +13,8 @@ from assets.character import Character
 from assets.io.sequence import Sequence
 from pbd import InputError
 from pbd.contact.colliders import Primitive
-from pbd.wind import CALM, Air, Wind
+from pbd.wind import CALM, Air
+from runtime.checks import check_drag, check_step
 from runtime.dressing import Stay, place_on_body, settle, take_over
 from runtime.fine_garment import FineGarment
 from runtime.level_of_detail import LevelOfDetail
@@ -27,7 +28,7 @@ from wrinkles.proxy_mesh import proxy_mesh_of
 from wrinkles.relaxation import PASSES
 from wrinkles.worn_garments import garment_names, with_garments
 
-__all__ = ["FADE", "PARTS", "Player", "check_drag", "check_step"]
+__all__ = ["FADE", "PARTS", "Player"]
 
 DRESSED = (
     "database", "levels", "simulation", "_fine", "vertices", "normals", "_between", "_extrapolation", "_fade", "full",
@@ -389,9 +390,9 @@ class Player:
             InputError: no such vertex, or a bad target.
         """
         count = self.levels.subdivision.coarse_count
+        check_drag(vertex, target, count if target is not None else 2**31)
         if target is None and vertex >= count:
             return
-        check_drag(vertex, target, count)
         self.simulation.drag(vertex, target)
         if self._coarser is not None and self._detail.level:
             self._coarser.hold()
@@ -406,31 +407,3 @@ class Player:
         self._fine.begin(start.position)
         self._between.remember()
         self.timings = dict.fromkeys(self.timings, 0.0)
-
-
-def check_step(pose: np.ndarray, shape: tuple[int, ...], dt: float = 0.0, wind: Air = CALM) -> None:
-    """Refuse the input of a frame that a player cannot take.
-
-    Raises:
-        InputError: a pose of another shape, a pose, time or wind that is not finite, or a time below 0.
-    """
-    if np.shape(pose) != shape:
-        raise InputError("bad pose", key="pose", received=np.shape(pose), expected=f"shape {shape}")
-    if not np.isfinite(pose).all():
-        raise InputError("bad pose", key="pose", received="values that are not finite", expected="finite numbers")
-    if not (np.isfinite(dt) and dt >= 0.0):
-        raise InputError("bad time step", key="dt", received=dt, expected="a finite number, at least 0 [s]")
-    if not isinstance(wind, Wind) and (np.shape(wind) != (3,) or not np.isfinite(wind).all()):
-        raise InputError("bad wind", key="wind", received=wind, expected="three finite numbers [m/s]")
-
-
-def check_drag(vertex: int, target: np.ndarray | None, count: int) -> None:
-    """Refuse to hold a vertex that is none of ``count``, or at a point that is none.
-
-    Raises:
-        InputError: see above.
-    """
-    if target is not None and (np.shape(target) != (3,) or not np.isfinite(target).all()):
-        raise InputError("bad target", key="target", received=target, expected="three finite numbers [m]")
-    if not 0 <= vertex < count:
-        raise InputError("no such simulated vertex", key="vertex", received=vertex, expected=f"0..{count - 1}")

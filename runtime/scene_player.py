@@ -8,8 +8,9 @@ import numpy as np
 
 from pbd import ClothMesh
 from pbd.wind import CALM, Air
+from runtime.checks import check_drag
 from runtime.moment import Moment
-from runtime.player import PARTS, check_drag
+from runtime.player import PARTS
 from runtime.simulation import Simulation
 from runtime.transitions import Interpolation
 from wrinkles.decoder import Upsampler

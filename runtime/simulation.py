@@ -12,10 +12,12 @@ from assets.character import Character
 from assets.io.sequence import Sequence, SequenceBody
 from assets.skinning import SkinnedBody
 from pbd import Body, Colliders, InputError, Model, Solver, SolverOptions, State
+from pbd.arrays import floats
 from pbd.attachment import Attachment
 from pbd.contact.colliders import Primitive
 from pbd.limits import LimitTargets, SkinnedTargets
 from pbd.wind import CALM, Air, Wind
+from runtime.checks import check_drag, check_step
 from runtime.redressing import Redressing
 
 __all__ = ["BodySource", "Motion", "Simulation", "body_source", "poses_of"]
@@ -30,10 +32,14 @@ class BodySource(Protocol):
     Attributes:
         vertices: in the bind pose [m], shape (b, 3).
         faces: int, shape (k, 3).
+        pose_shape: shape of a pose.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
+
+    @property
+    def pose_shape(self) -> tuple[int, ...]: ...
 
     def skin(self, pose: np.ndarray, origin: np.ndarray, out: np.ndarray) -> None:
         """Write the posed vertices, world less origin [m], float32, shape (n, 3)."""
@@ -87,7 +93,7 @@ class Simulation:
         redressing: puts the garment back on its body where it is hooked through it; None without a body.
 
     Raises:
-        InputError: a body without a pose.
+        InputError: a body without a pose, or with that of another body.
     """
 
     def __init__(
@@ -101,6 +107,10 @@ class Simulation:
     ) -> None:
         if source is not None and pose is None:
             raise InputError("a body without a pose", key="pose", expected="where the body is at the start")
+        if source is None and pose is not None:
+            raise InputError("a pose without a body", key="pose", expected="a body")
+        if source is not None:
+            pose = floats(pose, "pose", source.pose_shape, "bad pose")
         self.model, self.attachment, self.source = model, attachment, source
         self.solver = Solver(model, options)
         vertices = model.mesh.vertices
@@ -137,8 +147,14 @@ class Simulation:
         )
 
     def place_body(self, pose: np.ndarray) -> None:
-        """Put the body into a pose without motion, about the garment's origin."""
-        assert self.source is not None
+        """Put the body into a pose without motion, about the garment's origin.
+
+        Raises:
+            InputError: no body, or a pose of another one or not finite.
+        """
+        if self.source is None:
+            raise InputError("a pose without a body", key="pose", expected="a body")
+        pose = floats(pose, "pose", self.source.pose_shape, "bad pose")
         self.body.origin = self.state.origin.copy()
         self.source.skin(pose, self.state.origin, self.body.current)
         self.body.place(self.body.current.copy())
@@ -166,19 +182,26 @@ class Simulation:
             wind: velocity of the air [m/s].
 
         Raises:
-            InputError: a body without a pose, and as :meth:`pbd.Solver.step`.
+            InputError: a body without a pose, a pose of another body or not finite, and as :meth:`pbd.Solver.step`.
         """
+        check_step(None, (), dt)
         self._before, self._alpha = self.state.world(), 1.0
         self.pose_body(pose)
         self.step_cloth(dt, wind)
 
     def pose_body(self, pose: np.ndarray | None) -> None:
-        """Skin the body to ``pose``; its last pose becomes the start of the frame."""
-        origin = self.solver.follow(self.state, self.colliders)
+        """Skin the body to ``pose``; its last pose becomes the start of the frame.
+
+        Raises:
+            InputError: a body without a pose, or a pose of another body or not finite; then nothing has changed.
+        """
         if self.source is None:
+            self.solver.follow(self.state, self.colliders)
             return
         if pose is None:
             raise InputError("a body without a pose", key="pose", expected="where the body is at the end of the frame")
+        pose = floats(pose, "pose", self.source.pose_shape, "bad pose")
+        origin = self.solver.follow(self.state, self.colliders)
         body = self.body
         body.begin_pose()
         self.source.skin(pose, origin, body.current)
@@ -244,7 +267,12 @@ class Simulation:
         return targets, wind, limit_targets
 
     def drag(self, vertex: int, target: np.ndarray | None) -> None:
-        """Hold a vertex at a point in the world [m], shape (3,); None lets it go."""
+        """Hold a vertex at a point in the world [m], shape (3,); None lets it go.
+
+        Raises:
+            InputError: no such vertex, or a bad target.
+        """
+        vertex = check_drag(vertex, target, self.model.vertex_count)
         if target is None:
             self.state.position[vertex, 3] = self.model.inverse_mass[vertex]
             return

@@ -22,6 +22,7 @@ import numpy as np
 
 import pbd
 from pbd import Fabric, InputError, Limits, ModelOptions, SolverOptions
+from pbd.arrays import floats, integers
 from pbd.fingerprint import source_fingerprint
 from pbd.mesh import edges_of
 from pbd.storage import replacing
@@ -183,7 +184,12 @@ class WrinkleDatabase:
         Args:
             body_vertices: of the bind pose, or of a sequence's first frame [m], shape (b, 3).
             body_faces: int, shape (f, 3); empty without a body.
+
+        Raises:
+            InputError: arrays of another shape, values that are not finite, or faces of vertices that are not there.
         """
+        body_vertices = floats(body_vertices, "body_vertices", ("b", 3), unit=" [m]")
+        body_faces = integers(body_faces, "body_faces", ("f", 3), len(body_vertices))
         return levels_of(
             self.coarse_vertices,
             self.coarse_faces,

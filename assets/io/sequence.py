@@ -135,12 +135,13 @@ class SequenceBody:
     Attributes:
         vertices: of the first frame [m], shape (n, 3), float64.
         faces: shape (m, 3), int32.
+        pose_shape: shape of a pose: (n, 3).
     """
 
     def __init__(self, sequence: Sequence) -> None:
         ensure_initialized()
         self.vertices = sequence.vertices[0].astype(np.float64)
-        self.faces = sequence.faces
+        self.faces, self.pose_shape = sequence.faces, self.vertices.shape
         self._drawn, self._local = sequence.drawn, np.zeros_like(sequence.vertices[0])
         self._copy = Launch(_copy)
 

@@ -9,7 +9,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from pbd.contact.distance_field import ROW, DistanceField, field_rows
+from pbd.arrays import floats, integers, numbers
+from pbd.contact.distance_field import ROW, DistanceField, field_rows, vector
 from pbd.errors import InputError
 from pbd.geometry import FAR, surface_normals
 from pbd.mesh import vertex_rings
@@ -19,13 +20,6 @@ __all__ = ["Body", "Capsule", "Colliders", "DistanceField", "Plane", "Primitive"
 
 EDGES = 8  # of a vertex, in tables of a fixed width; few vertices have more
 MAX_PROBES = 1_000_000  # points on the large faces of a body, about
-
-
-def _vector(value: Sequence[float] | np.ndarray, key: str) -> np.ndarray:
-    vector = np.asarray(value, float)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise InputError("bad vector", key=key, received=value, expected="three finite numbers")
-    return vector
 
 
 @dataclass
@@ -41,11 +35,11 @@ class Plane:
         Raises:
             InputError: vectors that are not three finite numbers, or a normal without direction.
         """
-        normal = _vector(self.normal, "plane.normal")
+        normal = vector(self.normal, "plane.normal")
         size = np.linalg.norm(normal)
         if size == 0:
             raise InputError("plane without direction", key="plane.normal", received=self.normal, expected="not zero")
-        return np.concatenate([[0.0, 0.0], _vector(self.point, "plane.point"), normal / size])
+        return np.concatenate([[0.0, 0.0], vector(self.point, "plane.point"), normal / size])
 
 
 @dataclass
@@ -62,7 +56,7 @@ class Sphere:
             InputError: a radius that is not positive, or a centre that is not three finite numbers.
         """
         _positive_radius(self.radius, "sphere.radius")
-        return np.concatenate([[1.0, self.radius], _vector(self.centre, "sphere.centre"), np.zeros(3)])
+        return np.concatenate([[1.0, self.radius], vector(self.centre, "sphere.centre"), np.zeros(3)])
 
 
 @dataclass
@@ -80,12 +74,12 @@ class Capsule:
             InputError: a radius that is not positive, or an end that is not three finite numbers.
         """
         _positive_radius(self.radius, "capsule.radius")
-        ends = _vector(self.start, "capsule.start"), _vector(self.end, "capsule.end")
+        ends = vector(self.start, "capsule.start"), vector(self.end, "capsule.end")
         return np.concatenate([[2.0, self.radius], *ends])
 
 
 def _positive_radius(radius: float, key: str) -> None:
-    if not np.isfinite(radius) or radius <= 0:
+    if floats(radius, key, (), "bad radius", " [m]") <= 0:
         raise InputError("bad radius", key=key, received=radius, expected="a finite number above 0 [m]")
 
 
@@ -96,6 +90,9 @@ class Body:
         faces: int, shape (m, 3), counter-clockwise seen from outside.
         vertex_count: number of vertices.
 
+    Raises:
+        InputError: faces that are none, or of vertices that are not there.
+
     Attributes:
         previous, current: positions about ``origin`` at the start and end of the frame [m], float32, shape (n, 3).
         normals: unit vertex normals of the current pose, float32, shape (n, 3).
@@ -105,14 +102,9 @@ class Body:
     """
 
     def __init__(self, faces: np.ndarray, vertex_count: int) -> None:
-        self.faces = np.ascontiguousarray(faces, np.int32)
-        if self.faces.size and (self.faces.min() < 0 or self.faces.max() >= vertex_count):
-            raise InputError(
-                "body face points outside the mesh",
-                key="faces",
-                received=int(self.faces.max()),
-                expected=f"0..{vertex_count - 1}",
-            )
+        vertex_count = int(integers(vertex_count, "vertex_count", ()))
+        outside = "body face points outside the mesh"
+        self.faces = np.ascontiguousarray(integers(faces, "faces", ("m", 3), vertex_count, outside))
         self.previous = np.zeros((vertex_count, 3), np.float32)
         self.current = np.zeros((vertex_count, 3), np.float32)
         self.normals = np.zeros((vertex_count, 3), np.float32)
@@ -154,7 +146,12 @@ class Body:
         return ends, sides
 
     def advance(self, vertices: np.ndarray) -> None:
-        """Make ``vertices`` [m], float32, shape (n, 3), the current pose; the last becomes the previous."""
+        """Make ``vertices`` [m], float32, shape (n, 3), the current pose; the last becomes the previous.
+
+        Raises:
+            InputError: vertices of another shape or not finite; then nothing has changed.
+        """
+        vertices = self._checked(vertices)
         self.begin_pose()
         self.current[:] = vertices
         self.finish_pose()
@@ -175,9 +172,17 @@ class Body:
         self._normals(self.current, self.faces, self.normals)
 
     def place(self, vertices: np.ndarray) -> None:
-        """Put the body somewhere without motion."""
+        """Put the body somewhere without motion; see :meth:`advance`."""
+        vertices = self._checked(vertices)
         self._placed = False
-        self.advance(vertices)
+        self.begin_pose()
+        self.current[:] = vertices
+        self.finish_pose()
+
+    def _checked(self, vertices: np.ndarray) -> np.ndarray:
+        with np.errstate(over="ignore"):  # what float32 does not hold is infinite
+            vertices = numbers(vertices, "vertices", self.current.shape).astype(np.float32, copy=False)
+        return floats(vertices, "vertices", self.current.shape, unit=" [m]")
 
     def thinned(self, vertices: np.ndarray, spacing: float) -> np.ndarray:
         """Vertices that are enough to find the surface by: any other has one of them beside it, nearer than a spacing.
@@ -188,7 +193,11 @@ class Body:
 
         Returns:
             int32, shape (s,), ascending.
+
+        Raises:
+            InputError: vertices of another shape or not finite.
         """
+        vertices = floats(vertices, "vertices", self.current.shape, unit=" [m]")
         left = np.ones(len(vertices), bool)
         chosen = []
         for vertex in self.surface.tolist():
@@ -200,6 +209,7 @@ class Body:
 
     def move_origin(self, origin: np.ndarray) -> None:
         """Count from another origin; see :meth:`pbd.State.move_origin`."""
+        origin = floats(origin, "origin", (3,), unit=" [m]")
         if origin.tolist() != self.origin.tolist():
             shift = (origin - self.origin).astype(np.float32)
             self.previous -= shift
@@ -254,7 +264,7 @@ class Colliders:
         if not found:
             self._last = None
             return self._none
-        now = np.array(found).reshape(-1, 8)
+        origin, now = floats(origin, "origin", (3,), unit=" [m]"), np.array(found).reshape(-1, 8)
         before = self._last if self._last is not None and self._last.shape == now.shape else now
         self._last = now
         rows = np.concatenate([before, now[:, 2:]], axis=1)
@@ -276,7 +286,7 @@ class Colliders:
         if not found:
             self._last_fields = None
             return self._no_fields, self._values
-        now = np.array([p.row() for p in found])
+        origin, now = floats(origin, "origin", (3,), unit=" [m]"), np.array([p.row() for p in found])
         before = self._last_fields if self._last_fields is not None and self._last_fields.shape == now.shape else now
         self._last_fields = now
         if [id(p.values) for p in found] != [id(grid) for grid in self._grids]:

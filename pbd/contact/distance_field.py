@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from pbd.arrays import floats, numbers
 from pbd.errors import InputError
 
-__all__ = ["MOTION", "ROW", "DistanceField", "field_rows"]
+__all__ = ["MOTION", "ROW", "DistanceField", "field_rows", "vector"]
 
+NO_GRID = "no grid of at least 2 x 2 x 2 points"
 MAX_SKEW = 1e-4  # of a rotation: its rows may fail to be orthonormal by this [-]
 # A field in a row: counts (3), spacing, first grid point (3), own axes in the world at the frame's end (9), position
 # there (3); then its displacement (3) and spin (3) over the frame, which are zero where it stands still.
@@ -44,16 +46,15 @@ class DistanceField:
     rotation: np.ndarray = field(default_factory=lambda: np.eye(3))
 
     def __post_init__(self) -> None:
-        self.values = np.ascontiguousarray(self.values, np.float32)
-        if self.values.ndim != 3 or min(self.values.shape) < 2:
-            expected = "a grid of at least 2 x 2 x 2 points"
-            raise InputError("no grid", key="field.values", received=self.values.shape, expected=expected)
-        if not np.isfinite(self.values).all():
-            raise InputError("distances that are not finite", key="field.values", expected="finite numbers [m]")
-        if not np.isfinite(self.spacing) or self.spacing <= 0:
+        shape = np.shape(numbers(self.values, "field.values", ("a", "b", "c"), NO_GRID))
+        if min(shape) < 2:
+            expected = "two points or more along each axis"
+            raise InputError(NO_GRID, key="field.values", received=shape, expected=expected)
+        self.values = np.ascontiguousarray(floats(self.values, "field.values", shape, unit=" [m]"), np.float32)
+        if floats(self.spacing, "field.spacing", (), "bad spacing") <= 0:
             expected = "a finite number above 0 [m]"
             raise InputError("bad spacing", key="field.spacing", received=self.spacing, expected=expected)
-        _three(self.origin, "field.origin")
+        vector(self.origin, "field.origin")
 
     def row(self) -> np.ndarray:
         """Counts, spacing, first grid point, own axes in the world and position: shape (19,).
@@ -61,11 +62,11 @@ class DistanceField:
         Raises:
             InputError: a position that is not three finite numbers, or a rotation that is none.
         """
-        turn = np.asarray(self.rotation, float)
-        if turn.shape != (3, 3) or not np.abs(turn @ turn.T - np.eye(3)).max() < MAX_SKEW or np.linalg.det(turn) < 0:
-            received = np.asarray(self.rotation).tolist()
+        turn = np.asarray(floats(self.rotation, "field.rotation", (3, 3), "bad rotation"), float)
+        if not np.abs(turn @ turn.T - np.eye(3)).max() < MAX_SKEW or np.linalg.det(turn) < 0:
+            received = turn.tolist()
             raise InputError("bad rotation", key="field.rotation", received=received, expected="a rotation matrix")
-        position = _three(self.position, "field.position")
+        position = vector(self.position, "field.position")
         return np.concatenate([self.values.shape, [self.spacing], self.origin, turn.T.ravel(), position])
 
 
@@ -94,8 +95,6 @@ def _spin(turn: np.ndarray) -> np.ndarray:
     return np.pi * axis / np.linalg.norm(axis)
 
 
-def _three(value: Sequence[float] | np.ndarray, key: str) -> np.ndarray:
-    vector = np.asarray(value, float)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise InputError("bad vector", key=key, received=value, expected="three finite numbers")
-    return vector
+def vector(value: Sequence[float] | np.ndarray, key: str) -> np.ndarray:
+    """Three finite numbers, float64, shape (3,); refuses anything else."""
+    return np.asarray(floats(value, key, (3,), "bad vector"), float)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pbd.arrays import floats, numbers
 from pbd.contact.colliders import Colliders
 from pbd.errors import InputError
 from pbd.model import Model, State
@@ -47,9 +48,10 @@ class Options:
         for name, value in (("substep", self.substep), ("iterations", self.iterations), ("tolerance", self.tolerance)):
             if value is not None and not (np.isfinite(value) and value > 0):
                 problems.append(InputError("bad option", key=name, received=value, expected="a finite number above 0"))
-        if np.shape(self.gravity) != (3,) or not np.isfinite(self.gravity).all():
-            expected = "three finite numbers [m/s2]"
-            problems.append(InputError("bad gravity", key="gravity", received=self.gravity, expected=expected))
+        try:
+            floats(self.gravity, "gravity", (3,), "bad gravity", " [m/s2]")
+        except InputError as error:
+            problems.append(error)
         if not -1.0 < self.bend_poisson < 1.0:
             expected = "between -1 and 1"
             problems.append(InputError("bad ratio", key="bend_poisson", received=self.bend_poisson, expected=expected))
@@ -207,21 +209,19 @@ class ClothSolver(ABC):
 
     def _check(self, state: State, dt: float, targets: np.ndarray | None, wind: Sequence[float] | np.ndarray) -> None:
         count, held = self.model.vertex_count, len(self.model.held)
-        if not np.isfinite(dt) or dt < 0:
+        if floats(dt, "dt", (), "bad time step", " [s]") < 0:
             raise InputError("bad time step", key="dt", received=dt, expected="a finite number, at least 0 [s]")
-        if len(state.position) != count or len(state.velocity) != count:
-            raise InputError("state of another model", key="state", received=len(state.position), expected=str(count))
+        for name, width in (("position", 4), ("velocity", 3)):
+            numbers(getattr(state, name), f"state.{name}", (count, width), "state of another model")
         for name in {part.stored for part in self._friction}:
             faces, found = len(self.model.mesh.faces), len(getattr(state, name))
             if found != faces:
                 raise InputError("state of another model", key=f"state.{name}", received=found, expected=str(faces))
         if not (np.isfinite(state.position).all() and np.isfinite(state.velocity).all()):
             raise InputError("state is not finite", key="state", expected="finite positions and velocities")
-        if targets is not None and (np.shape(targets) != (held, 3) or not np.isfinite(targets).all()):
-            expected = f"finite, ({held}, 3)"
-            raise InputError("bad targets", key="targets", received=np.shape(targets), expected=expected)
-        if np.shape(wind) != (3,) or not np.isfinite(wind).all():
-            raise InputError("bad wind", key="wind", received=wind, expected="three finite numbers [m/s]")
+        if targets is not None:
+            floats(targets, "targets", (held, 3), "bad targets", " [m]")
+        floats(wind, "wind", (3,), "bad wind", " [m/s]")
 
     def _check_result(self, x: np.ndarray, v: np.ndarray) -> None:
         if not (np.isfinite(x).all() and np.isfinite(v).all()):

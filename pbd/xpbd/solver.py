@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from pbd.arrays import floats
 from pbd.contact.body_search import MAX_CELLS, find_nearest
 from pbd.contact.colliders import Body, Colliders
 from pbd.contact.distance_field import MOTION
@@ -32,8 +33,6 @@ AIR_DENSITY = 1.2  # [kg/m3]
 STRIDE_SHARE = 0.25  # of the mean edge [-], ...
 MIN_STRIDE = 0.01  # ... but at least this [m]
 MAX_REFINEMENT = 8  # times as many substeps, at most
-# Of a state: their lengths.
-CHECKED = ("position", "velocity", "nearest", "contact", "plastic_bends", "plastic_shears")
 UNTANGLED = 4  # times the few edges around crossings, where curves of crossings may move while they are untangled
 MAX_MEND = 0.004  # correction of a vertex over a whole frame by which impacts are kept from happening [m]
 MAX_STRETCH = (
@@ -83,8 +82,7 @@ class SolverOptions:
                 raise InputError("bad part", key=name, received=getattr(self, name), expected="0 to 1")
         if not np.isfinite(self.substep) or self.substep <= 0:
             raise InputError("bad substep", key="substep", received=self.substep, expected="above 0 [s]")
-        if len(self.gravity) != 3 or not np.isfinite(self.gravity).all():
-            raise InputError("bad gravity", key="gravity", received=self.gravity, expected="three finite numbers")
+        floats(self.gravity, "gravity", (3,), "bad gravity", " [m/s2]")
         if self.coarse_sweeps < 0:
             raise InputError(
                 "bad number of passes", key="coarse_sweeps", received=self.coarse_sweeps, expected="at least 0"
@@ -130,6 +128,7 @@ class Solver:
         in_contact = self.options.self_collision or bool(model.layer.any())
         self._pairs = SelfCollision(model, self.options.self_collision) if in_contact else None
         self._held_start, self._held_end = (np.zeros((len(model.held), 3), np.float32) for _ in range(2))
+        self._expected = self._kinds_of_state()
         self._before: State | None = None  # workspace: the state at the start of a frame
         self._edges = model.mesh.edge_lengths()
         self._stride = max(MIN_STRIDE, STRIDE_SHARE * float(self._edges[1].mean()))
@@ -137,6 +136,21 @@ class Solver:
         self._find_nearest = Launch(find_nearest)
         kinds = with_multigrid, in_contact, model.plastic_shear_count > 0, self.stiff
         self._advance = Launch(advance_kernel(*kinds))
+
+    def _kinds_of_state(self) -> list[tuple[str, Any, tuple[int, ...]]]:
+        """Names of arrays of a state of the model, their types and shapes."""
+        model, count, samples = self.model, self.model.vertex_count, len(self.model.samples)
+        real, whole = np.dtype(np.float32), np.dtype(np.int32)
+        return [
+            ("position", real, (count, 4)),
+            ("velocity", real, (count, 3)),
+            ("nearest", whole, (samples,)),
+            ("contact_faces", whole, (samples, 4)),
+            ("contact_weights", real, (samples, 2)),
+            ("contact", real, (count,)),
+            ("plastic_bends", real, (model.plastic_count,)),
+            ("plastic_shears", real, (model.plastic_shear_count,)),
+        ]
 
     def _model_arrays(self) -> dict[str, np.ndarray]:
         """Arguments of the kernels that belong to the model."""
@@ -231,12 +245,14 @@ class Solver:
             InputError: dt below zero or not finite, a state of another model or not finite, bad targets, wind or
                 limit targets, or a body about another origin.
         """
-        if not np.isfinite(dt) or dt < 0:
+        if floats(dt, "dt", (), "bad time step", " [s]") < 0:
             raise InputError("bad time step", key="dt", received=dt, expected="a finite number, at least 0 [s]")
         if dt < MIN_FRAME_TIME:
             return
         arguments = self._prepare(state, colliders, dt, targets, wind, limit_targets)
-        gaps = (self.model.stitch_gaps,) * 2 if stitch_gaps is None else stitch_gaps
+        gaps = (self.model.stitch_gaps,) * 2
+        if stitch_gaps is not None:
+            gaps = floats(stitch_gaps, "stitch_gaps", (2, len(self.model.stitches)), unit=" [m]")
         self._stitch_data[:, 1], self._stitch_data[:, 2] = gaps
         if colliders.body is not None:
             self._find_nearest.by_name(arguments)
@@ -402,6 +418,8 @@ class Solver:
         """
         model, options = self.model, self.options
         self._check(state, targets, wind, limit_targets)
+        if colliders.body is not None:  # which may be written in place
+            floats(colliders.body.current, "body.current", colliders.body.normals.shape, unit=" [m]")
         primitives, fields, field_values, previous, transform = self._follow_carrier(state, colliders, dt, targets)
         if options.local_damping > 0.0:
             damp_locally(state, model.mass, options.local_damping, dt)
@@ -476,7 +494,7 @@ class Solver:
         if targets is None or not len(self.model.limits.vertices):
             return self._unlimited
         rows, start = self._limits, targets.start if transform is None else targets.end
-        rows[:, 0, :3], rows[:, 1, :3] = start - origin, targets.end - start
+        rows[:, 0, :3], rows[:, 1, :3] = np.subtract(start, origin), np.subtract(targets.end, start)
         rows[:, 2, :3] = targets.normals
         return rows
 
@@ -539,28 +557,23 @@ class Solver:
     ) -> None:
         """Refuse input that the kernels cannot take."""
         model = self.model
-        received = tuple(len(getattr(state, name)) for name in CHECKED)
-        count, samples = model.vertex_count, len(model.samples)
-        expected = (count, count, samples, count, model.plastic_count, model.plastic_shear_count)
-        if received != expected:
-            raise InputError("state of another model", key="state", received=received, expected=f"lengths {expected}")
+        for name, kind, shape in self._expected:
+            array = getattr(state, name)
+            if not (isinstance(array, np.ndarray) and array.shape == shape and array.dtype == kind):
+                received = (
+                    f"{array.dtype}, shape {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+                )
+                expected = f"{kind}, shape {shape}"
+                raise InputError("state of another model", key=f"state.{name}", received=received, expected=expected)
         self._summary.read(state)
         if not self._summary.is_finite:
             raise InputError("state is not finite", key="state", expected="finite positions and velocities")
-        if targets is not None and (np.shape(targets) != (len(model.held), 3) or not np.isfinite(targets).all()):
-            raise InputError(
-                "bad targets", key="targets", received=np.shape(targets), expected=f"finite, ({len(model.held)}, 3)"
-            )
-        if np.shape(wind) not in ((3,), (model.vertex_count, 3)) or not np.isfinite(wind).all():
-            received = wind if np.size(wind) <= 3 else np.shape(wind)
-            expected = f"three finite numbers [m/s], or shape ({model.vertex_count}, 3)"
-            raise InputError("bad wind", key="wind", received=received, expected=expected)
-        limited = (len(model.limits.vertices), 3)
+        if targets is not None:
+            floats(targets, "targets", (len(model.held), 3), "bad targets", " [m]")
+        floats(wind, "wind", [(3,), (model.vertex_count, 3)], "bad wind", " [m/s]")
         for name, points in limit_targets._asdict().items() if limit_targets is not None else ():
-            if np.shape(points) != limited or not np.isfinite(points).all():
-                expected = f"finite, {limited}"
-                key = f"limit_targets.{name}"
-                raise InputError("bad limit targets", key=key, received=np.shape(points), expected=expected)
+            shape = (len(model.limits.vertices), 3)
+            floats(points, f"limit_targets.{name}", shape, "bad limit targets", " [m]")
 
     def follow(self, state: State, colliders: Colliders) -> np.ndarray:
         """Move the origin of state and body to the grid point nearest to the garment, and return it [m], shape (3,)."""
