@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from assets.body_checks import check_right_side_out
+from assets.texture import checked
 from assets.transform import local_matrices
 from pbd.arrays import floats, integers, numbers
 from pbd.errors import InputError
@@ -364,9 +365,9 @@ def _check_shapes(character: Character) -> None:
             received = float(array[~np.isfinite(array)][0])
             key = f"{key}, row {row}"
             raise InputError("values that are not finite", key=key, received=received, expected="finite numbers")
-    if character.texture is not None and character.texture.shape != (*character.faces.shape, 2):
-        key, expected = f"character {character.name}, texture", str((*character.faces.shape, 2))
-        raise InputError("bad shape", key=key, received=character.texture.shape, expected=expected)
+    if character.texture is not None:
+        texture = checked(character.texture, len(character.faces), f"character {character.name}, texture")
+        object.__setattr__(character, "texture", texture)
     linear = character.root_transform[:3, :3]
     square = linear @ linear.T
     if np.abs(square - np.eye(3) * square.trace() / 3.0).max() > 1e-4 * square.trace():

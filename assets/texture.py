@@ -10,9 +10,28 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["joined", "split"]
+from pbd.arrays import numbers
+from pbd.errors import InputError
+
+__all__ = ["checked", "joined", "split"]
 
 Floats = NDArray[np.float64]
+
+
+def checked(texture: Floats, face_count: int, key: str = "texture") -> Floats:
+    """Texture coordinates of so many faces, shape (face_count, 3, 2), as they came.
+
+    Raises:
+        InputError: something else than numbers, another shape, or a face of which some coordinates are not finite.
+    """
+    found = numbers(texture, key, (face_count, 3, 2), kind="numbers, or NaN at all corners of a face")
+    without = np.isnan(found).all(axis=(1, 2))
+    bad = np.argwhere(~np.isfinite(found) & ~without[:, None, None])
+    if len(bad):
+        received = float(found[tuple(bad[0])])
+        expected = "finite numbers, or NaN at all corners of a face"
+        raise InputError("values that are not finite", key=f"{key}[{bad[0, 0]}]", received=received, expected=expected)
+    return found
 
 
 def joined(parts: Iterable[tuple[Floats | None, int]]) -> Floats | None:

@@ -15,6 +15,7 @@ import numpy as np
 from assets.character import Character
 from assets.io.obj import face_lines
 from assets.io.sequence import Sequence
+from assets.texture import checked
 from pbd.arrays import floats, integers, numbers
 from pbd.errors import InputError
 from pbd.storage import replacing
@@ -225,15 +226,10 @@ def _face_lines(faces: np.ndarray, texture: np.ndarray | None) -> bytes:
 
 def _checked_texture(texture: np.ndarray | None, faces: np.ndarray) -> np.ndarray | None:
     """Texture coordinates as they are written: None where no face has any."""
-    if texture is None or np.isnan(texture).all():
+    if texture is None:
         return None
-    if texture.shape != (*faces.shape, 2):
-        expected = str((*faces.shape, 2))
-        raise InputError("texture coordinates do not match the faces", key="texture", received=texture.shape,
-                         expected=expected)  # fmt: skip
-    if np.isinf(texture).any():
-        raise InputError("texture coordinates that are not finite", key="texture")
-    return texture
+    texture = checked(texture, len(faces))
+    return None if np.isnan(texture).all() else texture
 
 
 def _check_poses(body: Character | Sequence | None, poses: np.ndarray | None, frame_count: int) -> None:

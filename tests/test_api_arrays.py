@@ -154,6 +154,7 @@ CALLS: dict[str, tuple[Callable[..., Any], Any]] = {
     "Character(joint_indices)": (lambda a: character("joint_indices", a), lambda: body().joint_indices),
     "Character(joint_weights)": (lambda a: character("joint_weights", a), lambda: body().joint_weights),
     "Character(inverse_bind)": (lambda a: character("inverse_bind", a), lambda: body().inverse_bind),
+    "Character(texture)": (lambda a: character("texture", a), lambda: np.zeros((*body().faces.shape, 2))),
     "Character(root_transform)": (lambda a: character("root_transform", a), lambda: body().root_transform),
     **{
         f"Character(rest_local){name}": (lambda a, k=k: rest_local(k, a), lambda k=k: body().rest_local[k])
@@ -239,6 +240,7 @@ CALLS: dict[str, tuple[Callable[..., Any], Any]] = {
     "bake_glb(garment_frames)": (lambda a, to: baked(to, garment_frames=a), FRAMES),
     "bake_glb(normals)": (lambda a, to: baked(to, normals=a), np.ones_like(FRAMES)),
     "bake_glb(poses)": (lambda a, to: baked(to, body=body(), poses=a), lambda: np.stack([pose()] * 2)),
+    "bake_glb(texture)": (lambda a, to: baked(to, texture=a), np.zeros((FACES, 3, 2))),
     "bake_glb(garments)": (lambda a, to: baked(to, garments={"a": a}), np.arange(COUNT)),
 }  # fmt: skip
 

@@ -281,7 +281,11 @@ def _has_nan(value: Any, depth: int = 0) -> bool:
     if isinstance(value, float):
         return value != value
     if is_dataclass(value) and not isinstance(value, type):
-        return any(_has_nan(getattr(value, entry.name), depth + 1) for entry in fields(value))
+        values = {entry.name: getattr(value, entry.name) for entry in fields(value)}
+        texture = values.get("texture")
+        if isinstance(texture, np.ndarray):  # faces without texture coordinates have NaN at all of their corners
+            values["texture"] = texture[~np.isnan(texture).reshape(len(texture), -1).all(axis=1)]
+        return any(_has_nan(one, depth + 1) for one in values.values())
     if isinstance(value, dict):
         return any(_has_nan(one, depth + 1) for one in value.values())
     return isinstance(value, (list, tuple)) and any(_has_nan(one, depth + 1) for one in value[:100])

@@ -97,6 +97,7 @@ def thinned(name: str) -> Character:
         faces=np.array([[0, 1, 2]], dtype=np.int32),
         joint_indices=body.joint_indices[::4],
         joint_weights=body.joint_weights[::4],
+        texture=None,
     )
 
 

@@ -61,6 +61,7 @@ def database() -> WrinkleDatabase:
         mapping=placed(plain.mapping, bias),
         solver=SolverOptions(substep=1.0 / 240.0),
         frame_rate=30.0,
+        texture=None,
     )
 
 
