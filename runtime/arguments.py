@@ -103,17 +103,14 @@ def positive(text: str) -> float:
     Raises:
         argparse.ArgumentTypeError: anything else.
     """
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"received {text!r}, expected a number above 0")
+    value = not_negative(text, expected := "a number above 0")
+    if value == 0.0:
+        raise argparse.ArgumentTypeError(f"received {text!r}, expected {expected}")
     return value
 
 
-def not_negative(text: str) -> float:
-    """A number of 0 or above.
+def not_negative(text: str, expected: str = "a number of 0 or above") -> float:
+    """A number of 0 or above; ``expected`` is what the message asks for.
 
     Raises:
         argparse.ArgumentTypeError: anything else.
@@ -123,7 +120,7 @@ def not_negative(text: str) -> float:
     except ValueError:
         value = math.nan
     if not 0.0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"received {text!r}, expected a number of 0 or above")
+        raise argparse.ArgumentTypeError(f"received {text!r}, expected {expected}")
     return value
 
 
