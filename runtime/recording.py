@@ -9,6 +9,7 @@ import numpy as np
 
 from assets.character import Character
 from assets.io.sequence import Sequence
+from pbd import InputError
 from runtime.play import PlaybackInputs, clip_begin, whole_steps
 from runtime.player import Player
 from runtime.recording_file import Quantised, links_of, quantised, recording_bytes
@@ -67,7 +68,8 @@ def record(
         the file's bytes, and figures by name: how far the recorded vertices are from the player's.
 
     Raises:
-        InputError: vertices that cannot be recorded, see :func:`runtime.recording_file.quantised`.
+        InputError: vertices that cannot be recorded, see :func:`runtime.recording_file.quantised`; no frame of the
+            truth is among those that are recorded.
     """
     dt = 1.0 / database.frame_rate
     begin, every = clip_begin(motion), max(1, round(database.frame_rate / RECORDED_HZ))
@@ -108,6 +110,11 @@ def _truth(truth: RecordedTruth, first: int, every: int, count: int) -> dict[str
     """What is recorded of the truth: every so many frames of the player from the first on are so many in all."""
     places = truth.numbers - first
     kept = (places >= 0) & (places % every == 0) & (places < every * count)
+    if not kept.any():
+        expected = f"at least one of frames {first}, {first + every} to {first + every * (count - 1)}"
+        raise InputError(
+            "no frame of the truth is recorded", key="truth", received=truth.numbers.tolist(), expected=expected
+        )
     return {
         "truth/numbers": Quantised(places[kept] // every),
         "frames/truth": quantised("truth", truth.vertices[kept], TRUTH_STEP, differences=1, links="links/fine"),

@@ -13,7 +13,7 @@ import pytest
 from playwright.sync_api import Page
 
 from runtime.page import page_text, write_page
-from runtime.play import PlaybackInputs
+from runtime.play import PlaybackInputs, clip_begin
 from runtime.player import Player
 from runtime.recording import TRUTH_STEP, RecordedTruth, record
 from runtime.simulation import poses_of
@@ -54,18 +54,19 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Exported:
     database = replace(skirt_database(subdivisions=2, quality=quality), **names)
     stage = skirt_stage()
     motion, dt = stage.motion(), 1.0 / database.frame_rate
-    poses = poses_of(motion, dt, SECONDS)
+    first = round(clip_begin(motion) / dt)  # before it the body comes from the pose that its clothes lie on
+    poses = poses_of(motion, dt, first * dt + SECONDS)
     player = Player(database, stage.body, poses[0])
     played = [player.vertices + player.origin]
     for pose in poses[1:]:
         player.update(pose, dt)
         played.append(player.vertices + player.origin)
-    truth = RecordedTruth(np.arange(0, len(poses), 4), np.array(played[::4]) + TRUTH_OFF)
+    truth = RecordedTruth(np.arange(first, len(poses), 4), np.array(played[first::4]) + TRUTH_OFF)
     about = page_text(database, f"walk {HOSTILE}")
     recording, _ = record(database, PlaybackInputs(stage.body, (motion,)), motion, SECONDS, about, truth=truth)
     folder = tmp_path_factory.mktemp("export") / "page"
     write_page(folder, recording)
-    return Exported(folder, np.array(played[::2]))
+    return Exported(folder, np.array(played[first::2]))
 
 
 @pytest.fixture

@@ -188,6 +188,8 @@ def test_the_truth_is_left_out_where_the_page_would_be_too_large(monkeypatch: py
     monkeypatch.setattr(recording, "MAX_SIZE", len(data) - 1)
     data, figures = record(database, inputs, motion, 0.05, {}, truth=truth)
     assert figures["truth_frame_count"] == 0 and "frames/truth" not in read_recording(data)[1]
+    with pytest.raises(InputError, match="no frame of the truth is recorded"):
+        record(database, inputs, motion, 0.05, {}, truth=truth._replace(numbers=truth.numbers + 40))
 
 
 def test_a_file_gives_back_its_arrays() -> None:
