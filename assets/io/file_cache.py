@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
+from urllib.parse import unquote
 
 __all__ = ["file_state", "kept_while_unchanged"]
 
@@ -24,27 +26,42 @@ def file_state(path: Path) -> tuple[int, int] | None:
     return status.st_size, status.st_mtime_ns
 
 
+def _referenced_files(path: Path) -> list[Path]:
+    """Files that a readable file refers to: buffers and pictures of a .gltf, layers and other assets of USD."""
+    if path.suffix.lower() == ".gltf":
+        content = json.loads(path.read_bytes())
+        uris = [part.get("uri", "data:") for kind in ("buffers", "images") for part in content.get(kind, [])]
+        return [path.parent / unquote(uri) for uri in uris if not uri.startswith("data:")]
+    if path.suffix.lower().startswith(".usd"):
+        from pxr import UsdUtils
+
+        layers, assets, _ = UsdUtils.ComputeAllDependencies(str(path))
+        return [*(Path(layer.realPath) for layer in layers), *(Path(asset) for asset in assets)]
+    return []
+
+
 def kept_while_unchanged(read: Callable[P, T]) -> Callable[P, T]:
     """A function that reads files, called again with the same arguments only where one of the files has changed.
 
     Args:
         read: takes arguments, in one order, that can be keys of a dictionary; those that are strings or paths name
-            files, or built-in things, which never change.
+            files, or built-in things, which never change. Files that these refer to count, too.
     """
-    kept: dict[tuple[Any, ...], tuple[list[tuple[int, int] | None], T]] = {}
+    kept: dict[tuple[Any, ...], tuple[dict[Path, tuple[int, int] | None], T]] = {}
 
     @wraps(read)
     def found(*args: P.args, **kwargs: P.kwargs) -> T:
         key = tuple(
             Path(value).absolute() if isinstance(value, (str, Path)) else value for value in (*args, *kwargs.values())
         )
-        states = [file_state(value) for value in key if isinstance(value, Path)]
         before = kept.get(key)
-        if before is not None and before[0] == states:
+        if before is not None and all(file_state(file) == state for file, state in before[0].items()):
             return before[1]
+        named = {value: file_state(value) for value in key if isinstance(value, Path)}
         result = read(*args, **kwargs)
+        referenced = {file: file_state(file) for path in named if named[path] for file in _referenced_files(path)}
         kept.pop(key, None)
-        kept[key] = states, result
+        kept[key] = referenced | named, result
         while len(kept) > _MOST_KEPT:
             kept.pop(next(iter(kept)))
         return result

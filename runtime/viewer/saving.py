@@ -19,6 +19,7 @@ from pbd.storage import replacing
 from pbd.wind import Wind
 from runtime.bake import bake_glb
 from runtime.pictures import save_png
+from runtime.play import clip_begin
 from runtime.studio import BACKGROUND
 from runtime.viewer.garments import ViewedGarment
 from runtime.viewer.playback import Playback
@@ -55,13 +56,17 @@ def write_picture(folder: Path, picture: np.ndarray) -> Path:
 def clip_frames(garment: ViewedGarment, playback: Playback) -> tuple[np.ndarray, np.ndarray | None, float]:
     """Every kept moment of a playback, about :data:`CLIP_HZ` of them a second; it shows the present one again after it.
 
+    Moments before the motion's own first frame are left out, unless no others were played.
+
     Returns:
         vertices of the main mesh in the world [m], float32, shape (f, n, 3); poses of the body, shape (f, ...), None
         without one; their rate [Hz].
     """
     present = playback.tick_count
     here = playback.player.keep()
-    ticks = playback.kept_ticks
+    begin = 0.0 if garment.motion is None else clip_begin(garment.motion)
+    kept = playback.kept_ticks
+    ticks = [tick for tick in kept if tick * playback.tick >= begin - 1e-6] or kept
     ticks = ticks[:: max(1, round(1.0 / (playback.tick * playback.stride * CLIP_HZ)))]
     frames = []
     for tick in ticks:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 
@@ -57,6 +58,35 @@ def test_a_character_that_is_exported_again_is_the_new_one(tmp_path: Path) -> No
     assert np.ptp(load_body(path).vertices[:, 1]) == pytest.approx(2.0)
     bar_glb(0.75).write(path)
     assert np.ptp(load_body(path).vertices[:, 1]) == pytest.approx(1.5)
+
+
+def test_a_character_whose_buffer_is_written_again_is_the_new_one(tmp_path: Path) -> None:
+    path, heights = tmp_path / "bar.gltf", []
+    for scale in (1.0, 0.75):
+        glb = bar_glb(scale)
+        glb.json["buffers"][0] |= {"uri": "a%20bar.bin", "byteLength": len(glb.data)}
+        if not path.exists():
+            path.write_text(json.dumps(glb.json))
+        (tmp_path / "a bar.bin").write_bytes(glb.data)
+        heights.append(np.ptp(load_body(path).vertices[:, 1]))
+    assert load_body(path) is load_body(path)
+    assert heights == pytest.approx([2.0, 1.5])
+
+
+def test_a_usd_layer_below_another_counts(tmp_path: Path) -> None:
+    path, reads = tmp_path / "top.usda", []
+    path.write_text("#usda 1.0\n(\n    subLayers = [@./below.usda@]\n)\n")
+
+    @kept_while_unchanged
+    def read(file: Path) -> int:
+        reads.append(file)
+        return len(reads)
+
+    below = tmp_path / "below.usda"
+    for prims in ("", 'def "a" {}\n', 'def "a" {}\ndef "b" {}\n'):
+        below.write_text(f"#usda 1.0\n{prims}")
+        assert read(path) == read(path)
+    assert len(reads) == 3
 
 
 def test_a_clip_that_is_exported_again_plays_on_the_body_that_is_there(tmp_path: Path) -> None:

@@ -24,6 +24,7 @@ from runtime.viewer import opening
 from runtime.viewer.colors import CLOTH_COLORS
 from runtime.viewer.garments import DatabaseSource, FabricFactors
 from runtime.viewer.opening import Opened, open_source
+from runtime.viewer.saving import clip_frames
 from runtime.viewer.viewer import Viewer
 from tests.runtime.viewer.views import FLAG, outfit_source, skirt_source
 from wrinkles.database import write_database
@@ -303,6 +304,16 @@ def test_a_clip_holds_what_was_played_and_time_stands_where_it_stood(viewer: Vie
     until(clip.exists)
     document: Any = pygltflib.GLTF2().load(str(clip))
     assert document.meshes[0].primitives[0].attributes.TEXCOORD_0 is not None
+
+
+def test_a_clip_begins_with_the_motion_itself(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    playback = viewer.playback
+    playback.step(8)
+    all_frames, all_poses, _ = clip_frames(viewer._garment, playback)  # before the motion itself begins
+    monkeypatch.setattr("runtime.viewer.saving.clip_begin", lambda motion: 4 * playback.tick)
+    frames, poses, _ = clip_frames(viewer._garment, playback)
+    assert len(all_frames) > 2 and all_poses is not None and poses is not None
+    assert np.array_equal(frames, all_frames[2:]) and np.array_equal(poses, all_poses[2:])
 
 
 def test_a_picture_is_written_over_the_background_and_names_are_never_taken_twice(
