@@ -31,6 +31,7 @@ class MotionSettings:
         joints: path of a .csv file of the joints that a captured motion moves, see
             :func:`assets.retarget.load_joint_table`; None goes by their names.
         rate: frames a second of a .pc2 file, which does not know them [Hz].
+        label: what it is called; None takes the clip's name. Many files call their only clip the same.
     """
 
     file: Path | str = entry(_MOTION_FILE)
@@ -40,6 +41,7 @@ class MotionSettings:
     speed: float = entry(number(above=0), 1.0)
     joints: Path | None = entry(file_path(".csv"), None)
     rate: float | None = entry(number(above=0, unit="Hz"), None)
+    label: str | None = entry(text(), None)
 
     def __post_init__(self) -> None:
         suffix = _suffix(self.file)
@@ -62,8 +64,8 @@ class MotionSettings:
 
     @property
     def name(self) -> str:
-        """Name for figures and files: the clip's, with the part and the speed where they are not the whole and 1."""
-        words = [self.clip or Path(self.file).stem]
+        """Name for figures and files: label or clip, with the part and the speed where they are not the whole and 1."""
+        words = [self.label or self.clip or Path(self.file).stem]
         if self.start or self.end is not None:
             words.append(f"{self.start:g}-{'' if self.end is None else f'{self.end:g}'} s")
         if self.speed != 1.0:

@@ -256,7 +256,11 @@ class CameraSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """A resolved scene: every default filled in, every path absolute. Garments come from the innermost outwards."""
+    """A resolved scene: every default filled in, every path absolute. Garments come from the innermost outwards.
+
+    Raises:
+        InputError: motions of different files with one name.
+    """
 
     garments: tuple[GarmentSettings, ...] = entry(
         tables(table(GarmentSettings), at_least=1, unique="name"), key="garment"
@@ -269,6 +273,16 @@ class Scene:
     wrinkles: WrinkleSettings = entry(table(WrinkleSettings), WrinkleSettings())
     camera: CameraSettings = entry(table(CameraSettings), CameraSettings())
     view: ViewSettings | None = entry(table(ViewSettings), None)
+
+    def __post_init__(self) -> None:
+        own = self.character.motion if self.character is not None else None
+        motions = (*(() if own is None else (own,)), *self.training.clips, *self.training.held_out)
+        named = {motion.name: motion for motion in motions}
+        for motion in motions:
+            files = [str(one.file) for one in (named[motion.name], motion)]
+            if files[0] != files[1]:
+                expected = 'label = "another name" beside the file of one of them'
+                raise InputError(f"two motions with the name {motion.name!r}", received=files, expected=expected)
 
 
 def load_scene(path: str | Path) -> Scene:

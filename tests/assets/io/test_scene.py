@@ -410,3 +410,15 @@ def test_the_data_folder_comes_from_the_environment(load, tmp_path: Path, monkey
 def test_a_missing_scene_file_is_bad_input(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="absent.toml: cannot be read"):
         load_scene(tmp_path / "absent.toml")
+
+
+def test_clips_of_one_name_in_two_files_are_told_apart_by_a_label(tmp_path: Path) -> None:
+    text = '[[garment]]\nname = "s"\nmesh = "builtin:skirt"\n[character]\nfile = "builtin:mannequin"\n'
+    for name in ("walk", "run"):
+        (tmp_path / f"{name}.glb").touch()
+    text += '[[training.clips]]\nfile = "run.glb"\nclip = "mixamo.com"\n'
+    held_out = '[[training.held_out]]\nfile = "walk.glb"\nclip = "mixamo.com"\n'
+    with pytest.raises(InputError, match=r"two motions with the name 'mixamo.com' .*run\.glb.*label = "):
+        parse_scene(text + held_out, tmp_path / "scene.toml")
+    training = parse_scene(f'{text}{held_out}label = "walk"\n', tmp_path / "scene.toml").training
+    assert [motion.name for motion in training.clips + training.held_out] == ["mixamo.com", "walk"]
