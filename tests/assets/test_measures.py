@@ -120,7 +120,13 @@ def measured(body: StandingBody) -> BodyMeasures:
     return measure(closed_body(body.name, body.vertices, body.faces))
 
 
-@pytest.mark.parametrize("name", BODIES)
+# Bodies of many parts or of many vertices take seconds each.
+QUICK = ("mannequin", "woman", "heavy", "quaternius")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.proof) for name in BODIES]
+)
 def test_neither_place_nor_turn_changes_a_measure(name: str) -> None:
     body = raw(BODIES[name])
     here = measured(body).values()

@@ -22,10 +22,11 @@ OURS = {"skinning", "preparation", "search", "coarse_step", "network", "surface"
 PLAIN = {"skinning", "preparation", "search", "coarse_step", "normals"}
 
 
-@pytest.fixture(scope="module")
-def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture(scope="module", params=[1, pytest.param(2, marks=pytest.mark.proof)])
+def path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A skirt with one mesh between the coarse and the fine one, or none."""
     path = tmp_path_factory.mktemp("frame") / "skirt.h5"
-    write_database(path, skirt_database(subdivisions=2))
+    write_database(path, skirt_database(subdivisions=request.param))
     return path
 
 
@@ -36,16 +37,20 @@ def bench(path: Path) -> FrameBench:
 
 
 def test_every_part_of_ours_and_of_plain_cloth_has_a_time_and_a_limit(bench: FrameBench) -> None:
-    assert [cost.name for cost in bench.costs] == ["ours", *frame_module.PLAIN_S]
+    middle = {"plain_middle", "plain_middle_6_substeps"} if len(bench.costs) == 3 else set()
+    assert [cost.name for cost in bench.costs] == ["ours", *(n for n in frame_module.PLAIN_S if n not in middle)]
     for cost in bench.costs:
         parts = OURS if cost.name == "ours" else PLAIN
         assert set(cost.times) == parts | {"rest", "frame"} and set(cost.limits) == parts | {"frame"}
         assert all((cost.times[part] > 0).any() and cost.limits[part] > 0 for part in parts)
         whole = sum(times for part, times in cost.times.items() if part != "frame")
         assert np.allclose(whole, cost.times["frame"], rtol=1e-12)
-    counts = [cost.vertex_count for cost in bench.costs]
+    counts, fine = [cost.vertex_count for cost in bench.costs], bench.costs[-1]
+    if middle:
+        assert counts[0] == counts[1] < counts[2] and fine.substeps == 2 * bench.costs[1].substeps
+        return
     assert counts[0] == counts[1] < counts[2] == counts[3] < counts[4]
-    assert bench.costs[3].substeps == 6 and bench.costs[4].substeps == 2 * bench.costs[2].substeps
+    assert bench.costs[3].substeps == 6 and fine.substeps == 2 * bench.costs[2].substeps
 
 
 def test_figures_have_the_names_of_the_parts(bench: FrameBench) -> None:

@@ -24,7 +24,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_both_checkouts_play_as_many_frames_in_turns(path: Path) -> None:
     lines = []
-    found = compare_frames(path, ROOT, 0.9, lines.append)
+    found = compare_frames(path, ROOT, 0.5, lines.append)
     parts = {"skin", "coarse", "decode", "relax", "normals", "frame", "without_network"}
     assert set(found.here) == set(found.other) == parts
     turns = len(lines) - 1
