@@ -30,7 +30,8 @@ from runtime.bake import bake_glb
 from runtime.garment_setup import GarmentSetup
 from runtime.glb import BYTES_A_VERTEX
 from runtime.info import better_choice
-from runtime.pictures import Drawn, frame_camera, render, save_png, strip
+from runtime.picture_content import Drawn, frame_camera
+from runtime.pictures import render, save_png, strip
 from runtime.play import posed_bodies
 from runtime.shown_body import shown_body
 from wrinkles.metrics import normal_error_deg

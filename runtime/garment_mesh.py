@@ -16,7 +16,8 @@ from assets.seams import load_seams
 from assets.texture import joined
 from pbd import ClothMesh, InputError, Limits
 from pbd.contact.strain_limits import MAX_STRETCH
-from wrinkles.binding import Binding, bind
+from wrinkles.binding import Binding
+from wrinkles.coarsening import bind
 from wrinkles.levels import held_between
 from wrinkles.surface import SewnRest, Subdivision, cut_corners
 

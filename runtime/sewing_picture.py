@@ -11,7 +11,8 @@ from assets.sewing.body import StandingBody
 from assets.sewing.garment import SewnGarment
 from assets.sewing.sewing import COARSE_EDGE, arranged_pieces
 from runtime.pattern_picture import draw_pattern
-from runtime.pictures import Drawn, frame_camera, render, save_png, strip
+from runtime.picture_content import Drawn, frame_camera
+from runtime.pictures import render, save_png, strip
 
 __all__ = ["draw_sewing"]
 

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from runtime.pictures import Drawn, frame_camera, render, save_png, strip
+from runtime.picture_content import Drawn, frame_camera
+from runtime.pictures import render, save_png, strip
 
 __all__ = ["draw_strips", "draw_strips_apart"]
 

@@ -10,18 +10,16 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from pbd.mesh import edges_of
 from runtime.light import Rings, Surface, directions_about, directions_everywhere, exposure
+from runtime.picture_content import Camera, Drawn
 from wrinkles.metrics import vertex_normals
 from wrinkles.surface import cut_corners, cut_faces
-
-if TYPE_CHECKING:
-    from runtime.pictures import Camera, Drawn
 
 __all__ = ["Studio", "studio"]
 

@@ -144,8 +144,6 @@ KNOWN_CIRCLES = [
         "assets.roles",
     ),
     ("assets.garment", "assets.io.sewn", "assets.procedural.builtin", "assets.sewing.garment"),
-    ("runtime.pictures", "runtime.studio"),
-    ("wrinkles.binding", "wrinkles.surface"),
 ]
 KNOWN_ARROWS_UP = [
     "assets.character -> assets.io.gltf_character",

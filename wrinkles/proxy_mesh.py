@@ -15,7 +15,7 @@ from assets.remesh import decimated
 from pbd import ClothMesh, InputError
 from pbd.attachment import closest_points
 from pbd.mesh import edges_of, flatten_by_lengths, hinges_of
-from wrinkles.binding import faces_around, label_of, nearest_places
+from wrinkles.coarsening import faces_around, label_of, nearest_places
 from wrinkles.levels import Levels, held_between
 from wrinkles.surface import Subdivision
 
@@ -95,7 +95,7 @@ def _bound(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Fit vertices, so that their smooth surface comes closest to some points, and bind the points to that surface.
 
-    Binding and fitting alternate, as in :func:`wrinkles.binding.bind`.
+    Binding and fitting alternate, as in :func:`wrinkles.coarsening.bind`.
 
     Args:
         plain: subdivision of the mesh to be fitted.

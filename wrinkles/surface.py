@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.sparse import csr_matrix, identity
@@ -15,9 +14,7 @@ from scipy.sparse.linalg import splu
 
 from pbd import ClothMesh
 from pbd.mesh import edges_of, flatten_by_lengths, flatten_by_surface
-
-if TYPE_CHECKING:
-    from wrinkles.binding import Binding
+from wrinkles.binding import Binding
 
 __all__ = ["SewnRest", "Subdivision", "csr_arrays", "cut_corners", "cut_faces", "loop_step"]
 

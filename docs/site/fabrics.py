@@ -27,7 +27,8 @@ from precompute.fabric_lab.fabric_report import PULLED
 from precompute.fabric_lab.laboratory import DIRECTIONS, LoadCurve, bending_curve, shear_curve, tension_curve
 from precompute.validation.drape_rows import PEDESTAL, drape, drape_coefficient, fold_number
 from precompute.validation.trial import TrialSetting
-from runtime.pictures import Drawn, frame_camera, render
+from runtime.picture_content import Drawn, frame_camera
+from runtime.pictures import render
 
 PAGE, PICTURE = ROOT / "docs" / "fabrics.md", ROOT / "docs" / "fabric-presets.png"
 BEGIN, END = "<!-- `make fabrics` writes the lines from here -->", "<!-- to here -->"

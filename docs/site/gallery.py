@@ -16,7 +16,8 @@ import numpy as np
 from PIL import Image
 
 import gube
-from runtime.pictures import Drawn, frame_camera, render
+from runtime.picture_content import Drawn, frame_camera
+from runtime.pictures import render
 
 OUT = Path(__file__).resolve().parent.parent.parent / "out" / "gallery"
 SIZE = (360, 400)  # [pixel]

@@ -22,7 +22,8 @@ from precompute.mechanics import FRAME_RATE, GRAVITY
 from precompute.method_comparison.error_classes import LIMITS, longest_run
 from precompute.reporting.tables import write_table
 from precompute.workers import Workers, run_jobs
-from runtime.pictures import Drawn, frame_camera, render, save_png, strip
+from runtime.picture_content import Drawn, frame_camera
+from runtime.pictures import render, save_png, strip
 from runtime.scene_body import load_body, motion_of
 from runtime.scene_simulation import simulation_of
 from runtime.simulation import Motion, Simulation, body_source

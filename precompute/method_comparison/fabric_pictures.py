@@ -19,7 +19,8 @@ from precompute.learning.evaluation import body_source
 from precompute.learning.recording import Run, record_runs
 from precompute.mechanics import FRAME_RATE
 from runtime.garment_setup import GarmentSetup, fine_options
-from runtime.pictures import Drawn, frame_camera, render, strip
+from runtime.picture_content import Drawn, frame_camera
+from runtime.pictures import render, strip
 from runtime.simulation import poses_of
 
 __all__ = ["FABRICS", "draw_fabrics", "fabric_runs"]

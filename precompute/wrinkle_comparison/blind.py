@@ -12,7 +12,8 @@ from pbd import InputError
 from pbd.storage import replacing
 from precompute.learning.evaluation import Truth
 from precompute.learning.recording import body_source
-from runtime.pictures import Drawn, frame_camera, render, save_png, strip
+from runtime.picture_content import Drawn, frame_camera
+from runtime.pictures import render, save_png, strip
 from runtime.shown_body import shown_body
 
 __all__ = ["blind_figures", "write_blind"]

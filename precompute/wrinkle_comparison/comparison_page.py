@@ -11,7 +11,8 @@ from precompute.learning.evaluation import CHANCE
 from precompute.learning.recording import body_source
 from precompute.reporting.page import Chart, Heading, Picture, Point, Section, Table, Text, write_page
 from precompute.wrinkle_comparison.comparison import ERRORS, Comparison, Method, MotionComparison
-from runtime.pictures import Drawn, frame_camera, render, strip
+from runtime.picture_content import Drawn, frame_camera
+from runtime.pictures import render, strip
 
 __all__ = ["comparison_sections", "draw_methods", "plain_table", "verdict", "write_comparison"]
 

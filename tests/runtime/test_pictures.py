@@ -10,17 +10,8 @@ from scipy.spatial import ConvexHull
 
 from pbd.errors import InputError
 from pbd.mesh import lattice_faces
-from runtime.pictures import (
-    GARMENT_COLOR,
-    GARMENT_COLORS,
-    Camera,
-    Drawn,
-    encode_image,
-    frame_camera,
-    render,
-    save_png,
-    strip,
-)
+from runtime.picture_content import GARMENT_COLOR, GARMENT_COLORS, Camera, Drawn, frame_camera
+from runtime.pictures import encode_image, render, save_png, strip
 
 pytest.importorskip("pyvista", reason="pictures are drawn by pyvista")
 

@@ -10,7 +10,7 @@ import numpy as np
 from pbd import Limits
 from tests.assets.panels import two_panels
 from tests.wrinkles.databases import small_database
-from wrinkles.binding import bind
+from wrinkles.coarsening import bind
 from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels, build_levels
 from wrinkles.surface import Subdivision

@@ -9,8 +9,9 @@ from pbd import ClothMesh
 from tests.assets.panels import two_panels
 from tests.pbd.meshes import grid
 from tests.wrinkles.delivered import delivered_levels, delivered_panels
-from wrinkles.binding import PLACE_STEP, Binding, bind
+from wrinkles.binding import Binding
 from wrinkles.charts import Charts, fine_places, leading_vertices
+from wrinkles.coarsening import PLACE_STEP, bind
 from wrinkles.decoder import Upsampler
 from wrinkles.levels import Levels
 from wrinkles.patches import Patches

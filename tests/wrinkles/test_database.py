@@ -16,7 +16,8 @@ from pbd import Fabric, InputError
 from tests.wrinkles.databases import small_database
 from tests.wrinkles.meshes import flat_sheet
 from wrinkles import database as module
-from wrinkles.binding import FLAT_STEP, PLACE_STEP, Binding
+from wrinkles.binding import Binding
+from wrinkles.coarsening import FLAT_STEP, PLACE_STEP
 from wrinkles.database import (
     WrinkleDatabase,
     as_stored,

@@ -13,7 +13,7 @@ from pbd.mesh import hinges_of
 from tests.assets.panels import two_panels
 from tests.runtime.players import skirt_stage
 from tests.wrinkles.delivered import NOBODY, bent
-from wrinkles.binding import bind
+from wrinkles.coarsening import bind
 from wrinkles.levels import Levels, build_levels
 from wrinkles.proxy_mesh import ProxyMesh, proxy_mesh_of
 

@@ -11,7 +11,7 @@ from pbd.crossings import SelfCrossings
 from precompute.learning.body_seen import BEHIND, body_seen_figures
 from precompute.learning.nearest_faces import FAR, nearest_faces
 from runtime.garment_setup import GarmentSetup, fabrics_of
-from runtime.pictures import Camera
+from runtime.picture_content import Camera
 from runtime.plain_surface import PlainSurface
 from runtime.play import posed_bodies
 from runtime.scene_simulation import simulation_of
