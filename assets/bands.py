@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from assets.garment import boundary_loops
 from pbd.attachment import closest_points
-from pbd.contact.strain_limits import MAX_STRETCH
+from pbd.mesh import MAX_STRETCH
 
 __all__ = ["REACH", "distances", "taut_bands"]
 

@@ -8,16 +8,13 @@ skinning.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from os import PathLike
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from assets.body_checks import check_right_side_out
 from assets.texture import checked
 from assets.transform import local_matrices
 from pbd.arrays import floats, integers, numbers
@@ -30,8 +27,6 @@ __all__ = [
     "Animation",
     "Character",
     "Clip",
-    "load_animation",
-    "load_character",
     "with_clips",
 ]
 
@@ -233,61 +228,6 @@ class Animation:
     joint_parents: NDArray[np.int32]
     root_transform: Floats
     clips: dict[str, Clip]
-
-
-def load_character(path: str | PathLike[str], name: str | None = None) -> Character:
-    """A skinned character with all its clips from a glTF 2.0 or USD file, in metres, Y up.
-
-    A glTF file (.glb or .gltf) is in metres and Y up; a USD file (.usd, .usda, .usdc, .usdz) names its unit and its up
-    axis and is turned. All skinned meshes are merged. Vertices at one position with the same weights become one, so
-    that texture seams close; parts that touch but move apart stay apart. Of more than four influences the best four
-    stay. Morph targets (blend shapes) are part of the bind pose at the weights that the file gives; their animation and
-    meshes without a skin are left out.
-
-    Args:
-        path: the file, or "builtin:mannequin" for the built-in character.
-        name: name for messages; the file's name without its suffix if None.
-
-    Raises:
-        InputError: the file cannot be read, has no skin or no weights, holds values that are not finite, looks like
-            centimetres, does not say its unit, is inside out, or asks for something that is not supported; the message
-            names the element.
-    """
-    if str(path).startswith("builtin:"):
-        from assets.procedural.mannequin import builtin_mannequin  # is made of this module's parts
-
-        if str(path) != "builtin:mannequin":
-            raise InputError("no such built-in character", received=str(path), expected="builtin:mannequin")
-        mannequin = builtin_mannequin()
-        return mannequin if name is None else replace(mannequin, name=name)
-    path = Path(path)
-    if path.suffix.lower() in USD_SUFFIXES:
-        from assets.io.usd_character import read_character  # needs usd-core, which building a character does not
-    else:
-        from assets.io.gltf_character import read_character  # is made of this module's parts
-    character = read_character(path, name)
-    check_right_side_out(character.vertices, character.faces, path)
-    return character
-
-
-def load_animation(path: str | PathLike[str], joint_names: Sequence[str]) -> Animation | None:
-    """The animation in a glTF or USD file without a skinned mesh; None if it has such a mesh or no clip.
-
-    Args:
-        path: the file.
-        joint_names: joints of the character that it is meant for.
-
-    Raises:
-        InputError: the file cannot be read or is damaged, or a USD file has not one skeleton.
-    """
-    path = Path(path)
-    if path.suffix.lower() in USD_SUFFIXES:
-        from assets.io.usd_character import read_animation as read_usd
-
-        return read_usd(path)
-    from assets.io.gltf_character import read_animation
-
-    return read_animation(path, joint_names)
 
 
 def with_clips(character: Character, other: Character) -> Character:

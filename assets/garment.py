@@ -4,29 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from os import PathLike
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from assets.io.gltf import read_document
-from assets.io.obj import read_obj
-from assets.texture import joined
 from assets.weld import check_unit, group_rows, weld
 from pbd.errors import InputError
 from pbd.mesh import edges_of
 
 __all__ = [
+    "BUILTIN_GARMENTS",
     "Garment",
     "StoredSurface",
     "boundary_loops",
     "check_faces",
     "checked_garment",
     "highest_loop",
-    "load_garment",
-    "read_surface",
 ]
+
+# The clothes that :func:`assets.procedural.builtin.builtin_garment` makes.
+BUILTIN_GARMENTS = ("circle_skirt", "flag", "shirt", "skirt", "tablecloth", "trousers", "tshirt")
 
 Floats = NDArray[np.float64]
 Faces = NDArray[np.int32]
@@ -65,37 +63,6 @@ class Garment:
     texture: Floats | None = None
 
 
-def load_garment(path: str | PathLike[str], *, pattern: bool = False) -> Garment:
-    """Load, weld and check a garment from an .obj, .glb or .gltf file in metres, or a sewn one from its .npz file.
-
-    Vertices at exactly the same position become one, so that seams of the texture close; the vertices of an .obj file
-    with a pattern stay as they are, since its panels may touch before they are stitched. Polygons are cut into
-    triangles, faces that are wound against their neighbours are turned, vertices that no face uses are dropped. The
-    order of vertices and faces stays.
-
-    Args:
-        path: the file; or "builtin:skirt" for one of the built-in clothes
-            (:data:`assets.procedural.builtin.BUILTIN_GARMENTS`), which have a pattern of their own.
-        pattern: whether the texture coordinates are a flat pattern in metres.
-
-    Raises:
-        InputError: the file cannot be read or is truncated; no faces; vertices that are not finite; a face with an
-            index out of range, without area, or twice; an edge of more than two faces; a surface with one side only; a
-            size that cannot be metres; or, with ``pattern``, texture coordinates that are missing or no pattern. The
-            message names the vertex, the face (counted from 0, after triangulation) or the edge.
-    """
-    if str(path).startswith("builtin:"):
-        from assets.procedural.builtin import builtin_garment  # is made of this module's parts
-
-        return builtin_garment(str(path).removeprefix("builtin:"))
-    path = Path(path)
-    if path.suffix.lower() == ".npz":
-        from assets.io.sewn import read_sewn  # is made of this module's parts
-
-        return read_sewn(path).garment
-    return checked_garment(read_surface(path), pattern=pattern)
-
-
 @dataclass(frozen=True, eq=False)
 class StoredSurface:
     """Triangles as a file has them, with neither welds nor checks.
@@ -114,29 +81,6 @@ class StoredSurface:
     faces: Faces
     texture: Floats | None
     label: Callable[[int], str]
-
-
-def read_surface(path: Path) -> StoredSurface:
-    """Read the surface of an .obj, .glb or .gltf file.
-
-    Raises:
-        InputError: another kind of file, one that cannot be read or is damaged, or one without faces.
-    """
-    if path.suffix.lower() == ".obj":
-        mesh = read_obj(path)
-        vertices, faces, texture, lines = mesh.vertices, mesh.faces, mesh.texture, mesh.lines
-        label = lambda face: f"face {face} (line {lines[face]})"  # noqa: E731
-    elif path.suffix.lower() in (".glb", ".gltf"):
-        vertices, faces, texture = _read_gltf(path)
-        label = lambda face: f"face {face}"  # noqa: E731
-    else:
-        raise InputError(
-            "an unknown kind of file", file=path, received=path.suffix, expected=".obj, .glb, .gltf or .npz"
-        )
-    if not len(faces):
-        received = f"{len(vertices)} vertices"
-        raise InputError("a mesh without faces", file=path, received=received, expected="a whole file with faces")
-    return StoredSurface(path, vertices, faces, texture, label)
 
 
 def checked_garment(surface: StoredSurface, *, pattern: bool = False) -> Garment:
@@ -205,20 +149,6 @@ def highest_loop(vertices: Floats, faces: Faces) -> NDArray[np.int32]:
     if not loops:
         raise InputError("a mesh without openings has no highest one")
     return max(loops, key=lambda loop: vertices[loop, 1].mean())
-
-
-def _read_gltf(path: Path) -> tuple[Floats, Faces, Floats | None]:
-    """All triangles of the scene in world space, with their texture coordinates; see :class:`StoredSurface`."""
-    document = read_document(path)
-    vertices, faces, texture = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int32)], []
-    for node in document.mesh_nodes():
-        matrix = document.world_matrix(node)
-        for primitive in document.primitives(node):
-            placed, corners, coordinates = primitive.placed(matrix)
-            faces.append(corners + sum(map(len, vertices)))
-            vertices.append(placed)
-            texture.append((coordinates, len(corners)))
-    return np.concatenate(vertices), np.concatenate(faces), joined(texture)
 
 
 def _drop_unused(vertices: Floats, faces: Faces) -> tuple[Floats, Faces]:

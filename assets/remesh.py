@@ -9,7 +9,7 @@ from scipy.sparse import csgraph
 from scipy.spatial import cKDTree
 
 from assets.garment import boundary_loops
-from assets.procedural.implicit import Faces, Field, Floats, project
+from assets.implicit import Faces, Field, Floats, project
 from pbd.mesh import edges_of
 
 __all__ = ["decimated", "drop_vertices", "even_mesh", "even_triangles", "flip_edges", "relax"]

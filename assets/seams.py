@@ -12,7 +12,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from assets.garment import boundary_loops
-from assets.io.obj import triangulate
+from assets.polygons import triangulate
 from assets.text import read_words
 from pbd.errors import InputError
 from pbd.mesh import edges_of

@@ -44,9 +44,9 @@ SOURCES = {
     "bake_glb": "runtime.bake:bake_glb",
     "build_model": "pbd.model:build_model",
     "ensure_initialized": "pbd.engine:ensure_initialized",
-    "load_character": "assets.character:load_character",
+    "load_character": "assets.loading:load_character",
     "load_fabric": "assets.fabrics:load_fabric",
-    "load_garment": "assets.garment:load_garment",
+    "load_garment": "assets.loading:load_garment",
     "load_scene": "assets.io.scene:load_scene",
     "make_solver": "pbd.models.registry:make_solver",
     "parse_scene": "assets.io.scene:parse_scene",
@@ -59,12 +59,12 @@ SOURCES = {
 
 if TYPE_CHECKING:
     from assets.character import Character as Character
-    from assets.character import load_character as load_character
     from assets.fabrics import PRESETS as FABRICS
     from assets.fabrics import load_fabric as load_fabric
-    from assets.garment import load_garment as load_garment
     from assets.io.scene import load_scene as load_scene
     from assets.io.scene import parse_scene as parse_scene
+    from assets.loading import load_character as load_character
+    from assets.loading import load_garment as load_garment
     from assets.motion import ClipMotion as ClipMotion
     from pbd.contact.colliders import Body as Body
     from pbd.contact.colliders import Capsule as Capsule

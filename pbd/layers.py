@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from pbd.attachment import closest_points
-from pbd.contact.strain_limits import MAX_STRETCH
 from pbd.errors import InputError
 from pbd.limits import Limits
-from pbd.mesh import ClothMesh, Hinges, hinges_of
+from pbd.mesh import MAX_STRETCH, ClothMesh, Hinges, hinges_of
 from pbd.model import BLOCK, Model, blocks_of
 
 __all__ = ["FASTENING_REACH", "fastened", "layered", "parts_of"]

@@ -12,6 +12,7 @@ from pbd.arrays import floats, integers
 from pbd.errors import InputError
 
 __all__ = [
+    "MAX_STRETCH",
     "ClothMesh",
     "Hinges",
     "edges_of",
@@ -22,6 +23,8 @@ __all__ = [
     "lattice_faces",
     "vertex_rings",
 ]
+
+MAX_STRETCH = 1.5  # greatest length of an edge over its rest length [-]
 
 
 def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,12 +10,13 @@ import numpy as np
 from assets.bands import REACH, distances, taut_bands
 from assets.ease import eased
 from assets.fabrics import PRESETS
-from assets.garment import Garment, boundary_loops, highest_loop, load_garment
+from assets.garment import Garment, boundary_loops, highest_loop
 from assets.io.scene import GarmentSettings, Scene
+from assets.loading import load_garment
 from assets.seams import load_seams
 from assets.texture import joined
 from pbd import ClothMesh, InputError, Limits
-from pbd.contact.strain_limits import MAX_STRETCH
+from pbd.mesh import MAX_STRETCH
 from wrinkles.binding import Binding
 from wrinkles.coarsening import bind
 from wrinkles.levels import held_between

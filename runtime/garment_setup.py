@@ -12,13 +12,14 @@ import numpy as np
 
 from assets.character import Character
 from assets.fabrics import PRESETS
-from assets.garment import Garment, load_garment
+from assets.garment import Garment
 from assets.io.body_settings import MotionSettings
 from assets.io.collider_settings import FieldSettings
 from assets.io.file_cache import kept_while_unchanged
 from assets.io.scene import GarmentSettings, Scene, parse_scene
 from assets.io.sequence import Sequence, SequenceMotion
 from assets.limits import load_limits
+from assets.loading import load_garment
 from assets.placement import check_worn
 from assets.procedural.exploration import exploration_motion
 from pbd import Capsule, DistanceField, Fabric, InputError, Limits, Plane, SolverOptions, Sphere

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.character import Character, Clip, load_character
+from assets.character import Character, Clip
 from assets.io.body_settings import MotionSettings
 from assets.io.converted import write_character
 from assets.io.gltf_character import bind_vertices
 from assets.io.sequence import Sequence, load_sequence
+from assets.loading import load_character
 from assets.placement import AS_STORED, Placement, body_placement
 from assets.procedural.exploration import exploration_clip
 from pbd import InputError

@@ -11,8 +11,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from assets.fabrics import PRESETS
-from assets.garment import Garment, StoredSurface, boundary_loops, checked_garment, load_garment, read_surface
+from assets.garment import Garment, StoredSurface, boundary_loops, checked_garment
 from assets.io.converted import write_garment
+from assets.loading import load_garment, read_surface
 from assets.placement import AS_STORED, UNITS, Fit, Placement, best_placement, fit_of
 from assets.seams import load_seams
 from pbd import ClothMesh, InputError
@@ -89,7 +90,7 @@ def guess_garment(path: str, body: BodyGuess, folder: Path) -> GarmentGuess:
         folder: of the scene.
 
     Raises:
-        InputError: as :func:`assets.garment.load_garment`; panels that nothing holds together; or a garment that the
+        InputError: as :func:`assets.loading.load_garment`; panels that nothing holds together; or a garment that the
             body does not wear: it lies elsewhere, or starts inside the body.
     """
     if path.startswith("builtin:") or path.lower().endswith(".npz"):

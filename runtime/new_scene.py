@@ -11,10 +11,10 @@ from textwrap import wrap
 import numpy as np
 
 from assets.fabrics import PRESETS
-from assets.garment import load_garment
 from assets.io.body_settings import MotionSettings
 from assets.io.scene import Scene, parse_scene
 from assets.io.settings import portable_path
+from assets.loading import load_garment
 from assets.placement import AS_STORED
 from pbd import InputError
 from pbd.storage import replacing

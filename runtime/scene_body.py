@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from assets.animation import clip_on
-from assets.character import Animation, Character, Clip, load_animation, load_character, with_clips
+from assets.character import Animation, Character, Clip, with_clips
 from assets.io.body_settings import MotionSettings
 from assets.io.bvh import read_bvh
 from assets.io.file_cache import kept_while_unchanged
+from assets.io.retarget import load_joint_table, retargeted
 from assets.io.scene import Scene
 from assets.io.sequence import Sequence, SequenceMotion, load_sequence
+from assets.loading import load_animation, load_character
 from assets.motion import ClipMotion, part_of
-from assets.retarget import load_joint_table, retargeted
 from pbd import InputError
 from runtime.simulation import Motion
 
@@ -27,7 +28,7 @@ def load_body(file: Path | str) -> Character:
     """A character, loaded once: calls with the same path return the same object until the file changes.
 
     Raises:
-        InputError: as :func:`assets.character.load_character`.
+        InputError: as :func:`assets.loading.load_character`.
     """
     return load_character(file)
 
@@ -39,10 +40,10 @@ def captured_clip(body: Character, file: Path, joints: Path | None) -> Clip:
     Args:
         body: the character.
         file: the .bvh file.
-        joints: table of joints, see :func:`assets.retarget.load_joint_table`; None goes by names.
+        joints: table of joints, see :func:`assets.io.retarget.load_joint_table`; None goes by names.
 
     Raises:
-        InputError: as :func:`assets.io.bvh.read_bvh` and :func:`assets.retarget.retargeted`.
+        InputError: as :func:`assets.io.bvh.read_bvh` and :func:`assets.io.retarget.retargeted`.
     """
     return retargeted(body, read_bvh(file), None if joints is None else load_joint_table(joints))
 
@@ -52,7 +53,7 @@ def separate_animation(file: Path | str, joint_names: tuple[str, ...]) -> Animat
     """The animation of a file without a skinned mesh, loaded once; None for every other file.
 
     Raises:
-        InputError: as :func:`assets.character.load_animation`.
+        InputError: as :func:`assets.loading.load_animation`.
     """
     return None if str(file).startswith("builtin:") else load_animation(file, joint_names)
 

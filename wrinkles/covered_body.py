@@ -5,9 +5,8 @@ from typing import Any
 
 from pbd.contact.colliders import EDGES
 from pbd.engine import ti
-from pbd.geometry import closest_in_fan, vec3
+from pbd.geometry import closest_in_fan, larger, vec3
 from pbd.taichi_internals import in_kernel
-from pbd.xpbd.constraints import larger
 
 __all__ = ["MAX_HEIGHT", "CoveredBody", "edge_towards", "has_more_edges", "height_over"]
 
@@ -22,7 +21,7 @@ class CoveredBody:
     """The body under the cloth in one pass; a view, see :mod:`pbd.xpbd.views`.
 
     Attributes:
-        surface: :class:`pbd.xpbd.views.BodySurface`, which stands still.
+        surface: :class:`pbd.contact.body_surface.BodySurface`, which stands still.
         clearance: kept from it at each of its vertices [m].
         nearest: body vertices where the last passes found each free vertex near the body, -1 for none: first on the
             part that it covers, for all of them, then on an opposite one.

@@ -4,10 +4,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from pbd import Body
+from pbd.contact.body_surface import BodySurface
 from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Int1, Int2, Int3, Vec3, closest_in_fan, descend, surface_normals, vec3
 from pbd.taichi_internals import Launch
-from pbd.xpbd.views import BodySurface
 from wrinkles.levels import Layers
 from wrinkles.surface import Subdivision
 

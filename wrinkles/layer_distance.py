@@ -4,10 +4,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from pbd import Body, ClothMesh
+from pbd.contact.body_surface import BodySurface
 from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Float1, Int1, Int2, Vec3, Vec4, closest_in_fan, descend, vec3, xyz
 from pbd.taichi_internals import Launch
-from pbd.xpbd.views import BodySurface
 
 __all__ = ["LayerDistance"]
 

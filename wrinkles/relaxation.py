@@ -8,6 +8,7 @@ from scipy.sparse import csr_matrix, diags, identity
 from scipy.spatial import cKDTree
 
 from pbd import Fabric
+from pbd.contact.body_surface import BodySurface
 from pbd.contact.colliders import Body
 from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Vec3, Vec4, Vec4Rows, vec3, vec4, xyz
@@ -15,7 +16,7 @@ from pbd.mesh import vertex_rings
 from pbd.model import Model
 from pbd.taichi_internals import Launch
 from pbd.xpbd.constraint_passes import solve_membrane, solve_stitches
-from pbd.xpbd.views import BodySurface, ClothArrays, ConstraintArrays, MultigridArrays
+from pbd.xpbd.views import ClothArrays, ConstraintArrays, MultigridArrays
 from wrinkles.charts import leading_vertices
 from wrinkles.clearance import clearances, facing
 from wrinkles.covered_body import CoveredBody

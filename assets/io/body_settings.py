@@ -29,7 +29,7 @@ class MotionSettings:
         start, end: part of it that is meant [s]; None ends where it ends.
         speed: its seconds per second [-].
         joints: path of a .csv file of the joints that a captured motion moves, see
-            :func:`assets.retarget.load_joint_table`; None goes by their names.
+            :func:`assets.io.retarget.load_joint_table`; None goes by their names.
         rate: frames a second of a .pc2 file, which does not know them [Hz].
         label: what it is called; None takes the clip's name. Many files call their only clip the same.
     """

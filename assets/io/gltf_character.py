@@ -32,7 +32,7 @@ def read_character(path: Path, name: str | None) -> Character:
         name: name for messages; None takes the file's name without its suffix.
 
     Raises:
-        InputError: as :func:`assets.character.load_character`.
+        InputError: as :func:`assets.loading.load_character`.
     """
     document = read_document(path)
     (vertices, faces, weights, texture), kept, parents, root, bind = _skinned_mesh(document)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from assets.fabrics import PRESETS, load_fabric
+from assets.garment import BUILTIN_GARMENTS
 from assets.io.body_settings import CHARACTER_FILE, CharacterSettings, MotionSettings
 from assets.io.collider_settings import COLLIDER, ColliderSettings
 from assets.io.settings import (
@@ -34,7 +35,6 @@ from assets.io.settings import (
     whole,
 )
 from assets.io.view import ViewSettings
-from assets.procedural.builtin import BUILTIN_GARMENTS
 from assets.text import read_text
 from pbd import Fabric, InputError, SolverOptions
 from pbd.wind import Wind

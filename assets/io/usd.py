@@ -9,7 +9,7 @@ from __future__ import annotations
 import codecs
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from assets.body_checks import HEIGHTS, UNITS
-from assets.io.obj import triangulate
 from assets.io.usd_guard import require_sound
+from assets.polygons import triangulate
 from assets.text import read_text
 from pbd.errors import InputError
 
@@ -30,7 +30,7 @@ __all__ = [
     "numbers",
     "open_stage",
     "prims",
-    "read_all",
+    "point_cache_of",
     "read_point_cache",
     "sample_times",
     "to_metres",
@@ -94,19 +94,6 @@ def _layer(path: Path) -> Any:
     layer: Any = Sdf.Layer.Find(str(path)) or Sdf.Layer.New(Sdf.FileFormat.FindByExtension("usda"), str(path))
     layer.ImportFromString(text)
     return layer
-
-
-def read_all(path: Path) -> None:
-    """Read all that this project reads of a file, whatever it holds, in this very process."""
-    from assets.io.usd_character import animation_of, character_of  # are made of this module's parts
-
-    for read in (
-        lambda stage: character_of(stage, path, "probe"),
-        lambda stage: animation_of(stage, path),
-        lambda stage: _point_cache(stage, path),
-    ):
-        with suppress(InputError), open_stage(path, guarded=False) as stage:
-            read(stage)
 
 
 def _said(error: Any) -> str:
@@ -348,10 +335,11 @@ def read_point_cache(path: Path) -> tuple[NDArray[np.float32], NDArray[np.int32]
             changes, or values are missing or bad.
     """
     with open_stage(path) as stage:
-        return _point_cache(stage, path)
+        return point_cache_of(stage, path)
 
 
-def _point_cache(stage: Any, path: Path) -> tuple[NDArray[np.float32], NDArray[np.int32], Floats | None, float]:
+def point_cache_of(stage: Any, path: Path) -> tuple[NDArray[np.float32], NDArray[np.int32], Floats | None, float]:
+    """The same of an open stage."""
     from pxr import UsdGeom, UsdSkel
 
     moving = {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from assets.io.usd import (
     mesh_faces,
     numbers,
     open_stage,
+    point_cache_of,
     prims,
     sample_times,
     to_metres,
@@ -25,7 +27,7 @@ from assets.transform import decompose
 from assets.weld import check_unit
 from pbd.errors import InputError
 
-__all__ = ["animation_of", "character_of", "read_animation", "read_character"]
+__all__ = ["animation_of", "character_of", "read_all", "read_animation", "read_character"]
 
 Floats = NDArray[np.float64]
 
@@ -42,7 +44,7 @@ def read_character(path: Path, name: str | None) -> Character:
         name: name for messages; None takes the file's name without its suffix.
 
     Raises:
-        InputError: as :func:`assets.character.load_character`.
+        InputError: as :func:`assets.loading.load_character`.
     """
     with open_stage(path) as stage:
         return character_of(stage, path, name or path.stem)
@@ -363,3 +365,14 @@ def _carry_roots(values: list[Floats], times: Floats, skeleton: Any, path: Path)
         local = moved @ local_matrices(*(value[frame, roots] for value in values))
         for value, part in zip(values, decompose(local, f"{path}, {skeleton.GetPath()}"), strict=True):
             value[frame, roots] = part
+
+
+def read_all(path: Path) -> None:
+    """Read all that this project reads of a file, whatever it holds, in this very process."""
+    for read in (
+        lambda stage: character_of(stage, path, "probe"),
+        lambda stage: animation_of(stage, path),
+        lambda stage: point_cache_of(stage, path),
+    ):
+        with suppress(InputError), open_stage(path, guarded=False) as stage:
+            read(stage)

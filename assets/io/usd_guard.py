@@ -27,7 +27,7 @@ try:
     resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[2]), int(sys.argv[2])))
 except ImportError:  # Windows has none
     pass
-from assets.io.usd import read_all
+from assets.io.usd_character import read_all
 read_all(Path(sys.argv[1]))
 """
 

@@ -7,14 +7,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from assets.garment import Garment
+from assets.garment import BUILTIN_GARMENTS, Garment
 from assets.procedural.mannequin import DATA
 from pbd.errors import InputError
 from pbd.mesh import lattice_faces
 
-__all__ = ["BUILTIN_GARMENTS", "builtin_garment"]
-
-BUILTIN_GARMENTS = ("circle_skirt", "flag", "shirt", "skirt", "tablecloth", "trousers", "tshirt")
+__all__ = ["builtin_garment"]
 
 _SHEET_EDGE = 0.04  # of flag and tablecloth [m]
 
@@ -36,7 +34,7 @@ def builtin_garment(name: str) -> Garment:
     if name not in BUILTIN_GARMENTS:
         expected = "one of " + ", ".join(BUILTIN_GARMENTS)
         raise InputError("no such built-in garment", received=name, expected=expected)
-    from assets.io.sewn import read_sewn  # loads much that a scene without clothes of its own does not need
+    from assets.sewing.sewn_file import read_sewn  # loads much that a scene without clothes of its own does not need
 
     return replace(read_sewn(DATA / f"{name}.npz").garment, source=f"builtin:{name}")
 

@@ -10,13 +10,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from assets.io.sewn import write_sewn
 from assets.measures import measure
 from assets.patterns.drafts import draft
-from assets.procedural.mannequin import DATA
-from assets.sewing.body import load_standing_body
+from assets.procedural.mannequin import DATA, builtin_mannequin
+from assets.sewing.body import closed_body
 from assets.sewing.garment import SewnGarment
 from assets.sewing.sewing import sew
+from assets.sewing.sewn_file import write_sewn
 
 __all__ = ["CUTS", "BuiltinCut", "sewn_builtin", "write_garments"]
 
@@ -55,7 +55,8 @@ def sewn_builtin(name: str) -> SewnGarment:
         KeyError: no such garment is sewn.
         SewingError: it does not come out whole.
     """
-    cut, body = CUTS[name], load_standing_body("builtin:mannequin")
+    cut, mannequin = CUTS[name], builtin_mannequin()
+    body = closed_body(mannequin.name, mannequin.vertices, mannequin.faces)
     pattern = draft(cut.draft, measure(body), **cut.parameters)
     return sew(pattern, body, cut.fabric, cut.edge_length)
 

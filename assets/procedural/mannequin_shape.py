@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from assets.procedural.implicit import (
+from assets.implicit import (
     ellipsoid,
     loft,
     smooth_max,
@@ -144,7 +144,7 @@ def skin_weights(vertices: Floats, faces: NDArray[np.int32]) -> Floats:
 
 
 def body_field(points: Floats) -> Floats:
-    """The mannequin's body as a solid (see :mod:`assets.procedural.implicit`).
+    """The mannequin's body as a solid (see :mod:`assets.implicit`).
 
     Args:
         points: [m], shape (n, 3).

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from assets.sewing.body import StandingBody
 from assets.sewing.pieces import Pieces
 from pbd.contact.colliders import Body, Colliders
-from pbd.contact.strain_limits import MAX_STRETCH
 from pbd.fabric import Fabric
-from pbd.mesh import ClothMesh, vertex_rings
+from pbd.mesh import MAX_STRETCH, ClothMesh, vertex_rings
 from pbd.model import State, build_model
 from pbd.opening import neighbour_means
 from pbd.xpbd.solver import Solver, SolverOptions

@@ -24,8 +24,8 @@ from pbd import Fabric
 from pbd.fabric import stiffening_stress
 from pbd.storage import replacing
 from precompute.fabric_lab.fabric_report import PULLED
-from precompute.fabric_lab.laboratory import DIRECTIONS, LoadCurve, bending_curve, shear_curve, tension_curve
 from precompute.validation.drape_rows import PEDESTAL, drape, drape_coefficient, fold_number
+from precompute.validation.laboratory import DIRECTIONS, LoadCurve, bending_curve, shear_curve, tension_curve
 from precompute.validation.trial import TrialSetting
 from runtime.picture_content import Drawn, frame_camera
 from runtime.pictures import render

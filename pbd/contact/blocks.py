@@ -7,8 +7,7 @@ also have a normal, corners and their displacements. A lane without a face has a
 import numpy as np
 
 from pbd.engine import ti
-from pbd.geometry import vec3
-from pbd.xpbd.constraints import larger
+from pbd.geometry import larger, vec3
 
 __all__ = [
     "CORNERS", "DISPLACEMENTS", "HIGH", "LANES", "LOW", "NORMAL", "Blocks", "empty_blocks", "facing", "features",

@@ -4,11 +4,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from pbd.contact.blocks import greater, smaller
+from pbd.contact.body_surface import BodySurface
 from pbd.engine import ti
-from pbd.geometry import FAR, Float1, Int1, Int2, Int3, Vec3, Vec4, between, vec3, vec4, xyz
+from pbd.geometry import FAR, Float1, Int1, Int2, Int3, Vec3, Vec4, between, larger, vec3, vec4, xyz
 from pbd.taichi_internals import in_kernel
-from pbd.xpbd.constraints import larger
-from pbd.xpbd.views import BodySurface
 
 __all__ = ["MAX_CELLS", "find_nearest"]
 
@@ -261,7 +260,7 @@ def find_nearest_vertices(search: ti.template(), body: ti.template(), dt: ti.f32
     vertices that the ends of their edge found.
 
     Args:
-        search: :class:`BodySearch`; ``body``: :class:`pbd.xpbd.views.BodySurface`.
+        search: :class:`BodySearch`; ``body``: :class:`pbd.contact.body_surface.BodySurface`.
         dt: frame time [s].
         thickness: kept between cloth and body [m].
     """

@@ -1,9 +1,9 @@
 """Pairs of cloth features: what keeps them apart, and what brings back a vertex that is through a face."""
 
+from pbd.contact.corrections import contact_correction
 from pbd.contact.response import substep_start
 from pbd.engine import ti
 from pbd.geometry import closest_on_triangle, vec3, vec4, xyz
-from pbd.xpbd.constraints import contact_correction
 
 __all__ = ["PULL", "closest_on_segments", "closest_points", "corners_of", "pulled", "solve_pairs"]
 

@@ -1,8 +1,8 @@
 """Contact in a substep: with the faces of a body, with primitives and with distance fields."""
 
+from pbd.contact.corrections import contact_correction, cushioned
 from pbd.engine import ti
 from pbd.geometry import between, closest_in_fan, closest_on_triangle, descend, vec3, vec4, xyz
-from pbd.xpbd.constraints import contact_correction, cushioned
 
 __all__ = [
     "collide_fields",

@@ -8,15 +8,14 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
+from pbd.contact.corrections import tether_correction
 from pbd.contact.response import height_over, substep_start
 from pbd.engine import ti
 from pbd.geometry import vec3, vec4, xyz
-from pbd.mesh import ClothMesh
-from pbd.xpbd.constraints import tether_correction
+from pbd.mesh import MAX_STRETCH, ClothMesh
 
-__all__ = ["MAX_STRETCH", "limit_rows", "near_limits", "solve_strain_limits", "strain_limits"]
+__all__ = ["limit_rows", "near_limits", "solve_strain_limits", "strain_limits"]
 
-MAX_STRETCH = 1.5  # greatest length of an edge over its rest length [-]
 MAX_RETURN_SPEED = 3.0  # of an edge that starts a substep too long: a correction is also a velocity [m/s]
 RETURN_RATE = 600.0  # of the same edge, over what it is too long by [1/s]: at once it would tremble for ever
 NEAR_SHARE = 0.8  # share of their greatest length from which edges are near it [-]

@@ -7,11 +7,11 @@ Taichi takes at most 64 arguments, so that numbers come in two of them. The kern
 from collections.abc import Callable
 from functools import cache
 
+from pbd.contact.body_surface import BodySurface
 from pbd.engine import ti
 from pbd.geometry import Float1, Float2, Int1, Int2, Int3, Int4, Vec2, Vec3, Vec4, Vec4Rows
 from pbd.xpbd.schedule import advance_garment
 from pbd.xpbd.views import (
-    BodySurface,
     ClothArrays,
     ConstraintArrays,
     ContactWork,

@@ -1,5 +1,6 @@
 """One pass over the constraints of each kind, or of one colour of them."""
 
+from pbd.contact.corrections import limit_correction, tether_correction
 from pbd.engine import ti
 from pbd.geometry import vec3, vec4, xyz
 from pbd.model import BLOCK
@@ -8,12 +9,10 @@ from pbd.xpbd.constraints import (
     bent_hinge,
     hinge_multiplier,
     hinge_normal,
-    limit_correction,
     membrane_multipliers,
     rubbing_hinge,
     stiffened,
     stitch_multiplier,
-    tether_correction,
 )
 
 __all__ = ["solve_bending", "solve_limits", "solve_membrane", "solve_stitches", "solve_tethers"]

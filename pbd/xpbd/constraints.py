@@ -7,28 +7,24 @@ term of XPBD (Macklin, Mueller, Chentanez 2016, eq. 18) keeps material stiffness
 
 from pbd.engine import ti
 from pbd.fabric import MAX_STIFFENING_STRAIN
+from pbd.geometry import larger
 
 __all__ = [
     "FRICTION_STIFFNESS",
     "bent_hinge",
-    "contact_correction",
     "drag_velocity",
     "hinge_multiplier",
     "hinge_normal",
-    "larger",
-    "limit_correction",
     "membrane_multipliers",
     "rubbing_hinge",
     "rubbing_shear",
     "spring_multiplier",
     "stiffened",
     "stitch_multiplier",
-    "tether_correction",
 ]
 
 vec3 = ti.math.vec3
 mat3x2 = ti.types.matrix(3, 2, ti.f32)
-PUSH_OUT = 0.5  # a vertex that starts a substep inside a body comes out no faster than this against it [m/s]
 MIN_LENGTH_RATIO = 0.05  # a warp or weft compressed below this keeps its direction but not its slope [-]
 MIN_DETERMINANT = 1e-6  # of a triangle's system, over the product of its diagonal [-]
 # The shear acts as if warp and weft met at no sharper angle than 51 deg. Where they lie along each other, the true
@@ -41,12 +37,6 @@ FRICTION_STIFFNESS = 3.0  # of an element of internal friction, of a hinge or of
 # A hinge is nearly closed when (x_j - x_i) x (x_k - x_l) is no longer than this times its edge squared [-].
 MIN_OPENING = 0.1
 NO_OPENING = 1e-18  # of a hinge whose vertices are all in one point, which has no direction [m2]
-
-
-@ti.func
-def larger(a: ti.f32, b: ti.f32) -> ti.f32:
-    """The larger of two, b if a is not a number: one instruction, where ``ti.max`` takes four."""
-    return ti.select(a > b, a, b)
 
 
 @ti.func
@@ -372,102 +362,6 @@ def stitch_multiplier(to_a: vec3, to_b: vec3, w: ti.f32, inverse_v: ti.f32, inve
     """
     u = 1.0 - w
     return (u * to_a + w * to_b) / ti.max(inverse_v + u * u * inverse_a + w * w * inverse_b, 1e-20)
-
-
-@ti.func
-def tether_correction(offset: vec3, length: ti.f32):
-    """Long-range attachment (Kim, Chentanez, Mueller 2012): correction [m] of an offset [m] beyond its length [m]."""
-    distance = offset.norm()
-    correction = vec3(0.0)
-    if distance > length:
-        correction = offset * (length / distance - 1.0)
-    return correction
-
-
-@ti.func
-def limit_correction(offset: vec3, normal: vec3, law: ti.math.vec4, inverse_h2: ti.f32, inverse_mass: ti.f32):
-    """Soft and hard limits of a vertex about its target, the point to which the body carries it.
-
-    A spring draws it there (XPBD, its multiplier from zero), a sphere keeps it near, a wall keeps it from going deep.
-
-    Args:
-        offset: from the target [m].
-        normal: of the garment there, unit.
-        law: maximum distance [m], depth of the wall under the target [m], compliance of the spring [m/N]; nothing
-            below zero is there.
-        inverse_h2: [1/s2].
-        inverse_mass: [1/kg].
-
-    Returns:
-        Correction of the position [m].
-    """
-    x = offset
-    if law[2] >= 0.0:
-        x *= 1.0 - inverse_mass / ti.max(inverse_mass + law[2] * inverse_h2, 1e-20)
-    if law[0] >= 0.0:
-        x *= ti.min(1.0, law[0] / ti.max(x.norm(), 1e-20))
-    if law[1] >= 0.0:
-        x += ti.max(0.0, -law[1] - x.dot(normal)) * normal
-    return ti.select(inverse_mass > 0.0, x - offset, vec3(0.0))
-
-
-@ti.func
-def contact_correction(gap: ti.f32, normal: vec3, slip: vec3, friction: ti.f32, h: ti.f32):
-    """Contact by position with Coulomb friction (Mueller et al. 2007; Macklin et al. 2014, eq. 24).
-
-    Motion into the collider is cancelled completely. Depth that was there before is removed at ``PUSH_OUT``: a
-    correction is also a velocity, and a correction of the whole depth in one substep would throw the vertex out.
-
-    Args:
-        gap: signed distance to the collider less the thickness [m]; negative is contact.
-        normal: outward, unit.
-        slip: motion against the collider over the substep, before this correction [m].
-        friction: Coulomb coefficient [-].
-        h: substep [s].
-
-    Returns:
-        Correction of the position [m]. Sticks (cancels the whole tangential slip) inside the cone.
-    """
-    correction = vec3(0.0)
-    if gap < 0.0:
-        along = slip.dot(normal)
-        depth = ti.min(-gap, ti.max(h * PUSH_OUT - along, 0.0))
-        correction = depth * normal
-        tangential = slip - along * normal
-        size = tangential.norm()
-        limit = depth * friction
-        if size > limit:
-            correction -= tangential * (limit / size)
-        else:
-            correction -= tangential
-    return correction
-
-
-@ti.func
-def cushioned(gap: ti.f32, thickness: ti.f32, scaled_compliance: ti.f32):
-    """The gap that remains to be closed where the cloth gives way by van Wyk's law, P = p_c ((T0/T)^3 - 1).
-
-    An implicit step of the vertex against the law. The correction c leaves the depth r = -gap - c. The pressure at that
-    depth must cause the correction: c = (h^2/rho_A) P(r). Newton's method solves this equation.
-
-    Args:
-        gap: signed distance to the collider less the thickness without pressure [m].
-        thickness: T0 [m].
-        scaled_compliance: h^2 p_c / rho_A [m]; 0 for cloth that does not give way.
-
-    Returns:
-        The gap that a correction has to close [m].
-    """
-    left = gap
-    if scaled_compliance > 0.0 and gap < 0.0:
-        # In y = (T0/T)^3: y - 1 + (T0/g) (1 - y^(-1/3)) = depth/g, g the scaled compliance.
-        y = 1.0 - gap / scaled_compliance
-        for _ in range(8):
-            root = ti.pow(y, -1.0 / 3.0)
-            off = scaled_compliance * (y - 1.0) + thickness * (1.0 - root) + gap
-            y = ti.max(y - off / (scaled_compliance + thickness * root / (3.0 * y)), 1.0)
-        left = -scaled_compliance * (y - 1.0)
-    return left
 
 
 @ti.func

@@ -6,9 +6,9 @@ the coarsest down, and its corrections are added to the next finer one (prolonga
 
 from pbd.contact.response import substep_start
 from pbd.engine import ti
-from pbd.geometry import vec3, vec4, xyz
+from pbd.geometry import larger, vec3, vec4, xyz
 from pbd.model import BLOCK
-from pbd.xpbd.constraints import larger, spring_multiplier
+from pbd.xpbd.constraints import spring_multiplier
 
 __all__ = ["prolong", "restrict", "solve_levels", "solve_springs"]
 

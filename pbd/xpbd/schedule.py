@@ -3,6 +3,7 @@
 An order that sweeps the mesh from one end to the other is unstable. Constraints of one colour share no vertex.
 """
 
+from pbd.contact.corrections import cushioned
 from pbd.contact.pairs import pulled, solve_pairs
 from pbd.contact.response import (
     collide_fields,
@@ -19,7 +20,7 @@ from pbd.contact.strain_limits import near_limits, solve_strain_limits
 from pbd.engine import ti
 from pbd.geometry import FAR, vec3, vec4, xyz
 from pbd.xpbd.constraint_passes import solve_bending, solve_limits, solve_membrane, solve_stitches, solve_tethers
-from pbd.xpbd.constraints import cushioned, drag_velocity
+from pbd.xpbd.constraints import drag_velocity
 from pbd.xpbd.multigrid_cycle import restrict, solve_levels
 from pbd.xpbd.stiff_bending import solve_stiff_bending
 

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from assets.fabrics import PRESETS
-from assets.garment import load_garment
 from assets.io.body_settings import MotionSettings
 from assets.io.scene import parse_scene
+from assets.loading import load_garment
 from pbd import ClothMesh, InputError, ModelOptions, SolverOptions, build_model
 from pbd.crossings import crossings
 from pbd.distance import TOLERANCE, BodyDistance

@@ -14,7 +14,7 @@ from pbd.xpbd.constraint_passes import solve_bending, solve_membrane
 from pbd.xpbd.constraints import spring_multiplier
 from pbd.xpbd.multigrid_cycle import solve_springs
 from pbd.xpbd.views import ClothArrays, ConstraintArrays, MultigridArrays
-from precompute.benchmarks.solver_scenes import hanging_square
+from precompute.solver_scenes import hanging_square
 
 __all__ = ["constraint_costs"]
 

@@ -10,11 +10,11 @@ from typing import Any
 from pbd import SolverOptions
 from precompute.benchmarks.constraint_cost import constraint_costs
 from precompute.benchmarks.contact_bench import self_collision_cost
-from precompute.benchmarks.solver_scenes import SolverMeasurement, hanging_square, measure
 from precompute.mechanics import FRAME_RATE
 from precompute.method_comparison.engines import EngineRun, bench_engines
 from precompute.reporting.page import Chart, Point, Section, Table, Text, write_page
 from precompute.reporting.tables import write_table
+from precompute.solver_scenes import SolverMeasurement, hanging_square, measure
 from runtime.report import machine_description
 
 __all__ = ["SolverRun", "SolverBench", "bench_rows", "bench_solver", "bench_verdict", "write_bench"]
@@ -57,7 +57,7 @@ class SolverRun:
         substeps: of a frame.
         coarse_sweeps: as in :class:`pbd.SolverOptions`.
         measured: the result.
-        passed: every limit held, see :meth:`precompute.benchmarks.solver_scenes.SolverMeasurement.passes`.
+        passed: every limit held, see :meth:`precompute.solver_scenes.SolverMeasurement.passes`.
     """
 
     side: int

@@ -16,7 +16,8 @@ from assets.text import read_words
 from pbd import Fabric
 from pbd.errors import InputError
 from pbd.fabric import stiffening_stress
-from precompute.fabric_lab.laboratory import (
+from precompute.reporting.charts import write_png
+from precompute.validation.laboratory import (
     DIRECTIONS,
     LoadCurve,
     bending_curve,
@@ -24,7 +25,7 @@ from precompute.fabric_lab.laboratory import (
     shear_curve,
     tension_curve,
 )
-from precompute.fabric_lab.loops import (
+from precompute.validation.loops import (
     LOOP_SOLVER,
     LOOPS,
     bending_loop,
@@ -32,12 +33,11 @@ from precompute.fabric_lab.loops import (
     check_loop,
     shear_loop,
 )
-from precompute.reporting.charts import write_png
 from precompute.validation.trial import TrialSetting
 
 __all__ = ["FittedCurve", "draw_fit", "fit_fabric", "read_curves"]
 
-# Columns of a row, in the units of :class:`precompute.fabric_lab.laboratory.LoadCurve`.
+# Columns of a row, in the units of :class:`precompute.validation.laboratory.LoadCurve`.
 COLUMNS = ("instrument", "direction", "deformation", "load")
 INSTRUMENTS = {"tension": tension_curve, "shear": shear_curve, "bending": bending_curve}
 LOOP_INSTRUMENTS = {"bending_loop": bending_loop, "shear_loop": shear_loop}
@@ -69,11 +69,11 @@ def read_curves(path: Path) -> dict[tuple[str, str], LoadCurve]:
     Instruments are tension (strain, N/m), shear (rad, N/m) and bending (1/m, N); directions warp, weft and bias. And
     compression (thickness in m, Pa) in the direction normal. A bending_loop or shear_loop, in the units of bending and
     shear, has its rows in the order in which it was measured and goes to both sides
-    (:func:`precompute.fabric_lab.loops.branches`).
+    (:func:`precompute.validation.loops.branches`).
 
     Raises:
         InputError: no such file, another header, an unknown word, a number that is not finite or, but for a loop, not
-            above 0, or a loop that is none (:func:`precompute.fabric_lab.loops.check_loop`).
+            above 0, or a loop that is none (:func:`precompute.validation.loops.check_loop`).
     """
     rows = read_words(path, COLUMNS)
     points: dict[tuple[str, str], list[tuple[float, float]]] = {}

@@ -12,7 +12,10 @@ from matplotlib.figure import Figure
 
 from pbd import Fabric
 from pbd.models.newton import StepError
-from precompute.fabric_lab.laboratory import (
+from precompute.reporting.charts import write_png
+from precompute.reporting.tables import write_table
+from precompute.validation.drape_rows import cusick_drape
+from precompute.validation.laboratory import (
     DIRECTIONS,
     LoadCurve,
     bending_curve,
@@ -21,10 +24,7 @@ from precompute.fabric_lab.laboratory import (
     shear_curve,
     tension_curve,
 )
-from precompute.fabric_lab.loops import LOOP_SOLVER, LOOPS, bending_loop, read_loop, shear_loop
-from precompute.reporting.charts import write_png
-from precompute.reporting.tables import write_table
-from precompute.validation.drape_rows import cusick_drape
+from precompute.validation.loops import LOOP_SOLVER, LOOPS, bending_loop, read_loop, shear_loop
 from precompute.validation.trial import TrialSetting
 
 __all__ = [
@@ -63,7 +63,7 @@ def measure_fabric(
 
     Loops of bending and shear are measured with the finite elements whatever the setting's solver: a load cell reads
     nothing but the membrane of the default one. Their figures are named as Kawabata names them
-    (:func:`precompute.fabric_lab.loops.read_loop`).
+    (:func:`precompute.validation.loops.read_loop`).
 
     Args:
         fabric: SI values.
@@ -97,7 +97,7 @@ def measure_fabric(
 
 
 def pull(setting: TrialSetting, fabric: Fabric, angle: float, strains: Sequence[float]) -> LoadCurve:
-    """Tension; arguments as for :func:`precompute.fabric_lab.laboratory.tension_curve`.
+    """Tension; arguments as for :func:`precompute.validation.laboratory.tension_curve`.
 
     Newton's method does not find every equilibrium of cloth that stiffens, and ends: the default solver takes over, in
     steps that are small enough.

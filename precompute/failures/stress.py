@@ -16,8 +16,8 @@ import numpy as np
 from pbd import Colliders, Fabric, InputError, State, build_model
 from pbd.models.newton import StepError
 from pbd.models.registry import make_solver
-from precompute.benchmarks.solver_scenes import STIFF, hanging_square
 from precompute.mechanics import FRAME_RATE
+from precompute.solver_scenes import STIFF, hanging_square
 
 __all__ = ["QUOTED", "RUNS", "StressRun", "stress_figures", "stress_rows", "stress_text"]
 

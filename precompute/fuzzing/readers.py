@@ -12,16 +12,15 @@ import numpy as np
 from ezdxf.document import Drawing
 from ezdxf.enums import InsertUnits
 
-from assets.character import load_animation, load_character
 from assets.fabrics import PRESETS, load_fabric
-from assets.garment import load_garment
 from assets.io.bvh import read_bvh
+from assets.io.retarget import load_joint_table
 from assets.io.scene import load_scene
 from assets.io.sequence import load_sequence
 from assets.limits import load_limits
+from assets.loading import load_animation, load_character, load_garment
 from assets.patterns.load import load_pattern
 from assets.procedural.mannequin import DATA, builtin_mannequin
-from assets.retarget import load_joint_table
 from assets.seams import load_seams
 from pbd import State, build_model
 from pbd.mesh import ClothMesh, lattice_faces

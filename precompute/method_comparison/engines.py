@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from pbd import InputError
-from precompute.benchmarks.solver_scenes import SolverMeasurement, SolverScene, hanging_square, measure_steps
 from precompute.mechanics import FRAME_RATE, GRAVITY
 from precompute.scratch import scratch_folder
+from precompute.solver_scenes import SolverMeasurement, SolverScene, hanging_square, measure_steps
 
 __all__ = ["ENGINES", "EngineRun", "bench_engines"]
 

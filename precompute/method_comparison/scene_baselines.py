@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from pbd import InputError, Model
-from precompute.benchmarks.solver_scenes import SolverScene
 from precompute.method_comparison.engines import ENGINES
+from precompute.solver_scenes import SolverScene
 
 __all__ = ["BASELINES", "start_baseline"]
 

@@ -19,8 +19,8 @@ from scipy.signal import find_peaks
 from trimesh import Trimesh
 from trimesh.intersections import mesh_plane
 
-from assets.garment import load_garment
 from assets.io.sequence import load_sequence
+from assets.loading import load_garment
 from assets.seams import Seams, load_seams
 from pbd import Body, ClothMesh, Colliders, Fabric, Model, ModelOptions, Solver, SolverOptions, State, build_model
 from precompute.mechanics import FRAME_RATE

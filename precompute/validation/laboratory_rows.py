@@ -11,7 +11,7 @@ import numpy as np
 
 from assets.fabrics import load_fabric, measured_tension
 from pbd import Fabric
-from precompute.fabric_lab.laboratory import (
+from precompute.validation.laboratory import (
     DIRECTIONS,
     LoadCurve,
     bending_curve,

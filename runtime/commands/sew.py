@@ -72,9 +72,9 @@ def run(options: argparse.Namespace) -> Report:
     """Sew a pattern and write the garment."""
     import numpy as np
 
-    from assets.io.sewn import write_sewn
-    from assets.sewing.body import load_standing_body
+    from assets.loading import load_standing_body
     from assets.sewing.sewing import SewingError, sew
+    from assets.sewing.sewn_file import write_sewn
     from runtime.figures import figure_lines
     from runtime.outputs import check_file
     from runtime.report import Progress, Report

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from assets.character import load_character
 from assets.io.obj import read_obj
 from assets.io.sequence import load_sequence
+from assets.loading import load_character
 from assets.sewing.body import StandingBody
 from tests.data import data_path
 

@@ -11,7 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from assets.animation import clip_on
-from assets.character import Animation, Character, Clip, load_animation, load_character
+from assets.character import Animation, Character, Clip
+from assets.loading import load_animation, load_character
 from pbd.errors import InputError
 from tests.assets.files import Glb, bar_glb, bend_glb, turn_z
 

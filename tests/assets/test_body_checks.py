@@ -13,11 +13,9 @@ from pxr import Usd, UsdGeom, Vt
 
 import assets.io.usd
 from assets.body_checks import check_right_side_out
-from assets.character import load_character
-from assets.garment import load_garment
 from assets.io.converted import write_garment
 from assets.io.sequence import load_sequence
-from assets.sewing.body import load_standing_body
+from assets.loading import load_character, load_garment, load_standing_body
 from pbd.errors import InputError
 from tests.assets.files import Glb
 from tests.wrinkles.meshes import icosphere, tube

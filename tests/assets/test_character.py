@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from assets.character import Character, Clip, load_character, with_clips
+from assets.character import Character, Clip, with_clips
+from assets.loading import load_character
 from pbd.errors import InputError
 from tests.assets.files import bar_glb, turn_z
 from tests.data import data_path

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from assets.garment import Garment, boundary_loops, highest_loop, load_garment
+from assets.garment import Garment, boundary_loops, highest_loop
 from assets.io.obj import read_obj, triangulate
+from assets.loading import load_garment
 from assets.weld import weld
 from pbd.errors import InputError
 from tests.assets.files import Glb

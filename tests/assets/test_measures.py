@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from assets.character import load_character
 from assets.io.obj import read_obj
+from assets.loading import load_character
 from assets.measures import MEASURES, BodyMeasures, measure
 from assets.sewing.body import StandingBody, closed_body
 from pbd.errors import InputError

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from assets.character import Character, Clip, load_character
+from assets.character import Character, Clip
+from assets.loading import load_character
 from assets.motion import ClipMotion, part_of
 from assets.skinning import skin_vertices
 from assets.transform import slerp

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from assets.body_checks import UNITS
-from assets.character import load_character
-from assets.garment import highest_loop, load_garment
+from assets.garment import highest_loop
+from assets.loading import load_character, load_garment
 from assets.placement import AS_STORED, Placement, best_placement, body_placement, check_worn, fit_of
 from pbd.errors import InputError
 from tests.wrinkles.meshes import flat_sheet, icosphere

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from assets.procedural.implicit import (
+from assets.implicit import (
     ellipsoid,
     field_gradient,
     project,

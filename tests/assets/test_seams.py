@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from assets.garment import boundary_loops, load_garment
+from assets.garment import boundary_loops
+from assets.loading import load_garment
 from assets.seams import Seams, load_seams, sew, without_pleats
 from pbd import InputError
 from pbd.mesh import edges_of

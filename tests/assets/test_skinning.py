@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from assets.character import Character, load_character
+from assets.character import Character
+from assets.loading import load_character
 from assets.skinning import SkinnedBody, skin_vertices
 from pbd.engine import ti
 from tests.data import data_path

@@ -16,17 +16,16 @@ import pytest
 from ezdxf.document import Drawing
 from ezdxf.enums import InsertUnits
 
-from assets.character import load_character
 from assets.fabrics import load_fabric
-from assets.garment import load_garment
 from assets.io.bvh import read_bvh
 from assets.io.gltf import read_document
 from assets.io.obj import read_obj
+from assets.io.retarget import load_joint_table
 from assets.io.scene import load_scene, parse_scene
 from assets.io.sequence import load_sequence
 from assets.limits import load_limits
+from assets.loading import load_character, load_garment
 from assets.patterns.load import load_pattern
-from assets.retarget import load_joint_table
 from assets.seams import load_seams
 from assets.text import read_text, read_words
 from pbd.errors import InputError

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.character import load_character
-from assets.garment import load_garment
+from assets.garment import BUILTIN_GARMENTS
 from assets.io.converted import write_garment
-from assets.procedural.builtin import BUILTIN_GARMENTS, builtin_garment
+from assets.loading import load_character, load_garment
+from assets.procedural.builtin import builtin_garment
 from assets.texture import joined, split
 from tests.assets.files import Glb, bar_glb
 

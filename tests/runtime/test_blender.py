@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from assets.character import load_character
-from assets.garment import load_garment
 from assets.io.scene import load_scene
+from assets.loading import load_character, load_garment
 from assets.motion import ClipMotion
 from assets.procedural.mannequin import builtin_mannequin
 from assets.skinning import skin_vertices

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from assets.character import Character
-from assets.garment import Garment, load_garment
+from assets.garment import Garment
 from assets.io.scene import parse_scene
+from assets.loading import load_garment
 from assets.motion import ClipMotion
 from assets.procedural.mannequin import builtin_mannequin
 from pbd import InputError

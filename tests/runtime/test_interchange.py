@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
 
-from assets.character import Character, load_character
-from assets.garment import load_garment
+from assets.character import Character
 from assets.io.body_settings import MotionSettings
 from assets.io.obj import read_obj
 from assets.io.scene import parse_scene
 from assets.io.sequence import Sequence
+from assets.loading import load_character, load_garment
 from assets.motion import ClipMotion
 from assets.procedural.mannequin import builtin_mannequin
 from pbd import InputError

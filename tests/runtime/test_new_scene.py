@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from assets.character import Character, Clip
-from assets.garment import Garment, boundary_loops, load_garment
+from assets.garment import Garment, boundary_loops
 from assets.io.converted import write_garment
 from assets.io.scene import load_scene
 from assets.io.settings import portable_path
+from assets.loading import load_garment
 from assets.placement import fit_of
 from pbd import InputError
 from runtime import command

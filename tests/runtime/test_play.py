@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from assets.character import Character
-from assets.garment import load_garment
 from assets.io.converted import write_garment
 from assets.io.scene import parse_scene
 from assets.io.sequence import Sequence
+from assets.loading import load_garment
 from assets.motion import ClipMotion
 from pbd import InputError
 from pbd.wind import Wind

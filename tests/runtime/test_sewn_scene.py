@@ -12,10 +12,10 @@ from scipy.spatial import cKDTree
 
 from assets.garment import boundary_loops, highest_loop
 from assets.io.scene import parse_scene
-from assets.io.sewn import read_sewn, write_sewn
 from assets.procedural.mannequin import DATA
 from assets.sewing.sewing import sew
-from pbd.contact.strain_limits import MAX_STRETCH
+from assets.sewing.sewn_file import read_sewn, write_sewn
+from pbd.mesh import MAX_STRETCH
 from runtime import command
 from runtime.garment_setup import GarmentSetup
 from runtime.scene_simulation import simulation_of

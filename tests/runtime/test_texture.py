@@ -11,10 +11,10 @@ import trimesh
 from pxr import Usd, UsdGeom
 
 import assets.io.usd
-from assets.character import Character, load_character
-from assets.garment import load_garment
+from assets.character import Character
 from assets.io.scene import parse_scene
 from assets.io.sequence import Sequence, load_sequence
+from assets.loading import load_character, load_garment
 from pbd.errors import InputError
 from runtime.bake import bake_glb, bake_mdd, bake_obj, bake_usd
 from runtime.garment_mesh import subdivided, texture_of

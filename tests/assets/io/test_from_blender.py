@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from assets.character import load_character
 from assets.io.bvh import read_bvh
 from assets.io.sequence import load_sequence
+from assets.loading import load_character
 from assets.skinning import skin_vertices
 from tests.blender import POSED_VERTICES, require_blender
 from tests.data import data_path

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from assets.character import Character, load_character
+from assets.character import Character
+from assets.loading import load_character
 from assets.skinning import skin_vertices
 from pbd.errors import InputError
 from tests.assets.files import Glb, bar_glb, turn_z

@@ -12,8 +12,9 @@ import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from assets.animation import clip_on
-from assets.character import Character, load_animation, load_character
+from assets.character import Character
 from assets.io.sequence import is_sequence
+from assets.loading import load_animation, load_character
 from assets.skinning import skin_vertices
 from pbd.errors import InputError
 from tests.assets.files import bar_glb

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from assets.garment import boundary_loops, load_garment
-from assets.procedural.builtin import BUILTIN_GARMENTS, builtin_garment
+from assets.garment import BUILTIN_GARMENTS, boundary_loops
+from assets.loading import load_garment
+from assets.procedural.builtin import builtin_garment
 from assets.procedural.builtin_sewing import CUTS, sewn_builtin
 from assets.procedural.mannequin import builtin_mannequin
-from pbd.contact.strain_limits import MAX_STRETCH
 from pbd.errors import InputError
-from pbd.mesh import ClothMesh
+from pbd.mesh import MAX_STRETCH, ClothMesh
 
 SEWN = tuple(CUTS)
 LOOPS = {"flag": 1, "tablecloth": 1, "circle_skirt": 2, "shirt": 4, "skirt": 2, "trousers": 3, "tshirt": 4}

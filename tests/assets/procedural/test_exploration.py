@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from assets.character import Character, load_character
+from assets.character import Character
+from assets.loading import load_character
 from assets.procedural.exploration import exploration_clip, exploration_motion
 from assets.procedural.mannequin import builtin_mannequin
 from assets.skinning import skin_vertices

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from assets.character import Character, Clip, load_character
+from assets.character import Character, Clip
+from assets.loading import load_character
 from assets.procedural.mannequin import builtin_mannequin
 from assets.procedural.mannequin_shape import body_field, skin_weights, strongest
 from assets.skinning import skin_vertices

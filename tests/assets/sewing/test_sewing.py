@@ -8,17 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from assets.garment import boundary_loops, highest_loop, load_garment
-from assets.io.sewn import read_sewn, write_sewn
+from assets.garment import boundary_loops, highest_loop
+from assets.loading import load_garment, load_standing_body
 from assets.measures import measure
 from assets.patterns.drafts import DRAFTS, draft
 from assets.patterns.load import load_pattern
 from assets.patterns.panel_mesh import cut
 from assets.sewing.arrangement import CLEARANCE, arranged
-from assets.sewing.body import StandingBody, load_standing_body
+from assets.sewing.body import StandingBody
 from assets.sewing.garment import SewnGarment, drape_figures, faults_of, faulty_panels
 from assets.sewing.pieces import pieces_of
 from assets.sewing.sewing import SewingError, arranged_pieces, sew
+from assets.sewing.sewn_file import read_sewn, write_sewn
 from pbd.contact.colliders import Body
 from pbd.distance import BodyDistance
 from pbd.errors import InputError

@@ -15,11 +15,12 @@ from functools import cache
 import numpy as np
 import pytest
 
+from assets.loading import load_standing_body
 from assets.measures import measure
 from assets.patterns.drafts import DRAFTS, draft
 from assets.patterns.load import load_pattern
 from assets.patterns.pattern import Panel, Pattern
-from assets.sewing.body import StandingBody, load_standing_body
+from assets.sewing.body import StandingBody
 from assets.sewing.sewing import COARSE_EDGE, SewingError, sew
 from pbd.errors import InputError
 from tests.data import data_path

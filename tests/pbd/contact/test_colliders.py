@@ -22,9 +22,9 @@ from pbd import (
 )
 from pbd.contact.body_search import MAX_CELLS, find_nearest
 from pbd.contact.colliders import EDGES
+from pbd.contact.corrections import PUSH_OUT
 from pbd.engine import ti
 from pbd.geometry import FAR, closest_on_triangle
-from pbd.xpbd.constraints import PUSH_OUT
 from tests.pbd.meshes import (
     RADIUS,
     THICKNESS,

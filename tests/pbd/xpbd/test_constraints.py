@@ -4,21 +4,19 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from pbd.contact.corrections import PUSH_OUT, contact_correction, tether_correction
 from pbd.engine import ti
 from pbd.fabric import stiffening_stress
 from pbd.xpbd.constraints import (
     FRICTION_STIFFNESS,
     MIN_OPENING,
-    PUSH_OUT,
     bent_hinge,
-    contact_correction,
     drag_velocity,
     hinge_multiplier,
     hinge_normal,
     membrane_multipliers,
     stiffened,
     stitch_multiplier,
-    tether_correction,
 )
 from tests.pbd.meshes import turn
 

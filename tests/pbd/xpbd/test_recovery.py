@@ -6,9 +6,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from assets.character import load_character
 from assets.fabrics import PRESETS
-from assets.garment import load_garment
+from assets.loading import load_character, load_garment
 from pbd import Body, Colliders, Fabric, Model, Solver, SolverOptions, State, build_model
 from pbd.attachment import push_outside
 from pbd.crossings import crossings

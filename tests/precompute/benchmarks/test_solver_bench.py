@@ -19,8 +19,8 @@ from precompute.benchmarks.solver_bench import (
     bench_verdict,
     write_bench,
 )
-from precompute.benchmarks.solver_scenes import SolverMeasurement, hanging_square, measure
 from precompute.method_comparison.engines import EngineRun, bench_engines
+from precompute.solver_scenes import SolverMeasurement, hanging_square, measure
 from runtime import command
 
 GOOD = SolverMeasurement(1.0, 0.005, 0.01, 0.03, 0.24)

@@ -19,7 +19,7 @@ from precompute.fabric_lab.fabric_report import (
     pull,
     write_curves,
 )
-from precompute.fabric_lab.laboratory import LoadCurve
+from precompute.validation.laboratory import LoadCurve
 from precompute.validation.trial import FABRIC, TrialSetting
 
 CURVES = {

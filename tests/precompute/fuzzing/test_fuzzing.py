@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from assets.garment import load_garment
+from assets.loading import load_garment
 from assets.patterns.load import load_pattern
 from pbd import Fabric, InputError, State, build_model
 from pbd.mesh import ClothMesh

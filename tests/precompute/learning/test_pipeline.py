@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from assets.fabrics import PRESETS
-from assets.garment import load_garment
+from assets.loading import load_garment
 from pbd import InputError
 from precompute.learning import pipeline
 from precompute.learning.evaluation import judged_from, levels_from, settled

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from assets.character import load_character
+from assets.loading import load_character
 from assets.measures import BodyMeasures, measure
 from assets.patterns.curves import crossings, signed_area
 from assets.patterns.drafts import DRAFTS, draft, draft_parameters

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pbd import Fabric, InputError
-from precompute.fabric_lab.laboratory import FLAT, LoadCurve
+from precompute.validation.laboratory import FLAT, LoadCurve
 from precompute.validation.trial import Specimen, Trial, TrialSetting, level, strip
 
 __all__ = [

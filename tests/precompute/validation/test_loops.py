@@ -10,8 +10,8 @@ from pbd import InputError
 from pbd.xpbd.constraints import FRICTION_STIFFNESS
 from precompute.fabric_lab.fabric_fit import draw_fit, fit_fabric, read_curves
 from precompute.fabric_lab.fabric_report import curve_rows, curves_text, draw_curves, loop_figures, write_curves
-from precompute.fabric_lab.laboratory import LoadCurve
-from precompute.fabric_lab.loops import LOOP_SOLVER, LOOPS, bending_loop, loop_area, read_loop, shear_loop
+from precompute.validation.laboratory import LoadCurve
+from precompute.validation.loops import LOOP_SOLVER, LOOPS, bending_loop, loop_area, read_loop, shear_loop
 from precompute.validation.trial import FABRIC, TrialSetting
 
 BEND, HYSTERESIS = 11.6e-6, 1.2e-3  # of cotton broadcloth, B [N m] and 2HB [N]

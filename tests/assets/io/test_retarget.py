@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from assets.body_parts import PARTS, find_parts
-from assets.character import Character, Clip, load_character
+from assets.character import Character, Clip
 from assets.io.bvh import Bvh, read_bvh
+from assets.io.retarget import load_joint_table, retargeted
+from assets.loading import load_character
 from assets.procedural.mannequin import builtin_mannequin
-from assets.retarget import load_joint_table, retargeted
 from assets.skinning import skin_vertices
 from pbd.errors import InputError
 from tests.assets.captures import write_bvh
