@@ -13,7 +13,7 @@ __all__ = ["floats", "integers", "numbers"]
 Shape = tuple[int | str, ...] | list[tuple[int | str, ...]]
 
 
-def floats(values: Any, key: str, shape: Shape, problem: str | None = None, unit: str = "") -> np.ndarray:
+def floats(values: Any, key: str, shape: Shape, problem: str | None = None, *, unit: str = "") -> np.ndarray:
     """Finite numbers as an array of their own type; an array is returned as it is.
 
     Args:
@@ -26,7 +26,7 @@ def floats(values: Any, key: str, shape: Shape, problem: str | None = None, unit
     Raises:
         InputError: something else than numbers, another shape, or numbers that are not finite.
     """
-    array = numbers(values, key, shape, problem, f"finite numbers{unit}")
+    array = numbers(values, key, shape, problem, kind=f"finite numbers{unit}")
     finite = np.isfinite(array)
     if not finite.all():
         row = "".join(f"[{k}]" for k in np.argwhere(~finite)[0, :1]) if problem is None else ""
@@ -36,7 +36,7 @@ def floats(values: Any, key: str, shape: Shape, problem: str | None = None, unit
 
 
 def integers(
-    values: Any, key: str, shape: Shape, below: int | None = None, outside: str = "out of range"
+    values: Any, key: str, shape: Shape, below: int | None = None, *, outside: str = "out of range"
 ) -> np.ndarray:
     """Whole numbers from 0 on as an int32 array, such as vertices; they may come as floating-point numbers.
 
@@ -50,7 +50,7 @@ def integers(
     Raises:
         InputError: something else than numbers, another shape, fractions, or numbers out of range.
     """
-    array = numbers(values, key, shape, None, "whole numbers")
+    array = numbers(values, key, shape, None, kind="whole numbers")
     largest = np.iinfo(np.int32).max if below is None else below - 1
     good = (array >= 0) & (array <= largest)
     if array.dtype.kind == "f":
@@ -64,7 +64,7 @@ def integers(
 
 
 def numbers(
-    values: Any, key: str, shape: Shape, problem: str | None = None, kind: str = "finite numbers"
+    values: Any, key: str, shape: Shape, problem: str | None = None, *, kind: str = "finite numbers"
 ) -> np.ndarray:
     """Numbers of a shape, finite or not; the arguments are those of :func:`floats`, and what is expected in words.
 

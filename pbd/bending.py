@@ -215,7 +215,7 @@ DIRECTIONS = np.arange(8) * np.pi / 8
 LENGTH, WIDTH = 0.85, 0.5  # half length and half width of a test strip, as parts of its patch's reach
 
 
-def hinge_calibration(mesh: ClothMesh, patches: int = 6, rings: tuple[int, ...] = (10, 8, 6)) -> float:
+def hinge_calibration(mesh: ClothMesh, patches: int = 6, *, rings: tuple[int, ...] = (10, 8, 6)) -> float:
     """The factor c of the hinge energy that makes strips cut from this mesh bend with the stiffness asked for.
 
     Patches of the mesh are laid flat by their tangent plane, cut to strips and bent by pure moments (small deflection:

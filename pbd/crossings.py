@@ -291,6 +291,7 @@ class FaceGrid:
         start: np.ndarray,
         end: np.ndarray,
         margin: float = 0.0,
+        *,
         chosen: np.ndarray | None = None,
         most: float = np.inf,
     ) -> tuple[np.ndarray, int]:

@@ -56,7 +56,7 @@ _settings: dict[str, object] = {}
 _program: Any = None  # that these are the settings of
 
 
-def ensure_initialized(arch: str | None = None, threads: int | None = None) -> None:
+def ensure_initialized(arch: str | None = None, *, threads: int | None = None) -> None:
     """Start Taichi once for this process; later calls with the same wishes do nothing.
 
     ``ti.init`` kills every array of an earlier ``ti.init`` with a bare error, so a call that asks for other settings

@@ -269,6 +269,7 @@ class ClothMesh:
         columns: int,
         rows: int,
         centre: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
+        *,
         level: bool = False,
     ) -> ClothMesh:
         """A rectangle of squares cut along alternating diagonals, with the warp along its height.
@@ -308,11 +309,11 @@ class ClothMesh:
         keep("faces", _checked_faces(self.faces, self.vertices))
         keep("flat", floats(self.flat, "flat", (len(self.faces), 2, 2), unit=" [m]"))
         missing = "stitch of a vertex that does not exist"
-        keep("stitches", integers(self.stitches, "stitches", ("s", 3), len(self.vertices), missing))
+        keep("stitches", integers(self.stitches, "stitches", ("s", 3), len(self.vertices), outside=missing))
         keep("stitch_weights", floats(self.stitch_weights, "stitch_weights", (len(self.stitches),)))
         if self.rest_bends is not None:
             count = len(hinges_of(self.faces))
-            keep("rest_bends", floats(self.rest_bends, "rest_bends", (count,), "bad bends at rest", " [m]"))
+            keep("rest_bends", floats(self.rest_bends, "rest_bends", (count,), "bad bends at rest", unit=" [m]"))
         for name, problem in (
             ("cloth_areas", "bad areas of cloth"),
             ("layers", "bad numbers of layers"),
@@ -384,7 +385,7 @@ class ClothMesh:
 def _checked_faces(faces: np.ndarray, vertices: np.ndarray) -> np.ndarray:
     """Faces of a mesh of these vertices, int32, shape (m, 3)."""
     count = len(floats(vertices, "vertices", ("n", 3), unit=" [m]"))
-    checked = integers(faces, "faces", ("m", 3), count, "face points outside the mesh")
+    checked = integers(faces, "faces", ("m", 3), count, outside="face points outside the mesh")
     if not len(checked):
         raise InputError("empty cloth mesh", key="faces", received=0, expected="at least one face")
     return checked

@@ -154,6 +154,7 @@ def build_model(
     mesh: ClothMesh,
     fabric: Fabric,
     held: np.ndarray | None = None,
+    *,
     options: ModelOptions | None = None,
     bend_factor: float | None = None,
     limits: Limits | None = None,
@@ -171,7 +172,9 @@ def build_model(
     """
     options, limits = options or ModelOptions(), limits or Limits.none()
     count = len(mesh.vertices)
-    held = np.unique(integers([] if held is None else held, "held", ("p",), count, "held vertex outside the mesh"))
+    held = np.unique(
+        integers([] if held is None else held, "held", ("p",), count, outside="held vertex outside the mesh")
+    )
     if limits.vertices.max(initial=0) >= count:
         received, expected = int(limits.vertices.max()), f"0..{count - 1}"
         raise InputError("limited vertex outside the mesh", key="limits", received=received, expected=expected)
@@ -405,7 +408,7 @@ class State:
         """State without motion at given world positions [m], shape (n, 3); None takes the mesh's own."""
         count = model.vertex_count
         vertices = model.mesh.vertices if vertices is None else vertices
-        vertices = np.asarray(floats(vertices, "vertices", (count, 3), "bad start positions", " [m]"), float)
+        vertices = np.asarray(floats(vertices, "vertices", (count, 3), "bad start positions", unit=" [m]"), float)
         origin = GRID * np.round(vertices.mean(axis=0) / GRID)
         position = np.concatenate([vertices - origin, model.inverse_mass[:, None]], axis=1).astype(np.float32)
         velocity, contact = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)

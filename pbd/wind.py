@@ -45,7 +45,7 @@ class Wind:
 
     def __post_init__(self) -> None:
         for name in ("velocity", "gust"):
-            floats(getattr(self, name), name, (3,), "bad wind", " [m/s]")
+            floats(getattr(self, name), name, (3,), "bad wind", unit=" [m/s]")
         if not (np.isfinite(self.turbulence) and self.turbulence >= 0):
             expected = "a finite number, at least 0"
             raise InputError("bad wind", key="turbulence", received=self.turbulence, expected=expected)

@@ -227,7 +227,7 @@ def _first_picture(
     coarse = replace(run, name=f"{run.name} (coarse)", fine=False, solver=scene.solver.options(), bend_factor=None)
     # The fine runs that it is judged by are wanted later: they keep the other core busy.
     truth, *others = truth_runs(run, demo.options)
-    found = record_runs([truth, coarse, *others[:1]], cache, workers, report)
+    found = record_runs([truth, coarse, *others[:1]], cache, workers, report=report)
     fine, rough = settled(found[0], run), settled(found[1], run)
     levels = run.levels
     columns = {"coarse": (rough.positions, levels.coarse.faces), "truth": (fine.positions, levels.subdivision.faces)}

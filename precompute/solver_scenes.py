@@ -70,7 +70,7 @@ class SolverMeasurement:
         return bool(stiff and abs(self.amplitude / amplitude - 1.0) < 0.03)
 
 
-def hanging_square(count: int, hung: str = "corners", mesh: str = "grid", fabric: Fabric = STIFF) -> SolverScene:
+def hanging_square(count: int, hung: str = "corners", *, mesh: str = "grid", fabric: Fabric = STIFF) -> SolverScene:
     """Square of 1 m, tilted about its upper side by 30 deg from the vertical.
 
     Args:
@@ -109,7 +109,7 @@ def hanging_cloth(
     name: str, mesh: ClothMesh, held: np.ndarray, fabric: Fabric, forward: tuple[float, float, float]
 ) -> SolverScene:
     """Any cloth, hung by some of its vertices."""
-    model = build_model(mesh, fabric, held, ModelOptions(tether_slack=0.0), bend_factor=1 / 3)
+    model = build_model(mesh, fabric, held, options=ModelOptions(tether_slack=0.0), bend_factor=1 / 3)
     return SolverScene(name, model, np.array(forward))
 
 

@@ -253,7 +253,7 @@ def _checked(faces: np.ndarray, frames: np.ndarray, key: str) -> tuple[np.ndarra
     """Faces and frames as arrays that can be written."""
     faces_key = key.replace("frames", "faces")
     frames = floats(frames, key, ("f", "n", 3), unit=" [m]")
-    faces = integers(faces, faces_key, ("m", 3), frames.shape[1], "faces do not fit the vertices")
+    faces = integers(faces, faces_key, ("m", 3), frames.shape[1], outside="faces do not fit the vertices")
     for name, array in ((key, frames), (faces_key, faces)):
         if array.size == 0:
             raise InputError("an empty array", key=name, received=array.shape, expected="at least one row")
@@ -275,7 +275,7 @@ def _garment_tracks(
     tracks = []
     for number, (name, vertices) in enumerate(garments.items()):
         key, outside = f"garments, {name}", "a vertex that the frames do not have"
-        vertices = integers(vertices, key, ("k",), whole.frames.shape[1], outside)
+        vertices = integers(vertices, key, ("k",), whole.frames.shape[1], outside=outside)
         own_number = np.full(whole.frames.shape[1], -1, np.int32)
         own_number[vertices] = np.arange(len(vertices))
         mine = own_number[whole.faces]

@@ -11,7 +11,7 @@ from pbd.wind import CALM, Air, Wind
 __all__ = ["check_drag", "check_step"]
 
 
-def check_step(pose: np.ndarray | None, shape: tuple[int, ...], dt: float = 0.0, wind: Air = CALM) -> None:
+def check_step(pose: np.ndarray | None, shape: tuple[int, ...], dt: float = 0.0, *, wind: Air = CALM) -> None:
     """Refuse the input of a frame that cannot be taken; a pose of None is no input.
 
     Raises:
@@ -19,10 +19,10 @@ def check_step(pose: np.ndarray | None, shape: tuple[int, ...], dt: float = 0.0,
     """
     if pose is not None:
         floats(pose, "pose", shape, "bad pose")
-    if floats(dt, "dt", (), "bad time step", " [s]") < 0.0:
+    if floats(dt, "dt", (), "bad time step", unit=" [s]") < 0.0:
         raise InputError("bad time step", key="dt", received=dt, expected="a finite number, at least 0 [s]")
     if not isinstance(wind, Wind):
-        floats(wind, "wind", (3,), "bad wind", " [m/s]")
+        floats(wind, "wind", (3,), "bad wind", unit=" [m/s]")
 
 
 def check_drag(vertex: int, target: np.ndarray | None, count: int) -> int:
@@ -32,5 +32,5 @@ def check_drag(vertex: int, target: np.ndarray | None, count: int) -> int:
         InputError: see above.
     """
     if target is not None:
-        floats(target, "target", (3,), "bad target", " [m]")
-    return int(integers(vertex, "vertex", (), count, "no such simulated vertex"))
+        floats(target, "target", (3,), "bad target", unit=" [m]")
+    return int(integers(vertex, "vertex", (), count, outside="no such simulated vertex"))

@@ -33,7 +33,7 @@ class Changeable(Protocol):
         """Make everything that these details need."""
         ...
 
-    def change(self, detail: LevelOfDetail, wait: int = ..., fade: bool = ...) -> Any:
+    def change(self, detail: LevelOfDetail, wait: int = ..., *, fade: bool = ...) -> Any:
         """Take a level of detail whose first update comes after ``wait`` ticks."""
         ...
 
@@ -121,7 +121,7 @@ class GarmentGroup:
         others = [i for i in waiting if i not in first][:CHANGES]
         for i in first + others + turned:
             choice, detail = self.choices[i], cost_tables[i].settings[self.choices[i].index].detail
-            self.players[i].change(detail, (choice.wait - self._tick) % detail.every, i not in cut)
+            self.players[i].change(detail, (choice.wait - self._tick) % detail.every, fade=i not in cut)
             self._places[i] = choice.index, choice.wait
 
     def _foretold(self) -> float:

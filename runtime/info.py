@@ -188,7 +188,7 @@ def check_database(path: str | Path) -> list[Check]:
     ]
     try:
         subdivision = database.subdivision
-        coarse, fine = subdivision.meshes(database.coarse_vertices, database.warp, database.sewn)
+        coarse, fine = subdivision.meshes(database.coarse_vertices, database.warp, sewn=database.sewn)
         coarse, ratio = with_area_of(coarse, fine)
         near = database.binding is not None or abs(ratio - 1.0) <= MAX_AREA_CORRECTION
         checks.append(Check("one rest metric", near, f"coarse area over fine area {ratio:.5f}"))

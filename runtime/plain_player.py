@@ -82,7 +82,18 @@ def middle_levels(database: WrinkleDatabase, source: BodySource, cuts: int = 1) 
     layers = database.layers
     if layers is not None:
         layers = layers.subdivided(one)
-    return levels_of(vertices, one.faces, held, *body, left, database.warp, database.binding, limits, sewn, layers)
+    return levels_of(
+        vertices,
+        one.faces,
+        held,
+        *body,
+        left,
+        database.warp,
+        binding=database.binding,
+        limits=limits,
+        sewn=sewn,
+        layers=layers,
+    )
 
 
 def plain_model(database: WrinkleDatabase, levels: Levels) -> Model:
@@ -194,7 +205,7 @@ class PlainPlayer:
         Raises:
             InputError: an input that is not finite or of another shape; then nothing has changed.
         """
-        check_step(pose, self._pose_shape, dt, wind)
+        check_step(pose, self._pose_shape, dt, wind=wind)
         began = time.thread_time()
         origin = self.simulation.state.origin.copy()
         self._between.remember()
@@ -275,6 +286,7 @@ def player_of(
     database: WrinkleDatabase,
     body: Character | Sequence,
     pose: np.ndarray | None = None,
+    *,
     primitives: Iterable[Primitive] = (),
     wrinkles: bool = False,
 ) -> Player | PlainPlayer:

@@ -81,7 +81,7 @@ class PlaybackInputs:
 
 
 def playback_inputs(
-    database: WrinkleDatabase, character: Path | None = None, clip: str | None = None
+    database: WrinkleDatabase, character: Path | None = None, *, clip: str | None = None
 ) -> PlaybackInputs:
     """The body and the motions with which a database is played.
 
@@ -126,7 +126,7 @@ def open_database(
     database = read_database(path)
     if fabric is not None:
         database = database.in_fabric(fabric)
-    return database, replace(playback_inputs(database, character, clip), wrinkles=wrinkles)
+    return database, replace(playback_inputs(database, character, clip=clip), wrinkles=wrinkles)
 
 
 def motions_of(
@@ -275,7 +275,7 @@ def play_motion(
         raise InputError(
             "nothing to draw", key="--seconds", received=seconds, expected=f"at least {DRAWN * dt:.3g} [s]"
         )
-    player = player_of(database, inputs.body, poses[0], inputs.primitives, inputs.wrinkles)
+    player = player_of(database, inputs.body, poses[0], primitives=inputs.primitives, wrinkles=inputs.wrinkles)
     first = process_age()
     free = play(player, poses, dt, inputs.wind, every=DRAWN)
     subdivision = player.levels.subdivision
@@ -306,7 +306,7 @@ def loop_figures(
     Returns:
         figures of :meth:`runtime.game_loop.GameLoop.figures`.
     """
-    player = player_of(database, inputs.body, motion.pose(0.0), inputs.primitives, inputs.wrinkles)
+    player = player_of(database, inputs.body, motion.pose(0.0), primitives=inputs.primitives, wrinkles=inputs.wrinkles)
     script = ScriptedInput(player.simulation, motion, seconds)
 
     def live(t: float) -> LiveInput:
@@ -341,6 +341,7 @@ def baked_frames(
     motion: Motion,
     rate_hz: float,
     seconds: float | None = None,
+    *,
     report: Callable[[str], None] = lambda line: None,
 ) -> tuple[Player | PlainPlayer, np.ndarray, np.ndarray, np.ndarray]:
     """Play a motion and keep the garment at a rate of its own, from the motion's own first frame on.
@@ -364,7 +365,7 @@ def baked_frames(
     """
     tick = 1.0 / database.frame_rate
     report("baking: setting up the garment")
-    player = player_of(database, inputs.body, motion.pose(0.0), inputs.primitives, inputs.wrinkles)
+    player = player_of(database, inputs.body, motion.pose(0.0), primitives=inputs.primitives, wrinkles=inputs.wrinkles)
     ticks = int(np.ceil(database.frame_rate / rate_hz)) + 1 if rate_hz > 0.0 else 1
     loop = GameLoop(player, lambda t: LiveInput(motion.pose(t), inputs.wind), rate_hz, tick, ticks)
     begin = clip_begin(motion)
@@ -440,6 +441,7 @@ def write_baked(
     frames: np.ndarray,
     rate_hz: float,
     normals: np.ndarray | None = None,
+    *,
     body: Character | Sequence | None = None,
     poses: np.ndarray | None = None,
     garments: Mapping[str, np.ndarray] | None = None,

@@ -91,7 +91,7 @@ class Player:
         self.database = database
         self.levels: Levels = database.levels(source.vertices, source.faces)
         rest = database.rest_shape.applied(self.levels.coarse)
-        model = self.levels.model(database.fabric, database.options, database.bend_factor, mesh=rest)
+        model = self.levels.model(database.fabric, database.options, bend_factor=database.bend_factor, mesh=rest)
         self.simulation = Simulation(
             model, self.levels.coarse_attachment, source, start, database.solver, self._primitives
         )
@@ -175,7 +175,7 @@ class Player:
         """How much is modelled; see :meth:`change`."""
         return self._detail
 
-    def change(self, detail: LevelOfDetail, wait: int = 0, fade: bool = True) -> None:
+    def change(self, detail: LevelOfDetail, wait: int = 0, *, fade: bool = True) -> None:
         """Model more or less from now on. The coarse state goes on as it is, and nothing pops.
 
         The shown vertices stay where they are; their distance from the same state at the new detail fades within
@@ -269,7 +269,7 @@ class Player:
         Raises:
             InputError: an input that is not finite or of another shape; then nothing has changed.
         """
-        check_step(pose, self._pose_shape, dt, wind)
+        check_step(pose, self._pose_shape, dt, wind=wind)
         self._fade.advance(dt)
         self._dt, self._idle = dt, self._idle + dt
         if self._wait:

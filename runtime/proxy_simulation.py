@@ -81,7 +81,7 @@ class ProxySimulation:
         thicker = replace(fabric, thickness=fabric.thickness + STAND_OFF * edge)
         limits = above.model.limits.taken(proxy.nearest)
         options = replace(options, compression_compliance_scale=YIELDING * options.compression_compliance_scale)
-        model = replace(build_model(proxy.mesh, thicker, proxy.held, options, limits=limits), smooth=True)
+        model = replace(build_model(proxy.mesh, thicker, proxy.held, options=options, limits=limits), smooth=True)
         own = Attachment.bind(proxy.mesh.vertices[proxy.held], body_vertices, above.body.faces)
         self.simulation = above.beside(model, own)
         self._coarser, self._above, self._attachment = proxy, above, attachment

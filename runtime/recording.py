@@ -51,6 +51,7 @@ def record(
     seconds: float | None,
     about: Mapping[str, Any],
     progress: Callable[[str], None] = lambda line: None,
+    *,
     truth: RecordedTruth | None = None,
 ) -> tuple[bytes, dict[str, float]]:
     """Play a motion with the learned wrinkles and record it from its own first frame on.

@@ -41,7 +41,9 @@ class Quantised:
     links: str | None = None
 
 
-def quantised(key: str, values: np.ndarray, step: float, differences: int = 0, links: str | None = None) -> Quantised:
+def quantised(
+    key: str, values: np.ndarray, step: float, differences: int = 0, *, links: str | None = None
+) -> Quantised:
     """Quantise values to whole steps.
 
     Args:

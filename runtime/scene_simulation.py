@@ -25,7 +25,7 @@ def garments_of(scene: Scene, simulation: Simulation) -> dict[str, np.ndarray] |
 
 
 def simulation_of(
-    scene: Scene, fine: bool = False, report: Callable[[str], None] | None = None
+    scene: Scene, fine: bool = False, *, report: Callable[[str], None] | None = None
 ) -> tuple[Simulation, Motion | None]:
     """The simulation of a scene at its start: garments on a body, or one garment that hangs on its pins.
 

@@ -414,7 +414,7 @@ def test_an_array_is_handed_on_as_it_is() -> None:
             "a[1]: no whole number (received 2.5, expected whole numbers, 0 to 8)",
         ),
         (
-            lambda: integers([[1, 9]], "a", ("n", 2), 9, "gone"),
+            lambda: integers([[1, 9]], "a", ("n", 2), 9, outside="gone"),
             "a[0]: gone (received 9, expected whole numbers, 0 to 8)",
         ),
         (lambda: integers(-1, "a", (), 9), "a: out of range (received -1, expected whole numbers, 0 to 8)"),

@@ -198,10 +198,10 @@ class WrinkleDatabase:
             body_faces,
             self.subdivisions,
             self.warp,
-            self.binding,
-            self.limits,
-            self.sewn,
-            self.layers,
+            binding=self.binding,
+            limits=self.limits,
+            sewn=self.sewn,
+            layers=self.layers,
         )
 
     @property

@@ -131,7 +131,9 @@ class Decoder:
             position, contact: of the coarse garment, as in :class:`pbd.State`.
         """
         m = self.mapping
-        self.stencil.read(position, contact, self.frames, self._features, m.center, m.scale, CLIP, self._row)
+        self.stencil.read(
+            position, contact, self.frames, self._features, m.center, scale=m.scale, limit=CLIP, row=self._row
+        )
 
     def predict(self, position: np.ndarray, contact: np.ndarray, atoms: int | None = None) -> None:
         """Set ``grids`` to those of a coarse state, and all other attributes.

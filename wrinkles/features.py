@@ -184,6 +184,7 @@ class Stencil:
         frames: np.ndarray,
         features: np.ndarray,
         center: np.ndarray | None = None,
+        *,
         scale: np.ndarray | None = None,
         limit: float = 1e30,
         row: np.ndarray | None = None,

@@ -115,8 +115,8 @@ class Levels:
         self,
         fabric: Fabric,
         options: ModelOptions | None = None,
-        bend_factor: float | None = None,
         *,
+        bend_factor: float | None = None,
         fine: bool = False,
         mesh: ClothMesh | None = None,
     ) -> Model:
@@ -175,6 +175,7 @@ def build_levels(
     body_vertices: np.ndarray,
     body_faces: np.ndarray,
     levels: int = 2,
+    *,
     warp: tuple[float, float, float] = (0.0, 1.0, 0.0),
     binding: Binding | None = None,
     limits: Limits | None = None,
@@ -209,7 +210,19 @@ def build_levels(
             outside = push_outside(subdivision.upsample(vertices), body_vertices, body_faces, CLEARANCE)
             vertices = subdivision.fit(outside)
         vertices = push_outside(vertices, body_vertices, body_faces, CLEARANCE)
-    return levels_of(vertices, faces, held, body_vertices, body_faces, levels, warp, binding, limits, sewn, layers)
+    return levels_of(
+        vertices,
+        faces,
+        held,
+        body_vertices,
+        body_faces,
+        levels,
+        warp,
+        binding=binding,
+        limits=limits,
+        sewn=sewn,
+        layers=layers,
+    )
 
 
 def levels_of(
@@ -220,6 +233,7 @@ def levels_of(
     body_faces: np.ndarray,
     levels: int,
     warp: tuple[float, float, float] = (0.0, 1.0, 0.0),
+    *,
     binding: Binding | None = None,
     limits: Limits | None = None,
     sewn: SewnRest | None = None,
@@ -231,7 +245,7 @@ def levels_of(
         InputError: a subdivided mesh whose area differs by more than 2 %.
     """
     subdivision = Subdivision.of(faces, len(vertices), levels, binding)
-    coarse, fine = subdivision.meshes(vertices, warp, sewn)
+    coarse, fine = subdivision.meshes(vertices, warp, sewn=sewn)
     coarse, ratio = with_area_of(coarse, fine)
     if binding is None and abs(ratio - 1.0) > MAX_AREA_CORRECTION:
         expected = f"1 within {100.0 * MAX_AREA_CORRECTION:g} %"
@@ -265,11 +279,13 @@ def build_garments(
         held, options, bend_factor, limits: as for :func:`pbd.build_model`.
     """
     if layers is None:
-        return build_model(mesh, fabric, held, options, bend_factor, limits)
+        return build_model(mesh, fabric, held, options=options, bend_factor=bend_factor, limits=limits)
     models, numbers = [], []
     for (part, vertices), worn in zip(parts_of(mesh, layers.layer), (fabric, *layers.fabrics), strict=True):
         mine = np.searchsorted(vertices, held[layers.layer[held] == len(models)])
-        models.append(build_model(part, worn, mine, options, bend_factor, limits.part(vertices)))
+        models.append(
+            build_model(part, worn, mine, options=options, bend_factor=bend_factor, limits=limits.part(vertices))
+        )
         numbers.append(vertices)
     return fastened(replace(layered(models, numbers), mesh=mesh), layers.fastened)
 

@@ -330,7 +330,7 @@ def bending_energy_ratio(test: np.ndarray, truth: np.ndarray, mesh: ClothMesh) -
     return float(next(energies) / next(energies))
 
 
-def fold_count(loop: np.ndarray, min_turn_deg: float = 15.0, blur: float = 0.01) -> np.ndarray:
+def fold_count(loop: np.ndarray, min_turn_deg: float = 15.0, *, blur: float = 0.01) -> np.ndarray:
     """Number of folds along a closed loop, such as a hem, per frame: int, shape (f,).
 
     The loop is projected along its area vector and blurred. Its tangent turns by 360 deg on the whole. A fold is one

@@ -240,7 +240,7 @@ class Subdivision:
         return splu((self.matrix.T @ self.matrix).tocsc()).solve(self.matrix.T @ np.asarray(fine, float))
 
     def meshes(
-        self, coarse_vertices: np.ndarray, warp: tuple = (0.0, 1.0, 0.0), sewn: SewnRest | None = None
+        self, coarse_vertices: np.ndarray, warp: tuple = (0.0, 1.0, 0.0), *, sewn: SewnRest | None = None
     ) -> tuple[ClothMesh, ClothMesh]:
         """Make the coarse and the fine mesh with one rest metric: that of the smooth fine mesh, or of a sewn pattern.
 

@@ -122,7 +122,7 @@ class Document:
     buffers: tuple[bytes, ...]
     parents: tuple[int, ...]
 
-    def error(self, problem: str, key: str, received: Any = None, expected: str | None = None) -> InputError:
+    def error(self, problem: str, key: str, received: Any = None, *, expected: str | None = None) -> InputError:
         """An error about this file."""
         return InputError(problem, file=self.path, key=key, received=received, expected=expected)
 
@@ -231,7 +231,7 @@ class Document:
         elif 0 < count <= _MAX_COUNT:
             data = np.zeros((count, width), kind)
         else:
-            raise self.error("sparse numbers that are too many or none", key, count, f"at most {_MAX_COUNT}")
+            raise self.error("sparse numbers that are too many or none", key, count, expected=f"at most {_MAX_COUNT}")
         if sparse is not None:
             self._replace(data, sparse, key)
         if entry.get("normalized") and kind.kind in "iu":
@@ -257,7 +257,7 @@ class Document:
         places = sparse.get("indices", {})
         kind = places.get("componentType")
         if kind not in _INDICES:
-            raise self.error("sparse numbers without indices", key, kind, f"one of the types {_INDICES}")
+            raise self.error("sparse numbers without indices", key, kind, expected=f"one of the types {_INDICES}")
         count = self.whole(sparse, "count", key)
         rows = self._numbers(places, np.dtype(_COMPONENTS[kind]), 1, count, f"{key}, indices")[:, 0]
         if rows.max() >= len(data):
@@ -329,14 +329,16 @@ class Document:
         """How far morph targets move the vertices at given weights, of a given shape."""
         if len(weights) != len(targets) or not all(abs(weight) <= _MAX_WEIGHT for weight in weights):
             expected = f"{len(targets)} numbers up to {_MAX_WEIGHT:g}, one for each morph target"
-            raise self.error("bad weights", f"{key}, targets", weights, expected)
+            raise self.error("bad weights", f"{key}, targets", weights, expected=expected)
         moved = np.zeros(shape)
         for number, (target, weight) in enumerate(zip(targets, weights, strict=True)):
             if weight and "POSITION" in target:
                 where = f"{key}, target {number}, POSITION"
                 moves = self.accessor(target["POSITION"], where).astype(np.float64)
                 if moves.shape != shape or not np.isfinite(moves).all():
-                    raise self.error("not three finite numbers for each vertex", where, moves.shape, str(shape))
+                    raise self.error(
+                        "not three finite numbers for each vertex", where, moves.shape, expected=str(shape)
+                    )
                 moved += weight * moves
         return moved
 

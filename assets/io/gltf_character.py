@@ -191,7 +191,7 @@ def _inverse_bind(document: Document, node: int, count: int) -> Floats:
     key = f"skin {number}, inverseBindMatrices"
     values = document.accessor(accessor, key).astype(np.float64)
     if values.shape != (count, 16):
-        raise document.error("not a matrix for each joint", key, values.shape, f"({count}, 16)")
+        raise document.error("not a matrix for each joint", key, values.shape, expected=f"({count}, 16)")
     inverse = values.reshape(-1, 4, 4).swapaxes(1, 2)
     bad = np.flatnonzero(
         ~np.isfinite(inverse).all(axis=(1, 2)) | (np.abs(inverse[:, 3] - [0, 0, 0, 1]).max(1) > _TOLERANCE)
@@ -210,7 +210,9 @@ def _weights(document: Document, primitive: Primitive, columns: NDArray[np.intp]
         key = f"{primitive.key}, JOINTS_{sets} and WEIGHTS_{sets}"
         missing = [name for name in (f"JOINTS_{sets}", f"WEIGHTS_{sets}") if name not in primitive.attributes]
         if missing:
-            raise document.error(f"a skin without {missing[0]}", key, sorted(primitive.attributes), "both or neither")
+            raise document.error(
+                f"a skin without {missing[0]}", key, sorted(primitive.attributes), expected="both or neither"
+            )
         joints = document.integers(primitive.attributes.get(f"JOINTS_{sets}"), key)
         weights = document.accessor(primitive.attributes.get(f"WEIGHTS_{sets}"), key).astype(np.float64)
         if not joints.shape == weights.shape == (len(dense), 4):
@@ -218,13 +220,13 @@ def _weights(document: Document, primitive: Primitive, columns: NDArray[np.intp]
         bad = np.flatnonzero((~np.isfinite(weights) | (weights < 0.0)).any(axis=1))
         if bad.size:
             vertex = f"{key}, vertex {bad[0]}"
-            raise document.error("bad weights", vertex, weights[bad[0]].tolist(), "finite, not negative")
+            raise document.error("bad weights", vertex, weights[bad[0]].tolist(), expected="finite, not negative")
         used = weights > 0.0
         bad = np.flatnonzero((used & (joints >= len(columns))).any(axis=1))
         if bad.size:
             vertex = f"{key}, vertex {bad[0]}"
             raise document.error(
-                "a joint that does not exist", vertex, joints[bad[0]].tolist(), f"below {len(columns)}"
+                "a joint that does not exist", vertex, joints[bad[0]].tolist(), expected=f"below {len(columns)}"
             )
         rows, entries = np.nonzero(used)
         np.add.at(dense, (rows, columns[joints[rows, entries]]), weights[rows, entries])
@@ -287,12 +289,12 @@ def _curve(
         raise document.error("a sampler that does not exist", key, number)
     kind = samplers[number].get("interpolation", "LINEAR")
     if kind not in ("LINEAR", "STEP", "CUBICSPLINE"):
-        raise document.error("an unknown interpolation", key, kind, "LINEAR, STEP or CUBICSPLINE")
+        raise document.error("an unknown interpolation", key, kind, expected="LINEAR, STEP or CUBICSPLINE")
     times = document.accessor(samplers[number].get("input"), f"{key}, times")[:, 0].astype(np.float64)
     values = document.accessor(samplers[number].get("output"), f"{key}, values").astype(np.float64)
     width, rows = _ANIMATED_WIDTHS[channel["target"]["path"]], len(times) * (3 if kind == "CUBICSPLINE" else 1)
     if values.shape != (rows, width):
-        raise document.error("not a value for each time", key, values.shape, f"({rows}, {width})")
+        raise document.error("not a value for each time", key, values.shape, expected=f"({rows}, {width})")
     bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if bad.size:
         raise document.error("values that are not finite", f"{key}, key {bad[0]}", values[bad[0]].tolist())

@@ -58,7 +58,7 @@ def sewn_builtin(name: str) -> SewnGarment:
     cut, mannequin = CUTS[name], builtin_mannequin()
     body = closed_body(mannequin.name, mannequin.vertices, mannequin.faces)
     pattern = draft(cut.draft, measure(body), **cut.parameters)
-    return sew(pattern, body, cut.fabric, cut.edge_length)
+    return sew(pattern, body, cut.fabric, edge_length=cut.edge_length)
 
 
 def write_garments(folder: Path = DATA) -> None:

@@ -78,7 +78,7 @@ _BONES = [
 _BONE_HEAT = 4.0  # how closely the skin keeps to the nearest bone [-]
 
 
-def make_mannequin(count: int = 8300, spacing: float = 0.011) -> dict[str, NDArray]:
+def make_mannequin(count: int = 8300, *, spacing: float = 0.011) -> dict[str, NDArray]:
     """The mannequin's mesh and weights as the data file holds them.
 
     Args:

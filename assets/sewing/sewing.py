@@ -73,6 +73,7 @@ def sew(
     pattern: Pattern,
     body: StandingBody,
     fabric: str = "cotton",
+    *,
     edge_length: float = DEFAULT_EDGE,
     report: Callable[[str], None] | None = None,
 ) -> SewnGarment:

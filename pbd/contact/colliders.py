@@ -79,7 +79,7 @@ class Capsule:
 
 
 def _positive_radius(radius: float, key: str) -> None:
-    if floats(radius, key, (), "bad radius", " [m]") <= 0:
+    if floats(radius, key, (), "bad radius", unit=" [m]") <= 0:
         raise InputError("bad radius", key=key, received=radius, expected="a finite number above 0 [m]")
 
 
@@ -104,7 +104,7 @@ class Body:
     def __init__(self, faces: np.ndarray, vertex_count: int) -> None:
         vertex_count = int(integers(vertex_count, "vertex_count", ()))
         outside = "body face points outside the mesh"
-        self.faces = np.ascontiguousarray(integers(faces, "faces", ("m", 3), vertex_count, outside))
+        self.faces = np.ascontiguousarray(integers(faces, "faces", ("m", 3), vertex_count, outside=outside))
         self.previous = np.zeros((vertex_count, 3), np.float32)
         self.current = np.zeros((vertex_count, 3), np.float32)
         self.normals = np.zeros((vertex_count, 3), np.float32)

@@ -365,7 +365,7 @@ class Impacts:
         """List the pairs of features that might collide; returns how many there are."""
         grid = self.grid
         counting = len(grid.faces if chosen is None else chosen)
-        near, count = grid.pairs(start, end, MARGIN, chosen, max(MOST_PAIRS * counting, LEAST_PAIRS))
+        near, count = grid.pairs(start, end, MARGIN, chosen=chosen, most=max(MOST_PAIRS * counting, LEAST_PAIRS))
         while True:
             self._list(
                 start, end, grid.faces, grid.edges, grid.owned, grid.seam, near, count, self._pairs, self._directions,

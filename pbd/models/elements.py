@@ -79,7 +79,7 @@ class ElementEnergy(ABC):
         columns = [np.bincount(flat, slopes[..., c].ravel(), self.vertex_count) for c in range(3)]
         return np.stack(columns, axis=1)
 
-    def hessian(self, x: np.ndarray, positive: bool = False, first: int = 0) -> csr_matrix:
+    def hessian(self, x: np.ndarray, positive: bool = False, *, first: int = 0) -> csr_matrix:
         """Of the points from ``first`` on, shape (3 (n - first), 3 (n - first)); see :class:`Energy`."""
         return self.assembled(self.curvatures(x[self.elements], positive), first)
 
@@ -119,9 +119,9 @@ class QuadraticElements(ElementEnergy):
     def curvatures(self, corners: np.ndarray, positive: bool) -> np.ndarray:
         return np.einsum("mab,ij->maibj", self.matrices, np.eye(3))
 
-    def hessian(self, x: np.ndarray, positive: bool = False, first: int = 0) -> csr_matrix:
+    def hessian(self, x: np.ndarray, positive: bool = False, *, first: int = 0) -> csr_matrix:
         if first:
-            return super().hessian(x, positive, first)
+            return super().hessian(x, positive, first=first)
         if self._constant is None:
             self._constant = super().hessian(x, positive)
         return self._constant
@@ -191,7 +191,7 @@ class Sum:
                 return points  # of a step that has failed, which the caller finds
             matrix = self._stiffness
             for part in convex:
-                matrix = matrix + part.hessian(points, True, self.vertex_count)
+                matrix = matrix + part.hessian(points, True, first=self.vertex_count)
             move = np.zeros_like(points)
             factors = splu(matrix.tocsc(), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
             move[hidden] = -factors.solve(force).reshape(-1, 3)

@@ -49,7 +49,7 @@ class Options:
             if value is not None and not (np.isfinite(value) and value > 0):
                 problems.append(InputError("bad option", key=name, received=value, expected="a finite number above 0"))
         try:
-            floats(self.gravity, "gravity", (3,), "bad gravity", " [m/s2]")
+            floats(self.gravity, "gravity", (3,), "bad gravity", unit=" [m/s2]")
         except InputError as error:
             problems.append(error)
         if not -1.0 < self.bend_poisson < 1.0:
@@ -209,7 +209,7 @@ class ClothSolver(ABC):
 
     def _check(self, state: State, dt: float, targets: np.ndarray | None, wind: Sequence[float] | np.ndarray) -> None:
         count, held = self.model.vertex_count, len(self.model.held)
-        if floats(dt, "dt", (), "bad time step", " [s]") < 0:
+        if floats(dt, "dt", (), "bad time step", unit=" [s]") < 0:
             raise InputError("bad time step", key="dt", received=dt, expected="a finite number, at least 0 [s]")
         for name, width in (("position", 4), ("velocity", 3)):
             numbers(getattr(state, name), f"state.{name}", (count, width), "state of another model")
@@ -220,8 +220,8 @@ class ClothSolver(ABC):
         if not (np.isfinite(state.position).all() and np.isfinite(state.velocity).all()):
             raise InputError("state is not finite", key="state", expected="finite positions and velocities")
         if targets is not None:
-            floats(targets, "targets", (held, 3), "bad targets", " [m]")
-        floats(wind, "wind", (3,), "bad wind", " [m/s]")
+            floats(targets, "targets", (held, 3), "bad targets", unit=" [m]")
+        floats(wind, "wind", (3,), "bad wind", unit=" [m/s]")
 
     def _check_result(self, x: np.ndarray, v: np.ndarray) -> None:
         if not (np.isfinite(x).all() and np.isfinite(v).all()):

@@ -82,7 +82,7 @@ class SolverOptions:
                 raise InputError("bad part", key=name, received=getattr(self, name), expected="0 to 1")
         if not np.isfinite(self.substep) or self.substep <= 0:
             raise InputError("bad substep", key="substep", received=self.substep, expected="above 0 [s]")
-        floats(self.gravity, "gravity", (3,), "bad gravity", " [m/s2]")
+        floats(self.gravity, "gravity", (3,), "bad gravity", unit=" [m/s2]")
         if self.coarse_sweeps < 0:
             raise InputError(
                 "bad number of passes", key="coarse_sweeps", received=self.coarse_sweeps, expected="at least 0"
@@ -245,7 +245,7 @@ class Solver:
             InputError: dt below zero or not finite, a state of another model or not finite, bad targets, wind or
                 limit targets, or a body about another origin.
         """
-        if floats(dt, "dt", (), "bad time step", " [s]") < 0:
+        if floats(dt, "dt", (), "bad time step", unit=" [s]") < 0:
             raise InputError("bad time step", key="dt", received=dt, expected="a finite number, at least 0 [s]")
         if dt < MIN_FRAME_TIME:
             return
@@ -569,11 +569,11 @@ class Solver:
         if not self._summary.is_finite:
             raise InputError("state is not finite", key="state", expected="finite positions and velocities")
         if targets is not None:
-            floats(targets, "targets", (len(model.held), 3), "bad targets", " [m]")
-        floats(wind, "wind", [(3,), (model.vertex_count, 3)], "bad wind", " [m/s]")
+            floats(targets, "targets", (len(model.held), 3), "bad targets", unit=" [m]")
+        floats(wind, "wind", [(3,), (model.vertex_count, 3)], "bad wind", unit=" [m/s]")
         for name, points in limit_targets._asdict().items() if limit_targets is not None else ():
             shape = (len(model.limits.vertices), 3)
-            floats(points, f"limit_targets.{name}", shape, "bad limit targets", " [m]")
+            floats(points, f"limit_targets.{name}", shape, "bad limit targets", unit=" [m]")
 
     def follow(self, state: State, colliders: Colliders) -> np.ndarray:
         """Move the origin of state and body to the grid point nearest to the garment, and return it [m], shape (3,)."""

@@ -80,7 +80,7 @@ def _delivered_dress() -> tuple[Simulation, Motion]:
     bound, motion = _of_scene(_DRESS, fine=True)
     garment = load_garment(parse_scene(_DRESS, "clip").garments[0].mesh, pattern=True)
     mesh, made = replace(bound.model.mesh, vertices=garment.vertices), bound.model
-    model = build_model(mesh, made.fabric, made.held, made.options, made.bend_factor)
+    model = build_model(mesh, made.fabric, made.held, options=made.options, bend_factor=made.bend_factor)
     return Simulation(model, None, bound.source, motion.pose(0.0), bound.solver.options), motion
 
 
@@ -157,7 +157,7 @@ CLIPS: Mapping[str, Callable[[], tuple[Simulation, Motion]]] = {
 
 
 def run_clip(
-    simulation: Simulation, motion: Motion, seconds: float | None = None, picture: Picture | None = None
+    simulation: Simulation, motion: Motion, seconds: float | None = None, *, picture: Picture | None = None
 ) -> dict[str, float]:
     """Play a clip to its end and judge it.
 
@@ -329,6 +329,7 @@ def _played(name: str, drawn: bool) -> tuple[dict[str, float], list[np.ndarray]]
 
 def clip_rows(
     names: Sequence[str] = (),
+    *,
     report: Callable[[str], None] = lambda line: None,
     pictures: Path | None = None,
     workers: Workers | int = 1,

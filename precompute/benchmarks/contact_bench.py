@@ -15,7 +15,7 @@ FRAMES, JUDGED = 300, 60  # of the run, and last ones whose median counts
 RADIUS = 0.3  # of the sphere [m]
 
 
-def self_collision_cost(side: int = 64, frames: int = FRAMES) -> dict[str, float]:
+def self_collision_cost(side: int = 64, *, frames: int = FRAMES) -> dict[str, float]:
     """Drape a square of 1 m with friction 0.3 over a sphere.
 
     Args:

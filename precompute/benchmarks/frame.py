@@ -263,10 +263,10 @@ def _growth(database: WrinkleDatabase, run: Run) -> float:
     for subdivisions in (database.subdivisions, database.subdivisions + 1):
         levels = levels_of(
             database.coarse_vertices, database.coarse_faces, database.held, source.vertices, source.faces,
-            subdivisions, database.warp, None, database.limits, database.sewn, database.layers,
+            subdivisions, database.warp, limits=database.limits, sewn=database.sewn, layers=database.layers,
         )  # fmt: skip
         # The time does not depend on the stiffness of the hinges, which takes long to calibrate.
-        model = levels.model(run.fabric, run.options, run.bend_factor, fine=True)
+        model = levels.model(run.fabric, run.options, bend_factor=run.bend_factor, fine=True)
         attachment = levels.fine_attachment
         simulations.append(Simulation(model, attachment, source, run.poses[0], options, run.primitives))
     frames = []

@@ -68,6 +68,7 @@ def compare_frames(
     checkout: Path,
     seconds: float,
     report: Callable[[str], None] = lambda line: None,
+    *,
     other_path: Path | None = None,
 ) -> FrameComparison:
     """Play a database with this checkout and with another one, in two processes on one core.

@@ -22,7 +22,7 @@ OUTFITS = {
 }
 
 
-def rest_speed(outfit: tuple[tuple[str, str], ...], moving: float = 1.0, still: float = 3.0) -> dict[str, float]:
+def rest_speed(outfit: tuple[tuple[str, str], ...], moving: float = 1.0, *, still: float = 3.0) -> dict[str, float]:
     """Let the built-in mannequin walk in an outfit and stop dead.
 
     Args:

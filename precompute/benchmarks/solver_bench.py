@@ -102,7 +102,10 @@ def _plain(name: str) -> str:
 
 
 def bench_solver(
-    sides: Sequence[int] | None = None, report: Callable[[str], None] = lambda line: None, with_baselines: bool = False
+    sides: Sequence[int] | None = None,
+    *,
+    report: Callable[[str], None] = lambda line: None,
+    with_baselines: bool = False,
 ) -> SolverBench:
     """Measure every setting; minutes.
 

@@ -35,7 +35,7 @@ def run(options: argparse.Namespace) -> Report:
     check_file(options.output, ".csv")
     count = 1 if options.scheduler is None else os.cpu_count() or 1
     with Progress(sys.stderr) as progress, workers_of(options.scheduler, count) as workers:
-        rows = clip_rows(options.names, progress, options.output.parent, workers)
+        rows = clip_rows(options.names, report=progress, pictures=options.output.parent, workers=workers)
     write_clips(options.output, rows)
     for row in rows:
         say(row["clip"])

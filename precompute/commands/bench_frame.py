@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> Report:
     if options.against is not None:
         with Progress(sys.stderr) as progress:
             comparison = compare_frames(
-                options.database, options.against, options.seconds, progress, options.against_database
+                options.database, options.against, options.seconds, progress, other_path=options.against_database
             )
         say(comparison.text())
         return Report(comparison.figures())

@@ -34,6 +34,6 @@ def run(options: argparse.Namespace) -> Report:
     from runtime.terminal import say
 
     with Progress(sys.stderr) as progress:
-        rows = stress_rows(options.solver, options.names, options.seconds, progress)
+        rows = stress_rows(options.solver, names=options.names, seconds=options.seconds, report=progress)
     say(stress_text(rows))
     return Report(stress_figures(rows), rows, passed=all(row["verdict"] == "ok" for row in rows))

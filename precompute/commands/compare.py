@@ -125,7 +125,7 @@ def _compare_scenes(options: argparse.Namespace, scenes: Sequence[str]) -> Repor
     methods, output = [] if options.methods is None else options.methods.split(","), options.output
     with Progress(sys.stderr) as progress:
         if options.database is not None:
-            check_motions(options.database, options.clip, options.seconds)
+            check_motions(options.database, options.clip, seconds=options.seconds)
         budget = options.budget or BUDGET
         found = compare_scenes(
             scenes, output, methods=methods, budget_s=budget, seconds=options.seconds, report=progress

@@ -32,7 +32,7 @@ def run(options: argparse.Namespace) -> Report:
         database: WrinkleDatabase, inputs: PlaybackInputs, motion: Motion, progress: Callable[[str], None]
     ) -> RecordedTruth:
         run = database_run(database, inputs, motion)
-        (recording,) = record_runs([run], default_cache(options.database), 1, progress)
+        (recording,) = record_runs([run], default_cache(options.database), 1, report=progress)
         kept = recording.frames % max(1, round(database.frame_rate / TRUTH_HZ)) == 0
         return RecordedTruth(recording.frames[kept], recording.positions[kept])
 

@@ -116,7 +116,7 @@ class Scene:
         """The cloth in a fabric."""
         if self.build is not None:
             return self.build(fabric)
-        return build_model(self.mesh, fabric, np.array(self.held, int), ModelOptions(), bend_factor=1 / 3)
+        return build_model(self.mesh, fabric, np.array(self.held, int), options=ModelOptions(), bend_factor=1 / 3)
 
 
 @dataclass(frozen=True)

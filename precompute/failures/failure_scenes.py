@@ -21,7 +21,7 @@ COTTON = Fabric(friction=0.5)
 VACUUM = replace(COTTON, air_drag=0.0)
 
 
-def square(edges: int, size: float = 0.5, upright: bool = True) -> ClothMesh:
+def square(edges: int, size: float = 0.5, *, upright: bool = True) -> ClothMesh:
     """Square with alternating diagonals, its upper side at the origin's height, or level, in the middle."""
     step = size / edges
     along, up = (part.ravel() for part in np.meshgrid(*2 * [np.arange(edges + 1.0)], indexing="ij"))
@@ -120,7 +120,8 @@ def _contact() -> list[Scene]:
     tube, ring = _tube(0.099, 0.3, 16, 8)
     wide = tube.vertices * [1.045, 1.0, 1.045]
     sheets = [
-        replace(m, vertices=m.vertices + [0.0, 0.004 * k, 0.0]) for k, m in enumerate(3 * [square(8, 0.24, False)])
+        replace(m, vertices=m.vertices + [0.0, 0.004 * k, 0.0])
+        for k, m in enumerate(3 * [square(8, 0.24, upright=False)])
     ]
     thin = replace(COTTON, thickness=0.001)
 

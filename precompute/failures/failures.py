@@ -30,7 +30,7 @@ CLASSIC = (
 
 
 def failure_rows(
-    solver: str = "default", report: Callable[[str], None] = lambda line: None, lines: Sequence[str] | None = None
+    solver: str = "default", *, report: Callable[[str], None] = lambda line: None, lines: Sequence[str] | None = None
 ) -> list[dict[str, Any]]:
     """A row of each scene.
 

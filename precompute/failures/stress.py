@@ -82,6 +82,7 @@ RUNS: Sequence[StressRun] = (
 
 def stress_rows(
     solver: str = "default",
+    *,
     names: Sequence[str] = (),
     seconds: float = SECONDS,
     report: Callable[[str], None] | None = None,

@@ -113,6 +113,7 @@ def with_vertex_mean(
     runs: Sequence[Run],
     recordings: Sequence[Recording],
     workers: Workers | None = None,
+    *,
     frames: int = MEAN_FRAMES,
     report: Callable[[str], None] | None = None,
 ) -> Atoms:
@@ -160,7 +161,7 @@ def decoded_frames(
     levels = layer.levels
     upsample = Upsampler(levels.subdivision)
     source = body_source(run.body)
-    relax = _relaxation(_Kept.of(levels, source, run.fabric)).fresh()
+    relax = _relaxation(_Kept.of(levels, source, fabric=run.fabric)).fresh()
     body = Body(source.faces, len(source.vertices))
     count = levels.subdivision.coarse_count
     position, frames = np.zeros((count, 4), np.float32), np.zeros((count, 9), np.float32)
@@ -194,7 +195,7 @@ class _Kept:
     fabric: Fabric | None = field(default=None)
 
     @classmethod
-    def of(cls, levels: Levels, source: BodySource | None = None, fabric: Fabric | None = None) -> _Kept:
+    def of(cls, levels: Levels, source: BodySource | None = None, *, fabric: Fabric | None = None) -> _Kept:
         digest = hashlib.sha256()
         arrays = [levels.fine.vertices, levels.fine.faces, levels.fine.flat, levels.fine_held]
         arrays += [levels.coarse.vertices, levels.coarse.faces, levels.coarse_held]

@@ -235,7 +235,7 @@ def truth_of(
     """Record (or read) the fine run, others from ``count`` starts in all, and one with substeps two thirds as long."""
     moved = [replace(run, name=f"{run.name} (start {start})", start=start) for start in range(1, count)]
     first, *others, finer = (
-        settled(one, run) for one in record_runs([run, *moved, _floor_run(run)], cache, workers, report)
+        settled(one, run) for one in record_runs([run, *moved, _floor_run(run)], cache, workers, report=report)
     )
     energy = bands_of(run.levels).energy(first.positions)
     return Truth(run, run.levels, first, finer.positions, energy, tuple(one.positions for one in others))
@@ -410,7 +410,7 @@ class Evaluation:
 
 def truth_runs(run: Run, options: LearningOptions = DEFAULT) -> list[Run]:
     """All fine runs that a motion is judged by: the truth, the floor's and the one that pauses."""
-    return [run, _floor_run(run), Pause.of(run, judged_from(run), options.still_s, options.piece_s).run]
+    return [run, _floor_run(run), Pause.of(run, judged_from(run), options.still_s, piece=options.piece_s).run]
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -419,6 +419,7 @@ def evaluate(
     truth: Truth,
     cache: Path,
     report: Callable[[str], None] | None = None,
+    *,
     workers: Workers | int = 1,
     options: LearningOptions = DEFAULT,
 ) -> Evaluation:
@@ -434,9 +435,9 @@ def evaluate(
     """
     tell = report or (lambda line: None)
     run, recording = truth.run, truth.recording
-    pause = Pause.of(run, judged_from(run), options.still_s, options.piece_s)
+    pause = Pause.of(run, judged_from(run), options.still_s, piece=options.piece_s)
     with Workers.of(workers) as pool:
-        (paused,) = record_runs([pause.run], cache, pool, report)
+        (paused,) = record_runs([pause.run], cache, pool, report=report)
         jobs: list[partial] = [
             *(partial(play_freely, database, run.body, run, start) for start in range(options.free_runs)),
             partial(_pause_figures, database, pause),

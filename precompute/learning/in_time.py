@@ -31,7 +31,7 @@ class Pause:
     back: slice
 
     @classmethod
-    def of(cls, run: Run, start: float, still: float = 3.0, piece: float = 0.5) -> Pause:
+    def of(cls, run: Run, start: float, still: float = 3.0, *, piece: float = 0.5) -> Pause:
         """A pause ``start`` [s] after a run's beginning, or as late as the run is long.
 
         Args:

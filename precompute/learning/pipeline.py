@@ -236,7 +236,7 @@ def _simulated(work: _Work, motions: Sequence[Motion], judged: Sequence[Motion])
     runs = [work.run(motion, name) for name, motion in worn]
     later = [one for motion in judged for one in truth_runs(work.run(motion), work.options)]
     later += [work.run(motion, name) for motion in judged for name in work.fabrics if name != work.own_fabric]
-    record_runs([*runs, *later], work.cache, work.workers, work.clock)
+    record_runs([*runs, *later], work.cache, work.workers, report=work.clock)
     recordings = training_recordings(runs, work.cache, work.workers)
     levels, examples = work.layer.levels, []
     for (name, _), run, recording in zip(worn, runs, recordings, strict=True):
@@ -279,8 +279,8 @@ def _with_means(work: _Work, examples: Sequence[_Example], mapping: CoefficientN
         [example.run for example in examples],
         [example.recording for example in examples],
         work.workers,
-        work.options.mean_frames,
-        work.clock,
+        frames=work.options.mean_frames,
+        report=work.clock,
     )
 
 
@@ -349,7 +349,7 @@ def _evaluated(work: _Work, database: WrinkleDatabase, motion: Motion) -> tuple[
     """How good the database is on a held-out motion, in its own fabric and, given the coarse states, in the others."""
     cache, workers, clock = work.cache, work.workers, work.clock
     truth = truth_of(work.run(motion), cache, workers, clock)
-    evaluation = evaluate(database, truth, cache, clock, workers, work.options)
+    evaluation = evaluate(database, truth, cache, clock, workers=workers, options=work.options)
     figures = dict(evaluation.figures)
     for other in database.other_fabrics:
         given = _given_figures(database.in_fabric(other), work.run(motion, other), cache, workers, clock)
@@ -361,7 +361,7 @@ def training_recordings(
     runs: list[Run], cache: Path, workers: Workers | int, report: Callable[[str], None] | None = None
 ) -> list[Recording]:
     """What the runs that a scene learns from gave, without what only leads to the motions that are meant."""
-    recordings = record_runs(runs, cache, workers, report)
+    recordings = record_runs(runs, cache, workers, report=report)
     return [r.where(r.frames * run.dt > run.lead_in) for r, run in zip(recordings, runs, strict=True)]
 
 
@@ -386,7 +386,7 @@ def _given_figures(
     database: WrinkleDatabase, run: Run, cache: Path, workers: Workers | int, report: Callable[[str], None]
 ) -> dict[str, float]:
     """What the dictionary makes of the coarse states of a fine run: error and skill of its normals."""
-    (recording,) = record_runs([run], cache, workers, report)
+    (recording,) = record_runs([run], cache, workers, report=report)
     recording = settled(recording, run)
     smooth, decoded, _ = given_frames(database, run, recording)
     owner = leading_vertices(run.levels.subdivision)[:, 0]

@@ -138,7 +138,7 @@ class Run:
         """The simulation at the first pose, in which nothing is moved without contact."""
         levels = self.levels
         attachment = levels.fine_attachment if self.fine else levels.coarse_attachment
-        model = levels.model(self.fabric, self.options, self.bend_factor, fine=self.fine)
+        model = levels.model(self.fabric, self.options, bend_factor=self.bend_factor, fine=self.fine)
         source = body_source(self.body)
         simulation = Simulation(model, attachment, source, self.poses[0], self.solver, self.primitives)
         simulation.redressing = None
@@ -195,6 +195,7 @@ def record_runs(
     runs: Sequence[Run],
     cache: Path,
     workers: Workers | int = 2,
+    *,
     report: Callable[[str], None] | None = None,
 ) -> list[Recording]:
     """Simulate what is not in the cache yet, and read everything back.

@@ -159,7 +159,7 @@ class CompareScene:
         """Without tethers, which are no part of the fabric's physics."""
         mesh = self.mesh(edges, seed)
         held = np.flatnonzero(self.held(self.sheet(edges).flat))
-        return build_model(mesh, self.fabric, held, ModelOptions(tether_slack=0.0), _bend_factor())
+        return build_model(mesh, self.fabric, held, options=ModelOptions(tether_slack=0.0), bend_factor=_bend_factor())
 
     def scene_colliders(self) -> Colliders:
         """New ones each time: colliders remember where they were."""

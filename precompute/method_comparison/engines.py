@@ -212,7 +212,7 @@ ENGINES = MappingProxyType({
 
 
 def bench_engines(
-    report: Callable[[str], None] = lambda line: None, names: Sequence[str] = tuple(ENGINES)
+    report: Callable[[str], None] = lambda line: None, *, names: Sequence[str] = tuple(ENGINES)
 ) -> list[EngineRun]:
     """Measure the engines; many minutes.
 

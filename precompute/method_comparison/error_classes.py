@@ -84,6 +84,7 @@ def deviations(
     rest_lengths: np.ndarray,
     thickness: float,
     collider_speed: float = 0.0,
+    *,
     chaotic: bool = False,
     energy_scale: float | None = None,
     hinges: np.ndarray | None = None,

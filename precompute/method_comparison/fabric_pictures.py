@@ -33,7 +33,9 @@ MOMENTS = (0.7, 2.2)  # it stands, it turns [s]
 PICTURE = (460, 420)
 
 
-def fabric_runs(fabrics: dict[str, Fabric] | None = None, subdivisions: int = 2, seconds: float = SECONDS) -> list[Run]:
+def fabric_runs(
+    fabrics: dict[str, Fabric] | None = None, *, subdivisions: int = 2, seconds: float = SECONDS
+) -> list[Run]:
     """The fine skirt of the demo in each fabric on the same motion.
 
     Args:
@@ -76,7 +78,7 @@ def draw_fabrics(
         workers: processes at a time.
         report: called with lines of progress.
     """
-    recordings = record_runs(runs, cache, workers, report)
+    recordings = record_runs(runs, cache, workers, report=report)
     source, cut = body_source(runs[0].body), runs[0].levels.subdivision
     pattern = cut.flat_corners(runs[0].levels.pattern)
     columns = []

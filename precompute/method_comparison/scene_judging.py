@@ -86,7 +86,7 @@ class Judge:
         thickness, speed = self.scene.fabric.thickness, self._rail_speed()
         chaotic = not self.scene.unique
         figures = deviations(
-            self._recorded(run), self._recorded(self.reference), edges, lengths, thickness, speed, chaotic
+            self._recorded(run), self._recorded(self.reference), edges, lengths, thickness, speed, chaotic=chaotic
         )
         if chaotic:
             # A spline through few vertices is longer than the cloth: each on its own mesh.

@@ -224,9 +224,9 @@ def judge(scene: CellScene, run: Frames, reference: Reference, until: int | None
         *model.mesh.edge_lengths(),
         model.fabric.thickness,
         scene.speed,
-        reference.chaotic,
-        scale,
-        hinges_of(model.mesh.faces),
+        chaotic=reference.chaotic,
+        energy_scale=scale,
+        hinges=hinges_of(model.mesh.faces),
     )
 
 
@@ -248,7 +248,7 @@ def _through(scene: CellScene, position: np.ndarray) -> np.ndarray | None:
 
 
 def run_cell(
-    one: StabilityMap, x: float, y: float, method: str, reference: Reference | None = None, seconds: float = SECONDS
+    one: StabilityMap, x: float, y: float, method: str, reference: Reference | None = None, *, seconds: float = SECONDS
 ) -> Cell:
     """Run and class one cell; the reference is made where it is not given.
 

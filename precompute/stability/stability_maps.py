@@ -144,6 +144,7 @@ def lattice_model(
     kind: str,
     fabric: Fabric,
     held_rows: int = 1,
+    *,
     heavy: float = 1.0,
 ) -> tuple[Model, np.ndarray]:
     """Cloth on a regular lattice, held by its upper rows.
@@ -166,7 +167,9 @@ def lattice_model(
         weights[index[-1]] = heavy
         mesh = _Weighted(mesh.vertices, mesh.faces, mesh.flat, weights=weights)
     held = index[:held_rows].ravel()
-    return build_model(mesh, fabric, held, ModelOptions(tether_slack=0.0), _bend_factor(kind)), index
+    return build_model(
+        mesh, fabric, held, options=ModelOptions(tether_slack=0.0), bend_factor=_bend_factor(kind)
+    ), index
 
 
 def _hanging(model: Model) -> np.ndarray:
@@ -212,7 +215,9 @@ def _by_collider(x: float, y: float, kind: str) -> CellScene:
     vertices = np.stack([radius * np.cos(turn), -down * i, radius * np.sin(turn)], axis=1)
     faces = _faces(np.concatenate([index, index[:, :1]], axis=1), kind)
     mesh = ClothMesh.from_surface(vertices, faces)
-    model = build_model(mesh, _fabric(), index[0], ModelOptions(tether_slack=0.0), _bend_factor(kind))
+    model = build_model(
+        mesh, _fabric(), index[0], options=ModelOptions(tether_slack=0.0), bend_factor=_bend_factor(kind)
+    )
     post = Capsule((0.0, 1.0, 0.0), (0.0, -2.0, 0.0), radius - gap)
     return CellScene(model, vertices, y, speed=x, post=post, rings=index)
 

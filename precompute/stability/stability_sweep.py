@@ -98,8 +98,8 @@ def check_methods(names: Sequence[str]) -> tuple[str, ...]:
 
 def sweep(
     methods: Sequence[str] = METHODS,
-    maps: Sequence[StabilityMap] = MAPS,
     *,
+    maps: Sequence[StabilityMap] = MAPS,
     workers: Workers | int = 1,
     seconds: float = SECONDS,
     report: Callable[[str], None] | None = None,
@@ -142,7 +142,7 @@ def _column(one: StabilityMap, x: float, methods: tuple[str, ...], seconds: floa
         key = lattice_of(method), 0.0 if one.column else y
         if key not in references:
             references[key] = reference_of(one.scene(x, y, key[0]), seconds)
-        return run_cell(one, x, y, method, references[key], seconds)
+        return run_cell(one, x, y, method, references[key], seconds=seconds)
 
     cells, borders = [], []
     for method in methods:

@@ -75,7 +75,7 @@ def explicit_limit(lattice: str) -> ExplicitLimit:
     fabric = Fabric(DENSITY, STIFFNESS, STIFFNESS, 1 / 3, 0.375 * STIFFNESS, 0.0, 0.0, air_drag=0.0)
     sheet, index = lattice_model(1.0, 1.0, EDGES, lattice, fabric)
     border = np.concatenate([index[0], index[-1], index[:, 0], index[:, -1]])
-    model = build_model(sheet.mesh, fabric, border, sheet.options, sheet.bend_factor)
+    model = build_model(sheet.mesh, fabric, border, options=sheet.options, bend_factor=sheet.bend_factor)
     theory = membrane_limit(lattice, 1.0 / EDGES, STIFFNESS)
     start = State.at_rest(model)
     start.velocity[:, :2] = START_SPEED * np.random.default_rng(0).normal(size=(model.vertex_count, 2))

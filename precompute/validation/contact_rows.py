@@ -41,10 +41,10 @@ class _OnMesh(Trial):
         self._body.place((vertices - self.state.origin).astype(np.float32))
         self.colliders = Colliders((), self._body)
 
-    def frame(self, targets: np.ndarray | None = None, dt: float = 1.0 / FRAME_RATE) -> None:
+    def frame(self, targets: np.ndarray | None = None, *, dt: float = 1.0 / FRAME_RATE) -> None:
         self.solver.follow(self.state, self.colliders)
         self._body.advance((self.surface[0] - self.state.origin).astype(np.float32))
-        super().frame(targets, dt)
+        super().frame(targets, dt=dt)
 
 
 def _wall(columns: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

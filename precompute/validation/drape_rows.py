@@ -111,7 +111,7 @@ def _cusick(setting: TrialSetting, gravity_length_cm: float) -> TrialResult:
     """Above the estimate by radial strips, and below the coefficient of a fabric with a fifth more l_g."""
     shadow, cost, rim = cusick_drape(setting, 0.01 * gravity_length_cm)
     stiffer, _, _ = cusick_drape(setting, 0.012 * gravity_length_cm)
-    estimate = cusick_estimate(0.01 * gravity_length_cm, DISC, PEDESTAL)
+    estimate = cusick_estimate(0.01 * gravity_length_cm, DISC, pedestal=PEDESTAL)
     turn = np.linspace(0.0, 2.0 * math.pi, 100)
     size = math.sqrt(estimate * (DISC**2 - PEDESTAL**2) + PEDESTAL**2)
     curve = Curve("x [m]", "z [m]", (size * np.cos(turn), size * np.sin(turn)), (rim[:, 0], rim[:, 1]))

@@ -75,7 +75,7 @@ def rolled(specimen: Specimen, curvature: float, angle: float) -> np.ndarray:
 def _heavy(specimen: Specimen, fabric: Fabric) -> tuple[Model, State, Solver]:
     """Cloth so heavy that it stays where it is laid, with the default solver."""
     mesh = ClothMesh.from_pattern(level(specimen.flat), specimen.faces, specimen.flat[specimen.faces])
-    model = build_model(mesh, replace(fabric, areal_density=HEAVY), None, ModelOptions(tether_slack=0.0))
+    model = build_model(mesh, replace(fabric, areal_density=HEAVY), None, options=ModelOptions(tether_slack=0.0))
     return model, State.at_rest(model), Solver(model, LAID)
 
 

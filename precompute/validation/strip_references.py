@@ -241,7 +241,7 @@ def _slipping(friction: float, between: tuple[float, float], guess: tuple[float,
     return FirstSlip(float(1.0 - shape[3, -1]), tip, normal)
 
 
-def cusick_estimate(gravity_length: float, disc: float = 0.15, pedestal: float = 0.09) -> float:
+def cusick_estimate(gravity_length: float, disc: float = 0.15, *, pedestal: float = 0.09) -> float:
     """Drape coefficient if the overhang bent as separate radial strips [-]: shadow over the ring's area.
 
     Args:

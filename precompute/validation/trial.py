@@ -119,7 +119,7 @@ class Specimen:
     edge: float
 
 
-def strip(length: float, width: float, edges: int, clamp: int = 1, angle: float = 0.0) -> Specimen:
+def strip(length: float, width: float, edges: int, clamp: int = 1, *, angle: float = 0.0) -> Specimen:
     """A strip from x = 0 to ``length``, middle at y = 0, with ``clamp`` rows of edges before its start.
 
     Args:
@@ -170,7 +170,7 @@ def _filled(given: np.ndarray, inside: Callable[[np.ndarray], np.ndarray], edge:
 @cache
 def _bend_factor(angle: float) -> float:
     """Hinge factor of this kind of mesh, measured once on a large sheet."""
-    sheet = strip(1.0, 1.0, 30, 0, angle)
+    sheet = strip(1.0, 1.0, 30, 0, angle=angle)
     return hinge_calibration(ClothMesh.from_pattern(level(sheet.flat), sheet.faces, sheet.flat[sheet.faces]))
 
 
@@ -210,12 +210,14 @@ class Trial:
         pattern = self.specimen.flat @ np.array([[cosine, -sine], [sine, cosine]])
         mesh = ClothMesh.from_pattern(self.vertices, self.specimen.faces, pattern[self.specimen.faces])
         held = np.flatnonzero(self.held) if np.asarray(self.held).dtype == bool else np.asarray(self.held, int)
-        self.model = build_model(mesh, self.fabric, held, ModelOptions(tether_slack=0.0), _bend_factor(self.mesh_angle))
+        self.model = build_model(
+            mesh, self.fabric, held, options=ModelOptions(tether_slack=0.0), bend_factor=_bend_factor(self.mesh_angle)
+        )
         self.solver = self.setting.solver_for(self.model, self.gravity)
         self.state = State.at_rest(self.model)
         self.times: list[float] = []
 
-    def frame(self, targets: np.ndarray | None = None, dt: float = 1.0 / FRAME_RATE) -> None:
+    def frame(self, targets: np.ndarray | None = None, *, dt: float = 1.0 / FRAME_RATE) -> None:
         """One frame; ``targets``: where the held vertices go [m]."""
         begin = time.process_time()
         self.solver.step(self.state, self.colliders, dt, targets)
@@ -230,7 +232,7 @@ class Trial:
         self.state.velocity[:] = 0.0
         self.frame(places[self.model.held])
 
-    def settle(self, scale: float, limit: float = 40.0, still: float = 1e-5) -> None:
+    def settle(self, scale: float, limit: float = 40.0, *, still: float = 1e-5) -> None:
         """Run with damping until nothing moves.
 
         Args:
@@ -276,7 +278,9 @@ class Trial:
         if isinstance(self.solver, QuasiStatic):  # it knows the forces themselves
             force = self.solver.energy.gradient(self.solver.position)[held]
             return force.sum(axis=0), np.cross(self.solver.position[held], force).sum(axis=0)
-        model = build_model(self.model.mesh, self.fabric, held, self.model.options, self.model.bend_factor)
+        model = build_model(
+            self.model.mesh, self.fabric, held, options=self.model.options, bend_factor=self.model.bend_factor
+        )
         state = self.state.copy()
         state.position[:, 3] = model.inverse_mass
         state.velocity[:] = 0.0

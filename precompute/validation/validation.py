@@ -128,6 +128,7 @@ def validate(
     row: Row,
     case: Mapping[str, Any],
     solver: str | None = None,
+    *,
     resolution: int | None = None,
     report: Callable[[str], None] = lambda line: None,
 ) -> ValidationResult:
@@ -298,7 +299,7 @@ def validate_all(
     """
     cases = [(row, case) for row, cases in tests for case in cases]
     if len(cases) == 1:
-        return [validate(*cases[0], solver, resolution, report)]
+        return [validate(*cases[0], solver, resolution=resolution, report=report)]
 
     def progress(count: int, found: ValidationResult) -> None:
         report(f"{count} of {len(cases)}: {found.row.name} {case_words(found.case)}: {_short(found.best.error)}")
@@ -308,7 +309,7 @@ def validate_all(
 
 
 def _validate_named(name: str, case: Mapping[str, Any], solver: str | None, resolution: int | None) -> ValidationResult:
-    return validate(ROWS[name], case, solver, resolution)
+    return validate(ROWS[name], case, solver, resolution=resolution)
 
 
 def _short(value: Any) -> str:

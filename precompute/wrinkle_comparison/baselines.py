@@ -332,7 +332,7 @@ def player_times(database: WrinkleDatabase, truth: Truth) -> tuple[np.ndarray, n
 def fine_cloth(run: Run) -> Cloth:
     """The garment and the settings of the fine simulation itself."""
     levels = run.levels
-    model = levels.model(run.fabric, run.options, run.bend_factor, fine=True)
+    model = levels.model(run.fabric, run.options, bend_factor=run.bend_factor, fine=True)
     return Cloth(model, levels.fine_attachment, body_source(run.body), run, run.solver, levels.fine.faces, None)
 
 

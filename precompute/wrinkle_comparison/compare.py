@@ -334,7 +334,7 @@ def compare_file(
     Raises:
         InputError: as :func:`check_motions`, or what cannot be read.
     """
-    check_motions(path, clip, seconds)
+    check_motions(path, clip, seconds=seconds)
     path = database_of(path, output, report)
     database = read_database(path)
     inputs = playback_inputs(database, clip=clip)
@@ -365,7 +365,7 @@ def described(path: Path) -> tuple[Scene, tuple[str, ...], float]:
     return scene_of(database), database.trained_on, database.frame_rate
 
 
-def check_motions(path: Path, clip: str | None = None, seconds: float | None = None) -> None:
+def check_motions(path: Path, clip: str | None = None, *, seconds: float | None = None) -> None:
     """Refuse what cannot be compared on, before anything is simulated or learned.
 
     Args:

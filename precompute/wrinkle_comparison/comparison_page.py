@@ -155,6 +155,7 @@ def draw_methods(
     comparison: MotionComparison,
     methods: Sequence[Method],
     index: int | None = None,
+    *,
     titles: Sequence[str] | None = None,
 ) -> np.ndarray:
     """One moment by some methods: uint8, shape (h, w, 3).

@@ -53,11 +53,21 @@ def run(options: argparse.Namespace) -> Report:
     motion = inputs.motions[0]
     with Progress(sys.stderr) as progress:
         given = database, inputs, motion, options.rate, options.seconds
-        player, frames, normals, poses = baked_frames(*given, progress.later)
+        player, frames, normals, poses = baked_frames(*given, report=progress.later)
         progress.later(f"writing {options.output}")
         faces, body = player.levels.subdivision.faces, shown_body(inputs.body, player.levels)
         garments, texture = garment_vertices(player.levels), database.fine_texture
-        write_baked(options.output, faces, frames, options.rate, normals, body, poses, garments, texture)
+        write_baked(
+            options.output,
+            faces,
+            frames,
+            options.rate,
+            normals,
+            body=body,
+            poses=poses,
+            garments=garments,
+            texture=texture,
+        )
     if isinstance(player, PlainPlayer):
         say(f"plays {better_choice(database.quality)} (--wrinkles plays the wrinkles)")
     say(f"{motion.name}: {len(frames)} frames of {frames.shape[1]} vertices baked to {options.output}")

@@ -70,7 +70,7 @@ def export_page(options: argparse.Namespace, find_truth: FindTruth | None = None
     about = page_text(database, motion.name)
     with Progress(sys.stderr) as progress:
         truth = None if find_truth is None else find_truth(database, inputs, motion, progress)
-        recording, figures = record(database, inputs, motion, options.seconds, about, progress, truth)
+        recording, figures = record(database, inputs, motion, options.seconds, about, progress, truth=truth)
     figures["page_mb"] = write_page(options.output, recording) / 1e6
     if figures.get("truth_frame_count") == 0:
         say("the truth is left out: with it the page would be larger than 6 MB for ten seconds")

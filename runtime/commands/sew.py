@@ -89,7 +89,7 @@ def run(options: argparse.Namespace) -> Report:
     fault = None
     with Progress(sys.stderr) as progress:
         try:
-            sewn = sew(pattern, body, options.fabric, options.edge, progress)
+            sewn = sew(pattern, body, options.fabric, edge_length=options.edge, report=progress)
         except SewingError as error:
             fault, sewn = error, error.garment
     figures = {} if sewn is None else dict(sewn.figures)

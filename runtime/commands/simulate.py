@@ -68,7 +68,7 @@ def run(options: argparse.Namespace) -> Report:
     openings: list[str] = []
     with Progress(sys.stderr) as progress:
         progress.later(f"setting up {options.scene}")
-        simulation, motion = simulation_of(scene, options.fine, openings.append)
+        simulation, motion = simulation_of(scene, options.fine, report=openings.append)
         longest = NO_BODY_SECONDS if motion is None else motion.duration - clip_begin(motion)
         seconds = longest if options.seconds is None else min(options.seconds, longest if motion else math.inf)
         frames, poses, rate, figures = simulated_frames(simulation, motion, scene, seconds, progress.later)

@@ -262,7 +262,9 @@ class ViewedGarment:
         simulation = self.player.simulation
         model = simulation.model
         fabric = factors.applied(self._fabric)
-        simulation.model = build_model(model.mesh, fabric, model.held, model.options, model.bend_factor, model.limits)
+        simulation.model = build_model(
+            model.mesh, fabric, model.held, options=model.options, bend_factor=model.bend_factor, limits=model.limits
+        )
         simulation.solver = Solver(simulation.model, simulation.solver.options)
         simulation.state.position[:, 3] = simulation.model.inverse_mass
 
@@ -369,7 +371,7 @@ class DatabaseSource:
         assert motion is not None
         database = self.database if fabric == self.database.fabric_name else self.database.in_fabric(fabric)
         inputs = self.inputs
-        player = player_of(database, inputs.body, motion.pose(0.0), inputs.primitives, wrinkles)
+        player = player_of(database, inputs.body, motion.pose(0.0), primitives=inputs.primitives, wrinkles=wrinkles)
         truth = self.truths.get(motion.name) if fabric == self.database.fabric_name else None
         body = shown_body(inputs.body, player.levels)
         return ViewedGarment(player, motion, body, database.fine_texture, truth)

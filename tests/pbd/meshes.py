@@ -56,7 +56,7 @@ def cloth(vertices: np.ndarray, faces: np.ndarray, warp: tuple = (1.0, 0.0, 0.0)
 
 def free_model(mesh: ClothMesh, fabric: Fabric, held: np.ndarray | None = None, bend_factor: float = 1 / 3) -> Model:
     """Model without tethers, which are no part of the fabric's physics."""
-    return build_model(mesh, fabric, held, ModelOptions(tether_slack=0.0), bend_factor)
+    return build_model(mesh, fabric, held, options=ModelOptions(tether_slack=0.0), bend_factor=bend_factor)
 
 
 def run(

@@ -40,7 +40,7 @@ WEIGHTLESS = SolverOptions(gravity=(0.0, 0.0, 0.0), coarse_sweeps=0)
 
 def model_of(specimen: Specimen, fabric: Fabric, held: np.ndarray | None = None) -> Model:
     mesh = ClothMesh.from_pattern(level(specimen.flat), specimen.faces, specimen.flat[specimen.faces])
-    return build_model(mesh, fabric, held, ModelOptions(tether_slack=0.0))
+    return build_model(mesh, fabric, held, options=ModelOptions(tether_slack=0.0))
 
 
 def moments(specimen: Specimen, fabric: Fabric, angle: float, path: np.ndarray) -> np.ndarray:

@@ -190,7 +190,7 @@ def test_a_grid_is_a_rectangle_with_its_warp_along_its_height(level: bool) -> No
     centre, up, normal = (1.0, 2.0, 3.0), np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
     if level:
         up, normal = -normal, up
-    mesh = ClothMesh.grid(0.6, 0.4, 3, 5, centre, level)
+    mesh = ClothMesh.grid(0.6, 0.4, 3, 5, centre, level=level)
     assert len(mesh.vertices) == 4 * 6 and len(mesh.faces) == 2 * 3 * 5
     assert mesh.face_areas == pytest.approx(0.6 * 0.4 / 30)
     corners = mesh.vertices[mesh.faces]

@@ -130,7 +130,7 @@ def play(drawn: Drawn) -> None:
     )  # fmt: skip
     held = rng.choice(len(vertices), min(drawn.held, len(vertices)), replace=False)
     options = ModelOptions(drawn.compression, tether_slack=1.03 * drawn.tethers)
-    model = build_model(mesh, fabric, held, options, bend_factor=1 / 3)
+    model = build_model(mesh, fabric, held, options=options, bend_factor=1 / 3)
     direction = lambda: drawn.speed * (lambda u: u / np.linalg.norm(u))(rng.normal(size=3))  # noqa: E731
     # All of it in one point, no sheet could keep its thickness from itself.
     squeezed = max(drawn.squeezed, 0.1) if drawn.options.self_collision else drawn.squeezed

@@ -200,11 +200,13 @@ def test_tethers_follow_the_cloth_to_the_nearest_held_vertex() -> None:
     folded[:, 0] = np.abs(folded[:, 0] - 0.5)  # both ends lie on one another in space, not along the cloth
     mesh = replace(cloth(vertices, faces), vertices=folded)
     held = np.flatnonzero(vertices[:, 0] < 1e-9)
-    model = build_model(mesh, Fabric(), held, ModelOptions(tether_slack=1.1), bend_factor=1 / 3)
+    model = build_model(mesh, Fabric(), held, options=ModelOptions(tether_slack=1.1), bend_factor=1 / 3)
     pairs = zip(model.tethers, model.tether_lengths, strict=True)
     tethers = {int(vertex): (int(to), length) for (vertex, to), length in pairs}
     assert len(tethers) == len(vertices) - len(held) and set(held) >= {to for to, _ in tethers.values()}
     far = int(np.argmax(vertices[:, 0]))
     assert tethers[far][1] == pytest.approx(1.1 * 1.0, rel=1e-5)
-    assert len(build_model(mesh, Fabric(), held, ModelOptions(tether_slack=0.0), bend_factor=1 / 3).tethers) == 0
+    assert (
+        len(build_model(mesh, Fabric(), held, options=ModelOptions(tether_slack=0.0), bend_factor=1 / 3).tethers) == 0
+    )
     assert model.mass.sum() == pytest.approx(Fabric().areal_density * 0.4)

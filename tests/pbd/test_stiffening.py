@@ -29,7 +29,7 @@ def model_of(fabric: Fabric, height: float = 0.0) -> Model:
     held = np.flatnonzero(specimen.flat[:, 0] < 1e-9)
     start = level(specimen.flat) + [0.0, height, 0.0]
     mesh = ClothMesh.from_pattern(start, specimen.faces, specimen.flat[specimen.faces])
-    return build_model(mesh, fabric, held, ModelOptions(tether_slack=0.0), bend_factor=1 / 3)
+    return build_model(mesh, fabric, held, options=ModelOptions(tether_slack=0.0), bend_factor=1 / 3)
 
 
 def test_a_hanging_knit_is_as_long_as_its_curve_says() -> None:

@@ -56,7 +56,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ],
 )
 def test_what_is_played(clip: str | None, character: Path | None, names: list[str]) -> None:
-    inputs = playback_inputs(skirt_database(), character, clip)
+    inputs = playback_inputs(skirt_database(), character, clip=clip)
     assert [motion.name for motion in inputs.motions] == names
     assert all(motion.duration > 1.0 for motion in inputs.motions)
 
@@ -82,7 +82,7 @@ def test_a_vertex_sequence_has_no_clips(tmp_path: Path) -> None:
     database = skirt_database(body_hash=body_hash(Sequence("still", frames, body.faces, 0.1)))
     assert [motion.name for motion in playback_inputs(database, file).motions] == ["still"]
     with pytest.raises(InputError, match="no clips"):
-        playback_inputs(database, file, "walk")
+        playback_inputs(database, file, clip="walk")
 
 
 def test_kept_frames_are_those_that_were_asked_for() -> None:

@@ -110,7 +110,9 @@ def test_warming_up_leaves_no_trace(poses: np.ndarray) -> None:
     database, stage = skirt_database(), skirt_stage()
     player = Player(database, stage.body, poses[0])
     mesh = player.levels.coarse
-    model = build_model(mesh, database.fabric, database.held, database.options, database.bend_factor)
+    model = build_model(
+        mesh, database.fabric, database.held, options=database.options, bend_factor=database.bend_factor
+    )
     assert isinstance(stage.body, Character)
     attachment = player.levels.coarse_attachment
     plain = Simulation(model, attachment, body_source(stage.body), poses[0], database.solver)

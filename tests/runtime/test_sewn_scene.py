@@ -26,7 +26,7 @@ from tests.assets.sewing.tubes import egg, tube_pattern
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The tube on the egg, and the egg as a sequence that stands still."""
     path = tmp_path_factory.mktemp("sewn")
-    write_sewn(path / "tube.npz", sew(tube_pattern(), egg(), "cotton", 0.03))
+    write_sewn(path / "tube.npz", sew(tube_pattern(), egg(), "cotton", edge_length=0.03))
     body = egg()
     vertices = np.repeat(body.vertices[None].astype(np.float32), 3, axis=0)
     np.savez(path / "egg.npz", vertices=vertices, faces=body.faces, dt=0.1)

@@ -96,6 +96,7 @@ def nearest_placement(
     surroundings: Surroundings,
     cost: Callable[[Placement], float],
     allowed: Callable[[Floats], bool] = lambda _: True,
+    *,
     clearance: float = CLEARANCE,
 ) -> Placement:
     """The placement with the least cost that is clear of the body and of the panels that stand.

@@ -30,7 +30,7 @@ from tests.wrinkles.meshes import icosphere
 
 @pytest.fixture(scope="module")
 def tube() -> SewnGarment:
-    return sew(tube_pattern(), egg(), "cotton", 0.02)
+    return sew(tube_pattern(), egg(), "cotton", edge_length=0.02)
 
 
 def test_a_tube_is_sewn_and_hangs_where_it_fits(tube: SewnGarment) -> None:
@@ -66,7 +66,7 @@ def test_a_body_that_is_thin_while_the_seams_close_has_its_own_shape_afterwards(
     monkeypatch.setattr("assets.sewing.sewing.CLOSINGS", ((1.0, 12),))
     monkeypatch.setattr(Body, "place", lambda self, vertices: (placed.append(vertices), place(self, vertices))[1])
     monkeypatch.setattr(Body, "advance", lambda self, vertices: (placed.append(vertices), advance(self, vertices))[1])
-    sewn = sew(tube_pattern(), egg(), "cotton", 0.025)
+    sewn = sew(tube_pattern(), egg(), "cotton", edge_length=0.025)
     widths = [np.ptp(vertices[:, 0]) for vertices in placed]
     assert widths[0] < 0.97 * widths[-1] and widths[-1] == pytest.approx(np.ptp(egg().vertices[:, 0]))
     away = BodyDistance(egg().faces).signed_distance(sewn.garment.vertices, egg().vertices)
@@ -76,7 +76,7 @@ def test_a_body_that_is_thin_while_the_seams_close_has_its_own_shape_afterwards(
 def test_a_tube_that_is_too_small_says_so() -> None:
     pole = replace(egg(), vertices=egg().vertices * [1.0, 6.0, 1.0])  # from which it cannot slide
     with pytest.raises(SewingError, match="(stays open|too small).*may mend it"):
-        sew(tube_pattern(girth=0.4), pole, "cotton", 0.025)
+        sew(tube_pattern(girth=0.4), pole, "cotton", edge_length=0.025)
 
 
 def test_a_band_holds_where_it_is_tight_however_finely_it_is_cut() -> None:
@@ -87,7 +87,7 @@ def test_a_band_holds_where_it_is_tight_however_finely_it_is_cut() -> None:
     body = StandingBody("hourglass", vertices + [0.0, 0.4, 0.0], faces)
     skirt, rims = tube_pattern(girth=0.49, height=0.4, layers=3.0, flare=0.6), []
     for edge in (0.025, 0.012):
-        garment = sew(skirt, body, "denim", edge).garment
+        garment = sew(skirt, body, "denim", edge_length=edge).garment
         rims.append(garment.vertices[highest_loop(garment.vertices, garment.faces), 1].mean())
     assert rims == pytest.approx([0.4, 0.4], abs=0.003) and abs(rims[1] - rims[0]) < 0.001
 
@@ -214,14 +214,14 @@ def test_a_body_must_be_closed(tmp_path: Path) -> None:
 @pytest.mark.parametrize("edge", [0.0, 0.001, 0.2, float("nan")])
 def test_edges_that_no_garment_has_are_refused(edge: float) -> None:
     with pytest.raises(InputError, match=r"edge: .*0\.002 to 0\.05"):
-        sew(tube_pattern(), egg(), "cotton", edge)
+        sew(tube_pattern(), egg(), "cotton", edge_length=edge)
 
 
 @pytest.mark.proof
 @pytest.mark.parametrize("name", ["shirt_mean", "dress_pencil"])
 def test_patterns_of_garmentcode_come_out_whole(name: str) -> None:
     pattern = load_pattern(data_path(f"patterns/{name}_specification.json"))
-    sew(pattern, load_standing_body(data_path("patterns/mean_all.obj")), "cotton", 0.01)
+    sew(pattern, load_standing_body(data_path("patterns/mean_all.obj")), "cotton", edge_length=0.01)
 
 
 @pytest.mark.proof
@@ -229,4 +229,4 @@ def test_patterns_of_garmentcode_come_out_whole(name: str) -> None:
 @pytest.mark.parametrize("body", ["builtin:mannequin", "characters/mh_female_bandai_NC.glb"])
 def test_drafts_come_out_whole(name: str, body: str) -> None:
     figure = load_standing_body(body if body.startswith("builtin") else data_path(body))
-    sew(draft(name, measure(figure)), figure, "cotton", 0.01)
+    sew(draft(name, measure(figure)), figure, "cotton", edge_length=0.01)

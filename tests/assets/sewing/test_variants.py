@@ -113,7 +113,7 @@ def outcome(variant: Variant) -> tuple[str, float]:
     _, figure, made = variant
     began, reason = time.monotonic(), ""
     try:
-        sew(made(), figure, "cotton", COARSE_EDGE)
+        sew(made(), figure, "cotton", edge_length=COARSE_EDGE)
     except (SewingError, InputError) as error:
         reason = str(error)
     return reason, time.monotonic() - began

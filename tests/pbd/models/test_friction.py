@@ -14,7 +14,7 @@ from tests.pbd.meshes import cloth, grid, turn
 from tests.pbd.models.sheets import FABRIC, differences
 
 RUBBING = replace(FABRIC, bend_hysteresis_warp=0.4, bend_hysteresis_weft=0.1, shear_hysteresis=30.0, air_drag=0.0)
-MODEL = build_model(cloth(*grid(4, 3, 0.05, "alternating")), RUBBING, None, ModelOptions(tether_slack=0.0))
+MODEL = build_model(cloth(*grid(4, 3, 0.05, "alternating")), RUBBING, None, options=ModelOptions(tether_slack=0.0))
 
 
 def elements(kind: str, seed: int = 0) -> FrictionElements:
@@ -127,7 +127,7 @@ def test_a_sheet_on_cylinders_rubs_as_the_fabric_says(degrees: float) -> None:
     """All vertices are led; moments of the faces that do not lie at a border, whose ends are free of moments."""
     fabric = replace(RUBBING, shear_hysteresis=0.0, bend_hysteresis_warp=0.04, bend_hysteresis_weft=0.02)
     angle = np.radians(degrees)
-    model = build_model(cloth(*grid(8, 8, 0.01, "alternating")), fabric, None, ModelOptions(tether_slack=0.0))
+    model = build_model(cloth(*grid(8, 8, 0.01, "alternating")), fabric, None, options=ModelOptions(tether_slack=0.0))
     energy = cloth_energy(model, "fem-stvk", "morley")
     (rubbing,) = (part for part in energy.parts if isinstance(part, CurvatureFriction))
     flat = model.mesh.vertices - model.mesh.vertices.mean(axis=0)
@@ -148,7 +148,7 @@ def test_what_friction_holds_is_kept_in_the_state() -> None:
     """A strip between two clamps, bent, sheared and brought back; a new solver that takes the state goes on from it."""
     start = MODEL.mesh.vertices
     held = np.flatnonzero((start[:, 0] < 0.051) | (start[:, 0] > 0.149))
-    model = build_model(MODEL.mesh, RUBBING, held, ModelOptions(tether_slack=0.0))
+    model = build_model(MODEL.mesh, RUBBING, held, options=ModelOptions(tether_slack=0.0))
     far = start[:, :1] > 0.149
     turned = (start - [0.15, 0.0, 0.0]) @ turn((0.0, 1.0, 0.0), 80.0).T + [0.15, 0.05, 0.0]
     moved = np.where(far, turned, start)

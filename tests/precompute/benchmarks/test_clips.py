@@ -54,7 +54,7 @@ def test_a_clip_comes_with_its_picture(monkeypatch: pytest.MonkeyPatch, tmp_path
     monkeypatch.setitem(CLIPS, "still", still)  # pyright: ignore[reportArgumentType]
     monkeypatch.setattr(Still, "duration", 0.7)
     told: list[str] = []
-    (row,) = clip_rows(["still"], told.append, tmp_path)
+    (row,) = clip_rows(["still"], report=told.append, pictures=tmp_path)
     assert row["clip"] == "still" and row["frames"] == 42 and told == ["1 of 1 clips"]
     width, height = Image.open(tmp_path / "still.png").size
     assert width > 6 * 420 and height > 2 * 560

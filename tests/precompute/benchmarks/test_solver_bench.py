@@ -36,7 +36,7 @@ def test_the_square_is_the_scene_that_was_asked_for(mesh: str) -> None:
     assert vertices[model.held] == pytest.approx(np.array([[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0]]), abs=1e-9)
     lowest = vertices[vertices[:, 1].argmin()]
     assert np.degrees(np.arctan2(lowest @ scene.forward, -lowest[1])) == pytest.approx(30.0)
-    assert len(hanging_square(12, "side", mesh).model.held) == 12
+    assert len(hanging_square(12, "side", mesh=mesh).model.held) == 12
     assert len(model.tethers) == 0
 
 

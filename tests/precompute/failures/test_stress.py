@@ -54,7 +54,7 @@ def test_what_does_not_hold_is_told(scale: float, verdict: str, monkeypatch: pyt
 
 
 def test_other_solvers_take_the_same_runs() -> None:
-    (row,) = stress_rows("pbd", ["frames of 1/30 s"], seconds=0.1)
+    (row,) = stress_rows("pbd", names=["frames of 1/30 s"], seconds=0.1)
     assert row["solver"] == "pbd" and row["verdict"] in ("ok", "stretched")
 
 
@@ -62,7 +62,7 @@ def test_unknown_runs_and_solvers_are_refused() -> None:
     with pytest.raises(InputError, match="no such run"):
         stress_rows(names=["frames of 1/9 s"])
     with pytest.raises(InputError, match="no such solver"):
-        stress_rows("best", ["E h 1e5 N/m"])
+        stress_rows("best", names=["E h 1e5 N/m"])
 
 
 def test_the_command_counts_verdicts_and_fails_where_a_run_does(

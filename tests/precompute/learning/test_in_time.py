@@ -25,7 +25,7 @@ def run() -> Run:
 @pytest.mark.parametrize("seconds", [3.0, 1.6, 0.5])
 def test_a_pause_stops_and_goes_there_and_back_through_the_same_poses(run: Run, seconds: float) -> None:
     given = run.poses[: round(seconds / run.dt) + 1]
-    pause = Pause.of(Run(**(vars(run) | {"poses": given})), START, STILL, PIECE)
+    pause = Pause.of(Run(**(vars(run) | {"poses": given})), START, STILL, piece=PIECE)
     poses, turn = pause.run.poses[1:], min(90, len(given) - 2)  # recorded frames begin after the first pose
     assert pause.run.every == 1 and pause.run.poses.dtype == run.poses.dtype
     assert np.array_equal(pause.run.poses[: turn + 1], given[: turn + 1])

@@ -144,7 +144,9 @@ def test_a_body_of_large_faces_is_the_same_after_a_restart(tmp_path: Path) -> No
     growth = np.linspace(0.05, 0.15, FRAMES + 1)[:, None, None]
     crystal = (shape * growth + [0.3, -0.05, 0.3]).astype(np.float32)
     body = Sequence("crystal", crystal, faces, 1 / 60)
-    levels = build_levels(*flat_sheet(13, 0.6), np.array([], int), crystal[0].astype(float), faces, 1, (1.0, 0.0, 0.0))
+    levels = build_levels(
+        *flat_sheet(13, 0.6), np.array([], int), crystal[0].astype(float), faces, 1, warp=(1.0, 0.0, 0.0)
+    )
     run = replace(skirt_run(), levels=levels, body=body, poses=crystal.astype(float))
     (whole,) = record_runs([run], tmp_path, workers=1)
     for late in (1, 2, 3):

@@ -30,7 +30,7 @@ def map_of(name: str, x: tuple[float, ...], y: tuple[float, ...]) -> StabilityMa
 @pytest.fixture(scope="module")
 def tiny() -> StabilitySweep:
     maps = [map_of("stiffness", (1.0, 1000.0), (1 / 240, 1 / 30, 1 / 10)), map_of("mass", (1e2, 1e3), (1.0, 12.0))]
-    return sweep(("default", EXPLICIT), maps, seconds=SECONDS)
+    return sweep(("default", EXPLICIT), maps=maps, seconds=SECONDS)
 
 
 def test_the_default_maps_are_whole() -> None:

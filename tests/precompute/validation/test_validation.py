@@ -143,7 +143,7 @@ def test_an_equilibrium_that_is_lost_is_not_sought_on_a_finer_mesh() -> None:
 
 
 def test_a_chosen_resolution_is_the_only_one() -> None:
-    result = validate(FAKE, {"power": 0.0}, "default", 30)
+    result = validate(FAKE, {"power": 0.0}, "default", resolution=30)
     assert result.best_setting.edges == 30
 
 
@@ -243,7 +243,7 @@ def test_the_command_says_what_is_unknown(capsys: pytest.CaptureFixture) -> None
 
 @pytest.mark.parametrize("gamma", [0.1, 1.0, 30.0])
 def test_the_default_solver_holds_stiff_cantilevers_at_its_default_setting(gamma: float) -> None:
-    result = validate(ROWS["cantilever"], {"gamma": gamma}, "default", 20)
+    result = validate(ROWS["cantilever"], {"gamma": gamma}, "default", resolution=20)
     assert result.passed_default, result.default.error
 
 
@@ -259,5 +259,5 @@ def test_the_default_solver_holds_stiff_cantilevers_at_its_default_setting(gamma
     ],
 )
 def test_equilibria_hold_the_gate_of_the_best(name: str, case: dict) -> None:
-    result = validate(ROWS[name], case, "fem-stvk/quasi-static", 20)
+    result = validate(ROWS[name], case, "fem-stvk/quasi-static", resolution=20)
     assert result.passed_best, result.reason
