@@ -172,15 +172,13 @@ def build_model(
     """
     options, limits = options or ModelOptions(), limits or Limits.none()
     count = len(mesh.vertices)
-    held = np.unique(
-        integers([] if held is None else held, "held", ("p",), count, outside="held vertex outside the mesh")
-    )
+    chosen = [] if held is None else held
+    held = np.unique(integers(chosen, "held", ("p",), count, outside="held vertex outside the mesh"))
     if limits.vertices.max(initial=0) >= count:
         received, expected = int(limits.vertices.max()), f"0..{count - 1}"
         raise InputError("limited vertex outside the mesh", key="limits", received=received, expected=expected)
     mass, inverse_mass = _masses(mesh, fabric, held)
-    if bend_factor is None:
-        bend_factor = hinge_calibration(mesh)
+    bend_factor = hinge_calibration(mesh) if bend_factor is None else bend_factor
     triangles, triangle_data, triangle_numbers, triangle_colors = _membrane(
         mesh, fabric, inverse_mass, options.compression_compliance_scale
     )

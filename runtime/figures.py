@@ -91,6 +91,9 @@ FIGURES = {
     ),
     "self_crossed_percent": Figure("through itself", "%", "faces that go through another one, mean over the frames"),
     "self_crossed_worst_percent": Figure("through itself at worst", "%", "the same in the worst frame"),
+    "training_left_out_percent": Figure(
+        "training left out", "%", "frames that are not learned from, because the fine cloth is through itself"
+    ),
     "crossed_layers_percent": Figure(
         "garments through one another", "%", "vertices on edges that go through another garment of the outfit"
     ),

@@ -102,8 +102,8 @@ def record(
         shown = _truth(truth, first, every, len(fine))
         with_truth = recording_bytes(header, arrays | shown)
         fits = len(with_truth) <= MAX_SIZE * max(1.0, (len(poses) - 1 - first) * dt / 10.0)
-        data = with_truth if fits else data
         figures["truth_frame_count"] = float(len(shown["truth/numbers"].steps) if fits else 0)
+        return with_truth if fits else data, figures
     return data, figures
 
 

@@ -119,10 +119,8 @@ def _contact() -> list[Scene]:
     lying = level.vertices - np.outer(level.vertices @ slope - thickness, slope)
     tube, ring = _tube(0.099, 0.3, 16, 8)
     wide = tube.vertices * [1.045, 1.0, 1.045]
-    sheets = [
-        replace(m, vertices=m.vertices + [0.0, 0.004 * k, 0.0])
-        for k, m in enumerate(3 * [square(8, 0.24, upright=False)])
-    ]
+    flat = square(8, 0.24, upright=False)
+    sheets = [replace(flat, vertices=flat.vertices + [0.0, 0.004 * k, 0.0]) for k in range(3)]
     thin = replace(COTTON, thickness=0.001)
 
     def stack(fabric: Fabric) -> Model:

@@ -468,10 +468,9 @@ def evaluate(
         figures |= {prefix + name: value for name, value in crossed_figures(shares, layer is not None).items()}
     figures["contact_bending_ratio"] = contact_bending_ratio(truth, free.frames, distances, truth_distances)
     figures["attached_off_mm"] = 1e3 * free.held_off
-    subdivision = truth.levels.subdivision
-    figures |= timing_figures(free, subdivision.coarse_count, subdivision.fine_count)
-    figures["fine_simulation_ms"] = recording.step_ms
-    figures["speedup_over_fine"] = recording.step_ms / figures["frame_ms_p50"]
+    figures |= timing_figures(free, truth.levels.subdivision.coarse_count, truth.levels.subdivision.fine_count)
+    step_ms = recording.step_ms
+    figures |= {"fine_simulation_ms": step_ms, "speedup_over_fine": step_ms / figures["frame_ms_p50"]}
     figures |= pause.figures(paused.positions, "truth_") | in_time
     figures["truth_rest_speed_mm_s"] = pause.rest_speed(paused.coarse)
     return Evaluation(figures, free, smooth, decoded)

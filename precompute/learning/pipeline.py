@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from assets.io.scene import Scene, scene_text
 from pbd import Fabric, InputError, ModelOptions, SolverOptions
 from pbd.bending import hinge_calibration
-from precompute.learning.crossed import crossed_figures, crossed_jobs, crossed_words, joined_crossed
+from precompute.learning.crossed import WHOLE, crossed_figures, crossed_jobs, crossed_words, joined_crossed
 from precompute.learning.decoding import with_vertex_mean
 from precompute.learning.evaluation import (
     SETTLE,
@@ -53,6 +53,7 @@ __all__ = [
     "precompute",
     "scene_run",
     "training_recordings",
+    "training_run",
 ]
 
 DEFAULT = LearningOptions()
@@ -195,7 +196,7 @@ def _precomputed(work: _Work, held_out: Sequence[Motion], output: Path) -> Preco
         motions = stage.training_motions()
         if not motions:
             raise InputError("nothing to learn from", key="training", expected="clips or procedural_seconds")
-        examples = _simulated(work, motions, held_out[:1])
+        examples, left_out = _simulated(work, motions, held_out[:1])
     kept = Kept(work.cache, scene, [example.run for example in examples], work.options)
     mapping, atoms = _learned(work, examples, kept)
     database = _finished(work, examples, mapping, atoms, kept)
@@ -207,6 +208,7 @@ def _precomputed(work: _Work, held_out: Sequence[Motion], output: Path) -> Preco
             quality |= figures
     crossed = crossed_figures(joined_crossed([example.crossed for example in examples]), outfit=False)
     quality |= {f"training_{name}": value for name, value in crossed.items()} | {
+        "training_left_out_percent": left_out,
         "atoms_kept": atoms.kept,
     }
     database = replace(database, quality=quality)
@@ -230,23 +232,40 @@ def _held_out(scene: Scene, stage: GarmentSetup) -> list[Motion]:
     return motions
 
 
-def _simulated(work: _Work, motions: Sequence[Motion], judged: Sequence[Motion]) -> list[_Example]:
-    """All fine runs, those that the database is judged by too: the more there are, the less do workers wait."""
+def _simulated(work: _Work, motions: Sequence[Motion], judged: Sequence[Motion]) -> tuple[list[_Example], float]:
+    """All fine runs, those that the database is judged by too: the more there are, the less do workers wait.
+
+    Returns:
+        what is learned from, and the share of frames that are left out because the cloth is through itself [%].
+
+    Raises:
+        InputError: nothing is left of a fabric.
+    """
     worn = [(name, motion) for name in work.fabrics for motion in motions]
-    runs = [work.run(motion, name) for name, motion in worn]
+    runs = [training_run(work.stage, work.scene, motion, name) for name, motion in worn]
     later = [one for motion in judged for one in truth_runs(work.run(motion), work.options)]
     later += [work.run(motion, name) for motion in judged for name in work.fabrics if name != work.own_fabric]
     record_runs([*runs, *later], work.cache, work.workers, report=work.clock)
     recordings = training_recordings(runs, work.cache, work.workers)
-    levels, examples = work.layer.levels, []
+    levels, examples, frame_count = work.layer.levels, [], 0
     for (name, _), run, recording in zip(worn, runs, recordings, strict=True):
         jobs = crossed_jobs(levels.fine, levels.fine_layer, recording.positions)
         told = counted(work.clock, f"looking for crossings: {run.name}: parts", len(jobs))
-        examples.append(_Example(name, run, recording, joined_crossed(work.workers.run(jobs, done=told))))
-        words = crossed_words(run.name, recording.frames * run.dt, examples[-1].crossed)
+        crossed = joined_crossed(work.workers.run(jobs, done=told))
+        end = run.frame_count // run.every * run.every * run.dt
+        words = crossed_words(run.name, recording.frames * run.dt, crossed, end)
         if words:
             work.clock(words)
-    return examples
+        whole = crossed[:, 0] <= WHOLE
+        frame_count += int((np.arange(run.every, run.frame_count + 1, run.every) * run.dt > run.lead_in).sum())
+        examples.append(_Example(name, run, recording.where(whole), crossed[whole]))
+    examples = [example for example in examples if len(example.recording.frames)]
+    if {example.fabric for example in examples} != set(work.fabrics):
+        received, expected = [run.name for run in runs], "calmer clips, or a wider garment"
+        problem = "the fine cloth is through itself in all of the training"
+        raise InputError(problem, key="training", received=received, expected=expected)
+    kept = sum(len(example.recording.frames) for example in examples)
+    return examples, 100.0 * (1.0 - kept / frame_count)
 
 
 def _learned(work: _Work, examples: Sequence[_Example], kept: Kept) -> tuple[CoefficientNetwork, Atoms]:
@@ -363,6 +382,11 @@ def training_recordings(
     """What the runs that a scene learns from gave, without what only leads to the motions that are meant."""
     recordings = record_runs(runs, cache, workers, report=report)
     return [r.where(r.frames * run.dt > run.lead_in) for r, run in zip(recordings, runs, strict=True)]
+
+
+def training_run(stage: GarmentSetup, scene: Scene, motion: Motion, fabric: str | None = None) -> Run:
+    """The fine run of a motion that is learned from: :func:`scene_run`, which ends where the cloth has come apart."""
+    return replace(scene_run(stage, scene, motion, fabric), while_whole=True)
 
 
 def scene_run(stage: GarmentSetup, scene: Scene, motion: Motion, fabric: str | None = None) -> Run:

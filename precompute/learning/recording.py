@@ -25,6 +25,7 @@ from pbd.fingerprint import source_fingerprint
 from pbd.storage import replacing
 from pbd.wind import CALM, Air, Wind
 from precompute.cluster import ClusterWorkers, cache_here
+from precompute.learning.crossed import COME_APART, crossed_share
 from precompute.workers import Workers
 from runtime.simulation import Simulation, body_source, poses_of
 from wrinkles.levels import Levels
@@ -57,6 +58,8 @@ class Run:
         every: frames from one recorded frame to the next.
         bend_factor: hinge factor if known; None measures it.
         start: number of its start, see :func:`move_start`.
+        while_whole: it ends at the first chunk after the lead-in that begins with cloth that has come apart, see
+            :data:`precompute.learning.crossed.COME_APART`.
     """
 
     name: str
@@ -74,6 +77,7 @@ class Run:
     primitives: tuple = ()
     lead_in: float = 0.0
     start: int = 0
+    while_whole: bool = False
 
     @property
     def frame_count(self) -> int:
@@ -131,6 +135,7 @@ class Run:
             [primitive.row().tolist() for primitive in self.primitives],
         ]
         settings += [self.start] * (self.start > 0)  # runs that start where they are put keep their names
+        settings += ["while whole"] * self.while_whole
         digest.update(json.dumps(settings, sort_keys=True).encode())
         return digest.hexdigest()[:24]
 
@@ -329,7 +334,10 @@ def _chunk(run: Run, simulation: Simulation, chunk: int) -> dict[str, np.ndarray
     at_coarse = levels.subdivision.at_coarse if run.fine else np.arange(count)
     rows: dict[str, list] = {"frames": [], "positions": [], "contact": [], "nearest": []}
     times = []
-    for frame in range(chunk * run.chunk, min((chunk + 1) * run.chunk, run.frame_count)):
+    first, last = chunk * run.chunk, min((chunk + 1) * run.chunk, run.frame_count)
+    if run.while_whole and first * run.dt > run.lead_in and _has_come_apart(run, simulation):
+        last = first
+    for frame in range(first, last):
         simulation.pose_body(run.poses[frame + 1])
         began = time.perf_counter()
         simulation.step_cloth(run.dt, run.wind)
@@ -342,13 +350,19 @@ def _chunk(run: Run, simulation: Simulation, chunk: int) -> dict[str, np.ndarray
             rows["nearest"].append(state.nearest[at_coarse])
     arrays = {name: np.array(values) for name, values in rows.items()}
     if not len(arrays["frames"]):
+        arrays["frames"] = np.zeros(0, int)
         arrays["positions"] = np.zeros((0, simulation.model.vertex_count, 3), np.float32)
         arrays["contact"], arrays["nearest"] = np.zeros((0, count), np.float32), np.zeros((0, count), np.int32)
     arrays["coarse"] = arrays["positions"]
     if run.fine:
         arrays["coarse"] = levels.filter_down(arrays["positions"]).astype(np.float32)
-    arrays["step_ms"] = np.array(1e3 * np.median(times))
+    arrays["step_ms"] = np.array(1e3 * np.median(times) if times else np.nan)
     return arrays | {f"state_{name}": np.array(getattr(simulation.state, name)) for name in State._names}
+
+
+def _has_come_apart(run: Run, simulation: Simulation) -> bool:
+    mesh = run.levels.fine if run.fine else run.levels.coarse
+    return crossed_share(mesh, simulation.state.position[:, :3]) > COME_APART
 
 
 def _write(folder: Path, chunk: int, arrays: dict[str, np.ndarray]) -> None:
@@ -363,5 +377,5 @@ def _read(run: Run, folder: Path) -> Recording:
         with np.load(folder / f"chunk_{chunk:04d}.npz", allow_pickle=False) as data:
             for name in names:
                 parts[name].append(data[name])
-    step_ms = float(np.median(parts.pop("step_ms")))
+    step_ms = float(np.nanmedian(parts.pop("step_ms")))
     return Recording(name=run.name, step_ms=step_ms, **{name: np.concatenate(parts[name]) for name in names[:-1]})

@@ -24,7 +24,7 @@ from precompute.learning.decoding import (
 )
 from precompute.learning.held_out import JUDGED, HeldOut, held_out_truth, require_held_out
 from precompute.learning.options import LearningOptions
-from precompute.learning.pipeline import default_cache, scene_run, training_recordings
+from precompute.learning.pipeline import default_cache, training_recordings, training_run
 from precompute.learning.recording import Recording, Run
 from precompute.learning.training import Layer, build_layer, coefficients_of, spread_frames, training_set
 from precompute.wrinkle_comparison.baselines import player_times, typical_ms
@@ -212,7 +212,7 @@ def compare_wrinkles_file(
     truth = held_out_truth(path, stage, scene, cache, report)
     held_out = HeldOut.of(database, truth)
     layer = build_layer(stage.levels)
-    runs = [scene_run(stage, scene, motion) for motion in stage.training_motions()]
+    runs = [training_run(stage, scene, motion) for motion in stage.training_motions()]
     recordings = training_recordings(runs, cache, 2, report)
     progress("fitting baselines: wrinkle meshes")
     mesh_options = tuned_wrinkle_mesh(layer, runs[-1], recordings[-1].where(slice(-TUNED_FRAMES, None)))

@@ -51,6 +51,9 @@ def test_figures_of_frames(outfit: bool) -> None:
     assert ("crossed_layers_at_end_percent" in figures) == outfit
     if outfit:
         assert figures["crossed_layers_at_end_percent"] == shares[99, 1] > 5.0
-    words = crossed_words("walk", np.arange(100) / 30.0, shares)
-    assert "goes through itself in walk" in words and "at 3.3 s" in words
-    assert crossed_words("walk", np.arange(99) / 30.0, shares[:99]) == ""
+    words = crossed_words("walk", np.arange(100) / 30.0, shares, 3.3).splitlines()
+    assert "goes through itself in walk" in words[0] and "at 3.3 s" in words[0]
+    assert words[1].startswith("1 of 100 frames of walk are left out") and len(words) == 2
+    assert crossed_words("walk", np.arange(99) / 30.0, shares[:99], 98 / 30.0) == ""
+    assert crossed_words("walk", np.arange(99) / 30.0, shares[:99], 5.0).startswith("walk ends at 3.3 of 5.0 s")
+    assert crossed_words("walk", np.zeros(0), shares[:0], 5.0).startswith("walk ends at 0.0 of 5.0 s")

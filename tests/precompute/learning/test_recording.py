@@ -10,7 +10,7 @@ import pytest
 
 from assets.character import Character
 from assets.io.sequence import Sequence
-from pbd import Fabric, ModelOptions, Plane, SolverOptions
+from pbd import ClothMesh, Fabric, ModelOptions, Plane, SolverOptions
 from precompute.learning import recording
 from precompute.learning.recording import Recording, record_runs
 from runtime.simulation import Simulation
@@ -45,6 +45,28 @@ def assert_same(first: Recording, second: Recording) -> None:
     for name in ARRAYS:
         a, b = getattr(first, name), getattr(second, name)
         assert a.dtype == b.dtype and np.array_equal(a, b), name
+
+
+def test_a_run_ends_where_its_cloth_has_come_apart(
+    tmp_path: Path, steps: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[np.ndarray] = []
+
+    def share(mesh: ClothMesh, vertices: np.ndarray) -> float:
+        seen.append(vertices)
+        return 6.0 if len(seen) > 1 else 0.0
+
+    monkeypatch.setattr(recording, "crossed_share", share)
+    run = replace(skirt_run(), while_whole=True)
+    assert run.key() != skirt_run().key()
+    (ended,) = record_runs([run], tmp_path, workers=1)
+    assert len(steps) == 2 * CHUNK and ended.frames.tolist() == list(range(2, 2 * CHUNK + 1, 2))
+    assert np.isfinite(ended.step_ms) and ended.frames.dtype == int
+    (again,) = record_runs([run], tmp_path, workers=1)
+    assert len(steps) == 2 * CHUNK
+    assert_same(ended, again)
+    (whole,) = record_runs([skirt_run()], tmp_path, workers=1)
+    assert_same(ended, whole.where(whole.frames <= 2 * CHUNK))
 
 
 def test_a_run_is_recorded_every_other_frame(tmp_path: Path) -> None:
