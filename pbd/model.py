@@ -171,8 +171,7 @@ def build_model(
         InputError: a held or limited vertex outside the mesh.
     """
     options, limits = options or ModelOptions(), limits or Limits.none()
-    count = len(mesh.vertices)
-    chosen = [] if held is None else held
+    count, chosen = len(mesh.vertices), [] if held is None else held
     held = np.unique(integers(chosen, "held", ("p",), count, outside="held vertex outside the mesh"))
     if limits.vertices.max(initial=0) >= count:
         received, expected = int(limits.vertices.max()), f"0..{count - 1}"
