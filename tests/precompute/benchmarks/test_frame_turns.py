@@ -22,6 +22,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.proof
 def test_both_checkouts_play_as_many_frames_in_turns(path: Path) -> None:
     lines = []
     found = compare_frames(path, ROOT, 0.5, lines.append)
