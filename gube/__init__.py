@@ -53,7 +53,7 @@ SOURCES = {
     "player_of": "runtime.plain_player:player_of",
     "precompute": "precompute.learning.pipeline:precompute",
     "read_cost_table": "runtime.cost_table:read_cost_table",
-    "read_database": "wrinkles.database:read_database",
+    "read_database": "wrinkles.database_file:read_database",
     "simulation_of": "runtime.scene_simulation:simulation_of",
 }
 
@@ -101,7 +101,7 @@ if TYPE_CHECKING:
     from runtime.scene_simulation import simulation_of as simulation_of
     from runtime.simulation import Simulation as Simulation
     from wrinkles.database import WrinkleDatabase as WrinkleDatabase
-    from wrinkles.database import read_database as read_database
+    from wrinkles.database_file import read_database as read_database
 
     __version__: str
 

@@ -19,7 +19,8 @@ from precompute.learning.stages import counted
 from precompute.reporting.page import Section, Table, Text, write_page
 from precompute.scratch import scratch_folder
 from precompute.workers import Workers
-from wrinkles.database import code_version, read_database
+from wrinkles.database import code_version
+from wrinkles.database_file import read_database
 
 __all__ = ["Outcome", "learn_wardrobe", "wardrobe_rows", "wardrobe_text", "write_wardrobe"]
 

@@ -21,7 +21,7 @@ from pbd.errors import InputError
 from pbd.storage import replacing
 from runtime.glb import Color, GlbFile, Track, unit_normals
 from runtime.usd import UsdFile
-from wrinkles.metrics import vertex_normals
+from wrinkles.mesh_measures import vertex_normals
 
 __all__ = ["bake_glb", "bake_mdd", "bake_obj", "bake_pc2", "bake_usd"]
 

@@ -11,7 +11,7 @@ from assets.character import Character
 from assets.texture import split
 from assets.transform import decompose, quaternions
 from pbd.errors import InputError
-from wrinkles.metrics import vertex_normals
+from wrinkles.mesh_measures import vertex_normals
 
 __all__ = ["BYTES_A_VERTEX", "Color", "GlbFile", "Track", "unit_normals"]
 

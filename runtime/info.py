@@ -12,7 +12,8 @@ from pbd import InputError, State
 from pbd.geometry import FAR
 from runtime.figures import figure_lines
 from wrinkles.charts import Charts
-from wrinkles.database import WrinkleDatabase, code_version, database_figures, read_database
+from wrinkles.database import WrinkleDatabase, code_version
+from wrinkles.database_file import database_figures, read_database
 from wrinkles.decoder import Decoder
 from wrinkles.features import Stencil
 from wrinkles.fine_surface import FineSurface

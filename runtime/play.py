@@ -29,7 +29,8 @@ from runtime.scene_body import body_of, load_body, motion_of
 from runtime.shown_body import shown_body
 from runtime.simulation import Motion, Simulation, body_source, poses_of
 from runtime.strips import draw_strips_apart
-from wrinkles.database import WrinkleDatabase, read_database
+from wrinkles.database import WrinkleDatabase
+from wrinkles.database_file import read_database
 
 __all__ = [
     "BAKED",

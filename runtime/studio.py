@@ -18,7 +18,7 @@ from scipy.ndimage import gaussian_filter
 from pbd.mesh import edges_of
 from runtime.light import Rings, Surface, directions_about, directions_everywhere, exposure
 from runtime.picture_content import Camera, Drawn
-from wrinkles.metrics import vertex_normals
+from wrinkles.mesh_measures import vertex_normals
 from wrinkles.surface import cut_corners, cut_faces
 
 __all__ = ["Studio", "studio"]

@@ -14,7 +14,7 @@ from assets.transform import decompose, local_matrices
 from pbd.errors import InputError
 from pbd.storage import replacing
 from runtime.glb import Color, Track, unit_normals
-from wrinkles.metrics import vertex_normals
+from wrinkles.mesh_measures import vertex_normals
 
 __all__ = ["UsdFile"]
 

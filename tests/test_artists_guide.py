@@ -19,7 +19,7 @@ from runtime.viewer.viewer import Viewer
 from tests.data import ROOT
 from tests.documents import commands, prose_and_code
 from tests.runtime.players import SCENE, skirt_database, tube
-from wrinkles.database import read_database, write_database
+from wrinkles.database_file import read_database, write_database
 
 GUIDE = (ROOT / "docs" / "artists-guide.md").read_text(encoding="utf-8")
 COMMANDS = {

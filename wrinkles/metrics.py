@@ -1,4 +1,4 @@
-"""Figures that compare two sequences of a cloth mesh: normals, positions, edges, bending, folds, pixels.
+"""Figures that compare two sequences of a cloth mesh: normals, positions, edges, bending.
 
 Sequences are arrays of vertex positions [m], shape (f, n, 3), on one fixed mesh; a single frame of shape (n, 3) is
 accepted too. A figure in the project's list of figures has the same name here, as a function or as a key.
@@ -6,73 +6,31 @@ accepted too. A figure in the project's list of figures has the same name here, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from collections.abc import Callable
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import csr_matrix
 
-from pbd.bending import hinge_rows
 from pbd.errors import InputError
 from pbd.mesh import ClothMesh, edges_of
+from wrinkles.mesh_measures import as_frames, bending_energy, edge_lengths, frame_parts, vertex_normals
 
 __all__ = [
-    "PIXELS_PER_METRE",
-    "Stretch",
-    "bending_energy",
     "bending_energy_ratio",
-    "edge_stretch",
-    "fold_count",
     "given_coarse_figures",
-    "jitter_px",
     "normal_correlation",
     "normal_error_deg",
     "patch_normal_errors",
-    "pixel_distance",
     "rmse_mm",
     "skill",
     "sted",
-    "vertex_normals",
     "worse_than_smooth_percent",
 ]
 
-PIXELS_PER_METRE = 1080 / (2 * 3.0 * np.tan(np.radians(20.0)))
-"""Of the standard camera [px/m]: 1080 lines, vertical field of view 40 deg, 3 m away."""
-
-_CHUNK_FRAMES = 32  # frames that are processed at once: bounds the memory, large enough for the sparse products
 _NOISE_DEG = 0.01  # angle by which rounding to float32 can turn a normal, on a mesh of a few millimetres [deg]
 
 _STED_FRAME_LENGTH = 0.01  # of the duration of one frame in a temporal edge, in diagonals of the bounding box
 _STED_WINDOW = 5  # temporal edges in the window of the temporal deviation
-
-
-def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit vertex normals, each the mean of its faces' normals weighted by area.
-
-    Args:
-        vertices: [m], shape (..., n, 3).
-        faces: int, shape (m, 3).
-
-    Returns:
-        Shape (..., n, 3), float64. Zero where a vertex has no face or its faces cancel.
-    """
-    vertices = np.asarray(vertices)
-    frames = vertices.reshape(-1, *vertices.shape[-2:])
-    vertex_count, face_count = frames.shape[1], len(faces)
-    rows = np.asarray(faces).ravel()
-    around = csr_matrix(
-        (np.ones(rows.size), (rows, np.repeat(np.arange(face_count), 3))), shape=(vertex_count, face_count)
-    )
-    normals = np.zeros(frames.shape)
-    for part in _parts(len(frames)):
-        points = np.ascontiguousarray(frames[part].transpose(1, 0, 2), float)  # (n, f, 3)
-        corner = points[faces[:, 0]]
-        twice_area = _cross(points[faces[:, 1]] - corner, points[faces[:, 2]] - corner)
-        total = (around @ twice_area.reshape(face_count, -1)).reshape(points.shape)
-        length = np.sqrt(np.einsum("...i,...i->...", total, total))[..., None]
-        normals[part] = np.divide(total, length, out=np.zeros_like(total), where=length > 0).transpose(1, 0, 2)
-    return normals.reshape(vertices.shape)
 
 
 def normal_error_deg(test: np.ndarray, truth: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -148,7 +106,7 @@ def rmse_mm(test: np.ndarray, truth: np.ndarray) -> np.ndarray:
         InputError: sequences of different shape.
     """
     test, truth = _same_frames(test=test, truth=truth)
-    out = [((test[part] - truth[part]) ** 2).sum(axis=2).mean(axis=1) for part in _parts(len(test))]
+    out = [((test[part] - truth[part]) ** 2).sum(axis=2).mean(axis=1) for part in frame_parts(len(test))]
     return 1e3 * np.sqrt(np.concatenate(out))
 
 
@@ -179,9 +137,9 @@ def sted(test: np.ndarray, truth: np.ndarray, faces: np.ndarray) -> float:
         (np.ones(ends.size), (ends, np.repeat(np.arange(len(edges)), 2))), shape=(test.shape[1], len(edges))
     )[used]
     spatial = 0.0
-    for part in _parts(len(test)):
-        length = _edge_lengths(truth[part], edges).T
-        difference = (_edge_lengths(test[part], edges).T - length) / length
+    for part in frame_parts(len(test)):
+        length = edge_lengths(truth[part], edges).T
+        difference = (edge_lengths(test[part], edges).T - length) / length
         spatial += _deviation(lambda values: around @ values, length, difference).sum()
     spatial /= len(used) * len(test)
     if len(test) < 2:
@@ -265,59 +223,6 @@ def given_coarse_figures(
     }
 
 
-class Stretch(NamedTuple):
-    """Stretch of edges, length over rest length minus 1 [-]; shortened edges count as 0."""
-
-    mean: float
-    p99: float
-    max: float
-
-
-def edge_stretch(vertices: np.ndarray, edges: np.ndarray, rest_lengths: np.ndarray) -> Stretch:
-    """Stretch of the edges over all frames.
-
-    Shortening does not count, because an edge that spans a fold is shorter than the cloth without any error.
-
-    Args:
-        vertices: positions [m], shape (f, n, 3).
-        edges: int, shape (e, 2).
-        rest_lengths: [m], shape (e,).
-    """
-    frames = _frames(vertices, "vertices")
-    stretch = np.concatenate([_edge_lengths(frames[part], edges) for part in _parts(len(frames))])
-    stretch = np.maximum(stretch / rest_lengths - 1.0, 0.0)
-    return Stretch(float(stretch.mean()), float(np.percentile(stretch, 99)), float(stretch.max()))
-
-
-def bending_energy(vertices: np.ndarray, mesh: ClothMesh, where: np.ndarray | None = None) -> np.ndarray:
-    """Bending energy per unit of bending stiffness, per frame [-], shape (f,).
-
-    Quadratic hinges, E = 1/2 x^T Q x = sum of c (3/2) |K x|^2 / (A0 + A1) (Bergou et al. 2006, "A quadratic
-    bending model for inextensible surfaces") with c = 1/3. This approximates 1/2 the integral of the squared curvature;
-    its error depends on the mesh, so compare energies on one mesh only. Rest angles are zero.
-
-    Args:
-        vertices: positions [m], shape (f, n, 3).
-        mesh: the cloth, whose flat faces set the metric.
-        where: bool, shape (f, n); only hinges with both ends of their edge marked are counted, for instance vertices
-            in contact. None counts all.
-    """
-    frames = _frames(vertices, "vertices")
-    hinges, rows, areas, _ = hinge_rows(mesh)
-    rows = rows / np.sqrt(areas)[:, None]  # sqrt(2 c 3/2 / (A0 + A1)) with c = 1/3
-    index = np.repeat(np.arange(len(hinges)), 4)
-    factor = csr_matrix((rows.ravel(), (index, hinges.ravel())), shape=(len(hinges), frames.shape[1]))
-    energy = np.zeros(len(frames))
-    for part in _parts(len(frames)):
-        points = frames[part].transpose(1, 0, 2)
-        bent = (factor @ points.reshape(len(points), -1)).reshape(len(hinges), -1, 3)
-        of_hinge = 0.5 * np.einsum("hfi,hfi->fh", bent, bent)
-        if where is not None:
-            of_hinge = of_hinge * (where[part][:, hinges[:, 0]] & where[part][:, hinges[:, 1]])
-        energy[part] = of_hinge.sum(axis=1)
-    return energy
-
-
 def bending_energy_ratio(test: np.ndarray, truth: np.ndarray, mesh: ClothMesh) -> float:
     """Mean bending energy of the test over that of the truth [-]. The sequences may differ in length.
 
@@ -330,88 +235,13 @@ def bending_energy_ratio(test: np.ndarray, truth: np.ndarray, mesh: ClothMesh) -
     return float(next(energies) / next(energies))
 
 
-def fold_count(loop: np.ndarray, min_turn_deg: float = 15.0, *, blur: float = 0.01) -> np.ndarray:
-    """Number of folds along a closed loop, such as a hem, per frame: int, shape (f,).
-
-    The loop is projected along its area vector and blurred. Its tangent turns by 360 deg on the whole. A fold is one
-    swing of the tangent about an even turn, that is, two sign changes of the curvature minus the loop's mean
-    curvature. Swings smaller than the threshold do not count, so that noise and the loop's own roundness add nothing.
-
-    Args:
-        loop: vertex positions in order, the last joined to the first [m], shape (f, k, 3) or (k, 3).
-        min_turn_deg: threshold, from one extreme of the tangent to the next [deg]; a wave of amplitude a and length w
-            swings by 2 atan(2 pi a / w).
-        blur: standard deviation of the blur along the loop [m].
-    """
-    return np.array([_fold_count(points, np.radians(min_turn_deg), blur) for points in _frames(loop, "loop")])
-
-
-def pixel_distance(test: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Distance of the vertices on the standard camera's screen [px], shape (..., n).
-
-    The whole distance counts as perpendicular to the line of sight, so that it is an upper bound for every view.
-
-    Args:
-        test: positions [m], shape (..., n, 3).
-        truth: positions [m], shape (..., n, 3).
-    """
-    return PIXELS_PER_METRE * np.linalg.norm(np.asarray(test, float) - np.asarray(truth, float), axis=-1)
-
-
-def jitter_px(vertices: np.ndarray) -> float:
-    """Jitter on the standard camera's screen: the 95th percentile over vertices and frames [px a frame].
-
-    It is half the second difference over three frames. For a vertex that jumps back and forth this is the length of
-    the jump; for one that moves evenly it is 0. True acceleration counts too (free fall at 60 Hz: 0.7 px), so measure
-    cloth at rest, or compare with the truth's own figure.
-
-    Args:
-        vertices: positions [m], shape (f, n, 3), at least three frames.
-
-    Raises:
-        InputError: fewer than three frames.
-    """
-    frames = _frames(vertices, "vertices")
-    if len(frames) < 3:
-        raise InputError("too few frames for jitter", key="vertices", received=len(frames), expected="at least 3")
-    return float(0.5 * np.percentile(pixel_distance(frames[2:] + frames[:-2], 2.0 * frames[1:-1]), 95))
-
-
-def _parts(count: int) -> Iterator[slice]:
-    """Slices of ``count`` frames that are processed at once."""
-    return (slice(start, min(start + _CHUNK_FRAMES, count)) for start in range(0, count, _CHUNK_FRAMES))
-
-
-def _frames(array: np.ndarray, key: str) -> np.ndarray:
-    """The sequence as float64, shape (f, n, 3)."""
-    array = np.asarray(array, float)
-    if array.ndim not in (2, 3) or array.shape[-1] != 3:
-        raise InputError("not a sequence of positions", key=key, received=array.shape, expected="shape (f, n, 3)")
-    return array if array.ndim == 3 else array[None]
-
-
 def _same_frames(**sequences: np.ndarray) -> list[np.ndarray]:
     """The sequences as float64, shape (f, n, 3); an InputError if their shapes differ."""
-    frames = [_frames(array, key) for key, array in sequences.items()]
+    frames = [as_frames(array, key) for key, array in sequences.items()]
     shapes = {key: array.shape for key, array in zip(sequences, frames, strict=True)}
     if len(set(shapes.values())) > 1:
         raise InputError("sequences of different shape", received=shapes, expected="one shape (f, n, 3)")
     return frames
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross product along the last axis; several times faster than numpy's on long arrays."""
-    out = np.zeros_like(a)
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        out[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
-    return out
-
-
-def _edge_lengths(frames: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Lengths of the edges [m], shape (f, e)."""
-    side = frames[:, edges[:, 1]] - frames[:, edges[:, 0]]
-    return np.sqrt(np.einsum("fei,fei->fe", side, side))
 
 
 def _normal_angles(normals: np.ndarray, others: np.ndarray) -> np.ndarray:
@@ -420,7 +250,7 @@ def _normal_angles(normals: np.ndarray, others: np.ndarray) -> np.ndarray:
     2 atan2(|a - b|, |a + b|) (Kahan) is accurate for all angles, and gives 90 deg if one is zero, 0 if both are.
     """
     angles = np.zeros(normals.shape[:-1])
-    for part in _parts(len(normals)):
+    for part in frame_parts(len(normals)):
         difference, total = normals[part] - others[part], normals[part] + others[part]
         lengths = (np.sqrt(np.einsum("fni,fni->fn", v, v)) for v in (difference, total))
         angles[part] = np.degrees(2.0 * np.arctan2(*lengths))
@@ -460,28 +290,3 @@ def _deviation(total: Callable[[np.ndarray], np.ndarray], weights: np.ndarray, v
     weight = total(weights)
     mean = total(weights * values) / weight
     return np.sqrt(np.maximum(total(weights * values**2) / weight - mean**2, 0.0))
-
-
-def _fold_count(points: np.ndarray, min_turn: float, blur: float) -> int:
-    """Number of folds along one closed loop, shape (k, 3); ``min_turn`` in radians."""
-    from scipy.signal import find_peaks  # takes longer to import than all other parts of SciPy that playing needs
-
-    # The loop is projected along its area vector and resampled in even steps of a fifth of the blur.
-    points = points - points.mean(axis=0)
-    area = np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)
-    flat = points @ np.linalg.svd(area[None])[2][1:].T
-    closed = np.concatenate([flat, flat[:1]])
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
-    count = max(int(np.ceil(5.0 * arc[-1] / blur)), 8)
-    step = arc[-1] / count
-    even = np.stack([np.interp(np.arange(count) * step, arc, column) for column in closed.T], axis=1)
-    even = gaussian_filter1d(even, blur / step, axis=0, mode="wrap")
-    # The tangent's angle minus an even turn is periodic along the loop. The sequence begins at its highest point.
-    side = np.diff(np.concatenate([even, even[:2]]), axis=0)
-    angle = np.unwrap(np.arctan2(side[:, 1], side[:, 0]))
-    angle -= np.linspace(0.0, angle[-1] - angle[0], count + 1) + angle[0]
-    swing = np.roll(angle[:-1], -int(np.argmax(angle[:-1])))
-    if np.ptp(swing) < min_turn:
-        return 0
-    peaks, _ = find_peaks(np.append(swing, swing[0]), prominence=min_turn)
-    return 1 + len(peaks)

@@ -7,7 +7,7 @@ from scipy.sparse import csr_matrix, diags
 
 from pbd.mesh import ClothMesh
 from wrinkles.discs import along_cloth, disc_means, spread_points
-from wrinkles.metrics import vertex_normals
+from wrinkles.mesh_measures import vertex_normals
 
 __all__ = ["RADII", "RidgeCoherence"]
 

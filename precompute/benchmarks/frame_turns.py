@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from pbd import InputError
-from wrinkles.database import read_database
+from wrinkles.database_file import read_database
 
 __all__ = ["FrameComparison", "compare_frames"]
 
@@ -81,7 +81,7 @@ def compare_frames(
         other_path: the database that the other checkout plays instead: one of its own, which may have another schema.
 
     Raises:
-        InputError: as :func:`wrinkles.database.read_database`, or a checkout does not play the database.
+        InputError: as :func:`wrinkles.database_file.read_database`, or a checkout does not play the database.
     """
     rate = read_database(path).frame_rate
     turns = max(MIN_TURNS, round(seconds * rate / FRAMES))

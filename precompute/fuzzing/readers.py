@@ -28,7 +28,7 @@ from precompute.fabric_lab.fabric_fit import read_curves
 from runtime.bake import bake_glb, bake_mdd, bake_pc2, bake_usd
 from runtime.cost_table import read_cost_table
 from runtime.recording_file import links_of, quantised, read_recording, recording_bytes
-from wrinkles.database import read_database
+from wrinkles.database_file import read_database
 
 __all__ = ["READERS", "write_good_files"]
 

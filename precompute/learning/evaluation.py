@@ -38,14 +38,8 @@ from wrinkles.clearance import facing
 from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels
 from wrinkles.low_frequency import LowFrequency
-from wrinkles.metrics import (
-    bending_energy,
-    bending_energy_ratio,
-    given_coarse_figures,
-    jitter_px,
-    normal_error_deg,
-    patch_normal_errors,
-)
+from wrinkles.mesh_measures import bending_energy, jitter_px
+from wrinkles.metrics import bending_energy_ratio, given_coarse_figures, normal_error_deg, patch_normal_errors
 from wrinkles.ridges import RADII, RidgeCoherence
 from wrinkles.spectrum import BandedEnergy, LowPass, spectrum_band_error_max
 

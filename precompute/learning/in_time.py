@@ -8,7 +8,8 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from precompute.learning.recording import Run
-from wrinkles.metrics import jitter_px, rmse_mm
+from wrinkles.mesh_measures import jitter_px
+from wrinkles.metrics import rmse_mm
 
 __all__ = ["Pause", "popping"]
 

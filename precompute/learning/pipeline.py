@@ -40,7 +40,8 @@ from runtime.garment_setup import GarmentSetup, colliders_of, fabrics_of, fine_o
 from runtime.report import processor_name
 from runtime.simulation import Motion
 from wrinkles.charts import leading_vertices
-from wrinkles.database import WrinkleDatabase, as_stored, body_hash, code_version, write_database
+from wrinkles.database import WrinkleDatabase, body_hash, code_version
+from wrinkles.database_file import as_stored, write_database
 from wrinkles.dictionary import Atoms, CoefficientNetwork
 from wrinkles.metrics import given_coarse_figures
 from wrinkles.novelty import NoveltyScore

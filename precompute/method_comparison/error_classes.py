@@ -15,7 +15,7 @@ import numpy as np
 
 from pbd import InputError
 from precompute.mechanics import GRAVITY
-from wrinkles.metrics import jitter_px, pixel_distance
+from wrinkles.mesh_measures import jitter_px, pixel_distance
 
 __all__ = ["LIMITS", "ErrorClass", "Recorded", "classify", "deviations", "longest_run"]
 

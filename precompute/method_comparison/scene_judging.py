@@ -12,7 +12,7 @@ from precompute.mechanics import FRAME_RATE
 from precompute.method_comparison.compare_scenes import CompareScene
 from precompute.method_comparison.error_classes import START, ErrorClass, Recorded, classify, deviations
 from precompute.method_comparison.scene_runs import MethodSetting, SceneRun
-from wrinkles.metrics import PIXELS_PER_METRE, bending_energy, fold_count, jitter_px
+from wrinkles.mesh_measures import PIXELS_PER_METRE, bending_energy, fold_count, jitter_px
 from wrinkles.spectrum import BandedEnergy
 
 __all__ = ["Judge", "Judgement", "reference_settings", "screen_mm"]

@@ -18,7 +18,8 @@ from runtime.garment_setup import scene_of
 from runtime.planner import Choice, Planner, ViewSize, sight_of
 from runtime.play import playback_inputs
 from runtime.report import machine_description
-from wrinkles.database import WrinkleDatabase, read_database
+from wrinkles.database import WrinkleDatabase
+from wrinkles.database_file import read_database
 
 __all__ = ["Planned", "cost_table_of", "plain_cloth", "plan_file", "plan_rows", "plan_text"]
 

@@ -46,8 +46,9 @@ from runtime.play import clip_begin, motions_of, playback_inputs
 from runtime.player import Player
 from runtime.scene_body import body_of
 from runtime.simulation import Motion
-from wrinkles.database import WrinkleDatabase, code_version, read_database, write_database
-from wrinkles.metrics import edge_stretch
+from wrinkles.database import WrinkleDatabase, code_version
+from wrinkles.database_file import read_database, write_database
+from wrinkles.mesh_measures import edge_stretch
 from wrinkles.relaxation import PASSES
 
 __all__ = [

@@ -28,7 +28,7 @@ from threadpoolctl import threadpool_limits
 from pbd import ClothMesh, InputError
 from pbd.mesh import edges_of
 from wrinkles.discs import along_cloth, disc_means, spread_points
-from wrinkles.metrics import vertex_normals
+from wrinkles.mesh_measures import vertex_normals
 
 __all__ = ["FEATURES", "FEWEST_FRAMES", "RADII", "PatchStatistics", "Realism", "realism"]
 

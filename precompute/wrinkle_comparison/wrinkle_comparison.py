@@ -32,7 +32,8 @@ from precompute.wrinkle_comparison.compare import check_motions, database_of, de
 from precompute.wrinkle_comparison.wrinkle_baselines import WrinkleBaseline, fit_baselines
 from precompute.wrinkle_comparison.wrinkle_meshes import WrinkleMesh, WrinkleMeshOptions
 from runtime.garment_setup import GarmentSetup, scene_of
-from wrinkles.database import WrinkleDatabase, read_database
+from wrinkles.database import WrinkleDatabase
+from wrinkles.database_file import read_database
 from wrinkles.spectrum import BandedEnergy
 
 __all__ = ["WrinkleComparison", "WrinkleMethod", "compare_wrinkles", "compare_wrinkles_file", "tuned_wrinkle_mesh"]

@@ -21,7 +21,7 @@ from precompute.wrinkle_comparison import baselines
 from runtime.glb import BYTES_A_VERTEX
 from tests.data import ROOT
 from tests.precompute.miniature import OPTIONS, SCENE
-from wrinkles.database import read_database
+from wrinkles.database_file import read_database
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from precompute.learning.pipeline import Precomputed
 from precompute.wardrobe import Outcome, learn_wardrobe, wardrobe_rows, wardrobe_text, write_wardrobe
 from precompute.workers import Workers
 from tests.precompute.miniature import OPTIONS, scene
-from wrinkles.database import read_database
+from wrinkles.database_file import read_database
 
 
 def test_one_that_fails_does_not_stop_the_others(

@@ -24,7 +24,7 @@ from runtime.bake import bake_glb, bake_mdd, bake_obj, bake_pc2, bake_usd
 from runtime.glb import BYTES_A_VERTEX
 from tests.blender import POSED_VERTICES, require_blender
 from tests.runtime.baking import angles_deg, sheet_sequence, walking_mannequin, waving_sheet
-from wrinkles.metrics import vertex_normals
+from wrinkles.mesh_measures import vertex_normals
 
 DTYPES = {
     5120: np.dtype("<i1"),

@@ -27,7 +27,8 @@ from tests.assets.panels import two_panels
 from tests.wrinkles.databases import small_database
 from tests.wrinkles.delivered import delivered_database
 from tests.wrinkles.meshes import icosphere
-from wrinkles.database import WrinkleDatabase, body_hash, read_database, write_database
+from wrinkles.database import WrinkleDatabase, body_hash
+from wrinkles.database_file import read_database, write_database
 
 SCENE = """
 [[garment]]

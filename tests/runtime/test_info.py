@@ -16,7 +16,8 @@ from runtime.info import check_database, info_text
 from tests.wrinkles.databases import small_database
 from tests.wrinkles.delivered import delivered_database, delivered_panels
 from wrinkles import patches
-from wrinkles.database import WrinkleDatabase, code_version, write_database
+from wrinkles.database import WrinkleDatabase, code_version
+from wrinkles.database_file import write_database
 from wrinkles.features import DYNAMIC_COUNT
 
 QUALITY = {

@@ -26,7 +26,7 @@ from tests.assets.captures import write_bvh
 from tests.assets.files import bar_glb, bend_glb
 from tests.runtime.baking import sheet_sequence, walking_mannequin
 from tests.runtime.players import SCENE, skirt_database
-from wrinkles.database import write_database
+from wrinkles.database_file import write_database
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from runtime.level_of_detail import LevelOfDetail
 from runtime.player import FADE, Player
 from runtime.simulation import poses_of
 from tests.runtime.players import skirt_database, skirt_stage
-from wrinkles.metrics import PIXELS_PER_METRE, pixel_distance
+from wrinkles.mesh_measures import PIXELS_PER_METRE, pixel_distance
 
 DT = 1.0 / 60.0
 

@@ -14,7 +14,7 @@ from runtime import command, page
 from runtime.page import PAGE, WEB, check_page_folder, write_page
 from runtime.recording_file import read_recording
 from tests.runtime.players import skirt_database
-from wrinkles.database import write_database
+from wrinkles.database_file import write_database
 
 
 @pytest.fixture(scope="module")

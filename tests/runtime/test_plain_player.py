@@ -14,7 +14,8 @@ from runtime.plain_player import PlainCloth, PlainPlayer, middle_levels, plain_c
 from runtime.player import Player
 from runtime.simulation import body_source, poses_of
 from tests.runtime.players import skirt_database, skirt_stage
-from wrinkles.database import CHOICE, WrinkleDatabase, write_database
+from wrinkles.database import CHOICE, WrinkleDatabase
+from wrinkles.database_file import write_database
 from wrinkles.surface import Subdivision
 
 TWICE = skirt_database(subdivisions=2)

@@ -16,7 +16,7 @@ from runtime.cost_table import CostTable, Setting, read_cost_table, write_cost_t
 from runtime.level_of_detail import LevelOfDetail
 from runtime.planner import HOLD, TARGETS, Planner, ViewSize, sight_of
 from tests.runtime.cost_tables import made_front, seen
-from wrinkles.metrics import PIXELS_PER_METRE
+from wrinkles.mesh_measures import PIXELS_PER_METRE
 
 ENDLESS = 1e9
 

@@ -27,7 +27,8 @@ from runtime.simulation import poses_of
 from runtime.strips import draw_strips_apart
 from tests.data import ROOT
 from tests.runtime.players import SCENE, skirt_database, skirt_stage
-from wrinkles.database import body_hash, read_database, write_database
+from wrinkles.database import body_hash
+from wrinkles.database_file import read_database, write_database
 
 FLAG = """
 [[garment]]

@@ -14,7 +14,7 @@ from assets.skinning import skin_vertices
 from pbd.errors import InputError
 from runtime.bake import bake_usd
 from tests.runtime.baking import angles_deg, sheet_sequence, walking_mannequin, waving_sheet
-from wrinkles.metrics import vertex_normals
+from wrinkles.mesh_measures import vertex_normals
 
 
 def complaints(stage: Any) -> list[str]:

@@ -22,7 +22,7 @@ from runtime.player import Player
 from runtime.simulation import Simulation
 from tests.pbd.meshes import cloth, free_model, grid
 from tests.runtime.players import OUTFIT, outfit_database, random_database
-from wrinkles.database import read_database, write_database
+from wrinkles.database_file import read_database, write_database
 from wrinkles.worn_garments import with_garments
 
 

@@ -15,18 +15,11 @@ from assets.fabrics import PRESETS
 from pbd import Fabric, InputError
 from tests.wrinkles.databases import small_database
 from tests.wrinkles.meshes import flat_sheet
-from wrinkles import database as module
+from wrinkles import database, database_file
 from wrinkles.binding import Binding
 from wrinkles.coarsening import FLAT_STEP, PLACE_STEP
-from wrinkles.database import (
-    WrinkleDatabase,
-    as_stored,
-    body_hash,
-    code_version,
-    database_figures,
-    read_database,
-    write_database,
-)
+from wrinkles.database import WrinkleDatabase, body_hash, code_version
+from wrinkles.database_file import as_stored, database_figures, read_database, write_database
 from wrinkles.levels import Layers
 from wrinkles.schema import ENTRIES, SCHEMA_VERSION, VERSION_BEFORE
 from wrinkles.surface import SewnRest, Subdivision
@@ -375,7 +368,7 @@ def test_what_is_not_understood_is_refused(path: Path, case: str) -> None:
 
 def test_values_that_a_fabric_refuses_name_the_file(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A writer with a bug could hash them correctly."""
-    monkeypatch.setattr(module, "check_values", lambda arrays, path: None)
+    monkeypatch.setattr(database_file, "check_values", lambda arrays, path: None)
     with h5py.File(path, "r+") as file:
         file["fabric/areal_density"][()] = -1.0
     with pytest.raises(InputError, match="areal_density.*received -1.0") as caught:
@@ -543,8 +536,8 @@ def test_the_code_version_follows_the_source(tmp_path: Path, monkeypatch: pytest
     for folder in ("pbd", "wrinkles"):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "a.py").write_text("x = 1\n")
-    monkeypatch.setattr(module.pbd, "__path__", [str(tmp_path / "pbd")])
-    monkeypatch.setattr(module, "__file__", str(tmp_path / "wrinkles" / "database.py"))
+    monkeypatch.setattr(database.pbd, "__path__", [str(tmp_path / "pbd")])
+    monkeypatch.setattr(database, "__file__", str(tmp_path / "wrinkles" / "database.py"))
     versions = []
     for text in ("x = 1\n", "x = 2\n", "x = 1\n"):
         (tmp_path / "pbd" / "a.py").write_text(text)

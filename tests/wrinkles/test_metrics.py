@@ -7,7 +7,7 @@ from pbd import ClothMesh
 from pbd.errors import InputError
 from pbd.mesh import edges_of
 from tests.wrinkles.meshes import flat_sheet, icosphere, turned
-from wrinkles import metrics
+from wrinkles import mesh_measures, metrics
 
 
 def waves(vertices: np.ndarray, amplitude: float, wavelength: float, phase: float = 0.0) -> np.ndarray:
@@ -19,7 +19,7 @@ def waves(vertices: np.ndarray, amplitude: float, wavelength: float, phase: floa
 
 def test_normals_of_a_sphere_point_outwards() -> None:
     vertices, faces = icosphere(3, radius=0.2)
-    normals = metrics.vertex_normals(vertices, faces)
+    normals = mesh_measures.vertex_normals(vertices, faces)
     assert np.allclose(np.linalg.norm(normals, axis=1), 1.0)
     assert np.einsum("ni,ni->n", normals, vertices / 0.2).min() > np.cos(np.radians(1.0))
 
@@ -28,15 +28,15 @@ def test_normals_of_many_frames_are_those_of_each() -> None:
     vertices, faces = icosphere(2)
     rng = np.random.default_rng(0)
     frames = vertices * rng.uniform(0.8, 1.2, (70, len(vertices), 1))
-    each = np.stack([metrics.vertex_normals(frame, faces) for frame in frames])
-    assert np.array_equal(metrics.vertex_normals(frames, faces), each)
-    assert np.array_equal(metrics.vertex_normals(frames.reshape(7, 10, -1, 3), faces).reshape(each.shape), each)
+    each = np.stack([mesh_measures.vertex_normals(frame, faces) for frame in frames])
+    assert np.array_equal(mesh_measures.vertex_normals(frames, faces), each)
+    assert np.array_equal(mesh_measures.vertex_normals(frames.reshape(7, 10, -1, 3), faces).reshape(each.shape), each)
 
 
 def test_normals_are_weighted_by_area() -> None:
     # Two right triangles at a right angle on one edge, one with twice the other's area.
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 0, -2.0], [0, 1.0, 0]])
-    normal = metrics.vertex_normals(vertices, np.array([[0, 1, 2], [0, 3, 1]]))[0]
+    normal = mesh_measures.vertex_normals(vertices, np.array([[0, 1, 2], [0, 3, 1]]))[0]
     assert np.allclose(normal, np.array([0, 2, -1]) / 5**0.5)
 
 
@@ -63,7 +63,7 @@ def test_errors_of_patches_are_means_over_their_vertices() -> None:
     patches = np.random.default_rng(0).integers(5, size=len(vertices)) * 3
     errors = metrics.patch_normal_errors(test, truth, faces, patches)
     assert errors.shape == (2, 5) and np.allclose(errors[0], 0.0) and errors[1].min() > 10.0
-    cosines = np.einsum("ni,ni->n", *(metrics.vertex_normals(frames[1], faces) for frames in (test, truth)))
+    cosines = np.einsum("ni,ni->n", *(mesh_measures.vertex_normals(frames[1], faces) for frames in (test, truth)))
     angles = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0)))
     np.testing.assert_allclose(errors[1], [angles[patches == p].mean() for p in range(0, 15, 3)], atol=1e-5)
 
@@ -166,10 +166,10 @@ def test_edge_stretch() -> None:
     vertices, faces = flat_sheet(31, 1.0, jitter=0.2)
     edges, _ = edges_of(faces)
     rest = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-    assert metrics.edge_stretch(1.02 * vertices, edges, rest) == pytest.approx((0.02, 0.02, 0.02))
-    assert metrics.edge_stretch(0.9 * vertices, edges, rest) == (0.0, 0.0, 0.0)
+    assert mesh_measures.edge_stretch(1.02 * vertices, edges, rest) == pytest.approx((0.02, 0.02, 0.02))
+    assert mesh_measures.edge_stretch(0.9 * vertices, edges, rest) == (0.0, 0.0, 0.0)
     rest[5] /= 1.5
-    stretch = metrics.edge_stretch(np.stack([vertices] * 40), edges, rest)
+    stretch = mesh_measures.edge_stretch(np.stack([vertices] * 40), edges, rest)
     assert stretch == pytest.approx((0.5 / len(edges), 0.0, 0.5), abs=1e-12)
 
 
@@ -181,7 +181,7 @@ def test_bending_energy_of_one_hinge() -> None:
     bent = rest.copy()
     bent[3, 1:] = height * np.sin(angle), -height * np.cos(angle)
     expected = 4 * np.sin(angle / 2) ** 2 / 3**0.5
-    assert metrics.bending_energy(np.stack([rest, bent]), ClothMesh.from_surface(rest, faces)) == pytest.approx(
+    assert mesh_measures.bending_energy(np.stack([rest, bent]), ClothMesh.from_surface(rest, faces)) == pytest.approx(
         [0.0, expected]
     )
 
@@ -190,11 +190,11 @@ def test_bending_energy_of_a_sine_sheet() -> None:
     amplitude, wavelength, size = 0.002, 0.1, 0.4
     rest, faces = flat_sheet(81, size, jitter=0.2)
     sheet = waves(rest, amplitude, wavelength)
-    energy = metrics.bending_energy(sheet, ClothMesh.from_surface(rest, faces))[0]
+    energy = mesh_measures.bending_energy(sheet, ClothMesh.from_surface(rest, faces))[0]
     exact = 0.25 * amplitude**2 * (2 * np.pi / wavelength) ** 4 * size**2  # 1/2 int w''^2
     assert energy == pytest.approx(exact, rel=0.25)  # c = 1/3 hangs on the mesh
     moved = turned(turned(sheet, 30.0, axis=0), 50.0, axis=1) + [1.0, 2.0, 3.0]
-    assert metrics.bending_energy(moved, ClothMesh.from_surface(rest, faces))[0] == pytest.approx(energy)
+    assert mesh_measures.bending_energy(moved, ClothMesh.from_surface(rest, faces))[0] == pytest.approx(energy)
     double = waves(rest, 2 * amplitude, wavelength)
     assert metrics.bending_energy_ratio(
         np.stack([double] * 3), sheet, ClothMesh.from_surface(rest, faces)
@@ -205,11 +205,11 @@ def test_bending_energy_of_a_part() -> None:
     rest, faces = flat_sheet(41, 0.4)
     sheet = waves(rest, 0.002, 0.1)[None].repeat(40, axis=0)
     left = np.repeat((rest[:, 0] < 0.2)[None], 40, axis=0)
-    whole = metrics.bending_energy(sheet, ClothMesh.from_surface(rest, faces))
-    part = metrics.bending_energy(sheet, ClothMesh.from_surface(rest, faces), where=left)
+    whole = mesh_measures.bending_energy(sheet, ClothMesh.from_surface(rest, faces))
+    part = mesh_measures.bending_energy(sheet, ClothMesh.from_surface(rest, faces), where=left)
     assert part / whole == pytest.approx(np.full(40, 0.5), rel=0.05)
     assert np.array_equal(
-        metrics.bending_energy(sheet, ClothMesh.from_surface(rest, faces), where=np.ones_like(left)), whole
+        mesh_measures.bending_energy(sheet, ClothMesh.from_surface(rest, faces), where=np.ones_like(left)), whole
     )
 
 
@@ -221,7 +221,7 @@ def test_fold_count_of_a_wavy_hem(folds: int) -> None:
     hem = np.stack([radius * np.cos(angle), 0.02 * np.sin(3 * angle), radius * np.sin(angle)], axis=1)
     hem += rng.normal(scale=0.0003, size=hem.shape)
     for loop in (hem, hem[::-1], turned(hem, 70.0, axis=0) + [1.0, 0.0, 5.0]):
-        assert metrics.fold_count(loop) == [folds]
+        assert mesh_measures.fold_count(loop) == [folds]
 
 
 def test_folds_below_the_threshold_do_not_count() -> None:
@@ -230,23 +230,23 @@ def test_folds_below_the_threshold_do_not_count() -> None:
     for amplitude, folds in ((0.0040, 0), (0.0048, 9)):  # 13.6 and 16.3 deg
         radius = 0.3 + amplitude * np.cos(9 * angle)
         loop = np.stack([radius * np.cos(angle), 0 * angle, radius * np.sin(angle)], axis=1)
-        assert metrics.fold_count(loop, min_turn_deg=15.0, blur=0.004) == [folds]
+        assert mesh_measures.fold_count(loop, min_turn_deg=15.0, blur=0.004) == [folds]
 
 
 def test_pixels_of_the_standard_camera() -> None:
     # 2.184 m fill the 1080 lines at 3 m distance.
     height = 2 * 3.0 * np.tan(np.radians(20.0))
-    assert metrics.pixel_distance(np.array([[0.0, height, 0.0]]), np.zeros((1, 3))) == pytest.approx(1080.0)
+    assert mesh_measures.pixel_distance(np.array([[0.0, height, 0.0]]), np.zeros((1, 3))) == pytest.approx(1080.0)
 
 
 def test_jitter_is_the_length_of_a_hop() -> None:
     frames = np.zeros((30, 5, 3))
     frames[:, :, 0] = 0.01 * np.arange(30)[:, None]  # even motion adds nothing
-    assert metrics.jitter_px(frames) == pytest.approx(0.0, abs=1e-9)
+    assert mesh_measures.jitter_px(frames) == pytest.approx(0.0, abs=1e-9)
     frames[::2, :, 1] += 0.002
-    assert metrics.jitter_px(frames) == pytest.approx(0.002 * metrics.PIXELS_PER_METRE)
+    assert mesh_measures.jitter_px(frames) == pytest.approx(0.002 * mesh_measures.PIXELS_PER_METRE)
     with pytest.raises(InputError, match="at least 3"):
-        metrics.jitter_px(frames[:2])
+        mesh_measures.jitter_px(frames[:2])
 
 
 def test_sequences_must_match() -> None:

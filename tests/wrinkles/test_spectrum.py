@@ -8,7 +8,7 @@ import pytest
 from pbd import ClothMesh
 from pbd.errors import InputError
 from tests.wrinkles.meshes import flat_sheet, turned
-from wrinkles.metrics import bending_energy
+from wrinkles.mesh_measures import bending_energy
 from wrinkles.spectrum import BandedEnergy, LowPass, spectrum_band_error_max
 
 SIZE = 1.0

@@ -16,7 +16,7 @@ from precompute.benchmarks.frame import FrameBench, bench_frame, frame_text
 from precompute.benchmarks.frame_limits import MachineSpeed, network_products
 from precompute.benchmarks.stopwatch import METHODS, Stopwatch, stopwatch
 from tests.runtime.players import skirt_database
-from wrinkles.database import write_database
+from wrinkles.database_file import write_database
 
 OURS = {"skinning", "preparation", "search", "coarse_step", "network", "surface", "relaxation", "normals"}
 PLAIN = {"skinning", "preparation", "search", "coarse_step", "normals"}

@@ -12,7 +12,7 @@ from precompute.benchmarks.frame_turns import FRAMES, FrameComparison, compare_f
 from runtime.command import main
 from tests.data import ROOT
 from tests.runtime.players import skirt_database
-from wrinkles.database import write_database
+from wrinkles.database_file import write_database
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from precompute.fuzzing.mutations import mutated
 from precompute.fuzzing.readers import READERS, write_good_files
 from tests.wrinkles.databases import small_database
 from tests.wrinkles.meshes import flat_sheet
-from wrinkles.database import write_database
+from wrinkles.database_file import write_database
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,8 @@ import pytest
 from precompute.learning.pipeline import Precomputed, default_cache
 from tests.data import ROOT
 from tests.precompute.miniature import same
-from wrinkles.database import WrinkleDatabase, read_database
+from wrinkles.database import WrinkleDatabase
+from wrinkles.database_file import read_database
 
 pytestmark = pytest.mark.proof
 

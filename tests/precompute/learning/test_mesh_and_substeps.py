@@ -21,7 +21,8 @@ from precompute.wrinkle_comparison.baselines import PlayerTurn, take_turns
 from runtime.garment_setup import GarmentSetup, scene_of
 from runtime.player import Player
 from tests.data import ROOT
-from wrinkles.database import WrinkleDatabase, read_database
+from wrinkles.database import WrinkleDatabase
+from wrinkles.database_file import read_database
 
 SUBSTEPS = (6, 12, 24, 48)
 RUNS = 3

@@ -12,7 +12,8 @@ from runtime.plain_player import PlainCloth, PlainPlayer
 from runtime.player import Player
 from tests.precompute.miniature import OPTIONS, SCENE, scene
 from tests.runtime.players import TROUSERS
-from wrinkles.database import WrinkleDatabase, read_database
+from wrinkles.database import WrinkleDatabase
+from wrinkles.database_file import read_database
 
 pytestmark = pytest.mark.proof  # a minute and a half: the fine layers are simulated
 LAYERS_ALONE = "[solver]\nself_collision = false"  # of one another: what is learned is the same, in half the time

@@ -19,7 +19,7 @@ from precompute.learning.recording import Recording, Run
 from runtime.garment_setup import GarmentSetup, scene_of
 from runtime.player import Player
 from tests.precompute.miniature import OPTIONS, SCENE, same, same_learned, scene
-from wrinkles.database import read_database
+from wrinkles.database_file import read_database
 
 
 def test_few_frames_are_learned_from_more_often() -> None:

@@ -12,7 +12,7 @@ from precompute.learning.pipeline import scene_run
 from precompute.wrinkle_comparison.realism import PatchStatistics, realism
 from runtime.garment_setup import GarmentSetup, scene_of
 from tests.data import ROOT
-from wrinkles.database import read_database
+from wrinkles.database_file import read_database
 from wrinkles.temporal_sharpening import TemporalSharpening
 
 RUNS = 4

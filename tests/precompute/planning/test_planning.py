@@ -12,7 +12,7 @@ from precompute.learning.pipeline import precompute
 from precompute.planning.planning import cost_table_of, plan_figures, seen_from
 from runtime.cost_table import CostTable
 from runtime.planner import Planner
-from wrinkles.database import read_database
+from wrinkles.database_file import read_database
 
 
 @pytest.fixture(scope="module")

@@ -36,7 +36,8 @@ from runtime.plain_player import PlainCloth, PlainPlayer, middle_levels
 from runtime.simulation import Simulation, body_source, poses_of
 from tests.runtime.players import SCENE, skirt_database, skirt_stage, tube
 from tests.wrinkles.databases import placed
-from wrinkles.database import WrinkleDatabase, read_database, write_database
+from wrinkles.database import WrinkleDatabase
+from wrinkles.database_file import read_database, write_database
 from wrinkles.levels import build_levels
 from wrinkles.rest_shape import RestShapeCorrection
 

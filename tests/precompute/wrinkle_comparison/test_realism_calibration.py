@@ -16,7 +16,7 @@ from precompute.learning.training import build_layer, coefficients_of
 from precompute.wrinkle_comparison.realism import PatchStatistics, realism
 from runtime.garment_setup import GarmentSetup, scene_of
 from tests.data import ROOT
-from wrinkles.database import read_database
+from wrinkles.database_file import read_database
 
 AT_MOST = {"again": 0.55, "true coefficients": 0.60, "smoothed once": 0.70}
 AT_LEAST = {"smooth surface": 0.95}

@@ -16,7 +16,7 @@ from precompute.wrinkle_comparison.wrinkle_page import wrinkle_rows, wrinkle_ver
 from runtime import command
 from tests.precompute.miniature import SCENE, scene
 from tests.runtime.players import skirt_database
-from wrinkles.database import write_database
+from wrinkles.database_file import write_database
 
 
 def test_all_ways_are_judged_on_the_same_states(learned: Precomputed, tmp_path: Path) -> None:

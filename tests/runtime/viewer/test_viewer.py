@@ -27,7 +27,7 @@ from runtime.viewer.opening import Opened, open_source
 from runtime.viewer.saving import clip_frames
 from runtime.viewer.viewer import Viewer
 from tests.runtime.viewer.views import FLAG, outfit_source, skirt_source
-from wrinkles.database import write_database
+from wrinkles.database_file import write_database
 
 PATIENCE_S = 60.0
 
