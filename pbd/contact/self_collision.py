@@ -25,7 +25,8 @@ from pbd.contact.untangling import Untangling
 from pbd.crossing_search import owned_features
 from pbd.crossings import seams_of
 from pbd.mesh import edges_of
-from pbd.model import Model, State
+from pbd.model import Model
+from pbd.state import State
 from pbd.taichi_internals import Launch
 
 __all__ = ["SelfCollision"]

@@ -16,7 +16,8 @@ from pbd.contact.strain_limits import strain_limits
 from pbd.engine import ensure_initialized
 from pbd.errors import InputError
 from pbd.limits import LimitTargets
-from pbd.model import BLOCK, GRID, Model, State
+from pbd.model import BLOCK, Model
+from pbd.state import GRID, State
 from pbd.taichi_internals import Launch
 from pbd.xpbd.advance import advance_kernel
 from pbd.xpbd.inertia import damp_locally, scale_inertial_forces
