@@ -37,7 +37,7 @@ SOURCES = {
     "Solver": "pbd.xpbd.solver:Solver",
     "SolverOptions": "pbd.xpbd.solver:SolverOptions",
     "Sphere": "pbd.contact.colliders:Sphere",
-    "State": "pbd.model:State",
+    "State": "pbd.state:State",
     "StepError": "pbd.models.newton:StepError",
     "Wind": "pbd.wind:Wind",
     "WrinkleDatabase": "wrinkles.database:WrinkleDatabase",
@@ -78,11 +78,11 @@ if TYPE_CHECKING:
     from pbd.mesh import ClothMesh as ClothMesh
     from pbd.model import Model as Model
     from pbd.model import ModelOptions as ModelOptions
-    from pbd.model import State as State
     from pbd.model import build_model as build_model
     from pbd.models.newton import StepError as StepError
     from pbd.models.registry import SOLVERS as SOLVERS
     from pbd.models.registry import make_solver as make_solver
+    from pbd.state import State as State
     from pbd.wind import Wind as Wind
     from pbd.xpbd.solver import Solver as Solver
     from pbd.xpbd.solver import SolverOptions as SolverOptions

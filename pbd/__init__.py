@@ -6,7 +6,8 @@ from pbd.errors import InputError
 from pbd.fabric import Fabric
 from pbd.limits import Limits
 from pbd.mesh import ClothMesh
-from pbd.model import Model, ModelOptions, State, build_model
+from pbd.model import Model, ModelOptions, build_model
+from pbd.state import State
 from pbd.xpbd.solver import Solver, SolverOptions
 
 __all__ = [

@@ -14,8 +14,9 @@ from assets.sewing.pieces import Pieces
 from pbd.contact.colliders import Body, Colliders
 from pbd.fabric import Fabric
 from pbd.mesh import MAX_STRETCH, ClothMesh, vertex_rings
-from pbd.model import State, build_model
+from pbd.model import build_model
 from pbd.opening import neighbour_means
+from pbd.state import State
 from pbd.xpbd.solver import Solver, SolverOptions
 
 __all__ = ["HELD", "Clock", "band_limits", "close_stitches", "drape", "substep_of"]

@@ -17,7 +17,7 @@ from pbd.contact.box_tree import (
     update_patch,
 )
 from pbd.contact.pair_sides import EDGE_SHARE, MovingCloth, PairBuffers, take_pair
-from pbd.crossings import note_crossings
+from pbd.crossing_search import note_crossings
 from pbd.engine import ti
 from pbd.geometry import Byte2, Float1, Int1, Int2, Int3, Int4, Vec3, Vec4, Vec4Rows, vec3, xyz
 

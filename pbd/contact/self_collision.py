@@ -22,9 +22,11 @@ from pbd.contact.pair_sides import DEEP_SLACK, SLACK, turning_kernel
 from pbd.contact.pairs import PULL
 from pbd.contact.strain_limits import strain_limits
 from pbd.contact.untangling import Untangling
-from pbd.crossings import owned_features, seams_of
+from pbd.crossing_search import owned_features
+from pbd.crossings import seams_of
 from pbd.mesh import edges_of
-from pbd.model import Model, State
+from pbd.model import Model
+from pbd.state import State
 from pbd.taichi_internals import Launch
 
 __all__ = ["SelfCollision"]

@@ -9,7 +9,7 @@ import numpy as np
 
 from pbd.contact.colliders import Colliders
 from pbd.errors import InputError
-from pbd.model import Model, State
+from pbd.model import Model
 from pbd.models.descent import ProjectiveDynamics, VertexBlockDescent
 from pbd.models.elements import ElementEnergy, QuadraticElements, Sum
 from pbd.models.friction import friction_elements
@@ -19,6 +19,7 @@ from pbd.models.plate import angle_bending, isometric_bending, morley_bending
 from pbd.models.position_based import PBD, XPBD, StrainBased
 from pbd.models.springs import square_springs, triangle_springs
 from pbd.models.stepping import Options
+from pbd.state import State
 from pbd.xpbd.solver import Solver, SolverOptions
 
 __all__ = ["SOLVERS", "AnySolver", "cloth_energy", "make_solver"]

@@ -11,11 +11,12 @@ import numpy as np
 from pbd.arrays import floats, numbers
 from pbd.contact.colliders import Colliders
 from pbd.errors import InputError
-from pbd.model import Model, State
+from pbd.model import Model
 from pbd.models.elements import Sum
 from pbd.models.friction import FrictionElements
 from pbd.models.newton import StepError
 from pbd.models.obstacles import Obstacles
+from pbd.state import State
 from pbd.xpbd.solver import AIR_DENSITY, Solver
 from pbd.xpbd.state_summary import StateSummary
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pbd.model import State
+from pbd.state import State
 from pbd.xpbd.rigid_motion import fit_rigid_transform
 
 __all__ = ["damp_locally", "scale_inertial_forces"]

@@ -8,22 +8,30 @@ from typing import Any
 import numpy as np
 
 from pbd.arrays import floats
-from pbd.contact.body_search import MAX_CELLS, find_nearest
+from pbd.contact.body_search import find_nearest
 from pbd.contact.colliders import Body, Colliders
 from pbd.contact.distance_field import MOTION
 from pbd.contact.self_collision import SelfCollision
-from pbd.contact.strain_limits import strain_limits
 from pbd.engine import ensure_initialized
 from pbd.errors import InputError
 from pbd.limits import LimitTargets
-from pbd.model import BLOCK, GRID, Model, State
+from pbd.model import Model
+from pbd.state import GRID, State
 from pbd.taichi_internals import Launch
 from pbd.xpbd.advance import advance_kernel
+from pbd.xpbd.collision_handling import CollisionHandling
 from pbd.xpbd.inertia import damp_locally, scale_inertial_forces
+from pbd.xpbd.kernel_arguments import (
+    load_friction,
+    model_arrays,
+    multigrid_arrays,
+    store_friction,
+    workspace_arrays,
+)
 from pbd.xpbd.multigrid import Multigrid, build_multigrid
 from pbd.xpbd.rigid_motion import RigidTransform, detect_teleport, max_displacement
 from pbd.xpbd.state_summary import StateSummary
-from pbd.xpbd.stiff_bending import bending_factor, bounded_hinge_data, is_stiff, no_factor
+from pbd.xpbd.stiff_bending import is_stiff
 from pbd.xpbd.views import FrameSteps, StepParameters
 
 __all__ = ["Solver", "SolverOptions"]
@@ -33,12 +41,6 @@ AIR_DENSITY = 1.2  # [kg/m3]
 STRIDE_SHARE = 0.25  # of the mean edge [-], ...
 MIN_STRIDE = 0.01  # ... but at least this [m]
 MAX_REFINEMENT = 8  # times as many substeps, at most
-UNTANGLED = 4  # times the few edges around crossings, where curves of crossings may move while they are untangled
-MAX_MEND = 0.004  # correction of a vertex over a whole frame by which impacts are kept from happening [m]
-MAX_STRETCH = (
-    1.6  # of edges where colliding cloth is watched from a frame's start: cloth that is pinched needs room [-]
-)
-MAX_REPEATS = 6  # of a frame in which cloth went through itself
 MIN_FRAME_TIME = 1e-7  # shorter frames do nothing [s]: float32 does not hold the square of their inverse
 
 
@@ -122,20 +124,28 @@ class Solver:
         self._multigrid = levels
         self.stiff = is_stiff(model, self.options.substep)
         self._steps, self._max_approach = np.zeros(len(FrameSteps._fields), np.int32), np.zeros(1, np.float32)
-        self._arguments: dict[str, Any] = self._model_arrays() | self._multigrid_arrays() | self._workspace()
+        self._arguments: dict[str, Any] = {
+            **model_arrays(model, self.options.substep, self.stiff),
+            **multigrid_arrays(model, levels, self.stiff),
+            **workspace_arrays(model),
+            "max_approach": self._max_approach,
+            "air": self._air,
+            "steps": self._steps,
+        }
         # Substeps are never longer than this: levels that are of no use in it are of none in any.
         with_multigrid = levels.useful(self.options.substep) > 0
         in_contact = self.options.self_collision or bool(model.layer.any())
-        self._pairs = SelfCollision(model, self.options.self_collision) if in_contact else None
         self._held_start, self._held_end = (np.zeros((len(model.held), 3), np.float32) for _ in range(2))
         self._expected = self._kinds_of_state()
-        self._before: State | None = None  # workspace: the state at the start of a frame
-        self._edges = model.mesh.edge_lengths()
-        self._stride = max(MIN_STRIDE, STRIDE_SHARE * float(self._edges[1].mean()))
+        self._stride = max(MIN_STRIDE, STRIDE_SHARE * float(model.mesh.edge_lengths()[1].mean()))
         self._summary = StateSummary()
         self._find_nearest = Launch(find_nearest)
         kinds = with_multigrid, in_contact, model.plastic_shear_count > 0, self.stiff
         self._advance = Launch(advance_kernel(*kinds))
+        self._collisions: CollisionHandling | None = None
+        if in_contact:
+            pairs = SelfCollision(model, self.options.self_collision)
+            self._collisions = CollisionHandling(model, pairs, self._advance, self._steps)
 
     def _kinds_of_state(self) -> list[tuple[str, Any, tuple[int, ...]]]:
         """Names of arrays of a state of the model, their types and shapes."""
@@ -151,72 +161,6 @@ class Solver:
             ("plastic_bends", real, (model.plastic_count,)),
             ("plastic_shears", real, (model.plastic_shear_count,)),
         ]
-
-    def _model_arrays(self) -> dict[str, np.ndarray]:
-        """Arguments of the kernels that belong to the model."""
-        names = (
-            "triangles", "triangle_blocks", "block_colors", "hinges", "hinge_colors",
-            "stitches", "tethers", "tether_lengths", "held", "pressure", "samples", "sample_colors",
-        )  # fmt: skip
-        if self.model.plastic_count:
-            kept = np.zeros((len(self.model.hinges), 1, 4), np.float32)  # what the state remembers of friction
-            self._hinge_data = np.concatenate([self.model.hinge_data, kept], axis=1)
-        else:
-            self._hinge_data = self.model.hinge_data
-        factor = no_factor()
-        if self.stiff:
-            self._hinge_data = bounded_hinge_data(self.model, self.options.substep)
-            factor = bending_factor(self.model, self._hinge_data, self.options.substep)
-        self._triangle_data = self.model.triangle_data
-        if self.model.plastic_shear_count:
-            self._triangle_data = np.pad(self._triangle_data, ((0, 1), (0, 0)))
-        self._stitch_data = np.zeros((len(self.model.stitches), 4), np.float32)
-        self._stitch_data[:, 0] = self.model.stitch_weights
-        return {name: getattr(self.model, name) for name in names} | {
-            "stitch_data": self._stitch_data,
-            "hinge_data": self._hinge_data,
-            "bending_factor": factor,
-            "triangle_data": self._triangle_data,
-        }
-
-    def _multigrid_arrays(self) -> dict[str, np.ndarray]:
-        """Arguments of the kernels that belong to the coarser levels."""
-        levels = self._multigrid
-        patches = len(levels.inverse_mass)
-        names = (
-            "parent", "mass_share", "level_starts", "springs", "spring_colors", "color_starts", "spring_data",
-            "spring_shares",
-        )  # fmt: skip
-        written = ("displacement", "patch_centers", "predicted_displacement", "coarse_strain")
-        # Made one by one: an array that is the same object as at the last call need not be handed over again.
-        arrays = {name: np.zeros((max(1, patches), 4), np.float32) for name in written}
-        arrays["displacement"][:patches, 3] = levels.inverse_mass
-        workspace = np.zeros((9, len(levels.springs) + BLOCK), np.float32)
-        if self.stiff:
-            arrays["patch_centers"] = np.zeros((max(patches, 2 * self.model.vertex_count), 4), np.float32)
-        arrays |= {"children": levels.children(), "spring_workspace": workspace}
-        return arrays | {name: getattr(levels, name) for name in names}
-
-    def _workspace(self) -> dict[str, np.ndarray]:
-        """Arguments of the kernels that hold nothing between two frames."""
-        count, samples = self.model.vertex_count, len(self.model.samples)
-        limits, limit_work = strain_limits(self.model.mesh, self.model.fabric.thickness, self.model.held, True)
-        return {
-            **{name: np.zeros((count, 4), np.float32) for name in ("position_delta", "velocity_delta", "normals")},
-            "contact_points": np.zeros((samples, 3, 4), np.float32),
-            "active_samples": np.zeros(2 * samples, np.int32),
-            "active_counts": np.zeros((len(self.model.sample_colors) - 1, 2), np.int32),
-            "cell_start": np.zeros(MAX_CELLS + 2, np.int32),
-            "max_approach": self._max_approach,
-            "air": self._air,
-            "steps": self._steps,
-            # Where the cloth does not collide with itself, the bands that nothing carries have limits of stretch:
-            "pairs": np.zeros((1, 4), np.int32),
-            "pair_data": np.zeros((1, 2, 4), np.float32),
-            "ready_pairs": np.zeros(2, np.int32),
-            "strain_limits": limits,
-            "limit_work": limit_work,
-        }
 
     def step(
         self,
@@ -253,151 +197,15 @@ class Solver:
         gaps = (self.model.stitch_gaps,) * 2
         if stitch_gaps is not None:
             gaps = floats(stitch_gaps, "stitch_gaps", (2, len(self.model.stitches)), unit=" [m]")
-        self._stitch_data[:, 1], self._stitch_data[:, 2] = gaps
+        arguments["stitch_data"][:, 1], arguments["stitch_data"][:, 2] = gaps
         if colliders.body is not None:
             self._find_nearest.by_name(arguments)
-        model, count = self.model, len(self.model.triangles)
-        self._load_friction(state)
-        if self._pairs is None:
+        load_friction(self.model, state, arguments)
+        if self._collisions is None:
             self._advance.by_name(arguments)
         else:
-            self._advance_in_contact(state, arguments, dt)
-        if model.plastic_count:
-            state.plastic_bends[model.hinge_numbers] = self._hinge_data[:, 2, 0]
-        if model.plastic_shear_count:
-            state.plastic_shears[model.triangle_numbers] = self._triangle_data[-1, :count]
-
-    def _load_friction(self, state: State) -> None:
-        """Hand the kernels what the state remembers of internal friction; they change it as they advance."""
-        model = self.model
-        if model.plastic_count:
-            self._hinge_data[:, 2, 0] = state.plastic_bends[model.hinge_numbers]
-        if model.plastic_shear_count:
-            self._triangle_data[-1, : len(model.triangles)] = state.plastic_shears[model.triangle_numbers]
-
-    def _advance_in_contact(self, state: State, arguments: dict[str, Any], dt: float) -> None:
-        """Advance the state so that cloth that was free of crossings is free of them.
-
-        Where it would not be, the frame is done again, and impacts are kept from happening there in each substep. They
-        are from the start where cloth collided in the last frame.
-        """
-        assert self._pairs is not None
-        pairs = self._pairs
-        steps = FrameSteps(*self._steps.tolist())
-        if pairs.impacts is None:
-            self._advance_with_pairs(state, arguments, dt, steps)
-            return
-        self._before = before = self._before or state.copy()
-        before.restore(state)
-        corners = pairs.impacts.grid.faces
-        watched = before.colliding > 0  # what collided in the last frame is likely to collide in this one
-        moved = np.zeros_like(watched)
-        if watched.any():
-            faces = np.flatnonzero(watched[corners].any(axis=1)).astype(np.int32)
-            moved = self._advance_by_impacts(state, arguments, dt, steps, faces, steps.refresh)
-        if not watched.any() or len(pairs.crossings):  # something else has moved it since
-            state.restore(before)
-            self._load_friction(state)
-            self._advance_with_pairs(state, arguments, dt, steps)
-            watched[:] = moved[:] = False
-        known = pairs.around(pairs.crossings, UNTANGLED)  # untangling brings these apart
-        repeats = 1 if known.any() else MAX_REPEATS  # cloth that is through itself brings forth new crossings
-        for repeat in range(repeats):
-            if not np.isfinite(state.position).all():
-                break
-            rows = pairs.look_ahead(state, dt / steps.count, steps.count, self.model.fabric.thickness)
-            if len(rows):
-                rows = rows[~known[rows[:, 0]]]
-            if pairs.overfull or not len(rows):
-                break
-            if repeat == 0:  # the search leaves some out
-                left_out = pairs.impacts.grid.crossings(before.position[:, :3].astype(float))
-                known |= pairs.around(left_out, UNTANGLED)
-                rows = rows[~known[rows[:, 0]]]
-                if not len(rows):
-                    break
-            added = pairs.around(rows) & ~watched
-            everywhere = 0 < repeat == repeats - 1 or (repeat > 1 and not added.any())
-            if everywhere and watched.all():  # it would come out the same
-                break
-            watched |= added | everywhere
-            faces = np.flatnonzero((watched & ~known)[corners].any(axis=1)).astype(np.int32)
-            if repeat == 0 and self._mend(state, before.position[:, :3].astype(float), faces, dt, len(pairs.crossings)):
-                break
-            state.restore(before)
-            self._load_friction(state)
-            moved = self._advance_by_impacts(state, arguments, dt, steps, faces, steps.refresh if repeat == 0 else 1)
-        state.colliding[:] = 0
-        if moved.any() and not known.any() and self._stretch(state, moved) < MAX_STRETCH:
-            state.colliding[:] = pairs.spread(np.flatnonzero(moved))
-
-    def _stretch(self, state: State, chosen: np.ndarray) -> float:
-        """Length of the edge that is drawn out most, over its rest length, of those between chosen vertices."""
-        edges, lengths = self._edges
-        rows = np.flatnonzero(chosen[edges].all(axis=1))
-        ends = state.position[edges[rows], :3]
-        return float((np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) / lengths[rows]).max(initial=0.0))
-
-    def _mend(self, state: State, start: np.ndarray, faces: np.ndarray, dt: float, left: int) -> bool:
-        """Keep impacts from happening over the whole frame at once, if that takes small corrections.
-
-        Args:
-            state: at the end of the frame.
-            start: positions at its start [m], float64, shape (n, 3).
-            faces: numbers of those that are kept from going through one another.
-            dt: frame time [s].
-            left: crossings that there may be elsewhere: as many as at the start.
-
-        Returns:
-            whether there are no more crossings now.
-        """
-        assert self._pairs is not None and self._pairs.impacts is not None
-        impacts, proposed = self._pairs.impacts, state.position[:, :3].astype(float)
-        end = proposed.copy()
-        _, rigid = impacts.keep_apart(start, end, state.position[:, 3].astype(float), faces)
-        if rigid or np.abs(end - proposed).max() > MAX_MEND or len(impacts.grid.crossings(end)) > left:
-            return False
-        state.position[:, :3] = end
-        state.velocity += ((end - proposed) / dt).astype(np.float32)
-        return True
-
-    def _advance_by_impacts(
-        self, state: State, arguments: dict[str, Any], dt: float, steps: FrameSteps, faces: np.ndarray, stride: int
-    ) -> np.ndarray:
-        """Advance the state by a few substeps at a time, over which none of the given faces goes through another.
-
-        Returns:
-            the vertices that were kept from it, as a mask.
-        """
-        assert self._pairs is not None and self._pairs.impacts is not None
-        found, moved = 0, np.zeros(len(state.position), bool)
-        for begin in range(0, steps.count, stride):
-            if begin >= found:
-                good = self._pairs.find(
-                    state, dt / steps.count, steps.count - begin, self.model.fabric.thickness, begin
-                )
-                found = begin + steps.refresh * max(1, good // steps.refresh)
-            end = min(begin + stride, steps.count)
-            self._steps[:4] = begin, end, steps.count, min(stride, steps.refresh)
-            before = state.position[:, :3].astype(float)
-            self._advance.by_name(arguments | self._pairs.arrays())
-            after = state.position[:, :3].astype(float)
-            if self._pairs.impacts.keep_apart(before, after, state.position[:, 3].astype(float), faces)[0]:
-                moved |= (after != state.position[:, :3]).any(axis=1)
-                state.position[:, :3] = after
-            self._pairs.remember(state)
-        return moved
-
-    def _advance_with_pairs(self, state: State, arguments: dict[str, Any], dt: float, steps: FrameSteps) -> None:
-        """Advance the state with the cloth's own pairs, which are found anew as often as it moves far."""
-        assert self._pairs is not None
-        end = 0
-        while end < steps.count:
-            good = self._pairs.find(state, dt / steps.count, steps.count - end, self.model.fabric.thickness, end)
-            begin, end = end, min(end + steps.refresh * max(1, good // steps.refresh), steps.count)
-            self._steps[:2] = begin, end
-            self._advance.by_name(arguments | self._pairs.arrays())
-            self._pairs.remember(state)
+            self._collisions.advance(state, arguments, dt)
+        store_friction(self.model, state, arguments)
 
     def _prepare(
         self,

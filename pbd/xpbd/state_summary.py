@@ -4,7 +4,7 @@ import numpy as np
 
 from pbd.engine import ensure_initialized, ti
 from pbd.geometry import Float1, Vec3, Vec4, vec3, xyz
-from pbd.model import State
+from pbd.state import State
 from pbd.taichi_internals import Launch
 
 __all__ = ["StateSummary"]

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from pbd import Colliders, Solver
+from pbd import Colliders
 from pbd.contact import impacts
 from pbd.contact.impacts import Impacts
 from pbd.crossings import FaceGrid, crossings, seams_of
-from pbd.xpbd.solver import MAX_STRETCH
+from pbd.xpbd.collision_handling import MAX_STRETCH, CollisionHandling
 from tests.pbd.meshes import grid, thrown_sheet
 
 STEP = 0.02
@@ -141,9 +141,9 @@ def test_motion_without_impacts_keeps_its_bits() -> None:
 def thrown(guarded: bool, watched: bool = True) -> list[int]:
     """Crossings in each frame of the thrown sheet."""
     solver, state = thrown_sheet()
-    assert solver._pairs is not None
+    assert solver._collisions is not None
     if not guarded:
-        solver._pairs.impacts = None
+        solver._collisions.pairs.impacts = None
     found = []
     for _ in range(20):
         solver.step(state, Colliders(), 1.0 / 60.0)
@@ -162,8 +162,8 @@ def test_what_collided_is_watched_from_the_start_of_the_next_frame(monkeypatch: 
     """A frame that begins freely and crosses is done again: then fewer are."""
     assert max(thrown(guarded=True, watched=False)) == 0
     begun = []
-    advance = Solver._advance_with_pairs
-    monkeypatch.setattr(Solver, "_advance_with_pairs", lambda *arguments: (begun.append(1), advance(*arguments)))
+    advance, name = CollisionHandling._advance_with_pairs, "_advance_with_pairs"
+    monkeypatch.setattr(CollisionHandling, name, lambda *arguments: (begun.append(1), advance(*arguments)))
     thrown(guarded=True, watched=False)
     freely = len(begun)
     begun.clear()
@@ -183,7 +183,8 @@ def test_what_is_drawn_out_is_not_watched_and_nothing_is_that_moved_otherwise() 
     assert not later.colliding.any()
     assert not len(later.pairs)
     assert later.hash() != state.hash()
-    assert solver._stretch(state, state.colliding > 0) < MAX_STRETCH
+    assert solver._collisions is not None
+    assert solver._collisions.stretch(state, state.colliding > 0) < MAX_STRETCH
     drawn = int(np.flatnonzero(state.colliding)[0])
     state.position[drawn, :3] += np.float32(0.5)
-    assert solver._stretch(state, state.colliding > 0) > MAX_STRETCH
+    assert solver._collisions.stretch(state, state.colliding > 0) > MAX_STRETCH

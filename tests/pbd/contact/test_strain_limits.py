@@ -161,7 +161,7 @@ def test_limits_that_hold_nothing_back_change_nothing() -> None:
     for longest in (None, 1e3):
         solver, after = Solver(model, ON), state.copy()
         if longest is not None:
-            solver._pairs.strain_limits[:, 2] *= longest
+            solver._collisions.pairs.strain_limits[:, 2] *= longest
         for _ in range(10):
             solver.step(after, colliders, 1 / 60)
         ends.append(after.world())

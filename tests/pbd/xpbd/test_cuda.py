@@ -40,12 +40,13 @@ ensure_initialized(sys.argv[1])
 solver, state = thrown_sheet()
 frames = []
 done_again = 0
-advance = solver._advance_by_impacts
+collisions = solver._collisions
+advance = collisions._advance_by_impacts
 def counted(*arguments):
     global done_again
     done_again += 1
     advance(*arguments)
-solver._advance_by_impacts = counted
+collisions._advance_by_impacts = counted
 for frame in range(12):
     solver.step(state, Colliders(), 1 / 60)
     frames.append(state.world())
