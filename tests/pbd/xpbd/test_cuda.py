@@ -45,7 +45,7 @@ advance = collisions._advance_by_impacts
 def counted(*arguments):
     global done_again
     done_again += 1
-    advance(*arguments)
+    return advance(*arguments)
 collisions._advance_by_impacts = counted
 for frame in range(12):
     solver.step(state, Colliders(), 1 / 60)
