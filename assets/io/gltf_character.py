@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from assets.character import Animation, Character, Clip
-from assets.io.gltf import Document, Primitive, read_document
+from assets.io.gltf import read_document
+from assets.io.gltf_document import Document, Primitive
 from assets.io.skin import MAX_SAMPLES, best_influences, merge_pieces
 from assets.transform import decompose, slerp
 from assets.weld import check_unit

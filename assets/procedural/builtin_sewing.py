@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from assets.measures import measure
+from assets.anthropometry import measure
 from assets.patterns.drafts import draft
 from assets.procedural.mannequin import DATA, builtin_mannequin
 from assets.sewing.body import closed_body

@@ -26,8 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Report:
     """Measure a body and print every measure."""
+    from assets.anthropometry import measure
     from assets.loading import load_standing_body
-    from assets.measures import measure
     from runtime.report import Report
     from runtime.terminal import say
 

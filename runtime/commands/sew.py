@@ -119,7 +119,8 @@ def _pattern_of(options: argparse.Namespace, body: StandingBody) -> Pattern:
     if options.ease is not None:
         parameters["ease"] = options.ease
     if options.pattern.startswith("draft:"):
-        from assets.measures import MEASURES, measure
+        from assets.anthropometry import measure
+        from assets.measures import MEASURES
         from assets.patterns.drafts import draft, draft_parameters
 
         name = options.pattern.removeprefix("draft:")

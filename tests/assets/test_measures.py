@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from assets.anthropometry import measure
 from assets.io.obj import read_obj
 from assets.loading import load_character
-from assets.measures import MEASURES, BodyMeasures, measure
+from assets.measures import MEASURES, BodyMeasures
 from assets.sewing.body import StandingBody, closed_body
 from pbd.errors import InputError
 from tests.assets.real_bodies import BODIES, raw

@@ -68,7 +68,7 @@ def draft(name: str, measures: BodyMeasures, **parameters: float | None) -> Patt
 
     Args:
         name: one of DRAFTS.
-        measures: of the body; see :func:`assets.measures.measure`. The panels stand around it where it is.
+        measures: of the body; see :func:`assets.anthropometry.measure`. The panels stand around it where it is.
         parameters: those of :func:`draft_parameters`; others keep their defaults.
 
     Raises:

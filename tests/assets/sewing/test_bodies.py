@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from assets.measures import measure
+from assets.anthropometry import measure
 from assets.patterns.drafts import DRAFTS, draft
 from assets.sewing.body import closed_body
 from assets.sewing.sewing import SewingError, sew

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from assets.anthropometry import measure
 from assets.garment import boundary_loops, highest_loop
 from assets.loading import load_garment, load_standing_body
-from assets.measures import measure
 from assets.patterns.drafts import DRAFTS, draft
 from assets.patterns.load import load_pattern
 from assets.patterns.panel_mesh import cut

@@ -15,8 +15,8 @@ from functools import cache
 import numpy as np
 import pytest
 
+from assets.anthropometry import measure
 from assets.loading import load_standing_body
-from assets.measures import measure
 from assets.patterns.drafts import DRAFTS, draft
 from assets.patterns.load import load_pattern
 from assets.patterns.pattern import Panel, Pattern

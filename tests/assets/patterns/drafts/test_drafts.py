@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from assets.anthropometry import measure
 from assets.loading import load_character
-from assets.measures import BodyMeasures, measure
+from assets.measures import BodyMeasures
 from assets.patterns.curves import crossings, signed_area
 from assets.patterns.drafts import DRAFTS, draft, draft_parameters
 from assets.patterns.drafts.placing import Surroundings
