@@ -18,12 +18,13 @@ from assets.character import Character
 from assets.io.scene import Scene, load_scene
 from assets.io.sequence import Sequence as VertexSequence
 from precompute.demo_page import duration, newcomer_sections, words_of
-from precompute.learning.evaluation import Evaluation, Truth, settled, truth_runs
+from precompute.learning.evaluation import Evaluation
 from precompute.learning.options import LearningOptions
 from precompute.learning.pipeline import STAGES as LEARNING_STAGES
 from precompute.learning.pipeline import default_cache, precompute, scene_run
 from precompute.learning.recording import Recording, Run, record_runs
 from precompute.learning.stages import StageClock
+from precompute.learning.truth import Truth, settled, truth_runs
 from precompute.reporting.page import write_page
 from precompute.workers import Workers
 from runtime.bake import bake_glb

@@ -10,7 +10,8 @@ import numpy as np
 from assets.character import Character
 from assets.io.sequence import Sequence
 from pbd import InputError
-from runtime.play import PlaybackInputs, clip_begin, whole_steps
+from runtime.animation_baking import clip_begin, whole_steps
+from runtime.playback_inputs import PlaybackInputs
 from runtime.player import Player
 from runtime.recording_file import Quantised, links_of, quantised, recording_bytes
 from runtime.shown_body import shown_body

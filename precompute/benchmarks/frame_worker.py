@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pbd.taichi_internals import Launch
-from runtime.play import open_database
+from runtime.playback_inputs import open_database
 from runtime.player import Player
 from runtime.simulation import poses_of
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from runtime.commands.play import play_motions
 
 if TYPE_CHECKING:
-    from runtime.play import PlaybackInputs
+    from runtime.playback_inputs import PlaybackInputs
     from runtime.report import Report
     from runtime.simulation import Motion
     from wrinkles.database import WrinkleDatabase
@@ -34,8 +34,9 @@ def _beside_truth(
     options: argparse.Namespace, database: WrinkleDatabase, inputs: PlaybackInputs, motion: Motion
 ) -> dict[str, Any]:
     """Figures of a motion beside the fine simulation, and pictures of both."""
-    from precompute.learning.evaluation import database_run, evaluate, truth_of
+    from precompute.learning.evaluation import evaluate
     from precompute.learning.pipeline import default_cache
+    from precompute.learning.truth import database_run, truth_of
     from precompute.wrinkle_comparison.baselines import player_times, typical_ms
     from runtime.play import posed_bodies
     from runtime.report import Progress

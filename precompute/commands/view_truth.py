@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from runtime.commands.view import view
 
 if TYPE_CHECKING:
-    from runtime.play import PlaybackInputs
+    from runtime.playback_inputs import PlaybackInputs
     from runtime.report import Report
     from runtime.viewer.garments import Truth
     from wrinkles.database import WrinkleDatabase
@@ -29,9 +29,9 @@ def run(options: argparse.Namespace) -> Report:
 
 def _recorded_truths(path: Path, database: WrinkleDatabase, inputs: PlaybackInputs) -> Mapping[str, Truth]:
     """The fine simulation of each motion, from the runs that are kept beside the database."""
-    from precompute.learning.evaluation import database_run
     from precompute.learning.pipeline import default_cache
     from precompute.learning.recording import record_runs
+    from precompute.learning.truth import database_run
     from runtime.report import Progress
     from runtime.viewer.garments import Truth
 

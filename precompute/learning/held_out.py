@@ -11,10 +11,11 @@ import numpy as np
 from assets.io.scene import Scene
 from pbd import InputError
 from precompute.learning.decoding import FrameDecoder, decoded_frames
-from precompute.learning.evaluation import Truth, free_figures, settled, truth_of
+from precompute.learning.evaluation import free_figures
 from precompute.learning.pipeline import scene_run
 from precompute.learning.recording import Recording, Run
 from precompute.learning.training import Layer
+from precompute.learning.truth import Truth, settled, truth_of
 from runtime.garment_setup import GarmentSetup
 from runtime.player import Player
 from wrinkles.charts import leading_vertices

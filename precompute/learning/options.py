@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["LearningOptions"]
+__all__ = ["DEFAULT", "LearningOptions"]
 
 
 @dataclass(frozen=True)
@@ -34,3 +34,6 @@ class LearningOptions:
     def epochs_for(self, frame_count: int) -> int:
         """Passes over so many training frames, at most."""
         return max(self.epochs, min(self.most_epochs, self.epochs * self.training_frames // (2 * frame_count)))
+
+
+DEFAULT = LearningOptions()  # of a whole precompute

@@ -17,23 +17,14 @@ from pbd import Fabric, InputError, ModelOptions, SolverOptions
 from pbd.bending import hinge_calibration
 from precompute.learning.crossed import WHOLE, crossed_figures, crossed_jobs, crossed_words, joined_crossed
 from precompute.learning.decoding import with_vertex_mean
-from precompute.learning.evaluation import (
-    SETTLE,
-    Evaluation,
-    Truth,
-    evaluate,
-    fine_run,
-    given_frames,
-    settled,
-    truth_of,
-    truth_runs,
-)
+from precompute.learning.evaluation import Evaluation, evaluate, given_frames
 from precompute.learning.kept import Kept
 from precompute.learning.novelty import fit_novelty
 from precompute.learning.options import LearningOptions
 from precompute.learning.recording import Recording, Run, body_source, record_runs
 from precompute.learning.stages import StageClock, StageTime, counted
 from precompute.learning.training import Layer, TrainingSet, build_layer, fit_layer, spread_frames, training_set
+from precompute.learning.truth import SETTLE, Truth, fine_run, settled, truth_of, truth_runs
 from precompute.workers import Workers
 from runtime.garment_mesh import texture_of
 from runtime.garment_setup import GarmentSetup, colliders_of, fabrics_of, fine_options

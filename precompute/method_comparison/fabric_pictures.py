@@ -15,13 +15,12 @@ from assets.io.body_settings import MotionSettings
 from assets.io.scene import load_scene
 from pbd import Fabric, ModelOptions
 from precompute.demo import FULL
-from precompute.learning.evaluation import body_source
 from precompute.learning.recording import Run, record_runs
 from precompute.mechanics import FRAME_RATE
 from runtime.garment_setup import GarmentSetup, fine_options
 from runtime.picture_content import Drawn, frame_camera
 from runtime.pictures import render, strip
-from runtime.simulation import poses_of
+from runtime.simulation import body_source, poses_of
 
 __all__ = ["FABRICS", "draw_fabrics", "fabric_runs"]
 

@@ -14,11 +14,11 @@ from assets.character import Character
 from pbd import InputError, State
 from pbd.distance import BodyDistance
 from pbd.wind import Air
-from precompute.learning.evaluation import SETTLE
+from precompute.learning.truth import SETTLE
 from precompute.wrinkle_comparison.baselines import PROBE_FRAMES
 from runtime.cost_table import CostTable, Setting
 from runtime.level_of_detail import LevelOfDetail
-from runtime.play import PlaybackInputs
+from runtime.playback_inputs import PlaybackInputs
 from runtime.player import Player
 from runtime.report import machine_description
 from runtime.simulation import Motion

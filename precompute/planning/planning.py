@@ -16,7 +16,7 @@ from precompute.wrinkle_comparison.compare import database_of
 from runtime.cost_table import CostTable, cost_table_path, read_cost_table, write_cost_table
 from runtime.garment_setup import scene_of
 from runtime.planner import Choice, Planner, ViewSize, sight_of
-from runtime.play import playback_inputs
+from runtime.playback_inputs import playback_inputs
 from runtime.report import machine_description
 from wrinkles.database import WrinkleDatabase
 from wrinkles.database_file import read_database

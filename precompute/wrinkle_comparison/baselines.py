@@ -21,8 +21,8 @@ from pbd import InputError, Model, SolverOptions
 from pbd.attachment import Attachment
 from pbd.geometry import surface_normals
 from pbd.taichi_internals import Launch
-from precompute.learning.evaluation import Truth
 from precompute.learning.recording import Run, body_source, move_start
+from precompute.learning.truth import Truth
 from runtime.level_of_detail import LevelOfDetail
 from runtime.plain_player import middle_levels, plain_model
 from runtime.plain_surface import PlainSurface

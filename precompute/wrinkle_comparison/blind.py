@@ -10,8 +10,8 @@ import numpy as np
 from assets.text import read_text
 from pbd import InputError
 from pbd.storage import replacing
-from precompute.learning.evaluation import Truth
 from precompute.learning.recording import body_source
+from precompute.learning.truth import Truth
 from runtime.picture_content import Drawn, frame_camera
 from runtime.pictures import render, save_png, strip
 from runtime.shown_body import shown_body

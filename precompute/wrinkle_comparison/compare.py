@@ -14,19 +14,11 @@ from threadpoolctl import threadpool_limits
 from assets.io.scene import Scene, load_scene, scene_text
 from pbd import InputError
 from pbd.distance import penetration_figures
-from precompute.learning.evaluation import (
-    SETTLE,
-    Truth,
-    body_distances,
-    database_run,
-    floor_figures,
-    free_figures,
-    mean_figures,
-    truth_of,
-)
+from precompute.learning.evaluation import body_distances, floor_figures, free_figures, mean_figures
 from precompute.learning.pipeline import default_cache, precompute
 from precompute.learning.recording import Run
 from precompute.learning.stages import counted
+from precompute.learning.truth import SETTLE, Truth, database_run, truth_of
 from precompute.scratch import Tally, scratch_folder
 from precompute.workers import Workers
 from precompute.wrinkle_comparison.baselines import (
@@ -40,9 +32,10 @@ from precompute.wrinkle_comparison.baselines import (
 )
 from precompute.wrinkle_comparison.comparison import Comparison, Method, MotionComparison
 from precompute.wrinkle_comparison.realism import FEWEST_FRAMES, PatchStatistics, realism
+from runtime.animation_baking import clip_begin
 from runtime.garment_setup import scene_of
 from runtime.level_of_detail import LevelOfDetail
-from runtime.play import clip_begin, motions_of, playback_inputs
+from runtime.playback_inputs import motions_of, playback_inputs
 from runtime.player import Player
 from runtime.scene_body import body_of
 from runtime.simulation import Motion
@@ -84,7 +77,7 @@ def compare(
 
     Args:
         database: what was learned.
-        truths: converged fine runs of each motion, as :func:`precompute.learning.evaluation.truth_of` gives.
+        truths: converged fine runs of each motion, as :func:`precompute.learning.truth.truth_of` gives.
         brief: few plain cloths, few runs, and of ours only the full detail.
         workers: that measure what was played, or how many do.
         report: called with lines of progress.

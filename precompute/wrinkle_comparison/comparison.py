@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from precompute.learning.evaluation import CHANCE, Truth
+from precompute.learning.evaluation import CHANCE
+from precompute.learning.truth import Truth
 from precompute.wrinkle_comparison.realism import Realism
 
 __all__ = ["ERRORS", "Advantage", "Comparison", "Method", "MotionComparison"]

@@ -31,11 +31,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Report:
     """Play the first motion that is asked for and write it."""
+    from runtime.animation_baking import BAKED, baked_frames, write_baked
     from runtime.garment_setup import scene_of
     from runtime.info import better_choice
     from runtime.outputs import check_file, check_is_no_source
     from runtime.plain_player import PlainPlayer
-    from runtime.play import BAKED, baked_frames, open_database, write_baked
+    from runtime.playback_inputs import open_database
     from runtime.report import Progress, Report
     from runtime.shown_body import shown_body
     from runtime.terminal import say

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from runtime.arguments import add_motion
 
 if TYPE_CHECKING:
-    from runtime.play import PlaybackInputs
+    from runtime.playback_inputs import PlaybackInputs
     from runtime.recording import RecordedTruth
     from runtime.report import Report
     from runtime.simulation import Motion
@@ -54,7 +54,7 @@ def export_page(options: argparse.Namespace, find_truth: FindTruth | None = None
     from runtime.outputs import check_folder
     from runtime.page import check_page_folder, page_text, write_page
     from runtime.plain_player import plain_choice
-    from runtime.play import open_database
+    from runtime.playback_inputs import open_database
     from runtime.recording import record
     from runtime.report import Progress, Report
     from runtime.terminal import say

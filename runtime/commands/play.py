@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from runtime.arguments import add_output_folder, add_playback, positive
 
 if TYPE_CHECKING:
-    from runtime.play import PlaybackInputs
+    from runtime.playback_inputs import PlaybackInputs
     from runtime.report import Report
     from runtime.simulation import Motion
     from wrinkles.database import WrinkleDatabase
@@ -70,7 +70,7 @@ def play_motions(
     from runtime.info import better_choice
     from runtime.outputs import check_folder
     from runtime.plain_player import plain_choice
-    from runtime.play import open_database
+    from runtime.playback_inputs import open_database
     from runtime.report import Report, numbers_of, process_age
     from runtime.terminal import say
 

@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> Report:
     if options.explain:
         say(scene_text(with_subdivisions(scene)).removesuffix("\n"), verbatim=True)
         return Report()
-    from runtime.play import BAKED, clip_begin, simulated_frames, write_baked
+    from runtime.animation_baking import BAKED, clip_begin, simulated_frames, write_baked
 
     output = options.output or Path("out") / f"{options.scene.stem}.glb"
     check_file(output, *BAKED)

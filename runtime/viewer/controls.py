@@ -17,7 +17,8 @@ import viser
 
 from runtime.player import PARTS
 from runtime.viewer.colors import CLOTH, CLOTH_COLORS, SCALES, legend, names_legend
-from runtime.viewer.garments import FabricFactors, Source, ViewedGarment
+from runtime.viewer.garments import FabricFactors, ViewedGarment
+from runtime.viewer.sources import Source
 from runtime.viewer.stage import OVERLAID_COLORS, Look
 
 __all__ = ["SPEEDS", "Controls"]

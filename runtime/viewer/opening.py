@@ -11,8 +11,9 @@ import assets
 from assets.io.scene import CameraSettings, load_scene
 from assets.io.view import ViewSettings
 from pbd import InputError
-from runtime.play import PlaybackInputs, open_database
-from runtime.viewer.garments import DatabaseSource, SceneSource, Source, Truth
+from runtime.playback_inputs import PlaybackInputs, open_database
+from runtime.viewer.garments import Truth
+from runtime.viewer.sources import DatabaseSource, SceneSource, Source
 from wrinkles.database import WrinkleDatabase
 
 __all__ = ["DEMO_DATABASE", "Opened", "Truths", "open_source"]

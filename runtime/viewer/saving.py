@@ -17,9 +17,9 @@ from assets.io.sequence import Sequence
 from assets.io.view import ViewSettings
 from pbd.storage import replacing
 from pbd.wind import Wind
+from runtime.animation_baking import clip_begin
 from runtime.bake import bake_glb
 from runtime.pictures import save_png
-from runtime.play import clip_begin
 from runtime.studio import BACKGROUND
 from runtime.viewer.garments import ViewedGarment
 from runtime.viewer.playback import Playback

@@ -19,11 +19,12 @@ from runtime.player import Player
 from runtime.simulation import Motion
 from runtime.viewer.colors import CLOTH
 from runtime.viewer.controls import GRAPH_FRAMES, GRAPHED, Controls
-from runtime.viewer.garments import DatabaseSource, FabricFactors, Source, ViewedGarment
+from runtime.viewer.garments import FabricFactors, ViewedGarment
 from runtime.viewer.opening import Opened
 from runtime.viewer.playback import Playback
 from runtime.viewer.saving import bake_clip, clip_frames, write_picture, write_view
 from runtime.viewer.server import HOST, Server, open_server
+from runtime.viewer.sources import DatabaseSource, Source
 from runtime.viewer.stage import FIELD_OF_VIEW_DEG, Look, Stage
 
 __all__ = ["PORT", "RATE_HZ", "Choice", "Viewer"]

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page
 
+from runtime.animation_baking import clip_begin
 from runtime.page import page_text, write_page
-from runtime.play import PlaybackInputs, clip_begin
+from runtime.playback_inputs import PlaybackInputs
 from runtime.player import Player
 from runtime.recording import TRUTH_STEP, RecordedTruth, record
 from runtime.simulation import poses_of

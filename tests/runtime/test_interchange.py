@@ -20,7 +20,7 @@ from pbd import InputError
 from runtime import command
 from runtime.bake import bake_mdd, bake_pc2, bake_usd
 from runtime.garment_setup import GarmentSetup
-from runtime.play import open_database
+from runtime.playback_inputs import open_database
 from runtime.scene_body import body_of, motion_of
 from tests.assets.captures import write_bvh
 from tests.assets.files import bar_glb, bend_glb

@@ -212,7 +212,7 @@ def test_each_garment_of_a_simulated_outfit_is_a_mesh_of_its_own(fine: bool, set
 def test_a_simulated_outfit_is_written_by_garments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, out = tmp_path / "outfit.toml", tmp_path / "outfit.glb"
     path.write_text(OUTFIT, encoding="utf-8")
-    monkeypatch.setattr("runtime.play.clip_begin", lambda motion: 0.0)
+    monkeypatch.setattr("runtime.animation_baking.clip_begin", lambda motion: 0.0)
     assert command.main(["simulate", str(path), "-o", str(out), "--seconds", "0.02"]) == 0
     document = pygltflib.GLTF2().load(str(out))
     assert document is not None

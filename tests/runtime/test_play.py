@@ -20,7 +20,9 @@ from assets.motion import ClipMotion
 from pbd import InputError
 from pbd.wind import Wind
 from runtime import command
-from runtime.play import PlaybackInputs, baked_frames, play, playback_inputs, simulated_frames
+from runtime.animation_baking import baked_frames, simulated_frames
+from runtime.play import play
+from runtime.playback_inputs import PlaybackInputs, playback_inputs
 from runtime.player import Player
 from runtime.scene_simulation import simulation_of
 from runtime.simulation import poses_of
@@ -146,8 +148,8 @@ def test_play_loads_nothing_that_only_learning_needs_and_prints_nothing_of_its_e
 
 def test_truth_is_found_where_precompute_left_it(path: Path) -> None:
     """Both must ask for the same run, or the fine cloth is simulated again."""
-    from precompute.learning.evaluation import database_run
     from precompute.learning.pipeline import scene_run
+    from precompute.learning.truth import database_run
 
     stage, database = skirt_stage(), read_database(path)
     learned = scene_run(stage, stage.scene, stage.motion(stage.scene.training.held_out[0]))

@@ -19,8 +19,9 @@ from assets.motion import ClipMotion
 from assets.procedural.mannequin import builtin_mannequin
 from pbd import InputError
 from runtime import recording
+from runtime.animation_baking import clip_begin
 from runtime.page import WEB
-from runtime.play import PlaybackInputs, clip_begin
+from runtime.playback_inputs import PlaybackInputs
 from runtime.player import Player
 from runtime.recording import (
     BODY_STEP,

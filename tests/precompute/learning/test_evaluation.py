@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from pbd import InputError, Plane
-from precompute.learning.evaluation import Truth, fine_run
 from precompute.learning.recording import Recording
+from precompute.learning.truth import Truth, fine_run
 from tests.runtime.players import skirt_database, skirt_stage
 
 SUBSTEP = 1.0 / 1440.0  # of the fine run [s]

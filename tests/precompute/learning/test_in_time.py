@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from precompute.learning.evaluation import fine_run
 from precompute.learning.in_time import SLOWED, Pause, popping
 from precompute.learning.recording import Run
+from precompute.learning.truth import fine_run
 from runtime.simulation import poses_of
 from tests.runtime.players import skirt_database, skirt_stage
 

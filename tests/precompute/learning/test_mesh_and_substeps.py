@@ -13,8 +13,9 @@ from functools import partial
 import numpy as np
 import pytest
 
-from precompute.learning.evaluation import Truth, free_figures, mean_figures, truth_of
+from precompute.learning.evaluation import free_figures, mean_figures
 from precompute.learning.pipeline import default_cache, scene_run
+from precompute.learning.truth import Truth, truth_of
 from precompute.reporting.charts import Chart, Point, draw_charts, write_png
 from precompute.workers import Workers
 from precompute.wrinkle_comparison.baselines import PlayerTurn, take_turns

@@ -12,10 +12,10 @@ from assets.fabrics import PRESETS
 from assets.loading import load_garment
 from pbd import InputError
 from precompute.learning import pipeline
-from precompute.learning.evaluation import judged_from, levels_from, settled
 from precompute.learning.options import LearningOptions
 from precompute.learning.pipeline import STAGES, Precomputed, default_cache, precompute, scene_run, training_recordings
 from precompute.learning.recording import Recording, Run
+from precompute.learning.truth import judged_from, levels_from, settled
 from runtime.garment_setup import GarmentSetup, scene_of
 from runtime.player import Player
 from tests.precompute.miniature import OPTIONS, SCENE, same, same_learned, scene

@@ -7,8 +7,9 @@ import sys
 import numpy as np
 import pytest
 
-from precompute.learning.evaluation import free_figures, play_freely, truth_of
+from precompute.learning.evaluation import free_figures, play_freely
 from precompute.learning.pipeline import scene_run
+from precompute.learning.truth import truth_of
 from precompute.wrinkle_comparison.realism import PatchStatistics, realism
 from runtime.garment_setup import GarmentSetup, scene_of
 from tests.data import ROOT

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from pbd import InputError, SolverOptions
-from precompute.learning.evaluation import SETTLE, Truth, fine_run, levels_from, play_freely, truth_of
+from precompute.learning.evaluation import play_freely
 from precompute.learning.recording import Run
+from precompute.learning.truth import SETTLE, Truth, fine_run, levels_from, truth_of
 from precompute.scratch import Tally
 from precompute.wrinkle_comparison import compare as comparing
 from precompute.wrinkle_comparison import wrinkle_comparison

@@ -10,9 +10,10 @@ import pytest
 from pbd import ClothMesh
 from pbd.opening import neighbour_means
 from precompute.learning.decoding import by_patches, decoded_frames
-from precompute.learning.evaluation import play_freely, truth_of
+from precompute.learning.evaluation import play_freely
 from precompute.learning.pipeline import scene_run
 from precompute.learning.training import build_layer, coefficients_of
+from precompute.learning.truth import truth_of
 from precompute.wrinkle_comparison.realism import PatchStatistics, realism
 from runtime.garment_setup import GarmentSetup, scene_of
 from tests.data import ROOT

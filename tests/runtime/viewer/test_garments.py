@@ -12,7 +12,8 @@ from assets.io.scene import load_scene
 from runtime.plain_player import PlainPlayer
 from runtime.shown_body import INSET
 from runtime.viewer.colors import SCALES
-from runtime.viewer.garments import DatabaseSource, FabricFactors, SceneSource, Truth, ViewedGarment
+from runtime.viewer.garments import FabricFactors, Truth, ViewedGarment
+from runtime.viewer.sources import DatabaseSource, SceneSource
 from tests.runtime.viewer.views import FLAG, skirt_source
 
 TICK = 1.0 / 60.0

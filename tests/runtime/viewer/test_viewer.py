@@ -22,9 +22,10 @@ from assets.io.view import ViewSettings
 from pbd import InputError
 from runtime.viewer import opening
 from runtime.viewer.colors import CLOTH_COLORS
-from runtime.viewer.garments import DatabaseSource, FabricFactors
+from runtime.viewer.garments import FabricFactors
 from runtime.viewer.opening import Opened, open_source
 from runtime.viewer.saving import clip_frames
+from runtime.viewer.sources import DatabaseSource
 from runtime.viewer.viewer import Viewer
 from tests.runtime.viewer.views import FLAG, outfit_source, skirt_source
 from wrinkles.database_file import write_database

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from functools import cache
 
-from runtime.play import playback_inputs
-from runtime.viewer.garments import DatabaseSource
+from runtime.playback_inputs import playback_inputs
+from runtime.viewer.sources import DatabaseSource
 from tests.data import ROOT
 from tests.runtime.players import outfit_database, skirt_database
 
