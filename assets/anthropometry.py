@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from assets.body_segments import UP, Figure, Missing, Surface, unit
+from assets.body_segments import UP, BodySegments, Missing, NamedSurface, unit
 from assets.cross_sections import cross_section, hull_length, hull_loop, tape_length
 from assets.measures import MEASURES, BodyMeasures, Landmarks
 from assets.plausible import check_given, doubtful
@@ -30,7 +30,7 @@ _WAIST_HEIGHT = (
 _WAIST_BELOW_ARMPIT = 0.05  # of the stature, at least, where a waist is given by hand [-]
 
 
-def measure(body: Surface, given: Mapping[str, float] | None = None) -> BodyMeasures:
+def measure(body: NamedSurface, given: Mapping[str, float] | None = None) -> BodyMeasures:
     """Measure a body that stands upright with its arms away from its trunk.
 
     A measure that the body does not show, or that no body of its height has, is not a number, and ``doubts`` says why;
@@ -51,7 +51,7 @@ def measure(body: Surface, given: Mapping[str, float] | None = None) -> BodyMeas
     unknown = sorted(set(given) - set(MEASURES))
     if unknown:
         raise InputError("no such measure", received=unknown[0], expected="one of " + ", ".join(MEASURES))
-    figure = Figure(body)
+    figure = BodySegments(body)
     for name, value in given.items():
         check_given(name, value, figure.height)
     doubts: dict[str, str] = {}
@@ -101,7 +101,11 @@ _TRUNK_LENGTHS: _Names = (("back_length", "back_waist_length", "front_waist_leng
 
 
 def _taken(
-    figure: Figure, part: Callable[[Figure], _Part], given: Mapping[str, float], doubts: dict[str, str], names: _Names
+    figure: BodySegments,
+    part: Callable[[BodySegments], _Part],
+    given: Mapping[str, float],
+    doubts: dict[str, str],
+    names: _Names,
 ) -> _Part:
     """Measures of a part; not numbers, with the reason in ``doubts``, where the body does not have it.
 
@@ -125,7 +129,7 @@ def _taken(
         return _Part(dict.fromkeys(names[0], np.nan), {name: np.full(3, np.nan) for name in names[1]})
 
 
-def _trunk(figure: Figure, given: Mapping[str, float]) -> _Part:
+def _trunk(figure: BodySegments, given: Mapping[str, float]) -> _Part:
     """Girths of the trunk; a waist that does not show lies where measures by hand want it.
 
     Raises:
@@ -183,7 +187,7 @@ def _middle(points: Floats) -> Floats:
     return 0.5 * (points.min(axis=0) + points.max(axis=0))
 
 
-def _neck_and_shoulder(figure: Figure) -> _Part:
+def _neck_and_shoulder(figure: BodySegments) -> _Part:
     """The shoulder line and the neck's base."""
     cut = figure.cut(figure.faces, figure.armpit, figure.shoulder_normal, "shoulder")
     shoulder = cut[cut[:, 1].argmax()]
@@ -219,7 +223,7 @@ def _neck_and_shoulder(figure: Figure) -> _Part:
     return _Part(values, {"shoulder": shoulder, "neck_side": side, "neck_back": back, "neck_front": front})
 
 
-def _top(figure: Figure, x: float, limit: float) -> Floats:
+def _top(figure: BodySegments, x: float, limit: float) -> Floats:
     """The highest point of the trunk below a limit, at a certain x [m], shape (3,)."""
     points = cross_section(figure.vertices, figure.trunk, np.array([x, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
     points = points[points[:, 1] < limit]
@@ -235,7 +239,7 @@ def _width(points: Floats, side: float) -> float:
     return tape_length(loop, ends[0], ends[1])
 
 
-def _arm(figure: Figure) -> _Part:
+def _arm(figure: BodySegments) -> _Part:
     """Girths and length of the left arm."""
     used = np.unique(figure.arm)
     if not len(used):
@@ -267,7 +271,7 @@ def _arm(figure: Figure) -> _Part:
     return _Part(values, {"arm_start": start, "elbow": elbow, "wrist": wrist})
 
 
-def _leg(figure: Figure) -> _Part:
+def _leg(figure: BodySegments) -> _Part:
     """Girths of the left leg."""
     v, low, height = figure.vertices, figure.floor, figure.height
 
@@ -291,7 +295,7 @@ def _leg(figure: Figure) -> _Part:
     return _Part(values, {"knee": knee, "ankle": ankle})
 
 
-def _trunk_lengths(figure: Figure, places: Landmarks) -> _Part:
+def _trunk_lengths(figure: BodySegments, places: Landmarks) -> _Part:
     """Lengths along back and front, as a tape runs over hollows."""
     waist = places.waist[1]
     if np.isnan(waist):
@@ -326,7 +330,7 @@ def _trunk_lengths(figure: Figure, places: Landmarks) -> _Part:
     return _Part(lengths, {})
 
 
-def _front_share(figure: Figure, places: Landmarks) -> Floats:
+def _front_share(figure: BodySegments, places: Landmarks) -> Floats:
     """Shares of the girths of bust, waist and hip in front of one upright plane through the sides [-], shape (3,)."""
     levels = (places.bust, places.waist, places.hip)
     side = float(np.nanmean([place[2] for place in levels]))

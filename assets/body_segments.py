@@ -15,7 +15,7 @@ from assets.facing import standing_frame
 from pbd.errors import InputError
 from pbd.mesh import edges_of
 
-__all__ = ["UP", "Figure", "Missing", "Surface", "unit"]
+__all__ = ["UP", "BodySegments", "Missing", "NamedSurface", "unit"]
 
 Floats = NDArray[np.float64]
 Faces = NDArray[np.int32]
@@ -27,7 +27,7 @@ _JOINT_GAP = 0.03  # [m] parts of a jointed figure that lie so near each other h
 _UPRIGHT = 5.0  # weight of the upright direction in the plane where arms begin [-]
 
 
-class Surface(Protocol):
+class NamedSurface(Protocol):
     """A body: a character, or any mesh with a name.
 
     Attributes:
@@ -48,7 +48,7 @@ class Missing(Exception):
     """A part of the body that a measure needs is not there; the message names the place."""
 
 
-class Figure:
+class BodySegments:
     """The parts of a body that stands upright: Y up, arms held away from the trunk (A-pose or T-pose), legs apart.
 
     Where it stands and which way it looks does not matter: it is measured in its own frame. No rig is needed, so that a
@@ -67,7 +67,7 @@ class Figure:
         shoulder_normal: of the plane through the armpit where the arm begins; its third component is 0.
     """
 
-    def __init__(self, body: Surface) -> None:
+    def __init__(self, body: NamedSurface) -> None:
         self.name, self.faces = body.name, np.asarray(body.faces, np.int32)
         self.frame = standing_frame(np.asarray(body.vertices, float), self.faces)
         self.vertices = v = self.frame.local(np.asarray(body.vertices, float))

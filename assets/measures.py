@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from assets.body_segments import Surface
+from assets.body_segments import NamedSurface
 from assets.facing import StandingFrame
 
 __all__ = ["MEASURES", "BodyMeasures", "Landmarks"]
@@ -118,7 +118,7 @@ class BodyMeasures:
     ankle: float
     front_share: Floats
     landmarks: Landmarks
-    surface: Surface
+    surface: NamedSurface
     frame: StandingFrame
     arm_vertices: NDArray[np.bool_]
     doubts: Mapping[str, str] = field(default_factory=dict)

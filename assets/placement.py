@@ -18,7 +18,7 @@ from pbd.mesh import edges_of
 __all__ = [
     "AS_STORED",
     "Fit",
-    "Placement",
+    "FilePlacement",
     "best_placement",
     "body_placement",
     "check_worn",
@@ -44,7 +44,7 @@ _MAX_OPENING_GAP = 0.03  # from the middle of some opening of a worn garment to 
 
 
 @dataclass(frozen=True)
-class Placement:
+class FilePlacement:
     """How the numbers of a file lie in the world.
 
     Attributes:
@@ -64,7 +64,7 @@ class Placement:
         return f"{self.unit}, {self.axes}"
 
 
-AS_STORED = Placement("metres", "Y up")
+AS_STORED = FilePlacement("metres", "Y up")
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class Fit:
         return self.opening_gap <= _MAX_OPENING_GAP and self.gap_p50 <= _MAX_MEDIAN_GAP
 
 
-def body_placement(vertices: Floats) -> Placement | None:
+def body_placement(vertices: Floats) -> FilePlacement | None:
     """Unit and axes of a standing body, by its height: None where no unit makes a body of 0.7 to 2.6 m of it.
 
     A body is wider and taller than it is deep, so that the shorter of Y and Z is its depth.
@@ -111,8 +111,8 @@ def body_placement(vertices: Floats) -> Placement | None:
     if not fitting:
         return None
     if fitting[0] == "metres":
-        return Placement("metres", axes)
-    return Placement(min(fitting, key=lambda unit: abs(np.log(UNITS[unit] * height / _USUAL_HEIGHT))), axes)
+        return FilePlacement("metres", axes)
+    return FilePlacement(min(fitting, key=lambda unit: abs(np.log(UNITS[unit] * height / _USUAL_HEIGHT))), axes)
 
 
 def fit_of(vertices: Floats, faces: Faces, body_vertices: Floats, body_faces: Faces) -> Fit:
@@ -215,7 +215,7 @@ def _openings(faces: Faces) -> list[NDArray[np.int32]]:
 
 def best_placement(
     vertices: Floats, faces: Faces, body_vertices: Floats, body_faces: Faces
-) -> tuple[Placement, Fit | None]:
+) -> tuple[FilePlacement, Fit | None]:
     """The unit and the axes in which a garment is worn by a body.
 
     Args:
@@ -240,8 +240,8 @@ def best_placement(
     return found[0] if found[0][0] == AS_STORED else min(found, key=lambda one: abs(one[1].gap_p50))
 
 
-def _candidates(vertices: Floats, height: float) -> Iterator[Placement]:
+def _candidates(vertices: Floats, height: float) -> Iterator[FilePlacement]:
     size = float(np.ptp(vertices, axis=0).max())
     for unit, scale in UNITS.items():
         if _SIZES[0] * height <= scale * size <= _SIZES[1] * height:
-            yield from (Placement(unit, axes) for axes in _AXES)
+            yield from (FilePlacement(unit, axes) for axes in _AXES)

@@ -9,13 +9,13 @@ from assets.character import Character
 from pbd.engine import ensure_initialized, ti
 from pbd.taichi_internals import Launch
 
-__all__ = ["Body", "SkinnedBody", "skin_vertices"]
+__all__ = ["MovedSurface", "SkinnedBody", "skin_vertices"]
 
 Floats = NDArray[np.float64]
 vec3, vec4 = ti.math.vec3, ti.math.vec4
 
 
-class Body(Protocol):
+class MovedSurface(Protocol):
     """A surface that a motion moves.
 
     Attributes:
@@ -85,7 +85,7 @@ class SkinnedBody:
         self._blend = Launch(_blend)
 
     def skin(self, pose: Floats, origin: Floats, out: Any) -> None:
-        """Write the vertices of a pose, world minus origin [m]; see :class:`Body`.
+        """Write the vertices of a pose, world minus origin [m]; see :class:`MovedSurface`.
 
         Args:
             pose: skinning matrices, shape (joints, 3, 4), float64.

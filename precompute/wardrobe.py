@@ -22,7 +22,7 @@ from precompute.workers import Workers
 from wrinkles.database import code_version
 from wrinkles.database_file import read_database
 
-__all__ = ["Outcome", "learn_wardrobe", "wardrobe_rows", "wardrobe_text", "write_wardrobe"]
+__all__ = ["GarmentOutcome", "learn_wardrobe", "wardrobe_rows", "wardrobe_text", "write_wardrobe"]
 
 WORST_BY = "spectrum_band_error_max"  # the largest error of an octave of bending energy
 COLUMNS = {  # figures of a database, and what they are called on the page
@@ -37,7 +37,7 @@ COLUMNS = {  # figures of a database, and what they are called on the page
 
 
 @dataclass(frozen=True)
-class Outcome:
+class GarmentOutcome:
     """What came of one database.
 
     Attributes:
@@ -60,7 +60,7 @@ def learn_wardrobe(
     workers: Workers,
     report: Callable[[str], None],
     options: LearningOptions = DEFAULT,
-) -> list[Outcome]:
+) -> list[GarmentOutcome]:
     """Learn a database from each scene; one that fails does not stop the others.
 
     A database that is there, of the same scene and code, is kept. Where at least as many are left as there are workers,
@@ -93,7 +93,7 @@ def learn_wardrobe(
     else:
         jobs = [partial(_learned, name, scene, cache, options) for name, scene in left.items()]
 
-        def store(done: int, result: tuple[Outcome, bytes]) -> None:
+        def store(done: int, result: tuple[GarmentOutcome, bytes]) -> None:
             found[result[0].name] = _stored(result, output)
             tell(done, None)
 
@@ -101,7 +101,7 @@ def learn_wardrobe(
     return [found[name] for name in scenes]
 
 
-def _there(name: str, scene: Scene, output: Path) -> Outcome | None:
+def _there(name: str, scene: Scene, output: Path) -> GarmentOutcome | None:
     """The outcome of a database that was learned before from the same scene by the same code."""
     try:
         database = read_database(output / f"{name}.h5")
@@ -109,7 +109,7 @@ def _there(name: str, scene: Scene, output: Path) -> Outcome | None:
         return None
     if database.scene != scene_text(scene) or database.code_version != code_version():
         return None
-    return Outcome(name, figures=dict(database.quality))
+    return GarmentOutcome(name, figures=dict(database.quality))
 
 
 def _learned(
@@ -119,7 +119,7 @@ def _learned(
     options: LearningOptions,
     workers: Workers | int = 1,
     report: Callable[[str], None] | None = None,
-) -> tuple[Outcome, bytes]:
+) -> tuple[GarmentOutcome, bytes]:
     """The outcome, and the database as the bytes of its file, since a worker may be on another machine."""
     began = time.monotonic()
     with scratch_folder() as folder:
@@ -127,16 +127,16 @@ def _learned(
         try:
             made = precompute(scene, path, cache=cache, workers=workers, report=report, options=options)
         except InputError as error:
-            return Outcome(name, str(error)), b""
+            return GarmentOutcome(name, str(error)), b""
         except BrokenExecutor:  # the others have no workers either
             raise
         except Exception:  # noqa: BLE001 - the others shall go on
-            return Outcome(name, traceback.format_exc()), b""
+            return GarmentOutcome(name, traceback.format_exc()), b""
         minutes = (time.monotonic() - began) / 60.0
-        return Outcome(name, minutes=minutes, figures=dict(made.database.quality)), path.read_bytes()
+        return GarmentOutcome(name, minutes=minutes, figures=dict(made.database.quality)), path.read_bytes()
 
 
-def _stored(result: tuple[Outcome, bytes], output: Path) -> Outcome:
+def _stored(result: tuple[GarmentOutcome, bytes], output: Path) -> GarmentOutcome:
     outcome, content = result
     if not outcome.problem:
         with replacing(output / f"{outcome.name}.h5") as beside:
@@ -144,12 +144,12 @@ def _stored(result: tuple[Outcome, bytes], output: Path) -> Outcome:
     return outcome
 
 
-def worst_first(outcomes: Sequence[Outcome]) -> list[Outcome]:
+def worst_first(outcomes: Sequence[GarmentOutcome]) -> list[GarmentOutcome]:
     """Those without a database, then by the largest error of an octave."""
     return sorted(outcomes, key=lambda one: (not one.problem, -one.figures.get(WORST_BY, float("inf"))))
 
 
-def wardrobe_rows(outcomes: Sequence[Outcome]) -> list[dict[str, float | str]]:
+def wardrobe_rows(outcomes: Sequence[GarmentOutcome]) -> list[dict[str, float | str]]:
     """A row for each database, the worst first."""
     return [
         {"database": one.name, "problem": one.problem, "minutes": one.minutes}
@@ -158,7 +158,7 @@ def wardrobe_rows(outcomes: Sequence[Outcome]) -> list[dict[str, float | str]]:
     ]
 
 
-def wardrobe_text(outcomes: Sequence[Outcome]) -> str:
+def wardrobe_text(outcomes: Sequence[GarmentOutcome]) -> str:
     """A line for each database, the worst first."""
     width = max(len(one.name) for one in outcomes)
     lines = []
@@ -168,13 +168,13 @@ def wardrobe_text(outcomes: Sequence[Outcome]) -> str:
     return "\n".join(lines)
 
 
-def _cells(outcome: Outcome) -> list[str]:
+def _cells(outcome: GarmentOutcome) -> list[str]:
     """A row of the page; a dash where there is no figure."""
     values = [outcome.minutes or None, *(outcome.figures.get(name) for name in COLUMNS)]
     return [outcome.name, *("-" if value is None else f"{value:.3g}" for value in values)]
 
 
-def write_wardrobe(path: Path, outcomes: Sequence[Outcome]) -> None:
+def write_wardrobe(path: Path, outcomes: Sequence[GarmentOutcome]) -> None:
     """Write the page."""
     failed = [one for one in outcomes if one.problem]
     sections: list[Section] = [

@@ -11,7 +11,7 @@ import numpy as np
 from assets.character import Character
 from assets.io.scene import Scene
 from assets.io.sequence import Sequence
-from assets.motion import ClipMotion
+from assets.motion import ClipMotion, Motion
 from pbd import InputError
 from runtime.bake import bake_glb, bake_mdd, bake_obj, bake_pc2, bake_usd
 from runtime.game_loop import GameLoop, LiveInput
@@ -19,7 +19,7 @@ from runtime.outputs import check_file
 from runtime.plain_player import PlainPlayer, player_of
 from runtime.playback_inputs import PlaybackInputs
 from runtime.player import Player
-from runtime.simulation import Motion, Simulation
+from runtime.simulation import Simulation
 from wrinkles.database import WrinkleDatabase
 
 __all__ = ["BAKED", "baked_frames", "clip_begin", "simulated_frames", "whole_steps", "write_baked"]

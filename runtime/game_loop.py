@@ -9,9 +9,10 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from assets.motion import Motion
 from pbd.errors import InputError
 from pbd.wind import CALM, Air
-from runtime.simulation import Motion, Simulation
+from runtime.simulation import Simulation
 
 __all__ = ["GameLoop", "LiveInput", "Playable", "ScriptedInput"]
 

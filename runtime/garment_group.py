@@ -12,7 +12,7 @@ import numpy as np
 from pbd.errors import InputError
 from pbd.wind import CALM, Air
 from runtime.level_of_detail import LevelOfDetail
-from runtime.planner import Choice, Planner, ViewSize
+from runtime.planner import DetailChoice, Planner, ViewSize
 
 __all__ = ["Changeable", "GarmentGroup"]
 
@@ -67,7 +67,7 @@ class GarmentGroup:
         self.players, self.planner, self._clock = tuple(players), planner, clock
         for player, cost_table in zip(players, planner.cost_tables, strict=True):
             player.prepare(setting.detail for setting in cost_table.settings)
-        self.choices: list[Choice] = []
+        self.choices: list[DetailChoice] = []
         self.spent_ms = 0.0
         self._tick, self._elapsed = 0, math.inf
         self._places: list[tuple[int, int]] = [(0, 0)] * len(players)  # setting, tick of its turn

@@ -20,6 +20,7 @@ from assets.io.scene import GarmentSettings, Scene, parse_scene
 from assets.io.sequence import Sequence, SequenceMotion
 from assets.limits import load_limits
 from assets.loading import load_garment
+from assets.motion import Motion
 from assets.placement import check_worn
 from assets.procedural.exploration import exploration_motion
 from pbd import Capsule, DistanceField, Fabric, InputError, Limits, Plane, SolverOptions, Sphere
@@ -38,7 +39,6 @@ from runtime.garment_mesh import (
 from runtime.layer_order import check_fastened, check_order
 from runtime.opened_start import Opening, opened
 from runtime.scene_body import body_of, load_body, motion_of
-from runtime.simulation import Motion
 from wrinkles.binding import Binding
 from wrinkles.database import WrinkleDatabase
 from wrinkles.field import field_of_mesh

@@ -21,7 +21,7 @@ from wrinkles.levels import MAX_AREA_CORRECTION, build_garments, with_area_of
 from wrinkles.patches import Patches
 from wrinkles.schema import ENTRIES
 
-__all__ = ["Check", "better_choice", "check_database", "info_text"]
+__all__ = ["DatabaseCheck", "better_choice", "check_database", "info_text"]
 
 
 def info_text(path: str | Path) -> tuple[str, dict[str, float]]:
@@ -160,7 +160,7 @@ def _quality_lines(database: WrinkleDatabase) -> list[str]:
     return [f"Quality on motion from which it has not learned: {where}", *figure_lines(database.quality)]
 
 
-class Check(NamedTuple):
+class DatabaseCheck(NamedTuple):
     """One check: its name, whether it passed, and the values found."""
 
     check: str
@@ -168,7 +168,7 @@ class Check(NamedTuple):
     detail: str
 
 
-def check_database(path: str | Path) -> list[Check]:
+def check_database(path: str | Path) -> list[DatabaseCheck]:
     """Check all of a database: its file, its meshes and models, and the wrinkles that its dictionary decodes.
 
     Args:
@@ -183,7 +183,7 @@ def check_database(path: str | Path) -> list[Check]:
     figures = database_figures(path)
     database = read_database(path)
     checks = [
-        Check("file", True, f"{figures['database_mb']:.2f} MB read in {figures['load_s']:.3f} s; hashes agree"),
+        DatabaseCheck("file", True, f"{figures['database_mb']:.2f} MB read in {figures['load_s']:.3f} s; hashes agree"),
         _check_build(database),
         _check_quality(database),
     ]
@@ -192,7 +192,7 @@ def check_database(path: str | Path) -> list[Check]:
         coarse, fine = subdivision.meshes(database.coarse_vertices, database.warp, sewn=database.sewn)
         coarse, ratio = with_area_of(coarse, fine)
         near = database.binding is not None or abs(ratio - 1.0) <= MAX_AREA_CORRECTION
-        checks.append(Check("one rest metric", near, f"coarse area over fine area {ratio:.5f}"))
+        checks.append(DatabaseCheck("one rest metric", near, f"coarse area over fine area {ratio:.5f}"))
         model = build_garments(
             database.rest_shape.applied(coarse),
             database.layers,
@@ -203,7 +203,7 @@ def check_database(path: str | Path) -> list[Check]:
             database.limits,
         )
         detail = f"{model.vertex_count} vertices, {1e3 * model.mass.sum():.0f} g, {len(model.hinges)} hinges"
-        checks.append(Check("coarse model", True, detail))
+        checks.append(DatabaseCheck("coarse model", True, detail))
         charts = Charts.of(coarse)
         patches = Patches.of(subdivision, charts)
         checks.append(_check_patches(patches, subdivision.fine_count))
@@ -217,34 +217,36 @@ def check_database(path: str | Path) -> list[Check]:
         checks.append(_check_decoding("decoding at rest", database, decoder, surface, state))
         checks.append(_check_decoding("decoding a torn garment", database, decoder, surface, torn))
     except InputError as error:
-        checks.append(Check("garment", False, str(error)))
+        checks.append(DatabaseCheck("garment", False, str(error)))
     return checks
 
 
-def _check_build(database: WrinkleDatabase) -> Check:
+def _check_build(database: WrinkleDatabase) -> DatabaseCheck:
     """Names the build that made the file. Files of other builds are good: how they are read follows their schema."""
     made = f"made by gube {database.code_version} on {database.created}"
     same = database.code_version == code_version()
-    return Check("build", True, made + (", which is this one" if same else f"; this is gube {code_version()}"))
+    return DatabaseCheck("build", True, made + (", which is this one" if same else f"; this is gube {code_version()}"))
 
 
-def _check_quality(database: WrinkleDatabase) -> Check:
+def _check_quality(database: WrinkleDatabase) -> DatabaseCheck:
     error, smooth = (database.quality.get(name) for name in ("normal_error_deg", "normal_error_smooth_deg"))
     if error is None or smooth is None:
-        return Check("held-out motion", True, "not measured")
-    return Check("held-out motion", error < smooth, f"normal error {error:.2f} deg, smooth {smooth:.2f} deg")
+        return DatabaseCheck("held-out motion", True, "not measured")
+    return DatabaseCheck("held-out motion", error < smooth, f"normal error {error:.2f} deg, smooth {smooth:.2f} deg")
 
 
-def _check_patches(patches: Patches, count: int) -> Check:
+def _check_patches(patches: Patches, count: int) -> DatabaseCheck:
     """Blending weights of every fine vertex: none below zero, and together one."""
     off = float(np.abs(patches.blend.sum(axis=1) - 1.0).max())
     whole = len(patches.blend) == count and patches.blend.min() >= 0.0 and off < 1e-5
-    return Check("patches", bool(whole), f"{len(patches.blend)} fine vertices, weights add up to 1 within {off:.1g}")
+    return DatabaseCheck(
+        "patches", bool(whole), f"{len(patches.blend)} fine vertices, weights add up to 1 within {off:.1g}"
+    )
 
 
 def _check_decoding(
     name: str, database: WrinkleDatabase, decoder: Decoder, surface: FineSurface, state: State
-) -> Check:
+) -> DatabaseCheck:
     """Decode a garment far from any body: finite, and no wrinkle higher than the longest is long."""
     state.contact[:] = FAR
     vertices, flat = (
@@ -256,4 +258,4 @@ def _check_decoding(
         surface(flat, decoder.grids, decoder.frames, vertices)
         height = float(np.linalg.norm(vertices, axis=1).max())
     detail = f"wrinkles up to {1e3 * height:.1f} mm, cut-off {1e3 * database.cutoff:.0f} mm"
-    return Check(name, bool(height < database.cutoff), detail)
+    return DatabaseCheck(name, bool(height < database.cutoff), detail)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_matrix
 
-__all__ = ["Surface", "directions_about", "directions_everywhere", "exposure"]
+__all__ = ["LitSurface", "directions_about", "directions_everywhere", "exposure"]
 
 CELL = 0.005  # of the grids [m]
 _MAX_CELLS = 1000  # along a side; a larger scene has larger cells
@@ -27,7 +27,7 @@ _MAX_CUTS = 24  # of a face's sides, for samples
 
 
 @dataclass(frozen=True)
-class Surface:
+class LitSurface:
     """A mesh that casts and receives shadow.
 
     Attributes:
@@ -59,7 +59,7 @@ def directions_about(axis: np.ndarray, half_angle_deg: float, count: int) -> np.
 
 
 def exposure(
-    surfaces: Sequence[Surface], points: np.ndarray, normals: np.ndarray, directions: np.ndarray, weights: np.ndarray
+    surfaces: Sequence[LitSurface], points: np.ndarray, normals: np.ndarray, directions: np.ndarray, weights: np.ndarray
 ) -> np.ndarray:
     """Share of a light that reaches each point, on both sides of its surface: float32, shape (n, 2), 0 to 1.
 
@@ -159,7 +159,7 @@ def _frame(direction: np.ndarray) -> np.ndarray:
     return np.stack([side, np.cross(axis, side), axis], axis=1)
 
 
-def _samples(surface: Surface, cell: float) -> np.ndarray:
+def _samples(surface: LitSurface, cell: float) -> np.ndarray:
     """Points on the faces, no further apart than a cell [m]: float32, shape (s, 3)."""
     corners = surface.vertices[surface.faces]
     longest = np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1))

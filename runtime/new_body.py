@@ -14,7 +14,7 @@ from assets.io.converted import write_character
 from assets.io.gltf_character import bind_vertices
 from assets.io.sequence import Sequence, load_sequence
 from assets.loading import load_character
-from assets.placement import AS_STORED, Placement, body_placement
+from assets.placement import AS_STORED, FilePlacement, body_placement
 from assets.procedural.exploration import exploration_clip
 from pbd import InputError
 
@@ -44,7 +44,7 @@ class BodyGuess:
 
     body: Character | Sequence
     file: Path | str
-    placement: Placement
+    placement: FilePlacement
 
     @property
     def vertices(self) -> np.ndarray:

@@ -14,7 +14,7 @@ from assets.fabrics import PRESETS
 from assets.garment import Garment, StoredSurface, boundary_loops, checked_garment
 from assets.io.converted import write_garment
 from assets.loading import load_garment, read_surface
-from assets.placement import AS_STORED, UNITS, Fit, Placement, best_placement, fit_of
+from assets.placement import AS_STORED, UNITS, FilePlacement, Fit, best_placement, fit_of
 from assets.seams import load_seams
 from pbd import ClothMesh, InputError
 from pbd.mesh import edges_of
@@ -60,7 +60,7 @@ class GarmentGuess:
 
     garment: Garment
     file: Path | str
-    placement: Placement
+    placement: FilePlacement
     turned: bool
     fit: Fit
     kind: str
@@ -130,7 +130,7 @@ def guess_garment(path: str, body: BodyGuess, folder: Path) -> GarmentGuess:
     )
 
 
-def _placed(surface: StoredSurface, body: BodyGuess, path: str) -> tuple[Garment, Placement, Fit]:
+def _placed(surface: StoredSurface, body: BodyGuess, path: str) -> tuple[Garment, FilePlacement, Fit]:
     """The garment in the unit and the axes in which the body wears it, checked, with its pattern if it has one."""
     placement, fit = best_placement(surface.vertices, surface.faces, body.vertices, body.body.faces)
     if fit is None:

@@ -19,7 +19,7 @@ from assets.io.scene import CameraSettings
 from pbd.errors import InputError
 from runtime.cost_table import CostTable
 
-__all__ = ["TARGETS", "Choice", "Planner", "ViewSize", "sight_of"]
+__all__ = ["TARGETS", "DetailChoice", "Planner", "ViewSize", "sight_of"]
 
 TARGETS = {"imperceptible": 1.0, "accepted": 10.0}
 """Largest error on screen [px] by the name of its class."""
@@ -80,7 +80,7 @@ def sight_of(cameras: Sequence[CameraSettings], centre: Sequence[float], size: f
 
 
 @dataclass(frozen=True)
-class Choice:
+class DetailChoice:
     """The setting that a garment is played with.
 
     Attributes:
@@ -132,7 +132,7 @@ class Planner:
         self._short = False  # whether the budget is too small
         self._slots = max(setting.detail.every for cost_table in cost_tables for setting in cost_table.settings)
 
-    def plan(self, views: Sequence[ViewSize], elapsed: float = math.inf) -> list[Choice]:
+    def plan(self, views: Sequence[ViewSize], elapsed: float = math.inf) -> list[DetailChoice]:
         """Choose a setting for each garment.
 
         Args:
@@ -155,7 +155,7 @@ class Planner:
             if index != self._current[i]:
                 self._current[i], self._since[i] = index, 0.0
         return [
-            Choice(
+            DetailChoice(
                 index,
                 wait,
                 cost_table.settings[index].cost_ms,
@@ -168,7 +168,7 @@ class Planner:
             )
         ]
 
-    def tick_ms(self, choices: Sequence[Choice]) -> float:
+    def tick_ms(self, choices: Sequence[DetailChoice]) -> float:
         """Cost of the dearest tick by the table [ms]."""
         return float(self._share([choice.index for choice in choices])[1].max())
 

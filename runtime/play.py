@@ -10,6 +10,7 @@ import numpy as np
 
 from assets.character import Character
 from assets.io.sequence import Sequence
+from assets.motion import Motion
 from pbd import InputError
 from pbd.wind import CALM, Air
 from runtime.game_loop import GameLoop, LiveInput, ScriptedInput
@@ -18,7 +19,7 @@ from runtime.playback_inputs import PlaybackInputs
 from runtime.player import Player
 from runtime.report import process_age
 from runtime.shown_body import shown_body
-from runtime.simulation import Motion, body_source, poses_of
+from runtime.simulation import body_source, poses_of
 from runtime.strips import draw_strips_apart
 from wrinkles.database import WrinkleDatabase
 

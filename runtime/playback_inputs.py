@@ -12,13 +12,12 @@ from assets.character import Character
 from assets.io.body_settings import MotionSettings
 from assets.io.scene import Scene
 from assets.io.sequence import Sequence, SequenceMotion, is_sequence, load_sequence
-from assets.motion import ClipMotion
+from assets.motion import ClipMotion, Motion
 from pbd import InputError
 from pbd.wind import CALM, Wind
 from runtime.garment_mesh import pattern_of
 from runtime.garment_setup import colliders_of, scene_of
 from runtime.scene_body import body_of, load_body, motion_of
-from runtime.simulation import Motion
 from wrinkles.database import WrinkleDatabase
 from wrinkles.database_file import read_database
 

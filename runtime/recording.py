@@ -9,13 +9,14 @@ import numpy as np
 
 from assets.character import Character
 from assets.io.sequence import Sequence
+from assets.motion import Motion
 from pbd import InputError
 from runtime.animation_baking import clip_begin, whole_steps
 from runtime.playback_inputs import PlaybackInputs
 from runtime.player import Player
 from runtime.recording_file import Quantised, links_of, quantised, recording_bytes
 from runtime.shown_body import shown_body
-from runtime.simulation import Motion, poses_of
+from runtime.simulation import poses_of
 from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels
 

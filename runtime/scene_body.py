@@ -16,9 +16,8 @@ from assets.io.retarget import load_joint_table, retargeted
 from assets.io.scene import Scene
 from assets.io.sequence import Sequence, SequenceMotion, load_sequence
 from assets.loading import load_animation, load_character
-from assets.motion import ClipMotion, part_of
+from assets.motion import ClipMotion, Motion, part_of
 from pbd import InputError
-from runtime.simulation import Motion
 
 __all__ = ["body_of", "load_body", "motion_of"]
 

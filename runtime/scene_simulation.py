@@ -7,10 +7,11 @@ from collections.abc import Callable
 import numpy as np
 
 from assets.io.scene import Scene
+from assets.motion import Motion
 from pbd import InputError, ModelOptions
 from runtime.garment_mesh import garment_of, in_size, sewn_rest, subdivided, with_subdivisions
 from runtime.garment_setup import GarmentSetup, colliders_of, fabric_of, fine_options
-from runtime.simulation import Motion, Simulation, body_source
+from runtime.simulation import Simulation, body_source
 from wrinkles.levels import build_levels
 
 __all__ = ["garments_of", "simulation_of"]

@@ -10,6 +10,7 @@ import numpy as np
 
 from assets.character import Character
 from assets.io.sequence import Sequence, SequenceBody
+from assets.motion import Motion
 from assets.skinning import SkinnedBody
 from pbd import Body, Colliders, InputError, Model, Solver, SolverOptions, State
 from pbd.arrays import floats
@@ -20,7 +21,7 @@ from pbd.wind import CALM, Air, Wind
 from runtime.checks import check_drag, check_step
 from runtime.redressing import Redressing
 
-__all__ = ["BodySource", "Motion", "Simulation", "body_source", "poses_of"]
+__all__ = ["BodySource", "Simulation", "body_source", "poses_of"]
 
 CLOSING_SPEED = 0.5  # of stitches that are closed while a garment is played [m/s]
 OPEN = 1e3  # gap of a stitch that is open [m]
@@ -43,24 +44,6 @@ class BodySource(Protocol):
 
     def skin(self, pose: np.ndarray, origin: np.ndarray, out: np.ndarray) -> None:
         """Write the posed vertices, world less origin [m], float32, shape (n, 3)."""
-        ...
-
-
-class Motion(Protocol):
-    """Poses over time.
-
-    Attributes:
-        name: name of the motion.
-        duration: length, the lead-in included [s].
-        lead_in: time at the start that only leads from the bind pose to the motion itself [s].
-    """
-
-    name: str
-    duration: float
-    lead_in: float
-
-    def pose(self, t: float) -> np.ndarray:
-        """Pose at a time t [s]: skinning matrices, shape (joints, 3, 4), or vertices, shape (b, 3)."""
         ...
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from pbd.mesh import edges_of
-from runtime.light import Rings, Surface, directions_about, directions_everywhere, exposure
+from runtime.light import LitSurface, Rings, directions_about, directions_everywhere, exposure
 from runtime.picture_content import Camera, Drawn
 from wrinkles.mesh_measures import vertex_normals
 from wrinkles.surface import cut_corners, cut_faces
@@ -172,7 +172,7 @@ class Studio:
         for slot, shown in enumerate(self._meshes):
             shown.actor.SetVisibility(slot < len(meshes))
 
-    def _light(self, surfaces: list[Surface], eye: np.ndarray, height: float | None) -> None:
+    def _light(self, surfaces: list[LitSurface], eye: np.ndarray, height: float | None) -> None:
         """Light the surfaces; the lights keep their places relative to the camera, so that every view is lit alike."""
         around = math.atan2(eye[0], eye[2])
         key = _direction(around + math.radians(KEY[0]), math.radians(KEY[1]))
@@ -282,7 +282,7 @@ class _Mesh:
         same = same and self._count == len(mesh.vertices) and np.array_equal(self._faces, mesh.faces)
         return same and self._cuts == _cuts(np.asarray(mesh.vertices, float), self._faces)
 
-    def surface(self, mesh: Drawn, vertices: np.ndarray) -> Surface:
+    def surface(self, mesh: Drawn, vertices: np.ndarray) -> LitSurface:
         """The cut mesh at its place."""
         normals = vertex_normals(vertices, self._faces)
         for ends in self._ends:
@@ -293,9 +293,9 @@ class _Mesh:
         self._uniforms.SetUniformf("woven", float(mesh.pattern is not None))
         self._uniforms.SetUniformf("sheen", float(mesh.cloth))
         self.actor.GetProperty().SetColor(*mesh.color)
-        return Surface(vertices.astype(np.float32), self._fine, normals.astype(np.float32))
+        return LitSurface(vertices.astype(np.float32), self._fine, normals.astype(np.float32))
 
-    def show(self, surface: Surface, lit: np.ndarray, directions: dict[str, np.ndarray]) -> None:
+    def show(self, surface: LitSurface, lit: np.ndarray, directions: dict[str, np.ndarray]) -> None:
         """Hand places, normals, exposure and the lights' directions to VTK."""
         self._data.points = surface.vertices[self._of]
         self._data.point_data.active_normals = surface.normals[self._of]

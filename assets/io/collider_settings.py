@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from assets.io.settings import Check, Reader, Refused, choice, entry, file_path, number, vector
+from assets.io.settings import AllowedValues, Reader, Refused, choice, entry, file_path, number, vector
 from pbd import Capsule, Plane, Sphere
 
 __all__ = ["COLLIDER", "CapsuleSettings", "ColliderSettings", "FieldSettings", "PlaneSettings", "SphereSettings"]
@@ -82,4 +82,4 @@ def _read_collider(reader: Reader, value: Any, key: str) -> Any:
     return reader.table(KINDS[kind], value, key) if kind else None
 
 
-COLLIDER = Check("a table", _read_collider)
+COLLIDER = AllowedValues("a table", _read_collider)

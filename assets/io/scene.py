@@ -16,7 +16,7 @@ from assets.garment import BUILTIN_GARMENTS
 from assets.io.body_settings import CHARACTER_FILE, CharacterSettings, MotionSettings
 from assets.io.collider_settings import COLLIDER, ColliderSettings
 from assets.io.settings import (
-    Check,
+    AllowedValues,
     Reader,
     Refused,
     choice,
@@ -64,14 +64,14 @@ Vector = tuple[float, float, float]
 _MESH = file_path(".obj", ".glb", ".gltf", ".npz", builtins=[f"builtin:{name}" for name in BUILTIN_GARMENTS])
 
 
-def _loops(*names: str) -> Check:
+def _loops(*names: str) -> AllowedValues:
     """Boundary loops: one of some names, or numbers."""
 
     def read(reader: Reader, value: Any, key: str) -> str | tuple[int, ...]:
         check = indices() if isinstance(value, list) else choice(*names)
         return check.convert(reader, value, key)
 
-    return Check(f"{', '.join(map(repr, names))} or a list of boundary loop numbers", read)
+    return AllowedValues(f"{', '.join(map(repr, names))} or a list of boundary loop numbers", read)
 
 
 def _read_fabric(reader: Reader, value: Any, key: str) -> Fabric | None:
@@ -84,7 +84,7 @@ def _read_fabric(reader: Reader, value: Any, key: str) -> Fabric | None:
     raise Refused
 
 
-_FABRIC = Check(f"one of {', '.join(PRESETS)}, path of a .json file or a table of SI values", _read_fabric)
+_FABRIC = AllowedValues(f"one of {', '.join(PRESETS)}, path of a .json file or a table of SI values", _read_fabric)
 
 
 @dataclass(frozen=True, kw_only=True)

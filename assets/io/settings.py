@@ -19,7 +19,7 @@ from typing import Any
 from pbd.errors import InputError
 
 __all__ = [
-    "Check",
+    "AllowedValues",
     "Reader",
     "Refused",
     "choice",
@@ -47,7 +47,7 @@ class Refused(Exception):
 
 
 @dataclass(frozen=True)
-class Check:
+class AllowedValues:
     """The values that a setting may have.
 
     Attributes:
@@ -62,7 +62,7 @@ class Check:
     unit: str = ""
 
 
-def entry(check: Check, default: Any = MISSING, *, key: str | None = None) -> Any:
+def entry(check: AllowedValues, default: Any = MISSING, *, key: str | None = None) -> Any:
     """A dataclass field that is read from a file through ``check``, under ``key`` where its name there differs."""
     return field(default=default, metadata={"check": check, "key": key})
 
@@ -104,7 +104,7 @@ class Reader:
             self._relocate(error, key)
             return None
 
-    def value(self, check: Check, value: Any, key: str) -> Any:
+    def value(self, check: AllowedValues, value: Any, key: str) -> Any:
         """The converted value; None where it was refused, which is then in ``errors``."""
         try:
             return check.convert(self, value, key)
@@ -133,7 +133,7 @@ def number(
     at_most: float = math.inf,
     below: float = math.inf,
     unit: str = "",
-) -> Check:
+) -> AllowedValues:
     """A finite number within bounds; integers become floats."""
 
     def convert(reader: Reader, value: Any, key: str) -> float:
@@ -143,10 +143,10 @@ def number(
 
     bounds = [("above", above), ("at least", at_least), ("at most", at_most), ("below", below)]
     words = [f"{word} {bound:g}" for word, bound in bounds if math.isfinite(bound)]
-    return Check(" ".join(["a finite number", ", ".join(words)]).rstrip(), convert, unit)
+    return AllowedValues(" ".join(["a finite number", ", ".join(words)]).rstrip(), convert, unit)
 
 
-def whole(*, at_least: int) -> Check:
+def whole(*, at_least: int) -> AllowedValues:
     """A whole number."""
 
     def convert(reader: Reader, value: Any, key: str) -> int:
@@ -154,10 +154,10 @@ def whole(*, at_least: int) -> Check:
             raise Refused
         return value
 
-    return Check(f"a whole number, at least {at_least}", convert)
+    return AllowedValues(f"a whole number, at least {at_least}", convert)
 
 
-def text() -> Check:
+def text() -> AllowedValues:
     """A string that is not empty."""
 
     def convert(reader: Reader, value: Any, key: str) -> str:
@@ -165,10 +165,10 @@ def text() -> Check:
             raise Refused
         return value
 
-    return Check("a string that is not empty", convert)
+    return AllowedValues("a string that is not empty", convert)
 
 
-def choice(*names: str) -> Check:
+def choice(*names: str) -> AllowedValues:
     """One of some strings."""
 
     def convert(reader: Reader, value: Any, key: str) -> str:
@@ -176,10 +176,10 @@ def choice(*names: str) -> Check:
             raise InputError("bad value", received=value, expected=_one_of(value, names))
         return value
 
-    return Check(_one_of(None, names), convert)
+    return AllowedValues(_one_of(None, names), convert)
 
 
-def truth() -> Check:
+def truth() -> AllowedValues:
     """True or false."""
 
     def convert(reader: Reader, value: Any, key: str) -> bool:
@@ -187,10 +187,10 @@ def truth() -> Check:
             raise Refused
         return value
 
-    return Check("true or false", convert)
+    return AllowedValues("true or false", convert)
 
 
-def vector(*, unit: str = "", not_zero: bool = False) -> Check:
+def vector(*, unit: str = "", not_zero: bool = False) -> AllowedValues:
     """Three finite numbers."""
 
     def convert(reader: Reader, value: Any, key: str) -> tuple[float, ...]:
@@ -200,10 +200,10 @@ def vector(*, unit: str = "", not_zero: bool = False) -> Check:
             raise Refused
         return tuple(map(float, value))
 
-    return Check("three finite numbers" + ", not all zero" * not_zero, convert, unit)
+    return AllowedValues("three finite numbers" + ", not all zero" * not_zero, convert, unit)
 
 
-def pair(*, at_least: float, at_most: float) -> Check:
+def pair(*, at_least: float, at_most: float) -> AllowedValues:
     """Two finite numbers within bounds."""
     one = number(at_least=at_least, at_most=at_most)
 
@@ -212,10 +212,10 @@ def pair(*, at_least: float, at_most: float) -> Check:
             raise Refused
         return tuple(one.convert(reader, item, key) for item in value)
 
-    return Check(f"two finite numbers, each at least {at_least:g}, at most {at_most:g}", convert)
+    return AllowedValues(f"two finite numbers, each at least {at_least:g}, at most {at_most:g}", convert)
 
 
-def indices() -> Check:
+def indices() -> AllowedValues:
     """Different whole numbers from 0."""
 
     def convert(reader: Reader, value: Any, key: str) -> tuple[int, ...]:
@@ -225,10 +225,10 @@ def indices() -> Check:
             raise Refused
         return tuple(value)
 
-    return Check("a list of different whole numbers, each at least 0", convert)
+    return AllowedValues("a list of different whole numbers, each at least 0", convert)
 
 
-def several(one: Check) -> Check:
+def several(one: AllowedValues) -> AllowedValues:
     """A list of different values, each read by the check ``one``."""
 
     def convert(reader: Reader, value: Any, key: str) -> tuple[Any, ...]:
@@ -236,10 +236,10 @@ def several(one: Check) -> Check:
             raise Refused
         return tuple(reader.value(one, item, f"{key}[{index}]") for index, item in enumerate(value))
 
-    return Check(f"a list of different values, each {one.expected}", convert)
+    return AllowedValues(f"a list of different values, each {one.expected}", convert)
 
 
-def file_path(*suffixes: str, builtins: Sequence[str] = ()) -> Check:
+def file_path(*suffixes: str, builtins: Sequence[str] = ()) -> AllowedValues:
     """A file that exists, relative to the file being read, or the name of something built in.
 
     ``${GUBE_DATA}`` stands for the data folder: the environment variable of that name, or ``../shared/data``
@@ -265,7 +265,7 @@ def file_path(*suffixes: str, builtins: Sequence[str] = ()) -> Check:
         return path
 
     words = " ".join(["path of a", " or ".join(suffixes), "file"]) if suffixes else "path of a file"
-    return Check(" or ".join([words, *map(repr, builtins)]), convert)
+    return AllowedValues(" or ".join([words, *map(repr, builtins)]), convert)
 
 
 def portable_path(file: Path, folder: Path) -> str:
@@ -292,7 +292,7 @@ def portable_path(file: Path, folder: Path) -> str:
     return os.path.relpath(real, here) if beside else str(file)
 
 
-def table(kind: type, *, one_of: Sequence[str] = ()) -> Check:
+def table(kind: type, *, one_of: Sequence[str] = ()) -> AllowedValues:
     """A table that the dataclass ``kind`` describes, with exactly one of the keys ``one_of``."""
 
     def convert(reader: Reader, value: Any, key: str) -> Any:
@@ -311,10 +311,10 @@ def table(kind: type, *, one_of: Sequence[str] = ()) -> Check:
             )
         return reader.table(kind, value, key)
 
-    return Check("a table", convert)
+    return AllowedValues("a table", convert)
 
 
-def tables(one: Check, *, at_least: int = 0, unique: str | None = None) -> Check:
+def tables(one: AllowedValues, *, at_least: int = 0, unique: str | None = None) -> AllowedValues:
     """A list of tables, each read by the check ``one``, with different values under the key ``unique``."""
 
     def convert(reader: Reader, value: Any, key: str) -> tuple[Any, ...]:
@@ -326,7 +326,7 @@ def tables(one: Check, *, at_least: int = 0, unique: str | None = None) -> Check
             reader.errors.append(problem)
         return tuple(reader.value(one, item, f"{key}[{index}]") for index, item in enumerate(value))
 
-    return Check("a list of tables" + f", at least {at_least}" * (at_least > 0), convert)
+    return AllowedValues("a list of tables" + f", at least {at_least}" * (at_least > 0), convert)
 
 
 def settings_text(settings: Any) -> str:

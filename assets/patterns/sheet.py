@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from assets.io.settings import Check, Reader, Refused, choice, entry, number, table, tables, text, truth, vector
+from assets.io.settings import AllowedValues, Reader, Refused, choice, entry, number, table, tables, text, truth, vector
 from assets.patterns.curves import signed_area
 from assets.patterns.pattern import Band, EdgeName, Panel, Pattern, Placement, Seam
 from assets.text import read_text
@@ -129,7 +129,7 @@ def _edges_between_corners(outline: Floats, corners: NDArray[np.int64]) -> list[
     return [outline[np.arange(a, b + 1) % len(outline)] for a, b in zip(corners, last, strict=True)]
 
 
-def _edge() -> Check:
+def _edge() -> AllowedValues:
     """An edge as [panel, number]."""
 
     def convert(reader: Reader, value: Any, key: str) -> EdgeName:
@@ -139,10 +139,10 @@ def _edge() -> Check:
             raise Refused
         return EdgeName(value[0], value[1])
 
-    return Check("an edge: [panel, number]", convert)
+    return AllowedValues("an edge: [panel, number]", convert)
 
 
-def _seams() -> Check:
+def _seams() -> AllowedValues:
     """Seams as [panel, number, panel, number]."""
 
     def convert(reader: Reader, value: Any, key: str) -> tuple[Seam, ...]:
@@ -163,7 +163,7 @@ def _seams() -> Check:
                 seams.append(Seam(first, second))
         return tuple(seams)
 
-    return Check("a list of seams: [panel, number, panel, number]", convert)
+    return AllowedValues("a list of seams: [panel, number, panel, number]", convert)
 
 
 @dataclass(frozen=True)

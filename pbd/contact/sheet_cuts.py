@@ -16,7 +16,7 @@ ABOVE, BELOW, NEAR, UPPER = 1, 2, 4, 8
 CUT, CLOSED = 1, 2  # results: the curve cuts the sheet by itself, or with the least cut
 
 
-class Curve(NamedTuple):
+class CutCurve(NamedTuple):
     """Crossings of one sheet along a curve: ``edges`` (numbers), and their ends ``above`` and ``below`` the other."""
 
     edges: np.ndarray
@@ -48,7 +48,7 @@ class SheetCuts:
         self._result = np.zeros(1, np.int32)
         self._cut, self._spread = Launch(cut_sheet), Launch(spread_marks)
 
-    def upper(self, curve: Curve, most: float, nearby: bool) -> np.ndarray | None:
+    def upper(self, curve: CutCurve, most: float, nearby: bool) -> np.ndarray | None:
         """The part of the sheet above the other one, as a mask; None if the curve does not cut the sheet.
 
         Args:

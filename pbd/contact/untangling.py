@@ -18,7 +18,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from pbd.contact.pairs import PULL
-from pbd.contact.sheet_cuts import NEAR, Curve, SheetCuts
+from pbd.contact.sheet_cuts import NEAR, CutCurve, SheetCuts
 from pbd.mesh import edges_of
 
 __all__ = ["Untangling"]
@@ -232,7 +232,7 @@ class Untangling:
         ends, heights = found.ends[which], found.heights[which]
         rows = np.arange(len(ends))
         above, below = ends[rows, heights.argmax(axis=1)], ends[rows, heights.argmin(axis=1)]
-        curve = Curve(*(part.astype(np.int32) for part in (found.edge[which], above, below)))
+        curve = CutCurve(*(part.astype(np.int32) for part in (found.edge[which], above, below)))
         nearby = len(which) < MIN_CLOSED_EDGES  # only a corner can be cut off, which lies near
         upper = self._cuts.upper(curve, max(MAX_JOINING_SHARE * len(which), MIN_JOINING), nearby)
         if upper is None:

@@ -16,7 +16,7 @@ from pbd.xpbd.views import (
     ConstraintArrays,
     ContactWork,
     MultigridArrays,
-    Obstacles,
+    ObstacleArrays,
     PairArrays,
     ParameterVector,
     StepView,
@@ -118,7 +118,7 @@ def advance_kernel(with_multigrid: bool, with_pairs: bool, rubs: bool, stiff: bo
                     bending_factor, rubs, stiff,
                 ),
                 BodySurface(body_start, body_end, ring_start, ring, fan_start, fan, body_normals),
-                Obstacles(primitives, fields, field_values),
+                ObstacleArrays(primitives, fields, field_values),
                 ContactWork(
                     samples, sample_colors, nearest, contact_faces, contact_weights, contact_points, active_samples,
                     active_counts, contact_distance, max_approach,

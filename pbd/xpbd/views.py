@@ -19,7 +19,7 @@ __all__ = [
     "ContactWork",
     "FrameSteps",
     "MultigridArrays",
-    "Obstacles",
+    "ObstacleArrays",
     "PairArrays",
     "ParameterVector",
     "StepParameters",
@@ -103,7 +103,7 @@ class ConstraintArrays:
 
 @in_kernel
 @dataclass(eq=False)
-class Obstacles:
+class ObstacleArrays:
     """Planes, spheres and capsules (:meth:`pbd.Colliders.rows`), and distance fields (:meth:`pbd.Colliders.fields`)."""
 
     primitives: Any = None

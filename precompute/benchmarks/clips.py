@@ -15,6 +15,7 @@ from assets.fabrics import PRESETS
 from assets.io.body_settings import MotionSettings
 from assets.io.scene import parse_scene
 from assets.loading import load_garment
+from assets.motion import Motion
 from pbd import ClothMesh, InputError, ModelOptions, SolverOptions, build_model
 from pbd.crossings import crossings
 from pbd.distance import TOLERANCE, BodyDistance
@@ -26,7 +27,7 @@ from runtime.picture_content import Drawn, frame_camera
 from runtime.pictures import render, save_png, strip
 from runtime.scene_body import load_body, motion_of
 from runtime.scene_simulation import simulation_of
-from runtime.simulation import Motion, Simulation, body_source
+from runtime.simulation import Simulation, body_source
 
 __all__ = ["CLIPS", "MAX_OVER_LIMBS", "clip_rows", "overlapping", "run_clip", "shrinking", "write_clips"]
 

@@ -20,12 +20,12 @@ def run(options: argparse.Namespace) -> Report:
     """Play the first motion that is asked for, take its fine simulation from the cache or run it, write the page."""
     from collections.abc import Callable
 
+    from assets.motion import Motion
     from precompute.learning.pipeline import default_cache
     from precompute.learning.recording import record_runs
     from precompute.learning.truth import database_run
     from runtime.playback_inputs import PlaybackInputs
     from runtime.recording import TRUTH_HZ, RecordedTruth
-    from runtime.simulation import Motion
     from wrinkles.database import WrinkleDatabase
 
     def truth_of(

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 from runtime.commands.play import play_motions
 
 if TYPE_CHECKING:
+    from assets.motion import Motion
     from runtime.playback_inputs import PlaybackInputs
     from runtime.report import Report
-    from runtime.simulation import Motion
     from wrinkles.database import WrinkleDatabase
 
 __all__ = ["run"]

@@ -16,7 +16,7 @@ from runtime.commands.view import view
 if TYPE_CHECKING:
     from runtime.playback_inputs import PlaybackInputs
     from runtime.report import Report
-    from runtime.viewer.garments import Truth
+    from runtime.viewer.garments import ShownTruth
     from wrinkles.database import WrinkleDatabase
 
 __all__ = ["run"]
@@ -27,15 +27,15 @@ def run(options: argparse.Namespace) -> Report:
     return view(options, _recorded_truths)
 
 
-def _recorded_truths(path: Path, database: WrinkleDatabase, inputs: PlaybackInputs) -> Mapping[str, Truth]:
+def _recorded_truths(path: Path, database: WrinkleDatabase, inputs: PlaybackInputs) -> Mapping[str, ShownTruth]:
     """The fine simulation of each motion, from the runs that are kept beside the database."""
     from precompute.learning.pipeline import default_cache
     from precompute.learning.recording import record_runs
     from precompute.learning.truth import database_run
     from runtime.report import Progress
-    from runtime.viewer.garments import Truth
+    from runtime.viewer.garments import ShownTruth
 
     runs = [database_run(database, inputs, motion) for motion in inputs.motions]
     with Progress(sys.stderr) as progress:
         recordings = record_runs(runs, default_cache(path), report=progress)
-    return {run.name: Truth(one.frames, one.positions) for run, one in zip(runs, recordings, strict=True)}
+    return {run.name: ShownTruth(one.frames, one.positions) for run, one in zip(runs, recordings, strict=True)}

@@ -14,7 +14,7 @@ from pbd.engine import ensure_initialized
 from pbd.models.newton import StepError
 from pbd.models.registry import make_solver
 from pbd.models.stepping import ClothSolver, Options
-from precompute.failures.failure_play import MAX_RUN_S, Outcome
+from precompute.failures.failure_play import MAX_RUN_S, FailureOutcome
 from precompute.failures.failure_scenes import HUNG, square
 from precompute.mechanics import FRAME_RATE
 from precompute.workers import worker_pool
@@ -26,7 +26,7 @@ SOFT = Fabric(stretch_warp=20.0, stretch_weft=20.0, shear=6.0, air_drag=0.0)
 SECONDS = 3.0  # of which strains are averaged over the last two thirds
 
 
-def comparisons() -> Sequence[tuple[str, str, bool, Callable[[str], Outcome]]]:
+def comparisons() -> Sequence[tuple[str, str, bool, Callable[[str], FailureOutcome]]]:
     """Line, name, whether it is the default solver's alone, and a function that runs it with a solver."""
     return [
         (
@@ -47,7 +47,7 @@ def comparisons() -> Sequence[tuple[str, str, bool, Callable[[str], Outcome]]]:
     ]
 
 
-def _softness(name: str, first: tuple[float, float], second: tuple[float, float]) -> Outcome:
+def _softness(name: str, first: tuple[float, float], second: tuple[float, float]) -> FailureOutcome:
     """Difference of the strains of hanging cloth at two rates of frames [Hz] and factors on the substep."""
     mesh, held = square(10), np.flatnonzero(square(10).vertices[:, 1] > -1e-9)
     model = build_model(mesh, SOFT, held, bend_factor=1 / 3)
@@ -65,7 +65,7 @@ def _softness(name: str, first: tuple[float, float], second: tuple[float, float]
                 try:
                     solver.step(state, Colliders(), 1.0 / rate)
                 except StepError as error:
-                    return Outcome({"not_finite": 1.0}, np.inf, 0.0, error.problem)
+                    return FailureOutcome({"not_finite": 1.0}, np.inf, 0.0, error.problem)
                 costs.append(time.process_time() - begin)
             x = state.world()
             strains[-1].append(np.linalg.norm(x[edges[:, 1]] - x[edges[:, 0]], axis=1) / rest - 1.0)
@@ -73,32 +73,32 @@ def _softness(name: str, first: tuple[float, float], second: tuple[float, float]
     off = np.abs(found[0] - found[1])
     worst = float(off.max())
     figures = {"edge_strain_p95": float(np.percentile(off, 95)), "edge_strain_max": worst, "edge_strain_beyond": worst}
-    outcome = Outcome(figures, 0.0, 1e3 * float(np.median(costs)))
+    outcome = FailureOutcome(figures, 0.0, 1e3 * float(np.median(costs)))
     reached = len(strains) / slower
     if reached < SECONDS - 1e-9:
         return replace(outcome, note=f"{outcome.worst[1]} (judged up to {reached:.2g} of {SECONDS:g} s: slow)")
     return outcome
 
 
-def _refused(faces: list[list[int]]) -> Outcome:
+def _refused(faces: list[list[int]]) -> FailureOutcome:
     """A mesh that may not come as far as a solver."""
     vertices = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.1, 0.1, 0.0], [0.0, 0.0, 0.1]])
     try:
         build_model(ClothMesh.from_surface(vertices, np.array(faces), warp=(1.0, 0.2, 0.0)), Fabric())
     except InputError:
-        return Outcome({"not_finite": 0.0}, 0.0, 0.0)
-    return Outcome({"not_finite": 1.0}, np.inf, 0.0, "taken")
+        return FailureOutcome({"not_finite": 0.0}, 0.0, 0.0)
+    return FailureOutcome({"not_finite": 1.0}, np.inf, 0.0, "taken")
 
 
-def _twice(name: str) -> Outcome:
+def _twice(name: str) -> FailureOutcome:
     return _refused([[0, 1, 2], [1, 3, 2], [0, 1, 4], [0, 1, 2]])
 
 
-def _three_at_an_edge(name: str) -> Outcome:
+def _three_at_an_edge(name: str) -> FailureOutcome:
     return _refused([[0, 1, 2], [1, 0, 3], [0, 1, 4]])
 
 
-def _threads(name: str) -> Outcome:
+def _threads(name: str) -> FailureOutcome:
     """The default solver in a process of one thread and in one of two, 30 frames: the distance in pixels at 3 m."""
     ends = []
     for threads in (1, 2):
@@ -106,7 +106,7 @@ def _threads(name: str) -> Outcome:
             ends.append(pool.submit(_hang).result())
     (one, first, frame_ms), (other, second, _) = ends
     off = 0.0 if one == other else max(float(np.abs(first - second).max()) / 2.02e-3, 1.01)
-    return Outcome({"position_px": off}, 0.0, frame_ms)
+    return FailureOutcome({"position_px": off}, 0.0, frame_ms)
 
 
 def _hang() -> tuple[str, np.ndarray, float]:

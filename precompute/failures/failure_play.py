@@ -36,7 +36,7 @@ from precompute.method_comparison.error_classes import (
     deviations,
 )
 
-__all__ = ["MAX_RUN_S", "Outcome", "Scene", "FrameConditions", "play"]
+__all__ = ["MAX_RUN_S", "FailureOutcome", "FailureScene", "FrameConditions", "play"]
 
 # Processor time of a run without its first frame, which compiles; one that takes longer is judged up to there [s].
 MAX_RUN_S = 30.0
@@ -65,7 +65,7 @@ class FrameConditions:
 
 
 @dataclass(frozen=True)
-class Scene:
+class FailureScene:
     """Cloth in a known difficulty.
 
     Attributes:
@@ -120,7 +120,7 @@ class Scene:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class FailureOutcome:
     """How a scene ended.
 
     Attributes:
@@ -144,7 +144,7 @@ class Outcome:
         return classes[name], name
 
 
-def solver_for(scene: Scene, name: str, model: Model) -> AnySolver:
+def solver_for(scene: FailureScene, name: str, model: Model) -> AnySolver:
     """A solver by name with its default options."""
     gravity = (0.0, -scene.gravity, 0.0)
     if name == "default":
@@ -152,7 +152,7 @@ def solver_for(scene: Scene, name: str, model: Model) -> AnySolver:
     return make_solver(name, model, Options(gravity=gravity))
 
 
-def play(scene: Scene, solver: str = "default") -> Outcome:
+def play(scene: FailureScene, solver: str = "default") -> FailureOutcome:
     """Run a scene with a solver of :data:`pbd.models.registry.SOLVERS`.
 
     Raises:
@@ -191,7 +191,7 @@ def play(scene: Scene, solver: str = "default") -> Outcome:
         if sum(times[1:]) > MAX_RUN_S:
             break
     if note or not seen:
-        return Outcome({"not_finite": 1.0}, np.inf, 1e3 * float(np.median(times or [np.inf])), note)
+        return FailureOutcome({"not_finite": 1.0}, np.inf, 1e3 * float(np.median(times or [np.inf])), note)
     cut = stage.time < scene.seconds - 1e-9
     outcome = _judged(replace(scene, at_rest=scene.at_rest and not cut), model, seen, 1e3 * float(np.median(times)))
     if cut:
@@ -199,7 +199,7 @@ def play(scene: Scene, solver: str = "default") -> Outcome:
     return outcome
 
 
-def _depth(scene: Scene, stage: FrameConditions, x: np.ndarray) -> float:
+def _depth(scene: FailureScene, stage: FrameConditions, x: np.ndarray) -> float:
     """Deepest vertex under a collider's surface [m]."""
     if stage.time < scene.quiet:
         return 0.0
@@ -211,7 +211,7 @@ def _depth(scene: Scene, stage: FrameConditions, x: np.ndarray) -> float:
     return deepest
 
 
-def _judged(scene: Scene, model: Model, seen: Sequence[tuple], frame_ms: float) -> Outcome:
+def _judged(scene: FailureScene, model: Model, seen: Sequence[tuple], frame_ms: float) -> FailureOutcome:
     """Figures of a run beside cloth that lies in its rest shape."""
     moments = np.array([row[0] for row in seen])
     position, velocity = np.stack([row[1] for row in seen]), np.stack([row[2] for row in seen])
@@ -249,4 +249,4 @@ def _judged(scene: Scene, model: Model, seen: Sequence[tuple], frame_ms: float) 
     if bad.any():
         last = int(np.flatnonzero(bad)[-1])
         recovered = np.inf if last == len(bad) - 1 else float(moments[last] - scene.quiet)
-    return Outcome(figures, recovered, frame_ms)
+    return FailureOutcome(figures, recovered, frame_ms)

@@ -12,7 +12,7 @@ from pbd import Body, Capsule, ClothMesh, Colliders, Fabric, Model, ModelOptions
 from pbd.crossings import crossings
 from pbd.layers import layered
 from pbd.mesh import lattice_faces
-from precompute.failures.failure_play import FrameConditions, Scene
+from precompute.failures.failure_play import FailureScene, FrameConditions
 from precompute.mechanics import FRAME_RATE, GRAVITY
 
 __all__ = ["HUNG", "scenes", "square"]
@@ -67,34 +67,35 @@ def _crossed(mesh: ClothMesh) -> Callable[[np.ndarray], bool]:
     return lambda x: len(crossings(x, mesh.faces)) > 0
 
 
-def scenes() -> list[Scene]:
+def scenes() -> list[FailureScene]:
     """Every scene that one run decides, in the order of the list."""
     return [*_motion(), *_contact(), *_shape(), *_input(), *_events()]
 
 
-def _motion() -> list[Scene]:
+def _motion() -> list[FailureScene]:
     level, upright = square(8, upright=False), square(8)
     hung, corners = HUNG
     far = replace(level, vertices=level.vertices + [100.0, 0.0, 100.0])
     thrown = np.array([3.0, 4.0, 1.0])
     return [
-        Scene(
+        FailureScene(
             "flat cloth of 0.15 kg/m2 in free fall", "flat cloth falls in vacuum", level, VACUUM,
             truth=lambda t: level.vertices - [0.0, 0.5 * GRAVITY * t * t, 0.0], speed=20.0,
         ),
-        Scene(
+        FailureScene(
             "drift or damping in free fall", "cloth thrown without weight, 140 m from the origin", far, VACUUM,
             velocity=(3.0, 4.0, 1.0), gravity=0.0, truth=lambda t: far.vertices + t * thrown, speed=6.0,
         ),
-        Scene(
+        FailureScene(
             "one pinned corner spinning", "level square let go, held by a corner", level, COTTON, [0],
             seconds=5.0, free=True,
         ),
-        Scene("extreme wind and recovery", "wind of 60 m/s for a second", hung, COTTON, corners,
+        FailureScene("extreme wind and recovery", "wind of 60 m/s for a second", hung, COTTON, corners,
               seconds=4.0, direct=_gust, quiet=1.5, speed=120.0),  # brought up short it whips to twice the wind's speed
-        Scene("a huge dt after a pause, dt = 0", "2 s pass in one frame", upright, COTTON, _corners(8),
+        FailureScene("a huge dt after a pause, dt = 0", "2 s pass in one frame", upright, COTTON, _corners(8),
               seconds=5.0, direct=_pause, quiet=3.0),
-        Scene("a huge dt after a pause, dt = 0", "half a second of frames without time", upright, COTTON, _corners(8),
+        FailureScene("a huge dt after a pause, dt = 0", "half a second of frames without time",
+              upright, COTTON, _corners(8),
               start=upright.vertices * [1.0, 0.866, 1.0] + [[0.0, 0.0, 0.5]] * -upright.vertices[:, 1:2],
               direct=_standstill, seconds=2.0),
     ]  # fmt: skip
@@ -112,7 +113,7 @@ def _standstill(stage: FrameConditions) -> None:
     stage.dt = 0.0 if 0.5 <= stage.time < 0.503 else 1.0 / FRAME_RATE
 
 
-def _contact() -> list[Scene]:
+def _contact() -> list[FailureScene]:
     slope = np.array([np.sin(np.radians(15.0)), np.cos(np.radians(15.0)), 0.0])
     level, hung = square(8, 0.4, upright=False), HUNG
     thickness = COTTON.thickness
@@ -132,42 +133,49 @@ def _contact() -> list[Scene]:
     arm.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (0.0, 1.0, 0.0)))
     arm.apply_translation(-arm.bounds.mean(axis=0) + [0.0, -0.25, 0.0])
     return [
-        Scene("friction that creeps", "sheet on a slope of 15 deg, friction 0.5", level, COTTON, start=lying,
+        FailureScene("friction that creeps", "sheet on a slope of 15 deg, friction 0.5", level, COTTON, start=lying,
               seconds=4.0, colliders=lambda: Colliders([Plane((0.0, 0.0, 0.0), tuple(slope))]),
               truth=lambda t: lying, at_rest=True),
-        Scene("contact band crossed in one step, then ejection", "sheet meets the ground at 30 m/s", level, COTTON,
+        FailureScene("contact band crossed in one step, then ejection", "sheet meets the ground at 30 m/s",
+              level, COTTON,
               start=level.vertices + [0.0, 1.0, 0.0], velocity=(0.0, -30.0, 0.0), speed=30.0, quiet=0.05,
               colliders=lambda: Colliders([Plane((0.0, 0.0, 0.0))])),
-        Scene("contact band crossed in one step, then ejection", "ball of 20 m/s into a curtain", curtain, COTTON,
+        FailureScene("contact band crossed in one step, then ejection", "ball of 20 m/s into a curtain",
+              curtain, COTTON,
               np.flatnonzero(curtain.vertices[:, 1] > -1e-9).tolist(), seconds=3.0, direct=_shot, speed=20.0, quiet=1.0,
               colliders=lambda: Colliders([Sphere((0.01, -0.4, -1.5), 0.1)]),
               through=lambda x: bool((x[:, 2] > 0.15).sum() < 3)),
-        Scene("self contact that breaks body contact", "sheet in folds over a ball", folded, COTTON,
+        FailureScene("self contact that breaks body contact", "sheet in folds over a ball", folded, COTTON,
               start=folded.vertices + [0.0, 0.16, 0.0], seconds=3.0, self_collision=True, default_only=True,
               colliders=lambda: Colliders([Sphere((0.0, 0.0, 0.0), 0.15)]), quiet=0.5,
               through=_crossed(folded)),
-        Scene("tight garment jitter", "sleeve 4 % too small on an arm", tube, replace(COTTON, stretch_warp=500.0,
+        FailureScene("tight garment jitter", "sleeve 4 % too small on an arm", tube, replace(COTTON, stretch_warp=500.0,
               stretch_weft=500.0, shear=100.0), ring, start=wide, seconds=3.0, at_rest=True,
               colliders=lambda: Colliders([Capsule((0.0, 0.2, 0.0), (0.0, -0.6, 0.0), 0.1)])),
-        Scene("thin layers stacked", "three sheets of 1 mm on the ground", stack(thin).mesh, thin, build=stack,
+        FailureScene("thin layers stacked", "three sheets of 1 mm on the ground", stack(thin).mesh, thin, build=stack,
               seconds=3.0, default_only=True, colliders=lambda: Colliders([Plane((0.0, -0.01, 0.0))]), quiet=0.5,
               through=_crossed(stack(thin).mesh), at_rest=True),
-        Scene("limbs that pinch cloth between them", "two arms close on cloth and open", hung[0], COTTON, hung[1],
+        FailureScene("limbs that pinch cloth between them", "two arms close on cloth and open",
+              hung[0], COTTON, hung[1],
               seconds=4.0, colliders=lambda: Colliders(_arms(0.3)), direct=_pinch, speed=0.5, quiet=2.5),
-        Scene("limbs that pinch cloth between them", "two arms of triangles close on cloth and open", hung[0], COTTON,
+        FailureScene("limbs that pinch cloth between them", "two arms of triangles close on cloth and open",
+              hung[0], COTTON,
               hung[1], seconds=4.0, colliders=lambda: Colliders((), _limbs(arm)), direct=_pinch_mesh(arm), speed=0.5,
               quiet=2.5, default_only=True),
-        Scene("garment that starts inside the body or through itself", "sheet starts 5 cm inside a ball", level, COTTON,
+        FailureScene("garment that starts inside the body or through itself", "sheet starts 5 cm inside a ball",
+              level, COTTON,
               start=level.vertices + [0.01, 0.1, 0.02], quiet=1.0, seconds=2.5,
               colliders=lambda: Colliders([Sphere((0.0, 0.0, 0.0), 0.15)])),
-        Scene("garment that starts inside the body or through itself", "sheet starts 5 cm inside a ball of triangles",
+        FailureScene("garment that starts inside the body or through itself",
+              "sheet starts 5 cm inside a ball of triangles",
               level, COTTON, start=level.vertices + [0.01, 0.1, 0.02], quiet=1.0, seconds=2.5, default_only=True,
               colliders=lambda: Colliders((), _body(np.array(ball.vertices), ball.faces)),
               through=lambda x: bool((np.linalg.norm(x, axis=1) < 0.147).any())),
-        Scene("teleport and dash of the body", "body and cloth 3 m away in one frame", tube, COTTON, ring,
+        FailureScene("teleport and dash of the body", "body and cloth 3 m away in one frame", tube, COTTON, ring,
               start=wide, seconds=3.0, direct=_teleport, speed=3.0 * FRAME_RATE, quiet=1.0,
               colliders=lambda: Colliders([Capsule((0.0, 0.2, 0.0), (0.0, -0.6, 0.0), 0.08)])),
-        Scene("teleport and dash of the body", "body dashes at 15 m/s for a third of a second", tube, COTTON, ring,
+        FailureScene("teleport and dash of the body", "body dashes at 15 m/s for a third of a second",
+              tube, COTTON, ring,
               start=wide, seconds=3.0, direct=_dash, speed=15.0, quiet=1.0,
               colliders=lambda: Colliders([Capsule((0.0, 0.2, 0.0), (0.0, -0.6, 0.0), 0.08)])),
     ]  # fmt: skip
@@ -232,7 +240,7 @@ def _dash(stage: FrameConditions) -> None:
     _moved(stage, 15.0 * float(np.clip(stage.time + stage.dt - 0.6, 0.0, 1.0 / 3.0)))
 
 
-def _shape() -> list[Scene]:
+def _shape() -> list[FailureScene]:
     strip, rows = _strip(0.5, 0.1, 20)
     ends = np.flatnonzero((rows == 0) | (rows == 20)).tolist()
     top = np.flatnonzero(rows == 0).tolist()
@@ -259,21 +267,23 @@ def _shape() -> list[Scene]:
         stage.targets = np.where(end[:, None], turned, rest)
 
     return [
-        Scene("a strip twisted many turns", "six turns in three seconds", strip, COTTON, ends, seconds=4.5,
+        FailureScene("a strip twisted many turns", "six turns in three seconds", strip, COTTON, ends, seconds=4.5,
               direct=twist, quiet=3.0, speed=0.7),
-        Scene("large bend angles", "stiff strip starts in pleats of 150 deg", strip, stiff, top, start=zigzag),
-        Scene("nonzero rest angles", "sleeve of stiff cloth, 30 deg an edge", tube, stiff, ring, seconds=3.0,
+        FailureScene("large bend angles", "stiff strip starts in pleats of 150 deg", strip, stiff, top, start=zigzag),
+        FailureScene("nonzero rest angles", "sleeve of stiff cloth, 30 deg an edge", tube, stiff, ring, seconds=3.0,
               at_rest=True),
-        Scene("compressed or inverted triangles", "ten times compressed", hung, COTTON, start=0.1 * hung.vertices),
-        Scene("compressed or inverted triangles", "60 vertices in one another's place", hung, COTTON, corners,
+        FailureScene("compressed or inverted triangles", "ten times compressed",
+              hung, COTTON, start=0.1 * hung.vertices),
+        FailureScene("compressed or inverted triangles", "60 vertices in one another's place", hung, COTTON, corners,
               start=inverted),
-        Scene("compressed or inverted triangles", "all on one line", hung, COTTON, corners,
+        FailureScene("compressed or inverted triangles", "all on one line", hung, COTTON, corners,
               start=hung.vertices * [1.0, 0.0, 0.0]),
-        Scene("180 degree folds", "folded upon itself, held by a corner", hung, COTTON, [corners[0]], start=doubled),
+        FailureScene("180 degree folds", "folded upon itself, held by a corner",
+              hung, COTTON, [corners[0]], start=doubled),
     ]  # fmt: skip
 
 
-def _input() -> list[Scene]:
+def _input() -> list[FailureScene]:
     huge, tiny = square(10, 50.0), square(10, 0.01)
     leaning = np.array([[1.0, 0.0, 0.0], [0.0, 0.94, 0.34], [0.0, -0.34, 0.94]])
     slivers = square(10)
@@ -284,19 +294,23 @@ def _input() -> list[Scene]:
     heavy = replace(COTTON, areal_density=150.0, stretch_warp=1e5, stretch_weft=1e5, shear=3e4)
     graded, top = _graded()
     found = [
-        Scene("centimetre/metre scale mistakes, tiny cloth", "a hundred times too large", huge, COTTON, _corners(10),
+        FailureScene("centimetre/metre scale mistakes, tiny cloth", "a hundred times too large",
+              huge, COTTON, _corners(10),
               seconds=4.0),
-        Scene("centimetre/metre scale mistakes, tiny cloth", "1 cm with edges of 1 mm, falls over", tiny, COTTON,
+        FailureScene("centimetre/metre scale mistakes, tiny cloth", "1 cm with edges of 1 mm, falls over", tiny, COTTON,
               start=tiny.vertices @ leaning, seconds=2.0, colliders=lambda: Colliders([Plane((0.0, -0.02, 0.0))])),
-        Scene("centimetre/metre scale mistakes, tiny cloth", "1 cm with edges of 1 mm, hung", tiny, COTTON,
+        FailureScene("centimetre/metre scale mistakes, tiny cloth", "1 cm with edges of 1 mm, hung", tiny, COTTON,
               _corners(10), seconds=2.0),
-        Scene("slivers, duplicate and non-manifold faces", "faces a hundred times as long as high", slivers, COTTON,
+        FailureScene("slivers, duplicate and non-manifold faces", "faces a hundred times as long as high",
+              slivers, COTTON,
               _corners(10)),
-        Scene("heavy cloth, mass ratio 1:1000", "150 kg/m2 by two corners", HUNG[0], heavy, HUNG[1], seconds=3.0),
-        Scene("heavy cloth, mass ratio 1:1000", "edges of 1 cm bear edges of 30 cm", graded, COTTON, top, seconds=3.0),
+        FailureScene("heavy cloth, mass ratio 1:1000", "150 kg/m2 by two corners",
+              HUNG[0], heavy, HUNG[1], seconds=3.0),
+        FailureScene("heavy cloth, mass ratio 1:1000", "edges of 1 cm bear edges of 30 cm",
+              graded, COTTON, top, seconds=3.0),
     ]  # fmt: skip
     return found + [
-        Scene("resolution sweep", f"{edges} edges", square(edges), COTTON, _corners(edges))
+        FailureScene("resolution sweep", f"{edges} edges", square(edges), COTTON, _corners(edges))
         for edges in (2, 4, 8, 16, 32)
     ]
 
@@ -324,7 +338,7 @@ def _graded() -> tuple[ClothMesh, list[int]]:
     return ClothMesh.from_surface(vertices, np.array(faces), warp=(1.0, 0.0, 0.0)), list(range(10))
 
 
-def _events() -> list[Scene]:
+def _events() -> list[FailureScene]:
     hung, corners = HUNG
 
     def harden(stage: FrameConditions) -> None:
@@ -334,6 +348,6 @@ def _events() -> list[Scene]:
 
     soft = replace(COTTON, stretch_warp=500.0, stretch_weft=500.0, shear=150.0)
     return [
-        Scene("a stiffness step during the run", "E h 500, 1e7, 500 N/m", hung, soft, corners, seconds=3.5,
+        FailureScene("a stiffness step during the run", "E h 500, 1e7, 500 N/m", hung, soft, corners, seconds=3.5,
               direct=harden, quiet=2.0),
     ]  # fmt: skip

@@ -10,7 +10,7 @@ from typing import Any
 from pbd import InputError
 from pbd.models import SOLVERS
 from precompute.failures.failure_comparisons import comparisons
-from precompute.failures.failure_play import Outcome, play
+from precompute.failures.failure_play import FailureOutcome, play
 from precompute.failures.failure_scenes import scenes
 from precompute.method_comparison.error_classes import ErrorClass
 from precompute.reporting.tables import write_table
@@ -35,7 +35,7 @@ def failure_rows(
     """A row of each scene.
 
     Columns are ``line``, ``scene``, ``solver``, ``class`` in which it ends, ``by`` which figure, its ``value``,
-    ``recovered_s`` and ``frame_ms`` (see :class:`precompute.failures.failure_play.Outcome`).
+    ``recovered_s`` and ``frame_ms`` (see :class:`precompute.failures.failure_play.FailureOutcome`).
 
     Args:
         solver: a key of :data:`pbd.models.registry.SOLVERS`.
@@ -89,7 +89,7 @@ def _check(solver: str) -> None:
         raise InputError("no such solver", key="solver", received=solver, expected=", ".join(SOLVERS))
 
 
-def _row(line: str, name: str, solver: str, outcome: Outcome) -> dict[str, Any]:
+def _row(line: str, name: str, solver: str, outcome: FailureOutcome) -> dict[str, Any]:
     error_class, by = outcome.worst
     return {
         "line": line,

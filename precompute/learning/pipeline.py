@@ -13,6 +13,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from assets.io.scene import Scene, scene_text
+from assets.motion import Motion
 from pbd import Fabric, InputError, ModelOptions, SolverOptions
 from pbd.bending import hinge_calibration
 from precompute.learning.crossed import WHOLE, crossed_figures, crossed_jobs, crossed_words, joined_crossed
@@ -29,7 +30,6 @@ from precompute.workers import Workers
 from runtime.garment_mesh import texture_of
 from runtime.garment_setup import GarmentSetup, colliders_of, fabrics_of, fine_options
 from runtime.report import processor_name
-from runtime.simulation import Motion
 from wrinkles.charts import leading_vertices
 from wrinkles.database import WrinkleDatabase, body_hash, code_version
 from wrinkles.database_file import as_stored, write_database

@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from assets.character import Character
 from assets.io.sequence import Sequence as VertexSequence
+from assets.motion import Motion
 from pbd import InputError, ModelOptions
 from pbd.bending import hinge_calibration
 from pbd.wind import CALM, Air
@@ -24,7 +25,7 @@ from precompute.learning.recording import Recording, Run, record_runs
 from precompute.workers import Workers
 from runtime.garment_setup import fine_substep_of
 from runtime.playback_inputs import PlaybackInputs
-from runtime.simulation import Motion, body_source, poses_of
+from runtime.simulation import body_source, poses_of
 from wrinkles.database import WrinkleDatabase
 from wrinkles.levels import Levels
 from wrinkles.low_frequency import LowFrequency

@@ -11,6 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from assets.character import Character
+from assets.motion import Motion
 from pbd import InputError, State
 from pbd.distance import BodyDistance
 from pbd.wind import Air
@@ -21,7 +22,6 @@ from runtime.level_of_detail import LevelOfDetail
 from runtime.playback_inputs import PlaybackInputs
 from runtime.player import Player
 from runtime.report import machine_description
-from runtime.simulation import Motion
 from wrinkles.coarse_filter import CoarseFilter
 from wrinkles.database import WrinkleDatabase
 from wrinkles.proxy_mesh import proxy_mesh_of

@@ -15,7 +15,7 @@ from precompute.planning.cost_table import cost_table_key, measure_cost_table
 from precompute.wrinkle_comparison.compare import database_of
 from runtime.cost_table import CostTable, cost_table_path, read_cost_table, write_cost_table
 from runtime.garment_setup import scene_of
-from runtime.planner import Choice, Planner, ViewSize, sight_of
+from runtime.planner import DetailChoice, Planner, ViewSize, sight_of
 from runtime.playback_inputs import playback_inputs
 from runtime.report import machine_description
 from wrinkles.database import WrinkleDatabase
@@ -41,7 +41,7 @@ class Planned:
 
     table: CostTable
     view: ViewSize
-    choices: tuple[Choice, ...]
+    choices: tuple[DetailChoice, ...]
     figures: dict[str, Any]
     plain: str
 
@@ -142,7 +142,7 @@ def seen_from(table: CostTable, distance: float, field_of_view_deg: float = 40.0
     return sight_of([camera], (0.0, 0.0, 0.0), table.size, table.speeds[0])
 
 
-def plan_figures(table: CostTable, choices: Sequence[Choice], target_px: float) -> dict[str, Any]:
+def plan_figures(table: CostTable, choices: Sequence[DetailChoice], target_px: float) -> dict[str, Any]:
     """Figures of a plan: the choice, its cost and error, and what distance saves."""
     cost = sum(choice.cost_ms for choice in choices)
     near, far = (

@@ -12,7 +12,7 @@ from pbd.models import Options, StepError, make_solver
 from precompute.mechanics import GRAVITY
 from precompute.stability.stability_maps import DENSITY, EDGES, STIFFNESS, StabilityMap, lattice_model
 
-__all__ = ["Curve", "ExplicitLimit", "explicit_limit", "explicit_limits", "theory_of"]
+__all__ = ["StabilityCurve", "ExplicitLimit", "explicit_limit", "explicit_limits", "theory_of"]
 
 # dt = factor d sqrt(rho_A/(E h)) is 2/omega of a lattice of springs (`physics.md`).
 MEMBRANE = {"triangles": 0.816, "squares": 0.943}
@@ -25,7 +25,7 @@ START_SPEED = 1e-6  # speed that it starts with [m/s]
 
 
 @dataclass(frozen=True)
-class Curve:
+class StabilityCurve:
     """A line of theory over a map, x and y."""
 
     label: str
@@ -97,7 +97,7 @@ def explicit_limit(lattice: str) -> ExplicitLimit:
     return ExplicitLimit(lattice, theory, math.sqrt(low * high))
 
 
-def theory_of(one: StabilityMap, method: str) -> list[Curve]:
+def theory_of(one: StabilityMap, method: str) -> list[StabilityCurve]:
     """Lines over a map of a method; none where nothing is known."""
     for lattice, name in SPRINGS.items():
         if method == name:
@@ -107,33 +107,33 @@ def theory_of(one: StabilityMap, method: str) -> list[Curve]:
     return []
 
 
-def _explicit_curves(one: StabilityMap, lattice: str) -> list[Curve]:
+def _explicit_curves(one: StabilityMap, lattice: str) -> list[StabilityCurve]:
     space = np.geomspace if one.x.log else np.linspace
     x, words = space(one.x.values[0], one.x.values[-1], 200), "explicit limit 2/omega"
     if one.name == "stiffness":
-        return [Curve(words, x, np.array([membrane_limit(lattice, 1.0 / EDGES, value) for value in x]))]
+        return [StabilityCurve(words, x, np.array([membrane_limit(lattice, 1.0 / EDGES, value) for value in x]))]
     if one.name == "resolution":
-        return [Curve(words, x, np.array([membrane_limit(lattice, 1.0 / value, STIFFNESS) for value in x]))]
+        return [StabilityCurve(words, x, np.array([membrane_limit(lattice, 1.0 / value, STIFFNESS) for value in x]))]
     if one.name == "bending":
         edge = 0.3 / EDGES
         membrane = np.full_like(x, membrane_limit(lattice, edge, STIFFNESS))
         bending = np.array([bending_limit(edge, value) for value in x])
-        return [Curve(f"{words}, membrane", x, membrane), Curve(f"{words}, bending", x, bending)]
+        return [StabilityCurve(f"{words}, membrane", x, membrane), StabilityCurve(f"{words}, bending", x, bending)]
     return []
 
 
-def _stretch_curves(one: StabilityMap, method: str) -> list[Curve]:
+def _stretch_curves(one: StabilityMap, method: str) -> list[StabilityCurve]:
     """Where g h^2 N^2/(2 n L) is ``LAW_STRETCH``: h a substep, n passes in it, N edges along L."""
     label = f"XPBD stretch law, {LAW_STRETCH:.0%}"
     if one.name == "resolution":
         y = np.array(one.y.values)  # a step between these may be split better or worse
         split = np.ceil(y / SolverOptions().substep - 1e-6) if method == "default" else np.ones_like(y)
         passes = 1 if method == "default" else XPBD_PASSES
-        return [Curve(label, np.sqrt(2.0 * passes * LAW_STRETCH / GRAVITY) / (y / split), y)]
+        return [StabilityCurve(label, np.sqrt(2.0 * passes * LAW_STRETCH / GRAVITY) / (y / split), y)]
     if one.name == "mass":
         # The mean over N edges of the weight below each, the lowest row being x times as heavy.
         x = np.geomspace(one.x.values[0], one.x.values[-1], 200)
         rows = EDGES / math.sqrt(0.75)
         once = GRAVITY / 60.0**2 * rows * (0.5 * rows + x)  # with one pass a frame
-        return [Curve(label, x, np.sqrt(once / LAW_STRETCH) if method == "default" else once / LAW_STRETCH)]
+        return [StabilityCurve(label, x, np.sqrt(once / LAW_STRETCH) if method == "default" else once / LAW_STRETCH)]
     return []

@@ -13,7 +13,7 @@ from precompute.mechanics import FRAME_RATE
 from precompute.validation.membrane_rows import ROPE
 from precompute.validation.strip_references import capstan_ratio
 from precompute.validation.trial import FABRIC, Trial, TrialResult, TrialSetting, level, strip
-from precompute.validation.validation_row import Choice, Parameter, Row
+from precompute.validation.validation_row import Parameter, ParameterChoice, Row
 
 __all__ = ["ROWS"]
 
@@ -145,10 +145,10 @@ def _strain(places: np.ndarray, s: np.ndarray) -> float:
 
 
 MU = Parameter("coefficient of friction", 0.4, 0.01, 2.0)
-COLLIDER = Choice("plane or capsule, or a body mesh", "primitive", ("primitive", "mesh"))
+COLLIDER = ParameterChoice("plane or capsule, or a body mesh", "primitive", ("primitive", "mesh"))
 ROWS = (
     Row("incline", "sheet on a slope: angle at which it slips [deg]; creep in a minute half a degree below [mm]",
-        _incline, 0.2, 1.0, {"quantity": Choice("what is measured", "angle", ("angle", "creep")), "mu": MU,
+        _incline, 0.2, 1.0, {"quantity": ParameterChoice("what is measured", "angle", ("angle", "creep")), "mu": MU,
                              "collider": COLLIDER},
         tuple({"quantity": q, "collider": c} for c in COLLIDER.allowed for q in ("angle", "creep")), MOVING),
     Row("capstan", "belt drawn over a cylinder: ratio of its tensions", _capstan, 0.02, 0.05,

@@ -18,7 +18,7 @@ from precompute.mechanics import FRAME_RATE
 from precompute.validation.laboratory import DIRECTIONS, LoadCurve
 from precompute.validation.loops import LOOPS, bending_loop, branches, loop_area, read_loop, shear_loop
 from precompute.validation.trial import FABRIC, Curve, Specimen, Trial, TrialResult, TrialSetting, level, strip
-from precompute.validation.validation_row import Choice, Parameter, Row
+from precompute.validation.validation_row import Parameter, ParameterChoice, Row
 
 __all__ = ["ROWS", "laid_bending_loop", "laid_shear_loop", "rolled", "unordered"]
 
@@ -330,8 +330,8 @@ LOOP_SOLVERS = ("default", "fem-stvk/quasi-static")
 ROWS = (
     Row("hysteresis", "loops of bending and shear: area [J/m2], slope and widths against the fabric's own",
         _hysteresis, 0.02, 0.05,
-        {"loop": Choice("what is measured", "bending", ("bending", "shear")),
-         "direction": Choice("of the sample", "warp", ("warp", "weft")),
+        {"loop": ParameterChoice("what is measured", "bending", ("bending", "shear")),
+         "direction": ParameterChoice("of the sample", "warp", ("warp", "weft")),
          "weft": Parameter("B and 2HB of the weft over those of the warp", 1.0, 0.1, 10.0)},
         ({"loop": "shear"}, {"loop": "bending"}, {"loop": "bending", "weft": 0.5},
          {"loop": "bending", "direction": "weft", "weft": 0.5}), LOOP_SOLVERS, refines=False),

@@ -22,7 +22,7 @@ from precompute.validation.laboratory import (
 )
 from precompute.validation.strip_references import off_axis
 from precompute.validation.trial import FABRIC, Curve, TrialResult, TrialSetting
-from precompute.validation.validation_row import Choice, Parameter, Row
+from precompute.validation.validation_row import Parameter, ParameterChoice, Row
 
 __all__ = ["ROWS"]
 
@@ -129,13 +129,13 @@ ROWS = (
         tuple({"angle_deg": a} for a in (0.0, 22.5, 45.0, 67.5, 90.0))),
     Row("tension_measured", "ten measured fabrics at 2, 5, 10 and 17 % strain against their own curves [N/m]",
         _tension_measured, 0.02, 0.05,
-        {"fabric": Choice("measured fabric", CLOTHS[0], CLOTHS),
-         "direction": Choice("of the sample", "warp", ("warp", "weft"))},
+        {"fabric": ParameterChoice("measured fabric", CLOTHS[0], CLOTHS),
+         "direction": ParameterChoice("of the sample", "warp", ("warp", "weft"))},
         tuple({"fabric": f, "direction": d} for f in CLOTHS for d in ("warp", "weft")),
         ("default", "fem-corotational/quasi-static")),
     Row("kawabata", "the fabric's own curves by Kawabata's instruments", _kawabata, 0.01, 0.05,
-        {"instrument": Choice("instrument", "tension", INSTRUMENTS),
-         "direction": Choice("of the sample", "warp", tuple(DIRECTIONS))},
+        {"instrument": ParameterChoice("instrument", "tension", INSTRUMENTS),
+         "direction": ParameterChoice("of the sample", "warp", tuple(DIRECTIONS))},
         (*({"instrument": i, "direction": d} for i in INSTRUMENTS[:3] for d in DIRECTIONS),
          {"instrument": "compression"}, {"instrument": "friction"})),
 )  # fmt: skip

@@ -13,7 +13,7 @@ from precompute.mechanics import FRAME_RATE, GRAVITY
 from precompute.validation.membrane_rows import ROPE
 from precompute.validation.strip_references import swing_period
 from precompute.validation.trial import FABRIC, Curve, Trial, TrialResult, TrialSetting, level, strip
-from precompute.validation.validation_row import Choice, Parameter, Row
+from precompute.validation.validation_row import Parameter, ParameterChoice, Row
 
 __all__ = ["ROWS"]
 
@@ -113,7 +113,7 @@ ROWS = (
         best_solvers=("default", "fem-stvk/implicit-euler")),
     Row("momentum", "wavy sheet, 1 s: drop in free fall [m], linear momentum [kg m/s], angular momentum [kg m2/s]",
         _momentum, 1e-6, 1e-4,
-        {"quantity": Choice("what is measured", "fall", ("fall", "linear", "angular")),
+        {"quantity": ParameterChoice("what is measured", "fall", ("fall", "linear", "angular")),
          "spin": Parameter("angular velocity [rad/s]", 1.0, 0.0, 20.0)},
         tuple({"quantity": q} for q in ("fall", "linear", "angular")), MOVING),
 )  # fmt: skip

@@ -9,7 +9,7 @@ from typing import Any
 from pbd.errors import InputError
 from precompute.validation.trial import TrialResult, TrialSetting
 
-__all__ = ["Choice", "Parameter", "Row"]
+__all__ = ["ParameterChoice", "Parameter", "Row"]
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class Choice:
+class ParameterChoice:
     """One of several words that the user may set."""
 
     words: str
@@ -75,7 +75,7 @@ class Row:
     measure: Callable[..., TrialResult]
     gate_best: float
     gate_realtime: float
-    parameters: Mapping[str, Parameter | Choice] = field(default_factory=dict)
+    parameters: Mapping[str, Parameter | ParameterChoice] = field(default_factory=dict)
     cases: Sequence[Mapping[str, Any]] = ({},)
     best_solvers: Sequence[str] = ("default", "fem-stvk/quasi-static")
     refines: bool = True

@@ -12,6 +12,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from assets.io.scene import Scene, load_scene, scene_text
+from assets.motion import Motion
 from pbd import InputError
 from pbd.distance import penetration_figures
 from precompute.learning.evaluation import body_distances, floor_figures, free_figures, mean_figures
@@ -38,7 +39,6 @@ from runtime.level_of_detail import LevelOfDetail
 from runtime.playback_inputs import motions_of, playback_inputs
 from runtime.player import Player
 from runtime.scene_body import body_of
-from runtime.simulation import Motion
 from wrinkles.database import WrinkleDatabase, code_version
 from wrinkles.database_file import read_database, write_database
 from wrinkles.mesh_measures import edge_stretch

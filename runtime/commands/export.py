@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 from runtime.arguments import add_motion
 
 if TYPE_CHECKING:
+    from assets.motion import Motion
     from runtime.playback_inputs import PlaybackInputs
     from runtime.recording import RecordedTruth
     from runtime.report import Report
-    from runtime.simulation import Motion
     from wrinkles.database import WrinkleDatabase
 
     FindTruth = Callable[[WrinkleDatabase, PlaybackInputs, Motion, Callable[[str], None]], RecordedTruth]

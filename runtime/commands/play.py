@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from runtime.arguments import add_output_folder, add_playback, positive
 
 if TYPE_CHECKING:
+    from assets.motion import Motion
     from runtime.playback_inputs import PlaybackInputs
     from runtime.report import Report
-    from runtime.simulation import Motion
     from wrinkles.database import WrinkleDatabase
 
 __all__ = ["SUMMARY", "add_arguments", "play_motions", "run"]

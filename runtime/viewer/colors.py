@@ -22,7 +22,7 @@ __all__ = [
     "BANDS",
     "CLOTH",
     "SCALES",
-    "Band",
+    "ColorBand",
     "ColorScale",
     "FaceBending",
     "FaceStrain",
@@ -199,7 +199,7 @@ class FaceBending:
 
 
 @dataclass(frozen=True)
-class Band:
+class ColorBand:
     """The faces of one colour.
 
     Attributes:
@@ -211,7 +211,7 @@ class Band:
     faces: np.ndarray
 
 
-def bands_of(vertices: np.ndarray, faces: np.ndarray, band: np.ndarray) -> list[Band]:
+def bands_of(vertices: np.ndarray, faces: np.ndarray, band: np.ndarray) -> list[ColorBand]:
     """Cut a mesh into one mesh for each band.
 
     Args:
@@ -224,7 +224,7 @@ def bands_of(vertices: np.ndarray, faces: np.ndarray, band: np.ndarray) -> list[
     return [_band(vertices, faces[order[begin:end]]) for begin, end in zip(ends[:-1], ends[1:], strict=True)]
 
 
-def _band(vertices: np.ndarray, faces: np.ndarray) -> Band:
+def _band(vertices: np.ndarray, faces: np.ndarray) -> ColorBand:
     used = np.zeros(len(vertices), bool)
     used[faces] = True
     kept = np.flatnonzero(used)
@@ -234,7 +234,7 @@ def _band(vertices: np.ndarray, faces: np.ndarray) -> Band:
     padded[len(kept) :] = vertices[kept[0]] if len(kept) else 0.0
     filled = np.zeros((_padded(len(faces), PAD_FACES), 3), np.uint32)
     filled[: len(faces)] = number[faces]
-    return Band(padded, filled)
+    return ColorBand(padded, filled)
 
 
 def _padded(count: int, step: int) -> int:

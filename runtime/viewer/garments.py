@@ -11,18 +11,18 @@ from scipy.sparse import csr_matrix
 
 from assets.character import Character
 from assets.io.sequence import Sequence
+from assets.motion import Motion
 from pbd import ClothMesh, Fabric, Solver, build_model
 from runtime.level_of_detail import LevelOfDetail
 from runtime.plain_player import PlainPlayer
 from runtime.player import Player
 from runtime.scene_player import SUBDIVISIONS, ScenePlayer
 from runtime.shown_body import insets
-from runtime.simulation import Motion
 from runtime.viewer.colors import CLOTH, FaceBending, FaceStrain, place
 from wrinkles.decoder import Upsampler
 from wrinkles.levels import garment_vertices
 
-__all__ = ["FabricFactors", "Truth", "ViewedGarment", "ViewedMesh"]
+__all__ = ["FabricFactors", "ShownTruth", "ViewedGarment", "ViewedMesh"]
 
 COARSE, SMOOTH, OURS, PLAIN, TRUTH = "coarse", "smooth", "ours", "plain cloth", "truth"
 
@@ -52,7 +52,7 @@ class FabricFactors(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Truth:
+class ShownTruth:
     """A recorded fine simulation of a motion.
 
     Attributes:
@@ -126,7 +126,7 @@ class ViewedGarment:
         motion: Motion | None,
         body: Character | Sequence | None,
         texture: np.ndarray | None,
-        truth: Truth | None = None,
+        truth: ShownTruth | None = None,
     ) -> None:
         self.player, self.motion, self.body, self.texture, self._truth = player, motion, body, texture, truth
         self.details: dict[str, LevelOfDetail] = details_of(player) if isinstance(player, Player) else {}

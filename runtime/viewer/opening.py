@@ -12,7 +12,7 @@ from assets.io.scene import CameraSettings, load_scene
 from assets.io.view import ViewSettings
 from pbd import InputError
 from runtime.playback_inputs import PlaybackInputs, open_database
-from runtime.viewer.garments import Truth
+from runtime.viewer.garments import ShownTruth
 from runtime.viewer.sources import DatabaseSource, SceneSource, Source
 from wrinkles.database import WrinkleDatabase
 
@@ -21,7 +21,7 @@ __all__ = ["DEMO_DATABASE", "Opened", "Truths", "open_source"]
 DEMO_DATABASE = Path("out/demo/skirt.h5")  # where `gube demo` writes it
 DEMO_SCENE = Path(assets.__file__).parent / "data" / "demo.toml"
 
-Truths = Callable[[Path, WrinkleDatabase, PlaybackInputs], Mapping[str, Truth]]
+Truths = Callable[[Path, WrinkleDatabase, PlaybackInputs], Mapping[str, ShownTruth]]
 """Finds recorded fine simulations by the name of the motion."""
 
 

@@ -12,11 +12,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from assets.motion import Motion
 from pbd import InputError
 from pbd.wind import CALM, Air, Wind
 from runtime.game_loop import GameLoop, LiveInput
 from runtime.moment import Moment
-from runtime.simulation import Motion, Simulation
+from runtime.simulation import Simulation
 
 __all__ = ["FILM_BYTES", "NO_BODY_SECONDS", "Playback", "Replayable"]
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from assets.character import Character
 from assets.io.scene import Scene
 from assets.io.sequence import Sequence
+from assets.motion import Motion
 from pbd.wind import Wind
 from runtime.garment_mesh import texture_of
 from runtime.garment_setup import scene_of
@@ -20,8 +21,7 @@ from runtime.scene_body import body_of
 from runtime.scene_player import ScenePlayer
 from runtime.scene_simulation import simulation_of
 from runtime.shown_body import shown_body
-from runtime.simulation import Motion
-from runtime.viewer.garments import Truth, ViewedGarment
+from runtime.viewer.garments import ShownTruth, ViewedGarment
 from wrinkles.database import WrinkleDatabase
 from wrinkles.worn_garments import garment_names
 
@@ -42,7 +42,7 @@ class DatabaseSource:
     path: Path
     database: WrinkleDatabase
     inputs: PlaybackInputs
-    truths: Mapping[str, Truth]
+    truths: Mapping[str, ShownTruth]
 
     @property
     def title(self) -> str:

@@ -14,9 +14,9 @@ import numpy as np
 
 from assets.io.scene import CameraSettings
 from assets.io.view import ViewSettings
+from assets.motion import Motion
 from pbd import InputError
 from runtime.player import Player
-from runtime.simulation import Motion
 from runtime.viewer.colors import CLOTH
 from runtime.viewer.controls import GRAPH_FRAMES, GRAPHED, Controls
 from runtime.viewer.garments import FabricFactors, ViewedGarment
@@ -27,7 +27,7 @@ from runtime.viewer.server import HOST, Server, open_server
 from runtime.viewer.sources import DatabaseSource, Source
 from runtime.viewer.stage import FIELD_OF_VIEW_DEG, Look, Stage
 
-__all__ = ["PORT", "RATE_HZ", "Choice", "Viewer"]
+__all__ = ["PORT", "RATE_HZ", "ViewChoice", "Viewer"]
 
 PORT = 8080
 RATE_HZ = 60.0
@@ -37,7 +37,7 @@ SETTLED = 0.2  # a slider of the fabric must stand still for so long before it a
 
 
 @dataclass(frozen=True)
-class Choice:
+class ViewChoice:
     """What is played.
 
     Attributes:
@@ -153,7 +153,7 @@ class Viewer:
         self._new_factors = factors, time.perf_counter() + SETTLED
 
     def choose(self, **changes: Any) -> None:
-        """Play something else from its start: fields of :class:`Choice`."""
+        """Play something else from its start: fields of :class:`ViewChoice`."""
         self._controls.say("making another garment ...")
         self.choice = replace(self.choice, **changes)
         self._garment = self._make()
@@ -325,7 +325,7 @@ def _rounded(point: np.ndarray) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _choice_of(source: Source, view: ViewSettings) -> Choice:
+def _choice_of(source: Source, view: ViewSettings) -> ViewChoice:
     """What a view plays.
 
     Raises:
@@ -337,7 +337,7 @@ def _choice_of(source: Source, view: ViewSettings) -> Choice:
             expected = "one of " + ", ".join(known) if known else "none"
             raise InputError("unknown in this view", key=f"view.{key}", received=value, expected=expected)
     motion = next(iter(source.motions), None) if view.motion is None else motions[view.motion]
-    return Choice(motion, view.fabric or next(iter(source.fabrics), ""), view.wrinkles)
+    return ViewChoice(motion, view.fabric or next(iter(source.fabrics), ""), view.wrinkles)
 
 
 def _wearing(source: Source, garment: ViewedGarment, names: tuple[str, ...]) -> ViewedGarment:

@@ -10,7 +10,7 @@ import pytest
 from assets.body_checks import UNITS
 from assets.garment import highest_loop
 from assets.loading import load_character, load_garment
-from assets.placement import AS_STORED, Placement, best_placement, body_placement, check_worn, fit_of
+from assets.placement import AS_STORED, FilePlacement, best_placement, body_placement, check_worn, fit_of
 from pbd.errors import InputError
 from tests.wrinkles.meshes import flat_sheet, icosphere
 
@@ -23,7 +23,7 @@ Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # from Y 
 @pytest.mark.parametrize("axes", ["Y up", "Z up"])
 def test_the_unit_and_the_axes_of_a_body_are_found_by_its_height(unit: str, axes: str) -> None:
     stored = BODY.vertices / UNITS[unit]
-    assert body_placement(stored if axes == "Y up" else stored @ Z_UP.T) == Placement(unit, axes)
+    assert body_placement(stored if axes == "Y up" else stored @ Z_UP.T) == FilePlacement(unit, axes)
 
 
 def test_a_body_of_no_size_is_none() -> None:
@@ -37,7 +37,7 @@ def test_the_unit_and_the_axes_of_a_garment_are_those_in_which_the_body_wears_it
     stored = SHIRT.vertices / UNITS[unit]
     stored = stored if axes == "Y up" else stored @ Z_UP.T
     placement, fit = best_placement(stored, SHIRT.faces, BODY.vertices, BODY.faces)
-    assert placement == Placement(unit, axes)
+    assert placement == FilePlacement(unit, axes)
     assert fit is not None and fit.is_worn
     np.testing.assert_allclose(stored @ placement.matrix.T, SHIRT.vertices, atol=1e-9)
 

@@ -14,7 +14,7 @@ import precompute.wardrobe
 from assets.io.scene import Scene, scene_text
 from pbd.errors import InputError
 from precompute.learning.pipeline import Precomputed
-from precompute.wardrobe import Outcome, learn_wardrobe, wardrobe_rows, wardrobe_text, write_wardrobe
+from precompute.wardrobe import GarmentOutcome, learn_wardrobe, wardrobe_rows, wardrobe_text, write_wardrobe
 from precompute.workers import Workers
 from tests.precompute.miniature import OPTIONS, scene
 from wrinkles.database_file import read_database
@@ -88,10 +88,10 @@ def test_whole_ones_are_dealt_only_to_workers_that_see_the_files(
 
 def test_the_worst_come_first(tmp_path: Path) -> None:
     name = "spectrum_band_error_max"
-    assert "not judged" in wardrobe_text([Outcome("alone", minutes=2.0)])
+    assert "not judged" in wardrobe_text([GarmentOutcome("alone", minutes=2.0)])
     outcomes = [
-        Outcome("fair", figures={name: 0.3}), Outcome("good", figures={name: 0.1}),
-        Outcome("none", "<b> cannot be\nread"), Outcome("bad", figures={name: 0.9}),
+        GarmentOutcome("fair", figures={name: 0.3}), GarmentOutcome("good", figures={name: 0.1}),
+        GarmentOutcome("none", "<b> cannot be\nread"), GarmentOutcome("bad", figures={name: 0.9}),
     ]  # fmt: skip
     assert [row["database"] for row in wardrobe_rows(outcomes)] == ["none", "bad", "fair", "good"]
     assert wardrobe_text(outcomes).splitlines()[0] == "none  read"

@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 
 from pbd.mesh import edges_of, lattice_faces
-from runtime.light import Rings, Surface, directions_about, directions_everywhere, exposure
+from runtime.light import LitSurface, Rings, directions_about, directions_everywhere, exposure
 
 
-def plate(width: float, height: float, cells: int = 40) -> Surface:
+def plate(width: float, height: float, cells: int = 40) -> LitSurface:
     """A level square at a height [m], its normals up."""
     line = np.linspace(-0.5 * width, 0.5 * width, cells + 1)
     x, z = np.meshgrid(line, -line, indexing="ij")
     vertices = np.stack([x, np.full_like(x, height), z], axis=-1).reshape(-1, 3).astype(np.float32)
     up = np.broadcast_to(np.array([0.0, 1.0, 0.0], np.float32), vertices.shape).copy()
-    return Surface(vertices, lattice_faces(np.arange(x.size).reshape(x.shape)), up)
+    return LitSurface(vertices, lattice_faces(np.arange(x.size).reshape(x.shape)), up)
 
 
-def share(surfaces: list[Surface], point: tuple[float, float, float], directions: np.ndarray) -> np.ndarray:
+def share(surfaces: list[LitSurface], point: tuple[float, float, float], directions: np.ndarray) -> np.ndarray:
     points = np.array([point], np.float32)
     up = np.array([[0.0, 1.0, 0.0]], np.float32)
     return exposure(surfaces, points, up, directions, np.ones(len(directions)))[0]

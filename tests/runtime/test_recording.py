@@ -15,7 +15,7 @@ import trimesh
 
 from assets.character import Character
 from assets.io.sequence import Sequence, SequenceMotion
-from assets.motion import ClipMotion
+from assets.motion import ClipMotion, Motion
 from assets.procedural.mannequin import builtin_mannequin
 from pbd import InputError
 from runtime import recording
@@ -33,7 +33,7 @@ from runtime.recording import (
     record,
 )
 from runtime.recording_file import LARGEST, Quantised, links_of, quantised, read_recording, recording_bytes
-from runtime.simulation import Motion, poses_of
+from runtime.simulation import poses_of
 from tests.runtime.players import outfit_database, skirt_database, skirt_stage
 from tests.wrinkles.delivered import delivered_database, delivered_panels
 from wrinkles.database import WrinkleDatabase, body_hash

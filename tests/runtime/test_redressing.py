@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from assets.io.scene import parse_scene
+from assets.motion import Motion
 from pbd.crossings import SelfCrossings
 from pbd.distance import BodyDistance
 from runtime.scene_simulation import simulation_of
-from runtime.simulation import Motion, Simulation
+from runtime.simulation import Simulation
 
 RATE = 60  # frames a second
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components, maximum_flow
 
-from pbd.contact.sheet_cuts import NEAR, Curve, SheetCuts
+from pbd.contact.sheet_cuts import NEAR, CutCurve, SheetCuts
 from pbd.engine import ensure_initialized
 from pbd.mesh import edges_of
 from tests.pbd.meshes import grid
@@ -14,7 +14,7 @@ RINGS = 3
 
 
 def expected_cut(
-    edges: np.ndarray, count: int, curve: Curve, most: float, near: np.ndarray | None
+    edges: np.ndarray, count: int, curve: CutCurve, most: float, near: np.ndarray | None
 ) -> tuple[np.ndarray | None, bool]:
     """The part above by SciPy, and whether the curve had to be closed."""
     above, below = np.setdiff1d(curve.above, curve.below), np.setdiff1d(curve.below, curve.above)
@@ -66,7 +66,7 @@ def test_a_curve_cuts_a_sheet_where_scipy_cuts_it(nearby: bool) -> None:
             continue
         first = inner[edges[crossing, 0]]
         above, below = np.where(first, edges[crossing].T, edges[crossing, ::-1].T)
-        curve = Curve(crossing.astype(np.int32), above.astype(np.int32), below.astype(np.int32))
+        curve = CutCurve(crossing.astype(np.int32), above.astype(np.int32), below.astype(np.int32))
         most = max(0.5 * len(crossing), 4)
         near = around(edges, edges[crossing], np.ones(count, bool)) if nearby else None
         wanted, closed = expected_cut(edges, count, curve, most, near)

@@ -14,7 +14,7 @@ from pbd import Colliders, InputError, Plane, Solver, State
 from pbd.models.newton import StepError
 from precompute.failures import failure_comparisons, failure_play
 from precompute.failures.failure_comparisons import comparisons
-from precompute.failures.failure_play import Outcome, Scene, play
+from precompute.failures.failure_play import FailureOutcome, FailureScene, play
 from precompute.failures.failure_scenes import HUNG, scenes, square
 from precompute.failures.failures import all_failure_rows, failure_rows, failure_table, write_failures
 from precompute.method_comparison.error_classes import ErrorClass
@@ -30,7 +30,7 @@ def slow(name: str) -> bool:
     return name.startswith(SLOW)
 
 
-def held_together(outcome: Outcome) -> None:
+def held_together(outcome: FailureOutcome) -> None:
     assert outcome.worst[0] < ErrorClass.VISIBLE, outcome
     assert outcome.recovered_s <= 1.0, outcome
 
@@ -92,20 +92,20 @@ def broken(monkeypatch: pytest.MonkeyPatch, what: Any) -> None:
 )
 def test_classes(what: Any, expected: str, by: str, monkeypatch: pytest.MonkeyPatch) -> None:
     broken(monkeypatch, what)
-    outcome = play(Scene("", "", *HUNG[:1], held=HUNG[1]))
+    outcome = play(FailureScene("", "", *HUNG[:1], held=HUNG[1]))
     assert outcome.worst[0].name == expected and by in outcome.worst[1]
     assert outcome.recovered_s == (0.0 if expected in ("IMPERCEPTIBLE", "ACCEPTED") else np.inf)
 
 
 def test_recovery_is_counted_from_the_end_of_the_disturbance(monkeypatch: pytest.MonkeyPatch) -> None:
     broken(monkeypatch, lambda x, frame: x * (1.3 if frame <= 42 else 1.0))
-    outcome = play(Scene("", "", HUNG[0], held=HUNG[1], quiet=0.5))
+    outcome = play(FailureScene("", "", HUNG[0], held=HUNG[1], quiet=0.5))
     assert outcome.recovered_s == pytest.approx(0.2) and outcome.worst[0] is ErrorClass.IMPERCEPTIBLE
 
 
 def test_cloth_that_stays_under_the_ground_or_through_a_layer_is_catastrophic(monkeypatch: pytest.MonkeyPatch) -> None:
     broken(monkeypatch, lambda x, frame: x)
-    scene = Scene("", "", square(4), colliders=lambda: Colliders([Plane((0.0, -0.4, 0.0), (0.0, 2.0, 0.0))]))
+    scene = FailureScene("", "", square(4), colliders=lambda: Colliders([Plane((0.0, -0.4, 0.0), (0.0, 2.0, 0.0))]))
     outcome = play(scene)
     assert outcome.figures["penetration_thicknesses"] == pytest.approx(0.1 / 0.003, rel=1e-3)
     assert outcome.worst == (ErrorClass.CATASTROPHIC, "penetration_s") and outcome.recovered_s == np.inf

@@ -12,7 +12,7 @@ from assets.io.scene import load_scene
 from runtime.plain_player import PlainPlayer
 from runtime.shown_body import INSET
 from runtime.viewer.colors import SCALES
-from runtime.viewer.garments import FabricFactors, Truth, ViewedGarment
+from runtime.viewer.garments import FabricFactors, ShownTruth, ViewedGarment
 from runtime.viewer.sources import DatabaseSource, SceneSource
 from tests.runtime.viewer.views import FLAG, skirt_source
 
@@ -79,11 +79,11 @@ def test_stiffer_cloth_is_worn_at_once(garment: ViewedGarment) -> None:
 
 
 def test_truth_is_interpolated_and_stays_at_its_ends() -> None:
-    truth = Truth(np.array([2, 4]), np.array([[[0.0, 0, 0]], [[1.0, 2, 3]]], np.float32))
+    truth = ShownTruth(np.array([2, 4]), np.array([[[0.0, 0, 0]], [[1.0, 2, 3]]], np.float32))
     assert truth.at(0.0).tolist() == truth.at(2.0).tolist() == [[0.0, 0.0, 0.0]]
     assert truth.at(3.0).tolist() == [[0.5, 1.0, 1.5]]
     assert truth.at(9.0).tolist() == [[1.0, 2.0, 3.0]]
-    assert Truth(np.array([2]), np.ones((1, 1, 3), np.float32)).at(5.0).tolist() == [[1.0, 1.0, 1.0]]
+    assert ShownTruth(np.array([2]), np.ones((1, 1, 3), np.float32)).at(5.0).tolist() == [[1.0, 1.0, 1.0]]
 
 
 def test_a_recorded_truth_is_shown_in_the_place_of_the_garment() -> None:
@@ -91,7 +91,7 @@ def test_a_recorded_truth_is_shown_in_the_place_of_the_garment() -> None:
     motion = source.motions[0]
     count = source.database.fine_vertex_count
     positions = np.full((2, count, 3), 1.5, np.float32)
-    truth = Truth(np.array([2, 4]), positions)
+    truth = ShownTruth(np.array([2, 4]), positions)
     garment = replace(source, truths={motion.name: truth}).garment(motion, source.fabrics[0], False)
     assert list(garment.meshes) == ["coarse", "smooth", "ours", "truth"]
     shown = garment.vertices("truth", 3) + garment.player.origin
