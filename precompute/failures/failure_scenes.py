@@ -113,6 +113,13 @@ def _standstill(stage: FrameConditions) -> None:
     stage.dt = 0.0 if 0.5 <= stage.time < 0.503 else 1.0 / FRAME_RATE
 
 
+def _stack(fabric: Fabric) -> Model:
+    """Three sheets of a hand's length upon one another."""
+    flat = square(8, 0.24, upright=False)
+    sheets = [replace(flat, vertices=flat.vertices + [0.0, 0.004 * k, 0.0]) for k in range(3)]
+    return layered([build_model(mesh, fabric, options=ModelOptions(), bend_factor=1 / 3) for mesh in sheets])
+
+
 def _contact() -> list[FailureScene]:
     slope = np.array([np.sin(np.radians(15.0)), np.cos(np.radians(15.0)), 0.0])
     level, hung = square(8, 0.4, upright=False), HUNG
@@ -120,13 +127,7 @@ def _contact() -> list[FailureScene]:
     lying = level.vertices - np.outer(level.vertices @ slope - thickness, slope)
     tube, ring = _tube(0.099, 0.3, 16, 8)
     wide = tube.vertices * [1.045, 1.0, 1.045]
-    flat = square(8, 0.24, upright=False)
-    sheets = [replace(flat, vertices=flat.vertices + [0.0, 0.004 * k, 0.0]) for k in range(3)]
     thin = replace(COTTON, thickness=0.001)
-
-    def stack(fabric: Fabric) -> Model:
-        return layered([build_model(mesh, fabric, options=ModelOptions(), bend_factor=1 / 3) for mesh in sheets])
-
     ball = trimesh.creation.icosphere(3, 0.15)
     folded, curtain = square(16, 0.6, upright=False), square(16, 0.8)
     arm = trimesh.creation.capsule(0.8, 0.1, count=[16, 16])
@@ -151,9 +152,9 @@ def _contact() -> list[FailureScene]:
         FailureScene("tight garment jitter", "sleeve 4 % too small on an arm", tube, replace(COTTON, stretch_warp=500.0,
               stretch_weft=500.0, shear=100.0), ring, start=wide, seconds=3.0, at_rest=True,
               colliders=lambda: Colliders([Capsule((0.0, 0.2, 0.0), (0.0, -0.6, 0.0), 0.1)])),
-        FailureScene("thin layers stacked", "three sheets of 1 mm on the ground", stack(thin).mesh, thin, build=stack,
+        FailureScene("thin layers stacked", "three sheets of 1 mm on the ground", _stack(thin).mesh, thin, build=_stack,
               seconds=3.0, default_only=True, colliders=lambda: Colliders([Plane((0.0, -0.01, 0.0))]), quiet=0.5,
-              through=_crossed(stack(thin).mesh), at_rest=True),
+              through=_crossed(_stack(thin).mesh), at_rest=True),
         FailureScene("limbs that pinch cloth between them", "two arms close on cloth and open",
               hung[0], COTTON, hung[1],
               seconds=4.0, colliders=lambda: Colliders(_arms(0.3)), direct=_pinch, speed=0.5, quiet=2.5),
