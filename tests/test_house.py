@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 
@@ -294,6 +295,33 @@ def long_functions(source: str) -> list[str]:
         elif isinstance(node, ast.ClassDef):
             left += node.body
     return found
+
+
+def test_no_module_is_over_450_lines() -> None:
+    assert [name for name, source in SOURCES.items() if source.count("\n") > 450] == []
+
+
+def public_classes(source: str) -> list[str]:
+    return [n.name for n in ast.parse(source).body if isinstance(n, ast.ClassDef) and not n.name.startswith("_")]
+
+
+def test_no_public_class_has_the_name_of_another() -> None:
+    count = Counter(name for source in SOURCES.values() for name in public_classes(source))
+    assert [name for name, times in count.items() if times > 1] == []
+    assert public_classes("class A: pass\nclass _B: pass\ndef f():\n    class C: pass") == ["A"]
+
+
+def with_many_defaults(source: str) -> list[str]:
+    """Public functions that two or more arguments can be left out of by their places."""
+    functions = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)]
+    return [one.name for one in functions if not one.name.startswith("_") and len(one.args.defaults) > 1]
+
+
+def test_second_defaults_are_given_by_name() -> None:
+    """A step of a simulation is called each frame, and so is short."""
+    found = [f"{name} {one}" for name, source in SOURCES.items() for one in with_many_defaults(source) if one != "step"]
+    assert found == []
+    assert with_many_defaults("def f(a=1, b=2): pass\ndef g(a=1, *, b=2): pass") == ["f"]
 
 
 def test_long_functions_are_exceptions() -> None:
