@@ -46,21 +46,23 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_captured_motion_is_learned_from_and_played(folder: Path) -> None:
     text = SCENE.replace(
-        'clip = "walk"\n\n[[training.clips]]', '\n[character.motion]\nfile = "walk.bvh"\n\n[[training.clips]]'
+        'clip = "walk"\n\n[[training.clips]]',
+        '\n[character.motion]\nfile = "walk.bvh"\nlabel = "march"\n\n[[training.clips]]',
     )
     text = text.replace('file = "builtin:mannequin"\nclip = "sway"', 'file = "walk.bvh"\nend = 0.5')
     stage = GarmentSetup.of(parse_scene(text, folder / "scene.toml"))
     (learned,) = stage.training_motions()
     assert (learned.name, learned.duration) == ("walk 0-0.5 s", pytest.approx(1.5))  # a second leads into it
     whole = stage.motion()
-    assert (whole.name, whole.duration) == ("walk", pytest.approx(1.0 + 19 / 30))
+    assert (whole.name, whole.duration) == ("march", pytest.approx(1.0 + 19 / 30))
     steps = whole.pose(1.6)[:, :, 3] - whole.pose(1.0)[:, :, 3]
     assert np.linalg.norm(steps, axis=1).max() > 0.2
 
 
 def test_a_captured_motion_on_a_vertex_sequence_is_refused(folder: Path) -> None:
     scene = parse_scene(SCENE, folder / "scene.toml")
-    capture = parse_scene(SCENE.replace('"builtin:mannequin"\nclip = "sway"', '"walk.bvh"'), folder / "scene.toml")
+    text = SCENE.replace('"builtin:mannequin"\nclip = "sway"', '"walk.bvh"\nlabel = "march"')
+    capture = parse_scene(text, folder / "scene.toml")
     with pytest.raises(InputError, match=r"another kind of body.*walk\.bvh.*a vertex sequence"):
         motion_of(sheet_sequence()[2], capture.training.clips[0])
     wrong = '[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\n[character]\nsequence = "body.usdc"'

@@ -154,7 +154,9 @@ def test_the_command_takes_measures_by_hand_and_says_how_fine_the_garment_is(
     made = lambda name, measures, **parameters: drafted.append((measures, parameters))  # noqa: E731
     edges: list[float] = []
     monkeypatch.setattr("assets.patterns.drafts.draft", made)
-    monkeypatch.setattr("assets.sewing.sewing.sew", lambda *parts: (edges.append(parts[3]), sewn)[1])
+    monkeypatch.setattr(
+        "assets.sewing.sewing.sew", lambda *parts, edge_length, **_: (edges.append(edge_length), sewn)[1]
+    )
     arguments = ["sew", "draft:circle_skirt", "-b", "builtin:mannequin", "-o", str(tmp_path / "garment.npz")]
     assert command.main([*arguments, "--ease", "0", "--param", "waist=0.7", "--param", "circle=0.5"]) == 0
     measures, parameters = drafted[0]

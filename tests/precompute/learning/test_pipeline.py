@@ -182,7 +182,7 @@ def test_one_database_holds_several_speeds_and_fabrics(
 def test_what_leads_to_a_motion_is_neither_learned_from_nor_judged(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = np.zeros((8, 1))
     recording = Recording("late", 2 * np.arange(1, 9), rows, rows, rows, rows, 1.0)
-    monkeypatch.setattr(pipeline, "record_runs", lambda runs, *_: [recording for _ in runs])
+    monkeypatch.setattr(pipeline, "record_runs", lambda runs, *_, report: [recording for _ in runs])
     runs = [cast(Run, SimpleNamespace(dt=0.25, lead_in=lead_in)) for lead_in in (0.0, 2.0)]
     whole, late = training_recordings(runs, Path(), 1)
     assert whole.frames.tolist() == recording.frames.tolist()
