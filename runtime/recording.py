@@ -71,7 +71,7 @@ def record(
         the file's bytes, and figures by name: how far the recorded vertices are from the player's.
 
     Raises:
-        InputError: vertices that cannot be recorded, see :func:`runtime.recording_file.quantised`; none of the truth's.
+        InputError: vertices that :func:`runtime.recording_file.quantised` refuses; a truth without a recorded frame.
     """
     dt = 1.0 / database.frame_rate
     begin, every = clip_begin(motion), max(1, round(database.frame_rate / RECORDED_HZ))

@@ -29,13 +29,19 @@ def file_state(path: Path) -> tuple[int, int] | None:
 def _referenced_files(path: Path) -> list[Path]:
     """Files that a readable file refers to: buffers and pictures of a .gltf, layers and other assets of USD."""
     if path.suffix.lower() == ".gltf":
-        content = json.loads(path.read_bytes())
+        data = path.read_bytes()
+        if data[:4] == b"glTF":  # a binary file by another name holds its buffers
+            return []
+        content = json.loads(data)
         uris = [part.get("uri", "data:") for kind in ("buffers", "images") for part in content.get(kind, [])]
         return [path.parent / unquote(uri) for uri in uris if not uri.startswith("data:")]
     if path.suffix.lower().startswith(".usd"):
-        from pxr import UsdUtils
+        from pxr import Tf, UsdUtils
 
-        layers, assets, _ = UsdUtils.ComputeAllDependencies(str(path))
+        try:
+            layers, assets, _ = UsdUtils.ComputeAllDependencies(str(path))
+        except Tf.ErrorException:  # text with a byte order mark, which the reader takes off, and USD does not
+            return []
         return [*(Path(layer.realPath) for layer in layers), *(Path(asset) for asset in assets)]
     return []
 

@@ -282,7 +282,8 @@ class Scene:
             files = [str(one.file) for one in (named[motion.name], motion)]
             if files[0] != files[1]:
                 expected = 'label = "another name" beside the file of one of them'
-                raise InputError(f"two motions with the name {motion.name!r}", received=files, expected=expected)
+                problem = f"two motions with the name {motion.name!r}"
+                raise InputError(problem, key="training", received=files, expected=expected)
 
 
 def load_scene(path: str | Path) -> Scene:

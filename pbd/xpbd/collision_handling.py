@@ -17,9 +17,8 @@ __all__ = ["CollisionHandling"]
 
 UNTANGLED = 4  # times the few edges around crossings, where curves of crossings may move while they are untangled
 MAX_MEND = 0.004  # correction of a vertex over a whole frame by which impacts are kept from happening [m]
-MAX_STRETCH = (
-    1.6  # of edges where colliding cloth is watched from a frame's start: cloth that is pinched needs room [-]
-)
+# Of edges where colliding cloth is watched from a frame's start: cloth that is pinched needs room [-].
+MAX_STRETCH = 1.6
 MAX_REPEATS = 6  # of a frame in which cloth went through itself
 
 

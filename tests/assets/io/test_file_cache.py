@@ -89,6 +89,18 @@ def test_a_usd_layer_below_another_counts(tmp_path: Path) -> None:
     assert len(reads) == 3
 
 
+def test_files_that_are_read_in_a_way_of_their_own_refer_to_nothing(tmp_path: Path) -> None:
+    """A binary glTF file that is called .gltf, and USD text with a byte order mark."""
+    binary, marked = tmp_path / "bar.gltf", tmp_path / "marked.usda"
+    bar_glb().write(binary)
+    assert load_body(binary) is load_body(binary)
+    marked.write_bytes(b"\xef\xbb\xbf#usda 1.0\n")
+    read = kept_while_unchanged(lambda file: Path(file).stat().st_size)
+    assert read(marked) == 13
+    marked.write_bytes(b"\xef\xbb\xbf#usda 1.0\n\n")
+    assert read(marked) == 14
+
+
 def test_a_clip_that_is_exported_again_plays_on_the_body_that_is_there(tmp_path: Path) -> None:
     path = bar_glb().write(tmp_path / "bar.glb")
     body, motion = load_body(path), MotionSettings(file=path, clip="bend")
