@@ -13,11 +13,11 @@ import numpy as np
 
 from pbd import Body, Fabric
 from pbd.bending import hinge_calibration
-from precompute.learning.recording import Recording, Run, body_source
+from precompute.learning.recording import Recording, Run
 from precompute.learning.stages import counted
 from precompute.learning.training import Layer, features_of, spread_frames
 from precompute.workers import Workers
-from runtime.simulation import BodySource
+from runtime.simulation import BodySource, body_source
 from wrinkles.decoder import Upsampler
 from wrinkles.dictionary import Atoms
 from wrinkles.features import DYNAMIC_COUNT

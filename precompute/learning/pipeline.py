@@ -22,7 +22,7 @@ from precompute.learning.evaluation import Evaluation, evaluate, given_frames
 from precompute.learning.kept import Kept
 from precompute.learning.novelty import fit_novelty
 from precompute.learning.options import LearningOptions
-from precompute.learning.recording import Recording, Run, body_source, record_runs
+from precompute.learning.recording import Recording, Run, record_runs
 from precompute.learning.stages import StageClock, StageTime, counted
 from precompute.learning.training import Layer, TrainingSet, build_layer, fit_layer, spread_frames, training_set
 from precompute.learning.truth import SETTLE, Truth, fine_run, settled, truth_of, truth_runs
@@ -30,6 +30,7 @@ from precompute.workers import Workers
 from runtime.garment_mesh import texture_of
 from runtime.garment_setup import GarmentSetup, colliders_of, fabrics_of, fine_options
 from runtime.report import processor_name
+from runtime.simulation import body_source
 from wrinkles.charts import leading_vertices
 from wrinkles.database import WrinkleDatabase, body_hash, code_version
 from wrinkles.database_file import as_stored, write_database

@@ -27,10 +27,10 @@ from pbd.wind import CALM, Air, Wind
 from precompute.cluster import ClusterWorkers, cache_here
 from precompute.learning.crossed import COME_APART, crossed_share
 from precompute.workers import Workers
-from runtime.simulation import Simulation, body_source, poses_of
+from runtime.simulation import Simulation, body_source
 from wrinkles.levels import Levels
 
-__all__ = ["Recording", "Run", "body_source", "move_start", "poses_of", "record_runs"]
+__all__ = ["Recording", "Run", "move_start", "record_runs"]
 
 CHUNK_ARRAYS = ("frames", "positions", "contact", "nearest", "coarse", "step_ms")
 

@@ -21,13 +21,13 @@ from pbd import InputError, Model, SolverOptions
 from pbd.attachment import Attachment
 from pbd.geometry import surface_normals
 from pbd.taichi_internals import Launch
-from precompute.learning.recording import Run, body_source, move_start
+from precompute.learning.recording import Run, move_start
 from precompute.learning.truth import Truth
 from runtime.level_of_detail import LevelOfDetail
 from runtime.plain_player import middle_levels, plain_model
 from runtime.plain_surface import PlainSurface
 from runtime.player import Player
-from runtime.simulation import BodySource, Simulation
+from runtime.simulation import BodySource, Simulation, body_source
 from wrinkles.database import WrinkleDatabase
 from wrinkles.decoder import Upsampler
 from wrinkles.levels import Levels

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from precompute.learning.evaluation import CHANCE
-from precompute.learning.recording import body_source
 from precompute.reporting.page import Chart, Heading, Picture, Point, Section, Table, Text, write_page
 from precompute.wrinkle_comparison.comparison import ERRORS, Comparison, Method, MotionComparison
 from runtime.picture_content import Drawn, frame_camera
 from runtime.pictures import render, strip
+from runtime.simulation import body_source
 
 __all__ = ["comparison_sections", "draw_methods", "plain_table", "verdict", "write_comparison"]
 

@@ -13,7 +13,7 @@ from assets.io.sequence import Sequence
 from pbd import ClothMesh, Fabric, ModelOptions, Plane, SolverOptions
 from precompute.learning import recording
 from precompute.learning.recording import Recording, record_runs
-from runtime.simulation import Simulation
+from runtime.simulation import Simulation, body_source
 from tests.data import ROOT
 from tests.precompute.learning.runs import CHUNK, FRAMES, skirt_run
 from tests.wrinkles.meshes import flat_sheet, icosphere
@@ -80,7 +80,7 @@ def test_a_run_is_recorded_every_other_frame(tmp_path: Path) -> None:
     # In the world: held vertices ride on the body, and all of it was carried 2 m off.
     held = run.levels.coarse_held
     skinned = np.zeros(run.body.vertices.shape, np.float32)
-    recording.body_source(run.body).skin(run.poses[FRAMES], np.zeros(3), skinned)
+    body_source(run.body).skin(run.poses[FRAMES], np.zeros(3), skinned)
     np.testing.assert_allclose(recorded.positions[-1, held], run.levels.coarse_attachment.targets(skinned), atol=1e-5)
     assert recorded.positions[-1, :, 2].mean() - recorded.positions[0, :, 2].mean() > 1.5
     later = recorded.where(recorded.frames > 30)
@@ -129,7 +129,7 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 from precompute.learning import recording
-from runtime.simulation import Simulation
+from runtime.simulation import Simulation, body_source
 from tests.precompute.learning.runs import CHUNK, skirt_run
 
 recording.CHUNK_SECONDS = CHUNK / 60
