@@ -21,6 +21,8 @@ _PC2_HEADER = np.dtype([("sign", "S12"), ("version", "<i4"), ("points", "<i4"), 
                         ("samples", "<i4")])  # fmt: skip
 # Median edge of the cache's first frame over that of the mesh beside: further off, they are not of one mesh.
 _EDGE_RATIOS = (0.67, 1.5)
+# A frame that is so much nearer to the mesh once its up axis is turned is of another up axis [-].
+_MUCH_NEARER = 0.5
 _MAX_UNEVEN = 0.05  # by which the steps of an MDD file may differ from their mean, in shares of it
 
 
@@ -90,7 +92,8 @@ def mesh_beside(path: Path, first: NDArray[np.float32]) -> ObjMesh:
         first: its first frame [m], shape (n, 3).
 
     Raises:
-        InputError: there is no such file, it cannot be read, or it is not the mesh of the cache.
+        InputError: there is no such file, it cannot be read, it is not the mesh of the cache, or one of both has
+            another axis up.
     """
     beside = path.with_suffix(".obj")
     if not beside.is_file():
@@ -119,7 +122,23 @@ def mesh_beside(path: Path, first: NDArray[np.float32]) -> ObjMesh:
             received=f"{ratio:.3g}",
             expected=f"{_EDGE_RATIOS[0]} to {_EDGE_RATIOS[1]}",
         )
+    if turn := _other_up(first.astype(float), mesh.vertices):
+        raise InputError(
+            "a point cache with another axis up than the mesh beside",
+            file=path,
+            received=f"frame 0 is like the mesh turned by {turn} degrees about X",
+            expected="both with Y up",
+        )
     return mesh
+
+
+def _other_up(first: NDArray[np.float64], mesh: NDArray[np.float64]) -> int | None:
+    """By how much a frame must be turned about X to be like the mesh [degrees]; None if it is as near as it stands."""
+    x, y, z = (first - first.mean(axis=0)).T
+    ways = {0: (x, y, z), 90: (x, -z, y), -90: (x, z, -y)}
+    apart = {angle: float(np.linalg.norm(np.transpose(way) - mesh + mesh.mean(axis=0))) for angle, way in ways.items()}
+    nearest = min(apart, key=lambda angle: apart[angle])
+    return nearest if apart[nearest] < _MUCH_NEARER * apart[0] else None
 
 
 def _bytes(path: Path, expected: str) -> bytes:

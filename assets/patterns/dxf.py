@@ -46,7 +46,8 @@ def read_dxf(path: Path) -> tuple[Panel, ...]:
 
     Raises:
         InputError: the file cannot be read, says no unit, has no panels, an open outline, curves beside its blocks,
-            blocks in blocks, or a block that has a cutout, no outline, or a sew line that is none of its cut line.
+            blocks in blocks, a clipped block, or a block that has a cutout, no outline, or a sew line that is none of
+            its cut line.
     """
     try:
         return _panels(path)
@@ -105,8 +106,13 @@ def _is_shown(document: Any, entity: Any) -> bool:
 
 
 def _check_insert(document: Any, insert: Any, path: Path) -> None:
-    """Refuse what would be lost of a block: copies in rows and columns, and outlines in a block inside it."""
+    """Refuse what would be lost of a block: copies in rows and columns, a clip, and outlines in a block inside it."""
+    from ezdxf.xclip import XClip
+
     key = f"block {insert.dxf.name!r}"
+    clip = XClip(insert)
+    if clip.has_clipping_path and clip.is_clipping_enabled:
+        raise InputError("a clipped block", file=path, key=key, expected="a block without clip (XCLIP, Delete)")
     if insert.mcount > 1:
         raise InputError("a block in rows and columns", file=path, key=key, expected="one insert for each piece")
     for inner in document.blocks.get(insert.dxf.name, ()):

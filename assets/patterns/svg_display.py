@@ -18,7 +18,8 @@ _NEVER_DRAWN = {"defs", "symbol", "clipPath", "mask", "marker", "pattern", "fore
 # What a style can say about the shape of an outline, beside attributes, which are read.
 _MOVED = {"transform", "translate", "rotate", "scale"}
 _GEOMETRY = _MOVED | {"d", "x", "y", "width", "height", "cx", "cy", "r", "rx", "ry"}
-_ATTRIBUTES = ("display", "visibility", "transform-origin")
+_CLIPS = ("clip-path", "mask")
+_ATTRIBUTES = ("display", "visibility", "transform-origin", *_CLIPS)
 _READ = {*_ATTRIBUTES, *_GEOMETRY}
 
 
@@ -34,8 +35,8 @@ def drawn_shapes(root: Any, path: Path) -> set[Any]:
         path: of the file, for messages.
 
     Raises:
-        InputError: a clone (use), a shape in an element other than a group, a style that changes an outline, or a style
-            sheet with other rules about what is shown; all of them are named.
+        InputError: a clone (use), a shape in an element other than a group, a style that changes an outline, a clip or
+            mask that may cut shapes off, or a style sheet with other rules about what is shown; all of them are named.
     """
     rules = _rules(root, path)
     named = {element.get("id"): element for element in root.iter()}
@@ -57,6 +58,10 @@ def drawn_shapes(root: Any, path: Path) -> set[Any]:
         if received:
             expected = "the attribute transform and those of the shape"
             errors.append(InputError("a style that changes an outline", key=key, received=received, expected=expected))
+        clips = {name: style[name] for name in _CLIPS if style.get(name, "none") != "none"}
+        if clips and _has_shapes_in(element) and not all(_is_page(clip, named, root) for clip in clips.values()):
+            expected = "outlines as they are drawn (Inkscape: Object, Clip, Release Clip)"
+            errors.append(InputError("a clip that may cut outlines off", key=key, received=clips, expected=expected))
         if kind in _SHAPES | {"use"} and visibility in ("hidden", "collapse"):
             continue
         if kind in _SHAPES and inside:
@@ -117,7 +122,31 @@ def _rules(root: Any, path: Path) -> dict[str, dict[str, str]]:
     return rules
 
 
+def _has_shapes_in(element: Any) -> bool:
+    return any(one.tag.removeprefix(_SVG) in {*_SHAPES, "use"} for one in element.iter())
+
+
+def _is_page(clip: str, named: Mapping[str | None, Any], root: Any) -> bool:
+    """Whether a clip is the page itself, which drawing programs write around everything: one rectangle around it."""
+    match = re.fullmatch(r"""url\(\s*["']?#(.+?)["']?\s*\)""", clip)
+    cut = next((one for name, one in named.items() if match and name and name.lower() == match[1]), None)
+    if cut is None:
+        return False
+    shapes = list(cut)
+    if len(shapes) != 1 or shapes[0].tag != f"{_SVG}rect" or cut.get("clipPathUnits") == "objectBoundingBox":
+        return False
+    try:
+        box = [float(word) for word in (root.get("viewBox") or "").replace(",", " ").split()]
+        x, y, width, height = (float(shapes[0].get(name) or 0.0) for name in ("x", "y", "width", "height"))
+    except ValueError:  # a length with a unit, or a bad viewBox, which is refused where it is read
+        return False
+    if len(box) != 4 or any(one.get("transform") for one in (cut, shapes[0])):
+        return False
+    around = x + width >= box[0] + box[2] and y + height >= box[1] + box[3]
+    return x <= box[0] and y <= box[1] and around
+
+
 def _has_shapes(target: str, named: Mapping[str | None, Any]) -> bool:
     """Whether what a clone stands for has outlines, or is in another file."""
     element = named.get(target.removeprefix("#")) if target.startswith("#") else None
-    return element is None or any(one.tag.removeprefix(_SVG) in {*_SHAPES, "use"} for one in element.iter())
+    return element is None or _has_shapes_in(element)

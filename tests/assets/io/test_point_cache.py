@@ -72,6 +72,8 @@ REFUSED: dict[str, tuple[str, bytes, str | None, float | None, str]] = {
     "another mesh": ("a.mdd", mdd(), QUAD.replace("f", "v 2 2 2\nf"), None, "vertices: another mesh"),
     "no faces": ("a.mdd", mdd(), QUAD[: QUAD.index("f")], None, "without faces"),
     "another scale": ("a.mdd", mdd(), SHIFTED, None, "other edges than the point cache beside"),
+    "Z up": ("a.mdd", mdd(vertices=frames()[..., [0, 2, 1]] * np.float32([1, -1, 1])), QUAD, None,
+             "another axis up than the mesh beside (received 'frame 0 is like the mesh turned by -90 degrees about X'"),
     "bad sign": ("a.pc2", b"POINTCACHE3\0" + pc2()[12:], QUAD, 25.0, "not a PC2 file"),
     "bad version": ("a.pc2", pc2(version=2), QUAD, 25.0, "version: an unknown version (received 2, expected 1)"),
     "bad step": ("a.pc2", pc2(step=np.nan), QUAD, 25.0, "sample rate: bad sample rate (received nan"),

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from ezdxf.document import Drawing
+from ezdxf.xclip import XClip
 
 from assets.patterns.curves import signed_area
 from assets.patterns.dxf import read_dxf
@@ -257,6 +258,24 @@ def test_pieces_that_would_be_lost_are_refused(tmp_path: Path) -> None:
         document.modelspace().add_blockref("front", (600, 0), {"column_count": 2, "column_spacing": 600})
 
     assert "block 'front': a block in rows and columns" in refused(tmp_path, draw, rows)
+
+
+@pytest.mark.parametrize("on", [True, False])
+def test_a_clipped_block_is_refused_while_its_clip_is_on(tmp_path: Path, on: bool) -> None:
+    def clip(document: Drawing) -> None:
+        (insert,) = document.modelspace().query("INSERT")
+        clipping = XClip(insert)
+        clipping.set_block_clipping_path([(0, 0), (250, 350)])
+        if not on:
+            clipping.disable_clipping()
+
+    def draw(block: Any) -> None:
+        closed(block, SEW, "1")
+
+    if on:
+        assert "block 'front': a clipped block" in refused(tmp_path, draw, clip)
+    else:
+        assert len(read(tmp_path, draw, clip).outline) == 4
 
 
 def test_text_and_marks_beside_pieces_are_no_panels(tmp_path: Path) -> None:

@@ -125,6 +125,9 @@ def test_what_is_hidden_is_left_out(tmp_path: Path, hidden: str) -> None:
         f'<g visibility="hidden">{BACK.replace("/>", " visibility=" + chr(34) + "visible" + chr(34) + "/>")}</g>',
         f'<style>.st0{{display:none}} @media print {{ p {{ color: red }} }}</style><g class="st00">{BACK}</g>',
         f'{BACK}<defs><text id="t">notch</text></defs><use href="#t"/>',
+        f'<clipPath id="Page"><rect width="3000" height="3000"/></clipPath><g clip-path="url(#Page)">{BACK}</g>',
+        f'<g clip-path="none" style="mask: none">{BACK}</g>',
+        f'<g clip-path="url(#x)"><text>notch</text></g>{BACK}',
     ],
 )
 def test_what_is_shown_is_read(tmp_path: Path, shown: str) -> None:
@@ -144,6 +147,9 @@ def test_what_is_shown_is_read(tmp_path: Path, shown: str) -> None:
         (f"<style>path{{d:path('M0 0')}}</style>{BACK}", "path 'back': a style that changes an outline"),
         (f"<style>g > .a {{display:none}}</style>{BACK}", "style 'g > .a': a rule that is not read"),
         (f"<style>@media print {{.a {{display:none}}}}</style>{BACK}", "a rule that is not read"),
+        (f'<g clip-path="url(#x)">{BACK}</g>', r"g: a clip that may cut outlines off .*url\(#x\)"),
+        (f"<style>.c {{clip-path: url('#c')}}</style><g class='c'>{BACK}</g>", "a clip that may cut"),
+        (BACK.replace("/>", ' style="mask:url(#m)"/>'), "path 'back': a clip that may cut"),
         (BACK.replace("/>", ' transform="rotate(9"/>'), "cannot be read: Invalid SVG transform"),
     ],
 )
