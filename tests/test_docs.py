@@ -142,6 +142,51 @@ def test_the_front_page_leads_to_pages_of_the_site() -> None:
     assert text == "[a](a.md#b) [c](python.md#examples) ![d](d.png) [e](https://f)"
 
 
+def glossary_words() -> set[str]:
+    """Words that the glossary explains, one or several to an entry."""
+    entries = re.findall(r"\*\*([^*]+)\*\*", PAGES["docs/glossary.md"])
+    return {re.sub(r"^pairs ", "", word.strip()) for entry in entries for word in entry.split(",")}
+
+
+def unexplained(text: str) -> list[str]:
+    """Words of the glossary in a text, also in the plural; symbols of one letter are capitals."""
+    patterns = {word: rf"\b{re.escape(word)}s?\b" for word in glossary_words()}
+    flags = {word: 0 if len(word) == 1 else re.IGNORECASE for word in patterns}
+    return sorted(word for word, pattern in patterns.items() if re.search(pattern, text, flags[word]))
+
+
+def test_words_of_the_glossary_are_found() -> None:
+    assert {"coarse", "truth", "layer", "hysteresis", "2HB", "C"} <= glossary_words()
+    assert unexplained("Coarse cloth, two sub-\nsteps, Frames, refine, A. cutting") == ["A", "coarse", "frame"]
+
+
+def test_the_first_lines_of_a_reader_need_no_glossary() -> None:
+    """README up to its first picture and the text that stands for it; the answer on top of the table of choices."""
+    front, picture, rest = PAGES["README.md"].partition("![")
+    assert front.startswith("# gube\n") and front.count(".") >= 2
+    assert unexplained(front + picture + rest.partition("]")[0]) == []
+    answer = PAGES["docs/when-to-use.md"].partition("\n## Words of the table")[0]
+    assert re.findall(r"^(\d)\.", answer, re.MULTILINE) == ["1", "2", "3", "4", "5"]
+    before, _, after = answer.partition("**Plain cloth** (the simulated mesh is drawn")
+    assert unexplained(before) == [] and unexplained(after) == ["plain cloth"]
+
+
+def rows(page: str) -> Iterator[list[str]]:
+    """Rows of the tables of a page, without heads."""
+    for line in re.findall(r"^\| (.*) \|$", page, re.MULTILINE):
+        yield line.split(" | ")
+
+
+def test_the_table_of_choices_has_figures_of_the_notes_and_commands_that_print_them() -> None:
+    notes = " ".join(text for name, text in PAGES.items() if "lab-notes/" in name)
+    numbers = set(re.findall(r"\d[\d.,]*\d|\d", notes))
+    for condition, _, measured, printed in list(rows(PAGES["docs/when-to-use.md"]))[1:]:
+        found = re.findall(r"\d[\d.,]*\d|\d", measured)
+        assert found and set(found) <= numbers, condition
+        lines = re.findall(r"`(gube [^`]*)`", printed)
+        assert lines and not any(refused(line) for line in lines), condition
+
+
 def test_the_navigation_names_pages_that_there_are() -> None:
     pages = [page for _, some in NAV for page in some]
     assert [page for page in pages if page not in MADE and not (ROOT / "docs" / page).is_file()] == []
