@@ -19,6 +19,7 @@ from docs.site.pages import GENERATED, TABLES, attribute_texts, options_page, sc
 from runtime.command import COMMANDS, parser
 from tests.data import ROOT
 from tests.documents import commands, prose_and_code
+from tests.sentences import paragraphs_of_code, paragraphs_of_page, unclear
 
 FILES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 PAGES = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in FILES}
@@ -140,6 +141,34 @@ def test_each_command_and_option_is_on_the_page_of_options() -> None:
 def test_the_front_page_leads_to_pages_of_the_site() -> None:
     text = front_page("[a](docs/a.md#b) [c](examples) ![d](docs/d.png) [e](https://f)")
     assert text == "[a](a.md#b) [c](python.md#examples) ![d](d.png) [e](https://f)"
+
+
+def test_sentences_are_understood_at_the_first_reading() -> None:
+    """Of documents, docstrings and comments; tests/sentences.py lists the patterns."""
+    folders = ("pbd", "assets", "wrinkles", "runtime", "precompute", "gube", "docs", "examples")
+    codes = [ROOT / "setup.py", *(path for folder in folders for path in sorted((ROOT / folder).rglob("*.py")))]
+    found = [
+        f"{name} {one}" for name, text in PAGES.items() for part in paragraphs_of_page(text) for one in unclear(part)
+    ]
+    for path in codes:
+        for part in paragraphs_of_code(path.read_text(encoding="utf-8")):
+            found += [f"{path.relative_to(ROOT)} {one}" for one in unclear(part)]
+    assert found == []
+
+
+def test_unclear_sentences_are_found() -> None:
+    page = (
+        "What is not whole is tried\nagain.\n- Its speed hangs on it.\n| a number that is none |\n\n    what is it is\n"
+    )
+    assert [len(unclear(part)) for part in paragraphs_of_page(page)] == [1, 1, 1]
+    code = '"""Told.\n\nArgs:\n    told: called.\n"""\nA = 1  # b, c and so on\n# what the\n'
+    code += "# first finds is no less\nB = 'whatever'"
+    assert [len(unclear(part)) for part in paragraphs_of_code(code)] == [1, 0, 0, 3, 0]
+    clear = (
+        "What is it that is needed? It says what was learned. What the file is and how it is read. It keeps what it"
+        " has, and a wheel needs none. What to do. What each one bends by for a bend."
+    )
+    assert unclear(clear) == []
 
 
 def glossary_words() -> set[str]:

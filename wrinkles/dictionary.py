@@ -28,7 +28,7 @@ NOISE = 0.05  # of the features in training, in standard deviations
 REGION_RATE = 0.03  # where a region goes on from what all places have learned
 BLOCK, KEPT_OUT = 20, 8  # every eighth block of twenty frames says when the fit may stop
 VALIDATED = 40_000  # samples of these that are asked: the mean loss of more is the same
-PARTS = 16  # that what the first layer gives is computed in
+PARTS = 16  # in which the outputs of the first layer are computed
 CLIP = 4.0  # features further out than this many standard deviations count as if they stood there
 
 
@@ -157,11 +157,12 @@ def fit_coefficient_network(
 ) -> CoefficientNetwork:
     """Fit the mapping on training frames: one for all places first, from which that of each region goes on.
 
-    What all places have in common is learned from all of them, and what is left is small enough to learn from a part.
+    The network learns from all places what they have in common; the rest is small enough to be learned from a part.
 
-    Features are learned from with noise on them: a garment that runs freely has at its mesh's limit folds of its own,
-    as faint as what the filter leaves of true ones there, and what hangs on these must not be raised. With the noise
-    they are whitened, so that faint directions are learned as fast as strong ones; this goes into the first layer.
+    Training adds noise to the features. A garment that runs freely has folds of its own at the limit of its mesh, as
+    faint as the true folds that the filter leaves there: without noise the network would make wrinkles from them. The
+    features with noise are whitened, so that faint directions are learned as fast as strong ones; the first layer takes
+    this over.
 
     Args:
         features: dynamic features, float32, shape (S, n, d).

@@ -118,6 +118,6 @@ def _rules(root: Any, path: Path) -> dict[str, dict[str, str]]:
 
 
 def _has_shapes(target: str, named: Mapping[str | None, Any]) -> bool:
-    """Whether what a clone stands for has outlines, or is in another file."""
+    """Whether the element that a clone stands for has outlines, or is in another file."""
     element = named.get(target.removeprefix("#")) if target.startswith("#") else None
     return element is None or any(one.tag.removeprefix(_SVG) in {*_SHAPES, "use"} for one in element.iter())

@@ -396,7 +396,7 @@ class SelfCollision:
             if self.overfull:
                 self.ready[0] = self._untangling.crossed[0, 0] = 0
                 return arguments
-            if self.ready[0] > len(self.pairs):  # what was found before is lost with the buffers
+            if self.ready[0] > len(self.pairs):  # pairs found before are lost with the buffers
                 anew = True
                 self._make_room(int(self.ready[0]) * 3 // 2)
             elif not crossings or self._untangling.has_room():
