@@ -7,7 +7,7 @@ everywhere on the garment.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 
@@ -193,21 +193,7 @@ def fit_coefficient_network(
     network.fit(samples, epochs=epochs, on_check=tell_pass)
     region = np.zeros(len(static), np.int32) if region is None else np.asarray(region, np.int32)
     heads = _fit_regions(network, samples, region, -(-epochs // 2), seed, tell)
-    single = lambda a: np.ascontiguousarray(a, np.float32)  # noqa: E731
-    weights_1, place_weights, bias_1 = scaling.unscaled(network.weights[0], network.biases[0])
-    return CoefficientNetwork(
-        single(scaling.center),
-        single(scaling.scale),
-        single(static),
-        region,
-        single(weights_1),
-        single(place_weights),
-        single(bias_1),
-        single([head.weights[0] for head in heads]),
-        single([head.biases[0] for head in heads]),
-        single([head.weights[1] * unit for head in heads]),
-        single([head.biases[1] * unit for head in heads]),
-    )
+    return _unscaled(scaling, static, region, network, heads, unit)
 
 
 @dataclass(frozen=True)
@@ -262,6 +248,36 @@ class _Scaling:
         count = len(self.center)
         weights_1, by_place = self.axes @ weights[:count], weights[count:] / self.spread_place[:, None]
         return weights_1, by_place, bias - self.middle_place @ by_place - self.middle @ weights_1
+
+
+def _unscaled(
+    scaling: _Scaling, static: np.ndarray, region: np.ndarray, network: Network, heads: Sequence[Network], unit: float
+) -> CoefficientNetwork:
+    """The network for features and coefficients as they are.
+
+    Args:
+        scaling: of the features from which it learned.
+        static: of each place, shape (n, s).
+        region: of each place, shape (n,).
+        network: of all places, whose first layer is taken.
+        heads: the other layers of each region.
+        unit: of the coefficients that it learned [m].
+    """
+    single = lambda a: np.ascontiguousarray(a, np.float32)  # noqa: E731
+    weights_1, place_weights, bias_1 = scaling.unscaled(network.weights[0], network.biases[0])
+    return CoefficientNetwork(
+        single(scaling.center),
+        single(scaling.scale),
+        single(static),
+        region,
+        single(weights_1),
+        single(place_weights),
+        single(bias_1),
+        single([head.weights[0] for head in heads]),
+        single([head.biases[0] for head in heads]),
+        single([head.weights[1] * unit for head in heads]),
+        single([head.biases[1] * unit for head in heads]),
+    )
 
 
 def _validation(frames: int, places: int, seed: int) -> np.ndarray:
