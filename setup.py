@@ -8,7 +8,7 @@ from setuptools.command.egg_info import egg_info
 
 
 class WithBillOfMaterials(egg_info):
-    """What is in the folder of this command becomes the wheel's `.dist-info`."""
+    """The files in the folder of this command become the wheel's `.dist-info`."""
 
     def run(self) -> None:
         super().run()

@@ -16,8 +16,8 @@ __all__ = ["clip_on"]
 
 Floats = NDArray[np.float64]
 
-# Of a joint from the one that it hangs on: further than this from where it lies in the bind pose it is another
-# skeleton's; and if it moves by as much, the clip means it [m].
+# Of a joint from its parent: further than this from where it lies in the bind pose it is another skeleton's; and if it
+# moves by as much, the clip means it [m].
 _MAX_GAP = 0.01
 _MAX_SCALE = 2.0  # of joints over those of the bind pose, or the other way round: more comes from another unit [-]
 _STILL = 1e-4  # a joint whose local transform changes by less does not move [m, -]
@@ -27,8 +27,8 @@ _LISTED = 12  # names in a message
 def clip_on(character: Character, animation: Animation, name: str) -> Clip:
     """A clip of an animation for the joints of a character that have the same names.
 
-    Joints go in the world where they go in the file, whatever unit its skeleton is in. A joint that the file lacks
-    stays as in the bind pose against the one that it hangs on.
+    Joints go in the world where they go in the file; the unit of its skeleton makes no difference. A joint that the
+    file lacks stays as in the bind pose against its parent.
 
     Raises:
         InputError: no such clip; two joints of one name; no joint with skin in common; joints with skin that the file
@@ -73,8 +73,8 @@ def _partners(character: Character, animation: Animation, clip: Clip) -> dict[in
     twice = [names[own] for own in used if names.count(names[own]) > 1]
     if twice:
         raise InputError("two joints of one name", file=animation.file, key="joints", received=twice[0])
-    # Joints without a partner may not hang on the same joint in both: they are likely the same by another name. What
-    # carries all common joints is none of them.
+    # Joints without a partner may not have the same parent in both: they are likely the same by another name. An
+    # ancestor of all common joints is no such partner.
     changes = [np.ptp(part, axis=0).max(axis=1) > _STILL for part in (clip.translation, clip.rotation, clip.scale)]
     carries = {joint for own in used for joint in _ancestors(animation.joint_parents, own)}
     spare: dict[int, int | None] = {}
@@ -114,7 +114,7 @@ def _unit(character: Character, partner: dict[int, int], world: Floats) -> float
 def _check_bones(character: Character, animation: Animation, partner: dict[int, int], world: Floats) -> None:
     """From the hips down to the ends, joints lie as far from one another as in the bind pose.
 
-    Where the hips lie is the clip's own matter, and so is a joint that moves against the one that it hangs on.
+    Where the hips lie is the clip's own matter, and so is a joint that moves against its parent.
     """
     bind = character.joint_transforms(*character.rest_local)
     scales = np.cbrt(np.abs(np.linalg.det(bind)))

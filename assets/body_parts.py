@@ -61,10 +61,10 @@ def _side_and_word(name: str) -> tuple[str | None, str]:
 
 
 def common_ancestor(parents: NDArray[np.int32], joints: Sequence[int]) -> int:
-    """The lowest joint that all of some joints hang on or are.
+    """The lowest joint that is each of some joints or an ancestor of it.
 
     Raises:
-        InputError: they hang on different roots.
+        InputError: they have different roots.
     """
     chains = []
     for joint in joints:

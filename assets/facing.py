@@ -17,7 +17,7 @@ _ROUNDS = 100  # of finding the plane of symmetry
 _KEPT_SHARE = 0.7  # of the pairs that lie nearest: a raised arm has no partner [-]
 _TURNED = 1e-7  # a plane that turns less than that in a round is found [-]
 _FOOT, _ANKLE = 0.02, (0.07, 0.11)  # height of soles and ankles over the stature [-]
-_OVER_FOOT = 0.02  # of the stature, beside a foot: what is nearer is the ankle over it, not a leg that is lifted [-]
+_OVER_FOOT = 0.02  # of the stature, beside a foot: a nearer point is the ankle over it, not a leg that is lifted [-]
 _LEAST_FOOT = 0.01  # of the stature, by which a foot's middle lies ahead of the ankle [-]
 
 

@@ -111,7 +111,7 @@ def project(field: Field, points: Floats, steps: int = 3) -> Floats:
 
 
 def surface_mesh(field: Field, low: Floats, high: Floats, spacing: float) -> tuple[Floats, Faces]:
-    """Mesh the zero set inside a box by marching tetrahedra: closed and manifold whatever the shape.
+    """Mesh the zero set inside a box by marching tetrahedra: closed and manifold for any shape.
 
     Args:
         field: the solid.

@@ -1,6 +1,6 @@
 """Loads what a scene names: characters and their clips, garments, and bodies to sew on, from files or built in.
 
-What only some files need is imported where it is used.
+A package that only some files need is imported where it is used.
 """
 
 from __future__ import annotations

@@ -176,7 +176,7 @@ def uppermost_joints(character: Character) -> NDArray[np.intp]:
     carried = np.zeros(character.joint_count)
     np.add.at(carried, character.joint_indices.ravel(), character.joint_weights.ravel().astype(np.float64))
     carries = carried >= min(0.001 * carried.sum(), carried.max())
-    below = np.zeros(character.joint_count, dtype=bool)  # hangs on a joint that carries skin
+    below = np.zeros(character.joint_count, dtype=bool)  # lies below a joint that carries skin
     for joint, parent in enumerate(character.joint_parents):
         below[joint] = parent >= 0 and (below[parent] or carries[parent])
     tops = np.flatnonzero(~below & carries)

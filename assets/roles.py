@@ -69,13 +69,13 @@ def find_roles(character: Character) -> dict:
 
 
 def _between(character: Character, low: int, high: int) -> list[int]:
-    """Joints above `low` on the way up to and with `high`; none if `high` does not hang on `low`."""
+    """Joints above `low` on the way up to and with `high`; none if `low` is no descendant of `high`."""
     chain = list(upwards(character, high))
     return chain[: chain.index(low)][::-1] if low in chain else []
 
 
 def upwards(character: Character, joint: int) -> Iterator[int]:
-    """Yield the joint, its parent, and so on up to the root."""
+    """Yield the joint and its ancestors, up to the root."""
     while joint >= 0:
         yield joint
         joint = int(character.joint_parents[joint])

@@ -1,4 +1,4 @@
-"""A garment in a game loop: fixed ticks whatever the frame rate, live input, wind and a pull at the hem.
+"""A garment in a game loop: fixed ticks at any frame rate, live input, wind and a pull at the hem.
 
 The loop plays a gube.Simulation here; a gube.Player of a wrinkle database is played by the same lines. It takes some
 seconds, one of them by the clock.

@@ -97,7 +97,7 @@ def ensure_initialized(arch: str | None = None, *, threads: int | None = None) -
         arch, count = arch or "cpu", threads or int(wish) or _cores()
         _remove_left_lock()
         others = _threads()
-        with redirect_stdout(io.StringIO()):  # Taichi prints the arch, whatever its log level
+        with redirect_stdout(io.StringIO()):  # Taichi prints the arch at every log level
             ti.init(
                 arch=ti.cpu if arch == "cpu" else ti.cuda,
                 cpu_max_num_threads=count,

@@ -72,7 +72,7 @@ def closest_on_triangle(p, a, b, c):
         w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
         v = 1.0 - w
     else:
-        # All three are positive but for a sliver's rounding; clamped, the point stays on the triangle whatever happens.
+        # All three are positive but for a sliver's rounding; clamped, the point always stays on the triangle.
         u, v, w = ti.max(va, 0.0), ti.max(vb, 0.0), ti.max(vc, 0.0)
         total = u + v + w
         if total > 0:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -59,7 +60,7 @@ def layered(models: Sequence[Model], vertices: Sequence[np.ndarray] | None = Non
     """One model of several garments, from the innermost outwards.
 
     Contact knows one fabric: the greatest thickness of all, which does not give way, the least friction, and the drag
-    of the innermost garment. Over 60 lines: most of them list the fields of a model.
+    of the innermost garment.
 
     Args:
         models: from the innermost outwards, at least one.
@@ -77,86 +78,121 @@ def layered(models: Sequence[Model], vertices: Sequence[np.ndarray] | None = Non
         raise InputError("layers that differ", key=key, received=scales, expected=expected)
     counts = [model.vertex_count for model in models]
     numbers = np.split(np.arange(sum(counts)), np.cumsum(counts)[:-1]) if vertices is None else list(vertices)
+    joined = _Joined(models, numbers)
+    fabrics = [model.fabric for model in models]
+    thickness, friction = max(f.thickness for f in fabrics), min(f.friction for f in fabrics)
+    pressed = [np.resize(model.pressure, model.vertex_count) for model in models]  # nothing becomes zeros
+    return replace(
+        models[0],
+        mesh=_joined_mesh([model.mesh for model in models], numbers),
+        fabric=replace(fabrics[0], thickness=thickness, friction=friction, compression=0.0),
+        mass=joined.by_vertex([model.mass for model in models]),
+        inverse_mass=joined.by_vertex([model.inverse_mass for model in models]),
+        held=np.sort(joined.renumbered("held")),
+        stitches=joined.renumbered("stitches"),
+        stitch_weights=joined.values("stitch_weights"),
+        stitch_gaps=joined.values("stitch_gaps"),
+        tethers=joined.renumbered("tethers"),
+        tether_lengths=joined.values("tether_lengths"),
+        pressure=joined.by_vertex(pressed) if any(len(model.pressure) for model in models) else models[0].pressure,
+        layer=joined.by_vertex([np.full(count, number, np.int32) for number, count in enumerate(counts)]),
+        limits=_joined_limits(joined),
+        **_joined_triangles(joined),
+        **_joined_hinges(joined),
+        **_joined_samples(joined),
+    )
 
-    def renumbered(name: str, of: Sequence = models) -> np.ndarray:
-        parts = [number[getattr(part, name)] for part, number in zip(of, numbers, strict=True)]
-        return np.concatenate(parts).astype(np.int32)
 
-    def joined(name: str) -> np.ndarray:
-        return np.concatenate([getattr(model, name) for model in models])
+class _Joined:
+    """Arrays of several models as those of one.
 
-    def by_vertex(values: Sequence[np.ndarray]) -> np.ndarray:
-        placed = np.zeros((sum(counts), *values[0].shape[1:]), values[0].dtype)
-        for number, value in zip(numbers, values, strict=True):
+    Args:
+        models: from the innermost outwards.
+        numbers: of each one's vertices in the model of all, int, shapes (k,).
+    """
+
+    def __init__(self, models: Sequence[Model], numbers: Sequence[np.ndarray]) -> None:
+        self.models, self.numbers = models, numbers
+        self.vertex_count = sum(model.vertex_count for model in models)
+
+    def values(self, name: str) -> np.ndarray:
+        """Values of an attribute, one garment after the other."""
+        return np.concatenate([getattr(model, name) for model in self.models])
+
+    def renumbered(self, name: str, of: Sequence | None = None) -> np.ndarray:
+        """An attribute that numbers vertices, one garment after the other; ``of``: parts of the models that have it."""
+        parts = zip(self.models if of is None else of, self.numbers, strict=True)
+        return np.concatenate([number[getattr(part, name)] for part, number in parts]).astype(np.int32)
+
+    def by_vertex(self, values: Sequence[np.ndarray]) -> np.ndarray:
+        """Values of the vertices of each garment, at the places of the vertices."""
+        placed = np.zeros((self.vertex_count, *values[0].shape[1:]), values[0].dtype)
+        for number, value in zip(self.numbers, values, strict=True):
             placed[number] = value
         return placed
 
-    def by_color(colors: str, skip: int = 0) -> tuple[np.ndarray, np.ndarray]:
-        sizes = [np.diff(getattr(model, colors))[skip:] for model in models]
+    def by_color(self, colors: str, skip: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """Order of constraints by colour after the first ``skip`` ones, and where each colour starts and ends."""
+        sizes = [np.diff(getattr(model, colors))[skip:] for model in self.models]
         color = np.concatenate([np.repeat(np.arange(len(size)), size) for size in sizes])
         ends = np.concatenate([[0], np.cumsum(np.bincount(color, minlength=1))]).astype(np.int32)
         return np.argsort(color, kind="stable"), ends
 
-    mesh = _joined_mesh([model.mesh for model in models], numbers)
-    # Vertices are the first colour of the samples: each one's own number is that of its sample.
-    edge_order, edge_colors = by_color("sample_colors", skip=1)
-    edges = np.concatenate([n[model.samples[len(n) :]] for model, n in zip(models, numbers, strict=True)])[edge_order]
-    alone = np.repeat(np.arange(sum(counts))[:, None], 2, axis=1)
-    triangle_order, triangle_colors = by_color("triangle_colors")
-    hinge_order, hinge_colors = by_color("hinge_colors")
-    # With friction in one of them, every hinge and every triangle has a place in the state.
-    hinge_counts = [max(model.plastic_count, 1 + model.hinge_numbers.max(initial=-1)) for model in models]
-    before = np.cumsum([0, *hinge_counts])
-    hinge_numbers = np.concatenate([model.hinge_numbers + n for model, n in zip(models, before, strict=False)])
-    plastic_count = int(before[-1]) if any(model.plastic_count for model in models) else 0
-    face_counts = [len(model.triangles) for model in models]
-    before = np.cumsum([0, *face_counts])
-    triangle_numbers = np.concatenate([m.triangle_numbers + n for m, n in zip(models, before, strict=False)])
-    shear_count = sum(face_counts) if any(model.plastic_shear_count for model in models) else 0
-    blocks, block_colors = blocks_of(triangle_colors)
-    values = np.pad(_triangle_rows(models)[:, triangle_order], ((0, 0), (0, BLOCK)))
-    fabrics = [model.fabric for model in models]
-    pressed = [np.resize(model.pressure, model.vertex_count) for model in models]  # nothing becomes zeros
-    limits = [model.limits for model in models]
-    limited = renumbered("vertices", limits)
-    ascending = np.argsort(limited)
-    thickness, friction = max(f.thickness for f in fabrics), min(f.friction for f in fabrics)
-    return replace(
-        models[0],
-        mesh=mesh,
-        fabric=replace(fabrics[0], thickness=thickness, friction=friction, compression=0.0),
-        mass=by_vertex([model.mass for model in models]),
-        inverse_mass=by_vertex([model.inverse_mass for model in models]),
-        held=np.sort(renumbered("held")),
-        triangles=renumbered("triangles")[triangle_order],
-        triangle_blocks=blocks,
-        block_colors=block_colors,
-        triangle_data=values,
-        triangle_numbers=triangle_numbers[triangle_order].astype(np.int32),
-        plastic_shear_count=shear_count,
-        triangle_colors=triangle_colors,
-        hinges=renumbered("hinges")[hinge_order],
-        hinge_data=joined("hinge_data")[hinge_order],
-        hinge_numbers=hinge_numbers[hinge_order].astype(np.int32),
-        plastic_count=plastic_count,
-        hinge_colors=hinge_colors,
-        stitches=renumbered("stitches"),
-        stitch_weights=joined("stitch_weights"),
-        stitch_gaps=joined("stitch_gaps"),
-        tethers=renumbered("tethers"),
-        tether_lengths=joined("tether_lengths"),
-        samples=np.concatenate([alone, edges]).astype(np.int32),
-        sample_colors=np.concatenate([[0], len(alone) + edge_colors]).astype(np.int32),
-        pressure=by_vertex(pressed) if any(len(model.pressure) for model in models) else models[0].pressure,
-        limits=Limits(
-            limited[ascending],
-            *(
-                np.concatenate([getattr(part, name) for part in limits])[ascending]
-                for name in ("maximum_distance", "backstop", "stiffness")
-            ),
-        ),
-        layer=by_vertex([np.full(count, number, np.int32) for number, count in enumerate(counts)]),
-    )
+    def shifted(self, name: str, counts: Sequence[int]) -> np.ndarray:
+        """Numbers among ``counts`` places of each garment, one garment's places after the other's."""
+        before = np.cumsum([0, *counts])
+        return np.concatenate([getattr(m, name) + n for m, n in zip(self.models, before, strict=False)])
+
+
+def _joined_triangles(joined: _Joined) -> dict[str, Any]:
+    """The fields of a model about triangles. With friction in one garment, every triangle has a place in the state."""
+    order, colors = joined.by_color("triangle_colors")
+    counts = [len(model.triangles) for model in joined.models]
+    blocks, block_colors = blocks_of(colors)
+    return {
+        "triangles": joined.renumbered("triangles")[order],
+        "triangle_blocks": blocks,
+        "block_colors": block_colors,
+        "triangle_data": np.pad(_triangle_rows(joined.models)[:, order], ((0, 0), (0, BLOCK))),
+        "triangle_numbers": joined.shifted("triangle_numbers", counts)[order].astype(np.int32),
+        "plastic_shear_count": sum(counts) if any(model.plastic_shear_count for model in joined.models) else 0,
+        "triangle_colors": colors,
+    }
+
+
+def _joined_hinges(joined: _Joined) -> dict[str, Any]:
+    """The fields of a model about hinges. With friction in one garment, every hinge has a place in the state."""
+    order, colors = joined.by_color("hinge_colors")
+    counts = [max(model.plastic_count, 1 + model.hinge_numbers.max(initial=-1)) for model in joined.models]
+    return {
+        "hinges": joined.renumbered("hinges")[order],
+        "hinge_data": joined.values("hinge_data")[order],
+        "hinge_numbers": joined.shifted("hinge_numbers", counts)[order].astype(np.int32),
+        "plastic_count": int(sum(counts)) if any(model.plastic_count for model in joined.models) else 0,
+        "hinge_colors": colors,
+    }
+
+
+def _joined_samples(joined: _Joined) -> dict[str, Any]:
+    """The fields of a model about contact samples: the vertices, which are the first colour, then middles of edges."""
+    order, colors = joined.by_color("sample_colors", skip=1)
+    pairs = zip(joined.models, joined.numbers, strict=True)
+    edges = np.concatenate([number[model.samples[len(number) :]] for model, number in pairs])[order]
+    alone = np.repeat(np.arange(joined.vertex_count)[:, None], 2, axis=1)
+    return {
+        "samples": np.concatenate([alone, edges]).astype(np.int32),
+        "sample_colors": np.concatenate([[0], len(alone) + colors]).astype(np.int32),
+    }
+
+
+def _joined_limits(joined: _Joined) -> Limits:
+    """The limits of all garments, their vertices ascending."""
+    limits = [model.limits for model in joined.models]
+    limited = joined.renumbered("vertices", limits)
+    order = np.argsort(limited)
+    names = ("maximum_distance", "backstop", "stiffness")
+    values = (np.concatenate([getattr(part, name) for part in limits])[order] for name in names)
+    return Limits(limited[order], *values)
 
 
 def fastened(model: Model, vertices: np.ndarray) -> Model:

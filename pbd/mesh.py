@@ -234,8 +234,8 @@ class ClothMesh:
         """The mesh in space is the rest shape; the warp is a direction in space laid into each face.
 
         Raises:
-            InputError: arrays of another shape, values that are not finite, faces that are none, or a warp without
-                direction.
+            InputError: arrays of another shape, values that are not finite, faces of vertices
+                that are not there, or a warp without direction.
         """
         vertices, faces = np.asarray(floats(vertices, "vertices", ("n", 3)), float), _checked_faces(faces, vertices)
         direction = floats(warp, "warp", (3,))
@@ -252,7 +252,7 @@ class ClothMesh:
         Mirrored panels keep their lengths; only the sign of the second axis changes.
 
         Raises:
-            InputError: arrays of another shape, values that are not finite, or faces that are none.
+            InputError: arrays of another shape, values that are not finite, or faces of vertices that are not there.
         """
         faces = _checked_faces(faces, vertices)
         pattern = floats(pattern, "pattern", (len(faces), 3, 2))

@@ -89,7 +89,7 @@ class Model:
             compliance alone would bear the force of internal friction [m], 0 without; shape (h, 2, 4). Where the fabric
             is stiff, hinges are stiffer at free borders, see :func:`pbd.bending.border_share`.
         hinge_numbers: place of each hinge in ``State.plastic_bends``, int32, shape (h,).
-        plastic_count: how many of these there are: one for each hinge of the mesh, whatever is held, or 0 where no
+        plastic_count: how many of these there are: one for each hinge of the mesh, also of held vertices, or 0 where no
             hinge has internal friction.
         stitches: (v, a, b), shape (s, 3); ``stitch_weights``: position of v between a (0) and b (1), shape (s,).
         stitch_gaps: how far v may be from there [m], float32, shape (s,).
@@ -231,7 +231,7 @@ def _stitches(mesh: ClothMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _shared(mass: np.ndarray, mesh: ClothMesh) -> np.ndarray:
     """Masses evened out over the stitches; their sum stays [kg], shape (n,).
 
-    Vertices that are sewn together move as one, whatever their shares of the mass. Without this, a light corner of a
+    Vertices that are sewn together move as one, also with unequal masses. Without this, a light corner of a
     panel that is sewn to heavy cloth would take nearly all of a stitch's correction, and pass on almost no tension.
     """
     if not len(mesh.stitches):

@@ -44,7 +44,7 @@ _caches: dict[Path, Path] = {}  # folder of the client: the same one where this 
 class ClusterWorkers(Workers):
     """Processes of a Dask cluster, which need no files of this machine.
 
-    Whatever a job needs travels with it: arguments that several jobs share are sent once, by the hash of their content.
+    All that a job needs travels with it: arguments that several jobs share are sent once, by the hash of their content.
     A job whose process ends is run again by another. Results do not depend on the cluster.
 
     Args:
@@ -168,7 +168,7 @@ class ClusterWorkers(Workers):
             _call, pickle.dumps((function, named)), packed, _version(), (self._cache, self._token),
             key=f"{getattr(function, '__name__', 'job').strip('_')}-{uuid.uuid4().hex}",
             workers=where, allow_other_workers=where is not None, pure=False,
-            priority=0 if where is None else 1,  # what has begun goes on first, while its process knows it
+            priority=0 if where is None else 1,  # jobs that have begun go on first, while the process knows them
         )  # fmt: skip
 
     def _packed(self, argument: Any) -> Any:
@@ -177,7 +177,7 @@ class ClusterWorkers(Workers):
         if len(content) < LARGE:
             return content
         digest = hashlib.sha256(content).hexdigest()
-        # As a task, and not scattered: what is lost with a worker is then made again. Under a key of its
+        # As a task, and not scattered: data lost with a worker are then made again. Under a key of its
         # own each time: data that come again under a key that is being released may be lost.
         future = self._sent.pop(digest, None) or self._client.submit(bytes, content, key=f"{digest}-{uuid.uuid4().hex}")
         self._sent[digest] = future

@@ -125,7 +125,7 @@ class _Clock(StageClock):
     Args:
         seconds: that each of STAGES is expected to take [s].
         workers: of all stages.
-        say: told what is to stay on the screen.
+        say: called with lines that stay on the screen.
         report: called with lines of progress.
     """
 
@@ -175,7 +175,7 @@ def run_demo(
         output: folder for everything; simulated runs are kept in it and found again.
         demo: the short one or the full one.
         workers: processes that simulate.
-        say: told what is to stay on the screen: the stages as they begin, and that the first picture is there.
+        say: called with lines that stay on the screen: the stages as they begin, and that the first picture is there.
         report: called with lines of progress.
     """
     from precompute.wrinkle_comparison.compare import compare, write_choice

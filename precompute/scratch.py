@@ -22,7 +22,7 @@ def scratch_folder() -> Iterator[Path]:
     """A new folder among the temporary files, which goes when the block ends.
 
     A process that was killed could not remove its own: those of processes that no longer live are removed first. The
-    system takes back the lock of such a process, whatever ended it.
+    system takes back the lock of any process that has ended.
     """
     _remove_left()
     with tempfile.TemporaryDirectory(prefix=PREFIX, ignore_cleanup_errors=True) as name:

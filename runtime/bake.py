@@ -188,7 +188,7 @@ def bake_mdd(
 def bake_obj(
     path: str | os.PathLike[str], faces: np.ndarray, frames: np.ndarray, texture: np.ndarray | None = None
 ) -> list[Path]:
-    """Write one OBJ a frame: ``dress.obj`` gives ``dress_0000.obj``, ``dress_0001.obj`` and so on.
+    """Write one OBJ a frame: ``dress.obj`` gives ``dress_0000.obj`` for the first, ``dress_0001.obj`` for the next.
 
     Args:
         path: name that the files' names are made from.

@@ -26,7 +26,7 @@ def check_step(pose: np.ndarray | None, shape: tuple[int, ...], dt: float = 0.0,
 
 
 def check_drag(vertex: int, target: np.ndarray | None, count: int) -> int:
-    """Refuse to hold a vertex that is none of ``count``, or at a point that is none; return the vertex.
+    """Refuse to hold a vertex beyond ``count``, or at a point that is not finite; return the vertex.
 
     Raises:
         InputError: see above.

@@ -56,7 +56,7 @@ def _members(database: WrinkleDatabase, names: set[str]) -> tuple[np.ndarray, np
 def take_over(before: Simulation, now: Simulation, stay: Stay) -> None:
     """Bring a simulation to the place and time of another, on the same body, and the garments that stay on to theirs.
 
-    What was dragged is free, and what is put on has no creases.
+    A dragged vertex is let go, and a garment that is put on has no creases.
     """
     state, old = now.state, before.state
     now.body, now.colliders, now.time = before.body, before.colliders, before.time

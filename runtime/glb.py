@@ -108,8 +108,8 @@ class GlbFile:
         """A skinned mesh and its joints, each of which moves by itself.
 
         A skinning matrix is the joint's place times its inverse bind matrix. Any bind place will do: joints stand
-        upright where the character has them. They hang on one node and not on each other, so that scaled joints need no
-        shear; from key to key a joint goes straight, as the garment's vertices do.
+        upright where the character has them. They are children of one node and not of each other, so that scaled joints
+        need no shear; from key to key a joint goes straight, as the garment's vertices do.
         """
         gl, document = self._gl, self._document
         poses = np.asarray(poses, np.float64)

@@ -48,6 +48,6 @@ class Moment(NamedTuple):
         if pose is None:
             return
         body = simulation.body
-        probes = body.probes, body.probe_weights  # chosen by the first pose, by which the whole motion is told
+        probes = body.probes, body.probe_weights  # chosen by the first pose, for the whole motion
         simulation.place_body(pose)
         body.probes, body.probe_weights = probes

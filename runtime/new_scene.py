@@ -111,7 +111,7 @@ def write_new_scene(
     text = "\n".join(_lines(body, motions, found, folder)) + "\n"
     scene = parse_scene(text, path.absolute())
     report("loading the scene")
-    simulation_of(scene)  # what cannot be simulated is refused here, not later
+    simulation_of(scene)  # a scene that cannot be simulated is refused here, not later
     with replacing(path) as beside:
         beside.write_text(text, encoding="utf-8")
     return NewScene(text, scene, body, motions, tuple(found))

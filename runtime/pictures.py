@@ -34,8 +34,8 @@ def render(
     """Draw meshes in a neutral studio: a key light that rakes from the side, soft shadow, ambient occlusion.
 
     The window, and the meshes whose faces and pattern stay the same, are kept from one picture to the next. The same
-    meshes give the same pixels on the same machine, whatever was drawn before. Several threads must not call this at
-    the same time.
+    meshes give the same pixels on the same machine; earlier pictures make no difference. Several threads must not call
+    this at the same time.
 
     Args:
         meshes: the meshes of the picture.

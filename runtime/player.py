@@ -86,7 +86,7 @@ class Player:
         self._dress(database, start)
 
     def _dress(self, database: WrinkleDatabase, start: np.ndarray) -> None:
-        """Make all that hangs on the garments that are worn, at a pose of the body."""
+        """Make all that depends on the garments that are worn, at a pose of the body."""
         source = self._source
         self.database = database
         self.levels: Levels = database.levels(source.vertices, source.faces)
@@ -114,9 +114,9 @@ class Player:
         return garment_names(self.database)
 
     def wear(self, names: Iterable[str]) -> None:
-        """Put garments of an outfit on and take others off; what stays on goes on as it is, and nothing of it pops.
+        """Put garments of an outfit on and take others off; those that stay on keep their state, without a jump.
 
-        What is put on is placed where the body carries it from the bind pose, and finds its place within this call.
+        A garment that is put on is placed where the body carries it from the bind pose, and settles within this call.
         ``database``, ``levels``, ``simulation``, ``vertices`` and ``normals`` are others after it. The first call with
         a set of garments makes what these need in a second or two; the player keeps that for the next time, so that
         taking off then costs a few frames and putting on some tenths of a second. A vertex that was dragged is free.

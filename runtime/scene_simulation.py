@@ -1,4 +1,4 @@
-"""The simulation of a scene: its garments on their body, or one garment that hangs on its pins."""
+"""The simulation of a scene: its garments on their body, or one garment that hangs from its pins."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def garments_of(scene: Scene, simulation: Simulation) -> dict[str, np.ndarray] |
 def simulation_of(
     scene: Scene, fine: bool = False, *, report: Callable[[str], None] | None = None
 ) -> tuple[Simulation, Motion | None]:
-    """The simulation of a scene at its start: garments on a body, or one garment that hangs on its pins.
+    """The simulation of a scene at its start: garments on a body, or one garment that hangs from its pins.
 
     Args:
         scene: with one garment, or on a body with several.

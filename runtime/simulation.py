@@ -202,7 +202,7 @@ class Simulation:
     def fasten(self, number: int, closed: bool) -> None:
         """Close or open what fastens a garment of an outfit to those below it.
 
-        What is closed comes together at :data:`CLOSING_SPEED`.
+        The two sides of a closing come together at :data:`CLOSING_SPEED`.
 
         Args:
             number: of the garment, from the innermost, 0, outwards.

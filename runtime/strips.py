@@ -31,7 +31,7 @@ def draw_strips(
     numbers: np.ndarray,
     dt: float,
 ) -> list[Path]:
-    """Draw frames, each as a strip of pictures side by side, into ``folder / NAME_0010.png`` and so on.
+    """Draw frames, each as a strip of pictures side by side; frame 10 goes into ``folder / NAME_0010.png``.
 
     Args:
         folder: where the files are written.

@@ -19,6 +19,7 @@ from docs.site.pages import GENERATED, TABLES, attribute_texts, options_page, sc
 from runtime.command import COMMANDS, parser
 from tests.data import ROOT
 from tests.documents import commands, prose_and_code
+from tests.sentences import paragraphs_of_code, paragraphs_of_page, unclear
 
 FILES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 PAGES = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in FILES}
@@ -140,6 +141,79 @@ def test_each_command_and_option_is_on_the_page_of_options() -> None:
 def test_the_front_page_leads_to_pages_of_the_site() -> None:
     text = front_page("[a](docs/a.md#b) [c](examples) ![d](docs/d.png) [e](https://f)")
     assert text == "[a](a.md#b) [c](python.md#examples) ![d](d.png) [e](https://f)"
+
+
+def test_sentences_are_understood_at_the_first_reading() -> None:
+    """Of documents, docstrings and comments; tests/sentences.py lists the patterns."""
+    folders = ("pbd", "assets", "wrinkles", "runtime", "precompute", "gube", "docs", "examples")
+    codes = [ROOT / "setup.py", *(path for folder in folders for path in sorted((ROOT / folder).rglob("*.py")))]
+    found = [
+        f"{name} {one}" for name, text in PAGES.items() for part in paragraphs_of_page(text) for one in unclear(part)
+    ]
+    for path in codes:
+        for part in paragraphs_of_code(path.read_text(encoding="utf-8")):
+            found += [f"{path.relative_to(ROOT)} {one}" for one in unclear(part)]
+    assert found == []
+
+
+def test_unclear_sentences_are_found() -> None:
+    page = (
+        "What is not whole is tried\nagain.\n- Its speed hangs on it.\n| a number that is none |\n\n    what is it is\n"
+    )
+    assert [len(unclear(part)) for part in paragraphs_of_page(page)] == [1, 1, 1]
+    code = '"""Told.\n\nArgs:\n    told: called.\n"""\nA = 1  # b, c and so on\n# what the\n'
+    code += "# first finds is no less\nB = 'whatever'"
+    assert [len(unclear(part)) for part in paragraphs_of_code(code)] == [1, 0, 0, 3, 0]
+    clear = (
+        "What is it that is needed? It says what was learned. What the file is and how it is read. It keeps what it"
+        " has, and a wheel needs none. What to do. What each one bends by for a bend."
+    )
+    assert unclear(clear) == []
+
+
+def glossary_words() -> set[str]:
+    """Words that the glossary explains, one or several to an entry."""
+    entries = re.findall(r"\*\*([^*]+)\*\*", PAGES["docs/glossary.md"])
+    return {re.sub(r"^pairs ", "", word.strip()) for entry in entries for word in entry.split(",")}
+
+
+def unexplained(text: str) -> list[str]:
+    """Words of the glossary in a text, also in the plural; symbols of one letter are capitals."""
+    patterns = {word: rf"\b{re.escape(word)}s?\b" for word in glossary_words()}
+    flags = {word: 0 if len(word) == 1 else re.IGNORECASE for word in patterns}
+    return sorted(word for word, pattern in patterns.items() if re.search(pattern, text, flags[word]))
+
+
+def test_words_of_the_glossary_are_found() -> None:
+    assert {"coarse", "truth", "layer", "hysteresis", "2HB", "C"} <= glossary_words()
+    assert unexplained("Coarse cloth, two sub-\nsteps, Frames, refine, A. cutting") == ["A", "coarse", "frame"]
+
+
+def test_the_first_lines_of_a_reader_need_no_glossary() -> None:
+    """README up to its first picture and the text that stands for it; the answer on top of the table of choices."""
+    front, picture, rest = PAGES["README.md"].partition("![")
+    assert front.startswith("# gube\n") and front.count(".") >= 2
+    assert unexplained(front + picture + rest.partition("]")[0]) == []
+    answer = PAGES["docs/when-to-use.md"].partition("\n## Words of the table")[0]
+    assert re.findall(r"^(\d)\.", answer, re.MULTILINE) == ["1", "2", "3", "4", "5"]
+    before, _, after = answer.partition("**Plain cloth** (the simulated mesh is drawn")
+    assert unexplained(before) == [] and unexplained(after) == ["plain cloth"]
+
+
+def rows(page: str) -> Iterator[list[str]]:
+    """Rows of the tables of a page, without heads."""
+    for line in re.findall(r"^\| (.*) \|$", page, re.MULTILINE):
+        yield line.split(" | ")
+
+
+def test_the_table_of_choices_has_figures_of_the_notes_and_commands_that_print_them() -> None:
+    notes = " ".join(text for name, text in PAGES.items() if "lab-notes/" in name)
+    numbers = set(re.findall(r"\d[\d.,]*\d|\d", notes))
+    for condition, _, measured, printed in list(rows(PAGES["docs/when-to-use.md"]))[1:]:
+        found = re.findall(r"\d[\d.,]*\d|\d", measured)
+        assert found and set(found) <= numbers, condition
+        lines = re.findall(r"`(gube [^`]*)`", printed)
+        assert lines and not any(refused(line) for line in lines), condition
 
 
 def test_the_navigation_names_pages_that_there_are() -> None:

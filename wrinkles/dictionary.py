@@ -7,7 +7,7 @@ everywhere on the garment.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 
@@ -28,7 +28,7 @@ NOISE = 0.05  # of the features in training, in standard deviations
 REGION_RATE = 0.03  # where a region goes on from what all places have learned
 BLOCK, KEPT_OUT = 20, 8  # every eighth block of twenty frames says when the fit may stop
 VALIDATED = 40_000  # samples of these that are asked: the mean loss of more is the same
-PARTS = 16  # that what the first layer gives is computed in
+PARTS = 16  # in which the outputs of the first layer are computed
 CLIP = 4.0  # features further out than this many standard deviations count as if they stood there
 
 
@@ -157,11 +157,12 @@ def fit_coefficient_network(
 ) -> CoefficientNetwork:
     """Fit the mapping on training frames: one for all places first, from which that of each region goes on.
 
-    What all places have in common is learned from all of them, and what is left is small enough to learn from a part.
+    The network learns from all places what they have in common; the rest is small enough to be learned from a part.
 
-    Features are learned from with noise on them: a garment that runs freely has at its mesh's limit folds of its own,
-    as faint as what the filter leaves of true ones there, and what hangs on these must not be raised. With the noise
-    they are whitened, so that faint directions are learned as fast as strong ones; this goes into the first layer.
+    Training adds noise to the features. A garment that runs freely has folds of its own at the limit of its mesh, as
+    faint as the true folds that the filter leaves there: without noise the network would make wrinkles from them. The
+    features with noise are whitened, so that faint directions are learned as fast as strong ones; the first layer takes
+    this over.
 
     Args:
         features: dynamic features, float32, shape (S, n, d).
@@ -192,21 +193,7 @@ def fit_coefficient_network(
     network.fit(samples, epochs=epochs, on_check=tell_pass)
     region = np.zeros(len(static), np.int32) if region is None else np.asarray(region, np.int32)
     heads = _fit_regions(network, samples, region, -(-epochs // 2), seed, tell)
-    single = lambda a: np.ascontiguousarray(a, np.float32)  # noqa: E731
-    weights_1, place_weights, bias_1 = scaling.unscaled(network.weights[0], network.biases[0])
-    return CoefficientNetwork(
-        single(scaling.center),
-        single(scaling.scale),
-        single(static),
-        region,
-        single(weights_1),
-        single(place_weights),
-        single(bias_1),
-        single([head.weights[0] for head in heads]),
-        single([head.biases[0] for head in heads]),
-        single([head.weights[1] * unit for head in heads]),
-        single([head.biases[1] * unit for head in heads]),
-    )
+    return _unscaled(scaling, static, region, network, heads, unit)
 
 
 @dataclass(frozen=True)
@@ -261,6 +248,36 @@ class _Scaling:
         count = len(self.center)
         weights_1, by_place = self.axes @ weights[:count], weights[count:] / self.spread_place[:, None]
         return weights_1, by_place, bias - self.middle_place @ by_place - self.middle @ weights_1
+
+
+def _unscaled(
+    scaling: _Scaling, static: np.ndarray, region: np.ndarray, network: Network, heads: Sequence[Network], unit: float
+) -> CoefficientNetwork:
+    """The network for features and coefficients as they are.
+
+    Args:
+        scaling: of the features from which it learned.
+        static: of each place, shape (n, s).
+        region: of each place, shape (n,).
+        network: of all places, whose first layer is taken.
+        heads: the other layers of each region.
+        unit: of the coefficients that it learned [m].
+    """
+    single = lambda a: np.ascontiguousarray(a, np.float32)  # noqa: E731
+    weights_1, place_weights, bias_1 = scaling.unscaled(network.weights[0], network.biases[0])
+    return CoefficientNetwork(
+        single(scaling.center),
+        single(scaling.scale),
+        single(static),
+        region,
+        single(weights_1),
+        single(place_weights),
+        single(bias_1),
+        single([head.weights[0] for head in heads]),
+        single([head.biases[0] for head in heads]),
+        single([head.weights[1] * unit for head in heads]),
+        single([head.biases[1] * unit for head in heads]),
+    )
 
 
 def _validation(frames: int, places: int, seed: int) -> np.ndarray:

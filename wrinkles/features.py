@@ -65,7 +65,7 @@ def _read_stencil(
 ):
     """The kernel of :meth:`Stencil.read`, with its arguments and attributes; ``placed``: positions, distances over FAR.
 
-    The compiler makes use of vector instructions only where what is written is an array of the kernel's own.
+    The compiler uses vector instructions only for writes to an array of the kernel's own.
     """
     ti.loop_config(serialize=True)
     for _ in range(1):

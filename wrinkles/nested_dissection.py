@@ -39,7 +39,7 @@ class Dissection:
     """Order of elimination for all matrices with one sparsity pattern.
 
     Args:
-        pattern: sparse and symmetric, shape (n, n); stored entries count, whatever their value.
+        pattern: sparse and symmetric, shape (n, n); stored entries count, zeros too.
 
     Attributes:
         order: unknown at each position of the order, int, shape (n,).

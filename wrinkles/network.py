@@ -76,8 +76,8 @@ class Network:
     directions which few samples ask for are learned as fast as those that most ask for; biases go by Adam (Kingma and
     Ba 2015).
 
-    The loss of a sample is the Euclidean length of its error (smoothed below KNEE), not its square: a fold whose
-    place cannot be told is left out instead of being half drawn, and flat patches count as much as folded ones.
+    The loss of a sample is the Euclidean length of its error (smoothed below KNEE), not its square: a fold whose place
+    is uncertain is left out instead of being half drawn, and flat patches count as much as folded ones.
 
     How long it takes is found on the way: the rate stays as it is until samples that are kept out say that it brings
     no more, and only then falls (Haegele et al. 2024, "Scaling Laws and Compute-Optimal Training Beyond Fixed Training
@@ -112,10 +112,10 @@ class Network:
             samples: to learn from.
             epochs: passes over the samples at most; the samples for validation say whether fewer do.
             rate: of weights, at its highest.
-            on_check: told (passes done, mean loss since the last time) now and then.
+            on_check: called with passes done and the mean loss since the last call, now and then.
 
         Returns:
-            the mean loss of the last steps that were told.
+            the mean loss of the steps up to the last call.
         """
         count = len(samples)
         batch = min(count, int(np.clip(count // 64, *BATCHES)))  # few samples still make enough steps
@@ -247,7 +247,7 @@ class _Motion:
 
 
 def _parts(rows: np.ndarray) -> list[np.ndarray]:
-    """As many samples as a thread takes at a time, whatever the number of threads."""
+    """As many samples as a thread takes at a time, for any number of threads."""
     return np.array_split(rows, -(-len(rows) // PART))
 
 

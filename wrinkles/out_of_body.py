@@ -13,9 +13,9 @@ GAP_SHARE = 0.3  # of the gap between two parts that the cloth keeps from each, 
 # with a radius below 3 cm [m].
 CLEAR_HEIGHT, CLEAR_WIDTH = 0.012, 0.015
 MIN_KEPT = 0.0003  # kept from the part that the cloth covers where there is no gap [m]
-# Cloth that a small part of the body lifts stands over it like a tent: what lies around is lifted, too, less by this
-# share of the distance [-]. Where nothing is lifted further than the first height there is no tent, and none is higher
-# than the second [m].
+# Cloth that a small part of the body lifts stands over it like a tent: the vertices around are lifted, too, less by
+# this share of the distance [-]. Where nothing is lifted further than the first height there is no tent, and none is
+# higher than the second [m].
 SLOPE = 0.15
 MIN_LIFT, MAX_LIFT = 0.001, 0.008
 
@@ -124,7 +124,7 @@ def _is_clear(p: vec3, vertex: ti.i32, covered: ti.template()) -> bool:
 def _walk(p: vec3, start: ti.i32, covered: ti.template()):
     """Body vertex to which a walk from ``start`` to ever nearer ones leads, and the edge there that is nearest to p.
 
-    What is reached does not depend on where other passes ended, except for the start.
+    The vertex that it reaches depends on other passes only by its start.
     """
     best = start
     is_nearest, edge = edge_towards(p - covered.surface.body_start[best], best, covered)

@@ -2,7 +2,7 @@
 
 An irregular mesh has no Fourier transform, but it has a Laplacian L = M^-1 S (cotangent stiffness S and lumped mass M
 of the rest mesh). A plane wave of wavelength w is nearly an eigenvector of L, with the eigenvalue q^2 = (2 pi / w)^2.
-A function G(L) therefore filters by wavelength, whatever the triangles are. Here G is a Butterworth response,
+A function G(L) therefore filters by wavelength on any triangles. Here G is a Butterworth response,
 
     G_c(q) = 1 / (1 + (q / q_c)^8),
 

@@ -1,7 +1,7 @@
 """Makes the folds of a coarse garment change as fast as those of a fine one: a high-boost filter in time.
 
 On a coarse mesh folds have the right energy, but their crests follow the edges of the mesh and stay there: they change
-with half the energy of a fine garment's, whatever the substep, the friction and the bending stiffness are.
+with half the energy of a fine garment's, with any substep, friction and bending stiffness.
 """
 
 from collections.abc import Sequence

@@ -73,7 +73,7 @@ class MotionSettings:
         return " ".join(words)
 
     def overlaps(self, other: MotionSettings) -> bool:
-        """Whether both are parts of one clip that have time in common, at whatever speed."""
+        """Whether both are parts of one clip that have time in common, at any speeds."""
         ends = [math.inf if end is None else end for end in (self.end, other.end)]
         same = (self.file, self.clip) == (other.file, other.clip)
         return same and self.start < ends[1] and other.start < ends[0]

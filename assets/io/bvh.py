@@ -1,7 +1,7 @@
 """BVH motion capture: a skeleton's joints over time, as positions.
 
 The format names neither units nor an up axis nor a pose to start from; the rotations of a file mean nothing without its
-own zero pose. What is read are therefore positions, in the file's own units and axes.
+own zero pose. So the reader gives positions, in the file's own units and axes.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ def read_character(path: Path, name: str | None) -> Character:
 
 
 def bind_vertices(path: Path) -> Floats:
-    """Vertices of a file's character in its bind pose, in whatever unit the file has, shape (n, 3).
+    """Vertices of a file's character in its bind pose, in the file's unit, shape (n, 3).
 
     Args:
         path: a .glb or .gltf file.

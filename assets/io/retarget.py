@@ -1,6 +1,6 @@
 """Motion capture on a character of its own: joint positions of a BVH file become a clip of the character's skeleton.
 
-What counts are the directions from joint to joint. Each bone of arms and legs points where the captured one points.
+Only the directions from joint to joint count. Each bone of arms and legs points where the captured one points.
 The trunk is turned by two lines: from hip to hip (pelvis) or from shoulder to shoulder (chest), and from the joint that
 carries all to the middle of the shoulders. Bones keep the character's own lengths. Units, zero pose and the bones in
 between do not matter. Positions say nothing about twist: hands, neck and head stay as they are against forearms and
@@ -133,7 +133,7 @@ def _matched(
 
 
 def _check_chains(owner: str, parts: dict[str, int], parents: NDArray[np.int32]) -> None:
-    """Each part of a limb hangs on the one before it."""
+    """Each part of a limb is a child of the one before it."""
     for side in ("left", "right"):
         for limb in LIMBS.values():
             chain = [f"{side} {part}" for part in limb if f"{side} {part}" in parts]

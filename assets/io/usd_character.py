@@ -368,7 +368,7 @@ def _carry_roots(values: list[Floats], times: Floats, skeleton: Any, path: Path)
 
 
 def read_all(path: Path) -> None:
-    """Read all that this project reads of a file, whatever it holds, in this very process."""
+    """Read all that this project reads of a file, which may be damaged, in this very process."""
     for read in (
         lambda stage: character_of(stage, path, "probe"),
         lambda stage: animation_of(stage, path),

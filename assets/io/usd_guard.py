@@ -1,7 +1,7 @@
 """Whether a USD file can be read at all, found out in a process of its own.
 
 USD's library checks what it reads, but not everything: some damaged files end the process, and some make it ask for all
-memory. Whatever a file does there, here it is refused with a message.
+memory. Here each such file is refused with a message.
 """
 
 from __future__ import annotations

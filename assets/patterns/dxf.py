@@ -46,8 +46,8 @@ def read_dxf(path: Path) -> tuple[Panel, ...]:
 
     Raises:
         InputError: the file cannot be read, says no unit, has no panels, an open outline, curves beside its blocks,
-            blocks in blocks, a clipped block, or a block that has a cutout, no outline, or a sew line that is none of
-            its cut line.
+            blocks in blocks, a clipped block, or a block that has a cutout, no outline, or a sew line that does not
+            belong to its cut line.
     """
     try:
         return _panels(path)

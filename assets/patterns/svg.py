@@ -39,7 +39,7 @@ def read_svg(path: Path) -> tuple[Panel, ...]:
     """Read closed paths, polygons, rectangles and round shapes as panels, each named by its id.
 
     For the edges of a path see :func:`assets.patterns.sheet.edges_of_pieces`. A line with the id ``NAME.grain`` is the
-    grain of a panel. What is hidden is left out.
+    grain of a panel. Hidden elements are left out.
 
     Raises:
         InputError: the file cannot be read, says no unit, has no panels, an open outline, a panel of several outlines,

@@ -147,6 +147,6 @@ def _is_page(clip: str, named: Mapping[str | None, Any], root: Any) -> bool:
 
 
 def _has_shapes(target: str, named: Mapping[str | None, Any]) -> bool:
-    """Whether what a clone stands for has outlines, or is in another file."""
+    """Whether the element that a clone stands for has outlines, or is in another file."""
     element = named.get(target.removeprefix("#")) if target.startswith("#") else None
     return element is None or _has_shapes_in(element)

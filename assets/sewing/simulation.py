@@ -167,7 +167,7 @@ def drape(
     weight: float,
     held: NDArray[np.int32],
 ) -> ClothMesh:
-    """Let a garment hang on a body for a time.
+    """Simulate a garment on a body for a time.
 
     Args:
         mesh: the garment; it starts without speed.

@@ -21,7 +21,7 @@ OUT = ROOT / "out" / "site"
 PAGES, HTML = OUT / "pages", OUT / "html"
 
 NAV: list[tuple[str, list[str]]] = [
-    ("Start", ["index.md", "gallery.md", "glossary.md"]),
+    ("Start", ["index.md", "when-to-use.md", "gallery.md", "glossary.md"]),
     (
         "Guides",
         ["viewer.md", "artists-guide.md", "interchange.md", "engine-guide.md", "patterns.md", "contributing.md"],

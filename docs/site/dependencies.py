@@ -28,7 +28,7 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 BILL = ROOT / "dependencies.cdx.json"
 # Licence and requirements of what is installed on macOS alone, from the METADATA of the wheels.
 ELSEWHERE = {"pyobjc-core": ("MIT", []), "pyobjc-framework-cocoa": ("MIT", ["pyobjc-core"])}
-LONGEST = 40  # characters of a licence's name; what is longer is its text
+LONGEST = 40  # characters of a licence's name; a longer one is its text
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def _from_npm() -> Iterator[Locked]:
 
 
 def _requirements(name: str, extras: set[str]) -> Iterator[str]:
-    """Names of what a package needs, on whatever system; of its extras, only those that the project asks for."""
+    """Names of what a package needs, on any system; of its extras, only those that the project asks for."""
     texts = ELSEWHERE[name][1] if name in ELSEWHERE else distribution(name).requires or []
     for text in texts:
         wish = Requirement(text)

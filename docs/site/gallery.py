@@ -1,6 +1,6 @@
 """Makes the films of the gallery: python -m docs.site.gallery, which is what `make gallery` runs.
 
-Each film is simulated here and now from built-in garments; what the repository keeps of them is this file.
+Each film is simulated here and now from built-in garments; the repository keeps only this file of them.
 """
 
 from __future__ import annotations

@@ -91,7 +91,7 @@ class Body:
         vertex_count: number of vertices.
 
     Raises:
-        InputError: faces that are none, or of vertices that are not there.
+        InputError: faces of another shape, or of vertices that are not there.
 
     Attributes:
         previous, current: positions about ``origin`` at the start and end of the frame [m], float32, shape (n, 3).
@@ -180,7 +180,7 @@ class Body:
         self.finish_pose()
 
     def _checked(self, vertices: np.ndarray) -> np.ndarray:
-        with np.errstate(over="ignore"):  # what float32 does not hold is infinite
+        with np.errstate(over="ignore"):  # a number too large for float32 becomes infinite
             vertices = numbers(vertices, "vertices", self.current.shape).astype(np.float32, copy=False)
         return floats(vertices, "vertices", self.current.shape, unit=" [m]")
 

@@ -60,7 +60,7 @@ class DistanceField:
         """Counts, spacing, first grid point, own axes in the world and position: shape (19,).
 
         Raises:
-            InputError: a position that is not three finite numbers, or a rotation that is none.
+            InputError: a position that is not three finite numbers, or a matrix that is no rotation.
         """
         turn = np.asarray(floats(self.rotation, "field.rotation", (3, 3), "bad rotation"), float)
         if not np.abs(turn @ turn.T - np.eye(3)).max() < MAX_SKEW or np.linalg.det(turn) < 0:

@@ -174,7 +174,7 @@ def part_pairs(
                 a, b = extremes(q, k, n, end)
                 if a - b < directions[c][3]:
                     left += 1
-                    # Half as much again: what is at its bound would be the first to collide again.
+                    # Half as much again: a pair at its bound would be the first to collide again.
                     part(q, k, n, a, b, 1.5 * directions[c][3], inverse_mass, end)
             if made == 0:
                 collided = left
@@ -242,7 +242,7 @@ def move_zones(
 ):
     """Let the corners of pairs that still collide move on without turning, joined where they have a vertex in common.
 
-    Pairs that collide with what moves so are joined to it, until none does.
+    Pairs that collide with these corners are joined to them, until no pair does.
 
     Returns:
         how many vertices.

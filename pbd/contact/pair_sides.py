@@ -44,7 +44,7 @@ class MovingCloth:
         stale: 1 for vertices that have left this motion.
         thickness, longest: of the fabric, and of the sides of the faces at rest [m].
         slack: up to which pairs are kept beyond thickness and expected motion [m].
-        tangled: 1 if cloth was on the wrong side at the last search: what is pulled back goes any way.
+        tangled: 1 if cloth was on the wrong side at the last search; it is pulled back in any direction.
     """
 
     position: Any

@@ -10,7 +10,7 @@ __all__ = ["PULL", "closest_on_segments", "closest_points", "corners_of", "pulle
 PULL = 2.0  # kind of a pair whose vertex is to come back through the face
 # A pair that may come nearer than this beyond its thickness until the next test is solved in every substep [m].
 READY_DISTANCE = 0.001
-FAR_GAP = 1.0  # gap of a pair that is not in contact, whatever its distance [m]
+FAR_GAP = 1.0  # gap of a pair that is not in contact, at any distance [m]
 # A vertex moves at most by so many times the gap that is closed [-]. A free vertex with a small share, beside vertices
 # that are held, would be flung away as by the short arm of a lever. Where all are free and of one mass, none moves by
 # more than three quarters of the gap.

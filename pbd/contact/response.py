@@ -315,7 +315,7 @@ def interpolated(values: ti.template(), first: ti.i32, size, place: vec3):
 
     ``size``: grid points along each axis; ``place``: in spacings from the first of them, whose value is at ``first``.
     """
-    cell = ti.math.clamp(int(ti.floor(place)), 0, size - 2)  # whatever the place is, what is read exists
+    cell = ti.math.clamp(int(ti.floor(place)), 0, size - 2)  # so that each place reads values that exist
     f = place - cell
     corners = ti.Vector([0.0] * 8)
     for k in ti.static(range(8)):

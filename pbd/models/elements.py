@@ -132,8 +132,8 @@ class Sum:
 
     Some parts may have points of their own beside the vertices, counted after them. Hidden points have no mass: they
     stand where they cost least. Only parts that are quadratic or convex in them may have any, and the first of those
-    must be quadratic. What is given n vertices adds them by itself; derivatives over all points want all points
-    (:meth:`completed`).
+    must be quadratic. Methods that are given n vertices add them by themselves; derivatives over all points want all
+    points (:meth:`completed`).
 
     Args:
         parts: taken over; all count the hidden points from now on.

@@ -1,7 +1,7 @@
 """Membranes of constant-strain triangles: one element, three measures of strain.
 
 The element's energy is A/2 e^T D e with e = (e11, e22, 2 e12) a function of F = [w_u w_v], the images of the warp and
-weft axes. What tells the models apart is e(F). A fabric that stiffens adds an energy of e11 alone and one of e22 alone,
+weft axes. The models differ in e(F) alone. A fabric that stiffens adds an energy of e11 alone and one of e22 alone,
 each in the model's own strain.
 """
 
@@ -66,7 +66,7 @@ class GreenStrain:
 class ConditionStrain:
     """e = (|w_u| - 1, |w_v| - 1, w_u . w_v): Baraff and Witkin 1998, section 4.
 
-    With their C = sqrt(A) e, where they write A e, the energy k C^2/2 does not hang on the refinement.
+    With their C = sqrt(A) e, where they write A e, the energy k C^2/2 does not depend on the refinement.
     """
 
     def values(self, f: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ __all__ = ["Objective", "StepError", "minimise"]
 # The line search accepts a step with this share of the decrease that the slope predicts [-].
 MIN_DECREASE_SHARE = 1e-4
 MIN_STEP_LENGTH = 1e-10  # at which it gives up [-]
-MIN_DECREASE = 1e-17  # over the value; a smaller one counts as none, whatever soft modes still move [-]
+MIN_DECREASE = 1e-17  # over the value; a smaller one counts as none, also if soft modes still move [-]
 ROUNDING = 1e-13  # part of the value that rounding may add
 # Within this share of the value the slope judges a step, since the value is a difference of larger ones [-].
 NEAR_SHARE = 1e-9

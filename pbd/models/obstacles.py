@@ -11,7 +11,7 @@ from pbd.errors import InputError
 __all__ = ["ContactForces", "Cushion", "Obstacles"]
 
 THINNEST = 0.05  # of the thickness; from there on the law goes on along its slope
-PUSH_OUT = 0.5  # what starts a step inside an obstacle comes out no faster than this against its surface [m/s]
+PUSH_OUT = 0.5  # cloth that starts a step inside an obstacle comes out no faster than this against its surface [m/s]
 
 
 class Obstacles:
@@ -165,7 +165,7 @@ class ContactForces:
         obstacles: of this substep.
         start: positions at the substep's start [m], shape (n, 3).
         free: vertices that feel contact, int, shape (f,).
-        stiffness: r of each vertex [N/m], shape (n,); how fast it settles hangs on it, the result does not.
+        stiffness: r of each vertex [N/m], shape (n,); the time to settle depends on it, the result does not.
         friction: Coulomb coefficient [-].
         h: substep [s]; infinite where there is no time.
         memory: what the last substep's contact remembered; None to begin.

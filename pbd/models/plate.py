@@ -54,7 +54,7 @@ def isometric_bending(model: Model) -> QuadraticElements:
 class HingeAngles(ElementEnergy):
     """Discrete shells (Grinspun et al. 2003), E = k/2 theta^2 with theta the angle between the two normals.
 
-    Also Baraff and Witkin's bending condition, with k such that it does not hang on the refinement.
+    Also Baraff and Witkin's bending condition, with k such that it does not depend on the refinement.
 
     Args:
         elements: (i, j, k, l), see :func:`pbd.mesh.hinges_of`, shape (m, 4).

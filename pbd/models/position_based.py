@@ -136,8 +136,8 @@ class PositionSolver(ClothSolver):
 class PBD(PositionSolver):
     """Mueller et al. 2007: distances and angles with a stiffness from 0 to 1, k' = 1 - (1 - k)^(1/iterations).
 
-    Neither the fabric nor the step enters: how stiff the cloth is hangs on iterations, step and mesh. It is here to
-    show that.
+    Neither the fabric nor the step enters: the stiffness of the cloth depends on iterations, step and mesh. It is here
+    to show that.
     """
 
     substep = 1.0 / 60.0

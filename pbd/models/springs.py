@@ -1,6 +1,6 @@
 """Masses and springs on lattices, with stiffness from E h and the mesh (Lloyd, Szekely, Harders 2007).
 
-A lattice of springs has one modulus and the Poisson ratio 1/3, whatever the fabric says: E h is the geometric mean of
+A lattice of springs has one modulus and the Poisson ratio 1/3, also for other fabrics: E h is the geometric mean of
 warp and weft.
 """
 

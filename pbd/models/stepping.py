@@ -179,7 +179,7 @@ class ClothSolver(ABC):
     def external(self, x: np.ndarray, v: np.ndarray, h: float, wind: np.ndarray) -> np.ndarray:
         """Acceleration by gravity and air over a substep [m/s2], shape (n, 3).
 
-        Air acts along the surface's normal and is bounded, whatever the step, as in
+        Air acts along the surface's normal and is bounded at any step, as in
         :func:`pbd.xpbd.constraints.drag_velocity`: first order in h.
         """
         corners = x[self.model.mesh.faces]

@@ -218,8 +218,6 @@ class Solver:
     ) -> dict[str, Any]:
         """Arguments of the kernels of a step by their names, see :meth:`step`; they hold until the next call.
 
-        Over 60 lines: half of them list names.
-
         Returns:
             Those of :func:`pbd.contact.body_search.find_nearest`, to be called if there is a body, and of
             :func:`pbd.xpbd.advance.advance_kernel`.
@@ -248,14 +246,8 @@ class Solver:
         levels = self._multigrid.useful(dt / substeps)
         self._steps[:] = tuple(FrameSteps(0, substeps, substeps, refresh, levels, options.coarse_sweeps))
         self._max_approach[0] = 0.0
-        body = self._body_of(state, colliders)
+        self._arguments |= self._state_arrays(state) | self._body_arrays(self._body_of(state, colliders))
         self._arguments |= {
-            "position": state.position,
-            "velocity": state.velocity,
-            "nearest": state.nearest,
-            "contact_faces": state.contact_faces,
-            "contact_weights": state.contact_weights,
-            "contact_distance": state.contact,
             "target_start": target_start,
             "target_end": target_end,
             "limits": self._limit_rows(limit_targets, transform, state.origin),
@@ -263,6 +255,27 @@ class Solver:
             "fields": fields,
             "field_values": field_values,
             "body_start": previous,
+            "parameters": self._parameters(dt / substeps),
+            "dt": dt,
+            "thickness": model.fabric.thickness,
+        }
+        return self._arguments
+
+    @staticmethod
+    def _state_arrays(state: State) -> dict[str, np.ndarray]:
+        """Arrays of a state by the names that the kernels have for them."""
+        return {
+            "position": state.position,
+            "velocity": state.velocity,
+            "nearest": state.nearest,
+            "contact_faces": state.contact_faces,
+            "contact_weights": state.contact_weights,
+            "contact_distance": state.contact,
+        }
+
+    def _body_arrays(self, body: Body) -> dict[str, np.ndarray]:
+        """Arrays of a body and of the search in it by the names that the kernels have for them."""
+        return {
             "body_end": body.current,
             "body_normals": body.normals,
             "ring_start": body.ring_start,
@@ -276,11 +289,7 @@ class Solver:
             "cell_items": self._items,
             "cell_points": self._item_points,
             "item_cell": self._item_cells,
-            "parameters": self._parameters(dt / substeps),
-            "dt": dt,
-            "thickness": model.fabric.thickness,
         }
-        return self._arguments
 
     def _parameters(self, h: float) -> StepParameters:
         """Numbers of a step with substeps of h [s]."""

@@ -2,9 +2,9 @@
 
 One pass over the hinges lets a correction run over one hinge, so that stiff cloth comes out too soft (by about 40 %
 times :func:`pass_ratio`). The energy of hinges that rest flat is 1/2 x . K x with one constant matrix K for all three
-coordinates (Bergou et al. 2006, "A quadratic bending model for inextensible surfaces"), whatever the shape of the
-cloth. So an implicit step of all bending is one linear system with the same matrix in every substep, like the global
-step of Bouaziz et al. 2014, "Projective Dynamics":
+coordinates (Bergou et al. 2006, "A quadratic bending model for inextensible surfaces"), which holds for any shape of
+the cloth. So an implicit step of all bending is one linear system with the same matrix in every substep, like the
+global step of Bouaziz et al. 2014, "Projective Dynamics":
 
     x1 = x - h^2 (M + THETA k^2 K)^-1 K (x0 + DELTA (x - x0))
 
@@ -127,7 +127,7 @@ def solve_stiff_bending(
     Args:
         cloth, constraints: views of the garment.
         factor: see :func:`bending_factor`.
-        work: vec4 for two times all vertices; what it holds is lost.
+        work: vec4 for two times all vertices; is written over.
         h: [s].
     """
     count = cloth.position.shape[0]

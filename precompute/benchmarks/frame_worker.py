@@ -39,7 +39,7 @@ class _Playback:
         Launch.__call__ = timed
 
     def frame(self) -> dict[str, float]:
-        """Times of the next frame; what the fine vertices take outside of kernels is nearly all the network's."""
+        """Times of the next frame; the network takes nearly all the time of the fine vertices outside of kernels."""
         self._number = self._number % (len(self._poses) - 1) + 1
         self._player.step(self._poses[self._number], self._dt, self._inputs.wind)
         self._in_kernels = 0.0

@@ -73,7 +73,7 @@ def read_curves(path: Path) -> dict[tuple[str, str], LoadCurve]:
 
     Raises:
         InputError: no such file, another header, an unknown word, a number that is not finite or, but for a loop, not
-            above 0, or a loop that is none (:func:`precompute.validation.loops.check_loop`).
+            above 0, or rows that form no loop (:func:`precompute.validation.loops.check_loop`).
     """
     rows = read_words(path, COLUMNS)
     points: dict[tuple[str, str], list[tuple[float, float]]] = {}
@@ -165,7 +165,7 @@ def fit_fabric(
             found.append(_loop_beside(instrument, direction, measured, fitted, setting))
             continue
         drawn = INSTRUMENTS[instrument](setting, fitted, DIRECTIONS[direction], tuple(measured.deformation))
-        # The strain in the middle of a strip is a little less than what its ends were given.
+        # The strain in the middle of a strip is a little less than that given at its ends.
         far, near = (_straightened(fitted, instrument, direction, c.deformation) for c in (measured, drawn))
         difference = drawn.load * far / near - measured.load
         error = float(np.sqrt((difference**2).mean() / (measured.load**2).mean()))

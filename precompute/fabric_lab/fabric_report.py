@@ -61,14 +61,14 @@ def measure_fabric(
 ) -> tuple[dict[tuple[str, str], LoadCurve], dict[str, float]]:
     """Curves of a fabric by instrument and direction, and single figures.
 
-    Loops of bending and shear are measured with the finite elements whatever the setting's solver: a load cell reads
+    Loops of bending and shear are measured with the finite elements for every solver of a setting: a load cell reads
     nothing but the membrane of the default one. Their figures are named as Kawabata names them
     (:func:`precompute.validation.loops.read_loop`).
 
     Args:
         fabric: SI values.
-        setting: solver and resolution of the samples. What finds equilibria alone gives way to the default solver where
-            cloth slides or lies on a plate.
+        setting: solver and resolution of the samples. A solver that only finds equilibria is replaced by the default
+            one where cloth slides or lies on a plate.
         report: called with a line of progress.
     """
     moving = TrialSetting(edges=setting.edges) if setting.solver.endswith("quasi-static") else setting

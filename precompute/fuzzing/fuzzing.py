@@ -204,7 +204,7 @@ def _work(files: list[Path], folder: Path, seed: int, seconds: float, queue: Any
                     _answer(reader, case)
             case.unlink()
     end = time.monotonic() + seconds  # a slow machine takes many to load them
-    # Only what a process may take from here on counts: Taichi alone reserves more.
+    # Only memory that a process takes from here on counts: Taichi alone reserves more.
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limit = pages * resource.getpagesize() + MEMORY
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))

@@ -22,7 +22,7 @@ __all__ = [
 ]
 
 BLOCK = 64  # frames that one worker looks at
-CROSSED_AT_MOST = 0.05  # faces of a training run that may cross others in its worst frame before it is told of [%]
+CROSSED_AT_MOST = 0.05  # faces of a training run that may cross others in its worst frame before it is reported [%]
 WHOLE = 1.0  # faces that may cross others in a frame that is learned from [%]
 # Faces that cross others where a training run ends [%]. Cloth that is through itself as much is a ball that is never
 # sorted out, and its frames take a hundred times as long.

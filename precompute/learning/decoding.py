@@ -1,4 +1,4 @@
-"""Decoding recorded coarse states, frame by frame, by whatever gives the coefficients of the patches."""
+"""Decoding recorded coarse states, frame by frame, by any predictor of the coefficients of the patches."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ Predictor = Callable[[np.ndarray], np.ndarray]
 """Features of one frame, float32, shape (n, DYNAMIC_COUNT), to coefficients, shape (n, K)."""
 
 FrameDecoder = Callable[[np.ndarray, Upsampler, np.ndarray, np.ndarray], None]
-"""Puts wrinkles on smooth fine vertices [m], float32, shape (N, 3), in place; told the upsampler that made them, and
+"""Puts wrinkles on smooth fine vertices [m], float32, shape (N, 3), in place; takes the upsampler that made them, and
 features and frames of the coarse vertices, float32, shapes (n, DYNAMIC_COUNT) and (n, 9)."""
 
 
@@ -72,7 +72,7 @@ def joined(runs: Sequence[Run], recordings: Sequence[Recording]) -> tuple[Run, R
 
 
 def blocks_of(runs: Sequence[Run], recordings: Sequence[Recording]) -> list[tuple[Run, Recording]]:
-    """Recorded frames in blocks of BLOCK in one fabric, whatever the number of workers that decode them."""
+    """Recorded frames in blocks of BLOCK in one fabric, for any number of workers that decode them."""
     result = []
     for _, group in groupby(zip(runs, recordings, strict=True), key=lambda pair: pair[0].fabric):
         run, recording = joined(*zip(*group, strict=True))

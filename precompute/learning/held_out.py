@@ -46,7 +46,7 @@ def require_held_out(path: Path, scene: Scene) -> None:
     """Refuse a scene without a held-out motion.
 
     Raises:
-        InputError: nothing is held out; ``path`` is the file that is told.
+        InputError: nothing is held out; ``path`` is the file that the message names.
     """
     if not scene.training.held_out:
         raise InputError("nothing is held out", file=path, key="training.held_out", expected="a clip to compare on")

@@ -65,5 +65,5 @@ def _draw(at: _Vec3, faces: _Index2, nearest: _Double2, owner: _Index2):
                     near = a[2] + v * (b[2] - a[2]) + w * (c[2] - a[2])
                     if v >= 0.0 and w >= 0.0 and v + w <= 1.0 and near > nearest[row, column]:
                         nearest[row, column] = near
-                        # Rows run downwards: what is counter-clockwise seen from outside has a negative area.
+                        # Rows run downwards: a face that is counter-clockwise seen from outside has a negative area.
                         owner[row, column] = ti.select(area < 0.0, f + 1, -f - 1)

@@ -24,7 +24,7 @@ __all__ = ["fit_novelty"]
 STRANGE_SHARE = 0.1  # as many frames as that are decoded with noise on their features besides
 NOISE = (1.0, 4.0)  # of it, in standard deviations
 UNITS, EPOCHS = 24, 24
-LEAST = 0.5  # errors below it need not be told apart [deg]
+LEAST = 0.5  # errors below it need not be distinguished [deg]
 BLOCK, KEPT_OUT = 20, 8  # every eighth block of twenty frames says where fading starts
 FAMILIAR = 99.5  # percentile of the score there
 
@@ -66,7 +66,7 @@ def fit_novelty(
     middle, spread = seen.mean(axis=0), seen.std(axis=0) + np.float32(1e-3)
     level, unit = target.mean(), target.std()
     network = Network((seen.shape[1], UNITS, 1), seed)
-    nowhere = np.zeros((1, 0), np.float32)  # places have told the first layer already
+    nowhere = np.zeros((1, 0), np.float32)  # the first layer includes the place
     seen -= middle
     seen /= spread
     samples = Samples(seen, nowhere, ((target - level) / unit).astype(np.float32))

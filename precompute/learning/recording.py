@@ -209,7 +209,7 @@ def record_runs(
         runs: what to record.
         cache: folder; each run has a folder of its own in it, named by :meth:`Run.key`.
         workers: processes that go on living, or a number of processes for these runs; each run stays on one.
-        report: told a line of progress now and then.
+        report: called with a line of progress now and then.
     """
     cache = cache_here(cache)
     folders = [cache / run.key() for run in runs]

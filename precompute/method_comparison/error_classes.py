@@ -1,6 +1,6 @@
 """Error classes of a run of cloth beside its converged reference.
 
-Three, unnoticeable, visible but bounded, and catastrophic; what is visible is accepted up to a second limit.
+Three, unnoticeable, visible but bounded, and catastrophic; visible errors are accepted up to a second limit.
 Length changes of 3 % were seen under full attention and over 20 % missed without it (Harrison et al. 2004);
 the other limits are this project's.
 """

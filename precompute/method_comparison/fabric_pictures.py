@@ -24,7 +24,7 @@ from runtime.simulation import body_source, poses_of
 
 __all__ = ["FABRICS", "draw_fabrics", "fabric_runs"]
 
-# What is 3 mm thick bends as no woven cloth does: l_g is 5 cm, that of silk 1.6 cm.
+# Felt of 3 mm bends as no woven cloth does: l_g is 5 cm, that of silk 1.6 cm.
 FELT = Fabric(0.40, 3000.0, 3000.0, 0.2, 1200.0, 6e-4, 6e-4, friction=0.5)
 FABRICS = MappingProxyType({"silk": PRESETS["silk"], "denim": PRESETS["denim"], "felt": FELT})
 CLIP, SECONDS = "twirl", 2.3  # of the mannequin

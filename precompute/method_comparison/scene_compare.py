@@ -236,7 +236,7 @@ def compare_scenes(
 ) -> list[SceneComparison]:
     """Run everything that is not in ``output``'s cache yet, and judge it.
 
-    References are run whatever the budget, then settings from the cheapest; the dearest are left out where it ends.
+    References are run outside the budget, then settings from the cheapest; the dearest are left out where it ends.
 
     Args:
         names: of the scenes; all built-in ones if none is named.

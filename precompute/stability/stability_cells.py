@@ -22,7 +22,7 @@ KEPT = 1.0 / 60.0  # frames nearer to each other than this are left out of what 
 REFERENCE_STEP = 1.0 / 5760.0  # substep of the reference; the one that it is held against takes twice that [s]
 REFERENCE_FRAME = 1.0 / 480.0  # [s]
 BREAKING_FRAMES = 150  # frames in which an unstable step shows
-MIN_FALL = 0.01  # energies are measured by no less than a fall by this part of the cloth's size [-]
+MIN_FALL = 0.01  # the unit of energies is at least a fall by this part of the cloth's size [-]
 BISECTIONS = 6  # bisections of a border
 # What went, by the figures that say so, the gravest first.
 WENT = {
@@ -193,7 +193,7 @@ def reference_of(scene: CellScene, seconds: float = SECONDS) -> Reference:
 
 
 def breaks(scene: CellScene, method: str) -> bool:
-    """Whether a run of ``BREAKING_FRAMES`` frames ends in numbers that are none, or in a speed that is none."""
+    """Whether a run of ``BREAKING_FRAMES`` frames ends in numbers or a speed that are not finite."""
     return bool(_simulate(scene, _solver(method, scene), scene.dt, BREAKING_FRAMES * scene.dt).message)
 
 

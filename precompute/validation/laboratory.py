@@ -45,7 +45,7 @@ class LoadCurve:
 def tension_curve(setting: TrialSetting, fabric: Fabric, angle: float, strains: Sequence[float]) -> LoadCurve:
     """A strip of 20 by 4 cm pulled by one vertex at each end; strain in its middle half.
 
-    With one vertex a side the strip bears a pull and nothing else, whatever its warp's angle.
+    With one vertex a side the strip bears a pull and nothing else, at any angle of its warp.
 
     Args:
         setting: solver and resolution.
@@ -138,7 +138,7 @@ def bending_curve(setting: TrialSetting, fabric: Fabric, angle: float, curvature
 def compression_curve(setting: TrialSetting, fabric: Fabric, pressures: Sequence[float]) -> LoadCurve:
     """A sheet pressed onto a level plate by its own weight, as many times g as it takes: its height over the plate.
 
-    So pressure is known whatever a solver takes for a force.
+    So pressure is known for every solver.
 
     Args:
         setting: solver and resolution.

@@ -206,7 +206,7 @@ def branches(curve: LoadCurve, instrument: str, direction: str) -> tuple[np.ndar
     """Deformation and load of the branch on which the deformation rises, and of that on which it falls, shape (2, k).
 
     A loop starts anywhere, turns at its largest deformation and at its smallest one, in either order, and comes back at
-    least to where it began; what it does after it has turned once more does not count. Of a piece that is measured
+    least to where it began; values after another turn do not count. Of a piece that is measured
     twice the later one counts, for at first friction had not slipped yet.
 
     Raises:

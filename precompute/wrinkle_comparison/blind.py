@@ -1,4 +1,4 @@
-"""Blind pairs: ours beside the truth without names, and how often somebody told which is which."""
+"""Blind pairs: ours beside the truth without names, and how often somebody named them rightly."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def write_blind(folder: Path, truth: Truth, ours: np.ndarray) -> list[Path]:
 
 
 def blind_figures(folder: Path, answers: Path) -> dict[str, float]:
-    """How well somebody told the truth in the pictures of :func:`write_blind`.
+    """How well somebody found the truth in the pictures of :func:`write_blind`.
 
     Args:
         folder: of the pictures' folder and the key's.

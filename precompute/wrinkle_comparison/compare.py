@@ -344,7 +344,7 @@ def compare_file(
     if clip is None and seconds is None:
         try:
             write_choice(path, database, found)
-        except OSError as error:  # a folder that only others may write: what was found is not lost for it
+        except OSError as error:  # a folder that only others may write: the figures are printed all the same
             if report is not None:
                 report(f"the database does not keep the cost advantage: {path} cannot be written ({error.strerror})")
     return found

@@ -43,7 +43,7 @@ class Method:
             files, another process gets the files' names and not the frames.
         broke_at: when it burst, see :class:`precompute.wrinkle_comparison.baselines.Played` [s].
         mesh: that plain cloth is simulated on; empty for what is no plain cloth.
-        realism: how its first run is told from the truth; None for the truth and where it broke.
+        realism: how well its first run is distinguished from the truth; None for the truth and where it broke.
     """
 
     prefix: str

@@ -11,7 +11,7 @@ truth gives the floor.
 
 No statistic knows where a patch is or how it is turned, so that nothing but folds is judged. Both sides are needed: a
 fold that stays at its place has the same statistics throughout the motion, and a classifier that has seen it there
-knows it again. Two runs of one process would then be told from one another by the places of their folds.
+knows it again. Two runs of one process would then be distinguished by the places of their folds.
 """
 
 from __future__ import annotations
@@ -65,10 +65,10 @@ _CHUNK_FRAMES = 8  # frames that are measured at once
 
 @dataclass(frozen=True)
 class Realism:
-    """How easily a method is told from the truth.
+    """How easily a method is distinguished from the truth.
 
     Attributes:
-        auc: 0.5 cannot be told, 1 always; mean over the ways in which motion and garment are parted.
+        auc: 0.5 is never distinguished, 1 always; mean over the ways in which motion and garment are parted.
         by_place: the same of the patches of each part of the garment, by its name.
         by_feature: AUC of each of FEATURES alone over all patches, by a threshold: over 0.5 where the method has more
             of it than the truth, and below where it has less.
@@ -107,7 +107,7 @@ class PatchStatistics:
         edges, lengths = mesh.edge_lengths()
         _, side_edge = edges_of(self._faces)
         border = np.unique(edges[np.bincount(side_edge.ravel()) == 1])
-        # At a border a normal hangs on few faces: its vertices have no part in any patch.
+        # At a border a normal depends on few faces: its vertices have no part in any patch.
         self._inner = np.ones(count, bool)
         self._inner[border] = False
         self._pairs, self._lengths = _apart(vertices, edges[self._inner[edges].all(axis=1)])
@@ -193,10 +193,10 @@ def _noisy(normals: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return noisy / np.linalg.norm(noisy, axis=-1, keepdims=True)
 
 
-# One thread: what is found must not depend on how many there are, and threads that wait for each other take longer.
+# One thread: the figures must not depend on the number of threads, and threads that wait for each other take longer.
 @threadpool_limits.wrap(limits=1)
 def realism(statistics: PatchStatistics, truth: np.ndarray, method: np.ndarray) -> Realism:
-    """How easily a method is told from the truth.
+    """How easily a method is distinguished from the truth.
 
     Args:
         statistics: of the garment.

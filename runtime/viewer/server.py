@@ -30,7 +30,7 @@ class Server(viser.ViserServer):
     """viser's server without its tunnel to a public address, which any client could ask for."""
 
     def request_share_url(self, verbose: bool = True) -> str | None:
-        """No address: what is viewed stays on this machine."""
+        """No address: the garment stays on this machine."""
         return None
 
     def stop(self) -> None:

@@ -104,7 +104,7 @@ class Stage:
         if look.follow:
             self.place = self._under_body()
         tick = playback.time / playback.tick
-        # A slow browser takes over places and vertices at different times: what moves is in the vertices alone.
+        # A slow browser takes over places and vertices at different times: only the vertices move.
         shift = (player.origin - self.place).astype(np.float32)
         body = garment.body_vertices() + shift
         with self._server.atomic():

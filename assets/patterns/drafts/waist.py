@@ -49,7 +49,7 @@ def waist_line(
         depth: of the darts [m].
 
     Returns:
-        edges waist_0, dart_0_in, dart_0_out, waist_1, and so on.
+        edges waist_0, dart_0_in, dart_0_out, waist_1, up to the last waist.
     """
     first, last = np.array(start, float), np.array(end, float)
     along = last - first

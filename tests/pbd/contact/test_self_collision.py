@@ -9,7 +9,8 @@ import pytest
 from pbd import Colliders, Fabric, Plane, Solver, SolverOptions, State
 from pbd.attachment import closest_weights
 from pbd.contact.pairs import PULL
-from pbd.contact.self_collision import SelfCollision, _joined_groups
+from pbd.contact.patch_tree import joined_groups
+from pbd.contact.self_collision import SelfCollision
 from pbd.crossings import crossings
 from pbd.mesh import edges_of
 from tests.pbd.meshes import cloth, free_model, grid, turn
@@ -128,14 +129,14 @@ def test_groups_that_branch_or_do_not_hang_together_are_searched_whole() -> None
     """Three squares in a row, one group each: all join; those with a flap on an edge, or of two pieces, do not."""
     faces = np.array([[0, 1, 2], [1, 3, 2], [2, 3, 4], [3, 5, 4], [4, 5, 6], [5, 7, 6]])
     group = np.array([0, 0, 1, 1, 2, 2])
-    starts, joined = _joined_groups(faces, edges_of(faces)[1], group, 8)
+    starts, joined = joined_groups(faces, edges_of(faces)[1], group, 8)
     assert starts.tolist() == [0, 2, 5, 7] and joined.tolist() == [0, 1, 0, 1, 2, 1, 2]
     flap = np.insert(faces, 4, [2, 3, 8], axis=0)
-    starts, joined = _joined_groups(flap, edges_of(flap)[1], np.array([0, 0, 1, 1, 1, 2, 2]), 9)
+    starts, joined = joined_groups(flap, edges_of(flap)[1], np.array([0, 0, 1, 1, 1, 2, 2]), 9)
     assert starts.tolist() == [0, 0, 0, 1] and joined.tolist() == [2]
     apart = faces.copy()
     apart[3] = [5, 7, 6]
-    starts, joined = _joined_groups(apart, edges_of(apart)[1], group, 8)
+    starts, joined = joined_groups(apart, edges_of(apart)[1], group, 8)
     assert 1 not in joined and starts[1] == starts[2]
 
 
