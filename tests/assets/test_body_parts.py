@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from assets.body_parts import PARTS, common_ancestor, find_parts
-from pbd.errors import InputError
+from tests.refusals import refuses
 
 # Names of the left limbs, upper arm to hand and upper leg to toes, in skeletons that artists meet.
 SKELETONS = {
@@ -52,5 +52,4 @@ def test_a_common_ancestor() -> None:
     parents = np.array([-1, 0, 1, 2, 1, -1], np.int32)
     assert common_ancestor(parents, [3, 4]) == 1
     assert common_ancestor(parents, [3, 2]) == 2
-    with pytest.raises(InputError, match="different roots"):
-        common_ancestor(parents, [3, 5])
+    refuses("different roots", common_ancestor, parents, [3, 5])

@@ -13,6 +13,7 @@ from assets.loading import load_character
 from pbd.errors import InputError
 from tests.assets.files import bar_glb, turn_z
 from tests.data import data_path
+from tests.refusals import refuses
 
 
 @pytest.fixture
@@ -49,8 +50,7 @@ def test_joints_follow_their_parents() -> None:
 
 
 def test_an_unknown_clip_is_refused_with_those_that_exist(bar: Character) -> None:
-    with pytest.raises(InputError, match=r"character bar: no such clip \(received 'jump', expected one of bend\)"):
-        bar.clip("jump")
+    refuses(r"character bar: no such clip \(received 'jump', expected one of bend\)", bar.clip, "jump")
 
 
 def changed(**changes: Callable[[Character], object]) -> Callable[[Character], Character]:
@@ -106,8 +106,7 @@ def one_joint_clip(**changes: object) -> Clip:
     ],
 )
 def test_a_bad_clip_is_refused(changes: dict[str, object], message: str) -> None:
-    with pytest.raises(InputError, match=re.escape(message)):
-        one_joint_clip(**changes)
+    refuses(re.escape(message), one_joint_clip, **changes)
 
 
 def test_clips_of_two_files_come_together(bar: Character, tmp_path: Path) -> None:
@@ -138,8 +137,7 @@ def test_clips_of_another_body_are_refused(bar: Character, tmp_path: Path) -> No
         "clips of the same name in both files (received 'bend')": other(),
     }
     for message, character in cases.items():
-        with pytest.raises(InputError, match=re.escape(message)):
-            with_clips(bar, character)
+        refuses(re.escape(message), with_clips, bar, character)
 
 
 def test_the_woman_takes_the_clips_of_both_files() -> None:
@@ -153,5 +151,4 @@ def test_the_woman_takes_the_clips_of_both_files() -> None:
         "walk_bandai",
     ]
     man = load_character(data_path("characters/quaternius_mannequin_44clips.glb"))
-    with pytest.raises(InputError, match="clips of another skeleton than mh_female_bandai_NC"):
-        with_clips(first, man)
+    refuses("clips of another skeleton than mh_female_bandai_NC", with_clips, first, man)

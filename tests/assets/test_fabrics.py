@@ -15,6 +15,7 @@ from pbd import Fabric
 from pbd.errors import InputError
 from pbd.fabric import stiffening_stress
 from tests.data import data_path
+from tests.refusals import refuses
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -125,8 +126,7 @@ def test_a_curve_that_flattens_gives_a_fabric_whose_tension_still_rises() -> Non
 
 @pytest.mark.parametrize("tension", [[1.0, 2.0, 1.5], [1.0, -2.0, 3.0], [3.0, 2.0, 1.0]])
 def test_a_curve_that_falls_is_refused(tension: list[float]) -> None:
-    with pytest.raises(InputError, match="rising with strain"):
-        fitted_tension(np.array([0.05, 0.1, 0.15]), np.array(tension))
+    refuses("rising with strain", fitted_tension, np.array([0.05, 0.1, 0.15]), np.array(tension))
 
 
 def write(folder: Path, **changes: Any) -> Path:
@@ -165,13 +165,9 @@ def test_bad_files_are_refused(changes: dict[str, Any], message: str, tmp_path: 
 
 
 def test_unknown_fabrics_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="fabric: no such fabric .*'velvet', expected cotton, denim, jersey"):
-        load_fabric("velvet")
-    with pytest.raises(InputError, match=r"absent\.json: cannot be read"):
-        load_fabric(tmp_path / "absent.json")
+    refuses("fabric: no such fabric .*'velvet', expected cotton, denim, jersey", load_fabric, "velvet")
+    refuses(r"absent\.json: cannot be read", load_fabric, tmp_path / "absent.json")
     (tmp_path / "bad.json").write_text("{")
-    with pytest.raises(InputError, match=r"bad\.json: not JSON"):
-        load_fabric(tmp_path / "bad.json")
+    refuses(r"bad\.json: not JSON", load_fabric, tmp_path / "bad.json")
     (tmp_path / "list.json").write_text("[]")
-    with pytest.raises(InputError, match=r"list\.json: not a fabric"):
-        load_fabric(tmp_path / "list.json")
+    refuses(r"list\.json: not a fabric", load_fabric, tmp_path / "list.json")

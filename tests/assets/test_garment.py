@@ -16,6 +16,7 @@ from assets.weld import weld
 from pbd.errors import InputError
 from tests.assets.files import Glb
 from tests.data import data_path
+from tests.refusals import refuses
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 
@@ -176,8 +177,7 @@ def test_the_longest_loop_comes_first_and_a_closed_mesh_has_none() -> None:
     assert [len(loop) for loop in boundary_loops(fewer)] == [7, 6]
     tetrahedron = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], dtype=np.int32)
     assert boundary_loops(tetrahedron) == []
-    with pytest.raises(InputError, match="without openings"):
-        highest_loop(np.eye(4)[:, :3], tetrahedron)
+    refuses("without openings", highest_loop, np.eye(4)[:, :3], tetrahedron)
 
 
 def test_loops_that_touch_at_a_vertex_stay_apart() -> None:
@@ -245,18 +245,14 @@ def test_refused(case: str, tmp_path: Path) -> None:
     ],
 )
 def test_no_pattern(texture: str, message: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=re.escape(message)):
-        load(tmp_path, SQUARE + texture, pattern=True)
+    refuses(re.escape(message), load, tmp_path, SQUARE + texture, pattern=True)
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"absent\.obj: cannot be read"):
-        load_garment(tmp_path / "absent.obj")
-    with pytest.raises(InputError, match=r"cloth\.fbx: an unknown kind of file \(received '\.fbx'"):
-        load_garment(tmp_path / "cloth.fbx")
+    refuses(r"absent\.obj: cannot be read", load_garment, tmp_path / "absent.obj")
+    refuses(r"cloth\.fbx: an unknown kind of file \(received '\.fbx'", load_garment, tmp_path / "cloth.fbx")
     (tmp_path / "noise.obj").write_bytes(np.random.default_rng(0).bytes(5000))
-    with pytest.raises(InputError, match=r"noise\.obj"):
-        load_garment(tmp_path / "noise.obj")
+    refuses(r"noise\.obj", load_garment, tmp_path / "noise.obj")
 
 
 @settings(max_examples=60, deadline=None)
@@ -303,15 +299,12 @@ def test_bad_gltf_garments_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "square.glb"
     data = square_glb().bytes()
     path.write_bytes(data[:-20])
-    with pytest.raises(InputError, match=r"square\.glb: a truncated file \(received '\d+ bytes', expected \d+ bytes\)"):
-        load_garment(path)
+    refuses(r"square\.glb: a truncated file \(received '\d+ bytes', expected \d+ bytes\)", load_garment, path)
     glb = square_glb()
     glb.data[4:8] = np.float32(np.nan).tobytes()
-    with pytest.raises(InputError, match="mesh square, primitive 0, vertex 0: positions that are not three finite"):
-        load_garment(glb.write(path))
+    refuses("mesh square, primitive 0, vertex 0: positions that are not three finite", load_garment, glb.write(path))
     nothing = Glb()
-    with pytest.raises(InputError, match="a mesh without faces"):
-        load_garment(nothing.write(path))
+    refuses("a mesh without faces", load_garment, nothing.write(path))
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import pytest
 from assets.limits import load_limits
 from pbd import InputError
 from pbd.limits import NONE
+from tests.refusals import refuses
 
 TITLES = "vertex,maximum_distance,backstop,stiffness\n"
 
@@ -50,5 +51,4 @@ def test_what_is_refused(tmp_path: Path, text: str, parts: list[str]) -> None:
 
 
 def test_no_file(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot be read"):
-        load_limits(tmp_path / "absent.csv", 8)
+    refuses("cannot be read", load_limits, tmp_path / "absent.csv", 8)

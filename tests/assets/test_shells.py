@@ -5,8 +5,8 @@ from numpy.typing import NDArray
 
 from assets.sewing.body import closed_body
 from assets.shells import count_shells, join_seams, open_share, outer_surface
-from pbd.errors import InputError
 from pbd.mesh import edges_of
+from tests.refusals import refuses
 from tests.wrinkles.meshes import icosphere
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
@@ -103,5 +103,4 @@ def test_a_body_of_several_shells_is_sewn_on_its_outer_surface() -> None:
 def test_a_body_of_sheets_is_refused() -> None:
     square = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
     faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
-    with pytest.raises(InputError, match="not closed"):
-        closed_body("cards", *together((square, faces), (square + [0.0, 0.0, 1.0], faces)))
+    refuses("not closed", closed_body, "cards", *together((square, faces), (square + [0.0, 0.0, 1.0], faces)))

@@ -35,6 +35,7 @@ from precompute.wrinkle_comparison.blind import KEY, blind_figures
 from runtime.cost_table import read_cost_table, write_cost_table
 from tests.assets.files import bar_glb
 from tests.data import ROOT
+from tests.refusals import refuses
 from tests.runtime.cost_tables import made_front
 
 OBJ = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0.1 0.1 0\nf 1 2 3\nf 2 4 3\n"
@@ -202,8 +203,7 @@ def test_utf_16_without_a_mark_is_named(tmp_path: Path, name: str) -> None:
     path, data, read = case(name, tmp_path)
     for encoding in ("utf-16-le", "utf-16-be"):
         path.write_bytes(data.decode("utf-8").encode(encoding))
-        with pytest.raises(InputError, match=re.escape(name) + ".*UTF-16"):
-            read(path)
+        refuses(re.escape(name) + ".*UTF-16", read, path)
 
 
 @pytest.mark.parametrize("name", [name for name in CASES if Path(name).suffix not in KEEP_OWN_NAMES])
@@ -228,8 +228,7 @@ def test_comments_and_names_in_latin_1_do_not_keep_a_mesh_or_a_motion_from_being
 def test_a_panel_of_a_drawing_with_a_name_in_latin_1_is_refused(tmp_path: Path) -> None:
     path, data, read = case("panel.dxf", tmp_path)
     path.write_bytes(data.replace(b"front", "Rücken".encode("latin-1")))
-    with pytest.raises(InputError, match="Latin-1.*Rücken.*UTF-8"):
-        read(path)
+    refuses("Latin-1.*Rücken.*UTF-8", read, path)
 
 
 @pytest.mark.parametrize(("separator", "word"), [(";", "semicolons"), ("\t", "tabs"), ("|", "bars")])
@@ -237,8 +236,7 @@ def test_a_panel_of_a_drawing_with_a_name_in_latin_1_is_refused(tmp_path: Path) 
 def test_other_separators_are_named(tmp_path: Path, name: str, separator: str, word: str) -> None:
     path, data, read = case(name, tmp_path)
     path.write_bytes(data.replace(b",", separator.encode()))
-    with pytest.raises(InputError, match=f"{name}: line 1: columns between {word} .*expected commas"):
-        read(path)
+    refuses(f"{name}: line 1: columns between {word} .*expected commas", read, path)
 
 
 @pytest.mark.parametrize(
@@ -252,8 +250,7 @@ def test_other_separators_are_named(tmp_path: Path, name: str, separator: str, w
 def test_decimal_commas_are_named(tmp_path: Path, row: str, message: str) -> None:
     path = tmp_path / "a.csv"
     path.write_text(f"vertex,length\n\n{row}\n", encoding="utf-8")
-    with pytest.raises(InputError, match=message):
-        read_words(path, ("vertex", "length"))
+    refuses(message, read_words, path, ("vertex", "length"))
 
 
 def test_words_are_read_as_they_stand(tmp_path: Path) -> None:
@@ -263,8 +260,7 @@ def test_words_are_read_as_they_stand(tmp_path: Path) -> None:
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"a\.txt: cannot be read: no such file.*expected a list"):
-        read_text(tmp_path / "a.txt", "a list")
+    refuses(r"a\.txt: cannot be read: no such file.*expected a list", read_text, tmp_path / "a.txt", "a list")
 
 
 OF_THEIR_OWN = {  # read what this program or the system wrote

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from assets.transform import decompose, local_matrices, quaternions, slerp
-from pbd.errors import InputError
+from tests.refusals import refuses
 
 # Quarter and half turns too, where one quaternion component or the angle vanishes.
 TURNS = Rotation.concatenate([Rotation.random(200, random_state=0), Rotation.create_group("O")])
@@ -36,8 +36,7 @@ def test_a_mirror_decomposes() -> None:
     ],
 )
 def test_what_does_not_decompose_is_refused(matrix: np.ndarray, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        decompose(matrix, "joint 3")
+    refuses(message, decompose, matrix, "joint 3")
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])

@@ -8,8 +8,8 @@ from pbd import Body, ClothMesh, Colliders, Fabric, Model, ModelOptions, Solver,
 from tests.wrinkles.meshes import icosphere
 
 __all__ = [
-    "RADIUS", "THICKNESS", "bodies", "body_of", "cloth", "free_model", "grid", "icosphere", "level_sheet", "momentum",
-    "run", "thrown_sheet", "to_triangles", "turn", "wavy",
+    "RADIUS", "THICKNESS", "bodies", "body_of", "cloth", "free_model", "grid", "icosphere", "level", "level_sheet",
+    "momentum", "run", "thrown_sheet", "to_triangles", "turn", "wavy",
 ]  # fmt: skip
 
 THICKNESS = Fabric.thickness  # of cloth that is not told another [m]
@@ -108,6 +108,13 @@ def level_sheet(edges: int, size: float, height: float) -> tuple[np.ndarray, np.
     """Level sheet, normals up, a little off the middle so that nothing is balanced."""
     vertices, faces = grid(edges, edges, size / edges)
     return vertices[:, [1, 2, 0]] + [0.013 - size / 2, height, -0.007 - size / 2], faces
+
+
+def level(along: int, across: int, step: float, height: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """A sheet in the x-z plane, normals up, about a point above the origin."""
+    vertices, faces = grid(along, across, step)
+    vertices = vertices[:, [1, 2, 0]]
+    return vertices - vertices.mean(axis=0) + [0.0, height, 0.0], faces
 
 
 def bodies(seed: int) -> tuple[np.ndarray, np.ndarray]:

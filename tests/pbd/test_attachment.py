@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pbd import InputError
 from pbd.attachment import Attachment, closest_points, push_outside
 from tests.pbd.meshes import icosphere, to_triangles, turn
+from tests.refusals import refuses
 
 BALL, FACES = icosphere(3, 0.15)
 
@@ -60,8 +60,7 @@ def test_bound_points_keep_their_distance_when_the_body_swells() -> None:
 def test_nothing_to_bind_and_nothing_to_bind_to() -> None:
     none = Attachment.bind(np.zeros((0, 3)), BALL, FACES)
     assert none.targets(BALL).shape == (0, 3)
-    with pytest.raises(InputError, match="nothing to attach to"):
-        Attachment.bind(around(0, 0.1, 0.2), BALL, FACES[:0])
+    refuses("nothing to attach to", Attachment.bind, around(0, 0.1, 0.2), BALL, FACES[:0])
 
 
 @pytest.mark.parametrize("clearance", [0.0, 0.002, 0.01])

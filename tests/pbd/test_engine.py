@@ -2,18 +2,17 @@
 
 import os
 import pickle
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pbd import InputError, ensure_initialized
+from pbd import ensure_initialized
 from pbd.engine import ti
 from pbd.geometry import Vec3
 from pbd.taichi_internals import Launch
-from tests.data import ROOT
+from tests.processes import python
+from tests.refusals import refuses
 
 PREFIX, NAME = {"taichi": ("TI", "Taichi"), "quadrants": ("QD", "Quadrants")}[ti.__name__]
 
@@ -23,43 +22,31 @@ def test_the_same_wish_again_does_nothing() -> None:
     ensure_initialized("cpu")
 
 
-@pytest.mark.parametrize("wish", [{"arch": "cuda"}, {"threads": 10_000}])
-def test_another_wish_is_refused(wish: dict) -> None:
-    with pytest.raises(InputError, match="already runs"):
-        ensure_initialized(**wish)
+@pytest.mark.parametrize(
+    ("wish", "words"),
+    [({"arch": "cuda"}, "already runs"), ({"threads": 10_000}, "already runs"), ({"arch": "gpu"}, "arch")]
+    + [({"threads": count}, "threads") for count in (0, -1)],
+)
+def test_another_wish_and_a_bad_one_are_refused(wish: dict, words: str) -> None:
+    refuses(words, ensure_initialized, **wish)
 
 
-@pytest.mark.parametrize("wish", [{"arch": "gpu"}, {"threads": 0}, {"threads": -1}])
-def test_a_bad_wish_is_refused(wish: dict) -> None:
-    with pytest.raises(InputError, match=next(iter(wish))):
-        ensure_initialized(**wish)
-
-
-@pytest.mark.parametrize("value", ["two", "-1", "1.5"])
-def test_a_bad_thread_count_in_the_environment_is_refused(value: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [("GUBE_THREADS", value, value) for value in ("two", "-1", "1.5")]
+    + [
+        pytest.param(
+            "GUBE_ENGINE", "warp", "taichi or quadrants",
+            marks=pytest.mark.skipif(PREFIX == "QD", reason="another name asks for Taichi, which need not be there"),
+        )
+    ],
+)  # fmt: skip
+def test_a_bad_setting_in_the_environment_is_refused(name: str, value: str, words: str) -> None:
     script = (
         "from pbd import InputError, ensure_initialized\ntry: ensure_initialized()\nexcept InputError as e: print(e)"
     )
-    result = subprocess.run(
-        [sys.executable, "-c", script],
-        cwd=ROOT,
-        env={**os.environ, "GUBE_THREADS": value},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert "GUBE_THREADS" in result.stdout and value in result.stdout
-
-
-@pytest.mark.skipif(PREFIX == "QD", reason="another name asks for Taichi, which need not be installed")
-def test_an_engine_that_there_is_not_is_refused() -> None:
-    script = (
-        "from pbd import InputError, ensure_initialized\ntry: ensure_initialized()\nexcept InputError as e: print(e)"
-    )
-    settings = {**os.environ, "GUBE_ENGINE": "warp"}
-    command = [sys.executable, "-c", script]
-    result = subprocess.run(command, cwd=ROOT, env=settings, capture_output=True, text=True, check=True)
-    assert "GUBE_ENGINE" in result.stdout and "taichi or quadrants" in result.stdout
+    text = python(script, **{name: value})
+    assert name in text and words in text
 
 
 # A program that uses Taichi itself: `fits` and `other` are settings that gube can and cannot use.
@@ -90,10 +77,7 @@ def field():
 
 def own_program(script: str) -> list[str]:
     """What such a program prints, without Taichi's own words."""
-    command = [sys.executable, "-c", OWN_PROGRAM + script]
-    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert result.returncode == 0, result.stderr
-    return [line for line in result.stdout.splitlines() if not line.startswith(f"[{NAME}]")]
+    return [line for line in python(OWN_PROGRAM + script).splitlines() if not line.startswith(f"[{NAME}]")]
 
 
 def test_a_program_that_runs_taichi_itself_is_joined() -> None:
@@ -136,12 +120,8 @@ def _compiled(folder: Path, threads: str = "1") -> tuple[list[str], str]:
         "ensure_initialized()\nout = np.zeros((3, 3), np.float32)\n"
         "surface_normals(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32), out)\nprint(out.tolist())\n"
     )
-    settings = {"GUBE_THREADS": threads, f"{PREFIX}_OFFLINE_CACHE_FILE_PATH": str(folder)}
-    result = subprocess.run(
-        [sys.executable, "-c", script], cwd=ROOT, env=os.environ | settings, capture_output=True, text=True
-    )
-    assert result.returncode == 0, result.stderr
-    return sorted(path.name for path in folder.rglob(f"*.{PREFIX[0].lower()}?c")), result.stdout
+    result = python(script, GUBE_THREADS=threads, **{f"{PREFIX}_OFFLINE_CACHE_FILE_PATH": str(folder)})
+    return sorted(path.name for path in folder.rglob(f"*.{PREFIX[0].lower()}?c")), result
 
 
 def test_one_thread_and_two_share_compiled_kernels(tmp_path: Path) -> None:
@@ -297,10 +277,7 @@ def test_threads_that_share_a_loop_have_a_core_each(threads: int) -> None:
         "print(*sorted(str(sorted(os.sched_getaffinity(t))) for t in _threads() - earlier), sep=';')\n"
         "print(sorted(os.sched_getaffinity(0)))\n"
     )
-    settings = {**os.environ, "GUBE_THREADS": str(threads)}
-    command = [sys.executable, "-c", script]
-    result = subprocess.run(command, cwd=ROOT, env=settings, capture_output=True, text=True, check=True)
-    placed, own = result.stdout.split("\n")[:2]
+    placed, own = python(script, GUBE_THREADS=str(threads)).split("\n")[:2]
     cores = sorted(os.sched_getaffinity(0))
     assert own == str(cores)  # the caller's thread goes where it likes
     expected = {str([core]) for core in cores[:2]} if 1 < threads <= len(cores) else {str(cores)}
@@ -314,10 +291,7 @@ def test_threads_are_counted_by_the_cores_that_the_process_may_use() -> None:
         "import os\nos.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:1])\n"
         "from pbd import engine\nengine.ensure_initialized()\nprint(engine._settings['threads'])\n"
     )
-    settings = {name: value for name, value in os.environ.items() if name != "GUBE_THREADS"}
-    command = [sys.executable, "-c", script]
-    result = subprocess.run(command, cwd=ROOT, env=settings, capture_output=True, text=True, check=True)
-    assert result.stdout.strip() == "1"
+    assert python(script, GUBE_THREADS=None).strip() == "1"
 
 
 def test_no_thread_asks_for_a_newer_version() -> None:
@@ -327,7 +301,4 @@ def test_no_thread_asks_for_a_newer_version() -> None:
         "threading.Thread.start = lambda self: (started.append(self), start(self))[1]\n"
         "from pbd import ensure_initialized\nensure_initialized()\nprint(started)\n"
     )
-    settings = {name: value for name, value in os.environ.items() if name != f"{PREFIX}_SKIP_VERSION_CHECK"}
-    command = [sys.executable, "-c", script]
-    result = subprocess.run(command, cwd=ROOT, env=settings, capture_output=True, text=True, check=True)
-    assert result.stdout.strip() == "[]"
+    assert python(script, **{f"{PREFIX}_SKIP_VERSION_CHECK": None}).strip() == "[]"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,6 @@ import pytest
 from pbd import (
     Colliders,
     Fabric,
-    InputError,
     Model,
     ModelOptions,
     Solver,
@@ -24,6 +24,7 @@ from pbd.mesh import ClothMesh
 from pbd.xpbd.constraints import FRICTION_STIFFNESS
 from precompute.validation.friction_rows import rolled, unordered
 from precompute.validation.trial import Specimen, level, strip
+from tests.refusals import refuses
 
 HYSTERESIS = 1.2e-3  # of cotton broadcloth, Kawabata's 2HB [N]
 BEND = 11.6e-6  # [N m]
@@ -195,32 +196,20 @@ def test_what_was_bent_stays_bent_and_cloth_without_friction_does_not() -> None:
     assert creased.std() < 0.4 * smooth.std()  # and has lost of its swing what friction takes
 
 
-def test_friction_is_kept_in_the_state_and_costs_nothing_where_there_is_none(tmp_path) -> None:
-    model = model_of(strip(0.06, 0.02, 12, 1), COTTON)
-    state = State.at_rest(model)
-    assert len(state.plastic_bends) == model.plastic_count > 0
-    state.plastic_bends[:] = 0.001
-    assert state.hash() != State.at_rest(model).hash()
-    state.save(str(tmp_path / "a.npz"))
-    assert State.load(str(tmp_path / "a.npz")).hash() == state.hash()
-    none = model_of(strip(0.06, 0.02, 12, 1), SMOOTH)
-    assert none.plastic_count == 0 and len(State.at_rest(none).plastic_bends) == 0
-    with pytest.raises(InputError, match="state of another model"):
-        Solver(none).step(state, Colliders(), 1 / 60)
-
-
-def test_friction_of_shear_is_kept_in_the_state_too(tmp_path) -> None:
-    model = model_of(strip(0.06, 0.02, 12, 1), SHEARED)
-    state = State.at_rest(model)
-    assert len(state.plastic_shears) == model.plastic_shear_count == len(model.triangles)
-    state.plastic_shears[:] = 0.001
-    assert state.hash() != State.at_rest(model).hash()
-    state.save(str(tmp_path / "a.npz"))
-    assert State.load(str(tmp_path / "a.npz")).hash() == state.hash()
-    none = model_of(strip(0.06, 0.02, 12, 1), SMOOTH)
-    assert none.plastic_shear_count == 0 and len(State.at_rest(none).plastic_shears) == 0
-    with pytest.raises(InputError, match="state of another model"):
-        Solver(none).step(state, Colliders(), 1 / 60)
+@pytest.mark.parametrize(("fabric", "kind"), [(COTTON, "bend"), (SHEARED, "shear")])
+def test_friction_is_kept_in_the_state_and_costs_nothing_where_there_is_none(
+    fabric: Fabric, kind: str, tmp_path: Path
+) -> None:
+    models = [model_of(strip(0.06, 0.02, 12, 1), one) for one in (fabric, SMOOTH)]
+    states = [State.at_rest(model) for model in models]
+    counts = [model.plastic_count if kind == "bend" else model.plastic_shear_count for model in models]
+    plastic, of_none = (getattr(state, f"plastic_{kind}s") for state in states)
+    assert [len(plastic), len(of_none)] == counts == [counts[0] if kind == "bend" else len(models[0].triangles), 0]
+    plastic[:] = 0.001
+    assert counts[0] > 0 and states[0].hash() != State.at_rest(models[0]).hash()
+    states[0].save(str(tmp_path / "a.npz"))
+    assert State.load(str(tmp_path / "a.npz")).hash() == states[0].hash()
+    refuses("state of another model", Solver(models[1]).step, states[0], Colliders(), 1 / 60)
 
 
 @pytest.mark.parametrize("more", [(False, False), (True, False), (False, True), (True, True)])
@@ -265,10 +254,3 @@ def test_layers_keep_their_own_friction() -> None:
     for layer in kept:
         assert layer == pytest.approx(alone.plastic_bends, abs=1e-6)
     assert not state.plastic_bends[: -2 * rubs.plastic_count].any()
-
-
-def test_what_cannot_be_is_refused() -> None:
-    with pytest.raises(InputError, match="bend_hysteresis_warp"):
-        Fabric(bend_hysteresis_warp=-1e-3)
-    with pytest.raises(InputError, match="shear_hysteresis"):
-        Fabric(shear_hysteresis=-1.0)

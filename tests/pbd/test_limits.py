@@ -7,6 +7,7 @@ from scipy.sparse import csr_matrix
 from pbd import Colliders, Fabric, InputError, Limits, Solver, SolverOptions, State, build_model
 from pbd.limits import NONE, LimitTargets, SkinnedTargets
 from tests.pbd.meshes import cloth, grid, icosphere, turn
+from tests.refusals import refuses
 
 AIRLESS = Fabric(air_drag=0.0)
 UP = (0.0, 1.0, 0.0)
@@ -122,8 +123,7 @@ def test_limits_of_a_stand_in() -> None:
     ],
 )
 def test_bad_limits(values: tuple, key: str) -> None:
-    with pytest.raises(InputError, match=key):
-        Limits(*values)
+    refuses(key, Limits, *values)
 
 
 def test_limits_of_other_models_and_targets_of_other_limits() -> None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pbd import Fabric, InputError, ModelOptions, State, build_model
+from pbd import Fabric, ModelOptions, State, build_model
 from pbd.layers import layered
 from tests.pbd.meshes import cloth, icosphere, run, turn
 
@@ -45,8 +45,3 @@ def test_layers_keep_their_own_pressure() -> None:
     assert sizes[1] > 1.01 * starts[1]
     plain = [replace(model, pressure=models[0].pressure) for model in models]
     assert len(layered(plain).pressure) == 0
-
-
-def test_bad_pressure() -> None:
-    with pytest.raises(InputError, match="pressure"):
-        ModelOptions(pressure=np.nan)

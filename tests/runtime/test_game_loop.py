@@ -9,9 +9,9 @@ import pytest
 
 from assets.motion import ClipMotion
 from assets.procedural.mannequin import builtin_mannequin
-from pbd import InputError
 from runtime.game_loop import GameLoop, LiveInput, ScriptedInput
 from runtime.player import Player
+from tests.refusals import refuses
 from tests.runtime.players import skirt_database
 
 TICK = 1.0 / 60.0
@@ -278,20 +278,17 @@ def test_the_clock_of_this_machine() -> None:
     ],
 )
 def test_bad_settings_are_refused(key: str, options: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match=key):
-        GameLoop(FakePlayer(), live, **options)
+    refuses(key, GameLoop, FakePlayer(), live, **options)
 
 
 @pytest.mark.parametrize("elapsed", [-1e-3, math.nan, math.inf])
 def test_bad_elapsed_times_are_refused(elapsed: float) -> None:
-    with pytest.raises(InputError, match="elapsed"):
-        GameLoop(FakePlayer(), live).advance(elapsed)
+    refuses("elapsed", GameLoop(FakePlayer(), live).advance, elapsed)
 
 
 @pytest.mark.parametrize("seconds", [0.0, -1.0, 0.001, math.nan, math.inf])
 def test_bad_lengths_are_refused(seconds: float) -> None:
-    with pytest.raises(InputError, match="seconds"):
-        GameLoop(FakePlayer(), live).run(seconds)
+    refuses("seconds", GameLoop(FakePlayer(), live).run, seconds)
 
 
 @pytest.fixture(scope="module")

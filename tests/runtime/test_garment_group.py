@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-import pytest
 
-from pbd import InputError
 from runtime.cost_table import CostTable
 from runtime.garment_group import GarmentGroup
 from runtime.level_of_detail import LevelOfDetail
 from runtime.planner import Planner, ViewSize
+from tests.refusals import refuses
 from tests.runtime.cost_tables import made_front, seen
 
 DT = 1.0 / 60.0
@@ -135,5 +134,4 @@ def test_garments_take_turns_as_planned() -> None:
 
 
 def test_other_players_than_the_planner_knows_are_refused() -> None:
-    with pytest.raises(InputError, match="as the planner has"):
-        GarmentGroup([], Planner([made_front()], 1.0, 1.0))
+    refuses("as the planner has", GarmentGroup, [], Planner([made_front()], 1.0, 1.0))

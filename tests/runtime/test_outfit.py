@@ -17,6 +17,7 @@ from runtime.garment_mesh import pattern_of
 from runtime.garment_setup import GarmentSetup, fabric_of
 from runtime.scene_simulation import garments_of, simulation_of
 from tests.assets.panels import two_panels
+from tests.refusals import refuses
 from tests.runtime.players import TROUSERS
 
 SKIRT = """
@@ -120,10 +121,8 @@ def test_a_garment_that_is_fastened_hangs_on_the_one_below_it_until_it_is_opened
 
 
 def test_what_cannot_be_fastened_is_refused() -> None:
-    with pytest.raises(InputError, match="garment.0..fasten: nothing below"):
-        setup_of(TROUSERS + 'fasten = "top"\n' + SKIRT + REST)
-    with pytest.raises(InputError, match="mm from the nearest one at"):
-        setup_of(TROUSERS + SKIRT + "fasten = [0, 1]\n" + REST)
+    refuses("garment.0..fasten: nothing below", setup_of, TROUSERS + 'fasten = "top"\n' + SKIRT + REST)
+    refuses("mm from the nearest one at", setup_of, TROUSERS + SKIRT + "fasten = [0, 1]\n" + REST)
 
 
 def test_all_garments_are_as_fine_as_the_one_that_needs_it_most() -> None:
@@ -181,8 +180,7 @@ def test_the_pattern_is_that_of_all_garments() -> None:
     ],
 )
 def test_what_makes_no_outfit_is_refused(old: str, new: str, problem: str) -> None:
-    with pytest.raises(InputError, match=problem):
-        setup_of(OUTFIT.replace(old, new))
+    refuses(problem, setup_of, OUTFIT.replace(old, new))
 
 
 def test_a_decimated_garment_is_refused(tmp_path: Path) -> None:
@@ -192,8 +190,7 @@ def test_a_decimated_garment_is_refused(tmp_path: Path) -> None:
     (tmp_path / "cloth.obj").write_text("\n".join(lines))
     mesh = f'"{(tmp_path / "cloth.obj").as_posix()}"\npattern = true\ncoarse_vertices = 60'
     cloth = SKIRT.replace('"builtin:skirt"', mesh).replace('attach = "top"', "")
-    with pytest.raises(InputError, match=r"garment\[1\].coarse_vertices: a decimated mesh in an outfit"):
-        setup_of(TROUSERS + cloth + REST)
+    refuses(r"garment\[1\].coarse_vertices: a decimated mesh in an outfit", setup_of, TROUSERS + cloth + REST)
 
 
 @pytest.mark.parametrize("fine", [False, True])

@@ -15,6 +15,7 @@ from precompute.method_comparison.error_classes import LIMITS
 from runtime.cost_table import CostTable, Setting, read_cost_table, write_cost_table
 from runtime.level_of_detail import LevelOfDetail
 from runtime.planner import HOLD, TARGETS, Planner, ViewSize, sight_of
+from tests.refusals import refuses
 from tests.runtime.cost_tables import made_front, seen
 from wrinkles.mesh_measures import PIXELS_PER_METRE
 
@@ -166,13 +167,11 @@ def test_a_slower_machine_is_given_less() -> None:
 
 @pytest.mark.parametrize(("cost_tables", "target", "budget"), [(0, 1.0, 1.0), (1, 0.0, 1.0), (1, 1.0, np.nan)])
 def test_bad_plans_are_refused(cost_tables: int, target: float, budget: float) -> None:
-    with pytest.raises(InputError, match="bad plan"):
-        Planner([made_front()] * cost_tables, target, budget)
+    refuses("bad plan", Planner, [made_front()] * cost_tables, target, budget)
 
 
 def test_a_plan_for_other_garments_is_refused() -> None:
-    with pytest.raises(InputError, match="one a garment"):
-        Planner([made_front()], 1.0, 1.0).plan([])
+    refuses("one a garment", Planner([made_front()], 1.0, 1.0).plan, [])
 
 
 def test_a_front_is_read_as_it_was_written(tmp_path: Path) -> None:

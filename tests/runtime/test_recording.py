@@ -34,6 +34,7 @@ from runtime.recording import (
 )
 from runtime.recording_file import LARGEST, Quantised, links_of, quantised, read_recording, recording_bytes
 from runtime.simulation import poses_of
+from tests.refusals import refuses
 from tests.runtime.players import outfit_database, skirt_database, skirt_stage
 from tests.wrinkles.delivered import delivered_database, delivered_panels
 from wrinkles.database import WrinkleDatabase, body_hash
@@ -226,8 +227,7 @@ def test_each_point_is_predicted_by_earlier_ones_on_either_side(count: int) -> N
 
 @pytest.mark.parametrize("value", [1.01 * LARGEST * 1e-4, np.nan, -np.inf])
 def test_vertices_that_the_file_cannot_hold_are_refused(value: float) -> None:
-    with pytest.raises(InputError, match=r"fine: cannot be recorded.*at most 1.34e\+04"):
-        quantised("fine", np.array([[0.0, value]]), 1e-4)
+    refuses(r"fine: cannot be recorded.*at most 1.34e\+04", quantised, "fine", np.array([[0.0, value]]), 1e-4)
 
 
 @pytest.mark.parametrize(("spoil", "message"), [(b"glTF rec", "not a recorded garment"), (None, "version 4")])

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from assets.procedural.mannequin import builtin_mannequin
-from pbd import ClothMesh, Fabric, InputError, Plane, build_model
+from pbd import ClothMesh, Fabric, Plane, build_model
 from runtime.game_loop import GameLoop, LiveInput
 from runtime.simulation import Simulation, body_source
+from tests.refusals import refuses
 
 VACUUM = Fabric(air_drag=0.0)
 NO_POSE = np.zeros(0)  # of a garment without a body
@@ -59,8 +60,6 @@ def test_a_game_loop_shows_each_picture_at_its_time() -> None:
 
 def test_a_body_needs_a_pose() -> None:
     source, model = body_source(builtin_mannequin()), square().model
-    with pytest.raises(InputError, match="pose: a body without a pose"):
-        Simulation(model, source=source)
+    refuses("pose: a body without a pose", Simulation, model, source=source)
     on_body = Simulation(model, source=source, pose=builtin_mannequin().bind_pose())
-    with pytest.raises(InputError, match="pose: a body without a pose"):
-        on_body.step()
+    refuses("pose: a body without a pose", on_body.step)

@@ -15,12 +15,12 @@ from assets.character import Character
 from assets.io.scene import parse_scene
 from assets.io.sequence import Sequence, load_sequence
 from assets.loading import load_character, load_garment
-from pbd.errors import InputError
 from runtime.animation_baking import write_baked
 from runtime.bake import bake_glb, bake_mdd, bake_obj, bake_usd
 from runtime.garment_mesh import subdivided, texture_of
 from tests.assets.files import bar_glb
 from tests.assets.panels import two_panels
+from tests.refusals import refuses
 from tests.runtime.baking import waving_sheet
 from wrinkles.surface import Subdivision, cut_corners
 
@@ -205,8 +205,7 @@ def test_coordinates_that_are_not_those_of_the_faces_are_refused(ending: str, tm
     texture = np.zeros((len(faces), 3, 2))
     texture[3, 1, 0] = np.inf
     for wrong, problem in ((texture[1:], "texture: bad shape .*127, 3, 2"), (texture, r"texture\[.*not finite")):
-        with pytest.raises(InputError, match=problem):
-            write_baked(tmp_path / f"a{ending}", faces, frames, 30.0, texture=wrong)
+        refuses(problem, write_baked, tmp_path / f"a{ending}", faces, frames, 30.0, texture=wrong)
     assert not list(tmp_path.iterdir())
 
 

@@ -5,6 +5,7 @@ import pytest
 
 from pbd import Colliders, Fabric, InputError, State
 from tests.pbd.meshes import RADIUS, THICKNESS, bodies, cloth, free_model, level_sheet, run, to_triangles, turn
+from tests.refusals import refuses
 from tests.wrinkles.meshes import icosphere
 from wrinkles.field import field_of_mesh
 
@@ -41,19 +42,12 @@ def test_cloth_rests_on_the_field_of_a_mesh() -> None:
 
 def test_meshes_that_are_no_solid_are_refused() -> None:
     vertices, faces = icosphere(2, 0.1)
-    with pytest.raises(InputError, match=r"not closed \(received '3 edges"):
-        field_of_mesh(vertices, faces[1:], 0.01)
-    with pytest.raises(InputError, match="not closed"):
-        field_of_mesh(vertices, np.concatenate([faces, faces[:1]]), 0.01)
+    refuses(r"not closed \(received '3 edges", field_of_mesh, vertices, faces[1:], 0.01)
+    refuses("not closed", field_of_mesh, vertices, np.concatenate([faces, faces[:1]]), 0.01)
     with pytest.raises(InputError, match="not closed"):  # one face wound against the others
         field_of_mesh(vertices, np.concatenate([faces[:-1], faces[-1:, ::-1]]), 0.01)
-    with pytest.raises(InputError, match="inside out"):
-        field_of_mesh(vertices, faces[:, ::-1], 0.01)
-    with pytest.raises(InputError, match="no such vertex"):
-        field_of_mesh(vertices[:-1], faces, 0.01)
-    with pytest.raises(InputError, match="finite"):
-        field_of_mesh(vertices * np.nan, faces, 0.01)
-    with pytest.raises(InputError, match="spacing"):
-        field_of_mesh(vertices, faces, 0.0)
-    with pytest.raises(InputError, match="grid of 1.76e"):
-        field_of_mesh(vertices, faces, 1e-4)
+    refuses("inside out", field_of_mesh, vertices, faces[:, ::-1], 0.01)
+    refuses("no such vertex", field_of_mesh, vertices[:-1], faces, 0.01)
+    refuses("finite", field_of_mesh, vertices * np.nan, faces, 0.01)
+    refuses("spacing", field_of_mesh, vertices, faces, 0.0)
+    refuses("grid of 1.76e", field_of_mesh, vertices, faces, 1e-4)

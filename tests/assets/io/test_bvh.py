@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from assets.io.bvh import read_bvh
 from pbd.errors import InputError
 from tests.data import data_path
+from tests.refusals import refuses
 
 ARM = """HIERARCHY
 ROOT Hips
@@ -118,11 +119,9 @@ def test_refused(tmp_path: Path, case: str) -> None:
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"absent\.bvh: cannot be read"):
-        read_bvh(tmp_path / "absent.bvh")
+    refuses(r"absent\.bvh: cannot be read", read_bvh, tmp_path / "absent.bvh")
     (tmp_path / "arm.bvh").write_bytes(bytes(range(256)) * 50)
-    with pytest.raises(InputError, match=r"arm\.bvh: line 1: not a BVH file"):
-        read_bvh(tmp_path / "arm.bvh")
+    refuses(r"arm\.bvh: line 1: not a BVH file", read_bvh, tmp_path / "arm.bvh")
 
 
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -15,6 +15,7 @@ from assets.skinning import skin_vertices
 from pbd.errors import InputError
 from tests.assets.files import Glb, bar_glb, turn_z
 from tests.data import data_path
+from tests.refusals import refuses
 
 
 def load(glb: Glb, folder: Path) -> Character:
@@ -321,13 +322,11 @@ def test_a_truncated_file_is_refused(share: float, tmp_path: Path) -> None:
     data = bar_glb().bytes()
     path = tmp_path / "cut.glb"
     path.write_bytes(data[: int(len(data) * share)])
-    with pytest.raises(InputError, match=r"cut\.glb: .*(truncated|not a binary glTF)"):
-        load_character(path)
+    refuses(r"cut\.glb: .*(truncated|not a binary glTF)", load_character, path)
 
 
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"absent\.glb: cannot be read"):
-        load_character(tmp_path / "absent.glb")
+    refuses(r"absent\.glb: cannot be read", load_character, tmp_path / "absent.glb")
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

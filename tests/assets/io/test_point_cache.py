@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from assets.io.sequence import is_sequence, load_sequence
 from pbd.errors import InputError
+from tests.refusals import refuses
 
 QUAD = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n"
 
@@ -101,8 +102,7 @@ def test_refused(tmp_path: Path, case: str) -> None:
 
 @pytest.mark.parametrize("name", ["absent.pc2", "absent.mdd"])
 def test_a_missing_file_is_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(InputError, match=rf"{name}: cannot be read"):
-        load_sequence(tmp_path / name, 25.0 if name.endswith("pc2") else None)
+    refuses(rf"{name}: cannot be read", load_sequence, tmp_path / name, 25.0 if name.endswith("pc2") else None)
 
 
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -17,6 +17,7 @@ from assets.skinning import skin_vertices
 from pbd.errors import InputError
 from tests.assets.captures import write_bvh
 from tests.data import data_path
+from tests.refusals import refuses
 
 CAPTURED = "turn"  # the mannequin's clip that is written as a capture
 UNIT = 0.0254  # of that capture [m]
@@ -137,8 +138,7 @@ def test_a_body_that_lies_although_its_zero_pose_stands_is_refused(tmp_path: Pat
     message = (
         "turned.bvh: up axis: a body that lies, or a motion with Z up whose zero pose has Y up (received 'Z in 100 %"
     )
-    with pytest.raises(InputError, match=re.escape(message)):
-        retargeted(builtin_mannequin(), lying)
+    refuses(re.escape(message), retargeted, builtin_mannequin(), lying)
 
 
 RENAMED = {"LeftArm": "bone_7", "LeftUpLeg": "bone_8"}
@@ -165,8 +165,7 @@ def test_a_table_names_joints_that_no_name_reveals(tmp_path: Path, truth: np.nda
 def test_wrong_tables_are_refused(
     tmp_path: Path, truth: np.ndarray, table: dict[str, tuple[str, str]], message: str
 ) -> None:
-    with pytest.raises(InputError, match=re.escape(message)):
-        retargeted(builtin_mannequin(), capture(tmp_path, truth[:2]), table)
+    refuses(re.escape(message), retargeted, builtin_mannequin(), capture(tmp_path, truth[:2]), table)
 
 
 @pytest.mark.parametrize(
@@ -190,8 +189,7 @@ def test_wrong_files_of_tables_are_refused(tmp_path: Path, text: str, message: s
 
 
 def test_a_capture_without_lengths_is_refused(tmp_path: Path, truth: np.ndarray) -> None:
-    with pytest.raises(InputError, match=r"turned\.bvh: legs without length"):
-        retargeted(builtin_mannequin(), capture(tmp_path, 0.0 * truth[:2]))
+    refuses(r"turned\.bvh: legs without length", retargeted, builtin_mannequin(), capture(tmp_path, 0.0 * truth[:2]))
     flat = truth[:2].copy()
     parts = find_parts(builtin_mannequin().joint_names)
     flat[:, parts["left hand"]] = flat[:, parts["left lower arm"]]

@@ -12,6 +12,7 @@ from assets.io.collider_settings import CapsuleSettings, FieldSettings
 from assets.io.scene import Scene, load_scene, parse_scene, scene_text
 from pbd import Capsule, Fabric, InputError, SolverOptions
 from pbd.wind import Wind
+from tests.refusals import refuses
 
 SKIRT = '[[garment]]\nname = "skirt"\nmesh = "builtin:skirt"\n'
 FULL = """
@@ -119,8 +120,7 @@ def refused(load, text: str) -> str:
 def test_a_scene_without_a_file_of_its_own_is_read_in_the_working_folder(load, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert parse_scene(FULL) == load(FULL)
-    with pytest.raises(InputError, match="scene.toml: garment"):
-        parse_scene("")
+    refuses("scene.toml: garment", parse_scene, "")
 
 
 def test_a_short_scene_has_the_defaults(load) -> None:
@@ -215,8 +215,7 @@ def test_bad_seams_and_parts_are_refused(load, tmp_path: Path, old: str, new: st
     for name in ("stitches.csv", "dance.npz"):
         (tmp_path / name).touch()
     assert old in DRESS
-    with pytest.raises(InputError, match=message):
-        load(DRESS.replace(old, new))
+    refuses(message, load, DRESS.replace(old, new))
 
 
 WORN = """
@@ -279,8 +278,7 @@ def test_files_that_do_not_fit_are_refused(load, tmp_path: Path, old: str, new: 
     for name in ("woman.usdc", "woman.glb", "walk.bvh", "dance.bvh", "joints.csv", "body.pc2"):
         (tmp_path / name).touch()
     assert old in WORN
-    with pytest.raises(InputError, match=message):
-        load(WORN.replace(old, new, 1))
+    refuses(message, load, WORN.replace(old, new, 1))
 
 
 @pytest.mark.parametrize(
@@ -408,8 +406,7 @@ def test_the_data_folder_comes_from_the_environment(load, tmp_path: Path, monkey
 
 
 def test_a_missing_scene_file_is_bad_input(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="absent.toml: cannot be read"):
-        load_scene(tmp_path / "absent.toml")
+    refuses("absent.toml: cannot be read", load_scene, tmp_path / "absent.toml")
 
 
 def test_clips_of_one_name_in_two_files_are_told_apart_by_a_label(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from assets.io.sequence import SequenceBody, SequenceMotion, load_sequence
 from pbd.engine import ti
 from pbd.errors import InputError
 from tests.data import data_path
+from tests.refusals import refuses
 
 FACES = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
 
@@ -61,8 +62,7 @@ def test_a_part_is_led_into_from_the_beginning(tmp_path: Path) -> None:
     assert (part.lead_in, part.duration) == pytest.approx((length, 1.8 * length))
     for t in (0.0, 0.3 * length, length):
         np.testing.assert_allclose(part.pose(2.0 * t), whole.pose(min(t, 0.9 * length)), atol=1e-12)
-    with pytest.raises(InputError, match="start: a part after the end"):
-        SequenceMotion(sequence, start=length)
+    refuses("start: a part after the end", SequenceMotion, sequence, start=length)
 
 
 def test_one_frame_is_held(tmp_path: Path) -> None:
@@ -106,16 +106,13 @@ def test_a_truncated_file_is_refused(share: float, tmp_path: Path) -> None:
     path = write(tmp_path)
     data = path.read_bytes()
     path.write_bytes(data[: int(len(data) * share)])
-    with pytest.raises(InputError, match=r"body\.npz"):
-        load_sequence(path)
+    refuses(r"body\.npz", load_sequence, path)
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"absent\.npz: cannot be read"):
-        load_sequence(tmp_path / "absent.npz")
+    refuses(r"absent\.npz: cannot be read", load_sequence, tmp_path / "absent.npz")
     np.save(tmp_path / "one.npy", frames())
-    with pytest.raises(InputError, match=r"one\.npy: a single array"):
-        load_sequence(tmp_path / "one.npy")
+    refuses(r"one\.npy: a single array", load_sequence, tmp_path / "one.npy")
 
 
 def test_the_dancer() -> None:

@@ -18,6 +18,7 @@ from assets.loading import load_animation, load_character
 from assets.skinning import skin_vertices
 from pbd.errors import InputError
 from tests.assets.files import bar_glb
+from tests.refusals import refuses
 
 HEIGHTS = np.repeat(np.linspace(0.0, 2.0, 5), 2)
 POINTS = np.stack([np.tile([-0.25, 0.25], 5), HEIGHTS, np.zeros(10)], axis=1)
@@ -102,8 +103,7 @@ def test_a_character_without_a_unit_is_read_in_centimetres_or_refused(tmp_path: 
         stage.ClearMetadata("metersPerUnit")
         stage.Save()
     np.testing.assert_allclose(load_character(tmp_path / "100.0.usda").vertices, POINTS, atol=1e-6)
-    with pytest.raises(InputError, match=r"does not say its unit .*0\.02 m tall.*expected 1 \(metres\)"):
-        load_character(tmp_path / "1.0.usda")
+    refuses(r"does not say its unit .*0\.02 m tall.*expected 1 \(metres\)", load_character, tmp_path / "1.0.usda")
 
 
 def test_centimetres_z_up_and_a_skeleton_that_travels(tmp_path: Path) -> None:
@@ -206,8 +206,7 @@ def test_a_clip_without_a_mesh_is_put_on_characters_of_both_formats(tmp_path: Pa
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.Xformable(stage.GetPrimAtPath("/bar")).AddRotateXOp().Set(90.0)
     stage.Save()
-    with pytest.raises(InputError, match="no mesh is bound to a skeleton, there is only an animation"):
-        load_character(path)
+    refuses("no mesh is bound to a skeleton, there is only an animation", load_character, path)
     found = load_animation(path, ())
     assert found is not None
     inner = load(bar(tmp_path / "inner.usda", scale=100.0), tmp_path / "inner.usda")
@@ -226,8 +225,7 @@ def test_other_files_of_usd_are_no_animation(tmp_path: Path) -> None:
     stage.RemovePrim("/bar/mesh")
     stage.RemovePrim("/bar/skeleton")
     stage.Save()
-    with pytest.raises(InputError, match=r"Skeleton: not one skeleton \(received \[\], expected one that moves"):
-        load_animation(path, ())
+    refuses(r"Skeleton: not one skeleton \(received \[\], expected one that moves", load_animation, path, ())
     stage.RemovePrim("/bar/bend")
     stage.Save()
     assert load_animation(path, ()) is None
@@ -302,8 +300,7 @@ def test_refused(tmp_path: Path, case: str) -> None:
     path = tmp_path / "bar.usda"
     stage = bar(path)
     spoil(stage)
-    with pytest.raises(InputError, match=re.escape(message)):
-        load(stage, path)
+    refuses(re.escape(message), load, stage, path)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.3, 0.6, 0.9, 0.999])
@@ -311,8 +308,7 @@ def test_a_truncated_file_is_refused(tmp_path: Path, share: float) -> None:
     bar(tmp_path / "bar.usdc").Save()
     data = (tmp_path / "bar.usdc").read_bytes()
     (tmp_path / "cut.usdc").write_bytes(data[: int(len(data) * share)])
-    with pytest.raises(InputError, match=r"cut\.usdc: no USD, truncated or damaged"):
-        load_character(tmp_path / "cut.usdc")
+    refuses(r"cut\.usdc: no USD, truncated or damaged", load_character, tmp_path / "cut.usdc")
 
 
 @pytest.mark.parametrize("number", [20, 67, 122, 130])  # of the two in the middle USD 26.11 ends a process

@@ -8,6 +8,7 @@ import pytest
 
 from assets.io import usd_guard
 from pbd.errors import InputError
+from tests.refusals import refuses
 
 USDA = "#usda 1.0\n"
 
@@ -37,8 +38,7 @@ def test_what_befalls_the_other_process_is_said(
     monkeypatch.setattr(usd_guard, "_SCRIPT", script)
     monkeypatch.setattr(usd_guard, "_SECONDS", 0.5)
     for _ in range(2):
-        with pytest.raises(InputError, match=rf"a\.usda: no USD, truncated or damaged: {message}"):
-            usd_guard.require_sound(tmp_path / "a.usda")
+        refuses(rf"a\.usda: no USD, truncated or damaged: {message}", usd_guard.require_sound, tmp_path / "a.usda")
 
 
 def test_a_file_that_changed_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,6 +9,7 @@ import pytest
 from assets.fabrics import PRESETS
 from assets.io.wardrobe import load_wardrobe
 from pbd.errors import InputError
+from tests.refusals import refuses
 
 WARDROBE = """
 [[garment]]
@@ -82,5 +83,4 @@ def test_what_cannot_be_used_is_named(old: str, new: str, problem: str, tmp_path
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"none\.toml"):
-        load_wardrobe(tmp_path / "none.toml")
+    refuses(r"none\.toml", load_wardrobe, tmp_path / "none.toml")

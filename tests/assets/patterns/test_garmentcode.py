@@ -15,6 +15,7 @@ from assets.patterns.load import load_pattern
 from assets.patterns.pattern import EdgeName, edge_length
 from pbd.errors import InputError
 from tests.data import data_path
+from tests.refusals import refuses
 
 
 def specification() -> dict[str, Any]:
@@ -111,16 +112,13 @@ def test_two_panels_of_one_name_are_refused(tmp_path: Path) -> None:
     """JSON keeps the last value of a key that stands twice: the first panel would be lost."""
     file = write(tmp_path, specification())
     file.write_text(file.read_text(encoding="utf-8").replace('"back": {', '"front": {'), encoding="utf-8")
-    with pytest.raises(InputError, match=r"vest_specification.json: 'front': the same name twice"):
-        load_pattern(file)
+    refuses(r"vest_specification.json: 'front': the same name twice", load_pattern, file)
 
 
 def test_a_file_that_is_no_json(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text("{", encoding="utf-8")
-    with pytest.raises(InputError, match="a.json: cannot be read"):
-        load_pattern(tmp_path / "a.json")
-    with pytest.raises(InputError, match="unknown kind of pattern .*'.pdf'"):
-        load_pattern(tmp_path / "a.pdf")
+    refuses("a.json: cannot be read", load_pattern, tmp_path / "a.json")
+    refuses("unknown kind of pattern .*'.pdf'", load_pattern, tmp_path / "a.pdf")
 
 
 @pytest.mark.parametrize(("name", "panels", "seams"), [("dress_pencil", 6, 23), ("shirt_mean", 8, 18)])

@@ -12,6 +12,7 @@ from assets.patterns.pattern import Panel
 from assets.patterns.svg import read_svg
 from pbd.errors import InputError
 from tests.assets.patterns.shapes import pattern
+from tests.refusals import refuses
 
 FRONT = '<path id="front" d="M 20 20 H 520 V 720 H 20 Z"/>'
 BACK = '<path id="back" d="M 600 20 H 1100 V 720 H 600 Z"/>'
@@ -73,15 +74,13 @@ def test_a_drawing_without_unit_is_refused(tmp_path: Path, size: str, box: str) 
     ],
 )
 def test_bad_sizes(tmp_path: Path, page: str, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        read(tmp_path, FRONT, page)
+    refuses(message, read, tmp_path, FRONT, page)
 
 
 def test_two_shapes_of_one_name_are_both_there_and_refused(tmp_path: Path) -> None:
     panels = read(tmp_path, FRONT + BACK.replace("back", "front"))
     assert [panel.name for panel in panels] == ["front", "front"]
-    with pytest.raises(InputError, match="panel 'front': the same name twice"):
-        check_pattern(pattern(*panels))
+    refuses("panel 'front': the same name twice", check_pattern, pattern(*panels))
 
 
 @pytest.mark.parametrize(
@@ -93,8 +92,7 @@ def test_two_shapes_of_one_name_are_both_there_and_refused(tmp_path: Path) -> No
     ],
 )
 def test_grain_lines_that_say_nothing(tmp_path: Path, lines: str, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        read(tmp_path, FRONT + lines)
+    refuses(message, read, tmp_path, FRONT + lines)
 
 
 @pytest.mark.parametrize(
@@ -154,8 +152,7 @@ def test_what_is_shown_is_read(tmp_path: Path, shown: str) -> None:
     ],
 )
 def test_what_is_drawn_and_not_read_is_refused(tmp_path: Path, drawn: str, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        read(tmp_path, FRONT + drawn)
+    refuses(message, read, tmp_path, FRONT + drawn)
 
 
 def test_a_closed_curve_of_one_piece_is_part_of_the_outline(tmp_path: Path) -> None:

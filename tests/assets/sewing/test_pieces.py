@@ -3,13 +3,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from assets.garment import boundary_loops
 from assets.patterns.panel_mesh import cut
 from assets.sewing.pieces import Pieces, carried_over, join, pieces_of, without_closing_chords
-from pbd.errors import InputError
 from tests.assets.sewing.tubes import tube_pattern
+from tests.refusals import refuses
 
 
 def flat_pieces(corners: list[list[float]], faces: list[list[int]], owner: list[int], stitches: list) -> Pieces:
@@ -39,8 +38,7 @@ def test_corners_that_two_pieces_share_on_both_sides_get_an_edge_more() -> None:
         [0, 0, 1, 1],
         [[0, 4], [1, 5], [3, 7]],
     )
-    with pytest.raises(InputError, match="close to no surface"):
-        join(pieces)
+    refuses("close to no surface", join, pieces)
     whole = without_closing_chords(pieces)
     assert len(whole.faces) == 8
     assert len(boundary_loops(join(whole).faces)) == 1
@@ -57,8 +55,7 @@ def test_a_piece_that_is_turned_over_is_named() -> None:
     back = pieces.piece_of_face == 1
     faces = pieces.faces.copy()
     faces[back] = faces[back][:, ::-1]
-    with pytest.raises(InputError, match="front.*seen from their outer side"):
-        join(replace(pieces, faces=faces))
+    refuses("front.*seen from their outer side", join, replace(pieces, faces=faces))
 
 
 def test_a_finer_cut_takes_its_place_from_the_coarser_one() -> None:

@@ -22,9 +22,9 @@ from assets.sewing.sewing import SewingError, arranged_pieces, sew
 from assets.sewing.sewn_file import read_sewn, write_sewn
 from pbd.contact.colliders import Body
 from pbd.distance import BodyDistance
-from pbd.errors import InputError
 from tests.assets.sewing.tubes import egg, tube_pattern
 from tests.data import data_path
+from tests.refusals import refuses
 from tests.wrinkles.meshes import icosphere
 
 
@@ -123,8 +123,7 @@ def test_pieces_without_a_place_lie_beside_what_they_are_sewn_to() -> None:
 
 def test_pieces_that_nothing_places_are_refused() -> None:
     pieces = pieces_of(cut(tube_pattern(), 0.02))
-    with pytest.raises(InputError, match="front, back: pieces without a place"):
-        arranged(pieces, [None, None], egg())
+    refuses("front, back: pieces without a place", arranged, pieces, [None, None], egg())
 
 
 def test_a_piece_in_the_body_is_moved_out() -> None:
@@ -184,8 +183,7 @@ def test_bad_files_are_refused(
     with np.load(path) as archive:
         arrays = change(dict(archive))
     np.savez(path, **arrays)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=message):
-        read_sewn(path)
+    refuses(message, read_sewn, path)
 
 
 def test_an_array_whose_header_ends_in_a_bracket_is_refused(tube: SewnGarment, tmp_path: Path) -> None:
@@ -198,23 +196,19 @@ def test_an_array_whose_header_ends_in_a_bracket_is_refused(tube: SewnGarment, t
     with zipfile.ZipFile(path, "w") as archive:
         for name, content in members.items():
             archive.writestr(name, content)
-    with pytest.raises(InputError, match="damaged"):
-        read_sewn(path)
+    refuses("damaged", read_sewn, path)
 
 
 def test_a_body_must_be_closed(tmp_path: Path) -> None:
     path = tmp_path / "sheet.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    with pytest.raises(InputError, match="not closed"):
-        load_standing_body(path)
-    with pytest.raises(InputError, match="unknown kind of body"):
-        load_standing_body(tmp_path / "body.stl")
+    refuses("not closed", load_standing_body, path)
+    refuses("unknown kind of body", load_standing_body, tmp_path / "body.stl")
 
 
 @pytest.mark.parametrize("edge", [0.0, 0.001, 0.2, float("nan")])
 def test_edges_that_no_garment_has_are_refused(edge: float) -> None:
-    with pytest.raises(InputError, match=r"edge: .*0\.002 to 0\.05"):
-        sew(tube_pattern(), egg(), "cotton", edge_length=edge)
+    refuses(r"edge: .*0\.002 to 0\.05", sew, tube_pattern(), egg(), "cotton", edge_length=edge)
 
 
 @pytest.mark.proof

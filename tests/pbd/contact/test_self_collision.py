@@ -13,7 +13,7 @@ from pbd.contact.patch_tree import joined_groups
 from pbd.contact.self_collision import SelfCollision
 from pbd.crossings import crossings
 from pbd.mesh import edges_of
-from tests.pbd.meshes import cloth, free_model, grid, turn
+from tests.pbd.meshes import cloth, free_model, level, turn
 
 THICKNESS = 0.003
 ON = SolverOptions(self_collision=True)
@@ -23,13 +23,6 @@ def sheets(*placed: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarr
     """Sheets of the same faces as one mesh."""
     count = len(placed[0])
     return np.concatenate(placed), np.concatenate([faces + k * count for k in range(len(placed))])
-
-
-def level(along: int, across: int, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """A sheet in the x-z plane, normals up, about the origin."""
-    vertices, faces = grid(along, across, step)
-    vertices = vertices[:, [1, 2, 0]]
-    return vertices - vertices.mean(axis=0), faces
 
 
 def segment_gap(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:

@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pbd import Colliders, InputError, ModelOptions, State, build_model
+from pbd import Colliders, ModelOptions, State, build_model
 from pbd.models import Options, make_solver
 from pbd.models.friction import CurvatureFriction, FrictionElements, friction_elements
 from pbd.models.membrane import Membrane, continuum_membrane
 from pbd.models.registry import cloth_energy
 from tests.pbd.meshes import cloth, grid, turn
 from tests.pbd.models.sheets import FABRIC, differences
+from tests.refusals import refuses
 
 RUBBING = replace(FABRIC, bend_hysteresis_warp=0.4, bend_hysteresis_weft=0.1, shear_hysteresis=30.0, air_drag=0.0)
 MODEL = build_model(cloth(*grid(4, 3, 0.05, "alternating")), RUBBING, None, options=ModelOptions(tether_slack=0.0))
@@ -162,13 +163,11 @@ def test_what_friction_holds_is_kept_in_the_state() -> None:
     assert other.plastic_curvatures == pytest.approx(state.plastic_curvatures, rel=1e-4, abs=1e-3)
     assert other.world() == pytest.approx(state.world(), abs=1e-6)
     unlike = State.at_rest(build_model(MODEL.mesh, FABRIC))
-    with pytest.raises(InputError, match="state of another model"):
-        solver.step(unlike, Colliders(), 1 / 60)
+    refuses("state of another model", solver.step, unlike, Colliders(), 1 / 60)
 
 
 @pytest.mark.parametrize(
     "name", ["springs-triangle/implicit-euler", "fem-stvk+isometric/verlet", "xpbd", "projective-dynamics"]
 )
 def test_solvers_without_friction_say_so(name: str) -> None:
-    with pytest.raises(InputError, match="no internal friction"):
-        make_solver(name, MODEL)
+    refuses("no internal friction", make_solver, name, MODEL)

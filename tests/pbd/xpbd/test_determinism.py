@@ -1,10 +1,6 @@
 """The same bits whatever the number of threads, and in every process."""
 
-import os
-import subprocess
-import sys
-
-from tests.data import ROOT
+from tests.processes import python
 
 SCRIPT = """
 import numpy as np
@@ -41,18 +37,6 @@ print(state.hash())
 """
 
 
-def final_hash(threads: int) -> str:
-    result = subprocess.run(
-        [sys.executable, "-c", SCRIPT],
-        cwd=ROOT,
-        env={**os.environ, "GUBE_THREADS": str(threads)},
-        capture_output=True,
-        text=True,
-    )
-    assert result.returncode == 0, result.stderr
-    return result.stdout.split()[-1]
-
-
 def test_threads_do_not_change_a_bit() -> None:
-    hashes = {threads: final_hash(threads) for threads in (1, 2)}
-    assert hashes[1] == hashes[2] and len(hashes[1]) == 64
+    one, two = (python(SCRIPT, GUBE_THREADS=threads).split()[-1] for threads in "12")
+    assert one == two and len(one) == 64

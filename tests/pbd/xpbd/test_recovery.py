@@ -14,19 +14,12 @@ from pbd.crossings import crossings
 from pbd.distance import BodyDistance
 from pbd.layers import layered
 from tests.data import data_path
-from tests.pbd.meshes import body_of, cloth, free_model, grid, icosphere, turn
+from tests.pbd.meshes import body_of, cloth, free_model, icosphere, level, turn
 
 TIME = 30  # frames: half a second
 SPEED = 2.0  # [m/s]
 THICKNESS = 0.003
 FABRIC = Fabric(thickness=THICKNESS)
-
-
-def level(along: int, across: int, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """A sheet in the x-z plane, normals up, about the origin."""
-    vertices, faces = grid(along, across, step)
-    vertices = vertices[:, [1, 2, 0]]
-    return vertices - vertices.mean(axis=0), faces
 
 
 def fastest_of(

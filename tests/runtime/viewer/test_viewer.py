@@ -19,7 +19,6 @@ from websockets.sync.client import ClientConnection, connect
 
 from assets.io.scene import load_scene
 from assets.io.view import ViewSettings
-from pbd import InputError
 from runtime.viewer import opening
 from runtime.viewer.colors import CLOTH_COLORS
 from runtime.viewer.garments import FabricFactors
@@ -27,6 +26,7 @@ from runtime.viewer.opening import Opened, open_source
 from runtime.viewer.saving import clip_frames
 from runtime.viewer.sources import DatabaseSource
 from runtime.viewer.viewer import Viewer
+from tests.refusals import refuses
 from tests.runtime.viewer.views import FLAG, outfit_source, skirt_source
 from wrinkles.database_file import write_database
 
@@ -345,8 +345,7 @@ def test_a_picture_is_written_over_the_background_and_names_are_never_taken_twic
     ],
 )
 def test_a_view_of_what_is_not_there_is_refused(tmp_path: Path, view: ViewSettings, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        Viewer(Opened(skirt_source(), view), tmp_path, port=0)
+    refuses(message, Viewer, Opened(skirt_source(), view), tmp_path, port=0)
 
 
 def test_without_a_file_the_demo_is_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -372,12 +371,10 @@ def test_without_a_file_the_demo_is_opened(tmp_path: Path, monkeypatch: pytest.M
 def test_what_cannot_be_viewed_is_refused(tmp_path: Path, name: str, content: str | None, message: str) -> None:
     if content is not None:
         (tmp_path / name).write_text(content)
-    with pytest.raises(InputError, match=message):
-        open_source(tmp_path / name)
+    refuses(message, open_source, tmp_path / name)
 
 
 def test_a_scene_has_no_truth(tmp_path: Path) -> None:
     (tmp_path / "flag.toml").write_text(FLAG)
     assert load_scene(tmp_path / "flag.toml").view is None
-    with pytest.raises(InputError, match="--truth"):
-        open_source(tmp_path / "flag.toml", lambda *_: {})
+    refuses("--truth", open_source, tmp_path / "flag.toml", lambda *_: {})
